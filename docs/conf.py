@@ -1,6 +1,7 @@
 """The site: ``python -m sphinx -W --keep-going -b html docs docs/_build/html``.
 
-The gallery runs the examples; ``-D plot_gallery=0`` leaves that out. Nothing is fetched, neither now nor by a reader.
+The gallery runs the examples; ``-D plot_gallery=0`` leaves that out. Nothing is fetched, neither
+now nor by a reader.
 """
 
 import os
@@ -20,7 +21,8 @@ os.environ.setdefault("PYVISTA_OFF_SCREEN", "true")
 
 import tissue  # noqa: E402, the checkout's
 
-for name in tissue.__all__:  # modules by their public names, as `tissue.stability`, which only exist as attributes
+# modules by their public names, as `tissue.stability`, which only exist as attributes
+for name in tissue.__all__:
     if isinstance(module := getattr(tissue, name), ModuleType):
         sys.modules.setdefault(f"tissue.{name}", module)
 
@@ -49,7 +51,8 @@ suppress_warnings = ["config.cache"]  # the gallery's order is a class, which no
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 highlight_language = "bash"  # of code without a language: commands
-default_role = "py:obj"  # a name in single backticks links where it is documented, and is code where it is not
+# a name in single backticks links where it is documented, and is code where it is not
+default_role = "py:obj"
 
 autosummary_generate = True
 autodoc_typehints_format = "short"
@@ -102,8 +105,12 @@ copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 
 
-def without_back_links(app: Sphinx, page: str, template: str, context: dict[str, Any], tree: object) -> None:
-    """Take the links from source to reference out: viewcode takes one module's names for all to be of one home."""
+def without_back_links(
+    app: Sphinx, page: str, template: str, context: dict[str, Any], tree: object
+) -> None:
+    """Take the links from source to reference out: viewcode takes one module's names for all to
+    be of one home.
+    """
     if page.startswith("_modules/") and "body" in context:
         context["body"] = re.sub(r'<a class="viewcode-back"[^>]*>\[docs\]</a>', "", context["body"])
 

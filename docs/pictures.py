@@ -1,8 +1,8 @@
 """Draw the pictures of the guide by the code of its pages: python docs/pictures.py [PAGE ...]
 
-A page's Python and bash run from top to bottom; after each block of Python what it has plotted, pyvista's scenes and
-then matplotlib's figures, becomes the next pictures that the page shows. FOLDER-NAME.png is what a command wrote as
-FOLDER/NAME.png.
+A page's Python and bash run from top to bottom; after each block of Python what it has plotted,
+pyvista's scenes and then matplotlib's figures, becomes the next pictures that the page shows.
+FOLDER-NAME.png is what a command wrote as FOLDER/NAME.png.
 """
 
 import os
@@ -37,7 +37,12 @@ def plotted() -> Iterator[object]:
 def draw(page: Path) -> None:
     """Run a page and write its pictures."""
     text = page.read_text("utf-8")
-    targets = iter([page.parent / name for name in re.findall(r"^!\[[^\]]*\]\((pictures/[^)]+)\)", text, re.MULTILINE)])
+    targets = iter(
+        [
+            page.parent / name
+            for name in re.findall(r"^!\[[^\]]*\]\((pictures/[^)]+)\)", text, re.MULTILINE)
+        ]
+    )
     names: dict[str, object] = {"__name__": "__main__"}
     for language, code in blocks_of(text):
         if language == "bash":
@@ -63,7 +68,9 @@ def draw(page: Path) -> None:
             left.remove(path)
             print(path)
     if left:
-        raise SystemExit(f"{page.name} must plot all that it shows, got nothing for {left[0].name}: plot it")
+        raise SystemExit(
+            f"{page.name} must plot all that it shows, got nothing for {left[0].name}: plot it"
+        )
 
 
 if __name__ == "__main__":

@@ -2,11 +2,12 @@
 Ream a glenoid and read the force
 =================================
 
-A built-in scene is simulated, its trace is read by the names of its columns, and the bone is shown as the reamer left
-it. Expected of a glenoid reamed 2 mm deep: 234 mm3 of subchondral bone come away, the thrust peaks at 74 N and the
-torque at 0.76 N m. The figures rest on cutting coefficients of low confidence (`tissue/materials/cutting.toml`): they
-are plausible, not validated, and 90 % of what the cited ranges allow lie between 4.4 and 144 N, 0.29 and 1.4 N m
-(`tissue run glenoid --band 4096`).
+A built-in scene is simulated, its trace is read by the names of its columns, and the bone is shown
+as the reamer left it. Expected of a glenoid reamed 2 mm deep: 234 mm3 of subchondral bone come
+away, the thrust peaks at 74 N and the torque at 0.76 N m. The figures rest on cutting coefficients
+of low confidence (`tissue/materials/cutting.toml`): they are plausible, not validated, and 90 % of
+what the cited ranges allow lie between 4.4 and 144 N, 0.29 and 1.4 N m (`tissue run glenoid --band
+4096`).
 """
 
 from pathlib import Path
@@ -19,9 +20,8 @@ import tissue
 FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
 
-# %%
-# A scene holds bone, tool and path; `tissue.load_scene("glenoid", {"voxels.spacing_mm": 0.2})` would change one of its
-# keys. A run has a row for each tick of 1 ms.
+# %% A scene holds bone, tool and path; `tissue.load_scene("glenoid", {"voxels.spacing_mm": 0.2})`
+# would change one of its keys. A run has a row for each tick of 1 ms.
 
 run = tissue.simulate(tissue.load_scene("glenoid"))
 removed = run.trace["removed_mm3"][-1]
@@ -32,8 +32,8 @@ assert abs(removed - 234.4) < 0.5
 assert abs(thrust - 74.1) < 1.0
 assert abs(torque - 0.760) < 0.01
 
-# %%
-# Thrust and torque grow as the reamer's face meets more of the bone's, until the feed ends 2 mm deep.
+# %% Thrust and torque grow as the reamer's face meets more of the bone's, until the feed ends 2 mm
+# deep.
 
 depth = -run.trace["tool_z_mm"]
 fed = depth < 1.9995
@@ -51,8 +51,8 @@ panels[0].set_title("Hemispherical reamer of 30 mm fed into a glenoid at 0.5 mm/
 panels[2].set_xlabel("depth of the reamer / mm")
 figure.savefig(FIGURES / "01_force.png", dpi=150)
 
-# %%
-# The carved surface is a mesh of pyvista; each of its points knows how much bone was removed over it.
+# %% The carved surface is a mesh of pyvista; each of its points knows how much bone was removed
+# over it.
 
 surface = run.surface()
 plotter = pyvista.Plotter(off_screen=True, window_size=[1000, 800])
@@ -60,7 +60,13 @@ plotter.add_mesh(
     surface,
     scalars="removed_depth_mm",
     cmap="viridis",
-    scalar_bar_args={"title": "removed / mm", "vertical": True, "fmt": "%.1f", "position_x": 0.82, "position_y": 0.2},
+    scalar_bar_args={
+        "title": "removed / mm",
+        "vertical": True,
+        "fmt": "%.1f",
+        "position_x": 0.82,
+        "position_y": 0.2,
+    },
 )
 plotter.camera_position = [(15.0, -55.0, 75.0), (5.0, 0.0, -4.0), (0.0, 1.0, 0.0)]
 plotter.screenshot(FIGURES / "01_bone.png")

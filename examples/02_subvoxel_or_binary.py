@@ -2,9 +2,10 @@
 Sub-voxel against binary removal
 ================================
 
-What a slower tick buys: a ball burr mills a slot 0.25 mm deep and comes back 0.1 mm deeper, at several voxel sizes,
-once removing the part of a voxel inside the tool and once whole voxels. Volume is held against the exact one of the
-slot, force against that on voxels of 0.03 mm. Expected at 0.1 mm: volume within 0.5 % sub-voxel, beyond 1 % binary.
+What a slower tick buys: a ball burr mills a slot 0.25 mm deep and comes back 0.1 mm deeper, at
+several voxel sizes, once removing the part of a voxel inside the tool and once whole voxels. Volume
+is held against the exact one of the slot, force against that on voxels of 0.03 mm. Expected at 0.1
+mm: volume within 0.5 % sub-voxel, beyond 1 % binary.
 """
 
 from math import acos, pi, sin
@@ -22,14 +23,20 @@ RADIUS_MM, DEPTHS_MM, LENGTH_MM, FEED_MM_S = 3.0, (0.25, 0.35), 4.0, 10.0
 SPACINGS_MM = (0.4, 0.2, 0.1, 0.05)
 REFERENCE_MM = 0.03
 
-# %%
-# The slot is the built-in milling scene with another path: plunge, draw the burr along x, go deeper, come back.
+# %% The slot is the built-in milling scene with another path: plunge, draw the burr along x, go
+# deeper, come back.
 
 
 def mill(spacing_mm: float, removal: str) -> tissue.Run:
     """The slot on voxels of one size."""
     half, (first, second) = LENGTH_MM / 2, DEPTHS_MM
-    path = [[-half, 0, 0.1], [-half, 0, -first], [half, 0, -first], [half, 0, -second], [-half, 0, -second]]
+    path = [
+        [-half, 0, 0.1],
+        [-half, 0, -first],
+        [half, 0, -first],
+        [half, 0, -second],
+        [-half, 0, -second],
+    ]
     changes = {
         "voxels.spacing_mm": spacing_mm,
         "voxels.removal": removal,
@@ -47,8 +54,8 @@ def steady_force(run: tissue.Run) -> NDArray[np.float64]:
     return run.trace.vectors("model_force", "N")[-310:-110]
 
 
-# %%
-# Two halves of a spherical cap, and a circular segment over the length, are the slot's exact volume.
+# %% Two halves of a spherical cap, and a circular segment over the length, are the slot's exact
+# volume.
 
 depth = DEPTHS_MM[1]
 angle = 2.0 * acos(1.0 - depth / RADIUS_MM)
@@ -73,20 +80,24 @@ at = {(spacing, kind): error for spacing, kind, error, _ in rows}
 assert at[0.1, "subvoxel"] < 0.005
 assert at[0.1, "binary"] > 0.01
 
-# %%
-# On the same voxels, sub-voxel removal is nearer to the exact volume throughout. The force is the same with both, for
-# it comes from distances to the tool and not from what is left in the voxels.
+# %% On the same voxels, sub-voxel removal is nearer to the exact volume throughout. The force is
+# the same with both, for it comes from distances to the tool and not from what is left in the
+# voxels.
 
 figure, axes = plt.subplots(1, 2, figsize=(10, 4.4), layout="constrained")
 for kind, colour, look in (("subvoxel", "#0072B2", "o-"), ("binary", "#D55E00", "s--")):
     chosen = np.array([(s, v, f) for s, k, v, f in rows if k == kind])
     for axis, column in zip(axes, (1, 2), strict=True):
-        axis.loglog(chosen[:, 0], 100.0 * chosen[:, column], look, color=colour, label=kind, linewidth=2)
+        axis.loglog(
+            chosen[:, 0], 100.0 * chosen[:, column], look, color=colour, label=kind, linewidth=2
+        )
 for axis, title in zip(axes, ("volume error / %", "mean force error / %"), strict=True):
     axis.set(xlabel="voxel size / mm", ylabel=title)
     axis.xaxis.set_minor_formatter("")
     axis.set_xticks(SPACINGS_MM, [f"{s:g}" for s in SPACINGS_MM])
     axis.grid(alpha=0.3, which="both")
 axes[0].legend(title="removal")
-figure.suptitle(f"Slot cut in depths of {DEPTHS_MM[0]} and {DEPTHS_MM[1]} mm, ball burr {2 * RADIUS_MM:g} mm")
+figure.suptitle(
+    f"Slot cut in depths of {DEPTHS_MM[0]} and {DEPTHS_MM[1]} mm, ball burr {2 * RADIUS_MM:g} mm"
+)
 figure.savefig(FIGURES / "02_errors.png", dpi=150)

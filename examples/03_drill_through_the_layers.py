@@ -2,12 +2,14 @@
 Drill through the layers of a tooth
 ===================================
 
-A bur goes straight down through enamel into dentin, stops above the pulp, and the layers are read from the force.
-Expected: the bur is pushed back with 1.12 N in enamel and 0.136 N in dentin, 8.2 times less, both within the 0.1 to
-4.9 N that are published for preparing teeth. The force falls halfway at 1.40 mm; the voxels end enamel at 1.35 mm
-under the fossa. 0.60 mm of dentin are left over the pulp, after a warning at 1 mm. The figures rest on cutting
-coefficients of low confidence (`tissue/materials/cutting.toml`): they are plausible, not validated, and over the cited
-ranges 90 % lie between 0 and 5.3 N in enamel, 0.01 and 0.6 N in dentin (`bench_band.py --published`).
+A bur goes straight down through enamel into dentin, stops above the pulp, and the layers are read
+from the force. Expected: the bur is pushed back with 1.12 N in enamel and 0.136 N in dentin, 8.2
+times less, both within the 0.1 to
+4.9 N that are published for preparing teeth. The force falls halfway at 1.40 mm; the voxels end
+enamel at 1.35 mm under the fossa. 0.60 mm of dentin are left over the pulp, after a warning at 1
+mm. The figures rest on cutting coefficients of low confidence (`tissue/materials/cutting.toml`):
+they are plausible, not validated, and over the cited ranges 90 % lie between 0 and 5.3 N in enamel,
+0.01 and 0.6 N in dentin (`bench_band.py --published`).
 """
 
 from pathlib import Path
@@ -23,8 +25,8 @@ DEPTH_MM, FEED_MM_S = 4.4, 1.5
 LAYERS = ("enamel", "dentin")
 PUBLISHED_N = (0.1, 4.9)
 
-# %%
-# The built-in molar, straight down, without its stress and with as little tooth around as the pulp needs.
+# %% The built-in molar, straight down, without its stress and with as little tooth around as the
+# pulp needs.
 
 changes = {
     "voxels.margin_mm": 1.5,
@@ -36,8 +38,8 @@ changes = {
 run = tissue.simulate(tissue.load_scene("molar", changes))
 depth, force, layer = -run.trace["tool_z_mm"], run.trace["model_force_z_N"], run.trace["layer"]
 
-# %%
-# In each layer: the mean axial force in the middle half of the ticks in which the bur meets mostly that layer.
+# %% In each layer: the mean axial force in the middle half of the ticks in which the bur meets
+# mostly that layer.
 
 levels_N = {}
 for name in LAYERS:
@@ -45,7 +47,9 @@ for name in LAYERS:
     quarter = len(ticks) // 4
     levels_N[name] = float(force[ticks[quarter:-quarter]].mean())
 enamel, dentin = levels_N.values()
-print(f"axial force: {enamel:.3f} N in enamel, {dentin:.3f} N in dentin, ratio {enamel / dentin:.1f}")
+print(
+    f"axial force: {enamel:.3f} N in enamel, {dentin:.3f} N in dentin, ratio {enamel / dentin:.1f}"
+)
 assert abs(enamel - 1.120) < 0.01
 assert abs(dentin - 0.136) < 0.002
 assert all(PUBLISHED_N[0] < level < PUBLISHED_N[1] for level in levels_N.values())
@@ -73,16 +77,33 @@ assert [event for _, event in run.events] == ["less than 1 mm of dentin is left 
 
 figure, axes = plt.subplots(figsize=(8, 4.4), layout="constrained")
 ends = (0.0, true_mm, DEPTH_MM)
-for name, colour, first, last in zip(LAYERS, ("#56B4E9", "#E69F00"), ends[:-1], ends[1:], strict=True):
+for name, colour, first, last in zip(
+    LAYERS, ("#56B4E9", "#E69F00"), ends[:-1], ends[1:], strict=True
+):
     axes.axvspan(first, last, color=colour, alpha=0.25, linewidth=0)
     label = f"{name}\n{levels_N[name]:.3g} N"
     axes.text(0.5 * (first + last), 1.04 * enamel, label, ha="center", va="bottom")
 axes.plot(depth, force, color="0.1", linewidth=2)
-axes.axvline(felt_mm, color="0.1", linestyle="--", linewidth=1, label=f"halfway by the force, {felt_mm:.2f} mm")
-axes.axvline(true_mm, color="0.1", linestyle=":", linewidth=1, label=f"boundary in the voxels, {true_mm:.2f} mm")
+axes.axvline(
+    felt_mm,
+    color="0.1",
+    linestyle="--",
+    linewidth=1,
+    label=f"halfway by the force, {felt_mm:.2f} mm",
+)
+axes.axvline(
+    true_mm,
+    color="0.1",
+    linestyle=":",
+    linewidth=1,
+    label=f"boundary in the voxels, {true_mm:.2f} mm",
+)
 axes.set(xlabel="depth of the tip under the fossa / mm", ylabel="axial force / N")
 axes.set(xlim=(depth[0], DEPTH_MM), ylim=(0.0, 1.3 * enamel))
 axes.grid(axis="y", alpha=0.3)
 axes.legend(loc="center right")
-axes.set_title(f"Round bur of {2e3 * run.cutter.profile.radius_m:.2g} mm fed into a molar at {FEED_MM_S:g} mm/s")
+axes.set_title(
+    f"Round bur of {2e3 * run.cutter.profile.radius_m:.2g} mm fed into a molar at "
+    f"{FEED_MM_S:g} mm/s"
+)
 figure.savefig(FIGURES / "03_force.png", dpi=150)

@@ -2,12 +2,13 @@
 Carious or healthy by the force alone
 =====================================
 
-A round bur goes straight down the fossa of two molars that differ by a lesion 3 mm deep. Tick by tick, a threshold on
-the axial force calls each tick carious or sound; the example gives its best share of right calls and the chance that
-a carious tick pushes back less than a sound one. Then the sound tooth is drilled at half the feed.
-Expected: over the lesion the carious tooth pushes back with 0.16 of the sound one's force, in enamel with 0.10, in
-dentin with 0.59. The best threshold is right in 95 % of all ticks, since decayed enamel is at first harder than sound
-dentin, and in 99 % of those in dentin, where it misses the lesion's rim. But it holds for one feed: at half of it all
+A round bur goes straight down the fossa of two molars that differ by a lesion 3 mm deep. Tick by
+tick, a threshold on the axial force calls each tick carious or sound; the example gives its best
+share of right calls and the chance that a carious tick pushes back less than a sound one. Then the
+sound tooth is drilled at half the feed. Expected: over the lesion the carious tooth pushes back
+with 0.16 of the sound one's force, in enamel with 0.10, in dentin with 0.59. The best threshold is
+right in 95 % of all ticks, since decayed enamel is at first harder than sound dentin, and in 99 %
+of those in dentin, where it misses the lesion's rim. But it holds for one feed: at half of it all
 sound dentin is called carious. The forces have no noise and rest on coefficients of low confidence
 (`tissue/materials/cutting.toml`): how well a hand would do is not stated.
 """
@@ -25,8 +26,8 @@ FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
 DEPTH_MM, FEED_MM_S = 3.4, 1.5
 
-# %%
-# Three runs: sound, carious, and sound at half the feed, in voxels of 0.1 mm and without the teeth's stress.
+# %% Three runs: sound, carious, and sound at half the feed, in voxels of 0.1 mm and without the
+# teeth's stress.
 
 
 def drill(scene: str, feed_mm_s: float) -> tissue.Run:
@@ -44,13 +45,14 @@ def drill(scene: str, feed_mm_s: float) -> tissue.Run:
 sound, carious = drill("molar", FEED_MM_S).trace, drill("caries", FEED_MM_S).trace
 slow = drill("molar", 0.5 * FEED_MM_S).trace
 
-# %%
-# The threshold that calls most ticks rightly, where carious and sound ticks count alike, and the area under the ROC:
-# the chance that a carious tick's force is below a sound one's.
+# %% The threshold that calls most ticks rightly, where carious and sound ticks count alike, and the
+# area under the ROC: the chance that a carious tick's force is below a sound one's.
 
 
 def best_threshold(soft: Floats, hard: Floats) -> tuple[float, float, float]:
-    """Force below which a tick is best called carious [N], the share of right calls, and the area under the ROC."""
+    """Force below which a tick is best called carious [N], the share of right calls, and the
+    area under the ROC.
+    """
     levels = np.unique(np.concatenate([soft, hard]))
     thresholds = 0.5 * (levels[1:] + levels[:-1])
     below = np.searchsorted(np.sort(soft), thresholds) / len(soft)
@@ -84,20 +86,31 @@ for name, ratio, right in zip(parts, (0.159, 0.094, 0.592), (0.953, 0.974, 1.0),
     assert abs(found[name][2] - right) < 0.01
 assert alarms > 0.9
 
-# %%
-# Sound dentin at half the feed lies below the threshold that parts sound from carious at the full one.
+# %% Sound dentin at half the feed lies below the threshold that parts sound from carious at the
+# full one.
 
 figure, axes = plt.subplots(figsize=(8, 4.4), layout="constrained")
 shaded = -carious["tool_z_mm"][lesion]
-axes.axvspan(shaded[0], shaded[-1], color="#E69F00", alpha=0.2, linewidth=0, label="mostly in the lesion")
+axes.axvspan(
+    shaded[0], shaded[-1], color="#E69F00", alpha=0.2, linewidth=0, label="mostly in the lesion"
+)
 for trace, colour, line, label in (
     (sound, "#0072B2", "-", f"sound, {FEED_MM_S:g} mm/s"),
     (slow, "#56B4E9", "--", f"sound, {0.5 * FEED_MM_S:g} mm/s"),
     (carious, "#D55E00", "-", f"carious, {FEED_MM_S:g} mm/s"),
 ):
     met = trace["contact_mm2"] > 0.0
-    axes.semilogy(-trace["tool_z_mm"][met], trace["model_force_z_N"][met], line, color=colour, label=label, lw=2)
-axes.axhline(threshold_N, color="0.3", linestyle=":", label=f"threshold in dentin, {threshold_N:.3f} N")
+    axes.semilogy(
+        -trace["tool_z_mm"][met],
+        trace["model_force_z_N"][met],
+        line,
+        color=colour,
+        label=label,
+        lw=2,
+    )
+axes.axhline(
+    threshold_N, color="0.3", linestyle=":", label=f"threshold in dentin, {threshold_N:.3f} N"
+)
 axes.set(xlabel="depth of the tip under the fossa / mm", ylabel="axial force / N", ylim=(0.02, 9.0))
 axes.grid(alpha=0.3, which="both")
 axes.legend(ncols=2, loc="upper right")

@@ -2,13 +2,14 @@
 Press a liver and look inside
 =============================
 
-A ball presses a liver, and what it did inside is inspected: force over depth, displacement, stress. Expected: 0.285 N
-at 5 mm with a ball of 20 mm on 5.4 kPa, 0.86 of what Hertz gives for a half-space (the surface is a dome that yields,
-and Hertz's parabola is steeper than the ball). The tissue under the ball has gone down nearly by what the ball has; the
-von Mises stress is greatest within a radius under it. The scene's cells are quadratic and fine under the ball only:
-halving the fine ones or the coarse ones elsewhere moves the force by about 1 %. The run states from which depth linear
-elasticity is 5 % off. The modulus is that of a cited range of 2 to 15 kPa: the force follows it in proportion, so that
-nine in ten livers lie between 0.11 and 0.79 N.
+A ball presses a liver, and what it did inside is inspected: force over depth, displacement, stress.
+Expected: 0.285 N at 5 mm with a ball of 20 mm on 5.4 kPa, 0.86 of what Hertz gives for a half-space
+(the surface is a dome that yields, and Hertz's parabola is steeper than the ball). The tissue under
+the ball has gone down nearly by what the ball has; the von Mises stress is greatest within a radius
+under it. The scene's cells are quadratic and fine under the ball only: halving the fine ones or the
+coarse ones elsewhere moves the force by about 1 %. The run states from which depth linear
+elasticity is 5 % off. The modulus is that of a cited range of 2 to 15 kPa: the force follows it in
+proportion, so that nine in ten livers lie between 0.11 and 0.79 N.
 """
 
 from pathlib import Path
@@ -34,7 +35,14 @@ changes = {
 }
 run = tissue.simulate(tissue.load_scene("liver-press", changes))
 depth, force = -run.trace["tool_z_mm"], run.trace["model_force_z_N"]
-hertz_N = 4 / 3 * YOUNG_PA / (1 - POISSON**2) * np.sqrt(1e-3 * RADIUS_MM) * (1e-3 * np.maximum(depth, 0.0)) ** 1.5
+hertz_N = (
+    4
+    / 3
+    * YOUNG_PA
+    / (1 - POISSON**2)
+    * np.sqrt(1e-3 * RADIUS_MM)
+    * (1e-3 * np.maximum(depth, 0.0)) ** 1.5
+)
 ratio = force[-1] / hertz_N[-1]
 print(f"force at {depth[-1]:.1f} mm: {force[-1]:.3f} N, {ratio:.2f} of Hertz on a half-space")
 print(run.events[0][1])
@@ -50,7 +58,9 @@ moved, stress = mesh.point_data["displacement_mm"], mesh.cell_data["von_mises_kP
 under = int(np.argmin(np.linalg.norm(mesh.points, axis=1)))
 away = float(np.linalg.norm(mesh.cell_centers().points[np.argmax(stress)]))
 print(f"the surface at the ball's middle has moved by {-moved[under, 2]:.1f} mm")
-print(f"greatest von Mises stress {stress.max():.1f} kPa, {away:.1f} mm from where the ball came in")
+print(
+    f"greatest von Mises stress {stress.max():.1f} kPa, {away:.1f} mm from where the ball came in"
+)
 assert abs(-moved[under, 2] - DEPTH_MM) < 1.0
 assert away < RADIUS_MM
 
@@ -59,8 +69,15 @@ assert away < RADIUS_MM
 
 figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
 axes.plot(depth, force, color="#0072B2", linewidth=2.2, label="liver")
-axes.plot(depth, hertz_N, color="0.3", linestyle="--", label="Hertz, half-space of the same modulus")
-axes.set(xlabel="depth of the ball's tip / mm", ylabel="force / N", xlim=(0.0, DEPTH_MM), ylim=(0.0, None))
+axes.plot(
+    depth, hertz_N, color="0.3", linestyle="--", label="Hertz, half-space of the same modulus"
+)
+axes.set(
+    xlabel="depth of the ball's tip / mm",
+    ylabel="force / N",
+    xlim=(0.0, DEPTH_MM),
+    ylim=(0.0, None),
+)
 axes.grid(alpha=0.3)
 axes.legend()
 axes.set_title(f"Ball of {2 * RADIUS_MM:g} mm on the dome of a liver of {1e-3 * YOUNG_PA:g} kPa")
@@ -77,7 +94,13 @@ plotter.add_mesh(
     scalars="displacement_mm",
     cmap="YlGnBu",
     lighting=False,
-    scalar_bar_args={"title": "moved / mm\n", "fmt": "%.1f", "n_labels": 5, "position_x": 0.2, "position_y": 0.87},
+    scalar_bar_args={
+        "title": "moved / mm\n",
+        "fmt": "%.1f",
+        "n_labels": 5,
+        "position_x": 0.2,
+        "position_y": 0.87,
+    },
 )
 ball = pyvista.Sphere(radius=RADIUS_MM, center=(0.0, 0.0, RADIUS_MM - DEPTH_MM))
 plotter.add_mesh(ball, color="lightgrey", smooth_shading=True)

@@ -2,15 +2,17 @@
 Needle through the capsule of a liver
 =====================================
 
-A needle is pushed through the capsule of a liver and a vessel wall, drawn out, and pushed in again along its track.
-Expected: the capsule is punctured at 16.9 mm with 2.30 N and the force drops by 0.67 N, not to the cutting force alone:
-the edge of the hole still holds 0.65 N, and the organ stays deflected by 13.7 mm. From there the force grows by 11.6 N
-per metre of needle in the organ. The vessel wall, 30 mm deep in the organ, breaks at 49.9 mm of travel with 3.00 N.
-Drawn back, the shaft sticks over 32.6 mm before it slides, and pulls with up to 1.91 N. The second insertion costs 59 %
-of the first one's work: nothing is punctured and nothing cut. The numbers of liver are a published fit to one needle
-(Okamura 2004), those of the vessel wall have no source (`tissue/materials/needle.toml`): the curve is fitted, not
-predicted. Over their ranges 90 % of punctures lie between 13.7 and 20.2 mm (`tissue run needle --band 200`), and 90 %
-of wall forces between 2.4 and 4.2 N, median 3.1 N (the same with this example's `changes` and `--band 128`).
+A needle is pushed through the capsule of a liver and a vessel wall, drawn out, and pushed in again
+along its track. Expected: the capsule is punctured at 16.9 mm with 2.30 N and the force drops by
+0.67 N, not to the cutting force alone: the edge of the hole still holds 0.65 N, and the organ stays
+deflected by 13.7 mm. From there the force grows by 11.6 N per metre of needle in the organ. The
+vessel wall, 30 mm deep in the organ, breaks at 49.9 mm of travel with 3.00 N. Drawn back, the shaft
+sticks over 32.6 mm before it slides, and pulls with up to 1.91 N. The second insertion costs 59 %
+of the first one's work: nothing is punctured and nothing cut. The numbers of liver are a published
+fit to one needle (Okamura 2004), those of the vessel wall have no source
+(`tissue/materials/needle.toml`): the curve is fitted, not predicted. Over their ranges 90 % of
+punctures lie between 13.7 and 20.2 mm (`tissue run needle --band 200`), and 90 % of wall forces
+between 2.4 and 4.2 N, median 3.1 N (the same with this example's `changes` and `--band 128`).
 """
 
 from pathlib import Path
@@ -24,8 +26,8 @@ FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
 FEED_MM_S, DEEP_MM, OUT_MM, WALL_MM = 5.0, 70.0, -20.0, 30.0
 
-# %%
-# The needle's scene with a path that goes in, out and in again; travel counts from the undeformed surface.
+# %% The needle's scene with a path that goes in, out and in again; travel counts from the
+# undeformed surface.
 
 changes = {
     "anatomy.membrane_depths_mm": {"vessel wall": WALL_MM},
@@ -48,7 +50,10 @@ puncture = int(np.argmax(force[:first] * (travel[:first] < 20.0)))
 drop = force[puncture] - force[puncture + 1]
 held, deflection = trace["elastic_N"][puncture + 1], trace["deflection_mm"][puncture + 1]
 print(f"capsule: {force[puncture]:.2f} N at {travel[puncture]:.1f} mm, drop {drop:.2f} N")
-print(f"left after it: {held:.2f} N held by the hole's edge, the organ deflected by {deflection:.1f} mm")
+print(
+    f"left after it: {held:.2f} N held by the hole's edge, the organ deflected by "
+    f"{deflection:.1f} mm"
+)
 assert abs(force[puncture] - 2.30) < 0.01 and abs(travel[puncture] - 16.9) < 0.05
 assert abs(drop - 0.67) < 0.01 and abs(held - 0.65) < 0.001 and abs(deflection - 13.7) < 0.05
 
@@ -59,12 +64,15 @@ insertion = trace["insertion_mm"]
 sliding = slice(puncture + 1, int(np.flatnonzero(insertion == WALL_MM)[0]))
 slope = np.polyfit(1e-3 * insertion[sliding], force[sliding], 1)[0]
 wall = int(np.argmax(force[:first]))
-print(f"then {slope:.1f} N/m of needle in the organ; vessel wall: {force[wall]:.2f} N at {travel[wall]:.1f} mm")
+print(
+    f"then {slope:.1f} N/m of needle in the organ; vessel wall: {force[wall]:.2f} N at "
+    f"{travel[wall]:.1f} mm"
+)
 assert abs(slope - 11.6) < 0.1
 assert abs(force[wall] - 3.00) < 0.01 and abs(travel[wall] - 49.9) < 0.05
 
-# %%
-# Drawn back, the shaft sticks before it slides. The second insertion meets neither capsule nor wall.
+# %% Drawn back, the shaft sticks before it slides. The second insertion meets neither capsule nor
+# wall.
 
 back = slice(first, last)
 stuck = DEEP_MM - travel[back][insertion[back] == insertion[first]].min()
@@ -86,7 +94,9 @@ assert abs(share - 0.59) < 0.01
 figure, axes = plt.subplots(figsize=(8, 4.8), layout="constrained")
 parts = [trace[name][:first] for name in ("elastic_N", "cutting_N", "friction_N")]
 names = ("held by membranes", "cut by the tip", "rubbed along the shaft")
-axes.stackplot(travel[:first], *parts, labels=names, colors=("#56B4E9", "#E69F00", "#009E73"), alpha=0.35)
+axes.stackplot(
+    travel[:first], *parts, labels=names, colors=("#56B4E9", "#E69F00", "#009E73"), alpha=0.35
+)
 for part, colour, label in (
     (slice(first), "0.1", "first insertion"),
     (slice(first, last), "#D55E00", "drawn out"),
@@ -94,7 +104,10 @@ for part, colour, label in (
 ):
     axes.plot(travel[part], force[part], color=colour, linewidth=1.8, label=label)
 axes.axhline(0.0, color="0.4", linewidth=0.8)
-axes.set(xlabel="travel of the tip from the undeformed surface / mm", ylabel="force against insertion / N")
+axes.set(
+    xlabel="travel of the tip from the undeformed surface / mm",
+    ylabel="force against insertion / N",
+)
 axes.grid(alpha=0.3)
 axes.legend(loc="upper left")
 axes.set_title(f"Needle into a liver with a vessel wall {WALL_MM:g} mm deep, {FEED_MM_S:g} mm/s")

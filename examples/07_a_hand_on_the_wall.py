@@ -2,13 +2,15 @@
 A hand on a stiff wall
 ======================
 
-A hand meets a rigid wall of 2 kN/m through three renderers, presses, and is jerked off it. The device is the one with
-six degrees of freedom (75 g, 0.4 N s/m, 1 kHz, 0.5 ms of delay, amplifiers of 300 Hz), in an expert's hand. Its
-eigenvalues allow 2906 N/m in that hand, so the wall is judged stable with a margin of 31 %; let go, it would be stable
-up to 262 N/m only, and the wall is refused.
-Expected: the penalty and the proxy renderer give the hand 2.3 mJ more than they took, and the force still ripples by
-0.09 N, 0.3 to 0.5 s after the jerk. On a flat wall the two are one law. The passivity renderer takes 0.3 mJ and is
-quiet. All three hold the device at the same depth, 0.65 mm. Numbers of hand and device are priors (`tissue/materials`).
+A hand meets a rigid wall of 2 kN/m through three renderers, presses, and is jerked off it. The
+device is the one with six degrees of freedom (75 g, 0.4 N s/m, 1 kHz, 0.5 ms of delay, amplifiers
+of 300 Hz), in an expert's hand. Its eigenvalues allow 2906 N/m in that hand, so the wall is judged
+stable with a margin of 31 %; let go, it would be stable up to 262 N/m only, and the wall is
+refused. Expected: the penalty and the proxy renderer give the hand 2.3 mJ more than they took, and
+the force still ripples by
+0.09 N, 0.3 to 0.5 s after the jerk. On a flat wall the two are one law. The passivity renderer
+takes 0.3 mJ and is quiet. All three hold the device at the same depth, 0.65 mm. Numbers of hand and
+device are priors (`tissue/materials`).
 """
 
 from pathlib import Path
@@ -32,11 +34,14 @@ print("let go:", free.sentence(STIFFNESS_N_M))
 assert held.stable and abs(held.critical_N_m - 2906.0) < 2.0 and abs(held.margin - 0.31) < 0.005
 assert not free.stable and free.nearest_N_m == 261.0
 
-# %%
-# The hand moves onto the wall, holds, and is jerked off it by 2 N for 20 ms, once with each force law.
+# %% The hand moves onto the wall, holds, and is jerked off it by 2 N for 20 ms, once with each
+# force law.
 
 RENDERERS = ("penalty", "passivity", "proxy")
-runs = {kind: tissue.stability.knock("six-dof", STIFFNESS_N_M, hand="expert", renderer=kind) for kind in RENDERERS}
+runs = {
+    kind: tissue.stability.knock("six-dof", STIFFNESS_N_M, hand="expert", renderer=kind)
+    for kind in RENDERERS
+}
 for kind, run in runs.items():
     depth_mm = -1e3 * float(run.position_m[-200:, 2].mean())
     print(
@@ -45,11 +50,14 @@ for kind, run in runs.items():
     )
     assert abs(depth_mm - 0.65) < 0.02
 assert np.array_equal(runs["penalty"].force_N, runs["proxy"].force_N)
-assert abs(1e3 * runs["penalty"].given_J - 2.3) < 0.1 and abs(1e3 * runs["passivity"].given_J + 0.28) < 0.05
+assert (
+    abs(1e3 * runs["penalty"].given_J - 2.3) < 0.1
+    and abs(1e3 * runs["passivity"].given_J + 0.28) < 0.05
+)
 assert abs(runs["penalty"].ripple_N(0.2) - 0.09) < 0.01 and runs["passivity"].ripple_N(0.2) < 1e-3
 
-# %%
-# Force over time, and the energy taken as if commands acted at once; what the lag gives back comes on top.
+# %% Force over time, and the energy taken as if commands acted at once; what the lag gives back
+# comes on top.
 
 figure, panels = plt.subplots(2, 1, figsize=(8, 5.4), sharex=True, layout="constrained")
 styles = {"penalty": ("#0072B2", "-"), "passivity": ("#E69F00", "-"), "proxy": ("0.1", ":")}

@@ -2,13 +2,15 @@
 Where 1 kHz is not enough
 =========================
 
-A wall that feels hard needs about 1 kN/m; which rate plays it on a device that nobody holds? Expected: without delay
-and amplifier lag the six-degree-of-freedom device (75 g, 0.4 N s/m) is stable up to 801 N/m at 1 kHz and 1601 N/m at
-2 kHz, so 1 kHz is not enough and 2 kHz is. With half a millisecond of delay and an amplifier of 300 Hz it is stable up
-to 262 N/m at 1 kHz and 371 N/m at 10 kHz: then no rate is enough, and only a hand is, whose damping allows 2906 N/m at
-1 kHz. A model that answers at 100 Hz and whose force is held in the meantime allows that hand no more than 770 N/m; the
-loop may be as quick as it likes. Every figure is an eigenvalue's, and a loop left to run grows 5 % above and fades 5 %
-below it. The 0.8 to 1 kN/m are Choi and Tan's (2004), the device's damping is a prior.
+A wall that feels hard needs about 1 kN/m; which rate plays it on a device that nobody holds?
+Expected: without delay and amplifier lag the six-degree-of-freedom device (75 g, 0.4 N s/m) is
+stable up to 801 N/m at 1 kHz and 1601 N/m at 2 kHz, so 1 kHz is not enough and 2 kHz is. With half
+a millisecond of delay and an amplifier of 300 Hz it is stable up to 262 N/m at 1 kHz and 371 N/m at
+10 kHz: then no rate is enough, and only a hand is, whose damping allows 2906 N/m at 1 kHz. A model
+that answers at 100 Hz and whose force is held in the meantime allows that hand no more than 770
+N/m; the loop may be as quick as it likes. Every figure is an eigenvalue's, and a loop left to run
+grows 5 % above and fades 5 % below it. The 0.8 to 1 kN/m are Choi and Tan's (2004), the device's
+damping is a prior.
 """
 
 from collections.abc import Iterable
@@ -26,10 +28,12 @@ FIGURES.mkdir(exist_ok=True)
 HARD_N_M = 1000.0
 RATES_HZ = (250.0, 500.0, 1000.0, 2000.0, 5000.0, 10000.0)
 
-# %%
-# The device at each rate: without lag, as it is, and held by an expert. A loop is a dataclass of plain numbers.
+# %% The device at each rate: without lag, as it is, and held by an expert. A loop is a dataclass of
+# plain numbers.
 
-real = [replace(tissue.stability.wall_loop("six-dof", HARD_N_M), tick_s=1.0 / rate) for rate in RATES_HZ]
+real = [
+    replace(tissue.stability.wall_loop("six-dof", HARD_N_M), tick_s=1.0 / rate) for rate in RATES_HZ
+]
 in_a_hand = tissue.stability.wall_loop("six-dof", HARD_N_M, hand="expert")
 loops = {
     "free, no lag": [replace(each, delay_s=0.0, amplifier_Hz=inf) for each in real],
@@ -37,7 +41,8 @@ loops = {
     "held": [replace(in_a_hand, tick_s=1.0 / rate) for rate in RATES_HZ],
 }
 critical = {
-    name: np.array([tissue.stability.critical_stiffness_N_m(each) for each in row]) for name, row in loops.items()
+    name: np.array([tissue.stability.critical_stiffness_N_m(each) for each in row])
+    for name, row in loops.items()
 }
 
 
@@ -48,7 +53,10 @@ def listed(numbers: Iterable[float]) -> str:
 
 for name, row in critical.items():
     enough = [f"{rate:g}" for rate, value in zip(RATES_HZ, row, strict=True) if value > HARD_N_M]
-    print(f"{name}: {listed(row)} N/m at {listed(RATES_HZ)} Hz; hard enough at {', '.join(enough) or 'none'}")
+    print(
+        f"{name}: {listed(row)} N/m at {listed(RATES_HZ)} Hz; hard enough at "
+        f"{', '.join(enough) or 'none'}"
+    )
 at_1_khz = RATES_HZ.index(1000.0)
 slow = replace(loops["held"][at_1_khz], model_ticks=10)
 slow_critical = tissue.stability.critical_stiffness_N_m(slow)
@@ -57,28 +65,43 @@ print(f"held, 1 kHz, model at 100 Hz: {slow_critical:.0f} N/m")
 free, lagging, held = critical.values()
 assert abs(free[at_1_khz] - 801.0) < 1.0 and abs(free[at_1_khz + 1] - 1601.0) < 1.0
 assert free[at_1_khz] < HARD_N_M < free[at_1_khz + 1]
-assert abs(lagging[at_1_khz] - 262.0) < 1.0 and abs(lagging[-1] - 371.0) < 1.0 and lagging.max() < HARD_N_M
+assert (
+    abs(lagging[at_1_khz] - 262.0) < 1.0
+    and abs(lagging[-1] - 371.0) < 1.0
+    and lagging.max() < HARD_N_M
+)
 assert abs(held[at_1_khz] - 2906.0) < 2.0
 assert abs(slow_critical - 770.0) < 2.0
 
-# %%
-# What eigenvalues state, a loop that is left to run for four seconds does: 5 % above it grows, 5 % below it fades.
+# %% What eigenvalues state, a loop that is left to run for four seconds does: 5 % above it grows, 5
+# % below it fades.
 
 for loop in (*(row[at_1_khz] for row in loops.values()), slow):
     limit = tissue.stability.critical_stiffness_N_m(loop)
-    above, below = (tissue.stability.growth(loop.with_stiffness(share * limit), seconds=4.0) for share in (1.05, 0.95))
-    print(f"{limit:4.0f} N/m: a push grows {above:.3g} times 5 % above, {below:.3g} times 5 % below")
+    above, below = (
+        tissue.stability.growth(loop.with_stiffness(share * limit), seconds=4.0)
+        for share in (1.05, 0.95)
+    )
+    print(
+        f"{limit:4.0f} N/m: a push grows {above:.3g} times 5 % above, {below:.3g} times 5 % below"
+    )
     assert above > 1.0 > below
 
 # %%
 # Above the shaded stiffness a wall feels hard.
 
 figure, axes = plt.subplots(figsize=(7.5, 4.6), layout="constrained")
-for (name, row), colour, marker in zip(critical.items(), ("#0072B2", "#E69F00", "#009E73"), "os^", strict=True):
+for (name, row), colour, marker in zip(
+    critical.items(), ("#0072B2", "#E69F00", "#009E73"), "os^", strict=True
+):
     axes.loglog(RATES_HZ, row, color=colour, marker=marker, label=name)
 axes.axhspan(800.0, 1000.0, color="0.85", zorder=0)
 axes.text(RATES_HZ[0], 890.0, "feels hard", color="0.3", va="center")
-axes.set(xlabel="rate / Hz", ylabel="critical stiffness / (N/m)", title="Stable stiffness of a wall over rate")
+axes.set(
+    xlabel="rate / Hz",
+    ylabel="critical stiffness / (N/m)",
+    title="Stable stiffness of a wall over rate",
+)
 axes.grid(alpha=0.3, which="both")
 axes.legend()
 figure.savefig(FIGURES / "08_rates.png", dpi=150)

@@ -2,12 +2,13 @@
 Latency hidden by prediction
 ============================
 
-The force is played 4 ms late and is wrong by 4 % on a stiff wall; how much of that can a prediction take back?
-Expected: three hands, one of each group, push a ball onto a wall with 4 ms of latency between the force and the device.
-Errors are ||F - ideal|| / ||ideal|| over a run where the motor acts, the ideal force being that of a loop without
-delay at the device's true position. Played as it comes, the force is off by 4.4 % of its size, a straight
-line through the last ten milliseconds leaves 2.3 %, and the wall's own law at the end of the path that a
-lifted operator foresees 1.0 %. A perfect prediction of what the encoders' steps give would leave
+The force is played 4 ms late and is wrong by 4 % on a stiff wall; how much of that can a prediction
+take back? Expected: three hands, one of each group, push a ball onto a wall with 4 ms of latency
+between the force and the device. Errors are ||F - ideal|| / ||ideal|| over a run where the motor
+acts, the ideal force being that of a loop without delay at the device's true position. Played as it
+comes, the force is off by 4.4 % of its size, a straight line through the last ten milliseconds
+leaves 2.3 %, and the wall's own law at the end of the path that a lifted operator foresees 1.0 %. A
+perfect prediction of what the encoders' steps give would leave
 0.5 %. With prediction the coupling may be stiffer, and is: 400 N/m instead of 360.
 """
 
@@ -22,18 +23,28 @@ import tissue
 FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
 HANDS = ("novice", "intermediate", "expert")
-PREDICTIONS = {"none": "as it comes", "linear": "straight line", "koopman-look-ahead": "lifted path, wall's law"}
+PREDICTIONS = {
+    "none": "as it comes",
+    "linear": "straight line",
+    "koopman-look-ahead": "lifted path, wall's law",
+}
 LATENCY_MS = 4
 
-# %%
-# Every hand with every prediction; `tissue.motor_forces` gives what was played and what should have been.
+# %% Every hand with every prediction; `tissue.motor_forces` gives what was played and what should
+# have been.
 
 runs: dict[str, list[tissue.Run]] = {}
 for kind in PREDICTIONS:
     runs[kind] = [
         tissue.simulate(
             tissue.load_scene(
-                "wall", {"hand": hand, "seed": 500 + i, "prediction": kind, "coupling.delay_ms": LATENCY_MS}
+                "wall",
+                {
+                    "hand": hand,
+                    "seed": 500 + i,
+                    "prediction": kind,
+                    "coupling.delay_ms": LATENCY_MS,
+                },
             )
         )
         for i, hand in enumerate(HANDS)
@@ -46,7 +57,9 @@ def error(force_N: NDArray[np.float64], ideal_N: NDArray[np.float64]) -> float:
     return float(np.linalg.norm(force_N - ideal_N) / np.linalg.norm(ideal_N))
 
 
-none, linear, lifted = (float(np.mean([error(each.played, each.ideal) for each in of])) for of in forces.values())
+none, linear, lifted = (
+    float(np.mean([error(each.played, each.ideal) for each in of])) for of in forces.values()
+)
 least = float(np.mean([error(each.nearest, each.ideal) for each in forces["koopman-look-ahead"]]))
 trusted = float(np.mean([each.trace["predicted_by"].mean() for each in runs["koopman-look-ahead"]]))
 for name, value in zip(PREDICTIONS.values(), (none, linear, lifted), strict=True):
@@ -65,7 +78,14 @@ for panel, kind in zip(panels, ("none", "koopman-look-ahead"), strict=True):
     start = int(np.flatnonzero(touch.ideal[:, 2])[0])
     shown, time_ms = slice(start - 15, start + 75), np.arange(-15, 75)
     panel.plot(time_ms, touch.ideal[shown, 2], color="0.15", linewidth=2.0, label="ideal")
-    panel.plot(time_ms, touch.played[shown, 2], color="#D55E00", linestyle="--", linewidth=1.6, label="played")
+    panel.plot(
+        time_ms,
+        touch.played[shown, 2],
+        color="#D55E00",
+        linestyle="--",
+        linewidth=1.6,
+        label="played",
+    )
     panel.set(title=PREDICTIONS[kind], xlabel="time since the touch / ms")
     panel.grid(alpha=0.3)
 panels[0].set_ylabel("force at the motor / N")

@@ -2,10 +2,11 @@
 Calibrate an observer
 =====================
 
-How well do 120 comparisons and 24 numbers measure what a person feels? Expected: a simulated person with a Weber
-fraction of 7 % and Stevens' exponent 1.7 is found at 7.7 % and 1.71, with the truth in both 95 % intervals; the session
-that is cut off after 50 trials and gone on with from its log ends with the same observer, bit for bit. Over 200 such
-people one session is off by about 15 %, which is what 120 answers can show: the answer to a comparison is one bit.
+How well do 120 comparisons and 24 numbers measure what a person feels? Expected: a simulated person
+with a Weber fraction of 7 % and Stevens' exponent 1.7 is found at 7.7 % and 1.71, with the truth in
+both 95 % intervals; the session that is cut off after 50 trials and gone on with from its log ends
+with the same observer, bit for bit. Over 200 such people one session is off by about 15 %, which is
+what 120 answers can show: the answer to a comparison is one bit.
 """
 
 import tempfile
@@ -19,11 +20,18 @@ import tissue
 FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
 WEBER, EXPONENT, PEOPLE = 0.07, 1.7, 200
-TRUTH = {"alpha": 1.0, "beta": EXPONENT, "kappa": WEBER, "offset_N": 0.2, "lapse": 0.02, "sigma": 0.2}
+TRUTH = {
+    "alpha": 1.0,
+    "beta": EXPONENT,
+    "kappa": WEBER,
+    "offset_N": 0.2,
+    "lapse": 0.02,
+    "sigma": 0.2,
+}
 
-# %%
-# A session asks what shows most, and keeps every answer in a log before it asks the next. Anything that answers may be
-# asked: here a simulated person, elsewhere a function that plays two forces on a device and reads a key.
+# %% A session asks what shows most, and keeps every answer in a log before it asks the next.
+# Anything that answers may be asked: here a simulated person, elsewhere a function that plays two
+# forces on a device and reads a key.
 
 answer = tissue.calibration.simulated_answers(tissue.calibration.alike(1, **TRUTH), seed=1)
 with tempfile.TemporaryDirectory() as folder:
@@ -48,25 +56,36 @@ spread = float(np.log(found / WEBER).std())
 print(f"scatter of the Weber fraction over {PEOPLE} people: {100 * spread:.0f} %")
 assert 0.12 < spread < 0.19
 
-# %%
-# What one session concludes, what sessions with 200 people conclude, and the numbers given to forces.
+# %% What one session concludes, what sessions with 200 people conclude, and the numbers given to
+# forces.
 
 figure, panels = plt.subplots(1, 3, figsize=(12, 4.0), layout="constrained")
 edges = 100.0 * done.threshold.prior.weber_edges
 panels[0].stairs(done.threshold.weber_masses()[:, 0], edges, color="#0072B2", fill=True, alpha=0.6)
-panels[0].set(xlim=(2.0, 20.0), xlabel="Weber fraction / %", ylabel="mass of a cell", title="after one session")
+panels[0].set(
+    xlim=(2.0, 20.0),
+    xlabel="Weber fraction / %",
+    ylabel="mass of a cell",
+    title="after one session",
+)
 panels[1].hist(100.0 * found, bins=20, color="#56B4E9")
-panels[1].set(xlabel="Weber fraction found / %", ylabel="people", title=f"sessions with {PEOPLE} people alike")
+panels[1].set(
+    xlabel="Weber fraction found / %", ylabel="people", title=f"sessions with {PEOPLE} people alike"
+)
 for panel in panels[:2]:
     panel.axvline(100.0 * WEBER, color="#D55E00", linestyle="--", label="truth")
 panels[0].legend()
 forces_N, given = np.array(done.given).T
 at = np.geomspace(forces_N.min(), forces_N.max(), 50)
 panels[2].loglog(forces_N, given, "o", color="#E69F00", alpha=0.7, label="numbers given")
-panels[2].loglog(at, np.exp(numbers.mean[0]) * at ** numbers.mean[1], color="#0072B2", label="power law found")
+panels[2].loglog(
+    at, np.exp(numbers.mean[0]) * at ** numbers.mean[1], color="#0072B2", label="power law found"
+)
 panels[2].set_xticks([0.3, 0.5, 1, 2, 3], ["0.3", "0.5", "1", "2", "3"])
 panels[2].set_xticks([], minor=True)
-panels[2].set(xlabel="force / N", ylabel="number", title=f"exponent {numbers.mean[1]:.2f}, truth {EXPONENT}")
+panels[2].set(
+    xlabel="force / N", ylabel="number", title=f"exponent {numbers.mean[1]:.2f}, truth {EXPONENT}"
+)
 panels[2].legend()
 for panel in panels:
     panel.grid(alpha=0.3)

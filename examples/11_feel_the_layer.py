@@ -2,13 +2,15 @@
 Feel the layer of a liver
 =========================
 
-Can a hand discriminate a liver's capsule from the parenchyma under it, and does it help to know the hand? Expected: in
-the tenth of a second before the puncture the needle is held back by 2.1 N, in the one after it by 1.6 N, and 100
-simulated people of each group discriminate the two with an error below 10 %. Scaling the force for each, after 24
-numbers they gave, changes their right answers by less than 3 %: a mapping that rises with the force cannot add
-information. It spreads the difference for people whose exponent lies below the reference's and narrows it for the
-others. For an observer equal to the reference it changes nothing at all. The tissue itself scatters by more than any of
-this, the force at which a capsule breaks from 1.7 to 2.9 N; people's exponents and thresholds are priors.
+Can a hand discriminate a liver's capsule from the parenchyma under it, and does it help to know the
+hand? Expected: in the tenth of a second before the puncture the needle is held back by 2.1 N, in
+the one after it by 1.6 N, and 100 simulated people of each group discriminate the two with an error
+below 10 %. Scaling the force for each, after 24 numbers they gave, changes their right answers by
+less than 3 %: a mapping that rises with the force cannot add information. It spreads the difference
+for people whose exponent lies below the reference's and narrows it for the others. For an observer
+equal to the reference it changes nothing at all. The tissue itself scatters by more than any of
+this, the force at which a capsule breaks from 1.7 to 2.9 N; people's exponents and thresholds are
+priors.
 """
 
 from pathlib import Path
@@ -32,7 +34,8 @@ time_s, force_N = run.trace["time_s"], np.linalg.norm(run.trace.vectors("model_f
 puncture_s = next(time for time, what in run.events if "capsule" in what)
 starts = {"capsule": puncture_s - WINDOW_S - 1e-3, "parenchyma": puncture_s + 1e-3}
 levels = {
-    name: float(force_N[(time_s >= start) & (time_s < start + WINDOW_S)].mean()) for name, start in starts.items()
+    name: float(force_N[(time_s >= start) & (time_s < start + WINDOW_S)].mean())
+    for name, start in starts.items()
 }
 capsule, parenchyma = levels.values()
 print(f"capsule {capsule:.2f} N, parenchyma {parenchyma:.2f} N")
@@ -56,7 +59,8 @@ for group in GROUPS:
 
 same = tissue.calibration.alike(PEOPLE)
 plain, scaled = (
-    tissue.calibration.share_right(same, capsule, parenchyma, seed=1, calibrated_by=numbers) for numbers in (None, 0)
+    tissue.calibration.share_right(same, capsule, parenchyma, seed=1, calibrated_by=numbers)
+    for numbers in (None, 0)
 )
 print(f"reference: right answers change by {100 * abs(scaled - plain).max():.1f} %")
 assert (plain == scaled).all()
@@ -67,13 +71,32 @@ assert (plain == scaled).all()
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4.0), layout="constrained")
 left.plot(time_s, force_N, color="0.15", linewidth=1.6)
 for (name, start), colour in zip(starts.items(), ("#E69F00", "#56B4E9"), strict=True):
-    left.axvspan(start, start + WINDOW_S, color=colour, alpha=0.4, linewidth=0, label=f"{name}, {levels[name]:.2f} N")
+    left.axvspan(
+        start,
+        start + WINDOW_S,
+        color=colour,
+        alpha=0.4,
+        linewidth=0,
+        label=f"{name}, {levels[name]:.2f} N",
+    )
 left.set(xlabel="time / s", ylabel="force on the needle / N", title="before and after the puncture")
 left.legend(loc="upper left")
 left.grid(alpha=0.3)
 places = np.arange(len(GROUPS))
-right.bar(places - 0.2, [errors[group][0] for group in GROUPS], 0.38, color="#0072B2", label="force as it is")
-right.bar(places + 0.2, [errors[group][1] for group in GROUPS], 0.38, color="#009E73", label="scaled for each")
+right.bar(
+    places - 0.2,
+    [errors[group][0] for group in GROUPS],
+    0.38,
+    color="#0072B2",
+    label="force as it is",
+)
+right.bar(
+    places + 0.2,
+    [errors[group][1] for group in GROUPS],
+    0.38,
+    color="#009E73",
+    label="scaled for each",
+)
 right.set_xticks(places, GROUPS)
 right.set(ylabel="wrong answers / %", title=f"{PEOPLE} simulated people of each group")
 right.legend()

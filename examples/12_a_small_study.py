@@ -2,10 +2,10 @@
 A small study
 =============
 
-Does predicting the force hide the latency of a contact with a wall? Expected: over two trials of each group the force
-that is played lies 5 % off the prompt one without prediction. Prediction by a Koopman operator leaves less than 0.85 of
-that error and takes more than two of six milliseconds off the lag. A trial that is run alone gives the same numbers to
-the last bit. People are simulated.
+Does predicting the force hide the latency of a contact with a wall? Expected: over two trials of
+each group the force that is played lies 5 % off the prompt one without prediction. Prediction by a
+Koopman operator leaves less than 0.85 of that error and takes more than two of six milliseconds off
+the lag. A trial that is run alone gives the same numbers to the last bit. People are simulated.
 """
 
 import tempfile
@@ -19,20 +19,28 @@ import tissue
 FIGURES = Path("figures")
 PLAN = tissue.study.Plan(trials=2, tasks=("T2",), methods=("penalty", "koopman"), sensitivity=False)
 
-# %%
-# The trials run on two worker processes, which import this script: what starts them stands under its main guard.
+# %% The trials run on two worker processes, which import this script: what starts them stands under
+# its main guard.
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
         table = tissue.study.run(PLAN, Path(folder) / "study", workers=2).table("T2")
     means = {
-        method: {metric: table.where(method=method).values(metric).mean() for metric in ("force_error", "latency_ms")}
+        method: {
+            metric: table.where(method=method).values(metric).mean()
+            for metric in ("force_error", "latency_ms")
+        }
         for method in PLAN.methods
     }
     for method, figures in means.items():
-        print(f"{method}: force error {100 * figures['force_error']:.1f} %, {figures['latency_ms']:.1f} ms late")
+        print(
+            f"{method}: force error {100 * figures['force_error']:.1f} %, "
+            f"{figures['latency_ms']:.1f} ms late"
+        )
     plain, predicted = means["penalty"], means["koopman"]
-    assert 0.02 < plain["force_error"] < 0.1 and predicted["force_error"] < 0.85 * plain["force_error"]
+    assert (
+        0.02 < plain["force_error"] < 0.1 and predicted["force_error"] < 0.85 * plain["force_error"]
+    )
     assert plain["latency_ms"] - predicted["latency_ms"] > 2.0
 
 # %%
@@ -49,10 +57,15 @@ if __name__ == "__main__":
 
 if __name__ == "__main__":
     figure, panels = plt.subplots(1, 2, figsize=(8.0, 4.0), layout="constrained")
-    labels = {"force_error": ("force error / %", 100.0), "latency_ms": ("latency of the force / ms", 1.0)}
+    labels = {
+        "force_error": ("force error / %", 100.0),
+        "latency_ms": ("latency of the force / ms", 1.0),
+    }
     for panel, (metric, (label, scale)) in zip(panels, labels.items(), strict=True):
         for group, colour in zip(PLAN.groups, ("#E69F00", "#56B4E9", "#009E73"), strict=True):
-            pairs = [table.where(group=group, method=method).values(metric) for method in PLAN.methods]
+            pairs = [
+                table.where(group=group, method=method).values(metric) for method in PLAN.methods
+            ]
             lines = panel.plot(PLAN.methods, scale * np.array(pairs), "o-", color=colour)
             lines[0].set_label(group)
         panel.set(ylabel=label, ylim=(0.0, None), xlim=(-0.3, 1.3))

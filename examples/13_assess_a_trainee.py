@@ -2,11 +2,12 @@
 Assess a trainee against an expert
 ==================================
 
-A novice presses a wall; the run is held against an expert's. Both hands hold the same simulated device (Touch), with
-the same seed. The two runs are aligned by place, so that pace is no error; what counts is how far the tool strays, how
-hard it presses, how deep it goes, and how smoothly it moves. Expected: the novice strays by 3.6 mm where the expert
-went straight, presses with 1.44 N against 1.02, and passes the limit of force once, 0.6 s after the start. Hands differ
-by priors (`tissue/materials`), so this shows the method, not people.
+A novice presses a wall; the run is held against an expert's. Both hands hold the same simulated
+device (Touch), with the same seed. The two runs are aligned by place, so that pace is no error;
+what counts is how far the tool strays, how hard it presses, how deep it goes, and how smoothly it
+moves. Expected: the novice strays by 3.6 mm where the expert went straight, presses with 1.44 N
+against 1.02, and passes the limit of force once, 0.6 s after the start. Hands differ by priors
+(`tissue/materials`), so this shows the method, not people.
 """
 
 from pathlib import Path
@@ -18,8 +19,8 @@ import tissue
 FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
 
-# %%
-# Two runs of one scene; `tissue.assess` takes runs, or the folders that `run.save` and `tissue run` write.
+# %% Two runs of one scene; `tissue.assess` takes runs, or the folders that `run.save` and `tissue
+# run` write.
 
 novice, expert = (
     tissue.simulate(tissue.load_scene("wall", {"device": "touch", "hand": hand, "seed": 3}))
@@ -34,12 +35,14 @@ assert abs(figures["peak_force_N"]["reference"] - 1.02) < 0.03
 forces = [each for each in found.breaches if each.what == "force"]
 assert len(forces) == 1 and abs(forces[0].worst_at_s - 0.60) < 0.02
 
-# %%
-# Over time, the trainee, the reference at the same place, and the limits with the spans in which they were passed.
+# %% Over time, the trainee, the reference at the same place, and the limits with the spans in which
+# they were passed.
 
 quantities = (found.deviation, found.force, found.depth)
 figure, panels = plt.subplots(3, 1, figsize=(8.0, 6.4), sharex=True, layout="constrained")
-for panel, each, label in zip(panels, quantities, ("off the path / mm", "force / N", "depth / mm"), strict=True):
+for panel, each, label in zip(
+    panels, quantities, ("off the path / mm", "force / N", "depth / mm"), strict=True
+):
     panel.plot(found.time_s, each.values, color="#0072B2", label="trainee")
     if each.reference is not None:
         panel.plot(found.time_s, each.reference, color="0.45", label="reference at that place")

@@ -2,10 +2,11 @@
 Your bone, your toolpath
 ========================
 
-A closed surface becomes bone of two densities, a burr follows a path of points at two feeds, and the four cuts are
-compared and written for MATLAB. Expected: twice the feed multiplies the mean force by 1.10 only, for chips are thin and
-an edge pushes even where it cuts nothing; 1.5 times the density multiplies it by 1.84, by the power 1.5 that the
-cutting coefficients have. All four take 12.5 mm3 away.
+A closed surface becomes bone of two densities, a burr follows a path of points at two feeds, and
+the four cuts are compared and written for MATLAB. Expected: twice the feed multiplies the mean
+force by 1.10 only, for chips are thin and an edge pushes even where it cuts nothing; 1.5 times the
+density multiplies it by 1.84, by the power 1.5 that the cutting coefficients have. All four take
+12.5 mm3 away.
 """
 
 import tempfile
@@ -20,8 +21,8 @@ import tissue
 FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
 
-# %%
-# Any closed STL, OBJ, PLY or VTK file in millimetres will do; here a shaft with a thicker end is written first.
+# %% Any closed STL, OBJ, PLY or VTK file in millimetres will do; here a shaft with a thicker end is
+# written first.
 
 z = np.linspace(-20.0, 20.0, 60)
 profile = np.column_stack([8.0 + 2.0 * (z / 20.0) ** 2, np.zeros(60), z])
@@ -34,13 +35,17 @@ burr = tissue.cutters.ball_burr(diameter_mm=4.0, flutes=6, spin_rpm=2_000)
 # The path goes along the shaft with three waves, 0.4 mm below its highest line.
 
 x = np.linspace(-8.0, 8.0, 81)
-path_mm = np.column_stack([x, 1.5 * np.sin(3.0 * np.pi * x / 8.0), 8.0 - 0.4 + 2.0 * (x / 20.0) ** 2])
+path_mm = np.column_stack(
+    [x, 1.5 * np.sin(3.0 * np.pi * x / 8.0), 8.0 - 0.4 + 2.0 * (x / 20.0) ** 2]
+)
 cuts: dict[tuple[float, float], tissue.Cut] = {}
 with tempfile.TemporaryDirectory() as folder:
     file = Path(folder) / "shaft.stl"
     shaft.save(file)
     for density in (1200.0, 1800.0):
-        whole = tissue.Bone.from_file(file, spacing_mm=0.2, scale_mm=1.0, cortical_density_kg_m3=density)
+        whole = tissue.Bone.from_file(
+            file, spacing_mm=0.2, scale_mm=1.0, cortical_density_kg_m3=density
+        )
         for feed in (5.0, 10.0):
             bone = whole.uncut()
             cuts[density, feed] = bone.cut(burr, *tissue.feed_along(path_mm, feed_mm_s=feed))
@@ -50,10 +55,15 @@ with tempfile.TemporaryDirectory() as folder:
 means = {}
 for (density, feed), cut in cuts.items():
     means[density, feed] = float(np.linalg.norm(cut.force_N, axis=1)[len(cut) // 4 :].mean())
-    print(f"{density:g} kg/m3, {feed:g} mm/s: {means[density, feed]:.3f} N, {cut.removed_mm3[-1]:.1f} mm3")
+    print(
+        f"{density:g} kg/m3, {feed:g} mm/s: {means[density, feed]:.3f} N, "
+        f"{cut.removed_mm3[-1]:.1f} mm3"
+    )
 by_feed = means[1800.0, 10.0] / means[1800.0, 5.0]
 by_density = means[1800.0, 5.0] / means[1200.0, 5.0]
-print(f"twice the feed: {by_feed:.2f} times the force; 1.5 times the density: {by_density:.2f} times")
+print(
+    f"twice the feed: {by_feed:.2f} times the force; 1.5 times the density: {by_density:.2f} times"
+)
 assert abs(by_feed - 1.10) < 0.02 and abs(by_density - 1.84) < 0.02
 assert all(abs(cut.removed_mm3[-1] - 12.5) < 0.2 for cut in cuts.values())
 
@@ -64,7 +74,9 @@ figure, axes = plt.subplots(figsize=(8, 4.2), layout="constrained")
 for ((density, feed), cut), line in zip(cuts.items(), ("--", "-", "--", "-"), strict=True):
     colour = "#D55E00" if density > 1500.0 else "#0072B2"
     force = np.linalg.norm(cut.force_N, axis=1)
-    axes.plot(cut.tip_mm[1:, 0], force[1:], line, color=colour, label=f"{density:g} kg/m³, {feed:g} mm/s")
+    axes.plot(
+        cut.tip_mm[1:, 0], force[1:], line, color=colour, label=f"{density:g} kg/m³, {feed:g} mm/s"
+    )
 axes.set(xlabel="place along the shaft / mm", ylabel="force on the burr / N", ylim=(0.0, None))
 axes.set_title("Ball burr of 4 mm along a wavy groove")
 axes.grid(alpha=0.3)

@@ -2,10 +2,11 @@
 Your organ with a stiff cyst
 ============================
 
-A kidney of 10 kPa with a cyst of 60 kPa inside is made from two closed surfaces and pressed at five places: where is
-the cyst? Expected: 3 mm deep a ball of 20 mm is pushed back with about 0.3 N, and over the cyst twice as much, 0.56
-to 0.67 N: the tetrahedra differ from one meshing to the next, and the cells are linear, for speed, so that forces are
-somewhat too large (`order=2` for figures). Moduli are made up.
+A kidney of 10 kPa with a cyst of 60 kPa inside is made from two closed surfaces and pressed at five
+places: where is the cyst? Expected: 3 mm deep a ball of 20 mm is pushed back with about 0.3 N, and
+over the cyst twice as much, 0.56 to 0.67 N: the tetrahedra differ from one meshing to the next, and
+the cells are linear, for speed, so that forces are somewhat too large (`order=2` for figures).
+Moduli are made up.
 """
 
 from pathlib import Path
@@ -45,7 +46,9 @@ print(organ)
 # The same organ is pressed at each place from rest; it does not remember.
 
 ball = tissue.ball(diameter_mm=20.0)
-presses = [organ.press(ball, depth_mm=3.0, at_mm=place, along=(0.0, 0.0, -1.0)) for place in places_mm]
+presses = [
+    organ.press(ball, depth_mm=3.0, at_mm=place, along=(0.0, 0.0, -1.0)) for place in places_mm
+]
 for press in presses:
     print(press)
 forces = np.array([press.force_magnitude_N for press in presses])
@@ -60,15 +63,23 @@ figure, axes = plt.subplots(figsize=(7.5, 4.4), layout="constrained")
 for place, press, colour in zip(
     places_mm, presses, ("#0072B2", "#56B4E9", "#009E73", "#D55E00", "#E69F00"), strict=True
 ):
-    axes.plot(press.depth_mm, -press.forces_N @ press.along, color=colour, lw=2, label=f"y = {place[1]:g} mm")
-axes.set(xlabel="depth / mm", ylabel="force against the ball / N", xlim=(0.0, 3.0), ylim=(0.0, None))
+    axes.plot(
+        press.depth_mm,
+        -press.forces_N @ press.along,
+        color=colour,
+        lw=2,
+        label=f"y = {place[1]:g} mm",
+    )
+axes.set(
+    xlabel="depth / mm", ylabel="force against the ball / N", xlim=(0.0, 3.0), ylim=(0.0, None)
+)
 axes.set_title("A ball of 20 mm on a kidney: the cyst lies at y = 20 mm")
 axes.grid(alpha=0.3)
 axes.legend()
 figure.savefig(FIGURES / "15_force.png", dpi=150)
 
-# %%
-# Cut open through the places, pressed over the cyst: the stress goes through the cyst, which hardly yields.
+# %% Cut open through the places, pressed over the cyst: the stress goes through the cyst, which
+# hardly yields.
 
 half = presses[3].mesh.clip("x", origin=(-6.0, 0.0, 0.0), crinkle=True)
 plotter = pyvista.Plotter(off_screen=True, window_size=[1100, 620])
@@ -78,7 +89,12 @@ plotter.add_mesh(
     cmap="viridis",
     clim=[0.0, 4.0],
     show_edges=True,
-    scalar_bar_args={"title": "von Mises stress / kPa", "fmt": "%.0f", "position_x": 0.3, "position_y": 0.86},
+    scalar_bar_args={
+        "title": "von Mises stress / kPa",
+        "fmt": "%.0f",
+        "position_x": 0.3,
+        "position_y": 0.86,
+    },
 )
 plotter.add_mesh(cyst, color="#D55E00", style="wireframe", line_width=2)
 plotter.camera_position = [(140.0, 0.0, 25.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)]

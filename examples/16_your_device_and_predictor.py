@@ -2,9 +2,9 @@
 Your device and your predictor
 ==============================
 
-A device of two methods, `read` and `command`, presses a soft block behind 4 ms of latency, and a predictor of two
-methods, `observe` and `predict`, hides it. Expected: as it comes the force is off by 4.2 % of its size, and with the
-predictor by 1.5 %.
+A device of two methods, `read` and `command`, presses a soft block behind 4 ms of latency, and a
+predictor of two methods, `observe` and `predict`, hides it. Expected: as it comes the force is off
+by 4.2 % of its size, and with the predictor by 1.5 %.
 """
 
 from pathlib import Path
@@ -20,9 +20,9 @@ FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
 LATENCY_MS = 4
 
-# %%
-# A device gives its position in metres when it is read and takes forces in newtons. This one is a motor that moves up
-# and down whatever it is commanded, so that runs can be compared; one with hardware has the same two methods.
+# %% A device gives its position in metres when it is read and takes forces in newtons. This one is
+# a motor that moves up and down whatever it is commanded, so that runs can be compared; one with
+# hardware has the same two methods.
 
 
 class Shaker:
@@ -35,15 +35,17 @@ class Shaker:
         """Where it is."""
         turn = 4.0 * np.pi
         height = 3e-3 * np.cos(turn * time_s) - 3e-3
-        return tissue.Sample(time_s, (0.0, 0.0, height), (0.0, 0.0, -3e-3 * turn * np.sin(turn * time_s)))
+        return tissue.Sample(
+            time_s, (0.0, 0.0, height), (0.0, 0.0, -3e-3 * turn * np.sin(turn * time_s))
+        )
 
     def command(self, force_N: Floats, torque_Nm: Floats) -> None:
         """Take what is to be played."""
         self.last_N = force_N.copy()
 
 
-# %%
-# A predictor sees what every tick brought, and gives the force some ticks later: here along the force's last slope.
+# %% A predictor sees what every tick brought, and gives the force some ticks later: here along the
+# force's last slope.
 
 
 class Slope:
@@ -63,10 +65,12 @@ class Slope:
         return self.force_N + ticks * self.slope_N
 
 
-# %%
-# The loop is judged for stability, then runs for a second: prompt, late, and late with the predictor.
+# %% The loop is judged for stability, then runs for a second: prompt, late, and late with the
+# predictor.
 
-block = tissue.Organ.block((40.0, 40.0, 20.0), modulus_kPa=20.0, poisson_ratio=0.45, edge_mm=3.0, order=1)
+block = tissue.Organ.block(
+    (40.0, 40.0, 20.0), modulus_kPa=20.0, poisson_ratio=0.45, edge_mm=3.0, order=1
+)
 numbers = tissue.DeviceParameters(mass_kg=0.05, damping_N_s_m=0.5, force_limit_N=4.0)
 
 
@@ -88,8 +92,13 @@ def played(delay_ms: int, predictor: Slope | None) -> Floats:
 
 
 prompt, late, predicted = played(0, None), played(LATENCY_MS, None), played(LATENCY_MS, Slope())
-errors = [float(np.linalg.norm(force - prompt) / np.linalg.norm(prompt)) for force in (late, predicted)]
-print(f"{LATENCY_MS} ms late: off by {errors[0]:.1%} of the force, with the predictor by {errors[1]:.1%}")
+errors = [
+    float(np.linalg.norm(force - prompt) / np.linalg.norm(prompt)) for force in (late, predicted)
+]
+print(
+    f"{LATENCY_MS} ms late: off by {errors[0]:.1%} of the force, with the predictor by "
+    f"{errors[1]:.1%}"
+)
 assert abs(errors[0] - 0.042) < 0.004 and abs(errors[1] - 0.015) < 0.004
 
 # %%

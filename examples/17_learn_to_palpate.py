@@ -2,9 +2,9 @@
 Learn to palpate
 ================
 
-The cross-entropy method finds four numbers of a policy of `tissue/Palpation-v0`: how deep it presses, how far from the
-start and how fast it slides around, and how far in and out it goes where it felt most. Needs
-``pip install 'tissue-sim[rl]'``.
+The cross-entropy method finds four numbers of a policy of `tissue/Palpation-v0`: how deep it
+presses, how far from the start and how fast it slides around, and how far in and out it goes where
+it felt most. Needs ``pip install 'tissue-sim[rl]'``.
 """
 
 from pathlib import Path
@@ -24,9 +24,9 @@ STEP_S = 0.02
 LOW, HIGH = np.array([-2.5, 4.0, 5.0, 0.0]), np.array([-0.3, 20.0, 60.0, 0.9])
 """Least and greatest height of the tip [mm], radius [mm], speed [mm/s], and share of the radius."""
 
-# %%
-# The policy goes around a circle, then out and in where it felt most, and lifts where that was hardest. It sees the
-# observation alone: what a place resists is the force over the depth to the power of 3/2, as under any ball.
+# %% The policy goes around a circle, then out and in where it felt most, and lifts where that was
+# hardest. It sees the observation alone: what a place resists is the force over the depth to the
+# power of 3/2, as under any ball.
 
 
 def hardest(felt: list[Floats]) -> Floats:
@@ -64,12 +64,14 @@ def score(env: Any, policy: Floats, seed: int) -> float:
     return float(info["score"])
 
 
-# %%
-# The cross-entropy method (Rubinstein 1999): draw policies from a normal distribution, keep the best quarter, and fit
-# the distribution to them. Each policy is scored on the same fresh episodes of its generation.
+# %% The cross-entropy method (Rubinstein 1999): draw policies from a normal distribution, keep the
+# best quarter, and fit the distribution to them. Each policy is scored on the same fresh episodes
+# of its generation.
 
 
-def learn(env: Any, rng: np.random.Generator, *, generations: int = 5, count: int = 16, episodes: int = 3) -> Floats:
+def learn(
+    env: Any, rng: np.random.Generator, *, generations: int = 5, count: int = 16, episodes: int = 3
+) -> Floats:
     """Mean and spread of the policies of every generation, shape (generations + 1, 2, 4)."""
     mean, spread = np.array([-0.6, 7.0, 15.0, 0.1]), 0.3 * (HIGH - LOW)
     history = [np.array([mean, spread])]
@@ -83,23 +85,29 @@ def learn(env: Any, rng: np.random.Generator, *, generations: int = 5, count: in
     return np.array(history)
 
 
-# %%
-# Scores of twenty episodes that learning has not seen, by its first guess, after each generation, and at random. The
-# name has the module before it, so that gymnasium imports what knows it.
+# %% Scores of twenty episodes that learning has not seen, by its first guess, after each
+# generation, and at random. The name has the module before it, so that gymnasium imports what knows
+# it.
 
 env = gymnasium.make("tissue.environments:tissue/Palpation-v0")
 history = learn(env, np.random.default_rng(0))
 unseen = np.array([[score(env, mean, seed) for seed in range(20)] for mean, _ in history])
 for (height, radius, speed, share), scores in zip(history[:, 0], unseen, strict=True):
-    policy = f"height {height:5.2f} mm, radius {radius:4.1f} mm, {speed:4.1f} mm/s, share {share:.2f}"
+    policy = (
+        f"height {height:5.2f} mm, radius {radius:4.1f} mm, {speed:4.1f} mm/s, share {share:.2f}"
+    )
     print(f"{policy}: score {scores.mean():.2f} ({scores.min():.2f} to {scores.max():.2f})")
 assert unseen[0].mean() < 0.3 and unseen[-1].mean() > 0.7
 
 figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
-axes.fill_between(np.arange(len(unseen)), unseen.min(axis=1), unseen.max(axis=1), color="#0072B2", alpha=0.2)
+axes.fill_between(
+    np.arange(len(unseen)), unseen.min(axis=1), unseen.max(axis=1), color="#0072B2", alpha=0.2
+)
 axes.plot(unseen.mean(axis=1), "-o", color="#0072B2", label="mean and range of 20 unseen episodes")
 axes.axhline(1.0, color="0.3", linestyle="--", linewidth=1.0, label="no policy is above")
-axes.set(xlabel="generation of 16 policies, 3 episodes each", ylabel="score", xticks=range(len(unseen)))
+axes.set(
+    xlabel="generation of 16 policies, 3 episodes each", ylabel="score", xticks=range(len(unseen))
+)
 axes.grid(alpha=0.3)
 axes.legend(loc="lower right")
 figure.savefig(FIGURES / "17_learning.png", dpi=150)

@@ -1,4 +1,6 @@
-"""Warp kernels: arrays in, arrays out. They know neither scenes nor meshes. Importing them starts Warp."""
+"""Warp kernels: arrays in, arrays out. They know neither scenes nor meshes. Importing them
+starts Warp.
+"""
 
 import os
 import sys
@@ -10,7 +12,9 @@ from kernels.cache_check import remove_damaged
 
 
 def _start() -> None:
-    """Start Warp without its greeting, and without its warning where there is no GPU: a run states what it runs on."""
+    """Start Warp without its greeting, and without its warning where there is no GPU: a run
+    states what it runs on.
+    """
     wp.config.log_level = wp.LOG_WARNING
     sys.stderr.flush()
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)

@@ -1,9 +1,10 @@
 """What bone was there at a point before any cut, to second order in the voxel.
 
-Two static numbers a voxel: the signed distance of its centre to the original surface, and the distance to the nearest
-change of layer. Between voxel centres both are interpolated: a point lies in bone where the interpolated surface
-distance is negative, and in the layer whose interpolated distance, negative for voxels of other layers, is largest.
-Far from the surface, and far from every change of layer, the nearest voxel answers. Lengths are in voxels.
+Two static numbers a voxel: the signed distance of its centre to the original surface, and the
+distance to the nearest change of layer. Between voxel centres both are interpolated: a point lies
+in bone where the interpolated surface distance is negative, and in the layer whose interpolated
+distance, negative for voxels of other layers, is largest. Far from the surface, and far from every
+change of layer, the nearest voxel answers. Lengths are in voxels.
 """
 
 import warp as wp
@@ -13,14 +14,18 @@ from kernels.bricks import cell_of, corner8f, corner8i, corners_of, density_of, 
 __all__ = ["BEYOND", "SURFACE_STEPS", "Bone", "bone_at"]
 
 SURFACE_STEPS = 63
-"""Stored steps of the surface distance in a voxel; held within two voxels, with 128 for the surface itself."""
+"""Stored steps of the surface distance in a voxel; held within two voxels, with 128 for the
+surface itself.
+"""
 BEYOND = 128 + 32
-"""Least stored surface distance taken where there is no brick: half a voxel outside, as beyond the face of a grid that
-is full to its edge; beside a voxel farther out, a voxel farther than that."""
+"""Least stored surface distance taken where there is no brick: half a voxel outside, as beyond the
+face of a grid that is full to its edge; beside a voxel farther out, a voxel farther than that."""
 CORNERS = wp.constant(8)
-DEEP = wp.constant(128 - 112)  # stored surface distance of 1.78 voxels inside: no corner of a cell lies outside
+# stored surface distance of 1.78 voxels inside: no corner of a cell lies outside
+DEEP = wp.constant(128 - 112)
 AIR = wp.constant(128 + 112)  # 1.78 voxels outside: no corner of a cell lies inside
-FAR = wp.constant(226)  # stored boundary distance of 1.78 voxels: all corners of a cell lie in one layer
+# stored boundary distance of 1.78 voxels: all corners of a cell lie in one layer
+FAR = wp.constant(226)
 
 
 @wp.struct
@@ -77,7 +82,9 @@ def bone_at(
 
 @wp.func
 def distance_between(stored: corner8i, inside: wp.vec3, nearest: Bone):
-    """Distance and slope between the eight voxel centres of a cell, at ``inside``, 0 to 1 along each axis."""
+    """Distance and slope between the eight voxel centres of a cell, at ``inside``, 0 to 1 along
+    each axis.
+    """
     found = nearest
     fx = inside[0]
     fy = inside[1]

@@ -1,11 +1,13 @@
 """Layout of brick storage and the few functions every brick kernel shares.
 
-A voxel grid is cut into bricks of 8 x 8 x 8 voxels; only bricks that hold material are stored. ``brick_of`` maps a
-brick's grid position to its row in the stored arrays, -1 where nothing is stored. Inside a row the 64 blocks of
-2 x 2 x 2 voxels follow each other, so that what a tool's surface touches lies close together in memory. Lengths are in
-voxels: a point at ``x`` metres lies at ``(x - origin) / spacing``.
+A voxel grid is cut into bricks of 8 x 8 x 8 voxels; only bricks that hold material are stored.
+``brick_of`` maps a brick's grid position to its row in the stored arrays, -1 where nothing is
+stored. Inside a row the 64 blocks of 2 x 2 x 2 voxels follow each other, so that what a tool's
+surface touches lies close together in memory. Lengths are in voxels: a point at ``x`` metres lies
+at ``(x - origin) / spacing``.
 
-What a voxel was made of before any cut shares one word: density [kg/m3] in the upper 16 bits, layer in the lower.
+What a voxel was made of before any cut shares one word: density [kg/m3] in the upper 16 bits, layer
+in the lower.
 """
 
 import warp as wp
@@ -41,7 +43,9 @@ FULL = 65535
 
 @wp.func
 def voxel_row(brick_of: wp.array3d(dtype=wp.int32), ix: int, iy: int, iz: int):
-    """Row of the brick that holds voxel (ix, iy, iz), -1 outside the grid or where no brick is stored."""
+    """Row of the brick that holds voxel (ix, iy, iz), -1 outside the grid or where no brick is
+    stored.
+    """
     bx = ix >> 3
     by = iy >> 3
     bz = iz >> 3
@@ -112,7 +116,9 @@ def cell_of(point: wp.vec3):
 
 @wp.struct
 class Corners:
-    """Where the eight voxels of a cell are stored: bit 2 of a corner's number is its x, bit 1 its y, bit 0 its z."""
+    """Where the eight voxels of a cell are stored: bit 2 of a corner's number is its x, bit 1
+    its y, bit 0 its z.
+    """
 
     row: corner8i  # of its brick, -1 where none is stored
     column: corner8i  # its place there
@@ -134,7 +140,9 @@ def corners_of(brick_of: wp.array3d(dtype=wp.int32), cell: Cell, row: int):
         found.column[c] = part | wp.where((c & 1) != 0, z1, z0)
     if (cell.x & 7) == 7 or (cell.y & 7) == 7 or (cell.z & 7) == 7:
         for c in range(8):
-            found.row[c] = voxel_row(brick_of, cell.x + (c >> 2), cell.y + ((c >> 1) & 1), cell.z + (c & 1))
+            found.row[c] = voxel_row(
+                brick_of, cell.x + (c >> 2), cell.y + ((c >> 1) & 1), cell.z + (c & 1)
+            )
     return found
 
 
@@ -151,10 +159,20 @@ def trilinear(
     z = cell.z
     fy = cell.inside[1]
     fz = cell.inside[2]
-    c00 = wp.lerp(stored(brick_of, remaining, x, y, z), stored(brick_of, remaining, x, y, z + 1), fz)
-    c01 = wp.lerp(stored(brick_of, remaining, x, y + 1, z), stored(brick_of, remaining, x, y + 1, z + 1), fz)
-    c10 = wp.lerp(stored(brick_of, remaining, x + 1, y, z), stored(brick_of, remaining, x + 1, y, z + 1), fz)
-    c11 = wp.lerp(stored(brick_of, remaining, x + 1, y + 1, z), stored(brick_of, remaining, x + 1, y + 1, z + 1), fz)
+    c00 = wp.lerp(
+        stored(brick_of, remaining, x, y, z), stored(brick_of, remaining, x, y, z + 1), fz
+    )
+    c01 = wp.lerp(
+        stored(brick_of, remaining, x, y + 1, z), stored(brick_of, remaining, x, y + 1, z + 1), fz
+    )
+    c10 = wp.lerp(
+        stored(brick_of, remaining, x + 1, y, z), stored(brick_of, remaining, x + 1, y, z + 1), fz
+    )
+    c11 = wp.lerp(
+        stored(brick_of, remaining, x + 1, y + 1, z),
+        stored(brick_of, remaining, x + 1, y + 1, z + 1),
+        fz,
+    )
     return wp.lerp(wp.lerp(c00, c01, fy), wp.lerp(c10, c11, fy), cell.inside[0])
 
 
@@ -188,9 +206,11 @@ def plane_of(normal: wp.vec3):
 
 @wp.func
 def cube_behind_plane(plane: Plane, distance: float):
-    """Volume of the part of the unit cube behind a plane that passes ``distance`` behind the cube's centre.
+    """Volume of the part of the unit cube behind a plane that passes ``distance`` behind the cube's
+    centre.
 
-    Scardovelli and Zaleski (2000), J. Comput. Phys. 164:228, analytic relation for a plane and a cube.
+    Scardovelli and Zaleski (2000), J. Comput. Phys. 164:228, analytic relation for a plane and a
+    cube.
     """
     whole = 0.5 - distance * plane.scale
     a = wp.min(whole, 1.0 - whole)
@@ -206,10 +226,15 @@ def cube_behind_plane(plane: Plane, distance: float):
     elif a < m2:
         volume = (a * (a - m1) + m1 * m1 * (1.0 / 3.0)) * plane.edge
     elif a < wp.min(m12, m3):
-        volume = (a * a * (3.0 * m12 - a) + m1 * m1 * (m1 - 3.0 * a) + m2 * m2 * (m2 - 3.0 * a)) * plane.corner
+        volume = (
+            a * a * (3.0 * m12 - a) + m1 * m1 * (m1 - 3.0 * a) + m2 * m2 * (m2 - 3.0 * a)
+        ) * plane.corner
     elif m3 < m12:
         volume = (
-            a * a * (3.0 - 2.0 * a) + m1 * m1 * (m1 - 3.0 * a) + m2 * m2 * (m2 - 3.0 * a) + m3 * m3 * (m3 - 3.0 * a)
+            a * a * (3.0 - 2.0 * a)
+            + m1 * m1 * (m1 - 3.0 * a)
+            + m2 * m2 * (m2 - 3.0 * a)
+            + m3 * m3 * (m3 - 3.0 * a)
         ) * plane.corner
     else:
         volume = (a - 0.5 * m12) / m3

@@ -1,7 +1,8 @@
 """Check of Warp's on-disk cache of compiled kernels.
 
-Warp loads the files in its cache without a check. An entry that a full disk or a crash damaged would break every later
-process. Entries are verified when `kernels` is imported. A damaged entry is removed, and Warp compiles it again.
+Warp loads the files in its cache without a check. An entry that a full disk or a crash damaged
+would break every later process. Entries are verified when `kernels` is imported. A damaged entry is
+removed, and Warp compiles it again.
 """
 
 import json
@@ -16,7 +17,9 @@ from uuid import uuid4
 __all__ = ["MANIFEST", "remove_damaged"]
 
 MANIFEST = "checksums.json"
-"""File in an entry that holds the checksum of each of its other files, as they were when they were first seen."""
+"""File in an entry that holds the checksum of each of its other files, as they were when they
+were first seen.
+"""
 CHECKED = (".o", ".meta", ".ptx", ".cubin")
 """Endings of the files that Warp loads; sources are written for reading alone."""
 ELF_MAGIC = b"\x7fELF\x02\x01"
@@ -26,9 +29,9 @@ ELF_MAGIC = b"\x7fELF\x02\x01"
 def remove_damaged(cache: Path) -> list[str]:
     """Remove damaged entries from a cache of compiled kernels and return their names.
 
-    An entry is damaged if a file differs from its checksum. A file without a checksum is new: it is damaged if its
-    structure is incomplete, and otherwise its checksum is recorded. A cache that cannot be read or written is left as
-    it is, because Warp reports that itself.
+    An entry is damaged if a file differs from its checksum. A file without a checksum is new: it is
+    damaged if its structure is incomplete, and otherwise its checksum is recorded. A cache that
+    cannot be read or written is left as it is, because Warp reports that itself.
     """
     removed = []
     with suppress(OSError):
@@ -71,7 +74,8 @@ def _is_complete(ending: str, content: bytes) -> bool:
     if ending == ".o" and os.name == "posix" and not content.strip(b"\0"):
         return False
     if content.startswith(ELF_MAGIC) and len(content) >= 64:
-        # The section table ends the file: offset at byte 40, size and number of its rows at bytes 58 and 60.
+        # The section table ends the file: offset at byte 40, size and number of its rows at bytes
+        # 58 and 60.
         (table_offset,) = struct.unpack_from("<Q", content, 40)
         row_size, row_count = struct.unpack_from("<HH", content, 58)
         return table_offset + row_size * row_count <= len(content)
@@ -79,7 +83,9 @@ def _is_complete(ending: str, content: bytes) -> bool:
 
 
 def _read_manifest(file: Path) -> dict[str, str]:
-    """Return the checksums of an entry by file name; a manifest that cannot be read counts as none."""
+    """Return the checksums of an entry by file name; a manifest that cannot be read counts as
+    none.
+    """
     try:
         stored = json.loads(file.read_text("utf-8"))
     except (OSError, ValueError):

@@ -1,17 +1,20 @@
 """Carving: what a moving surface of revolution leaves of the voxels it sweeps.
 
-Of every voxel's centre the least distance to the tool so far is kept, and of the voxel ``min(remaining, 1 - covered)``,
-where ``covered`` is the volume of its cube behind the tool's surface. A minimum is idempotent and commutes, so
-overlapping cuts give the same bone in any order; it is exact where an old and a new surface are parallel, and leaves a
-twelfth of a voxel too much on average where they cross at a right angle. All lengths are in voxels.
+Of every voxel's centre the least distance to the tool so far is kept, and of the voxel
+``min(remaining, 1 - covered)``, where ``covered`` is the volume of its cube behind the tool's
+surface. A minimum is idempotent and commutes, so overlapping cuts give the same bone in any order;
+it is exact where an old and a new surface are parallel, and leaves a twelfth of a voxel too much on
+average where they cross at a right angle. All lengths are in voxels.
 
-Beside the least distance of all, every voxel keeps that of older cuts: what it was when the tool last came within reach
-of its block, or last turned. The present pass, of which the tool's surface is the end, is not in it.
+Beside the least distance of all, every voxel keeps that of older cuts: what it was when the tool
+last came within reach of its block, or last turned. The present pass, of which the tool's surface
+is the end, is not in it.
 
-Bricks belong to one of ``PHASES`` groups. A launch visits some of the groups, so that a slow tool spreads its carving
-over ticks; every group remembers the pose of its last visit. Inside a brick, blocks of 2 x 2 x 2 voxels that are empty
-or that the surface cannot reach are skipped. Each worker owns whole columns of bricks and its own booking row: no
-atomics, and the same integers on any number of threads.
+Bricks belong to one of ``PHASES`` groups. A launch visits some of the groups, so that a slow tool
+spreads its carving over ticks; every group remembers the pose of its last visit. Inside a brick,
+blocks of 2 x 2 x 2 voxels that are empty or that the surface cannot reach are skipped. Each worker
+owns whole columns of bricks and its own booking row: no atomics, and the same integers on any
+number of threads.
 """
 
 import warp as wp
@@ -25,8 +28,8 @@ wp.set_module_options({"enable_backward": False})
 
 PHASES = 16
 FIRST, COUNT, BINARY, EVERY_SIDE, ORIGIN, TURNED, PLAN = 0, 1, 2, 3, 4, 5, 6
-"""Places in the plan: first group and how many; 1 for binary removal; 1 for every side; group of the first brick; 1
-where the tool turns and all that it has cut becomes an older cut."""
+"""Places in the plan: first group and how many; 1 for binary removal; 1 for every side; group of
+the first brick; 1 where the tool turns and all that it has cut becomes an older cut."""
 BLOCK_REACH = wp.constant(1.7320508)  # half diagonal of a block of 2 voxels [voxel]
 LONGEST_STEP = wp.constant(1.0)  # more than the tool moves between two visits of a brick [voxel]
 EDGE = wp.constant(float(EDGE_BEND))
@@ -37,7 +40,8 @@ BRICK_REACH = wp.constant(6.9282032)  # half diagonal of a brick of 8 voxels [vo
 def carve(
     # tool
     tool: Revolution,
-    pose: wp.array2d(dtype=wp.float64),  # row 0 now, row 1 + g last visit of group g: tip xyz [voxel], axis xyz
+    # row 0 now, row 1 + g last visit of group g: tip xyz [voxel], axis xyz
+    pose: wp.array2d(dtype=wp.float64),
     plan: wp.array(dtype=wp.int32),  # see FIRST
     worker_offset: int,
     worker_count: int,
@@ -46,13 +50,17 @@ def carve(
     material: wp.array2d(dtype=wp.uint32),
     # out
     remaining_out: wp.array2d(dtype=wp.uint16),
-    swept_out: wp.array2d(dtype=wp.uint16),  # distance to the solid that the tool has swept, see `swept_steps`
+    # distance to the solid that the tool has swept, see `swept_steps`
+    swept_out: wp.array2d(dtype=wp.uint16),
     older_out: wp.array2d(dtype=wp.uint16),  # the same, of older cuts
-    alive_out: wp.array(dtype=wp.uint64),  # [brick], one bit a block of 2 x 2 x 2 voxels that may hold material
+    # [brick], one bit a block of 2 x 2 x 2 voxels that may hold material
+    alive_out: wp.array(dtype=wp.uint64),
     touched_out: wp.array(dtype=wp.uint8),  # [brick], set to 1 where this launch removed something
     removed_out: wp.array2d(dtype=wp.int64),  # [worker, layer], stored steps removed by this launch
 ):
-    """Carve the planned groups; each worker takes every ``worker_count``-th column of bricks under the tool."""
+    """Carve the planned groups; each worker takes every ``worker_count``-th column of bricks
+    under the tool.
+    """
     worker = wp.tid() + worker_offset
     for m in range(removed_out.shape[1]):
         removed_out[worker, m] = wp.int64(0)
@@ -79,9 +87,26 @@ def carve(
                 row = int(brick_of[bx, by, bz])
                 if row >= 0:
                     carve_brick(
-                        tool, pose, axis, group, plan[BINARY], plan[EVERY_SIDE], plan[TURNED], bx, by, bz, row, worker,
-                        material, remaining_out, swept_out, older_out, alive_out, touched_out, removed_out,
-                    )  # fmt: skip
+                        tool,
+                        pose,
+                        axis,
+                        group,
+                        plan[BINARY],
+                        plan[EVERY_SIDE],
+                        plan[TURNED],
+                        bx,
+                        by,
+                        bz,
+                        row,
+                        worker,
+                        material,
+                        remaining_out,
+                        swept_out,
+                        older_out,
+                        alive_out,
+                        touched_out,
+                        removed_out,
+                    )
                 bz += 16
 
 
@@ -119,10 +144,18 @@ def carve_brick(
     moved = wp.length(step)
     kink = 1.0 / tool.cells_per_voxel  # next to a kink a slope is taken across a cell of the table
     skip_behind = every_side == 0 and tool.round == 1 and tool.radius > 8.0
-    if skip_behind and turned == 0 and tool.radius > 24.0 and wp.dot(step, far.slope) < -0.7 * moved:
+    if (
+        skip_behind
+        and turned == 0
+        and tool.radius > 24.0
+        and wp.dot(step, far.slope) < -0.7 * moved
+    ):
         return  # the whole brick lies behind a tool that leaves it
-    axis_before = wp.vec3(float(pose[1 + group, 3]), float(pose[1 + group, 4]), float(pose[1 + group, 5]))
-    is_cut = turned != 0 and moved == 0.0 and axis_before == axis  # the brick was carved at this very pose
+    axis_before = wp.vec3(
+        float(pose[1 + group, 3]), float(pose[1 + group, 4]), float(pose[1 + group, 5])
+    )
+    # the brick was carved at this very pose
+    is_cut = turned != 0 and moved == 0.0 and axis_before == axis
     before = alive
     booked = booked_by(removed_out, worker)
     for block in range(64):
@@ -132,7 +165,8 @@ def carve_brick(
             y = ((block >> 2) & 3) * 2
             z = (block & 3) * 2
             shift = wp.vec3(float(x) - 3.0, float(y) - 3.0, float(z) - 3.0)
-            # The distance to a convex tool lies above its tangent: three products exclude most outer blocks.
+            # The distance to a convex tool lies above its tangent: three products exclude most
+            # outer blocks.
             if tool.convex == 0 or far.distance + wp.dot(far.slope, shift) < BLOCK_REACH + kink:
                 near = nearest_on(tool, centre + shift, axis)
                 if near.distance < BLOCK_REACH and near.distance > BLOCK_REACH - LONGEST_STEP:
@@ -147,16 +181,29 @@ def carve_brick(
                         removed_out[worker, layer_of(material[row, voxel])] += wp.int64(kept)
                         remaining_out[row, voxel] = wp.uint16(0)
                         swept_out[row, voxel] = wp.uint16(0)
-                        older_out[row, voxel] = wp.uint16(swept_steps(distance_at(near, corner_offset(v))))
+                        older_out[row, voxel] = wp.uint16(
+                            swept_steps(distance_at(near, corner_offset(v)))
+                        )
                     alive = alive ^ bit
                 elif near.distance < BLOCK_REACH:
                     advance = wp.dot(near.slope, step)
                     if not is_cut and (advance >= -0.25 * moved or not skip_behind):
                         flat = flattened(near, centre + shift, axis, step)
                         carve_block(
-                            tool, axis, centre + shift, near, flat, binary, row, block * 8, worker,
-                            material, remaining_out, swept_out, removed_out,
-                        )  # fmt: skip
+                            tool,
+                            axis,
+                            centre + shift,
+                            near,
+                            flat,
+                            binary,
+                            row,
+                            block * 8,
+                            worker,
+                            material,
+                            remaining_out,
+                            swept_out,
+                            removed_out,
+                        )
                     if turned != 0:
                         for v in range(8):
                             older_out[row, block * 8 + v] = swept_out[row, block * 8 + v]
@@ -177,10 +224,11 @@ def booked_by(removed: wp.array2d(dtype=wp.int64), worker: int):
 
 @wp.func
 def flattened(near: Nearest, offset: wp.vec3, axis: wp.vec3, step: wp.vec3):
-    """Part of the tool's `bend` that its swept surface lacks: the curvature along ``step`` where it slides, else 0.
+    """Part of the tool's `bend` that its swept surface lacks: the curvature along ``step`` where it
+    slides, else 0.
 
-    What a tool sweeps is straight along the path; its surface is touched where the tool's normal is square to that,
-    here within a voxel.
+    What a tool sweeps is straight along the path; its surface is touched where the tool's normal is
+    square to that, here within a voxel.
     """
     length = wp.length(step)
     if length == 0.0 or near.bend >= EDGE:
@@ -212,13 +260,16 @@ def carve_block(
     swept_out: wp.array2d(dtype=wp.uint16),
     removed_out: wp.array2d(dtype=wp.int64),
 ):
-    """Carve eight voxels around ``near``, the tool surface seen from the ``middle`` of their block."""
+    """Carve eight voxels around ``near``, the tool surface seen from the ``middle`` of their
+    block.
+    """
     plane = plane_of(near.slope)
     for v in range(8):
         offset = corner_offset(v)
         distance = distance_at(near, offset)
         facing = plane
-        curving = 0.25 * (near.bend - flat)  # the mean over a voxel exceeds its centre's distance by this
+        # the mean over a voxel exceeds its centre's distance by this
+        curving = 0.25 * (near.bend - flat)
         if near.bend >= EDGE:
             curving = float(0.0)
             exact = nearest_on(tool, middle + offset, axis)
@@ -242,13 +293,19 @@ def carve_block(
 
 @wp.func
 def corner_offset(corner: int):
-    """Vector [voxel] from the middle of a block of 2 x 2 x 2 voxels to the centre of one of them."""
-    return wp.vec3(float(corner >> 2) - 0.5, float((corner >> 1) & 1) - 0.5, float(corner & 1) - 0.5)
+    """Vector [voxel] from the middle of a block of 2 x 2 x 2 voxels to the centre of one of
+    them.
+    """
+    return wp.vec3(
+        float(corner >> 2) - 0.5, float((corner >> 1) & 1) - 0.5, float(corner & 1) - 0.5
+    )
 
 
 @wp.func
 def distance_at(near: Nearest, offset: wp.vec3):
-    """Distance [voxel] to the tool at an offset from the middle of a block; a tangent sphere stands for the tool."""
+    """Distance [voxel] to the tool at an offset from the middle of a block; a tangent sphere
+    stands for the tool.
+    """
     along = wp.dot(near.slope, offset)
     return near.distance + along + 1.5 * near.bend * (0.75 - along * along)
 

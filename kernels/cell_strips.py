@@ -1,18 +1,22 @@
-"""Product of a voxel body's stiffness with a vector, eight cells of a row at once and without any stored matrix.
+"""Product of a voxel body's stiffness with a vector, eight cells of a row at once and without any
+stored matrix.
 
-Each cell is eight cubes, each with its own Lame constants times volume, that are summed at their centres: at 1/4 and
-3/4 of the cell's edges. In the sums and differences of the corners ("modes") of a component u_c along the three axes,
-X, Y, Z, XY, XZ, YZ and XYZ, the gradient at the cube of signs (r, s, t) is::
+Each cell is eight cubes, each with its own Lame constants times volume, that are summed at their
+centres: at 1/4 and 3/4 of the cell's edges. In the sums and differences of the corners ("modes") of
+a component u_c along the three axes, X, Y, Z, XY, XZ, YZ and XYZ, the gradient at the cube of signs
+(r, s, t) is::
 
     4 h d_x u_c = X + s XY/2 + t XZ/2 + s t XYZ/4     and so on,
 
-which 8 additions give for all four (s, t); the forces come back through the transposed additions. To it come the modes
-that one point does not see, as in :mod:`kernels.particle_stiffness`. A cell costs 17 numbers and some 500 operations,
-where its packed stiffness has 324 numbers: the product is limited by arithmetic and not by memory.
+which 8 additions give for all four (s, t); the forces come back through the transposed additions.
+To it come the modes that one point does not see, as in :mod:`kernels.particle_stiffness`. A cell
+costs 17 numbers and some 500 operations, where its packed stiffness has 324 numbers: the product is
+limited by arithmetic and not by memory.
 
-A strip is eight cells in a row along z. Vectors lie in `LaneVector`'s layout, in which the eight nodes below and the
-eight above a strip's corner are eight numbers in a row each. Strips of pencils of one colour share no node and every
-thread works through one pencil: the same bits on any number of threads.
+A strip is eight cells in a row along z. Vectors lie in `LaneVector`'s layout, in which the eight
+nodes below and the eight above a strip's corner are eight numbers in a row each. Strips of pencils
+of one colour share no node and every thread works through one pencil: the same bits on any number
+of threads.
 """
 
 from functools import cache
@@ -25,15 +29,19 @@ __all__ = ["LANES", "WEIGHTS", "lanes_of", "strip_products"]
 LANES = 8
 """Cells of a strip."""
 WEIGHTS = 17
-"""Numbers a cell: lambda and mu of its cubes times V / 16 h^2, and the modulus of the unseen modes times h / 12."""
+"""Numbers a cell: lambda and mu of its cubes times V / 16 h^2, and the modulus of the unseen
+modes times h / 12.
+"""
 OPTIONS = {
     "enable_backward": False,
     "max_unroll": 1,
-    "cpu_compiler_flags": "-march=native -mllvm=-inline-threshold=9000 -mllvm=-inline-cold-callsite-threshold=3000"
+    "cpu_compiler_flags": "-march=native -mllvm=-inline-threshold=9000 "
+    "-mllvm=-inline-cold-callsite-threshold=3000"
     " -mllvm=-slp-recursion-max-depth=12",
 }
-"""Warp's own flags but for the depth: 4, its default, takes 2.5 times as long. ``native`` is safe in a cache that
-machines share: Warp names every compiled file by the instruction sets of its processor."""
+"""Warp's own flags but for the depth: 4, its default, takes 2.5 times as long. ``native`` is safe
+in a cache that machines share: Warp names every compiled file by the instruction sets of its
+processor."""
 
 
 @cache
@@ -44,7 +52,9 @@ def lanes_of(scalar: Any) -> Any:
 
 @wp.func
 def modes_of(a0: Any, a1: Any, a2: Any, a3: Any, a4: Any, a5: Any, a6: Any, a7: Any):
-    """X, Y, Z, 2 XY, 2 XZ, 2 YZ and 4 XYZ of the corners: sums and differences along z, then y, then x."""
+    """X, Y, Z, 2 XY, 2 XZ, 2 YZ and 4 XYZ of the corners: sums and differences along z, then y,
+    then x.
+    """
     s00 = a0 + a1
     d00 = a1 - a0
     s01 = a2 + a3
@@ -59,7 +69,15 @@ def modes_of(a0: Any, a1: Any, a2: Any, a3: Any, a4: Any, a5: Any, a6: Any, a7: 
     sd1 = s11 - s10
     ds1 = d10 + d11
     dd1 = d11 - d10
-    return (s10 + s11) - (s00 + s01), sd0 + sd1, ds0 + ds1, sd1 - sd0, ds1 - ds0, dd0 + dd1, dd1 - dd0
+    return (
+        (s10 + s11) - (s00 + s01),
+        sd0 + sd1,
+        ds0 + ds1,
+        sd1 - sd0,
+        ds1 - ds0,
+        dd0 + dd1,
+        dd1 - dd0,
+    )
 
 
 @wp.func
@@ -84,7 +102,9 @@ def corners_of(x: Any, y: Any, z: Any, xy: Any, xz: Any, yz: Any, xyz: Any):
 
 @wp.func
 def to_cubes(linear: Any, first: Any, second: Any, both: Any):
-    """A derivative in the cubes (-, -), (-, +), (+, -), (+, +) of the two axes across, from its modes."""
+    """A derivative in the cubes (-, -), (-, +), (+, -), (+, +) of the two axes across, from its
+    modes.
+    """
     low = linear - first
     high = linear + first
     less = second - both
@@ -118,7 +138,9 @@ def strip_products(scalar: Any) -> Any:
 
     @wp.func
     def take(stress: wp.array(dtype=V), at: int, across: int, first: int, second: int):
-        """Modes of a stress that is summed across an axis; steps in ``stress`` along that one and the other two."""
+        """Modes of a stress that is summed across an axis; steps in ``stress`` along that one
+        and the other two.
+        """
         both = first + second
         return from_cubes(
             stress[at] + stress[at + across],
@@ -129,14 +151,25 @@ def strip_products(scalar: Any) -> Any:
 
     @wp.func
     def set_gradient(
-        vector: wp.array2d(dtype=V), s: wp.vec4i, gradient_out: wp.array(dtype=V), mode_out: wp.array(dtype=V)
+        vector: wp.array2d(dtype=V),
+        s: wp.vec4i,
+        gradient_out: wp.array(dtype=V),
+        mode_out: wp.array(dtype=V),
     ):
-        """Write the gradients of a strip's cubes, and the modes that one point does not see, from its corners."""
+        """Write the gradients of a strip's cubes, and the modes that one point does not see,
+        from its corners.
+        """
         for c in range(3):
             x, y, z, xy, xz, yz, xyz = modes_of(
-                vector[c, s[0]], vector[c, s[0] + 1], vector[c, s[1]], vector[c, s[1] + 1],
-                vector[c, s[2]], vector[c, s[2] + 1], vector[c, s[3]], vector[c, s[3] + 1],
-            )  # fmt: skip
+                vector[c, s[0]],
+                vector[c, s[0] + 1],
+                vector[c, s[1]],
+                vector[c, s[1] + 1],
+                vector[c, s[2]],
+                vector[c, s[2] + 1],
+                vector[c, s[3]],
+                vector[c, s[3] + 1],
+            )
             xy = half * xy
             xz = half * xz
             yz = half * yz
@@ -150,7 +183,12 @@ def strip_products(scalar: Any) -> Any:
             put(gradient_out, 12 * c + 8, z, xz, yz, xyz)
 
     @wp.func
-    def set_stress(weight: wp.array2d(dtype=V), k: int, gradient: wp.array(dtype=V), stress_out: wp.array(dtype=V)):
+    def set_stress(
+        weight: wp.array2d(dtype=V),
+        k: int,
+        gradient: wp.array(dtype=V),
+        stress_out: wp.array(dtype=V),
+    ):
         """Write the stress of a strip's cubes from their gradients, both times their weights."""
         for cube in range(8):
             across_x = cube & 3
@@ -172,7 +210,9 @@ def strip_products(scalar: Any) -> Any:
 
     @wp.func
     def set_unseen(w: V, mode_out: wp.array(dtype=V)):
-        """Turn the modes that one point does not see into their forces: strains linear in x, y or z, then in two."""
+        """Turn the modes that one point does not see into their forces: strains linear in x, y
+        or z, then in two.
+        """
         in_x = mode_out[4] + mode_out[9]
         in_y = mode_out[0] + mode_out[10]
         in_z = mode_out[1] + mode_out[6]
@@ -193,7 +233,12 @@ def strip_products(scalar: Any) -> Any:
             mode_out[4 * c + 3] = wp.cw_mul(w, mode_out[4 * c + 3])
 
     @wp.func
-    def add_force(stress: wp.array(dtype=V), mode: wp.array(dtype=V), s: wp.vec4i, force_out: wp.array2d(dtype=V)):
+    def add_force(
+        stress: wp.array(dtype=V),
+        mode: wp.array(dtype=V),
+        s: wp.vec4i,
+        force_out: wp.array2d(dtype=V),
+    ):
         """Add the forces of a strip's corners: the transpose of `set_gradient`."""
         for c in range(3):
             # the stress on each axis, where xx, xy and xz are in places 0, 5 and 4 and so on
@@ -225,7 +270,8 @@ def strip_products(scalar: Any) -> Any:
     def products(
         pencils: wp.array(dtype=wp.int32),  # pencils of one colour
         strip_start: wp.array(dtype=wp.int32),  # [pencil + 1], first strip of each
-        slot: wp.array(dtype=wp.vec4i),  # [strip], of its lowest node in the pencils (0, 0), (0, 1), (1, 0), (1, 1)
+        # [strip], of its lowest node in the pencils (0, 0), (0, 1), (1, 0), (1, 1)
+        slot: wp.array(dtype=wp.vec4i),
         weight: wp.array2d(dtype=V),  # [strip, WEIGHTS]
         vector: wp.array2d(dtype=V),  # [component, slot], eight from the slot on
         offset: int,

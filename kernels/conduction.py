@@ -4,9 +4,10 @@ Finite volumes. Between two cells with filled fractions f and g a share of the f
 
     C f dT/dt = sum over faces of G a (T_neighbour - T) + P,    a = min(max(f, g), 2 min(f, g))
 
-The share is 1 between a full cell and one that is half full, since a cut surface that lies parallel to the face leaves
-the face open. It vanishes with the smaller of both cells, so that a sliver does not shorten the step. An empty cell
-neither stores nor conducts heat: the surface of what is left is insulated.
+The share is 1 between a full cell and one that is half full, since a cut surface that lies parallel
+to the face leaves the face open. It vanishes with the smaller of both cells, so that a sliver does
+not shorten the step. An empty cell neither stores nor conducts heat: the surface of what is left is
+insulated.
 """
 
 import warp as wp
@@ -16,7 +17,9 @@ __all__ = ["OPEN", "conduct"]
 wp.set_module_options({"enable_backward": False})
 
 OPEN = wp.constant(2.0)
-"""Share of a face that conducts per filled fraction of the emptier cell; the stable step is shorter by this factor."""
+"""Share of a face that conducts per filled fraction of the emptier cell; the stable step is
+shorter by this factor.
+"""
 
 
 @wp.func
@@ -30,7 +33,8 @@ def conduct(
     # state
     temperature: wp.array3d(dtype=wp.float32),  # rise [K]
     filled: wp.array3d(dtype=wp.float32),  # fraction of the cell that holds material
-    along_x: wp.array3d(dtype=wp.float32),  # conductance between a cell and the next one [W/K], both full
+    # conductance between a cell and the next one [W/K], both full
+    along_x: wp.array3d(dtype=wp.float32),
     along_y: wp.array3d(dtype=wp.float32),
     along_z: wp.array3d(dtype=wp.float32),
     heat_capacity: wp.array3d(dtype=wp.float32),  # of the full cell [J/K]
@@ -50,15 +54,39 @@ def conduct(
         return
     total = power[i, j, m]
     if i > 0:
-        total += along_x[i - 1, j, m] * open_share(f, filled[i - 1, j, m]) * (temperature[i - 1, j, m] - here)
+        total += (
+            along_x[i - 1, j, m]
+            * open_share(f, filled[i - 1, j, m])
+            * (temperature[i - 1, j, m] - here)
+        )
     if i + 1 < filled.shape[0]:
-        total += along_x[i, j, m] * open_share(f, filled[i + 1, j, m]) * (temperature[i + 1, j, m] - here)
+        total += (
+            along_x[i, j, m]
+            * open_share(f, filled[i + 1, j, m])
+            * (temperature[i + 1, j, m] - here)
+        )
     if j > 0:
-        total += along_y[i, j - 1, m] * open_share(f, filled[i, j - 1, m]) * (temperature[i, j - 1, m] - here)
+        total += (
+            along_y[i, j - 1, m]
+            * open_share(f, filled[i, j - 1, m])
+            * (temperature[i, j - 1, m] - here)
+        )
     if j + 1 < filled.shape[1]:
-        total += along_y[i, j, m] * open_share(f, filled[i, j + 1, m]) * (temperature[i, j + 1, m] - here)
+        total += (
+            along_y[i, j, m]
+            * open_share(f, filled[i, j + 1, m])
+            * (temperature[i, j + 1, m] - here)
+        )
     if m > 0:
-        total += along_z[i, j, m - 1] * open_share(f, filled[i, j, m - 1]) * (temperature[i, j, m - 1] - here)
+        total += (
+            along_z[i, j, m - 1]
+            * open_share(f, filled[i, j, m - 1])
+            * (temperature[i, j, m - 1] - here)
+        )
     if m + 1 < filled.shape[2]:
-        total += along_z[i, j, m] * open_share(f, filled[i, j, m + 1]) * (temperature[i, j, m + 1] - here)
+        total += (
+            along_z[i, j, m]
+            * open_share(f, filled[i, j, m + 1])
+            * (temperature[i, j, m + 1] - here)
+        )
     temperature_out[i, j, m] = here + step_s * total / (f * heat_capacity[i, j, m])

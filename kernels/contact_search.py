@@ -1,8 +1,21 @@
-"""Which triangles take part in a contact: those nearby, those that carry force, and those that the tool enters."""
+"""Which triangles take part in a contact: those nearby, those that carry force, and those that
+the tool enters.
+"""
 
 import warp as wp
 
-from kernels.contact_state import LARGEST, NEARBY, TICK, WORKING, Body, Lists, Points, block, distance_to, pose_of
+from kernels.contact_state import (
+    LARGEST,
+    NEARBY,
+    TICK,
+    WORKING,
+    Body,
+    Lists,
+    Points,
+    block,
+    distance_to,
+    pose_of,
+)
 from kernels.friction_cone import safe_inverse
 from kernels.near_compliance import (
     LOADED,
@@ -25,7 +38,9 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 ZERO = wp.constant(wp.float64(0.0))
 SLACK = wp.constant(wp.float64(1.25))
-"""How much larger than at rest a triangle may have become before the search for contacts overlooks a part of it."""
+"""How much larger than at rest a triangle may have become before the search for contacts
+overlooks a part of it.
+"""
 
 
 @wp.kernel
@@ -35,7 +50,8 @@ def find_near(
     radius: wp.array(dtype=wp.float64),  # [triangle], of the ball around it [m]
     # tool
     kind: int,
-    size: wp.vec2d,  # [m]; of a shell: radius of the ball around it and its centre's height above the tip
+    # [m]; of a shell: radius of the ball around it and its centre's height above the tip
+    size: wp.vec2d,
     pose_rows: wp.array2d(dtype=wp.float64),
     reach: wp.float64,  # [m]
     results: wp.array(dtype=wp.float64),  # of the last tick
@@ -44,7 +60,9 @@ def find_near(
     lists_out: Lists,
     patch_out: Patch,
 ):
-    """Triangles whose rest position is within reach or that work, their nodes, and where those nodes are."""
+    """Triangles whose rest position is within reach or that work, their nodes, and where those
+    nodes are.
+    """
     pose = pose_of(pose_rows)
     margin = reach + results[LARGEST]
     middle = pose.tip + pose.turn * wp.vec3d(ZERO, ZERO, size[1])
@@ -78,8 +96,8 @@ def find_near(
 
 @wp.func
 def begin_work(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pose, triangle: int):
-    """Let a triangle work: its nodes may carry load, its points know their responses and anchors; the number of points
-    whose compliance is not there."""
+    """Let a triangle work: its nodes may carry load, its points know their responses and anchors;
+    the number of points whose compliance is not there."""
     missing = int(0)
     lists.working[lists.count[WORKING]] = triangle
     lists.count[WORKING] = lists.count[WORKING] + 1
@@ -116,9 +134,17 @@ def begin_work(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pos
 
 @wp.func
 def join_touching(
-    body: Body, points: Points, lists: Lists, patch: Patch, kind: int, size: wp.vec2d, pose: Pose, missing: int
+    body: Body,
+    points: Points,
+    lists: Lists,
+    patch: Patch,
+    kind: int,
+    size: wp.vec2d,
+    pose: Pose,
+    missing: int,
 ):
-    """Let nearby triangles work that the tool enters; how many joined, and points whose compliance is not there.
+    """Let nearby triangles work that the tool enters; how many joined, and points whose compliance
+    is not there.
 
     A tool is met from the side that a triangle's outward normal points to.
     """
@@ -136,7 +162,10 @@ def join_touching(
             close = kind == SHELL
             if not close:
                 middle = (pa + pb + pc) / wp.float64(3.0)
-                wide = wp.max(wp.length_sq(pa - middle), wp.max(wp.length_sq(pb - middle), wp.length_sq(pc - middle)))
+                wide = wp.max(
+                    wp.length_sq(pa - middle),
+                    wp.max(wp.length_sq(pb - middle), wp.length_sq(pc - middle)),
+                )
                 far, _normal = axis_distance(kind, size, pose, middle)
                 close = far < ZERO or far * far < SLACK * SLACK * wide
             enters = int(0)
@@ -158,7 +187,9 @@ def join_touching(
 
 @wp.func
 def start_over(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pose):
-    """Rebuild work and loads from the forces that points still carry; points whose compliance is not there."""
+    """Rebuild work and loads from the forces that points still carry; points whose compliance is
+    not there.
+    """
     for k in range(lists.count[WORKING]):
         lists.working_mark[lists.working[k]] = 0
     lists.count[WORKING] = 0

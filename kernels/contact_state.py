@@ -1,18 +1,52 @@
-"""What the contact kernels share: a body's surface, its contact points, work lists, and places in the results."""
+"""What the contact kernels share: a body's surface, its contact points, work lists, and places
+in the results.
+"""
 
 import warp as wp
 
 from kernels.probe_distance import SHELL, Pose, axis_distance
 
 __all__ = [
-    "AREA", "CONTACTS", "DEEPEST", "DONE", "FORCE", "IMMOVABLE", "LARGEST", "MISSING", "NEARBY", "RESULTS", "RUN_OUT",
-    "STATE", "SWEEPS", "TICK", "TORQUE", "WORKING", "Body", "Lists", "Points", "block", "distance_to", "pose_of",
-]  # fmt: skip
+    "AREA",
+    "CONTACTS",
+    "DEEPEST",
+    "DONE",
+    "FORCE",
+    "IMMOVABLE",
+    "LARGEST",
+    "MISSING",
+    "NEARBY",
+    "RESULTS",
+    "RUN_OUT",
+    "STATE",
+    "SWEEPS",
+    "TICK",
+    "TORQUE",
+    "WORKING",
+    "Body",
+    "Lists",
+    "Points",
+    "block",
+    "distance_to",
+    "pose_of",
+]
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-FORCE, TORQUE, STATE, SWEEPS, CONTACTS, AREA, DEEPEST, LARGEST, RESULTS = 0, 3, 6, 7, 8, 9, 10, 11, 12
-"""Of the results: on tool [N], [N m]; end of the solve; counts; [m2]; deepest point and largest displacement [m]."""
+FORCE, TORQUE, STATE, SWEEPS, CONTACTS, AREA, DEEPEST, LARGEST, RESULTS = (
+    0,
+    3,
+    6,
+    7,
+    8,
+    9,
+    10,
+    11,
+    12,
+)
+"""Of the results: on tool [N], [N m]; end of the solve; counts; [m2]; deepest point and largest
+displacement [m].
+"""
 DONE, RUN_OUT, IMMOVABLE, MISSING = 0, 1, 2, 3
 """Ends of a solve."""
 
@@ -41,8 +75,10 @@ class Points:
     tool_point: wp.array(dtype=wp.vec3d)  # [point], of a shell, now [m]
     tool_normal: wp.array(dtype=wp.vec3d)
     force: wp.array(dtype=wp.vec3d)  # [point], on the body [N]
-    anchor: wp.array(dtype=wp.vec3d)  # [point], where the tool has carried the point's last place [m]
-    response: wp.array2d(dtype=wp.mat33d)  # [point, 5]: of the three nodes and of itself [m/N], and the inverse [N/m]
+    # [point], where the tool has carried the point's last place [m]
+    anchor: wp.array(dtype=wp.vec3d)
+    # [point, 5]: of the three nodes and of itself [m/N], and the inverse [N/m]
+    response: wp.array2d(dtype=wp.mat33d)
     ready: wp.array(dtype=wp.int32)  # [point], 1 once the responses are there
 
 
@@ -80,10 +116,16 @@ def block(body: Body, a: int, b: int):
     i = 3 * a
     j = 3 * b
     return body.scale * wp.mat33d(
-        compliance[i, j], compliance[i, j + 1], compliance[i, j + 2],
-        compliance[i + 1, j], compliance[i + 1, j + 1], compliance[i + 1, j + 2],
-        compliance[i + 2, j], compliance[i + 2, j + 1], compliance[i + 2, j + 2],
-    )  # fmt: skip
+        compliance[i, j],
+        compliance[i, j + 1],
+        compliance[i, j + 2],
+        compliance[i + 1, j],
+        compliance[i + 1, j + 1],
+        compliance[i + 1, j + 2],
+        compliance[i + 2, j],
+        compliance[i + 2, j + 1],
+        compliance[i + 2, j + 2],
+    )
 
 
 @wp.func

@@ -1,4 +1,6 @@
-"""Processor cores: how many this process may use, on which one a thread runs, and threads that keep off it."""
+"""Processor cores: how many this process may use, on which one a thread runs, and threads that
+keep off it.
+"""
 
 import ctypes
 import os
@@ -9,7 +11,14 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache
 
-__all__ = ["CoreThreads", "allowed_cores", "core_count", "cores_without", "current_core", "limit_cores"]
+__all__ = [
+    "CoreThreads",
+    "allowed_cores",
+    "core_count",
+    "cores_without",
+    "current_core",
+    "limit_cores",
+]
 
 _most_cores: list[int] = []
 
@@ -31,11 +40,17 @@ def core_count() -> int:
 
 @cache
 def _sched_getcpu() -> Callable[[], int] | None:
-    return getattr(ctypes.CDLL(None), "sched_getcpu", None) if sys.platform.startswith("linux") else None
+    return (
+        getattr(ctypes.CDLL(None), "sched_getcpu", None)
+        if sys.platform.startswith("linux")
+        else None
+    )
 
 
 def current_core() -> int | None:
-    """Core that the calling thread runs on at this moment, None where the system does not report it."""
+    """Core that the calling thread runs on at this moment, None where the system does not report
+    it.
+    """
     call = _sched_getcpu()
     core = call() if call is not None else -1
     return core if core >= 0 else None
@@ -49,7 +64,8 @@ def cores_without(core: int | None, allowed: set[int]) -> set[int]:
 class CoreThreads(ThreadPoolExecutor):
     """Threads that share the work of another one, on other cores than that.
 
-    A system often wakes a thread on the core of the one that wakes it, where it would wait for that one's work to end.
+    A system often wakes a thread on the core of the one that wakes it, where it would wait for that
+    one's work to end.
 
     Parameters
     ----------

@@ -1,20 +1,31 @@
 """Forces on the elements of a rotating cutter, averaged over a revolution.
 
-Mechanistic model with chip and edge coefficients (Altintas 2012, Manufacturing Automation, ch. 2), per element::
+Mechanistic model with chip and edge coefficients (Altintas 2012, Manufacturing Automation, ch. 2),
+per element::
 
     h  = (v . n) 2 pi / (N omega)
     dF = -(N A / (2 pi r)) [(K_tc h + K_te) t + (K_rc h + K_re) n + (K_ac h + K_ae) a] share
 
-with every K scaled by (density / reference density) ** exponent of the layer. Elements that do not advance do not cut.
-The share is that of the element's width which lies below the bone's original surface, and 0 where an older cut has
-taken the bone.
+with every K scaled by (density / reference density) ** exponent of the layer. Elements that do not
+advance do not cut. The share is that of the element's width which lies below the bone's original
+surface, and 0 where an older cut has taken the bone.
 """
 
 import warp as wp
 
 from kernels.bone_lookup import Bone, bone_at
 from kernels.bricks import corner8f, voxel_column, voxel_row
-from kernels.elements import CHUNK, LANES, Elements, Travel, advance_of, lever16, may_cut, place_of, travel_of
+from kernels.elements import (
+    CHUNK,
+    LANES,
+    Elements,
+    Travel,
+    advance_of,
+    lever16,
+    may_cut,
+    place_of,
+    travel_of,
+)
 from kernels.older_cuts import SLOTS, taken_before
 from kernels.revolution import Revolution
 
@@ -33,11 +44,15 @@ __all__ = [
 wp.set_module_options({"enable_backward": False})
 
 CHIP_FORCE, CHIP_TORQUE, EDGE_FORCE, EDGE_TORQUE, RATE, AREA = 0, 3, 6, 9, 12, 13
-"""Places in the sums. Three each per unit of speed: force [N s/m], torque about the tip [N s]; three each independent
-of speed: force [N] and torque [N m]; removal rate per unit of speed [m2]; engaged area of each layer [m2]."""
+"""Places in the sums. Three each per unit of speed: force [N s/m], torque about the tip [N s];
+three each independent of speed: force [N] and torque [N m]; removal rate per unit of speed [m2];
+engaged area of each layer [m2].
+"""
 WIDEST = wp.constant(3.5)  # across the surface, an element is taken as this wide at most [voxel]
 DENSITIES = wp.constant(20001)
-"""Entries of the strength table: densities of 0 to 20,000 kg/m3, the largest that a bone may have."""
+"""Entries of the strength table: densities of 0 to 20,000 kg/m3, the largest that a bone may
+have.
+"""
 
 
 @wp.struct
@@ -46,7 +61,8 @@ class Coefficients:
 
     chip: wp.array(dtype=lever16)  # [layer] [Pa]
     edge: wp.array(dtype=lever16)  # [layer] [N/m]
-    strength: wp.array2d(dtype=wp.float32)  # [layer, density in kg/m3]: (density / reference) ** exponent
+    # [layer, density in kg/m3]: (density / reference) ** exponent
+    strength: wp.array2d(dtype=wp.float32)
 
 
 @wp.kernel
@@ -55,7 +71,8 @@ def cutting_forces(
     tool: Revolution,
     elements: Elements,
     coefficients: Coefficients,
-    motion: wp.array2d(dtype=wp.float64),  # rows: tip [voxel]; tool axes x, y, z; tip's and angular velocity, own frame
+    # rows: tip [voxel]; tool axes x, y, z; tip's and angular velocity, own frame
+    motion: wp.array2d(dtype=wp.float64),
     chip_per_speed: float,  # 2 pi / (N omega) [s]
     spacing: float,  # [m]
     chunk_offset: int,
@@ -69,7 +86,9 @@ def cutting_forces(
     seen_out: wp.array2d(dtype=corner8f),  # [chunk, SLOTS + 1], see `kernels.older_cuts.SLOTS`
     sums_out: wp.array2d(dtype=wp.float64),  # [chunk, AREA + layers], tool frame: see CHIP_FORCE
 ):
-    """Sum the forces on one chunk of elements for a motion of unit speed (1 m/s times the given velocities)."""
+    """Sum the forces on one chunk of elements for a motion of unit speed (1 m/s times the given
+    velocities).
+    """
     chunk = wp.tid() + chunk_offset
     for m in range(AREA, sums_out.shape[1]):
         sums_out[chunk, m] = wp.float64(0.0)
@@ -119,7 +138,8 @@ def cutting_forces(
                     engaged = elements.area[e] * met.share
                     rate += engaged * advance
                     sums_out[chunk, AREA + m] += wp.float64(engaged)
-            # In no branch: a compiler keeps in registers what no branch changes, a twentieth of this kernel's time.
+            # In no branch: a compiler keeps in registers what no branch changes, a twentieth of
+            # this kernel's time.
             lever = elements.lever[e]
             chip += (length * advance) * wp.cw_mul(coefficients.chip[m], lever)
             edge += length * wp.cw_mul(coefficients.edge[m], lever)
@@ -186,8 +206,12 @@ def bone_met(
 
 
 @wp.func
-def remaining_voxel(brick_of: wp.array3d(dtype=wp.int32), alive: wp.array(dtype=wp.uint64), at: wp.vec3):
-    """Row and column of the voxel at a point [voxel]; row -1 where its block of eight has no bone left."""
+def remaining_voxel(
+    brick_of: wp.array3d(dtype=wp.int32), alive: wp.array(dtype=wp.uint64), at: wp.vec3
+):
+    """Row and column of the voxel at a point [voxel]; row -1 where its block of eight has no
+    bone left.
+    """
     ix = int(wp.floor(at[0]))
     iy = int(wp.floor(at[1]))
     iz = int(wp.floor(at[2]))
@@ -201,7 +225,9 @@ def remaining_voxel(brick_of: wp.array3d(dtype=wp.int32), alive: wp.array(dtype=
 
 
 @wp.func
-def set_loads(sums: lever16, chunk: int, force: int, torque: int, sums_out: wp.array2d(dtype=wp.float64)):
+def set_loads(
+    sums: lever16, chunk: int, force: int, torque: int, sums_out: wp.array2d(dtype=wp.float64)
+):
     """Write a chunk's force and torque at their places."""
     for c in range(3):
         sums_out[chunk, force + c] = wp.float64(force_of(sums)[c])
@@ -210,7 +236,9 @@ def set_loads(sums: lever16, chunk: int, force: int, torque: int, sums_out: wp.a
 
 @wp.func
 def share_below(bone: Bone, outward: wp.vec3, area: float, spacing: float):
-    """Share of an element's width, taken along the slope of the original surface, that lies below that."""
+    """Share of an element's width, taken along the slope of the original surface, that lies
+    below that.
+    """
     share = float(1.0)
     if bone.distance > -1.9:
         tangent = bone.slope - wp.dot(bone.slope, outward) * outward

@@ -1,4 +1,6 @@
-"""Elements of a cutter's surface and their travel: which of them advance, where, and which may meet bone."""
+"""Elements of a cutter's surface and their travel: which of them advance, where, and which may
+meet bone.
+"""
 
 import warp as wp
 
@@ -16,15 +18,17 @@ __all__ = [
 ]
 
 CHUNK = 128
-"""Elements a chunk; chunks are summed in order, so the result does not depend on the number of threads."""
+"""Elements a chunk; chunks are summed in order, so the result does not depend on the number of
+threads.
+"""
 
 
 LANES = 8
 """Elements whose places and advances are found at once."""
 lanes8 = wp.types.vector(length=LANES, dtype=wp.float32)
 lever16 = wp.types.vector(length=16, dtype=wp.float32)
-"""Of an element at r [m]: tangent t (x, y), r x t, normal n, r x n, axis a (z), r x a (x, y), which a tangential, a
-radial and an axial load add to force and torque; two numbers are left over."""
+"""Of an element at r [m]: tangent t (x, y), r x t, normal n, r x n, axis a (z), r x a (x, y), which
+a tangential, a radial and an axial load add to force and torque; two numbers are left over."""
 
 
 @wp.struct
@@ -36,15 +40,21 @@ class Elements:
     normal: wp.array(dtype=wp.vec3)  # outward, unit
     lever: wp.array(dtype=lever16)  # t: direction in which the spin moves the element, unit
     area: wp.array(dtype=wp.float32)  # [m2]
-    bend: wp.array(dtype=wp.float32)  # curvature of the tool there, see `kernels.revolution.Revolution`
-    edge_length: wp.array(dtype=wp.float32)  # N A / (2 pi r): mean length of cutting edge in the element [m]
-    chunk_ball: wp.array(dtype=wp.vec4)  # centre and radius of a ball around each chunk's points [m]
-    chunk_cone: wp.array(dtype=wp.vec4)  # axis of a cone around each chunk's normals, sine of its half angle, 2: none
+    # curvature of the tool there, see `kernels.revolution.Revolution`
+    bend: wp.array(dtype=wp.float32)
+    # N A / (2 pi r): mean length of cutting edge in the element [m]
+    edge_length: wp.array(dtype=wp.float32)
+    # centre and radius of a ball around each chunk's points [m]
+    chunk_ball: wp.array(dtype=wp.vec4)
+    # axis of a cone around each chunk's normals, sine of its half angle, 2: none
+    chunk_cone: wp.array(dtype=wp.vec4)
 
 
 @wp.struct
 class Travel:
-    """A pose and the unit motion from there: along the tool's axes, and of them in the grid [voxel/m]."""
+    """A pose and the unit motion from there: along the tool's axes, and of them in the grid
+    [voxel/m].
+    """
 
     tip: wp.vec3  # [voxel]
     ex: wp.vec3
@@ -72,7 +82,9 @@ def travel_of(motion: wp.array2d(dtype=wp.float64), spacing: float):
     travel.turning = wp.vec3(float(motion[5, 0]), float(motion[5, 1]), float(motion[5, 2]))
     travel.turns = wp.where(wp.length(travel.turning) > 0.0, 1, 0)
     travel.least = 1.0e-5 * wp.length(velocity)
-    travel.heading = wp.normalize(velocity[0] * travel.ex + velocity[1] * travel.ey + velocity[2] * travel.ez)
+    travel.heading = wp.normalize(
+        velocity[0] * travel.ex + velocity[1] * travel.ey + velocity[2] * travel.ez
+    )
     return travel
 
 
@@ -122,7 +134,12 @@ def place_of(elements: Elements, eight: int, travel: Travel, axis: int):
 
 
 @wp.func
-def meets_bone(brick_of: wp.array3d(dtype=wp.int32), alive: wp.array(dtype=wp.uint64), middle: wp.vec3, radius: float):
+def meets_bone(
+    brick_of: wp.array3d(dtype=wp.int32),
+    alive: wp.array(dtype=wp.uint64),
+    middle: wp.vec3,
+    radius: float,
+):
     """Whether a brick that still holds material meets the box around a ball [voxel]."""
     low = wp.vec3i(0, 0, 0)
     high = wp.vec3i(0, 0, 0)

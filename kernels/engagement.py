@@ -1,6 +1,8 @@
-"""What each element of a rotating cutter meets: the same bone as `kernels.cutting.cutting_forces`, without a force.
+"""What each element of a rotating cutter meets: the same bone as `kernels.cutting.cutting_forces`,
+without a force.
 
-Its loads for any cutting coefficients follow by sums over the elements, see `tissue.models.bone.engagement`.
+Its loads for any cutting coefficients follow by sums over the elements, see
+`tissue.models.bone.engagement`.
 """
 
 import warp as wp
@@ -37,7 +39,9 @@ def engaged_elements(
     layer_out: wp.array(dtype=wp.int32),
     density_out: wp.array(dtype=wp.int32),  # [kg/m3], an entry of the strength table
 ):
-    """Find what one chunk of elements meets in a motion of unit speed; only of those with a share is the rest set."""
+    """Find what one chunk of elements meets in a motion of unit speed; only of those with a
+    share is the rest set.
+    """
     chunk = wp.tid() + chunk_offset
     seen_out[chunk, SLOTS] = corner8f()
     travel = travel_of(motion, spacing)
@@ -55,9 +59,21 @@ def engaged_elements(
             if meets and advances[lane] > travel.least:
                 at = wp.vec3(x[lane], y[lane], z[lane])
                 met = bone_met(
-                    tool, elements, motion, travel, spacing, brick_of, material, nearby, older, alive, e, at,
-                    seen_out, chunk,
-                )  # fmt: skip
+                    tool,
+                    elements,
+                    motion,
+                    travel,
+                    spacing,
+                    brick_of,
+                    material,
+                    nearby,
+                    older,
+                    alive,
+                    e,
+                    at,
+                    seen_out,
+                    chunk,
+                )
                 share_out[e] = met.share
                 advance_out[e] = advances[lane]
                 layer_out[e] = met.layer

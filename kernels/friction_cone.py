@@ -1,11 +1,14 @@
-"""One contact of a compliant body: the force that keeps it out of the tool, by Signorini and Coulomb.
+"""One contact of a compliant body: the force that keeps it out of the tool, by Signorini and
+Coulomb.
 
-With W the body's compliance at the point, n the tool's normal and f the force on the body: the gap is not negative, the
-force does not pull, and one of them is zero; the tangential force is at most ``mu`` times the normal force, and reaches
-that only against the slip. Sticking is a linear system. Slipping is ``s = -l f_t`` with ``l >= 0``: without the normal
-force, ``(S + l I) f_t = -r`` with S the tangential Schur complement, and the l with ``|f_t| = mu f_n`` is found by
-Newton on the reciprocals, which are nearly straight lines, kept in its bracket (Jourdan, Alart and Jean 1998, Comput.
-Methods Appl. Mech. Eng. 155:31, for the sweeps that call this; More and Sorensen 1983 for the reciprocals).
+With W the body's compliance at the point, n the tool's normal and f the force on the body: the gap
+is not negative, the force does not pull, and one of them is zero; the tangential force is at most
+``mu`` times the normal force, and reaches that only against the slip. Sticking is a linear system.
+Slipping is ``s = -l f_t`` with ``l >= 0``: without the normal force, ``(S + l I) f_t = -r`` with S
+the tangential Schur complement, and the l with ``|f_t| = mu f_n`` is found by Newton on the
+reciprocals, which are nearly straight lines, kept in its bracket (Jourdan, Alart and Jean 1998,
+Comput. Methods Appl. Mech. Eng. 155:31, for the sweeps that call this; More and Sorensen 1983 for
+the reciprocals).
 """
 
 import warp as wp
@@ -35,8 +38,16 @@ def safe_inverse(compliance: wp.mat33d):
 
 
 @wp.func
-def slipping_force(compliance: wp.mat33d, normal: wp.vec3d, apart: wp.float64, drift: wp.vec3d, friction: wp.float64):
-    """Force on the edge of the cone; ``apart`` < 0 and ``drift`` are gap and tangential slip without the force."""
+def slipping_force(
+    compliance: wp.mat33d,
+    normal: wp.vec3d,
+    apart: wp.float64,
+    drift: wp.vec3d,
+    friction: wp.float64,
+):
+    """Force on the edge of the cone; ``apart`` < 0 and ``drift`` are gap and tangential slip
+    without the force.
+    """
     side = wp.vec3d(ONE, ZERO, ZERO)
     if wp.abs(normal[0]) > wp.float64(0.7):
         side = wp.vec3d(ZERO, ONE, ZERO)

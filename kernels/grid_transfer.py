@@ -1,8 +1,9 @@
 """Between a grid and the one of twice its edge: cell stiffness up, residuals up, corrections down.
 
-A coarse cell's trilinear functions are trilinear on each of its eight children, so its stiffness is exactly the
-children's, seen through the interpolation P: ``K = sum P_c^T M K_c M P_c`` with M the mask of what may move. The coarse
-operator is the fine one's Galerkin projection, and one changed cell changes one coarse cell.
+A coarse cell's trilinear functions are trilinear on each of its eight children, so its stiffness is
+exactly the children's, seen through the interpolation P: ``K = sum P_c^T M K_c M P_c`` with M the
+mask of what may move. The coarse operator is the fine one's Galerkin projection, and one changed
+cell changes one coarse cell.
 """
 
 import warp as wp
@@ -11,7 +12,8 @@ from kernels.hexahedra import block_of, carries, cell_block
 
 __all__ = ["coarse_stiffness", "interpolate", "restrict"]
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})  # nested loops over corners, compiled once
+# nested loops over corners, compiled once
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 
 @wp.func
@@ -53,7 +55,10 @@ def coarse_stiffness(
             for a in range(8):
                 free_a = free[cell_nodes[cell, a]]
                 for b in range(8):
-                    part = wp.cw_mul(wp.outer(free_a, free[cell_nodes[cell, b]]), cell_block(stiffness, cell, a, b))
+                    part = wp.cw_mul(
+                        wp.outer(free_a, free[cell_nodes[cell, b]]),
+                        cell_block(stiffness, cell, a, b),
+                    )
                     for parent_a in range(8):
                         share_a = share(child, a, parent_a)
                         if share_a != wp.float64(0.0):
@@ -61,13 +66,16 @@ def coarse_stiffness(
                                 weight = share_a * share(child, b, parent_b)
                                 if weight != wp.float64(0.0):
                                     block = block_of(parent_a, parent_b)
-                                    stiffness_out[coarse, block] = stiffness_out[coarse, block] + weight * part
+                                    stiffness_out[coarse, block] = (
+                                        stiffness_out[coarse, block] + weight * part
+                                    )
     live_out[coarse] = any_live
 
 
 @wp.kernel
 def restrict(
-    fine_of: wp.array2d(dtype=wp.int32),  # [coarse node, 27], fine node at 9 (dx+1) + 3 (dy+1) + dz+1, or -1
+    # [coarse node, 27], fine node at 9 (dx+1) + 3 (dy+1) + dz+1, or -1
+    fine_of: wp.array2d(dtype=wp.int32),
     free: wp.array(dtype=wp.vec3f),  # [fine node]
     residual: wp.array(dtype=wp.vec3f),  # [fine node]
     offset: int,
@@ -101,7 +109,9 @@ def interpolate(
     # out
     vector_out: wp.array(dtype=wp.vec3f),  # [fine node], corrected in place
 ):
-    """Add the coarse grid's correction, trilinear between its nodes, where the fine grid may move."""
+    """Add the coarse grid's correction, trilinear between its nodes, where the fine grid may
+    move.
+    """
     fine = wp.tid() + offset
     total = wp.vec3f()
     for slot in range(8):

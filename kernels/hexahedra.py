@@ -1,10 +1,12 @@
-"""Trilinear hexahedra of a Cartesian grid: shape functions, the packed cell stiffness, and its product with a vector.
+"""Trilinear hexahedra of a Cartesian grid: shape functions, the packed cell stiffness, and its
+product with a vector.
 
-Corner ``a = 4 i + 2 j + k`` of a cell lies at ``(i, j, k)`` of its edges. A cell's stiffness, 24 x 24 and symmetric, is
-kept as the ``BLOCKS`` 3 x 3 blocks (a, b) with a <= b, row after row; the others are their transposes, so that the
-matrix equals its transpose bit by bit. The product with some cells runs without an assembled matrix: each writes its
-own corner forces, then every node gathers those of its up to eight cells in fixed order. No atomics, and the same bits
-on any number of threads.
+Corner ``a = 4 i + 2 j + k`` of a cell lies at ``(i, j, k)`` of its edges. A cell's stiffness, 24 x
+24 and symmetric, is kept as the ``BLOCKS`` 3 x 3 blocks (a, b) with a <= b, row after row; the
+others are their transposes, so that the matrix equals its transpose bit by bit. The product with
+some cells runs without an assembled matrix: each writes its own corner forces, then every node
+gathers those of its up to eight cells in fixed order. No atomics, and the same bits on any number
+of threads.
 """
 
 import warp as wp
@@ -51,7 +53,9 @@ def cell_block(stiffness: wp.array2d(dtype=wp.mat33d), cell: int, a: int, b: int
 
 @wp.func
 def corner_gradients(at: wp.vec3d, inverse_edge: wp.float64):
-    """Gradients [1/m] of the eight shape functions at a place in the cell, 0 to 1 along each edge."""
+    """Gradients [1/m] of the eight shape functions at a place in the cell, 0 to 1 along each
+    edge.
+    """
     one = wp.float64(1.0)
     gradients = CornerGradients()
     for a in range(8):
@@ -114,7 +118,8 @@ def cell_products(
 def gather_cells(
     # nodes
     nodes: wp.array(dtype=wp.int32),  # those of the cells
-    node_cells: wp.array2d(dtype=wp.int32),  # [place in nodes, corner]: place in the cells of which it is that corner
+    # [place in nodes, corner]: place in the cells of which it is that corner
+    node_cells: wp.array2d(dtype=wp.int32),
     corner_force: wp.array2d(dtype=wp.vec3d),  # [place in the cells, corner] [N]
     offset: int,
     # out

@@ -1,4 +1,6 @@
-"""Strips of cells and vectors in lanes: the cells' weights, diagonals, a smoothing step, and from nodes and back."""
+"""Strips of cells and vectors in lanes: the cells' weights, diagonals, a smoothing step, and
+from nodes and back.
+"""
 
 from typing import Any
 
@@ -32,7 +34,8 @@ def cube_weights(
     strength: wp.float64,  # share of a full cell's unseen modes, see kernels.particle_stiffness
     offset: int,
     # out
-    weight_out: wp.array3d(dtype=wp.float64),  # [strip, WEIGHTS, lane] [N/m], zero in cells that are not regular
+    # [strip, WEIGHTS, lane] [N/m], zero in cells that are not regular
+    weight_out: wp.array3d(dtype=wp.float64),
     single_out: wp.array3d(dtype=wp.float32),  # the same in single precision
 ):
     """Weights of the changed cells in `kernels.cell_strips`."""
@@ -108,7 +111,8 @@ def node_diagonals(
     offset: int,
     # out
     diagonal_out: wp.array(dtype=wp.vec3d),  # [node] [N/m], 1 on held components
-    inverse_out: wp.array2d(dtype=wp.float32),  # [component, slot] [m/N], of the bound times D; 0 if held or empty
+    # [component, slot] [m/N], of the bound times D; 0 if held or empty
+    inverse_out: wp.array2d(dtype=wp.float32),
 ):
     """Diagonal of the nodes' stiffness and its inverse."""
     node = nodes[wp.tid() + offset]
@@ -128,7 +132,8 @@ def node_diagonals(
 
 @wp.kernel
 def smooth(
-    inverse: wp.array2d(dtype=LANES_F),  # [component, lanes], of the largest eigenvalue times the diagonal; 0 if held
+    # [component, lanes], of the largest eigenvalue times the diagonal; 0 if held
+    inverse: wp.array2d(dtype=LANES_F),
     share: float,  # of the last direction in the next
     gain: float,  # of the residual in it
     offset: int,

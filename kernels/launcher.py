@@ -1,10 +1,11 @@
 """Recorded launches that may be split over processor cores.
 
-A Warp launch on a CPU runs on one core but releases the interpreter lock, so the halves of a launch can run on two
-threads. Handing work to a thread costs about 50 us: a launch is split only while its last runs took longer than
-``SPLIT_ABOVE_S``, where one run that another process interrupted is no large launch, and while splitting is measured to
-gain, see `kernels.split_choice`. A part that no thread has begun, because other processes keep its core, is taken back:
-waiting for it would cost milliseconds. Kernels are written so that the split does not change a bit of the result.
+A Warp launch on a CPU runs on one core but releases the interpreter lock, so the halves of a launch
+can run on two threads. Handing work to a thread costs about 50 us: a launch is split only while its
+last runs took longer than ``SPLIT_ABOVE_S``, where one run that another process interrupted is no
+large launch, and while splitting is measured to gain, see `kernels.split_choice`. A part that no
+thread has begun, because other processes keep its core, is taken back: waiting for it would cost
+milliseconds. Kernels are written so that the split does not change a bit of the result.
 """
 
 from collections.abc import Callable, Sequence
@@ -106,8 +107,12 @@ class SplitLaunch:
         self._work_s = FIRST_S
         self._pool = _pool(parts - 1) if parts > 1 else None
         if self._pool is not None:
-            self._parts = [record(a, b) for a, b in pairwise(along * part // parts for part in range(parts + 1))]
-            self._choice = SplitChoice(_gain(parts - 1))  # calibrated now, not in the first large tick
+            self._parts = [
+                record(a, b)
+                for a, b in pairwise(along * part // parts for part in range(parts + 1))
+            ]
+            # calibrated now, not in the first large tick
+            self._choice = SplitChoice(_gain(parts - 1))
 
     def __call__(self) -> None:
         """Run the launch and wait until it is done (on a GPU: until it is queued)."""

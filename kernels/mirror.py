@@ -25,7 +25,9 @@ class Mirror:
     def __init__(self, shape: int | tuple[int, ...], *, dtype: type, device: str) -> None:
         self.device = wp.zeros(shape, dtype=dtype, device=device)
         self._shared = device == "cpu"
-        self.host: NDArray[Any] = self.device.numpy() if self._shared else np.zeros_like(self.device.numpy())
+        self.host: NDArray[Any] = (
+            self.device.numpy() if self._shared else np.zeros_like(self.device.numpy())
+        )
 
     def push(self) -> None:
         """Send the host's values to the device."""

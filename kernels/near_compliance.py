@@ -1,9 +1,10 @@
 """Compliance of the nodes near a tool, gathered side by side and kept while they stay near.
 
-Each node nearby has a slot; nodes that may carry load have the first ones, and a row each for their three components:
-what a unit force there moves at every slot, slot by slot, so that a change of force is added to all displacements in
-packs of numbers that follow each other in memory. Read from the compliance itself, each of the same blocks lies in
-three other places. A tick gathers only what came near or began to work.
+Each node nearby has a slot; nodes that may carry load have the first ones, and a row each for their
+three components: what a unit force there moves at every slot, slot by slot, so that a change of
+force is added to all displacements in packs of numbers that follow each other in memory. Read from
+the compliance itself, each of the same blocks lies in three other places. A tick gathers only what
+came near or began to work.
 """
 
 import numpy as np
@@ -12,14 +13,30 @@ import warp as wp
 from kernels.contact_state import Body, block
 
 __all__ = [
-    "LANES", "LOADED", "SLOTS", "STALE", "Pack", "Patch", "add_node", "drop_idle", "drop_left", "gather_again",
-    "gather_all_again", "keep_loaded", "move_all", "moved_at", "new_patch", "push",
-]  # fmt: skip
+    "LANES",
+    "LOADED",
+    "SLOTS",
+    "STALE",
+    "Pack",
+    "Patch",
+    "add_node",
+    "drop_idle",
+    "drop_left",
+    "gather_again",
+    "gather_all_again",
+    "keep_loaded",
+    "move_all",
+    "moved_at",
+    "new_patch",
+    "push",
+]
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 LANES = 16
-"""Numbers in a pack: 0.7 ns a block of nine, against 1.0 with 8, 0.8 with 32 and 3.9 straight from the compliance."""
+"""Numbers in a pack: 0.7 ns a block of nine, against 1.0 with 8, 0.8 with 32 and 3.9 straight
+from the compliance.
+"""
 Pack = wp.types.vector(length=LANES, dtype=wp.float64)
 
 
@@ -63,7 +80,9 @@ def push(patch: Patch, slot: int, change: wp.vec3d, slots: int):
 
 @wp.func
 def move_all(body: Body, patch: Patch, slots: int):
-    """Displacements of the first slots under all loads, afresh: sums of changes would keep their rounding."""
+    """Displacements of the first slots under all loads, afresh: sums of changes would keep their
+    rounding.
+    """
     for p in range((3 * slots + LANES - 1) // LANES):
         patch.moved_packs[p] = Pack()
     for k in range(patch.count[LOADED]):
@@ -72,7 +91,9 @@ def move_all(body: Body, patch: Patch, slots: int):
 
 @wp.func
 def gather(body: Body, patch: Patch, loaded: int, slot: int):
-    """Put a block where it belongs; one that is not there yet is looked for again in the next tick."""
+    """Put a block where it belongs; one that is not there yet is looked for again in the next
+    tick.
+    """
     between = block(body, patch.node[loaded], patch.node[slot])
     for i in range(3):
         for j in range(3):
@@ -169,14 +190,18 @@ def drop_idle(patch: Patch, tick: int):
 def new_patch(nodes: int, device: str) -> Patch:
     """A patch with space for all of a body's nodes.
 
-    Of zeros from NumPy to which nobody writes, no memory is taken: on a CPU it is that of the nodes near the tool.
+    Of zeros from NumPy to which nobody writes, no memory is taken: on a CPU it is that of the nodes
+    near the tool.
     """
-    packs = -(-3 * nodes // LANES) | 1  # odd: rows whole pages apart would share their places in a cache
+    # odd: rows whole pages apart would share their places in a cache
+    packs = -(-3 * nodes // LANES) | 1
     patch = Patch()
     rows = np.zeros((3 * nodes, LANES * packs))
     patch.row = wp.array(rows, dtype=wp.float64, device=device, copy=device != "cpu")
     patch.moved = wp.zeros(LANES * packs, dtype=wp.float64, device=device)
-    patch.row_packs = wp.array(ptr=patch.row.ptr, dtype=Pack, shape=(3 * nodes, packs), device=device)
+    patch.row_packs = wp.array(
+        ptr=patch.row.ptr, dtype=Pack, shape=(3 * nodes, packs), device=device
+    )
     patch.moved_packs = wp.array(ptr=patch.moved.ptr, dtype=Pack, shape=packs, device=device)
     patch.count = wp.zeros(3, dtype=wp.int32, device=device)
     patch.slot = wp.full(nodes, -1, dtype=wp.int32, device=device)

@@ -1,18 +1,28 @@
-"""Stiffness of a grid gathered node by node: rows of 3 x 3 blocks, product, and Gauss-Seidel sweeps over eight colours.
+"""Stiffness of a grid gathered node by node: rows of 3 x 3 blocks, product, and Gauss-Seidel sweeps
+over eight colours.
 
-A row holds one block for each of a node's up to 27 neighbours: those of lower colour, its own, those of higher colour.
-With K = L + D + U so split, the first sweep from rest solves ``(L + D) v = f`` and leaves ``f - K v = -U v``: together
-they read K once. Sums run in fixed order and a sweep changes only nodes of one colour, none of which are neighbours:
-the same bits on any number of threads.
+A row holds one block for each of a node's up to 27 neighbours: those of lower colour, its own,
+those of higher colour. With K = L + D + U so split, the first sweep from rest solves ``(L + D) v =
+f`` and leaves ``f - K v = -U v``: together they read K once. Sums run in fixed order and a sweep
+changes only nodes of one colour, none of which are neighbours: the same bits on any number of
+threads.
 """
 
 import warp as wp
 
 from kernels.hexahedra import carries, cell_block
 
-__all__ = ["assemble_rows", "first_residuals", "first_sweep", "invert_diagonal", "sweep_colour", "to_single"]
+__all__ = [
+    "assemble_rows",
+    "first_residuals",
+    "first_sweep",
+    "invert_diagonal",
+    "sweep_colour",
+    "to_single",
+]
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})  # nested loops over corners, compiled once
+# nested loops over corners, compiled once
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 
 @wp.kernel
@@ -21,7 +31,8 @@ def assemble_rows(
     rows: wp.array(dtype=wp.int32),  # nodes whose rows are gathered again
     row_start: wp.array(dtype=wp.int32),  # [node + 1], first block of each row
     node_cells: wp.array2d(dtype=wp.int32),  # [node, corner]
-    neighbour_block: wp.array2d(dtype=wp.int32),  # [node, 27]: block of the neighbour at 9 (dx+1) + 3 (dy+1) + dz+1
+    # [node, 27]: block of the neighbour at 9 (dx+1) + 3 (dy+1) + dz+1
+    neighbour_block: wp.array2d(dtype=wp.int32),
     free: wp.array(dtype=wp.vec3d),  # [node], 1 where a component may move, 0 where it is held
     # cells
     cell_nodes: wp.array2d(dtype=wp.int32),
@@ -30,7 +41,8 @@ def assemble_rows(
     offset: int,
     # out
     block_out: wp.array(dtype=wp.mat33d),  # [block] [N/m]
-    diagonal_out: wp.array(dtype=wp.mat33d),  # [node], a copy of the node's own block, 1 on held components
+    # [node], a copy of the node's own block, 1 on held components
+    diagonal_out: wp.array(dtype=wp.mat33d),
 ):
     """Gather rows ``M K M``, M the mask of what may move; held components get no stiffness."""
     node = rows[wp.tid() + offset]
@@ -41,10 +53,18 @@ def assemble_rows(
         cell = node_cells[node, a]
         if carries(live, cell):
             for b in range(8):
-                step = 9 * ((b >> 2) - (a >> 2)) + 3 * (((b >> 1) & 1) - ((a >> 1) & 1)) + (b & 1) - (a & 1) + 13
+                step = (
+                    9 * ((b >> 2) - (a >> 2))
+                    + 3 * (((b >> 1) & 1) - ((a >> 1) & 1))
+                    + (b & 1)
+                    - (a & 1)
+                    + 13
+                )
                 mask = wp.outer(free_here, free[cell_nodes[cell, b]])
                 place = neighbour_block[node, step]
-                block_out[place] = block_out[place] + wp.cw_mul(mask, cell_block(stiffness, cell, a, b))
+                block_out[place] = block_out[place] + wp.cw_mul(
+                    mask, cell_block(stiffness, cell, a, b)
+                )
     centre = neighbour_block[node, 13]
     diagonal_out[node] = block_out[centre] + wp.diag(
         wp.vec3d(wp.float64(1.0), wp.float64(1.0), wp.float64(1.0)) - free_here
@@ -59,7 +79,9 @@ def invert_diagonal(
     # out
     inverse_out: wp.array(dtype=wp.mat33f),  # [node] [m/N]
 ):
-    """Inverse of each node's own block, zero where a node carries nothing; a trace keeps half-empty blocks regular."""
+    """Inverse of each node's own block, zero where a node carries nothing; a trace keeps
+    half-empty blocks regular.
+    """
     node = rows[wp.tid() + offset]
     block = diagonal[node]
     size = wp.trace(block)
@@ -89,7 +111,8 @@ def to_single(
 def first_sweep(
     nodes: wp.array(dtype=wp.int32),  # nodes of one colour
     row_start: wp.array(dtype=wp.int32),
-    diagonal_block: wp.array(dtype=wp.int32),  # [node], the node's own block: lower colours before, higher behind
+    # [node], the node's own block: lower colours before, higher behind
+    diagonal_block: wp.array(dtype=wp.int32),
     column: wp.array(dtype=wp.int32),
     block: wp.array(dtype=wp.mat33f),
     inverse: wp.array(dtype=wp.mat33f),  # [node], inverse of the node's own block

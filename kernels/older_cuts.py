@@ -1,10 +1,12 @@
-"""Whether an older cut has taken the bone at a point of the tool's surface, to second order in the voxel.
+"""Whether an older cut has taken the bone at a point of the tool's surface, to second order in the
+voxel.
 
-Every voxel keeps its centre's distance to older cuts, without the present pass (see :mod:`kernels.carving`). Between
-voxel centres the difference of this distance and that to the tool now is interpolated: it is 0 where both are the same
-surface, however they curve, and negative where the older cut lies deeper. What was swept is straight along its path and
-the tool is not, so along the path the difference bends as the tool does, and interpolation alone lies below it.
-Lengths are in voxels.
+Every voxel keeps its centre's distance to older cuts, without the present pass (see
+:mod:`kernels.carving`). Between voxel centres the difference of this distance and that to the tool
+now is interpolated: it is 0 where both are the same surface, however they curve, and negative where
+the older cut lies deeper. What was swept is straight along its path and the tool is not, so along
+the path the difference bends as the tool does, and interpolation alone lies below it. Lengths are
+in voxels.
 """
 
 import warp as wp
@@ -19,12 +21,15 @@ wp.set_module_options({"enable_backward": False})
 
 NEVER = wp.constant(65535)  # stored where the tool has not come near
 CLEAR = wp.constant(0.9)  # more than a voxel's centre is from any point in it
-SLACK = wp.constant(0.002)  # an older cut this little short of the tool's surface is the same surface
+# an older cut this little short of the tool's surface is the same surface
+SLACK = wp.constant(0.002)
 ROUGH = wp.constant(0.04)  # more than the errors of tables and tangent spheres, and SLACK, together
 FARTHEST = wp.constant(2.0)  # a difference larger than this counts as this
 SLOTS = 64
-"""Blocks of 2 x 2 x 2 voxels whose distances to the tool now a chunk of elements keeps, four along each axis, since
-neighbours ask for the same: indices, distance, bend and slope of each; one more place is 1 once there are any."""
+"""Blocks of 2 x 2 x 2 voxels whose distances to the tool now a chunk of elements keeps, four along
+each axis, since neighbours ask for the same: indices, distance, bend and slope of each; one more
+place is 1 once there are any.
+"""
 NOWHERE = wp.constant(-1.0e9)  # index of no block
 
 
@@ -44,9 +49,11 @@ def taken_before(
     seen: wp.array2d(dtype=corner8f),
     chunk: int,
 ):
-    """Whether an older cut has taken ``point`` on the tool's surface, in the voxel at ``row`` and ``column``.
+    """Whether an older cut has taken ``point`` on the tool's surface, in the voxel at ``row`` and
+    ``column``.
 
-    There the tool's normal is ``outward``, of length 1, and its curvature ``bend``, see `Revolution`.
+    There the tool's normal is ``outward``, of length 1, and its curvature ``bend``, see
+    `Revolution`.
     """
     kept = int(older[row, column])
     distance = kept_distance(kept)
@@ -67,9 +74,12 @@ def taken_before(
             stored[c] = int(older[corners.row[c], corners.column[c]])
         away = wp.vec3(float(c >> 2), float((c >> 1) & 1), float(c & 1)) - part
         weight[c] = (1.0 - wp.abs(away[0])) * (1.0 - wp.abs(away[1])) * (1.0 - wp.abs(away[2]))
-        if stored[c] == NEVER:  # it lies outside older cuts, more than a voxel off: the others speak for it
+        # it lies outside older cuts, more than a voxel off: the others speak for it
+        if stored[c] == NEVER:
             weight[c] = 0.0
-        flat += weight[c] * wp.clamp(kept_distance(stored[c]) - wp.dot(outward, away), -FARTHEST, FARTHEST)
+        flat += weight[c] * wp.clamp(
+            kept_distance(stored[c]) - wp.dot(outward, away), -FARTHEST, FARTHEST
+        )
         counted += weight[c]
     # Had the tool no curvature this would be the sum below, which is larger by 0.75 bend at most.
     if tool.convex == 1 and bend < EDGE and wp.abs(flat) > ROUGH + 1.2 * bend:
@@ -84,7 +94,8 @@ def taken_before(
             total += weight[c] * difference
             least = wp.min(least, difference)
             most = wp.max(most, difference)
-    # Where all corners differ alike, as on an end of an older cut that the tool has come back to, nothing bends.
+    # Where all corners differ alike, as on an end of an older cut that the tool has come back to,
+    # nothing bends.
     bent = wp.min(bend_below(bend, heading, part), 0.5 * (most - least))
     return total < (SLACK - bent) * counted
 
@@ -104,7 +115,9 @@ def tool_distances(
     seen: wp.array2d(dtype=corner8f),
     chunk: int,
 ):
-    """Distances [voxel] of a cell's corners to the tool now, as carving takes them: block by block."""
+    """Distances [voxel] of a cell's corners to the tool now, as carving takes them: block by
+    block.
+    """
     found = corner8f()
     if seen[chunk, SLOTS][0] == 0.0:
         slots = int(0)
@@ -112,7 +125,8 @@ def tool_distances(
             seen[chunk, slots] = corner8f(NOWHERE)
             slots += 1
         seen[chunk, SLOTS] = corner8f(1.0)
-    odd = ((cell.x & 1) << 2) | ((cell.y & 1) << 1) | (cell.z & 1)  # along these axes it lies in two blocks
+    # along these axes it lies in two blocks
+    odd = ((cell.x & 1) << 2) | ((cell.y & 1) << 1) | (cell.z & 1)
     block = int(0)
     while block < 8:
         x = (cell.x + (block >> 2)) >> 1
@@ -142,7 +156,9 @@ def tool_distances(
             offset = corner_offset(c ^ odd)
             found[c] = distance_at(near, offset)
             if near.bend >= EDGE:
-                exact = nearest_on(tool, offset_from(pose, 0, 2 * x + 1, 2 * y + 1, 2 * z + 1) + offset, axis)
+                exact = nearest_on(
+                    tool, offset_from(pose, 0, 2 * x + 1, 2 * y + 1, 2 * z + 1) + offset, axis
+                )
                 found[c] = exact.distance
             c = ((c | odd) + 1) & (7 ^ odd | 8) | block
         block = ((block | (7 ^ odd)) + 1) & (odd | 8)
@@ -151,7 +167,9 @@ def tool_distances(
 
 @wp.func
 def bend_below(bend: float, heading: wp.vec3, part: wp.vec3):
-    """How far lines between voxel centres lie below what bends as the tool does along ``heading``, of length 1."""
+    """How far lines between voxel centres lie below what bends as the tool does along
+    ``heading``, of length 1.
+    """
     if bend >= EDGE:
         return float(0.0)
     below = float(0.0)

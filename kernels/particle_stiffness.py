@@ -1,22 +1,23 @@
 """Stiffness of the cells of a grid, summed over the material particles they hold.
 
-For an isotropic particle of weight w (the volume left of it) with Lame constants lambda and mu, and g_a the gradient of
-corner a's shape function at the particle, ``w B^T D B`` has the blocks::
+For an isotropic particle of weight w (the volume left of it) with Lame constants lambda and mu, and
+g_a the gradient of corner a's shape function at the particle, ``w B^T D B`` has the blocks::
 
     K_ab = w [lambda g_a g_b^T + mu g_b g_a^T + mu (g_a . g_b) I]
 
-A cell that is cut, or holds few particles, does not see the modes that vary inside it (a single particle gives rank 6
-of the 18 that it needs). To it is added a part s of the energy that a full cell of its mean shear modulus has in these
-modes alone (``inner``, which is zero for every linear field, so that the patch test stays exact)::
+A cell that is cut, or holds few particles, does not see the modes that vary inside it (a single
+particle gives rank 6 of the 18 that it needs). To it is added a part s of the energy that a full
+cell of its mean shear modulus has in these modes alone (``inner``, which is zero for every linear
+field, so that the patch test stays exact)::
 
     K_ab += s (sum w mu / h^3) inner_ab,   s = strength (1 - min(1, min_i 12 sum w (x_i - 1/2)^2 / h^3))
 
-The bracket is the share of the second moment of a full cell that the particles lack: 0 for Gauss points, 1 for a
-single particle in the middle. The idea is hourglass control (Flanagan and Belytschko 1981, Int. J. Numer. Methods Eng.
-17:679), scaled by what the particles miss.
+The bracket is the share of the second moment of a full cell that the particles lack: 0 for Gauss
+points, 1 for a single particle in the middle. The idea is hourglass control (Flanagan and
+Belytschko 1981, Int. J. Numer. Methods Eng. 17:679), scaled by what the particles miss.
 
 Springs to the ground at points x of the cell, of 3 x 3 stiffness S, add ``sum N_a(x) N_b(x) S``.
-"""
+"""  # noqa: E501 a table
 
 import warp as wp
 
@@ -41,7 +42,8 @@ def particle_stiffness(
     changed: wp.array(dtype=wp.int32),  # cells to sum again
     edge: wp.float64,  # [m]
     strength: wp.float64,
-    inner: wp.array(dtype=wp.mat33d),  # [block] [m], full cell of unit Lame constants less its value at the centre
+    # [block] [m], full cell of unit Lame constants less its value at the centre
+    inner: wp.array(dtype=wp.mat33d),
     spring_row: wp.array(dtype=wp.int32),  # [cell], its row in the next array, or -1
     spring: wp.array2d(dtype=wp.mat33d),  # [row, block] [N/m], what springs to the ground add
     offset: int,
@@ -49,7 +51,9 @@ def particle_stiffness(
     stiffness_out: wp.array2d(dtype=wp.mat33d),  # [cell, block] [N/m]
     fill_out: wp.array(dtype=wp.float64),  # [cell], volume of its particles over its own
 ):
-    """Sum the stiffness of the changed cells over their particles, upper triangle first, then mirrored."""
+    """Sum the stiffness of the changed cells over their particles, upper triangle first, then
+    mirrored.
+    """
     cell = changed[wp.tid() + offset]
     for block in range(36):
         stiffness_out[cell, block] = wp.mat33d()
@@ -69,11 +73,21 @@ def particle_stiffness(
                 for b in range(a, 8):
                     g_b = wp.vec3d(gradients[b, 0], gradients[b, 1], gradients[b, 2])
                     s = w_mu * wp.dot(g_a, g_b)
-                    k_ab = w_lambda * wp.outer(g_a, g_b) + w_mu * wp.outer(g_b, g_a) + wp.mat33d(
-                        s, wp.float64(0.0), wp.float64(0.0),
-                        wp.float64(0.0), s, wp.float64(0.0),
-                        wp.float64(0.0), wp.float64(0.0), s,
-                    )  # fmt: skip
+                    k_ab = (
+                        w_lambda * wp.outer(g_a, g_b)
+                        + w_mu * wp.outer(g_b, g_a)
+                        + wp.mat33d(
+                            s,
+                            wp.float64(0.0),
+                            wp.float64(0.0),
+                            wp.float64(0.0),
+                            s,
+                            wp.float64(0.0),
+                            wp.float64(0.0),
+                            wp.float64(0.0),
+                            s,
+                        )
+                    )
                     stiffness_out[cell, block] = stiffness_out[cell, block] + k_ab
                     block += 1
             fill += weight

@@ -54,11 +54,14 @@ def point_stress(
     gradient = wp.mat33d()
     for a in range(8):
         gradient += wp.outer(
-            displacement[cell_nodes[cell, a]], wp.vec3d(gradients[a, 0], gradients[a, 1], gradients[a, 2])
+            displacement[cell_nodes[cell, a]],
+            wp.vec3d(gradients[a, 0], gradients[a, 1], gradients[a, 2]),
         )
     strain = wp.float64(0.5) * (gradient + wp.transpose(gradient))
     pressure = lame[row, 0] * wp.trace(strain)
-    stress = wp.float64(2.0) * lame[row, 1] * strain + wp.diag(wp.vec3d(pressure, pressure, pressure))
+    stress = wp.float64(2.0) * lame[row, 1] * strain + wp.diag(
+        wp.vec3d(pressure, pressure, pressure)
+    )
     for k in range(3):
         stress_out[i, k] = stress[k, k]
     stress_out[i, 3] = stress[1, 2]

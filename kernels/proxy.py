@@ -1,9 +1,10 @@
-"""One tick of a proxy: a rigid tool goes as near to where its device is as the things around it allow.
+"""One tick of a proxy: a rigid tool goes as near to where its device is as the things around it
+allow.
 
-From its last pose the tool descends in steps no longer than the path that is surely free, or half a voxel near
-something; every step solves the contacts at hand, and one that ends too deep is taken back and halved. So the proxy
-stays on the side of a wall on which it was, however fast the device went through (Zilles and Salisbury 1995, IROS;
-Ruspini, Kolarov and Khatib 1997, SIGGRAPH).
+From its last pose the tool descends in steps no longer than the path that is surely free, or half a
+voxel near something; every step solves the contacts at hand, and one that ends too deep is taken
+back and halved. So the proxy stays on the side of a wall on which it was, however fast the device
+went through (Zilles and Salisbury 1995, IROS; Ruspini, Kolarov and Khatib 1997, SIGGRAPH).
 """
 
 import warp as wp
@@ -36,15 +37,17 @@ __all__ = [
     "STEPS",
     "TRAVEL",
     "advance_proxy",
-]  # fmt: skip
+]
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 POSITION, ROTATION, TRAVEL, STATE = 0, 3, 7, 8
 """Places in the state: position xyz [m], quaternion xyzw, path length [m]; how many there are."""
 CONVERGED, PRESSING, STEPS, SOLVES, FORCE, MOMENT, CENTRE, REPORT = 0, 1, 2, 3, 4, 7, 10, 13
-"""Places in the report: 1 when converged; contacts that press, steps, solves; three each: force [m] and moment [m2]
-over the stiffness, and centre of pressure from the tool's origin in the world's axes [m]; how many there are."""
+"""Places in the report: 1 when converged; contacts that press, steps, solves; three each: force [m]
+and moment [m2] over the stiffness, and centre of pressure from the tool's origin in the world's
+axes [m]; how many there are.
+"""
 ZERO = wp.constant(wp.float64(0.0))
 HALVINGS = 8
 """Times that a step is halved before the proxy stays where it is."""
@@ -123,14 +126,26 @@ def advance_proxy(
     ended = int(GOES_ON)
     while steps < settings.step_limit and ended == GOES_ON:
         steps += 1
-        wanted = ZERO  # near something every step is short, so that no point needs to wake for a long one
+        # near something every step is short, so that no point needs to wake for a long one
+        wanted = ZERO
         if reaction.pressing == 0:
             wanted = pose_distance(
-                descent.trial_position, descent.trial_rotation, goal_position, goal_rotation, turning
+                descent.trial_position,
+                descent.trial_rotation,
+                goal_position,
+                goal_rotation,
+                turning,
             )
         frame = wp.quat_to_matrix(descent.trial_rotation)
         count, gap, clear = collect(
-            field, shell, contacts_out, descent.trial_position, frame, descent.travel, wanted, settings.step
+            field,
+            shell,
+            contacts_out,
+            descent.trial_position,
+            frame,
+            descent.travel,
+            wanted,
+            settings.step,
         )
         if gap < descent.deepest:
             if descent.halvings == HALVINGS:
@@ -139,9 +154,18 @@ def advance_proxy(
         else:
             descent = accept_trial(descent, gap, settings.step)
             descent, reaction, ended = take_step(
-                descent, reaction, contacts_out, count, settings, goal_position, goal_rotation, gap, clear,
-                field.spacing, shell.reach,
-            )  # fmt: skip
+                descent,
+                reaction,
+                contacts_out,
+                count,
+                settings,
+                goal_position,
+                goal_rotation,
+                gap,
+                clear,
+                field.spacing,
+                shell.reach,
+            )
     write_state(descent, state_out)
     write_reaction(reaction, report_out)
     report_out[CONVERGED] = wp.float64(ended == AT_REST)

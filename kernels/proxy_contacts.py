@@ -1,9 +1,10 @@
 """Which points of a tool's shell are about to touch, and the plane each of them must stay above.
 
-A point that is far from everything sleeps until the shell has travelled as far as it was away. A point of the shell
-that lies near voxels keeps up to two planes it met before besides the present one, because at an inner corner one plane
-at a time makes it swing from face to face (Zilles and Salisbury 1995). A kept plane is dropped as soon as it would cut
-off space that the present distance shows to be free.
+A point that is far from everything sleeps until the shell has travelled as far as it was away. A
+point of the shell that lies near voxels keeps up to two planes it met before besides the present
+one, because at an inner corner one plane at a time makes it swing from face to face (Zilles and
+Salisbury 1995). A kept plane is dropped as soon as it would cut off space that the present distance
+shows to be free.
 """
 
 import warp as wp
@@ -21,7 +22,9 @@ FAR = wp.constant(wp.float64(1.0e30))
 AHEAD = wp.constant(wp.float64(4.0))
 """Steps ahead that a point is looked at again."""
 LEAST_SLOPE = wp.constant(wp.float64(0.5))
-"""A flatter level is read as one this steep, so that a point is never taken to be farther away than a voxel."""
+"""A flatter level is read as one this steep, so that a point is never taken to be farther away
+than a voxel.
+"""
 SAME_DIRECTION = wp.constant(wp.float64(0.99999999))
 SLACK = wp.constant(wp.float64(1.0e-3))
 """Share of a voxel by which a kept plane may cut off free space."""
@@ -38,7 +41,9 @@ class Shell:
 
 @wp.struct
 class Contacts:
-    """What the shell remembers of its contacts, and memory to solve them. A slot is a point with one solid or plane."""
+    """What the shell remembers of its contacts, and memory to solve them. A slot is a point with
+    one solid or plane.
+    """
 
     slots: int  # a point
     press: wp.array(dtype=wp.float64)  # [slot], normal force over the coupling's stiffness [m]
@@ -59,7 +64,9 @@ class Contacts:
 
 
 @wp.func
-def add_candidate(contacts: Contacts, count: int, slot: int, arm: wp.vec3d, normal: wp.vec3d, gap: wp.float64):
+def add_candidate(
+    contacts: Contacts, count: int, slot: int, arm: wp.vec3d, normal: wp.vec3d, gap: wp.float64
+):
     """Note one plane that a point must stay above; the number of candidates."""
     contacts.slot[count] = slot
     contacts.arm[count] = arm
@@ -70,7 +77,12 @@ def add_candidate(contacts: Contacts, count: int, slot: int, arm: wp.vec3d, norm
 
 
 @wp.func
-def forget(plane_normal_out: wp.array2d(dtype=wp.vec3d), press_out: wp.array(dtype=wp.float64), point: int, first: int):
+def forget(
+    plane_normal_out: wp.array2d(dtype=wp.vec3d),
+    press_out: wp.array(dtype=wp.float64),
+    point: int,
+    first: int,
+):
     """Drop all planes of a point that has left the voxels."""
     if wp.length_sq(plane_normal_out[point, 0]) > ZERO:
         for k in range(VOXEL_PLANES):
@@ -92,9 +104,18 @@ def keep_plane(contacts: Contacts, point: int, first: int):
 
 @wp.func
 def collect_voxels(
-    field: Field, contacts: Contacts, point: int, first: int, arm: wp.vec3d, at: wp.vec3d, step: wp.float64, found: int
+    field: Field,
+    contacts: Contacts,
+    point: int,
+    first: int,
+    arm: wp.vec3d,
+    at: wp.vec3d,
+    step: wp.float64,
+    found: int,
 ):
-    """Planes of one point near voxels: number of candidates, its level and how far it is surely away [m]."""
+    """Planes of one point near voxels: number of candidates, its level and how far it is surely
+    away [m].
+    """
     count = found
     far = voxel_clearance(field, at)
     if far > step:
@@ -140,9 +161,11 @@ def collect(
     wanted: wp.float64,
     step: wp.float64,
 ):
-    """All planes within a ``step`` of the shell: their number, the least gap, and the free path of every point [m].
+    """All planes within a ``step`` of the shell: their number, the least gap, and the free path of
+    every point [m].
 
-    A point wakes early where its sleep would cut the ``wanted`` path [m] short, but never from farther than ``AHEAD``.
+    A point wakes early where its sleep would cut the ``wanted`` path [m] short, but never from
+    farther than ``AHEAD``.
     """
     early = wp.min(wanted, AHEAD * step)
     count = int(0)
@@ -163,13 +186,18 @@ def collect(
                 gap = distance - shell.radius
                 bound = wp.min(bound, gap)
                 if gap < step:
-                    # The contact point of a ball lies on its surface; it separates rolling from sliding.
-                    count = add_candidate(contacts, count, first + s, arm - shell.radius * normal, normal, gap)
+                    # The contact point of a ball lies on its surface; it separates rolling from
+                    # sliding.
+                    count = add_candidate(
+                        contacts, count, first + s, arm - shell.radius * normal, normal, gap
+                    )
                     worst = wp.min(worst, gap)
                 else:
                     contacts.press[first + s] = ZERO
             if field.spacing > ZERO:
-                count, gap, far = collect_voxels(field, contacts, i, first + solids, arm, at, step, count)
+                count, gap, far = collect_voxels(
+                    field, contacts, i, first + solids, arm, at, step, count
+                )
                 bound = wp.min(bound, far)
                 worst = wp.min(worst, gap)
             if bound > step:

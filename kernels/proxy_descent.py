@@ -1,4 +1,5 @@
-"""Steps by which a proxy descends toward its device: a motion that the contacts allow, shortened or taken back.
+"""Steps by which a proxy descends toward its device: a motion that the contacts allow, shortened or
+taken back.
 
 A trial pose is one motion away from the last pose that was found to be free.
 """
@@ -9,14 +10,25 @@ from kernels.proxy_contacts import Contacts
 from kernels.proxy_friction import resolve
 from kernels.rigid_motion import motion_length, turn_between, turned_by
 
-__all__ = ["AT_REST", "GOES_ON", "Descent", "DescentSettings", "Reaction", "accept_trial", "halve_motion", "take_step"]
+__all__ = [
+    "AT_REST",
+    "GOES_ON",
+    "Descent",
+    "DescentSettings",
+    "Reaction",
+    "accept_trial",
+    "halve_motion",
+    "take_step",
+]
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 GOES_ON, AT_REST, OUT_OF_SOLVES = 0, 1, 2
 """Ends of a step."""
 STALLS = 2
-"""Steps in a row that hardly lower the springs' energy: near voxels the proxy swings over creases, and may rest."""
+"""Steps in a row that hardly lower the springs' energy: near voxels the proxy swings over
+creases, and may rest.
+"""
 LITTLE = wp.constant(wp.float64(1.0e-4))
 """Share of the springs' energy by which a step must lower it near voxels."""
 TOO_DEEP = wp.constant(wp.float64(0.1))
@@ -84,7 +96,9 @@ def first_touch(contacts: Contacts, count: int, shift: wp.vec3d, turn: wp.vec3d)
 
 @wp.func
 def contact_sums(contacts: Contacts, members: int):
-    """How many members press, their normal forces [m] and moments [m2] in sum, and their centre of pressure [m]."""
+    """How many members press, their normal forces [m] and moments [m2] in sum, and their centre
+    of pressure [m].
+    """
     pressing = int(0)
     force = wp.vec3d()
     moment = wp.vec3d()
@@ -131,9 +145,14 @@ def accept_trial(before: Descent, gap: wp.float64, step: wp.float64):
 
 @wp.func
 def aim_at(
-    before: Descent, goal_position: wp.vec3d, goal_rotation: wp.quatd, compliance: wp.float64, spacing: wp.float64
+    before: Descent,
+    goal_position: wp.vec3d,
+    goal_rotation: wp.quatd,
+    compliance: wp.float64,
+    spacing: wp.float64,
 ):
-    """Descent with the motion that the springs want, and a stall more where their energy has hardly fallen.
+    """Descent with the motion that the springs want, and a stall more where their energy has hardly
+    fallen.
 
     Beside exact solids, where the ``spacing`` of voxels is 0, no step counts as a stall.
     """
@@ -152,14 +171,26 @@ def aim_at(
 
 
 @wp.func
-def react(contacts: Contacts, count: int, settings: DescentSettings, descent: Descent, last: Reaction):
-    """Forces of the contacts on the wanted motion, over the stiffness, and how many solves they took."""
+def react(
+    contacts: Contacts, count: int, settings: DescentSettings, descent: Descent, last: Reaction
+):
+    """Forces of the contacts on the wanted motion, over the stiffness, and how many solves they
+    took.
+    """
     reaction = Reaction()
     compliance = settings.compliance
     members, solves, rub, arm = resolve(
-        contacts, count, compliance, settings.friction, settings.tolerance, descent.shift, descent.turn,
-        last.rub, last.arm, descent.near,
-    )  # fmt: skip
+        contacts,
+        count,
+        compliance,
+        settings.friction,
+        settings.tolerance,
+        descent.shift,
+        descent.turn,
+        last.rub,
+        last.arm,
+        descent.near,
+    )
     pressing, force, moment, centre = contact_sums(contacts, members)
     reaction.pressing = pressing
     reaction.force = force + rub
@@ -172,7 +203,12 @@ def react(contacts: Contacts, count: int, settings: DescentSettings, descent: De
 
 @wp.func
 def constrain_motion(
-    before: Descent, last: Reaction, contacts: Contacts, count: int, settings: DescentSettings, gap: wp.float64
+    before: Descent,
+    last: Reaction,
+    contacts: Contacts,
+    count: int,
+    settings: DescentSettings,
+    gap: wp.float64,
 ):
     """Descent whose motion the contacts allow, their reaction, and 1 where they were solved.
 
@@ -194,7 +230,9 @@ def constrain_motion(
 
 @wp.func
 def next_trial(before: Descent, settings: DescentSettings, size: wp.float64, clear: wp.float64):
-    """Descent with a motion of ``size`` shortened to the ``clear`` path length [m], and its trial pose."""
+    """Descent with a motion of ``size`` shortened to the ``clear`` path length [m], and its
+    trial pose.
+    """
     descent = before
     descent.near = settings.tolerance
     if size > TWO * clear:
@@ -210,10 +248,21 @@ def next_trial(before: Descent, settings: DescentSettings, size: wp.float64, cle
 
 @wp.func
 def take_step(
-    before: Descent, last: Reaction, contacts: Contacts, count: int, settings: DescentSettings, goal_position: wp.vec3d,
-    goal_rotation: wp.quatd, gap: wp.float64, clear: wp.float64, spacing: wp.float64, reach: wp.float64,
-):  # fmt: skip
-    """One step from a pose that is free: descent and reaction after it, and whether it ends here and how."""
+    before: Descent,
+    last: Reaction,
+    contacts: Contacts,
+    count: int,
+    settings: DescentSettings,
+    goal_position: wp.vec3d,
+    goal_rotation: wp.quatd,
+    gap: wp.float64,
+    clear: wp.float64,
+    spacing: wp.float64,
+    reach: wp.float64,
+):
+    """One step from a pose that is free: descent and reaction after it, and whether it ends here
+    and how.
+    """
     if before.solves >= settings.solve_limit:
         return before, last, OUT_OF_SOLVES
     if before.arrived == 1 and gap >= -settings.tolerance:

@@ -1,13 +1,15 @@
 """Forces that keep a rigid tool above many planes, by an active set of at most eight.
 
-The tool hangs on a spring of stiffness k and, where it may turn, on one of k l^2 in rotation. Forces f_i, here over k,
-move it from where the springs would have it: ``t = t_free + sum f_i`` and ``w = w_free + sum (r_i x f_i) / l^2``. This
-is Gauss's principle of least constraint with the springs as metric (Ortega, Redon and Coquillart 2007, IEEE Trans. Vis.
-Comput. Graph. 13:458), so what the springs pull is what the contacts push.
+The tool hangs on a spring of stiffness k and, where it may turn, on one of k l^2 in rotation.
+Forces f_i, here over k, move it from where the springs would have it: ``t = t_free + sum f_i`` and
+``w = w_free + sum (r_i x f_i) / l^2``. This is Gauss's principle of least constraint with the
+springs as metric (Ortega, Redon and Coquillart 2007, IEEE Trans. Vis. Comput. Graph. 13:458), so
+what the springs pull is what the contacts push.
 
-The normal forces are the multipliers of that quadratic problem. The plane most violated joins the set, the set's linear
-system is solved, and a force that would turn into a pull leaves it (Lawson and Hanson 1974). Sweeping from contact to
-contact instead would need (l / distance)^2 sweeps for two contacts close together.
+The normal forces are the multipliers of that quadratic problem. The plane most violated joins the
+set, the set's linear system is solved, and a force that would turn into a pull leaves it (Lawson
+and Hanson 1974). Sweeping from contact to contact instead would need (l / distance)^2 sweeps for
+two contacts close together.
 """
 
 import warp as wp
@@ -24,7 +26,9 @@ ROUNDS = 64
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 TINY = wp.constant(wp.float64(1.0e-13))
-"""Share by which the set's matrix is stiffened, so that planes that depend on each other have a solution."""
+"""Share by which the set's matrix is stiffened, so that planes that depend on each other have a
+solution.
+"""
 
 
 @wp.func
@@ -47,11 +51,19 @@ def factorise(contacts: Contacts, members: int, compliance: wp.float64):
 
 
 @wp.func
-def solve_set(contacts: Contacts, members: int, shift: wp.vec3d, turn: wp.vec3d, gaps: wp.float64, column: int):
-    """Forces of the set that undo a shift and a turn, and with ``gaps`` 1 close the gaps, into a column."""
+def solve_set(
+    contacts: Contacts, members: int, shift: wp.vec3d, turn: wp.vec3d, gaps: wp.float64, column: int
+):
+    """Forces of the set that undo a shift and a turn, and with ``gaps`` 1 close the gaps, into a
+    column.
+    """
     for i in range(members):
         c = contacts.member[i]
-        value = -gaps * contacts.gap[c] - wp.dot(contacts.normal[c], shift) - wp.dot(contacts.moment[c], turn)
+        value = (
+            -gaps * contacts.gap[c]
+            - wp.dot(contacts.normal[c], shift)
+            - wp.dot(contacts.moment[c], turn)
+        )
         for k in range(i):
             value -= contacts.lower[i, k] * contacts.side[k, column]
         contacts.side[i, column] = value / contacts.lower[i, i]
@@ -74,8 +86,12 @@ def drop_member(contacts: Contacts, members: int, place: int):
 
 
 @wp.func
-def shrink_set(contacts: Contacts, start: int, compliance: wp.float64, shift: wp.vec3d, turn: wp.vec3d):
-    """Forces of the set that close its gaps, pulls leaving it one by one: its size and the solves."""
+def shrink_set(
+    contacts: Contacts, start: int, compliance: wp.float64, shift: wp.vec3d, turn: wp.vec3d
+):
+    """Forces of the set that close its gaps, pulls leaving it one by one: its size and the
+    solves.
+    """
     members = start
     solves = int(0)
     blocked = int(1)
@@ -106,7 +122,9 @@ def shrink_set(contacts: Contacts, start: int, compliance: wp.float64, shift: wp
 
 
 @wp.func
-def moved_by_set(contacts: Contacts, members: int, compliance: wp.float64, shift: wp.vec3d, turn: wp.vec3d):
+def moved_by_set(
+    contacts: Contacts, members: int, compliance: wp.float64, shift: wp.vec3d, turn: wp.vec3d
+):
     """Shift and turn once the set's forces act."""
     moved = shift
     turned = turn
@@ -136,7 +154,11 @@ def normal_forces(
         worst = int(-1)
         for c in range(count):
             if contacts.chosen[c] == 0:
-                gap = contacts.gap[c] + wp.dot(contacts.normal[c], moved) + wp.dot(contacts.moment[c], turned)
+                gap = (
+                    contacts.gap[c]
+                    + wp.dot(contacts.normal[c], moved)
+                    + wp.dot(contacts.moment[c], turned)
+                )
                 if gap < deepest:
                     deepest = gap
                     worst = c

@@ -1,8 +1,9 @@
 """Friction of all contacts of a rigid tool together, and the whole force of the contacts at hand.
 
-Friction acts on the resultant: at the centre of pressure, across the resultant normal force, no more than ``mu`` times
-the sum of the normal forces. It holds that point where it can, with every normal force answering at once; beyond the
-cone it works against the slip of the point. A patch does not resist a spin about its own normal.
+Friction acts on the resultant: at the centre of pressure, across the resultant normal force, no
+more than ``mu`` times the sum of the normal forces. It holds that point where it can, with every
+normal force answering at once; beyond the cone it works against the slip of the point. A patch does
+not resist a spin about its own normal.
 """
 
 import warp as wp
@@ -22,16 +23,25 @@ ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 HALF = wp.constant(wp.float64(0.5))
 SOFT = wp.constant(wp.float64(1.0e-11))
-"""Compliance given to a point that the planes hold, next to about 1 of a free one: its friction is not determined."""
+"""Compliance given to a point that the planes hold, next to about 1 of a free one: its friction
+is not determined.
+"""
 EXACT = wp.constant(wp.float64(1.0e-13))
 """Relative change of the friction force at which it is found."""
 
 
 @wp.func
 def holding_force(
-    w00: wp.float64, w01: wp.float64, w11: wp.float64, v0: wp.float64, v1: wp.float64, softer: wp.float64
+    w00: wp.float64,
+    w01: wp.float64,
+    w11: wp.float64,
+    v0: wp.float64,
+    v1: wp.float64,
+    softer: wp.float64,
 ):
-    """Force that undoes the slip v of a point with compliance W, both made ``softer``: -(W + softer)^-1 v."""
+    """Force that undoes the slip v of a point with compliance W, both made ``softer``: -(W +
+    softer)^-1 v.
+    """
     more = softer + SOFT
     a = w00 + more
     d = w11 + more
@@ -41,9 +51,16 @@ def holding_force(
 
 @wp.func
 def slipping_force(
-    w00: wp.float64, w01: wp.float64, w11: wp.float64, v0: wp.float64, v1: wp.float64, bound: wp.float64
+    w00: wp.float64,
+    w01: wp.float64,
+    w11: wp.float64,
+    v0: wp.float64,
+    v1: wp.float64,
+    bound: wp.float64,
 ):
-    """Force of size ``bound`` against the slip that is left: Newton on reciprocals (More and Sorensen 1983)."""
+    """Force of size ``bound`` against the slip that is left: Newton on reciprocals (More and
+    Sorensen 1983).
+    """
     f0 = wp.float64(0.0)
     f1 = wp.float64(0.0)
     softer = wp.float64(0.0)
@@ -68,7 +85,9 @@ def friction_force(
     turn: wp.vec3d,
     last: wp.vec3d,
 ):
-    """Friction of the set's resultant and its arm from the tool's origin, the normal forces answering linearly."""
+    """Friction of the set's resultant and its arm from the tool's origin, the normal forces
+    answering linearly.
+    """
     total = wp.float64(0.0)
     along = wp.vec3d()
     arm = wp.vec3d()
@@ -94,7 +113,8 @@ def friction_force(
     slip = shift + wp.cross(turn, arm)
     response_first = first + compliance * wp.cross(wp.cross(arm, first), arm)
     response_second = second + compliance * wp.cross(wp.cross(arm, second), arm)
-    hold = wp.vec3d()  # sum of the normal forces: without friction, and per unit of both friction forces
+    # sum of the normal forces: without friction, and per unit of both friction forces
+    hold = wp.vec3d()
     for m in range(members):
         c = contacts.member[m]
         normal_response = contacts.normal[c] + compliance * wp.cross(contacts.moment[c], arm)
@@ -134,7 +154,9 @@ def resolve(
     last_arm: wp.vec3d,
     near: wp.float64,  # change of the friction at which it is found [m]
 ):
-    """Size of the set, solves, and friction force [m] with its arm; the normal forces are left in ``press``."""
+    """Size of the set, solves, and friction force [m] with its arm; the normal forces are left
+    in ``press``.
+    """
     members = int(0)
     for c in range(count):
         contacts.chosen[c] = 0
@@ -148,7 +170,9 @@ def resolve(
     rub = last_rub
     arm = last_arm
     dragged = turn + compliance * wp.cross(arm, rub)
-    members, solves = normal_forces(contacts, count, members, compliance, tolerance, shift + rub, dragged)
+    members, solves = normal_forces(
+        contacts, count, members, compliance, tolerance, shift + rub, dragged
+    )
     if friction > ZERO:
         for k in range(ROUNDS):
             before = rub
@@ -158,7 +182,9 @@ def resolve(
                 rub = HALF * (rub + before)
                 arm = HALF * (arm + arm_before)
             dragged = turn + compliance * wp.cross(arm, rub)
-            members, more = normal_forces(contacts, count, members, compliance, tolerance, shift + rub, dragged)
+            members, more = normal_forces(
+                contacts, count, members, compliance, tolerance, shift + rub, dragged
+            )
             solves += more
             if wp.length(rub - before) <= near:
                 break

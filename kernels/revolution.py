@@ -1,4 +1,6 @@
-"""A tool as a surface of revolution: a table of signed distance over radius and height. Lengths are in voxels."""
+"""A tool as a surface of revolution: a table of signed distance over radius and height. Lengths
+are in voxels.
+"""
 
 import warp as wp
 
@@ -14,14 +16,16 @@ class Revolution:
 
     distance: wp.array2d(dtype=wp.float32)  # [radius index, height index], negative inside [voxel]
     slope: wp.array2d(dtype=wp.vec2)  # gradient of the distance along (radius, height)
-    bend: wp.array2d(dtype=wp.float32)  # a sixth of the sum of the principal curvatures, or EDGE_BEND [voxel]
+    # a sixth of the sum of the principal curvatures, or EDGE_BEND [voxel]
+    bend: wp.array2d(dtype=wp.float32)
     height_min: wp.float32  # height of index 0 above the tip [voxel]
     cells_per_voxel: wp.float32
     radius: wp.float32  # largest radius of the body [voxel]
     low: wp.float32  # lowest and highest height of the body above the tip [voxel]
     high: wp.float32
     convex: wp.int32  # 1 where the body is convex
-    round: wp.int32  # 1 where it is one smooth piece, so that what is behind it follows from one normal
+    # 1 where it is one smooth piece, so that what is behind it follows from one normal
+    round: wp.int32
 
 
 @wp.struct
@@ -29,16 +33,20 @@ class Nearest:
     """The tool's surface seen from a point."""
 
     distance: wp.float32  # signed distance [voxel]
-    bend: wp.float32  # what curvature adds on average over a block of 2 voxels and inside each voxel [voxel]
-    slope: wp.vec3  # gradient of the distance: outward, of length 1, shorter where two sides are equally near
+    # what curvature adds on average over a block of 2 voxels and inside each voxel [voxel]
+    bend: wp.float32
+    # gradient of the distance: outward, of length 1, shorter where two sides are equally near
+    slope: wp.vec3
 
 
 @wp.func
 def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
-    """The surface seen from ``offset`` [voxel] off the tip of a tool along ``axis``: bilinear in the table.
+    """The surface seen from ``offset`` [voxel] off the tip of a tool along ``axis``: bilinear in
+    the table.
 
-    Over a block of 2 x 2 x 2 voxels the distances at the voxel centres exceed the tangent plane's by (k1 + k2) / 8 on
-    average, and the mean over each voxel exceeds its centre's by (k1 + k2) / 24: together ``bend``.
+    Over a block of 2 x 2 x 2 voxels the distances at the voxel centres exceed the tangent plane's
+    by (k1 + k2) / 8 on average, and the mean over each voxel exceeds its centre's by (k1 + k2) /
+    24: together ``bend``.
     """
     height = wp.dot(offset, axis)
     outward = offset - height * axis
@@ -64,7 +72,9 @@ def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
 
 @wp.func
 def offset_from(pose: wp.array2d(dtype=wp.float64), row: int, ix: int, iy: int, iz: int):
-    """Vector [voxel] from the tip of a pose to the low corner of voxel (ix, iy, iz), taken in double precision."""
+    """Vector [voxel] from the tip of a pose to the low corner of voxel (ix, iy, iz), taken in
+    double precision.
+    """
     return wp.vec3(
         float(wp.float64(ix) - pose[row, 0]),
         float(wp.float64(iy) - pose[row, 1]),

@@ -20,7 +20,9 @@ def turned_by(turn: wp.vec3d, rotation: wp.quatd):
     if angle > SMALL:
         share = wp.sin(HALF * angle) / angle
     imaginary = share * turn
-    return wp.normalize(wp.quatd(imaginary[0], imaginary[1], imaginary[2], wp.cos(HALF * angle)) * rotation)
+    return wp.normalize(
+        wp.quatd(imaginary[0], imaginary[1], imaginary[2], wp.cos(HALF * angle)) * rotation
+    )
 
 
 @wp.func
@@ -46,8 +48,16 @@ def motion_length(shift: wp.vec3d, turn: wp.vec3d, reach: wp.float64):
 
 
 @wp.func
-def pose_distance(position: wp.vec3d, rotation: wp.quatd, goal_position: wp.vec3d, goal: wp.quatd, reach: wp.float64):
-    """Greatest path length of a point within ``reach`` [m] to where it is wanted [m]; 0 leaves turns out."""
+def pose_distance(
+    position: wp.vec3d,
+    rotation: wp.quatd,
+    goal_position: wp.vec3d,
+    goal: wp.quatd,
+    reach: wp.float64,
+):
+    """Greatest path length of a point within ``reach`` [m] to where it is wanted [m]; 0 leaves
+    turns out.
+    """
     length = wp.length(goal_position - position)
     if reach > ZERO:
         length += reach * wp.length(turn_between(rotation, goal))

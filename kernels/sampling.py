@@ -20,6 +20,8 @@ def sample(
     # out
     fraction_out: wp.array(dtype=wp.float32),
 ):
-    """Filled fraction at each point, trilinear between voxel centres and 0 where nothing is stored."""
+    """Filled fraction at each point, trilinear between voxel centres and 0 where nothing is
+    stored.
+    """
     i = wp.tid() + offset
     fraction_out[i] = trilinear(brick_of, remaining, point[i])

@@ -1,4 +1,6 @@
-"""Where the points of a tool's shell meet a triangulated surface: along their normals, the nearest triangle."""
+"""Where the points of a tool's shell meet a triangulated surface: along their normals, the
+nearest triangle.
+"""
 
 import warp as wp
 
@@ -33,7 +35,9 @@ def project_shell(
     points_out: Points,
     triangle_out: wp.array(dtype=wp.int32),  # [point], -1 where the point meets nothing
 ):
-    """Place every point on the nearest triangle that its normal's line crosses within reach and its last motion."""
+    """Place every point on the nearest triangle that its normal's line crosses within reach and
+    its last motion.
+    """
     i = wp.tid() + offset
     pose = pose_of(pose_rows)
     place = pose.tip + pose.turn * shell_point[i]

@@ -1,8 +1,9 @@
-"""Whether a launch is split over threads, decided by what splitting gains on this machine at this time.
+"""Whether a launch is split over threads, decided by what splitting gains on this machine at this
+time.
 
-Two processors may share one core, and other processes may keep a core busy: then half the work takes as long as all of
-it, and splitting only costs. The gain is measured by a short calibration before the first launch, and again while the
-launches run, at first often and then ever more seldom.
+Two processors may share one core, and other processes may keep a core busy: then half the work
+takes as long as all of it, and splitting only costs. The gain is measured by a short calibration
+before the first launch, and again while the launches run, at first often and then ever more seldom.
 """
 
 import hashlib
@@ -18,24 +19,33 @@ __all__ = ["LEAST_GAIN", "SplitChoice", "calibrate", "run_split"]
 LEAST_GAIN = 1.1
 """Time of whole runs over that of split ones from which a launch is split."""
 ORDER = tuple(number.bit_count() % 2 == 1 for number in range(16))
-"""Which runs of a trial are split: as often late as early, and in no rhythm that the work of the runs may have."""
+"""Which runs of a trial are split: as often late as early, and in no rhythm that the work of the
+runs may have.
+"""
 MOST_RATIO = 4.0
-"""A run of a trial counts as at most so many times the median one: one interruption decides nothing, several do."""
+"""A run of a trial counts as at most so many times the median one: one interruption decides
+nothing, several do.
+"""
 KEPT = 4
 """Trials that count."""
 FIRST_TRIAL, LAST_TRIAL = 32, 2048
-"""Large runs before the first trial; the number doubles with each trial that confirms the choice, up to the second."""
+"""Large runs before the first trial; the number doubles with each trial that confirms the
+choice, up to the second.
+"""
 SAMPLES = 8
 """Pairs of whole and split work in the calibration."""
 CALIBRATION_S = 1.5e-4
-"""Time of one part of the calibration's work [s]: a launch just large enough to be split has two of them."""
+"""Time of one part of the calibration's work [s]: a launch just large enough to be split has two
+of them.
+"""
 SAMPLE_BYTES = 1 << 16
 
 
 class SplitChoice:
     """Whether one launch is split.
 
-    The work of a launch changes from run to run, so a trial compares as many whole runs as split ones, mixed.
+    The work of a launch changes from run to run, so a trial compares as many whole runs as split
+    ones, mixed.
 
     Parameters
     ----------
@@ -85,7 +95,8 @@ class SplitChoice:
 
 
 def run_split(pool: CoreThreads, parts: list[Callable[[], object]]) -> int:
-    """Run parts, the first in this thread and the others in a pool's; a part that no thread has begun is taken back.
+    """Run parts, the first in this thread and the others in a pool's; a part that no thread has
+    begun is taken back.
 
     Returns
     -------
@@ -117,8 +128,11 @@ def calibrate(pool: CoreThreads, parts: int, *, now: Callable[[], float] = perf_
         Clock [s].
     """
     one_s = min(_hash_time(bytes(SAMPLE_BYTES), now) for _ in range(3))
-    work = bytes(SAMPLE_BYTES * max(1, round(CALIBRATION_S / one_s)) if one_s > 0.0 else SAMPLE_BYTES)
-    jobs: list[Callable[[], object]] = [lambda: hashlib.sha256(work)] * parts  # hashing releases the interpreter lock
+    work = bytes(
+        SAMPLE_BYTES * max(1, round(CALIBRATION_S / one_s)) if one_s > 0.0 else SAMPLE_BYTES
+    )
+    # hashing releases the interpreter lock
+    jobs: list[Callable[[], object]] = [lambda: hashlib.sha256(work)] * parts
     run_split(pool, jobs)  # threads start now
     ratios = []
     for _ in range(SAMPLES):

@@ -1,15 +1,23 @@
 """Depth of a tool of revolution in a closed triangle surface.
 
-The tool is the union of the largest balls in it. A ball whose centre lies in the structure is as deep as its radius and
-its centre's depth together. A branch-and-bound search over the centres, cells of a segment of the half section's medial
-axis and of an angle around the tool's axis, finds the deepest ball to `DEPTH_TOLERANCE_M`.
+The tool is the union of the largest balls in it. A ball whose centre lies in the structure is as
+deep as its radius and its centre's depth together. A branch-and-bound search over the centres,
+cells of a segment of the half section's medial axis and of an angle around the tool's axis, finds
+the deepest ball to `DEPTH_TOLERANCE_M`.
 """
 
 import warp as wp
 
 from kernels.tool_distance import nearest_on_triangle
 
-__all__ = ["CELLS", "CELL_COLUMNS", "DEPTH_TOLERANCE_M", "MedialAxis", "first_ball_inside", "over_balls"]
+__all__ = [
+    "CELLS",
+    "CELL_COLUMNS",
+    "DEPTH_TOLERANCE_M",
+    "MedialAxis",
+    "first_ball_inside",
+    "over_balls",
+]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -19,13 +27,15 @@ CELLS = wp.constant(128)
 """Rows of the stack of cells."""
 CELL_COLUMNS = wp.constant(6)
 MOST_QUERIES = wp.constant(20000)
-"""Closest-point queries after which a search ends with a coarser lower bound, so that a tick ends."""
+"""Closest-point queries after which a search ends with a coarser lower bound, so that a tick
+ends.
+"""
 FAR_M = wp.constant(wp.float64(1.0e3))
 NEAR_M = wp.constant(wp.float64(1.0e-6))
 """Distance from the surface below which rounding spoils the direction to it [m]."""
 OUTSIDE_SIZES = wp.constant(wp.float64(16.0))
-"""Distance of the outer point of a bound from the surface over the size of the cell. A bound lies below the distance by
-about a 32nd of the size where the structure leaves that much space."""
+"""Distance of the outer point of a bound from the surface over the size of the cell. A bound lies
+below the distance by about a 32nd of the size where the structure leaves that much space."""
 HULL = wp.constant(8)
 WIDE_RAD = wp.constant(wp.float64(1.0))
 """Half angle from which on a cell is bounded by its size alone."""
@@ -42,7 +52,9 @@ class MedialAxis:
 
 
 @wp.func
-def in_structure(motion: wp.array2d(dtype=wp.float64), radius: wp.float64, angle: wp.float64, height: wp.float64):
+def in_structure(
+    motion: wp.array2d(dtype=wp.float64), radius: wp.float64, angle: wp.float64, height: wp.float64
+):
     """A point of the tool, in cylindrical coordinates, in the structure's frame."""
     point_x = radius * wp.cos(angle)
     point_y = radius * wp.sin(angle)
@@ -78,8 +90,8 @@ def hull_corner(
 ):
     """Corner `k` of a hull around a cell's centres, and its ball radius.
 
-    The hull is that of the cell's own four corners and of four on the tangents at its middle. A concave function of the
-    centre and the ball radius is smallest at one of them.
+    The hull is that of the cell's own four corners and of four on the tangents at its middle. A
+    concave function of the centre and the ball radius is smallest at one of them.
     """
     ball = wp.where(k < 4, start, end)
     turned = angle + wp.where(k % 2 == 0, -half_angle, half_angle)
@@ -109,14 +121,17 @@ def cell_bounds(
     moved: wp.float64,
     wanted: wp.float64,
 ):
-    """Bounds of the distance over a cell's balls, and the signed distance of the centre of its middle from the surface.
+    """Bounds of the distance over a cell's balls, and the signed distance of the centre of its
+    middle from the surface.
 
-    `before` is that signed distance of a point that lies `moved` away. A lower bound above `wanted` is not improved.
+    `before` is that signed distance of a point that lies `moved` away. A lower bound above `wanted`
+    is not improved.
     """
     middle = wp.float64(0.5) * (start + end)
     centre = in_structure(motion, middle[0], angle, middle[1])
     apart, foot, face = nearest_on_surface(mesh, centre)
-    # The sign costs far more than the distance. A sphere that the surface does not enter has one sign.
+    # The sign costs far more than the distance. A sphere that the surface does not enter has one
+    # sign.
     is_inside = before < wp.float64(0.0)
     if wp.abs(before) <= moved + NEAR_M:
         is_inside = is_in_structure(mesh, centre)
@@ -128,7 +143,9 @@ def cell_bounds(
     size = wp.float64(0.0)
     for k in range(2):
         radius = wp.where(k == 0, start[0], end[0])
-        squared = radius * radius + middle[0] * middle[0] - wp.float64(2.0) * radius * middle[0] * cosine
+        squared = (
+            radius * radius + middle[0] * middle[0] - wp.float64(2.0) * radius * middle[0] * cosine
+        )
         size = wp.max(size, wp.sqrt(wp.max(squared, wp.float64(0.0)) + rise * rise))
     largest = wp.max(start[2], end[2])
 
@@ -152,13 +169,15 @@ def cell_bounds(
     from_triangle = wp.float64(1.0e9)
     for k in range(HULL):
         corner, radius = hull_corner(motion, start, end, angle, half_angle, k)
-        from_triangle = wp.min(from_triangle, -wp.length(corner - nearest_on_triangle(corner, a, b, c)) - radius)
+        from_triangle = wp.min(
+            from_triangle, -wp.length(corner - nearest_on_triangle(corner, a, b, c)) - radius
+        )
     lower = wp.max(lower, from_triangle)
     if lower >= wanted:
         return lower, upper, signed
 
-    # A signed distance falls by at most the path from a point outside. Seen from afar this bound is nearly flat along
-    # the surface.
+    # A signed distance falls by at most the path from a point outside. Seen from afar this bound is
+    # nearly flat along the surface.
     normal = wp.vec3d(wp.mesh_eval_face_normal(mesh, face))
     if apart > NEAR_M:
         normal = (centre - foot) / signed
@@ -181,9 +200,12 @@ def over_balls(
     medial: MedialAxis,
     best: wp.float64,
     last_segment: wp.array(dtype=wp.int32),
-    cells: wp.array2d(dtype=wp.float64),  # shares of the segment from and to, angle, half angle, bound, signed distance
+    # shares of the segment from and to, angle, half angle, bound, signed distance
+    cells: wp.array2d(dtype=wp.float64),
 ):
-    """Lower bound of the distance of all balls whose centre lies in the structure, and of `best` [m]."""
+    """Lower bound of the distance of all balls whose centre lies in the structure, and of `best`
+    [m].
+    """
     smallest = best
     lowest = best
     count = int(0)

@@ -1,8 +1,8 @@
 """Signed distance between a tool of revolution and a closed triangle surface.
 
-A branch-and-bound search over a tree of boxes, then over halves of triangles, finds the smallest distance from the tool
-over the surface to `TOLERANCE_M`. Where the two overlap, `kernels.structure_depth` adds the tool's depth in the
-structure.
+A branch-and-bound search over a tree of boxes, then over halves of triangles, finds the smallest
+distance from the tool over the surface to `TOLERANCE_M`. Where the two overlap,
+`kernels.structure_depth` adds the tool's depth in the structure.
 """
 
 import warp as wp
@@ -23,7 +23,9 @@ LEAF = wp.constant(4)
 
 @wp.struct
 class Tree:
-    """Triangles in a complete binary tree of boxes: the children of node i are 2 i + 1 and 2 i + 2."""
+    """Triangles in a complete binary tree of boxes: the children of node i are 2 i + 1 and 2 i +
+    2.
+    """
 
     centre: wp.array(dtype=wp.vec3d)  # [node] [m]
     half: wp.array(dtype=wp.vec3d)  # [node] half sides [m], negative where nothing is
@@ -42,7 +44,9 @@ def smallest_in_triangle(
     stack: wp.array2d(dtype=wp.vec3d),
     bound: wp.array(dtype=wp.float64),
 ):
-    """Smaller of `best` and the smallest distance over a triangle, the evaluations so far, and what is left open."""
+    """Smaller of `best` and the smallest distance over a triangle, the evaluations so far, and
+    what is left open.
+    """
     smallest = best
     left = wp.float64(1.0e9)
     count = evaluations
@@ -115,7 +119,9 @@ def node_bound(outline: Outline, tree: Tree, motion: wp.array2d(dtype=wp.float64
                 drop = wp.float64(0.0)
                 for axis in range(3):
                     slope = (
-                        gradient[0] * motion[1, axis] + gradient[1] * motion[2, axis] + gradient[2] * motion[3, axis]
+                        gradient[0] * motion[1, axis]
+                        + gradient[1] * motion[2, axis]
+                        + gradient[2] * motion[3, axis]
                     )
                     drop += wp.abs(slope) * half[axis]
             bound = wp.min(bound, value - drop)
@@ -133,7 +139,9 @@ def over_surface(
     stack: wp.array2d(dtype=wp.vec3d),
     bounds: wp.array(dtype=wp.float64),
 ):
-    """Lower bound of the smallest distance from the tool over the surface [m], `TOLERANCE_M` below it at most."""
+    """Lower bound of the smallest distance from the tool over the surface [m], `TOLERANCE_M`
+    below it at most.
+    """
     smallest = wp.float64(1.0e9)
     left = wp.float64(1.0e9)
     count = int(0)
@@ -157,7 +165,9 @@ def over_surface(
                 a = in_tool(motion, tree.corners[t, 0])
                 b = in_tool(motion, tree.corners[t, 1])
                 c = in_tool(motion, tree.corners[t, 2])
-                smallest, count, open_bound = smallest_in_triangle(outline, a, b, c, smallest, count, stack, bounds)
+                smallest, count, open_bound = smallest_in_triangle(
+                    outline, a, b, c, smallest, count, stack, bounds
+                )
                 left = wp.min(left, open_bound)
             if smallest < before:
                 last_leaf[0] = node
@@ -182,7 +192,8 @@ def distance_to_structure(
     outline: Outline,
     tree: Tree,
     mesh: wp.uint64,
-    motion: wp.array2d(dtype=wp.float64),  # rows: tip [m]; tool axes x, y, z, in the structure's frame
+    # rows: tip [m]; tool axes x, y, z, in the structure's frame
+    motion: wp.array2d(dtype=wp.float64),
     medial: MedialAxis,
     # scratch, of which nothing is read afterwards
     last_leaf_out: wp.array(dtype=wp.int32),
@@ -196,8 +207,11 @@ def distance_to_structure(
     distance_out: wp.array(dtype=wp.float64),  # [m], negative where tool and structure overlap
 ):
     """Lower bound of the distance between tool and structure, run by one thread."""
-    smallest = over_surface(outline, tree, motion, last_leaf_out, nodes_out, node_bounds_out, stack_out, bounds_out)
+    smallest = over_surface(
+        outline, tree, motion, last_leaf_out, nodes_out, node_bounds_out, stack_out, bounds_out
+    )
     if smallest < wp.float64(0.0) or first_ball_inside(mesh, motion, medial):
-        # The surfaces meet, or the whole tool is inside: see how deep the tool's own balls lie in the structure.
+        # The surfaces meet, or the whole tool is inside: see how deep the tool's own balls lie in
+        # the structure.
         smallest = over_balls(mesh, motion, medial, smallest, last_segment_out, cells_out)
     distance_out[0] = smallest

@@ -1,10 +1,12 @@
-"""A tool against triangles of a body whose nodes move by a dense compliance: nonlinear Gauss-Seidel, one thread.
+"""A tool against triangles of a body whose nodes move by a dense compliance: nonlinear
+Gauss-Seidel, one thread.
 
-The unknowns are the forces at contact points, given on the triangles by barycentric weights. In a triangle's turn its
-points take the force of one contact after the other (``kernels.friction_cone``) with distance and normal of the tool
-where the point is now, so that normals need no outer loop; then each of its nodes whose force F_a changed pushes the
-displacements of all loaded nodes, ``u_b += W_ba dF_a`` (``kernels.near_compliance``). Only triangles that touch or
-carry force take turns; when they rest, all others nearby are looked at again, and those that the tool would enter join.
+The unknowns are the forces at contact points, given on the triangles by barycentric weights. In a
+triangle's turn its points take the force of one contact after the other (``kernels.friction_cone``)
+with distance and normal of the tool where the point is now, so that normals need no outer loop;
+then each of its nodes whose force F_a changed pushes the displacements of all loaded nodes, ``u_b
++= W_ba dF_a`` (``kernels.near_compliance``). Only triangles that touch or carry force take turns;
+when they rest, all others nearby are looked at again, and those that the tool would enter join.
 """
 
 import warp as wp
@@ -29,7 +31,7 @@ from kernels.contact_state import (
     Points,
     distance_to,
     pose_of,
-)  # fmt: skip
+)
 from kernels.friction_cone import coulomb_force
 from kernels.near_compliance import LOADED, SLOTS, Patch, move_all, moved_at, push
 from kernels.probe_distance import Pose
@@ -60,7 +62,9 @@ def turn_of(
     friction: wp.float64,
     triangle: int,
 ):
-    """Solve a triangle's points in turn; the largest step of a point and displacement of a node [m]."""
+    """Solve a triangle's points in turn; the largest step of a point and displacement of a node
+    [m].
+    """
     a = body.corners[triangle, 0]
     b = body.corners[triangle, 1]
     c = body.corners[triangle, 2]
@@ -84,7 +88,9 @@ def turn_of(
         if distance < ZERO or wp.length_sq(old) > ZERO:
             compliance = points.response[point, 3]
             slip = place - points.anchor[point]
-            new = coulomb_force(compliance, points.response[point, 4], old, distance, direction, slip, friction)
+            new = coulomb_force(
+                compliance, points.response[point, 4], old, distance, direction, slip, friction
+            )
             change = new - old
             points.force[point] = new
             pa += points.response[point, 0] * change
@@ -103,7 +109,9 @@ def turn_of(
 
 @wp.func
 def sum_loads(body: Body, points: Points, lists: Lists, patch: Patch):
-    """Nodal forces and displacements afresh: sums of changes carry rounding, and would leave it behind."""
+    """Nodal forces and displacements afresh: sums of changes carry rounding, and would leave it
+    behind.
+    """
     for k in range(patch.count[LOADED]):
         body.force[patch.node[k]] = wp.vec3d()
     for k in range(lists.count[WORKING]):
@@ -120,10 +128,20 @@ def sum_loads(body: Body, points: Points, lists: Lists, patch: Patch):
 
 @wp.func
 def report(
-    body: Body, points: Points, lists: Lists, patch: Patch, kind: int, size: wp.vec2d, pose: Pose, slack: wp.float64,
-    state: int, results_out: wp.array(dtype=wp.float64),
-):  # fmt: skip
-    """Sum what the tool feels; a penetration that no force can end turns a finished solve into an immovable one."""
+    body: Body,
+    points: Points,
+    lists: Lists,
+    patch: Patch,
+    kind: int,
+    size: wp.vec2d,
+    pose: Pose,
+    slack: wp.float64,
+    state: int,
+    results_out: wp.array(dtype=wp.float64),
+):
+    """Sum what the tool feels; a penetration that no force can end turns a finished solve into
+    an immovable one.
+    """
     force = wp.vec3d()
     torque = wp.vec3d()
     area = wp.float64(0.0)
@@ -146,7 +164,8 @@ def report(
             if (
                 ended == DONE
                 and distance < -slack
-                and wp.dot(direction, compliance * direction) <= wp.float64(1e-12) * wp.trace(compliance)
+                and wp.dot(direction, compliance * direction)
+                <= wp.float64(1e-12) * wp.trace(compliance)
             ):
                 ended = int(IMMOVABLE)
             if wp.length_sq(carried) > ZERO:
@@ -185,7 +204,9 @@ def solve_contact(
     pose = pose_of(pose_rows)
     state = int(RUN_OUT)
     missing = start_over(body_out, points_out, lists_out, patch_out, pose)
-    joined, missing = join_touching(body_out, points_out, lists_out, patch_out, kind, size, pose, missing)
+    joined, missing = join_touching(
+        body_out, points_out, lists_out, patch_out, kind, size, pose, missing
+    )
     move_all(body_out, patch_out, patch_out.count[LOADED])
     largest = wp.float64(0.0)
     sweep = int(0)
@@ -194,12 +215,16 @@ def solve_contact(
         worst = wp.float64(0.0)
         largest = wp.float64(0.0)
         for k in range(lists_out.count[WORKING]):
-            step, moved = turn_of(body_out, points_out, patch_out, kind, size, pose, friction, lists_out.working[k])
+            step, moved = turn_of(
+                body_out, points_out, patch_out, kind, size, pose, friction, lists_out.working[k]
+            )
             worst = wp.max(worst, step)
             largest = wp.max(largest, moved)
         if worst <= tolerance * largest:
             sum_loads(body_out, points_out, lists_out, patch_out)
-            joined, missing = join_touching(body_out, points_out, lists_out, patch_out, kind, size, pose, missing)
+            joined, missing = join_touching(
+                body_out, points_out, lists_out, patch_out, kind, size, pose, missing
+            )
             if joined == 0:
                 state = int(DONE)
     if lists_out.count[WORKING] == 0:
@@ -210,4 +235,15 @@ def solve_contact(
         state = int(MISSING)
     results_out[SWEEPS] = wp.float64(sweep)
     results_out[LARGEST] = largest
-    report(body_out, points_out, lists_out, patch_out, kind, size, pose, tolerance * largest, state, results_out)
+    report(
+        body_out,
+        points_out,
+        lists_out,
+        patch_out,
+        kind,
+        size,
+        pose,
+        tolerance * largest,
+        state,
+        results_out,
+    )

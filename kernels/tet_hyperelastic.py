@@ -1,12 +1,15 @@
 """Energy, force and tangent stiffness of tetrahedra under laws of principal stretches, any order.
 
-The laws of ``tissue.materials.hyperelasticity``, their moduli in shares of a cell's shear modulus mu. With the
-deformation gradient ``F = U diag(l) V^T`` at a quadrature point (``kernels.tet_nonlinear``), the stretches at constant
-volume ``b_i = l_i J^(-1/3)``, ``S(alpha) = sum_i b_i^alpha`` and ``x = S(2) - 3``:
+The laws of ``tissue.materials.hyperelasticity``, their moduli in shares of a cell's shear modulus
+mu. With the deformation gradient ``F = U diag(l) V^T`` at a quadrature point
+(``kernels.tet_nonlinear``), the stretches at constant volume ``b_i = l_i J^(-1/3)``, ``S(alpha) =
+sum_i b_i^alpha`` and ``x = S(2) - 3``:
 
-    psi = mu (sum_p (2 s_p / alpha_p^2) (S(alpha_p) - 3) + sum_k c_k x^k) + (kappa / 4) (J^2 - 1 - 2 ln J)
+    psi = mu (sum_p (2 s_p / alpha_p^2) (S(alpha_p) - 3) + sum_k c_k x^k) + (kappa / 4) (J^2 - 1 - 2
+    ln J)
 
-Stress and tangent are its derivatives by ``ln l_i`` in the frames U and V. A turned-over cell's energy is infinite.
+Stress and tangent are its derivatives by ``ln l_i`` in the frames U and V. A turned-over cell's
+energy is infinite.
 """
 
 import warp as wp
@@ -29,7 +32,9 @@ IDENTITY = wp.constant(wp.mat33d(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
 
 @wp.func
 def stretches_of(f: wp.mat33d):
-    """Stretches and the frame V of a gradient with det F > 0, by Jacobi rotations of F^T F (Golub and Van Loan 8.5)."""
+    """Stretches and the frame V of a gradient with det F > 0, by Jacobi rotations of F^T F
+    (Golub and Van Loan 8.5).
+    """
     c = wp.transpose(f) * f
     v = wp.mat33d(IDENTITY)
     for _ in range(SWEEPS):
@@ -58,7 +63,9 @@ def stretches_of(f: wp.mat33d):
 @wp.func
 def power_sum(isochoric: wp.vec3d, alpha: wp.float64):
     """S(alpha) - 3 with its first and second derivatives by the logarithms of the stretches."""
-    power = wp.vec3d(wp.pow(isochoric[0], alpha), wp.pow(isochoric[1], alpha), wp.pow(isochoric[2], alpha))
+    power = wp.vec3d(
+        wp.pow(isochoric[0], alpha), wp.pow(isochoric[1], alpha), wp.pow(isochoric[2], alpha)
+    )
     mean = (power[0] + power[1] + power[2]) / THREE
     second = wp.mat33d()
     for i in range(3):
@@ -107,7 +114,8 @@ def derivatives(
 def stretch_force(
     # mesh
     nodes: wp.array2d(dtype=wp.int32),  # [cell, node of the cell]
-    corner: wp.array2d(dtype=wp.vec3d),  # [cell, corner], gradient of the barycentric coordinate [1/m]
+    # [cell, corner], gradient of the barycentric coordinate [1/m]
+    corner: wp.array2d(dtype=wp.vec3d),
     volume: wp.array(dtype=wp.float64),  # [cell] [m3]
     # element: derivatives of the shape functions by barycentric coordinates, shares of the volume
     reference: wp.array3d(dtype=wp.float64),  # [point, node of the cell, corner]
@@ -135,17 +143,25 @@ def stretch_force(
             energy = wp.float64(wp.INF)
         else:
             stretch, v = stretches_of(f)
-            density, slope, _curvature = derivatives(stretch, moduli[cell, 1], moduli[cell, 0], terms, powers)
+            density, slope, _curvature = derivatives(
+                stretch, moduli[cell, 1], moduli[cell, 0], terms, powers
+            )
             energy += weight * density
-            stress = f * v * wp.diag(wp.cw_div(slope, wp.cw_mul(stretch, stretch))) * wp.transpose(v)
+            stress = (
+                f * v * wp.diag(wp.cw_div(slope, wp.cw_mul(stretch, stretch))) * wp.transpose(v)
+            )
             for a in range(nodes.shape[1]):
-                force_out[cell, a] = force_out[cell, a] + weight * (stress * gradient_of(cell, q, a, reference, corner))
+                force_out[cell, a] = force_out[cell, a] + weight * (
+                    stress * gradient_of(cell, q, a, reference, corner)
+                )
     energy_out[cell] = energy
 
 
 @wp.func
 def pair_moduli(stretch: wp.vec3d, first: wp.vec3d, second: wp.mat33d):
-    """Moduli of changes of the shear ij along itself and along its transpose, symmetric, the diagonals unused."""
+    """Moduli of changes of the shear ij along itself and along its transpose, symmetric, the
+    diagonals unused.
+    """
     along = wp.mat33d()
     across = wp.mat33d()
     for i in range(3):
@@ -192,9 +208,13 @@ def stretch_stiffness(
         f = deformation(cell, q, nodes, reference, corner, displacement)
         weight = share[q] * volume[cell]
         stretch, v = stretches_of(f)
-        _energy, slope, curvature = derivatives(stretch, moduli[cell, 1], moduli[cell, 0], terms, powers)
+        _energy, slope, curvature = derivatives(
+            stretch, moduli[cell, 1], moduli[cell, 0], terms, powers
+        )
         first = wp.cw_div(slope, stretch)
-        second = wp.cw_div(curvature, wp.outer(stretch, stretch)) - wp.diag(wp.cw_div(first, stretch))
+        second = wp.cw_div(curvature, wp.outer(stretch, stretch)) - wp.diag(
+            wp.cw_div(first, stretch)
+        )
         along, across = pair_moduli(stretch, first, second)
         u = f * v * wp.diag(wp.cw_div(wp.vec3d(ONE, ONE, ONE), stretch))
         for pair in range(pair_first.shape[0]):
@@ -207,7 +227,9 @@ def stretch_stiffness(
                         local[i, i] = local[i, i] + second[i, i] * g_a[i] * g_b[i]
                     else:
                         local[i, i] = local[i, i] + along[i, k] * g_a[k] * g_b[k]
-                        local[i, k] = second[i, k] * g_a[i] * g_b[k] + across[i, k] * g_a[k] * g_b[i]
+                        local[i, k] = (
+                            second[i, k] * g_a[i] * g_b[k] + across[i, k] * g_a[k] * g_b[i]
+                        )
             block = u * local * wp.transpose(u)
             if pair_first[pair] == pair_second[pair]:
                 block = HALF * (block + wp.transpose(block))

@@ -1,23 +1,33 @@
 """Energy, force and tangent stiffness of tetrahedra under large deformation: three laws, any order.
 
-The deformation gradient at a quadrature point is ``F = sum x_a g_a^T``, ``g_a = sum_c reference[q, a, c] grad L_c`` the
-gradient of node a's shape function and ``L_c`` the barycentric coordinates of the undeformed corners. With the first
-Piola-Kirchhoff stress ``P = d psi / dF`` the force is ``f_a = sum_q w P g_a``, the tangent ``K_ab = d f_a / d x_b``:
+The deformation gradient at a quadrature point is ``F = sum x_a g_a^T``, ``g_a = sum_c reference[q,
+a, c] grad L_c`` the gradient of node a's shape function and ``L_c`` the barycentric coordinates of
+the undeformed corners. With the first Piola-Kirchhoff stress ``P = d psi / dF`` the force is ``f_a
+= sum_q w P g_a``, the tangent ``K_ab = d f_a / d x_b``:
 
 linear          psi = mu e:e + (lambda/2) (tr e)^2,              e = sym(F) - I
 corotational    psi = mu |F - R|^2 + (lambda/2) (tr S - 3)^2,    F = R S, R the rotation, S = S^T
 neo-Hookean     psi = (mu/2) (|F|^2 - 3) - mu ln J + (lambda/2) (ln J)^2,   J = det F
 
-Corotational is the linear law in the rotated frame with the rotation's own derivative: with ``R^T dR = [w]x``,
-``(tr S I - S) w = axial(R^T dF - dF^T R)``. Neo-Hookean: Bonet and Wood 2008, Nonlinear Continuum Mechanics.
-All three have the same small-strain limit. The energy of a turned-over cell (J <= 0) is infinite but in the linear law.
+Corotational is the linear law in the rotated frame with the rotation's own derivative: with ``R^T
+dR = [w]x``, ``(tr S I - S) w = axial(R^T dF - dF^T R)``. Neo-Hookean: Bonet and Wood 2008,
+Nonlinear Continuum Mechanics. All three have the same small-strain limit. The energy of a
+turned-over cell (J <= 0) is infinite but in the linear law.
 """
 
 import warp as wp
 
 from kernels.tetrahedra import write_pair
 
-__all__ = ["COROTATIONAL", "LINEAR", "NEO_HOOKEAN", "gather_blocks", "gather_forces", "tet_force", "tet_stiffness"]
+__all__ = [
+    "COROTATIONAL",
+    "LINEAR",
+    "NEO_HOOKEAN",
+    "gather_blocks",
+    "gather_forces",
+    "tet_force",
+    "tet_stiffness",
+]
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -47,7 +57,13 @@ def rotation_of(f: wp.mat33d):
 
 
 @wp.func
-def gradient_of(cell: int, q: int, a: int, reference: wp.array3d(dtype=wp.float64), corner: wp.array2d(dtype=wp.vec3d)):
+def gradient_of(
+    cell: int,
+    q: int,
+    a: int,
+    reference: wp.array3d(dtype=wp.float64),
+    corner: wp.array2d(dtype=wp.vec3d),
+):
     """Gradient of node a's shape function at a quadrature point [1/m]."""
     g = wp.vec3d()
     for c in range(4):
@@ -75,7 +91,8 @@ def deformation(
 def tet_force(
     # mesh
     nodes: wp.array2d(dtype=wp.int32),  # [cell, node of the cell]
-    corner: wp.array2d(dtype=wp.vec3d),  # [cell, corner], gradient of the barycentric coordinate [1/m]
+    # [cell, corner], gradient of the barycentric coordinate [1/m]
+    corner: wp.array2d(dtype=wp.vec3d),
     volume: wp.array(dtype=wp.float64),  # [cell] [m3]
     # element: derivatives of the shape functions by barycentric coordinates, shares of the volume
     reference: wp.array3d(dtype=wp.float64),  # [point, node of the cell, corner]
@@ -117,11 +134,17 @@ def tet_force(
             stress = TWO * mu * (f - r) + lam * dilation * r
         else:
             log_j = wp.log(j)
-            density = HALF * mu * (wp.ddot(f, f) - wp.float64(3.0)) - mu * log_j + HALF * lam * log_j * log_j
+            density = (
+                HALF * mu * (wp.ddot(f, f) - wp.float64(3.0))
+                - mu * log_j
+                + HALF * lam * log_j * log_j
+            )
             stress = mu * f + (lam * log_j - mu) * wp.transpose(wp.inverse(f))
         energy += weight * density
         for a in range(nodes.shape[1]):
-            force_out[cell, a] = force_out[cell, a] + weight * (stress * gradient_of(cell, q, a, reference, corner))
+            force_out[cell, a] = force_out[cell, a] + weight * (
+                stress * gradient_of(cell, q, a, reference, corner)
+            )
     energy_out[cell] = energy
 
 
@@ -178,7 +201,11 @@ def tet_stiffness(
             g_b = gradient_of(cell, q, pair_second[pair], reference, corner)
             t_a = turn * g_a
             t_b = turn * g_b
-            k_ab = c_dot * wp.dot(g_a, g_b) * IDENTITY + c_ab * wp.outer(t_a, t_b) + c_ba * wp.outer(t_b, t_a)
+            k_ab = (
+                c_dot * wp.dot(g_a, g_b) * IDENTITY
+                + c_ab * wp.outer(t_a, t_b)
+                + c_ba * wp.outer(t_b, t_a)
+            )
             if law == COROTATIONAL:
                 k_ab += c_spin * (turn * (wp.skew(g_a) * spin * wp.skew(g_b)) * wp.transpose(turn))
             block_out[cell, pair] = block_out[cell, pair] + weight * k_ab
@@ -212,7 +239,9 @@ def gather_blocks(
     # out
     block_out: wp.array(dtype=wp.mat33d),  # [N/m]
 ):
-    """Sum each pair of nodes over its cells once and write it twice: the matrix is symmetric to the bit."""
+    """Sum each pair of nodes over its cells once and write it twice: the matrix is symmetric to
+    the bit.
+    """
     pair = wp.tid() + offset
     total = wp.mat33d()
     for k in range(pair_start[pair], pair_start[pair + 1]):

@@ -1,8 +1,8 @@
 """Strain and stress in tetrahedra, linear or quadratic, averaged over groups of places in cells.
 
-At a place of barycentric coordinates l the displacement gradient is ``sum_A u_A (sum_c (slope_Ac . l) g_c)^T``, strain
-its symmetric part, stress D times strain. A group holds the one middle of a cell, or a node as each cell around it sees
-it; places count by the volume of their cells.
+At a place of barycentric coordinates l the displacement gradient is ``sum_A u_A (sum_c (slope_Ac .
+l) g_c)^T``, strain its symmetric part, stress D times strain. A group holds the one middle of a
+cell, or a node as each cell around it sees it; places count by the volume of their cells.
 """
 
 import warp as wp
@@ -75,10 +75,16 @@ def group_stress(
     strain_out[group, 4] = strain[0, 2]
     strain_out[group, 5] = strain[0, 1]
     stress = wp.mat33d(
-        voigt[0], voigt[5], voigt[4],
-        voigt[5], voigt[1], voigt[3],
-        voigt[4], voigt[3], voigt[2],
-    )  # fmt: skip
+        voigt[0],
+        voigt[5],
+        voigt[4],
+        voigt[5],
+        voigt[1],
+        voigt[3],
+        voigt[4],
+        voigt[3],
+        voigt[2],
+    )
     mean = wp.trace(stress) / wp.float64(3.0)
     deviator = stress - wp.diag(wp.vec3d(mean, mean, mean))
     von_mises_out[group] = wp.sqrt(wp.float64(1.5) * wp.ddot(deviator, deviator))

@@ -1,14 +1,15 @@
-"""Stiffness of straight-sided tetrahedra, linear and quadratic, summed pair of nodes by pair of nodes.
+"""Stiffness of straight-sided tetrahedra, linear and quadratic, summed pair of nodes by pair of
+nodes.
 
-The gradients g_c of the barycentric coordinates are constant in a cell, so for shape functions A and B the exact
-integral of the products of their gradients is ``S = V sum_cd w_cd g_c g_d^T`` with weights that depend on the pair
-alone, and the block of the stiffness is linear in it::
+The gradients g_c of the barycentric coordinates are constant in a cell, so for shape functions A
+and B the exact integral of the products of their gradients is ``S = V sum_cd w_cd g_c g_d^T`` with
+weights that depend on the pair alone, and the block of the stiffness is linear in it::
 
     K_AB[i, j] = sum_pq C[ip, jq] S[p, q]            any material
     K_AB = lambda S + mu S^T + mu tr(S) I            isotropic
 
-A pair is summed over its cells in fixed order by one thread and written twice, once transposed: the matrix equals its
-transpose bitwise, on any number of threads.
+A pair is summed over its cells in fixed order by one thread and written twice, once transposed: the
+matrix equals its transpose bitwise, on any number of threads.
 """
 
 import warp as wp
@@ -97,7 +98,8 @@ def write_pair(
 def pair_stiffness_isotropic(
     # pairs of nodes
     pair_start: wp.array(dtype=wp.int32),  # [pair + 1]
-    contribution: wp.array(dtype=wp.int32),  # cell times pairs a cell plus pair; complement: reversed
+    # cell times pairs a cell plus pair; complement: reversed
+    contribution: wp.array(dtype=wp.int32),
     place: wp.array(dtype=wp.int32),  # [pair], block written
     mirror: wp.array(dtype=wp.int32),  # [pair], block of the transpose
     # pairs of shape functions

@@ -1,7 +1,7 @@
 """Signed distance from a tool of revolution, and its bounds over triangles.
 
-The distance to a convex body is a convex function, so its tangent at a point of a triangle bounds it from below over
-the whole triangle.
+The distance to a convex body is a convex function, so its tangent at a point of a triangle bounds
+it from below over the whole triangle.
 """
 
 import warp as wp
@@ -31,7 +31,9 @@ class Outline:
 
 @wp.func
 def on_line(shape: wp.array2d(dtype=wp.float64), k: int, p: wp.vec2d):
-    """Offset from the nearest point of a straight piece, and the radius of curvature of the distance."""
+    """Offset from the nearest point of a straight piece, and the radius of curvature of the
+    distance.
+    """
     start = wp.vec2d(shape[k, 0], shape[k, 1])
     along = wp.vec2d(shape[k, 2], shape[k, 3])
     free = wp.dot(p - start, along)
@@ -45,7 +47,9 @@ def on_line(shape: wp.array2d(dtype=wp.float64), k: int, p: wp.vec2d):
 
 @wp.func
 def on_arc(shape: wp.array2d(dtype=wp.float64), k: int, p: wp.vec2d):
-    """Offset from the nearest point of an arc, its normal there, and the radius of curvature of the distance."""
+    """Offset from the nearest point of an arc, its normal there, and the radius of curvature of
+    the distance.
+    """
     out = p - wp.vec2d(shape[k, 0], shape[k, 1])
     reach = wp.length(out)
     middle = wp.vec2d(shape[k, 3], shape[k, 4])
@@ -62,7 +66,9 @@ def on_arc(shape: wp.array2d(dtype=wp.float64), k: int, p: wp.vec2d):
 
 @wp.func
 def distance_to_part(outline: Outline, part: int, point: wp.vec3d):
-    """Signed distance of a point from one part, its gradient, and its smallest radius of curvature."""
+    """Signed distance of a point from one part, its gradient, and its smallest radius of
+    curvature.
+    """
     radius = wp.sqrt(point[0] * point[0] + point[1] * point[1])
     p = wp.vec2d(radius, point[2])
     nearest = wp.float64(1.0e9)
@@ -111,7 +117,9 @@ def distance_to_tool(outline: Outline, point: wp.vec3d):
 
 @wp.func
 def nearest_on_triangle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
-    """Point of a triangle nearest to `p` (Ericson 2005, Real-Time Collision Detection, section 5.1.5)."""
+    """Point of a triangle nearest to `p` (Ericson 2005, Real-Time Collision Detection, section
+    5.1.5).
+    """
     zero = wp.float64(0.0)
     ab = b - a
     ac = c - a
@@ -142,7 +150,9 @@ def nearest_on_triangle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
 
 @wp.func
 def best_mix(first: wp.vec3d, second: wp.vec3d):
-    """Weighted mean of two linear functions, given at the corners of a triangle, whose smallest value is largest."""
+    """Weighted mean of two linear functions, given at the corners of a triangle, whose smallest
+    value is largest.
+    """
     best = first
     if wp.min(second) > wp.min(best):
         best = second
@@ -163,8 +173,8 @@ def best_mix(first: wp.vec3d, second: wp.vec3d):
 def bounds_over(outline: Outline, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, best: wp.float64):
     """Lower bound of the distance over a triangle, and an upper bound of its smallest value.
 
-    Steps down the gradient lead toward the smallest value. There one tangent bounds a smooth convex distance without a
-    gap, and a mean of tangents bounds one with a crease.
+    Steps down the gradient lead toward the smallest value. There one tangent bounds a smooth convex
+    distance without a gap, and a mean of tangents bounds one with a crease.
     """
     middle = (a + b + c) / wp.float64(3.0)
     size = wp.max(wp.length(a - middle), wp.max(wp.length(b - middle), wp.length(c - middle)))
@@ -179,7 +189,11 @@ def bounds_over(outline: Outline, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, best: w
         while step < STEPS:
             step += 1
             value, gradient, bend = distance_to_part(outline, part, tried)
-            tangent = wp.vec3d(wp.dot(gradient, a - tried), wp.dot(gradient, b - tried), wp.dot(gradient, c - tried))
+            tangent = wp.vec3d(
+                wp.dot(gradient, a - tried),
+                wp.dot(gradient, b - tried),
+                wp.dot(gradient, c - tried),
+            )
             tangent += wp.vec3d(value)
             if outline.convex[part] == 0:
                 tangent = wp.vec3d(value - size)

@@ -1,18 +1,29 @@
 """What a rigid tool can touch: voxels and exact solids as distances with their gradients.
 
-Voxels carry no stored distance. The distance to their surface is read where it is asked, from what is left in the eight
-voxels around the point: with F the trilinear fraction and h the spacing, ``(SURFACE - F) h`` vanishes on the surface
-and grows by about one outward. So carving needs no update, however much it removed. ``SURFACE`` lies below one half,
-because a wall one voxel thick that lies across two voxels fills neither by more than half; a shell point is sunk by the
-difference to make up for it. Away from bone, ``clearance`` holds a lower bound of the distance to the bone there
-start, which removal can only raise.
+Voxels carry no stored distance. The distance to their surface is read where it is asked, from what
+is left in the eight voxels around the point: with F the trilinear fraction and h the spacing,
+``(SURFACE - F) h`` vanishes on the surface and grows by about one outward. So carving needs no
+update, however much it removed. ``SURFACE`` lies below one half, because a wall one voxel thick
+that lies across two voxels fills neither by more than half; a shell point is sunk by the difference
+to make up for it. Away from bone, ``clearance`` holds a lower bound of the distance to the bone
+there start, which removal can only raise.
 """
 
 import warp as wp
 
 from kernels.bricks import voxel_column, voxel_row
 
-__all__ = ["BALL", "BOX", "CELL", "HALF_SPACE", "SURFACE", "Field", "solid_distance", "voxel_clearance", "voxel_level"]
+__all__ = [
+    "BALL",
+    "BOX",
+    "CELL",
+    "HALF_SPACE",
+    "SURFACE",
+    "Field",
+    "solid_distance",
+    "voxel_clearance",
+    "voxel_level",
+]
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -44,7 +55,8 @@ class Field:
     origin: wp.vec3d  # [m]
     spacing: wp.float64  # [m], 0 without voxels
     voxels_per_m: wp.float64  # 1 / spacing
-    clearance: wp.array3d(dtype=wp.float32)  # [cell of CELL voxels], lower bound of the distance to bone [m]
+    # [cell of CELL voxels], lower bound of the distance to bone [m]
+    clearance: wp.array3d(dtype=wp.float32)
 
 
 @wp.func
@@ -119,9 +131,16 @@ def held(remaining: wp.array2d(dtype=wp.uint16), row: int, ix: int, iy: int, iz:
 
 @wp.func
 def column_pair(
-    brick_of: wp.array3d(dtype=wp.int32), remaining: wp.array2d(dtype=wp.uint16), row: int, ix: int, iy: int, iz: int
+    brick_of: wp.array3d(dtype=wp.int32),
+    remaining: wp.array2d(dtype=wp.uint16),
+    row: int,
+    ix: int,
+    iy: int,
+    iz: int,
 ):
-    """Filled fractions of a voxel and of the next one along z; ``row`` is the brick's, or -2 where it is not known."""
+    """Filled fractions of a voxel and of the next one along z; ``row`` is the brick's, or -2
+    where it is not known.
+    """
     low = row
     if row < 0:
         low = voxel_row(brick_of, ix, iy, iz)
@@ -133,7 +152,9 @@ def column_pair(
 
 @wp.func
 def voxel_level(field: Field, point: wp.vec3d):
-    """Level [m] of the voxels' surface, positive outside and zero on it, and its gradient, of length about one."""
+    """Level [m] of the voxels' surface, positive outside and zero on it, and its gradient, of
+    length about one.
+    """
     ux = (point[0] - field.origin[0]) * field.voxels_per_m - HALF
     uy = (point[1] - field.origin[1]) * field.voxels_per_m - HALF
     uz = (point[2] - field.origin[2]) * field.voxels_per_m - HALF
@@ -173,7 +194,9 @@ def field_distance(
     distance_out: wp.array(dtype=wp.float64),  # [m]
     normal_out: wp.array(dtype=wp.vec3d),
 ):
-    """Distance from each point to the nearest solid and the direction out; voxels only as far as they are felt."""
+    """Distance from each point to the nearest solid and the direction out; voxels only as far as
+    they are felt.
+    """
     i = wp.tid()
     least = wp.float64(1.0e30)
     direction = wp.vec3d()

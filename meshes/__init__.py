@@ -1,7 +1,8 @@
 """Geometry: signed distances, anatomy, voxels, surfaces and images. No physics, no Warp.
 
-Shapes live in `meshes.shapes.sdf`; everything else that a scene needs is named here. Lengths are in metres unless the
-name differs. Modules that read files or search surfaces import pyvista, trimesh and scikit-image when called.
+Shapes live in `meshes.shapes.sdf`; everything else that a scene needs is named here. Lengths are in
+metres unless the name differs. Modules that read files or search surfaces import pyvista, trimesh
+and scikit-image when called.
 """
 
 from meshes.base.errors import InputError

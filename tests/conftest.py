@@ -1,4 +1,6 @@
-"""What all tests share: real anatomy where it is there, and the `tissue` command run within the tests' process."""
+"""What all tests share: real anatomy where it is there, and the `tissue` command run within the
+tests' process.
+"""
 
 import gc
 import os
@@ -8,17 +10,21 @@ from types import SimpleNamespace
 
 import pytest
 
-# Before anything loads NumPy: tests run beside each other, and threads that wait for a core cost more than they save.
+# Before anything loads NumPy: tests run beside each other, and threads that wait for a core cost
+# more than they save.
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
-# Some two hundred tests start Python anew; without compiled modules each would compile all that it imports.
+# Some two hundred tests start Python anew; without compiled modules each would compile all that it
+# imports.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 ANATOMY = Path(__file__).resolve().parents[2] / "shared" / "anatomy"
 
 
 def pytest_collection_finish():
-    """Let the collector of garbage skip what imports and collection made, which stays: a tenth of the tests' time."""
+    """Let the collector of garbage skip what imports and collection made, which stays: a tenth
+    of the tests' time.
+    """
     gc.collect()
     gc.freeze()
 
@@ -54,7 +60,9 @@ def refused(command):
     def run(*arguments):
         code, _, message = command(*arguments)
         assert code == 2, message
-        assert message.startswith("error: ") and message.endswith("\n") and message.count("\n") == 1, message
+        assert (
+            message.startswith("error: ") and message.endswith("\n") and message.count("\n") == 1
+        ), message
         return message.removeprefix("error: ").removesuffix("\n")
 
     return run
@@ -62,7 +70,9 @@ def refused(command):
 
 @pytest.fixture
 def full_disk(monkeypatch):
-    """Leave a file no space: what is written to take its place goes to a device that is always full."""
+    """Leave a file no space: what is written to take its place goes to a device that is always
+    full.
+    """
     if not Path("/dev/full").exists():
         pytest.skip("needs a device that is always full")
     monkeypatch.setattr("meshes.base.whole_file.uuid4", lambda: SimpleNamespace(hex="0" * 32))

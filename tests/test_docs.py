@@ -26,7 +26,9 @@ PLACES = (*PACKAGES, "tests", "examples", "docs", ".ci", ".github")
 def code_of(text):
     """Words of a page's code, in lines or in blocks, with what is around a name taken off."""
     blocks = re.findall(r"^```\w*\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
-    inline = re.findall(r"`([^`]+)`", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE))
+    inline = re.findall(
+        r"`([^`]+)`", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+    )
     return {word.rstrip(",;:.)") for code in (*blocks, *inline) for word in code.split()}
 
 
@@ -55,8 +57,11 @@ def is_had(name):
 def test_paths_and_modules_that_a_page_names_exist(page):
     words = code_of(page.read_text("utf-8"))
     paths = {word for word in words if "/" in word and word.split("/")[0] in PLACES}
-    dotted = {word.split("(")[0] for word in words if re.match(rf"({'|'.join(PACKAGES)})(\.\w+)+", word)}
-    assert not {path for path in paths - set(IDS) if not exists(path)}  # environments are named like paths
+    dotted = {
+        word.split("(")[0] for word in words if re.match(rf"({'|'.join(PACKAGES)})(\.\w+)+", word)
+    }
+    # environments are named like paths
+    assert not {path for path in paths - set(IDS) if not exists(path)}
     assert not {name for name in dotted if not is_had(name)}
 
 
@@ -70,7 +75,9 @@ def test_the_checks_of_names_find_what_is_missing():
     words = code_of("see `tissue/nothing.py`, or\n```\npython tests/bench/none.py --out DIR\n```\n")
     assert {"tissue/nothing.py", "tests/bench/none.py"} <= words
     assert (
-        not exists("tissue/nothing.py") and not exists("tissue/materials/*.none") and exists("tissue/materials/*.toml")
+        not exists("tissue/nothing.py")
+        and not exists("tissue/materials/*.none")
+        and exists("tissue/materials/*.toml")
     )
     assert is_had("tissue.simulate") and is_had("meshes.base.progress.Progress")
     assert not is_had("tissue.nothing") and not is_had("tissue.scene.load.nothing")
@@ -80,13 +87,21 @@ def test_names_in_code_of_contributing_are_defined():
     """Classes and constants, which a rename would leave behind."""
     words = code_of((ROOT / "CONTRIBUTING.md").read_text("utf-8"))
     wanted = {
-        word.split(".")[0] for word in words if re.fullmatch(r"[A-Z]\w+(\.\w+)?", word) and not (ROOT / word).exists()
+        word.split(".")[0]
+        for word in words
+        if re.fullmatch(r"[A-Z]\w+(\.\w+)?", word) and not (ROOT / word).exists()
     }
     source = "\n".join(
-        path.read_text("utf-8") for place in (*PACKAGES, "tests") for path in (ROOT / place).rglob("*.py")
+        path.read_text("utf-8")
+        for place in (*PACKAGES, "tests")
+        for path in (ROOT / place).rglob("*.py")
     )
     assert len(wanted) > 10
-    assert not {name for name in wanted if not re.search(rf"^(class {name}\b|{name}\b.* = )", source, re.MULTILINE)}
+    assert not {
+        name
+        for name in wanted
+        if not re.search(rf"^(class {name}\b|{name}\b.* = )", source, re.MULTILINE)
+    }
 
 
 def test_the_readme_stays_short():
@@ -96,21 +111,32 @@ def test_the_readme_stays_short():
 
 def test_the_first_lines_of_the_readme_install_run_and_test():
     lines = [
-        line for line in (ROOT / "README.md").read_text("utf-8").splitlines() if line.startswith("python3 -m venv")
+        line
+        for line in (ROOT / "README.md").read_text("utf-8").splitlines()
+        if line.startswith("python3 -m venv")
     ]
     assert lines == [
         "python3 -m venv .venv && .venv/bin/pip install -e . && .venv/bin/tissue run glenoid",
-        "python3 -m venv .venv && .venv/bin/pip install --no-compile -e '.[test]' && .venv/bin/pytest -n logical --dist worksteal",
+        (
+            "python3 -m venv .venv && .venv/bin/pip install --no-compile -e '.[test]' && "
+            ".venv/bin/pytest -n logical --dist worksteal"
+        ),
     ]
 
 
 @pytest.mark.slow
 def test_the_python_of_the_readme_runs(tmp_path):
-    (code,) = re.findall(r"^```python\n(.*?)^```", (ROOT / "README.md").read_text("utf-8"), re.DOTALL | re.MULTILINE)
+    (code,) = re.findall(
+        r"^```python\n(.*?)^```", (ROOT / "README.md").read_text("utf-8"), re.DOTALL | re.MULTILINE
+    )
     ended = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False,
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
+    )
     assert ended.returncode == 0, ended.stderr
     assert {path.name for path in (tmp_path / "runs/coarse").iterdir()} >= {
         "trace.csv",
@@ -124,7 +150,9 @@ def commands_of(page):
     """Every call of ``tissue`` in a page's blocks and lines of code, as words."""
     text = page.read_text("utf-8")
     blocks = "".join(re.findall(r"^```(?:bash)?\n(.*?)^```", text, re.DOTALL | re.MULTILINE))
-    inline = re.findall(r"`([^`]+)`", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE))
+    inline = re.findall(
+        r"`([^`]+)`", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+    )
     for line in (*blocks.splitlines(), *inline):
         line = line.split("  #")[0].split(" > ")[0].strip()
         if line.startswith("tissue ") and "=..." not in line:
@@ -148,21 +176,33 @@ def test_commands_that_a_page_shows_can_be_read(page):
             and name in ("glenoid", "milling", "molar", "liver-press", "wall")
         ):
             pairs = [words[place + 1] for place, word in enumerate(words) if word == "--set"]
-            load_scene(name, dict(parse_override(pair) for pair in pairs if not pair.endswith("=FILE.stl")))
+            load_scene(
+                name, dict(parse_override(pair) for pair in pairs if not pair.endswith("=FILE.stl"))
+            )
 
 
 def test_every_dependency_has_its_reasons():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-    wanted = {name for group in (project["dependencies"], *project["optional-dependencies"].values()) for name in group}
-    rows = re.findall(r"^\| ([^|]+) \|", (ROOT / "docs/decisions.md").read_text("utf-8"), re.MULTILINE)
+    wanted = {
+        name
+        for group in (project["dependencies"], *project["optional-dependencies"].values())
+        for name in group
+    }
+    rows = re.findall(
+        r"^\| ([^|]+) \|", (ROOT / "docs/decisions.md").read_text("utf-8"), re.MULTILINE
+    )
     named = {name for row in rows for name in row.split(", ")}
     assert {re.split(r"[>=<]", name)[0] for name in wanted} == named - {"package"}
 
 
 def test_the_newest_changes_and_the_citation_are_of_this_version():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-    changes, citation = ((ROOT / name).read_text("utf-8") for name in ("CHANGELOG.md", "CITATION.cff"))
-    version, date = re.search(r"^## \[(\d+\.\d+\.\d+)\] - (\d{4}-\d\d-\d\d)$", changes, re.MULTILINE).groups()
+    changes, citation = (
+        (ROOT / name).read_text("utf-8") for name in ("CHANGELOG.md", "CITATION.cff")
+    )
+    version, date = re.search(
+        r"^## \[(\d+\.\d+\.\d+)\] - (\d{4}-\d\d-\d\d)$", changes, re.MULTILINE
+    ).groups()
     assert version == project["version"]
     assert f"\nversion: {version}\n" in citation and f"\ndate-released: {date}\n" in citation
 
@@ -170,4 +210,6 @@ def test_the_newest_changes_and_the_citation_are_of_this_version():
 @pytest.mark.parametrize("package", PACKAGES)
 def test_a_package_carries_its_types(package):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
-    assert (ROOT / package / "py.typed").is_file() and "py.typed" in project["tool"]["setuptools"]["package-data"]["*"]
+    assert (ROOT / package / "py.typed").is_file() and "py.typed" in project["tool"]["setuptools"][
+        "package-data"
+    ]["*"]

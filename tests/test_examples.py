@@ -1,4 +1,6 @@
-"""Examples use what users have: public names of tissue and common packages; they write pictures and check figures."""
+"""Examples use what users have: public names of tissue and common packages; they write pictures
+and check figures.
+"""
 
 import ast
 import re
@@ -10,9 +12,19 @@ import tissue
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").glob("[0-9]*.py"))
 COMMON = {
-    "collections", "dataclasses", "gymnasium", "math", "matplotlib", "numpy", "pandas", "pathlib", "pyvista", "scipy", "tempfile",
+    "collections",
+    "dataclasses",
+    "gymnasium",
+    "math",
+    "matplotlib",
+    "numpy",
+    "pandas",
+    "pathlib",
+    "pyvista",
+    "scipy",
+    "tempfile",
     "typing",
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
@@ -24,8 +36,14 @@ def test_an_example_uses_public_names_alone(path):
             assert not any(name.name.startswith("tissue.") for name in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.module == "tissue" or node.module.split(".")[0] in COMMON, node.module
-            assert node.module != "tissue" or {name.name for name in node.names} <= set(tissue.__all__)
-        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "tissue":
+            assert node.module != "tissue" or {name.name for name in node.names} <= set(
+                tissue.__all__
+            )
+        elif (
+            isinstance(node, ast.Attribute)
+            and isinstance(node.value, ast.Name)
+            and node.value.id == "tissue"
+        ):
             assert node.attr in tissue.__all__
         assert not (isinstance(node, ast.Attribute) and node.attr.startswith("_")), "a private name"
 

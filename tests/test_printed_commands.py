@@ -1,4 +1,5 @@
-"""Every command that the pages print for measuring or checking runs: benches in their quickest form, tests by name.
+"""Every command that the pages print for measuring or checking runs: benches in their quickest
+form, tests by name.
 
 Calls of ``tissue`` that pages print are read in `tests/test_docs.py`, and run over all scenes in
 `tests/faults/test_every_scene_every_command.py`.
@@ -16,12 +17,19 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted(
-    [*ROOT.glob("docs/**/*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "tests/bench/README.md"]
+    [
+        *ROOT.glob("docs/**/*.md"),
+        ROOT / "README.md",
+        ROOT / "CONTRIBUTING.md",
+        ROOT / "tests/bench/README.md",
+    ]
 )
 SCRIPT = re.compile(r"python ((?:tests/bench|examples)/[\w/]+\.py)")
 TEST = re.compile(r"pytest ([^`#\n]+)")
 START_S = 6.0
-"""How long a bench without a quick form is watched [s]: it imports, builds its first case and computes."""
+"""How long a bench without a quick form is watched [s]: it imports, builds its first case and
+computes.
+"""
 FINISH_S = 240.0
 """How long a bench in its quick form may take [s] on a loaded machine."""
 
@@ -83,7 +91,9 @@ NEEDS_DATA = {"bench_fit_silicone"}
 
 def printed(pattern):
     """Each match of a pattern in the pages."""
-    return sorted({found[1] for page in PAGES for found in pattern.finditer(page.read_text("utf-8"))})
+    return sorted(
+        {found[1] for page in PAGES for found in pattern.finditer(page.read_text("utf-8"))}
+    )
 
 
 def name_of(script):
@@ -91,7 +101,9 @@ def name_of(script):
     return script.removeprefix("tests/bench/").removesuffix(".py")
 
 
-BENCHES = sorted({name_of(script) for script in printed(SCRIPT) if script.startswith("tests/bench")} - NEEDS_DATA)
+BENCHES = sorted(
+    {name_of(script) for script in printed(SCRIPT) if script.startswith("tests/bench")} - NEEDS_DATA
+)
 
 
 def test_every_printed_script_is_there_and_every_bench_has_a_quick_form():
@@ -105,10 +117,17 @@ def test_every_printed_script_is_there_and_every_bench_has_a_quick_form():
 def test_a_printed_bench_runs(bench, tmp_path):
     words = (FINISHED | STARTED)[bench].format(out=tmp_path).split()
     command = [sys.executable, str(ROOT / "tests" / "bench" / f"{bench}.py"), *words]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    }
     with (tmp_path / "printed.txt").open("w+") as log:
         process = subprocess.Popen(
-            command, cwd=tmp_path, env=environment, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
+            command,
+            cwd=tmp_path,
+            env=environment,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
         )
         try:
             code = process.wait(FINISH_S if bench in FINISHED else START_S)
@@ -118,7 +137,9 @@ def test_a_printed_bench_runs(bench, tmp_path):
             code = None if bench in STARTED else "not finished"
         log.seek(0)
         text = log.read()
-    assert code in (0, None) and "Traceback" not in text, f"{shlex.join(command)} ended with {code}\n{text[-3000:]}"
+    assert code in (0, None) and "Traceback" not in text, (
+        f"{shlex.join(command)} ended with {code}\n{text[-3000:]}"
+    )
 
 
 def test_printed_tests_exist():
@@ -134,8 +155,18 @@ def test_printed_selections_select_something():
     for words in printed(TEST):
         if " -k " not in f" {words}":
             continue
-        asked = [word for word in shlex.split(words.split(" with ")[0]) if word not in ("-s", "-rP", "-n", "0")]
+        asked = [
+            word
+            for word in shlex.split(words.split(" with ")[0])
+            if word not in ("-s", "-rP", "-n", "0")
+        ]
         command = [sys.executable, "-m", "pytest", "--collect-only", "-q", "-m", "slow or not slow"]
-        kept = [word for index, word in enumerate(asked) if word != "-m" and (index == 0 or asked[index - 1] != "-m")]
-        ended = subprocess.run([*command, *kept], cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
+        kept = [
+            word
+            for index, word in enumerate(asked)
+            if word != "-m" and (index == 0 or asked[index - 1] != "-m")
+        ]
+        ended = subprocess.run(
+            [*command, *kept], cwd=ROOT, capture_output=True, text=True, timeout=300, check=False
+        )
         assert ended.returncode == 0, f"pytest {words}\n{ended.stdout[-1500:]}"

@@ -1,4 +1,6 @@
-"""What the site is made with: tables of scene keys, examples as pages, code of its pages, and the check of links."""
+"""What the site is made with: tables of scene keys, examples as pages, code of its pages, and
+the check of links.
+"""
 
 import importlib.util
 import json
@@ -26,13 +28,20 @@ def part_of_the_site(path):
 
 
 tables, links, page_code = (
-    part_of_the_site(ROOT / name) for name in ("docs/_ext/scene_tables.py", ".ci/links.py", "docs/_ext/page_code.py")
+    part_of_the_site(ROOT / name)
+    for name in ("docs/_ext/scene_tables.py", ".ci/links.py", "docs/_ext/page_code.py")
 )
 
 
 def keys_of(defs, name, entry):
-    """Table, kind and name of every key under an entry of the schema, those of inner tables with dotted names."""
-    links = [each["$ref"] for each in (entry, *entry.get("anyOf", ()), *entry.get("oneOf", ())) if "$ref" in each]
+    """Table, kind and name of every key under an entry of the schema, those of inner tables with
+    dotted names.
+    """
+    links = [
+        each["$ref"]
+        for each in (entry, *entry.get("anyOf", ()), *entry.get("oneOf", ()))
+        if "$ref" in each
+    ]
     for model in (defs[link.rpartition("/")[2]] for link in links):
         kind = model["properties"].get("kind", {})
         kinds = kind.get("enum") or [kind["const"]] if len(links) > 1 else [""]
@@ -43,39 +52,69 @@ def keys_of(defs, name, entry):
 
 def test_the_tables_hold_every_key_of_the_schema_once_for_each_kind():
     schema = json.loads(schema_text())
-    rows = [(part.name, kind, key.name) for part in tables.parts() for group in part.groups
-            for kind in group.kinds or ("",) for key in group.keys]  # fmt: skip
+    rows = [
+        (part.name, kind, key.name)
+        for part in tables.parts()
+        for group in part.groups
+        for kind in group.kinds or ("",)
+        for key in group.keys
+    ]
     wanted = set()
     for name, entry in schema["properties"].items():
-        optional = {"anyOf": [each for each in entry.get("anyOf", ()) if each.get("type") != "null"]}
+        optional = {
+            "anyOf": [each for each in entry.get("anyOf", ()) if each.get("type") != "null"]
+        }
         wanted |= set(keys_of(schema["$defs"], name, entry | optional)) or {("", "", name)}
     assert set(rows) == wanted and len(rows) > 150
 
 
 def test_a_row_states_unit_range_and_default():
-    rows = {f"{part.name}.{key.name}": key for part in tables.parts() for group in part.groups for key in group.keys}
+    rows = {
+        f"{part.name}.{key.name}": key
+        for part in tables.parts()
+        for group in part.groups
+        for key in group.keys
+    }
     spacing, flutes = rows["voxels.spacing_mm"], rows["tool.flutes"]
     assert spacing[1:4] == ("mm", "(0, 2]", "`0.1`") and spacing.text == "Edge of a voxel."
     assert flutes[1:4] == ("", "[1, 200] whole", "`4`") and rows["tool.point_angle_deg"].unit == "°"
     assert rows["motion.feed_mm_s"].default == "required"
     assert rows["device.coupling.force_scale"].takes == "[0.0001, 100] or `auto`"
     assert rows["device.perception"].takes == "`none`, `population`, `observer:FILE`"
-    assert rows["anatomy.size_mm"].takes == "3 numbers, each [0.1, 500]" and rows[".heat"].default == "`false`"
+    assert (
+        rows["anatomy.size_mm"].takes == "3 numbers, each [0.1, 500]"
+        and rows[".heat"].default == "`false`"
+    )
 
 
 @pytest.mark.parametrize(
     ("name", "unit"),
-    [("feed_mm_s", "mm/s"), ("damping_N_s_m", "N·s/m"), ("stiffness_Nm_rad", "N·m/rad"), ("edge_N_mm", "N/mm"),
-     ("chip_N_mm2", "N/mm²"), ("density_kg_m3", "kg/m³"), ("delay_ms", "ms"), ("seed", ""), ("mm", "")],
-)  # fmt: skip
+    [
+        ("feed_mm_s", "mm/s"),
+        ("damping_N_s_m", "N·s/m"),
+        ("stiffness_Nm_rad", "N·m/rad"),
+        ("edge_N_mm", "N/mm"),
+        ("chip_N_mm2", "N/mm²"),
+        ("density_kg_m3", "kg/m³"),
+        ("delay_ms", "ms"),
+        ("seed", ""),
+        ("mm", ""),
+    ],
+)
 def test_the_unit_is_the_end_of_a_name(name, unit):
     assert tables.unit_of(name) == unit
 
 
 def test_every_public_name_is_on_the_page_of_the_reference():
     page = (ROOT / "docs/api/index.rst").read_text("utf-8")
-    missing = [name for name in tissue.__all__ if not re.search(rf"^   {name}(\.\w+)?$", page, re.MULTILINE)]
-    assert not missing, f"docs/api/index.rst must list each public name, got none of {', '.join(missing)}: add them"
+    missing = [
+        name
+        for name in tissue.__all__
+        if not re.search(rf"^   {name}(\.\w+)?$", page, re.MULTILINE)
+    ]
+    assert not missing, (
+        f"docs/api/index.rst must list each public name, got none of {', '.join(missing)}: add them"
+    )
 
 
 @pytest.mark.slow
@@ -90,12 +129,18 @@ def test_the_code_of_a_page_runs_in_order(page, tmp_path):
         pytest.skip(f"{page.name} shows no Python")
     (tmp_path / "examples").symlink_to(ROOT / "examples")  # a page is read in a checkout
     ended = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False,
-        env=os.environ | {
-            "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "docs/_ext")]), "MPLBACKEND": "Agg",
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ
+        | {
+            "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "docs/_ext")]),
+            "MPLBACKEND": "Agg",
             "PYVISTA_OFF_SCREEN": "true",
         },
-    )  # fmt: skip
+    )
     assert ended.returncode == 0, ended.stderr
 
 
@@ -110,11 +155,19 @@ def test_commands_of_a_page_are_run_and_their_failures_raised(tmp_path, monkeypa
 
 
 def test_the_check_of_links_finds_what_leads_nowhere(tmp_path):
-    good = '<h1 id="top">a</h1><a href="b.html#there">b</a><a href="#top">up</a><a href="https://host.org/x">out</a>'
+    good = (
+        '<h1 id="top">a</h1><a href="b.html#there">b</a><a href="#top">up</a><a '
+        'href="https://host.org/x">out</a>'
+    )
     (tmp_path / "a.html").write_text(good)
-    (tmp_path / "b.html").write_text('<p id="there">b</p><img src="a.html"><link rel="next" href="a.html">')
+    (tmp_path / "b.html").write_text(
+        '<p id="there">b</p><img src="a.html"><link rel="next" href="a.html">'
+    )
     assert links.problems(tmp_path) == []
-    bad = '<a href="c.html">c</a><a href="b.html#gone">b</a><script src="https://host.org/x.js"></script><a href="http://x">x</a>'
+    bad = (
+        '<a href="c.html">c</a><a href="b.html#gone">b</a><script '
+        'src="https://host.org/x.js"></script><a href="http://x">x</a>'
+    )
     (tmp_path / "a.html").write_text(bad + '<p id="twice"><p id="twice">')
     assert [each.split(": ", 1)[1] for each in links.problems(tmp_path)] == [
         "the id twice stands 2 times",

@@ -1,4 +1,6 @@
-"""Names, docstrings, comments, messages and pages use the field's words; CONTRIBUTING lists what to write instead."""
+"""Names, docstrings, comments, messages and pages use the field's words; CONTRIBUTING lists what
+to write instead.
+"""
 
 import io
 import os
@@ -64,7 +66,9 @@ NAMES = {
     "ways_along",
     "of_one_look",
 }
-"""Names that say too little: predict, is_primary, wait_for_background, observer, arc_length, map_estimate_errors."""
+"""Names that say too little: predict, is_primary, wait_for_background, observer, arc_length,
+map_estimate_errors.
+"""
 
 
 ANY_WORD = re.compile(rf"(?<![A-Za-z\"])(?:{'|'.join(WORDS)})(?![A-Za-z\"])", re.IGNORECASE)
@@ -81,7 +85,11 @@ def named(code):
     if not ANY_NAME.search(code):
         return []
     tokens = tokenize.generate_tokens(io.StringIO(code).readline)
-    return [(each.start[0], each.string) for each in tokens if each.type == tokenize.NAME and each.string in NAMES]
+    return [
+        (each.start[0], each.string)
+        for each in tokens
+        if each.type == tokenize.NAME and each.string in NAMES
+    ]
 
 
 @pytest.mark.parametrize("place", PLACES)
@@ -96,6 +104,8 @@ def test_files_use_the_words_of_the_field(place):
 
 
 def test_words_are_found_and_plain_ones_left():
-    text = "the tool is told its way\nalways half way, np.floor(x), what it stands for\nway_m, _tell"
+    text = (
+        "the tool is told its way\nalways half way, np.floor(x), what it stands for\nway_m, _tell"
+    )
     assert sorted(hits(text)) == [(1, "told"), (1, "way"), (3, "tell"), (3, "way")]
     assert named("own = ahead(3)  # its own\n") == [(1, "own"), (1, "ahead")]

@@ -1,4 +1,5 @@
-"""Simulate cutting bone, drilling teeth and pressing soft organs, and what a hand feels while doing it.
+"""Simulate cutting bone, drilling teeth and pressing soft organs, and what a hand feels while doing
+it.
 
 >>> import tissue
 >>> run = tissue.simulate(tissue.load_scene("glenoid"))  # doctest: +SKIP
@@ -123,7 +124,9 @@ _MODULES = {
 
 
 def _require_siblings() -> None:
-    """Refuse another package named ``meshes`` or ``kernels`` that hides the one next to this package."""
+    """Refuse another package named ``meshes`` or ``kernels`` that hides the one next to this
+    package.
+    """
     root = Path(__file__).resolve().parent.parent
     for name in ("meshes", "kernels"):
         spec = find_spec(name)

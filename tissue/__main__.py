@@ -1,4 +1,6 @@
-"""The ``tissue`` command, also by ``python -m tissue``: a stop is met from its first import to its last clean-up."""
+"""The ``tissue`` command, also by ``python -m tissue``: a stop is met from its first import to
+its last clean-up.
+"""
 
 import signal
 import sys
@@ -20,7 +22,8 @@ def main() -> NoReturn:
         print("stopped before anything was begun", file=sys.stderr)
         sys.exit(stopped.exit_code if isinstance(stopped, Terminated) else 130)
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_DFL)  # once more while Python ends: it ends at once, and prints nothing
+        # once more while Python ends: it ends at once, and prints nothing
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 if __name__ == "__main__":

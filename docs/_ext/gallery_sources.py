@@ -1,4 +1,6 @@
-"""Sphinx: puts the examples where sphinx-gallery reads them, each docstring's first line as the title of its page."""
+"""Sphinx: puts the examples where sphinx-gallery reads them, each docstring's first line as the
+title of its page.
+"""
 
 import re
 from pathlib import Path
@@ -11,7 +13,9 @@ SOURCES = ROOT / "build" / "gallery"
 
 
 def titled(code: str) -> str:
-    """An example's code with the first line of its docstring underlined, unless it is; the full stop goes."""
+    """An example's code with the first line of its docstring underlined, unless it is; the full
+    stop goes.
+    """
     found = re.match(r'"""(.+)\n(?![=*#-]{3})', code)
     if found is None:
         return code
@@ -22,7 +26,9 @@ def titled(code: str) -> str:
 def place_sources(app: Sphinx, config: Config) -> None:
     """Write the folder that sphinx-gallery reads; a file that stays the same keeps its time."""
     SOURCES.mkdir(parents=True, exist_ok=True)
-    wanted = {path.name: titled(path.read_text("utf-8")) for path in (ROOT / "examples").glob("*.py")}
+    wanted = {
+        path.name: titled(path.read_text("utf-8")) for path in (ROOT / "examples").glob("*.py")
+    }
     wanted["GALLERY_HEADER.rst"] = (ROOT / "docs" / "_gallery_header.rst").read_text("utf-8")
     for path in SOURCES.iterdir():
         if path.is_file() and path.name not in wanted:
@@ -34,5 +40,6 @@ def place_sources(app: Sphinx, config: Config) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    app.connect("config-inited", place_sources, priority=1)  # before sphinx-gallery looks for its files
+    # before sphinx-gallery looks for its files
+    app.connect("config-inited", place_sources, priority=1)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,4 +1,6 @@
-"""Sphinx: the directive ``package-table`` lists the modules of a package with the first line of each docstring."""
+"""Sphinx: the directive ``package-table`` lists the modules of a package with the first line of
+each docstring.
+"""
 
 import ast
 from collections.abc import Iterator
@@ -16,7 +18,13 @@ def modules_of(package: str) -> Iterator[tuple[str, str]]:
     """Dotted names of a package's modules and what each is, read without importing them."""
     for path in sorted((ROOT / package.replace(".", "/")).rglob("*.py")):
         text = ast.get_docstring(ast.parse(path.read_text("utf-8"))) or ""
-        name = path.relative_to(ROOT).with_suffix("").as_posix().removesuffix("/__init__").replace("/", ".")
+        name = (
+            path.relative_to(ROOT)
+            .with_suffix("")
+            .as_posix()
+            .removesuffix("/__init__")
+            .replace("/", ".")
+        )
         if text:
             yield name, text.splitlines()[0]
 
@@ -31,7 +39,9 @@ class PackageTable(SphinxDirective):
         body = nodes.tbody()
         for name, text in modules_of(self.arguments[0]):
             cells = (f"`{name}`", text)
-            body += nodes.row("", *(nodes.entry("", nodes.paragraph("", "", *inline(cell))) for cell in cells))
+            body += nodes.row(
+                "", *(nodes.entry("", nodes.paragraph("", "", *inline(cell))) for cell in cells)
+            )
         columns = [nodes.colspec(colwidth=width) for width in (35, 65)]
         return [nodes.table("", nodes.tgroup("", *columns, body, cols=2))]
 

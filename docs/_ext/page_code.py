@@ -1,4 +1,6 @@
-"""The code of a page of the guide: its Python, and its commands in blocks that are marked as bash."""
+"""The code of a page of the guide: its Python, and its commands in blocks that are marked as
+bash.
+"""
 
 import re
 import shlex
@@ -15,9 +17,15 @@ def blocks_of(text: str) -> Iterator[tuple[str, str]]:
 
 
 def run_commands(code: str) -> None:
-    """Run the lines of a block, ``tissue`` and ``python`` being those of this interpreter; raise at a failure."""
+    """Run the lines of a block, ``tissue`` and ``python`` being those of this interpreter; raise
+    at a failure.
+    """
     for line in code.splitlines():
         first, *words = shlex.split(line, comments=True) or [""]
         if first not in ("tissue", "python"):
-            raise ValueError(f"a line of bash must begin with tissue or python, got {line!r}: use another fence")
-        subprocess.run([sys.executable, *(["-m", "tissue"] if first == "tissue" else []), *words], check=True)
+            raise ValueError(
+                f"a line of bash must begin with tissue or python, got {line!r}: use another fence"
+            )
+        subprocess.run(
+            [sys.executable, *(["-m", "tissue"] if first == "tissue" else []), *words], check=True
+        )

@@ -1,4 +1,6 @@
-"""Sphinx: ``scene-keys`` draws a table for each part of a scene, and code such as ``tool.flutes`` links there."""
+"""Sphinx: ``scene-keys`` draws a table for each part of a scene, and code such as
+``tool.flutes`` links there.
+"""
 
 from collections.abc import Iterable
 from typing import Any
@@ -33,29 +35,47 @@ class LinkedKeys(SphinxPostTransform):
         """Turn the literals of a page that name a key into links."""
         if self.env.docname == PAGE or PAGE not in self.env.all_docs:
             return
-        known = {_anchor(part, key) for part in parts() for group in part.groups for key in group.keys if part.name}
+        known = {
+            _anchor(part, key)
+            for part in parts()
+            for group in part.groups
+            for key in group.keys
+            if part.name
+        }
         page = self.app.builder.get_relative_uri(self.env.docname, PAGE)
         for literal in list(self.document.findall(nodes.literal)):
             name = literal.astext().partition("=")[0].strip()
             if name in known and not isinstance(literal.parent, nodes.reference | nodes.title):
-                link = nodes.reference("", "", literal.deepcopy(), refuri=f"{page}#{name}", internal=True)
+                link = nodes.reference(
+                    "", "", literal.deepcopy(), refuri=f"{page}#{name}", internal=True
+                )
                 literal.replace_self(link)
 
 
 def _section(part: Part) -> nodes.section:
     name = part.name or "top"
-    title = nodes.title("", "", nodes.literal("", f"[{name}]")) if part.name else nodes.title("", "Top of the file")
-    section = nodes.section("", title, nodes.paragraph("", "", *inline(part.text)), ids=[f"part-{name}"], names=[name])
+    title = (
+        nodes.title("", "", nodes.literal("", f"[{name}]"))
+        if part.name
+        else nodes.title("", "Top of the file")
+    )
+    section = nodes.section(
+        "", title, nodes.paragraph("", "", *inline(part.text)), ids=[f"part-{name}"], names=[name]
+    )
     if part.kinds:
         kinds = ", ".join(f"`{kind}`" for kind in part.kinds)
-        section += nodes.paragraph("", "", *inline(f"`kind` is one of {kinds}."), ids=[f"{name}.kind"])
+        section += nodes.paragraph(
+            "", "", *inline(f"`kind` is one of {kinds}."), ids=[f"{name}.kind"]
+        )
     seen: set[str] = set()
     for group in part.groups:
         if len(part.groups) == 1:
             section += _table(part, group, seen)
             continue
         heading = ", ".join(f"`{kind}`" for kind in group.kinds)
-        inner = nodes.section("", nodes.title("", "", *inline(heading)), ids=[f"{name}-{'-'.join(group.kinds)}"])
+        inner = nodes.section(
+            "", nodes.title("", "", *inline(heading)), ids=[f"{name}-{'-'.join(group.kinds)}"]
+        )
         if group.text:
             inner += nodes.paragraph("", "", *inline(group.text))
         inner += _table(part, group, seen)
@@ -65,15 +85,21 @@ def _section(part: Part) -> nodes.section:
 
 def _table(part: Part, group: Group, seen: set[str]) -> nodes.table:
     columns = [nodes.colspec(colwidth=width) for width in WIDTHS]
-    head = nodes.thead("", nodes.row("", *(nodes.entry("", nodes.paragraph("", title)) for title in TITLES)))
+    head = nodes.thead(
+        "", nodes.row("", *(nodes.entry("", nodes.paragraph("", title)) for title in TITLES))
+    )
     body = nodes.tbody("", *(_row(part, key, seen) for key in group.keys))
-    return nodes.table("", nodes.tgroup("", *columns, head, body, cols=len(TITLES)), classes=["scene-keys"])
+    return nodes.table(
+        "", nodes.tgroup("", *columns, head, body, cols=len(TITLES)), classes=["scene-keys"]
+    )
 
 
 def _row(part: Part, key: Key, seen: set[str]) -> nodes.row:
     """A row; the first of its name carries the anchor."""
     cells = (f"`{key.name}`", key.unit, key.takes, key.default, key.text)
-    row = nodes.row("", *(nodes.entry("", nodes.paragraph("", "", *inline(cell))) for cell in cells))
+    row = nodes.row(
+        "", *(nodes.entry("", nodes.paragraph("", "", *inline(cell))) for cell in cells)
+    )
     anchor = _anchor(part, key)
     if anchor not in seen:
         row["ids"].append(anchor)

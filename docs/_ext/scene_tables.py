@@ -1,4 +1,6 @@
-"""Rows for the page of scene keys, made from the JSON schema of scenes and the tables of tools; without Sphinx."""
+"""Rows for the page of scene keys, made from the JSON schema of scenes and the tables of tools;
+without Sphinx.
+"""
 
 import json
 import re
@@ -94,9 +96,11 @@ def _kinds(model: Schema) -> tuple[str, ...]:
 
 
 def _groups(schema: Schema, models: list[Schema], kinds: list[tuple[str, ...]]) -> Iterator[Group]:
-    """Keys by the tables that have them; what several share comes first, where the first of them would stand.
+    """Keys by the tables that have them; what several share comes first, where the first of them
+    would stand.
 
-    A kind has a table for each source of its shape, procedural or a file: its keys are those of all of them.
+    A kind has a table for each source of its shape, procedural or a file: its keys are those of all
+    of them.
     """
     found: dict[Key, dict[tuple[str, ...], None]] = {}
     texts: dict[tuple[str, ...], str] = {}
@@ -122,7 +126,9 @@ def _key(name: str, entry: Schema, *, required: bool) -> Key:
 def _takes(entry: Schema) -> str:
     """What values a key takes: choices, a range, or the sort of value."""
     if "anyOf" in entry:
-        return " or ".join(_takes(choice) for choice in entry["anyOf"] if choice.get("type") != "null")
+        return " or ".join(
+            _takes(choice) for choice in entry["anyOf"] if choice.get("type") != "null"
+        )
     if "enum" in entry or "const" in entry:
         return ", ".join(f"`{value}`" for value in entry.get("enum") or [entry["const"]])
     if entry["type"] == "array":
@@ -132,7 +138,9 @@ def _takes(entry: Schema) -> str:
         limits = {_range(item) for item in items} - {""}
         return f"{len(items)} numbers" + "".join(f", each {limit}" for limit in limits)
     if entry["type"] == "object":
-        values = entry.get("additionalProperties") or next(iter(entry["patternProperties"].values()))
+        values = entry.get("additionalProperties") or next(
+            iter(entry["patternProperties"].values())
+        )
         return f"names, each with {_takes(values)}"
     if entry["type"] == "string":
         return _text(entry.get("pattern", ""))
@@ -142,17 +150,35 @@ def _takes(entry: Schema) -> str:
 def _text(pattern: str) -> str:
     """A text, or the choices of a pattern such as ``^(none|observer:.+)$``."""
     choices = re.fullmatch(r"\^\((.*)\)\$", pattern)
-    return ", ".join(f"`{each.replace('.+', 'FILE')}`" for each in choices[1].split("|")) if choices else "text"
+    return (
+        ", ".join(f"`{each.replace('.+', 'FILE')}`" for each in choices[1].split("|"))
+        if choices
+        else "text"
+    )
 
 
 def _range(entry: Schema) -> str:
-    """The range of a number: brackets for ends that belong to it, parentheses for those that do not."""
+    """The range of a number: brackets for ends that belong to it, parentheses for those that do
+    not.
+    """
     low, high = entry.get("minimum"), entry.get("maximum")
     above, below = entry.get("exclusiveMinimum"), entry.get("exclusiveMaximum")
     if all(each is None for each in (low, high, above, below)):
         return ""
-    start = f"[{_number(low)}" if low is not None else f"({_number(above)}" if above is not None else "(−∞"
-    end = f"{_number(high)}]" if high is not None else f"{_number(below)})" if below is not None else "∞)"
+    start = (
+        f"[{_number(low)}"
+        if low is not None
+        else f"({_number(above)}"
+        if above is not None
+        else "(−∞"
+    )
+    end = (
+        f"{_number(high)}]"
+        if high is not None
+        else f"{_number(below)})"
+        if below is not None
+        else "∞)"
+    )
     return f"{start}, {end}" + (" whole" if entry.get("type") == "integer" else "")
 
 

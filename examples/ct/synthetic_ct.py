@@ -1,8 +1,10 @@
-"""Write a synthetic CT of a humerus, a vertebra and density rods: ``python examples/ct/synthetic_ct.py FOLDER``.
+"""Write a synthetic CT of a humerus, a vertebra and density rods: ``python
+examples/ct/synthetic_ct.py FOLDER``.
 
-Hounsfield units follow from composition: the linear attenuation of each voxel at one energy is that of volume fractions
-of the materials in ``meshes/ct/attenuation.toml``. Bone of every density is dense bone in marrow. Noise and 12-bit
-quantisation are added. The guide to CT import and the tests use it.
+Hounsfield units follow from composition: the linear attenuation of each voxel at one energy is that
+of volume fractions of the materials in ``meshes/ct/attenuation.toml``. Bone of every density is
+dense bone in marrow. Noise and 12-bit quantisation are added. The guide to CT import and the tests
+use it.
 """
 
 import argparse
@@ -25,7 +27,9 @@ from meshes.ct.labels import Labels
 from meshes.images.frame import Image, StoredImage, along_lps
 
 RODS_KG_M3 = (200.0, 400.0, 600.0, 800.0, 1000.0, 1200.0, 1400.0, 1600.0, 1800.0)
-"""Apparent density of the rods [kg/m3], labelled rod_200, rod_400 ... from the patient's right to the left."""
+"""Apparent density of the rods [kg/m3], labelled rod_200, rod_400 ... from the patient's right
+to the left.
+"""
 HEAD_CENTRE_MM = (35.0, -8.0, 20.0)
 HEAD_RADIUS_MM = 22.0
 """Ball of the humerus's head [mm, LPS]."""
@@ -70,9 +74,11 @@ class Person:
     Attributes
     ----------
     attenuation
-        Factor of the linear attenuation of adipose, muscle, blood and cortex (the shaft's alone), 1 where not given.
+        Factor of the linear attenuation of adipose, muscle, blood and cortex (the shaft's alone), 1
+        where not given.
     mineral
-        Factor of what the attenuation of bone, but for the shaft's cortex, has over that of marrow at the same density.
+        Factor of what the attenuation of bone, but for the shaft's cortex, has over that of marrow
+        at the same density.
     marrow_fat
         Share of fat in marrow.
     water_HU, scale
@@ -125,13 +131,16 @@ class CtPhantom:
         number = {name: number for number, name in self.names.items()}
         masks = {rod: self.labels.values == number[f"rod_{rod:g}"] for rod in RODS_KG_M3}
         return {
-            rod: float(self.stored.values[binary_erosion(mask, iterations=2)].mean()) for rod, mask in masks.items()
+            rod: float(self.stored.values[binary_erosion(mask, iterations=2)].mean())
+            for rod, mask in masks.items()
         }
 
 
 @dataclass(frozen=True)
 class _Part:
-    """A body with its label, distance [mm, negative inside], and bone density [kg/m3] or, where None, its tissue."""
+    """A body with its label, distance [mm, negative inside], and bone density [kg/m3] or, where
+    None, its tissue.
+    """
 
     label: str
     distance: Distance
@@ -184,16 +193,24 @@ def ct_phantom(
     attenuation = np.empty(shape, np.float32)
     density = np.empty(shape, np.float32)
     labels = np.empty(shape, np.uint8)
-    plane = np.stack(np.meshgrid(*map(np.arange, shape[:2]), [0], indexing="ij"), axis=-1)[:, :, 0] @ steps.T + origin
+    plane = (
+        np.stack(np.meshgrid(*map(np.arange, shape[:2]), [0], indexing="ij"), axis=-1)[:, :, 0]
+        @ steps.T
+        + origin
+    )
     for k in range(shape[2]):
         at = plane + k * steps[:, 2]
-        attenuation[:, :, k], density[:, :, k], labels[:, :, k] = _painted(parts, names, at, energy, person, spacing)
+        attenuation[:, :, k], density[:, :, k], labels[:, :, k] = _painted(
+            parts, names, at, energy, person, spacing
+        )
     true = 1000.0 * (attenuation / linear_attenuation("water", energy) - 1.0)
     values = person.scale * true + person.water_HU + rng.normal(0.0, noise, shape)
     values = np.clip(np.rint(values), _LOWEST_HU, _HIGHEST_HU).astype(np.int16)
     frame = (spacing_mm, directions, origin)
     numbers = {number: name for number, name in enumerate(names, 1) if name != "pad"}
-    return CtPhantom(StoredImage(values, *frame), StoredImage(labels, *frame), numbers, density, energy)
+    return CtPhantom(
+        StoredImage(values, *frame), StoredImage(labels, *frame), numbers, density, energy
+    )
 
 
 def _painted(
@@ -204,7 +221,9 @@ def _painted(
     person: Person,
     spacing: Array,
 ) -> tuple[Array, Array, NDArray[np.uint8]]:
-    """Linear attenuation [1/m], bone density [kg/m3] and label at points; edges are as wide as a voxel."""
+    """Linear attenuation [1/m], bone density [kg/m3] and label at points; edges are as wide as a
+    voxel.
+    """
     total = np.full(at.shape[:-1], linear_attenuation("air", energy_keV))
     density = np.zeros_like(total)
     labels = np.zeros(total.shape, np.uint8)
@@ -224,7 +243,9 @@ def _attenuation(part: _Part, energy_keV: float, person: Person) -> float:
     if part.density_kg_m3 is None:
         return factor * linear_attenuation(part.tissue, energy_keV)
     fat = person.marrow_fat
-    marrow = fat * linear_attenuation("adipose", energy_keV) + (1.0 - fat) * linear_attenuation("muscle", energy_keV)
+    marrow = fat * linear_attenuation("adipose", energy_keV) + (1.0 - fat) * linear_attenuation(
+        "muscle", energy_keV
+    )
     share = part.density_kg_m3 / density_of("cortex")
     over_marrow = share * (linear_attenuation("cortex", energy_keV) - marrow)
     is_shaft = part.density_kg_m3 == CORTEX_KG_M3
@@ -242,21 +263,43 @@ def _parts() -> list[_Part]:
         for k, rod in enumerate(RODS_KG_M3)
     ]
     return [
-        _Part("subcutaneous_fat", partial(_ellipse, centre=(0.0, -8.0), radii=(100.0, 62.0)), tissue="adipose"),
+        _Part(
+            "subcutaneous_fat",
+            partial(_ellipse, centre=(0.0, -8.0), radii=(100.0, 62.0)),
+            tissue="adipose",
+        ),
         _Part("muscle", partial(_ellipse, centre=(0.0, -8.0), radii=(88.0, 52.0)), tissue="muscle"),
         _Part("aorta", partial(_cylinder, centre=(0.0, -12.0), radius=9.0), tissue="blood"),
-        _Part("humerus_left", partial(_cylinder, centre=shaft, radius=_SHAFT_MM, top=-18.0), CORTEX_KG_M3),
-        _Part("humerus_left", partial(_cylinder, centre=shaft, radius=_SHAFT_MM - 5.0, top=-18.0), 60.0),
-        _Part("humerus_left", partial(_metaphysis, inside=0.0), SUBCHONDRAL_KG_M3),
-        _Part("humerus_left", partial(_ball, centre=head, radius=HEAD_RADIUS_MM), SUBCHONDRAL_KG_M3),
-        _Part("humerus_left", partial(_metaphysis, inside=2.0), TRABECULAR_KG_M3),
-        _Part("humerus_left", partial(_ball, centre=head, radius=HEAD_RADIUS_MM - 2.0), TRABECULAR_KG_M3),
-        _Part("vertebrae_L1", partial(_arch, spine_x=spine[0]), _ARCH_KG_M3),
         _Part(
-            "vertebrae_L1", partial(_cylinder, centre=spine, radius=20.0, top=14.0, bottom=-14.0), _VERTEBRA_SHELL_KG_M3
+            "humerus_left",
+            partial(_cylinder, centre=shaft, radius=_SHAFT_MM, top=-18.0),
+            CORTEX_KG_M3,
         ),
         _Part(
-            "vertebrae_L1", partial(_cylinder, centre=spine, radius=18.0, top=12.0, bottom=-12.0), _VERTEBRA_CORE_KG_M3
+            "humerus_left",
+            partial(_cylinder, centre=shaft, radius=_SHAFT_MM - 5.0, top=-18.0),
+            60.0,
+        ),
+        _Part("humerus_left", partial(_metaphysis, inside=0.0), SUBCHONDRAL_KG_M3),
+        _Part(
+            "humerus_left", partial(_ball, centre=head, radius=HEAD_RADIUS_MM), SUBCHONDRAL_KG_M3
+        ),
+        _Part("humerus_left", partial(_metaphysis, inside=2.0), TRABECULAR_KG_M3),
+        _Part(
+            "humerus_left",
+            partial(_ball, centre=head, radius=HEAD_RADIUS_MM - 2.0),
+            TRABECULAR_KG_M3,
+        ),
+        _Part("vertebrae_L1", partial(_arch, spine_x=spine[0]), _ARCH_KG_M3),
+        _Part(
+            "vertebrae_L1",
+            partial(_cylinder, centre=spine, radius=20.0, top=14.0, bottom=-14.0),
+            _VERTEBRA_SHELL_KG_M3,
+        ),
+        _Part(
+            "vertebrae_L1",
+            partial(_cylinder, centre=spine, radius=18.0, top=12.0, bottom=-12.0),
+            _VERTEBRA_CORE_KG_M3,
         ),
         _Part("spinal_canal", partial(_cylinder, centre=canal, radius=7.0), tissue="muscle"),
         _Part("pad", _pad, tissue="water"),
@@ -265,10 +308,14 @@ def _parts() -> list[_Part]:
 
 
 def _ellipse(at: Array, *, centre: tuple[float, float], radii: tuple[float, float]) -> Array:
-    """About the distance from an elliptic cylinder along z: its level function over the function's slope."""
+    """About the distance from an elliptic cylinder along z: its level function over the
+    function's slope.
+    """
     x, y = ((at[..., k] - centre[k]) / radii[k] for k in (0, 1))
     level = np.hypot(x, y)
-    return np.asarray((level - 1.0) * level / np.maximum(np.hypot(x / radii[0], y / radii[1]), 1e-9))
+    return np.asarray(
+        (level - 1.0) * level / np.maximum(np.hypot(x / radii[0], y / radii[1]), 1e-9)
+    )
 
 
 def _cylinder(
@@ -284,11 +331,17 @@ def _cylinder(
 
 
 def _metaphysis(at: Array, *, inside: float) -> Array:
-    """A cone that widens from the shaft to a rim about the head's lower half, `inside` it by so much [mm]."""
+    """A cone that widens from the shaft to a rim about the head's lower half, `inside` it by so
+    much [mm].
+    """
     up = np.clip((at[..., 2] - _NECK_MM) / (_RIM_MM - _NECK_MM), 0.0, 1.0)
     radius = _SHAFT_MM + up * (_RIM_RADIUS_MM - _SHAFT_MM) - inside
     around = np.hypot(at[..., 0] - _SHAFT_X_MM, at[..., 1] - HEAD_CENTRE_MM[1]) - radius
-    return np.asarray(np.maximum(around, np.maximum(at[..., 2] + inside - _RIM_MM, _NECK_MM + inside - at[..., 2])))
+    return np.asarray(
+        np.maximum(
+            around, np.maximum(at[..., 2] + inside - _RIM_MM, _NECK_MM + inside - at[..., 2])
+        )
+    )
 
 
 def _ball(at: Array, *, centre: tuple[float, float, float], radius: float) -> Array:
@@ -296,11 +349,15 @@ def _ball(at: Array, *, centre: tuple[float, float, float], radius: float) -> Ar
 
 
 def _arch(at: Array, *, spine_x: float) -> Array:
-    """Two pedicles from the body backward, the laminae that join them behind the canal, and a spinous process."""
+    """Two pedicles from the body backward, the laminae that join them behind the canal, and a
+    spinous process.
+    """
     across = np.abs(at[..., 0] - spine_x)
     y = at[..., 1]
     z = at[..., 2]
-    pedicle = np.maximum(np.maximum(np.abs(across - 12.0) - 4.0, np.abs(y - 16.0) - 14.0), np.abs(z - 5.0) - 6.5)
+    pedicle = np.maximum(
+        np.maximum(np.abs(across - 12.0) - 4.0, np.abs(y - 16.0) - 14.0), np.abs(z - 5.0) - 6.5
+    )
     lamina = np.maximum(np.maximum(across - 16.0, np.abs(y - 31.5) - 3.0), np.abs(z) - 11.0)
     spinous = np.maximum(np.maximum(across - 3.0, np.abs(y - 36.0) - 5.0), np.abs(z + 3.0) - 7.0)
     return np.asarray(np.minimum(np.minimum(pedicle, lamina), spinous))
@@ -312,7 +369,8 @@ def _pad(at: Array) -> Array:
 
 
 def reoriented(stored: StoredImage, axes: str) -> StoredImage:
-    """The same voxels in the same places with the array's axes along `axes`, such as RAS: right, anterior, superior.
+    """The same voxels in the same places with the array's axes along `axes`, such as RAS: right,
+    anterior, superior.
 
     Raises
     ------
@@ -327,14 +385,17 @@ def reoriented(stored: StoredImage, axes: str) -> StoredImage:
     steps = (stored.directions * stored.spacing_mm)[:, order]
     flipped = np.flatnonzero(signs < 0.0)
     values = np.flip(np.transpose(stored.values, order), tuple(flipped.tolist()))
-    origin = stored.origin_mm + sum((steps[:, axis] * (values.shape[axis] - 1) for axis in flipped), start=np.zeros(3))
+    origin = stored.origin_mm + sum(
+        (steps[:, axis] * (values.shape[axis] - 1) for axis in flipped), start=np.zeros(3)
+    )
     spacing = tuple(stored.spacing_mm[axis] for axis in order)
     x, y, z = spacing
     return StoredImage(values, (x, y, z), stored.directions[:, order] * signs, origin)
 
 
 def write_stored(path: str | Path, stored: StoredImage, *, tilt_deg: float = 0.0) -> Path:
-    """Write an image in the format of its name: .nii, .nii.gz, .nrrd, .mha, .mhd, or none for a DICOM folder.
+    """Write an image in the format of its name: .nii, .nii.gz, .nrrd, .mha, .mhd, or none for a
+    DICOM folder.
 
     Raises
     ------
@@ -349,15 +410,18 @@ def write_stored(path: str | Path, stored: StoredImage, *, tilt_deg: float = 0.0
     elif path.suffix == "":
         _write_dicom(path, stored, tilt_deg)
     else:
-        raise InputError(f"file must end in .nii.gz, .nrrd, .mha or be a folder, got {path.name}: use ct.nii.gz")
+        raise InputError(
+            f"file must end in .nii.gz, .nrrd, .mha or be a folder, got {path.name}: use ct.nii.gz"
+        )
     return path
 
 
 def write_phantom(folder: str | Path, phantom: CtPhantom) -> Path:
     """Write a phantom in four formats along four orders of axes, its labels and what is true of it.
 
-    ``dicom`` (LPS), ``ct.nii.gz`` (RAS), ``ct.nrrd`` (AIR) and ``ct.mha`` (SLP); ``labels.nii.gz`` with the names in
-    ``labels.toml``; ``truth.json``: effective energy, density and mean of each rod, and the ball of the humerus's head.
+    ``dicom`` (LPS), ``ct.nii.gz`` (RAS), ``ct.nrrd`` (AIR) and ``ct.mha`` (SLP); ``labels.nii.gz``
+    with the names in ``labels.toml``; ``truth.json``: effective energy, density and mean of each
+    rod, and the ball of the humerus's head.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -368,7 +432,10 @@ def write_phantom(folder: str | Path, phantom: CtPhantom) -> Path:
     (folder / "labels.toml").write_text(f"[labels]\n{names}", "utf-8")
     truth = {
         "effective_energy_keV": phantom.energy_keV,
-        "rods": [{"density_kg_m3": density, "mean_HU": mean} for density, mean in phantom.rod_means().items()],
+        "rods": [
+            {"density_kg_m3": density, "mean_HU": mean}
+            for density, mean in phantom.rod_means().items()
+        ],
         "head_centre_mm_lps": list(HEAD_CENTRE_MM),
         "head_radius_mm": HEAD_RADIUS_MM,
     }
@@ -451,11 +518,20 @@ def _decimals(numbers: Array) -> list[str]:
 def main(words: list[str] | None = None) -> int:
     """Write the synthetic CT as the command line asks and return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", help="output folder for dicom/, dicom_tilted/, ct.nii.gz, ct.nrrd, ct.mha and labels")
-    parser.add_argument("--energy-keV", type=float, default=70.0, help="effective energy, 70 by default")
-    parser.add_argument("--noise-HU", type=float, default=20.0, help="standard deviation of a voxel, 20 by default")
+    parser.add_argument(
+        "folder",
+        help="output folder for dicom/, dicom_tilted/, ct.nii.gz, ct.nrrd, ct.mha and labels",
+    )
+    parser.add_argument(
+        "--energy-keV", type=float, default=70.0, help="effective energy, 70 by default"
+    )
+    parser.add_argument(
+        "--noise-HU", type=float, default=20.0, help="standard deviation of a voxel, 20 by default"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the noise")
-    parser.add_argument("--tilt-deg", type=float, default=12.0, help="tilt of the gantry in dicom_tilted")
+    parser.add_argument(
+        "--tilt-deg", type=float, default=12.0, help="tilt of the gantry in dicom_tilted"
+    )
     asked = parser.parse_args(words)
     rng = np.random.default_rng(asked.seed)
     try:
@@ -468,7 +544,10 @@ def main(words: list[str] | None = None) -> int:
         return 2
     folder = write_phantom(asked.folder, straight)
     write_stored(folder / "dicom_tilted", tilted.stored, tilt_deg=asked.tilt_deg)
-    print(f"{folder}: a CT of {straight.stored.values.shape} voxels in four formats, its labels and truth.json")
+    print(
+        f"{folder}: a CT of {straight.stored.values.shape} voxels in four formats, its "
+        "labels and truth.json"
+    )
     return 0
 
 

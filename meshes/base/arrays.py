@@ -16,5 +16,7 @@ Singles = NDArray[np.float32]
 
 
 def lattice(*axes: ArrayLike) -> Any:
-    """Return all combinations of coordinates along axes, shape (n, axes), the last one running fastest."""
+    """Return all combinations of coordinates along axes, shape (n, axes), the last one running
+    fastest.
+    """
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))

@@ -21,7 +21,9 @@ Arrays = dict[str, NDArray[np.generic]]
 
 
 def cache_folder() -> Path:
-    """Where computed arrays are kept: ``TISSUE_CACHE`` if it is set, else the user's cache folder."""
+    """Where computed arrays are kept: ``TISSUE_CACHE`` if it is set, else the user's cache
+    folder.
+    """
     named = os.environ.get("TISSUE_CACHE")
     if named:
         return Path(named)
@@ -38,17 +40,17 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
     Parameters
     ----------
     kind
-        What they are, in a word: the start of the file's name. Change it with the meaning of the arrays.
+        What they are, in a word: the start of the file's name. Change it with the meaning of the
+        arrays.
     key
         Everything they depend on: arrays by their bytes, all else by its ``repr``.
     make
         Computes them.
 
     Notes
-    -----
-    A file holds, with its arrays, the version of the code that made them (that of tissue, and the module of ``make``),
-    their kinds, their shapes and a checksum. One that does not fit, or cannot be read, is made again. A folder that
-    cannot be written is done without.
+    ----- A file holds, with its arrays, the version of the code that made them (that of tissue, and
+    the module of ``make``), their kinds, their shapes and a checksum. One that does not fit, or
+    cannot be read, is made again. A folder that cannot be written is done without.
     """
     digest = hashlib.blake2b(digest_size=16)
     for part in key:
@@ -74,7 +76,9 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
 
 
 def read_entry(path: Path) -> str | None:
-    """Text of a cache entry; None where there is none, or one that is damaged or of another version of tissue."""
+    """Text of a cache entry; None where there is none, or one that is damaged or of another
+    version of tissue.
+    """
     try:
         head, _, text = path.read_bytes().decode("utf-8").partition("\n")
     except (OSError, UnicodeDecodeError):
@@ -83,14 +87,19 @@ def read_entry(path: Path) -> str | None:
 
 
 def write_entry(path: Path, text: str) -> None:
-    """Keep text under a first line with the version of tissue and a checksum; a reader never sees half of it."""
+    """Keep text under a first line with the version of tissue and a checksum; a reader never
+    sees half of it.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as temporary:
         temporary.write_bytes(f"{_head(text)}\n{text}".encode())
 
 
 def _head(text: str) -> str:
-    return f"# {_SEAL} {package_version()} {hashlib.blake2b(text.encode(), digest_size=16).hexdigest()}"
+    return (
+        f"# {_SEAL} {package_version()} "
+        f"{hashlib.blake2b(text.encode(), digest_size=16).hexdigest()}"
+    )
 
 
 def _read(path: Path, code: str) -> Arrays | None:
@@ -111,14 +120,18 @@ def _seal(arrays: Arrays, code: str) -> str:
     for array in arrays.values():
         checksum.update(np.ascontiguousarray(array).tobytes())
     described = {name: [array.dtype.str, array.shape] for name, array in arrays.items()}
-    return json.dumps({"format": 1, "code": code, "arrays": described, "checksum": checksum.hexdigest()})
+    return json.dumps(
+        {"format": 1, "code": code, "arrays": described, "checksum": checksum.hexdigest()}
+    )
 
 
 def _code(make: Callable[[], Arrays]) -> str:
     """Version of tissue and of the module that defines a function."""
     module = sys.modules.get(make.__module__)
     try:
-        source = Path(module.__file__).read_bytes() if module is not None and module.__file__ else b""
+        source = (
+            Path(module.__file__).read_bytes() if module is not None and module.__file__ else b""
+        )
     except OSError:
         source = b""
     return f"{package_version()} {hashlib.blake2b(source, digest_size=8).hexdigest()}"

@@ -1,4 +1,6 @@
-"""Another Python that runs a function of this checkout, and ends with the process that started it."""
+"""Another Python that runs a function of this checkout, and ends with the process that started
+it.
+"""
 
 import sys
 from pathlib import Path
@@ -11,7 +13,10 @@ _DIE_WITH_PARENT = 1
 
 def start_code(module: str, function: str) -> str:
     """Code that calls a function of this checkout, which finds its arguments in `sys.argv[1:]`."""
-    return f"import sys; sys.path.append(sys.argv.pop(1)); from {module} import {function}; {function}()"
+    return (
+        f"import sys; sys.path.append(sys.argv.pop(1)); from {module} import {function}; "
+        f"{function}()"
+    )
 
 
 def python_command(code: str, *arguments: str) -> list[str]:
@@ -22,7 +27,9 @@ def python_command(code: str, *arguments: str) -> list[str]:
 
 
 def kill_with_parent() -> None:
-    """Let the system kill this process when the thread that started it ends, where it can (Linux)."""
+    """Let the system kill this process when the thread that started it ends, where it can
+    (Linux).
+    """
     if sys.platform.startswith("linux"):
         import ctypes
         import signal

@@ -33,8 +33,9 @@ _LONGEST_PATH = 500
 class InputError(ValueError):
     """Input that cannot be used.
 
-    The message is formatted from the fields when it is printed, so a caller can give its own name of the argument
-    (`names_of_caller`). Line breaks, such as one in a file name, are printed as in a string literal.
+    The message is formatted from the fields when it is printed, so a caller can give its own name
+    of the argument (`names_of_caller`). Line breaks, such as one in a file name, are printed as in
+    a string literal.
 
     Parameters
     ----------
@@ -51,7 +52,12 @@ class InputError(ValueError):
     """
 
     def __init__(
-        self, argument: object, requirement: str = "", value: object = "", remedy: str = "", unit: str = ""
+        self,
+        argument: object,
+        requirement: str = "",
+        value: object = "",
+        remedy: str = "",
+        unit: str = "",
     ) -> None:
         super().__init__(argument, requirement, value, remedy, unit)
         self.argument = str(argument)
@@ -69,7 +75,9 @@ class InputError(ValueError):
 
 
 class DamagedFileError(Exception):
-    """What is wrong inside a file, in words of its format; its reader makes it part of the sentence that refuses it."""
+    """What is wrong inside a file, in words of its format; its reader makes it part of the
+    sentence that refuses it.
+    """
 
 
 def counted(count: int, noun: str) -> str:
@@ -124,7 +132,9 @@ def require_range(name: str, value: float, lowest: float, highest: float, remedy
     return number
 
 
-def require_length(name: str, value_m: float, lowest_m: float, highest_m: float, advised_m: float) -> float:
+def require_length(
+    name: str, value_m: float, lowest_m: float, highest_m: float, advised_m: float
+) -> float:
     """Return `value_m` as a float if it lies in the closed interval [lowest_m, highest_m].
 
     The error states lengths in millimetres: callers have arguments in metres and in millimetres.
@@ -158,7 +168,9 @@ def require_length(name: str, value_m: float, lowest_m: float, highest_m: float,
 
 
 def require_ranges(*rows: tuple[str, float, float, float, str]) -> list[float]:
-    """Values that lie in their closed intervals, each row the arguments of `require_range`, which see."""
+    """Values that lie in their closed intervals, each row the arguments of `require_range`,
+    which see.
+    """
     return [require_range(*row) for row in rows]
 
 
@@ -186,7 +198,9 @@ def require_vector(name: str, value: Sequence[float] | NDArray[np.float64]) -> N
 
 
 def require_direction(
-    name: str, value: Sequence[float] | NDArray[np.float64], remedy: str = "use for example (0, 0, 1)"
+    name: str,
+    value: Sequence[float] | NDArray[np.float64],
+    remedy: str = "use for example (0, 0, 1)",
 ) -> NDArray[np.float64]:
     """Return the unit vector along `value`, shape (3,).
 
@@ -205,7 +219,11 @@ def require_direction(
 def _short(file: Path) -> str:
     """A path as a sentence can hold it."""
     text = str(file)
-    return text if len(text) <= _LONGEST_PATH else f"{text[: _LONGEST_PATH // 2]}...{text[-_LONGEST_PATH // 2 :]}"
+    return (
+        text
+        if len(text) <= _LONGEST_PATH
+        else f"{text[: _LONGEST_PATH // 2]}...{text[-_LONGEST_PATH // 2 :]}"
+    )
 
 
 def is_file(file: Path) -> bool:
@@ -233,9 +251,16 @@ def require_file(file: Path, content: str) -> None:
         If it is.
     """
     if not is_file(file):
-        raise InputError("file", "exist", _short(file), "check the path, which is taken from the working directory")
+        raise InputError(
+            "file",
+            "exist",
+            _short(file),
+            "check the path, which is taken from the working directory",
+        )
     if file.stat().st_size == 0:
-        raise InputError("file", f"hold {content}", f"the empty file {file.name}", "export it again")
+        raise InputError(
+            "file", f"hold {content}", f"the empty file {file.name}", "export it again"
+        )
 
 
 def _as_number(name: str, value: object, remedy: str) -> float:
@@ -247,12 +272,15 @@ def _as_number(name: str, value: object, remedy: str) -> float:
     except (TypeError, ValueError) as problem:
         raise InputError(name, "be a number", f"{value!r}", remedy) from problem
     except OverflowError as problem:
-        raise InputError(name, "be a number below 1e308", f"{str(value)[:12]}...", remedy) from problem
+        raise InputError(
+            name, "be a number below 1e308", f"{str(value)[:12]}...", remedy
+        ) from problem
 
 
 @contextmanager
 def names_of_caller(names: Mapping[str, str]) -> Iterator[None]:
-    """Give an `InputError` the caller's name of its argument, such as the key of a scene, by the name it has here.
+    """Give an `InputError` the caller's name of its argument, such as the key of a scene, by the
+    name it has here.
 
     An element, such as ``tau_s[0]``, is named by the whole.
     """

@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_positive
 
-__all__ = ["given_limit_GB", "memory_limit", "memory_limit_bytes", "read_npz", "require_memory", "require_regular"]
+__all__ = [
+    "given_limit_GB",
+    "memory_limit",
+    "memory_limit_bytes",
+    "read_npz",
+    "require_memory",
+    "require_regular",
+]
 
 _GB = 1e9
 _FREE_SHARE = 0.5
@@ -30,7 +37,9 @@ def memory_limit(max_memory_GB: float | None) -> Iterator[None]:
     if max_memory_GB is None:
         yield
         return
-    token = _limit_GB.set(require_positive("max_memory_GB", max_memory_GB, "leave it out, or use about 8"))
+    token = _limit_GB.set(
+        require_positive("max_memory_GB", max_memory_GB, "leave it out, or use about 8")
+    )
     try:
         yield
     finally:
@@ -43,7 +52,9 @@ def given_limit_GB() -> float | None:
 
 
 def memory_limit_bytes() -> int:
-    """Return the bytes that the content of a file may take: those of `memory_limit`, else half of the free memory."""
+    """Return the bytes that the content of a file may take: those of `memory_limit`, else half
+    of the free memory.
+    """
     given = _limit_GB.get()
     return int(given * _GB) if given is not None else int(_FREE_SHARE * _free_bytes())
 
@@ -80,8 +91,8 @@ def require_memory(needed: int, file: str, content: str) -> None:
 def require_regular(file: Path) -> Path:
     """Return a path that leads to a regular file, if it leads to anything.
 
-    Devices such as /dev/zero have no end, and a named pipe blocks until somebody writes into it. A path that leads to
-    nothing is left to the code that opens it.
+    Devices such as /dev/zero have no end, and a named pipe blocks until somebody writes into it. A
+    path that leads to nothing is left to the code that opens it.
 
     Raises
     ------
@@ -94,12 +105,15 @@ def require_regular(file: Path) -> Path:
         return file  # it is missing or has an impossible name: the code that opens it reports that
     if not stat.S_ISREG(mode):
         kind = "a folder" if stat.S_ISDIR(mode) else "a device, a named pipe or a socket"
-        raise InputError("file", "be a regular file", f"{file}, which is {kind}", "copy its content to a file")
+        raise InputError(
+            "file", "be a regular file", f"{file}, which is {kind}", "copy its content to a file"
+        )
     return file
 
 
 def read_npz(path: Path) -> dict[str, NDArray[np.generic]]:
-    """Read the arrays of a NumPy archive, after their stated sizes have been compared with the file and the limit.
+    """Read the arrays of a NumPy archive, after their stated sizes have been compared with the file
+    and the limit.
 
     Raises
     ------
@@ -111,14 +125,21 @@ def read_npz(path: Path) -> dict[str, NDArray[np.generic]]:
     require_regular(path)
     with zipfile.ZipFile(path) as archive:
         entries = [entry for entry in archive.infolist() if entry.filename.endswith(".npy")]
-        require_memory(sum(entry.file_size for entry in entries), path.name, f"{len(entries)} arrays")
+        require_memory(
+            sum(entry.file_size for entry in entries), path.name, f"{len(entries)} arrays"
+        )
         for entry in entries:
             with archive.open(entry) as stream:
                 stated = _npy_bytes(stream.read(_LONGEST_HEADER))
                 if stated != entry.file_size:
-                    raise ValueError(f"{entry.filename} states {stated} bytes and holds another number")
+                    raise ValueError(
+                        f"{entry.filename} states {stated} bytes and holds another number"
+                    )
     with np.load(path, allow_pickle=False) as stored:
-        return {name: stored[name] for name in (entry.filename.removesuffix(".npy") for entry in entries)}
+        return {
+            name: stored[name]
+            for name in (entry.filename.removesuffix(".npy") for entry in entries)
+        }
 
 
 def _npy_bytes(first: bytes) -> int:
@@ -135,7 +156,9 @@ def _npy_bytes(first: bytes) -> int:
 
 
 def _free_bytes() -> int:
-    """Return the memory that this process may still take: of the machine, its container and its own limit."""
+    """Return the memory that this process may still take: of the machine, its container and its
+    own limit.
+    """
     import psutil
 
     free = [int(psutil.virtual_memory().available)]

@@ -1,4 +1,6 @@
-"""Which version of its format and of tissue a file carries, and whether this version of tissue reads it."""
+"""Which version of its format and of tissue a file carries, and whether this version of tissue
+reads it.
+"""
 
 from collections.abc import Mapping
 from functools import cache
@@ -36,7 +38,8 @@ def require_version(
     what
         Name of the file as a person knows it.
     held
-        What the file states of itself: its format's version under ``key``, and ``tissue``, the version that wrote it.
+        What the file states of itself: its format's version under ``key``, and ``tissue``, the
+        version that wrote it.
     newest, oldest
         Versions that are read.
     where
@@ -51,7 +54,9 @@ def require_version(
     """
     stated = held.get(key)
     if isinstance(stated, bool) or not isinstance(stated, int) or stated < 1:
-        raise InputError(what, "state the version of its format", f"{str(stated)[:40]} in {where}", remedy)
+        raise InputError(
+            what, "state the version of its format", f"{str(stated)[:40]} in {where}", remedy
+        )
     if stated > newest:
         writer = str(held.get("tissue", "a later version"))[:40]
         raise InputError(

@@ -1,7 +1,9 @@
-"""Parse a file in a process of its own: the parsers of some libraries end the process they run in on a damaged file.
+"""Parse a file in a process of its own: the parsers of some libraries end the process they run in
+on a damaged file.
 
-The child runs one named function and sends plain numbers back through a pipe: a line of JSON, then the bytes of the
-arrays. It is ended when it takes too long or too much memory, and ends with the process that started it.
+The child runs one named function and sends plain numbers back through a pipe: a line of JSON, then
+the bytes of the arrays. It is ended when it takes too long or too much memory, and ends with the
+process that started it.
 """
 
 import faulthandler
@@ -22,7 +24,12 @@ from numpy.typing import NDArray
 
 from meshes.base.child_process import kill_with_parent, python_command, start_code
 from meshes.base.errors import DamagedFileError, InputError
-from meshes.base.file_limits import given_limit_GB, memory_limit, memory_limit_bytes, require_regular
+from meshes.base.file_limits import (
+    given_limit_GB,
+    memory_limit,
+    memory_limit_bytes,
+    require_regular,
+)
 
 __all__ = ["Answer", "parse_isolated"]
 
@@ -36,24 +43,35 @@ _LONGEST_S = 60.0
 _BYTES_A_SECOND = 1_000_000
 _LEAST_BYTES = 2 << 30
 _BYTES_A_BYTE = 64
-"""Memory that a parser may take at least, and for each byte of the file: label images shrink to a hundredth."""
+"""Memory that a parser may take at least, and for each byte of the file: label images shrink to
+a hundredth.
+"""
 _LIBRARIES_BYTES = 256 << 20
-"""Memory of the interpreter and its libraries, which does not count against the memory limit of files."""
+"""Memory of the interpreter and its libraries, which does not count against the memory limit of
+files.
+"""
 _LOOK_EVERY_S = 0.05
 _LAST_S = 2.0
 
 
 def parse_isolated(
-    parser: str, file: Path, *, what: str, remedy: str, longest_s: float | None = None, **options: object
+    parser: str,
+    file: Path,
+    *,
+    what: str,
+    remedy: str,
+    longest_s: float | None = None,
+    **options: object,
 ) -> Answer:
     """Run a parser on a file in a process of its own.
 
     Parameters
     ----------
     parser
-        ``module:function`` of this checkout. The function takes the path and the options, and returns a pair: a
-        dictionary of what JSON can hold, and a dictionary of arrays. It may raise InputError, or DamagedFileError
-        with what is wrong; any other exception means that the file is damaged, its text is of no use to a person.
+        ``module:function`` of this checkout. The function takes the path and the options, and
+        returns a pair: a dictionary of what JSON can hold, and a dictionary of arrays. It may raise
+        InputError, or DamagedFileError with what is wrong; any other exception means that the file
+        is damaged, its text is of no use to a person.
     file
         File, or folder of files.
     what, remedy
@@ -81,7 +99,11 @@ def parse_isolated(
         )
     if not file.is_dir():
         require_regular(file)
-    size = sum(each.stat().st_size for each in (file.rglob("*") if file.is_dir() else [file]) if each.is_file())
+    size = sum(
+        each.stat().st_size
+        for each in (file.rglob("*") if file.is_dir() else [file])
+        if each.is_file()
+    )
     limit_s = longest_s if longest_s is not None else _LONGEST_S + size / _BYTES_A_SECOND
     request = json.dumps([parser, str(file.absolute()), options, given_limit_GB()])
     command = python_command(_START, request, str(os.getpid()), str(limit_s))
@@ -97,9 +119,13 @@ def parse_isolated(
                 process.wait(_LAST_S)  # its pipe closes before it has ended
             process.kill()
             process.wait()
-            reason = monitor.reason or ("it takes too much memory" if isinstance(problem, MemoryError) else "")
+            reason = monitor.reason or (
+                "it takes too much memory" if isinstance(problem, MemoryError) else ""
+            )
             reason = reason or f"its parser crashed with exit code {process.returncode}"
-            raise InputError("file", f"be a readable {what}", f"{file.name} ({reason})", remedy) from None
+            raise InputError(
+                "file", f"be a readable {what}", f"{file.name} ({reason})", remedy
+            ) from None
         except BaseException:
             process.kill()
             raise
@@ -108,7 +134,9 @@ def parse_isolated(
     if "refused" in answer:
         raise InputError(*answer["refused"])
     if "problem" in answer:
-        raise InputError("file", f"be a readable {what}", f"{file.name} ({answer['problem']})", remedy)
+        raise InputError(
+            "file", f"be a readable {what}", f"{file.name} ({answer['problem']})", remedy
+        )
     return answer["facts"], arrays
 
 
@@ -123,7 +151,9 @@ class _Monitor:
         most_bytes = min(most_bytes, memory_limit_bytes() + _LIBRARIES_BYTES)
 
         def end_when_over() -> None:
-            """Look at the process until `done` is set, and kill it with a reason once it is over a limit."""
+            """Look at the process until `done` is set, and kill it with a reason once it is over
+            a limit.
+            """
             end = monotonic() + longest_s
             while not self.done.wait(_LOOK_EVERY_S):
                 try:
@@ -133,7 +163,9 @@ class _Monitor:
                 if monotonic() > end:
                     self.reason = f"its parser took longer than {longest_s:g} s"
                 elif taken > most_bytes:
-                    self.reason = f"its parser took more than {most_bytes / 2**30:.2g} GiB of memory"
+                    self.reason = (
+                        f"its parser took more than {most_bytes / 2**30:.2g} GiB of memory"
+                    )
                 if self.reason:
                     process.kill()
                     return
@@ -156,9 +188,12 @@ def _receive(answers: IO[bytes]) -> Answer:
 
 
 def _serve() -> None:
-    """Parse in this process, which is the child, what the command line asks for; answer on the standard output."""
+    """Parse in this process, which is the child, what the command line asks for; answer on the
+    standard output.
+    """
     request, parent, limit_s = sys.argv[1:]
-    faulthandler.dump_traceback_later(2.0 * float(limit_s), exit=True)  # where nobody is left to end it
+    # where nobody is left to end it
+    faulthandler.dump_traceback_later(2.0 * float(limit_s), exit=True)
     kill_with_parent()
     if sys.platform.startswith("linux") and os.getppid() != int(parent):
         return
@@ -171,7 +206,10 @@ def _serve() -> None:
         with memory_limit(max_memory_GB):
             facts, arrays = getattr(import_module(module), function)(Path(file), **options)
         arrays = {key: np.ascontiguousarray(array) for key, array in arrays.items()}
-        answer = {"facts": facts, "arrays": [(key, each.dtype.str, each.shape) for key, each in arrays.items()]}
+        answer = {
+            "facts": facts,
+            "arrays": [(key, each.dtype.str, each.shape) for key, each in arrays.items()],
+        }
     except InputError as problem:
         answer = {"refused": [str(field) for field in problem.args]}
     except DamagedFileError as problem:

@@ -10,12 +10,14 @@ Result = TypeVar("Result")
 
 
 class Kept(Generic[Result]):
-    """The results that were asked for last: trials of a study build the same meshes, voxels and tables again and again.
+    """The results that were asked for last: trials of a study build the same meshes, voxels and
+    tables again and again.
 
     Parameters
     ----------
     most
-        How many are kept; the one that was asked for longest ago goes first, so that memory does not grow.
+        How many are kept; the one that was asked for longest ago goes first, so that memory does
+        not grow.
     """
 
     def __init__(self, most: int) -> None:

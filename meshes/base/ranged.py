@@ -10,7 +10,9 @@ __all__ = ["Ranged", "ranged"]
 
 def ranged(default: float, lowest: float, highest: float, remedy: str = "") -> Any:
     """Declare a number of a `Ranged` with its default and its closed range."""
-    return field(default=default, metadata={"range": (lowest, highest, remedy or f"use {default:g}")})
+    return field(
+        default=default, metadata={"range": (lowest, highest, remedy or f"use {default:g}")}
+    )
 
 
 @dataclass(frozen=True)

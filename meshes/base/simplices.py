@@ -6,7 +6,9 @@ from numpy.typing import NDArray
 __all__ = ["compact", "cross_products", "directed_edges", "enclosed_volume", "windings"]
 
 
-def compact(points: NDArray[np.float64], cells: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def compact(
+    points: NDArray[np.float64], cells: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Points that a cell names, shape (n, 3), and the cells, shape (m, k), by their new numbers."""
     used = np.zeros(len(points), dtype=bool)
     used[cells] = True
@@ -14,7 +16,9 @@ def compact(points: NDArray[np.float64], cells: NDArray[np.int64]) -> tuple[NDAr
 
 
 def directed_edges(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Start and end of the edges of triangles, shape (3 m, 2): all first edges, all second, all third."""
+    """Start and end of the edges of triangles, shape (3 m, 2): all first edges, all second, all
+    third.
+    """
     return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
 
 
@@ -24,7 +28,9 @@ def windings(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.sign(b - a) * np.sign(c - b) * np.sign(a - c)
 
 
-def cross_products(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> NDArray[np.float64]:
+def cross_products(
+    points: NDArray[np.float64], triangles: NDArray[np.int64]
+) -> NDArray[np.float64]:
     """Normals of triangles, as long as twice their area, shape (m, 3)."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
     return np.cross(b - a, c - a)
@@ -33,4 +39,7 @@ def cross_products(points: NDArray[np.float64], triangles: NDArray[np.int64]) ->
 def enclosed_volume(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> float:
     """Volume that triangles wound outward enclose, in cubed units of the points."""
     corners = points - points.mean(axis=0)
-    return float(np.einsum("ij,ij->", corners[triangles[:, 0]], cross_products(corners, triangles))) / 6.0
+    return (
+        float(np.einsum("ij,ij->", corners[triangles[:, 0]], cross_products(corners, triangles)))
+        / 6.0
+    )

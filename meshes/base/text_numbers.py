@@ -47,5 +47,7 @@ def require_distinct_columns(names: Iterable[str], what: str, path: Path) -> Non
     seen = set[str]()
     for name in names:
         if name in seen:
-            raise InputError(f"{what} has two columns named {name} in {path}: rename or remove one of them")
+            raise InputError(
+                f"{what} has two columns named {name} in {path}: rename or remove one of them"
+            )
         seen.add(name)

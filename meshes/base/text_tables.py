@@ -27,7 +27,9 @@ def read_toml(text: str) -> dict[str, Any]:
     except tomllib.TOMLDecodeError:
         raise
     except RecursionError:
-        raise tomllib.TOMLDecodeError(f"tables and lists within each other more than {DEEPEST} times") from None
+        raise tomllib.TOMLDecodeError(
+            f"tables and lists within each other more than {DEEPEST} times"
+        ) from None
     except ValueError as error:
         raise tomllib.TOMLDecodeError(str(error).split(":")[0]) from None
     return table
@@ -47,7 +49,9 @@ def read_json(text: str | bytes) -> Any:
     except (json.JSONDecodeError, UnicodeDecodeError):
         raise
     except RecursionError:
-        raise json.JSONDecodeError(f"tables and lists within each other more than {DEEPEST} times", "", 0) from None
+        raise json.JSONDecodeError(
+            f"tables and lists within each other more than {DEEPEST} times", "", 0
+        ) from None
     except ValueError as error:
         raise json.JSONDecodeError(str(error).split(":")[0], "", 0) from None
     return value

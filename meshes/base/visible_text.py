@@ -1,4 +1,6 @@
-"""Text from files as a person may see it: what would move a terminal's cursor or colour it is shown by its code."""
+"""Text from files as a person may see it: what would move a terminal's cursor or colour it is
+shown by its code.
+"""
 
 import unicodedata
 
@@ -10,6 +12,8 @@ def visible(text: str) -> str:
     if text.isascii() and text.isprintable():
         return text
     return "".join(
-        each.encode("unicode_escape").decode() if unicodedata.category(each) in ("Cc", "Cf", "Cs") else each
+        each.encode("unicode_escape").decode()
+        if unicodedata.category(each) in ("Cc", "Cf", "Cs")
+        else each
         for each in text
     ).replace("\\n", "\n")

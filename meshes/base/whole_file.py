@@ -28,7 +28,9 @@ OWNERS: "WeakSet[Owner]" = WeakSet()
 
 
 def claim(path: Path) -> None:
-    """Announce a file that is about to be written to the innermost folder in `OWNERS` that holds it."""
+    """Announce a file that is about to be written to the innermost folder in `OWNERS` that holds
+    it.
+    """
     owner = max(list(OWNERS), key=lambda each: each.depth(path), default=None)
     if owner is not None and owner.depth(path):
         owner.claim(path)
@@ -38,8 +40,9 @@ def claim(path: Path) -> None:
 def whole_file(path: Path) -> Iterator[Path]:
     """A temporary name in a file's folder, of the same ending, to write to in the block.
 
-    What was written takes the file's place in one step when the block ends, and goes when it fails; so no reader sees
-    half of it, and of two writers one wins. A folder in `OWNERS` that holds the file may refuse it.
+    What was written takes the file's place in one step when the block ends, and goes when it fails;
+    so no reader sees half of it, and of two writers one wins. A folder in `OWNERS` that holds the
+    file may refuse it.
     """
     claim(path)
     temporary = path.with_name(f".{uuid4().hex[:12]}-{path.name}")

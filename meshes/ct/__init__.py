@@ -1,1 +1,3 @@
-"""CT of a person: what an image holds, its labels and their names, and bone out of it with its density."""
+"""CT of a person: what an image holds, its labels and their names, and bone out of it with its
+density.
+"""

@@ -16,20 +16,25 @@ ENERGIES_KEV = (30.0, 150.0)
 
 
 def mass_attenuation(material: str, energy_keV: float) -> float:
-    """Mass attenuation coefficient [m2/kg] of a material of ``attenuation.toml``, by its elements' mass fractions.
+    """Mass attenuation coefficient [m2/kg] of a material of ``attenuation.toml``, by its elements'
+    mass fractions.
 
-    Between the energies of the table by cubic splines of the logarithms, which are within 0.2 % of the finer tables of
-    Elam et al. 2002.
+    Between the energies of the table by cubic splines of the logarithms, which are within 0.2 % of
+    the finer tables of Elam et al. 2002.
 
     Raises
     ------
     InputError
         If the energy is outside the table.
     """
-    energy = require_range("energy_keV", energy_keV, *ENERGIES_KEV, "use the effective energy, about 70")
+    energy = require_range(
+        "energy_keV", energy_keV, *ENERGIES_KEV, "use the effective energy, about 70"
+    )
     curves = _curves()
     fractions = _table()["materials"][material]["fractions"]
-    total = sum(share * np.exp(curves[element](np.log(energy))) for element, share in fractions.items())
+    total = sum(
+        share * np.exp(curves[element](np.log(energy))) for element, share in fractions.items()
+    )
     return 0.1 * float(total)
 
 
@@ -60,4 +65,6 @@ def _curves() -> dict[str, Any]:
 
     table = _table()
     at = np.log(table["energies_keV"])
-    return {element: CubicSpline(at, np.log(values)) for element, values in table["elements"].items()}
+    return {
+        element: CubicSpline(at, np.log(values)) for element, values in table["elements"].items()
+    }

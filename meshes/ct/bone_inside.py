@@ -1,4 +1,6 @@
-"""Bones whose inside is known, as anatomies: by the density of a CT, or by a second surface around the core."""
+"""Bones whose inside is known, as anatomies: by the density of a CT, or by a second surface
+around the core.
+"""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,25 +21,38 @@ from meshes.tooth.layer_contact import inside_surface
 from meshes.tooth.layered_surfaces import joined
 from meshes.voxels.mesh_sampling import TriangleSampler, triangle_distance
 
-__all__ = ["CORTICAL_ABOVE_KG_M3", "IMAGED_LAYERS", "LAW", "cored_anatomy", "imaged_anatomy", "stated_law"]
+__all__ = [
+    "CORTICAL_ABOVE_KG_M3",
+    "IMAGED_LAYERS",
+    "LAW",
+    "cored_anatomy",
+    "imaged_anatomy",
+    "stated_law",
+]
 
 IMAGED_LAYERS = ("cortical", "subchondral", "trabecular")
 LAW = "density_law"
 """Key of an image's header that states where its densities come from and how sure they are."""
 CORTICAL_ABOVE_KG_M3 = 1000.0
-"""Apparent density from which bone is cortical: ash density 0.6 g/cm3, where Keyak (1998) changes from trabecular to
-cortical, over ash to apparent 0.598 (Schileo 2008)."""
+"""Apparent density from which bone is cortical: ash density 0.6 g/cm3, where Keyak (1998) changes
+from trabecular to cortical, over ash to apparent 0.598 (Schileo 2008)."""
 _LEAST_KG_M3 = 50.0
 _PLATE_M = 5e-3
-"""Largest depth of a subchondral plate: 1.2 to 2.9 mm on the glenoid (Frich), more where a joint is loaded."""
+"""Largest depth of a subchondral plate: 1.2 to 2.9 mm on the glenoid (Frich), more where a joint
+is loaded.
+"""
 _LEAST_COVERED = 0.99
 """Share of a surface at which its image must hold density."""
 _TO_EDGE = 0.501
-"""Distance [voxel] from the centre of an image's last voxel to its edge, where a bone is cut off, with rounding."""
+"""Distance [voxel] from the centre of an image's last voxel to its edge, where a bone is cut
+off, with rounding.
+"""
 _FARTHEST_OUT_M = 0.5e-3
 """Distance by which a core may reach out of the bone, because surfaces are smoothed apart."""
 _LEAST_TOUCHING = 0.2
-"""Share of a core's points that must lie in the bone or on it: a hollow cortex may be open, as a jaw's to its teeth."""
+"""Share of a core's points that must lie in the bone or on it: a hollow cortex may be open, as a
+jaw's to its teeth.
+"""
 
 
 def imaged_anatomy(
@@ -50,7 +65,8 @@ def imaged_anatomy(
 ) -> Anatomy:
     """Return the anatomy of a bone in the site frame, its density interpolated in an image.
 
-    Dense bone is cortical; within 5 mm under an articular face it is the subchondral plate; the rest is trabecular.
+    Dense bone is cortical; within 5 mm under an articular face it is the subchondral plate; the
+    rest is trabecular.
 
     Parameters
     ----------
@@ -61,7 +77,8 @@ def imaged_anatomy(
     cortical_above_kg_m3
         Density from which bone is cortical, 300 to 2000 kg/m3.
     articular_radius_mm
-        Distance from the site across its normal within which the surface is a joint's [mm], 0 for none.
+        Distance from the site across its normal within which the surface is a joint's [mm], 0 for
+        none.
 
     Raises
     ------
@@ -70,7 +87,13 @@ def imaged_anatomy(
     """
     dense, articular = require_ranges(
         ("cortical_above_kg_m3", cortical_above_kg_m3, 300.0, 2000.0, "use 1000"),
-        ("articular_radius_mm", articular_radius_mm, 0.0, 100.0, "use 18 for a glenoid, 0 for no joint"),
+        (
+            "articular_radius_mm",
+            articular_radius_mm,
+            0.0,
+            100.0,
+            "use 18 for a glenoid, 0 for no joint",
+        ),
     )
     _require_covered(surface, density)
     values = density.values.astype(np.float32)
@@ -80,11 +103,15 @@ def imaged_anatomy(
     first = ((site.centre_m - origin) / spacing).astype(np.float32)
 
     def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
-        """Return layer and density [kg/m3] of points [m], shape (n, 3), at depths [m] below the surface, shape (n,)."""
+        """Return layer and density [kg/m3] of points [m], shape (n, 3), at depths [m] below the
+        surface, shape (n,).
+        """
         from scipy.ndimage import map_coordinates
 
         at = to_voxels @ np.asarray(points, dtype=np.float32).T + first[:, None]
-        found = np.maximum(map_coordinates(values, at, order=1, mode="nearest"), np.float32(_LEAST_KG_M3))
+        found = np.maximum(
+            map_coordinates(values, at, order=1, mode="nearest"), np.float32(_LEAST_KG_M3)
+        )
         layer = np.where(found >= dense, np.uint8(0), np.uint8(2))
         if articular > 0.0:
             aside = np.hypot(points[:, 0], points[:, 1]) < 1e-3 * articular
@@ -94,12 +121,15 @@ def imaged_anatomy(
     notes = {
         "surface": surface.report.source,
         "repairs": " ".join(surface.report.repairs) or "none",
-        "density": f"{density.source}: {values[values > 0].min():.0f} to {values.max():.0f} kg/m3, cortical from "
+        "density": f"{density.source}: {values[values > 0].min():.0f} to {values.max():.0f} kg/m3, "
+        "cortical from "
         f"{dense:g} kg/m3",
     }
     triangles = site.to_site(surface.vertices_m), surface.faces
     threshold = _PLATE_M if articular > 0.0 else 0.0
-    return _anatomy(surface, site, TriangleSampler(*triangles, threshold), IMAGED_LAYERS, classify, notes)
+    return _anatomy(
+        surface, site, TriangleSampler(*triangles, threshold), IMAGED_LAYERS, classify, notes
+    )
 
 
 def cored_anatomy(
@@ -110,12 +140,14 @@ def cored_anatomy(
     cortical_density_kg_m3: float = 1800.0,
     trabecular_density_kg_m3: float = 350.0,
 ) -> Anatomy:
-    """Return the anatomy of a bone in the site frame: trabecular within the core, cortical elsewhere.
+    """Return the anatomy of a bone in the site frame: trabecular within the core, cortical
+    elsewhere.
 
     Parameters
     ----------
     surface
-        Surface around the whole bone, or around the cortical bone alone, which is then hollow where the core is.
+        Surface around the whole bone, or around the cortical bone alone, which is then hollow where
+        the core is.
     core
         Surface around the trabecular bone, in the same frame.
     cortical_density_kg_m3, trabecular_density_kg_m3
@@ -141,7 +173,10 @@ def cored_anatomy(
     notes = {
         "surface": f"{surface.report.source} around {core.report.source}",
         "repairs": " ".join((*surface.report.repairs, *core.report.repairs)) or "none",
-        "densities": f"cortical {dense:g}, trabecular {sparse:g} kg/m3, assumed: the files hold surfaces only",
+        "densities": (
+            f"cortical {dense:g}, trabecular {sparse:g} kg/m3, assumed: the files hold surfaces "
+            "only"
+        ),
     }
     return _anatomy(surface, site, TriangleSampler(*whole, 0.0), SURFACE_LAYERS, classify, notes)
 
@@ -181,7 +216,9 @@ def _anatomy(
 
 
 def _require_covered(surface: Surface, density: Image) -> None:
-    """Raise for an image without density at the surface: another bone, another frame or another unit."""
+    """Raise for an image without density at the surface: another bone, another frame or another
+    unit.
+    """
     origin = np.array(density.origin_mm)
     last = np.array(density.values.shape) - 1
     at = (1e3 * surface.vertices_m - origin) / density.spacing_mm
@@ -192,10 +229,17 @@ def _require_covered(surface: Surface, density: Image) -> None:
         raise InputError(
             "density_file",
             "hold the density of the bone up to its surface",
-            f"none at {1 - covered:.0%} of the surface of {surface.report.source} in {density.source}",
+            (
+                f"none at {1 - covered:.0%} of the surface of {surface.report.source} in "
+                f"{density.source}"
+            ),
             "give both in one frame (LPS, mm)",
         )
-    if not np.isfinite(density.values).all() or density.values.min() < 0 or density.values.max() > 20_000:
+    if (
+        not np.isfinite(density.values).all()
+        or density.values.min() < 0
+        or density.values.max() > 20_000
+    ):
         raise InputError(
             "density_file",
             "hold apparent densities from 0 to 20000 kg/m3",

@@ -1,10 +1,12 @@
-"""Density calibration without a phantom: air, fat, muscle and cortex of the same CT are the phantom.
+"""Density calibration without a phantom: air, fat, muscle and cortex of the same CT are the
+phantom.
 
-After Michalski et al. 2020 (Med Eng Phys 78:55), written from the paper's method: the effective energy is the one at
-which the attenuation of the reference tissues fits their Hounsfield units best. Differences from the paper: linear
-attenuation is fitted, because Hounsfield units are linear in it. All unknowns have priors and are found together, so
-that their uncertainty reaches the density. Dense bone of ICRU 44 in marrow leads to apparent density, because relations
-from K2HPO4 to ash in use differ by 30 %.
+After Michalski et al. 2020 (Med Eng Phys 78:55), written from the paper's method: the effective
+energy is the one at which the attenuation of the reference tissues fits their Hounsfield units
+best. Differences from the paper: linear attenuation is fitted, because Hounsfield units are linear
+in it. All unknowns have priors and are found together, so that their uncertainty reaches the
+density. Dense bone of ICRU 44 in marrow leads to apparent density, because relations from K2HPO4 to
+ash in use differ by 30 %.
 """
 
 import math
@@ -21,10 +23,12 @@ from meshes.images.frame import Image
 __all__ = ["Calibration", "Region", "calibrate", "find_regions", "fit_regions"]
 
 _SPREAD = {"air": 0.0, "adipose": 0.02, "muscle": 0.01, "cortex": 0.04}
-"""Relative standard deviation of a tissue's attenuation between persons. Fat and muscle: half of what adipose tissues 1
-to 3 and muscles 1 to 3 of Woodard and White 1986 (Br J Radiol 59:1209) differ by, with the fat in muscle. Cortex: pores
-of 3 to 12 % and density of 1.85 to 2.0 g/cm3 where it is densest."""
-_ENERGY_KEV = 72.0  # prior of the effective energy: clinical tubes of 80 to 140 kV make about 50 to 85 keV
+"""Relative standard deviation of a tissue's attenuation between persons. Fat and muscle: half of
+what adipose tissues 1 to 3 and muscles 1 to 3 of Woodard and White 1986 (Br J Radiol 59:1209)
+differ by, with the fat in muscle. Cortex: pores of 3 to 12 % and density of 1.85 to 2.0 g/cm3 where
+it is densest."""
+# prior of the effective energy: clinical tubes of 80 to 140 kV make about 50 to 85 keV
+_ENERGY_KEV = 72.0
 _ENERGY_SD_KEV = 15.0
 _LIMITS_KEV = (38.0, 140.0)
 _WATER_SD_HU = 4.0  # water is 0 +- 4 HU in a scanner's acceptance test (IEC 61223-3-5)
@@ -32,22 +36,24 @@ _SCALE_SD = 0.01  # error of a scanner's scale
 _MARROW_FAT = 0.6  # fraction of fat in the pores: red marrow has 0.4, yellow 0.8 (ICRP 89)
 _MARROW_FAT_SD = 0.25
 _MINERAL_SD = 0.03
-"""Relative standard deviation of apparent density from mineral: ICRU 44's calcium makes ash 0.57 of dense bone, the
-ratio of Schileo 2008 is 0.598. Half of their difference."""
-_WORST_FIT = 9.0  # mean squared misfit, in standard deviations, above which the values are no Hounsfield units
+"""Relative standard deviation of apparent density from mineral: ICRU 44's calcium makes ash 0.57 of
+dense bone, the ratio of Schileo 2008 is 0.598. Half of their difference."""
+# mean squared misfit, in standard deviations, above which the values are no Hounsfield units
+_WORST_FIT = 9.0
 _CHANCE = 0.1  # a misfit less probable than this widens the band
 
 _SLAB_VOXELS = 4e6
 _MOST_VOXELS = 4e7  # only every second, third ... slab of a larger image is used
 _MODES_HU = {"air": (-1060.0, -940.0), "adipose": (-140.0, -45.0), "muscle": (15.0, 95.0)}
-"""Range of a tissue's most frequent value between effective energies of 40 and 120 keV: the tissues of ICRU 44 (fat -99
-to -57, muscle 45 to 40) and 35 HU to either side."""
+"""Range of a tissue's most frequent value between effective energies of 40 and 120 keV: the tissues
+of ICRU 44 (fat -99 to -57, muscle 45 to 40) and 35 HU to either side."""
 _BINS_HU = (-1100, 200)
 _SMOOTHING_HU = 4.0
 _LEAST_PEAK = 0.2  # height of a maximum, relative to the highest in the tissue's range
 _PROMINENCE = 0.02  # likewise
 _WINDOW_HU = 12
-_WIDTH_ERROR = 0.1  # error over full width at half prominence: a quarter of the maximum's standard deviation
+# error over full width at half prominence: a quarter of the maximum's standard deviation
+_WIDTH_ERROR = 0.1
 _SMALLEST_MM3 = 500.0
 _FEWEST_VOXELS = 60
 _DENSE_HU = 700.0
@@ -55,7 +61,8 @@ _METAL_HU = 2500.0  # above all bone but enamel
 _METAL_REACH_MM = 12.0
 _DENSEST_SHARE = 0.1
 _SMALLEST_CORTEX_MM3 = 80.0
-_ERROR_HU = 1.0  # smallest standard error of a region: 12-bit steps of 1 and shading across the image
+# smallest standard error of a region: 12-bit steps of 1 and shading across the image
+_ERROR_HU = 1.0
 
 
 @dataclass(frozen=True)
@@ -70,7 +77,8 @@ class Region:
 class Calibration:
     """Density law of Hounsfield units that a calibration found.
 
-    `energy_keV` is the effective energy with its standard deviation, `regions` holds what was found by tissue.
+    `energy_keV` is the effective energy with its standard deviation, `regions` holds what was found
+    by tissue.
     """
 
     law: DensityLaw
@@ -80,15 +88,19 @@ class Calibration:
 
 
 def calibrate(image: Image) -> Calibration:
-    """Calibrate a CT in Hounsfield units by its own air, fat, muscle and cortex; raises as `fit_regions`."""
+    """Calibrate a CT in Hounsfield units by its own air, fat, muscle and cortex; raises as
+    `fit_regions`.
+    """
     return fit_regions(find_regions(image), source=image.source)
 
 
 def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
-    """Fit effective energy, scanner line and density law to the means of regions, with their uncertainty.
+    """Fit effective energy, scanner line and density law to the means of regions, with their
+    uncertainty.
 
-    The unknowns are the energy, the scanner's error of water and scale, the fat in marrow and each tissue's deviation
-    from ICRU 44, as standard normal numbers. The covariance is that of the linearised problem.
+    The unknowns are the energy, the scanner's error of water and scale, the fat in marrow and each
+    tissue's deviation from ICRU 44, as standard normal numbers. The covariance is that of the
+    linearised problem.
 
     Raises
     ------
@@ -129,7 +141,9 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
             f"{seen} in {source}, which fit no energy",
             "give a phantom's line as line:SLOPE,OFFSET",
         )
-    covariance = np.linalg.inv(found.jac.T @ found.jac) * max(squared / chdtri(len(tissues), _CHANCE), 1.0)
+    covariance = np.linalg.inv(found.jac.T @ found.jac) * max(
+        squared / chdtri(len(tissues), _CHANCE), 1.0
+    )
     slope, offset = _density_line(found.x)
     derivatives = approx_fprime(found.x, _density_line, 1e-6)
     spread = derivatives @ covariance @ derivatives.T
@@ -139,8 +153,10 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
         float(slope),
         float(offset),
         name="internal",
-        source=f"internal calibration after Michalski 2020 by {', '.join(tissues)}: effective energy {energy:.0f} +- "
-        f"{energy_sd:.0f} keV; dense bone of ICRU 44 in marrow, ash over apparent {ASH_SHARE} +- {ASH_SHARE_SD} "
+        source=f"internal calibration after Michalski 2020 by {', '.join(tissues)}: effective "
+        f"energy {energy:.0f} +- "
+        f"{energy_sd:.0f} keV; dense bone of ICRU 44 in marrow, ash over apparent "
+        f"{ASH_SHARE} +- {ASH_SHARE_SD} "
         "(Schileo 2008)",
         covariance=(float(spread[0, 0]), float(spread[0, 1]), float(spread[1, 1])),
         relative_sd=math.hypot(_MINERAL_SD, ASH_SHARE_SD / ASH_SHARE),
@@ -159,18 +175,26 @@ def _read(attenuation_1_m: float, unknown: Array) -> float:
 
 
 def _density_line(unknown: Array) -> Array:
-    """Compute slope [kg/m3 per HU] and offset [kg/m3] of a volume shared by dense bone and marrow."""
+    """Compute slope [kg/m3 per HU] and offset [kg/m3] of a volume shared by dense bone and
+    marrow.
+    """
     energy = _energy(unknown)
     fat = _MARROW_FAT + _MARROW_FAT_SD * unknown[3]
-    marrow = fat * linear_attenuation("adipose", energy) + (1.0 - fat) * linear_attenuation("muscle", energy)
+    marrow = fat * linear_attenuation("adipose", energy) + (1.0 - fat) * linear_attenuation(
+        "muscle", energy
+    )
     marrow_HU = _read(marrow, unknown)
-    slope = density_of("cortex") / (_read(linear_attenuation("cortex", energy), unknown) - marrow_HU)
+    slope = density_of("cortex") / (
+        _read(linear_attenuation("cortex", energy), unknown) - marrow_HU
+    )
     return np.array([slope, -slope * marrow_HU])
 
 
 @dataclass(frozen=True, eq=False)
 class _Slab:
-    """Slices of an image: values, and mean, standard deviation, spread and minimum over 3 x 3 x 3 voxels."""
+    """Slices of an image: values, and mean, standard deviation, spread and minimum over 3 x 3 x
+    3 voxels.
+    """
 
     values: Singles
     mean: Singles
@@ -182,8 +206,9 @@ class _Slab:
 def find_regions(image: Image) -> dict[str, Region]:
     """Find air, adipose, muscle and cortex in a CT.
 
-    Homogeneous voxels are those whose neighbourhood varies by no more than noise. Air, fat and muscle are their most
-    frequent values in the tissues' ranges. Cortex is the densest tenth of the bone within bone, away from metal.
+    Homogeneous voxels are those whose neighbourhood varies by no more than noise. Air, fat and
+    muscle are their most frequent values in the tissues' ranges. Cortex is the densest tenth of the
+    bone within bone, away from metal.
     """
     thickness = max(int(_SLAB_VOXELS // math.prod(image.values.shape[:2])), 4)
     whole = range(0, image.values.shape[2], thickness)
@@ -199,7 +224,8 @@ def find_regions(image: Image) -> dict[str, Region]:
     dense = []
     for start in starts:
         slab = _filtered(image, start, thickness)
-        # A constant lowest value is what a scanner writes outside its field of view, unless it is that of air.
+        # A constant lowest value is what a scanner writes outside its field of view, unless it is
+        # that of air.
         held = (slab.sd > 0.0) | (slab.mean != padding) | (padding >= air_low + 45.0)
         even = held & (slab.sd < 1.6 * noise + 1.0) & (slab.spread < 3.0 * noise + 3.0)
         counts += np.histogram(slab.mean[even], bins=len(counts), range=_BINS_HU)[0]
@@ -234,15 +260,18 @@ def _filtered(image: Image, start: int, thickness: int) -> _Slab:
 def _most_frequent(tissue: str, counts: Ints, voxel_mm3: float, noise: float) -> Region | None:
     """Find the maximum of the histogram in the tissue's range, if it holds enough voxels.
 
-    It is the highest maximum. Of muscle it is the lowest that is not small, since organs with contrast medium lie
-    above it. The error grows with the maximum's width, to which several tissues may add.
+    It is the highest maximum. Of muscle it is the lowest that is not small, since organs with
+    contrast medium lie above it. The error grows with the maximum's width, to which several tissues
+    may add.
     """
     from scipy.ndimage import gaussian_filter1d
     from scipy.signal import find_peaks, peak_widths
 
     low, high = (int(edge) - _BINS_HU[0] for edge in _MODES_HU[tissue])
     smooth = gaussian_filter1d(counts.astype(np.float64), _SMOOTHING_HU)[low:high]
-    peaks = find_peaks(smooth, height=_LEAST_PEAK * smooth.max(), prominence=_PROMINENCE * smooth.max())[0]
+    peaks = find_peaks(
+        smooth, height=_LEAST_PEAK * smooth.max(), prominence=_PROMINENCE * smooth.max()
+    )[0]
     if smooth.max() <= 0.0 or not len(peaks):
         return None
     peak = peaks[0] if tissue == "muscle" else peaks[np.argmax(smooth[peaks])]
@@ -253,7 +282,9 @@ def _most_frequent(tissue: str, counts: Ints, voxel_mm3: float, noise: float) ->
     if count * voxel_mm3 < _SMALLEST_MM3 or count < _FEWEST_VOXELS:
         return None
     mean = float(np.average(window + 0.5 + _BINS_HU[0], weights=counts[window]))
-    return Region(mean, math.hypot(_ERROR_HU, noise / math.sqrt(count / 27.0), _WIDTH_ERROR * width))
+    return Region(
+        mean, math.hypot(_ERROR_HU, noise / math.sqrt(count / 27.0), _WIDTH_ERROR * width)
+    )
 
 
 def _is_dense(slab: _Slab, noise: float, image: Image) -> Flags:
@@ -271,7 +302,11 @@ def _is_dense(slab: _Slab, noise: float, image: Image) -> Flags:
 
 def _cortex(dense: Singles, voxel_mm3: float) -> Region | None:
     """Compute the median of the densest tenth; its error is half of its spread."""
-    count = max(int(_DENSEST_SHARE * len(dense)), math.ceil(_SMALLEST_CORTEX_MM3 / voxel_mm3), _FEWEST_VOXELS)
+    count = max(
+        int(_DENSEST_SHARE * len(dense)),
+        math.ceil(_SMALLEST_CORTEX_MM3 / voxel_mm3),
+        _FEWEST_VOXELS,
+    )
     if len(dense) < count:
         return None
     densest = np.sort(dense)[-count:]

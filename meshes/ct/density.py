@@ -14,16 +14,16 @@ __all__ = ["ASH_SHARE", "ASH_SHARE_SD", "CT_DENSITY", "DensityLaw", "scanner_law
 
 ASH_SHARE = 0.598
 ASH_SHARE_SD = 0.004
-"""Ash over apparent density of human bone, cortical and trabecular together: 0.598 +- 0.004 (Schileo et al. 2008,
-J Biomech 41:2483)."""
+"""Ash over apparent density of human bone, cortical and trabecular together: 0.598 +- 0.004
+(Schileo et al. 2008, J Biomech 41:2483)."""
 
 
 @dataclass(frozen=True)
 class DensityLaw:
     """Apparent density [kg/m3] = slope * grey value + offset, held within limits.
 
-    Apparent density is wet mass over the volume with its pores. The uncertainties are those of the line: the noise of
-    a voxel is not among them, and neither is the blur of thin bone.
+    Apparent density is wet mass over the volume with its pores. The uncertainties are those of the
+    line: the noise of a voxel is not among them, and neither is the blur of thin bone.
 
     Attributes
     ----------
@@ -38,7 +38,8 @@ class DensityLaw:
     residual_sd_kg_m3
         Standard deviation of what was measured from the line [kg/m3].
     relative_sd
-        Standard deviation of what the whole density is multiplied with, such as the ratio of ash to apparent density.
+        Standard deviation of what the whole density is multiplied with, such as the ratio of ash to
+        apparent density.
     """
 
     slope_kg_m3: float
@@ -57,8 +58,20 @@ class DensityLaw:
             ("offset_kg_m3", self.offset_kg_m3, -1e6, 1e6, "use about 106 for Hounsfield units"),
             ("highest_kg_m3", self.highest_kg_m3, 1.0, 20000.0, "use 2000"),
             ("lowest_kg_m3", self.lowest_kg_m3, 0.0, self.highest_kg_m3, "use 50"),
-            ("residual_sd_kg_m3", self.residual_sd_kg_m3, 0.0, 20000.0, "use 0 where it is not known"),
-            ("relative_sd", self.relative_sd, 0.0, 1.0, "use 0.007 for the ratio of ash to apparent density"),
+            (
+                "residual_sd_kg_m3",
+                self.residual_sd_kg_m3,
+                0.0,
+                20000.0,
+                "use 0 where it is not known",
+            ),
+            (
+                "relative_sd",
+                self.relative_sd,
+                0.0,
+                1.0,
+                "use 0.007 for the ratio of ash to apparent density",
+            ),
         )
         slope, both, offset = self.covariance
         if not (slope >= 0.0 and offset >= 0.0 and both * both <= slope * offset * (1.0 + 1e-9)):
@@ -75,15 +88,20 @@ class DensityLaw:
         return np.clip(density, self.lowest_kg_m3, self.highest_kg_m3).astype(np.float32)
 
     def sd(self, values: NDArray[np.number]) -> Singles:
-        """Compute the standard uncertainty of the density [kg/m3] of mean grey values, before the limits."""
+        """Compute the standard uncertainty of the density [kg/m3] of mean grey values, before
+        the limits.
+        """
         values = np.asarray(values, dtype=np.float64)
         slope, both, offset = self.covariance
         scaled = self.relative_sd * (self.slope_kg_m3 * values + self.offset_kg_m3)
-        variance = slope * values**2 + 2.0 * both * values + offset + self.residual_sd_kg_m3**2 + scaled**2
+        variance = (
+            slope * values**2 + 2.0 * both * values + offset + self.residual_sd_kg_m3**2 + scaled**2
+        )
         return np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
 
     def band(self, values: NDArray[np.number], share: float = 0.9) -> tuple[Singles, Singles]:
-        """Compute bounds [kg/m3] that hold the density of tissue of mean grey values with probability `share`.
+        """Compute bounds [kg/m3] that hold the density of tissue of mean grey values with
+        probability `share`.
 
         Raises
         ------
@@ -94,7 +112,10 @@ class DensityLaw:
         values = np.asarray(values, dtype=np.float64)
         half = NormalDist().inv_cdf(0.5 + 0.5 * share) * self.sd(values)
         middle = self.slope_kg_m3 * values + self.offset_kg_m3
-        low, high = (np.clip(bound, self.lowest_kg_m3, self.highest_kg_m3) for bound in (middle - half, middle + half))
+        low, high = (
+            np.clip(bound, self.lowest_kg_m3, self.highest_kg_m3)
+            for bound in (middle - half, middle + half)
+        )
         return low.astype(np.float32), high.astype(np.float32)
 
     def as_dict(self) -> dict[str, Any]:
@@ -103,9 +124,16 @@ class DensityLaw:
 
 
 def scanner_law(
-    name: str, ash_kg_m3: float, offset_kg_m3: float, *, source: str, slope_sd: float, offset_sd_kg_m3: float
+    name: str,
+    ash_kg_m3: float,
+    offset_kg_m3: float,
+    *,
+    source: str,
+    slope_sd: float,
+    offset_sd_kg_m3: float,
 ) -> DensityLaw:
-    """Return the law of one scanner's line to ash density [kg/m3], as uncertain as it is for other scanners.
+    """Return the law of one scanner's line to ash density [kg/m3], as uncertain as it is for other
+    scanners.
 
     Parameters
     ----------
@@ -123,14 +151,24 @@ def scanner_law(
         slope,
         offset_kg_m3 / ASH_SHARE,
         name=name,
-        source=f"{source}; ash over apparent {ASH_SHARE} (Schileo 2008); uncertain as another scanner's line",
+        source=(
+            f"{source}; ash over apparent {ASH_SHARE} (Schileo 2008); uncertain as another "
+            "scanner's line"
+        ),
         covariance=((slope_sd * slope) ** 2, 0.0, offset_sd_kg_m3**2),
         relative_sd=ASH_SHARE_SD / ASH_SHARE,
     )
 
 
 CT_DENSITY = scanner_law(
-    "ct", 0.887, 63.3, source="ash 0.887 HU + 63.3 kg/m3 of one scanner", slope_sd=0.27, offset_sd_kg_m3=60.0
+    "ct",
+    0.887,
+    63.3,
+    source="ash 0.887 HU + 63.3 kg/m3 of one scanner",
+    slope_sd=0.27,
+    offset_sd_kg_m3=60.0,
 )
-"""Hounsfield units to apparent density by one scanner's line: calibrate before relying on it. Its band is as wide as to
-hold bone by the tables of `meshes.ct.attenuation` at 62 to 80 keV, which is 8 to 39 % less dense than the line."""
+"""Hounsfield units to apparent density by one scanner's line: calibrate before relying on it. Its
+band is as wide as to hold bone by the tables of `meshes.ct.attenuation` at 62 to 80 keV, which is 8
+to 39 % less dense than the line.
+"""

@@ -1,4 +1,6 @@
-"""Bones and structures out of a CT: their smooth surfaces and the density of bone, by a label or by a threshold."""
+"""Bones and structures out of a CT: their smooth surfaces and the density of bone, by a label or
+by a threshold.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -12,7 +14,16 @@ from meshes.base.simplices import enclosed_volume
 from meshes.images.frame import Image, box_of, part_of
 from meshes.images.threshold_surface import image_cuts, image_triangles
 
-__all__ = ["BoneOfImage", "Box", "by_label", "by_threshold", "cropped", "filled", "kept_label", "largest_component"]
+__all__ = [
+    "BoneOfImage",
+    "Box",
+    "by_label",
+    "by_threshold",
+    "cropped",
+    "filled",
+    "kept_label",
+    "largest_component",
+]
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Lowest and highest corner [mm, LPS]."""
@@ -21,18 +32,27 @@ MARGIN = 3
 KEPT_MARGIN = 4
 """Voxels around a piece of a structure in which it is smoothed: five standard deviations."""
 SMOOTH_VOXELS = 0.8
-"""Standard deviation of the smoothing of a label [voxel]: less leaves its steps, more takes thin parts away. Of a bone
-it is in its coarsest voxels, of a structure to keep clear of in those along each axis."""
+"""Standard deviation of the smoothing of a label [voxel]: less leaves its steps, more takes thin
+parts away. Of a bone it is in its coarsest voxels, of a structure to keep clear of in those along
+each axis."""
 NOISE_VOXELS = 0.5
-"""Standard deviation of the smoothing of grey values before a surface is laid through them [voxel]."""
+"""Standard deviation of the smoothing of grey values before a surface is laid through them
+[voxel].
+"""
 CLOSED_MM = 1.5
-"""Gaps up to twice as wide in a cortex are closed: trabecular openings, vessels and partial volume."""
+"""Gaps up to twice as wide in a cortex are closed: trabecular openings, vessels and partial
+volume.
+"""
 SUB = 4
 """Points along each edge of a voxel at which the bone fraction is sampled."""
 LEAST_SHARE = 0.5
-"""Bone fraction from which a voxel's own value counts; others take that of the nearest such voxel."""
+"""Bone fraction from which a voxel's own value counts; others take that of the nearest such
+voxel.
+"""
 BEYOND_VOXELS = 3
-"""Voxels outside the surface into which the density continues, so that it can be interpolated up to the surface."""
+"""Voxels outside the surface into which the density continues, so that it can be interpolated up
+to the surface.
+"""
 _LISTED = 6
 
 
@@ -70,10 +90,12 @@ class BoneOfImage:
         return enclosed_volume(*self.triangles)
 
     def density(self, law: Callable[[Floats], Singles]) -> Image:
-        """Compute the apparent density [kg/m3] of the bone and of some voxels around it, 0 elsewhere.
+        """Compute the apparent density [kg/m3] of the bone and of some voxels around it, 0
+        elsewhere.
 
-        A voxel that the surface crosses holds bone and soft tissue, and its grey value is their weighted mean. The
-        value of bone follows from it where at least half is bone, and from the nearest such voxel elsewhere.
+        A voxel that the surface crosses holds bone and soft tissue, and its grey value is their
+        weighted mean. The value of bone follows from it where at least half is bone, and from the
+        nearest such voxel elsewhere.
         """
         from scipy.ndimage import binary_dilation, distance_transform_edt
 
@@ -93,7 +115,9 @@ class BoneOfImage:
         return replace(self.image, values=whole, notes=())
 
     def _share(self) -> Singles:
-        """Compute the bone fraction of each voxel, the field interpolated where the surface crosses."""
+        """Compute the bone fraction of each voxel, the field interpolated where the surface
+        crosses.
+        """
         from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
         above = self.field > self.level
@@ -128,7 +152,10 @@ def cropped(image: Image, box_mm: Box) -> Image:
         raise InputError(
             "crop",
             "leave two voxels or more along each axis",
-            f"{box_mm[0]} to {box_mm[1]} mm where {image.source} reaches from {np.round(low, 1).tolist()} to {np.round(high, 1).tolist()} mm (LPS)",
+            (
+                f"{box_mm[0]} to {box_mm[1]} mm where {image.source} reaches from "
+                f"{np.round(low, 1).tolist()} to {np.round(high, 1).tolist()} mm (LPS)"
+            ),
             "choose corners inside",
         )
     return part_of(image, tuple(map(slice, first.tolist(), last.tolist())))
@@ -137,8 +164,9 @@ def cropped(image: Image, box_mm: Box) -> Image:
 def by_label(image: Image, mask: Flags) -> BoneOfImage:
     """Take the bone out of an image that a label marks; `mask` has the image's shape.
 
-    The steps of the label are smoothed away. The level of the surface leaves as many voxels above it as the label has;
-    the volume within the triangles differs from the label's by under 1 % where voxels are small against the bone.
+    The steps of the label are smoothed away. The level of the surface leaves as many voxels above
+    it as the label has; the volume within the triangles differs from the label's by under 1 % where
+    voxels are small against the bone.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -161,7 +189,8 @@ def by_threshold(image: Image, threshold: float) -> BoneOfImage:
     part, piece = _around(image, piece)
     whole = filled(piece, part)
     field = gaussian_filter(part.values.astype(np.float32), NOISE_VOXELS, mode="nearest")
-    # Inside, marrow below the threshold is bone; outside, what touches no voxel of the piece is not this bone.
+    # Inside, marrow below the threshold is bone; outside, what touches no voxel of the piece is not
+    # this bone.
     step = max(0.1 * abs(threshold), 1.0)
     field[whole & (field <= threshold) & ~(binary_dilation(~whole) & ~piece)] = threshold + step
     apart = ~binary_dilation(whole)
@@ -170,18 +199,26 @@ def by_threshold(image: Image, threshold: float) -> BoneOfImage:
 
 
 def _laid(part: Image, field: Singles, level: float, other: float, voxels: int) -> BoneOfImage:
-    """Build the bone where a field is above a level; `other` is the relative size of the next piece."""
+    """Build the bone where a field is above a level; `other` is the relative size of the next
+    piece.
+    """
     imaged = replace(part, values=field)
     cuts = image_cuts(imaged, threshold=level)
     notes = []
     if other >= 0.1:
         notes.append(
-            f"The next piece has {other:.0%} of the size of the one that was taken: crop to the bone that is meant."
+            f"The next piece has {other:.0%} of the size of the one that was taken: crop to "
+            "the bone that is meant."
         )
     if cuts:
-        notes.append(f"The bone is cut off at {counted(len(cuts), 'place')} by the edge of the image or of the crop.")
+        notes.append(
+            f"The bone is cut off at {counted(len(cuts), 'place')} by the edge of the image "
+            "or of the crop."
+        )
     marked_mm3 = voxels * float(np.prod(part.spacing_mm))
-    return BoneOfImage(part, field, level, image_triangles(imaged, threshold=level), cuts, tuple(notes), marked_mm3)
+    return BoneOfImage(
+        part, field, level, image_triangles(imaged, threshold=level), cuts, tuple(notes), marked_mm3
+    )
 
 
 def _around(image: Image, mask: Flags) -> tuple[Image, Flags]:
@@ -202,7 +239,9 @@ def largest_component(mask: Flags, source: str) -> tuple[Flags, float]:
 
     pieces, count = label(mask)
     if count == 0:
-        raise InputError("threshold", "leave bone", f"none in {source}", "use a lower one, or another crop")
+        raise InputError(
+            "threshold", "leave bone", f"none in {source}", "use a lower one, or another crop"
+        )
     sizes = np.bincount(pieces.ravel())[1:]
     largest = int(np.argmax(sizes))
     others = np.delete(sizes, largest)
@@ -210,7 +249,8 @@ def largest_component(mask: Flags, source: str) -> tuple[Flags, float]:
 
 
 def filled(mask: Flags, image: Image) -> Flags:
-    """Fill marrow and pores of a mask: close gaps of the cortex, then fill what is enclosed in any plane.
+    """Fill marrow and pores of a mask: close gaps of the cortex, then fill what is enclosed in any
+    plane.
 
     A bone that the edge of the image cuts off encloses its marrow only in planes of some direction.
     """
@@ -231,10 +271,11 @@ def filled(mask: Flags, image: Image) -> Flags:
 
 
 def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints], tuple[str, ...]]:
-    """Return vertices [mm, LPS], shape (n, 3), and triangles around a label that a tool must keep clear of, and notes.
+    """Return vertices [mm, LPS], shape (n, 3), and triangles around a label that a tool must keep
+    clear of, and notes.
 
-    Every piece is smoothed by itself and keeps its own volume. Where a piece is so thin that smoothing would remove
-    it, its voxels are kept as they are.
+    Every piece is smoothed by itself and keeps its own volume. Where a piece is so thin that
+    smoothing would remove it, its voxels are kept as they are.
 
     Parameters
     ----------
@@ -281,17 +322,26 @@ def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints]
     cuts = len(image_cuts(smooth, threshold=0.0))
     if cuts:
         places = counted(cuts, "place")
-        notes.append(f"{name}: it ends at {places} at the edge of the image or of the crop, beyond which it is unknown")
+        notes.append(
+            f"{name}: it ends at {places} at the edge of the image or of the crop, beyond "
+            "which it is unknown"
+        )
     return image_triangles(smooth, threshold=0.0), tuple(notes)
 
 
 def _smoothed(piece: Flags) -> Singles:
-    """Return a smooth field that is above 0 in as many voxels as a piece has, and near every voxel of it."""
+    """Return a smooth field that is above 0 in as many voxels as a piece has, and near every
+    voxel of it.
+    """
     from scipy.ndimage import binary_dilation, gaussian_filter
 
     field = gaussian_filter(piece.astype(np.float32), SMOOTH_VOXELS, mode="nearest")
     outside = field.size - int(np.count_nonzero(piece))
-    below, above = np.partition(field, (outside - 1, outside), axis=None)[[outside - 1, outside]] if outside else (0, 1)
+    below, above = (
+        np.partition(field, (outside - 1, outside), axis=None)[[outside - 1, outside]]
+        if outside
+        else (0, 1)
+    )
     field -= np.float32(0.5 * (below + above))
     lost = piece & ~binary_dilation(field > 0.0, np.ones((3, 3, 3)))
     field[lost] = 0.5

@@ -1,4 +1,6 @@
-"""Inspection of a CT: Hounsfield units or not, noise, metal, a threshold of bone, and whether labels fit the values."""
+"""Inspection of a CT: Hounsfield units or not, noise, metal, a threshold of bone, and whether
+labels fit the values.
+"""
 
 from dataclasses import dataclass
 
@@ -23,7 +25,9 @@ AIR_HU = (-1100, -900)
 SOFT_HU = (-150, 150)
 """Ranges of air, and of fat to muscle, in any CT [HU]."""
 METAL_HU = 3000
-"""No tissue lies above it: enamel, the densest, reaches about 2800 HU at 120 kV (from memory, confidence M)."""
+"""No tissue lies above it: enamel, the densest, reaches about 2800 HU at 120 kV (from memory,
+confidence M).
+"""
 _COARSE_MM = 5.0
 """Distance of slices from which they are reported as coarse."""
 _LEAST_METAL = 8
@@ -37,18 +41,26 @@ _MAD = 0.6745
 """Median absolute deviation of a normal variable of standard deviation 1."""
 LOWEST_HU = 150.0
 HIGHEST_HU = 600.0
-"""Thresholds of bone in use: 150 for osteoporotic, 226 by common programs, 600 for the cortex alone."""
+"""Thresholds of bone in use: 150 for osteoporotic, 226 by common programs, 600 for the cortex
+alone.
+"""
 _SOFT_PEAK_HU = (-50.0, 120.0)
 _MOST_HU = 1600.0
 _EQUAL = 1e-9
-"""Relative difference of two variances that count as equal: rounding of sums over up to 1e9 voxels."""
+"""Relative difference of two variances that count as equal: rounding of sums over up to 1e9
+voxels.
+"""
 _NO_BONE = 0.1
 _LITTLE_BONE = 0.5
-"""Shares of a bone's label above the threshold of bone. The cortex alone is more than a tenth of any bone; where marrow
-is the larger part of the label, as in the humeral head of an old person, more than half may lie below."""
+"""Shares of a bone's label above the threshold of bone. The cortex alone is more than a tenth of
+any bone; where marrow is the larger part of the label, as in the humeral head of an old person,
+more than half may lie below.
+"""
 _SOFT_ORGAN_HU = (-200.0, 300.0)
 """Range of the median of a soft organ in any CT, contrast agent included [HU]."""
-_CAUSES = "give the labels of this image, and check that they are not flipped, moved or of another organ"
+_CAUSES = (
+    "give the labels of this image, and check that they are not flipped, moved or of another organ"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +89,9 @@ class Histogram:
         return float(self.counts[inside].sum() / self.counts.sum())
 
     def peak(self, low: float, high: float, *, width: int = 15) -> float | None:
-        """Return the most frequent value in a range, counts averaged over `width` values; None where it is empty."""
+        """Return the most frequent value in a range, counts averaged over `width` values; None
+        where it is empty.
+        """
         inside = (self.values >= low) & (self.values <= high)
         if not self.counts[inside].any():
             return None
@@ -102,8 +116,8 @@ class Inspection:
     is_hounsfield
         Whether the values can be Hounsfield units: air about -1000 or soft tissue about 0 to 60.
     noise
-        Standard deviation of soft tissue between neighbours, in units of the values; None where there is none. Noise
-        that neighbours share is not in it.
+        Standard deviation of soft tissue between neighbours, in units of the values; None where
+        there is none. Noise that neighbours share is not in it.
     metal_mm3, metal_mm
         Volume above 3000 HU [mm3] and the centre of it [mm, LPS]; None where there is none.
     """
@@ -124,21 +138,30 @@ class Inspection:
         """Describe the image for users."""
         size = by(np.subtract(self.high_mm, self.low_mm), ".4g")
         found = [
-            f"{self.source}: {by(self.shape)} voxels of {by(self.spacing_mm, '.4g')} mm, {size} mm in all "
+            f"{self.source}: {by(self.shape)} voxels of {by(self.spacing_mm, '.4g')} mm, "
+            f"{size} mm in all "
             "(left, back, head)",
             f"values from {self.lowest:g} to {self.highest:g}"
-            + (", Hounsfield units by their air and soft tissue" if self.is_hounsfield else ", not Hounsfield units"),
+            + (
+                ", Hounsfield units by their air and soft tissue"
+                if self.is_hounsfield
+                else ", not Hounsfield units"
+            ),
         ]
         if max(self.spacing_mm) >= _COARSE_MM:
             found.append(
-                f"voxels up to {max(self.spacing_mm):.4g} mm apart are coarse: the bone between them is interpolated, "
+                f"voxels up to {max(self.spacing_mm):.4g} mm apart are coarse: the bone "
+                "between them is interpolated, "
                 "and thin parts are lost"
             )
         if self.noise is not None:
-            found.append(f"noise of soft tissue: {self.noise:.3g} HU (standard deviation between neighbours)")
+            found.append(
+                f"noise of soft tissue: {self.noise:.3g} HU (standard deviation between neighbours)"
+            )
         if self.metal_mm is not None:
             found.append(
-                f"metal: {self.metal_mm3:.3g} mm3 above {METAL_HU} HU around {in_brackets(self.metal_mm, '.4g')} mm; "
+                f"metal: {self.metal_mm3:.3g} mm3 above {METAL_HU} HU around "
+                f"{in_brackets(self.metal_mm, '.4g')} mm; "
                 "streaks falsify density around it"
             )
         return found
@@ -188,7 +211,9 @@ def inspect(image: Image) -> Inspection:
 
 
 def _noise(values: NDArray[np.number]) -> float | None:
-    """Estimate the standard deviation of soft tissue between neighbours in a slice, robust against edges."""
+    """Estimate the standard deviation of soft tissue between neighbours in a slice, robust
+    against edges.
+    """
     step = max(round(values.size / _MOST_SAMPLED), 1)
     slices = values[:, :, ::step].astype(np.float32)
     low, high = SOFT_HU
@@ -200,9 +225,11 @@ def _noise(values: NDArray[np.number]) -> float | None:
 
 
 def suggest_threshold(histogram: Histogram, *, is_hounsfield: bool) -> tuple[float, str]:
-    """Suggest a threshold of bone by Otsu's criterion between soft tissue and bone, with a sentence.
+    """Suggest a threshold of bone by Otsu's criterion between soft tissue and bone, with a
+    sentence.
 
-    Of Hounsfield units only values above soft tissue count, and the threshold is kept within 150 to 600 HU.
+    Of Hounsfield units only values above soft tissue count, and the threshold is kept within 150 to
+    600 HU.
     """
     values = histogram.values.astype(np.float64)
     counts = histogram.counts.astype(np.float64)
@@ -218,9 +245,11 @@ def suggest_threshold(histogram: Histogram, *, is_hounsfield: bool) -> tuple[flo
 
 
 def _otsu(values: Array, counts: Array) -> float:
-    """Return the value that parts a histogram with the largest variance between the parts (Otsu 1979).
+    """Return the value that parts a histogram with the largest variance between the parts (Otsu
+    1979).
 
-    All empty bins between two parts give that variance. The value lies in the middle between the parts.
+    All empty bins between two parts give that variance. The value lies in the middle between the
+    parts.
     """
     weight = np.cumsum(counts)
     mass = np.cumsum(counts * values)
@@ -252,16 +281,22 @@ def bone_label_note(image: Image, mask: Flags, name: str) -> str:
     """
     values = image.values[mask]
     share = float(np.count_nonzero(values > LOWEST_HU) / len(values))
-    found = f"{share:.0%} of its voxels above {LOWEST_HU:g} HU in {image.source}, median {np.median(values):.0f} HU"
+    found = (
+        f"{share:.0%} of its voxels above {LOWEST_HU:g} HU in {image.source}, median "
+        f"{np.median(values):.0f} HU"
+    )
     if share < _NO_BONE:
         raise InputError("region", "be a label on bone", f"{name} with {found}", _CAUSES)
     if share < _LITTLE_BONE:
-        return f"warning: most of label {name} is not bone, {found}. If that is not marrow, {_CAUSES}."
+        return (
+            f"warning: most of label {name} is not bone, {found}. If that is not marrow, {_CAUSES}."
+        )
     return ""
 
 
 def soft_label_note(image: Image, mask: Flags, name: str) -> str:
-    """Return a warning where the median under a soft organ's label is not that of soft tissue, else an empty text.
+    """Return a warning where the median under a soft organ's label is not that of soft tissue, else
+    an empty text.
 
     Parameters are those of `bone_label_note`.
     """
@@ -269,4 +304,7 @@ def soft_label_note(image: Image, mask: Flags, name: str) -> str:
     middle = float(np.median(image.values[mask]))
     if low <= middle <= high:
         return ""
-    return f"warning: label {name} does not lie on soft tissue, its median is {middle:.0f} HU: {_CAUSES}."
+    return (
+        f"warning: label {name} does not lie on soft tissue, its median is {middle:.0f} HU: "
+        f"{_CAUSES}."
+    )

@@ -1,4 +1,6 @@
-"""Label volumes with the names of their labels: in one file, or one file for each label, as programs write them."""
+"""Label volumes with the names of their labels: in one file, or one file for each label, as
+programs write them.
+"""
 
 import re
 import tomllib
@@ -24,7 +26,9 @@ __all__ = ["Labels", "header_names", "label_sets", "on_grid_of", "read_labels"]
 _MOST_LABELS = 255
 _HEADER_BYTES = 1 << 20
 _XML_NAME = re.compile(r'<Label Key="(\d+)"[^>]*>\s*<!\[CDATA\[(.*?)\]\]>', re.DOTALL)
-"""A line of the label table that a NIfTI header may carry as an extension (Caret, TotalSegmentator)."""
+"""A line of the label table that a NIfTI header may carry as an extension (Caret,
+TotalSegmentator).
+"""
 _SAME_PLACE = 1e-2
 """How far grids may lie apart that are the same, in voxels."""
 _SHOWN_NAMES = 12
@@ -53,70 +57,99 @@ class Labels:
         InputError
             If none has that name; the message lists those that there are.
         """
-        found = [number for number, each in self.names.items() if each == name or str(number) == name]
+        found = [
+            number for number, each in self.names.items() if each == name or str(number) == name
+        ]
         if not found:
             known = list(self.names.values())
             near = [each for each in known if name in each or each in name] or known
             shown = ", ".join(near[:_SHOWN_NAMES])
             more = f" and {len(near) - _SHOWN_NAMES} more" if len(near) > _SHOWN_NAMES else ""
-            raise InputError("label", f"be one that {self.image.source} holds", name, f"use one of {shown}{more}")
+            raise InputError(
+                "label", f"be one that {self.image.source} holds", name, f"use one of {shown}{more}"
+            )
         return found[0]
 
     def mask(self, name: str) -> Flags:
-        """Return the voxels of a label, or of all that share its name, shape of the image; raises as `number`."""
+        """Return the voxels of a label, or of all that share its name, shape of the image;
+        raises as `number`.
+        """
         one = self.number(name)
         alike = [number for number, each in self.names.items() if each == self.names[one]]
-        found: Flags = self.image.values == one if len(alike) == 1 else np.isin(self.image.values, alike)
+        found: Flags = (
+            self.image.values == one if len(alike) == 1 else np.isin(self.image.values, alike)
+        )
         return found
 
 
 @cache
 def label_sets() -> dict[str, tuple[str, ...]]:
-    """Return the names of labels by the program that writes them, in the order of their numbers from 1."""
+    """Return the names of labels by the program that writes them, in the order of their numbers
+    from 1.
+    """
     table = tomllib.loads(files("meshes.ct").joinpath("label_sets.toml").read_text("utf-8"))
     return {name: tuple(entry["names"]) for name, entry in table.items()}
 
 
-def read_labels(path: str | Path, *, names: str | Path | None = None, spacing_mm: float | None = None) -> Labels:
+def read_labels(
+    path: str | Path, *, names: str | Path | None = None, spacing_mm: float | None = None
+) -> Labels:
     """Read a label volume, or a folder that holds one mask a label, with the names of its labels.
 
     Parameters
     ----------
     path
-        Image whose values are labels, names in its header or given (`.seg.nrrd` of 3D Slicer, `.nii.gz`); or a folder
-        of masks, one a file, each named as its label.
+        Image whose values are labels, names in its header or given (`.seg.nrrd` of 3D Slicer,
+        `.nii.gz`); or a folder of masks, one a file, each named as its label.
     names
-        One of `label_sets`, or a TOML file of a table ``[labels]`` that gives each name its number; None: those in the
-        file's own header, else ``label 1`` and so on.
+        One of `label_sets`, or a TOML file of a table ``[labels]`` that gives each name its number;
+        None: those in the file's own header, else ``label 1`` and so on.
     spacing_mm
         Distance between neighbours [mm] of a file that does not state it.
 
     Raises
     ------
     InputError
-        If a file cannot be used, values are no labels, masks lie on different grids, or a name has no number.
+        If a file cannot be used, values are no labels, masks lie on different grids, or a name has
+        no number.
     """
     path = Path(path)
     if is_folder(path):
         if names is not None:
-            raise InputError("names", "be left out for a folder of masks, whose files name them", names, "remove it")
+            raise InputError(
+                "names",
+                "be left out for a folder of masks, whose files name them",
+                names,
+                "remove it",
+            )
         return _of_masks(path)
     image = read_image(path, spacing_mm=spacing_mm, labels=True)
     values = _whole(image)
-    held = [int(number) for number in np.flatnonzero(np.bincount(values.ravel(), minlength=2)) if number]
+    held = [
+        int(number) for number in np.flatnonzero(np.bincount(values.ravel(), minlength=2)) if number
+    ]
     if not held:
-        raise InputError("labels", "mark something", f"0 everywhere in {image.source}", "export the segmentation")
+        raise InputError(
+            "labels", "mark something", f"0 everywhere in {image.source}", "export the segmentation"
+        )
     stated = _given(names) if names is not None else header_names(path)
     if names is not None and (unknown := [number for number in held if number not in stated]):
         raise InputError(
-            "names", f"name every label of {image.source}", f"none for {by(unknown[:5])}", f"add them to {names}"
+            "names",
+            f"name every label of {image.source}",
+            f"none for {by(unknown[:5])}",
+            f"add them to {names}",
         )
     known = {number: stated.get(number, f"label {number}") for number in held}
-    return Labels(replace(image, values=values, notes=(*image.notes, *_shared(known, image.source))), known)
+    return Labels(
+        replace(image, values=values, notes=(*image.notes, *_shared(known, image.source))), known
+    )
 
 
 def on_grid_of(labels: Labels, image: Image) -> Labels:
-    """Return labels on the voxels of another image: unchanged where the grids agree, else the nearest, with a note."""
+    """Return labels on the voxels of another image: unchanged where the grids agree, else the
+    nearest, with a note.
+    """
     from scipy.ndimage import affine_transform
 
     one = labels.image
@@ -129,13 +162,19 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
         and (np.abs(scale - 1.0) * one.values.shape).max() < _SAME_PLACE
     ):
         return labels
-    values = affine_transform(one.values, scale, shift, other.values.shape, order=0, mode="constant", cval=0)
+    values = affine_transform(
+        one.values, scale, shift, other.values.shape, order=0, mode="constant", cval=0
+    )
     if one.values.any() and not values.any():
         raise InputError(
-            "labels", "lie where the image does", f"{one.source} outside {other.source}", "give those of this image"
+            "labels",
+            "lie where the image does",
+            f"{one.source} outside {other.source}",
+            "give those of this image",
         )
     note = (
-        f"{one.source} has {by(one.values.shape)} voxels of {by(one.spacing_mm, '.4g')} mm: each voxel of "
+        f"{one.source} has {by(one.values.shape)} voxels of {by(one.spacing_mm, '.4g')} mm: "
+        "each voxel of "
         f"{other.source} takes the nearest label."
     )
     held = set(np.unique(values).tolist())
@@ -145,7 +184,11 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
 
 def _of_masks(folder: Path) -> Labels:
     """Read a folder of masks; where two overlap the later name has the voxel, with a note."""
-    masks = sorted(file for file in folder.iterdir() if file.name.lower().endswith((".nii", ".nii.gz", ".nrrd")))
+    masks = sorted(
+        file
+        for file in folder.iterdir()
+        if file.name.lower().endswith((".nii", ".nii.gz", ".nrrd"))
+    )
     if not masks:
         raise InputError(
             "labels",
@@ -154,19 +197,32 @@ def _of_masks(folder: Path) -> Labels:
             "give the folder that TotalSegmentator wrote",
         )
     if len(masks) > _MOST_LABELS:
-        raise InputError("labels", f"be at most {_MOST_LABELS}", f"{len(masks)} masks in {folder.name}", "remove some")
+        raise InputError(
+            "labels",
+            f"be at most {_MOST_LABELS}",
+            f"{len(masks)} masks in {folder.name}",
+            "remove some",
+        )
     whole: Image | None = None
     names: dict[int, str] = {}
     notes: list[str] = []
     for number, file in enumerate(masks, start=1):
         image = read_image(file, labels=True)
         if whole is None:
-            whole = replace(image, values=np.zeros(image.values.shape, dtype=np.uint8), source=folder.name, notes=())
+            whole = replace(
+                image,
+                values=np.zeros(image.values.shape, dtype=np.uint8),
+                source=folder.name,
+                notes=(),
+            )
         if image.values.shape != whole.values.shape or not np.allclose(
             [*image.spacing_mm, *image.origin_mm], [*whole.spacing_mm, *whole.origin_mm], atol=1e-3
         ):
             raise InputError(
-                "masks", "lie on one grid", f"another in {file.name} of {folder.name}", "export them together"
+                "masks",
+                "lie on one grid",
+                f"another in {file.name} of {folder.name}",
+                "export them together",
             )
         inside = image.values > 0
         if not inside.any():
@@ -178,7 +234,12 @@ def _of_masks(folder: Path) -> Labels:
         names[number] = name
     assert whole is not None
     if not names:
-        raise InputError("labels", "mark something", f"empty masks only in {folder.name}", "export the segmentation")
+        raise InputError(
+            "labels",
+            "mark something",
+            f"empty masks only in {folder.name}",
+            "export the segmentation",
+        )
     return Labels(replace(whole, notes=(*notes, *_shared(names, folder.name))), names)
 
 
@@ -188,7 +249,10 @@ def _shared(names: Mapping[int, str], source: str) -> list[str]:
     for number, name in names.items():
         numbers.setdefault(name, []).append(number)
     return [
-        f"{source} has {len(each)} labels named {name} ({', '.join(map(str, each))}): they are taken as one."
+        (
+            f"{source} has {len(each)} labels named {name} ({', '.join(map(str, each))}): they "
+            "are taken as one."
+        )
         for name, each in numbers.items()
         if len(each) > 1
     ]
@@ -224,7 +288,9 @@ def _given(names: str | Path) -> dict[int, str]:
     try:
         table = read_toml(file.read_text("utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
-        raise InputError("names", "be readable TOML", f"{file.name} which is not", str(problem)) from problem
+        raise InputError(
+            "names", "be readable TOML", f"{file.name} which is not", str(problem)
+        ) from problem
     labels = table.get("labels")
     if set(table) != {"labels"} or not isinstance(labels, dict) or not labels:
         raise InputError(
@@ -235,11 +301,19 @@ def _given(names: str | Path) -> dict[int, str]:
         )
     names_by_number: dict[int, str] = {}
     for name, number in labels.items():
-        if not isinstance(number, int) or isinstance(number, bool) or not 1 <= number <= _MOST_LABELS:
-            raise InputError(name, f"be a label from 1 to {_MOST_LABELS}", f"{number} in {file.name}", "fix it")
+        if (
+            not isinstance(number, int)
+            or isinstance(number, bool)
+            or not 1 <= number <= _MOST_LABELS
+        ):
+            raise InputError(
+                name, f"be a label from 1 to {_MOST_LABELS}", f"{number} in {file.name}", "fix it"
+            )
         other = names_by_number.setdefault(number, name)
         if other != name:
-            raise InputError(f"{name} must have a label of its own, got {number} of {other} too in {file.name}")
+            raise InputError(
+                f"{name} must have a label of its own, got {number} of {other} too in {file.name}"
+            )
     return names_by_number
 
 

@@ -1,4 +1,6 @@
-"""Density laws that a person names or states, those of a phantom, and a line through its measured rods."""
+"""Density laws that a person names or states, those of a phantom, and a line through its
+measured rods.
+"""
 
 import math
 from collections.abc import Sequence
@@ -20,25 +22,34 @@ DENSITY_LAWS = {
             "dragomir-daescu",
             0.7,
             -9.0,
-            source="ash 0.7 HU - 9 kg/m3 of a Siemens Somatom Definition at 120 kVp with a Mindways phantom "
+            source="ash 0.7 HU - 9 kg/m3 of a Siemens Somatom Definition at 120 kVp with a "
+            "Mindways "
+            "phantom "
             "(Cong 2011, Dragomir-Daescu 2011, table 1 of Knowles 2016)",
             slope_sd=0.16,
             offset_sd_kg_m3=55.0,
         ),
     )
 }
-"""Laws by name, each one scanner's: its band holds what bone by the tables is at 62 to 80 keV, -10 to 47 % off the
-second line, see `CT_DENSITY`."""
+"""Laws by name, each one scanner's: its band holds what bone by the tables is at 62 to 80 keV, -10
+to 47 % off the second line, see `CT_DENSITY`."""
 
 _TO_ASH = {
     "apparent": (ASH_SHARE, 0.0, 0.0, "apparent density as stated"),
     "ash": (1.0, 0.0, ASH_SHARE_SD / ASH_SHARE, "ash density as stated"),
     "HA": (0.877, 79.0, 0.03, "ash = 0.877 HA + 79 kg/m3 (Schileo 2008)"),
-    "K2HPO4": (1.06, 38.9, 0.1, "ash = 1.06 K2HPO4 + 38.9 kg/m3 (Keyak 1994; slopes of 0.9 to 1.22 are in use)"),
+    "K2HPO4": (
+        1.06,
+        38.9,
+        0.1,
+        "ash = 1.06 K2HPO4 + 38.9 kg/m3 (Keyak 1994; slopes of 0.9 to 1.22 are in use)",
+    ),
 }
-"""Slope and offset [kg/m3] from what a phantom's rods are equivalent to, to ash density; the relative standard
-deviation of apparent density, and its source. 1.22 K2HPO4 + 52.3 is Les 1994's (table 1 of Knowles 2016), 0.9 what the
-line of Dragomir-Daescu 2011 amounts to; 3 % for HA is what ICRU 44's calcium leaves open, see `calibration`."""
+"""Slope and offset [kg/m3] from what a phantom's rods are equivalent to, to ash density; the
+relative standard deviation of apparent density, and its source. 1.22 K2HPO4 + 52.3 is Les 1994's
+(table 1 of Knowles 2016), 0.9 what the line of Dragomir-Daescu 2011 amounts to; 3 % for HA is what
+ICRU 44's calcium leaves open, see `calibration`.
+"""
 _KIND = "name a phantom's equivalent as apparent, ash, HA or K2HPO4"
 
 
@@ -48,9 +59,9 @@ def density_law(text: str, image: Image) -> DensityLaw:
     Parameters
     ----------
     text
-        A name of `DENSITY_LAWS`; ``line:SLOPE,OFFSET`` [kg/m3 per Hounsfield unit, kg/m3] of apparent density, or
-        ``line:SLOPE,OFFSET,K2HPO4`` (HA, ash) of what a phantom is equivalent to; or ``internal``, calibrated by the
-        image's own air, fat, muscle and cortex.
+        A name of `DENSITY_LAWS`; ``line:SLOPE,OFFSET`` [kg/m3 per Hounsfield unit, kg/m3] of
+        apparent density, or ``line:SLOPE,OFFSET,K2HPO4`` (HA, ash) of what a phantom is equivalent
+        to; or ``internal``, calibrated by the image's own air, fat, muscle and cortex.
     image
         The CT [Hounsfield units].
 
@@ -73,10 +84,15 @@ def density_law(text: str, image: Image) -> DensityLaw:
         except ValueError:
             slope = math.nan
         if math.isfinite(slope):
-            return phantom_law(slope, offset, equivalent=parts[2] if len(parts) == 3 else "apparent")
+            return phantom_law(
+                slope, offset, equivalent=parts[2] if len(parts) == 3 else "apparent"
+            )
     raise InputError(
         "density",
-        f"be internal, {', '.join(DENSITY_LAWS)}, or line:SLOPE,OFFSET in kg/m3 of apparent density (line:SLOPE,OFFSET,K2HPO4 or ,HA of a phantom)",
+        (
+            f"be internal, {', '.join(DENSITY_LAWS)}, or line:SLOPE,OFFSET in kg/m3 of apparent "
+            "density (line:SLOPE,OFFSET,K2HPO4 or ,HA of a phantom)"
+        ),
         f"{text!r}",
         "use internal, or line:1.17,-15",
     )
@@ -106,8 +122,12 @@ def phantom_law(
     InputError
         If the slope is not positive, or the equivalent is unknown.
     """
-    slope = require_range("slope", slope_mg_cm3_per_HU, 0.05, 20.0, "use kg/m3 per Hounsfield unit, about 0.8 to 1.5")
-    offset = require_range("offset", offset_mg_cm3, -2000.0, 2000.0, "use kg/m3 at 0 Hounsfield units, -20 to 110")
+    slope = require_range(
+        "slope", slope_mg_cm3_per_HU, 0.05, 20.0, "use kg/m3 per Hounsfield unit, about 0.8 to 1.5"
+    )
+    offset = require_range(
+        "offset", offset_mg_cm3, -2000.0, 2000.0, "use kg/m3 at 0 Hounsfield units, -20 to 110"
+    )
     known = {name.lower(): name for name in _TO_ASH}
     if equivalent.lower() not in known:
         raise InputError("equivalent", f"be one of {', '.join(_TO_ASH)}", f"{equivalent!r}", _KIND)
@@ -118,8 +138,14 @@ def phantom_law(
         factor * slope,
         factor * offset + ash_offset / ASH_SHARE,
         name=f"line:{slope:g},{offset:g},{kind}",
-        source=source if kind == "apparent" else f"{source}, ash over apparent {ASH_SHARE} +- {ASH_SHARE_SD} (Schileo)",
-        covariance=(factor**2 * covariance[0], factor**2 * covariance[1], factor**2 * covariance[2]),
+        source=source
+        if kind == "apparent"
+        else f"{source}, ash over apparent {ASH_SHARE} +- {ASH_SHARE_SD} (Schileo)",
+        covariance=(
+            factor**2 * covariance[0],
+            factor**2 * covariance[1],
+            factor**2 * covariance[2],
+        ),
         residual_sd_kg_m3=factor * residual_sd_mg_cm3,
         relative_sd=relative_sd,
     )
@@ -153,7 +179,9 @@ def rods_law(
     error = np.ones(len(hu)) if sd_HU is None else np.asarray(sd_HU, dtype=np.float64)
     if not len(density) == len(hu) == len(error) >= 3:
         counts = f"{len(density)} densities, {len(hu)} means and {len(error)} errors"
-        raise InputError("rods", "be three at least, a density and a mean each", counts, "measure more rods")
+        raise InputError(
+            "rods", "be three at least, a density and a mean each", counts, "measure more rods"
+        )
     if not (np.isfinite([density, hu, error]).all() and (error > 0.0).all() and np.ptp(hu) > 1.0):
         raise InputError(
             "rods",

@@ -28,7 +28,8 @@ def image_volume(
     resample_mm: float | None = None,
     remark: Callable[[str], None] | None = None,
 ) -> VoxelVolume:
-    """Bone voxels of one layer; the origin is the centre of the block's top face, +z upward, its place in LPS kept.
+    """Bone voxels of one layer; the origin is the centre of the block's top face, +z upward, its
+    place in LPS kept.
 
     Parameters
     ----------
@@ -37,8 +38,8 @@ def image_volume(
     density_kg_m3
         Density of the bone in a voxel: one value [kg/m3], or a law of the grey value.
     resample_mm
-        New voxel size [mm]. Finer: grey values are interpolated first. Coarser: fractions are averaged, bone volume
-        kept. None: the file's, or the finest of its three.
+        New voxel size [mm]. Finer: grey values are interpolated first. Coarser: fractions are
+        averaged, bone volume kept. None: the file's, or the finest of its three.
     remark
         Called with each sentence on what was assumed.
 
@@ -47,8 +48,14 @@ def image_volume(
     InputError
         If an option is out of range, or nothing lies above the threshold.
     """
-    limit = require_range("anatomy.threshold", threshold, -1e9, 1e9, "use 63 for 8-bit micro-CT, about 200 for CT")
-    spacing = min(image.spacing_mm) if resample_mm is None else require_positive("resample_mm", resample_mm, "use 0.1")
+    limit = require_range(
+        "anatomy.threshold", threshold, -1e9, 1e9, "use 63 for 8-bit micro-CT, about 200 for CT"
+    )
+    spacing = (
+        min(image.spacing_mm)
+        if resample_mm is None
+        else require_positive("resample_mm", resample_mm, "use 0.1")
+    )
     notes = list(image.notes)
     if resample_mm is None and max(image.spacing_mm) > (1.0 + _ISOTROPY) * spacing:
         notes.append(f"The voxels of {image.source} are not cubes; resampled to {spacing:g} mm.")
@@ -87,7 +94,9 @@ def image_volume(
     )
 
 
-def _require_size(shape: tuple[int, ...], from_mm: tuple[float, float, float], to_mm: float) -> None:
+def _require_size(
+    shape: tuple[int, ...], from_mm: tuple[float, float, float], to_mm: float
+) -> None:
     """Refuse a resampling that would take more voxels than are workable."""
     count = math.prod(n * max(size / to_mm, 1.0) for n, size in zip(shape, from_mm, strict=True))
     if count > _MOST_VOXELS:
@@ -100,7 +109,9 @@ def _require_size(shape: tuple[int, ...], from_mm: tuple[float, float, float], t
         )
 
 
-def _refined(values: NDArray[np.number], from_mm: tuple[float, float, float], to_mm: float) -> NDArray[np.number]:
+def _refined(
+    values: NDArray[np.number], from_mm: tuple[float, float, float], to_mm: float
+) -> NDArray[np.number]:
     """Interpolate linearly to `to_mm` along the axes whose spacing is coarser; the others stay."""
     for axis, size in enumerate(from_mm):
         if size <= (1.0 + _ISOTROPY) * to_mm:
@@ -109,7 +120,9 @@ def _refined(values: NDArray[np.number], from_mm: tuple[float, float, float], to
         position = (np.arange(math.floor(count * size / to_mm + 1e-6)) + 0.5) * (to_mm / size) - 0.5
         position = np.clip(position, 0.0, count - 1.0)
         low = np.minimum(position.astype(np.int64), max(count - 2, 0))
-        part = (position - low).astype(np.float32).reshape([-1 if k == axis else 1 for k in range(3)])
+        part = (
+            (position - low).astype(np.float32).reshape([-1 if k == axis else 1 for k in range(3)])
+        )
         below = np.take(values, low, axis=axis).astype(np.float32)
         above = np.take(values, np.minimum(low + 1, count - 1), axis=axis).astype(np.float32)
         values = below + (above - below) * part
@@ -117,14 +130,19 @@ def _refined(values: NDArray[np.number], from_mm: tuple[float, float, float], to
 
 
 def _averaged(values: NDArray[np.float32], axis: int, ratio: float) -> NDArray[np.float32]:
-    """Mean over runs of `ratio` > 1 voxels along an axis, parts of voxels counted as parts; a rest is dropped."""
+    """Mean over runs of `ratio` > 1 voxels along an axis, parts of voxels counted as parts; a
+    rest is dropped.
+    """
     if ratio <= 1.0 + _ISOTROPY:
         return values
     count = values.shape[axis]
     edges = np.arange(math.floor(count / ratio + 1e-6) + 1) * ratio
     if len(edges) < 2:
         raise InputError(
-            "resample_mm", "leave a voxel along every axis", f"{ratio:g} voxels of {count}", "use a finer one"
+            "resample_mm",
+            "leave a voxel along every axis",
+            f"{ratio:g} voxels of {count}",
+            "use a finer one",
         )
     before = [(1, 0) if k == axis else (0, 0) for k in range(3)]
     running = np.pad(np.cumsum(values, axis=axis, dtype=np.float64), before)

@@ -1,4 +1,6 @@
-"""The voxels of an image file: as many as its header states, and where compressed with a checksum that fits."""
+"""The voxels of an image file: as many as its header states, and where compressed with a
+checksum that fits.
+"""
 
 import zlib
 from collections.abc import Iterator
@@ -20,7 +22,9 @@ _PIECE = 1 << 17
 
 
 def first_bytes(path: Path, count: int) -> bytes:
-    """The first bytes of a file, decompressed where it starts as gzip does; fewer where it is shorter."""
+    """The first bytes of a file, decompressed where it starts as gzip does; fewer where it is
+    shorter.
+    """
     found = b""
     for piece in _plain(path, 0, is_gzip(path)):
         found += piece
@@ -30,7 +34,13 @@ def first_bytes(path: Path, count: int) -> bytes:
 
 
 def read_voxels(
-    path: Path, dtype: np.dtype[np.number], shape: tuple[int, ...], *, start: int = 0, skip: int = 0, compressed: bool
+    path: Path,
+    dtype: np.dtype[np.number],
+    shape: tuple[int, ...],
+    *,
+    start: int = 0,
+    skip: int = 0,
+    compressed: bool,
 ) -> NDArray[np.number]:
     """Read a file to its end as an array, first index fastest.
 
@@ -62,7 +72,8 @@ def read_voxels(
 
 
 def require_stated(path: Path, needed: int, shape: str, *, compressed: bool) -> None:
-    """Refuse a header that states more bytes of voxels than its data file can hold, or than the memory limit allows.
+    """Refuse a header that states more bytes of voxels than its data file can hold, or than the
+    memory limit allows.
 
     Parameters
     ----------
@@ -87,7 +98,9 @@ def require_stated(path: Path, needed: int, shape: str, *, compressed: bool) -> 
 
 
 def require_size(path: Path, start: int, needed: int, *, compressed: bool) -> None:
-    """Refuse a file whose data from byte `start`, zlib or gzip where `compressed`, are not `needed` bytes."""
+    """Refuse a file whose data from byte `start`, zlib or gzip where `compressed`, are not
+    `needed` bytes.
+    """
     found = 0 if compressed else max(path.stat().st_size - start, 0)
     for piece in _plain(path, start, True) if compressed else ():
         found += len(piece)
@@ -98,7 +111,9 @@ def require_size(path: Path, start: int, needed: int, *, compressed: bool) -> No
 
 
 def scaled(values: NDArray[np.number], slope: float, intercept: float) -> NDArray[np.number]:
-    """Values times slope plus intercept; as they are where that changes nothing, else float32 or float64."""
+    """Values times slope plus intercept; as they are where that changes nothing, else float32 or
+    float64.
+    """
     if (slope, intercept) == (1.0, 0.0):
         return values
     kind = np.float32 if values.dtype.itemsize <= 2 or values.dtype == np.float32 else np.float64
@@ -131,7 +146,8 @@ def _plain(path: Path, start: int, compressed: bool) -> Iterator[bytes]:
                     raise _damaged(path) from problem
                 packed = inflate.unconsumed_tail
                 if inflate.eof:
-                    packed = inflate.unused_data.lstrip(b"\0")  # gzip allows further members, and zeros behind
+                    # gzip allows further members, and zeros behind
+                    packed = inflate.unused_data.lstrip(b"\0")
                     if not packed:
                         break
                     inflate = zlib.decompressobj(_ZLIB_OR_GZIP)

@@ -1,8 +1,9 @@
-"""A DICOM series as one image: headers by pydicom, pixels by GDCM, slices sorted by place into an even stack.
+"""A DICOM series as one image: headers by pydicom, pixels by GDCM, slices sorted by place into an
+even stack.
 
-Nothing that names a patient leaves this module: of the headers only `_READ` is read, size, place, scale and series, and
-a message counts files in the order of their names instead of naming them, because exporters write names, dates and
-identifiers into those. The folder's name is the user's.
+Nothing that names a patient leaves this module: of the headers only `_READ` is read, size, place,
+scale and series, and a message counts files in the order of their names instead of naming them,
+because exporters write names, dates and identifiers into those. The folder's name is the user's.
 """
 
 import warnings
@@ -32,7 +33,21 @@ from meshes.images.itk import array_of, itk_reader
 
 __all__ = ["read_dicom"]
 
-_NOT_SLICES = (".txt", ".xml", ".json", ".csv", ".md", ".htm", ".html", ".pdf", ".jpg", ".jpeg", ".png", ".ini", ".inf")
+_NOT_SLICES = (
+    ".txt",
+    ".xml",
+    ".json",
+    ".csv",
+    ".md",
+    ".htm",
+    ".html",
+    ".pdf",
+    ".jpg",
+    ".jpeg",
+    ".png",
+    ".ini",
+    ".inf",
+)
 _READ = (
     "SeriesInstanceUID",
     "SeriesNumber",
@@ -63,14 +78,16 @@ _UNDEFINED_LENGTH = 0xFFFFFFFF
 
 
 def read_dicom(folder: Path, *, series: int | None = None) -> StoredImage:
-    """Read the one series that a folder holds, or the one of a number, each slice with its own slope and intercept.
+    """Read the one series that a folder holds, or the one of a number, each slice with its own
+    slope and intercept.
 
     Voxels of the padding value take the lowest other value of their slice.
 
     Raises
     ------
     InputError
-        If the folder holds no series or several, a file is damaged, or the slices are no even stack of grey images.
+        If the folder holds no series or several, a file is damaged, or the slices are no even stack
+        of grey images.
     """
     files = [file for file in sorted(folder.iterdir()) if _may_be_slice(file)]
     if not files:
@@ -80,7 +97,10 @@ def read_dicom(folder: Path, *, series: int | None = None) -> StoredImage:
             f"the folder {folder.name} without DICOM files or TIFF slices",
             "give the folder that holds the slices",
         )
-    places = [f"file {k + 1} of {len(files)} in the order of names in {folder.name}" for k in range(len(files))]
+    places = [
+        f"file {k + 1} of {len(files)} in the order of names in {folder.name}"
+        for k in range(len(files))
+    ]
     headers = [_header(file, place) for file, place in zip(files, places, strict=True)]
     if series is not None:
         chosen = _of_series(headers, series, folder)
@@ -99,7 +119,9 @@ def read_dicom(folder: Path, *, series: int | None = None) -> StoredImage:
     size = (*slices[0].size, len(slices))
     most_bytes = max(int(header["BitsAllocated"] or 0) for header in headers) // 8
     require_memory(
-        sum(int(np.prod(s.size, dtype=object)) for s in slices) * most_bytes, folder.name, f"{by(size)} voxels"
+        sum(int(np.prod(s.size, dtype=object)) for s in slices) * most_bytes,
+        folder.name,
+        f"{by(size)} voxels",
     )
     order, step, notes = stack_step(slices, folder.name)
     planes = []
@@ -109,33 +131,52 @@ def read_dicom(folder: Path, *, series: int | None = None) -> StoredImage:
         padded += replace_padding(plane, headers[k], places[k])
         planes.append(plane)
     if padded:
-        notes.append(f"{padded} voxels of {folder.name} are padding: they take the lowest value of their slice.")
+        notes.append(
+            f"{padded} voxels of {folder.name} are padding: they take the lowest value of "
+            "their slice."
+        )
     if any(header["RescaleSlope"] is None for header in headers):
-        notes.append(f"{folder.name} states no rescale slope: its grey values are taken as they are stored.")
+        notes.append(
+            f"{folder.name} states no rescale slope: its grey values are taken as they are stored."
+        )
     values = np.concatenate(planes, axis=0)
     if headers[0]["PhotometricInterpretation"] == INVERTED:
-        values, note = upright(values, [both_ends(headers[k], places[k]) for k in order], headers[0], folder.name)
+        values, note = upright(
+            values, [both_ends(headers[k], places[k]) for k in order], headers[0], folder.name
+        )
         notes.append(note)
     first = slices[order[0]]
     spacing = float(np.linalg.norm(step))
     directions = np.column_stack([first.row, first.column, step / spacing])
-    return StoredImage(values.T, (*first.pixel_mm, spacing), directions, first.position_mm, tuple(notes))
+    return StoredImage(
+        values.T, (*first.pixel_mm, spacing), directions, first.position_mm, tuple(notes)
+    )
 
 
 def _may_be_slice(file: Path) -> bool:
-    """Whether a file of the folder must be a slice: all but the index and what is plainly something else."""
-    known = file.suffix.lower() in _NOT_SLICES or file.name.startswith(".") or file.name.upper() == "DICOMDIR"
+    """Whether a file of the folder must be a slice: all but the index and what is plainly
+    something else.
+    """
+    known = (
+        file.suffix.lower() in _NOT_SLICES
+        or file.name.startswith(".")
+        or file.name.upper() == "DICOMDIR"
+    )
     return file.is_file() and not known
 
 
 def _header(file: Path, place: str) -> Header:
-    """The elements `_READ` of a file by name, but for the pixels, of which only the length is checked."""
+    """The elements `_READ` of a file by name, but for the pixels, of which only the length is
+    checked.
+    """
     import pydicom
 
     with file.open("rb") as stream:
         head = stream.read(_PREAMBLE + len(_MAGIC))
     if head[_PREAMBLE:] != _MAGIC:
-        raise InputError("a DICOM folder", "hold DICOM files only", f"another kind as {place}", "take it out")
+        raise InputError(
+            "a DICOM folder", "hold DICOM files only", f"another kind as {place}", "take it out"
+        )
     try:
         with warnings.catch_warnings():  # they quote what they complain of
             warnings.simplefilter("ignore")
@@ -149,8 +190,14 @@ def _header(file: Path, place: str) -> Header:
             found = len(pixels.value)
             del dataset["PixelData"]
             header = {key: dataset.get(key) for key in _READ}
-            counts = [header[key] for key in ("Rows", "Columns", "SamplesPerPixel", "BitsAllocated")]
-            needed = int(np.prod([int(n) for n in counts], dtype=object)) // 8 * int(header["NumberOfFrames"] or 1)
+            counts = [
+                header[key] for key in ("Rows", "Columns", "SamplesPerPixel", "BitsAllocated")
+            ]
+            needed = (
+                int(np.prod([int(n) for n in counts], dtype=object))
+                // 8
+                * int(header["NumberOfFrames"] or 1)
+            )
     except InputError:
         raise
     except Exception as problem:  # damaged headers raise many kinds
@@ -186,11 +233,18 @@ def _require_inflated(file: Path) -> None:
 
 
 def _damaged(place: str) -> InputError:
-    return InputError("a DICOM slice", "be whole and readable", f"a damaged one, {place}", "export the series again")
+    return InputError(
+        "a DICOM slice",
+        "be whole and readable",
+        f"a damaged one, {place}",
+        "export the series again",
+    )
 
 
 def _require_one_series(headers: Sequence[Header], folder: Path) -> None:
-    """Refuse several series, distinguished by identifier and number but named by number and slices alone."""
+    """Refuse several series, distinguished by identifier and number but named by number and
+    slices alone.
+    """
     found = Counter((str(header["SeriesInstanceUID"]), _whole(header)) for header in headers)
     if len(found) > 1:
         raise InputError(
@@ -204,19 +258,25 @@ def _require_one_series(headers: Sequence[Header], folder: Path) -> None:
 def _named(headers: Sequence[Header]) -> str:
     """The series of some headers, by number and slices."""
     found = Counter((str(header["SeriesInstanceUID"]), _whole(header)) for header in headers)
-    return ", ".join(f"number {number} of {count} slices" for (_, number), count in sorted(found.items()))
+    return ", ".join(
+        f"number {number} of {count} slices" for (_, number), count in sorted(found.items())
+    )
 
 
 def _of_series(headers: Sequence[Header], number: int, folder: Path) -> list[int]:
     """Which files belong to the series of a number."""
     chosen = [k for k, header in enumerate(headers) if _whole(header) == str(number)]
     if not chosen:
-        raise InputError("series", f"be one that {folder.name} holds", number, f"it holds {_named(headers)}")
+        raise InputError(
+            "series", f"be one that {folder.name} holds", number, f"it holds {_named(headers)}"
+        )
     return chosen
 
 
 def _whole(header: Header) -> str:
-    """The number of a series; nothing but a short whole number may pass from a header into a message."""
+    """The number of a series; nothing but a short whole number may pass from a header into a
+    message.
+    """
     try:
         number = int(header["SeriesNumber"])
     except (TypeError, ValueError):
@@ -228,7 +288,10 @@ def _slice(header: Header, place: str) -> Slice:
     """Place and size of a slice."""
     if int(header["NumberOfFrames"] or 1) != 1:
         raise InputError(
-            "a DICOM slice", "hold one frame", f"several in {place}", "export one file a slice, or as .nrrd"
+            "a DICOM slice",
+            "hold one frame",
+            f"several in {place}",
+            "export one file a slice, or as .nrrd",
         )
     if header["PhotometricInterpretation"] not in _GREY or header["SamplesPerPixel"] != 1:
         raise InputError(

@@ -1,4 +1,6 @@
-"""Slices of a DICOM series put in order: one even stack, sheared at most by the tilt of the gantry that they state."""
+"""Slices of a DICOM series put in order: one even stack, sheared at most by the tilt of the
+gantry that they state.
+"""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -10,12 +12,24 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 
-__all__ = ["INVERTED", "Header", "Slice", "both_ends", "number", "numbers", "replace_padding", "stack_step", "upright"]
+__all__ = [
+    "INVERTED",
+    "Header",
+    "Slice",
+    "both_ends",
+    "number",
+    "numbers",
+    "replace_padding",
+    "stack_step",
+    "upright",
+]
 
 _PARALLEL = 1e-4
 _UNIT = 1e-3
 _UNEVEN = 0.05
-"""Farthest a slice may lie from its place in an even stack, in spacings: headers round positions."""
+"""Farthest a slice may lie from its place in an even stack, in spacings: headers round
+positions.
+"""
 _TILT_DEG = 0.5
 _SHEAR_DEG = 0.05
 Header = Mapping[str, Any]
@@ -54,17 +68,22 @@ class Slice:
     place: str
 
 
-def stack_step(slices: Sequence[Slice], source: str) -> tuple[list[int], NDArray[np.float64], list[str]]:
-    """Order of the slices along their normal, the step from one to the next [mm, LPS], and notes on it.
+def stack_step(
+    slices: Sequence[Slice], source: str
+) -> tuple[list[int], NDArray[np.float64], list[str]]:
+    """Order of the slices along their normal, the step from one to the next [mm, LPS], and notes on
+    it.
 
     Raises
     ------
     InputError
-        If there are fewer than two, they differ in size, pixels or orientation, lie in one place or unevenly, or state
-        a tilt that their positions do not show.
+        If there are fewer than two, they differ in size, pixels or orientation, lie in one place or
+        unevenly, or state a tilt that their positions do not show.
     """
     if len(slices) < 2:
-        raise InputError("a DICOM folder", "hold two slices or more", f"one in {source}", "give the whole series")
+        raise InputError(
+            "a DICOM folder", "hold two slices or more", f"one in {source}", "give the whole series"
+        )
     first = slices[0]
     normal = _normal(first)
     for other in slices[1:]:
@@ -94,7 +113,11 @@ def stack_step(slices: Sequence[Slice], source: str) -> tuple[list[int], NDArray
             f"positions that stray {np.abs(places - even).max():.3g} mm from it in {source}",
             "export one reconstruction",
         )
-    return order, step, _shear_notes(step, normal, max((s.tilt_deg for s in slices), key=abs), source)
+    return (
+        order,
+        step,
+        _shear_notes(step, normal, max((s.tilt_deg for s in slices), key=abs), source),
+    )
 
 
 def _normal(first: Slice) -> NDArray[np.float64]:
@@ -142,7 +165,9 @@ def _require_even(heights: NDArray[np.float64], source: str) -> None:
     )
 
 
-def _shear_notes(step: NDArray[np.float64], normal: NDArray[np.float64], tilt_deg: float, source: str) -> list[str]:
+def _shear_notes(
+    step: NDArray[np.float64], normal: NDArray[np.float64], tilt_deg: float, source: str
+) -> list[str]:
     """Note that a tilted gantry is undone; refuse a tilt that the positions do not show."""
     along = float(step @ normal)
     shear_deg = float(np.degrees(np.arctan2(np.linalg.norm(step - along * normal), along)))
@@ -155,7 +180,12 @@ def _shear_notes(step: NDArray[np.float64], normal: NDArray[np.float64], tilt_de
         )
     if shear_deg <= _SHEAR_DEG:
         return []
-    return [f"The slices of {source} are sheared by {shear_deg:.3g} degrees, as a tilted gantry leaves them."]
+    return [
+        (
+            f"The slices of {source} are sheared by {shear_deg:.3g} degrees, as a tilted gantry "
+            "leaves them."
+        )
+    ]
 
 
 def numbers(header: Header, key: str, count: int, place: str) -> NDArray[np.float64]:
@@ -182,7 +212,9 @@ def number(header: Header, key: str, absent: float, place: str) -> float:
 
 
 def both_ends(header: Header, place: str) -> float:
-    """Return the sum of the lowest and the highest value that a slice can hold, slope and intercept applied."""
+    """Return the sum of the lowest and the highest value that a slice can hold, slope and
+    intercept applied.
+    """
     bits = int(number(header, "BitsStored", 16.0, place))
     signed = int(number(header, "PixelRepresentation", 0.0, place)) == 1
     ends = -1.0 if signed else 2.0**bits - 1.0
@@ -194,16 +226,18 @@ def both_ends(header: Header, place: str) -> float:
 def upright(
     values: NDArray[np.number], ends: Sequence[float], first: Header, source: str
 ) -> tuple[NDArray[np.number], str]:
-    """Return slices whose low values are displayed as white (MONOCHROME1) with bone as the highest value, and a note.
+    """Return slices whose low values are displayed as white (MONOCHROME1) with bone as the highest
+    value, and a note.
 
-    The rescale slope and intercept lead to Hounsfield units whatever the display (DICOM PS3.3, C.11.1), so they decide
-    where they put air at -1000. Values that were inverted without a change of the rescale are recognised by their air.
+    The rescale slope and intercept lead to Hounsfield units whatever the display (DICOM PS3.3,
+    C.11.1), so they decide where they put air at -1000. Values that were inverted without a change
+    of the rescale are recognised by their air.
 
     Parameters
     ----------
     values
-        Slices as GDCM returns them, shape (slices, rows, columns): it inverts the stored values of MONOCHROME1 before
-        it applies slope and intercept.
+        Slices as GDCM returns them, shape (slices, rows, columns): it inverts the stored values of
+        MONOCHROME1 before it applies slope and intercept.
     ends
         Lowest plus highest value of each slice.
     first
@@ -214,11 +248,19 @@ def upright(
     kind = values.dtype if values.dtype.kind == "f" else np.float32
     stated = (np.asarray(ends, dtype=np.float64)[:, None, None] - values).astype(kind)
     low, high = _AIR_HU
-    air, air_inverted = (np.count_nonzero((each > low) & (each < high)) for each in (stated, values))
+    air, air_inverted = (
+        np.count_nonzero((each > low) & (each < high)) for each in (stated, values)
+    )
     slope = first["RescaleSlope"]
     has_slope = slope not in (None, "")
     if has_slope and (air > air_inverted or (air == air_inverted and float(slope) < 0.0)):
-        return stated, f"{source} displays low values as white (MONOCHROME1): its rescale leads to grey values."
+        return (
+            stated,
+            (
+                f"{source} displays low values as white (MONOCHROME1): its rescale leads to grey "
+                "values."
+            ),
+        )
     if has_slope and air == air_inverted:
         raise InputError(
             "it",
@@ -226,7 +268,10 @@ def upright(
             f"slices without air in {source}",
             "export them as MONOCHROME2",
         )
-    return values, f"The grey values of {source} are stored inverted (MONOCHROME1): they are inverted back."
+    return (
+        values,
+        f"The grey values of {source} are stored inverted (MONOCHROME1): they are inverted back.",
+    )
 
 
 def replace_padding(plane: NDArray[np.number], header: Header, place: str) -> int:

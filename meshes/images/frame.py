@@ -1,6 +1,8 @@
-"""The world frame of images: LPS in mm. An image stored along other axes is turned, or resampled, into it.
+"""The world frame of images: LPS in mm. An image stored along other axes is turned, or resampled,
+into it.
 
-LPS is the frame of DICOM and ITK: +x towards the patient's left, +y towards the back, +z towards the head, in mm.
+LPS is the frame of DICOM and ITK: +x towards the patient's left, +y towards the back, +z towards
+the head, in mm.
 """
 
 import math
@@ -26,10 +28,12 @@ _MOST_VOXELS = 1e9
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """Grey values or labels on a regular grid along the axes of LPS: +x left, +y back, +z head, in mm.
+    """Grey values or labels on a regular grid along the axes of LPS: +x left, +y back, +z head, in
+    mm.
 
-    Voxel (i, j, k) is centred at ``origin_mm + spacing_mm * (i, j, k)``, whatever the order and direction of the axes
-    in the file. TIFF slices hold no frame: theirs is that of the array, columns, rows and slices from (0, 0, 0).
+    Voxel (i, j, k) is centred at ``origin_mm + spacing_mm * (i, j, k)``, whatever the order and
+    direction of the axes in the file. TIFF slices hold no frame: theirs is that of the array,
+    columns, rows and slices from (0, 0, 0).
 
     Attributes
     ----------
@@ -54,16 +58,19 @@ class Image:
 
 @dataclass(frozen=True, eq=False)
 class StoredImage:
-    """An image as its file holds it: voxel (i, j, k) is centred at ``origin + directions @ (spacing * (i, j, k))``.
+    """An image as its file holds it: voxel (i, j, k) is centred at ``origin + directions @ (spacing
+    * (i, j, k))``.
 
     Attributes
     ----------
     values
         Shape (ni, nj, nk).
     spacing_mm
-        Distance between neighbours along each axis of the array [mm], as the header states it, unchecked.
+        Distance between neighbours along each axis of the array [mm], as the header states it,
+        unchecked.
     directions
-        Direction of each axis of the array in LPS, unit vectors in the columns, shape (3, 3); at right angles or not.
+        Direction of each axis of the array in LPS, unit vectors in the columns, shape (3, 3); at
+        right angles or not.
     origin_mm
         Centre of voxel (0, 0, 0) [mm, LPS], shape (3,).
     notes
@@ -80,14 +87,15 @@ class StoredImage:
 def along_lps(stored: StoredImage, source: str, *, labels: bool = False) -> Image:
     """Turn an image into the axes of LPS.
 
-    Axes along those of LPS in any order and direction: the array is transposed and flipped, nothing is interpolated.
-    Others: resampled, grey values by cubic splines and labels to the nearest, with a note; what lies outside the stored
-    image takes its lowest value (labels: 0).
+    Axes along those of LPS in any order and direction: the array is transposed and flipped, nothing
+    is interpolated. Others: resampled, grey values by cubic splines and labels to the nearest, with
+    a note; what lies outside the stored image takes its lowest value (labels: 0).
 
     Raises
     ------
     InputError
-        If the spacing or origin is no length, the axes lie in one plane, or the resampled image would not be workable.
+        If the spacing or origin is no length, the axes lie in one plane, or the resampled image
+        would not be workable.
     """
     _require_frame(stored, source)
     order = _nearest_axes(stored.directions)
@@ -104,16 +112,23 @@ def along_lps(stored: StoredImage, source: str, *, labels: bool = False) -> Imag
 
 def _nearest_axes(directions: NDArray[np.float64]) -> tuple[int, ...]:
     """For each axis of LPS the array's axis nearest to it, each once."""
-    return max(permutations(range(3)), key=lambda order: sum(abs(directions[k, order[k]]) for k in range(3)))
+    return max(
+        permutations(range(3)),
+        key=lambda order: sum(abs(directions[k, order[k]]) for k in range(3)),
+    )
 
 
 def _resampled(stored: StoredImage, source: str, labels: bool) -> Image:
-    """The image on a grid along LPS that spans the stored one, spaced as that is along each direction."""
+    """The image on a grid along LPS that spans the stored one, spaced as that is along each
+    direction.
+    """
     steps = stored.directions * stored.spacing_mm
     inverse = np.linalg.inv(steps)
     spacing = 1.0 / np.linalg.norm(inverse, axis=0)
     shape = np.array(stored.values.shape)
-    corners = np.stack(np.meshgrid(*[(0, n - 1) for n in shape], indexing="ij"), axis=-1).reshape(-1, 3)
+    corners = np.stack(np.meshgrid(*[(0, n - 1) for n in shape], indexing="ij"), axis=-1).reshape(
+        -1, 3
+    )
     points = corners @ steps.T + stored.origin_mm
     low = points.min(axis=0)
     high = points.max(axis=0)
@@ -126,7 +141,11 @@ def _resampled(stored: StoredImage, source: str, labels: bool) -> Image:
             "crop it, or resample it coarser along the patient's axes",
         )
     at = inverse * spacing, inverse @ (low - stored.origin_mm), tuple(count.tolist())
-    values = _sampled(stored.values, *at, order=0) if labels else _interpolated(stored.values.astype(np.float32), *at)
+    values = (
+        _sampled(stored.values, *at, order=0)
+        if labels
+        else _interpolated(stored.values.astype(np.float32), *at)
+    )
     how = "to the nearest label" if labels else "by cubic splines"
     size = f"{by(count)} voxels of {by(spacing, '.4g')} mm"
     note = f"The axes of {source} are oblique: resampled {how} along LPS, {size}."
@@ -134,12 +153,16 @@ def _resampled(stored: StoredImage, source: str, labels: bool) -> Image:
 
 
 def _interpolated(
-    values: NDArray[np.float32], matrix: NDArray[np.float64], offset: NDArray[np.float64], shape: tuple[int, ...]
+    values: NDArray[np.float32],
+    matrix: NDArray[np.float64],
+    offset: NDArray[np.float64],
+    shape: tuple[int, ...],
 ) -> NDArray[np.float32]:
     """Grey values at the points `matrix @ index + offset` of an array by cubic splines.
 
-    Linear interpolation lowers the peaks that are thin bone: of a CT's bone surface 2 % are then lost by more than half
-    a voxel, by splines 0.2 %. Splines overshoot, so no value leaves the range of the eight voxels around it.
+    Linear interpolation lowers the peaks that are thin bone: of a CT's bone surface 2 % are then
+    lost by more than half a voxel, by splines 0.2 %. Splines overshoot, so no value leaves the
+    range of the eight voxels around it.
     """
     from scipy.ndimage import maximum_filter, minimum_filter, spline_filter
 
@@ -147,8 +170,14 @@ def _interpolated(
     splined = _sampled(coefficients, matrix, offset, shape, order=3, outside=float(values.min()))
     within = _sampled(np.ones(values.shape, dtype=bool), matrix, offset, shape, order=0)
     for limit, neighbours in ((np.maximum, minimum_filter), (np.minimum, maximum_filter)):
-        around = neighbours(values, size=2, origin=-1)  # of voxels i and i + 1 along each axis, at i
-        limit(splined, _sampled(around, matrix, offset - 0.5, shape, order=0, outside=None), out=splined, where=within)
+        # of voxels i and i + 1 along each axis, at i
+        around = neighbours(values, size=2, origin=-1)
+        limit(
+            splined,
+            _sampled(around, matrix, offset - 0.5, shape, order=0, outside=None),
+            out=splined,
+            where=within,
+        )
     return splined
 
 
@@ -161,7 +190,9 @@ def _sampled(
     order: int,
     outside: float | None = 0.0,
 ) -> NDArray[Kind]:
-    """Values at the points `matrix @ index + offset`; outside the array a number, or (None) the nearest voxel's."""
+    """Values at the points `matrix @ index + offset`; outside the array a number, or (None) the
+    nearest voxel's.
+    """
     from scipy.ndimage import affine_transform
 
     sampled: NDArray[Kind] = affine_transform(
@@ -180,14 +211,21 @@ def _sampled(
 def _require_frame(stored: StoredImage, source: str) -> None:
     """Refuse spacing, origin and directions that no image has."""
     spacing = np.array(stored.spacing_mm)
-    if not (np.isfinite(spacing).all() and (spacing >= _SMALLEST_MM).all() and (spacing <= _LARGEST_MM).all()):
+    if not (
+        np.isfinite(spacing).all()
+        and (spacing >= _SMALLEST_MM).all()
+        and (spacing <= _LARGEST_MM).all()
+    ):
         raise InputError(
             "spacing",
             f"be in [{_SMALLEST_MM:g}, {_LARGEST_MM:g}] mm",
             f"{by(spacing)} in {source}",
             "fix the header, or give the spacing",
         )
-    if not (np.isfinite(stored.origin_mm).all() and (np.abs(stored.origin_mm) <= _FARTHEST_ORIGIN_MM).all()):
+    if not (
+        np.isfinite(stored.origin_mm).all()
+        and (np.abs(stored.origin_mm) <= _FARTHEST_ORIGIN_MM).all()
+    ):
         raise InputError(
             "the origin",
             f"be finite and within {_FARTHEST_ORIGIN_MM:g} mm",
@@ -196,9 +234,13 @@ def _require_frame(stored: StoredImage, source: str) -> None:
         )
     lengths = np.linalg.norm(stored.directions, axis=0)
     if not np.allclose(lengths, 1.0, rtol=0.0, atol=_FLATTEST):
-        raise InputError("directions", "be of length 1", f"{by(lengths)} in {source}", "mend the header")
+        raise InputError(
+            "directions", "be of length 1", f"{by(lengths)} in {source}", "mend the header"
+        )
     if not abs(float(np.linalg.det(stored.directions))) >= _FLATTEST:
-        raise InputError("the axes", "span space", f"directions in one plane in {source}", "mend the header")
+        raise InputError(
+            "the axes", "span space", f"directions in one plane in {source}", "mend the header"
+        )
 
 
 def _triple(numbers: NDArray[np.float64]) -> tuple[float, float, float]:
@@ -217,5 +259,8 @@ def box_of(mask: NDArray[np.bool_], margin: int = 0) -> tuple[slice, ...]:
 
 def part_of(image: Image, box: tuple[slice, ...]) -> Image:
     """The image within slices that have a start each, its origin moved along."""
-    x, y, z = (o + s * each.start for o, s, each in zip(image.origin_mm, image.spacing_mm, box, strict=True))
+    x, y, z = (
+        o + s * each.start
+        for o, s, each in zip(image.origin_mm, image.spacing_mm, box, strict=True)
+    )
     return replace(image, values=np.ascontiguousarray(image.values[box]), origin_mm=(x, y, z))

@@ -1,4 +1,6 @@
-"""Voxels and place of an image file by ITK, and the lines of a text header, of which ITK leaves some aside."""
+"""Voxels and place of an image file by ITK, and the lines of a text header, of which ITK leaves
+some aside.
+"""
 
 from __future__ import annotations
 
@@ -28,13 +30,14 @@ _UNITS_MM: Mapping[str, float] = {
 
 
 def header_lines(path: Path, separator: str, last: str) -> tuple[dict[str, str], int]:
-    """Read the `key separator value` lines of a header, keys in small letters, and the byte behind it.
+    """Read the `key separator value` lines of a header, keys in small letters, and the byte behind
+    it.
 
     Parameters
     ----------
     last
-        Key of the header's last line; an empty line ends it as well. The first line without a separator is kept
-        under the key "first".
+        Key of the header's last line; an empty line ends it as well. The first line without a
+        separator is kept under the key "first".
     """
     with path.open("rb") as stream:
         data = stream.read(_LONGEST_HEADER)
@@ -50,7 +53,9 @@ def header_lines(path: Path, separator: str, last: str) -> tuple[dict[str, str],
         if not found:
             fields.setdefault("first", line)
         elif key in fields:
-            raise InputError("a header", "state every key once", f"{_short(key)} twice in {path.name}", "mend it")
+            raise InputError(
+                "a header", "state every key once", f"{_short(key)} twice in {path.name}", "mend it"
+            )
         elif not key.startswith("#"):
             fields[key] = value.strip()
         if key == last:
@@ -58,7 +63,9 @@ def header_lines(path: Path, separator: str, last: str) -> tuple[dict[str, str],
     return fields, at
 
 
-def numbers(fields: Mapping[str, str], key: str, path: Path, *, positive: bool = False) -> list[float] | None:
+def numbers(
+    fields: Mapping[str, str], key: str, path: Path, *, positive: bool = False
+) -> list[float] | None:
     """The finite numbers of a header line, None where it is not there.
 
     Raises
@@ -69,18 +76,27 @@ def numbers(fields: Mapping[str, str], key: str, path: Path, *, positive: bool =
     if key not in fields:
         return None
     try:
-        found = [number_in(word) for word in fields[key].replace("(", " ").replace(")", " ").replace(",", " ").split()]
+        found = [
+            number_in(word)
+            for word in fields[key].replace("(", " ").replace(")", " ").replace(",", " ").split()
+        ]
     except ValueError:
         found = [np.nan]
     if not np.isfinite(found).all():
-        raise InputError(key, "be finite numbers", f"{_short(fields[key])} in {path.name}", "mend the header")
+        raise InputError(
+            key, "be finite numbers", f"{_short(fields[key])} in {path.name}", "mend the header"
+        )
     if positive and min(found, default=0.0) <= 0.0:
-        raise InputError(key, "be above 0", f"{_short(fields[key])} in {path.name}", "mend the header")
+        raise InputError(
+            key, "be above 0", f"{_short(fields[key])} in {path.name}", "mend the header"
+        )
     return found
 
 
 def length_unit_mm(words: Sequence[str], path: Path) -> float:
-    """Millimetres of the unit that a header states for its axes, of all the same one; mm where it states none."""
+    """Millimetres of the unit that a header states for its axes, of all the same one; mm where
+    it states none.
+    """
     units = {word.strip('"').lower() for word in words}
     if not units <= set(_UNITS_MM) or len({_UNITS_MM[unit] for unit in units}) > 1:
         raise InputError(
@@ -92,8 +108,12 @@ def length_unit_mm(words: Sequence[str], path: Path) -> float:
     return _UNITS_MM[units.pop()] if units else 1.0
 
 
-def read_by_itk(path: Path, reader_name: str, *, unit_mm: float, notes: tuple[str, ...]) -> StoredImage:
-    """Read an image of one real number a voxel on three axes by a named reader of ITK, whose frame is LPS."""
+def read_by_itk(
+    path: Path, reader_name: str, *, unit_mm: float, notes: tuple[str, ...]
+) -> StoredImage:
+    """Read an image of one real number a voxel on three axes by a named reader of ITK, whose
+    frame is LPS.
+    """
     import SimpleITK
 
     reader = itk_reader(path, reader_name)
@@ -111,15 +131,22 @@ def read_by_itk(path: Path, reader_name: str, *, unit_mm: float, notes: tuple[st
         image = reader.Execute()
     except (RuntimeError, MemoryError, OverflowError, UnicodeError) as problem:
         raise InputError(
-            "file", "be a readable image volume", f"{path.name} whose header and voxels do not fit", "export it again"
+            "file",
+            "be a readable image volume",
+            f"{path.name} whose header and voxels do not fit",
+            "export it again",
         ) from problem
     x, y, z = (unit_mm * s for s in image.GetSpacing())
     directions = np.array(image.GetDirection(), dtype=np.float64).reshape(3, 3)
-    return StoredImage(array_of(image), (x, y, z), directions, unit_mm * np.array(image.GetOrigin()), notes)
+    return StoredImage(
+        array_of(image), (x, y, z), directions, unit_mm * np.array(image.GetOrigin()), notes
+    )
 
 
 def itk_reader(path: Path, name: str) -> SimpleITK.ImageFileReader:
-    """A named reader of ITK for a file; its warnings, which may name what a header holds, stay off the terminal."""
+    """A named reader of ITK for a file; its warnings, which may name what a header holds, stay
+    off the terminal.
+    """
     import SimpleITK
 
     SimpleITK.ProcessObject.SetGlobalWarningDisplay(False)

@@ -1,8 +1,9 @@
 """Labels spread into a smooth share that crosses a half where their surface lies, curved or not.
 
-A Gaussian less its Laplacian times its variance, ``G - s^2 div grad G``, has no second moment in a plane through its
-centre, so that a curved boundary stays where it is to first order in the curvature. With other deviations along each
-axis the same holds, since an affine map takes curved surfaces to curved surfaces.
+A Gaussian less its Laplacian times its variance, ``G - s^2 div grad G``, has no second moment in a
+plane through its centre, so that a curved boundary stays where it is to first order in the
+curvature. With other deviations along each axis the same holds, since an affine map takes curved
+surfaces to curved surfaces.
 """
 
 import numpy as np

@@ -1,4 +1,6 @@
-"""NIfTI images: header by nibabel, every number of it that places or scales the voxels checked or honoured."""
+"""NIfTI images: header by nibabel, every number of it that places or scales the voxels checked
+or honoured.
+"""
 
 from contextlib import suppress
 from pathlib import Path
@@ -26,14 +28,14 @@ _SINGLE_FILE = (b"n+1", b"n+2")
 def read_nifti(path: Path) -> StoredImage:
     """Read a NIfTI-1 or -2 image (`.nii`, `.nii.gz`) with its slope, intercept, units and place.
 
-    The place is that of the sform where its code is above 0, else of the qform. Where neither states one, the axes are
-    taken as LPS from (0, 0, 0).
+    The place is that of the sform where its code is above 0, else of the qform. Where neither
+    states one, the axes are taken as LPS from (0, 0, 0).
 
     Raises
     ------
     InputError
-        If the file is cut off, holds other than one real number a voxel in three dimensions, or its header contradicts
-        itself.
+        If the file is cut off, holds other than one real number a voxel in three dimensions, or its
+        header contradicts itself.
     """
     header = _header(path)
     shape = _shape(header, path)
@@ -55,7 +57,9 @@ def read_nifti(path: Path) -> StoredImage:
     x, y, z = spacing.tolist()
     with np.errstate(divide="ignore", invalid="ignore"):
         directions = affine[:, :3] / spacing
-    return StoredImage(_scaled(values, header, path), (x, y, z), directions, affine[:, 3], tuple(notes))
+    return StoredImage(
+        _scaled(values, header, path), (x, y, z), directions, affine[:, 3], tuple(notes)
+    )
 
 
 def _header(path: Path) -> Header:
@@ -76,12 +80,19 @@ def _header(path: Path) -> Header:
         or bytes(header["magic"].item())[:3] not in _SINGLE_FILE
         or int(header["sizeof_hdr"]) not in (348, 540)
     ):
-        raise InputError("file", "be a NIfTI image", f"{path.name} which does not start as one does", "export it again")
+        raise InputError(
+            "file",
+            "be a NIfTI image",
+            f"{path.name} which does not start as one does",
+            "export it again",
+        )
     return header
 
 
 def _header_fault(path: Path, field: str, requirement: str, found: object) -> InputError:
-    return InputError(f"{field} in the header", requirement, f"{found} in {path.name}", "export it again")
+    return InputError(
+        f"{field} in the header", requirement, f"{found} in {path.name}", "export it again"
+    )
 
 
 def _shape(header: Header, path: Path) -> tuple[int, int, int]:
@@ -106,7 +117,12 @@ def _dtype(header: Header, path: Path) -> np.dtype[np.number]:
     except (HeaderDataError, KeyError) as problem:
         raise _header_fault(path, "datatype", "be known", int(header["datatype"])) from problem
     if dtype.kind not in "iuf" or dtype.itemsize > 8 or dtype.itemsize == 0:
-        raise InputError("file", "hold one real number per voxel", f"{dtype} in {path.name}", "export grey values")
+        raise InputError(
+            "file",
+            "hold one real number per voxel",
+            f"{dtype} in {path.name}",
+            "export grey values",
+        )
     if int(header["bitpix"]) != 8 * dtype.itemsize:
         raise _header_fault(path, "bitpix", f"be that of {dtype}", int(header["bitpix"]))
     return dtype
@@ -127,7 +143,9 @@ def _affine(header: Header, path: Path, notes: list[str]) -> NDArray[np.float64]
         except (HeaderDataError, ValueError) as problem:
             raise _header_fault(path, "the quaternion", "have a norm of 1", "another") from problem
     if sform is None and qform is None:
-        notes.append(f"{path.name} states no place or directions: its axes are taken as left, back and head.")
+        notes.append(
+            f"{path.name} states no place or directions: its axes are taken as left, back and head."
+        )
         return np.diag([*(spacing * _TO_LPS), 1.0])
     if sform is None:
         return np.asarray(qform, dtype=np.float64)
@@ -143,7 +161,9 @@ def _affine(header: Header, path: Path, notes: list[str]) -> NDArray[np.float64]
         corner = np.array([*(int(n) for n in header["dim"][1:4]), 0.0])
         apart = np.abs((sform - qform) @ corner)[:3].max() + np.abs(sform - qform)[:3, 3].max()
         if apart > 0.5 * stated.min():
-            notes.append(f"The sform and the qform of {path.name} place it differently: the sform is taken.")
+            notes.append(
+                f"The sform and the qform of {path.name} place it differently: the sform is taken."
+            )
     return np.asarray(sform, dtype=np.float64)
 
 
@@ -154,5 +174,7 @@ def _scaled(values: NDArray[np.number], header: Header, path: Path) -> NDArray[n
     if slope == 0.0 or (np.isnan(slope) and (np.isnan(intercept) or intercept == 0.0)):
         return values
     if not (np.isfinite(slope) and np.isfinite(intercept)):
-        raise _header_fault(path, "scl_slope and scl_inter", "be finite", f"{slope:g} and {intercept:g}")
+        raise _header_fault(
+            path, "scl_slope and scl_inter", "be finite", f"{slope:g} and {intercept:g}"
+        )
     return scaled(values, slope, intercept)

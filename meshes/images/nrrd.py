@@ -12,21 +12,40 @@ from meshes.images.itk import header_lines, length_unit_mm, numbers, read_by_itk
 
 __all__ = ["read_nrrd"]
 
-_PATIENT = ("left-posterior-superior", "right-anterior-superior", "left-anterior-superior", "lps", "ras", "las")
+_PATIENT = (
+    "left-posterior-superior",
+    "right-anterior-superior",
+    "left-anterior-superior",
+    "lps",
+    "ras",
+    "las",
+)
 _NO_PATIENT = ("", "scanner-xyz", "3d-right-handed")
 _IN_SPACE = ("domain", "space", "none", "???")
 _CHECKED = ("raw", "gzip", "gz")
 _MOST_PER_BYTE = {"raw": 1.0, "gzip": 1100.0, "gz": 1100.0, "hex": 0.5}
 _MOST_PER_BYTE |= dict.fromkeys(("ascii", "text", "txt"), 4.0)
-"""Bytes of voxels that a byte of a data file can hold: deflate makes at most 1032 bytes of one, and text of two
-characters is one number of at most 8 bytes."""
+"""Bytes of voxels that a byte of a data file can hold: deflate makes at most 1032 bytes of one, and
+text of two characters is one number of at most 8 bytes."""
 _BYTES = {
     **dict.fromkeys(("char", "uchar", "unsigned char", "int8", "int8_t", "uint8", "uint8_t"), 1),
     **dict.fromkeys(("short", "short int", "int16", "int16_t"), 2),
     **dict.fromkeys(("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"), 2),
-    **dict.fromkeys(("int", "int32", "int32_t", "uint", "unsigned int", "uint32", "uint32_t", "float"), 4),
+    **dict.fromkeys(
+        ("int", "int32", "int32_t", "uint", "unsigned int", "uint32", "uint32_t", "float"), 4
+    ),
     **dict.fromkeys(("longlong", "long long", "long long int", "int64", "int64_t"), 8),
-    **dict.fromkeys(("ulonglong", "unsigned long long", "unsigned long long int", "uint64", "uint64_t", "double"), 8),
+    **dict.fromkeys(
+        (
+            "ulonglong",
+            "unsigned long long",
+            "unsigned long long int",
+            "uint64",
+            "uint64_t",
+            "double",
+        ),
+        8,
+    ),
 }
 """Bytes of a voxel by its type as NRRD names it."""
 _PATTERN = re.compile(r"([^%]*%0?\d?d[^%]*?)\s+(-?\d{1,9})\s+(-?\d{1,9})\s+(-?\d{1,9})(?:\s+\d+)?$")
@@ -45,7 +64,12 @@ def read_nrrd(path: Path) -> StoredImage:
     """
     fields, start = header_lines(path, ":", "")
     if not fields.get("first", "").startswith("NRRD"):
-        raise InputError("file", "be a NRRD image", f"{path.name} which does not start as one does", "export it again")
+        raise InputError(
+            "file",
+            "be a NRRD image",
+            f"{path.name} which does not start as one does",
+            "export it again",
+        )
     kinds = fields.get("kinds", "").lower()
     if fields.get("dimension") != "3" or any(kind not in _IN_SPACE for kind in kinds.split()):
         raise InputError(
@@ -57,7 +81,10 @@ def read_nrrd(path: Path) -> StoredImage:
     held = next((key for key in _SCALED if key in fields), None)
     if held is not None:
         raise InputError(
-            "a NRRD image", "hold its values unscaled", f"the key {held} in {path.name}", "export it again"
+            "a NRRD image",
+            "hold its values unscaled",
+            f"the key {held} in {path.name}",
+            "export it again",
         )
     for key in ("space directions", "space origin", "axis mins"):
         numbers(fields, key, path)
@@ -67,7 +94,9 @@ def read_nrrd(path: Path) -> StoredImage:
     needed = _require_data(fields, path, start)
     stored = read_by_itk(path, "NrrdImageIO", unit_mm=unit, notes=notes)
     if stored.values.nbytes != needed:
-        raise InputError("file", "hold the voxels its header states", f"others in {path.name}", "export it again")
+        raise InputError(
+            "file", "hold the voxels its header states", f"others in {path.name}", "export it again"
+        )
     return stored
 
 
@@ -75,10 +104,15 @@ def _notes(fields: dict[str, str], path: Path) -> tuple[str, ...]:
     """What has to be assumed on the frame."""
     space = fields.get("space", "").lower()
     if space in _NO_PATIENT:
-        return (f"{path.name} states no frame of a patient: its axes are taken as left, back and head.",)
+        return (
+            f"{path.name} states no frame of a patient: its axes are taken as left, back and head.",
+        )
     if space not in _PATIENT:
         raise InputError(
-            "space", f"be one of {', '.join(_PATIENT[:3])}", f"{space!r} in {path.name}", "export it in one"
+            "space",
+            f"be one of {', '.join(_PATIENT[:3])}",
+            f"{space!r} in {path.name}",
+            "export it in one",
         )
     return ()
 
@@ -98,7 +132,9 @@ def _stated_bytes(fields: dict[str, str], path: Path) -> tuple[int, str]:
 
 
 def _data_files(fields: dict[str, str], path: Path) -> list[Path]:
-    """Return the files that hold the voxels: the file itself, the one it names, those of a pattern or of a list."""
+    """Return the files that hold the voxels: the file itself, the one it names, those of a
+    pattern or of a list.
+    """
     name = fields.get("data file", fields.get("datafile"))
     if name is None:
         return [path]
@@ -106,12 +142,18 @@ def _data_files(fields: dict[str, str], path: Path) -> list[Path]:
     if pattern is not None:
         first, last, step = (int(number) for number in pattern.groups()[1:])
         if step == 0 or not 0 <= (last - first) // step < _MOST_FILES:
-            raise InputError("data file", "count files", f"{name[:60]} in {path.name}", "export it again")
-        names = [pattern[1] % number for number in range(first, last + (1 if step > 0 else -1), step)]
+            raise InputError(
+                "data file", "count files", f"{name[:60]} in {path.name}", "export it again"
+            )
+        names = [
+            pattern[1] % number for number in range(first, last + (1 if step > 0 else -1), step)
+        ]
     elif name.split()[:1] == ["LIST"]:
         with path.open("rb") as stream:
             lines = stream.read(_LONGEST_LIST).decode("utf-8", "replace").splitlines()
-        start = next(k for k, line in enumerate(lines) if re.match(r"data ?file:", line, re.IGNORECASE))
+        start = next(
+            k for k, line in enumerate(lines) if re.match(r"data ?file:", line, re.IGNORECASE)
+        )
         names = [line.strip() for line in lines[start + 1 :] if line.strip()]
     else:
         names = [name]
@@ -121,9 +163,9 @@ def _data_files(fields: dict[str, str], path: Path) -> list[Path]:
 def _require_data(fields: dict[str, str], path: Path, start: int) -> int:
     """Refuse voxels that are fewer or more than the header states, and return their bytes.
 
-    The check comes before ITK, which allocates what the header states. Of compressed voxels the inflated bytes are
-    counted without being kept. Where bytes are skipped or several files hold the voxels, only the possible size is
-    checked here; ITK refuses fewer.
+    The check comes before ITK, which allocates what the header states. Of compressed voxels the
+    inflated bytes are counted without being kept. Where bytes are skipped or several files hold the
+    voxels, only the possible size is checked here; ITK refuses fewer.
     """
     needed, shape = _stated_bytes(fields, path)
     files = [require_regular(file) for file in _data_files(fields, path)]
@@ -146,8 +188,12 @@ def _require_data(fields: dict[str, str], path: Path, start: int) -> int:
         )
     require_memory(needed, path.name, f"{shape} voxels")
     skips = any(
-        fields.get(key.replace(" ", gap), "0") != "0" for key in ("line skip", "byte skip") for gap in (" ", "")
+        fields.get(key.replace(" ", gap), "0") != "0"
+        for key in ("line skip", "byte skip")
+        for gap in (" ", "")
     )
     if encoding in _CHECKED and len(files) == 1 and not skips:
-        require_size(files[0], start if files[0] == path else 0, needed, compressed=encoding != "raw")
+        require_size(
+            files[0], start if files[0] == path else 0, needed, compressed=encoding != "raw"
+        )
     return needed

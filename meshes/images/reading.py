@@ -18,7 +18,9 @@ __all__ = ["Image", "read_image", "require_image_name", "vtk_voxels"]
 
 
 def read_vtk_image(path: Path) -> StoredImage:
-    """Read the active array of a `.vti` image; VTK names no frame of a patient, so its axes are taken as LPS."""
+    """Read the active array of a `.vti` image; VTK names no frame of a patient, so its axes are
+    taken as LPS.
+    """
     facts, arrays = parse_isolated(
         "meshes.images.reading:vtk_voxels", path, what="image volume", remedy="export it again"
     )
@@ -29,8 +31,8 @@ def read_vtk_image(path: Path) -> StoredImage:
 
 
 def vtk_voxels(file: Path) -> Answer:
-    """Array of an image file, first index fastest, with its shape, and the rows of its frame: directions
-    (three), spacing, and the centre of the first voxel.
+    """Array of an image file, first index fastest, with its shape, and the rows of its frame:
+    directions (three), spacing, and the centre of the first voxel.
 
     Raises
     ------
@@ -44,7 +46,10 @@ def vtk_voxels(file: Path) -> Answer:
     data = read_vtk(file)
     if not isinstance(data, pyvista.ImageData) or not data.array_names:
         raise InputError(
-            "file", "hold an image volume", f"{type(data).__name__} without voxels in {file.name}", "export it again"
+            "file",
+            "hold an image volume",
+            f"{type(data).__name__} without voxels in {file.name}",
+            "export it again",
         )
     name = data.active_scalars_name or data.array_names[0]
     by_cell = name in data.cell_data
@@ -59,7 +64,10 @@ def vtk_voxels(file: Path) -> Answer:
         )
     directions = np.asarray(data.direction_matrix, dtype=np.float64)
     origin = np.array(data.GetPoint(0)) + (0.5 * directions @ data.spacing if by_cell else 0.0)
-    return {"shape": shape}, {"values": values, "frame": np.stack([*directions, data.spacing, origin])}
+    return {"shape": shape}, {
+        "values": values,
+        "frame": np.stack([*directions, data.spacing, origin]),
+    }
 
 
 _READERS = {
@@ -71,24 +79,33 @@ _READERS = {
     ".mha": read_metaimage,
     ".vti": read_vtk_image,
 }
-_REMEDY = "use a .nii.gz, .nrrd, .mhd or .vti image, a DICOM folder, or a folder or pattern of TIFF slices"
+_REMEDY = (
+    "use a .nii.gz, .nrrd, .mhd or .vti image, a DICOM folder, or a folder or pattern of TIFF "
+    "slices"
+)
 
 
 def read_image(
-    path: str | Path, *, spacing_mm: float | None = None, labels: bool = False, series: int | None = None
+    path: str | Path,
+    *,
+    spacing_mm: float | None = None,
+    labels: bool = False,
+    series: int | None = None,
 ) -> Image:
     """Read an image volume into LPS [mm], whatever the order and direction of the axes in its file.
 
-    Origin, directions, units, slope and intercept are those of the file; where it states none, a note states what is
-    assumed. Axes along LPS in any order are turned exactly, oblique ones resampled: `meshes.images.frame.along_lps`.
+    Origin, directions, units, slope and intercept are those of the file; where it states none, a
+    note states what is assumed. Axes along LPS in any order are turned exactly, oblique ones
+    resampled: `meshes.images.frame.along_lps`.
 
     Parameters
     ----------
     path
-        Image file; folder with a DICOM series or TIFF slices; or a pattern of TIFF slices (`slices/*.tif`). TIFF slices
-        count upward in z in the order of the numbers in their names.
+        Image file; folder with a DICOM series or TIFF slices; or a pattern of TIFF slices
+        (`slices/*.tif`). TIFF slices count upward in z in the order of the numbers in their names.
     spacing_mm
-        Distance between neighbours [mm] in all directions; None: what the file states. TIFF files state none.
+        Distance between neighbours [mm] in all directions; None: what the file states. TIFF files
+        state none.
     labels
         Whether the values are labels, which are not interpolated.
     series
@@ -97,11 +114,13 @@ def read_image(
     Raises
     ------
     InputError
-        If the file is missing, empty, cut off, not readable, not an image of one number a voxel, or states what cannot
-        be honoured.
+        If the file is missing, empty, cut off, not readable, not an image of one number a voxel, or
+        states what cannot be honoured.
     """
     given = (
-        None if spacing_mm is None else require_positive("anatomy.spacing_mm", spacing_mm, "use the scanner's value")
+        None
+        if spacing_mm is None
+        else require_positive("anatomy.spacing_mm", spacing_mm, "use the scanner's value")
     )
     path = Path(path)
     slices = tiff_slices(path)
@@ -113,19 +132,39 @@ def read_image(
             f"none for {source}",
             "use the scanner's value, for example 0.0195",
         )
-    stored = read_tiff_slices(slices, given, labels=labels) if slices and given is not None else _stored(path, series)
+    stored = (
+        read_tiff_slices(slices, given, labels=labels)
+        if slices and given is not None
+        else _stored(path, series)
+    )
     if given is None and stored.spacing_mm == (1.0, 1.0, 1.0):
-        note = f"The spacing in {source} is exactly 1 mm, often a placeholder: set anatomy.spacing_mm to be sure."
+        note = (
+            f"The spacing in {source} is exactly 1 mm, often a placeholder: set "
+            "anatomy.spacing_mm to be sure."
+        )
         stored = replace(stored, notes=(*stored.notes, note))
     elif given is not None and stored.spacing_mm != (given,) * 3:
-        note = f"The spacing in {source} is {by(stored.spacing_mm)} mm; {given:g} mm is used, as given."
+        note = (
+            f"The spacing in {source} is {by(stored.spacing_mm)} mm; {given:g} mm is used, as "
+            "given."
+        )
         stored = replace(stored, spacing_mm=(given,) * 3, notes=(*stored.notes, note))
     values = stored.values
     if values.ndim != 3 or values.size == 0 or not np.issubdtype(values.dtype, np.number):
-        raise InputError("file", "hold one number per voxel", f"an array of shape {values.shape} in {source}", _REMEDY)
+        raise InputError(
+            "file",
+            "hold one number per voxel",
+            f"an array of shape {values.shape} in {source}",
+            _REMEDY,
+        )
     if np.issubdtype(values.dtype, np.floating) and not np.isfinite(values).all():
         count = int((~np.isfinite(values)).sum())
-        raise InputError("voxels", "be finite", f"{count} of {values.size} that are not in {source}", "mask them first")
+        raise InputError(
+            "voxels",
+            "be finite",
+            f"{count} of {values.size} that are not in {source}",
+            "mask them first",
+        )
     return along_lps(stored, source, labels=labels)
 
 
@@ -134,13 +173,18 @@ def _stored(path: Path, series: int | None) -> StoredImage:
     if is_folder(path):
         return read_dicom(path, series=series)
     if series is not None:
-        raise InputError("series", "be left out for a file", f"{series} for {path.name}", "it holds one image")
+        raise InputError(
+            "series", "be left out for a file", f"{series} for {path.name}", "it holds one image"
+        )
     require_image_name(path)
-    return next(read for suffix, read in _READERS.items() if path.name.lower().endswith(suffix))(path)
+    return next(read for suffix, read in _READERS.items() if path.name.lower().endswith(suffix))(
+        path
+    )
 
 
 def require_image_name(path: Path) -> None:
-    """Refuse a file whose name ends as none of an image volume does; folders and patterns are left to their readers.
+    """Refuse a file whose name ends as none of an image volume does; folders and patterns are left
+    to their readers.
 
     Raises
     ------

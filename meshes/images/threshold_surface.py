@@ -9,8 +9,11 @@ from meshes.images.frame import Image
 __all__ = ["image_cuts", "image_triangles"]
 
 
-def image_triangles(image: Image, *, threshold: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices [mm], shape (n, 3), and triangles, shape (m, 3), around what lies above a grey value.
+def image_triangles(
+    image: Image, *, threshold: float
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices [mm], shape (n, 3), and triangles, shape (m, 3), around what lies above a grey
+    value.
 
     Raises
     ------
@@ -30,11 +33,15 @@ def image_triangles(image: Image, *, threshold: float) -> tuple[NDArray[np.float
     outside = min(float(values.min()), 2.0 * threshold - float(values.max()))
     padded = np.pad(values, 1, constant_values=outside)
     vertices, faces, _, _ = marching_cubes(padded, threshold, spacing=image.spacing_mm)
-    return vertices - np.asarray(image.spacing_mm) + np.asarray(image.origin_mm), faces[:, ::-1].astype(np.int64)
+    return vertices - np.asarray(image.spacing_mm) + np.asarray(image.origin_mm), faces[
+        :, ::-1
+    ].astype(np.int64)
 
 
 def image_cuts(image: Image, *, threshold: float) -> tuple[NDArray[np.float64], ...]:
-    """Points [m], shape (k, 3), of each face at which the edge of an image cuts off what lies above a grey value."""
+    """Points [m], shape (k, 3), of each face at which the edge of an image cuts off what lies
+    above a grey value.
+    """
     from scipy.ndimage import find_objects, label
 
     cuts = []
@@ -44,5 +51,7 @@ def image_cuts(image: Image, *, threshold: float) -> tuple[NDArray[np.float64], 
             for number, box in enumerate(find_objects(pieces), start=1):
                 first = [each.start for each in box]
                 index = np.insert(np.argwhere(pieces[box] == number) + first, axis, end, axis=1)
-                cuts.append(1e-3 * (index * np.asarray(image.spacing_mm) + np.asarray(image.origin_mm)))
+                cuts.append(
+                    1e-3 * (index * np.asarray(image.spacing_mm) + np.asarray(image.origin_mm))
+                )
     return tuple(cuts)

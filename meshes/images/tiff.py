@@ -58,7 +58,8 @@ class _Planes:
 
 
 def tiff_slices(path: Path) -> list[Path]:
-    """Return the TIFF files that a path means, in the order of their slices; an empty list for other images.
+    """Return the TIFF files that a path means, in the order of their slices; an empty list for
+    other images.
 
     Files are ordered by the numbers in their names: ``slice_2`` comes before ``slice_10``.
 
@@ -70,17 +71,27 @@ def tiff_slices(path: Path) -> list[Path]:
     Raises
     ------
     InputError
-        If the path leads to nothing, a file is named unlike the others, or a slice number is missing.
+        If the path leads to nothing, a file is named unlike the others, or a slice number is
+        missing.
     """
     if any(mark in path.name for mark in _PATTERN_MARKS):
         found = [file for file in path.parent.glob(path.name) if file.is_file()]
         if not found:
-            raise InputError("file", "exist", f"{path}, which matches nothing", "check the folder and the pattern")
+            raise InputError(
+                "file",
+                "exist",
+                f"{path}, which matches nothing",
+                "check the folder and the pattern",
+            )
         other = next((file for file in found if file.suffix.lower() not in SUFFIXES), None)
         if other is not None:
-            raise InputError("a pattern", "match TIFF slices only", other.name, "write for example *.tif")
+            raise InputError(
+                "a pattern", "match TIFF slices only", other.name, "write for example *.tif"
+            )
     elif is_folder(path):
-        found = [file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file()]
+        found = [
+            file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file()
+        ]
         found = [file for file in found if not file.name.startswith(".")]
     else:
         require_file(path, "an image")
@@ -90,7 +101,9 @@ def tiff_slices(path: Path) -> list[Path]:
     return found
 
 
-def read_tiff_slices(files: Sequence[Path], spacing_mm: float, *, labels: bool = False) -> StoredImage:
+def read_tiff_slices(
+    files: Sequence[Path], spacing_mm: float, *, labels: bool = False
+) -> StoredImage:
     """Read TIFF slices in the order given, the axes of the array along columns, rows and slices.
 
     Values that are stored inverted (MinIsWhite) are inverted back, with a note.
@@ -98,7 +111,8 @@ def read_tiff_slices(files: Sequence[Path], spacing_mm: float, *, labels: bool =
     Raises
     ------
     InputError
-        If a file is damaged, holds colours, differs in size from the others, or all exceed the memory limit.
+        If a file is damaged, holds colours, differs in size from the others, or all exceed the
+        memory limit.
     """
     planes = [_planes(file) for file in files]
     first = planes[0]
@@ -110,7 +124,11 @@ def read_tiff_slices(files: Sequence[Path], spacing_mm: float, *, labels: bool =
                 f"{by(other.shape[:0:-1])} in {file.name} after {by(first.shape[:0:-1])}",
                 "keep other images out of the folder",
             )
-        if (other.photometric, other.bits, other.dtype) != (first.photometric, first.bits, first.dtype):
+        if (other.photometric, other.bits, other.dtype) != (
+            first.photometric,
+            first.bits,
+            first.dtype,
+        ):
             raise InputError(
                 "slices",
                 "all have the same type of values",
@@ -119,8 +137,12 @@ def read_tiff_slices(files: Sequence[Path], spacing_mm: float, *, labels: bool =
             )
     count = sum(other.shape[0] for other in planes)
     where = files[0].name if len(files) == 1 else files[0].parent.name
-    require_memory(sum(other.nbytes for other in planes), where, f"{by((*first.shape[:0:-1], count))} voxels")
-    values = np.concatenate([_decoded(file, each) for file, each in zip(files, planes, strict=True)], axis=2)
+    require_memory(
+        sum(other.nbytes for other in planes), where, f"{by((*first.shape[:0:-1], count))} voxels"
+    )
+    values = np.concatenate(
+        [_decoded(file, each) for file, each in zip(files, planes, strict=True)], axis=2
+    )
     notes = []
     if sum(other.reduced for other in planes):
         notes.append(f"Reduced pictures (thumbnails) in the TIFF files of {where} are left out.")
@@ -130,18 +152,24 @@ def read_tiff_slices(files: Sequence[Path], spacing_mm: float, *, labels: bool =
         notes.append(f"{where} shows low values as white: labels are taken as they are stored.")
     elif first.photometric == _MIN_IS_WHITE:
         values = _inverted(values, first.bits, where)
-        notes.append(f"The grey values of {where} are stored inverted (MinIsWhite): they are inverted back.")
+        notes.append(
+            f"The grey values of {where} are stored inverted (MinIsWhite): they are inverted back."
+        )
     return StoredImage(values, (spacing_mm,) * 3, np.eye(3), np.zeros(3), tuple(notes))
 
 
 def _natural(file: Path) -> list[tuple[int, str]]:
     """Return a key that sorts names by the numbers in them."""
     parts = re.split(r"(\d+)", file.stem)
-    return [(int(part), "") if part.isascii() and part.isdigit() else (-1, part) for part in parts] + [(-2, file.name)]
+    return [
+        (int(part), "") if part.isascii() and part.isdigit() else (-1, part) for part in parts
+    ] + [(-2, file.name)]
 
 
 def _require_numbered(files: Sequence[Path], path: Path) -> None:
-    """Refuse a file that is named unlike most others, a number that is missing, and one that is there twice."""
+    """Refuse a file that is named unlike most others, a number that is missing, and one that is
+    there twice.
+    """
     if len(files) < 2:
         return
     texts = [re.sub(r"\d+", "#", file.stem) for file in files]
@@ -156,17 +184,29 @@ def _require_numbered(files: Sequence[Path], path: Path) -> None:
             f"{other.name} among names such as {files[texts.index(usual)].name} in {path.name}",
             "move it out of the folder, or give a pattern that leaves it out",
         )
-    numbers = np.array([[int(part) for part in re.findall(r"\d+", file.stem)] for file in files], dtype=object)
+    numbers = np.array(
+        [[int(part) for part in re.findall(r"\d+", file.stem)] for file in files], dtype=object
+    )
     varying = [k for k in range(numbers.shape[1]) if len(set(numbers[:, k])) > 1]
     if len(varying) > 1:
         return  # it is unknown which of the numbers counts the slices
     if not varying:
-        raise InputError("slices", "have numbers that differ", f"{files[1].name} twice in {path.name}", "rename one")
+        raise InputError(
+            "slices",
+            "have numbers that differ",
+            f"{files[1].name} twice in {path.name}",
+            "rename one",
+        )
     counted = numbers[:, varying[0]].tolist()
     steps = [after - before for before, after in pairwise(counted)]
     if 0 in steps:
         twice = files[steps.index(0) + 1].name
-        raise InputError("slices", "have numbers that differ", f"that of {twice} twice in {path.name}", "remove one")
+        raise InputError(
+            "slices",
+            "have numbers that differ",
+            f"that of {twice} twice in {path.name}",
+            "remove one",
+        )
     wide = next((k for k, step in enumerate(steps) if step != min(steps)), None)
     if wide is not None:
         missing = sum(steps) // min(steps) - len(steps)
@@ -198,7 +238,8 @@ def _planes(file: Path) -> _Planes:
             size = prod(series.shape) * series.dtype.itemsize
             held = sum(page.databytecounts)
             plain = (
-                int(page.compression) == _UNCOMPRESSED and len(stored.pages) == prod(series.shape) // rows // columns
+                int(page.compression) == _UNCOMPRESSED
+                and len(stored.pages) == prod(series.shape) // rows // columns
             )
     except Exception as problem:  # the reader raises many kinds for a damaged file, none documented
         raise _damaged(file) from problem
@@ -211,11 +252,19 @@ def _planes(file: Path) -> _Planes:
         )
     if photometric not in (_MIN_IS_WHITE, 1, _PALETTE) or len(further) > reduced:
         raise InputError(
-            "a TIFF slice", "hold one stack of grey values", f"other content in {file.name}", "export it as grey values"
+            "a TIFF slice",
+            "hold one stack of grey values",
+            f"other content in {file.name}",
+            "export it as grey values",
         )
     stacked = [int(count) for count in axes.values() if count > 1]
     if len(stacked) > 1:
-        raise InputError("a TIFF file", "hold one stack", f"{by(stacked)} planes in {file.name}", "export one stack")
+        raise InputError(
+            "a TIFF file",
+            "hold one stack",
+            f"{by(stacked)} planes in {file.name}",
+            "export one stack",
+        )
     count = prod(stacked)
     if plain and bits >= 8 and count * held < size:
         raise _damaged(file)
@@ -246,4 +295,9 @@ def _inverted(values: NDArray[np.number], bits: int, source: str) -> NDArray[np.
 
 
 def _damaged(file: Path) -> InputError:
-    return InputError("file", "be a readable TIFF slice", f"{file.name} (it is damaged or cut off)", "export it again")
+    return InputError(
+        "file",
+        "be a readable TIFF slice",
+        f"{file.name} (it is damaged or cut off)",
+        "export it again",
+    )

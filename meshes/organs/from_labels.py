@@ -1,8 +1,10 @@
-"""Tetrahedra of a segmented organ: a label and, inside it, labels that become parts, such as a tumour or a vessel.
+"""Tetrahedra of a segmented organ: a label and, inside it, labels that become parts, such as a
+tumour or a vessel.
 
-The organ is its label and those of its parts together, so that what lies at the surface belongs to it. Where a part
-reaches the organ's surface, or a part before it, its label goes on beyond for a few voxels as the nearest voxel inside
-has it: its own surface then leaves the organ across, and no slivers lie between two surfaces that nearly agree.
+The organ is its label and those of its parts together, so that what lies at the surface belongs to
+it. Where a part reaches the organ's surface, or a part before it, its label goes on beyond for a
+few voxels as the nearest voxel inside has it: its own surface then leaves the organ across, and no
+slivers lie between two surfaces that nearly agree.
 """
 
 from collections.abc import Sequence
@@ -32,7 +34,9 @@ Mask = NDArray[np.bool_]
 _FEWEST_VOXELS = 64
 """A piece of a part with fewer voxels, 5 across a ball, has no surface of its own."""
 _FLAT_END = 0.5
-"""Share of the largest layer of voxels from which the last one is no rounded end: 0.4 of a ball nine slices thick."""
+"""Share of the largest layer of voxels from which the last one is no rounded end: 0.4 of a ball
+nine slices thick.
+"""
 _BEYOND = 4
 """Voxels for which a part's label goes on beyond the organ."""
 _ENVELOPE = 0.2
@@ -71,7 +75,9 @@ class LabelledOrgan:
             raise InputError(self.name, "be a few voxels thick", "less", "segment a finer image")
         return surface_from_triangles(1e3 * found[0], found[1], source=self.name, scale_mm=1.0)
 
-    def mesh(self, edge_mm: float | None = None, *, report: Progress = silent) -> tuple[TetMesh, dict[str, str]]:
+    def mesh(
+        self, edge_mm: float | None = None, *, report: Progress = silent
+    ) -> tuple[TetMesh, dict[str, str]]:
         """Tetrahedra of the organ with its parts, in the frame of the image, and what was found.
 
         Raises
@@ -93,7 +99,9 @@ class LabelledOrgan:
         found = (*repaired.sentences(), f"{off:+.2%} of volume against the voxels.")
         return mesh, self.notes | notes | {"mesh": " ".join(found)}
 
-    def _with_parts(self, mesh: TetMesh, edge_mm: float, report: Progress) -> tuple[TetMesh, dict[str, str]]:
+    def _with_parts(
+        self, mesh: TetMesh, edge_mm: float, report: Progress
+    ) -> tuple[TetMesh, dict[str, str]]:
         """The mesh with its parts, and a note on each."""
         notes = {}
         before = np.zeros(self.solid.shape, dtype=bool)
@@ -106,10 +114,15 @@ class LabelledOrgan:
 
         # A part inside another takes its place first, and the other is closed around it.
         for name, mask in sorted(self.parts.items(), key=lambda part: np.count_nonzero(part[1])):
-            report(f"cutting {name} out of the tetrahedra", len(mesh.part_names) / (len(self.parts) + 1))
+            report(
+                f"cutting {name} out of the tetrahedra",
+                len(mesh.part_names) / (len(self.parts) + 1),
+            )
             surface = _part_triangles(mask, self.solid, before, self.grid, beyond)
             if surface is None:
-                raise InputError(name, "be a few voxels thick", "less", "leave it out, or segment a finer image")
+                raise InputError(
+                    name, "be a few voxels thick", "less", "leave it out, or segment a finer image"
+                )
             volume_m3 = 1e-9 * self.grid.voxel_mm3 * float(np.count_nonzero(mask))
             mesh, size = with_inclusion(mesh, name, *surface, volume_m3=volume_m3, onto=onto)
             notes[name] = " ".join(each for each in (f"{size}.", self.notes.get(name, "")) if each)
@@ -118,9 +131,15 @@ class LabelledOrgan:
 
 
 def organ_mesh(
-    labels: Labels, organ: str, parts: Sequence[str] = (), edge_mm: float | None = None, *, report: Progress = silent
+    labels: Labels,
+    organ: str,
+    parts: Sequence[str] = (),
+    edge_mm: float | None = None,
+    *,
+    report: Progress = silent,
 ) -> tuple[TetMesh, dict[str, str]]:
-    """Tetrahedra of a segmented organ, its parts those of the mesh, and what was found, by what it is about.
+    """Tetrahedra of a segmented organ, its parts those of the mesh, and what was found, by what it
+    is about.
 
     Parameters
     ----------
@@ -131,7 +150,8 @@ def organ_mesh(
     parts
         Labels in it, or on it, that become parts.
     edge_mm
-        Edge of the tetrahedra away from the parts [mm]; without it a fourteenth of the longest side.
+        Edge of the tetrahedra away from the parts [mm]; without it a fourteenth of the longest
+        side.
     report
         Called with what is being done.
 
@@ -151,7 +171,9 @@ def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> Lab
     """Find an organ and its parts in a label image; arguments and refusals as of `organ_mesh`."""
     twice = [name for name in parts if name == organ or list(parts).count(name) > 1]
     if twice:
-        raise InputError("parts", "name other labels than the organ, each once", twice[0], "remove it")
+        raise InputError(
+            "parts", "name other labels than the organ, each once", twice[0], "remove it"
+        )
     grid = LabelGrid(labels.image.spacing_mm, labels.image.origin_mm)
     whole = labels.mask(organ)
     masks = {name: labels.mask(name) for name in parts}
@@ -160,12 +182,16 @@ def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> Lab
     crop = box_of(body, 1)
     grid = grid.within(tuple(each.start for each in crop))
     solid, notes = _one_piece(body[crop], whole[crop], grid, organ)
-    found = {name: _pieces(name, mask[crop], solid, organ, grid, notes) for name, mask in masks.items()}
+    found = {
+        name: _pieces(name, mask[crop], solid, organ, grid, notes) for name, mask in masks.items()
+    }
     return LabelledOrgan(organ, solid, found, grid, notes)
 
 
 def _one_piece(body: Mask, organ: Mask, grid: LabelGrid, name: str) -> tuple[Mask, dict[str, str]]:
-    """The piece that holds most of the organ, its hollows filled, and notes on the rest and on the image's edge."""
+    """The piece that holds most of the organ, its hollows filled, and notes on the rest and on
+    the image's edge.
+    """
     from scipy.ndimage import binary_fill_holes, label
 
     notes = []
@@ -187,7 +213,9 @@ def _one_piece(body: Mask, organ: Mask, grid: LabelGrid, name: str) -> tuple[Mas
 
 
 def _ends(solid: Mask, grid: LabelGrid) -> list[str]:
-    """Notes on where the image cuts an organ off, and on where its labels may end before it does."""
+    """Notes on where the image cuts an organ off, and on where its labels may end before it
+    does.
+    """
     notes = []
     cut_mm2 = 0.0
     for axis, name in enumerate("xyz"):
@@ -200,24 +228,35 @@ def _ends(solid: Mask, grid: LabelGrid) -> list[str]:
             elif layers[last] > _FLAT_END * layers.max():
                 at = grid.origin_mm[axis] + grid.spacing_mm[axis] * last
                 notes.append(
-                    f"It ends flat at {name} = {at:.4g} mm, with {area_mm2[last] / 100.0:.3g} cm2: the labels may end "
+                    f"It ends flat at {name} = {at:.4g} mm, with "
+                    f"{area_mm2[last] / 100.0:.3g} cm2: the labels may end "
                     "there before the organ does."
                 )
     if cut_mm2:
         notes.append(
-            f"The image cuts it off: {cut_mm2 / 100.0:.3g} cm2 of its surface lie in the edge of the image, beyond "
+            f"The image cuts it off: {cut_mm2 / 100.0:.3g} cm2 of its surface lie in the "
+            "edge of the image, beyond "
             "which nothing is known of it."
         )
     return notes
 
 
-def _pieces(name: str, mask: Mask, solid: Mask, organ: str, grid: LabelGrid, notes: dict[str, str]) -> Mask:
-    """The part's voxels in the organ, without pieces too small for a surface, and a note on what is peculiar."""
+def _pieces(
+    name: str, mask: Mask, solid: Mask, organ: str, grid: LabelGrid, notes: dict[str, str]
+) -> Mask:
+    """The part's voxels in the organ, without pieces too small for a surface, and a note on what
+    is peculiar.
+    """
     from scipy.ndimage import binary_dilation, label
 
     inside = mask & solid
     if not inside.any():
-        raise InputError(name, f"lie in {organ} or touch it", "it apart", "leave it out, or correct the segmentation")
+        raise InputError(
+            name,
+            f"lie in {organ} or touch it",
+            "it apart",
+            "leave it out, or correct the segmentation",
+        )
     pieces, count = label(inside)
     sizes = np.bincount(pieces.ravel(), minlength=count + 1)
     small = sizes < _FEWEST_VOXELS
@@ -234,11 +273,16 @@ def _pieces(name: str, mask: Mask, solid: Mask, organ: str, grid: LabelGrid, not
     if small.any():
         left = 1e-3 * grid.voxel_mm3 * int(sizes[small].sum())
         pieces_left = counted(int(small.sum()), "piece")
-        remarks.append(f"{pieces_left} of fewer than {_FEWEST_VOXELS} voxels, {left:.2g} ml, left to {organ}.")
+        remarks.append(
+            f"{pieces_left} of fewer than {_FEWEST_VOXELS} voxels, {left:.2g} ml, left to {organ}."
+        )
     shell = binary_dilation(kept) & ~kept
     outside = int(np.count_nonzero(shell & ~solid)) / max(int(np.count_nonzero(shell)), 1)
     if outside:
-        remarks.append(f"{outside:.0%} of its surface is that of {organ}: crop its label if it should end before.")
+        remarks.append(
+            f"{outside:.0%} of its surface is that of {organ}: crop its label if it should "
+            "end before."
+        )
     if remarks:
         notes[name] = " ".join(remarks)
     return kept
@@ -247,13 +291,18 @@ def _pieces(name: str, mask: Mask, solid: Mask, organ: str, grid: LabelGrid, not
 def _part_triangles(
     mask: Mask, solid: Mask, before: Mask, grid: LabelGrid, beyond: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
-    """Surface of a part whose label goes on where the organ ends, and in the parts before it, as the nearest voxel."""
+    """Surface of a part whose label goes on where the organ ends, and in the parts before it, as
+    the nearest voxel.
+    """
     from scipy.ndimage import distance_transform_edt
 
     margin = beyond + 2
     box = [(each.start - margin, each.stop + margin) for each in box_of(mask)]
     crop = tuple(slice(max(low, 0), high) for low, high in box)
-    padding = [(max(-low, 0), max(high - size, 0)) for (low, high), size in zip(box, mask.shape, strict=True)]
+    padding = [
+        (max(-low, 0), max(high - size, 0))
+        for (low, high), size in zip(box, mask.shape, strict=True)
+    ]
     inside, body, taken = (np.pad(each[crop], padding) for each in (mask, solid, before))
     away, nearest = distance_transform_edt(~body | taken, return_indices=True)
     goes_on = inside[tuple(nearest)] & (body | (away <= beyond))
@@ -261,11 +310,17 @@ def _part_triangles(
 
 
 def _of_volume(mesh: TetMesh, volume_m3: float) -> TetMesh:
-    """The mesh with its surface laid outward by as much as makes its volume right: chords cut round bodies short."""
+    """The mesh with its surface laid outward by as much as makes its volume right: chords cut
+    round bodies short.
+    """
     nodes = mesh.surface_nodes
     normals = np.zeros(mesh.nodes_m.shape)
     for corner in mesh.surface.T:
         np.add.at(normals, corner, cross_products(mesh.nodes_m, mesh.surface))
     outward = normals[nodes] / np.linalg.norm(normals[nodes], axis=1, keepdims=True)
     laid_m = (volume_m3 - float(mesh.volumes_m3.sum())) / area_of(mesh.nodes_m, mesh.surface)
-    return bisected(mesh, lambda points: np.full(len(points), np.inf), onto=lambda points: points + laid_m * outward)
+    return bisected(
+        mesh,
+        lambda points: np.full(len(points), np.inf),
+        onto=lambda points: points + laid_m * outward,
+    )

@@ -13,9 +13,13 @@ __all__ = ["LabelGrid", "label_triangles"]
 
 Triangles = tuple[NDArray[np.float64], NDArray[np.int64]]
 _PER_RADIUS = 1.0 / 3.0
-"""Deviation of the smoothing over the label's radius: on ellipsoids less leaves steps, and more rounds them off."""
+"""Deviation of the smoothing over the label's radius: on ellipsoids less leaves steps, and more
+rounds them off.
+"""
 _DEVIATIONS = (1.0, 2.0)
-"""Bounds of the deviation [voxel]: beyond 2 the thin edge of an organ of ordinary voxels is lost."""
+"""Bounds of the deviation [voxel]: beyond 2 the thin edge of an organ of ordinary voxels is
+lost.
+"""
 _REACH = 4.0
 """Deviations around a label that its share depends on."""
 _LEVELS = (0.25, 0.75)
@@ -50,16 +54,19 @@ class LabelGrid:
     def within(self, first: tuple[int, ...]) -> "LabelGrid":
         """The same grid from another first voxel."""
         x, y, z = (
-            start + side * index for start, side, index in zip(self.origin_mm, self.spacing_mm, first, strict=True)
+            start + side * index
+            for start, side, index in zip(self.origin_mm, self.spacing_mm, first, strict=True)
         )
         return LabelGrid(self.spacing_mm, (x, y, z))
 
 
 def label_triangles(mask: NDArray[np.bool_], grid: LabelGrid) -> Triangles | None:
-    """Smooth closed surface of a label, wound outward: vertices [m], shape (n, 3), and triangles, shape (m, 3).
+    """Smooth closed surface of a label, wound outward: vertices [m], shape (n, 3), and triangles,
+    shape (m, 3).
 
-    The label is spread by a kernel that leaves curved surfaces where they are, two voxels or a third of the label's
-    radius wide; its surface is the level that encloses the volume of the voxels. Where the image ends the label does.
+    The label is spread by a kernel that leaves curved surfaces where they are, two voxels or a
+    third of the label's radius wide; its surface is the level that encloses the volume of the
+    voxels. Where the image ends the label does.
 
     Parameters
     ----------

@@ -1,7 +1,8 @@
 """A procedural liver and a block of soft tissue, with or without a stiff nodule.
 
-Liver, site frame: the origin on top of the right lobe's dome, x to the patient's left, y to the back, z to the head, so
-a tool that comes down from +z presses the diaphragmatic surface. M = from memory of the literature, not looked up.
+Liver, site frame: the origin on top of the right lobe's dome, x to the patient's left, y to the
+back, z to the head, so a tool that comes down from +z presses the diaphragmatic surface. M = from
+memory of the literature, not looked up.
 
 ==================  ================  ===================================================================
 width               222 mm            M: adult, 200-225 transverse (anatomy texts, Gray's Anatomy)
@@ -9,12 +10,13 @@ depth               127 mm            M: 100-150 antero-posterior at the right l
 right lobe height   123 mm            M: 105-155 cranio-caudal in the mid-clavicular line (ultrasound)
 volume              1.41 l            M: 1.2-1.8 l adult; 1477 ml for the scanned liver the tests use
 left lobe           22 %              M: 25-40 % of the volume, thinning to a wedge
-==================  ================  ===================================================================
+==================  ================
+===================================================================
 
-The shape is a drawing in signed distances: a dome of two ellipsoids, cut by the slanting visceral plane with hollows
-for stomach, kidney and gall bladder, a groove for the vena cava and spine, a notch for the round ligament. Vessels and
-the capsule are not in the mesh.
-"""
+The shape is a drawing in signed distances: a dome of two ellipsoids, cut by the slanting visceral
+plane with hollows for stomach, kidney and gall bladder, a groove for the vena cava and spine, a
+notch for the round ligament. Vessels and the capsule are not in the mesh.
+"""  # noqa: E501 a table
 
 import math
 from dataclasses import dataclass
@@ -22,28 +24,49 @@ from dataclasses import dataclass
 import numpy as np
 
 from meshes.base.errors import InputError, require_length
-from meshes.shapes.sdf import Shape, box, capsule, difference, ellipsoid, half_space, intersection, sphere, union
+from meshes.shapes.sdf import (
+    Shape,
+    box,
+    capsule,
+    difference,
+    ellipsoid,
+    half_space,
+    intersection,
+    sphere,
+    union,
+)
 from meshes.tets.bisection import bisected
 from meshes.tets.regions import Nodes, nodes_behind_plane, nodes_facing
 from meshes.tets.structured import graded, grid
 from meshes.tets.stuffing import stuffed, with_part
 from meshes.tets.tetrahedra import TetMesh
 
-__all__ = ["LIVER_REGIONS", "Nodule", "liver", "liver_region", "liver_shape", "onto_liver", "slab", "slab_base"]
+__all__ = [
+    "LIVER_REGIONS",
+    "Nodule",
+    "liver",
+    "liver_region",
+    "liver_shape",
+    "onto_liver",
+    "slab",
+    "slab_base",
+]
 
 _TOP_M = (-0.026, 0.0)
 _SIZE = 0.94
 _TRIES = 4
 _NODULE_EDGES = 3.0
 _NODULE_GROWTH = 1.0
-"""Edges across a nodule, and their growth with the distance from it. Cut from cells as long as its radius, a nodule of
-18 mm lost 13 % of its volume; the force over it was up to 2 % off, a fifth of what the nodule adds."""
+"""Edges across a nodule, and their growth with the distance from it. Cut from cells as long as its
+radius, a nodule of 18 mm lost 13 % of its volume; the force over it was up to 2 % off, a fifth of
+what the nodule adds.
+"""
 _NEAR_M = 1e-5
 _PROJECTIONS = 4
 _VISCERAL = (0.33, 0.10, -0.94)
 LIVER_REGIONS = {"below": (_VISCERAL, 55.0), "back": ((0.0, 1.0, 0.0), 45.0)}
-"""Surfaces that hold a liver, as a direction and the angle [degrees] within which they face it: the visceral side it
-rests on, and the bare area with spine and vena cava behind it."""
+"""Surfaces that hold a liver, as a direction and the angle [degrees] within which they face it: the
+visceral side it rests on, and the bare area with spine and vena cava behind it."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +101,8 @@ def liver_shape() -> Shape:
 
 
 def liver(*, spacing_m: float = 8.4e-3, nodule: Nodule | None = None) -> TetMesh:
-    """Liver of even tetrahedra in the site frame; a nodule is the part ``nodule``, its surface made of faces.
+    """Liver of even tetrahedra in the site frame; a nodule is the part ``nodule``, its surface made
+    of faces.
 
     Parameters
     ----------
@@ -130,14 +154,16 @@ def slab(
     spacing_m: float = 4.2e-3,
     nodule: Nodule | None = None,
 ) -> TetMesh:
-    """Block of tissue, the origin at the middle of its top face, z up; layers grow from the top down.
+    """Block of tissue, the origin at the middle of its top face, z up; layers grow from the top
+    down.
 
     Parameters
     ----------
     size_m
         Sides [m].
     spacing_m
-        Sides of the bricks along the top face [m]; the first layer is 0.6 of it thick, each next one 1.2 times more.
+        Sides of the bricks along the top face [m]; the first layer is 0.6 of it thick, each next
+        one 1.2 times more.
     nodule
         Stiff ball, the part ``nodule``, its surface made of faces.
 
@@ -148,7 +174,9 @@ def slab(
     """
     x, y, z = (require_length("size_m", side, 0.0, math.inf, 0.1) for side in size_m)
     spacing = require_length("spacing_m", spacing_m, 0.0, min(x, y, z), max(x, y, z) / 20.0)
-    along_x, along_y = (np.linspace(-0.5 * side, 0.5 * side, max(round(side / spacing), 1) + 1) for side in (x, y))
+    along_x, along_y = (
+        np.linspace(-0.5 * side, 0.5 * side, max(round(side / spacing), 1) + 1) for side in (x, y)
+    )
     mesh = grid(along_x, along_y, graded(0.0, -z, 0.6 * spacing, 1.2)[::-1])
     if nodule is None:
         return mesh
@@ -162,7 +190,9 @@ def slab_base(mesh: TetMesh) -> Nodes:
 
 
 def _drawn() -> Shape:
-    """The liver about the middle of its visceral side: drawn a little large, then brought to size."""
+    """The liver about the middle of its visceral side: drawn a little large, then brought to
+    size.
+    """
     right = ellipsoid((0.082, 0.066, 0.084), (-0.030, 0.0, -0.009))
     left = ellipsoid((0.080, 0.045, 0.039), (0.046, -0.016, 0.024))
     visceral = half_space(_VISCERAL, (-0.030, 0.0, -0.034))
@@ -180,7 +210,9 @@ def _drawn() -> Shape:
 
 
 def _with_nodule(mesh: TetMesh, nodule: Nodule, shape: Shape, spacing: float) -> TetMesh:
-    """The mesh with the nodule as a part of the volume of its ball, refused where the mesh could not show it."""
+    """The mesh with the nodule as a part of the volume of its ball, refused where the mesh could
+    not show it.
+    """
     radius = require_length("nodule.radius_m", nodule.radius_m, 0.0, math.inf, 0.01)
     if radius < spacing:
         raise InputError(
@@ -193,7 +225,10 @@ def _with_nodule(mesh: TetMesh, nodule: Nodule, shape: Shape, spacing: float) ->
     if not deep >= radius + spacing:
         raise InputError(
             "nodule.centre_m",
-            f"lie at least its radius and the spacing, {1e3 * (radius + spacing):.3g} mm, below the surface",
+            (
+                f"lie at least its radius and the spacing, {1e3 * (radius + spacing):.3g} mm, "
+                "below the surface"
+            ),
             f"{1e3 * deep:.3g} mm",
             "move it deeper",
         )
@@ -205,8 +240,9 @@ def _with_nodule(mesh: TetMesh, nodule: Nodule, shape: Shape, spacing: float) ->
         return np.asarray(edge + _NODULE_GROWTH * outside)
 
     mesh = bisected(mesh, size_m)
-    # Chords cut a ball's volume short: the surface is laid a little outside it, as much as makes the volume right.
-    # Where nodes change their snapping the volume jumps, so the best of a few tries is kept.
+    # Chords cut a ball's volume short: the surface is laid a little outside it, as much as makes
+    # the volume right. Where nodes change their snapping the volume jumps, so the best of a few
+    # tries is kept.
     volume = 4.0 / 3.0 * math.pi * radius**3
     laid = radius
     best = mesh

@@ -1,4 +1,6 @@
-"""A toolpath as the table of poses that a replayed motion reads: times, tips and orientations in the site's frame."""
+"""A toolpath as the table of poses that a replayed motion reads: times, tips and orientations in
+the site's frame.
+"""
 
 import csv
 from dataclasses import dataclass
@@ -20,7 +22,9 @@ __all__ = ["POSE_COLUMNS", "ReplayTable", "to_replay"]
 
 POSE_COLUMNS = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
 _TURN_RAD_S = 0.5 * np.pi
-"""Fastest turn of the tool [rad/s]: a hand turns a drill through a right angle in about a second."""
+"""Fastest turn of the tool [rad/s]: a hand turns a drill through a right angle in about a
+second.
+"""
 _SAME_MM = 1e-6
 _SAME_RAD = 1e-6
 
@@ -45,15 +49,29 @@ class ReplayTable:
 
     def write(self, path: Path) -> None:
         """Write the CSV that ``motion.kind = "replay"`` reads."""
-        with whole_file(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        with (
+            whole_file(path) as temporary,
+            temporary.open("w", newline="", encoding="utf-8") as file,
+        ):
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(("time_s", *POSE_COLUMNS))
             for time_s, tip, turn in zip(self.times_s, self.tips_mm, self.quaternions, strict=True):
-                writer.writerow([f"{time_s:.6f}", *(f"{each:.6f}" for each in tip), *(f"{each:.9f}" for each in turn)])
+                writer.writerow(
+                    [
+                        f"{time_s:.6f}",
+                        *(f"{each:.6f}" for each in tip),
+                        *(f"{each:.9f}" for each in turn),
+                    ]
+                )
 
 
 def to_replay(
-    path: Toolpath, site: Site, *, feed_mm_s: float, rapid_mm_s: float = 20.0, clearance_mm: float = 0.0
+    path: Toolpath,
+    site: Site,
+    *,
+    feed_mm_s: float,
+    rapid_mm_s: float = 20.0,
+    clearance_mm: float = 0.0,
 ) -> ReplayTable:
     """Bring a path into a site's frame and give it times.
 
@@ -82,7 +100,9 @@ def to_replay(
     if not clearance_mm >= 0.0:
         raise InputError("clearance_mm", "be at least 0", clearance_mm, "use for example 5")
     tips = 1e3 * site.to_site(1e-3 * path.points_mm)
-    axes = np.tile([0.0, 0.0, 1.0], (len(tips), 1)) if path.axes is None else path.axes @ site.rotation
+    axes = (
+        np.tile([0.0, 0.0, 1.0], (len(tips), 1)) if path.axes is None else path.axes @ site.rotation
+    )
     given = np.full(len(tips), feed) if path.feeds_mm_s is None else path.feeds_mm_s
     speeds = np.where(np.isnan(given), rapid, given)
     if clearance_mm > 0.0:

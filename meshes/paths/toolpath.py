@@ -1,9 +1,9 @@
 """Path of a tool from a file, in the frame of a patient, and its depth below a bone's surface.
 
-A path is a CSV table, a curve of 3D Slicer, or G-code. Of G-code (RS-274) the straight moves of a three-axis tool are
-read: G0 (rapid), G1 (at the feed F), G20 and G21 (inches, mm), G90 and G91 (absolute, relative), X, Y, Z, F [units a
-minute], line numbers N, comments in brackets and after a semicolon, and lines of %. Everything else is refused, because
-skipping it would change the path.
+A path is a CSV table, a curve of 3D Slicer, or G-code. Of G-code (RS-274) the straight moves of a
+three-axis tool are read: G0 (rapid), G1 (at the feed F), G20 and G21 (inches, mm), G90 and G91
+(absolute, relative), X, Y, Z, F [units a minute], line numbers N, comments in brackets and after a
+semicolon, and lines of %. Everything else is refused, because skipping it would change the path.
 """
 
 import csv
@@ -46,10 +46,11 @@ class Toolpath:
     points_mm
         Points [mm, LPS], shape (n, 3).
     feeds_mm_s
-        Speed to each point from the one before it [mm/s], shape (n,), NaN for rapid moves; None where the file states
-        none. The first is not used.
+        Speed to each point from the one before it [mm/s], shape (n,), NaN for rapid moves; None
+        where the file states none. The first is not used.
     axes
-        Unit vectors from the tip towards the shaft at each point, LPS, shape (n, 3); None where the file states none.
+        Unit vectors from the tip towards the shaft at each point, LPS, shape (n, 3); None where the
+        file states none.
     """
 
     points_mm: Array
@@ -66,7 +67,8 @@ class PathDepth:
     points_mm
         The path's points and others between them, at most 0.5 mm apart [mm, LPS], shape (n, 3).
     depth_mm
-        Distance of each from the bone's surface [mm], shape (n,), positive inside the bone and negative outside.
+        Distance of each from the bone's surface [mm], shape (n,), positive inside the bone and
+        negative outside.
     """
 
     points_mm: Array
@@ -103,35 +105,48 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
     Parameters
     ----------
     path
-        CSV with the columns x_mm, y_mm, z_mm and, optionally, feed_mm_s and axis_x, axis_y, axis_z; a curve as
-        ``.mrk.json`` or points as ``.fcsv``; or G-code.
+        CSV with the columns x_mm, y_mm, z_mm and, optionally, feed_mm_s and axis_x, axis_y, axis_z;
+        a curve as ``.mrk.json`` or points as ``.fcsv``; or G-code.
     coordinates
         ``LPS`` or ``RAS``: the frame of the numbers in CSV and G-code. Markups state their own.
 
     Raises
     ------
     InputError
-        If the file cannot be read, holds fewer than two points or numbers that are not finite, a feed is not positive,
-        or an axis is zero.
+        If the file cannot be read, holds fewer than two points or numbers that are not finite, a
+        feed is not positive, or an axis is zero.
     """
     file = Path(path)
     if coordinates not in TO_LPS:
-        raise InputError("coordinates", "be LPS or RAS", coordinates, "look which of them the file was made in")
+        raise InputError(
+            "coordinates", "be LPS or RAS", coordinates, "look which of them the file was made in"
+        )
     require_file(file, "a path")
     suffix = file.suffix.lower()
     if suffix in (".json", ".fcsv"):
         return Toolpath(read_curve(file))
     readers = {".csv": _read_table, **dict.fromkeys(GCODE, _read_gcode)}
     if suffix not in readers:
-        raise InputError("path", f"be a .csv, .mrk.json, .fcsv or G-code file ({', '.join(GCODE)})", file, "rename it")
+        raise InputError(
+            "path",
+            f"be a .csv, .mrk.json, .fcsv or G-code file ({', '.join(GCODE)})",
+            file,
+            "rename it",
+        )
     try:
         read = readers[suffix](file)
     except (UnicodeDecodeError, csv.Error):
-        raise InputError("path", "be a CSV table or G-code", f"other data in {file}", "export it as text") from None
+        raise InputError(
+            "path", "be a CSV table or G-code", f"other data in {file}", "export it as text"
+        ) from None
     if len(read.points_mm) < 2:
-        raise InputError("path", "have at least two points", f"{len(read.points_mm)} in {file}", "add some")
+        raise InputError(
+            "path", "have at least two points", f"{len(read.points_mm)} in {file}", "add some"
+        )
     frame = TO_LPS[coordinates]
-    return Toolpath(read.points_mm * frame, read.feeds_mm_s, None if read.axes is None else read.axes * frame)
+    return Toolpath(
+        read.points_mm * frame, read.feeds_mm_s, None if read.axes is None else read.axes * frame
+    )
 
 
 def _read_table(file: Path) -> Toolpath:
@@ -142,18 +157,30 @@ def _read_table(file: Path) -> Toolpath:
         reader.fieldnames = names
         require_distinct_columns(names, "path", file)
         _check_columns(names, file)
-        rows = [[_number(row[name], name, reader.line_num, file) for name in names] for row in reader]
+        rows = [
+            [_number(row[name], name, reader.line_num, file) for name in names] for row in reader
+        ]
     column = dict(zip(names, np.array(rows).reshape(-1, len(names)).T, strict=True))
     feeds = column.get(_FEED)
     if feeds is not None and (feeds[1:] <= 0.0).any():
         row = 1 + int(np.argmax(feeds[1:] <= 0.0))
-        raise InputError(_FEED, "be positive", f"{feeds[row]:g} at point {row + 1} of {file}", "use for example 2")
+        raise InputError(
+            _FEED,
+            "be positive",
+            f"{feeds[row]:g} at point {row + 1} of {file}",
+            "use for example 2",
+        )
     axes = None
     if _AXIS[0] in column:
         axes = np.column_stack([column[name] for name in _AXIS])
         length = np.linalg.norm(axes, axis=1)
         if (length < 1e-6).any():
-            raise InputError("axis", "not be zero", f"it at point {int(np.argmin(length)) + 1} of {file}", "fix it")
+            raise InputError(
+                "axis",
+                "not be zero",
+                f"it at point {int(np.argmin(length)) + 1} of {file}",
+                "fix it",
+            )
         axes = axes / length[:, None]
     return Toolpath(np.column_stack([column[name] for name in _PLACE]), feeds, axes)
 
@@ -163,11 +190,19 @@ def _check_columns(names: tuple[str, ...], file: Path) -> None:
     needed = (*_PLACE, *_AXIS) if any(name in names for name in _AXIS) else _PLACE
     missing = [name for name in needed if name not in names]
     if missing:
-        raise InputError("path", f"have the columns {', '.join(missing)}", f"{', '.join(names)} in {file}", "add them")
+        raise InputError(
+            "path",
+            f"have the columns {', '.join(missing)}",
+            f"{', '.join(names)} in {file}",
+            "add them",
+        )
     unknown = [name for name in names if name not in _COLUMNS]
     if unknown:
         raise InputError(
-            "path", f"have no columns but {', '.join(_COLUMNS)}", f"{', '.join(unknown)} in {file}", "drop them"
+            "path",
+            f"have no columns but {', '.join(_COLUMNS)}",
+            f"{', '.join(unknown)} in {file}",
+            "drop them",
         )
 
 
@@ -178,7 +213,10 @@ def _number(text: str | None, name: str, line: int, file: Path) -> float:
         value = float("nan")
     if not np.isfinite(value):
         raise InputError(
-            "path", "hold finite numbers", f"{text or 'nothing'} for {name} in line {line} of {file}", "fix it"
+            "path",
+            "hold finite numbers",
+            f"{text or 'nothing'} for {name} in line {line} of {file}",
+            "fix it",
         )
     return value
 
@@ -223,7 +261,9 @@ class _Machine:
             elif letter == "F":
                 feed = value
             elif letter != "N":
-                raise self._refused(f"only G0, G1, G20, G21, G90, G91, X, Y, Z and F, got {letter}{value:g}", number)
+                raise self._refused(
+                    f"only G0, G1, G20, G21, G90, G91, X, Y, Z and F, got {letter}{value:g}", number
+                )
         unit = _INCH_MM if self._modes["unit"] == 20.0 else 1.0
         if feed is not None:
             if feed <= 0.0:
@@ -246,7 +286,9 @@ class _Machine:
         self._place |= target_mm
         missing = [letter for letter in "XYZ" if letter not in self._place]
         if missing:
-            raise self._refused(f"X, Y and Z in the first move, got none of {', '.join(missing)}", number)
+            raise self._refused(
+                f"X, Y and Z in the first move, got none of {', '.join(missing)}", number
+            )
         self.points.append([self._place[letter] for letter in "XYZ"])
         self.feeds.append(float("nan") if rapid else self._feed_mm_s)
 

@@ -1,7 +1,7 @@
 """An anatomical site as a shape with layers, and the simplest of them: a block of cortical bone.
 
-Site frame of every anatomy: the origin is the centre of the working face on the bone surface, +z the outward normal
-there, so a tool feeds along -z.
+Site frame of every anatomy: the origin is the centre of the working face on the bone surface, +z
+the outward normal there, so a tool feeds along -z.
 """
 
 from __future__ import annotations
@@ -22,12 +22,18 @@ if TYPE_CHECKING:
 
 __all__ = ["Anatomy", "Classify", "GridSampler", "cortical_block"]
 
-Classify = Callable[[NDArray[np.floating], NDArray[np.floating]], tuple[NDArray[np.uint8], NDArray[np.floating]]]
-"""Points [m], shape (n, 3), and their depth below the outer surface [m], shape (n,), to the layer index, uint8, shape
-(n,), and the apparent density [kg/m3], shape (n,). Within a layer the density must vary smoothly over a millimetre."""
+Classify = Callable[
+    [NDArray[np.floating], NDArray[np.floating]], tuple[NDArray[np.uint8], NDArray[np.floating]]
+]
+"""Points [m], shape (n, 3), and their depth below the outer surface [m], shape (n,), to the layer
+index, uint8, shape (n,), and the apparent density [kg/m3], shape (n,). Within a layer the density
+must vary smoothly over a millimetre.
+"""
 
 GridSampler = Callable[["Grid"], tuple[NDArray[np.float32], NDArray[np.float32]]]
-"""A grid to the bone fraction, 0 to 1, and the depth [m] of its voxels, both float32 with the grid's shape."""
+"""A grid to the bone fraction, 0 to 1, and the depth [m] of its voxels, both float32 with the
+grid's shape.
+"""
 
 
 @dataclass(frozen=True)
@@ -47,14 +53,17 @@ class Anatomy:
     notes
         Name and value of what was assumed or found, for reports.
     sample
-        Where the signed distance is too dear to ask voxel by voxel (a triangle mesh): fraction and depth of a whole
-        grid at once. None: the shape is sampled.
+        Where the signed distance is too dear to ask voxel by voxel (a triangle mesh): fraction and
+        depth of a whole grid at once. None: the shape is sampled.
     placement
-        Where the site frame lies in that of the file that it came from; None where it came from none.
+        Where the site frame lies in that of the file that it came from; None where it came from
+        none.
     caps_m
-        Points [m], shape (k, 3), of each face at which the bone was cut off by the edge of its scan.
+        Points [m], shape (k, 3), of each face at which the bone was cut off by the edge of its
+        scan.
     thin_layers
-        Whether layers may pass between the corners of a block of voxels (a root canal): every voxel is then classified.
+        Whether layers may pass between the corners of a block of voxels (a root canal): every voxel
+        is then classified.
     structures
         What a tool may have to keep clear of, by name, as signed distance [m].
     """
@@ -74,7 +83,8 @@ class Anatomy:
 def cortical_block(
     *, size_mm: tuple[float, float, float] = (20.0, 12.0, 8.0), density_kg_m3: float = 1800.0
 ) -> Anatomy:
-    """Block of cortical bone: its top face lies in z = 0 with the origin at its centre; one layer `cortical`.
+    """Block of cortical bone: its top face lies in z = 0 with the origin at its centre; one layer
+    `cortical`.
 
     Parameters
     ----------
@@ -91,13 +101,17 @@ def cortical_block(
     lengths = require_vector("size_mm", size_mm)
     for k in range(3):
         require_range(f"size_mm[{k}]", size_mm[k], 0.1, 500.0, "use about (20, 12, 8)")
-    density = require_range("density_kg_m3", density_kg_m3, 100.0, 2500.0, "use 1800 for cortical bone")
+    density = require_range(
+        "density_kg_m3", density_kg_m3, 100.0, 2500.0, "use 1800 for cortical bone"
+    )
     size = lengths * 1e-3
 
     def classify(
         points: NDArray[np.floating], depth: NDArray[np.floating]
     ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
-        return np.zeros(len(points), dtype=np.uint8), np.full(len(points), density, dtype=np.float32)
+        return np.zeros(len(points), dtype=np.uint8), np.full(
+            len(points), density, dtype=np.float32
+        )
 
     notes = {"size_mm": by(lengths), "cortical density": f"{density:g} kg/m3, uniform"}
     solid = box(size.tolist(), (0.0, 0.0, -0.5 * float(size[2])))

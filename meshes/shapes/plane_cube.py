@@ -1,4 +1,6 @@
-"""The part of a cube that lies behind a plane: the sub-voxel fraction of a voxel that a smooth surface crosses."""
+"""The part of a cube that lies behind a plane: the sub-voxel fraction of a voxel that a smooth
+surface crosses.
+"""
 
 import itertools
 
@@ -10,18 +12,22 @@ __all__ = ["cube_fraction"]
 _SMALLEST_COMPONENT = 1e-5
 
 
-def cube_fraction(distance: NDArray[np.floating], normal: NDArray[np.floating]) -> NDArray[np.float64]:
+def cube_fraction(
+    distance: NDArray[np.floating], normal: NDArray[np.floating]
+) -> NDArray[np.float64]:
     """Volume of the unit cube about the origin where n·x <= -distance.
 
-    With m = |n| / Σ|n| and a = 1/2 - distance / Σ|n| (the plane's height over the cube's lowest corner, in units of the
-    cube's extent along n), the volume is Σ_S (-1)^|S| (a - Σ_{i∈S} m_i)₊³ / (6 m1 m2 m3) over the subsets S of the
-    three axes (inclusion-exclusion over the cube's corners; equivalent to Scardovelli & Zaleski 2000, J. Comput. Phys.
-    164:228). Components below 1e-5 are raised to it, which changes the volume by less than 2e-5.
+    With m = |n| / Σ|n| and a = 1/2 - distance / Σ|n| (the plane's height over the cube's lowest
+    corner, in units of the cube's extent along n), the volume is Σ_S (-1)^|S| (a - Σ_{i∈S} m_i)₊³ /
+    (6 m1 m2 m3) over the subsets S of the three axes (inclusion-exclusion over the cube's corners;
+    equivalent to Scardovelli & Zaleski 2000, J. Comput. Phys. 164:228). Components below 1e-5 are
+    raised to it, which changes the volume by less than 2e-5.
 
     Parameters
     ----------
     distance
-        Signed distance of the cube's centre from the plane, in cube edges, positive in front of it, shape (n,).
+        Signed distance of the cube's centre from the plane, in cube edges, positive in front of it,
+        shape (n,).
     normal
         Outward plane normals, unit length, shape (n, 3).
 

@@ -1,9 +1,10 @@
 """Signed distances as sentences: `box(...) - cylinder(...) | sphere(...).translate(...)`.
 
-A `Shape` maps points [m] to signed distances [m], negative inside. Every shape made here is 1-Lipschitz: its value
-never exceeds the true distance to the surface in magnitude, so a cell whose centre is farther from the surface than its
-half diagonal is not crossed. Primitives are exact unless their docstring states otherwise; a union is exact outside, an
-intersection or difference exact inside, and both are bounds elsewhere. All shapes keep the points' dtype.
+A `Shape` maps points [m] to signed distances [m], negative inside. Every shape made here is
+1-Lipschitz: its value never exceeds the true distance to the surface in magnitude, so a cell whose
+centre is farther from the surface than its half diagonal is not crossed. Primitives are exact
+unless their docstring states otherwise; a union is exact outside, an intersection or difference
+exact inside, and both are bounds elsewhere. All shapes keep the points' dtype.
 """
 
 from __future__ import annotations
@@ -15,7 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, in_brackets, require_direction, require_positive, require_vector
+from meshes.base.errors import (
+    InputError,
+    in_brackets,
+    require_direction,
+    require_positive,
+    require_vector,
+)
 
 __all__ = [
     "Shape",
@@ -47,7 +54,8 @@ class Shape:
     Attributes
     ----------
     distance
-        Points [m], shape (n, 3), float32 or float64, to signed distances [m], shape (n,), same dtype, negative inside.
+        Points [m], shape (n, 3), float32 or float64, to signed distances [m], shape (n,), same
+        dtype, negative inside.
     lower_m, upper_m
         Corners [m] of an axis-aligned box that holds the solid; infinite where it has no end.
     """
@@ -70,14 +78,19 @@ class Shape:
         shift = require_vector("by_m", by_m)
         lower = np.add(self.lower_m, shift)
         upper = np.add(self.upper_m, shift)
-        return Shape(lambda p: self.distance(p - shift.astype(p.dtype)), tuple(lower.tolist()), tuple(upper.tolist()))
+        return Shape(
+            lambda p: self.distance(p - shift.astype(p.dtype)),
+            tuple(lower.tolist()),
+            tuple(upper.tolist()),
+        )
 
 
 def smooth_minimum(a: Distances, b: Distances, blend_m: float) -> Distances:
-    """Minimum of two distances [m] with the crease rounded where they differ by less than `blend_m`.
+    """Minimum of two distances [m] with the crease rounded where they differ by less than
+    `blend_m`.
 
-    Quadratic polynomial blend (I. Quilez, "Smooth minimum"). Its gradient is a convex combination of both gradients, so
-    the result stays 1-Lipschitz.
+    Quadratic polynomial blend (I. Quilez, "Smooth minimum"). Its gradient is a convex combination
+    of both gradients, so the result stays 1-Lipschitz.
     """
     if blend_m <= 0.0:
         return np.minimum(a, b)
@@ -96,7 +109,9 @@ def union(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
     lower = np.minimum(a.lower_m, b.lower_m) - grown
     upper = np.maximum(a.upper_m, b.upper_m) + grown
     return Shape(
-        lambda p: smooth_minimum(a.distance(p), b.distance(p), blend_m), tuple(lower.tolist()), tuple(upper.tolist())
+        lambda p: smooth_minimum(a.distance(p), b.distance(p), blend_m),
+        tuple(lower.tolist()),
+        tuple(upper.tolist()),
     )
 
 
@@ -105,13 +120,17 @@ def intersection(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
     lower = np.maximum(a.lower_m, b.lower_m)
     upper = np.minimum(a.upper_m, b.upper_m)
     return Shape(
-        lambda p: smooth_maximum(a.distance(p), b.distance(p), blend_m), tuple(lower.tolist()), tuple(upper.tolist())
+        lambda p: smooth_maximum(a.distance(p), b.distance(p), blend_m),
+        tuple(lower.tolist()),
+        tuple(upper.tolist()),
     )
 
 
 def difference(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
     """Points in `a` but not in `b`; a positive `blend_m` [m] rounds the edge between them."""
-    return Shape(lambda p: smooth_maximum(a.distance(p), -b.distance(p), blend_m), a.lower_m, a.upper_m)
+    return Shape(
+        lambda p: smooth_maximum(a.distance(p), -b.distance(p), blend_m), a.lower_m, a.upper_m
+    )
 
 
 def sphere(radius_m: float, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
@@ -122,7 +141,8 @@ def sphere(radius_m: float, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
 
 
 def box(size_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0), *, rounding_m: float = 0.0) -> Shape:
-    """Box with edge lengths `size_m` [m], shape (3,), its edges rounded with radius `rounding_m` [m].
+    """Box with edge lengths `size_m` [m], shape (3,), its edges rounded with radius `rounding_m`
+    [m].
 
     Raises
     ------
@@ -161,7 +181,11 @@ def cylinder(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
 
     reach = radius * np.sqrt(np.maximum(1.0 - axis**2, 0.0))
     ends = np.stack([start, start + length * axis])
-    return Shape(distance, tuple((ends.min(axis=0) - reach).tolist()), tuple((ends.max(axis=0) + reach).tolist()))
+    return Shape(
+        distance,
+        tuple((ends.min(axis=0) - reach).tolist()),
+        tuple((ends.max(axis=0) + reach).tolist()),
+    )
 
 
 def capsule(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
@@ -175,13 +199,19 @@ def capsule(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
         return np.sqrt(across**2 + beyond**2) - radius
 
     ends = np.stack([start, start + length * axis])
-    return Shape(distance, tuple((ends.min(axis=0) - radius).tolist()), tuple((ends.max(axis=0) + radius).tolist()))
+    return Shape(
+        distance,
+        tuple((ends.min(axis=0) - radius).tolist()),
+        tuple((ends.max(axis=0) + radius).tolist()),
+    )
 
 
 def ellipsoid(radii_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
-    """Ellipsoid with half axes `radii_m` [m], shape (3,): surface exact, distance only a lower bound of the true one.
+    """Ellipsoid with half axes `radii_m` [m], shape (3,): surface exact, distance only a lower
+    bound of the true one.
 
-    (|p/r| - 1)·min(r) is 1-Lipschitz and zero on the surface; along a long half axis it falls short by min(r)/r.
+    (|p/r| - 1)·min(r) is 1-Lipschitz and zero on the surface; along a long half axis it falls short
+    by min(r)/r.
     """
     radii = _extent("radii_m", radii_m, "(0.02, 0.01, 0.01)")
     centre = require_vector("centre_m", centre_m)
@@ -202,7 +232,9 @@ def half_space(normal: Vector, point_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
     for k in range(3):
         if math.isclose(abs(unit[k]), 1.0, rel_tol=0.0, abs_tol=1e-15):
             (upper if unit[k] > 0 else lower)[k] = point[k]
-    return Shape(lambda p: p @ unit.astype(p.dtype) - offset, tuple(lower.tolist()), tuple(upper.tolist()))
+    return Shape(
+        lambda p: p @ unit.astype(p.dtype) - offset, tuple(lower.tolist()), tuple(upper.tolist())
+    )
 
 
 def _norm(v: Points) -> Distances:
@@ -210,26 +242,37 @@ def _norm(v: Points) -> Distances:
     return np.sqrt(v[:, 0] ** 2 + v[:, 1] ** 2 + v[:, 2] ** 2)
 
 
-def _cylindrical(p: Points, start: NDArray[np.float64], axis: NDArray[np.float64]) -> tuple[Distances, Distances]:
+def _cylindrical(
+    p: Points, start: NDArray[np.float64], axis: NDArray[np.float64]
+) -> tuple[Distances, Distances]:
     """Height above `start` along `axis` and distance from the axis [m]."""
     q = p - start.astype(p.dtype)
     along = q @ axis.astype(p.dtype)
     return along, _norm(q - along[:, None] * axis.astype(p.dtype))
 
 
-def _segment(start_m: Vector, end_m: Vector) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+def _segment(
+    start_m: Vector, end_m: Vector
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     start = require_vector("start_m", start_m)
     end = require_vector("end_m", end_m)
     length = float(np.linalg.norm(end - start))
     if length == 0.0:
-        raise InputError("end_m", "differ from start_m", f"{in_brackets(end)} for both", "use a sphere for a point")
+        raise InputError(
+            "end_m",
+            "differ from start_m",
+            f"{in_brackets(end)} for both",
+            "use a sphere for a point",
+        )
     return start, (end - start) / length, length
 
 
 def _extent(name: str, value: Vector, example: str) -> NDArray[np.float64]:
     extent = require_vector(name, value)
     if not np.all(extent > 0.0):
-        raise InputError(name, "be positive in every direction", in_brackets(extent), f"use about {example}")
+        raise InputError(
+            name, "be positive in every direction", in_brackets(extent), f"use about {example}"
+        )
     return extent
 
 

@@ -20,10 +20,13 @@ STEP_M = 1e-6
 """Of the differences that make the gradient of a distance."""
 
 
-def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, NDArray[np.int64], float]:
+def shape_triangles(
+    shape: Shape, low_m: Array, high_m: Array
+) -> tuple[Array, NDArray[np.int64], float]:
     """Mesh all of a shape's surface that can be nearest to a box.
 
-    The lattice is refined until the triangles lie within 0.004 mm of the surface, or it has a million points.
+    The lattice is refined until the triangles lie within 0.004 mm of the surface, or it has a
+    million points.
 
     Parameters
     ----------
@@ -33,8 +36,8 @@ def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, N
     Returns
     -------
     vertices_m, faces, slack_m
-        Vertices [m], shape (n, 3), triangles wound outward, shape (m, 3), and their largest depth below the
-        surface [m]. Sharp convex edges decide it where there are some.
+        Vertices [m], shape (n, 3), triangles wound outward, shape (m, 3), and their largest depth
+        below the surface [m]. Sharp convex edges decide it where there are some.
 
     Raises
     ------
@@ -49,13 +52,16 @@ def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, N
         end = np.minimum(middle + half + reach, shape.upper_m)
         low, high = _around_surface(shape, start, end)
         nearest = _nearest(shape, low, high, middle)
-        # What lies farther from the middle than its nearest point and the box together is nearest to no point of it.
-        # The distance of a shape may be a lower bound, so that the first reach may be too short.
+        # What lies farther from the middle than its nearest point and the box together is nearest
+        # to no point of it. The distance of a shape may be a lower bound, so that the first reach
+        # may be too short.
         if half + nearest <= reach:
             break
         reach = min(half + nearest, 2.0 * reach)
     else:
-        raise InputError("keep_clear", "name a structure with a surface", "an empty one", "leave it out")
+        raise InputError(
+            "keep_clear", "name a structure with a surface", "an empty one", "leave it out"
+        )
     volume = float(np.prod(high - low))
     finest, spacing = ((volume / count) ** (1.0 / 3.0) for count in (MOST_POINTS, FIRST_POINTS))
     for _ in range(ROUNDS):
@@ -68,20 +74,30 @@ def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, N
 
 
 def _around_surface(shape: Shape, low: Array, high: Array) -> tuple[Array, Array]:
-    """Corners of a box around the cells of a coarse lattice that may hold some of the surface; all of it for none."""
+    """Corners of a box around the cells of a coarse lattice that may hold some of the surface;
+    all of it for none.
+    """
     if not (low < high).all():
         return low, high
-    count = np.maximum(np.ceil((high - low) / np.cbrt(np.prod(high - low) / FIRST_POINTS)).astype(int), 1)
+    count = np.maximum(
+        np.ceil((high - low) / np.cbrt(np.prod(high - low) / FIRST_POINTS)).astype(int), 1
+    )
     sides = (high - low) / count
-    centres = (np.moveaxis(np.indices(tuple(count.tolist())), 0, -1).reshape(-1, 3) + 0.5) * sides + low
+    centres = (
+        np.moveaxis(np.indices(tuple(count.tolist())), 0, -1).reshape(-1, 3) + 0.5
+    ) * sides + low
     near = centres[np.abs(shape.distance(centres)) <= 0.5 * np.linalg.norm(sides)]
     if not len(near):
         return low, high
-    return np.maximum(near.min(axis=0) - 0.51 * sides, low), np.minimum(near.max(axis=0) + 0.51 * sides, high)
+    return np.maximum(near.min(axis=0) - 0.51 * sides, low), np.minimum(
+        near.max(axis=0) + 0.51 * sides, high
+    )
 
 
 def _nearest(shape: Shape, low: Array, high: Array, middle: Array) -> float:
-    """Distance of a point from the nearest vertex of a coarse surface in a box [m], infinite without any."""
+    """Distance of a point from the nearest vertex of a coarse surface in a box [m], infinite
+    without any.
+    """
     if not (low < high).all():
         return np.inf
     vertices = _contour(shape, low, high, float(np.cbrt(np.prod(high - low) / FIRST_POINTS)))[0]
@@ -91,7 +107,9 @@ def _nearest(shape: Shape, low: Array, high: Array, middle: Array) -> float:
 def _contour(
     shape: Shape, low: Array, high: Array, spacing: float
 ) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_]]:
-    """Closed triangles at distance 0, and which vertices lie on the surface, not where the lattice cuts it off."""
+    """Closed triangles at distance 0, and which vertices lie on the surface, not where the
+    lattice cuts it off.
+    """
     from skimage.measure import marching_cubes
 
     first = low - 1.5 * spacing
@@ -112,19 +130,26 @@ def _contour(
 def _slack(shape: Shape, vertices: Array, faces: NDArray[np.int64]) -> float:
     """Largest depth of centres and edges of triangles below the surface [m].
 
-    Triangles outside the surface, in concave edges, make a distance too small, which is the safe side.
+    Triangles outside the surface, in concave edges, make a distance too small, which is the safe
+    side.
     """
     corners = vertices[faces]
-    points = np.concatenate([corners.mean(axis=1), *(0.5 * (corners[:, k] + corners[:, k - 1]) for k in range(3))])
+    points = np.concatenate(
+        [corners.mean(axis=1), *(0.5 * (corners[:, k] + corners[:, k - 1]) for k in range(3))]
+    )
     return float(-_to_surface(shape, points)[0].min(initial=0.0))
 
 
 def _to_surface(shape: Shape, points: Array) -> tuple[Array, Array]:
-    """Signed distance from the surface along the gradient [m] and the unit gradient; the value alone is a bound."""
+    """Signed distance from the surface along the gradient [m] and the unit gradient; the value
+    alone is a bound.
+    """
     value = np.asarray(shape.distance(points), dtype=np.float64)
     slope = np.empty_like(points)
     for axis in range(3):
         step = STEP_M * np.eye(3)[axis]
-        slope[:, axis] = (shape.distance(points + step) - shape.distance(points - step)) / (2.0 * STEP_M)
+        slope[:, axis] = (shape.distance(points + step) - shape.distance(points - step)) / (
+            2.0 * STEP_M
+        )
     steep = np.maximum(np.linalg.norm(slope, axis=1), 0.05)
     return value / steep, slope / steep[:, None]

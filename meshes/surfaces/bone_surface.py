@@ -23,11 +23,12 @@ def surface_anatomy(
     cortical_density_kg_m3: float = 1800.0,
     trabecular_density_kg_m3: float = 350.0,
 ) -> Anatomy:
-    """Anatomy of a bone surface in the site frame: a cortical shell of even thickness over trabecular bone.
+    """Anatomy of a bone surface in the site frame: a cortical shell of even thickness over
+    trabecular bone.
 
-    A surface holds nothing of what is inside: thickness and densities are assumptions, recorded in the notes. The
-    default thickness is the mean of the subchondral plate (1.2-2.9 mm, six glenoids, Frich); densities as in
-    `meshes.surfaces.glenoid`.
+    A surface holds nothing of what is inside: thickness and densities are assumptions, recorded in
+    the notes. The default thickness is the mean of the subchondral plate (1.2-2.9 mm, six glenoids,
+    Frich); densities as in `meshes.surfaces.glenoid`.
 
     Parameters
     ----------
@@ -64,11 +65,17 @@ def surface_anatomy(
         "unit": surface.report.unit_guess,
         "site": site.confidence,
         "repairs": " ".join(surface.report.repairs) or "none",
-        "cortical shell": f"{cortical_thickness_mm:g} mm of {dense:g} kg/m3 over {sparse:g} kg/m3, assumed: the file "
+        "cortical shell": f"{cortical_thickness_mm:g} mm of {dense:g} kg/m3 over {sparse:g} "
+        "kg/m3, assumed: "
+        "the file "
         "holds a surface only",
     }
-    solid = Shape(distance, tuple(vertices.min(axis=0).tolist()), tuple(vertices.max(axis=0).tolist()))
+    solid = Shape(
+        distance, tuple(vertices.min(axis=0).tolist()), tuple(vertices.max(axis=0).tolist())
+    )
     sampler = TriangleSampler(vertices, faces, shell)
     placement = site.placement(surface.report.scale_mm)
     caps = tuple(site.to_site(points) for points in surface.caps_m)
-    return Anatomy(surface.report.source, solid, SURFACE_LAYERS, classify, notes, sampler, placement, caps)
+    return Anatomy(
+        surface.report.source, solid, SURFACE_LAYERS, classify, notes, sampler, placement, caps
+    )

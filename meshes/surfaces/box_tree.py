@@ -26,10 +26,11 @@ class BoxTree:
     Attributes
     ----------
     centres_m, halves_m
-        Centre and half sides of a box around all triangles below each node [m], shape (nodes, 3). Half sides are -1
-        where there are none.
+        Centre and half sides of a box around all triangles below each node [m], shape (nodes, 3).
+        Half sides are -1 where there are none.
     corners_m
-        Corners of the triangles in the order of the leaves, `LEAF` a leaf [m], shape (triangles, 3, 3).
+        Corners of the triangles in the order of the leaves, `LEAF` a leaf [m], shape (triangles, 3,
+        3).
     first_leaf
         Number of the first node that is a leaf.
     """
@@ -61,15 +62,16 @@ def box_tree(corners_m: Array) -> BoxTree:
 
 
 def cut_long(corners_m: Array, box_m: Array | None = None) -> Array:
-    """Halve triangles across their longest edge until none is long, so that boxes around them are small.
+    """Halve triangles across their longest edge until none is long, so that boxes around them are
+    small.
 
     Parameters
     ----------
     corners_m
         Corners of the triangles [m], shape (n, 3, 3).
     box_m
-        Lowest and highest corner of the box from which distances are asked [m], shape (2, 3); triangles far from it may
-        be longer. None for everywhere.
+        Lowest and highest corner of the box from which distances are asked [m], shape (2, 3);
+        triangles far from it may be longer. None for everywhere.
     """
     corners = corners_m
     box = box_m
@@ -92,7 +94,9 @@ def cut_long(corners_m: Array, box_m: Array | None = None) -> Array:
 
 def _halves(corners: Array, longest: NDArray[np.intp]) -> Array:
     """Halve each triangle across the edge that starts at its corner `longest`."""
-    turned = np.take_along_axis(corners, ((longest[:, None] + np.arange(3)) % 3)[:, :, None], axis=1)
+    turned = np.take_along_axis(
+        corners, ((longest[:, None] + np.arange(3)) % 3)[:, :, None], axis=1
+    )
     a = turned[:, 0]
     b = turned[:, 1]
     c = turned[:, 2]

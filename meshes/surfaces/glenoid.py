@@ -1,7 +1,8 @@
-"""A procedural glenoid: concave pear-shaped face, subchondral plate, cortical wall, graded trabecular vault.
+"""A procedural glenoid: concave pear-shaped face, subchondral plate, cortical wall, graded
+trabecular vault.
 
-Sources, R = read, M = from memory of the literature, with confidence H, M or L. Cartilage is not modelled: the face is
-the bony one that a reamer meets after the cartilage has gone.
+Sources, R = read, M = from memory of the literature, with confidence H, M or L. Cartilage is not
+modelled: the face is the bony one that a reamer meets after the cartilage has gone.
 
 ========================  ==================  =====================================================================
 width x height            27.8 x 37.5 mm      M, M: Churchill 2001 (men; women 23.6 x 32.6)
@@ -14,8 +15,9 @@ cortical wall             1.5 mm              L
 density cortical          1800 kg/m3          M, H
 density plate             1300 kg/m3          L: between cortical and dense trabecular bone
 density trabecular        450 to 300 kg/m3    L: falls below the plate over 5 mm (M Frich 1997: so does strength)
-========================  ==================  =====================================================================
-"""
+========================  ==================
+=====================================================================
+"""  # noqa: E501 a table
 
 import math
 from collections.abc import Callable, Sequence
@@ -75,7 +77,8 @@ class _Pear:
 
 
 def _pear(width: float, height: float, upper_width_ratio: float) -> _Pear:
-    """Outline of the given width and height [m] whose upper half is `upper_width_ratio` as wide at its middle.
+    """Outline of the given width and height [m] whose upper half is `upper_width_ratio` as wide at
+    its middle.
 
     The half width there grows with the upper circle's radius, which is found by bisection.
     """
@@ -95,8 +98,12 @@ def _pear(width: float, height: float, upper_width_ratio: float) -> _Pear:
     return outline(wide)
 
 
-def _plate_thickness(mean: float, variation: float, half_width: float, half_height: float, x: Reals, y: Reals) -> Reals:
-    """Thickness of the subchondral plate [m]: more anterior and posterior, less superior and inferior, 1.2-2.9 mm."""
+def _plate_thickness(
+    mean: float, variation: float, half_width: float, half_height: float, x: Reals, y: Reals
+) -> Reals:
+    """Thickness of the subchondral plate [m]: more anterior and posterior, less superior and
+    inferior, 1.2-2.9 mm.
+    """
     pattern = np.clip((x / half_width) ** 2 - (y / half_height) ** 2, -1.0, 1.0)
     return np.clip(mean * (1.0 + variation * pattern), *_PLATE_RANGE_M)
 
@@ -118,22 +125,24 @@ def glenoid(
     trabecular_density_kg_m3: float = 300.0,
     trabecular_density_below_plate_kg_m3: float = 450.0,
 ) -> Anatomy:
-    """Glenoid in the site frame: origin on the bone at the face's centre, x anterior, y superior, z outward (lateral).
+    """Glenoid in the site frame: origin on the bone at the face's centre, x anterior, y superior, z
+    outward (lateral).
 
     Parameters
     ----------
     width_mm, height_mm
-        Antero-posterior (20 to 34) and supero-inferior (28 to 45) size of the face, rim to rim [mm].
+        Antero-posterior (20 to 34) and supero-inferior (28 to 45) size of the face, rim to rim
+        [mm].
     upper_width_ratio
         Width half way up the upper half relative to the full width, 0.65 to 0.95.
     curvature_radius_mm
         Radius of the spherical concavity [mm], 22 to 80 and above half the height.
     subchondral_thickness_mm, subchondral_variation
-        Mean plate thickness over the face [mm], 1.2 to 2.9, and its relative swing, 0 to 0.5. The thickness is held
-        within 1.2 to 2.9 mm.
+        Mean plate thickness over the face [mm], 1.2 to 2.9, and its relative swing, 0 to 0.5. The
+        thickness is held within 1.2 to 2.9 mm.
     vault_depth_mm, vault_taper_deg
-        Depth of the vault below the face's centre [mm], 8 to 40, and the angle [degrees], 0 to 25, by which its walls
-        lean inward below that level.
+        Depth of the vault below the face's centre [mm], 8 to 40, and the angle [degrees], 0 to 25,
+        by which its walls lean inward below that level.
     cortical_wall_mm
         Thickness of the cortical wall around the vault [mm], 0.5 to 4.
     rim_blend_mm
@@ -141,8 +150,8 @@ def glenoid(
     cortical_density_kg_m3, subchondral_density_kg_m3
         Apparent densities, 200 to 2200 kg/m3.
     trabecular_density_kg_m3, trabecular_density_below_plate_kg_m3
-        Apparent density deep in the vault and just below the plate, 50 to 1200 kg/m3; the difference falls
-        exponentially over 5 mm.
+        Apparent density deep in the vault and just below the plate, 50 to 1200 kg/m3; the
+        difference falls exponentially over 5 mm.
 
     Raises
     ------
@@ -176,10 +185,15 @@ def glenoid(
     plate = partial(_plate_thickness, mean, variation, 0.5 * width, 0.5 * height)
     notes = {
         "face": f"{width_mm:g} x {height_mm:g} mm, concave, radius {curvature_radius_mm:g} mm",
-        "subchondral plate": f"{subchondral_thickness_mm:g} mm on average, swing {100 * variation:g} %",
-        "vault": f"{vault_depth_mm:g} mm deep, then cut off: the neck and the blade of the scapula are not modelled",
+        "subchondral plate": f"{subchondral_thickness_mm:g} mm on average, swing "
+        f"{100 * variation:g} %",
+        "vault": (
+            f"{vault_depth_mm:g} mm deep, then cut off: the neck and the blade of the scapula "
+            "are not modelled"
+        ),
         "cartilage": "not modelled",
-        "trabecular density": f"{trabecular_density_below_plate_kg_m3:g} to {trabecular_density_kg_m3:g} kg/m3, "
+        "trabecular density": f"{trabecular_density_below_plate_kg_m3:g} to "
+        f"{trabecular_density_kg_m3:g} kg/m3, "
         "a prior of low confidence",
     }
     return Anatomy(
@@ -191,11 +205,18 @@ def glenoid(
     )
 
 
-def _checked_pear(width: float, height: float, ratio: float, depth: float, taper: float, radius: float) -> _Pear:
-    """Outline of the face, with the combinations refused that close the vault or cut the face off."""
+def _checked_pear(
+    width: float, height: float, ratio: float, depth: float, taper: float, radius: float
+) -> _Pear:
+    """Outline of the face, with the combinations refused that close the vault or cut the face
+    off.
+    """
     if radius <= 0.5 * height:
         raise InputError(
-            "curvature_radius_mm", f"exceed half of height_mm ({500 * height:g})", f"{1e3 * radius:g}", "use 35"
+            "curvature_radius_mm",
+            f"exceed half of height_mm ({500 * height:g})",
+            f"{1e3 * radius:g}",
+            "use 35",
         )
     if height < 1.1 * width:
         raise InputError(
@@ -215,7 +236,9 @@ def _checked_pear(width: float, height: float, ratio: float, depth: float, taper
 
 
 def _bone(pear: _Pear, radius: float, depth: float, taper: float, blend: float) -> Shape:
-    """Outer surface: the outline extruded, leaning inward below z = 0, dished by a sphere, cut off at the base."""
+    """Outer surface: the outline extruded, leaning inward below z = 0, dished by a sphere, cut
+    off at the base.
+    """
     sine = math.sin(taper)
     cosine = math.cos(taper)
     half_width = pear.lower_radius
@@ -229,10 +252,14 @@ def _bone(pear: _Pear, radius: float, depth: float, taper: float, blend: float) 
     def dish_distance(p: NDArray[np.floating]) -> NDArray[np.floating]:
         return radius - np.sqrt(p[:, 0] ** 2 + p[:, 1] ** 2 + (p[:, 2] - radius) ** 2)
 
-    walls = Shape(wall_distance, (-half_width, -half_height, -depth), (half_width, half_height, rim))
+    walls = Shape(
+        wall_distance, (-half_width, -half_height, -depth), (half_width, half_height, rim)
+    )
     lid = half_space((0.0, 0.0, 1.0), (0.0, 0.0, rim))
     dished = intersection(walls & lid, Shape(dish_distance), blend_m=blend)
-    return intersection(dished, half_space((0.0, 0.0, -1.0), (0.0, 0.0, -depth)), blend_m=_VAULT_BASE_BLEND_M)
+    return intersection(
+        dished, half_space((0.0, 0.0, -1.0), (0.0, 0.0, -depth)), blend_m=_VAULT_BASE_BLEND_M
+    )
 
 
 def _layers(plate: Thickness, radius: float, wall: float, densities: Sequence[float]) -> Classify:
@@ -243,14 +270,18 @@ def _layers(plate: Thickness, radius: float, wall: float, densities: Sequence[fl
     def classify(
         points: NDArray[np.floating], depth: NDArray[np.floating]
     ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
-        """Layer and density [kg/m3], shape (n,), of points [m], shape (n, 3), at depths below the surface [m]."""
+        """Layer and density [kg/m3], shape (n,), of points [m], shape (n, 3), at depths below
+        the surface [m].
+        """
         x = points[:, 0]
         y = points[:, 1]
         z = points[:, 2]
         below = np.sqrt(x**2 + y**2 + (z - radius) ** 2) - radius - plate(x, y)
         layer = np.where(below < 0.0, 0, np.where(depth < wall, 1, 2)).astype(np.uint8)
         graded = deep + (below_plate - deep) * np.exp(-np.maximum(below, 0.0) / decay)
-        density = np.where(layer == 0, subchondral, np.where(layer == 1, cortical, graded)).astype(points.dtype)
+        density = np.where(layer == 0, subchondral, np.where(layer == 1, cortical, graded)).astype(
+            points.dtype
+        )
         return layer, density
 
     return classify

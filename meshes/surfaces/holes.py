@@ -16,8 +16,8 @@ Faces = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Holes:
-    """What `fill_holes` found: holes closed that are small and large, the fans' points of those that a plane need not
-    fit, and the area of the largest."""
+    """What `fill_holes` found: holes closed that are small and large, the fans' points of those
+    that a plane need not fit, and the area of the largest."""
 
     filled: int
     large: int
@@ -26,12 +26,17 @@ class Holes:
 
 
 def fill_holes(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], largest: float, *, least_cap: float = np.inf
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int64],
+    largest: float,
+    *,
+    least_cap: float = np.inf,
 ) -> tuple[Triangles, Holes]:
     """Close each loop of unmatched edges by a fan of triangles about its mean point.
 
-    A hole that takes more area than `largest` times the surface's counts as large. Its fan is a cap, as is one of more
-    area than `least_cap` over more than a missing triangle, whatever its share of the surface.
+    A hole that takes more area than `largest` times the surface's counts as large. Its fan is a
+    cap, as is one of more area than `least_cap` over more than a missing triangle, whatever its
+    share of the surface.
     """
     if is_manifold(faces):
         return (vertices, faces), Holes(0, 0, (), 0.0)
@@ -45,12 +50,16 @@ def fill_holes(
     for loop in loops:
         middle = vertices[loop].mean(axis=0)
         spokes = vertices[loop] - middle
-        areas.append(0.5 * float(np.linalg.norm(np.cross(spokes, np.roll(spokes, -1, axis=0)), axis=1).sum()))
+        areas.append(
+            0.5 * float(np.linalg.norm(np.cross(spokes, np.roll(spokes, -1, axis=0)), axis=1).sum())
+        )
         if areas[-1] > limit or (areas[-1] > least_cap and len(loop) > 3):
             caps.append(np.concatenate([vertices[loop], middle[None, :]]))
         if len(loop) > 2:
             points.append(middle[None, :])
-            triangles.append(np.stack([np.roll(loop, -1), loop, np.full(len(loop), number)], axis=1))
+            triangles.append(
+                np.stack([np.roll(loop, -1), loop, np.full(len(loop), number)], axis=1)
+            )
             number += 1
     large = sum(area > limit for area in areas)
     holes = Holes(len(loops) - large, large, tuple(caps), max(areas, default=0.0))
@@ -62,7 +71,9 @@ def _unmatched(vertex_count: int, faces: NDArray[np.int64]) -> NDArray[np.int64]
     edges = directed_edges(faces)
     low, high = np.sort(edges, axis=1).T
     keys, where = np.unique(low * vertex_count + high, return_inverse=True)
-    surplus = np.bincount(where, weights=np.where(edges[:, 0] < edges[:, 1], 1, -1)).astype(np.int64)
+    surplus = np.bincount(where, weights=np.where(edges[:, 0] < edges[:, 1], 1, -1)).astype(
+        np.int64
+    )
     pairs = np.stack([keys // vertex_count, keys % vertex_count], axis=1)
     pairs = np.where(surplus[:, None] > 0, pairs, pairs[:, ::-1])
     return np.repeat(pairs, np.abs(surplus), axis=0)
@@ -87,7 +98,9 @@ def open_loops(vertex_count: int, faces: Faces) -> list[Faces]:
     return loops
 
 
-def close_seams(points: Array, faces: Faces, *, first_part: int, within: float) -> tuple[Array, Faces]:
+def close_seams(
+    points: Array, faces: Faces, *, first_part: int, within: float
+) -> tuple[Array, Faces]:
     """Join the open loops of two parts by ribbons of triangles, and fill every other open loop.
 
     Parameters
@@ -109,7 +122,11 @@ def close_seams(points: Array, faces: Faces, *, first_part: int, within: float) 
     theirs = [loop for loop in loops if loop[0] >= first_part]
     joined = [faces]
     for loop in loops:
-        apart = [_apart(points[loop], points[other]) for other in theirs] if loop[0] < first_part else []
+        apart = (
+            [_apart(points[loop], points[other]) for other in theirs]
+            if loop[0] < first_part
+            else []
+        )
         if apart and min(apart) < within:
             joined.append(_ribbon(points, loop, theirs.pop(int(np.argmin(apart)))))
     return fill_holes(points, np.concatenate(joined), np.inf)[0]
@@ -125,7 +142,9 @@ def _apart(points: Array, others: Array) -> float:
 
 
 def _ribbon(points: Array, loop: Faces, other: Faces) -> Faces:
-    """Triangles between two loops that run in opposite directions, along the shorter diagonal at every step."""
+    """Triangles between two loops that run in opposite directions, along the shorter diagonal at
+    every step.
+    """
     along = other[::-1]
     nearest = int(np.linalg.norm(points[along] - points[loop[0]], axis=1).argmin())
     first = np.append(loop, loop[0])
@@ -135,8 +154,12 @@ def _ribbon(points: Array, loop: Faces, other: Faces) -> Faces:
     j = 0
     triangles = []
     while i < len(loop) or j < len(other):
-        forward = np.inf if i == len(loop) else np.linalg.norm(points[first[i + 1]] - points[second[j]])
-        aside = np.inf if j == len(other) else np.linalg.norm(points[first[i]] - points[second[j + 1]])
+        forward = (
+            np.inf if i == len(loop) else np.linalg.norm(points[first[i + 1]] - points[second[j]])
+        )
+        aside = (
+            np.inf if j == len(other) else np.linalg.norm(points[first[i]] - points[second[j + 1]])
+        )
         if forward <= aside:
             triangles.append((first[i + 1], first[i], second[j]))
             i += 1

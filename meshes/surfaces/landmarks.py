@@ -36,7 +36,8 @@ _CONVEX = 6.0  # curvature at which the score is halved [1/m]
 _SECTORS = 24
 _WIDTH = (18e-3, 36e-3)
 _LENGTH = (26e-3, 48e-3)
-_ELONGATED = 1.1  # smallest ratio of length to width: glenoids have 1.2 to 1.5, the end of a round shaft 1
+# smallest ratio of length to width: glenoids have 1.2 to 1.5, the end of a round shaft 1
+_ELONGATED = 1.1
 # Joint heads. Diameters: femur 36 to 58 mm (Unnanuntana 2010), humerus 37 to 57 mm (Hertel 2002).
 _RADII = np.arange(18e-3, 32.5e-3, 1e-3)
 _CELL = 4e-3
@@ -47,7 +48,9 @@ _ALIKE = 0.85  # ratio of the second score to the best from which two places are
 
 @dataclass(frozen=True)
 class _Head:
-    """Joint head: name, sphere coverage at which the score is 0 and 1, largest coverage, and whether it has a neck."""
+    """Joint head: name, sphere coverage at which the score is 0 and 1, largest coverage, and
+    whether it has a neck.
+    """
 
     name: str
     none: float
@@ -56,7 +59,8 @@ class _Head:
     neck: bool
 
 
-# Measured coverage: heads of two femurs 0.76 and 0.77, of four humeri 0.46 to 0.56; other bone parts at most 0.32.
+# Measured coverage: heads of two femurs 0.76 and 0.77, of four humeri 0.46 to 0.56; other bone
+# parts at most 0.32.
 _HEADS = {
     "femoral-head": _Head("femoral head", 0.60, 0.75, 0.96, neck=True),
     "humeral-head": _Head("humeral head", 0.34, 0.42, 0.66, neck=False),
@@ -71,9 +75,10 @@ def find_site(kind: str, surface: Surface) -> FoundSite:
     Parameters
     ----------
     kind
-        ``glenoid``: middle of the socket of a scapula, z outward, y superior. ``femoral-head``, ``humeral-head``: exit
-        of the axis of the neck or of the articular cap. ``vertebra:left``, ``vertebra:right``: posterior exit of the
-        axis of that pedicle, z outward along it, y up; ``vertebra``: of the wider pedicle.
+        ``glenoid``: middle of the socket of a scapula, z outward, y superior. ``femoral-head``,
+        ``humeral-head``: exit of the axis of the neck or of the articular cap. ``vertebra:left``,
+        ``vertebra:right``: posterior exit of the axis of that pedicle, z outward along it, y up;
+        ``vertebra``: of the wider pedicle.
     surface
         One bone alone.
 
@@ -88,11 +93,16 @@ def find_site(kind: str, surface: Surface) -> FoundSite:
         return _search_head(surface, _HEADS[kind])
     if kind in VERTEBRA:
         return find_pedicle(surface, kind)
-    raise InputError("site", f"be one of {', '.join(SITE_KINDS)}", kind, "use one of them, or give a point")
+    raise InputError(
+        "site", f"be one of {', '.join(SITE_KINDS)}", kind, "use one of them, or give a point"
+    )
 
 
 def find_glenoid(
-    surface: Surface, *, centre_mm: Sequence[float] | None = None, along: Sequence[float] | None = None
+    surface: Surface,
+    *,
+    centre_mm: Sequence[float] | None = None,
+    along: Sequence[float] | None = None,
 ) -> Site:
     """Find the glenoid of a scapula, or the plane of the face around a given centre.
 
@@ -101,7 +111,8 @@ def find_glenoid(
     surface
         Scapula.
     centre_mm
-        Centre [mm] in the frame of the file after scaling, moved along the normal onto the surface. None: searched.
+        Centre [mm] in the frame of the file after scaling, moved along the normal onto the surface.
+        None: searched.
     along
         Direction that becomes x, projected onto the face, any length. None: y is superior.
 
@@ -116,7 +127,9 @@ def find_glenoid(
     centre = require_vector("anatomy.centre_mm", centre_mm) * 1e-3
     near = int(np.argmin(np.linalg.norm(samples.points - centre, axis=1)))
     _, axes, _, _ = _face(samples, samples.points[near], samples.normals[near])
-    return site_along(surface, centre, axes[2], "centre as given, normal of the face around it", along)
+    return site_along(
+        surface, centre, axes[2], "centre as given, normal of the face around it", along
+    )
 
 
 def _search_glenoid(surface: Surface, along: Sequence[float] | None) -> FoundSite:
@@ -126,7 +139,10 @@ def _search_glenoid(surface: Surface, along: Sequence[float] | None) -> FoundSit
     samples = sample_surface(*surface.scanned, 8000)
     tree = cKDTree(samples.points)
     chosen = list(range(0, 8000, 5))
-    seeds = [_glenoid_score(samples, k, np.array(tree.query_ball_point(samples.points[k], _REACH))) for k in chosen]
+    seeds = [
+        _glenoid_score(samples, k, np.array(tree.query_ball_point(samples.points[k], _REACH)))
+        for k in chosen
+    ]
     scores = np.array([score for _, score in seeds])
     points = samples.points[chosen]
     best = int(np.argmax(scores))
@@ -136,23 +152,35 @@ def _search_glenoid(surface: Surface, along: Sequence[float] | None) -> FoundSit
         sample_surface(*surface.scanned, FACE_SAMPLES), points[best], seeds[best][0]
     )
     size = f"{1e3 * width:.1f} x {1e3 * length:.1f} mm"
-    plausible = _WIDTH[0] <= width <= _WIDTH[1] and _LENGTH[0] <= length <= _LENGTH[1] and length > _ELONGATED * width
+    plausible = (
+        _WIDTH[0] <= width <= _WIDTH[1]
+        and _LENGTH[0] <= length <= _LENGTH[1]
+        and length > _ELONGATED * width
+    )
     score = float(scores[best])
     if score < 0.25 or not plausible:
-        raise refusal(surface, "glenoid of about 28 x 37 mm", f"a face of {size} (score {score:.2f}) at best")
+        raise refusal(
+            surface, "glenoid of about 28 x 37 mm", f"a face of {size} (score {score:.2f}) at best"
+        )
     shape = "flat"
     if abs(curvature) >= 5.0:
-        shape = f"{'concave' if curvature > 0.0 else 'convex'}, radius {1e3 / abs(curvature):.0f} mm"
+        shape = (
+            f"{'concave' if curvature > 0.0 else 'convex'}, radius {1e3 / abs(curvature):.0f} mm"
+        )
     note = f"found by search: face {size}, {shape}, score {score:.2f} of 1; check it in the picture"
     site = site_along(surface, centre, axes[2], note, along, axes[0])
-    return FoundSite(site, score, float(apart[second]), 1e3 * points[second] if apart[second] else None)
+    return FoundSite(
+        site, score, float(apart[second]), 1e3 * points[second] if apart[second] else None
+    )
 
 
-def _glenoid_score(samples: SurfaceSamples, number: int, near: NDArray[np.int64]) -> tuple[Array, float]:
+def _glenoid_score(
+    samples: SurfaceSamples, number: int, near: NDArray[np.int64]
+) -> tuple[Array, float]:
     """Smoothed normal at a sample, and the likeness of the surface around it to a glenoid, 0 to 1.
 
-    The likeness is high where surface that faces one direction covers a disc of 10 mm radius, the surface falls off
-    beyond 20 mm, the bone behind is thick, and the disc is not convex.
+    The likeness is high where surface that faces one direction covers a disc of 10 mm radius, the
+    surface falls off beyond 20 mm, the bone behind is thick, and the disc is not convex.
     """
     offset = samples.points[near] - samples.points[number]
     normals = samples.normals[near]
@@ -171,26 +199,33 @@ def _glenoid_score(samples: SurfaceSamples, number: int, near: NDArray[np.int64]
         return normal, 0.0
     u, v = across(normal)
     around = offset[(radial > _RING) & (height > -4e-3)]
-    filled, _ = np.histogram(np.arctan2(around @ v, around @ u), bins=_SECTORS, range=(-np.pi, np.pi))
+    filled, _ = np.histogram(
+        np.arctan2(around @ v, around @ u), bins=_SECTORS, range=(-np.pi, np.pi)
+    )
     free = np.clip(2.5 * np.mean(filled == 0) - 1.0, 0.0, 1.0)
     convexity = max(-_curvature(offset[level & (radial < 1.3 * _DISC)], normal), 0.0)
     return normal, float(min(covered, 1.0) * free * thick / (1.0 + (convexity / _CONVEX) ** 2))
 
 
 def _curvature(offset: Array, normal: Array) -> float:
-    """Curvature [1/m] of the paraboloid fitted to points around the origin, positive where concave."""
+    """Curvature [1/m] of the paraboloid fitted to points around the origin, positive where
+    concave.
+    """
     height = offset @ normal
     radial = offset - height[:, None] * normal
     terms = np.column_stack([np.ones(len(offset)), radial, 0.5 * (radial**2).sum(axis=1)])
     return float(np.linalg.lstsq(terms, height, rcond=None)[0][4])
 
 
-def _face(samples: SurfaceSamples, centre: Array, normal: Array) -> tuple[Array, Array, Array, float]:
-    """Centre, axes as rows (long, short, outward), two sides and curvature of an articular face around a start.
+def _face(
+    samples: SurfaceSamples, centre: Array, normal: Array
+) -> tuple[Array, Array, Array, float]:
+    """Centre, axes as rows (long, short, outward), two sides and curvature of an articular face
+    around a start.
 
-    The face is what is connected and within 32 degrees of the normal of the plane through it.
-    On two scapulae and a synthetic one, limits of 25 to 37 degrees leave the centre within 2 mm; larger limits leak
-    into the coracoid.
+    The face is what is connected and within 32 degrees of the normal of the plane through it. On
+    two scapulae and a synthetic one, limits of 25 to 37 degrees leave the centre within 2 mm;
+    larger limits leak into the coracoid.
     """
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
@@ -199,7 +234,9 @@ def _face(samples: SurfaceSamples, centre: Array, normal: Array) -> tuple[Array,
         offset = samples.points - centre
         height = offset @ normal
         radial = np.linalg.norm(offset - height[:, None] * normal, axis=1)
-        chosen = np.flatnonzero((samples.normals @ normal > 0.85) & (np.abs(height) < 8e-3) & (radial < _REACH))
+        chosen = np.flatnonzero(
+            (samples.normals @ normal > 0.85) & (np.abs(height) < 8e-3) & (radial < _REACH)
+        )
         if len(chosen) < 30:
             return centre, np.stack([*across(normal), normal]), np.zeros(2), 0.0
         tree = cKDTree(samples.points[chosen])
@@ -219,7 +256,9 @@ def _face(samples: SurfaceSamples, centre: Array, normal: Array) -> tuple[Array,
 
 @dataclass(frozen=True, eq=False)
 class _Cap:
-    """Spherical cap: sphere, direction to its middle, coverage of the sphere, RMS misfit, roundness of its outline."""
+    """Spherical cap: sphere, direction to its middle, coverage of the sphere, RMS misfit,
+    roundness of its outline.
+    """
 
     centre: Array
     radius: float
@@ -240,24 +279,32 @@ def _search_head(surface: Surface, kind: _Head) -> FoundSite:
     scores = [cap.score(kind) for cap in caps]
     if not caps or scores[0] < 0.2 or max(cap.coverage for cap in caps) > kind.most:
         got = f"at most {max((cap.coverage for cap in caps), default=0.0):.0%}"
-        what = f"{kind.name}, one cap of 18 to 32 mm radius over {kind.none:.0%} to {kind.most:.0%} of its sphere"
+        what = (
+            f"{kind.name}, one cap of 18 to 32 mm radius over {kind.none:.0%} to {kind.most:.0%} "
+            "of its sphere"
+        )
         raise refusal(surface, what, got)
     best = caps[0]
-    apart = [k for k, cap in enumerate(caps) if np.linalg.norm(cap.centre - best.centre) > best.radius]
+    apart = [
+        k for k, cap in enumerate(caps) if np.linalg.norm(cap.centre - best.centre) > best.radius
+    ]
     second = apart[0] if apart and scores[apart[0]] > 0.0 else None
     if second is not None and scores[second] > _ALIKE * scores[0]:
         places = " and ".join(in_brackets(1e3 * cap.centre, ".4g") for cap in (best, caps[second]))
         raise refusal(surface, f"single {kind.name}", f"two places alike, about {places} mm")
     axis = _neck_axis(samples, best) if kind.neck else best.axis
     note = (
-        f"found by search: {kind.name} of radius {1e3 * best.radius:.1f} mm over {best.coverage:.0%} of its sphere, "
+        f"found by search: {kind.name} of radius {1e3 * best.radius:.1f} mm over "
+        f"{best.coverage:.0%} of its sphere, "
         f"{1e3 * best.misfit:.2f} mm off it, score {scores[0]:.2f} of 1; check it in the picture"
     )
     site = site_along(surface, best.centre + best.radius * axis, axis, note)
     if second is None:
         return FoundSite(site, scores[0])
     other = caps[second]
-    return FoundSite(site, scores[0], scores[second], 1e3 * (other.centre + other.radius * other.axis))
+    return FoundSite(
+        site, scores[0], scores[second], 1e3 * (other.centre + other.radius * other.axis)
+    )
 
 
 def _caps(samples: SurfaceSamples) -> list[_Cap]:
@@ -269,7 +316,9 @@ def _caps(samples: SurfaceSamples) -> list[_Cap]:
     one, other = cKDTree(samples.points).query_pairs(3e-3, output_type="ndarray").T
     facing = (samples.normals[one] * samples.normals[other]).sum(axis=1) > 0.0
     count = len(samples.points)
-    links = coo_array((np.ones(np.count_nonzero(facing)), (one[facing], other[facing])), shape=(count, count)).tocsr()
+    links = coo_array(
+        (np.ones(np.count_nonzero(facing)), (one[facing], other[facing])), shape=(count, count)
+    ).tocsr()
     normals = samples.normals + links @ samples.normals + links.T @ samples.normals
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     votes = (samples.points[:, None] - _RADII[:, None] * normals[:, None]).reshape(-1, 3)
@@ -277,14 +326,21 @@ def _caps(samples: SurfaceSamples) -> list[_Cap]:
     level = np.tile(np.arange(len(_RADII)) // 2, count)
     place = np.floor((votes - votes.min(axis=0)) / _CELL).astype(np.int64)
     shape = (*(place.max(axis=0) + 1).tolist(), len(_RADII))
-    _, cell, counts = np.unique(np.ravel_multi_index((*place.T, level), shape), return_inverse=True, return_counts=True)
+    _, cell, counts = np.unique(
+        np.ravel_multi_index((*place.T, level), shape), return_inverse=True, return_counts=True
+    )
     starts = np.argsort(-counts, kind="stable")[:400:10]
-    fitted = [_fitted(samples.points, normals, votes[cell == k].mean(axis=0), radius[cell == k].mean()) for k in starts]
+    fitted = [
+        _fitted(samples.points, normals, votes[cell == k].mean(axis=0), radius[cell == k].mean())
+        for k in starts
+    ]
     return [cap for cap in fitted if cap is not None]
 
 
 def _fitted(points: Array, normals: Array, centre: Array, radius: float) -> _Cap | None:
-    """Fit a sphere to the samples that lie on it and face outward; None if it leaves the range of radii."""
+    """Fit a sphere to the samples that lie on it and face outward; None if it leaves the range
+    of radii.
+    """
     from scipy.spatial import cKDTree
 
     for turn in range(15):
@@ -305,7 +361,8 @@ def _fitted(points: Array, normals: Array, centre: Array, radius: float) -> _Cap
     offset = points[on] - centre
     distance = np.linalg.norm(offset, axis=1)
     even = spread(1.0 - (2.0 * np.arange(_DIRECTIONS) + 1.0) / _DIRECTIONS, np.eye(3)[2])
-    covered = even[cKDTree(offset / distance[:, None]).query(even)[0] < 0.14]  # within 8 degrees of a sample
+    # within 8 degrees of a sample
+    covered = even[cKDTree(offset / distance[:, None]).query(even)[0] < 0.14]
     total = covered.sum(axis=0)
     length = float(np.linalg.norm(total))
     share = len(covered) / _DIRECTIONS
@@ -316,7 +373,9 @@ def _fitted(points: Array, normals: Array, centre: Array, radius: float) -> _Cap
 
 
 def _neck_axis(samples: SurfaceSamples, cap: _Cap) -> Array:
-    """Direction from the middle of the neck, 1.1 to 1.5 radii below, to the centre; the cap's axis without a neck."""
+    """Direction from the middle of the neck, 1.1 to 1.5 radii below, to the centre; the cap's
+    axis without a neck.
+    """
     axis = cap.axis
     offset = (samples.points - cap.centre) / cap.radius
     for _ in range(5):

@@ -1,4 +1,5 @@
-"""Points, lines, curves and planes that 3D Slicer saved: markups ``.mrk.json``, and its older point lists ``.fcsv``.
+"""Points, lines, curves and planes that 3D Slicer saved: markups ``.mrk.json``, and its older point
+lists ``.fcsv``.
 
 Everything comes back in LPS [mm], whichever of LPS and RAS the file states.
 """
@@ -34,7 +35,8 @@ class Markup:
     Attributes
     ----------
     kind
-        ``Fiducial`` (points), ``Line``, ``Curve``, ``ClosedCurve``, ``Plane`` or another word of the file.
+        ``Fiducial`` (points), ``Line``, ``Curve``, ``ClosedCurve``, ``Plane`` or another word of
+        the file.
     points_mm
         Control points [mm, LPS], shape (n, 3); of a plane its origin alone.
     labels
@@ -71,27 +73,32 @@ def read_markups(path: str | Path) -> tuple[Markup, ...]:
     Raises
     ------
     InputError
-        If the file is missing or of another kind, states neither LPS nor RAS or a unit that is not mm, or a control
-        point is undefined or no three finite numbers.
+        If the file is missing or of another kind, states neither LPS nor RAS or a unit that is not
+        mm, or a control point is undefined or no three finite numbers.
     """
     file = Path(path)
     require_file(file, "markups")
     if file.suffix.lower() == ".fcsv":
         return (_point_list(file),)
     if not file.name.lower().endswith(".json"):
-        raise InputError("markups", "be a .mrk.json or .fcsv file", file, "save them from 3D Slicer")
+        raise InputError(
+            "markups", "be a .mrk.json or .fcsv file", file, "save them from 3D Slicer"
+        )
     try:
         listed = read_json(file.read_text("utf-8"))["markups"]
         found = tuple(_markup(one, file) for one in listed)
     except (UnicodeDecodeError, json.JSONDecodeError, KeyError, TypeError, AttributeError):
-        raise InputError("markups", "be those of 3D Slicer", f"other JSON in {file}", "save them again") from None
+        raise InputError(
+            "markups", "be those of 3D Slicer", f"other JSON in {file}", "save them again"
+        ) from None
     if not found:
         raise InputError("markups", "hold at least one", f"none in {file}", "save them again")
     return found
 
 
 def read_site(path: str | Path) -> MarkedSite:
-    """Site that a file marks: a plane's origin and normal, a line from the site inward, or one point.
+    """Site that a file marks: a plane's origin and normal, a line from the site inward, or one
+    point.
 
     Raises
     ------
@@ -99,9 +106,15 @@ def read_site(path: str | Path) -> MarkedSite:
         If the file cannot be read, or marks no site or several.
     """
     marked = [
-        one for one in read_markups(path) if one.kind in ("Plane", "Line") or (one.kind == _POINTS and len(one.labels))
+        one
+        for one in read_markups(path)
+        if one.kind in ("Plane", "Line") or (one.kind == _POINTS and len(one.labels))
     ]
-    planes = [one for one in marked if one.kind == "Plane"] or [one for one in marked if one.kind == "Line"] or marked
+    planes = (
+        [one for one in marked if one.kind == "Plane"]
+        or [one for one in marked if one.kind == "Line"]
+        or marked
+    )
     wanted = 2 if planes and planes[0].kind == "Line" else 1
     if len(planes) != 1 or len(planes[0].points_mm) != wanted:
         held = ", ".join(f"{one.kind} of {len(one.points_mm)}" for one in planes) or "none"
@@ -117,15 +130,18 @@ def read_site(path: str | Path) -> MarkedSite:
     outward = one.points_mm[0] - one.points_mm[1]
     length = float(np.linalg.norm(outward))
     if length == 0.0:
-        raise InputError("line", "have a length", f"one of two points alike in {path}", "mark it again")
+        raise InputError(
+            "line", "have a length", f"one of two points alike in {path}", "mark it again"
+        )
     return MarkedSite(one.points_mm[0], outward / length)
 
 
 def read_curve(path: str | Path) -> NDArray[np.float64]:
-    """Control points [mm, LPS], shape (n, 3), of a file's one curve, or else of its one list of points, in their order.
+    """Control points [mm, LPS], shape (n, 3), of a file's one curve, or else of its one list of
+    points, in their order.
 
-    3D Slicer draws a smooth curve through them; here they are joined by straight lines: resample it there if they lie
-    far apart. A closed curve ends at its first point.
+    3D Slicer draws a smooth curve through them; here they are joined by straight lines: resample it
+    there if they lie far apart. A closed curve ends at its first point.
 
     Raises
     ------
@@ -133,10 +149,15 @@ def read_curve(path: str | Path) -> NDArray[np.float64]:
         If the file cannot be read, or holds no curve or several.
     """
     found = read_markups(path)
-    curves = [one for one in found if one.kind in _CURVES] or [one for one in found if one.kind == _POINTS]
+    curves = [one for one in found if one.kind in _CURVES] or [
+        one for one in found if one.kind == _POINTS
+    ]
     if len(curves) != 1 or len(curves[0].points_mm) < 2:
         raise InputError(
-            "markups", "hold one curve of at least two points", f"{len(curves)} in {path}", "save the curve alone"
+            "markups",
+            "hold one curve of at least two points",
+            f"{len(curves)} in {path}",
+            "save the curve alone",
         )
     points = curves[0].points_mm
     return np.vstack([points, points[:1]]) if curves[0].kind == "ClosedCurve" else points
@@ -150,37 +171,60 @@ def _markup(record: dict[str, Any], file: Path) -> Markup:
     if unit not in ("mm", ["mm", "mm", "mm"]):
         raise InputError("coordinateUnits", "be mm", f"{unit} in {file}", "save the markups in mm")
     listed = record.get("controlPoints") or []
-    labels = tuple(str(point.get("label") or point.get("id") or number + 1) for number, point in enumerate(listed))
+    labels = tuple(
+        str(point.get("label") or point.get("id") or number + 1)
+        for number, point in enumerate(listed)
+    )
     for point, label in zip(listed, labels, strict=True):
         status = point.get("positionStatus", "defined")
         if status != "defined":
-            raise InputError("control points", "be placed", f"{status} for {label} in {file}", "place or delete it")
-    points = [frame * _three(point["position"], label, file) for point, label in zip(listed, labels, strict=True)]
+            raise InputError(
+                "control points",
+                "be placed",
+                f"{status} for {label} in {file}",
+                "place or delete it",
+            )
+    points = [
+        frame * _three(point["position"], label, file)
+        for point, label in zip(listed, labels, strict=True)
+    ]
     if kind != "Plane":
         return Markup(kind, np.array(points).reshape(-1, 3), labels)
-    origin = next((record[key] for key in ("center", "origin") if record.get(key) is not None), None)
+    origin = next(
+        (record[key] for key in ("center", "origin") if record.get(key) is not None), None
+    )
     if origin is None and not points:
         raise InputError("a plane", "have an origin", f"none in {file}", "place its points")
     centre = points[0] if origin is None else frame * _three(origin, "its origin", file)
-    return Markup(kind, centre[None], labels[:1] or ("plane",), _normal(record, points, frame, file))
+    return Markup(
+        kind, centre[None], labels[:1] or ("plane",), _normal(record, points, frame, file)
+    )
 
 
 def _normal(
-    record: dict[str, Any], points: list[NDArray[np.float64]], frame: NDArray[np.float64], file: Path
+    record: dict[str, Any],
+    points: list[NDArray[np.float64]],
+    frame: NDArray[np.float64],
+    file: Path,
 ) -> NDArray[np.float64]:
-    """Unit normal of a plane: as stated, else the third axis of its orientation, else across three points."""
+    """Unit normal of a plane: as stated, else the third axis of its orientation, else across
+    three points.
+    """
     if record.get("normal") is not None:
         normal = frame * _three(record["normal"], "the normal", file)
     elif record.get("orientation") is not None:
         numbers = np.asarray(record["orientation"], dtype=np.float64)
-        normal = frame * _three(numbers.reshape(-1)[2::3], "the orientation", file)  # row by row, axes in the columns
+        # row by row, axes in the columns
+        normal = frame * _three(numbers.reshape(-1)[2::3], "the orientation", file)
     elif len(points) == 3:
         normal = np.cross(points[1] - points[0], points[2] - points[0])
     else:
         raise InputError("a plane", "have a normal", f"none in {file}", "save it from 3D Slicer 5")
     length = float(np.linalg.norm(normal))
     if length < 1e-9:
-        raise InputError("a plane's normal", "not be zero", f"(0, 0, 0) in {file}", "place its points apart")
+        raise InputError(
+            "a plane's normal", "not be zero", f"(0, 0, 0) in {file}", "place its points apart"
+        )
     return normal / length
 
 
@@ -226,12 +270,19 @@ def _number(text: str | None) -> float:
 
 def _frame(name: object, file: Path) -> NDArray[np.float64]:
     if str(name) not in _FRAMES:
-        raise InputError("coordinateSystem", "be LPS or RAS", f"{name or 'none'} in {file}", "save it from 3D Slicer")
+        raise InputError(
+            "coordinateSystem",
+            "be LPS or RAS",
+            f"{name or 'none'} in {file}",
+            "save it from 3D Slicer",
+        )
     return _FRAMES[str(name)]
 
 
 def _three(value: Any, what: str, file: Path) -> NDArray[np.float64]:
     numbers = as_vector(value)
     if numbers is None:
-        raise InputError("markups", "hold three finite numbers", f"{value!r:.80} for {what} in {file}", "mend it")
+        raise InputError(
+            "markups", "hold three finite numbers", f"{value!r:.80} for {what} in {file}", "mend it"
+        )
     return numbers

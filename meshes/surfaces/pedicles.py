@@ -5,7 +5,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.surfaces.site import FoundSite, Site, across, axes_along, exits, refusal, sample_surface, spread
+from meshes.surfaces.site import (
+    FoundSite,
+    Site,
+    across,
+    axes_along,
+    exits,
+    refusal,
+    sample_surface,
+    spread,
+)
 from meshes.surfaces.surface import Surface
 from meshes.voxels.column_crossings import inside_scattered
 from meshes.voxels.mesh_sampling import triangle_distance
@@ -25,7 +34,9 @@ _RISING = 3.5e-3  # pedicle height over the middle of the body: 5.7 to 12 mm in 
 
 @dataclass(frozen=True, eq=False)
 class _Hole:
-    """Hole in the shadow of a bone: viewing direction, point on the axis of the hole and its area."""
+    """Hole in the shadow of a bone: viewing direction, point on the axis of the hole and its
+    area.
+    """
 
     axis: Array
     point: Array
@@ -34,24 +45,34 @@ class _Hole:
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """Directions of a vertebra as columns (left, forward, up) and a point in its canal at the height of the body."""
+    """Directions of a vertebra as columns (left, forward, up) and a point in its canal at the
+    height of the body.
+    """
 
     axes: Array
     origin: Array
 
 
 def find_pedicle(surface: Surface, kind: str) -> FoundSite:
-    """Find the canal as the largest hole seen through the bone, and the bridge of bone on each side of it."""
+    """Find the canal as the largest hole seen through the bone, and the bridge of bone on each
+    side of it.
+    """
     longest = max(surface.report.size_mm)
     points = _inner_points(surface)
-    canal = _canal(np.vstack([sample_surface(*surface.scanned, 15000).points, points])) if longest < 130.0 else None
+    canal = (
+        _canal(np.vstack([sample_surface(*surface.scanned, 15000).points, points]))
+        if longest < 130.0
+        else None
+    )
     what = "vertebra, whose canal is a hole between a body and two pedicles"
     if canal is None:
         raise refusal(surface, what, f"no hole through a bone {longest:.0f} mm long")
     frame, problem = _vertebra_frame(surface, points, canal)
     if frame is None:
         raise refusal(surface, what, problem)
-    found = {side: _pedicle(surface, frame, sign) for side, sign in (("left", 1.0), ("right", -1.0))}
+    found = {
+        side: _pedicle(surface, frame, sign) for side, sign in (("left", 1.0), ("right", -1.0))
+    }
     for side, (_, radius) in found.items():
         if not _PEDICLE_RADIUS[0] < radius < _PEDICLE_RADIUS[1]:
             raise refusal(surface, what, f"{2e3 * radius:.1f} mm of bone {side} of the hole")
@@ -63,7 +84,8 @@ def find_pedicle(surface: Surface, kind: str) -> FoundSite:
     certain = min(canal.area / 60e-6, 1.0)
     score = certain * min(radius / 3e-3, 1.0)
     note = (
-        f"found by search: {side} pedicle, at least {2e3 * radius:.1f} mm of bone across its axis, {other} one "
+        f"found by search: {side} pedicle, at least {2e3 * radius:.1f} mm of bone across its "
+        f"axis, {other} one "
         f"{2e3 * second_radius:.1f} mm, score {score:.2f} of 1; check it in the picture"
     )
     site = replace(site, confidence=note)
@@ -82,13 +104,16 @@ def _inner_points(surface: Surface) -> Array:
 
 
 def _canal(points: Array) -> _Hole | None:
-    """Largest hole of plausible size seen through a bone, along the mean of the directions that show it, or None."""
+    """Largest hole of plausible size seen through a bone, along the mean of the directions that
+    show it, or None.
+    """
     views = [_hole(points, axis) for axis in spread((np.arange(300) + 0.5) / 300.0, np.eye(3)[2])]
     views = [view for view in views if 0.0 < view.area < _CANAL_AREA[1]]
     if not views:
         return None
     best = max(views, key=lambda view: view.area)
-    # Take the mean of the directions in which the hole is nearly as large: the largest one leans to a side.
+    # Take the mean of the directions in which the hole is nearly as large: the largest one leans to
+    # a side.
     for degrees in (12.0, 12.0, 6.0):
         cone = np.cos(np.radians(degrees) * np.sqrt((np.arange(60) + 0.5) / 60.0))
         around = [best, *(_hole(points, axis) for axis in spread(cone, best.axis))]
@@ -121,7 +146,8 @@ def _hole(points: Array, axis: Array) -> _Hole:
 def _vertebra_frame(surface: Surface, inner: Array, canal: _Hole) -> tuple[_Frame | None, str]:
     """Left, forward and up of a vertebra, or what contradicts one.
 
-    The body is in front. The pedicles leave its upper half and the arch hangs, which distinguishes up from down.
+    The body is in front. The pedicles leave its upper half and the arch hangs, which distinguishes
+    up from down.
     """
     to_middle = inner.mean(axis=0) - canal.point
     forward = to_middle - (to_middle @ canal.axis) * canal.axis
@@ -142,18 +168,29 @@ def _vertebra_frame(surface: Surface, inner: Array, canal: _Hole) -> tuple[_Fram
     middle = 0.5 * (body.max() + body.min()) - body.mean()
     rising = np.mean(narrowest) - middle - (arch.mean() - body.mean())
     if abs(rising) < _RISING:
-        return None, f"pedicles {1e3 * abs(rising):.1f} mm off the middle of the body, as where it is cut off"
+        return (
+            None,
+            (
+                f"pedicles {1e3 * abs(rising):.1f} mm off the middle of the body, as where it is "
+                "cut off"
+            ),
+        )
     return (frame if rising > 0.0 else _Frame(frame.axes * (-1.0, 1.0, -1.0), origin)), ""
 
 
 def _sections(surface: Surface, frame: _Frame, sign: float) -> Array:
-    """Centroid [m] and area [mm2] of the largest bone section beside the canal, one for each mm forward, shape (n, 4).
+    """Centroid [m] and area [mm2] of the largest bone section beside the canal, one for each mm
+    forward, shape (n, 4).
 
     Sections that close the canal belong to the body or the arch and are left out.
     """
     from scipy.ndimage import label
 
-    axes = (np.arange(0.5e-3, 25e-3, _STEP) * sign, np.arange(-6e-3, 12e-3, _STEP), np.arange(-25e-3, 25e-3, _STEP))
+    axes = (
+        np.arange(0.5e-3, 25e-3, _STEP) * sign,
+        np.arange(-6e-3, 12e-3, _STEP),
+        np.arange(-25e-3, 25e-3, _STEP),
+    )
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     there = grid.reshape(-1, 3) @ frame.axes.T + frame.origin
     bone = inside_scattered(surface.vertices_m, surface.faces, there).reshape(grid.shape[:3])
@@ -168,7 +205,8 @@ def _sections(surface: Surface, frame: _Frame, sign: float) -> Array:
 
 
 def _pedicle(surface: Surface, frame: _Frame, sign: float) -> tuple[Site, float]:
-    """Site where the axis of a pedicle leaves the bone behind, and the least depth of bone around 18 mm of the axis.
+    """Site where the axis of a pedicle leaves the bone behind, and the least depth of bone around
+    18 mm of the axis.
 
     The axis is the line with the most bone around it, which a surgeon drills along.
     """
@@ -189,7 +227,9 @@ def _pedicle(surface: Surface, frame: _Frame, sign: float) -> tuple[Site, float]
         outside = triangle_distance(surface.vertices_m, surface.faces, line(numbers))
         return 1e3 * float(outside.max() + 0.01 * outside.mean()) + 100.0 * steep
 
-    tried = [minimize(cost, [0.0, 0.0, slope * sign, 0.0], method="Nelder-Mead") for slope in (0.0, -0.3)]
+    tried = [
+        minimize(cost, [0.0, 0.0, slope * sign, 0.0], method="Nelder-Mead") for slope in (0.0, -0.3)
+    ]
     points = line(min(tried, key=lambda each: float(each.fun)).x)
     radius = -float(triangle_distance(surface.vertices_m, surface.faces, points).max())
     outward = points[0] - points[-1]

@@ -1,7 +1,8 @@
 """Making a triangle surface enclose a solid: merged vertices, one winding, no debris.
 
-A surface is called closed when every directed edge is matched by its reverse as often as it occurs. That is weaker than
-manifold (four triangles may meet in an edge) and exactly what a winding number needs.
+A surface is called closed when every directed edge is matched by its reverse as often as it occurs.
+That is weaker than manifold (four triangles may meet in an edge) and exactly what a winding number
+needs.
 """
 
 from typing import Any
@@ -29,7 +30,8 @@ Triangles = tuple[NDArray[np.float64], NDArray[np.int64]]
 def merge_vertices(
     vertices: NDArray[np.float64], faces: NDArray[np.int64], tolerance: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], bool]:
-    """Join vertices on one point of a lattice of pitch `tolerance`; drop triangles that collapse, repeat or cancel.
+    """Join vertices on one point of a lattice of pitch `tolerance`; drop triangles that collapse,
+    repeat or cancel.
 
     Returns
     -------
@@ -50,7 +52,9 @@ def merge_vertices(
 
 
 def _lattice_keys(vertices: NDArray[np.float64], tolerance: float) -> NDArray[np.int64]:
-    """One number for the point of a lattice that each vertex is nearest to, which sorts as its coordinates do."""
+    """One number for the point of a lattice that each vertex is nearest to, which sorts as its
+    coordinates do.
+    """
     keys = np.zeros(len(vertices), dtype=np.int64)
     for column in vertices.T:
         step = np.rint((column - column.min()) / tolerance).astype(np.int64)
@@ -75,7 +79,9 @@ def _numbered(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.in
 
 
 def is_manifold(faces: NDArray[np.int64]) -> bool:
-    """Whether every directed edge is there once, and its reverse: closed, of one winding, two triangles an edge."""
+    """Whether every directed edge is there once, and its reverse: closed, of one winding, two
+    triangles an edge.
+    """
     if len(faces) == 0:
         return False
     count = int(faces.max()) + 1
@@ -90,7 +96,10 @@ def is_manifold(faces: NDArray[np.int64]) -> bool:
 
 
 def drop_debris(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], body: NDArray[np.int64], least_area: float
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int64],
+    body: NDArray[np.int64],
+    least_area: float,
 ) -> tuple[Triangles, NDArray[np.int64], list[float]]:
     """Drop bodies whose area is below `least_area` times the largest body's.
 
@@ -100,8 +109,8 @@ def drop_debris(
         Number of the body of each triangle, from `bodies`.
 
     Returns
-    -------
-    What is left, the body of each triangle of that, and the longest bounding-box side of each body dropped.
+    ------- What is left, the body of each triangle of that, and the longest bounding-box side of
+    each body dropped.
     """
     if not body.any():
         return (vertices, faces), body, []
@@ -109,7 +118,11 @@ def drop_debris(
     small = np.flatnonzero(areas < least_area * areas.max())
     sizes = [float(np.ptp(vertices[faces[body == k].ravel()], axis=0).max()) for k in small]
     left = ~np.isin(body, small)
-    return compact(vertices, faces[left]), np.unique(body[left], return_inverse=True)[1].reshape(-1), sizes
+    return (
+        compact(vertices, faces[left]),
+        np.unique(body[left], return_inverse=True)[1].reshape(-1),
+        sizes,
+    )
 
 
 def orient(
@@ -121,9 +134,10 @@ def orient(
 ) -> tuple[NDArray[np.int64], int, int, float]:
     """Give all triangles of a body one winding, outward.
 
-    Each triangle is a node twice, as it is and turned; neighbours across an edge of two triangles are linked in the
-    states that agree. A component of that graph is a consistent choice. A body with negative volume is turned, unless
-    it lies within the box of another body, where it is a cavity.
+    Each triangle is a node twice, as it is and turned; neighbours across an edge of two triangles
+    are linked in the states that agree. A component of that graph is a consistent choice. A body
+    with negative volume is turned, unless it lies within the box of another body, where it is a
+    cavity.
 
     Parameters
     ----------
@@ -133,9 +147,8 @@ def orient(
         Whether `is_manifold` is known to hold.
 
     Returns
-    -------
-    Triangles, shape (m, 3); how many were turned to agree with their neighbours; how many bodies were inside out; the
-    volume enclosed, in cubed units of the vertices.
+    ------- Triangles, shape (m, 3); how many were turned to agree with their neighbours; how many
+    bodies were inside out; the volume enclosed, in cubed units of the vertices.
     """
     turned = np.zeros(0, dtype=bool) if manifold or is_manifold(faces) else _disagreeing(faces)
     if turned.any():
@@ -153,7 +166,9 @@ def orient(
     if count == 1:
         return faces, int(turned.sum()), inside_out, float(volumes.sum())
     corners = [vertices[faces[body == k].ravel()] for k in range(count)]
-    low, high = (np.array([function(each, axis=0) for each in corners]) for function in (np.min, np.max))
+    low, high = (
+        np.array([function(each, axis=0) for each in corners]) for function in (np.min, np.max)
+    )
     faces = faces.copy()
     for k in np.flatnonzero(volumes < 0.0):
         if not ((low <= low[k]) & (high >= high[k])).all(axis=1)[volumes > 0.0].any():
@@ -172,8 +187,12 @@ def edge_counts(faces: NDArray[np.int64]) -> tuple[int, int]:
 
 
 def _distinct(faces: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Numbers of the triangles to keep: one of several alike, none of a pair with opposite winding."""
-    _, first, where = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_inverse=True)
+    """Numbers of the triangles to keep: one of several alike, none of a pair with opposite
+    winding.
+    """
+    _, first, where = np.unique(
+        np.sort(faces, axis=1), axis=0, return_index=True, return_inverse=True
+    )
     winding = windings(faces)
     net = np.bincount(where, weights=winding)
     wanted = np.sign(net)[where] == winding
@@ -183,7 +202,9 @@ def _distinct(faces: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _disagreeing(faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Triangles to turn so that neighbours agree, the fewer of the two choices in each piece; none if no choice is."""
+    """Triangles to turn so that neighbours agree, the fewer of the two choices in each piece;
+    none if no choice is.
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -196,7 +217,9 @@ def _disagreeing(faces: NDArray[np.int64]) -> NDArray[np.bool_]:
     crossed = np.where((edges[order[:, 0]] == edges[order[:, 1]]).all(axis=1), count, 0)
     rows = np.concatenate([f, f + count])
     columns = np.concatenate([g + crossed, g + count - crossed])
-    graph = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(2 * count, 2 * count))
+    graph = coo_array(
+        (np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(2 * count, 2 * count)
+    )
     _, label = connected_components(graph, directed=False)
     as_is, reverse = np.split(label, 2)
     votes = np.bincount(as_is, minlength=label.max() + 1)
@@ -205,7 +228,9 @@ def _disagreeing(faces: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def _edge_keys(edges: NDArray[np.int64]) -> NDArray[np.int64]:
-    """One number for each edge, whatever its direction, that sorts as its vertices do, shape (n,)."""
+    """One number for each edge, whatever its direction, that sorts as its vertices do, shape
+    (n,).
+    """
     return edges.min(axis=1) * (int(edges.max()) + 1) + edges.max(axis=1)
 
 
@@ -213,7 +238,9 @@ def bodies(vertex_count: int, faces: NDArray[np.int64]) -> NDArray[np.int64]:
     """Number of the connected body of each triangle, shape (m,)."""
     from trimesh.graph import connected_component_labels
 
-    label = connected_component_labels(np.concatenate([faces[:, :2], faces[:, 1:]]), node_count=vertex_count)
+    label = connected_component_labels(
+        np.concatenate([faces[:, :2], faces[:, 1:]]), node_count=vertex_count
+    )
     return np.unique(label[faces[:, 0]], return_inverse=True)[1]
 
 
@@ -228,13 +255,18 @@ def _volumes(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray
     return sum(a * n for a, n in zip(corner, cross, strict=True)) / 6.0
 
 
-def _crossed_edges(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[list[Any], list[Any]]:
-    """First corner of each triangle from the first vertex, and the cross product of its edges from there, by axis.
+def _crossed_edges(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64]
+) -> tuple[list[Any], list[Any]]:
+    """First corner of each triangle from the first vertex, and the cross product of its edges from
+    there, by axis.
 
     By axis, where arrays of shape (m, 3) take three times as long.
     """
     a, b, c = np.ascontiguousarray(faces.T)
     columns = [np.ascontiguousarray(column) - column[0] for column in vertices.T]
     corner = [column[a] for column in columns]
-    u, v = ([column[k] - first for column, first in zip(columns, corner, strict=True)] for k in (b, c))
+    u, v = (
+        [column[k] - first for column, first in zip(columns, corner, strict=True)] for k in (b, c)
+    )
     return corner, [u[i - 2] * v[i - 1] - u[i - 1] * v[i - 2] for i in range(3)]

@@ -1,4 +1,6 @@
-"""The working site on a bone surface: its centre and its axes, and samples of the surface around it."""
+"""The working site on a bone surface: its centre and its axes, and samples of the surface around
+it.
+"""
 
 from __future__ import annotations
 
@@ -45,10 +47,12 @@ class Site:
     Attributes
     ----------
     centre_m
-        Point of the surface at the centre of the working face [m], in the surface's frame, shape (3,).
+        Point of the surface at the centre of the working face [m], in the surface's frame, shape
+        (3,).
     rotation
-        Site axes as columns in the surface's frame, shape (3, 3), right-handed, z outward. Of a glenoid that was
-        searched for y is superior, x anterior on a right scapula and posterior on a left one.
+        Site axes as columns in the surface's frame, shape (3, 3), right-handed, z outward. Of a
+        glenoid that was searched for y is superior, x anterior on a right scapula and posterior on
+        a left one.
     confidence
         How it was found and how sure that is, a sentence.
     """
@@ -110,19 +114,27 @@ class SurfaceSamples:
     area: float
 
 
-def sample_surface(vertices: NDArray[np.float64], faces: NDArray[np.int64], count: int) -> SurfaceSamples:
-    """Spread `count` points evenly by area, the same ones every time (Kronecker sequence within the triangles)."""
+def sample_surface(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], count: int
+) -> SurfaceSamples:
+    """Spread `count` points evenly by area, the same ones every time (Kronecker sequence within
+    the triangles).
+    """
     total = np.cumsum(triangle_areas(vertices, faces))
     chosen = np.searchsorted(total, (np.arange(count) + 0.5) / count * total[-1])
     chosen = np.minimum(chosen, len(faces) - 1)
-    shares = np.modf(np.arange(count)[:, None] * np.array([0.7548776662466927, 0.5698402909980532]))[0]
+    shares = np.modf(
+        np.arange(count)[:, None] * np.array([0.7548776662466927, 0.5698402909980532])
+    )[0]
     outside = shares.sum(axis=1) > 1.0  # in the other half of the parallelogram
     shares[outside] = 1.0 - shares[outside]
     u, v = shares.T
     a, b, c = (vertices[faces[chosen, k]] for k in range(3))
     points = a + u[:, None] * (b - a) + v[:, None] * (c - a)
     cross = cross_products(vertices, faces[chosen])
-    return SurfaceSamples(points, cross / np.linalg.norm(cross, axis=1)[:, None], float(total[-1]) / count)
+    return SurfaceSamples(
+        points, cross / np.linalg.norm(cross, axis=1)[:, None], float(total[-1]) / count
+    )
 
 
 def refusal(surface: Surface, what: str, got: str) -> InputError:
@@ -166,10 +178,11 @@ def place_site(
     centre_mm
         Point [mm] in the frame of the file after scaling; moved along the normal onto the surface.
     normal
-        Outward direction there, any length. None: the mean normal of the surface within 3 mm of the nearest point.
+        Outward direction there, any length. None: the mean normal of the surface within 3 mm of the
+        nearest point.
     along
-        Direction that becomes x, projected onto the plane across the normal, any length. None: y leads away from the
-        middle of the bone.
+        Direction that becomes x, projected onto the plane across the normal, any length. None: y
+        leads away from the middle of the bone.
 
     Raises
     ------
@@ -208,14 +221,16 @@ def site_along(
     note
         How the site was found.
     along
-        Direction that becomes x. None: y leads along `long_axis`, if any, and away from the middle of the bone.
+        Direction that becomes x. None: y leads along `long_axis`, if any, and away from the middle
+        of the bone.
     long_axis
         Direction of y, sign arbitrary.
 
     Raises
     ------
     InputError
-        If the line leaves the bone nowhere within 10 mm of the point, or `along` is along the normal.
+        If the line leaves the bone nowhere within 10 mm of the point, or `along` is along the
+        normal.
     """
     if along is None:
         middle = sample_surface(*surface.scanned, FACE_SAMPLES).points.mean(axis=0)
@@ -226,7 +241,8 @@ def site_along(
 
 
 def axes_along(normal: NDArray[np.float64], along: Sequence[float]) -> NDArray[np.float64]:
-    """Axes as columns, shape (3, 3): z the unit vector `normal`, x as close to the direction `along` as it can be.
+    """Axes as columns, shape (3, 3): z the unit vector `normal`, x as close to the direction
+    `along` as it can be.
 
     Raises
     ------
@@ -247,7 +263,9 @@ def axes_along(normal: NDArray[np.float64], along: Sequence[float]) -> NDArray[n
 
 
 def normal_near(samples: SurfaceSamples, centre: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean unit normal of the surface within 3 mm of its point nearest to `centre` [m], shape (3,)."""
+    """Mean unit normal of the surface within 3 mm of its point nearest to `centre` [m], shape
+    (3,).
+    """
     distance = np.linalg.norm(samples.points - centre, axis=1)
     nearest = int(np.argmin(distance))
     around = np.linalg.norm(samples.points - samples.points[nearest], axis=1) < _AROUND_M
@@ -257,11 +275,15 @@ def normal_near(samples: SurfaceSamples, centre: NDArray[np.float64]) -> NDArray
 
 
 def _axes(
-    normal: NDArray[np.float64], to_middle: NDArray[np.float64], long_axis: NDArray[np.float64] | None
+    normal: NDArray[np.float64],
+    to_middle: NDArray[np.float64],
+    long_axis: NDArray[np.float64] | None,
 ) -> NDArray[np.float64]:
-    """Site axes as columns: z along `normal`, y along the face's long axis and away from the middle of the bone.
+    """Site axes as columns: z along `normal`, y along the face's long axis and away from the middle
+    of the bone.
 
-    The body of the scapula lies below the glenoid, so superior is away from the middle of its surface.
+    The body of the scapula lies below the glenoid, so superior is away from the middle of its
+    surface.
     """
     away = -(to_middle - (to_middle @ normal) * normal)
     if long_axis is not None:
@@ -275,14 +297,22 @@ def _axes(
     return np.column_stack([np.cross(y, normal), y, normal])
 
 
-def exits(surface: Surface, point: NDArray[np.float64], rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Heights over a point along the z of `rotation` at which that line leaves the bone [m], shape (k,)."""
+def exits(
+    surface: Surface, point: NDArray[np.float64], rotation: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Heights over a point along the z of `rotation` at which that line leaves the bone [m],
+    shape (k,).
+    """
     on_line = np.array([1e-9])  # off the axis, where edges of symmetric meshes lie
-    found = column_crossings((surface.vertices_m - point) @ rotation, surface.faces, on_line, on_line)
+    found = column_crossings(
+        (surface.vertices_m - point) @ rotation, surface.faces, on_line, on_line
+    )
     return found.height[found.entering < 0]
 
 
-def _on_surface(surface: Surface, centre: NDArray[np.float64], rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+def _on_surface(
+    surface: Surface, centre: NDArray[np.float64], rotation: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Point where the axis through `centre` leaves the bone, the nearest such within 10 mm."""
     leaving = exits(surface, centre, rotation)
     nearest = float(leaving[np.argmin(np.abs(leaving))]) if len(leaving) else np.inf
@@ -293,6 +323,9 @@ def _on_surface(surface: Surface, centre: NDArray[np.float64], rotation: NDArray
             "anatomy.centre_mm",
             "lie within 10 mm of the surface along the normal",
             f"{given} in {surface.report.source}",
-            f"give a point on the face, in mm in the frame of the file; the nearest corner is {corner}",
+            (
+                "give a point on the face, in mm in the frame of the file; the nearest corner "
+                f"is {corner}"
+            ),
         )
     return centre + nearest * rotation[:, 2]

@@ -1,4 +1,6 @@
-"""A bone surface from a file: read, given a unit, repaired, and refused where it encloses no solid."""
+"""A bone surface from a file: read, given a unit, repaired, and refused where it encloses no
+solid.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +11,14 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError, counted, require_positive
 from meshes.base.simplices import compact
 from meshes.surfaces.holes import fill_holes
-from meshes.surfaces.repair import Triangles, bodies, drop_debris, edge_counts, merge_vertices, orient
+from meshes.surfaces.repair import (
+    Triangles,
+    bodies,
+    drop_debris,
+    edge_counts,
+    merge_vertices,
+    orient,
+)
 from meshes.surfaces.triangle_files import read_triangles, require_triangles
 
 __all__ = ["Surface", "SurfaceReport", "read_surface", "surface_from_triangles"]
@@ -18,7 +27,9 @@ _MERGE_TOLERANCE = 1e-6
 _DEBRIS_AREA = 0.01
 _HOLE_AREA = 0.03
 _CAP_M2 = 1e-5
-"""A hole of more area is listed as a cap: what closes it is a guess, which matters where a tool goes."""
+"""A hole of more area is listed as a cap: what closes it is a guess, which matters where a tool
+goes.
+"""
 _FLATTEST = 1e-3
 _TURNED = "Turned the surface outward: it was wound inward."
 _FARTHEST = 1e100
@@ -73,9 +84,11 @@ class Surface:
     report
         Where it came from and what was done to it.
     caps_m
-        Points [m], shape (k, 3), of each face laid over a hole of more than 10 mm2, where the scan of the bone may end.
+        Points [m], shape (k, 3), of each face laid over a hole of more than 10 mm2, where the scan
+        of the bone may end.
     scanned
-        Vertices [m] and triangles without what was laid over holes, from which a site takes its axes.
+        Vertices [m] and triangles without what was laid over holes, from which a site takes its
+        axes.
     """
 
     vertices_m: NDArray[np.float64]
@@ -86,7 +99,11 @@ class Surface:
 
 
 def read_surface(
-    path: str | Path, *, scale_mm: float | None = None, cut_off: bool = False, every_piece: bool = False
+    path: str | Path,
+    *,
+    scale_mm: float | None = None,
+    cut_off: bool = False,
+    every_piece: bool = False,
 ) -> Surface:
     """Read a surface from STL, OBJ, PLY, VTK or VTP and make it enclose a solid.
 
@@ -95,23 +112,30 @@ def read_surface(
     path
         File; its suffix names the format.
     scale_mm
-        Millimetres per unit of the file; None: guessed from the longest side of the bounding box (5 to 700:
-        millimetres; 0.005 to 0.7: metres; anything else is refused).
+        Millimetres per unit of the file; None: guessed from the longest side of the bounding box (5
+        to 700: millimetres; 0.005 to 0.7: metres; anything else is refused).
     cut_off
-        Whether the bone may end at the edge of its scan: a large hole is closed by a face, where else it is refused.
+        Whether the bone may end at the edge of its scan: a large hole is closed by a face, where
+        else it is refused.
     every_piece
-        Whether loose pieces stay however small they are, where else those below 1 % of the largest one's area go.
+        Whether loose pieces stay however small they are, where else those below 1 % of the largest
+        one's area go.
 
     Raises
     ------
     InputError
-        If the file is missing, empty, of unknown format or not readable, or its surface cannot be made to enclose a
-        solid of 1 mm to 1 m.
+        If the file is missing, empty, of unknown format or not readable, or its surface cannot be
+        made to enclose a solid of 1 mm to 1 m.
     """
     file = Path(path)
     vertices, faces = read_triangles(file)
     return surface_from_triangles(
-        vertices, faces, source=file.name, scale_mm=scale_mm, cut_off=cut_off, every_piece=every_piece
+        vertices,
+        faces,
+        source=file.name,
+        scale_mm=scale_mm,
+        cut_off=cut_off,
+        every_piece=every_piece,
     )
 
 
@@ -124,7 +148,8 @@ def surface_from_triangles(
     cut_off: bool = False,
     every_piece: bool = False,
 ) -> Surface:
-    """Make triangles enclose a solid: one unit, vertices merged, debris dropped, wound outward, small holes filled.
+    """Make triangles enclose a solid: one unit, vertices merged, debris dropped, wound outward,
+    small holes filled.
 
     Parameters
     ----------
@@ -146,7 +171,10 @@ def surface_from_triangles(
     if not -_FARTHEST < vertices.min() <= vertices.max() < _FARTHEST:
         bad = int((~(np.abs(vertices) < _FARTHEST).all(axis=1)).sum())
         raise InputError(
-            "vertices", "be finite", f"{bad} of {len(vertices)} that are not in {source}", "export it again"
+            "vertices",
+            "be finite",
+            f"{bad} of {len(vertices)} that are not in {source}",
+            "export it again",
         )
     used, _ = compact(vertices, faces)
     longest = max(_sides(used))
@@ -170,17 +198,36 @@ def surface_from_triangles(
 
 
 def _repaired(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], longest: float, source: str, cut_off: bool, debris: float
-) -> tuple[NDArray[np.float64], NDArray[np.int64], float, list[str], int, tuple[NDArray[np.float64], ...], int]:
-    """Vertices [m] and triangles of a closed surface wound outward, its volume [m3], what was done, how many
-    triangles or bodies were turned, faces over holes, and how many triangles come before these.
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int64],
+    longest: float,
+    source: str,
+    cut_off: bool,
+    debris: float,
+) -> tuple[
+    NDArray[np.float64],
+    NDArray[np.int64],
+    float,
+    list[str],
+    int,
+    tuple[NDArray[np.float64], ...],
+    int,
+]:
+    """Vertices [m] and triangles of a closed surface wound outward, its volume [m3], what was done,
+    how many triangles or bodies were turned, faces over holes, and how many triangles come before
+    these.
     """
     repairs = []
     before = len(vertices)
     vertices, faces, manifold = merge_vertices(vertices, faces, _MERGE_TOLERANCE * longest)
     if before > len(vertices):
-        repairs.append(f"Merged or dropped {before - len(vertices)} of {before} vertices that coincide or are unused.")
-    (vertices, faces), body, dropped = drop_debris(vertices, faces, bodies(len(vertices), faces), debris)
+        repairs.append(
+            f"Merged or dropped {before - len(vertices)} of {before} vertices that coincide "
+            "or are unused."
+        )
+    (vertices, faces), body, dropped = drop_debris(
+        vertices, faces, bodies(len(vertices), faces), debris
+    )
     if dropped:
         pieces = counted(len(dropped), "loose piece")
         repairs.append(f"Dropped {pieces}, the largest {1e3 * max(dropped):.3g} mm long.")
@@ -207,11 +254,14 @@ def _repaired(
         repairs.append(_TURNED)
     if holes.filled:
         repairs.append(
-            f"Closed {counted(holes.filled, 'hole')} along {counts[0]} open and {counts[1]} non-manifold edges, the "
+            f"Closed {counted(holes.filled, 'hole')} along {counts[0]} open and {counts[1]} "
+            "non-manifold edges, the "
             f"largest {1e6 * holes.largest_area:.3g} mm2."
         )
     if holes.large:
-        repairs.append(f"The bone is cut off at {counted(holes.large, 'large hole')}, closed by a face each.")
+        repairs.append(
+            f"The bone is cut off at {counted(holes.large, 'large hole')}, closed by a face each."
+        )
     return vertices, faces, volume, repairs, turned + inside_out + outward, holes.caps, scanned
 
 
@@ -220,7 +270,9 @@ def _require_thickness(points: NDArray[np.float64], longest: float, source: str)
     covariance = np.cov(points.T, bias=True)
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0.0))
     if not longest > 0.0 or spread[0] < _FLATTEST * spread[2]:
-        raise InputError("surface", "have thickness", f"a flat one in {source}", "use a closed surface")
+        raise InputError(
+            "surface", "have thickness", f"a flat one in {source}", "use a closed surface"
+        )
 
 
 def _sides(points: NDArray[np.float64]) -> list[float]:
@@ -234,12 +286,15 @@ def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, s
     Raises
     ------
     InputError
-        If the scale given makes a bone of impossible size, or none is given where the size leaves the unit open.
+        If the scale given makes a bone of impossible size, or none is given where the size leaves
+        the unit open.
     """
     plain = [scale for _, scale, lowest, highest in _UNITS if lowest <= longest <= highest]
     suggestion = plain[0] if plain else float(f"{_TYPICAL_BONE_MM / longest:.2g}")
     if scale_mm is not None:
-        scale = require_positive("anatomy.scale_mm", scale_mm, "use 1 for millimetres, 1000 for metres")
+        scale = require_positive(
+            "anatomy.scale_mm", scale_mm, "use 1 for millimetres, 1000 for metres"
+        )
         if not _SMALLEST_MM <= longest * scale <= _LARGEST_MM:
             raise InputError(
                 "anatomy.scale_mm",
@@ -247,10 +302,15 @@ def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, s
                 f"{scale:g}, which makes {source} {_length(longest * scale)} long",
                 f"use about {suggestion:g}",
             )
-        return scale, f"{scale:g} mm per unit, as given: the longest side is {longest * scale:.4g} mm"
+        return (
+            scale,
+            f"{scale:g} mm per unit, as given: the longest side is {longest * scale:.4g} mm",
+        )
     for name, scale, lowest, highest in _UNITS:
         if lowest <= longest <= highest:
-            guess = f"{name}, since the longest side {longest:.3g} would be {longest * scale:.3g} mm"
+            guess = (
+                f"{name}, since the longest side {longest:.3g} would be {longest * scale:.3g} mm"
+            )
             if name == "millimetres" and _CENTIMETRES[0] <= longest <= _CENTIMETRES[1]:
                 others = f"in centimetres it would be {10 * longest:.3g} mm"
                 if _INCH_MM * longest <= highest:
@@ -260,7 +320,8 @@ def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, s
     raise InputError(
         "anatomy.scale_mm",
         "be given where the unit is not plain",
-        f"none for {source}, whose longest side {longest:.3g} would be {_length(longest)} in millimetres and "
+        f"none for {source}, whose longest side {longest:.3g} would be {_length(longest)} in "
+        "millimetres and "
         f"{_length(1e3 * longest)} in metres",
         f"use millimetres per unit, for example {suggestion:g}",
     )

@@ -19,9 +19,36 @@ SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
 _HEADER = 84
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 """Of binary STL: bytes before the triangles, and what each holds."""
-_IGNORED = frozenset(("vt", "vn", "vp", "p", "l", "g", "s", "mg", "o", "usemtl", "mtllib", "usemap", "maplib", "lod"))
-_IGNORED |= {"bevel", "c_interp", "d_interp", "shadow_obj", "trace_obj", "ctech", "stech", "call", "csh", "deg", "bmat"}
-_IGNORED |= {"step", "cstype", "curv", "curv2", "surf", "parm", "trim", "hole", "scrv", "sp", "end", "con"}
+_IGNORED = frozenset(
+    ("vt", "vn", "vp", "p", "l", "g", "s", "mg", "o", "usemtl", "mtllib", "usemap", "maplib", "lod")
+)
+_IGNORED |= {
+    "bevel",
+    "c_interp",
+    "d_interp",
+    "shadow_obj",
+    "trace_obj",
+    "ctech",
+    "stech",
+    "call",
+    "csh",
+    "deg",
+    "bmat",
+}
+_IGNORED |= {
+    "step",
+    "cstype",
+    "curv",
+    "curv2",
+    "surf",
+    "parm",
+    "trim",
+    "hole",
+    "scrv",
+    "sp",
+    "end",
+    "con",
+}
 """Keywords of OBJ that do not concern vertices and polygons."""
 _FURTHER = re.compile(r"/\S*")
 
@@ -32,11 +59,15 @@ def read_triangles(file: Path) -> Triangles:
     Raises
     ------
     InputError
-        If the file is missing, empty, of unknown format or not readable, or a triangle names no vertex of it.
+        If the file is missing, empty, of unknown format or not readable, or a triangle names no
+        vertex of it.
     """
     if file.suffix.lower() not in SURFACE_SUFFIXES:
         raise InputError(
-            "file", f"end in {', '.join(SURFACE_SUFFIXES)}", file.name, "convert it, or read a volume with read_image"
+            "file",
+            f"end in {', '.join(SURFACE_SUFFIXES)}",
+            file.name,
+            "convert it, or read a volume with read_image",
         )
     require_file(file, "a surface")
     vertices, faces = (np.asarray(array) for array in _stored(file))
@@ -48,7 +79,10 @@ def _stored(file: Path) -> tuple[NDArray[np.number], NDArray[np.number]]:
     kind = file.suffix.lower()[1:].upper()
     if kind in ("VTK", "VTP"):
         _, arrays = parse_isolated(
-            "meshes.surfaces.vtk_reading:vtk_triangles", file, what=f"{kind} surface", remedy="export it again"
+            "meshes.surfaces.vtk_reading:vtk_triangles",
+            file,
+            what=f"{kind} surface",
+            remedy="export it again",
         )
         return arrays["points"], arrays["triangles"]
     if kind == "OBJ":
@@ -66,7 +100,10 @@ def _stored(file: Path) -> tuple[NDArray[np.number], NDArray[np.number]]:
         return mesh.vertices, mesh.faces
     except Exception as problem:  # the readers raise many kinds, none documented
         raise InputError(
-            "file", f"be a readable {kind} surface", f"{file.name} (it is damaged or cut off)", "export it again"
+            "file",
+            f"be a readable {kind} surface",
+            f"{file.name} (it is damaged or cut off)",
+            "export it again",
         ) from problem
 
 
@@ -107,7 +144,9 @@ def _read_binary_stl(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]
             if b"\0" not in head:  # text holds none; a count below 16 million does
                 return None
             payload = max(size - _HEADER, 0) // _RECORD.itemsize
-            stated = f"{count} triangles in its header" if size >= _HEADER else "a part of its header"
+            stated = (
+                f"{count} triangles in its header" if size >= _HEADER else "a part of its header"
+            )
             raise InputError(
                 "file",
                 "be a whole STL surface",
@@ -119,9 +158,13 @@ def _read_binary_stl(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]
 
 
 def _require_whole_ply(file: Path) -> None:
-    """Refuse a PLY file in text that is not as long as its header states; binary ones are checked as they are read."""
+    """Refuse a PLY file in text that is not as long as its header states; binary ones are
+    checked as they are read.
+    """
     with file.open("rb") as stored:
-        head = [line.split() for line in takewhile(lambda line: line.strip() != b"end_header", stored)]
+        head = [
+            line.split() for line in takewhile(lambda line: line.strip() != b"end_header", stored)
+        ]
         if not any(line[:2] == [b"format", b"ascii"] for line in head):
             return
         found = sum(bool(line.strip()) for line in stored)
@@ -138,8 +181,12 @@ def _require_whole_ply(file: Path) -> None:
 
 
 def _read_obj(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices, shape (n, 3), and triangles, shape (m, 3), of OBJ; polygons become fans about their first corner."""
-    lines = file.read_bytes().decode("latin-1").replace("\\\r\n", " ").replace("\\\n", " ").splitlines()
+    """Vertices, shape (n, 3), and triangles, shape (m, 3), of OBJ; polygons become fans about
+    their first corner.
+    """
+    lines = (
+        file.read_bytes().decode("latin-1").replace("\\\r\n", " ").replace("\\\n", " ").splitlines()
+    )
     vertices: list[list[float]] = []
     polygons: list[list[int]] = []
     for number, line in enumerate(lines, 1):
@@ -153,7 +200,10 @@ def _read_obj(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
                 raise ValueError("begins with no keyword of the format")
         except ValueError as problem:
             raise InputError(
-                "file", "be a readable OBJ surface", f"line {number} of {file.name}, which {problem}", "export it again"
+                "file",
+                "be a readable OBJ surface",
+                f"line {number} of {file.name}, which {problem}",
+                "export it again",
             ) from None
     return _arrays(vertices, polygons, file.name)
 
@@ -175,7 +225,9 @@ def _polygon(rest: str, count: int) -> list[int]:
     except ValueError:
         numbers = []
     if len(numbers) < 3 or 0 in numbers:
-        raise ValueError(f"must hold three or more vertex numbers from 1, not {rest.strip()[:40]!r}")
+        raise ValueError(
+            f"must hold three or more vertex numbers from 1, not {rest.strip()[:40]!r}"
+        )
     if min(numbers) < -count:
         raise ValueError(f"names vertex {min(numbers)} after {count} vertices")
     return [each - 1 if each > 0 else count + each for each in numbers]
@@ -186,7 +238,9 @@ def _arrays(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     most = max((max(polygon) for polygon in polygons), default=-1)
     if most >= len(vertices):
-        first = next(number for number, polygon in enumerate(polygons, 1) if max(polygon) >= len(vertices))
+        first = next(
+            number for number, polygon in enumerate(polygons, 1) if max(polygon) >= len(vertices)
+        )
         raise InputError(
             "faces",
             f"name vertices 1 to {len(vertices)} of the file",
@@ -194,4 +248,6 @@ def _arrays(
             "export it again",
         )
     triangles = [(p[0], p[i], p[i + 1]) for p in polygons for i in range(1, len(p) - 1)]
-    return np.array(vertices, dtype=np.float64).reshape(-1, 3), np.array(triangles, dtype=np.int64).reshape(-1, 3)
+    return np.array(vertices, dtype=np.float64).reshape(-1, 3), np.array(
+        triangles, dtype=np.int64
+    ).reshape(-1, 3)

@@ -1,7 +1,9 @@
-"""What VTK's readers find in a file; run by `meshes.base.isolated_parser`, since a damaged file can end the process.
+"""What VTK's readers find in a file; run by `meshes.base.isolated_parser`, since a damaged file can
+end the process.
 
-The readers complain on VTK's output window and go on with arrays half filled, so a complaint counts as a failure here.
-Cells are checked before any filter sees them, which would copy what lies beyond the points.
+The readers complain on VTK's output window and go on with arrays half filled, so a complaint counts
+as a failure here. Cells are checked before any filter sees them, which would copy what lies beyond
+the points.
 """
 
 import re
@@ -37,7 +39,9 @@ _CORNERS = {
     26: 15,
 }
 """Points of a cell by its VTK type, where the type fixes them."""
-_HEADING = re.compile(r"^(ERROR|Warning|Generic Warning): In .*$|^\w+ \(0x[0-9a-f]+\): ", re.MULTILINE)
+_HEADING = re.compile(
+    r"^(ERROR|Warning|Generic Warning): In .*$|^\w+ \(0x[0-9a-f]+\): ", re.MULTILINE
+)
 
 
 def read_vtk(file: Path) -> Any:
@@ -59,7 +63,10 @@ def read_vtk(file: Path) -> Any:
     output = window.GetOutput() or ""
     if "error" in output.lower():
         raise DamagedFileError(
-            next((line for line in _HEADING.sub("", output).splitlines() if line.strip()), "not whole")
+            next(
+                (line for line in _HEADING.sub("", output).splitlines() if line.strip()),
+                "not whole",
+            )
         )
     for block in data if isinstance(data, pyvista.MultiBlock) else [data]:
         if isinstance(block, pyvista.PolyData):
@@ -71,9 +78,11 @@ def read_vtk(file: Path) -> Any:
 
 
 def check_vtk(folder: Path, arrays_by_file: dict[str, list[str]]) -> Answer:
-    """Read files of a folder, and refuse those that are damaged or lack one of the arrays that they should hold.
+    """Read files of a folder, and refuse those that are damaged or lack one of the arrays that they
+    should hold.
 
-    Where ``layer`` is among them, it must count into the field ``layer_names``. What is found is not handed back.
+    Where ``layer`` is among them, it must count into the field ``layer_names``. What is found is
+    not handed back.
     """
     for name, wanted in arrays_by_file.items():
         try:
@@ -94,7 +103,9 @@ def check_vtk(folder: Path, arrays_by_file: dict[str, list[str]]) -> Answer:
 
 
 def vtk_triangles(file: Path) -> Answer:
-    """Arrays ``points``, shape (n, 3), and ``triangles``, shape (m, 3), of the surface of what a file holds."""
+    """Arrays ``points``, shape (n, 3), and ``triangles``, shape (m, 3), of the surface of what a
+    file holds.
+    """
     return {}, _triangles(read_vtk(file))
 
 
@@ -109,9 +120,9 @@ def vtk_mesh(file: Path) -> Answer:
 def mesh_arrays(data: Any) -> Answer:
     """Arrays ``points`` and ``tets`` with arrays over them, or else ``points`` and ``triangles``.
 
-    Facts of tetrahedra: ``others``, the number of cells that are not; ``quadratic``, whether some had more than
-    corners; ``names`` of the arrays over them, which are ``cells 0``, ``cells 1``, ... here; ``parts``, the texts of
-    the field ``part_names``.
+    Facts of tetrahedra: ``others``, the number of cells that are not; ``quadratic``, whether some
+    had more than corners; ``names`` of the arrays over them, which are ``cells 0``, ``cells 1``,
+    ... here; ``parts``, the texts of the field ``part_names``.
     """
     kinds = np.asarray(getattr(data, "celltypes", ()))
     if not np.isin(kinds, (_TETRAHEDRON, _QUADRATIC_TETRAHEDRON)).any():
@@ -120,10 +131,18 @@ def mesh_arrays(data: Any) -> Answer:
     present = [kind for kind in (_TETRAHEDRON, _QUADRATIC_TETRAHEDRON) if kind in by_kind]
     order = np.concatenate([np.flatnonzero(kinds == kind) for kind in present])
     tets = np.concatenate([np.asarray(by_kind[kind])[:, :4] for kind in present]).astype(np.int64)
-    names = [name for name in data.cell_data if np.asarray(data.cell_data[name]).dtype.kind in "biufU"]
+    names = [
+        name for name in data.cell_data if np.asarray(data.cell_data[name]).dtype.kind in "biufU"
+    ]
     arrays: dict[str, Any] = {"points": np.asarray(data.points), "tets": tets}
-    arrays |= {f"cells {i}": np.asarray(data.cell_data[name])[order] for i, name in enumerate(names)}
-    parts = np.asarray(data.field_data["part_names"]) if "part_names" in data.field_data else np.zeros(0)
+    arrays |= {
+        f"cells {i}": np.asarray(data.cell_data[name])[order] for i, name in enumerate(names)
+    }
+    parts = (
+        np.asarray(data.field_data["part_names"])
+        if "part_names" in data.field_data
+        else np.zeros(0)
+    )
     facts = {
         "others": len(kinds) - len(order),
         "quadratic": _QUADRATIC_TETRAHEDRON in present,
@@ -145,8 +164,12 @@ def _triangles(data: Any) -> dict[str, NDArray[np.number]]:
     }
 
 
-def _require_cells(cells: Any, file: Path, point_count: int, kinds: NDArray[np.integer] | None = None) -> None:
-    """Refuse cells that name points which are not there, or have another number of them than their type."""
+def _require_cells(
+    cells: Any, file: Path, point_count: int, kinds: NDArray[np.integer] | None = None
+) -> None:
+    """Refuse cells that name points which are not there, or have another number of them than
+    their type.
+    """
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
     offsets = vtk_to_numpy(cells.GetOffsetsArray()).astype(np.int64)

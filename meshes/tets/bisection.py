@@ -1,9 +1,10 @@
 """Tetrahedra halved at their longest edges until they are as small as wanted.
 
-An edge that is the longest of every tetrahedron around it is split at its middle, and so are all of these: the mesh
-stays conforming without any repair. Where a tetrahedron with an edge to split has a longer one, that one goes first
-(Rivara 1997, Int. J. Numer. Methods Eng. 40:3313). Shapes stay bounded. The surface stays where it was, or its nodes go
-onto a given one: flat triangles 20 mm long lie up to 0.8 mm below a surface of 60 mm radius, however they are divided.
+An edge that is the longest of every tetrahedron around it is split at its middle, and so are all of
+these: the mesh stays conforming without any repair. Where a tetrahedron with an edge to split has a
+longer one, that one goes first (Rivara 1997, Int. J. Numer. Methods Eng. 40:3313). Shapes stay
+bounded. The surface stays where it was, or its nodes go onto a given one: flat triangles 20 mm long
+lie up to 0.8 mm below a surface of 60 mm radius, however they are divided.
 """
 
 from collections.abc import Callable
@@ -21,13 +22,19 @@ Move = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """Points [m], shape (n, 3), to points [m] of that shape."""
 _MOST_CELLS = 5_000_000
 _LEAST_VOLUME = 0.5
-"""A node goes onto the surface only where every tetrahedron around it keeps this share of its volume."""
+"""A node goes onto the surface only where every tetrahedron around it keeps this share of its
+volume.
+"""
 
 
 def bisected(
-    mesh: TetMesh, size_m: Callable[[NDArray[np.float64]], NDArray[np.float64]], *, onto: Move | None = None
+    mesh: TetMesh,
+    size_m: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    *,
+    onto: Move | None = None,
 ) -> TetMesh:
-    """Mesh in which no edge is longer than wanted at its middle; nodes of the first keep their numbers.
+    """Mesh in which no edge is longer than wanted at its middle; nodes of the first keep their
+    numbers.
 
     Parameters
     ----------
@@ -36,7 +43,8 @@ def bisected(
     size_m
         Longest edge wanted [m], shape (n,), at points [m], shape (n, 3).
     onto
-        Nearest points of the surface that the mesh stands for; its surface nodes, old and new, are moved there.
+        Nearest points of the surface that the mesh stands for; its surface nodes, old and new, are
+        moved there.
 
     Raises
     ------
@@ -58,7 +66,10 @@ def bisected(
         wanted = size_m(middle)
         if not (wanted > 0.0).all():
             raise InputError(
-                "size_m", "be positive everywhere", f"{1e3 * wanted.min():.4g} mm", "use a hundredth of the body"
+                "size_m",
+                "be positive everywhere",
+                f"{1e3 * wanted.min():.4g} mm",
+                "use a hundredth of the body",
             )
         rank = np.empty(len(keys), dtype=np.int64)
         # Ties go by number, the same for every tetrahedron.
@@ -101,7 +112,9 @@ def bisected(
 def _moved(
     nodes: NDArray[np.float64], cells: NDArray[np.int64], chosen: NDArray[np.int64], onto: Move
 ) -> NDArray[np.float64]:
-    """Nodes with the chosen ones on the surface, but for those whose move would flatten a tetrahedron."""
+    """Nodes with the chosen ones on the surface, but for those whose move would flatten a
+    tetrahedron.
+    """
     moved = nodes.copy()
     before = signed_volumes(nodes, cells)
     moved[chosen] = onto(nodes[chosen])

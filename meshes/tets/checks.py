@@ -29,48 +29,63 @@ Cells = NDArray[np.int64]
 
 
 def signed_volumes(nodes: Nodes, cells: Cells) -> NDArray[np.float64]:
-    """Volume of each tetrahedron in cubed units of the nodes, negative where it is inverted, shape (m,)."""
+    """Volume of each tetrahedron in cubed units of the nodes, negative where it is inverted,
+    shape (m,).
+    """
     a, b, c, d = (nodes[cells[:, i]] for i in range(4))
     return np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a)) / 6.0
 
 
 def mean_ratio(nodes: Nodes, cells: Cells) -> NDArray[np.float64]:
-    """Quality of each tetrahedron, shape (m,): 12 (3 V)^(2/3) over the sum of squared edges (Liu and Joe, 1994).
+    """Quality of each tetrahedron, shape (m,): 12 (3 V)^(2/3) over the sum of squared edges (Liu
+    and Joe, 1994).
 
-    1 for a regular tetrahedron, 0 for a flat one, negative for an inverted one; 0.84 for the corner of a cube.
+    1 for a regular tetrahedron, 0 for a flat one, negative for an inverted one; 0.84 for the corner
+    of a cube.
     """
     volume = signed_volumes(nodes, cells)
     squares = _edge_squares(nodes, cells).sum(axis=0)
-    return 12.0 * np.sign(volume) * (3.0 * np.abs(volume)) ** (2.0 / 3.0) / np.maximum(squares, 1e-300)
+    return (
+        12.0 * np.sign(volume) * (3.0 * np.abs(volume)) ** (2.0 / 3.0) / np.maximum(squares, 1e-300)
+    )
 
 
 def flatness(nodes: Nodes, cells: Cells) -> NDArray[np.float64]:
-    """Six volumes over the cube of the longest edge, without sign, shape (m,): 0.71 for a regular tetrahedron."""
+    """Six volumes over the cube of the longest edge, without sign, shape (m,): 0.71 for a
+    regular tetrahedron.
+    """
     longest = np.sqrt(_edge_squares(nodes, cells).max(axis=0))
     return 6.0 * np.abs(signed_volumes(nodes, cells)) / np.maximum(longest, 1e-300) ** 3
 
 
 def cell_faces(cells: Cells) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """All faces of all cells, four a cell, wound outward; the number of each face and how many cells share it.
+    """All faces of all cells, four a cell, wound outward; the number of each face and how many
+    cells share it.
 
     Returns
-    -------
-    Triangles, shape (4 m, 3); number of the unordered face, shape (4 m,); cells that share it, shape (4 m,).
+    ------- Triangles, shape (4 m, 3); number of the unordered face, shape (4 m,); cells that share
+    it, shape (4 m,).
     """
     triangles = cells[:, FACES].reshape(-1, 3)
-    _, where, count = np.unique(np.sort(triangles, axis=1), axis=0, return_inverse=True, return_counts=True)
+    _, where, count = np.unique(
+        np.sort(triangles, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
     return triangles, where, count[where]
 
 
 def pieces(cells: Cells) -> NDArray[np.int64]:
-    """Number of the piece of each cell, shape (m,): cells of a piece are linked through whole faces."""
+    """Number of the piece of each cell, shape (m,): cells of a piece are linked through whole
+    faces.
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     where = cell_faces(cells)[1]
     owner = np.repeat(np.arange(len(cells)), 4)
     face = len(cells) + where
-    links = coo_array((np.ones(len(owner), dtype=np.int8), (owner, face)), shape=(face.max() + 1,) * 2)
+    links = coo_array(
+        (np.ones(len(owner), dtype=np.int8), (owner, face)), shape=(face.max() + 1,) * 2
+    )
     _, label = connected_components(links, directed=False)
     return np.unique(label[: len(cells)], return_inverse=True)[1]
 
@@ -83,7 +98,9 @@ def pinched_edges(surface: Cells) -> NDArray[np.int64]:
 
 def _edge_squares(nodes: Nodes, cells: Cells) -> NDArray[np.float64]:
     """Squared length of each edge, shape (6, m)."""
-    return np.stack([((nodes[cells[:, i]] - nodes[cells[:, j]]) ** 2).sum(axis=1) for i, j in EDGES])
+    return np.stack(
+        [((nodes[cells[:, i]] - nodes[cells[:, j]]) ** 2).sum(axis=1) for i, j in EDGES]
+    )
 
 
 def millimetres(points_m: NDArray[np.float64]) -> tuple[float, float, float]:

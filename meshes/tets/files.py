@@ -32,12 +32,26 @@ __all__ = [
 _ORGAN_MM = (20.0, 450.0)
 _TYPICAL_MM = 200.0
 _UNITS = ((1.0, "millimetres"), (1000.0, "metres"))
-PART_ARRAYS = ("part", "gmsh:physical", "medit:ref", "parts", "region", "regions", "MaterialIds", "material", "label")
-"""Arrays of integers over the cells that give the parts, by the names that meshers write, the likeliest first."""
+PART_ARRAYS = (
+    "part",
+    "gmsh:physical",
+    "medit:ref",
+    "parts",
+    "region",
+    "regions",
+    "MaterialIds",
+    "material",
+    "label",
+)
+"""Arrays of integers over the cells that give the parts, by the names that meshers write, the
+likeliest first.
+"""
 MOST_PARTS = 64
 """An array of more values than these is no list of parts."""
 SIZES_MM = (1.5, 1500.0)
-"""Longest side of what is pressed [mm]: below it a size in metres is likelier, beyond it one in micrometres."""
+"""Longest side of what is pressed [mm]: below it a size in metres is likelier, beyond it one in
+micrometres.
+"""
 _NO_FACES = np.zeros((0, 3), dtype=np.int64)
 
 
@@ -64,21 +78,27 @@ class TetFile:
 
 
 def read_tets(
-    path: str | Path, *, unit_mm: float | None = None, edge_m: float | None = None, report: Progress = silent
+    path: str | Path,
+    *,
+    unit_mm: float | None = None,
+    edge_m: float | None = None,
+    report: Progress = silent,
 ) -> TetFile:
     """Read a tetrahedral mesh, or read a closed surface and fill it with tetrahedra.
 
-    Gmsh text of versions 1 and 2 (``.msh``) is read here, everything else by pyvista, which reads VTK files itself and
-    further formats where meshio is installed. Cells other than tetrahedra are left out next to tetrahedra. An array of
-    integers over the cells that is named as parts usually are (``gmsh:physical``, ``part``, ``region``, ...) gives the
-    parts; of ``part``, texts in the field ``part_names`` are their names, counted from 0.
+    Gmsh text of versions 1 and 2 (``.msh``) is read here, everything else by pyvista, which reads
+    VTK files itself and further formats where meshio is installed. Cells other than tetrahedra are
+    left out next to tetrahedra. An array of integers over the cells that is named as parts usually
+    are (``gmsh:physical``, ``part``, ``region``, ...) gives the parts; of ``part``, texts in the
+    field ``part_names`` are their names, counted from 0.
 
     Parameters
     ----------
     path
         File; its suffix names the format.
     unit_mm
-        Millimetres per unit of the file. None: millimetres or metres, whichever makes the longest side 20 to 450 mm.
+        Millimetres per unit of the file. None: millimetres or metres, whichever makes the longest
+        side 20 to 450 mm.
     edge_m
         Edge of the tetrahedra that fill a surface [m]; None: about 30,000 of them.
     report
@@ -87,23 +107,39 @@ def read_tets(
     Raises
     ------
     InputError
-        If the file is missing, empty or not readable, holds no solid, or is not of an organ's size in any plain unit.
+        If the file is missing, empty or not readable, holds no solid, or is not of an organ's size
+        in any plain unit.
     """
     file = Path(path)
     stored = read_stored(file)
     used = stored.points[np.unique(stored.tets if len(stored.tets) else stored.triangles)]
     bad = int((~np.isfinite(used).all(axis=1)).sum())
     if bad:
-        raise InputError("nodes", "be finite", f"{bad} of {len(used)} that are not in {file.name}", "export it again")
+        raise InputError(
+            "nodes",
+            "be finite",
+            f"{bad} of {len(used)} that are not in {file.name}",
+            "export it again",
+        )
     scale, why = _unit(np.ptp(used, axis=0), unit_mm, file.name)
     if len(stored.tets):
         values, part = np.unique(stored.part, return_inverse=True)
-        names = tuple(stored.names.get(int(v), f"part {v}") for v in values) if len(values) > 1 else ("body",)
-        mesh, repaired = repair_tets(stored.points * (1e-3 * scale), stored.tets, part.reshape(-1), names)
+        names = (
+            tuple(stored.names.get(int(v), f"part {v}") for v in values)
+            if len(values) > 1
+            else ("body",)
+        )
+        mesh, repaired = repair_tets(
+            stored.points * (1e-3 * scale), stored.tets, part.reshape(-1), names
+        )
         return TetFile(mesh, scale, (why, *stored.notes, *repaired.sentences()))
-    surface = surface_from_triangles(stored.points, stored.triangles, source=file.name, scale_mm=scale)
+    surface = surface_from_triangles(
+        stored.points, stored.triangles, source=file.name, scale_mm=scale
+    )
     filled, sentences = tetrahedralise(surface, edge_m=edge_m, report=report)
-    return TetFile(filled, scale, (why, *stored.notes, *surface.report.repairs, *sentences), surface)
+    return TetFile(
+        filled, scale, (why, *stored.notes, *surface.report.repairs, *sentences), surface
+    )
 
 
 def read_stored(file: Path) -> StoredMesh:
@@ -123,8 +159,14 @@ def _unit(size: NDArray[np.float64], unit_mm: float | None, name: str) -> tuple[
         raise InputError(
             "anatomy.scale_mm",
             "be given where the unit is not plain",
-            f"none for {name}, whose box of {by(size, '.3g')} is an organ neither in millimetres nor in metres",
-            f"give millimetres per unit, {_TYPICAL_MM / longest:.2g} would make it {_TYPICAL_MM:g} mm long",
+            (
+                f"none for {name}, whose box of {by(size, '.3g')} is an organ neither in "
+                "millimetres nor in metres"
+            ),
+            (
+                f"give millimetres per unit, {_TYPICAL_MM / longest:.2g} would make it "
+                f"{_TYPICAL_MM:g} mm long"
+            ),
         )
     scale = require_positive("anatomy.scale_mm", unit_mm, "use 1 for millimetres, 1000 for metres")
     note = f"{name} was read at {scale:g} mm per unit, as given: {by(scale * size, '.3g')} mm"
@@ -137,14 +179,19 @@ def _from_vtk(file: Path) -> StoredMesh:
     """A file as pyvista reads it."""
     remedy = "export it as .vtu, .vtk, .msh or .stl"
     found = _of_arrays(
-        *parse_isolated("meshes.surfaces.vtk_reading:vtk_mesh", file, what="mesh", remedy=remedy), file.name
+        *parse_isolated("meshes.surfaces.vtk_reading:vtk_mesh", file, what="mesh", remedy=remedy),
+        file.name,
     )
     if len(found.tets) == 0 and len(found.triangles) == 0:
-        raise InputError("file", "hold tetrahedra or triangles", f"none in {file.name}", "export it again")
+        raise InputError(
+            "file", "hold tetrahedra or triangles", f"none in {file.name}", "export it again"
+        )
     return found
 
 
-def _of_arrays(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], source: str) -> StoredMesh:
+def _of_arrays(
+    facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], source: str
+) -> StoredMesh:
     """Mesh of what `meshes.surfaces.vtk_reading.mesh_arrays` returns."""
     none = np.zeros((0, 4), dtype=np.int64)
     tets = arrays.get("tets", none)
@@ -189,9 +236,10 @@ def given_tets(
     Parameters
     ----------
     mesh
-        `TetMesh`, pyvista UnstructuredGrid, anything with ``points`` and ``cells`` as of meshio, points and cells as a
-        pair of arrays, shapes (n, 3) and (m, 4), or a file (.vtu .vtk .msh .mesh). The parts are an array over the
-        cells named ``part`` or as meshers name them, of numbers or of names.
+        `TetMesh`, pyvista UnstructuredGrid, anything with ``points`` and ``cells`` as of meshio,
+        points and cells as a pair of arrays, shapes (n, 3) and (m, 4), or a file (.vtu .vtk .msh
+        .mesh). The parts are an array over the cells named ``part`` or as meshers name them, of
+        numbers or of names.
     scale_mm
         Millimetres per unit of the mesh; None: it is in millimetres, which its size must bear out.
     part_names
@@ -218,12 +266,15 @@ def given_tets(
     names = stored.names | dict(part_names or {})
     known = tuple(names.get(int(v), f"part {v}") for v in values) if len(values) > 1 else ("body",)
     with names_of_caller(dict.fromkeys(("nodes", "nodes_m", "cells"), "mesh")):
-        repaired, report = repair_tets(1e-3 * scale * stored.points, stored.tets, part.reshape(-1), known)
+        repaired, report = repair_tets(
+            1e-3 * scale * stored.points, stored.tets, part.reshape(-1), known
+        )
     return GivenTets(scale * stored.points, repaired, (*stored.notes, *report.sentences()))
 
 
 def require_millimetres(name: str, points: NDArray[np.float64], scale_mm: float | None) -> float:
-    """Millimetres per unit of points, shape (n, 3): as given, or 1 where their size is one in millimetres.
+    """Millimetres per unit of points, shape (n, 3): as given, or 1 where their size is one in
+    millimetres.
 
     Raises
     ------
@@ -257,7 +308,11 @@ def _stored(mesh: object) -> StoredMesh:
         points, cells = (np.asarray(each) for each in mesh)
         if points.ndim == 2 and points.shape[1] == 3 and cells.ndim == 2 and cells.shape[1] == 4:
             return StoredMesh(
-                points.astype(np.float64), cells.astype(np.int64), _NO_FACES, np.zeros(len(cells), int), {}
+                points.astype(np.float64),
+                cells.astype(np.int64),
+                _NO_FACES,
+                np.zeros(len(cells), int),
+                {},
             )
         raise InputError(
             "mesh",
@@ -279,8 +334,15 @@ def _of_blocks(mesh: Any) -> StoredMesh:
     tets = [np.asarray(mesh.cells[k].data)[:, :4] for k in chosen]
     if not tets:
         return StoredMesh(np.zeros((0, 3)), np.zeros((0, 4), int), _NO_FACES, np.zeros(0, int), {})
-    data = {name: np.concatenate([np.asarray(rows[k]) for k in chosen]) for name, rows in mesh.cell_data.items()}
-    solids = {int(row[0]): name for name, row in (getattr(mesh, "field_data", None) or {}).items() if int(row[1]) == 3}
+    data = {
+        name: np.concatenate([np.asarray(rows[k]) for k in chosen])
+        for name, rows in mesh.cell_data.items()
+    }
+    solids = {
+        int(row[0]): name
+        for name, row in (getattr(mesh, "field_data", None) or {}).items()
+        if int(row[1]) == 3
+    }
     cells = np.concatenate(tets).astype(np.int64)
     part, names = _parts(data, len(cells), solids)
     return StoredMesh(np.asarray(mesh.points, dtype=np.float64), cells, _NO_FACES, part, names)
@@ -291,7 +353,8 @@ def _parts(
 ) -> tuple[NDArray[np.int64], dict[int, str]]:
     """Number of each cell's part, shape (m,), and the names of the numbers.
 
-    Names that count from 0 belong to the array ``part``; so do those of meshio to its ``gmsh:physical``.
+    Names that count from 0 belong to the array ``part``; so do those of meshio to its
+    ``gmsh:physical``.
     """
     for array in PART_ARRAYS:
         values = data.get(array, np.zeros(0))

@@ -1,4 +1,6 @@
-"""Gmsh files of versions 1 and 2 in text, which the libraries at hand read not at all or only with a further one."""
+"""Gmsh files of versions 1 and 2 in text, which the libraries at hand read not at all or only
+with a further one.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -51,7 +53,8 @@ def read_msh(file: Path) -> StoredMesh:
     Raises
     ------
     InputError
-        If the file is of another version, binary, cut short, names nodes it does not hold, or holds no solid.
+        If the file is of another version, binary, cut short, names nodes it does not hold, or holds
+        no solid.
     """
     content = file.read_bytes()
     try:
@@ -70,17 +73,22 @@ def read_msh(file: Path) -> StoredMesh:
                 "save it with gmsh -format msh22",
             )
     if version == 0:
-        raise InputError("file", "be Gmsh text of version 1 or 2", f"neither in {file.name}", "export it again")
+        raise InputError(
+            "file", "be Gmsh text of version 1 or 2", f"neither in {file.name}", "export it again"
+        )
     try:
         numbers, points = _nodes(_section(lines, "$NOD" if version == 1 else "$Nodes"))
         elements = [
             [whole_number_in(x) for x in line.split()]
             for line in _section(lines, "$ELM" if version == 1 else "$Elements")
         ]
-        # Version 1: number kind physical elementary count nodes; version 2: number kind count-of-tags tags nodes.
+        # Version 1: number kind physical elementary count nodes; version 2: number kind
+        # count-of-tags tags nodes.
         begins = [5 if version == 1 else 3 + element[2] for element in elements]
         in_tets = [element for element in elements if element[1] == _TETRAHEDRON]
-        part = [element[2] if version == 1 else (element[3] if element[2] else 0) for element in in_tets]
+        part = [
+            element[2] if version == 1 else (element[3] if element[2] else 0) for element in in_tets
+        ]
         names = _names(_section(lines, "$PhysicalNames"), file) if "$PhysicalNames" in lines else {}
         tets = _of_kind(elements, begins, _TETRAHEDRON, 4)
         triangles = _of_kind(elements, begins, _TRIANGLE, 3)
@@ -88,7 +96,10 @@ def read_msh(file: Path) -> StoredMesh:
         raise
     except (ValueError, IndexError, OverflowError) as problem:
         raise InputError(
-            "file", "hold whole sections of nodes and elements", f"a broken one in {file.name}", "export it again"
+            "file",
+            "hold whole sections of nodes and elements",
+            f"a broken one in {file.name}",
+            "export it again",
         ) from problem
     order = np.argsort(numbers)
     places = []
@@ -96,10 +107,14 @@ def read_msh(file: Path) -> StoredMesh:
         found = order[np.minimum(np.searchsorted(numbers, wanted, sorter=order), len(numbers) - 1)]
         if (numbers[found] != wanted).any():
             unknown = int(wanted[numbers[found] != wanted][0])
-            raise InputError("elements", "name nodes of the file", f"{unknown} in {file.name}", "export it again")
+            raise InputError(
+                "elements", "name nodes of the file", f"{unknown} in {file.name}", "export it again"
+            )
         places.append(found)
     if len(tets) == 0 and len(triangles) == 0:
-        raise InputError("file", "hold tetrahedra or triangles", f"none in {file.name}", "mesh it in Gmsh first")
+        raise InputError(
+            "file", "hold tetrahedra or triangles", f"none in {file.name}", "mesh it in Gmsh first"
+        )
     left = len(elements) - len(tets)
     notes = (f"Left out {left} elements that are not tetrahedra.",) if left and len(tets) else ()
     return StoredMesh(points, places[0], places[1], np.array(part, dtype=np.int64), names, notes)
@@ -125,7 +140,9 @@ def _nodes(lines: list[str]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     return numbers, np.array([[number_in(x) for x in row[1:4]] for row in rows])
 
 
-def _of_kind(elements: list[list[int]], begins: list[int], kind: int, corners: int) -> NDArray[np.int64]:
+def _of_kind(
+    elements: list[list[int]], begins: list[int], kind: int, corners: int
+) -> NDArray[np.int64]:
     chosen = [e[b:] for e, b in zip(elements, begins, strict=True) if e[1] == kind]
     if any(len(each) != corners for each in chosen):
         raise ValueError("elements")

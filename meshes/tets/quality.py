@@ -1,4 +1,5 @@
-"""Tetrahedra made fit for a stiffness matrix: found, located, repaired by a stated rule, or refused.
+"""Tetrahedra made fit for a stiffness matrix: found, located, repaired by a stated rule, or
+refused.
 
 ==============  =====================================================  ================================================
 what            when                                                   rule
@@ -7,12 +8,14 @@ coincident      nodes within 1e-9 of the longest side                  joined; c
 repeated        cells of the same four nodes                           one is kept
 inverted        volume negative, not flat                              turned; refused where cells then overlap
 flat            6 V below 1e-6 of the longest edge cubed               dropped at the surface where that leaves the mesh
-                                                                       whole; inside, its nodes are moved; else refused
+                                                                       whole; inside, its nodes are
+                                                                       moved; else refused
 debris          pieces linked by faces, below 1 % of the largest       dropped
 sliver          mean ratio below 0.1                                   inner nodes moved; the rest is kept, reported
 pinched edges   surface edges of more than two triangles               kept and reported
-==============  =====================================================  ================================================
-"""
+==============  =====================================================
+================================================
+"""  # noqa: E501 a table
 
 from dataclasses import dataclass
 from itertools import product
@@ -51,7 +54,8 @@ _SMALLEST_STEP = 0.004
 
 @dataclass(frozen=True, eq=False)
 class TetReport:
-    """What was found in a tetrahedral mesh and done to it; places in mm in the frame of the mesh, empty if nowhere.
+    """What was found in a tetrahedral mesh and done to it; places in mm in the frame of the mesh,
+    empty if nowhere.
 
     Attributes
     ----------
@@ -92,36 +96,56 @@ class TetReport:
         quality = mean_ratio(nodes, cells)
         pinched = pinched_edges(self.mesh.surface)
         bodies = pieces(cells).max() + 1
-        worst, smallest = (place(millimetres(nodes[cells[each.argmin()]])) for each in (quality, volumes))
+        worst, smallest = (
+            place(millimetres(nodes[cells[each.argmin()]])) for each in (quality, volumes)
+        )
         share = float(volumes.min() / volumes.max())
         found = [
             (
                 True,
                 f"{len(cells)} tetrahedra on {len(nodes)} nodes, {1e6 * volumes.sum():.4g} ml, "
-                f"{by(1e3 * np.ptp(nodes, axis=0), '.3g')} mm, lowest mean ratio {quality.min():.2g} at {worst} mm.",
+                f"{by(1e3 * np.ptp(nodes, axis=0), '.3g')} mm, lowest mean ratio "
+                f"{quality.min():.2g} at {worst} mm.",
             ),
             (
                 share < _UNEVEN,
-                f"The smallest tetrahedron, at {smallest} mm, has 1/{1.0 / share:.0f} of the volume of the largest.",
+                (
+                    f"The smallest tetrahedron, at {smallest} mm, has 1/{1.0 / share:.0f} of the "
+                    "volume of the largest."
+                ),
             ),
             (
                 self.inverted,
-                f"Turned {self.inverted} inverted tetrahedra, the first at {place(self.inverted_at_mm)} mm.",
+                (
+                    f"Turned {self.inverted} inverted tetrahedra, the first at "
+                    f"{place(self.inverted_at_mm)} mm."
+                ),
             ),
-            (self.joined_nodes, f"Joined or dropped {self.joined_nodes} nodes that coincide or are unused."),
+            (
+                self.joined_nodes,
+                f"Joined or dropped {self.joined_nodes} nodes that coincide or are unused.",
+            ),
             (self.repeated_cells, f"Dropped {self.repeated_cells} tetrahedra that repeat another."),
             (self.flat_dropped, f"Dropped {self.flat_dropped} flat tetrahedra at the surface."),
-            (self.flat_moved, f"Gave volume to {self.flat_moved} flat tetrahedra inside by moving their nodes."),
+            (
+                self.flat_moved,
+                f"Gave volume to {self.flat_moved} flat tetrahedra inside by moving their nodes.",
+            ),
             (
                 self.debris_mm3,
-                f"Dropped {len(self.debris_mm3)} loose pieces of {sum(self.debris_mm3):.3g} mm3 together, the largest "
+                f"Dropped {len(self.debris_mm3)} loose pieces of {sum(self.debris_mm3):.3g} "
+                "mm3 together, the largest "
                 f"{max(self.debris_mm3, default=0.0):.3g} mm3.",
             ),
-            (bodies > 1, f"The mesh is {bodies} bodies not linked by faces: each needs its own support."),
+            (
+                bodies > 1,
+                f"The mesh is {bodies} bodies not linked by faces: each needs its own support.",
+            ),
             (
                 self.slivers,
                 f"Found {self.slivers} slivers (mean ratio below {SLIVER:g}), the worst at "
-                f"{place(self.sliver_at_mm)} mm; moving {self.nodes_moved} inner nodes left {self.slivers_left}.",
+                f"{place(self.sliver_at_mm)} mm; moving {self.nodes_moved} inner nodes left "
+                f"{self.slivers_left}.",
             ),
         ]
         notes = [sentence for is_so, sentence in found if is_so]
@@ -157,7 +181,9 @@ def repair_tets(
     """
     nodes = np.asarray(nodes_m, dtype=np.float64)
     tets = np.asarray(cells, dtype=np.int64)
-    parts = np.zeros(len(tets), dtype=np.uint8) if part is None else np.asarray(part, dtype=np.uint8)
+    parts = (
+        np.zeros(len(tets), dtype=np.uint8) if part is None else np.asarray(part, dtype=np.uint8)
+    )
     _require_numbers(nodes, tets)
     given = nodes.shape[0], tets.shape[0]
     nodes, tets = _joined(nodes, tets)
@@ -177,7 +203,9 @@ def repair_tets(
     slivers = int((quality < SLIVER).sum())
     sliver_at = _centre_mm(nodes, tets, quality.argmin()) if slivers else ()
     flat_inside = int((flatness(nodes, tets) < FLAT).sum())
-    nodes, moved = smooth(nodes, tets, _movable(len(nodes), tets, parts), SLIVER) if slivers else (nodes, 0)
+    nodes, moved = (
+        smooth(nodes, tets, _movable(len(nodes), tets, parts), SLIVER) if slivers else (nodes, 0)
+    )
     _require_volume(nodes, tets)
     mesh = TetMesh(*compact(nodes, tets), parts, part_names)
     return mesh, TetReport(
@@ -195,14 +223,20 @@ def repair_tets(
     )
 
 
-def _centre_mm(nodes: NDArray[np.float64], cells: NDArray[np.int64], number: np.intp) -> tuple[float, float, float]:
+def _centre_mm(
+    nodes: NDArray[np.float64], cells: NDArray[np.int64], number: np.intp
+) -> tuple[float, float, float]:
     return millimetres(nodes[cells[number]])
 
 
-def _joined(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _joined(
+    nodes: NDArray[np.float64], cells: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Nodes that no cell uses dropped, nodes on one point joined."""
     points, cells = compact(nodes, cells)
-    keys = np.round((points - points.min(axis=0)) / (_COINCIDENT * float(np.ptp(points, axis=0).max()) + 1e-300))
+    keys = np.round(
+        (points - points.min(axis=0)) / (_COINCIDENT * float(np.ptp(points, axis=0).max()) + 1e-300)
+    )
     _, first, label = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     return compact(points, first[label][cells])
 
@@ -210,7 +244,9 @@ def _joined(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> tuple[NDArr
 def _without_flat(
     nodes: NDArray[np.float64], cells: NDArray[np.int64], parts: NDArray[np.uint8]
 ) -> tuple[NDArray[np.int64], NDArray[np.uint8], int]:
-    """Flat cells with a face on the surface peeled off, as long as no new edge is pinched and no piece comes loose."""
+    """Flat cells with a face on the surface peeled off, as long as no new edge is pinched and no
+    piece comes loose.
+    """
     dropped = 0
     while True:
         flat = flatness(nodes, cells) < FLAT
@@ -277,18 +313,27 @@ def _movable(count: int, cells: NDArray[np.int64], parts: NDArray[np.uint8]) -> 
 
 def _require_numbers(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> None:
     if len(cells) == 0 or cells.ndim != 2 or cells.shape[1] != 4:
-        raise InputError("cells", "be tetrahedra", f"an array of shape {cells.shape}", "mesh the solid first")
+        raise InputError(
+            "cells", "be tetrahedra", f"an array of shape {cells.shape}", "mesh the solid first"
+        )
     if cells.min() < 0 or cells.max() >= len(nodes):
         raise InputError(
-            "cells", f"name nodes 0 to {len(nodes) - 1}", f"{cells.min()} to {cells.max()}", "write the mesh again"
+            "cells",
+            f"name nodes 0 to {len(nodes) - 1}",
+            f"{cells.min()} to {cells.max()}",
+            "write the mesh again",
         )
     bad = int((~np.isfinite(nodes[np.unique(cells)]).all(axis=1)).sum())
     if bad:
-        raise InputError("nodes", "be finite", f"{bad} of {len(nodes)} that are not", "write the mesh again")
+        raise InputError(
+            "nodes", "be finite", f"{bad} of {len(nodes)} that are not", "write the mesh again"
+        )
 
 
 def _require_no_overlap(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> None:
-    """Refuse faces of more than two cells, and neighbours that lie on the same side of their face."""
+    """Refuse faces of more than two cells, and neighbours that lie on the same side of their
+    face.
+    """
     triangles, where, shared = cell_faces(cells)
     crowded = np.flatnonzero(shared > 2)
     if len(crowded):
@@ -319,7 +364,8 @@ def _require_volume(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> Non
         raise InputError(
             "cells",
             "have volume",
-            f"{len(bad)} flat tetrahedra of {len(cells)} that neither dropping nor moving nodes repairs, the first at "
+            f"{len(bad)} flat tetrahedra of {len(cells)} that neither dropping nor moving "
+            "nodes repairs, the first at "
             f"{at} mm",
             "mesh the surface again",
         )
@@ -331,9 +377,11 @@ def smooth(
     movable: NDArray[np.bool_],
     enough: float,
 ) -> tuple[NDArray[np.float64], int]:
-    """Move nodes of cells worse than `enough` by pattern search on the worst mean ratio around each.
+    """Move nodes of cells worse than `enough` by pattern search on the worst mean ratio around
+    each.
 
-    A move is kept only where the worst cell around the node improves, so no cell falls below the worst one next to it.
+    A move is kept only where the worst cell around the node improves, so no cell falls below the
+    worst one next to it.
 
     Parameters
     ----------
@@ -386,10 +434,16 @@ def _best_place(
     step = _FIRST_STEP
     centre = corners[~slot].mean(axis=0)
     while step > _SMALLEST_STEP:
-        tries = np.concatenate([here + step * size * _DIRECTIONS, here + np.array([[0.5], [1.0]]) * (centre - here)])
+        tries = np.concatenate(
+            [here + step * size * _DIRECTIONS, here + np.array([[0.5], [1.0]]) * (centre - here)]
+        )
         moved = np.where(slot[None, :, :, None], tries[:, None, None, :], corners[None])
         flat = moved.reshape(-1, 3)
-        worst = mean_ratio(flat, np.arange(len(flat)).reshape(-1, 4)).reshape(len(tries), -1).min(axis=1)
+        worst = (
+            mean_ratio(flat, np.arange(len(flat)).reshape(-1, 4))
+            .reshape(len(tries), -1)
+            .min(axis=1)
+        )
         best = int(worst.argmax())
         if worst[best] > score + 1e-6:
             here = tries[best]

@@ -1,11 +1,19 @@
-"""Nodes of a tetrahedral mesh chosen by place, by direction or by part: where a body is held or loaded."""
+"""Nodes of a tetrahedral mesh chosen by place, by direction or by part: where a body is held or
+loaded.
+"""
 
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, in_brackets, require_direction, require_range, require_vector
+from meshes.base.errors import (
+    InputError,
+    in_brackets,
+    require_direction,
+    require_range,
+    require_vector,
+)
 from meshes.base.simplices import cross_products
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import nearest_on_triangles
@@ -22,7 +30,9 @@ __all__ = [
 Nodes = NDArray[np.int64]
 
 
-def nodes_behind_plane(mesh: TetMesh, *, point_m: Sequence[float], normal: Sequence[float]) -> Nodes:
+def nodes_behind_plane(
+    mesh: TetMesh, *, point_m: Sequence[float], normal: Sequence[float]
+) -> Nodes:
     """Surface nodes behind the plane through `point_m` [m] with outward `normal`, in rising order.
 
     Raises
@@ -34,7 +44,8 @@ def nodes_behind_plane(mesh: TetMesh, *, point_m: Sequence[float], normal: Seque
     axis = require_direction("normal", normal)
     points = mesh.nodes_m[mesh.surface_nodes]
     away = (points - point) @ axis
-    chosen = mesh.surface_nodes[away <= 1e-9 * float(np.ptp(mesh.nodes_m, axis=0).max())]  # a margin for rounding
+    # a margin for rounding
+    chosen = mesh.surface_nodes[away <= 1e-9 * float(np.ptp(mesh.nodes_m, axis=0).max())]
     if not len(chosen):
         nearest = int(away.argmin())
         at, found = (in_brackets(1e3 * each, ".3g") for each in (point, points[nearest]))
@@ -81,7 +92,9 @@ def nodes_of_part(mesh: TetMesh, name: str) -> Nodes:
         raise InputError("part", f"be one of {', '.join(mesh.part_names)}", name, "use one of them")
     cells = mesh.cells[mesh.part == mesh.part_names.index(name)]
     if not len(cells):
-        raise InputError("part", "have cells", f"none of {name}", "use a finer mesh or another part")
+        raise InputError(
+            "part", "have cells", f"none of {name}", "use a finer mesh or another part"
+        )
     return np.unique(cells)
 
 
@@ -101,8 +114,9 @@ def place_on_surface(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Point of the surface nearest to a point [m], and the outward normal there, shapes (3,).
 
-    The normal is the mean of the triangles whose middles lie within `around_m` [m], by their areas and nearness, so
-    that it does not turn with every facet; of the nearest triangle where there are none.
+    The normal is the mean of the triangles whose middles lie within `around_m` [m], by their areas
+    and nearness, so that it does not turn with every facet; of the nearest triangle where there are
+    none.
     """
     nearest = nearest_on_triangles(mesh.nodes_m, mesh.surface, point_m[None])[0]
     normals = cross_products(mesh.nodes_m, mesh.surface)  # twice the area long

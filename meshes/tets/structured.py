@@ -1,8 +1,8 @@
 """Exact structured tetrahedral meshes: every cell of a grid cut into six tetrahedra.
 
-A brick is cut along its diagonal from (0, 0, 0) to (1, 1, 1) into the six simplices of Kuhn (1960), the triangulation
-of Freudenthal (1942). All bricks are cut alike and each face along its diagonal through its lowest corner, so
-neighbours conform.
+A brick is cut along its diagonal from (0, 0, 0) to (1, 1, 1) into the six simplices of Kuhn (1960),
+the triangulation of Freudenthal (1942). All bricks are cut alike and each face along its diagonal
+through its lowest corner, so neighbours conform.
 """
 
 import math
@@ -19,7 +19,8 @@ __all__ = ["box", "graded", "grid"]
 
 
 def grid(x_m: ArrayLike, y_m: ArrayLike, z_m: ArrayLike) -> TetMesh:
-    """Bricks between the planes at `x_m`, `y_m` and `z_m` [m], each rising, shapes (n + 1,); six tetrahedra a brick.
+    """Bricks between the planes at `x_m`, `y_m` and `z_m` [m], each rising, shapes (n + 1,); six
+    tetrahedra a brick.
 
     Raises
     ------
@@ -29,23 +30,31 @@ def grid(x_m: ArrayLike, y_m: ArrayLike, z_m: ArrayLike) -> TetMesh:
     axes = [np.asarray(axis, dtype=np.float64) for axis in (x_m, y_m, z_m)]
     for name, axis in zip(("x_m", "y_m", "z_m"), axes, strict=True):
         if axis.ndim != 1 or len(axis) < 2 or not (np.diff(axis) > 0.0).all():
-            raise InputError(name, "hold at least two rising positions", axis, "use np.linspace(0, 1, 5)")
+            raise InputError(
+                name, "hold at least two rising positions", axis, "use np.linspace(0, 1, 5)"
+            )
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     return TetMesh(nodes, _kuhn([len(axis) - 1 for axis in axes]))
 
 
 def box(size_m: Sequence[float], cells: Sequence[int]) -> TetMesh:
-    """Box from the origin to `size_m` [m], shape (3,), of `cells` bricks along each axis, six tetrahedra each."""
+    """Box from the origin to `size_m` [m], shape (3,), of `cells` bricks along each axis, six
+    tetrahedra each.
+    """
     if len(cells) != 3 or min(cells) < 1:
         raise InputError("cells", "be three numbers of at least 1", tuple(cells), "use (4, 4, 4)")
     sides = [require_length("size_m", side, 0.0, math.inf, 0.05) for side in size_m]
-    return grid(*(np.linspace(0.0, side, count + 1) for side, count in zip(sides, cells, strict=True)))
+    return grid(
+        *(np.linspace(0.0, side, count + 1) for side, count in zip(sides, cells, strict=True))
+    )
 
 
 def graded(start_m: float, end_m: float, first_m: float, growth: float) -> NDArray[np.float64]:
-    """Positions [m] from `start_m` to `end_m`, the first step about `first_m` and each `growth` times the one before.
+    """Positions [m] from `start_m` to `end_m`, the first step about `first_m` and each `growth`
+    times the one before.
 
-    The last steps are stretched alike so that the end is met exactly. Two of them back to back grade towards a centre.
+    The last steps are stretched alike so that the end is met exactly. Two of them back to back
+    grade towards a centre.
 
     Raises
     ------
@@ -54,7 +63,9 @@ def graded(start_m: float, end_m: float, first_m: float, growth: float) -> NDArr
     """
     distance = abs(end_m - start_m)
     if not 0.0 < first_m <= distance:
-        raise InputError("first_m", f"be in (0, {distance:g}]", first_m, "use a tenth of the distance")
+        raise InputError(
+            "first_m", f"be in (0, {distance:g}]", first_m, "use a tenth of the distance"
+        )
     if not growth >= 1.0:
         raise InputError("growth", "be at least 1", growth, "use 1.2")
     steps = [first_m]
@@ -67,9 +78,13 @@ def graded(start_m: float, end_m: float, first_m: float, growth: float) -> NDArr
 
 
 def _kuhn(counts: Sequence[int]) -> NDArray[np.int64]:
-    """Cells of a grid with `counts` bricks an axis, nodes numbered with z fastest, shape (6 bricks, 4)."""
+    """Cells of a grid with `counts` bricks an axis, nodes numbered with z fastest, shape (6
+    bricks, 4).
+    """
     stride = np.array([(counts[1] + 1) * (counts[2] + 1), counts[2] + 1, 1])
-    bricks = np.stack(np.meshgrid(*(np.arange(n) for n in counts), indexing="ij"), axis=-1).reshape(-1, 3)
+    bricks = np.stack(np.meshgrid(*(np.arange(n) for n in counts), indexing="ij"), axis=-1).reshape(
+        -1, 3
+    )
     tets = []
     for order in permutations(range(3)):
         path = np.concatenate([[0], np.cumsum(stride[list(order)])])

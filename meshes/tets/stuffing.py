@@ -1,9 +1,10 @@
 """Tetrahedra that fill a signed distance: a body-centred cubic lattice cut by the surface.
 
-Isosurface stuffing (Labelle and Shewchuk, 2007). Lattice nodes that lie close to where the surface crosses one of
-their edges are moved onto the crossing; the edges still crossed are cut there and the pieces filled with tetrahedra.
-The four-sided faces left between pieces are cut from their lowest node (Dompierre et al., 1999), so neighbours conform,
-and the pieces on both sides of a surface can be kept: that is how a part inside gets a surface of its own.
+Isosurface stuffing (Labelle and Shewchuk, 2007). Lattice nodes that lie close to where the surface
+crosses one of their edges are moved onto the crossing; the edges still crossed are cut there and
+the pieces filled with tetrahedra. The four-sided faces left between pieces are cut from their
+lowest node (Dompierre et al., 1999), so neighbours conform, and the pieces on both sides of a
+surface can be kept: that is how a part inside gets a surface of its own.
 """
 
 import math
@@ -35,8 +36,8 @@ _EDGES = 3.0
 """Edges across a ball, or two across a tube: quadratic ones bend with it."""
 _TRIES = 4
 _CLOSE = 0.01
-"""Meshes of an inclusion that are tried, and the share of its volume that is close enough: of those that are the one
-with the best worst cell is kept, else the nearest."""
+"""Meshes of an inclusion that are tried, and the share of its volume that is close enough: of those
+that are the one with the best worst cell is kept, else the nearest."""
 
 
 def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
@@ -47,7 +48,8 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
     shape
         Solid with finite bounds; details below the spacing are lost.
     spacing_m
-        Side of the lattice's cubes [m]; twelve tetrahedra a cube, edges of 0.87 and 1 times the side.
+        Side of the lattice's cubes [m]; twelve tetrahedra a cube, edges of 0.87 and 1 times the
+        side.
 
     Raises
     ------
@@ -60,7 +62,9 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
     lower = np.array(shape.lower_m)
     upper = np.array(shape.upper_m)
     if not (np.isfinite(lower).all() and np.isfinite(upper).all()):
-        raise InputError("shape", "have an end in every direction", "an endless one", "intersect it with a box")
+        raise InputError(
+            "shape", "have an end in every direction", "an endless one", "intersect it with a box"
+        )
     if 12.0 * np.prod((upper - lower) / spacing + 2.0) > _MOST_CELLS:
         # Twelve tetrahedra a cube, and a tenth more for the cubes around the body.
         possible = 1.1 * float(12.0 * np.prod(upper - lower) / _MOST_CELLS) ** (1.0 / 3.0)
@@ -85,7 +89,8 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
 
 
 def with_part(mesh: TetMesh, shape: Shape, name: str) -> TetMesh:
-    """Make what of the first part lies inside a shape a part of its own, bounded by faces on the shape's surface.
+    """Make what of the first part lies inside a shape a part of its own, bounded by faces on the
+    shape's surface.
 
     Raises
     ------
@@ -95,18 +100,21 @@ def with_part(mesh: TetMesh, shape: Shape, name: str) -> TetMesh:
     nodes, cells, within, came = cut_by(mesh.nodes_m, mesh.cells, shape.distance)
     within &= mesh.part[came] == 0
     if not within.any():
-        raise InputError(name, "hold cells of the mesh", "none", "use a finer mesh, or move it inside")
+        raise InputError(
+            name, "hold cells of the mesh", "none", "use a finer mesh, or move it inside"
+        )
     part = np.where(within, len(mesh.part_names), mesh.part[came]).astype(np.uint8)
     return TetMesh(nodes, cells, part, (*mesh.part_names, name))
 
 
-def cut_by(nodes: Points, cells: Cells, distance: Distance) -> tuple[Points, Cells, NDArray[np.bool_], Cells]:
+def cut_by(
+    nodes: Points, cells: Cells, distance: Distance
+) -> tuple[Points, Cells, NDArray[np.bool_], Cells]:
     """Cut tetrahedra by the surface where a signed distance is zero, keeping both sides.
 
     Returns
-    -------
-    Nodes, shape (n, 3); cells, shape (m, 4); whether a cell is on the negative side, shape (m,); the cell each came
-    from, shape (m,).
+    ------- Nodes, shape (n, 3); cells, shape (m, 4); whether a cell is on the negative side, shape
+    (m,); the cell each came from, shape (m,).
     """
     value = np.asarray(distance(nodes), dtype=np.float64)
     nodes, value = _snapped(nodes, cells, value, distance)
@@ -131,7 +139,9 @@ def cut_by(nodes: Points, cells: Cells, distance: Distance) -> tuple[Points, Cel
 
 
 def _crossed_edges(cells: Cells, side: Cells) -> tuple[NDArray[np.bool_], Cells]:
-    """Which cells have nodes on both sides, and the edges of these that do, each once, shape (k, 2)."""
+    """Which cells have nodes on both sides, and the edges of these that do, each once, shape (k,
+    2).
+    """
     crossed = (side[cells].min(axis=1) < 0) & (side[cells].max(axis=1) > 0)
     pairs = np.unique(np.sort(cells[crossed][:, EDGES].reshape(-1, 2), axis=1), axis=0)
     return crossed, pairs[side[pairs].prod(axis=1) < 0]
@@ -143,7 +153,9 @@ def _turned(nodes: Points, cells: Cells) -> Cells:
 
 
 def _filled(corners: Cells, side: Cells, number: dict[tuple[int, int], int]) -> list[list[int]]:
-    """Tetrahedra of the part of a cell where `side` is not negative, some corner of which is positive."""
+    """Tetrahedra of the part of a cell where `side` is not negative, some corner of which is
+    positive.
+    """
     plus, zero, minus = (corners[side == sign].tolist() for sign in (1, 0, -1))
 
     def at(a: int, b: int) -> int:
@@ -181,7 +193,9 @@ def _prism(bottom: list[int], top: list[int]) -> list[list[int]]:
 def _snapped(
     nodes: Points, cells: Cells, value: NDArray[np.float64], distance: Distance
 ) -> tuple[Points, NDArray[np.float64]]:
-    """Nodes within a share of a crossed edge of the surface moved onto the nearest crossing, where no cell suffers."""
+    """Nodes within a share of a crossed edge of the surface moved onto the nearest crossing,
+    where no cell suffers.
+    """
     _, pairs = _crossed_edges(cells, np.sign(value).astype(np.int64))
     node = pairs.T.ravel()
     point = np.tile(_crossings(nodes, value, pairs, distance), (2, 1))
@@ -193,7 +207,8 @@ def _snapped(
     moved = nodes.copy()
     value = value.copy()
     moved[chosen] = point[nearest[first]]
-    # Of the moves that together spoil a cell the longest is taken back: a node left near the surface makes slivers.
+    # Of the moves that together spoil a cell the longest is taken back: a node left near the
+    # surface makes slivers.
     moved_by = np.linalg.norm(moved - nodes, axis=1)
     touched = cells[np.isin(cells, chosen).any(axis=1)]
     while len(spoiled := touched[mean_ratio(moved, touched) < _LEAST_QUALITY]):
@@ -208,7 +223,9 @@ def _snapped(
     return moved, value
 
 
-def _crossings(nodes: Points, value: NDArray[np.float64], pairs: Cells, distance: Distance) -> Points:
+def _crossings(
+    nodes: Points, value: NDArray[np.float64], pairs: Cells, distance: Distance
+) -> Points:
     """Where the surface crosses the edges, shape (k, 3), by regula falsi (Illinois)."""
     a = nodes[pairs[:, 0]]
     b = nodes[pairs[:, 1]]
@@ -234,7 +251,9 @@ def _crossings(nodes: Points, value: NDArray[np.float64], pairs: Cells, distance
 
 
 def _lattice(lower: Points, upper: Points, spacing: float) -> tuple[Points, Cells]:
-    """Body-centred cubic lattice: a tetrahedron joins two centres of neighbouring cubes and an edge of their face."""
+    """Body-centred cubic lattice: a tetrahedron joins two centres of neighbouring cubes and an
+    edge of their face.
+    """
     count = np.ceil((upper - lower) / spacing).astype(np.int64)
     corner = np.stack(np.meshgrid(*(np.arange(n + 1) for n in count), indexing="ij"), axis=-1)
     middle = np.stack(np.meshgrid(*(np.arange(n) for n in count), indexing="ij"), axis=-1)
@@ -263,8 +282,8 @@ def with_inclusion(
 ) -> tuple[TetMesh, str]:
     """The mesh with what lies in a closed surface as a part of its own, and a note on its volume.
 
-    Edges on the surface are at most twice its volume over its area, a third of a ball's diameter. What a part before it
-    has stays with that.
+    Edges on the surface are at most twice its volume over its area, a third of a ball's diameter.
+    What a part before it has stays with that.
 
     Parameters
     ----------
@@ -289,14 +308,17 @@ def with_inclusion(
     area_m2 = area_of(vertices_m, triangles)
     edge_m = 6.0 / _EDGES * volume_m3 / area_m2
     fine = bisected(mesh, lambda points: edge_m + EDGE_GROWTH * np.abs(distance(points)), onto=onto)
-    # Chords cut a round body's volume short: the surface is laid outside it by as much as makes the volume right.
+    # Chords cut a round body's volume short: the surface is laid outside it by as much as makes the
+    # volume right.
     laid_m = 0.0
     made = fine
     share = 1.0
     best = (np.inf, 0.0)
     for _ in range(_TRIES):
         tried = with_part(fine, Shape(lambda points: distance(points) - laid_m), name)  # noqa: B023
-        missing_m3 = volume_m3 - float(tried.volumes_m3[tried.part == len(tried.part_names) - 1].sum())
+        missing_m3 = volume_m3 - float(
+            tried.volumes_m3[tried.part == len(tried.part_names) - 1].sum()
+        )
         off = abs(missing_m3) / volume_m3
         score = max(off, _CLOSE), -float(mean_ratio(tried.nodes_m, tried.cells).min())
         if score < best:

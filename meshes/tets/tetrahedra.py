@@ -50,9 +50,13 @@ class TetMesh:
             object.__setattr__(self, "part", np.zeros(len(self.cells), dtype=np.uint8))
         if not np.isfinite(self.nodes_m).all():
             bad = int(np.flatnonzero(~np.isfinite(self.nodes_m).all(axis=1))[0])
-            raise InputError("nodes_m", "be finite", f"node {bad} at {self.nodes_m[bad]}", "repair or leave out")
+            raise InputError(
+                "nodes_m", "be finite", f"node {bad} at {self.nodes_m[bad]}", "repair or leave out"
+            )
         if len(self.cells) == 0:
-            raise InputError("cells", "hold at least one tetrahedron", "none", "mesh the surface first")
+            raise InputError(
+                "cells", "hold at least one tetrahedron", "none", "mesh the surface first"
+            )
         if self.cells.min() < 0 or self.cells.max() >= len(self.nodes_m):
             raise InputError(
                 "cells",
@@ -63,7 +67,10 @@ class TetMesh:
         flat = int((self.volumes_m3 <= 0.0).sum())
         if flat:
             raise InputError(
-                "cells", "have positive volume", f"{flat} of {len(self.cells)} inverted or flat", "repair them first"
+                "cells",
+                "have positive volume",
+                f"{flat} of {len(self.cells)} inverted or flat",
+                "repair them first",
             )
 
     @cached_property
@@ -84,12 +91,16 @@ class TetMesh:
 
 
 def grid_of(mesh: TetMesh) -> "pyvista.UnstructuredGrid":
-    """A mesh in pyvista [mm], with ``part`` over its cells, which counts into the field ``part_names``."""
+    """A mesh in pyvista [mm], with ``part`` over its cells, which counts into the field
+    ``part_names``.
+    """
     import pyvista
     from vtkmodules.vtkCommonCore import vtkStringArray
 
     cells = np.insert(mesh.cells, 0, 4, axis=1).ravel()
-    grid = pyvista.UnstructuredGrid(cells, np.full(len(mesh.cells), _TETRA, dtype=np.uint8), 1e3 * mesh.nodes_m)
+    grid = pyvista.UnstructuredGrid(
+        cells, np.full(len(mesh.cells), _TETRA, dtype=np.uint8), 1e3 * mesh.nodes_m
+    )
     grid.cell_data["part"] = mesh.part
     names = vtkStringArray()  # pyvista's own takes ASCII alone
     names.SetName("part_names")
@@ -100,7 +111,8 @@ def grid_of(mesh: TetMesh) -> "pyvista.UnstructuredGrid":
 
 
 def write_organ(mesh: TetMesh, path: str | Path) -> None:
-    """Write a mesh [mm] with its parts and their names, as ``anatomy.file`` of a scene and `read_tets` read it.
+    """Write a mesh [mm] with its parts and their names, as ``anatomy.file`` of a scene and
+    `read_tets` read it.
 
     Raises
     ------

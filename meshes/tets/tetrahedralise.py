@@ -1,8 +1,9 @@
 """A closed surface filled with tetrahedra by fTetWild (Hu et al., 2020), once, and kept.
 
-fTetWild keeps the surface within an envelope and takes the inside from the winding number, so a surface that
-crosses itself is filled as the union of what it encloses. Two runs give meshes that differ slightly, also on one
-thread: a mesh is reproducible through the cache, which holds it by the content of the surface.
+fTetWild keeps the surface within an envelope and takes the inside from the winding number, so a
+surface that crosses itself is filled as the union of what it encloses. Two runs give meshes that
+differ slightly, also on one thread: a mesh is reproducible through the cache, which holds it by the
+content of the surface.
 """
 
 from dataclasses import replace
@@ -30,12 +31,16 @@ _EDGE_PER_CELL = 2.7
 """Target edge over the cube root of the mean cell volume, as fTetWild came out on a liver."""
 _ENVELOPE = 0.1
 _FARTHEST_M = 4e-4
-"""Distance that the surface may move, over the edge, and at most [m]: less than the voxels of the scans behind it."""
+"""Distance that the surface may move, over the edge, and at most [m]: less than the voxels of
+the scans behind it.
+"""
 _VOLUME_OFF = 0.005
 """Share by which the volume of the mesh may differ before a sentence states it."""
 _AT_ONCE = 20_000
 _STEPS = 8
-"""Moves at most: each leaves the square of what was off, or holds nodes of tetrahedra that it would flatten."""
+"""Moves at most: each leaves the square of what was off, or holds nodes of tetrahedra that it
+would flatten.
+"""
 _OFF = 1e-6
 """Share of the volume that may be missing after them, else nothing is moved."""
 _LEAST_KEPT = 0.2
@@ -73,13 +78,15 @@ def tetrahedralise(
     pinched = edge_counts(surface.faces)[1]
     if pinched:
         sentences.append(
-            f"The surface has {pinched} edges of more than two triangles, which the mesher parts or thickens."
+            f"The surface has {pinched} edges of more than two triangles, which the mesher "
+            "parts or thickens."
         )
     crossing = crossing_triangles(surface.vertices_m, surface.faces)
     if len(crossing):
         at = place(millimetres(surface.vertices_m[surface.faces[crossing[0]]]))
         sentences.append(
-            f"{len(crossing)} triangles of the surface cross others, the first at {at} mm: what they enclose together "
+            f"{len(crossing)} triangles of the surface cross others, the first at {at} mm: "
+            "what they enclose together "
             "was filled; mend the surface in a mesh editor if that is not meant."
         )
 
@@ -94,7 +101,11 @@ def tetrahedralise(
     report(f"filling {surface.report.source} with tetrahedra", 1.0)
     if len(arrays["cells"]) == 0:
         raise InputError(
-            "edge_m", "be short enough to fill the surface", f"{1e3 * edge:.4g}", "use a smaller one", "mm"
+            "edge_m",
+            "be short enough to fill the surface",
+            f"{1e3 * edge:.4g}",
+            "use a smaller one",
+            "mm",
         )
     mesh, repaired = repair_tets(arrays["nodes"], arrays["cells"])
     if not len(crossing):
@@ -102,7 +113,10 @@ def tetrahedralise(
         repaired = replace(repaired, mesh=mesh)
     off = float(mesh.volumes_m3.sum()) / volume - 1.0
     if abs(off) > _VOLUME_OFF:
-        sentences.append(f"The mesh encloses {100.0 * off:+.1f} % of volume against the surface: use smaller edges.")
+        sentences.append(
+            f"The mesh encloses {100.0 * off:+.1f} % of volume against the surface: use "
+            "smaller edges."
+        )
     return mesh, (*sentences, *repaired.sentences())
 
 
@@ -125,7 +139,9 @@ def _filled(surface: Surface, edge: float, envelope: float) -> tuple[np.ndarray,
     return np.asarray(nodes, dtype=np.float64), np.asarray(cells, dtype=np.int64)
 
 
-def crossing_triangles(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.int64]:
+def crossing_triangles(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64]
+) -> NDArray[np.int64]:
     """Triangles that an edge without a vertex in common passes through, in rising order.
 
     Edges that only touch a triangle, and triangles that overlap in one plane, do not count.
@@ -163,12 +179,17 @@ def _pass_through(
     q = vertices[edges[:, 1]]
     normal = np.cross(b - a, c - a)
     sides = np.einsum("ij,ij->i", p - a, normal) * np.einsum("ij,ij->i", q - a, normal)
-    around = np.stack([np.einsum("ij,ij->i", q - p, np.cross(u - p, v - p)) for u, v in ((a, b), (b, c), (c, a))])
-    return np.asarray(apart & (sides < 0.0) & ((around > 0.0).all(axis=0) | (around < 0.0).all(axis=0)))
+    around = np.stack(
+        [np.einsum("ij,ij->i", q - p, np.cross(u - p, v - p)) for u, v in ((a, b), (b, c), (c, a))]
+    )
+    return np.asarray(
+        apart & (sides < 0.0) & ((around > 0.0).all(axis=0) | (around < 0.0).all(axis=0))
+    )
 
 
 def with_volume(mesh: TetMesh, volume_m3: float, *, within_m: float) -> TetMesh:
-    """The mesh with its surface moved along the normals by one distance, so that it encloses a volume.
+    """The mesh with its surface moved along the normals by one distance, so that it encloses a
+    volume.
 
     Nodes of tetrahedra too small to follow stay where they are.
 

@@ -1,9 +1,11 @@
-"""Labels of a tooth in a site's frame, and voxels made of them: by sub-samples, or by interpolated shares.
+"""Labels of a tooth in a site's frame, and voxels made of them: by sub-samples, or by interpolated
+shares.
 
-`resampled` counts the labels at sub-samples of each voxel, quickly over a whole tooth. `LabelShares` is one function of
-the file, whatever grid samples it: each layer's voxels are spread by the kernel of `meshes.images.label_spread` with a
-standard deviation of 1.5 voxels, and interpolated. Labels of planes and balls give their surface back to 0.08 voxels
-rms, without bias. A layer of two voxels becomes a fifth of a voxel thicker on either side.
+`resampled` counts the labels at sub-samples of each voxel, quickly over a whole tooth.
+`LabelShares` is one function of the file, whatever grid samples it: each layer's voxels are spread
+by the kernel of `meshes.images.label_spread` with a standard deviation of 1.5 voxels, and
+interpolated. Labels of planes and balls give their surface back to 0.08 voxels rms, without bias. A
+layer of two voxels becomes a fifth of a voxel thicker on either side.
 """
 
 from __future__ import annotations
@@ -31,14 +33,20 @@ __all__ = ["MOST_SAMPLES", "REACH", "LabelShares", "PlacedLabels", "resampled"]
 MOST_SAMPLES = 6
 """Sub-samples along the edge of a voxel, at most: the 216 of a voxel still fit a byte."""
 SPREAD = 1.5
-"""Standard deviation of the Gaussian [voxel]: with 1.0 planes are off by 0.10 voxels rms, with 2.0 thin layers more."""
+"""Standard deviation of the Gaussian [voxel]: with 1.0 planes are off by 0.10 voxels rms, with
+2.0 thin layers more.
+"""
 REACH = 8
-"""Voxels around a region that its shares depend on: four deviations, one for the Laplacian and one to interpolate."""
+"""Voxels around a region that its shares depend on: four deviations, one for the Laplacian and
+one to interpolate.
+"""
 _SLAB = 8
 _THREADS = 2
 _POINTS_AT_ONCE = 1 << 18
 _FARTHEST = 1.0
-"""Distance [deviations] up to which the share of a plane is monotonic, so that it gives the distance."""
+"""Distance [deviations] up to which the share of a plane is monotonic, so that it gives the
+distance.
+"""
 _SURELY = 0.49
 """A share that differs from a half by more has no surface within a voxel."""
 _HALF_DIAGONAL = 0.5 * 3.0**0.5
@@ -52,7 +60,8 @@ class PlacedLabels:
     Attributes
     ----------
     layer
-        Layer index, `EMPTY` outside and all along the border, uint8, shape (nx, ny, nz), C-contiguous.
+        Layer index, `EMPTY` outside and all along the border, uint8, shape (nx, ny, nz),
+        C-contiguous.
     spacing
         Voxel sizes [m], shape (3,).
     first_m
@@ -73,10 +82,13 @@ class PlacedLabels:
         for axis, count in enumerate(self.layer.shape):
             scale = self.rotation[axis] / self.spacing[axis]
             start = float(self.origin[axis] / self.spacing[axis] + scale[0] * x) + 0.5
-            index = (start + scale[1] * y).astype(np.float32)[:, None] + (scale[2] * z).astype(np.float32)
+            index = (start + scale[1] * y).astype(np.float32)[:, None] + (scale[2] * z).astype(
+                np.float32
+            )
             np.clip(index, 0, count - 1, out=index)
             number *= count
-            number += index.astype(np.int32)  # rounds to the nearest, half of a voxel being added above
+            # rounds to the nearest, half of a voxel being added above
+            number += index.astype(np.int32)
         return self.layer.ravel()[number]
 
     @property
@@ -85,17 +97,19 @@ class PlacedLabels:
         return Placement(1e3 * (self.first_m + self.origin), self.rotation)
 
     def around(self, corners: Array, reach: int) -> tuple[Bytes, Array, Array]:
-        """Return the labels in a box [m] of the site frame and `reach` voxels beyond, and the index of points in them.
+        """Return the labels in a box [m] of the site frame and `reach` voxels beyond, and the index
+        of points in them.
 
         Returns
-        -------
-        A copy of the labels; ``start``, shape (3,), and ``turn``, shape (3, 3), of a point's index [voxel] among them,
-        ``start + turn @ point``.
+        ------- A copy of the labels; ``start``, shape (3,), and ``turn``, shape (3, 3), of a
+        point's index [voxel] among them, ``start + turn @ point``.
         """
         turn = self.rotation / self.spacing[:, None]
         start = self.origin / self.spacing
         at = start + np.array(list(product(*np.array(corners).T))) @ turn.T
-        low = np.clip(np.floor(at.min(axis=0)).astype(int) - reach, 0, np.array(self.layer.shape) - 1)
+        low = np.clip(
+            np.floor(at.min(axis=0)).astype(int) - reach, 0, np.array(self.layer.shape) - 1
+        )
         high = np.clip(np.ceil(at.max(axis=0)).astype(int) + reach + 1, low + 1, self.layer.shape)
         kept = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
         return self.layer[kept].copy(), start - low, turn
@@ -118,10 +132,12 @@ def resampled(
     most_samples: int = MOST_SAMPLES,
     progress: Callable[[float], None] | None = None,
 ) -> VoxelVolume:
-    """Make voxels of edge `size` [m] on whole multiples of it between two corners [m], cropped to the tooth.
+    """Make voxels of edge `size` [m] on whole multiples of it between two corners [m], cropped to
+    the tooth.
 
-    Fractions and layers come from sub-samples no farther apart than the image's voxels, at most `most_samples` along an
-    axis: the fraction is the part of them in any layer, the layer the commonest, the first of `PRIORITY` of equal ones.
+    Fractions and layers come from sub-samples no farther apart than the image's voxels, at most
+    `most_samples` along an axis: the fraction is the part of them in any layer, the layer the
+    commonest, the first of `PRIORITY` of equal ones.
 
     Raises
     ------
@@ -136,13 +152,21 @@ def resampled(
     parts = min(max(ceil(size / float(placed.spacing.min()) - 1e-6), 1), most_samples)
     fraction = np.zeros(grid.shape, np.uint8)
     layer = np.zeros(grid.shape, np.uint8)
-    preference = [TOOTH_LAYERS.index(name) for name in PRIORITY if (placed.layer == TOOTH_LAYERS.index(name)).any()]
+    preference = [
+        TOOTH_LAYERS.index(name)
+        for name in PRIORITY
+        if (placed.layer == TOOTH_LAYERS.index(name)).any()
+    ]
 
     def fill(start: int) -> None:
         stop = min(start + _SLAB, grid.shape[0])
-        held = _parts_by_layer(placed, grid.slab(start, stop), parts, preference)[..., : len(preference)]
+        held = _parts_by_layer(placed, grid.slab(start, stop), parts, preference)[
+            ..., : len(preference)
+        ]
         fraction[start:stop] = np.rint(held.sum(axis=3, dtype=np.int32) * (FULL / parts**3))
-        layer[start:stop] = np.array(preference, dtype=np.uint8)[np.argmax(held, axis=3)] * (fraction[start:stop] > 0)
+        layer[start:stop] = np.array(preference, dtype=np.uint8)[np.argmax(held, axis=3)] * (
+            fraction[start:stop] > 0
+        )
 
     with ThreadPoolExecutor(_THREADS) as pool:
         starts = range(0, grid.shape[0], _SLAB)
@@ -151,7 +175,10 @@ def resampled(
                 progress(done / len(starts))
     if not fraction.any():
         raise InputError(
-            "region", "meet the tooth", "one without any of it", "move the tool to the tooth, or set anatomy.site"
+            "region",
+            "meet the tooth",
+            "one without any of it",
+            "move the tool to the tooth, or set anatomy.site",
         )
     (crop,) = find_objects((fraction > 0).view(np.uint8))
     origin = (np.array(grid.first) + [s.start for s in crop]) * size
@@ -169,7 +196,8 @@ def _parts_by_layer(placed: PlacedLabels, grid: Grid, parts: int, layers: Sequen
     counter = np.zeros(EMPTY + 1, dtype=np.uint64)
     counter[list(layers)] = np.uint64(1) << (np.uint64(8) * np.arange(len(layers), dtype=np.uint64))
     x, y, z = (
-        ((np.arange(n * parts) + 0.5) / parts + f) * grid.spacing_m for f, n in zip(grid.first, grid.shape, strict=True)
+        ((np.arange(n * parts) + 0.5) / parts + f) * grid.spacing_m
+        for f, n in zip(grid.first, grid.shape, strict=True)
     )
     held = np.zeros(grid.shape, dtype="<u8")
     for k, height in enumerate(x):
@@ -217,7 +245,9 @@ class LabelShares:
         start: Array,
         turn: Array,
     ) -> LabelShares:
-        """Spread the layers of labels, shape (nx, ny, nz), of voxels with the sides `voxel_m`, shape (3,)."""
+        """Spread the layers of labels, shape (nx, ny, nz), of voxels with the sides `voxel_m`,
+        shape (3,).
+        """
         deviation = SPREAD * float(voxel_m.max())
         there = [layer for layer in layers if (labels == layer).any()]
 
@@ -227,10 +257,14 @@ class LabelShares:
         with ThreadPoolExecutor(_THREADS) as pool:
             shares = tuple(pool.map(share, there))
         solid = np.asarray(sum(shares, start=np.zeros(labels.shape, np.float32)))
-        return cls(np.array(there, np.uint8), shares, solid, start, turn, deviation, float(voxel_m.min()))
+        return cls(
+            np.array(there, np.uint8), shares, solid, start, turn, deviation, float(voxel_m.min())
+        )
 
     def sample(self, grid: Grid) -> tuple[Singles, Singles]:
-        """Sample a grid, see `meshes.shapes.anatomy.GridSampler`; the depth is zero, because layers do not use it."""
+        """Sample a grid, see `meshes.shapes.anatomy.GridSampler`; the depth is zero, because
+        layers do not use it.
+        """
         return self.fraction(grid), np.zeros(grid.shape, dtype=np.float32)
 
     def classify(self, points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
@@ -245,24 +279,34 @@ class LabelShares:
         found = np.empty(len(points), dtype=np.uint8)
         for part in _parts(len(points)):
             at = self._index(points[part])
-            found[part] = self.layers[np.argmax([_interpolated(share, at) for share in self.shares], axis=0)]
+            found[part] = self.layers[
+                np.argmax([_interpolated(share, at) for share in self.shares], axis=0)
+            ]
         return found
 
     def distance(self, points: Floats) -> Array:
-        """Compute the signed distance [m] to the surface at points [m], shape (n, 3); beyond a deviation a bound."""
+        """Compute the signed distance [m] to the surface at points [m], shape (n, 3); beyond a
+        deviation a bound.
+        """
         return -self.deviation_m * np.interp(self._solid_at(points), *_plane_share())
 
     def fraction(self, grid: Grid) -> Singles:
-        """Compute the part of each voxel inside, the surface being a plane in parts no larger than a label's voxel."""
+        """Compute the part of each voxel inside, the surface being a plane in parts no larger
+        than a label's voxel.
+        """
         from scipy.ndimage import binary_dilation
 
-        axes = [(np.arange(n) + f + 0.5) * grid.spacing_m for f, n in zip(grid.first, grid.shape, strict=True)]
+        axes = [
+            (np.arange(n) + f + 0.5) * grid.spacing_m
+            for f, n in zip(grid.first, grid.shape, strict=True)
+        ]
         centres = lattice(*axes)
         share = self._solid_at(centres)
         result = (share > 0.5).astype(np.float32)
         side = result.reshape(grid.shape) > 0.5
         mixed = (np.abs(share - 0.5) < _SURELY).reshape(grid.shape)
-        for axis in range(3):  # between neighbours on two sides there is a surface, however thin what it bounds
+        # between neighbours on two sides there is a surface, however thin what it bounds
+        for axis in range(3):
             low, high = ((slice(None),) * axis + (part,) for part in (slice(0, -1), slice(1, None)))
             mixed[low] |= side[low] != side[high]
         near = np.flatnonzero(binary_dilation(mixed, np.ones((3, 3, 3))))
@@ -283,16 +327,24 @@ class LabelShares:
         if len(crossed):
             step = 0.5 * self.voxel_m * np.eye(3)
             slope = np.stack(
-                [self.distance(centres[crossed] + each) - self.distance(centres[crossed] - each) for each in step], -1
+                [
+                    self.distance(centres[crossed] + each) - self.distance(centres[crossed] - each)
+                    for each in step
+                ],
+                -1,
             )
             length = np.linalg.norm(slope, axis=1, keepdims=True)
-            normal = np.where(length > 0.0, slope / np.maximum(length, 1e-30), np.array([0.0, 0.0, 1.0]))
+            normal = np.where(
+                length > 0.0, slope / np.maximum(length, 1e-30), np.array([0.0, 0.0, 1.0])
+            )
             fraction[crossed] = cube_fraction(distance[crossed] / size, normal)
         return fraction
 
     def _solid_at(self, points: Floats) -> Singles:
         """Compute the share of all layers at points [m], shape (n, 3)."""
-        return np.concatenate([_interpolated(self.solid, self._index(points[p])) for p in _parts(len(points))])
+        return np.concatenate(
+            [_interpolated(self.solid, self._index(points[p])) for p in _parts(len(points))]
+        )
 
     def _index(self, points: Floats) -> Array:
         """Return indices [voxel] of points [m], shape (3, n)."""

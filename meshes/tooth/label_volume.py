@@ -1,4 +1,6 @@
-"""A tooth from a label image (segmented micro-CT): placed by its enamel, resampled into the axes of its site."""
+"""A tooth from a label image (segmented micro-CT): placed by its enamel, resampled into the axes
+of its site.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,15 @@ from meshes.images.frame import Image
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
 from meshes.tooth.label_sampling import REACH, LabelShares, PlacedLabels, resampled
-from meshes.tooth.layers import EMPTY, ENAMEL, PRIORITY, PULP, TOOTH_LAYERS, require_known, require_tooth_size
+from meshes.tooth.layers import (
+    EMPTY,
+    ENAMEL,
+    PRIORITY,
+    PULP,
+    TOOTH_LAYERS,
+    require_known,
+    require_tooth_size,
+)
 from meshes.tooth.pulp_cavity import PulpCavity, with_pulp
 from meshes.tooth.site import lesion_site, tooth_axes
 from meshes.voxels.volume import VoxelVolume
@@ -57,7 +67,9 @@ class LabelledTooth:
     @cached_property
     def cavity(self) -> PulpCavity | None:
         """The cavity of the whole tooth, found in voxels of 0.1 mm; None where there is none."""
-        return PulpCavity.of(resampled(self.placed, self.placed.corners, _CAVITY_M, most_samples=_CAVITY_SAMPLES))
+        return PulpCavity.of(
+            resampled(self.placed, self.placed.corners, _CAVITY_M, most_samples=_CAVITY_SAMPLES)
+        )
 
     def at_lesion(self) -> LabelledTooth:
         """Return the tooth with its site over its lesion, see `meshes.tooth.site.lesion_site`."""
@@ -65,7 +77,9 @@ class LabelledTooth:
         turned = self.placed.rotation @ found.rotation
         origin = self.placed.origin + self.placed.rotation @ found.centre_m
         placed = replace(self.placed, origin=origin, rotation=turned)
-        return replace(self, placed=placed, sentences=(*self.sentences, f"Site {found.confidence}."))
+        return replace(
+            self, placed=placed, sentences=(*self.sentences, f"Site {found.confidence}.")
+        )
 
     def volume(
         self,
@@ -75,20 +89,22 @@ class LabelledTooth:
         remark: Callable[[str], None] | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> VoxelVolume:
-        """Make voxels of the tooth in its site frame, with the layers of `meshes.tooth.layers.TOOTH_LAYERS`.
+        """Make voxels of the tooth in its site frame, with the layers of
+        `meshes.tooth.layers.TOOTH_LAYERS`.
 
-        Of the whole tooth fractions and layers come from sub-samples no farther apart than the image's voxels: the
-        fraction is the part of them in any layer, the layer the commonest, of equal ones the first of `PRIORITY`. In a
-        region they, and the distances, are those of the labels' interpolated shares: one surface whatever the voxels.
-        Where no label is the pulp, the empty cavity in the dentin is taken as pulp.
+        Of the whole tooth fractions and layers come from sub-samples no farther apart than the
+        image's voxels: the fraction is the part of them in any layer, the layer the commonest, of
+        equal ones the first of `PRIORITY`. In a region they, and the distances, are those of the
+        labels' interpolated shares: one surface whatever the voxels. Where no label is the pulp,
+        the empty cavity in the dentin is taken as pulp.
 
         Parameters
         ----------
         resample_mm
             New voxel size [mm]; None: the image's, or 0.1 where that is finer.
         region_m
-            Lowest and highest corner [m] in the site frame of what is wanted; None: the whole tooth. A voxel has the
-            same content whatever region is asked for.
+            Lowest and highest corner [m] in the site frame of what is wanted; None: the whole
+            tooth. A voxel has the same content whatever region is asked for.
         remark
             Called with each sentence on what was assumed, found and dropped.
         progress
@@ -99,7 +115,11 @@ class LabelledTooth:
         InputError
             If the voxels are too small or too large, or none lies in the tooth.
         """
-        finest = require_positive("resample_mm", resample_mm, "use 0.1") if resample_mm is not None else None
+        finest = (
+            require_positive("resample_mm", resample_mm, "use 0.1")
+            if resample_mm is not None
+            else None
+        )
         size = 1e-3 * (finest or max(self.finest_mm, _FINEST_DEFAULT_MM))
         corners = self.placed.corners
         sides = np.ptp(corners, axis=0)
@@ -111,9 +131,12 @@ class LabelledTooth:
                 "use 0.1",
             )
         if region_m is not None:
-            corners = np.stack([np.maximum(corners[0], region_m[0]), np.minimum(corners[1], region_m[1])])
+            corners = np.stack(
+                [np.maximum(corners[0], region_m[0]), np.minimum(corners[1], region_m[1])]
+            )
             if (corners[0] >= corners[1]).any():
-                corners = self.placed.corners  # a refusal of a tool that misses names where the tooth lies
+                # a refusal of a tool that misses names where the tooth lies
+                corners = self.placed.corners
         count = float(np.prod(np.ptp(corners, axis=0) / size))
         if count > _MOST_VOXELS:
             raise InputError(
@@ -127,7 +150,9 @@ class LabelledTooth:
             if not self.has_pulp and self.cavity is not None:
                 volume = with_pulp(volume, self.cavity.voxels(volume))
         else:
-            volume = voxelise(self._anatomy(corners), spacing_m=size, region_m=(*corners,), progress=progress)
+            volume = voxelise(
+                self._anatomy(corners), spacing_m=size, region_m=(*corners,), progress=progress
+            )
             if not volume.fraction.any():
                 raise InputError(
                     "region",
@@ -147,7 +172,9 @@ class LabelledTooth:
         if self.cavity is None:
             return ("No label for the pulp: its distance and exposure are unknown.",)
         held = f"{1e9 * self.cavity.volume_m3:.3g} mm3"
-        return (f"No label for the pulp: the empty cavity of {held} in the dentin is taken as pulp.",)
+        return (
+            f"No label for the pulp: the empty cavity of {held} in the dentin is taken as pulp.",
+        )
 
     def _anatomy(self, corners: Array) -> Anatomy:
         """Return the tooth between two corners [m] as a function of position, its cavity filled."""
@@ -159,11 +186,15 @@ class LabelledTooth:
                 index = np.column_stack([np.full(len(at), plane), at])
                 values[tuple(at[self.cavity.holds(back @ (index - start).T)].T)] = PULP
         preference = [TOOTH_LAYERS.index(name) for name in PRIORITY]
-        shares = LabelShares.of(labels, preference, voxel_m=self.placed.spacing, start=start, turn=turn)
+        shares = LabelShares.of(
+            labels, preference, voxel_m=self.placed.spacing, start=start, turn=turn
+        )
         box = tuple(corners[0].tolist()), tuple(corners[1].tolist())
         shape = Shape(shares.distance, *box)
         placement = self.placed.placement
-        return Anatomy("tooth", shape, TOOTH_LAYERS, shares.classify, sample=shares.sample, placement=placement)
+        return Anatomy(
+            "tooth", shape, TOOTH_LAYERS, shares.classify, sample=shares.sample, placement=placement
+        )
 
 
 def labelled_tooth(
@@ -171,8 +202,8 @@ def labelled_tooth(
 ) -> LabelledTooth:
     """Check and place the labels of a tooth.
 
-    The site's origin is where the tooth's long axis through the middle of the enamel leaves the tooth: the enamel, or a
-    lesion open to the surface there. z points from the roots to the crown.
+    The site's origin is where the tooth's long axis through the middle of the enamel leaves the
+    tooth: the enamel, or a lesion open to the surface there. z points from the roots to the crown.
 
     Parameters
     ----------
@@ -198,24 +229,36 @@ def labelled_tooth(
     spacing_mm = np.array(image.spacing_mm)
     sides = spacing_mm * layer.shape
     longest = int(np.argmax(sides))
-    require_tooth_size(float(sides[longest]), "spacing_mm", f"{spacing_mm[longest]:g}", layer.shape[longest])
+    require_tooth_size(
+        float(sides[longest]), "spacing_mm", f"{spacing_mm[longest]:g}", layer.shape[longest]
+    )
     progress("placing the tooth by its enamel", 0.5)
-    placed, note = _placed(layer, 1e-3 * spacing_mm, 1e-3 * (np.array(image.origin_mm) + spacing_mm * first))
+    placed, note = _placed(
+        layer, 1e-3 * spacing_mm, 1e-3 * (np.array(image.origin_mm) + spacing_mm * first)
+    )
     held = ", ".join(f"{name} {volume:.4g} mm3" for name, volume in volumes_mm3.items())
-    sentences = [*image.notes, f"The labels of {image.source} hold {held}.", f"Long axis: {note}.", *islands]
+    sentences = [
+        *image.notes,
+        f"The labels of {image.source} hold {held}.",
+        f"Long axis: {note}.",
+        *islands,
+    ]
     if "ligament" not in volumes_mm3:
-        sentences.append("No label for the ligament: the tooth has no support but what the scene states.")
+        sentences.append(
+            "No label for the ligament: the tooth has no support but what the scene states."
+        )
     if "caries" in volumes_mm3:
         sentences.append("The lesion is taken as half softened throughout: labels do not grade it.")
     return LabelledTooth(placed, "pulp" in volumes_mm3, float(spacing_mm.min()), tuple(sentences))
 
 
 def _layers(image: Image, labels: Mapping[int, str]) -> tuple[Bytes, list[int], list[str]]:
-    """Crop a label image to its tooth, name its labels, and drop pieces that are not connected to the largest by faces.
+    """Crop a label image to its tooth, name its labels, and drop pieces that are not connected to
+    the largest by faces.
 
     Returns
-    -------
-    Layer index, `EMPTY` outside the tooth; the voxel of the image that is its first; a note on what was dropped.
+    ------- Layer index, `EMPTY` outside the tooth; the voxel of the image that is its first; a note
+    on what was dropped.
     """
     from scipy.ndimage import find_objects
     from scipy.ndimage import label as label_pieces
@@ -223,7 +266,9 @@ def _layers(image: Image, labels: Mapping[int, str]) -> tuple[Bytes, list[int], 
     filled = image.values != 0
     boxes = find_objects(filled.view(np.uint8))
     if not boxes:
-        raise InputError("labels", "mark a tooth", f"nothing but 0 in {image.source}", "check the file")
+        raise InputError(
+            "labels", "mark a tooth", f"nothing but 0 in {image.source}", "check the file"
+        )
     cropped = image.values[boxes[0]]
     low = float(cropped.min())
     high = float(cropped.max())
@@ -236,9 +281,13 @@ def _layers(image: Image, labels: Mapping[int, str]) -> tuple[Bytes, list[int], 
         )
     cropped = cropped.astype(np.uint8)
     # Plane by plane, because the count of a whole image takes eight bytes a voxel.
-    counts = np.sum([np.bincount(plane.ravel(), minlength=EMPTY + 1) for plane in cropped.T], axis=0)
+    counts = np.sum(
+        [np.bincount(plane.ravel(), minlength=EMPTY + 1) for plane in cropped.T], axis=0
+    )
     found = [label for label in np.flatnonzero(counts).tolist() if label]
-    unknown = ", ".join(f"{label} ({counts[label]} voxels)" for label in found if label not in labels)
+    unknown = ", ".join(
+        f"{label} ({counts[label]} voxels)" for label in found if label not in labels
+    )
     if unknown:
         raise InputError(
             "labels",
@@ -255,24 +304,33 @@ def _layers(image: Image, labels: Mapping[int, str]) -> tuple[Bytes, list[int], 
     layer[pieces != np.argmax(sizes)] = EMPTY
     dropped = int(sizes.sum() - sizes.max())
     cube_mm3 = float(np.prod(image.spacing_mm))
-    islands = f"Dropped {count - 1} loose pieces of {dropped} voxels, {dropped * cube_mm3:.2g} mm3 in all."
+    islands = (
+        f"Dropped {count - 1} loose pieces of {dropped} voxels, {dropped * cube_mm3:.2g} mm3 in "
+        "all."
+    )
     return layer, [side.start for side in boxes[0]], [islands] if count > 1 else []
 
 
 def _placed(layer: Bytes, spacing: Array, first_m: Array) -> tuple[PlacedLabels, str]:
     """Find the site of a tooth; return its labels placed there, and how it was found."""
     layer = np.ascontiguousarray(np.pad(layer, 1, constant_values=EMPTY))
-    axes = tooth_axes(_points(layer == ENAMEL, spacing), _points((layer != ENAMEL) & (layer != EMPTY), spacing))
+    axes = tooth_axes(
+        _points(layer == ENAMEL, spacing), _points((layer != ENAMEL) & (layer != EMPTY), spacing)
+    )
     placed = PlacedLabels(layer, spacing, first_m - spacing, axes.middle_m, axes.rotation)
     reach = float(np.linalg.norm(spacing * layer.shape))
     heights = np.arange(-reach, reach, 0.25 * float(spacing.min()))
     on_axis = placed.on_plane(0.0, np.zeros(1), heights)[0]
     filled = np.flatnonzero(on_axis != EMPTY)
     if len(filled) == 0:
-        raise InputError("labels", "fill the tooth's long axis", "none there", "check which label is the enamel")
+        raise InputError(
+            "labels", "fill the tooth's long axis", "none there", "check which label is the enamel"
+        )
     top = int(filled[-1])
     origin = axes.middle_m + heights[top] * axes.rotation[:, 2]
-    return replace(placed, origin=origin), f"{axes.note}; origin on the {TOOTH_LAYERS[on_axis[top]]}"
+    return replace(
+        placed, origin=origin
+    ), f"{axes.note}; origin on the {TOOTH_LAYERS[on_axis[top]]}"
 
 
 def _points(flags: Flags, spacing: Array) -> Array:

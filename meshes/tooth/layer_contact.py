@@ -1,7 +1,8 @@
 """Fit of the layers of a tooth: overlaps, gaps and enclosed voids, counted on a lattice of points.
 
-A gap is a space of at most 0.3 mm along x, y or z between two layers that should touch. It reaches deeper than it is
-wide. Wider spaces, and those between layers that need not touch, count as anatomy.
+A gap is a space of at most 0.3 mm along x, y or z between two layers that should touch. It reaches
+deeper than it is wide. Wider spaces, and those between layers that need not touch, count as
+anatomy.
 """
 
 from collections.abc import Mapping, Sequence
@@ -59,7 +60,8 @@ class LayerContact:
     void_mm3
         Volume enclosed by the layers and in none of them, gaps left out.
     gap_layer
-        Layer index + 1 of the layer that takes the gap at each lattice point, 0 elsewhere, uint8, shape (nx, ny, nz).
+        Layer index + 1 of the layer that takes the gap at each lattice point, 0 elsewhere, uint8,
+        shape (nx, ny, nz).
     """
 
     overlap_mm3: Mapping[tuple[str, str], float]
@@ -69,7 +71,8 @@ class LayerContact:
 
 
 def inside_surface(vertices: Array, faces: Ints, points: Floats) -> Flags:
-    """Return whether points [m], shape (n, 3), lie within a closed surface, by the vertical line through each.
+    """Return whether points [m], shape (n, 3), lie within a closed surface, by the vertical line
+    through each.
 
     Points of a grid share their lines, so that far fewer lines than points are crossed.
     """
@@ -84,7 +87,8 @@ def inside_surface(vertices: Array, faces: Ints, points: Floats) -> Flags:
     span = max(float(crossings.height.max()) - low, 1e-9)
     below = np.clip((points[:, 2].astype(np.float64) - low) / span, -0.4, 1.4)
     crossed = np.searchsorted(
-        crossings.line + 0.25 + 0.5 * (crossings.height - low) / span, i * len(y) + j + 0.25 + 0.5 * below
+        crossings.line + 0.25 + 0.5 * (crossings.height - low) / span,
+        i * len(y) + j + 0.25 + 0.5 * below,
     )
     return np.concatenate([[0], np.cumsum(crossings.entering)])[crossed] > 0
 
@@ -101,7 +105,9 @@ def inside_lattice(vertices: Array, faces: Ints, axes: Sequence[Array]) -> Flags
     crossings = column_crossings(vertices, faces, x, y)
     above = np.searchsorted(z, crossings.height)
     change = np.bincount(
-        crossings.line * (len(z) + 1) + above, weights=crossings.entering, minlength=len(x) * len(y) * (len(z) + 1)
+        crossings.line * (len(z) + 1) + above,
+        weights=crossings.entering,
+        minlength=len(x) * len(y) * (len(z) + 1),
     )
     return np.cumsum(change.reshape(len(x), len(y), len(z) + 1), axis=2)[:, :, :-1] > 0.5
 
@@ -114,13 +120,16 @@ def measure_contact(inside: Mapping[str, Flags], priority: Sequence[str]) -> Lay
     inside
         Whether each lattice point lies within the layer, by layer name, all of shape (nx, ny, nz).
     priority
-        Layer names; of two layers, the one named first takes what both hold and the gap between them.
+        Layer names; of two layers, the one named first takes what both hold and the gap between
+        them.
     """
     from scipy.ndimage import binary_fill_holes
 
     cube_mm3 = (1e3 * PITCH_M) ** 3
     names = [name for name in priority if name in inside]
-    shared = {(a, b): int(np.count_nonzero(inside[a] & inside[b])) for a, b in combinations(names, 2)}
+    shared = {
+        (a, b): int(np.count_nonzero(inside[a] & inside[b])) for a, b in combinations(names, 2)
+    }
     label = np.zeros(next(iter(inside.values())).shape, dtype=np.uint8)
     for name in reversed(names):
         label[inside[name]] = TOOTH_LAYERS.index(name) + 1
@@ -135,7 +144,9 @@ def measure_contact(inside: Mapping[str, Flags], priority: Sequence[str]) -> Lay
 
 
 def _gaps(label: Bytes, names: list[str]) -> tuple[Bytes, dict[tuple[str, str], int]]:
-    """Return the layer index + 1 that takes each lattice point in a gap, and the number of points by pair of layers."""
+    """Return the layer index + 1 that takes each lattice point in a gap, and the number of
+    points by pair of layers.
+    """
     pairs = [pair for pair in combinations(names, 2) if set(pair) in _TOUCHING]
     between = np.zeros_like(label)
     for axis in range(3):
@@ -155,7 +166,9 @@ def _gaps(label: Bytes, names: list[str]) -> tuple[Bytes, dict[tuple[str, str], 
 
 
 def _drop_creases(between: Bytes, label: Bytes) -> None:
-    """Clear, in place, spaces nowhere deeper than a gap is wide: the crease in which two layers meet from outside."""
+    """Clear, in place, spaces nowhere deeper than a gap is wide: the crease in which two layers
+    meet from outside.
+    """
     from scipy.ndimage import distance_transform_edt
     from scipy.ndimage import label as connected
 
@@ -167,13 +180,26 @@ def _drop_creases(between: Bytes, label: Bytes) -> None:
 
 
 def _neighbours(label: Bytes, axis: int) -> tuple[Bytes, Bytes, NDArray[np.int16]]:
-    """Return labels of the nearest filled points before and after each along an axis (0: none), and their distance."""
+    """Return labels of the nearest filled points before and after each along an axis (0: none),
+    and their distance.
+    """
     count = label.shape[axis]
     place = np.arange(count, dtype=np.int16).reshape([-1 if k == axis else 1 for k in range(3)])
     first = np.maximum.accumulate(np.where(label > 0, place, np.int16(-1)), axis=axis)
-    last = np.flip(np.minimum.accumulate(np.flip(np.where(label > 0, place, np.int16(count)), axis), axis=axis), axis)
-    before = np.where(first < 0, 0, np.take_along_axis(label, np.maximum(first, 0).astype(np.intp), axis))
-    after = np.where(last == count, 0, np.take_along_axis(label, np.minimum(last, count - 1).astype(np.intp), axis))
+    last = np.flip(
+        np.minimum.accumulate(
+            np.flip(np.where(label > 0, place, np.int16(count)), axis), axis=axis
+        ),
+        axis,
+    )
+    before = np.where(
+        first < 0, 0, np.take_along_axis(label, np.maximum(first, 0).astype(np.intp), axis)
+    )
+    after = np.where(
+        last == count,
+        0,
+        np.take_along_axis(label, np.minimum(last, count - 1).astype(np.intp), axis),
+    )
     return before.astype(np.uint8), after.astype(np.uint8), last - first - np.int16(1)
 
 
@@ -190,12 +216,18 @@ def require_touching(points_m: Mapping[str, Array], solids: Mapping[str, Triangl
     trees = {name: cKDTree(points) for name, points in points_m.items()}
     for name, points in points_m.items():
         tested = points[:: max(len(points) // _POINTS_TESTED, 1)]
-        apart = {other: float(tree.query(tested)[0].min()) for other, tree in trees.items() if other != name}
+        apart = {
+            other: float(tree.query(tested)[0].min())
+            for other, tree in trees.items()
+            if other != name
+        }
         nearest = min(apart, key=lambda other: apart[other])
         if apart[nearest] <= _TOUCH_M:
             continue
         few = tested[:: max(len(tested) // 100, 1)]
-        if not any(inside_surface(*solid, few).any() for other, solid in solids.items() if other != name):
+        if not any(
+            inside_surface(*solid, few).any() for other, solid in solids.items() if other != name
+        ):
             raise InputError(
                 f"{name} surface",
                 "touch the others in one common frame and unit",
@@ -205,7 +237,8 @@ def require_touching(points_m: Mapping[str, Array], solids: Mapping[str, Triangl
 
 
 def require_pulp_within(pulp_m: Array, dentin: Triangles, dentin_samples_m: Array) -> None:
-    """Raise for a pulp if less than 60 % of its surface lies within the dentin or 0.2 mm from the dentin's surface.
+    """Raise for a pulp if less than 60 % of its surface lies within the dentin or 0.2 mm from the
+    dentin's surface.
 
     Parameters
     ----------

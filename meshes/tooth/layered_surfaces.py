@@ -1,4 +1,6 @@
-"""A tooth from one closed surface per layer: placed, its overlaps and gaps measured and resolved, a socket added."""
+"""A tooth from one closed surface per layer: placed, its overlaps and gaps measured and
+resolved, a socket added.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,14 @@ from meshes.tooth.layer_contact import (
     require_pulp_within,
     require_touching,
 )
-from meshes.tooth.layers import BONE, LAYER_DENSITY_KG_M3, PRIORITY, TOOTH_LAYERS, require_known, require_tooth_size
+from meshes.tooth.layers import (
+    BONE,
+    LAYER_DENSITY_KG_M3,
+    PRIORITY,
+    TOOTH_LAYERS,
+    require_known,
+    require_tooth_size,
+)
 from meshes.tooth.site import lesion_site, tooth_axes
 from meshes.voxels.column_crossings import column_crossings
 from meshes.voxels.grid import Grid
@@ -62,7 +71,9 @@ class Lattice:
         from scipy.ndimage import map_coordinates
 
         index = ((points - self.origin) / self.pitch).T
-        return map_coordinates(self.values, index, output=np.float32, order=1, mode="constant", cval=beyond)
+        return map_coordinates(
+            self.values, index, output=np.float32, order=1, mode="constant", cval=beyond
+        )
 
     def nearest(self, points: Floats) -> NDArray[np.number]:
         """Return the value at the nearest lattice point; 0 outside the lattice."""
@@ -99,32 +110,44 @@ class LayeredSolid:
     socket: Lattice | None
 
     def distance(self, points: Floats) -> Floats:
-        """Compute the signed distance [m] of points [m], shape (n, 3), from layers and socket, negative inside."""
+        """Compute the signed distance [m] of points [m], shape (n, 3), from layers and socket,
+        negative inside.
+        """
         away = triangle_distance(*self.union, points)
         if self.socket is not None:
             away = np.minimum(away, self.socket(points, beyond=1.0))
         return away.astype(points.dtype)
 
     def sample(self, grid: Grid) -> tuple[Singles, Singles]:
-        """Compute fraction and depth of the voxels of a grid, see `meshes.shapes.anatomy.GridSampler`."""
+        """Compute fraction and depth of the voxels of a grid, see
+        `meshes.shapes.anatomy.GridSampler`.
+        """
         fraction, depth = TriangleSampler(*self.union)(grid)
         if self.gap is None and self.socket is None:
             return fraction, depth
         index = np.nonzero(fraction < 1.0)
-        points = np.stack([(i + f + 0.5) * grid.spacing_m for i, f in zip(index, grid.first, strict=True)], axis=1)
+        points = np.stack(
+            [(i + f + 0.5) * grid.spacing_m for i, f in zip(index, grid.first, strict=True)], axis=1
+        )
         filled = fraction[index]
         if self.gap is not None:
-            open_gap = Lattice(self.gap.origin, self.gap.pitch, (self.gap.values > 0).astype(np.float32))
+            open_gap = Lattice(
+                self.gap.origin, self.gap.pitch, (self.gap.values > 0).astype(np.float32)
+            )
             filled = np.minimum(filled + open_gap(points, beyond=0.0), 1.0)
         if self.socket is not None:
             away = self.socket(points, beyond=1.0)
-            filled = filled + (1.0 - filled) * np.clip(0.5 - away / np.float32(grid.spacing_m), 0.0, 1.0)
+            filled = filled + (1.0 - filled) * np.clip(
+                0.5 - away / np.float32(grid.spacing_m), 0.0, 1.0
+            )
             depth[index] = np.where(fraction[index] > 0.0, np.maximum(depth[index], -away), -away)
         fraction[index] = filled
         return fraction, depth
 
     def classify(self, points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
-        """Return the layer that holds each point, by priority, else the layer that takes the gap, or the nearest."""
+        """Return the layer that holds each point, by priority, else the layer that takes the
+        gap, or the nearest.
+        """
         layer = np.full(len(points), len(TOOTH_LAYERS), dtype=np.uint8)
         left = np.arange(len(points))
         for index, (vertices, faces) in self.solids.items():
@@ -135,7 +158,11 @@ class LayeredSolid:
             gap = self.gap.nearest(points[left])
             layer[left[gap > 0]] = gap[gap > 0] - 1
             left = left[gap == 0]
-        away = np.full(len(left), np.inf) if self.socket is None else self.socket(points[left], beyond=1.0)
+        away = (
+            np.full(len(left), np.inf)
+            if self.socket is None
+            else self.socket(points[left], beyond=1.0)
+        )
         layer[left[away <= 0.0]] = BONE
         left = left[away > 0.0]
         away = away[away > 0.0]
@@ -148,12 +175,15 @@ def joined(solids: Sequence[Triangles]) -> Triangles:
     """Join several surfaces; triangles that two of them share back to back cancel."""
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in solids)])
     vertices = np.concatenate([vertices for vertices, _ in solids])
-    faces = np.concatenate([faces + start for (_, faces), start in zip(solids, starts, strict=False)])
+    faces = np.concatenate(
+        [faces + start for (_, faces), start in zip(solids, starts, strict=False)]
+    )
     return merge_vertices(vertices, faces, _MERGE_TOLERANCE_M)[:2]
 
 
 def _socket(ligament: Array, others: Array, margin: float) -> Lattice:
-    """Tabulate the distance [m] from bone within `margin` of the ligament and nearer to it than to the other layers.
+    """Tabulate the distance [m] from bone within `margin` of the ligament and nearer to it than to
+    the other layers.
 
     Parameters
     ----------
@@ -163,13 +193,20 @@ def _socket(ligament: Array, others: Array, margin: float) -> Lattice:
     from scipy.spatial import cKDTree
 
     low = ligament.min(axis=0) - margin - 2.0 * _SOCKET_PITCH_M
-    count = np.ceil((ligament.max(axis=0) + margin + 2.0 * _SOCKET_PITCH_M - low) / _SOCKET_PITCH_M).astype(int) + 1
+    count = (
+        np.ceil(
+            (ligament.max(axis=0) + margin + 2.0 * _SOCKET_PITCH_M - low) / _SOCKET_PITCH_M
+        ).astype(int)
+        + 1
+    )
     points = low + _SOCKET_PITCH_M * np.moveaxis(np.indices(count), 0, -1).reshape(-1, 3)
     reach = margin + 2.0 * _SOCKET_PITCH_M
     away = np.minimum(cKDTree(ligament[::4]).query(points, distance_upper_bound=reach)[0], reach)
     near = np.flatnonzero(away < reach)
     signed = away - margin
-    signed[near] = np.maximum(signed[near], away[near] - cKDTree(others[::4]).query(points[near])[0])
+    signed[near] = np.maximum(
+        signed[near], away[near] - cKDTree(others[::4]).query(points[near])[0]
+    )
     return Lattice(low, _SOCKET_PITCH_M, signed.reshape(count).astype(np.float32))
 
 
@@ -199,13 +236,18 @@ def layered_surfaces(
     require_known(paths_by_layer, "paths_by_layer")
     dentin = _read("dentin", paths_by_layer["dentin"], scale_mm)
     scale = dentin.report.scale_mm
-    surfaces = {name: dentin if name == "dentin" else _read(name, path, scale) for name, path in paths_by_layer.items()}
+    surfaces = {
+        name: dentin if name == "dentin" else _read(name, path, scale)
+        for name, path in paths_by_layer.items()
+    }
     return layered_anatomy(surfaces, socket_mm=socket_mm, at_lesion=at_lesion)
 
 
 def _read(layer: str, path: str | Path, scale_mm: float | None) -> Surface:
     """Read the surface of a layer; an error of its file names the layer."""
-    with names_of_caller({word: f"{layer} {word}" for word in ("file", "surface", "vertices", "faces", "cells")}):
+    with names_of_caller(
+        {word: f"{layer} {word}" for word in ("file", "surface", "vertices", "faces", "cells")}
+    ):
         return read_surface(path, scale_mm=scale_mm)
 
 
@@ -218,18 +260,20 @@ def layered_anatomy(
 ) -> Anatomy:
     """Build a tooth from closed surfaces by layer name, in the site frame of teeth.
 
-    The origin is where the tooth's long axis through the middle of the enamel leaves the enamel: where a thin bur that
-    comes down that axis first touches. z points from the roots to the crown, x along the wider direction of the roots.
-    A voxel shared by layers belongs to the one that holds its centre, so it is full; the layers keep their volumes. Of
-    two layers the first of `meshes.tooth.layers.PRIORITY` has what both claim and the gap between them.
+    The origin is where the tooth's long axis through the middle of the enamel leaves the enamel:
+    where a thin bur that comes down that axis first touches. z points from the roots to the crown,
+    x along the wider direction of the roots. A voxel shared by layers belongs to the one that holds
+    its centre, so it is full; the layers keep their volumes. Of two layers the first of
+    `meshes.tooth.layers.PRIORITY` has what both claim and the gap between them.
 
     Parameters
     ----------
     surfaces
-        Surfaces by layer name; enamel and dentin at least. The dentin may be hollow or hold the pulp.
+        Surfaces by layer name; enamel and dentin at least. The dentin may be hollow or hold the
+        pulp.
     socket_mm
-        Thickness of bone added around the ligament [mm], 0 (none) to 10: the points nearer to the ligament than to the
-        rest of the tooth.
+        Thickness of bone added around the ligament [mm], 0 (none) to 10: the points nearer to the
+        ligament than to the rest of the tooth.
     at_lesion
         Whether the origin lies over the lesion, see `meshes.tooth.site.lesion_site`.
     at
@@ -238,8 +282,8 @@ def layered_anatomy(
     Raises
     ------
     InputError
-        If a layer is unknown, enamel or dentin is missing, the size is no tooth's, layers do not touch, the pulp lies
-        outside the dentin, or a socket is asked for without a ligament.
+        If a layer is unknown, enamel or dentin is missing, the size is no tooth's, layers do not
+        touch, the pulp lies outside the dentin, or a socket is asked for without a ligament.
     """
     require_known(surfaces, "surfaces")
     margin = 1e-3 * require_range("socket_mm", socket_mm, 0.0, 10.0, "use 2.5, or 0 for none")
@@ -252,7 +296,9 @@ def layered_anatomy(
         )
     order = [name for name in PRIORITY if name in surfaces]
     samples = {name: _spread(surface) for name, surface in surfaces.items()}
-    require_touching(samples, {name: (surface.vertices_m, surface.faces) for name, surface in surfaces.items()})
+    require_touching(
+        samples, {name: (surface.vertices_m, surface.faces) for name, surface in surfaces.items()}
+    )
     scale = surfaces["dentin"].report.scale_mm
     if "bone" not in surfaces:
         size_mm = 1e3 * float(np.ptp(np.concatenate(list(samples.values())), axis=0).max())
@@ -262,8 +308,13 @@ def layered_anatomy(
         assert upright.placement is not None
         found = lesion_site(voxelise(upright, spacing_m=_LESION_M))
         return layered_anatomy(surfaces, socket_mm=socket_mm, at=found.within(upright.placement))
-    centre, rotation, note = _site(surfaces, samples) if at is None else (at.centre_m, at.rotation, at.confidence)
-    placed = {name: ((surfaces[name].vertices_m - centre) @ rotation, surfaces[name].faces) for name in surfaces}
+    centre, rotation, note = (
+        _site(surfaces, samples) if at is None else (at.centre_m, at.rotation, at.confidence)
+    )
+    placed = {
+        name: ((surfaces[name].vertices_m - centre) @ rotation, surfaces[name].faces)
+        for name in surfaces
+    }
     samples = {name: (points - centre) @ rotation for name, points in samples.items()}
     origin, contact = _contact(placed, order)
     if "pulp" in surfaces:
@@ -274,8 +325,12 @@ def layered_anatomy(
     placement = Placement(1e3 * centre, rotation, scale)
     points = np.concatenate(list(samples.values()))
     high = np.maximum(points.max(axis=0), samples.get("ligament", points).max(axis=0) + margin)
-    shape = Shape(solid.distance, tuple((points.min(axis=0) - margin).tolist()), tuple(high.tolist()))
-    return Anatomy("tooth from surfaces", shape, TOOTH_LAYERS, solid.classify, notes, solid.sample, placement)
+    shape = Shape(
+        solid.distance, tuple((points.min(axis=0) - margin).tolist()), tuple(high.tolist())
+    )
+    return Anatomy(
+        "tooth from surfaces", shape, TOOTH_LAYERS, solid.classify, notes, solid.sample, placement
+    )
 
 
 def _solid(
@@ -284,10 +339,14 @@ def _solid(
     gap: Lattice | None,
     margin: float,
 ) -> LayeredSolid:
-    """Combine layers placed in the site frame, the first with the highest priority, and a socket of a margin [m]."""
+    """Combine layers placed in the site frame, the first with the highest priority, and a socket
+    of a margin [m].
+    """
     from scipy.spatial import cKDTree
 
-    layer = np.concatenate([np.full(len(samples[name]), TOOTH_LAYERS.index(name), np.uint8) for name in samples])
+    layer = np.concatenate(
+        [np.full(len(samples[name]), TOOTH_LAYERS.index(name), np.uint8) for name in samples]
+    )
     socket = None
     if margin > 0.0:
         others = np.concatenate([points for name, points in samples.items() if name != "ligament"])
@@ -304,14 +363,22 @@ def _solid(
 
 def _spread(surface: Surface) -> Array:
     """Sample a surface by points about 0.1 mm apart [m], shape (n, 3)."""
-    area = 0.5 * float(np.linalg.norm(cross_products(surface.vertices_m, surface.faces), axis=1).sum())
+    area = 0.5 * float(
+        np.linalg.norm(cross_products(surface.vertices_m, surface.faces), axis=1).sum()
+    )
     count = int(np.clip(area / _SAMPLE_PITCH_M**2, 1000, _MOST_SAMPLES))
     return sample_surface(surface.vertices_m, surface.faces, count).points
 
 
-def _site(surfaces: Mapping[str, Surface], samples: Mapping[str, Array]) -> tuple[Array, Array, str]:
-    """Find origin [m] and axes of the tooth's site in the frame of the surfaces; the text states how."""
-    body = np.concatenate([points for name, points in samples.items() if name not in ("enamel", "bone")])
+def _site(
+    surfaces: Mapping[str, Surface], samples: Mapping[str, Array]
+) -> tuple[Array, Array, str]:
+    """Find origin [m] and axes of the tooth's site in the frame of the surfaces; the text states
+    how.
+    """
+    body = np.concatenate(
+        [points for name, points in samples.items() if name not in ("enamel", "bone")]
+    )
     axes = tooth_axes(samples["enamel"], body)
     for name in ("enamel", "dentin"):
         placed = (surfaces[name].vertices_m - axes.middle_m) @ axes.rotation
@@ -320,7 +387,10 @@ def _site(surfaces: Mapping[str, Surface], samples: Mapping[str, Array]) -> tupl
             origin = axes.middle_m + found.height.max() * axes.rotation[:, 2]
             return origin, axes.rotation, f"{axes.note}; origin on the {name}"
     raise InputError(
-        "layers", "lie on the tooth's long axis", "none of enamel and dentin there", "check which layer is which"
+        "layers",
+        "lie on the tooth's long axis",
+        "none of enamel and dentin there",
+        "check which layer is which",
     )
 
 
@@ -328,20 +398,33 @@ def _contact(placed: Mapping[str, Triangles], order: Sequence[str]) -> tuple[Arr
     """Return the first point of the lattice [m], and the fit of the layers on it."""
     low = np.min([vertices.min(axis=0) for vertices, _ in placed.values()], axis=0) - 2.5 * PITCH_M
     high = np.max([vertices.max(axis=0) for vertices, _ in placed.values()], axis=0) + 2.5 * PITCH_M
-    axes = [a + PITCH_M * np.arange(int(np.ceil((b - a) / PITCH_M))) for a, b in zip(low, high, strict=True)]
-    return low, measure_contact({name: inside_lattice(*placed[name], axes) for name in placed}, order)
+    axes = [
+        a + PITCH_M * np.arange(int(np.ceil((b - a) / PITCH_M)))
+        for a, b in zip(low, high, strict=True)
+    ]
+    return low, measure_contact(
+        {name: inside_lattice(*placed[name], axes) for name in placed}, order
+    )
 
 
 def _notes(
-    surfaces: Mapping[str, Surface], note: str, contact: LayerContact, order: Sequence[str], socket_mm: float
+    surfaces: Mapping[str, Surface],
+    note: str,
+    contact: LayerContact,
+    order: Sequence[str],
+    socket_mm: float,
 ) -> dict[str, str]:
     """Describe measurements and assumptions for reports."""
 
     def listed(volumes: Mapping[tuple[str, str], float]) -> str:
-        return ", ".join(f"{one} and {other} {volume:.3g} mm3" for (one, other), volume in volumes.items())
+        return ", ".join(
+            f"{one} and {other} {volume:.3g} mm3" for (one, other), volume in volumes.items()
+        )
 
     notes = {
-        "surfaces": ", ".join(f"{name} {surface.report.volume_mm3:.4g} mm3" for name, surface in surfaces.items()),
+        "surfaces": ", ".join(
+            f"{name} {surface.report.volume_mm3:.4g} mm3" for name, surface in surfaces.items()
+        ),
         "unit": surfaces["dentin"].report.unit_guess,
         "long axis": note,
         "mesial and buccal": "not distinguished: x is the wider direction of the roots",
@@ -351,7 +434,9 @@ def _notes(
         "densities": "by layer, assumed",
     }
     if contact.void_mm3 > 0.0:
-        notes["voids"] = f"{contact.void_mm3:.3g} mm3 enclosed by the layers and in none, left empty"
+        notes["voids"] = (
+            f"{contact.void_mm3:.3g} mm3 enclosed by the layers and in none, left empty"
+        )
     if "pulp" not in surfaces:
         notes["pulp"] = "none given: distance and exposure of the pulp are unknown"
     if "ligament" not in surfaces:

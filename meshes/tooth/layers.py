@@ -9,8 +9,9 @@ pulp       1000 kg/m3         M, M: soft tissue, nearly water
 caries     2100 to 1300       M, L: infected dentin keeps about a third of its mineral (after Angker 2004)
 ligament   1100 kg/m3         M, M: fibrous soft tissue
 bone       1800 kg/m3         M, H: alveolar bone taken as cortical throughout
-=========  =================  ==========================================================================
-"""
+=========  =================
+==========================================================================
+"""  # noqa: E501 a table
 
 from collections.abc import Callable, Iterable
 from typing import TypeVar
@@ -51,7 +52,9 @@ LAYER_DENSITY_KG_M3 = {
     "ligament": 1100.0,
     "bone": 1800.0,
 }
-"""Density of each layer [kg/m3]; that of `caries` stands for a lesion of unknown softness (one half)."""
+"""Density of each layer [kg/m3]; that of `caries` stands for a lesion of unknown softness (one
+half).
+"""
 
 EMPTY = 255
 """Layer index outside the tooth."""
@@ -67,15 +70,18 @@ _TYPICAL_MM = 18.0
 
 
 def caries_density(softness: Floats) -> Floats:
-    """Compute the density [kg/m3] of decayed dentin from its softness, 0 (sound) to 1 (fully softened), linear."""
+    """Compute the density [kg/m3] of decayed dentin from its softness, 0 (sound) to 1 (fully
+    softened), linear.
+    """
     return _SOUND_KG_M3 - (_SOUND_KG_M3 - _INFECTED_KG_M3) * softness
 
 
 def caries_softness(density_kg_m3: Floats) -> Floats:
-    """Compute the softness of the layer `caries` from its density [kg/m3]: (2100 - density)/800, kept within 0 to 1.
+    """Compute the softness of the layer `caries` from its density [kg/m3]: (2100 - density)/800,
+    kept within 0 to 1.
 
-    0 is sound dentin, 1 fully softened, infected dentin. Only for voxels of that layer: sound tissues have densities of
-    their own.
+    0 is sound dentin, 1 fully softened, infected dentin. Only for voxels of that layer: sound
+    tissues have densities of their own.
     """
     density = np.asarray(density_kg_m3)
     return np.clip((_SOUND_KG_M3 - density) / (_SOUND_KG_M3 - _INFECTED_KG_M3), 0.0, 1.0)
@@ -86,7 +92,9 @@ def in_chunks(function: Callable[[Floats], NDArray[Kind]], points: Floats) -> ND
     if len(points) <= _POINTS_AT_ONCE:
         return function(points)
     starts = range(0, len(points), _POINTS_AT_ONCE)
-    return np.concatenate([function(np.asfortranarray(points[k : k + _POINTS_AT_ONCE])) for k in starts])
+    return np.concatenate(
+        [function(np.asfortranarray(points[k : k + _POINTS_AT_ONCE])) for k in starts]
+    )
 
 
 def require_known(names: Iterable[str], argument: str) -> None:
@@ -94,14 +102,19 @@ def require_known(names: Iterable[str], argument: str) -> None:
     given = list(names)
     for name in given:
         if name not in TOOTH_LAYERS:
-            raise InputError(argument, f"name layers of {', '.join(TOOTH_LAYERS)}", name, "rename it")
+            raise InputError(
+                argument, f"name layers of {', '.join(TOOTH_LAYERS)}", name, "rename it"
+            )
     for name in ("enamel", "dentin"):
         if name not in given:
-            raise InputError(argument, "give enamel and dentin", ", ".join(given) or "none", f"add the {name}")
+            raise InputError(
+                argument, "give enamel and dentin", ", ".join(given) or "none", f"add the {name}"
+            )
 
 
 def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: float) -> None:
-    """Raise for a longest side [mm] that no tooth has, and suggest a value of the argument that sets it.
+    """Raise for a longest side [mm] that no tooth has, and suggest a value of the argument that
+    sets it.
 
     Parameters
     ----------

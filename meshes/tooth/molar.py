@@ -1,4 +1,5 @@
-"""A procedural lower first molar: cusped enamel, dentin, pulp with horns and canals, ligament, bone socket, caries.
+"""A procedural lower first molar: cusped enamel, dentin, pulp with horns and canals, ligament, bone
+socket, caries.
 
 Sources, M = from memory of the literature, with confidence H, M or L.
 
@@ -16,8 +17,9 @@ root trunk                     3.2 mm         M, M: cervix to furcation, 3 bucca
 canals                         2 + 1          M, H: two mesial, one distal
 ligament                       0.22 mm        M, H: 0.15 to 0.38
 cervical line to bone          1.5 mm         M, H: 1 to 2 in health
-=============================  =============  ======================================================================
-"""
+=============================  =============
+======================================================================
+"""  # noqa: E501 a table
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -41,7 +43,14 @@ from meshes.tooth.layers import (
     caries_density,
     in_chunks,
 )
-from meshes.tooth.molar_parts import Crown, Root, mandibular_roots, outer_shape, pulp_shape, tooth_distance
+from meshes.tooth.molar_parts import (
+    Crown,
+    Root,
+    mandibular_roots,
+    outer_shape,
+    pulp_shape,
+    tooth_distance,
+)
 
 __all__ = ["MolarSizes", "molar"]
 
@@ -64,7 +73,8 @@ class MolarSizes(Ranged):
     root_length_mm
         Buccal cervical line to the apices [mm].
     enamel_thickness_mm
-        Thickness over the highest cusp along z [mm]; 62 % of it in the fossa, none at the cervical line.
+        Thickness over the highest cusp along z [mm]; 62 % of it in the fossa, none at the cervical
+        line.
     cusp_height_mm
         Central fossa to the highest cusp tip [mm].
     pulp_roof_mm
@@ -74,9 +84,9 @@ class MolarSizes(Ranged):
     socket_mm
         Bone left around and below the roots in a block with a flat crest [mm].
     caries_depth_mm
-        Depth of a lesion under the fossa [mm], 0 (none) or 0.1 to 0.3 short of the chamber's roof. Its softness is
-        (1 - r²)², with r the distance from its centre relative to its rim, an ellipsoid from the fossa down;
-        see `meshes.tooth.layers.caries_softness`.
+        Depth of a lesion under the fossa [mm], 0 (none) or 0.1 to 0.3 short of the chamber's roof.
+        Its softness is (1 - r²)², with r the distance from its centre relative to its rim, an
+        ellipsoid from the fossa down; see `meshes.tooth.layers.caries_softness`.
     caries_diameter_mm
         Its widest diameter [mm].
     """
@@ -97,9 +107,10 @@ class MolarSizes(Ranged):
 def molar(**sizes_mm: float) -> Anatomy:
     """Build a lower first molar in its socket, in the site frame of teeth.
 
-    The origin is the bottom of the central fossa on the enamel, where a thin bur that comes down the tooth's long axis
-    first touches. A ball wider than the fossa touches the inclines of the cusps a little above. x points mesially, y
-    buccally, z outward (the bur comes from +z), so the roots point to -z.
+    The origin is the bottom of the central fossa on the enamel, where a thin bur that comes down
+    the tooth's long axis first touches. A ball wider than the fossa touches the inclines of the
+    cusps a little above. x points mesially, y buccally, z outward (the bur comes from +z), so the
+    roots point to -z.
 
     Parameters
     ----------
@@ -125,23 +136,43 @@ def molar(**sizes_mm: float) -> Anatomy:
     whole = outer_shape(crown, roots) | _socket(crown, roots, ligament + 1e-3 * sizes.socket_mm)
     lesion = (1e-3 * sizes.caries_diameter_mm, depth) if depth > 0.0 else None
     notes = {
-        "crown": f"{sizes.crown_width_mm:g} x {sizes.crown_length_mm:g} x {sizes.crown_height_mm:g} mm, roots "
+        "crown": f"{sizes.crown_width_mm:g} x {sizes.crown_length_mm:g} x "
+        f"{sizes.crown_height_mm:g} "
+        "mm, roots "
         f"{sizes.root_length_mm:g} mm",
-        "enamel": f"{sizes.enamel_thickness_mm:g} mm over the cusps, {1e3 * crown.fossa_enamel:.2g} mm in the fossa",
-        "pulp": f"roof {sizes.pulp_roof_mm:g} mm below the fossa; chamber and canals of a young adult, a prior",
-        "bone": f"one density, a block {sizes.socket_mm:g} mm beyond the roots; cortical plate and marrow are one",
-        "caries": f"{sizes.caries_depth_mm:g} mm deep, {sizes.caries_diameter_mm:g} mm wide" if lesion else "none",
+        "enamel": (
+            f"{sizes.enamel_thickness_mm:g} mm over the cusps, {1e3 * crown.fossa_enamel:.2g} mm "
+            "in the fossa"
+        ),
+        "pulp": (
+            f"roof {sizes.pulp_roof_mm:g} mm below the fossa; chamber and canals of a young "
+            "adult, a prior"
+        ),
+        "bone": (
+            f"one density, a block {sizes.socket_mm:g} mm beyond the roots; cortical plate and "
+            "marrow are one"
+        ),
+        "caries": f"{sizes.caries_depth_mm:g} mm deep, {sizes.caries_diameter_mm:g} mm wide"
+        if lesion
+        else "none",
         "gum and cementum": "not modelled",
     }
     pulp = pulp_shape(crown, roots, roof)
     classify = _layers(crown, roots, pulp, ligament, lesion)
     return Anatomy(
-        "procedural molar", whole, TOOTH_LAYERS, classify, notes, thin_layers=True, structures={"pulp": pulp}
+        "procedural molar",
+        whole,
+        TOOTH_LAYERS,
+        classify,
+        notes,
+        thin_layers=True,
+        structures={"pulp": pulp},
     )
 
 
 def _require_fit(depth: float, roof: float, line: float) -> None:
-    """Raise for a lesion too shallow or too near to the pulp, and for a chamber that reaches into the roots.
+    """Raise for a lesion too shallow or too near to the pulp, and for a chamber that reaches into
+    the roots.
 
     Parameters
     ----------
@@ -181,9 +212,15 @@ def _socket(crown: Crown, roots: tuple[Root, Root], margin: float) -> Shape:
 
 
 def _layers(
-    crown: Crown, roots: tuple[Root, Root], pulp: Shape, ligament: float, lesion: tuple[float, float] | None
+    crown: Crown,
+    roots: tuple[Root, Root],
+    pulp: Shape,
+    ligament: float,
+    lesion: tuple[float, float] | None,
 ) -> Classify:
-    """Classify by the parts' distances: pulp within dentin within enamel, ligament and bone around the roots."""
+    """Classify by the parts' distances: pulp within dentin within enamel, ligament and bone
+    around the roots.
+    """
     crest = crown.cervix - _CREST_M
 
     def dentin_distance(points: Floats) -> Floats:
@@ -193,7 +230,9 @@ def _layers(
         """Return ligament or bone for points outside the roots."""
         layer = np.full(len(points), BONE, dtype=np.uint8)
         near = np.flatnonzero(distance < 2.0 * ligament)
-        layer[near[_true_distance(dentin_distance, points[near], distance[near]) < ligament]] = LIGAMENT
+        layer[near[_true_distance(dentin_distance, points[near], distance[near]) < ligament]] = (
+            LIGAMENT
+        )
         return layer
 
     def layer_of(points: Floats) -> Bytes:
@@ -203,7 +242,8 @@ def _layers(
         outside = distance >= 0.0
         crowned = points[:, 2] > crown.cervical_line(points[:, 0])
         layer[outside & crowned] = ENAMEL
-        # A voxel that the crest cuts may have its centre in the air above it: what lies nearer to the crest is bone.
+        # A voxel that the crest cuts may have its centre in the air above it: what lies nearer to
+        # the crest is bone.
         embedded = np.flatnonzero(outside & ~crowned & (points[:, 2] - crest < distance))
         layer[embedded] = around(points[embedded], distance[embedded])
         inside = np.flatnonzero(~outside)
@@ -211,7 +251,9 @@ def _layers(
         return layer
 
     def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
-        """Return layer and density [kg/m3], shape (n,), of points [m], shape (n, 3), at any depth."""
+        """Return layer and density [kg/m3], shape (n,), of points [m], shape (n, 3), at any
+        depth.
+        """
         layer = in_chunks(layer_of, points)
         density = _DENSITY[layer]
         if lesion is not None:
@@ -225,7 +267,9 @@ def _layers(
 
 
 def _softness(points: Floats, diameter: float, depth: float) -> Floats:
-    """Compute the softness (1 - r²)², r relative to an ellipsoid that hangs from the fossa; 0 outside."""
+    """Compute the softness (1 - r²)², r relative to an ellipsoid that hangs from the fossa; 0
+    outside.
+    """
     across = (points[:, 0] ** 2 + points[:, 1] ** 2) * (4.0 / diameter**2)
     along = (points[:, 2] + 0.5 * depth) ** 2 * (4.0 / depth**2)
     return np.maximum(1.0 - across - along, 0.0) ** 2
@@ -236,7 +280,9 @@ def _true_distance(
     points: Floats,
     value: Floats,
 ) -> Floats:
-    """Compute the first-order distance [m] near the surface: value over slope, by differences of 20 µm."""
+    """Compute the first-order distance [m] near the surface: value over slope, by differences of
+    20 µm.
+    """
     step = points.dtype.type(20e-6)
     slopes = []
     for axis in range(3):

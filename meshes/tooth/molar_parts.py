@@ -1,7 +1,9 @@
-"""The parts of a procedural lower first molar: crown, roots and pulp, in the site frame of `meshes.tooth.molar`.
+"""The parts of a procedural lower first molar: crown, roots and pulp, in the site frame of
+`meshes.tooth.molar`.
 
-Lengths in metres. The crown is a side wall of superelliptic sections under an occlusal surface of cones, one a cusp,
-that meet in the grooves; roots and canals are round cones about bent axes, flattened along x.
+Lengths in metres. The crown is a side wall of superelliptic sections under an occlusal surface of
+cones, one a cusp, that meet in the grooves; roots and canals are round cones about bent axes,
+flattened along x.
 """
 
 from dataclasses import dataclass
@@ -22,7 +24,9 @@ _CUSPS = (
     (0.76, 0.0, 0.45),  # mesial marginal ridge
     (-0.74, -0.20, 0.42),  # distal marginal ridge
 )
-"""Tip over half the crown's width and length, x mesial and y buccal, and height over the highest cusp's."""
+"""Tip over half the crown's width and length, x mesial and y buccal, and height over the highest
+cusp's.
+"""
 _TRUE_CUSPS = 5
 _TIP_RADIUS_M = 0.5e-3
 _GROOVE_M = 0.35e-3
@@ -81,7 +85,9 @@ class Crown:
         return np.array(_CUSPS[:_TRUE_CUSPS]) * scale
 
     def occlusal_height(self, x: Floats, y: Floats) -> Floats:
-        """Height of the chewing surface [m]; each cusp is a cone with a round tip that falls to the fossa."""
+        """Height of the chewing surface [m]; each cusp is a cone with a round tip that falls to
+        the fossa.
+        """
         surface = np.full_like(x, -np.inf)
         for along, across, relative in _CUSPS:
             px = along * self.half_width
@@ -102,14 +108,17 @@ class Crown:
 
     def cervical_line(self, x: Floats) -> Floats:
         """Height of the cervical line [m], which rises on the mesial and distal sides."""
-        return self.cervix + _CERVICAL_CURVE_M * np.minimum((x / (_CERVIX[0] * self.half_width)) ** 2, 1.0)
+        return self.cervix + _CERVICAL_CURVE_M * np.minimum(
+            (x / (_CERVIX[0] * self.half_width)) ** 2, 1.0
+        )
 
     def wall(self, p: Floats) -> Floats:
         """Horizontal distance from the side wall of crown and root trunk [m], negative inside."""
         height = (p[:, 2] - self.cervix) * (1.0 / self.height)
         below = np.maximum(-height, 0.0) * (self.height * _TRUNK_TAPER)
         half = [
-            size * self._bulge(height, k) * (1.0 - below) for k, size in enumerate((self.half_width, self.half_length))
+            size * self._bulge(height, k) * (1.0 - below)
+            for k, size in enumerate((self.half_width, self.half_length))
         ]
         lean = _LINGUAL_LEAN_M * np.clip(height, 0.0, 1.0)
         u = np.abs(p[:, 0]) / half[0]
@@ -125,7 +134,9 @@ class Crown:
         return 1.0 - (1.0 - _CERVIX[axis]) * low * low - (1.0 - _TABLE[axis]) * high * high
 
     def outside(self, p: Floats) -> Floats:
-        """Distance from crown and trunk [m], taken along z under the chewing surface, horizontally at the wall."""
+        """Distance from crown and trunk [m], taken along z under the chewing surface,
+        horizontally at the wall.
+        """
         top = p[:, 2] - self.occlusal_height(p[:, 0], p[:, 1])
         return smooth_maximum(self.wall(p), top, _EDGE_M)
 
@@ -178,15 +189,25 @@ class Root:
     def distance(self, p: Floats) -> Floats:
         """Distance bound [m], negative inside: exact along x, short along y by the flattening."""
         across = np.sqrt((p[:, 0] - self.centre_x(p[:, 2])) ** 2 + (self.flattening * p[:, 1]) ** 2)
-        return _round_cone(across, self.top - p[:, 2], self.radius, self.apex_radius, self.length - self.apex_radius)
+        return _round_cone(
+            across,
+            self.top - p[:, 2],
+            self.radius,
+            self.apex_radius,
+            self.length - self.apex_radius,
+        )
 
     def canal(self, p: Floats, *, radius: float, offset: tuple[float, float]) -> Floats:
-        """Distance [m] from a canal along the root's axis, shifted along y by `offset` at its top and apex [m]."""
+        """Distance [m] from a canal along the root's axis, shifted along y by `offset` at its
+        top and apex [m].
+        """
         depth = self.top + _CANAL_RISE_M - p[:, 2]
         u = np.clip(depth * (1.0 / self.length), 0.0, 1.0)
         y = p[:, 1] - (offset[0] + (offset[1] - offset[0]) * u)
         across = np.sqrt((p[:, 0] - self.centre_x(p[:, 2])) ** 2 + y * y)
-        return _round_cone(across, depth, radius, 0.4 * radius, self.length + _CANAL_RISE_M - 0.4e-3)
+        return _round_cone(
+            across, depth, radius, 0.4 * radius, self.length + _CANAL_RISE_M - 0.4e-3
+        )
 
 
 def mandibular_roots(crown: Crown, root_length: float) -> tuple[Root, Root]:
@@ -195,13 +216,19 @@ def mandibular_roots(crown: Crown, root_length: float) -> tuple[Root, Root]:
     length = root_length - 1.5e-3
     side = crown.half_width / 5.5e-3
     flat = (crown.half_width / 5.5e-3) / (crown.half_length / 5.25e-3)
-    mesial = Root(top, length, (2.1e-3 * side, 2.3e-3, -1.7e-3), 1.95e-3 * side, 0.6e-3, 0.50 * flat)
-    distal = Root(top, length, (-2.1e-3 * side, -1.9e-3, 0.6e-3), 1.85e-3 * side, 0.6e-3, 0.54 * flat)
+    mesial = Root(
+        top, length, (2.1e-3 * side, 2.3e-3, -1.7e-3), 1.95e-3 * side, 0.6e-3, 0.50 * flat
+    )
+    distal = Root(
+        top, length, (-2.1e-3 * side, -1.9e-3, 0.6e-3), 1.85e-3 * side, 0.6e-3, 0.54 * flat
+    )
     return mesial, distal
 
 
 def tooth_distance(crown: Crown, roots: tuple[Root, Root], p: Floats, *, dentin: bool) -> Floats:
-    """Distance [m] from the whole tooth, or from its dentin with the pulp filled in; negative inside."""
+    """Distance [m] from the whole tooth, or from its dentin with the pulp filled in; negative
+    inside.
+    """
     head = crown.outside_dentin(p) if dentin else crown.outside(p)
     furcation = (crown.cervix - _TRUNK_M) - p[:, 2]
     head = smooth_maximum(head, furcation, _TRUNK_BLEND_M)
@@ -213,7 +240,9 @@ def outer_shape(crown: Crown, roots: tuple[Root, Root]) -> Shape:
     """The tooth as a shape; its distance is divided by its steepest slope, so it is a bound."""
     low = (-1.1 * crown.half_width, -1.1 * crown.half_length, roots[0].top - roots[0].length)
     high = (1.1 * crown.half_width, 1.1 * crown.half_length, 1.02 * crown.cusp_height)
-    return Shape(lambda p: tooth_distance(crown, roots, p, dentin=False) * (1.0 / _STEEPEST), low, high)
+    return Shape(
+        lambda p: tooth_distance(crown, roots, p, dentin=False) * (1.0 / _STEEPEST), low, high
+    )
 
 
 def pulp_shape(crown: Crown, roots: tuple[Root, Root], roof: float) -> Shape:
@@ -243,8 +272,12 @@ def pulp_shape(crown: Crown, roots: tuple[Root, Root], roof: float) -> Shape:
     return union(chamber, Shape(canals), blend_m=0.8e-3)
 
 
-def _round_cone(across: Floats, along: Floats, radius: float, end_radius: float, length: float) -> Floats:
-    """Distance [m] from the hull of two balls on an axis, the second `length` farther along (I. Quilez)."""
+def _round_cone(
+    across: Floats, along: Floats, radius: float, end_radius: float, length: float
+) -> Floats:
+    """Distance [m] from the hull of two balls on an axis, the second `length` farther along (I.
+    Quilez).
+    """
     sine = (radius - end_radius) / length
     cosine = float(np.sqrt(1.0 - sine * sine))
     span = cosine * along - sine * across

@@ -14,28 +14,33 @@ from meshes.voxels.volume import FULL, VoxelVolume
 __all__ = ["PulpCavity", "with_pulp"]
 
 _WIDEST_OPENING_M = 0.8e-3
-"""Diameter of the widest opening of a pulp cavity: the major foramina of molars and premolars are about 0.4 to
+"""Diameter of the widest opening of a pulp cavity: the major foramina of molars and premolars are
+about 0.4 to
 0.7 mm wide (Green 1960, Oral Surg 13:728)."""
 _LARGEST_MOUTH_M2 = 1.0e-6
 """A round opening of 0.8 mm has 0.5 mm2; its staircase of voxels has up to twice as much."""
 _CROWN_LEAK_M2 = 0.05e-6
 """Five faces of voxels: what a segmentation leaks."""
 _VOLUME_M3 = (1e-9, 200e-9)
-"""Mean volumes are 6 mm3 (lower incisors) to 68 mm3 (upper first molars; Fanibunda 1986, Int Endod J 19:194). Old pulps
-are several times smaller, those of teeth with open roots several times larger."""
+"""Mean volumes are 6 mm3 (lower incisors) to 68 mm3 (upper first molars; Fanibunda 1986, Int Endod
+J 19:194). Old pulps are several times smaller, those of teeth with open roots several times
+larger."""
 _LEAST_DENTIN = 0.5
 """Share of the wall that is dentin: the rest may be caries, and enamel where a crown is worn."""
 _ENAMEL_PERCENT = 2.0
-"""Part of the enamel that may lie below the neck of the tooth, such as pieces that were mislabelled."""
+"""Part of the enamel that may lie below the neck of the tooth, such as pieces that were
+mislabelled.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class PulpCavity:
     """The void in the dentin of a whole tooth that can be its pulp.
 
-    A void is the pulp cavity if it has a plausible volume, lies in dentin, and is closed but for apical foramina: no
-    ball wider than 0.8 mm enters it, and its openings lie in the roots and are at most 1 mm2 each. Fissures and grooves
-    open into the mouth along their length, clefts between roots along theirs.
+    A void is the pulp cavity if it has a plausible volume, lies in dentin, and is closed but for
+    apical foramina: no ball wider than 0.8 mm enters it, and its openings lie in the roots and are
+    at most 1 mm2 each. Fissures and grooves open into the mouth along their length, clefts between
+    roots along theirs.
 
     Attributes
     ----------
@@ -53,7 +58,9 @@ class PulpCavity:
 
     @classmethod
     def of(cls, tooth: VoxelVolume) -> PulpCavity | None:
-        """Find the cavity of a whole tooth whose crown points along +z; None where there is none."""
+        """Find the cavity of a whole tooth whose crown points along +z; None where there is
+        none.
+        """
         from scipy.ndimage import distance_transform_edt, find_objects, label
 
         margin = int(np.ceil(_WIDEST_OPENING_M / tooth.spacing_m)) + 1
@@ -78,7 +85,11 @@ class PulpCavity:
                 piece, empty[box], layer[box]
             ):
                 inner = tuple(slice(margin, -margin) for _ in range(3))
-                return cls(tooth, pieces[inner] == number, (tooth.spacing_m * away[inner]).astype(np.float32))
+                return cls(
+                    tooth,
+                    pieces[inner] == number,
+                    (tooth.spacing_m * away[inner]).astype(np.float32),
+                )
         return None
 
     @property
@@ -87,10 +98,14 @@ class PulpCavity:
         return float(np.count_nonzero(self.inside)) * self.tooth.voxel_volume_m3
 
     def voxels(self, volume: VoxelVolume) -> Flags:
-        """Voxels of the same tooth, of any size, that lie in the cavity: bool, shape of the volume."""
+        """Voxels of the same tooth, of any size, that lie in the cavity: bool, shape of the
+        volume.
+        """
         index = np.nonzero(volume.fraction < FULL / 2)
         cavity = np.zeros(volume.shape, dtype=bool)
-        cavity[index] = self.holds(np.stack([volume.centres_m(axis)[k] for axis, k in enumerate(index)]))
+        cavity[index] = self.holds(
+            np.stack([volume.centres_m(axis)[k] for axis, k in enumerate(index)])
+        )
         return cavity
 
     def holds(self, empty_m: Array) -> Flags:
@@ -99,7 +114,9 @@ class PulpCavity:
 
         at = (empty_m - self.tooth.origin_m[:, None]) / self.tooth.spacing_m - 0.5
         nearest = np.rint(at).astype(np.int64)
-        held = np.asarray(((nearest >= 0) & (nearest < np.array(self.inside.shape)[:, None])).all(axis=0))
+        held = np.asarray(
+            ((nearest >= 0) & (nearest < np.array(self.inside.shape)[:, None])).all(axis=0)
+        )
         held[held] = self._near[tuple(nearest[:, held])]
         away = map_coordinates(self.away_m, at[:, held], order=1, mode="nearest")
         held[held] = away > 0.5 * _WIDEST_OPENING_M
@@ -114,7 +131,9 @@ class PulpCavity:
 
 
 def with_pulp(volume: VoxelVolume, cavity: Flags) -> VoxelVolume:
-    """The volume with its cavity filled by pulp, and the voxels along the cavity's wall filled up as what they are."""
+    """The volume with its cavity filled by pulp, and the voxels along the cavity's wall filled
+    up as what they are.
+    """
     from scipy.ndimage import binary_dilation
 
     fraction = volume.fraction.copy()

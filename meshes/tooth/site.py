@@ -1,7 +1,9 @@
-"""Sites of a tooth: by its long axis, crown upward, and over its lesion, straight in from the nearest surface.
+"""Sites of a tooth: by its long axis, crown upward, and over its lesion, straight in from the
+nearest surface.
 
-The long axis is the principal axis of all the tooth's points that leans least from the line between the middles of
-dentin and enamel; where none comes within 25 degrees of that line (a crown without roots), the line itself.
+The long axis is the principal axis of all the tooth's points that leans least from the line between
+the middles of dentin and enamel; where none comes within 25 degrees of that line (a crown without
+roots), the line itself.
 """
 
 import math
@@ -33,8 +35,9 @@ class ToothAxes:
     Attributes
     ----------
     rotation
-        Site axes as columns in the frame of the points, shape (3, 3), right-handed: z from the roots to the crown, x
-        along the widest direction across the lower half (mesiodistal where there are two roots, its sign unknown).
+        Site axes as columns in the frame of the points, shape (3, 3), right-handed: z from the
+        roots to the crown, x along the widest direction across the lower half (mesiodistal where
+        there are two roots, its sign unknown).
     middle_m
         Middle of the enamel [m], shape (3,); the site's origin lies above or below it along z.
     note
@@ -47,7 +50,8 @@ class ToothAxes:
 
 
 def tooth_axes(enamel_m: Array, body_m: Array) -> ToothAxes:
-    """Find the orientation of a tooth from points spread evenly over its enamel and over the rest of it.
+    """Find the orientation of a tooth from points spread evenly over its enamel and over the rest
+    of it.
 
     Parameters
     ----------
@@ -77,10 +81,16 @@ def tooth_axes(enamel_m: Array, body_m: Array) -> ToothAxes:
     leaning = math.degrees(math.acos(min(abs(float(along[chosen])), 1.0)))
     if abs(along[chosen]) > _MOST_LEANING:
         up = principal[:, chosen] * np.sign(along[chosen])
-        note = f"principal axis, {leaning:.0f} degrees from the line between the middles of dentin and enamel"
+        note = (
+            f"principal axis, {leaning:.0f} degrees from the line between the middles of dentin "
+            "and enamel"
+        )
     else:
         up = line
-        note = f"line between the middles of dentin and enamel; the principal axes lean {leaning:.0f} degrees or more"
+        note = (
+            "line between the middles of dentin and enamel; the principal axes lean "
+            f"{leaning:.0f} degrees or more"
+        )
     x = _widest(body_m, up)
     return ToothAxes(np.column_stack([x, np.cross(up, x), up]), middle, note)
 
@@ -99,9 +109,10 @@ def _widest(points: Array, up: Array) -> Array:
 def lesion_site(tooth: VoxelVolume) -> Site:
     """Find the site over the middle of a tooth's largest lesion.
 
-    The outward normal is that of the outer surface, smoothed over 0.3 mm, at its point nearest to the lesion's middle;
-    the origin is where the line along it through the middle leaves the tooth. Where the normal leans far from the
-    tooth's axis y points to the crown, else x lies as in the tooth's frame.
+    The outward normal is that of the outer surface, smoothed over 0.3 mm, at its point nearest to
+    the lesion's middle; the origin is where the line along it through the middle leaves the tooth.
+    Where the normal leans far from the tooth's axis y points to the crown, else x lies as in the
+    tooth's frame.
 
     Parameters
     ----------
@@ -117,7 +128,9 @@ def lesion_site(tooth: VoxelVolume) -> Site:
 
     lesion = (tooth.layer == CARIES) & (tooth.fraction >= FULL // 2)
     if not lesion.any():
-        raise InputError("site", "not be caries for a tooth without a lesion", "caries", "use enamel")
+        raise InputError(
+            "site", "not be caries for a tooth without a lesion", "caries", "use enamel"
+        )
     pieces, _ = label(lesion)
     largest = np.argmax(np.bincount(pieces.ravel())[1:]) + 1
     middle = np.argwhere(pieces == largest).mean(axis=0)
@@ -132,16 +145,25 @@ def lesion_site(tooth: VoxelVolume) -> Site:
     filled = np.flatnonzero(solid[tuple(line.T)])
     end = steps[filled[-1]] if len(filled) else 0.0
     centre = tooth.origin_m + tooth.spacing_m * (middle + end * normal + 0.5)
-    first = np.array([1.0, 0.0, 0.0]) if abs(normal[2]) > _UPRIGHT else np.cross([0.0, 0.0, 1.0], normal)
+    first = (
+        np.array([1.0, 0.0, 0.0])
+        if abs(normal[2]) > _UPRIGHT
+        else np.cross([0.0, 0.0, 1.0], normal)
+    )
     x = first - (first @ normal) * normal
     x /= np.linalg.norm(x)
     depth_mm = 1e3 * tooth.spacing_m * float(end)
-    note = f"over the caries, whose middle lies {depth_mm:.2g} mm below along the normal of the surface"
+    note = (
+        f"over the caries, whose middle lies {depth_mm:.2g} mm below along the normal of the "
+        "surface"
+    )
     return Site(centre, np.column_stack([x, np.cross(normal, x), normal]), note)
 
 
 def _outward(smooth: Singles, middle: Array, spacing: float) -> tuple[Array, Array]:
-    """Return the mean outward normal around the point of the surface nearest to the middle, and that point [voxel]."""
+    """Return the mean outward normal around the point of the surface nearest to the middle, and
+    that point [voxel].
+    """
     shell = np.argwhere((smooth > 0.3) & (smooth < 0.7)).astype(np.float64)
     nearest = shell[np.argmin(np.linalg.norm(shell - middle, axis=1))]
     around = shell[np.linalg.norm(shell - nearest, axis=1) * spacing < _AROUND_M].astype(int)

@@ -1,6 +1,8 @@
-"""A procedural lumbar vertebra (L4): body with endplates, pedicles, lamina, processes, spinal canal.
+"""A procedural lumbar vertebra (L4): body with endplates, pedicles, lamina, processes, spinal
+canal.
 
-Sources, M = from memory of the literature, with confidence H, M or L; L4 where nothing else is stated.
+Sources, M = from memory of the literature, with confidence H, M or L; L4 where nothing else is
+stated.
 
 =============================  =============  ======================================================================
 body width, depth, height      48, 34.5, 25   M, M: Panjabi 1992, means of upper and lower endplate; height posterior
@@ -14,10 +16,11 @@ cortex of the pedicle          1.0 mm         M, M: medial 1.2 to lateral 0.7, L
 cortex of the body, endplate   0.4, 0.6 mm    M, M: Silva 1994, Edwards 2001
 spinous, transverse process    32, 21 mm      M, L: lengths; Panjabi 1992 gives 69 and 80 over all
 trabecular density             180 kg/m3      M, M: Keaveny 2001, lumbar bodies 100 to 300; cortex 1800
-=============================  =============  ======================================================================
+=============================  =============
+======================================================================
 
 Facets, accessory processes and the wedge of the body are not modelled.
-"""
+"""  # noqa: E501 a table
 
 import math
 from dataclasses import dataclass
@@ -46,7 +49,9 @@ _BLEND_M = 3e-3
 _SPINOUS_M = 32e-3
 _TRANSVERSE_M = 21e-3
 _ENTRY_M = 19e-3
-"""From the back wall of the body to the entry behind the pedicle, along its axis: pedicle and pars, a prior."""
+"""From the back wall of the body to the entry behind the pedicle, along its axis: pedicle and
+pars, a prior.
+"""
 _REACH_M = 75e-3
 
 
@@ -70,8 +75,16 @@ class _HalfSizes:
 
     @property
     def isthmus(self) -> Array:
-        """Middle of the narrowest part of the left pedicle [m]: beside the canal, cortex to cortex."""
-        return np.array([self.canal_width + self.pedicle_width / math.cos(self.angle), self.depth + 4e-3, _RAISED_M])
+        """Middle of the narrowest part of the left pedicle [m]: beside the canal, cortex to
+        cortex.
+        """
+        return np.array(
+            [
+                self.canal_width + self.pedicle_width / math.cos(self.angle),
+                self.depth + 4e-3,
+                _RAISED_M,
+            ]
+        )
 
     @property
     def axis(self) -> Array:
@@ -114,10 +127,12 @@ class VertebraSizes(Ranged):
 
 
 def lumbar_vertebra(**sizes: float) -> Anatomy:
-    """Build a lumbar vertebra in the site frame of its left pedicle; its structure `canal` is the spinal canal.
+    """Build a lumbar vertebra in the site frame of its left pedicle; its structure `canal` is the
+    spinal canal.
 
-    The origin lies on the bone where the axis of the left pedicle leaves it behind, z points backward out of the bone
-    along that axis, y upward, x across, so that the canal lies at positive x.
+    The origin lies on the bone where the axis of the left pedicle leaves it behind, z points
+    backward out of the bone along that axis, y upward, x across, so that the canal lies at positive
+    x.
 
     Parameters
     ----------
@@ -150,7 +165,9 @@ def lumbar_vertebra(**sizes: float) -> Anatomy:
         )
     bone = _bone(half)
     canal = _canal(half)
-    whole = Shape(lambda p: np.maximum(bone.distance(p), -canal.distance(p)), bone.lower_m, bone.upper_m)
+    whole = Shape(
+        lambda p: np.maximum(bone.distance(p), -canal.distance(p)), bone.lower_m, bone.upper_m
+    )
     entry = half.entry
     along = np.linspace(-5e-3, 25e-3, 6001)
     held = whole.distance(entry + along[:, None] * half.axis) < 0.0
@@ -160,11 +177,16 @@ def lumbar_vertebra(**sizes: float) -> Anatomy:
     turn = np.column_stack([x, np.cross(z, x), z])
     notes = {
         "body": f"{given.body_width_mm:g} x {given.body_depth_mm:g} x {given.body_height_mm:g} mm",
-        "pedicle": f"{given.pedicle_width_mm:g} x {given.pedicle_height_mm:g} mm, {given.pedicle_angle_deg:g} degrees; "
+        "pedicle": f"{given.pedicle_width_mm:g} x {given.pedicle_height_mm:g} mm, "
+        f"{given.pedicle_angle_deg:g} degrees; "
         "the left one",
         "canal": f"an ellipse of {given.canal_width_mm:g} x {given.canal_depth_mm:g} mm, straight",
-        "cortex": f"{given.pedicle_cortex_mm:g} mm around pedicle and arch, {1e3 * _BODY_CORTEX_M:g} around the body",
-        "trabecular density": f"{_TRABECULAR_KG_M3:g} kg/m3, {_PEDICLE_KG_M3:g} in pedicle and arch: priors of low "
+        "cortex": (
+            f"{given.pedicle_cortex_mm:g} mm around pedicle and arch, {1e3 * _BODY_CORTEX_M:g} "
+            "around the body"
+        ),
+        "trabecular density": f"{_TRABECULAR_KG_M3:g} kg/m3, {_PEDICLE_KG_M3:g} in pedicle and "
+        "arch: priors of low "
         "confidence",
         "facets": "not modelled",
     }
@@ -184,13 +206,19 @@ def _bone(sizes: _HalfSizes) -> Shape:
     body = Shape(lambda p: _body(sizes, p))
     back = sizes.canal_y + sizes.canal_depth
     tip = (0.0, back + _SPINOUS_M, -6e-3)
-    spinous = capsule(3.5e-3, (0.0, back, 2e-3), tip) | capsule(3.5e-3, (0.0, back, -6e-3), (0.0, tip[1], -12e-3))
+    spinous = capsule(3.5e-3, (0.0, back, 2e-3), tip) | capsule(
+        3.5e-3, (0.0, back, -6e-3), (0.0, tip[1], -12e-3)
+    )
     x, y, _ = sizes.entry.tolist()
     sides = [
-        capsule(4e-3, (side * (x - 3e-3), y - 5e-3, 4e-3), (side * (x + _TRANSVERSE_M), y + 1e-3, 6e-3))
+        capsule(
+            4e-3, (side * (x - 3e-3), y - 5e-3, 4e-3), (side * (x + _TRANSVERSE_M), y + 1e-3, 6e-3)
+        )
         for side in (-1.0, 1.0)
     ]
-    bone = union(body, union(pedicles, Shape(lambda p: _arch(sizes, p)), blend_m=_BLEND_M), blend_m=_BLEND_M)
+    bone = union(
+        body, union(pedicles, Shape(lambda p: _arch(sizes, p)), blend_m=_BLEND_M), blend_m=_BLEND_M
+    )
     for process in (spinous, *sides):
         bone = union(bone, process, blend_m=_BLEND_M)
     reach = (_REACH_M,) * 3
@@ -202,11 +230,14 @@ def _body(sizes: _HalfSizes, p: Floats) -> Floats:
     share = np.clip(p[:, 2] / sizes.height, -1.0, 1.0)
     narrowed = 1.0 - _WAIST * (1.0 - share**2)
     column = _ellipse(p[:, 0], p[:, 1], sizes.width * narrowed, sizes.depth * narrowed)
-    return np.asarray(0.9 * np.maximum(column, np.abs(p[:, 2]) - sizes.height))  # the waist's slope is 0.2 at most
+    # the waist's slope is 0.2 at most
+    return np.asarray(0.9 * np.maximum(column, np.abs(p[:, 2]) - sizes.height))
 
 
 def _pedicles(sizes: _HalfSizes, p: Floats) -> Floats:
-    """Compute the distance from elliptic columns along both axes, from within the body to the entry [m]."""
+    """Compute the distance from elliptic columns along both axes, from within the body to the
+    entry [m].
+    """
     centre = sizes.isthmus.astype(p.dtype)
     axis = sizes.axis.astype(p.dtype)
     x = np.abs(p[:, 0]) - centre[0]
@@ -220,7 +251,9 @@ def _pedicles(sizes: _HalfSizes, p: Floats) -> Floats:
 
 
 def _arch(sizes: _HalfSizes, p: Floats) -> Floats:
-    """Compute the distance from the lamina, a wall around the canal behind the middle of the pedicles [m]."""
+    """Compute the distance from the lamina, a wall around the canal behind the middle of the
+    pedicles [m].
+    """
     y = p[:, 1] - sizes.canal_y
     outer = _ellipse(p[:, 0], y, sizes.canal_width + _LAMINA_M, sizes.canal_depth + _LAMINA_M)
     tall = np.abs(p[:, 2] + 1e-3) - (sizes.height - 3e-3)
@@ -237,10 +270,11 @@ def _canal(sizes: _HalfSizes) -> Shape:
 
 
 def _ellipse(x: Floats, y: Floats, a: float | Floats, b: float | Floats) -> Floats:
-    """Compute the signed distance from an ellipse of half axes a and b [m] by three steps, to 1e-5 of its size.
+    """Compute the signed distance from an ellipse of half axes a and b [m] by three steps, to 1e-5
+    of its size.
 
-    Each step takes the ellipse for its circle of curvature at the last point (A. Nash, "Computing the distance between
-    a point and an ellipse"), from the direction of 45 degrees.
+    Each step takes the ellipse for its circle of curvature at the last point (A. Nash, "Computing
+    the distance between a point and an ellipse"), from the direction of 45 degrees.
     """
     px = np.abs(x)
     py = np.abs(y)
@@ -260,25 +294,35 @@ def _ellipse(x: Floats, y: Floats, a: float | Floats, b: float | Floats) -> Floa
 
 
 def _layers(sizes: _HalfSizes, cortex: float, turn: Array, origin: Array) -> Classify:
-    """Classify by depth: thin shell and endplates around the body, a thicker cortex around the rest."""
+    """Classify by depth: thin shell and endplates around the body, a thicker cortex around the
+    rest.
+    """
 
     def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
-        """Layer and density [kg/m3], shape (n,), of points [m], shape (n, 3), at depths below the surface [m]."""
+        """Layer and density [kg/m3], shape (n,), of points [m], shape (n, 3), at depths below
+        the surface [m].
+        """
         p = points @ turn.T.astype(points.dtype) + origin.astype(points.dtype)
         behind = np.clip((p[:, 1] - sizes.depth + 4e-3) / 4e-3, 0.0, 1.0)
         shell = _BODY_CORTEX_M + (cortex - _BODY_CORTEX_M) * behind
         plate = (sizes.height - np.abs(p[:, 2]) < _ENDPLATE_M) & (behind < 1.0)
         layer = np.where(plate, 1, np.where(depth < shell, 0, 2)).astype(np.uint8)
         sparse = _TRABECULAR_KG_M3 + (_PEDICLE_KG_M3 - _TRABECULAR_KG_M3) * behind
-        density = np.where(layer == 0, _CORTICAL_KG_M3, np.where(layer == 1, _ENDPLATE_KG_M3, sparse))
+        density = np.where(
+            layer == 0, _CORTICAL_KG_M3, np.where(layer == 1, _ENDPLATE_KG_M3, sparse)
+        )
         return layer, density.astype(points.dtype)
 
     return classify
 
 
 def _placed(shape: Shape, turn: Array, origin: Array) -> Shape:
-    """Move a shape from the body's frame to the site frame, whose axes are the columns of `turn`."""
-    corners = np.array(np.meshgrid(*np.clip(np.array([shape.lower_m, shape.upper_m]), -_REACH_M, _REACH_M).T))
+    """Move a shape from the body's frame to the site frame, whose axes are the columns of
+    `turn`.
+    """
+    corners = np.array(
+        np.meshgrid(*np.clip(np.array([shape.lower_m, shape.upper_m]), -_REACH_M, _REACH_M).T)
+    )
     seen = (corners.reshape(3, -1).T - origin) @ turn
     return Shape(
         lambda p: shape.distance(p @ turn.T.astype(p.dtype) + origin.astype(p.dtype)),

@@ -1,8 +1,9 @@
 """Signed distance to voxels, coarse to fine over blocks of 8 x 8 x 8.
 
-A block whose centre is farther from the surface than its half diagonal is empty or solid throughout, because a signed
-distance is 1-Lipschitz. Only the blocks that the surface crosses are evaluated voxel by voxel. Solid blocks take their
-density by trilinear interpolation between their corners where the layer is the same all around them.
+A block whose centre is farther from the surface than its half diagonal is empty or solid
+throughout, because a signed distance is 1-Lipschitz. Only the blocks that the surface crosses are
+evaluated voxel by voxel. Solid blocks take their density by trilinear interpolation between their
+corners where the layer is the same all around them.
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ _LOCAL = lattice(*[np.arange(BLOCK)] * 3)
 
 @dataclass(frozen=True, eq=False)
 class VoxelArrays:
-    """The arrays of a `VoxelVolume` while they are filled, over a blocked grid, all of its shape."""
+    """The arrays of a `VoxelVolume` while they are filled, over a blocked grid, all of its
+    shape.
+    """
 
     fraction: Bytes
     layer: Bytes
@@ -50,7 +53,9 @@ class VoxelArrays:
     def slab(self, start: int, stop: int) -> VoxelArrays:
         """Views of the part with the x numbers `start` to `stop`."""
         part = slice(start, stop)
-        return VoxelArrays(self.fraction[part], self.layer[part], self.density[part], self.surface[part])
+        return VoxelArrays(
+            self.fraction[part], self.layer[part], self.density[part], self.surface[part]
+        )
 
 
 def voxel_fraction(
@@ -63,8 +68,8 @@ def voxel_fraction(
 ) -> Singles:
     """Compute the part of each voxel inside the shape, the surface being a plane within the voxel.
 
-    Where the distance bends sharply within a voxel (an edge or corner), the voxel is split into 4 x 4 x 4 and each part
-    taken as crossed by a plane of its own.
+    Where the distance bends sharply within a voxel (an edge or corner), the voxel is split into 4 x
+    4 x 4 and each part taken as crossed by a plane of its own.
 
     Parameters
     ----------
@@ -90,11 +95,17 @@ def voxel_fraction(
     bend = np.zeros(len(crossed), dtype=np.float32)
     for axis in range(3):
         shift = step * np.eye(3, dtype=np.float32)[axis]
-        forward, backward = (shape.distance(np.asfortranarray(points + sign * shift)) for sign in (1, -1))
+        forward, backward = (
+            shape.distance(np.asfortranarray(points + sign * shift)) for sign in (1, -1)
+        )
         gradient[:, axis] = (forward - backward) / (2.0 * step)
         bend = np.maximum(bend, np.abs(forward + backward - 2.0 * middle))
     slope = np.maximum(np.linalg.norm(gradient, axis=1), np.float32(1e-3))
-    normal = np.where(slope[:, None] > 2e-3, gradient / slope[:, None], np.array([0.0, 0.0, 1.0], dtype=np.float32))
+    normal = np.where(
+        slope[:, None] > 2e-3,
+        gradient / slope[:, None],
+        np.array([0.0, 0.0, 1.0], dtype=np.float32),
+    )
     fraction[crossed] = cube_fraction(middle / (slope * np.float32(spacing_m)), normal)
     creased = crossed[bend > _SHARP_BEND * step]
     if split_creases and len(creased):
@@ -107,7 +118,9 @@ def _split_fraction(shape: Shape, centres: Singles, spacing_m: float) -> Singles
     offsets = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5).astype(np.float32) * np.float32(spacing_m)
     local = lattice(offsets, offsets, offsets)
     points = np.asfortranarray((centres[:, None, :] + local).reshape(-1, 3))
-    parts = voxel_fraction(shape, points, shape.distance(points), spacing_m / _PARTS, split_creases=False)
+    parts = voxel_fraction(
+        shape, points, shape.distance(points), spacing_m / _PARTS, split_creases=False
+    )
     return parts.reshape(len(centres), -1).mean(axis=1)
 
 
@@ -134,7 +147,8 @@ def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
         layer, density = anatomy.classify(points, -depth)
         where = np.unravel_index(chosen, blocks[0].shape[:3])
         surface = surface_steps(depth / np.float32(grid.spacing_m))
-        present = surface < OUTSIDE  # beyond the surface too: what lies between voxel centres is asked of both sides
+        # beyond the surface too: what lies between voxel centres is asked of both sides
+        present = surface < OUTSIDE
         filled = np.rint(fraction * FULL), layer * present, np.rint(density) * present, surface
         for block, values in zip(blocks, filled, strict=True):
             block[where] = values.reshape(-1, BLOCK, BLOCK, BLOCK)
@@ -144,12 +158,14 @@ def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[Flags, tuple[Bytes, F
     """Find blocks with one layer at all corners of their own and of their neighbours.
 
     Returns
-    -------
-    Flags, shape (n,), in C order of the blocks; layer, shape (n,); densities at the block corners [kg/m3], shape
-    (bx + 1, by + 1, bz + 1).
+    ------- Flags, shape (n,), in C order of the blocks; layer, shape (n,); densities at the block
+    corners [kg/m3], shape (bx + 1, by + 1, bz + 1).
     """
     counts = [n // BLOCK for n in grid.shape]
-    axes = [np.arange(f - BLOCK, e + BLOCK + 1, BLOCK) for f, e in zip(grid.first, grid.last, strict=True)]
+    axes = [
+        np.arange(f - BLOCK, e + BLOCK + 1, BLOCK)
+        for f, e in zip(grid.first, grid.last, strict=True)
+    ]
     size = [len(axis) for axis in axes]
     points = centres_of(lattice(*axes), grid.spacing_m, 0.0)
     layer, density = anatomy.classify(points, -anatomy.shape.distance(points))
@@ -162,7 +178,9 @@ def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[Flags, tuple[Bytes, F
 
 
 def _over_windows(combine: np.ufunc, values: Bytes) -> Bytes:
-    """Combine each window of 4 x 4 x 4 lattice points, the corners of a block and of its neighbours."""
+    """Combine each window of 4 x 4 x 4 lattice points, the corners of a block and of its
+    neighbours.
+    """
     windows = np.lib.stride_tricks.sliding_window_view(values, (4, 4, 4))
     return np.asarray(combine.reduce(windows, axis=(3, 4, 5)), dtype=np.uint8)
 
@@ -182,7 +200,9 @@ def _interpolated(corners: Floats, grid: Grid, chosen: Flags) -> Singles:
 
 
 def centres_of(index: Ints, spacing_m: float, shift: float) -> Singles:
-    """Return coordinates [m] of voxel numbers shifted by `shift` spacings, float32, shape (n, 3), stored by columns."""
+    """Return coordinates [m] of voxel numbers shifted by `shift` spacings, float32, shape (n,
+    3), stored by columns.
+    """
     return (index.T.astype(np.float32) + np.float32(shift)).T * np.float32(spacing_m)
 
 

@@ -6,7 +6,13 @@ import numpy as np
 
 from meshes.base.arrays import Array, Flags, Floats, Ints
 
-__all__ = ["ColumnCrossings", "column_crossings", "inside_scattered", "lowest_and_highest", "triangles_meeting"]
+__all__ = [
+    "ColumnCrossings",
+    "column_crossings",
+    "inside_scattered",
+    "lowest_and_highest",
+    "triangles_meeting",
+]
 
 _PAIRS_AT_ONCE = 2_000_000
 
@@ -31,9 +37,11 @@ class ColumnCrossings:
 
 
 def column_crossings(vertices: Array, faces: Ints, x: Array, y: Array) -> ColumnCrossings:
-    """Cross the vertical lines through each (x, y) with the triangles and keep where the winding number turns positive.
+    """Cross the vertical lines through each (x, y) with the triangles and keep where the winding
+    number turns positive.
 
-    An edge shared by two triangles is tested with the same arithmetic for both, so a line passes through one of them.
+    An edge shared by two triangles is tested with the same arithmetic for both, so a line passes
+    through one of them.
 
     Parameters
     ----------
@@ -65,14 +73,17 @@ def column_crossings(vertices: Array, faces: Ints, x: Array, y: Array) -> Column
 
 
 def inside_scattered(vertices: Array, faces: Ints, points: Floats) -> Flags:
-    """Whether points [m], shape (n, 3), lie where the winding number is positive, each by the vertical line through it.
+    """Whether points [m], shape (n, 3), lie where the winding number is positive, each by the
+    vertical line through it.
 
     Triangles are sorted into square columns, so that a point is tested against those of its column.
     """
     points = np.asarray(points, dtype=np.float64)
     inside = np.zeros(len(points), dtype=bool)
     for axis in range(2 if len(points) else 0):
-        faces = triangles_meeting(vertices, faces, axis, points[:, axis].min(), points[:, axis].max())
+        faces = triangles_meeting(
+            vertices, faces, axis, points[:, axis].min(), points[:, axis].max()
+        )
     if len(points) == 0 or len(faces) == 0:
         return inside
     corners = vertices[faces]
@@ -80,12 +91,16 @@ def inside_scattered(vertices: Array, faces: Ints, points: Floats) -> Flags:
     count = max(int(len(faces) ** 0.5), 1)
     edge = np.maximum(np.ptp(points[:, :2], axis=0), 1e-9) / count
     triangle, starts = _by_column(corners, low, edge, count)
-    at = np.clip(np.floor((points[:, :2] - low) / edge), 0, count - 1).astype(np.int64) @ np.array([count, 1])
+    at = np.clip(np.floor((points[:, :2] - low) / edge), 0, count - 1).astype(np.int64) @ np.array(
+        [count, 1]
+    )
     pairs = starts[at + 1] - starts[at]
     ends = np.cumsum(pairs)
     done = 0
     while done < len(points):
-        stop = max(int(np.searchsorted(ends, (ends[done - 1] if done else 0) + _PAIRS_AT_ONCE)), done + 1)
+        stop = max(
+            int(np.searchsorted(ends, (ends[done - 1] if done else 0) + _PAIRS_AT_ONCE)), done + 1
+        )
         part = np.arange(done, stop)
         many = pairs[done:stop]
         point = np.repeat(part, many)
@@ -102,7 +117,9 @@ def inside_scattered(vertices: Array, faces: Ints, points: Floats) -> Flags:
 
 
 def _by_column(corners: Array, low: Array, edge: Array, count: int) -> tuple[Ints, Ints]:
-    """Triangles whose box meets each of count x count columns, column after column, and where each begins."""
+    """Triangles whose box meets each of count x count columns, column after column, and where
+    each begins.
+    """
     boxes = np.stack([corners[:, :, :2].min(axis=1), corners[:, :, :2].max(axis=1)])
     first, last = np.clip(np.floor((boxes - low) / edge), 0, count - 1).astype(np.int64)
     wide = last - first + 1
@@ -126,15 +143,22 @@ def triangles_meeting(vertices: Array, faces: Ints, axis: int, low: float, high:
 
 
 def _covered(corners: Array, x: Array, y: Array) -> tuple[Ints, Ints]:
-    """First line and number of lines along x and y within each triangle's box, each shape (m, 2)."""
+    """First line and number of lines along x and y within each triangle's box, each shape (m,
+    2).
+    """
     boxes = [lowest_and_highest(*corners[:, :, k].T) for k in range(2)]
     first = [np.searchsorted(axis, low) for axis, (low, _) in zip((x, y), boxes, strict=True)]
-    last = [np.searchsorted(axis, high, side="right") for axis, (_, high) in zip((x, y), boxes, strict=True)]
+    last = [
+        np.searchsorted(axis, high, side="right")
+        for axis, (_, high) in zip((x, y), boxes, strict=True)
+    ]
     return np.stack(first, axis=1), np.stack(last, axis=1) - np.stack(first, axis=1)
 
 
 def lowest_and_highest(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
-    """Lowest and highest of three arrays, element by element; NumPy is slow along an axis of three."""
+    """Lowest and highest of three arrays, element by element; NumPy is slow along an axis of
+    three.
+    """
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
 
@@ -146,7 +170,9 @@ def _crossed(
     x: Array,
     y: Array,
 ) -> tuple[Ints, Array, Ints]:
-    """Line, height and sign (+1 entering) of each crossing of the triangles with the lines in their boxes."""
+    """Line, height and sign (+1 entering) of each crossing of the triangles with the lines in
+    their boxes.
+    """
     pairs = counts[:, 0] * counts[:, 1]
     triangle = np.repeat(np.arange(len(pairs)), pairs)
     within = np.arange(len(triangle)) - np.repeat(np.cumsum(pairs) - pairs, pairs)
@@ -163,7 +189,9 @@ def _met(
     px: Array,
     py: Array,
 ) -> tuple[Flags, Array, Ints]:
-    """Which vertical lines through (px, py) meet their triangle; height and sign (+1 entering) of those that do."""
+    """Which vertical lines through (px, py) meet their triangle; height and sign (+1 entering)
+    of those that do.
+    """
     edge_normal = np.empty((3, len(triangle)))
     hit = np.ones(len(triangle), dtype=bool)
     a = corners[:, 0]
@@ -178,7 +206,9 @@ def _met(
         start = np.where(backward[:, None], corners[:, two], corners[:, one])
         end = np.where(backward[:, None], corners[:, one], corners[:, two])
         step = end - start
-        side = step[triangle, 0] * (py - start[triangle, 1]) - step[triangle, 1] * (px - start[triangle, 0])
+        side = step[triangle, 0] * (py - start[triangle, 1]) - step[triangle, 1] * (
+            px - start[triangle, 0]
+        )
         hit &= (side >= 0.0) == ((facing > 0) != backward)[triangle]
         edge_normal[k] = np.where(backward[triangle], -side, side)
     hit &= facing[triangle] != 0
@@ -199,7 +229,9 @@ def _turning(line: Ints, height: Array, sign: Ints) -> ColumnCrossings:
     sign = sign[order]
     starts = np.concatenate([[True], line[1:] != line[:-1]])
     running = np.cumsum(sign)
-    base = np.repeat((running - sign)[starts], np.diff(np.append(np.flatnonzero(starts), len(line))))
+    base = np.repeat(
+        (running - sign)[starts], np.diff(np.append(np.flatnonzero(starts), len(line)))
+    )
     after = running - base
     before = after - sign
     turns = (before > 0) != (after > 0)

@@ -1,7 +1,7 @@
 """Distances of voxels to the bone's surface, in bytes.
 
-Between voxel centres they are interpolated, so that a surface or a change of layer lies where it is to second order in
-the spacing, and not where the nearest voxel gives.
+Between voxel centres they are interpolated, so that a surface or a change of layer lies where it is
+to second order in the spacing, and not where the nearest voxel gives.
 """
 
 from __future__ import annotations
@@ -36,7 +36,9 @@ _OFFSETS = np.array([o for o in np.ndindex(5, 5, 5) if 0 < sum((k - 2) ** 2 for 
 
 def surface_steps(distance: Floats) -> Bytes:
     """Convert signed distances [voxel], negative inside, to stored surface distances."""
-    return np.clip(np.rint(SURFACE_ZERO + SURFACE_STEPS * distance), INSIDE, OUTSIDE).astype(np.uint8)
+    return np.clip(np.rint(SURFACE_ZERO + SURFACE_STEPS * distance), INSIDE, OUTSIDE).astype(
+        np.uint8
+    )
 
 
 def near_the_surface(
@@ -44,20 +46,28 @@ def near_the_surface(
 ) -> tuple[Bytes, Bytes, NDArray[np.uint16], Bytes]:
     """Return surface distance, layer, density and boundary distance of a volume, each of its shape.
 
-    Layer and density go on beyond the surface, as far as its distance is known: a point between the last voxel centre
-    in the bone and the first one outside lies in a layer too.
+    Layer and density go on beyond the surface, as far as its distance is known: a point between the
+    last voxel centre in the bone and the first one outside lies in a layer too.
     """
-    surface = volume.surface_distance if volume.surface_distance is not None else surface_of_fractions(volume.fraction)
+    surface = (
+        volume.surface_distance
+        if volume.surface_distance is not None
+        else surface_of_fractions(volume.fraction)
+    )
     if volume.layer_distance is not None:
         return surface, volume.layer, volume.density_kg_m3, volume.layer_distance
-    layer, density, known = carried_beyond(volume.fraction, surface, volume.layer, volume.density_kg_m3)
+    layer, density, known = carried_beyond(
+        volume.fraction, surface, volume.layer, volume.density_kg_m3
+    )
     return surface, layer, density, boundary_of_layers(layer, known)
 
 
 def carried_beyond(
     fraction: Bytes, surface: Bytes, layer: Bytes, density: NDArray[np.uint16]
 ) -> tuple[Bytes, NDArray[np.uint16], Flags]:
-    """Carry layer and density of the outermost voxels on beyond the surface; return also where they are known."""
+    """Carry layer and density of the outermost voxels on beyond the surface; return also where
+    they are known.
+    """
     layer = layer.copy()
     density = density.copy()
     known = fraction > 0
@@ -74,12 +84,14 @@ def carried_beyond(
 
 
 def surface_of_fractions(fraction: Bytes) -> Bytes:
-    """Compute the stored surface distance of voxels from their filled fractions, uint8, shape (nx, ny, nz).
+    """Compute the stored surface distance of voxels from their filled fractions, uint8, shape (nx,
+    ny, nz).
 
-    In each voxel that the surface crosses, or beside which it passes, the plane that leaves the fraction behind it, its
-    direction the gradient of the fractions; near those, the mean over their planes. Beyond the array there is no bone.
-    Round a ball that mean lies below the distance and what is interpolated between centres above it: of either bias, a
-    twelfth of the principal curvatures' sum, the interpolated surface keeps a quarter.
+    In each voxel that the surface crosses, or beside which it passes, the plane that leaves the
+    fraction behind it, its direction the gradient of the fractions; near those, the mean over their
+    planes. Beyond the array there is no bone. Round a ball that mean lies below the distance and
+    what is interpolated between centres above it: of either bias, a twelfth of the principal
+    curvatures' sum, the interpolated surface keeps a quarter.
     """
     padded = np.pad(fraction, 3)
     result = np.where(padded > 127, INSIDE, OUTSIDE).astype(np.uint8)
@@ -111,7 +123,9 @@ def surface_of_fractions(fraction: Bytes) -> Bytes:
 
 
 def _plane_distance(share: Floats, normal: Floats) -> Array:
-    """Compute the signed distance of unit cubes' centres from the plane that leaves a share of them behind it."""
+    """Compute the signed distance of unit cubes' centres from the plane that leaves a share of
+    them behind it.
+    """
     half = 0.5 * np.abs(normal).sum(axis=1)
     low = -half
     high = half.copy()
@@ -124,7 +138,9 @@ def _plane_distance(share: Floats, normal: Floats) -> Array:
 
 
 def _outward(fraction: Bytes, at: Ints) -> Array:
-    """Return unit vectors down the gradient of the fractions in 3 x 3 x 3 voxels, shape (n, 3); z where it is zero."""
+    """Return unit vectors down the gradient of the fractions in 3 x 3 x 3 voxels, shape (n, 3);
+    z where it is zero.
+    """
     slope = np.zeros((len(at), 3))
     for offset in np.array(list(np.ndindex(3, 3, 3))) - 1:
         if offset.any():

@@ -1,4 +1,6 @@
-"""A regular grid of voxels whose lines lie on whole multiples of the spacing, whatever region it covers."""
+"""A regular grid of voxels whose lines lie on whole multiples of the spacing, whatever region it
+covers.
+"""
 
 from __future__ import annotations
 
@@ -47,14 +49,24 @@ class Grid:
         """Smallest grid of whole blocks, counted from the frame's origin, that holds this one."""
         low = [f // BLOCK * BLOCK for f in self.first]
         high = [-(-e // BLOCK) * BLOCK for e in self.last]
-        return Grid(self.spacing_m, (low[0], low[1], low[2]), (high[0] - low[0], high[1] - low[1], high[2] - low[2]))
+        return Grid(
+            self.spacing_m,
+            (low[0], low[1], low[2]),
+            (high[0] - low[0], high[1] - low[1], high[2] - low[2]),
+        )
 
     def slab(self, start: int, stop: int) -> Grid:
         """Part with the local x numbers `start` to `stop`."""
-        return Grid(self.spacing_m, (self.first[0] + start, *self.first[1:]), (stop - start, *self.shape[1:]))
+        return Grid(
+            self.spacing_m,
+            (self.first[0] + start, *self.first[1:]),
+            (stop - start, *self.shape[1:]),
+        )
 
     def block_firsts(self) -> Ints:
-        """Number of the lowest voxel of each block of a blocked grid, shape (n, 3), in C order of the blocks."""
+        """Number of the lowest voxel of each block of a blocked grid, shape (n, 3), in C order
+        of the blocks.
+        """
         axes = [np.arange(f, e, BLOCK) for f, e in zip(self.first, self.last, strict=True)]
         firsts: Ints = lattice(*axes)
         return firsts

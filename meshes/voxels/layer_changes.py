@@ -1,6 +1,8 @@
-"""Distances of voxels to the nearest change of layer, in bytes: from the layer at any point, or from labels alone.
+"""Distances of voxels to the nearest change of layer, in bytes: from the layer at any point, or
+from labels alone.
 
-Only voxels in a cell of eight centres of which two lie in different layers have one: no other is asked for it.
+Only voxels in a cell of eight centres of which two lie in different layers have one: no other is
+asked for it.
 """
 
 from __future__ import annotations
@@ -18,7 +20,9 @@ __all__ = ["FAR", "LayerAt", "boundary_of_layers", "layer_boundary"]
 BOUNDARY_STEPS = 127
 """Steps a voxel; they reach two voxels."""
 FAR = 254
-"""Stored distance where no layer changes within two voxels, or in no cell that the voxel is a corner of."""
+"""Stored distance where no layer changes within two voxels, or in no cell that the voxel is a
+corner of.
+"""
 _UNKNOWN = 255
 _PADDED = 6
 _AT_ONCE = 1 << 18
@@ -39,8 +43,8 @@ LayerAt = Callable[[Singles], Bytes]
 def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
     """Stored distance of each voxel's centre to the nearest change of layer, shape (nx, ny, nz).
 
-    The voxels of other layers around a voxel give the direction; along it the change is bracketed in half voxels, then
-    halved.
+    The voxels of other layers around a voxel give the direction; along it the change is bracketed
+    in half voxels, then halved.
 
     Parameters
     ----------
@@ -49,13 +53,16 @@ def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
     known
         Voxels whose layer has a meaning, shape (nx, ny, nz).
     layer_at
-        Layer between the voxel centres; voxel (i, j, k) has its centre at (i + 0.5, j + 0.5, k + 0.5).
+        Layer between the voxel centres; voxel (i, j, k) has its centre at (i + 0.5, j + 0.5, k +
+        0.5).
     """
     codes = _codes(layer, known)
     chosen = _in_mixed_cells(codes)
     offsets = _offsets(np.sqrt(5.0) + 1e-6)
     # In sixtieths, whole numbers: their sums are exact in any order.
-    toward = _sums(codes, chosen, offsets, 60 // np.maximum((offsets**2).sum(axis=1), 1) * offsets.T)[1].T
+    toward = _sums(
+        codes, chosen, offsets, 60 // np.maximum((offsets**2).sum(axis=1), 1) * offsets.T
+    )[1].T
     length = np.linalg.norm(toward, axis=1)
     found = length > 0.0
     chosen = chosen[found]
@@ -71,10 +78,11 @@ def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
 def boundary_of_layers(layer: Bytes, known: Flags) -> Bytes:
     """Stored distance to the nearest change of layer of voxels of which only the layer is known.
 
-    From the share of a voxel's layer in the ball of six voxels around it, see `_ball`; of three voxels where labels
-    disagree with that by a quarter voxel, at corners and thin layers. Each voxel's centre stays in its layer, so that
-    no boundary moves by more than half a voxel. A voxel most of whose neighbours lie in other layers keeps up to half
-    a voxel around its centre: a layer of one voxel does not vanish.
+    From the share of a voxel's layer in the ball of six voxels around it, see `_ball`; of three
+    voxels where labels disagree with that by a quarter voxel, at corners and thin layers. Each
+    voxel's centre stays in its layer, so that no boundary moves by more than half a voxel. A voxel
+    most of whose neighbours lie in other layers keeps up to half a voxel around its centre: a layer
+    of one voxel does not vanish.
     """
     codes = _codes(layer, known)
     chosen = _in_mixed_cells(codes)
@@ -104,7 +112,9 @@ def _stored(codes: Bytes, chosen: NDArray[np.intp], distance: Floats) -> Bytes:
 
 
 def _in_mixed_cells(codes: Bytes) -> NDArray[np.intp]:
-    """Flat indices of the known voxels in cells, 2 x 2 x 2 voxels, in which two neighbours differ in layer."""
+    """Flat indices of the known voxels in cells, 2 x 2 x 2 voxels, in which two neighbours
+    differ in layer.
+    """
     flat = codes.ravel()
     steps = _strides(codes)
     mixed = np.zeros(flat.shape, dtype=bool)
@@ -120,10 +130,14 @@ def _in_mixed_cells(codes: Bytes) -> NDArray[np.intp]:
     return chosen[flat[chosen] != _UNKNOWN]
 
 
-def _sums(codes: Bytes, at: NDArray[np.intp], offsets: Ints, weights: NDArray[np.generic]) -> tuple[Singles, Singles]:
-    """Weighted sums over the known voxels around each, of its own layer and of others, each shape (rows, n).
+def _sums(
+    codes: Bytes, at: NDArray[np.intp], offsets: Ints, weights: NDArray[np.generic]
+) -> tuple[Singles, Singles]:
+    """Weighted sums over the known voxels around each, of its own layer and of others, each shape
+    (rows, n).
 
-    ``weights`` has the shape (rows, offsets); whole numbers up to 2**24 in all are summed exactly, on any machine.
+    ``weights`` has the shape (rows, offsets); whole numbers up to 2**24 in all are summed exactly,
+    on any machine.
     """
     flat = codes.ravel()
     shifts = (offsets @ _strides(codes))[:, None]
@@ -140,7 +154,9 @@ def _sums(codes: Bytes, at: NDArray[np.intp], offsets: Ints, weights: NDArray[np
 
 
 def _distance_of_share(codes: Bytes, at: NDArray[np.intp], radius: float) -> Array:
-    """Distance [voxel] to the plane that leaves a voxel's own share of a ball around it; negative beyond the plane."""
+    """Distance [voxel] to the plane that leaves a voxel's own share of a ball around it;
+    negative beyond the plane.
+    """
     offsets, weights, share, distance = _ball(radius)
     same, other = (sums[0].astype(np.float64) for sums in _sums(codes, at, offsets, weights))
     return np.asarray(np.interp(same / (same + other), share, distance))
@@ -148,12 +164,13 @@ def _distance_of_share(codes: Bytes, at: NDArray[np.intp], radius: float) -> Arr
 
 @cache
 def _ball(radius: float) -> tuple[Ints, Array, Array, Array]:
-    """Offsets and weights in a ball, and the share that lies behind a plane at a distance from its centre [voxel].
+    """Offsets and weights in a ball, and the share that lies behind a plane at a distance from its
+    centre [voxel].
 
-    The weight (1 - r²)² (1 - 5/2 r²), r relative to the radius, has no second moment in a plane through the centre:
-    the share behind a surface through it does not change with the curvature, to first order. The share grows with the
-    distance t up to the weight's turning point, t² = 1/5; the weight summed over the plane at t is, but for a factor,
-    (1 - t²)³ (5/8 (1 - t²) - 1/2).
+    The weight (1 - r²)² (1 - 5/2 r²), r relative to the radius, has no second moment in a plane
+    through the centre: the share behind a surface through it does not change with the curvature, to
+    first order. The share grows with the distance t up to the weight's turning point, t² = 1/5; the
+    weight summed over the plane at t is, but for a factor, (1 - t²)³ (5/8 (1 - t²) - 1/2).
     """
     offsets = _offsets(radius)
     r2 = (offsets**2).sum(axis=1) / radius**2
@@ -180,7 +197,9 @@ def _strides(array: Bytes) -> Ints:
 
 
 def _distance(at: Ints, this: Bytes, direction: Singles, layer_at: LayerAt) -> Singles:
-    """Distance [voxel] from voxel centres along a direction to where the layer changes, at most 2, shape (n,)."""
+    """Distance [voxel] from voxel centres along a direction to where the layer changes, at most
+    2, shape (n,).
+    """
     centre = at.astype(np.float32) + np.float32(0.5)
     low, high = np.zeros((2, len(at)), dtype=np.float32)
     open_ = np.arange(len(at))

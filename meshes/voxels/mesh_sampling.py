@@ -1,8 +1,9 @@
 """Bone fraction and depth of voxels under a triangle surface.
 
-Fraction: each voxel column holds 3 x 3 lines along z; where a line crosses the triangles its winding number changes,
-and the lengths with a positive winding number are the bone in it. Exact along z, a quadrature of nine lines across.
-Depth: the distance to the surface on a lattice of 0.4 mm or a voxel, interpolated to the voxels.
+Fraction: each voxel column holds 3 x 3 lines along z; where a line crosses the triangles its
+winding number changes, and the lengths with a positive winding number are the bone in it. Exact
+along z, a quadrature of nine lines across. Depth: the distance to the surface on a lattice of 0.4
+mm or a voxel, interpolated to the voxels.
 """
 
 from dataclasses import dataclass
@@ -34,8 +35,8 @@ class TriangleSampler:
     faces
         Triangles wound outward, shape (m, 3).
     threshold_m
-        Depth that decides the layer of a voxel: in lattice cells that lie wholly on one side of it the depth is only
-        on that side. Infinite: the depth is right everywhere.
+        Depth that decides the layer of a voxel: in lattice cells that lie wholly on one side of it
+        the depth is only on that side. Infinite: the depth is right everywhere.
     """
 
     vertices_m: Array
@@ -48,7 +49,9 @@ class TriangleSampler:
         return lowest_and_highest(*np.ascontiguousarray(self.vertices_m[:, 0])[self.faces].T)
 
     def _within(self, grid: Grid, margin: float, axes: int) -> Ints:
-        """Triangles whose box meets that of the grid, grown by a margin [m], along its first `axes` axes."""
+        """Triangles whose box meets that of the grid, grown by a margin [m], along its first
+        `axes` axes.
+        """
         low = np.array(grid.first) * grid.spacing_m - margin
         high = np.array(grid.last) * grid.spacing_m + margin
         faces = self.faces[(self._along_x[0] <= high[0]) & (self._along_x[1] >= low[0])]
@@ -103,7 +106,8 @@ class TriangleSampler:
         if needed.any():
             points = (np.argwhere(needed) * step + grid.first) * grid.spacing_m
             depth = -triangle_distance(vertices, faces, points)
-            # So far from all that was kept, a point of a cell with bone lies inside, whatever the sign of the nearest.
+            # So far from all that was kept, a point of a cell with bone lies inside, whatever the
+            # sign of the nearest.
             corners[needed] = np.where(np.abs(depth) >= margin, np.abs(depth), depth)
         weight = ((np.arange(step) + 0.5) / step).astype(np.float32)
         for axis in range(3):
@@ -119,9 +123,11 @@ class TriangleSampler:
 
 
 def _beyond(vertices: Array, faces: Ints, points: Floats, threshold: float) -> tuple[Flags, Flags]:
-    """Which points, shape (n, 3), are surely farther from the triangles than a threshold [m], and which surely nearer.
+    """Which points, shape (n, 3), are surely farther from the triangles than a threshold [m], and
+    which surely nearer.
 
-    No point of a triangle is farther from its nearest corner than its longest side over the root of three (Jung).
+    No point of a triangle is farther from its nearest corner than its longest side over the root of
+    three (Jung).
     """
     from scipy.spatial import cKDTree
 
@@ -148,7 +154,9 @@ def _whole_cells(points: Flags) -> Flags:
 
 
 def triangle_distance(vertices: Array, faces: Ints, points: Floats) -> Array:
-    """Signed distance [m] of points [m], shape (n, 3), from the surface, negative inside, shape (n,)."""
+    """Signed distance [m] of points [m], shape (n, 3), from the surface, negative inside, shape
+    (n,).
+    """
     import pyvista
 
     if len(points) == 0:
@@ -166,5 +174,7 @@ def nearest_on_triangles(vertices: Array, faces: Ints, points: Array) -> Array:
     if len(points) == 0:
         return np.empty((0, 3))
     surface = pyvista.PolyData.from_regular_faces(vertices, faces.astype(int))
-    _, found = surface.find_closest_cell(np.ascontiguousarray(points, dtype=np.float64), return_closest_point=True)
+    _, found = surface.find_closest_cell(
+        np.ascontiguousarray(points, dtype=np.float64), return_closest_point=True
+    )
     return np.asarray(found, dtype=np.float64)

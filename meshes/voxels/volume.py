@@ -35,12 +35,14 @@ class VoxelVolume:
     layer_names
         Name of each layer.
     placement
-        Where the frame lies in that of the file that the bone came from; None where it came from none.
+        Where the frame lies in that of the file that the bone came from; None where it came from
+        none.
     surface_distance
-        Signed distance of each voxel's centre to the bone's surface, see `meshes.voxels.distances`, uint8, shape
-        (nx, ny, nz); None: taken from the fractions when it is wanted.
+        Signed distance of each voxel's centre to the bone's surface, see `meshes.voxels.distances`,
+        uint8, shape (nx, ny, nz); None: taken from the fractions when it is wanted.
     layer_distance
-        Distance of each voxel's centre to the nearest change of layer, likewise; None: taken from the layers.
+        Distance of each voxel's centre to the nearest change of layer, likewise; None: taken from
+        the layers.
 
     Raises
     ------
@@ -61,12 +63,19 @@ class VoxelVolume:
     def __post_init__(self) -> None:
         object.__setattr__(self, "origin_m", require_vector("origin_m", self.origin_m))
         require_positive("spacing_m", self.spacing_m, "use about 1e-4 (0.1 mm)")
-        for name, kind in (("fraction", np.uint8), ("layer", np.uint8), ("density_kg_m3", np.uint16)):
+        for name, kind in (
+            ("fraction", np.uint8),
+            ("layer", np.uint8),
+            ("density_kg_m3", np.uint16),
+        ):
             _require_array(name, getattr(self, name), kind, self.fraction.shape)
         highest = int(self.layer.max())
         if highest >= len(self.layer_names):
             raise InputError(
-                "layer", "index layer_names", f"{highest} with {len(self.layer_names)} names", "name every layer"
+                "layer",
+                "index layer_names",
+                f"{highest} with {len(self.layer_names)} names",
+                "name every layer",
             )
 
     @property
@@ -94,16 +103,22 @@ class VoxelVolume:
             If the layer is unknown; the message lists the known ones.
         """
         if layer is not None and layer not in self.layer_names:
-            raise InputError("layer", f"be one of {', '.join(self.layer_names)}", layer, "use one of these names")
+            raise InputError(
+                "layer", f"be one of {', '.join(self.layer_names)}", layer, "use one of these names"
+            )
         inside = True if layer is None else self.layer == self.layer_names.index(layer)
-        return float(np.sum(self.fraction, where=inside, dtype=np.int64)) / FULL * self.voxel_volume_m3
+        return (
+            float(np.sum(self.fraction, where=inside, dtype=np.int64)) / FULL * self.voxel_volume_m3
+        )
 
     def centres_m(self, axis: int) -> Array:
         """Coordinates [m] of the voxel centres along one axis, shape (n_axis,)."""
         return self.origin_m[axis] + self.spacing_m * (np.arange(self.shape[axis]) + 0.5)
 
 
-def _require_array(name: str, array: NDArray[np.generic], dtype: type, shape: tuple[int, ...]) -> None:
+def _require_array(
+    name: str, array: NDArray[np.generic], dtype: type, shape: tuple[int, ...]
+) -> None:
     if array.ndim != 3 or 0 in array.shape or array.shape != shape:
         raise InputError(
             name,
@@ -144,8 +159,9 @@ def density_volume(
     layer_names
         Name of each layer.
     margin
-        Empty voxels added on each side. Without any, the force on a cutter at bone that fills the array to its edge
-        is up to 3 % low, because the surface is interpolated between voxels on both sides of it.
+        Empty voxels added on each side. Without any, the force on a cutter at bone that fills the
+        array to its edge is up to 3 % low, because the surface is interpolated between voxels on
+        both sides of it.
 
     Raises
     ------
@@ -154,7 +170,9 @@ def density_volume(
     """
     density = np.asarray(density_kg_m3, dtype=np.float64)
     if density.ndim != 3 or 0 in density.shape:
-        raise InputError("density_kg_m3", "have the shape (nx, ny, nz)", density.shape, "give one value a voxel")
+        raise InputError(
+            "density_kg_m3", "have the shape (nx, ny, nz)", density.shape, "give one value a voxel"
+        )
     if not np.isfinite(density).all() or density.min() < 0.0 or density.max() > DENSEST_KG_M3:
         raise InputError(
             "density_kg_m3",
@@ -163,7 +181,9 @@ def density_volume(
             "0 is no bone, 1800 is cortical bone",
         )
     if not density.any():
-        raise InputError("density_kg_m3", "hold bone", "0 everywhere", "give its density where there is bone")
+        raise InputError(
+            "density_kg_m3", "hold bone", "0 everywhere", "give its density where there is bone"
+        )
     numbers = np.zeros(density.shape, dtype=np.uint8) if layer is None else np.asarray(layer)
     if numbers.shape != density.shape or numbers.min() < 0 or numbers.max() >= len(layer_names):
         raise InputError(

@@ -1,4 +1,6 @@
-"""An anatomy to voxels: sub-voxel bone fraction, layer and density over a region of the site frame."""
+"""An anatomy to voxels: sub-voxel bone fraction, layer and density over a region of the site
+frame.
+"""
 
 import os
 from collections.abc import Callable, Sequence
@@ -42,9 +44,10 @@ def voxelise(
 ) -> VoxelVolume:
     """Convert an anatomy to voxels, in its site frame.
 
-    Grid lines lie on whole multiples of the spacing, so a voxel has the same content whatever region is asked for. A
-    voxel that the surface crosses holds the part of its cube behind the surface's tangent plane (an error of second
-    order in the spacing over the volume; where two surfaces cross in a voxel, of first order there).
+    Grid lines lie on whole multiples of the spacing, so a voxel has the same content whatever
+    region is asked for. A voxel that the surface crosses holds the part of its cube behind the
+    surface's tangent plane (an error of second order in the spacing over the volume; where two
+    surfaces cross in a voxel, of first order there).
 
     Parameters
     ----------
@@ -53,10 +56,12 @@ def voxelise(
     spacing_m
         Edge of a voxel [m].
     region_m
-        Lowest and highest corner [m] of the box to cover, grown to whole voxels; None: the anatomy's bounding box and
-        two voxels around it, as far as the distance to its surface is stored.
+        Lowest and highest corner [m] of the box to cover, grown to whole voxels; None: the
+        anatomy's bounding box and two voxels around it, as far as the distance to its surface is
+        stored.
     minus
-        Solid taken out first, in the site frame, sub-voxel too (a pilot hole). Layers stay as they were without it.
+        Solid taken out first, in the site frame, sub-voxel too (a pilot hole). Layers stay as they
+        were without it.
     progress
         Called with the part done, 0 to 1, from this thread.
 
@@ -89,7 +94,10 @@ def voxelise(
         for done, _ in enumerate(pool.map(fill, starts), start=1):
             if progress is not None:
                 progress(done / len(starts))
-    kept = tuple(slice(f - b, f - b + n) for f, b, n in zip(grid.first, blocked.first, grid.shape, strict=True))
+    kept = tuple(
+        slice(f - b, f - b + n)
+        for f, b, n in zip(grid.first, blocked.first, grid.shape, strict=True)
+    )
     fraction = np.ascontiguousarray(arrays.fraction[kept])
     layer = np.ascontiguousarray(arrays.layer[kept])
     density = np.ascontiguousarray(arrays.density[kept])
@@ -113,7 +121,9 @@ def voxelise(
 
 
 def _layer_at(anatomy: Anatomy, grid: Grid, depth: Singles) -> LayerAt:
-    """The anatomy's layer at points in voxels of the grid, the depth interpolated where the anatomy samples it."""
+    """The anatomy's layer at points in voxels of the grid, the depth interpolated where the
+    anatomy samples it.
+    """
     first = np.array(grid.first, dtype=np.float32)
     spacing = np.float32(grid.spacing_m)
 
@@ -131,14 +141,21 @@ def _layer_at(anatomy: Anatomy, grid: Grid, depth: Singles) -> LayerAt:
 
 
 def _grid(anatomy: Anatomy, spacing: float, region_m: Region | None) -> Grid:
-    """Grid over the region, or over the anatomy's bounding box and beyond, on whole multiples of the spacing."""
+    """Grid over the region, or over the anatomy's bounding box and beyond, on whole multiples of
+    the spacing.
+    """
     around = AROUND_VOXELS * spacing
     lower = np.array(anatomy.shape.lower_m) - around
     upper = np.array(anatomy.shape.upper_m) + around
     if region_m is not None:
         lower, upper = _corners(region_m)
     if not (np.isfinite(lower).all() and np.isfinite(upper).all()):
-        raise InputError("region_m", "be given for an anatomy without end", "None", "use the box that the tool reaches")
+        raise InputError(
+            "region_m",
+            "be given for an anatomy without end",
+            "None",
+            "use the box that the tool reaches",
+        )
     first = np.floor(lower / spacing + _ROUNDING).astype(int).tolist()
     last = np.ceil(upper / spacing - _ROUNDING).astype(int).tolist()
     counts = [max(b - a, 1) for a, b in zip(first, last, strict=True)]
@@ -147,7 +164,11 @@ def _grid(anatomy: Anatomy, spacing: float, region_m: Region | None) -> Grid:
 
 def _corners(region_m: Region) -> tuple[Array, Array]:
     corners = np.asarray(region_m, dtype=np.float64)
-    if corners.shape != (2, 3) or not np.isfinite(corners).all() or not (corners[0] < corners[1]).all():
+    if (
+        corners.shape != (2, 3)
+        or not np.isfinite(corners).all()
+        or not (corners[0] < corners[1]).all()
+    ):
         raise InputError(
             "region_m",
             "be two finite corners, the first below the second in x, y and z",
@@ -157,8 +178,12 @@ def _corners(region_m: Region) -> tuple[Array, Array]:
     return corners[0], corners[1]
 
 
-def _fill_from_samples(anatomy: Anatomy, sample: GridSampler, grid: Grid, out: VoxelArrays) -> Singles:
-    """Fill `out` from an anatomy that gives fraction and depth for a whole grid; returns the depth [m]."""
+def _fill_from_samples(
+    anatomy: Anatomy, sample: GridSampler, grid: Grid, out: VoxelArrays
+) -> Singles:
+    """Fill `out` from an anatomy that gives fraction and depth for a whole grid; returns the
+    depth [m].
+    """
     fraction, depth = sample(grid)
     out.fraction[...] = np.rint(fraction * FULL)
     index = np.nonzero(out.fraction)
@@ -171,7 +196,9 @@ def _fill_from_samples(anatomy: Anatomy, sample: GridSampler, grid: Grid, out: V
 
 
 def _take_out(minus: Shape, grid: Grid, out: VoxelArrays) -> None:
-    """Take the part of each voxel inside `minus` out of the fraction and of the surface distance."""
+    """Take the part of each voxel inside `minus` out of the fraction and of the surface
+    distance.
+    """
     lower = np.floor(np.array(minus.lower_m) / grid.spacing_m) - np.array(grid.first)
     upper = np.ceil(np.array(minus.upper_m) / grid.spacing_m) - np.array(grid.first)
     if (lower >= grid.shape).any() or (upper <= 0).any():
@@ -184,7 +211,8 @@ def _take_out(minus: Shape, grid: Grid, out: VoxelArrays) -> None:
     points = centres_of(numbers, grid.spacing_m, 0.5)
     taken = voxel_fraction(minus, points, minus.distance(points), grid.spacing_m).reshape(size)
     out.fraction[part] = np.rint(out.fraction[part] * (1.0 - taken))
-    # Rounded once, not at each step as above: these are the points that the traces of all scenes were recorded with.
+    # Rounded once, not at each step as above: these are the points that the traces of all scenes
+    # were recorded with.
     points = np.asfortranarray((numbers + 0.5) * grid.spacing_m, dtype=np.float32)
     hole = surface_steps(-minus.distance(points).reshape(size) / np.float32(grid.spacing_m))
     out.surface[part] = np.maximum(out.surface[part], hole)

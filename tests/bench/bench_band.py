@@ -1,6 +1,8 @@
-"""Bands of built-in scenes: their cost beside the plain run, and how far their ends are from those of many samples.
+"""Bands of built-in scenes: their cost beside the plain run, and how far their ends are from those
+of many samples.
 
-``--published`` prints instead the figures of the documentation that rest on cited ranges, each with its band.
+``--published`` prints instead the figures of the documentation that rest on cited ranges, each with
+its band.
 """
 
 import argparse
@@ -39,7 +41,13 @@ def cost(name):
     run_s, _ = spent_s(lambda: simulate(scene, cores=1))
     band_s, band = spent_s(lambda: band_of(scene, 200, cores=1))
     peak = band.summary["force_N"]["peak"]
-    print(f"{name}: run {run_s:.2f} s, band {band_s:.2f} s of processor time, {band_s / run_s:.1f} runs; ", end="")
+    print(
+        (
+            f"{name}: run {run_s:.2f} s, band {band_s:.2f} s of processor time, "
+            f"{band_s / run_s:.1f} runs; "
+        ),
+        end="",
+    )
     print(f"peak force {peak['p50']:.1f} N, 90 % {peak['p05']:.2f} to {peak['p95']:.1f} N")
 
 
@@ -55,20 +63,32 @@ def convergence():
     reference = np.mean([ends(4096, 100 + seed) for seed in range(4)], axis=0)
     for count in (64, 256, 1024):
         errors = np.array([ends(count, seed) for seed in SEEDS]) / reference - 1.0
-        print(f"{count} samples: 5, 50, 95 % of the peak off by {np.sqrt((errors**2).mean(axis=0)).round(4)}")
+        print(
+            f"{count} samples: 5, 50, 95 % of the peak off by "
+            f"{np.sqrt((errors**2).mean(axis=0)).round(4)}"
+        )
 
 
 def slope():
-    """Root mean square error over seeds of the 95 % quantile of a force that is a sum, against its closed form."""
+    """Root mean square error over seeds of the 95 % quantile of a force that is a sum, against
+    its closed form.
+    """
     names = ("tangential_edge_N_mm", "radial_edge_N_mm", "radial_chip_N_mm2")
-    ranges = Ranges.independent({name: Prior.of(constants("cutting", "bone")[name], name) for name in names})
+    ranges = Ranges.independent(
+        {name: Prior.of(constants("cutting", "bone")[name], name) for name in names}
+    )
     weights = np.array([1.0, 1.0, 0.02])
     z = np.linspace(-9.0, 9.0, 20001)
     share = np.exp(-0.5 * z * z) / np.exp(-0.5 * z * z).sum()
     two = np.cumsum(share)
     grids = [weight * prior.x(z) for weight, prior in zip(weights, ranges.priors, strict=True)]
     fine = ndtri((np.arange(600) + 0.5) / 600)
-    last = np.add.outer(*(weight * prior.x(fine) for weight, prior in zip(weights[1:], ranges.priors[1:], strict=True)))
+    last = np.add.outer(
+        *(
+            weight * prior.x(fine)
+            for weight, prior in zip(weights[1:], ranges.priors[1:], strict=True)
+        )
+    )
 
     def below(force):
         return float(np.interp(force - last.ravel(), grids[0], two, left=0.0, right=1.0).mean())
@@ -77,10 +97,16 @@ def slope():
     counts = 2 ** np.arange(6, 15)
     errors = []
     for count in counts:
-        found = [np.quantile(ranges.x(normals(count, 3, seed=seed)) @ weights, 0.95) for seed in range(40)]
+        found = [
+            np.quantile(ranges.x(normals(count, 3, seed=seed)) @ weights, 0.95)
+            for seed in range(40)
+        ]
         errors.append(np.sqrt(np.mean((np.array(found) / exact - 1.0) ** 2)))
     order = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
-    print(f"95 % quantile of a sum of three: {dict(zip(counts.tolist(), np.round(errors, 5).tolist(), strict=True))}")
+    print(
+        "95 % quantile of a sum of three: "
+        f"{dict(zip(counts.tolist(), np.round(errors, 5).tolist(), strict=True))}"
+    )
     print(f"error falls with the number of samples to the power {order:.2f}; of random samples 0.5")
 
 
@@ -105,7 +131,9 @@ STRAIGHT_DOWN = {
 
 
 class Windows:
-    """Loads of a scene in parts of its run, at the cited constants and in samples of them but those that stay fixed."""
+    """Loads of a scene in parts of its run, at the cited constants and in samples of them but
+    those that stay fixed.
+    """
 
     def __init__(self, name, changes, fixed=""):
         self.reweighed = Reweighed(record_loads(load_scene(name, changes), cores=1))
@@ -119,8 +147,12 @@ class Windows:
         self.weights = self.reweighed.weights(values)
 
     def loads(self, ticks):
-        """Mean over ticks of force [N] and torque [N m], shape (6,) at the cited constants and (samples, 6)."""
-        units = [layer.unit[:, :, ticks].mean(axis=2) for layer in self.reweighed.record.layers.values()]
+        """Mean over ticks of force [N] and torque [N m], shape (6,) at the cited constants and
+        (samples, 6).
+        """
+        units = [
+            layer.unit[:, :, ticks].mean(axis=2) for layer in self.reweighed.record.layers.values()
+        ]
         unit = np.concatenate([each.reshape(-1, 6) for each in units])
         return (self.nominal @ unit)[0], self.weights @ unit
 
@@ -153,9 +185,13 @@ def published():
     molar = Windows("molar", STRAIGHT_DOWN)
     for layer in ("enamel", "dentin"):
         ticks = middle_half(np.flatnonzero(molar.trace["layer"] == layer))
-        molar.show(f"molar at 1.5 mm/s: axial force in {layer} / N", ticks, lambda loads: loads[:, 2])
+        molar.show(
+            f"molar at 1.5 mm/s: axial force in {layer} / N", ticks, lambda loads: loads[:, 2]
+        )
     milling = Windows("milling", {"duration_s": 1.6})
-    milling.show("milling, middle of the first pass: size of the force / N", np.arange(530, 1530), size(0))
+    milling.show(
+        "milling, middle of the first pass: size of the force / N", np.arange(530, 1530), size(0)
+    )
     for name, changes in (("glenoid", {}), ("milling", {}), ("molar", {}), ("caries", {})):
         whole = Reweighed(record_loads(load_scene(name, changes), cores=1))
         values = whole.ranges.x(normals(COUNT, len(whole.ranges.names), seed=0))
@@ -165,8 +201,14 @@ def published():
         row(f"{name}: peak torque / N m", nominal[2], ends[:, 2])
     needle = load_scene("needle", {"anatomy.interval_ms": 0.0, "duration_s": 1.6})
     band, run = band_of(needle, 256, cores=1), simulate(needle, cores=1)
-    (punctured,) = (each for sentence, each in band.summary["events"].items() if "capsule" in sentence)
-    row("needle: time of the capsule's puncture / s", run.events[0][0], list(punctured["time_s"].values()))
+    (punctured,) = (
+        each for sentence, each in band.summary["events"].items() if "capsule" in sentence
+    )
+    row(
+        "needle: time of the capsule's puncture / s",
+        run.events[0][0],
+        list(punctured["time_s"].values()),
+    )
     tick = int(np.searchsorted(band.times_s, 0.25 + 16.7 / 20.0))
     row("needle: force at 16.7 mm / N", band.nominal[tick, 3], band.quantiles[:, tick, 3])
 

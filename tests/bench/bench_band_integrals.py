@@ -1,8 +1,9 @@
-"""Bands of forces in closed form, from the tables of constants alone: what ``bench_band.py --published`` must give.
+"""Bands of forces in closed form, from the tables of constants alone: what ``bench_band.py
+--published`` must give.
 
-A ball straight down into enamel and dentin (the integral over the hemisphere), the leading half of a spherical cap in bone,
-and the root of the polynomial of a needle before its puncture, each with random samples of the laws of their constants.
-Nothing of the package is used but its data files.
+A ball straight down into enamel and dentin (the integral over the hemisphere), the leading half of
+a spherical cap in bone, and the root of the polynomial of a needle before its puncture, each with
+random samples of the laws of their constants. Nothing of the package is used but its data files.
 """
 
 import tomllib
@@ -32,7 +33,10 @@ def drawn(entry):
     to, back = np.log, np.exp
     if low == 0.0:
         low, squeeze = 0.035 * value, 0.05 * value
-        to, back = lambda x: squeeze * np.log(np.expm1(x / squeeze)), lambda y: squeeze * np.logaddexp(0.0, y / squeeze)
+        to, back = (
+            lambda x: squeeze * np.log(np.expm1(x / squeeze)),
+            lambda y: squeeze * np.logaddexp(0.0, y / squeeze),
+        )
     ends = to(low), to(value), to(high)
     share = (ends[2] - ends[1]) / (ends[1] - ends[0])
     skew = np.log(share) / Z_95
@@ -53,11 +57,14 @@ def plunged(of, material):
 
 
 def dragged(of):
-    """Size of the force [N] of a ball of 3 mm, 0.1 mm deep, sideways at 5 mm/s, 6 edges at 10,000 turns a minute."""
+    """Size of the force [N] of a ball of 3 mm, 0.1 mm deep, sideways at 5 mm/s, 6 edges at
+    10,000 turns a minute.
+    """
     most, cells = np.arccos(1.0 - 0.1 / 3.0), 400
     middles = (np.arange(cells) + 0.5) / cells
     polar, azimuth = np.meshgrid(most * middles, np.pi * (middles - 0.5), indexing="ij")
-    length = 6 * 3.0 / (2.0 * np.pi) * (most / cells) * (np.pi / cells)  # N A / (2 pi r) of each cell
+    # N A / (2 pi r) of each cell
+    length = 6 * 3.0 / (2.0 * np.pi) * (most / cells) * (np.pi / cells)
     chip = 5.0 * np.sin(polar) * np.cos(azimuth) * 60.0 / (6 * 10_000.0)
     flat = np.zeros_like(polar)
     normal = np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), -np.cos(polar)

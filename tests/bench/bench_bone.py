@@ -1,7 +1,9 @@
 """Cost of a tick of bone: `python tests/bench/bench_bone.py [--quick]`.
 
-1. A ball burr of 3 mm radius, all of it in a solid cube of 25.6 mm, 0.1 mm voxels, 1 mm/s at 1 kHz: carving and force,
-   beside a brute-force Warp kernel over the burr's box, and NumPy over the same box, in the same run.
+1. A ball burr of 3 mm radius, all of it in a solid cube of 25.6 mm, 0.1 mm voxels, 1 mm/s at 1 kHz:
+carving and force,
+   beside a brute-force Warp kernel over the burr's box, and NumPy over the same box, in the same
+   run.
 2. The glenoid scene at 0.2, 0.1 and 0.05 mm: cost against the engaged area and the volume.
 3. The same burr at other speeds: what is spread over ticks when slow comes together when fast.
 """
@@ -37,7 +39,10 @@ def position(index: int) -> np.ndarray:
 
 def brute_force_warp(volume, count: int) -> Cost:
     remaining = wp.full(volume.shape, 65535, dtype=wp.uint16, device="cpu")
-    centre, low = wp.zeros(1, dtype=wp.vec3, device="cpu"), wp.zeros(1, dtype=wp.vec3i, device="cpu")
+    centre, low = (
+        wp.zeros(1, dtype=wp.vec3, device="cpu"),
+        wp.zeros(1, dtype=wp.vec3i, device="cpu"),
+    )
     removed = wp.zeros(1, dtype=wp.int64, device="cpu")
     inputs = [centre, low, RADIUS_M / SPACING_M, remaining, removed]
     command = wp.launch(carve, dim=(BOX,) * 3, inputs=inputs, device="cpu", record_cmd=True)
@@ -60,7 +65,9 @@ def numpy_box(volume, count: int) -> Cost:
         at = (position(index) + UP_M - volume.origin_m) / SPACING_M
         low = np.floor(at - BOX / 2).astype(int)
         offset = (at - low).astype(np.float32)
-        distance = np.sqrt(((grid - offset[:, None, None, None]) ** 2).sum(axis=0)) - np.float32(RADIUS_M / SPACING_M)
+        distance = np.sqrt(((grid - offset[:, None, None, None]) ** 2).sum(axis=0)) - np.float32(
+            RADIUS_M / SPACING_M
+        )
         left = (65535 * (1 - np.clip(0.5 - distance, 0, 1))).astype(np.uint16)
         part = tuple(slice(a, a + BOX) for a in low)
         np.minimum(remaining[part], left, out=remaining[part])
@@ -78,7 +85,9 @@ def burr(volume, *, feed_m_s: float = FEED_M_S, cores: int = 1, **options) -> Bo
     )
 
 
-def milling(volume, count: int, *, feed_m_s: float = FEED_M_S, **options) -> tuple[Cost, Cost, Cost]:
+def milling(
+    volume, count: int, *, feed_m_s: float = FEED_M_S, **options
+) -> tuple[Cost, Cost, Cost]:
     """Costs of carving, force and both."""
     model = burr(volume, **options)
     motion = ToolMotion(speed_m_s=feed_m_s)
@@ -122,7 +131,9 @@ def glenoid(spacing_mm: float, *, duration_s: float | None) -> tuple[str, ...]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--quick", action="store_true", help="fewer ticks, and no 0.05 mm")
     quick = parser.parse_args().quick
     count = 1000 if quick else 4000
@@ -132,7 +143,10 @@ def main() -> None:
     voxels_s = perf_counter() - start
     start = perf_counter()
     burr(volume)
-    print(f"voxels {voxels_s:.2f} s, bricks and kernels (compiled or from cache) {perf_counter() - start:.2f} s\n")
+    print(
+        f"voxels {voxels_s:.2f} s, bricks and kernels (compiled or from cache) "
+        f"{perf_counter() - start:.2f} s\n"
+    )
 
     carving, forces, both = milling(volume, count)
     compared = [
@@ -153,13 +167,22 @@ def main() -> None:
     rows = []
     for feed in (0.1e-3, 1e-3, 5e-3, 20e-3, 100e-3):
         cost = milling(volume, min(count, int(1.4e-2 / (feed * TICK_S))), feed_m_s=feed, cores=2)[2]
-        rows.append((f"{feed * 1e3:g} mm/s", *(f"{v:.0f}" for v in (cost.median, cost.p99, cost.worst))))
+        rows.append(
+            (f"{feed * 1e3:g} mm/s", *(f"{v:.0f}" for v in (cost.median, cost.p99, cost.worst)))
+        )
     print("the same at other feeds, two cores [us a tick]")
     print(table(rows, ("feed", "median", "99 %", "max")), "\n")
 
     print("glenoid scene [us a tick]")
-    rows = [glenoid(s, duration_s=1.2 if quick else None) for s in ((0.2, 0.1) if quick else (0.2, 0.1, 0.05))]
-    print(table(rows, ("voxel", "voxels", "engaged", "median", "99 %", "max", "missed", "peak", "wall")))
+    rows = [
+        glenoid(s, duration_s=1.2 if quick else None)
+        for s in ((0.2, 0.1) if quick else (0.2, 0.1, 0.05))
+    ]
+    print(
+        table(
+            rows, ("voxel", "voxels", "engaged", "median", "99 %", "max", "missed", "peak", "wall")
+        )
+    )
 
 
 if __name__ == "__main__":

@@ -1,10 +1,11 @@
 """What calibration costs and what it is good for.
 
-Prints (1) a trial's cost, beside questplus where that is installed (it is under the GPL: for comparison only), (2) trials
-until half of 300 thresholds lie within 10 % of the truth, beside staircases, (3) interval coverage and the bias that
-heavy tails and fatigue cause, (4) discrimination with and without calibration on runs of the scenes, 100 people a group,
-with 95 % intervals, beside what the paper reports.
-Run: python tests/bench/bench_calibration.py [trial] [staircase] [coverage] [scenes]
+Prints (1) a trial's cost, beside questplus where that is installed (it is under the GPL: for
+comparison only), (2) trials until half of 300 thresholds lie within 10 % of the truth, beside
+staircases, (3) interval coverage and the bias that heavy tails and fatigue cause, (4)
+discrimination with and without calibration on runs of the scenes, 100 people a group, with 95 %
+intervals, beside what the paper reports. Run: python tests/bench/bench_calibration.py [trial]
+[staircase] [coverage] [scenes]
 """
 
 import sys
@@ -35,15 +36,21 @@ PEOPLE = 100
 
 
 def stimulus_of(trace: Table, start_s: float, end_s: float, *, scale: float = 1.0) -> Stimulus:
-    """The force on the tool between two times of a run [s], as it is at the device: mean and deviation of windows.
+    """The force on the tool between two times of a run [s], as it is at the device: mean and
+    deviation of windows.
 
-    A window is as long as a person averages, a tenth of a second; slow changes of the force count as scatter.
+    A window is as long as a person averages, a tenth of a second; slow changes of the force count
+    as scatter.
     """
     window_s = constants("perception", "force")["integration_s"].value
     times, sizes = trace["time_s"], np.linalg.norm(trace.vectors("model_force", "N"), axis=1)
     edges = start_s + window_s * np.arange(int((end_s - start_s) / window_s + 1e-9) + 1)
     which = np.digitize(times, edges) - 1
-    means = [scale * sizes[which == index].mean() for index in range(len(edges) - 1) if (which == index).any()]
+    means = [
+        scale * sizes[which == index].mean()
+        for index in range(len(edges) - 1)
+        if (which == index).any()
+    ]
     return Stimulus(float(np.mean(means)), float(np.std(means)))
 
 
@@ -56,12 +63,16 @@ def equal_people(count: int, **given: float) -> SimulatedObservers:
     )
 
 
-def calibrated(people: SimulatedObservers, trials: int, prior: ThresholdPrior | None = None) -> AdaptiveThreshold:
+def calibrated(
+    people: SimulatedObservers, trials: int, prior: ThresholdPrior | None = None
+) -> AdaptiveThreshold:
     """Thresholds of people after some trials."""
     rng, found = np.random.default_rng(0), AdaptiveThreshold(prior, observers=len(people))
     for trial in range(trials):
         asked = found.propose()
-        found.answer(asked, people.correct(found.base_N[asked], found.step_N[asked], rng, trial=trial))
+        found.answer(
+            asked, people.correct(found.base_N[asked], found.step_N[asked], rng, trial=trial)
+        )
     return found
 
 
@@ -101,7 +112,9 @@ def trial() -> None:
             right = rng.random() < two_interval(1.0, 10.0 ** stimulus["intensity"], 0.07, 0.2, 0.02)
             peer.update(stim=stimulus, outcome={"response": "Yes" if right else "No"})
 
-        rows.append(("questplus", f"{len(ours.step_N)} x 2400", str(cost_of(other, count=60, warm_up=10))))
+        rows.append(
+            ("questplus", f"{len(ours.step_N)} x 2400", str(cost_of(other, count=60, warm_up=10)))
+        )
     print(table(rows, ("trial", "grid", "median, p99, max / us")), end="\n\n")
 
 
@@ -134,7 +147,13 @@ def staircase() -> None:
         )
         for name, each in errors.items()
     ]
-    print(table(rows, ("method", "trials to 10 %", "ratio", "median error / % at 30", "60", "120", "240")), end="\n\n")
+    print(
+        table(
+            rows,
+            ("method", "trials to 10 %", "ratio", "median error / % at 30", "60", "120", "240"),
+        ),
+        end="\n\n",
+    )
 
 
 def coverage() -> None:
@@ -160,9 +179,19 @@ def coverage() -> None:
                 f"{100 * np.mean((low < 0.07) & (high > 0.07)):.1f}",
             )
         )
-    print(table(rows, ("truth 7 %, 400 people, 120 trials", "mean / %", "scatter / %", "95 % covers / %")), end="\n\n")
+    print(
+        table(
+            rows,
+            ("truth 7 %, 400 people, 120 trials", "mean / %", "scatter / %", "95 % covers / %"),
+        ),
+        end="\n\n",
+    )
     rows = []
-    for prior in (ThresholdPrior(), ThresholdPrior(weber=0.2), ThresholdPrior(weber=0.04, weber_log_spread=0.3)):
+    for prior in (
+        ThresholdPrior(),
+        ThresholdPrior(weber=0.2),
+        ThresholdPrior(weber=0.04, weber_log_spread=0.3),
+    ):
         found = calibrated(equal_people(400), 120, prior)
         rows.append(
             (
@@ -174,7 +203,9 @@ def coverage() -> None:
 
 
 def scene_stimuli() -> dict[str, tuple[Stimulus, Stimulus, str]]:
-    """Pairs of stimuli from runs of the scenes, as their devices play them, and what the paper reports of them."""
+    """Pairs of stimuli from runs of the scenes, as their devices play them, and what the paper
+    reports of them.
+    """
     import tissue
 
     def ran(name: str, **overrides: object) -> tissue.Run:
@@ -195,7 +226,10 @@ def scene_stimuli() -> dict[str, tuple[Stimulus, Stimulus, str]]:
     soft, hard = (stimulus_of(run.trace, at(kPa) - 0.15, at(kPa) + 0.16) for kPa in (30.0, 34.5))
     found["T1: 30 or 34.5 kPa"] = soft, hard, "+18 to 22 %"
     walls = [ran("wall", anatomy__stiffness_kN_m=stiffness).trace for stiffness in (10.0, 40.0)]
-    found["T2: wall of 10 or 40 kN/m"] = *(stimulus_of(each, 0.5, 1.11) for each in walls), "+18 to 22 %"  # type: ignore
+    found["T2: wall of 10 or 40 kN/m"] = (
+        *(stimulus_of(each, 0.5, 1.11) for each in walls),
+        "+18 to 22 %",
+    )  # type: ignore
     bones = [
         ran("milling", voxels__spacing_mm=0.2, anatomy__density_kg_m3=density, duration_s=2.0).trace
         for density in (1800.0, 1650.0)
@@ -210,7 +244,13 @@ def scene_stimuli() -> dict[str, tuple[Stimulus, Stimulus, str]]:
         stimulus_of(run.trace, puncture + 1e-3, puncture + 0.102),
         "error < 10 %",
     )
-    run = ran("caries", voxels__spacing_mm=0.1, stress__cell_mm=0.4, stress__interval_ms=2000.0, duration_s=2.0)
+    run = ran(
+        "caries",
+        voxels__spacing_mm=0.1,
+        stress__cell_mm=0.4,
+        stress__interval_ms=2000.0,
+        duration_s=2.0,
+    )
     for scale in (0.1, 1.0):
         found[f"caries or dentin, force x {scale:g}"] = (
             stimulus_of(run.trace, 1.0, 1.21, scale=scale),
@@ -250,13 +290,28 @@ def scenes() -> None:
                 texture = 0.1 if "texture" in name else 0.0
                 right = share_right(people, one, two, seed=1, texture_share=texture)
                 commands = calibrated_commands(people, rng)
-                scaled = share_right(people, one, two, seed=1, commands=commands, texture_share=texture)
+                scaled = share_right(
+                    people, one, two, seed=1, commands=commands, texture_share=texture
+                )
                 gain = gain_of(right, scaled, rng)
-                result = (f"{100 * scaled.mean():.1f}", f"{gain.value:+.1f} ({gain.low:+.1f} to {gain.high:+.1f})")
+                result = (
+                    f"{100 * scaled.mean():.1f}",
+                    f"{gain.value:+.1f} ({gain.low:+.1f} to {gain.high:+.1f})",
+                )
             error = 196.0 * right.std() / len(right) ** 0.5
             levels = f"{one.level_N:.3f}, {two.level_N:.3f}"
-            rows.append((name, levels, group, f"{100 * right.mean():.1f} ± {error:.1f}", *result, paper))
-    head = ("stimuli", "levels / N or N m", "group", "right / %", "calibrated / %", "change / %", "paper")
+            rows.append(
+                (name, levels, group, f"{100 * right.mean():.1f} ± {error:.1f}", *result, paper)
+            )
+    head = (
+        "stimuli",
+        "levels / N or N m",
+        "group",
+        "right / %",
+        "calibrated / %",
+        "change / %",
+        "paper",
+    )
     print(table(rows, head))
 
 

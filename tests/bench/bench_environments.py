@@ -1,7 +1,10 @@
-"""Scores and throughput of the environments: `python tests/bench/bench_environments.py [--seeds 10] [--steps 200]`.
+"""Scores and throughput of the environments: `python tests/bench/bench_environments.py [--seeds 10]
+[--steps 200]`.
 
-1. What the expert, random actions and none score, mean and range over seeds that set nothing (from 1000 on).
-2. Steps a second of experts' first steps, and a second of processor time: one environment, and vectors of 1 and 2
+1. What the expert, random actions and none score, mean and range over seeds that set nothing (from
+1000 on).
+2. Steps a second of experts' first steps, and a second of processor time: one environment, and
+vectors of 1 and 2
    processes, medians of five runs.
 3. Share of an environment's time in carving and force (`advance` and `respond` of the model).
 """
@@ -30,13 +33,21 @@ def scores(name: str, seeds: int) -> None:
             seen, info = env.reset(seed=seed)
             expert, over = expert_of(env), False
             while not over:
-                action = np.zeros(env.action_space.shape) if kind == "none" else env.action_space.sample()
+                action = (
+                    np.zeros(env.action_space.shape)
+                    if kind == "none"
+                    else env.action_space.sample()
+                )
                 if kind == "expert":
                     action = expert(seen)
-                seen, _, terminated, truncated, info = env.step(np.asarray(action, dtype=np.float32))
+                seen, _, terminated, truncated, info = env.step(
+                    np.asarray(action, dtype=np.float32)
+                )
                 over = terminated or truncated
             found.append(info["score"])
-        print(f"  {kind:7s} {np.mean(found):6.3f} ({min(found):.3f} to {max(found):.3f})", flush=True)
+        print(
+            f"  {kind:7s} {np.mean(found):6.3f} ({min(found):.3f} to {max(found):.3f})", flush=True
+        )
 
 
 def throughput(name: str, steps: int) -> None:
@@ -69,7 +80,10 @@ def throughput(name: str, steps: int) -> None:
 
     begin, rates = process_time(), [played(env.step, env.reset, 0) for _ in range(RUNS)]
     rate = RUNS * steps / (process_time() - begin)
-    print(f"  one environment {median(rates):5.0f} steps/s, {rate:.0f} a second of processor time", flush=True)
+    print(
+        f"  one environment {median(rates):5.0f} steps/s, {rate:.0f} a second of processor time",
+        flush=True,
+    )
     model.advance, model.respond = timed(model.advance), timed(model.respond)
     begin = perf_counter()
     played(env.step, env.reset, 0)
@@ -83,7 +97,9 @@ def throughput(name: str, steps: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--steps", type=int, default=200)
     asked = parser.parse_args()

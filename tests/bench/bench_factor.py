@@ -1,7 +1,9 @@
-"""Cost of a factor of soft organs, CPU seconds, the quickest of three: `python tests/bench/bench_factor.py`.
+"""Cost of a factor of soft organs, CPU seconds, the quickest of three: `python
+tests/bench/bench_factor.py`.
 
-Multifrontal Cholesky beside SuperLU in the same order and SuperLU as it comes, which scikit-fem calls; each with one
-solve. Numbers of the factor count those that are kept, those of SuperLU in both its triangles.
+Multifrontal Cholesky beside SuperLU in the same order and SuperLU as it comes, which scikit-fem
+calls; each with one solve. Numbers of the factor count those that are kept, those of SuperLU in
+both its triangles.
 """
 
 from time import process_time
@@ -21,7 +23,9 @@ from tissue.materials.elasticity import lame
 
 ROUNDS = 3
 PLAIN_UNKNOWNS = 25_000
-"""SuperLU as it comes is tried up to here: its time grows nearly with the square of the unknowns."""
+"""SuperLU as it comes is tried up to here: its time grows nearly with the square of the
+unknowns.
+"""
 
 
 def quickest(made):
@@ -59,7 +63,9 @@ def main():
         blocks = dissected(body.nodes_m, pointwise_graph(body.stiffness))
         right = np.random.default_rng(0).normal(size=len(body.free))
         _, matrix, _ = factorised(body, blocks)
-        ours, (kept, _, factor) = quickest(lambda body=body, blocks=blocks: factorised(body, blocks))
+        ours, (kept, _, factor) = quickest(
+            lambda body=body, blocks=blocks: factorised(body, blocks)
+        )
         assert isinstance(factor, Multifrontal)
         solve, found = quickest(lambda factor=factor, right=right: factor.solve(right))
         same, other = quickest(lambda matrix=matrix: SuperLUFactor(matrix))
@@ -71,12 +77,30 @@ def main():
             seconds, factor_plain = quickest(lambda matrix=sorted_matrix: splu(matrix))
             seconds += quickest(lambda factor=factor_plain, right=right: factor.solve(right))[0]
             plain = f"{seconds:.2f} ({seconds / (ours + solve):.1f})"
-        rows.append((
-            name, f"{len(kept)}", f"{ours:.2f}", f"{1e3 * solve:.0f}", f"{factor.entries / 1e6:.1f}",
-            f"{same:.2f} ({same / ours:.1f})", f"{1e3 * same_solve:.0f}", plain, f"{apart:.0e}",
-        ))  # fmt: skip
-    head = ("body", "unknowns", "ours s", "solve ms", "factor 1e6", "SuperLU, same order s", "solve ms",
-            "SuperLU as it comes, with a solve s", "apart")  # fmt: skip
+        rows.append(
+            (
+                name,
+                f"{len(kept)}",
+                f"{ours:.2f}",
+                f"{1e3 * solve:.0f}",
+                f"{factor.entries / 1e6:.1f}",
+                f"{same:.2f} ({same / ours:.1f})",
+                f"{1e3 * same_solve:.0f}",
+                plain,
+                f"{apart:.0e}",
+            )
+        )
+    head = (
+        "body",
+        "unknowns",
+        "ours s",
+        "solve ms",
+        "factor 1e6",
+        "SuperLU, same order s",
+        "solve ms",
+        "SuperLU as it comes, with a solve s",
+        "apart",
+    )
     print(table(rows, head))
 
 

@@ -1,17 +1,22 @@
-"""Coverage of fits to cuts: `python tests/bench/bench_fit_cutting.py [block|bone|tooth] [--truth prior|ends|cited]`.
+"""Coverage of fits to cuts: `python tests/bench/bench_fit_cutting.py [block|bone|tooth] [--truth
+prior|ends|cited]`.
 
-A block is milled, a glenoid is reamed through its plate into trabecular bone, and a carious lesion is drilled out of a
-molar, each at several feeds. The geometry is recorded once. Each log then has its own constants, sensor bias, clock offset and autocorrelated
-noise with heavy tails, and is fitted. `--truth` chooses the constants:
+A block is milled, a glenoid is reamed through its plate into trabecular bone, and a carious lesion
+is drilled out of a molar, each at several feeds. The geometry is recorded once. Each log then has
+its own constants, sensor bias, clock offset and autocorrelated noise with heavy tails, and is
+fitted. `--truth` chooses the constants:
 
-- prior: all of them drawn from their priors, a one-sided constant being its cited value in half of the logs;
-- ends: constants whose cited value is an end of their range, such as axial coefficients, at that value, others drawn;
-- cited: all coefficients at their cited values. The densities belong to the specimen and are drawn as ever.
+- prior: all of them drawn from their priors, a one-sided constant being its cited value in half of
+  the logs;
+- ends: constants whose cited value is an end of their range, such as axial coefficients, at that
+  value, others drawn;
+- cited: all coefficients at their cited values. The densities belong to the specimen and are drawn
+  as ever.
 
-The bench prints how often the 90 % intervals hold the planted values: of the constants that the fit calls determined,
-of those with a cited value at the end of their range, of combinations, and of the offset. A count has a standard error
-of its own, sqrt(0.9 0.1 / fits) or 1.5 % of 400. With `--normal` the noise has no heavy tails, which the fit does not
-know.
+The bench prints how often the 90 % intervals hold the planted values: of the constants that the fit
+calls determined, of those with a cited value at the end of their range, of combinations, and of the
+offset. A count has a standard error of its own, sqrt(0.9 0.1 / fits) or 1.5 % of 400. With
+`--normal` the noise has no heavy tails, which the fit does not know.
 """
 
 import argparse
@@ -60,13 +65,16 @@ CUTS = {
         0.06,
     ),
 }
-"""Scene, changes, places of the tip along x and z [mm], their times [s], and the scale of what noise adds in each
-millisecond, in shares of the largest force, and torque, at the cited constants. The block's log determines coefficients
-by itself: four feeds and little noise. The other two leave some of them to their priors."""
+"""Scene, changes, places of the tip along x and z [mm], their times [s], and the scale of what
+noise adds in each millisecond, in shares of the largest force, and torque, at the cited constants.
+The block's log determines coefficients by itself: four feeds and little noise. The other two leave
+some of them to their priors."""
 BLOCK = 20
 """Ticks of a block of the log's samples, 1 kHz, that are averaged."""
 BIAS, CORRELATION = 0.1, 0.9
-"""Scale of the bias in the same shares, and correlation of the noise from one millisecond to the next."""
+"""Scale of the bias in the same shares, and correlation of the noise from one millisecond to the
+next.
+"""
 FREEDOM = 4.0
 """Degrees of freedom of what the noise adds in a millisecond."""
 
@@ -96,7 +104,9 @@ def planted(parameters: Sequence[Parameter], truth: str, rng: np.random.Generato
 
 
 def one(task: tuple[str, int, str, bool]) -> tuple[list[tuple[str, bool]], bool, float]:
-    """Fit one log; return what held what was planted, whether the fit converged, and its processor time [s]."""
+    """Fit one log; return what held what was planted, whether the fit converged, and its
+    processor time [s].
+    """
     kind, seed, truth, normal = task
     (whole, forward), rng = cut(kind), np.random.default_rng(seed)
     priors = [each.prior for each in forward.parameters]
@@ -105,7 +115,9 @@ def one(task: tuple[str, int, str, bool]) -> tuple[list[tuple[str, bool]], bool,
     z = planted(forward.parameters, truth, rng)
     loads = whole.loads(np.array([float(each.x(at)) for each, at in zip(priors, z, strict=True)]))
     offset_s = OFFSET_S * rng.standard_normal()
-    values = np.column_stack([np.interp(whole.times_s - offset_s, whole.times_s, each) for each in loads.T])
+    values = np.column_stack(
+        [np.interp(whole.times_s - offset_s, whole.times_s, each) for each in loads.T]
+    )
     fresh = rng.standard_normal(values.shape) if normal else rng.standard_t(FREEDOM, values.shape)
     noise = lfilter([1.0], [1.0, -CORRELATION], CUTS[kind][-1] * size * fresh, axis=0)
     measured = values + noise + BIAS * size * rng.standard_normal(6)
@@ -114,7 +126,9 @@ def one(task: tuple[str, int, str, bool]) -> tuple[list[tuple[str, bool]], bool,
     posterior = maximum_posterior(forward, log)
     result = identified(posterior)
     took = process_time() - start
-    true = {name: float(prior.x(at)) for name, prior, at in zip(posterior.names, priors, z, strict=True)}
+    true = {
+        name: float(prior.x(at)) for name, prior, at in zip(posterior.names, priors, z, strict=True)
+    }
     sides = {each.name: each.side for each in forward.parameters}
     held = []
     low, high = posterior.offset_interval_s
@@ -141,21 +155,36 @@ def main() -> None:
         hits, counts, seconds, converged = Counter(), Counter(), [], 0
         with Pool(options.processes) as pool:
             for held, found, took in pool.imap_unordered(
-                one, [(kind, seed, options.truth, options.normal) for seed in range(options.fits)], 5
+                one,
+                [(kind, seed, options.truth, options.normal) for seed in range(options.fits)],
+                5,
             ):
                 seconds.append(took)
                 converged += found
                 if len(seconds) % 50 == 0:
-                    print(f"{len(seconds)} fits, {hits['constants']} of {counts['constants']} held", flush=True)
+                    print(
+                        f"{len(seconds)} fits, {hits['constants']} of {counts['constants']} held",
+                        flush=True,
+                    )
                 for name, inside in held:
-                    kinds = ["constants"] if name.startswith("constant cutting") or "density" in name else []
-                    kinds += ["constants at an end"] if name.startswith("constant at an end") else []
+                    kinds = (
+                        ["constants"]
+                        if name.startswith("constant cutting") or "density" in name
+                        else []
+                    )
+                    kinds += (
+                        ["constants at an end"] if name.startswith("constant at an end") else []
+                    )
                     for each in (name, *kinds):
                         counts[each] += 1
                         hits[each] += inside
         _, forward = cut(kind)
-        print(f"{kind}, {options.truth}: {options.fits} fits of {len(cut(kind)[0].times_s) // BLOCK} samples, {len(forward.parameters)} constants, "
-              f"{converged} converged, median {np.median(seconds):.2f} s of processor time")  # fmt: skip
+        print(
+            f"{kind}, {options.truth}: {options.fits} fits of "
+            f"{len(cut(kind)[0].times_s) // BLOCK} samples, {len(forward.parameters)} "
+            "constants, "
+            f"{converged} converged, median {np.median(seconds):.2f} s of processor time"
+        )
         for name, count in sorted(counts.items(), key=lambda each: -each[1]):
             print(f"  {name:55s} {100 * hits[name] / count:5.1f} % of {count}", flush=True)
 

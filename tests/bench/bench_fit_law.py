@@ -1,4 +1,5 @@
-"""How well modulus and shape of a hyperelastic law come back from a deep press, and how smooth its runs are.
+"""How well modulus and shape of a hyperelastic law come back from a deep press, and how smooth its
+runs are.
 
 python tests/bench/bench_fit_law.py ogden --fits 8
 python tests/bench/bench_fit_law.py mooney-rivlin --fits 4
@@ -14,10 +15,18 @@ import tissue
 from tissue.fitting.organ_runs import OrganRuns, Poses
 
 SLAB = {
-    "anatomy.size_mm": [50, 40, 20], "anatomy.nodule_diameter_mm": None, "anatomy.edge_mm": 8.0,
-    "anatomy.touch_edge_mm": 5.0, "organ.young_kPa": 8.0, "organ.young_end_kPa": None, "organ.parts": None,
-    "organ.friction": 0.0, "organ.poisson_ratio": 0.45, "organ.order": 1, "organ.interval_ms": 0.0,
-}  # fmt: skip
+    "anatomy.size_mm": [50, 40, 20],
+    "anatomy.nodule_diameter_mm": None,
+    "anatomy.edge_mm": 8.0,
+    "anatomy.touch_edge_mm": 5.0,
+    "organ.young_kPa": 8.0,
+    "organ.young_end_kPa": None,
+    "organ.parts": None,
+    "organ.friction": 0.0,
+    "organ.poisson_ratio": 0.45,
+    "organ.order": 1,
+    "organ.interval_ms": 0.0,
+}
 LAWS = {"ogden": ("organ.exponent", 12.0, 18.0), "mooney-rivlin": ("organ.second_share", 0.3, 0.6)}
 """Key of the shape, the scene's value, and the planted one."""
 TIMES_S, DEPTHS_MM = np.array([0.0, 0.4, 0.6, 0.9]), np.array([0.5, -5.0, -5.0, -1.0])
@@ -39,7 +48,10 @@ def main() -> None:
     runs = OrganRuns(scene, poses, ("force_x_N", "force_y_N", "force_z_N"))
     loads, *others = runs([{"organ.young_kPa": PLANTED_KPA, key: shape} for shape in shapes])
     for step, other in zip(STEPS, others, strict=True):
-        print(f"{key} changed by {step:.1%}: loads by {1e3 * np.sqrt(np.mean((other - loads)[:, 2] ** 2)):.2f} mN rms")
+        print(
+            f"{key} changed by {step:.1%}: loads by "
+            f"{1e3 * np.sqrt(np.mean((other - loads)[:, 2] ** 2)):.2f} mN rms"
+        )
     times_s = 1e-3 * np.arange(len(loads))
     depths_mm = np.interp(times_s, TIMES_S, DEPTHS_MM)
     for seed in range(FIRST_SEED, FIRST_SEED + given.fits):
@@ -52,7 +64,10 @@ def main() -> None:
             fit = tissue.fit(scene, path, cores=1)
         table = fit.to_pandas()[["p05", "p50", "p95", "state"]]
         warned = any("do not agree" in each for each in fit.fitted.sentences)
-        print(f"seed {seed}, planted {PLANTED_KPA:g} kPa and {planted:g}, {'warned' if warned else 'not warned'}")
+        print(
+            f"seed {seed}, planted {PLANTED_KPA:g} kPa and {planted:g}, "
+            f"{'warned' if warned else 'not warned'}"
+        )
         print(table.to_string(), flush=True)
 
 

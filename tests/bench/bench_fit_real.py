@@ -1,15 +1,17 @@
 """Constants fitted to one half of a real log predict the other half.
 
 `python tests/bench/bench_fit_real.py --data ForceCalculation [--figure FILE.png]` after `git clone
-https://github.com/leekunhwee/ForceCalculation`. The repository states no licence: files are read where they are, and
-none of them is copied here.
+https://github.com/leekunhwee/ForceCalculation`. The repository states no licence: files are read
+where they are, and none of them is copied here.
 
-Slots 25 mm wide and 3 mm deep in a metal, by a flat end mill with two teeth at 6000 rpm and five feeds, 1 s of
-each, forces by a dynamometer at 10 kHz (folder `General/Flat end milling`). Not bone, and so a test of the fit alone: the
-scene is a block that a cylinder cuts, coefficients have the wide priors of a light alloy, poses follow from the stated
-feeds, axes are those that the author uses. Some feeds are fitted. Printed of the others: mean forces, predicted with 90 %
-intervals; their error, that of straight lines through the fitted means (the law is linear in the feed, and can do no
-more), that of the priors' medians; and the scatter of means over a revolution, which is what the same cut repeats to.
+Slots 25 mm wide and 3 mm deep in a metal, by a flat end mill with two teeth at 6000 rpm and five
+feeds, 1 s of each, forces by a dynamometer at 10 kHz (folder `General/Flat end milling`). Not bone,
+and so a test of the fit alone: the scene is a block that a cylinder cuts, coefficients have the
+wide priors of a light alloy, poses follow from the stated feeds, axes are those that the author
+uses. Some feeds are fitted. Printed of the others: mean forces, predicted with 90 % intervals;
+their error, that of straight lines through the fitted means (the law is linear in the feed, and can
+do no more), that of the priors' medians; and the scatter of means over a revolution, which is what
+the same cut repeats to.
 """
 
 import argparse
@@ -33,15 +35,26 @@ RATE, REVOLUTION = 10_000, 100
 """Samples of a second, and of a revolution."""
 START_MM, DEPTH_MM = -45.0, 3.0
 SCENE = {
-    "anatomy.size_mm": [100, 40, 5], "voxels.spacing_mm": 0.5, "tool.kind": "cylinder", "tool.diameter_mm": 25.0,
-    "tool.length_mm": 6.0, "tool.flutes": 2, "tool.spin_rpm": 6000.0, "tool.shell_spacing_mm": None,
-}  # fmt: skip
+    "anatomy.size_mm": [100, 40, 5],
+    "voxels.spacing_mm": 0.5,
+    "tool.kind": "cylinder",
+    "tool.diameter_mm": 25.0,
+    "tool.length_mm": 6.0,
+    "tool.flutes": 2,
+    "tool.spin_rpm": 6000.0,
+    "tool.shell_spacing_mm": None,
+}
 PRIORS = {
-    "tangential_chip_N_mm2": (800.0, 200.0, 3000.0), "radial_chip_N_mm2": (300.0, 50.0, 1500.0),
-    "axial_chip_N_mm2": (150.0, 20.0, 1000.0), "tangential_edge_N_mm": (15.0, 3.0, 60.0),
-    "radial_edge_N_mm": (15.0, 3.0, 60.0), "axial_edge_N_mm": (10.0, 1.0, 50.0),
-}  # fmt: skip
-"""Light alloys and soft steels lie within (Altintas 2012, Manufacturing Automation, table 2.1, from memory)."""
+    "tangential_chip_N_mm2": (800.0, 200.0, 3000.0),
+    "radial_chip_N_mm2": (300.0, 50.0, 1500.0),
+    "axial_chip_N_mm2": (150.0, 20.0, 1000.0),
+    "tangential_edge_N_mm": (15.0, 3.0, 60.0),
+    "radial_edge_N_mm": (15.0, 3.0, 60.0),
+    "axial_edge_N_mm": (10.0, 1.0, 50.0),
+}
+"""Light alloys and soft steels lie within (Altintas 2012, Manufacturing Automation, table 2.1,
+from memory).
+"""
 STEP = 1e-4
 """Step over which the forces are differenced."""
 
@@ -71,7 +84,9 @@ def fitted(scene: tissue.Scene, data: Path, feeds: tuple[int, ...], folder: Path
 
 
 def predicted(scene: tissue.Scene, fit: tissue.Fit) -> tuple[np.ndarray, np.ndarray]:
-    """Mean forces at every feed [N]: 5, 50 and 95 % of the fit, shape (3, feeds, 3), and of the priors' medians."""
+    """Mean forces at every feed [N]: 5, 50 and 95 % of the fit, shape (3, feeds, 3), and of the
+    priors' medians.
+    """
     times, tips = poses(FEEDS)
     every = slice(None, None, REVOLUTION)
     upright = np.tile([0.0, 0.0, 0.0, 1.0], (len(times[every]), 1))
@@ -82,11 +97,16 @@ def predicted(scene: tissue.Scene, fit: tissue.Fit) -> tuple[np.ndarray, np.ndar
 
     def means(u: np.ndarray) -> np.ndarray:
         loads = forward.loads(posterior.target.x(u[: len(posterior.names)]))[:, :3]
-        return np.array([loads[at].mean(axis=0) for at in middle]) + posterior.target.unpacked(u).bias
+        return (
+            np.array([loads[at].mean(axis=0) for at in middle]) + posterior.target.unpacked(u).bias
+        )
 
     best = means(posterior.maximum)
     slopes = np.stack(
-        [(means(posterior.maximum + STEP * each) - best) / STEP for each in np.eye(posterior.target.size)]
+        [
+            (means(posterior.maximum + STEP * each) - best) / STEP
+            for each in np.eye(posterior.target.size)
+        ]
     )
     half = 1.645 * np.sqrt(np.einsum("ijk,il,ljk->jk", slopes, posterior.covariance, slopes))
     return np.array([best - half, best, best + half]), means(np.zeros(posterior.target.size))
@@ -106,11 +126,19 @@ def drawn(figure: Path, results: dict[str, np.ndarray], measured: np.ndarray) ->
     for panel, (split, bands) in zip(axes, results.items(), strict=True):
         for at, name in enumerate(("along the feed", "across", "along the axis")):
             is_fitted = np.isin(FEEDS, SPLITS[split])
-            panel.fill_between(FEEDS, bands[0, :, at], bands[2, :, at], color=f"C{at}", alpha=0.3, lw=0)
+            panel.fill_between(
+                FEEDS, bands[0, :, at], bands[2, :, at], color=f"C{at}", alpha=0.3, lw=0
+            )
             panel.plot(FEEDS, bands[1, :, at], color=f"C{at}", lw=1)
             for chosen, marker in ((is_fitted, "o"), (~is_fitted, "x")):
                 label = name if marker == "o" else None
-                panel.plot(np.array(FEEDS)[chosen], measured[chosen, at], marker, color=f"C{at}", label=label)
+                panel.plot(
+                    np.array(FEEDS)[chosen],
+                    measured[chosen, at],
+                    marker,
+                    color=f"C{at}",
+                    label=label,
+                )
         panel.set_title(f"{split} the fitted feeds (o fitted, x predicted)", fontsize=10)
         panel.set_xlabel("feed [mm/min]")
     axes[0].set_ylabel("mean force on the tool [N]")
@@ -122,7 +150,10 @@ def drawn(figure: Path, results: dict[str, np.ndarray], measured: np.ndarray) ->
 def stated(material: str, ranges: dict[str, tuple[float, float, float]]) -> str:
     """A file of constants for a scene."""
     return "".join(
-        f'[{material}.{name}]\nvalue = {value}\nrange = [{low}, {high}]\nsource = "wide"\nconfidence = "L"\n'
+        (
+            f"[{material}.{name}]\nvalue = {value}\nrange = [{low}, {high}]\nsource = "
+            '"wide"\nconfidence = "L"\n'
+        )
         for name, (value, low, high) in ranges.items()
     )
 
@@ -140,27 +171,41 @@ def milling(data: Path, figure: Path | None) -> None:
             fit = fitted(scene, data, feeds, folder)
             results[split], cited = predicted(scene, fit)
         print(f"fitted to {feeds} mm/min")
-        print(fit.to_pandas()[["cited", "p05", "p50", "p95", "state"]].to_string(float_format="%.3g"))
+        print(
+            fit.to_pandas()[["cited", "p05", "p50", "p95", "state"]].to_string(float_format="%.3g")
+        )
         left = [at for at, feed in enumerate(FEEDS) if feed not in feeds]
         for at in left:
             for axis, name in enumerate("xyz"):
                 low, value, high = results[split][:, at, axis]
-                print(f"  {FEEDS[at]:5d} mm/min {name}: measured {measured[at, axis]:7.1f} N (scatter "
-                      f"{scatter[at, axis]:.1f}), predicted {value:7.1f} ({low:.1f} to {high:.1f}), "
-                      f"priors {cited[at, axis]:7.1f}")  # fmt: skip
+                print(
+                    f"  {FEEDS[at]:5d} mm/min {name}: measured {measured[at, axis]:7.1f} N "
+                    "(scatter "
+                    f"{scatter[at, axis]:.1f}), predicted {value:7.1f} ({low:.1f} to {high:.1f}), "
+                    f"priors {cited[at, axis]:7.1f}"
+                )
         lines = np.polynomial.polynomial.polyfit(feeds, measured[np.isin(FEEDS, feeds)], 1)
         straight = np.polynomial.polynomial.polyval(np.array(FEEDS), lines).T
-        for name, each in (("fit", results[split][1]), ("straight lines", straight), ("priors", cited)):
+        for name, each in (
+            ("fit", results[split][1]),
+            ("straight lines", straight),
+            ("priors", cited),
+        ):
             each = (each - measured)[left]
             size = np.linalg.norm(measured[left])
-            print(f"  {name}: off {np.linalg.norm(each) / size:.1%} of the force (root mean square), "
-                  f"{np.sqrt(np.mean(each**2)):.1f} N against a scatter of {np.sqrt(np.mean(scatter[left] ** 2)):.1f} N")  # fmt: skip
+            print(
+                f"  {name}: off {np.linalg.norm(each) / size:.1%} of the force (root mean square), "
+                f"{np.sqrt(np.mean(each**2)):.1f} N against a scatter of "
+                f"{np.sqrt(np.mean(scatter[left] ** 2)):.1f} N"
+            )
     if figure:
         drawn(figure, results, measured)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--figure", type=Path)
     options = parser.parse_args()

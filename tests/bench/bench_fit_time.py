@@ -1,6 +1,8 @@
-"""Time of a fit to a log of 10 s at 1 kHz with forces and torques: `python tests/bench/bench_fit_time.py`.
+"""Time of a fit to a log of 10 s at 1 kHz with forces and torques: `python
+tests/bench/bench_fit_time.py`.
 
-The log is a run of the built-in glenoid with autocorrelated noise with heavy tails, 3 % of the largest load, and a bias.
+The log is a run of the built-in glenoid with autocorrelated noise with heavy tails, 3 % of the
+largest load, and a bias.
 """
 
 import tempfile
@@ -18,7 +20,10 @@ SETTINGS = {"duration_s": 10.0}
 
 def write_log(path: Path) -> None:
     """Poses of a run, and what a sensor would measure along it."""
-    table, rng = tissue.simulate(tissue.load_scene("glenoid", SETTINGS)).to_pandas(), np.random.default_rng(1)
+    table, rng = (
+        tissue.simulate(tissue.load_scene("glenoid", SETTINGS)).to_pandas(),
+        np.random.default_rng(1),
+    )
     log = table.filter(regex="^(time_s|tool_|model_force_|model_torque_)")
     log = log.rename(columns=lambda name: name.removeprefix("model_"))
     for kind, unit in (("force", "N"), ("torque", "Nm")):
@@ -37,7 +42,10 @@ def main() -> None:
         write_log(path)
         wall, spent = perf_counter(), process_time()
         tissue.fit(scene, path).save(Path(name) / "fit")
-        print(f"log of 10 s: {perf_counter() - wall:.1f} s, {process_time() - spent:.1f} s of this process")
+        print(
+            f"log of 10 s: {perf_counter() - wall:.1f} s, {process_time() - spent:.1f} s of "
+            "this process"
+        )
 
 
 if __name__ == "__main__":

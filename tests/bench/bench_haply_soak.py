@@ -1,8 +1,9 @@
-"""Soak of Haply's adapter against the stand-in service: memory, lost ticks, samples and exchanges over minutes.
+"""Soak of Haply's adapter against the stand-in service: memory, lost ticks, samples and exchanges
+over minutes.
 
-``python tests/bench/bench_haply_soak.py --minutes 30``. The stand-in runs in a process of its own; this one runs what
-holds a device in a run, without a trace, which grows by design: wall clock, samples judged, the force of a wall,
-mapping, adapter. Each minute a row is printed.
+``python tests/bench/bench_haply_soak.py --minutes 30``. The stand-in runs in a process of its own;
+this one runs what holds a device in a run, without a trace, which grows by design: wall clock,
+samples judged, the force of a wall, mapping, adapter. Each minute a row is printed.
 """
 
 import argparse
@@ -48,11 +49,18 @@ class Soak:
         """Ticks for so long; lateness of each [s]."""
         for step in range(round(seconds / TICK_S)):
             self.clock.wait(self.tick)
-            self.late_s[step], self.skipped_s = self.clock.late_s, self.skipped_s + self.clock.skipped_s
+            self.late_s[step], self.skipped_s = (
+                self.clock.late_s,
+                self.skipped_s + self.clock.skipped_s,
+            )
             time_s = TICK_S * self.tick
             sample = self.guard.validate_sample(self.held.read(time_s), time_s)
             self.missing += sample is None
-            force = None if sample is None else np.array([0.0, 0.0, -STIFFNESS_N_M * min(sample.position_m[2], 0.0)])
+            force = (
+                None
+                if sample is None
+                else np.array([0.0, 0.0, -STIFFNESS_N_M * min(sample.position_m[2], 0.0)])
+            )
             played, _ = self.held.play(*self.guard.limit_force(force))
             self.pressed += bool(played[2] > 0.0)
             self.tick += 1
@@ -64,7 +72,9 @@ def main():
     options.add_argument("--minutes", type=float, default=30.0)
     minutes, process = options.parse_args().minutes, psutil.Process()
     with RemoteService(press_m=0.03) as service:
-        device = MappedDevice(HaplyAdapter(Hardware(address=service.url)), Hardware(), start_m=(0.0, 0.0, DEEP_M))
+        device = MappedDevice(
+            HaplyAdapter(Hardware(address=service.url)), Hardware(), start_m=(0.0, 0.0, DEEP_M)
+        )
         began, sent = perf_counter(), 0
         with SafeDevice(device, limits=device.limits) as held:
             soak, priority = Soak(held, device.limits), TickPriority()
@@ -73,7 +83,10 @@ def main():
             np.percentile(soak.late_s, [50, 99, 100])
             gc.collect()
             first = process.memory_info().rss
-            print("minute  memory kB  late ms, median 99 % most  skipped ms  ticks without sample  pressed %  load")
+            print(
+                "minute  memory kB  late ms, median 99 % most  skipped ms  ticks without "
+                "sample  pressed %  load"
+            )
             for minute in np.arange(1, np.ceil(minutes) + 1):
                 soak.skipped_s, soak.missing, soak.pressed = 0.0, 0, 0
                 seconds = 60.0 * min(1.0, minutes - minute + 1)
@@ -82,13 +95,17 @@ def main():
                 share = 100.0 * soak.pressed / (seconds / TICK_S)
                 print(
                     f"{minute:6.0f}  {grown:+9.0f}  {late[0]:8.3f} {late[1]:6.2f} {late[2]:6.1f}  "
-                    f"{1e3 * soak.skipped_s:10.1f}  {soak.missing:10d}  {share:18.1f}  {psutil.getloadavg()[0]:5.1f}",
+                    f"{1e3 * soak.skipped_s:10.1f}  {soak.missing:10d}  {share:18.1f}  "
+                    f"{psutil.getloadavg()[0]:5.1f}",
                     flush=True,
                 )
             priority.end()
             sent = service.get("sent")
         greatest, last = service.get("greatest_N"), service.commands()[-1][2]
-    print(f"{soak.tick} ticks in {perf_counter() - began:.1f} s, {sent} frames, greatest force {greatest:.2f} N")
+    print(
+        f"{soak.tick} ticks in {perf_counter() - began:.1f} s, {sent} frames, greatest force "
+        f"{greatest:.2f} N"
+    )
     print(f"last force {last} N; {[what for _, what in held.happened() + soak.guard.events][-5:]}")
 
 

@@ -1,4 +1,5 @@
-"""From a CT of 512 x 512 x 300 voxels to the first force: time and memory of `tissue import` and the run after it.
+"""From a CT of 512 x 512 x 300 voxels to the first force: time and memory of `tissue import` and
+the run after it.
 
     python tests/bench/bench_import.py
 
@@ -50,8 +51,18 @@ def main() -> None:
         folder = Path(name)
         write_ct(folder / "ct.nii.gz")
         crop = ("--crop=0,-45,-52,80,30,52",)
-        made = timed("import", str(folder / "ct.nii.gz"), *crop, "--site", "humeral-head", "--out", str(folder / "a"))
-        ran = timed("run", str(folder / "a" / "scene.toml"), "--out", str(folder / "run"), "--no-pictures")
+        made = timed(
+            "import",
+            str(folder / "ct.nii.gz"),
+            *crop,
+            "--site",
+            "humeral-head",
+            "--out",
+            str(folder / "a"),
+        )
+        ran = timed(
+            "run", str(folder / "a" / "scene.toml"), "--out", str(folder / "run"), "--no-pictures"
+        )
         peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6
     print(f"import {made:.1f} s, run of 5 s {ran:.1f} s, at most {peak:.2f} GB")
 

@@ -1,9 +1,10 @@
-"""One bone from a CT in four formats, from a tilted series and by a threshold: site, volume and force of each.
+"""One bone from a CT in four formats, from a tilted series and by a threshold: site, volume and
+force of each.
 
     python tests/bench/bench_import_formats.py
 
-The CT is that of `python examples/ct/synthetic_ct.py`; forces are those of the imported scene in voxels of 0.25 mm, compared tick by tick
-with those of the import from DICOM by its label.
+The CT is that of `python examples/ct/synthetic_ct.py`; forces are those of the imported scene in
+voxels of 0.25 mm, compared tick by tick with those of the import from DICOM by its label.
 """
 
 import json
@@ -35,13 +36,23 @@ def main() -> None:
         }
         threshold = {"crop_mm": CROP_MM, "site": "humeral-head"}
         cases = {source: (source, label) for source in ("dicom", "ct.nii.gz", "ct.nrrd", "ct.mha")}
-        cases |= {"threshold": ("ct.nii.gz", threshold), "tilted, threshold": ("dicom_tilted", threshold)}
+        cases |= {
+            "threshold": ("ct.nii.gz", threshold),
+            "tilted, threshold": ("dicom_tilted", threshold),
+        }
         reference = None
         for case, (source, options) in cases.items():
-            made = tissue.import_ct(folder / source, folder / "out", overwrite=True, pictures=False, **options)
+            made = tissue.import_ct(
+                folder / source, folder / "out", overwrite=True, pictures=False, **options
+            )
             record = json.loads((made.folder / "import.json").read_text("utf-8"))
-            centre, axis = np.array(record["site"]["centre_mm"]), np.array(record["site"]["rotation"])[:, 2]
-            force = tissue.simulate(tissue.load_scene(made.scene, {"voxels.spacing_mm": 0.25})).trace["force_z_N"]
+            centre, axis = (
+                np.array(record["site"]["centre_mm"]),
+                np.array(record["site"]["rotation"])[:, 2],
+            )
+            force = tissue.simulate(
+                tissue.load_scene(made.scene, {"voxels.spacing_mm": 0.25})
+            ).trace["force_z_N"]
             sentence = next(each for each in made.sentences if each.startswith("site:"))
             radius = float(re.search(r"of radius ([\d.]+) mm", sentence)[1])
             off = np.linalg.norm(centre - radius * axis - HEAD_CENTRE_MM)
@@ -50,10 +61,14 @@ def main() -> None:
             peak = reference[0].max()
             print(
                 f"{case}: peak {force.max():.2f} N ({force.max() / peak - 1.0:+.2%}), mean "
-                f"{force.mean() / reference[0].mean() - 1.0:+.2%}, ticks within {np.abs(force - reference[0]).max() / peak:.3%}"
-                f" of the peak; site {np.linalg.norm(centre - reference[1]):.2f} mm from the first; "
-                f"{1e-3 * record['bone_mm3']:.2f} ml ({record['bone_mm3'] / reference[2] - 1.0:+.2%}), threshold "
-                f"{record['threshold']}; head's radius {radius:g} of {HEAD_RADIUS_MM:g} mm, its centre {off:.2f} mm off"
+                f"{force.mean() / reference[0].mean() - 1.0:+.2%}, ticks within "
+                f"{np.abs(force - reference[0]).max() / peak:.3%}"
+                f" of the peak; site {np.linalg.norm(centre - reference[1]):.2f} mm from the "
+                "first; "
+                f"{1e-3 * record['bone_mm3']:.2f} ml "
+                f"({record['bone_mm3'] / reference[2] - 1.0:+.2%}), threshold "
+                f"{record['threshold']}; head's radius {radius:g} of {HEAD_RADIUS_MM:g} mm, "
+                f"its centre {off:.2f} mm off"
             )
 
 

@@ -1,8 +1,10 @@
-"""Lateness of live ticks at ordinary and at raised priority: ``python tests/bench/bench_jitter.py --minutes 2``.
+"""Lateness of live ticks at ordinary and at raised priority: ``python tests/bench/bench_jitter.py
+--minutes 2``.
 
-A scene, by default a wall by a simulated hand, runs against the wall clock without a window, in turns of 10 s: on the machine as it is and with a
-process on every core that does nothing but count, at ordinary priority and as raised as the system grants. The four take
-turns, so that what the machine does besides falls on all of them. The load that was there already is printed.
+A scene, by default a wall by a simulated hand, runs against the wall clock without a window, in
+turns of 10 s: on the machine as it is and with a process on every core that does nothing but count,
+at ordinary priority and as raised as the system grants. The four take turns, so that what the
+machine does besides falls on all of them. The load that was there already is printed.
 """
 
 import argparse
@@ -29,7 +31,9 @@ COUNT = "while True:\n    pass"
 
 
 def ticks_of(name, raised, loaded):
-    """Lateness and duration of the ticks of one turn [us], what the clock skipped [ms], and the priority."""
+    """Lateness and duration of the ticks of one turn [us], what the clock skipped [ms], and the
+    priority.
+    """
     count = os.cpu_count() or 1
     busy = [subprocess.Popen([sys.executable, "-c", COUNT]) for _ in range(count if loaded else 0)]
     try:
@@ -68,14 +72,25 @@ def main():
     for (loaded, _), parts in found.items():
         late, tick = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
         figures = [*np.percentile(late, (50.0, 99.0, 99.9)), late.max()]
-        rows.append((
-            "busy on every core" if loaded else "as it is",
-            parts[0][3],
-            *(f"{each:.0f}" for each in figures),
-            f"{int((late + tick > 1e6 * TICK_S).sum())} of {len(late)}",
-            f"{sum(part[2] for part in parts):.0f}",
-        ))  # fmt: skip
-    head = ("machine", "priority", "late us: median", "99 %", "99.9 %", "max", "missed ticks", "skipped ms")
+        rows.append(
+            (
+                "busy on every core" if loaded else "as it is",
+                parts[0][3],
+                *(f"{each:.0f}" for each in figures),
+                f"{int((late + tick > 1e6 * TICK_S).sum())} of {len(late)}",
+                f"{sum(part[2] for part in parts):.0f}",
+            )
+        )
+    head = (
+        "machine",
+        "priority",
+        "late us: median",
+        "99 %",
+        "99.9 %",
+        "max",
+        "missed ticks",
+        "skipped ms",
+    )
     print(table(rows, head))
     print(f"load after: {os.getloadavg()[0]:.1f}")
 

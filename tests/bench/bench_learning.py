@@ -1,4 +1,5 @@
-"""Scores of learned, scripted and random palpation on 20 unseen episodes: `python tests/bench/bench_learning.py`.
+"""Scores of learned, scripted and random palpation on 20 unseen episodes: `python
+tests/bench/bench_learning.py`.
 
 The example learns by three generators of its policies. It takes some eight minutes.
 """
@@ -41,7 +42,9 @@ def main() -> None:
     for generator in range(3):
         history = example["learn"](env, np.random.default_rng(generator))
         found["first guess"] = [example["score"](env, history[0, 0], seed) for seed in SEEDS]
-        found[f"learned, generator {generator}"] = [example["score"](env, history[-1, 0], seed) for seed in SEEDS]
+        found[f"learned, generator {generator}"] = [
+            example["score"](env, history[-1, 0], seed) for seed in SEEDS
+        ]
     for name, scores in found.items():
         print(f"{name:20s} {np.mean(scores):6.3f} ({min(scores):.3f} to {max(scores):.3f})")
 

@@ -1,9 +1,10 @@
 """Cost of assembling tetrahedra: `python tests/bench/bench_liver_assembly.py [--quick]`.
 
-A unit cube of isotropic cells, beside scikit-fem's assembly of the same mesh in the same run. Ours in two parts: the
-structure (middle nodes, gradients, where the blocks lie and which cells they sum), found once a mesh, and the values,
-summed again whenever the material changes. Theirs with its quadrature points prepared beforehand, which is not counted.
-Compiling the kernels is not counted. Quadratic cells at 300,000 are too many for scikit-fem's memory here.
+A unit cube of isotropic cells, beside scikit-fem's assembly of the same mesh in the same run. Ours
+in two parts: the structure (middle nodes, gradients, where the blocks lie and which cells they
+sum), found once a mesh, and the values, summed again whenever the material changes. Theirs with its
+quadrature points prepared beforehand, which is not counted. Compiling the kernels is not counted.
+Quadratic cells at 300,000 are too many for scikit-fem's memory here.
 """
 
 import argparse
@@ -45,7 +46,9 @@ def theirs(mesh, order, count):
         print("scikit-fem is not installed: pip install scikit-fem", file=sys.stderr)
         return []
     element = skfem.ElementVector(skfem.ElementTetP1() if order == 1 else skfem.ElementTetP2())
-    basis = skfem.Basis(skfem.MeshTet(mesh.nodes_m.T.copy(), mesh.cells.T.copy()), element, intorder=2 * order - 2)
+    basis = skfem.Basis(
+        skfem.MeshTet(mesh.nodes_m.T.copy(), mesh.cells.T.copy()), element, intorder=2 * order - 2
+    )
     form = linear_elasticity(*lame_parameters(YOUNG_PA, RATIO))
     return [timed(lambda: form.assemble(basis))[1] for _ in range(count)]
 
@@ -62,16 +65,32 @@ def row(cells, order, peer_count):
     )
     peer = Cost(theirs(mesh, order, peer_count) if peer_count else [])
     ours = found.median + same.median
-    ratio = (f"{peer.median / 1e3:.0f}", f"{peer.median / ours:.0f}", f"{peer.median / same.median:.0f}") if peer_count and len(peer.us) else ("", "", "")  # fmt: skip
+    ratio = (
+        (
+            f"{peer.median / 1e3:.0f}",
+            f"{peer.median / ours:.0f}",
+            f"{peer.median / same.median:.0f}",
+        )
+        if peer_count and len(peer.us)
+        else ("", "", "")
+    )
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     return (
-        f"P{order}", f"{len(mesh.cells)}", f"{space.unknown_count}", f"{found.median / 1e3:.0f}",
-        *(f"{cost.median / 1e3:.0f}" for cost in (same, by_cell, matrix)), f"{same.worst / 1e3:.0f}", *ratio, f"{peak:.1f}",
-    )  # fmt: skip
+        f"P{order}",
+        f"{len(mesh.cells)}",
+        f"{space.unknown_count}",
+        f"{found.median / 1e3:.0f}",
+        *(f"{cost.median / 1e3:.0f}" for cost in (same, by_cell, matrix)),
+        f"{same.worst / 1e3:.0f}",
+        *ratio,
+        f"{peak:.1f}",
+    )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--quick", action="store_true", help="30,000 cells only")
     quick = parser.parse_args().quick
     print(machine())
@@ -79,8 +98,25 @@ def main() -> None:
     unit = Space(box((1.0,) * 3, (1, 1, 1)))
     _, compiled = timed(lambda: [assemble(unit, law) for law in (soft, stiffness_of_lame(soft))])
     print(f"kernels compiled or loaded in {compiled:.1f} s\n")
-    sizes = [(17, 1, 3), (17, 2, 1)] if quick else [(17, 1, 3), (37, 1, 1), (55, 1, 0), (17, 2, 1), (37, 2, 0)]
-    head = ("", "cells", "unknowns", "structure ms", "values ms", "by cell", "matrices", "worst", "scikit-fem ms", "x both", "x values", "peak GiB")  # fmt: skip
+    sizes = (
+        [(17, 1, 3), (17, 2, 1)]
+        if quick
+        else [(17, 1, 3), (37, 1, 1), (55, 1, 0), (17, 2, 1), (37, 2, 0)]
+    )
+    head = (
+        "",
+        "cells",
+        "unknowns",
+        "structure ms",
+        "values ms",
+        "by cell",
+        "matrices",
+        "worst",
+        "scikit-fem ms",
+        "x both",
+        "x values",
+        "peak GiB",
+    )
     print(table([row(*size) for size in sizes], head))
 
 

@@ -1,8 +1,9 @@
 """Cost of a contact tick: `python tests/bench/bench_liver_contact.py [--quick]`.
 
-A slab of 29,106 tetrahedra, 5 kPa, Poisson's ratio 0.45, 484 nodes on its top. A sphere is pressed in and dragged with
-friction at 20 mm/s and 1 kHz: sweeps, microseconds a tick, and the error of its force to a solve that sweeps until
-rounding, for several tolerances; then the same sweeps in NumPy, on the same ticks, in the same run.
+A slab of 29,106 tetrahedra, 5 kPa, Poisson's ratio 0.45, 484 nodes on its top. A sphere is pressed
+in and dragged with friction at 20 mm/s and 1 kHz: sweeps, microseconds a tick, and the error of its
+force to a solve that sweeps until rounding, for several tolerances; then the same sweeps in NumPy,
+on the same ticks, in the same run.
 """
 
 import argparse
@@ -33,8 +34,10 @@ def slab() -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     free = np.repeat(nodes[:, 2] > -SIZE_M[2] + 1e-9, 3)
     factor = splu(
         assemble(space, lame(5e3, 0.45)).tocsc()[free][:, free],
-        permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True},
-    )  # fmt: skip
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
     top = np.flatnonzero(nodes[:, 2] > -1e-9)
     number = np.full(len(nodes), -1)
     number[top] = np.arange(len(top))
@@ -45,7 +48,12 @@ def slab() -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
         load = np.zeros(int(free.sum()))
         load[row] = 1.0
         compliance[column] = factor.solve(load)[rows]
-    return nodes[top].copy(), faces[(faces >= 0).all(axis=1)], 0.5 * (compliance + compliance.T), space.cell_count
+    return (
+        nodes[top].copy(),
+        faces[(faces >= 0).all(axis=1)],
+        0.5 * (compliance + compliance.T),
+        space.cell_count,
+    )
 
 
 def tip(depth: float, tick: int) -> np.ndarray:
@@ -55,10 +63,13 @@ def tip(depth: float, tick: int) -> np.ndarray:
 
 
 class NumpyContact:
-    """The same sweeps point by point in NumPy, in the space of the points nearby, without friction's exact cone: the
-    local force is projected onto it, which needs no more work and so flatters NumPy."""
+    """The same sweeps point by point in NumPy, in the space of the points nearby, without
+    friction's exact cone: the local force is projected onto it, which needs no more work and so
+    flatters NumPy."""
 
-    def __init__(self, nodes: np.ndarray, faces: np.ndarray, compliance: np.ndarray, probe: SphereProbe) -> None:
+    def __init__(
+        self, nodes: np.ndarray, faces: np.ndarray, compliance: np.ndarray, probe: SphereProbe
+    ) -> None:
         face, self.weights, _ = contact_points(nodes, faces, probe.spacing_m)
         self.corners = faces[face]
         self.rest = np.einsum("pa,paj->pj", self.weights, nodes[self.corners])
@@ -106,25 +117,42 @@ class NumpyContact:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--quick", action="store_true", help="fewer ticks")
     ticks = 400 if parser.parse_args().quick else 1200
     print(machine())
     start = perf_counter()
     nodes, faces, compliance, cells = slab()
-    print(f"{cells} tetrahedra, {len(nodes)} touchable nodes, compliance in {perf_counter() - start:.1f} s\n")
+    print(
+        f"{cells} tetrahedra, {len(nodes)} touchable nodes, compliance in "
+        f"{perf_counter() - start:.1f} s\n"
+    )
     rows = []
     for radius, depth in SCENES:
         probe = SphereProbe(radius)
-        exact = SurfaceContact(nodes, faces, compliance, probe, friction=FRICTION, tolerance=1e-10, sweeps=3000)
+        exact = SurfaceContact(
+            nodes, faces, compliance, probe, friction=FRICTION, tolerance=1e-10, sweeps=3000
+        )
         exact.place(np.array([0.0, 0.0, 1e-3]), np.eye(3))
-        right = np.array([exact.solve(tip(depth, tick), np.eye(3)).force_N.copy() for tick in range(ticks)])
+        right = np.array(
+            [exact.solve(tip(depth, tick), np.eye(3)).force_N.copy() for tick in range(ticks)]
+        )
         for tolerance in (1e-2, 1e-3, 1e-4):
-            contact = SurfaceContact(nodes, faces, compliance, probe, friction=FRICTION, tolerance=tolerance)
+            contact = SurfaceContact(
+                nodes, faces, compliance, probe, friction=FRICTION, tolerance=tolerance
+            )
             contact.place(np.array([0.0, 0.0, 1e-3]), np.eye(3))
-            found, sweeps, missed = np.zeros((ticks, 3)), np.zeros(ticks), np.zeros(ticks, dtype=bool)
+            found, sweeps, missed = (
+                np.zeros((ticks, 3)),
+                np.zeros(ticks),
+                np.zeros(ticks, dtype=bool),
+            )
 
-            def tick(index: int, contact=contact, depth=depth, found=found, sweeps=sweeps, missed=missed) -> None:
+            def tick(
+                index: int, contact=contact, depth=depth, found=found, sweeps=sweeps, missed=missed
+            ) -> None:
                 result = contact.solve(tip(depth, index), np.eye(3))
                 found[index] = result.force_N
                 sweeps[index] = result.iterations
@@ -133,12 +161,41 @@ def main() -> None:
             cost = cost_of(tick, count=ticks)
             size = np.linalg.norm(right[PRESS_TICKS:], axis=1)
             error = np.linalg.norm(found - right, axis=1)[PRESS_TICKS:] / size
-            rows.append((f"{radius * 1e3:g}", f"{depth * 1e3:g}", f"{tolerance:g}", f"{contact.result.contacts}",
-                         f"{np.median(sweeps):.0f}", f"{np.percentile(sweeps, 99):.0f}", f"{missed.sum()}",
-                         f"{np.median(error):.1e}", f"{error.max():.1e}",
-                         f"{cost.median:.0f}", f"{cost.p99:.0f}", f"{cost.worst:.0f}"))  # fmt: skip
-    print(table(rows, ("R mm", "d mm", "tolerance", "points", "sweeps", "99 %", "ran out", "error", "worst", "us",
-                       "99 % us", "worst us")))  # fmt: skip
+            rows.append(
+                (
+                    f"{radius * 1e3:g}",
+                    f"{depth * 1e3:g}",
+                    f"{tolerance:g}",
+                    f"{contact.result.contacts}",
+                    f"{np.median(sweeps):.0f}",
+                    f"{np.percentile(sweeps, 99):.0f}",
+                    f"{missed.sum()}",
+                    f"{np.median(error):.1e}",
+                    f"{error.max():.1e}",
+                    f"{cost.median:.0f}",
+                    f"{cost.p99:.0f}",
+                    f"{cost.worst:.0f}",
+                )
+            )
+    print(
+        table(
+            rows,
+            (
+                "R mm",
+                "d mm",
+                "tolerance",
+                "points",
+                "sweeps",
+                "99 %",
+                "ran out",
+                "error",
+                "worst",
+                "us",
+                "99 % us",
+                "worst us",
+            ),
+        )
+    )
     against_numpy(nodes, faces, compliance)
 
 
@@ -160,8 +217,11 @@ def against_numpy(nodes: np.ndarray, faces: np.ndarray, compliance: np.ndarray) 
         off.append(np.linalg.norm(force + result.force_N) / np.linalg.norm(force))
         assert result.outcome in (ContactOutcome.CONVERGED, ContactOutcome.NOT_CONVERGED)
     fast, numpy = Cost(ours[5:]), Cost(theirs[5:])
-    print(f"\nNumPy, as many sweeps: {numpy.median:.0f} us a tick, {numpy.median / fast.median:.0f} times ours "
-          f"({fast.median:.0f} us); forces {np.median(off):.1e} apart")  # fmt: skip
+    print(
+        f"\nNumPy, as many sweeps: {numpy.median:.0f} us a tick, "
+        f"{numpy.median / fast.median:.0f} times ours "
+        f"({fast.median:.0f} us); forces {np.median(off):.1e} apart"
+    )
 
 
 if __name__ == "__main__":

@@ -1,10 +1,13 @@
 """Cost of the paths to K u = f of a liver: `python tests/bench/bench_liver_solvers.py [--quick]`.
 
-1. About 30,000 tetrahedra: check of the supports, factor, solve, and multigrid, beside conjugate gradients with the
+1. About 30,000 tetrahedra: check of the supports, factor, solve, and multigrid, beside conjugate
+gradients with the
    diagonal and scikit-fem's assembly with SuperLU as it comes.
-2. Compliance of some 500 touchable nodes: found, and ready for contact from the cache; columns on demand; basis size
+2. Compliance of some 500 touchable nodes: found, and ready for contact from the cache; columns on
+demand; basis size
    against error.
-3. Multigrid on boxes up to a million tetrahedra: growth of set-up and of one right side, iterations, memory.
+3. Multigrid on boxes up to a million tetrahedra: growth of set-up and of one right side,
+iterations, memory.
 """
 
 import argparse
@@ -64,9 +67,13 @@ def by_jacobi(body, load):
     counted = []
     clock = Clock()
     cg(
-        matrix, body.right_side(load), rtol=1e-8, maxiter=5000, callback=lambda _: counted.append(1),
+        matrix,
+        body.right_side(load),
+        rtol=1e-8,
+        maxiter=5000,
+        callback=lambda _: counted.append(1),
         M=LinearOperator(matrix.shape, matvec=lambda r: inverse * r.ravel(), dtype=float),
-    )  # fmt: skip
+    )
     return len(counted), clock()
 
 
@@ -76,7 +83,8 @@ def by_scikit_fem(mesh, body, ratio):
     from skfem.models.elasticity import lame_parameters, linear_elasticity
 
     basis = skfem.Basis(
-        skfem.MeshTet(mesh.nodes_m.T.copy(), mesh.cells.T.copy()), skfem.ElementVector(skfem.ElementTetP1())
+        skfem.MeshTet(mesh.nodes_m.T.copy(), mesh.cells.T.copy()),
+        skfem.ElementVector(skfem.ElementTetP1()),
     )
     clock = Clock()
     matrix = linear_elasticity(*lame_parameters(YOUNG_PA, ratio)).assemble(basis)
@@ -107,24 +115,52 @@ def paths(mesh):
         assert exact.converged and found.converged
         warm = grid.solve(1.02 * load, start_m=found.displacement_m)
         count, jacobi = by_jacobi(body, load)
-        rows.append((
-            f"{ratio}", f"{checked * 1e3:.0f}", f"{factored:.2f}", f"{solved * 1e3:.1f}", f"{set_up:.2f}",
-            f"{iterated:.2f}", f"{found.iterations}", f"{warm.iterations}", f"{jacobi:.2f}", f"{count}",
-            f"{jacobi / iterated:.1f}",
-        ))  # fmt: skip
-    head = ("ratio", "check ms", "factor s", "solve ms", "set-up s", "solve s", "iterations", "warm", "Jacobi s",
-            "iterations", "ratio")  # fmt: skip
-    print(f"\n{len(mesh.cells)} tetrahedra, {3 * len(mesh.nodes_m)} unknowns: factor, multigrid, CG with the diagonal")
+        rows.append(
+            (
+                f"{ratio}",
+                f"{checked * 1e3:.0f}",
+                f"{factored:.2f}",
+                f"{solved * 1e3:.1f}",
+                f"{set_up:.2f}",
+                f"{iterated:.2f}",
+                f"{found.iterations}",
+                f"{warm.iterations}",
+                f"{jacobi:.2f}",
+                f"{count}",
+                f"{jacobi / iterated:.1f}",
+            )
+        )
+    head = (
+        "ratio",
+        "check ms",
+        "factor s",
+        "solve ms",
+        "set-up s",
+        "solve s",
+        "iterations",
+        "warm",
+        "Jacobi s",
+        "iterations",
+        "ratio",
+    )
+    print(
+        f"\n{len(mesh.cells)} tetrahedra, {3 * len(mesh.nodes_m)} unknowns: factor, "
+        "multigrid, CG with the diagonal"
+    )
     print(table(rows, head))
-    print(f"factor {memory_bytes(factor) / 1e6:.0f} MB, multigrid {memory_bytes(grid) / 1e6:.0f} MB")
+    print(
+        f"factor {memory_bytes(factor) / 1e6:.0f} MB, multigrid {memory_bytes(grid) / 1e6:.0f} MB"
+    )
     try:
         assembled, factored_plainly, solved_plainly = by_scikit_fem(mesh, body, 0.49)
     except ImportError:
         print("scikit-fem is not installed: pip install scikit-fem")
         return
-    print(f"scikit-fem {assembled:.2f} s, SuperLU as it comes {factored_plainly:.2f} s and "
-          f"{solved_plainly * 1e3:.1f} ms a solve: {factored_plainly / factored:.1f} and "
-          f"{solved_plainly / solved:.1f} x ours")  # fmt: skip
+    print(
+        f"scikit-fem {assembled:.2f} s, SuperLU as it comes {factored_plainly:.2f} s and "
+        f"{solved_plainly * 1e3:.1f} ms a solve: {factored_plainly / factored:.1f} and "
+        f"{solved_plainly / solved:.1f} x ours"
+    )
 
 
 def compliance(mesh):
@@ -133,8 +169,10 @@ def compliance(mesh):
     body = held_liver(mesh, 0.45)
     loose = mesh.surface_nodes[~body.fixed[mesh.surface_nodes, 0]]
     top = loose[np.argsort(mesh.nodes_m[loose, 2])[-TOUCHABLE:]]
-    print(f"\n{len(top)} touchable of {len(mesh.surface_nodes)} surface nodes; W "
-          f"{compliance_bytes(len(top)) / 1e6:.0f} MB")  # fmt: skip
+    print(
+        f"\n{len(top)} touchable of {len(mesh.surface_nodes)} surface nodes; W "
+        f"{compliance_bytes(len(top)) / 1e6:.0f} MB"
+    )
     clock = Clock()
     surface_compliance_m_N(body, top)
     print(f"found in {clock():.1f} s")
@@ -179,12 +217,18 @@ def growth(targets):
         before = process.memory_info().rss
         mesh = box((0.1, 0.1, 0.1), (cells,) * 3)
         space = Space(mesh)
-        body = HeldBody(assemble(space, lame(YOUNG_PA, 0.45)), mesh.nodes_m, held_nodes(mesh.nodes_m[:, 2] < 1e-9))
+        body = HeldBody(
+            assemble(space, lame(YOUNG_PA, 0.45)),
+            mesh.nodes_m,
+            held_nodes(mesh.nodes_m[:, 2] < 1e-9),
+        )
         held = process.memory_info().rss
         clock = Clock()
         grid = MultigridSolver(body)
         set_up = clock()
-        inside = (mesh.nodes_m[:, 2] > 0.1 - 1e-9) & (np.abs(mesh.nodes_m[:, :2] - 0.05) < 0.02).all(axis=1)
+        inside = (mesh.nodes_m[:, 2] > 0.1 - 1e-9) & (
+            np.abs(mesh.nodes_m[:, :2] - 0.05) < 0.02
+        ).all(axis=1)
         load = press(mesh.nodes_m, np.flatnonzero(inside))
         clock()
         found = grid.solve(load)
@@ -194,20 +238,44 @@ def growth(targets):
         assert found.converged and warm.converged
         sizes.append(len(mesh.cells))
         per_solve.append(solved)
-        rows.append((
-            f"{len(mesh.cells)}", f"{body.stiffness.shape[0]}", f"{set_up:.2f}", f"{solved:.2f}",
-            f"{found.iterations}", f"{warm.iterations}", f"{solved / found.iterations * 1e3:.0f}",
-            f"{(held - before) / 1e6:.0f}", f"{memory_bytes(grid) / 1e6:.0f}", f"{after / 1e6:.0f}",
-        ))  # fmt: skip
+        rows.append(
+            (
+                f"{len(mesh.cells)}",
+                f"{body.stiffness.shape[0]}",
+                f"{set_up:.2f}",
+                f"{solved:.2f}",
+                f"{found.iterations}",
+                f"{warm.iterations}",
+                f"{solved / found.iterations * 1e3:.0f}",
+                f"{(held - before) / 1e6:.0f}",
+                f"{memory_bytes(grid) / 1e6:.0f}",
+                f"{after / 1e6:.0f}",
+            )
+        )
         print(*rows[-1], flush=True)
-    head = ("tetrahedra", "unknowns", "set-up s", "solve s", "iterations", "warm", "ms each", "K MB", "levels MB",
-            "process MB")  # fmt: skip
+    head = (
+        "tetrahedra",
+        "unknowns",
+        "set-up s",
+        "solve s",
+        "iterations",
+        "warm",
+        "ms each",
+        "K MB",
+        "levels MB",
+        "process MB",
+    )
     print(f"\nmultigrid to 1e-8 at ratio 0.45\n{table(rows, head)}")
-    print(f"one right side grows with tetrahedra to the power {np.polyfit(np.log(sizes), np.log(per_solve), 1)[0]:.2f}")
+    print(
+        "one right side grows with tetrahedra to the power "
+        f"{np.polyfit(np.log(sizes), np.log(per_solve), 1)[0]:.2f}"
+    )
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--quick", action="store_true", help="small meshes only")
     quick = parser.parse_args().quick
     print(machine())

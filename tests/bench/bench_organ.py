@@ -1,7 +1,8 @@
 """Cost of pressing an organ at five places: `python tests/bench/bench_organ.py [--edge-mm 4]`.
 
-A bent ellipsoid of a kidney's size with a ball in it, of quadratic tetrahedra, refined at five places. The first press
-makes the factor; the last is at a place that nobody expected. Filling the surface counts only where it is not kept on disk.
+A bent ellipsoid of a kidney's size with a ball in it, of quadratic tetrahedra, refined at five
+places. The first press makes the factor; the last is at a place that nobody expected. Filling the
+surface counts only where it is not kept on disk.
 """
 
 import argparse
@@ -21,7 +22,10 @@ ELSEWHERE = [0, 22, 0]
 def timed(what, call):
     start, busy = perf_counter(), process_time()
     made = call()
-    print(f"{what:34s} {perf_counter() - start:7.2f} s, processor {process_time() - busy:7.2f} s", flush=True)
+    print(
+        f"{what:34s} {perf_counter() - start:7.2f} s, processor {process_time() - busy:7.2f} s",
+        flush=True,
+    )
     return made
 
 
@@ -30,7 +34,9 @@ def main():
     parser.add_argument("--edge-mm", type=float, default=4.0)
     edge = parser.parse_args().edge_mm
     print(machine())
-    kidney = pyvista.ParametricEllipsoid(30, 22, 55, u_res=50, v_res=50, w_res=50).triangulate().clean()
+    kidney = (
+        pyvista.ParametricEllipsoid(30, 22, 55, u_res=50, v_res=50, w_res=50).triangulate().clean()
+    )
     kidney.points[:, 0] += 0.006 * kidney.points[:, 2] ** 2
     cyst = pyvista.Sphere(radius=8, center=(-13, 0, 20))
     options = {
@@ -44,9 +50,13 @@ def main():
     organ = timed("refined at five places", lambda: organ.refined(edge_mm=edge, near_mm=PLACES))
     ball = tissue.ball(diameter_mm=4 * edge)
     timed("stiffness and supports", lambda: organ.soft.body)
-    print(f"{len(organ.soft.mesh.cells)} quadratic tetrahedra, {len(organ.soft.body.free)} unknowns")
+    print(
+        f"{len(organ.soft.mesh.cells)} quadratic tetrahedra, {len(organ.soft.body.free)} unknowns"
+    )
     for place, name in zip(
-        [*PLACES, PLACES[0], ELSEWHERE], ["first press", *["later"] * 4, "first again", "elsewhere"], strict=True
+        [*PLACES, PLACES[0], ELSEWHERE],
+        ["first press", *["later"] * 4, "first again", "elsewhere"],
+        strict=True,
     ):
         press = timed(name, lambda place=place: organ.press(ball, depth_mm=2.5, at_mm=place))
         print(f"    {press.force_magnitude_N:.4f} N at {np.round(press.at_mm, 1)}")

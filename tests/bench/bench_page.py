@@ -1,8 +1,9 @@
 """What a page in a browser costs the ticks of a live run: ``python tests/bench/bench_page.py``.
 
-A scripted motion runs against the wall clock with its page open, twice over: in every second second the client takes
-pictures as fast as they come, in those between it takes none, so that both are measured in one run on one machine with
-one load. The client decodes nothing; a browser on the same machine takes more. A run without any page is the third row.
+A scripted motion runs against the wall clock with its page open, twice over: in every second second
+the client takes pictures as fast as they come, in those between it takes none, so that both are
+measured in one run on one machine with one load. The client decodes nothing; a browser on the same
+machine takes more. A run without any page is the third row.
 """
 
 import asyncio
@@ -57,7 +58,10 @@ async def take(address):
 
     home, token = address.split("/?token=")
     socket, count = f"{home.replace('http', 'ws')}/socket?token={token}", 0
-    async with aiohttp.ClientSession() as client, client.ws_connect(socket, headers={"Origin": home}) as page:
+    async with (
+        aiohttp.ClientSession() as client,
+        client.ws_connect(socket, headers={"Origin": home}) as page,
+    ):
         await page.send_json(SIZE)
         async for message in page:
             if message.type is aiohttp.WSMsgType.BINARY:
@@ -94,7 +98,11 @@ def main():
         clients = []
 
         def opened(address, clients=clients):
-            clients.append(subprocess.Popen([sys.executable, __file__, address], stdout=subprocess.PIPE, text=True))
+            clients.append(
+                subprocess.Popen(
+                    [sys.executable, __file__, address], stdout=subprocess.PIPE, text=True
+                )
+            )
 
         page = Page(opened)
         try:
@@ -104,11 +112,19 @@ def main():
         pictures = clients[0].communicate(timeout=60)[0].strip()
         print(line(f"{name}, pictures", took[drawn], done[drawn]))
         print(line(f"{name}, open without pictures", took[still], done[still]))
-        ratio = [np.percentile(each[drawn], 99) / np.percentile(each[still], 99) for each in (took, done)]
-        print(f"{name}: 99 % with pictures over without, tick {ratio[0]:.2f}, done {ratio[1]:.2f}; {pictures} pictures")
+        ratio = [
+            np.percentile(each[drawn], 99) / np.percentile(each[still], 99) for each in (took, done)
+        ]
+        print(
+            f"{name}: 99 % with pictures over without, tick {ratio[0]:.2f}, done "
+            f"{ratio[1]:.2f}; {pictures} pictures"
+        )
         took, done, *parts = measured(scene, None)
         both = parts[0] | parts[1]
-        print(f"{line(f'{name}, no page', took[both], done[both])}; load {os.getloadavg()[0]:.1f}", flush=True)
+        print(
+            f"{line(f'{name}, no page', took[both], done[both])}; load {os.getloadavg()[0]:.1f}",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

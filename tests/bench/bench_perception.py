@@ -1,8 +1,9 @@
 """Performance and accuracy of perception: `python tests/bench/bench_perception.py [--quick]`.
 
-A tick of the run-time mapping (5 us is the aim): forces that are held back, as nearly all of a contact's are, and forces
-of which every one is a change; the population and an observer. Then building it, the estimate of greatest density, the
-deadband on recorded runs by hand, and what wrong priors and noise cost.
+A tick of the run-time mapping (5 us is the aim): forces that are held back, as nearly all of a
+contact's are, and forces of which every one is a change; the population and an observer. Then
+building it, the estimate of greatest density, the deadband on recorded runs by hand, and what wrong
+priors and noise cost.
 """
 
 import argparse
@@ -20,12 +21,19 @@ from tissue.simulation.builders.perception import perception_for
 
 LIMIT_N, TICK_S = 3.3, 1e-3
 WEAK = Observer.known("weak", alpha=0.7, beta=1.4, kappa=0.09, offset_N=0.25, lapse=0.02, sigma=0.2)
-RECORDED = {"wall": {}, "milling": {}, "palpation": {}, "molar": {"voxels.spacing_mm": 0.1, "stress": None}}
+RECORDED = {
+    "wall": {},
+    "milling": {},
+    "palpation": {},
+    "molar": {"voxels.spacing_mm": 0.1, "stress": None},
+}
 
 
 def built(observer: Observer):
     """Perception on a Touch."""
-    return perception_for(observer, rng=np.random.default_rng(0), force_limit_N=LIMIT_N, tick_s=TICK_S)
+    return perception_for(
+        observer, rng=np.random.default_rng(0), force_limit_N=LIMIT_N, tick_s=TICK_S
+    )
 
 
 def ticks(count: int) -> list[tuple[str, ...]]:
@@ -37,8 +45,12 @@ def ticks(count: int) -> list[tuple[str, ...]]:
     for observer in (population_observer(), WEAK):
         for kind, forces in (("held back", held), ("every one a change", jumps)):
             person = built(observer)
-            cost = cost_of(lambda k, person=person, forces=forces: person.step(forces[k]), count=count)
-            rows.append((observer.name, kind, f"{cost.median:.2f}", f"{cost.p99:.2f}", f"{cost.worst:.0f}"))
+            cost = cost_of(
+                lambda k, person=person, forces=forces: person.step(forces[k]), count=count
+            )
+            rows.append(
+                (observer.name, kind, f"{cost.median:.2f}", f"{cost.p99:.2f}", f"{cost.worst:.0f}")
+            )
     return rows
 
 
@@ -46,16 +58,22 @@ def traces(quick: bool) -> list[tuple[str, ...]]:
     """What the deadband leaves of recorded forces."""
     law, rows = weber("force"), []
     for name, changes in list(RECORDED.items())[: 2 if quick else None]:
-        run = tissue.simulate(tissue.load_scene(name, {"device": "touch", "hand": "novice", "seed": 3, **changes}))
+        run = tissue.simulate(
+            tissue.load_scene(name, {"device": "touch", "hand": "novice", "seed": 3, **changes})
+        )
         wanted = run.trace.vectors("filtered_force", "N")
         played, changed = held_back(wanted, law)
         felt = np.linalg.norm(wanted, axis=1) > law.kappa * law.offset
         off = np.linalg.norm(wanted - played, axis=1)
-        rows.append((
-            name, f"{felt.sum()}", f"{100 * (1 - changed[felt].mean()):.1f}",
-            f"{(off / law.threshold(np.linalg.norm(played, axis=1))).max():.3f}",
-            f"{100 * np.linalg.norm(off) / np.linalg.norm(wanted):.1f}",
-        ))  # fmt: skip
+        rows.append(
+            (
+                name,
+                f"{felt.sum()}",
+                f"{100 * (1 - changed[felt].mean()):.1f}",
+                f"{(off / law.threshold(np.linalg.norm(played, axis=1))).max():.3f}",
+                f"{100 * np.linalg.norm(off) / np.linalg.norm(wanted):.1f}",
+            )
+        )
     return rows
 
 
@@ -65,15 +83,28 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true")
     quick = parser.parse_args().quick
     print(machine(), "\n")
-    print(table(ticks(2_000 if quick else 50_000), ("observer", "forces", "median us", "99 % us", "worst us")), "\n")
+    print(
+        table(
+            ticks(2_000 if quick else 50_000),
+            ("observer", "forces", "median us", "99 % us", "worst us"),
+        ),
+        "\n",
+    )
     building: Cost = cost_of(lambda k: built(WEAK), count=20 if quick else 200, warm_up=5)
     rng, count = np.random.default_rng(2), 10_000 if quick else 100_000
     seen, start = rng.normal(1.0, 2.0, count), perf_counter()
     map_force_N(seen, 0.3)
     print(
-        f"build {building.median / 1e3:.2f} ms; estimate {1e6 * (perf_counter() - start) / count:.2f} us each of {count}\n"
+        f"build {building.median / 1e3:.2f} ms; estimate "
+        f"{1e6 * (perf_counter() - start) / count:.2f} us each of {count}\n"
     )
-    head = ("scene, novice on touch", "ticks felt", "not needed %", "error / threshold", "force error %")
+    head = (
+        "scene, novice on touch",
+        "ticks felt",
+        "not needed %",
+        "error / threshold",
+        "force error %",
+    )
     print(table(traces(quick), head), "\n")
     rows = [
         (each.assumed, f"{each.error:.2f}", "" if np.isnan(each.held) else f"{100 * each.held:.0f}")

@@ -1,12 +1,15 @@
 """Errors and costs of all predictors on the same recorded motions, scored where the motor acts.
 
-Run: python tests/bench/bench_prediction.py --out DIR [--runs N] [--latency MS ...] [--closed] [SCENE ...]
+Run: python tests/bench/bench_prediction.py --out DIR [--runs N] [--latency MS ...] [--closed]
+[SCENE ...]
 
-Every run is recorded once, with the force that its coupling gives without delay at the device's true positions, and
-kept in DIR; predictors are scored again on what is there. Printed for each scene, latency and predictor: the error at the
-motor, its least error (the force of the encoder's steps, foreseen without error), what is in excess of it, that in shares of
-hold's, the residual latency, and the worst share over the held-out moves. Where a share misses its target, what it
-consists of. Two processes record and score. With `--closed` the best three of every scene, or `--predictors`, run in closed loop.
+Every run is recorded once, with the force that its coupling gives without delay at the device's
+true positions, and kept in DIR; predictors are scored again on what is there. Printed for each
+scene, latency and predictor: the error at the motor, its least error (the force of the encoder's
+steps, foreseen without error), what is in excess of it, that in shares of hold's, the residual
+latency, and the worst share over the held-out moves. Where a share misses its target, what it
+consists of. Two processes record and score. With `--closed` the best three of every scene, or
+`--predictors`, run in closed loop.
 """
 
 import argparse
@@ -37,12 +40,24 @@ from tissue.simulation.builders.prediction import trained_predictor
 
 FIRST_SEED = 20_000
 LATENCIES_MS = (2, 4, 8, 16)
-MOVED_MM = {"wall": (80.0, 0.0), "palpation": (5.0, 8.0), "liver-press": (4.0, 4.0), "milling": (0.0, 2.5)}
+MOVED_MM = {
+    "wall": (80.0, 0.0),
+    "palpation": (5.0, 8.0),
+    "liver-press": (4.0, 4.0),
+    "milling": (0.0, 2.5),
+}
 """How far a path is moved along the tissue's surface; 1 mm elsewhere."""
 TURNED_DEG = {"wall": 90.0, "palpation": 20.0, "liver-press": 90.0, "milling": 90.0}
 """How far it is turned about its middle on the surface; not where a hole guides the tool."""
 PACES, SHARES = (0.6, 1.5), (0.7, 1.4)
-TARGETS = {"wall": 0.4, "palpation": 0.4, "milling": 0.6, "glenoid": 0.6, "molar": 0.6, "caries": 0.6}
+TARGETS = {
+    "wall": 0.4,
+    "palpation": 0.4,
+    "milling": 0.6,
+    "glenoid": 0.6,
+    "molar": 0.6,
+    "caries": 0.6,
+}
 """Share of hold's excess that the best predictor is to keep to, in every move; 1 elsewhere."""
 BEST = 3
 
@@ -51,7 +66,9 @@ Scores = dict[tuple[str, int], np.ndarray]
 
 
 def moves(scene: Scene) -> dict[str, tuple[Scene, float]]:
-    """The scene and what is held out besides people: places, directions, speeds and force scales (or moduli)."""
+    """The scene and what is held out besides people: places, directions, speeds and force scales
+    (or moduli).
+    """
     found = {"same": (scene, 1.0)}
     points, motion = np.array(getattr(scene.motion, "points_mm", [])), scene.motion
     for share in SHARES:
@@ -76,7 +93,9 @@ def moves(scene: Scene) -> dict[str, tuple[Scene, float]]:
 
 
 def runs_of(names: Collection[str], runs: int) -> dict[str, int]:
-    """How many of a scene's runs are of each move: one part each, two parts or more of the scene as it is."""
+    """How many of a scene's runs are of each move: one part each, two parts or more of the scene
+    as it is.
+    """
     each = runs // (len(names) + 1)
     return {name: runs - each * (len(names) - 1) if name == "same" else each for name in names}
 
@@ -106,7 +125,9 @@ def record(name: str, move: str, runs: int, folder: Path) -> None:
         )
 
 
-def scored(name: str, latencies_ms: list[int], folder: Path, pool: ProcessPoolExecutor) -> dict[str, list[Scores]]:
+def scored(
+    name: str, latencies_ms: list[int], folder: Path, pool: ProcessPoolExecutor
+) -> dict[str, list[Scores]]:
     """Scores of the runs of every move that are in the folder."""
     tasks = {
         move: [
@@ -119,9 +140,14 @@ def scored(name: str, latencies_ms: list[int], folder: Path, pool: ProcessPoolEx
 
 
 def report(name: str, late_ms: int, found: dict[str, list[Scores]]) -> list[str]:
-    """The table of a scene at a latency; its best predictors by their mean share of hold's excess over all moves."""
+    """The table of a scene at a latency; its best predictors by their mean share of hold's
+    excess over all moves.
+    """
     mean = {
-        kind: {move: np.mean([run[kind, late_ms] for run in runs], axis=0) for move, runs in found.items()}
+        kind: {
+            move: np.mean([run[kind, late_ms] for run in runs], axis=0)
+            for move, runs in found.items()
+        }
         for kind in (*PREDICTORS, KNOWN)
     }
     rows, shown = [], {}
@@ -132,12 +158,33 @@ def report(name: str, late_ms: int, found: dict[str, list[Scores]]) -> list[str]
         shown[kind] = float(np.mean(known)) if known else np.inf
         error, least, excess, late = of["same"]
         over = max(100.0 * (of[move][0] - mean["hold"][move][0]) for move in of)
-        rows.append((kind, f"{100 * error:.2f}", f"{100 * least:.2f}", f"{100 * excess:.2f}", written(shares["same"]),
-                     f"{late:+.2f}", f"{written(shares[worst])} {worst}", f"{over:+.2f}"))  # fmt: skip
+        rows.append(
+            (
+                kind,
+                f"{100 * error:.2f}",
+                f"{100 * least:.2f}",
+                f"{100 * excess:.2f}",
+                written(shares["same"]),
+                f"{late:+.2f}",
+                f"{written(shares[worst])} {worst}",
+                f"{over:+.2f}",
+            )
+        )
     print(f"\n{name} at {late_ms} ms: {sum(map(len, found.values()))} runs, {', '.join(found)}")
-    head = ("predictor", "error %", "least %", "excess %", "of hold's", "late ms", "worst share", "over hold %")
+    head = (
+        "predictor",
+        "error %",
+        "least %",
+        "excess %",
+        "of hold's",
+        "late ms",
+        "worst share",
+        "over hold %",
+    )
     print(table(rows, head), flush=True)
-    best = sorted((kind for kind in PREDICTORS if kind != "hold"), key=lambda kind: shown[kind])[:BEST]
+    best = sorted((kind for kind in PREDICTORS if kind != "hold"), key=lambda kind: shown[kind])[
+        :BEST
+    ]
     decompose(mean, best[0], TARGETS.get(name, 1.0))
     return best
 
@@ -153,7 +200,9 @@ def written(share: float) -> str:
 
 
 def decompose(mean: dict[str, dict[str, np.ndarray]], best: str, target: float) -> None:
-    """What an error consists of in every move where the best predictor's share of hold's excess misses its target."""
+    """What an error consists of in every move where the best predictor's share of hold's excess
+    misses its target.
+    """
     rows = []
     for move, (error, least, excess, late) in mean[best].items():
         held, known = mean["hold"][move][2], mean[KNOWN][move][2]
@@ -162,8 +211,17 @@ def decompose(mean: dict[str, dict[str, np.ndarray]], best: str, target: float) 
             share = written(share_of(excess, held))
             rows.append((move, *(f"{100 * each:.2f}" for each in figures), share, f"{late:+.2f}"))
     if rows:
-        head = ("move", "error %", "least %", "hold's excess %", "target %", "left %", "path known %",
-                "of hold's", "late ms")  # fmt: skip
+        head = (
+            "move",
+            "error %",
+            "least %",
+            "hold's excess %",
+            "target %",
+            "left %",
+            "path known %",
+            "of hold's",
+            "late ms",
+        )
         print(f"{best} misses {target:g} of hold's excess in:")
         print(table(rows, head), flush=True)
 
@@ -177,7 +235,8 @@ def costs(name: str, folder: Path) -> None:
     run, rows = Kept.read(paths[0]).run, []
     for kind in PREDICTORS:
         cost = cost_of(
-            ticks_of(trained_predictor(kind, trained, force_limit_N=FORCE_LIMIT_N), run), count=len(run.force_N)
+            ticks_of(trained_predictor(kind, trained, force_limit_N=FORCE_LIMIT_N), run),
+            count=len(run.force_N),
         )
         rows.append((kind, f"{cost.median:.1f}", f"{cost.p99:.1f}", f"{cost.worst:.1f}"))
     print(f"\n{name}: meet, observe and predict [us]; {len(trained.operator.offset)} observables")
@@ -199,13 +258,24 @@ def ticks_of(predictor: Predictor, run: Recording) -> Callable[[int], object]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("scenes", nargs="*", default=["wall", "palpation"])
-    parser.add_argument("--runs", type=int, default=14, help="recorded runs of a scene, moves included")
+    parser.add_argument(
+        "--runs", type=int, default=14, help="recorded runs of a scene, moves included"
+    )
     parser.add_argument("--latency", type=int, nargs="*", default=list(LATENCIES_MS))
     parser.add_argument("--closed", action="store_true", help="run in closed loop, too")
-    parser.add_argument("--predictors", nargs="*", choices=PREDICTORS.names, help="for --closed; nothing is recorded")
-    parser.add_argument("--out", type=Path, default=Path("predictions"), help="folder of the recordings")
+    parser.add_argument(
+        "--predictors",
+        nargs="*",
+        choices=PREDICTORS.names,
+        help="for --closed; nothing is recorded",
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("predictions"), help="folder of the recordings"
+    )
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     print(machine())
@@ -217,7 +287,9 @@ def main() -> None:
     with ProcessPoolExecutor(2) as pool:
         for name in given.scenes:
             shared = runs_of(moves(load_scene(name)), given.runs)
-            for done in [pool.submit(record, name, move, count, given.out) for move, count in shared.items()]:
+            for done in [
+                pool.submit(record, name, move, count, given.out) for move, count in shared.items()
+            ]:
                 done.result()
             latencies = sorted({*given.latency, *([RECORDED_MS] if given.closed else [])})
             found = scored(name, latencies, given.out, pool)

@@ -1,13 +1,14 @@
-"""Excess travel of a needle after a puncture: by what is noticed, latency, prediction and a cue before it.
+"""Excess travel of a needle after a puncture: by what is noticed, latency, prediction and a cue
+before it.
 
-The needle of the scene ``needle`` is pushed through the capsule by an intermediate's hand on a Touch; what is measured is
-defined in `tissue.evaluation.study.puncture`. Each seed is a person: threshold for forces, pace, noise and tremor; the
-same persons in every cell. At each latency all cells have the coupling that is stable with every predictor, but for rows
-that name another one.
+The needle of the scene ``needle`` is pushed through the capsule by an intermediate's hand on a
+Touch; what is measured is defined in `tissue.evaluation.study.puncture`. Each seed is a person:
+threshold for forces, pace, noise and tremor; the same persons in every cell. At each latency all
+cells have the coupling that is stable with every predictor, but for rows that name another one.
 
-Run: python tests/bench/bench_puncture.py [--seeds 20] [--workers 2] [--out FOLDER]
-Prints a table with means and 95 % intervals over seeds (t), writes every run to runs.csv, from which a call that was
-interrupted goes on, and draws puncture.png.
+Run: python tests/bench/bench_puncture.py [--seeds 20] [--workers 2] [--out FOLDER] Prints a table
+with means and 95 % intervals over seeds (t), writes every run to runs.csv, from which a call that
+was interrupted goes on, and draws puncture.png.
 """
 
 import argparse
@@ -47,17 +48,27 @@ class Cell(NamedTuple):
 
 
 def cells() -> list[Cell]:
-    """All cells: the grid, what no person can do, each predictor's stiffest coupling, and one coupling throughout."""
+    """All cells: the grid, what no person can do, each predictor's stiffest coupling, and one
+    coupling throughout.
+    """
     found = {}
     for prediction, latency in product(PREDICTIONS, LATENCIES_MS):
-        scene = load_scene("needle", SCENE | {"prediction": prediction, "coupling.delay_ms": latency})
-        found[prediction, latency] = floor(judged_loop(loop_settings(scene), step_s=TICK_S).stiffness_N_m)
-    shared = {latency: min(found[each, latency] for each in PREDICTIONS) for latency in LATENCIES_MS}
+        scene = load_scene(
+            "needle", SCENE | {"prediction": prediction, "coupling.delay_ms": latency}
+        )
+        found[prediction, latency] = floor(
+            judged_loop(loop_settings(scene), step_s=TICK_S).stiffness_N_m
+        )
+    shared = {
+        latency: min(found[each, latency] for each in PREDICTIONS) for latency in LATENCIES_MS
+    }
     grid = product(("force", "sight"), (False, True), PREDICTIONS, LATENCIES_MS)
     listed = [Cell(*each, shared[each[-1]]) for each in grid]
     listed += [Cell("at once", False, "none", latency, shared[latency]) for latency in LATENCIES_MS]
     listed += [Cell("force", False, each, latency, found[each, latency]) for each, latency in found]
-    listed += [Cell("force", False, "none", latency, min(shared.values())) for latency in LATENCIES_MS]
+    listed += [
+        Cell("force", False, "none", latency, min(shared.values())) for latency in LATENCIES_MS
+    ]
     return list(dict.fromkeys(listed))
 
 
@@ -77,7 +88,9 @@ def pushed(cell: Cell, seed: int) -> Pierced:
         },
     )
     kappa, offset = float(person.kappa[0]), float(person.offset_N[0])
-    return pierce(scene, kappa=kappa, offset_N=offset, notice=cell.notice, cue=cell.cue, rate_N_s=rate)  # type: ignore[arg-type]
+    return pierce(
+        scene, kappa=kappa, offset_N=offset, notice=cell.notice, cue=cell.cue, rate_N_s=rate
+    )  # type: ignore[arg-type]
 
 
 def measured(job: tuple[Cell, int]) -> tuple[Cell, int, list[float]]:
@@ -87,7 +100,9 @@ def measured(job: tuple[Cell, int]) -> tuple[Cell, int, list[float]]:
     return *job, [run.excess_mm, noticed, run.puncture_s, float(run.early)]
 
 
-def all_runs(listed: Sequence[Cell], seeds: int, workers: int, path: Path) -> dict[tuple[Cell, int], list[float]]:
+def all_runs(
+    listed: Sequence[Cell], seeds: int, workers: int, path: Path
+) -> dict[tuple[Cell, int], list[float]]:
     """All runs; those that a file holds are not run again."""
     found: dict[tuple[Cell, int], list[float]] = {}
     if path.exists():
@@ -110,11 +125,15 @@ def interval(values: Iterable[float]) -> tuple[float, float]:
     kept = np.array([each for each in values if np.isfinite(each)])
     if len(kept) < 2:
         return float("nan"), float("nan")
-    return float(kept.mean()), float(t.ppf(0.975, len(kept) - 1) * kept.std(ddof=1) / sqrt(len(kept)))
+    return float(kept.mean()), float(
+        t.ppf(0.975, len(kept) - 1) * kept.std(ddof=1) / sqrt(len(kept))
+    )
 
 
 def report(listed: Sequence[Cell], found: dict[tuple[Cell, int], list[float]], seeds: int) -> None:
-    """The table, with the paired difference of each cell to the one without prediction and without a cue."""
+    """The table, with the paired difference of each cell to the one without prediction and
+    without a cue.
+    """
     rows = []
     for cell in listed:
         runs = np.array([found[cell, seed] for seed in range(seeds)])
@@ -122,18 +141,43 @@ def report(listed: Sequence[Cell], found: dict[tuple[Cell, int], list[float]], s
         mean, half = interval(runs[:, 0])
         change = ""
         if plain != cell and plain in listed:
-            shift, reach = interval(runs[:, 0] - np.array([found[plain, seed][0] for seed in range(seeds)]))
+            shift, reach = interval(
+                runs[:, 0] - np.array([found[plain, seed][0] for seed in range(seeds)])
+            )
             change = f"{shift:+.2f} ± {reach:.2f}"
         noticed = interval(runs[runs[:, 3] == 0.0, 1])
-        rows.append((cell.notice, "cue" if cell.cue else "", cell.prediction, str(cell.latency_ms),
-                     str(cell.stiffness_N_m), f"{mean:.2f} ± {half:.2f}", change, f"{noticed[0]:.0f}",
-                     str(int(runs[:, 3].sum())), str(int(np.isposinf(runs[:, 1]).sum()))))  # fmt: skip
-    head = ("noticed by", "cue", "prediction", "latency ms", "coupling N/m", "excess mm", "change mm", "noticed ms",
-            "early", "missed")  # fmt: skip
+        rows.append(
+            (
+                cell.notice,
+                "cue" if cell.cue else "",
+                cell.prediction,
+                str(cell.latency_ms),
+                str(cell.stiffness_N_m),
+                f"{mean:.2f} ± {half:.2f}",
+                change,
+                f"{noticed[0]:.0f}",
+                str(int(runs[:, 3].sum())),
+                str(int(np.isposinf(runs[:, 1]).sum())),
+            )
+        )
+    head = (
+        "noticed by",
+        "cue",
+        "prediction",
+        "latency ms",
+        "coupling N/m",
+        "excess mm",
+        "change mm",
+        "noticed ms",
+        "early",
+        "missed",
+    )
     print(table(rows, head))
 
 
-def draw(listed: Sequence[Cell], found: dict[tuple[Cell, int], list[float]], seeds: int, path: Path) -> None:
+def draw(
+    listed: Sequence[Cell], found: dict[tuple[Cell, int], list[float]], seeds: int, path: Path
+) -> None:
     """The tip's travel of one person around the puncture, and the excess over latency."""
     from matplotlib.figure import Figure
 
@@ -142,40 +186,88 @@ def draw(listed: Sequence[Cell], found: dict[tuple[Cell, int], list[float]], see
     colours = {"force": "#D55E00", "sight": "#0072B2", "at once": "#555555"}
     chosen = [each for each in listed if each.prediction == "none"]
     shared = {each.latency_ms: each.stiffness_N_m for each in chosen if each.notice == "at once"}
-    for cell in (each for each in chosen if each.latency_ms == 4 and each.stiffness_N_m == shared[4]):
+    for cell in (
+        each for each in chosen if each.latency_ms == 4 and each.stiffness_N_m == shared[4]
+    ):
         run = pushed(cell, 0)
         since = 1e3 * (run.run.trace["time_s"] - run.puncture_s)
         depth = -run.run.trace["tool_z_mm"]
         depth = depth - depth[round(run.puncture_s / TICK_S)]
         style = "--" if cell.cue else "-"
-        label = {"force": "by force", "sight": "by force or sight", "at once": "stopped at the puncture"}[cell.notice]
-        left.plot(since, depth, style, color=colours[cell.notice], label=label + ", after a cue" * cell.cue)
+        label = {
+            "force": "by force",
+            "sight": "by force or sight",
+            "at once": "stopped at the puncture",
+        }[cell.notice]
+        left.plot(
+            since,
+            depth,
+            style,
+            color=colours[cell.notice],
+            label=label + ", after a cue" * cell.cue,
+        )
         if cell.notice != "at once":
             at = 1e3 * (run.stop_s - run.puncture_s)
             left.plot(
-                at, np.interp(at, since, depth), "o", color=colours[cell.notice], mfc="none" if cell.cue else None
+                at,
+                np.interp(at, since, depth),
+                "o",
+                color=colours[cell.notice],
+                mfc="none" if cell.cue else None,
             )
-    left.set(xlim=(-200, 700), ylim=(-2, 9), xlabel="time since the puncture ms", ylabel="travel of the tip since the puncture mm",
-             title="one person, 4 ms; a circle is the stop")  # fmt: skip
+    left.set(
+        xlim=(-200, 700),
+        ylim=(-2, 9),
+        xlabel="time since the puncture ms",
+        ylabel="travel of the tip since the puncture mm",
+        title="one person, 4 ms; a circle is the stop",
+    )
     left.legend(frameon=False, fontsize=8)
-    lines = (("force", False, "none"), ("force", False, "koopman"), ("force", True, "none"), ("sight", False, "none"),
-             ("sight", True, "none"), ("at once", False, "none"))  # fmt: skip
+    lines = (
+        ("force", False, "none"),
+        ("force", False, "koopman"),
+        ("force", True, "none"),
+        ("sight", False, "none"),
+        ("sight", True, "none"),
+        ("at once", False, "none"),
+    )
     for index, (notice, cue, prediction) in enumerate(lines):
-        means = [interval(found[Cell(notice, cue, prediction, each, shared[each]), seed][0] for seed in range(seeds))
-                 for each in LATENCIES_MS]  # fmt: skip
-        name = {"force": "by force", "sight": "by force or sight", "at once": "at the puncture"}[notice]
-        right.errorbar(np.array(LATENCIES_MS) + 0.12 * (index - 2.5), [each[0] for each in means],
-                       [each[1] for each in means], color="#009E73" if prediction != "none" else colours[notice],
-                       ls="--" if cue else "-", marker="o", ms=4, capsize=2,
-                       label=name + ", after a cue" * cue + ", Koopman" * (prediction != "none"))  # fmt: skip
-    right.set(xlabel="latency ms", ylabel="excess travel mm (95 %)", title=f"{seeds} people", ylim=(0, None))
+        means = [
+            interval(
+                found[Cell(notice, cue, prediction, each, shared[each]), seed][0]
+                for seed in range(seeds)
+            )
+            for each in LATENCIES_MS
+        ]
+        name = {"force": "by force", "sight": "by force or sight", "at once": "at the puncture"}[
+            notice
+        ]
+        right.errorbar(
+            np.array(LATENCIES_MS) + 0.12 * (index - 2.5),
+            [each[0] for each in means],
+            [each[1] for each in means],
+            color="#009E73" if prediction != "none" else colours[notice],
+            ls="--" if cue else "-",
+            marker="o",
+            ms=4,
+            capsize=2,
+            label=name + ", after a cue" * cue + ", Koopman" * (prediction != "none"),
+        )
+    right.set(
+        xlabel="latency ms",
+        ylabel="excess travel mm (95 %)",
+        title=f"{seeds} people",
+        ylim=(0, None),
+    )
     right.set_xticks(LATENCIES_MS, [f"{each}\n{shared[each]} N/m" for each in LATENCIES_MS])
     right.legend(frameon=False, fontsize=8)
     figure.savefig(path, dpi=110)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("puncture"))

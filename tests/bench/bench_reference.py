@@ -1,9 +1,11 @@
-"""Error of scenes' cutting force to the reference on exact geometry: `python tests/bench/bench_reference.py SCENE ...`.
+"""Error of scenes' cutting force to the reference on exact geometry: `python
+tests/bench/bench_reference.py SCENE ...`.
 
-`python tests/bench/bench_reference.py glenoid caries voxels.spacing_mm=0.1 [--worst]` runs each scene with the changes
-and prints its error over ticks, over 50 ms and on average in %, the reference's own uncertainty, and the tick's cost.
-Stress is left out: the force does not depend on it. `--worst` adds the windows of 50 ms that are farthest off. The
-reference is computed once for each motion, anatomy and tool (a minute), then read from the cache.
+`python tests/bench/bench_reference.py glenoid caries voxels.spacing_mm=0.1 [--worst]` runs each
+scene with the changes and prints its error over ticks, over 50 ms and on average in %, the
+reference's own uncertainty, and the tick's cost. Stress is left out: the force does not depend on
+it. `--worst` adds the windows of 50 ms that are farthest off. The reference is computed once for
+each motion, anatomy and tool (a minute), then read from the cache.
 """
 
 import argparse
@@ -20,8 +22,12 @@ from tissue.scene.load import parse_override
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scenes", nargs="+", help="scenes, and changes such as voxels.spacing_mm=0.1")
-    parser.add_argument("--worst", action="store_true", help="show the windows that are farthest off")
+    parser.add_argument(
+        "scenes", nargs="+", help="scenes, and changes such as voxels.spacing_mm=0.1"
+    )
+    parser.add_argument(
+        "--worst", action="store_true", help="show the windows that are farthest off"
+    )
     arguments = parser.parse_args()
     changes = dict(parse_override(word) for word in arguments.scenes if "=" in word)
     rows = []
@@ -48,14 +54,27 @@ def main() -> None:
         )
         if arguments.worst:
             _show_worst(force, reference.force_N)
-    head = ("scene", "ticks %", "50 ms %", "bias %", "own %", "peak N", "evaluated", "s", "tick us", "99 %")
+    head = (
+        "scene",
+        "ticks %",
+        "50 ms %",
+        "bias %",
+        "own %",
+        "peak N",
+        "evaluated",
+        "s",
+        "tick us",
+        "99 %",
+    )
     print(machine())
     print(table(rows, head))
 
 
 def _show_worst(force, wanted, count=8) -> None:
     """Print the windows of 50 ms that add most to the error."""
-    for k in np.argsort([-np.linalg.norm((force - wanted)[s : s + 50]) for s in range(0, len(force), 50)])[:count]:
+    for k in np.argsort(
+        [-np.linalg.norm((force - wanted)[s : s + 50]) for s in range(0, len(force), 50)]
+    )[:count]:
         part = slice(50 * k, 50 * k + 50)
         got, exact = force[part].mean(axis=0), wanted[part].mean(axis=0)
         print(f"{50 * k:6d} ms  force {np.round(got, 4)} N  reference {np.round(exact, 4)} N")

@@ -1,9 +1,10 @@
 """What publishing a live run for 3D Slicer costs its ticks: ``python tests/bench/bench_slicer.py``.
 
-The scripted motion runs against the wall clock without the link, with it and no client, and with a client in a process
-of its own that takes everything and asks for the force, turn by turn, so that the machine's other work meets all alike.
-What each tick does for it, copying a row and a slice of the bone, is timed by itself. The load of the machine is printed:
-lateness is as much its other work's as ours.
+The scripted motion runs against the wall clock without the link, with it and no client, and with a
+client in a process of its own that takes everything and asks for the force, turn by turn, so that
+the machine's other work meets all alike. What each tick does for it, copying a row and a slice of
+the bone, is timed by itself. The load of the machine is printed: lateness is as much its other
+work's as ours.
 """
 
 import os
@@ -81,7 +82,10 @@ def main():
     timed(took_us)
     names = sys.argv[1:] or SCENES
     os.environ.pop("DISPLAY", None)
-    print("scene, link: tick, late (median / 99 % us, of all turns); missed; ratio of the tick's 99 %; load")
+    print(
+        "scene, link: tick, late (median / 99 % us, of all turns); missed; ratio of the "
+        "tick's 99 %; load"
+    )
     for name in names:
         duration_s = SCENES[name]
         took_us.clear()
@@ -101,7 +105,8 @@ def main():
             p99 = np.percentile(tick, 99)
             missed = 100.0 * np.mean(tick + late > 1000.0)
             print(
-                f"{name}, {kind}: {np.median(tick):.0f} / {p99:.0f}; {np.median(late):.0f} / {np.percentile(late, 99):.0f}; "
+                f"{name}, {kind}: {np.median(tick):.0f} / {p99:.0f}; {np.median(late):.0f} / "
+                f"{np.percentile(late, 99):.0f}; "
                 f"{missed:.1f} %; {p99 / alone:.2f}; {os.getloadavg()[0]:.1f}",
                 flush=True,
             )

@@ -1,7 +1,9 @@
-"""Processor time of the stress of `molar` along its own path: `python tests/bench/bench_stress.py [CELL_MM ...]`.
+"""Processor time of the stress of `molar` along its own path: `python tests/bench/bench_stress.py
+[CELL_MM ...]`.
 
-Every solve of the scene, update, solve and recovery, on one core between the ticks: those under load, in ms of processor
-time, which a busy machine raises by up to half since its cores share caches. 10 Hz leaves 100 ms.
+Every solve of the scene, update, solve and recovery, on one core between the ticks: those under
+load, in ms of processor time, which a busy machine raises by up to half since its cores share
+caches. 10 Hz leaves 100 ms.
 """
 
 import os
@@ -41,7 +43,14 @@ def main():
         simulate(load_scene("molar", {"stress.cell_mm": cell}))
         taken, iterations = np.array(TimedSolver.taken).T
         ms = 1e3 * np.array([taken.min(), *np.quantile(taken, (0.5, 0.9)), taken.max()])
-        rows.append((f"{cell:g} mm", f"{len(taken)}", *(f"{each:.0f}" for each in ms), f"{iterations.mean():.1f}"))
+        rows.append(
+            (
+                f"{cell:g} mm",
+                f"{len(taken)}",
+                *(f"{each:.0f}" for each in ms),
+                f"{iterations.mean():.1f}",
+            )
+        )
     print(table(rows, ("cell", "solves", "least ms", "median", "90 %", "worst", "iterations")))
 
 

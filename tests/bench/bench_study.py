@@ -1,11 +1,13 @@
-"""What a study costs: seconds a trial by task, efficiency against workers, and memory against the number of trials.
+"""What a study costs: seconds a trial by task, efficiency against workers, and memory against the
+number of trials.
 
-Run from the repository: python tests/bench/bench_study.py [--trials 4] [--workers 1 2 4] [--out study_cost.png]
-[--tasks T1 T2 T3] [--methods penalty koopman]
+Run from the repository: python tests/bench/bench_study.py [--trials 4] [--workers 1 2 4] [--out
+study_cost.png] [--tasks T1 T2 T3] [--methods penalty koopman]
 
-The same study, its tasks in turn, is run by each number of workers. Efficiency is t_1 / (n t_n): of the whole study,
-the workers' start included, and of its steady part, from the trial at which every worker has done one to the last.
-More workers than cores cannot be efficient; they show what crowding costs.
+The same study, its tasks in turn, is run by each number of workers. Efficiency is t_1 / (n t_n): of
+the whole study, the workers' start included, and of its steady part, from the trial at which every
+worker has done one to the last. More workers than cores cannot be efficient; they show what
+crowding costs.
 """
 
 import argparse
@@ -40,14 +42,21 @@ def main() -> None:
     asked.add_argument("--out", type=Path, default=Path("study_cost.png"))
     chosen = asked.parse_args()
     print(machine())
-    plan = Plan(trials=chosen.trials, tasks=(*chosen.tasks,), methods=(*chosen.methods,), sensitivity=False)
+    plan = Plan(
+        trials=chosen.trials, tasks=(*chosen.tasks,), methods=(*chosen.methods,), sensitivity=False
+    )
     warm_caches(plan)
     runs = [measured(plan, workers) for workers in chosen.workers]
     if any(each.rows != runs[0].rows for each in runs):
         raise SystemExit("the tables of the workers differ")
     print(f"{runs[0].done[-1][1]} trials of {len(plan.methods)} methods, the same table each time")
     print(table([efficiency(each, runs[0]) for each in runs], HEADER))
-    head = "workers", *(f"{task} s" for task in plan.tasks), "trials x methods a second", "300 trials a task, min"
+    head = (
+        "workers",
+        *(f"{task} s" for task in plan.tasks),
+        "trials x methods a second",
+        "300 trials a task, min",
+    )
     print(table([costs(each, len(plan.methods)) for each in runs], head))
     draw(runs, chosen.out)
     print(chosen.out)
@@ -61,7 +70,9 @@ def warm_caches(plan: Plan) -> None:
 
 @dataclass
 class Measured:
-    """A study and what it cost: its wall time [s], trials done at times [s], and samples of memory [MB]."""
+    """A study and what it cost: its wall time [s], trials done at times [s], and samples of
+    memory [MB].
+    """
 
     workers: int
     wall_s: float = 0.0
@@ -130,9 +141,17 @@ def sample(found: Measured, done: int) -> None:
 
 
 HEADER = (
-    "workers", "wall s", "efficiency", "steady s a trial", "steady efficiency", "processors a worker", "threads",
-    "worker MB at a third", "at the end", "runner MB",
-)  # fmt: skip
+    "workers",
+    "wall s",
+    "efficiency",
+    "steady s a trial",
+    "steady efficiency",
+    "processors a worker",
+    "threads",
+    "worker MB at a third",
+    "at the end",
+    "runner MB",
+)
 
 
 def efficiency(each: Measured, alone: Measured) -> tuple[str, ...]:
@@ -152,7 +171,9 @@ def efficiency(each: Measured, alone: Measured) -> tuple[str, ...]:
 
 
 def costs(each: Measured, methods: int) -> tuple[str, ...]:
-    """Median wall time of a trial of each task, throughput of all workers, and what the whole study would take."""
+    """Median wall time of a trial of each task, throughput of all workers, and what the whole
+    study would take.
+    """
     whole = PAPER_TRIALS * len(each.took_s) * each.steady_s / 60.0
     took = (f"{one:.2f}" for one in each.took_s.values())
     return str(each.workers), *took, f"{methods / each.steady_s:.2f}", f"{whole:.0f}"
@@ -178,7 +199,9 @@ def draw(runs: list[Measured], path: Path) -> None:
     right.set(xlabel="trials done", ylabel="memory / MB")
     for each, colour in zip(runs, ("#0072B2", "#E69F00", "#009E73", "#CC79A7"), strict=False):
         counts_done = sorted({row[0] for row in each.memory})
-        peaks = [np.max([row for row in each.memory if row[0] == count], axis=0) for count in counts_done]
+        peaks = [
+            np.max([row for row in each.memory if row[0] == count], axis=0) for count in counts_done
+        ]
         done, runner, worker = np.array(peaks).T
         right.plot(done, worker, color=colour, lw=2, label=f"greatest worker of {each.workers}")
         right.plot(done, runner, ":", color=colour, lw=2, label=f"runner with {each.workers}")

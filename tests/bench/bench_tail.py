@@ -1,9 +1,10 @@
-"""Late ticks beside those of the machine itself: `python tests/bench/bench_tail.py [--rounds 3] [--seconds 1.5] [SCENE ...]`.
+"""Late ticks beside those of the machine itself: `python tests/bench/bench_tail.py [--rounds 3]
+[--seconds 1.5] [SCENE ...]`.
 
-Each round runs every variant in turn, so that they meet the same hour: launches as chosen, never and always split, the
-ticks pinned to one core, both threads on one core (as where two processors share it), and with stress its process at
-ordinary priority on every core. Medians over rounds, beside gaps over 0.2 ms that a spinning clock met just before and
-after the ticks.
+Each round runs every variant in turn, so that they meet the same hour: launches as chosen, never
+and always split, the ticks pinned to one core, both threads on one core (as where two processors
+share it), and with stress its process at ordinary priority on every core. Medians over rounds,
+beside gaps over 0.2 ms that a spinning clock met just before and after the ticks.
 """
 
 import argparse
@@ -27,7 +28,16 @@ from tissue.system.machine_gaps import spin
 
 SPLIT = "kernels.split_choice.LEAST_GAIN"
 SPUN_S = 0.3
-HEAD = ("scene", "variant", "median", "99 %", "missed", "expected gaps", "missed / gaps", "split of large")
+HEAD = (
+    "scene",
+    "variant",
+    "median",
+    "99 %",
+    "missed",
+    "expected gaps",
+    "missed / gaps",
+    "split of large",
+)
 
 
 class Pinned(RunObserver):
@@ -82,19 +92,31 @@ def variants(scene: Scene) -> dict[str, Callable[[], Run]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scenes", nargs="*", default=["glenoid", "caries"], help="default: glenoid caries")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "scenes", nargs="*", default=["glenoid", "caries"], help="default: glenoid caries"
+    )
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=1.5, help="simulated")
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="as for `tissue run`")
-    parser.add_argument("--only", action="append", default=[], metavar="VARIANT", help="default: all")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="as for `tissue run`"
+    )
+    parser.add_argument(
+        "--only", action="append", default=[], metavar="VARIANT", help="default: all"
+    )
     given = parser.parse_args()
     print(machine())
     rows = []
     changes = dict(parse_override(text) for text in given.set)
     for name in given.scenes:
         scene = load_scene(name, changes | {"duration_s": given.seconds})
-        kinds = {kind: call for kind, call in variants(scene).items() if not given.only or kind in given.only}
+        kinds = {
+            kind: call
+            for kind, call in variants(scene).items()
+            if not given.only or kind in given.only
+        }
         figures: dict[str, list[tuple[float, ...]]] = {kind: [] for kind in kinds}
         for index in range(given.rounds + 1):
             for kind, call in kinds.items():

@@ -1,13 +1,16 @@
-"""Trials x methods that one worker does in a second of its processor, by task, beside another checkout of this project.
+"""Trials x methods that one worker does in a second of its processor, by task, beside another
+checkout of this project.
 
-Run from the repository, here against the commit before the meshes, voxels and forecasts of runs were kept:
+Run from the repository, here against the commit before the meshes, voxels and forecasts of runs
+were kept:
 
-    git worktree add ../before 502628a
-    python tests/bench/bench_throughput.py --against ../before [--trials 2] [--tasks T1 T2 T3 needle reaming drilling]
+    git worktree add ../before 502628a python tests/bench/bench_throughput.py --against ../before
+    [--trials 2] [--tasks T1 T2 T3 needle reaming drilling]
 
-Both checkouts run the same trials in turn, each in a process of its own with one thread, so that they meet the same
-machine; the first trial of a process, which compiles kernels and condenses organs, is not counted. Processor time is
-what a busy machine disturbs least. The rows of all trials are compared bit for bit.
+Both checkouts run the same trials in turn, each in a process of its own with one thread, so that
+they meet the same machine; the first trial of a process, which compiles kernels and condenses
+organs, is not counted. Processor time is what a busy machine disturbs least. The rows of all trials
+are compared bit for bit.
 """
 
 import argparse
@@ -30,7 +33,9 @@ def names_of(task: str, trials: int) -> list[str]:
 
 
 def run_here(names: list[str]) -> None:
-    """Run trials in this process; a line each: name, processor time [s] and rows, their numbers as they are in bits."""
+    """Run trials in this process; a line each: name, processor time [s] and rows, their numbers
+    as they are in bits.
+    """
     from tissue.evaluation.study.plan import Plan, TrialKey
     from tissue.evaluation.study.runner import _in_worker
 
@@ -38,8 +43,10 @@ def run_here(names: list[str]) -> None:
         start = process_time()
         trial = _in_worker(Plan(), TrialKey.named(name))
         took = process_time() - start
-        rows = [{key: each if isinstance(each, str) else float(each).hex() for key, each in row.items()}
-                for row in trial.rows]  # fmt: skip
+        rows = [
+            {key: each if isinstance(each, str) else float(each).hex() for key, each in row.items()}
+            for row in trial.rows
+        ]
         print(json.dumps({"name": name, "took_s": took, "rows": rows}), flush=True)
 
 
@@ -48,22 +55,30 @@ def run_in(checkout: Path, names: list[str]) -> list[dict[str, object]]:
     one = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     command = [sys.executable, str(Path(__file__).resolve()), "--here", *names]
     environment = os.environ | one | {"PYTHONPATH": str(checkout)}
-    done = subprocess.run(command, env=environment, cwd=checkout, stdout=subprocess.PIPE, text=True, check=True)
+    done = subprocess.run(
+        command, env=environment, cwd=checkout, stdout=subprocess.PIPE, text=True, check=True
+    )
     return [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
 
 
 def compared(task: str, trials: int, checkouts: list[Path]) -> tuple[str, ...]:
-    """One row of the table: processor time a trial in each checkout, throughput, ratio, and whether rows are the same."""
+    """One row of the table: processor time a trial in each checkout, throughput, ratio, and
+    whether rows are the same.
+    """
     found = [run_in(each, names_of(task, trials)) for each in checkouts]
     methods = len(found[0][0]["rows"])
     took = [median(float(each["took_s"]) for each in trials_of[1:]) for trials_of in found]
-    same = all([each["rows"] for each in other] == [each["rows"] for each in found[0]] for other in found)
+    same = all(
+        [each["rows"] for each in other] == [each["rows"] for each in found[0]] for other in found
+    )
     cells = [f"{each:.2f} s, {methods / each:.2f}" for each in took]
     return task, *cells, f"{took[0] / took[-1]:.2f}", "the same" if same else "DIFFERENT"
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    asked = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     asked.add_argument("--against", type=Path, help="folder of another checkout, which runs first")
     asked.add_argument("--tasks", nargs="+", default=list(TASKS), choices=TASKS)
     asked.add_argument("--trials", type=int, default=2, help="trials of each task that count")
@@ -77,7 +92,12 @@ def main() -> None:
     checkouts = [ROOT] if given.against is None else [given.against.resolve(), ROOT]
     print(machine())
     columns = ["before"] * (given.against is not None) + ["now"]
-    head = ("task", *(f"{each}: processor a trial, trials x methods a second" for each in columns), "ratio", "rows")
+    head = (
+        "task",
+        *(f"{each}: processor a trial, trials x methods a second" for each in columns),
+        "ratio",
+        "rows",
+    )
     rows = []
     for task in given.tasks:
         rows.append(compared(task, given.trials, checkouts))

@@ -1,9 +1,12 @@
 """Cost of particle finite elements: `python tests/bench/bench_tooth.py [--quick]`.
 
-A block of enamel over dentin with a soft ball and a soft layer (84 GPa to 2 MPa), 8 particles a cell.
-1. Stiffness of all cells from their particles, beside scikit-fem's assembly of the same cells in the same run.
+A block of enamel over dentin with a soft ball and a soft layer (84 GPa to 2 MPa), 8 particles a
+cell.
+1. Stiffness of all cells from their particles, beside scikit-fem's assembly of the same cells in
+the same run.
 2. Product: over cells, and scipy's with the assembled matrix.
-3. A ball of 1 mm cuts 20 um deeper: update, warm solve, stress where it cuts; against the number of unknowns.
+3. A ball of 1 mm cuts 20 um deeper: update, warm solve, stress where it cuts; against the number of
+unknowns.
 4. A cold solve beside smoothed aggregation (pyamg, six rigid-body modes), set-up and solve apart.
 """
 
@@ -40,8 +43,14 @@ def assembly(cells: int) -> None:
     every = np.arange(body.grid.cell_count, dtype=np.int32)
     ours = cost_of(lambda _: body.cells.update(every), count=25, warm_up=5)
     rows = cost_of(lambda _: body.matrix(), count=3, warm_up=1)
-    print(f"\n{body.grid.cell_count} cells, {3 * body.grid.node_count} unknowns, {len(body.particles.layer)} particles")
-    print(f"cell stiffness {ours.median / 1e3:8.1f} ms; as a sparse matrix {rows.median / 1e3:8.1f} ms")
+    print(
+        f"\n{body.grid.cell_count} cells, {3 * body.grid.node_count} unknowns, "
+        f"{len(body.particles.layer)} particles"
+    )
+    print(
+        f"cell stiffness {ours.median / 1e3:8.1f} ms; as a sparse matrix "
+        f"{rows.median / 1e3:8.1f} ms"
+    )
     try:
         import skfem
         from skfem.models.elasticity import linear_elasticity
@@ -56,8 +65,10 @@ def assembly(cells: int) -> None:
     theirs = cost_of(lambda _: form.assemble(basis), count=3, warm_up=0)
     cells_only = cost_of(lambda _: form.elemental(basis), count=3, warm_up=0)
     both = ours.median + rows.median
-    print(f"scikit-fem {theirs.median / 1e3:8.1f} ms to the matrix ({theirs.median / both:.0f} x), "
-          f"{cells_only.median / 1e3:8.1f} ms to the cells ({cells_only.median / ours.median:.0f} x)")  # fmt: skip
+    print(
+        f"scikit-fem {theirs.median / 1e3:8.1f} ms to the matrix ({theirs.median / both:.0f} x), "
+        f"{cells_only.median / 1e3:8.1f} ms to the cells ({cells_only.median / ours.median:.0f} x)"
+    )
 
 
 def products(cells: int) -> None:
@@ -69,8 +80,11 @@ def products(cells: int) -> None:
     theirs = cost_of(lambda _: matrix @ vector.ravel(), count=200)
     cycle = cost_of(lambda _: body._hierarchy(vector), count=100)
     unknowns = 3 * body.grid.node_count
-    print(f"\n{unknowns} unknowns: product over cells {ours.median / 1e3:.2f} ms, scipy's with the matrix "
-          f"{theirs.median / 1e3:.2f} ms, V-cycle {cycle.median / 1e3:.2f} ms")  # fmt: skip
+    print(
+        f"\n{unknowns} unknowns: product over cells {ours.median / 1e3:.2f} ms, scipy's with "
+        "the matrix "
+        f"{theirs.median / 1e3:.2f} ms, V-cycle {cycle.median / 1e3:.2f} ms"
+    )
 
 
 def incremental(cells: int, steps: int) -> tuple[tuple[str, ...], float, float]:
@@ -86,7 +100,9 @@ def incremental(cells: int, steps: int) -> tuple[tuple[str, ...], float, float]:
         body.set_remaining(hit, np.zeros(len(hit), dtype=np.int64))
         body.update()
         t.append(perf_counter())
-        found = body.solve(body.spread(tip - [0.0, 0.0, BALL_M], np.array([0.2, 0.0, -1.0])), tolerance=TOLERANCE)
+        found = body.solve(
+            body.spread(tip - [0.0, 0.0, BALL_M], np.array([0.2, 0.0, -1.0])), tolerance=TOLERANCE
+        )
         t.append(perf_counter())
         near = np.flatnonzero(np.linalg.norm(position - tip, axis=1) < 4.0 * BALL_M)
         particle_stress(body.cells, found.displacement_m, particles=near)
@@ -97,9 +113,16 @@ def incremental(cells: int, steps: int) -> tuple[tuple[str, ...], float, float]:
     total = Cost(each[:, :3].sum(axis=1))
     unknowns = 3 * body.grid.node_count
     medians = np.median(each[:, :3], axis=0) * 1e3
-    row = (f"{unknowns}", f"{built:.2f}", *(f"{m:.1f}" for m in medians), f"{total.median / 1e3:.1f}",
-           f"{total.p99 / 1e3:.1f}", f"{total.worst / 1e3:.1f}", f"{each[:, 3].mean():.1f}",
-           f"{1e6 / total.median:.0f}")  # fmt: skip
+    row = (
+        f"{unknowns}",
+        f"{built:.2f}",
+        *(f"{m:.1f}" for m in medians),
+        f"{total.median / 1e3:.1f}",
+        f"{total.p99 / 1e3:.1f}",
+        f"{total.worst / 1e3:.1f}",
+        f"{each[:, 3].mean():.1f}",
+        f"{1e6 / total.median:.0f}",
+    )
     return row, float(unknowns), total.median
 
 
@@ -108,7 +131,10 @@ def against_aggregation(cells: int) -> None:
     load = body.spread(np.array([0.5, 0.5, 1.0]) * SIDE_M, np.array([0.2, 0.0, -1.0]))
     start = perf_counter()
     found = body.solve(load, tolerance=1e-6)
-    print(f"\ncold solve to 1e-6: {found.iterations} iterations, {perf_counter() - start:.2f} s (set-up above)")
+    print(
+        f"\ncold solve to 1e-6: {found.iterations} iterations, {perf_counter() - start:.2f} "
+        "s (set-up above)"
+    )
     try:
         from pyamg import smoothed_aggregation_solver
     except ImportError:
@@ -117,7 +143,9 @@ def against_aggregation(cells: int) -> None:
     free = np.flatnonzero((~body.supports.fixed).ravel())
     matrix = body.matrix().tocsr()[free][:, free]
     scale = 1.0 / np.sqrt(matrix.diagonal())
-    modes = rigid_motions(body.grid.node_position_m, body.grid.node_position_m.mean(axis=0)).reshape(-1, 6)[free]
+    modes = rigid_motions(
+        body.grid.node_position_m, body.grid.node_position_m.mean(axis=0)
+    ).reshape(-1, 6)[free]
     scaled = (diags(scale) @ matrix @ diags(scale)).tocsr()
     scaled.indices, scaled.indptr = scaled.indices.astype(np.int32), scaled.indptr.astype(np.int32)
     start = perf_counter()
@@ -126,18 +154,27 @@ def against_aggregation(cells: int) -> None:
     counted: list[int] = []
     wanted = found.displacement_m.ravel()[free] / scale
     answer, _ = cg(
-        scaled, scale * load.ravel()[free], rtol=1e-6, maxiter=300, M=hierarchy.aspreconditioner(),
+        scaled,
+        scale * load.ravel()[free],
+        rtol=1e-6,
+        maxiter=300,
+        M=hierarchy.aspreconditioner(),
         callback=lambda _: counted.append(1),
-    )  # fmt: skip
+    )
     off = answer - wanted
     error = np.sqrt((off @ (scaled @ off)) / (wanted @ (scaled @ wanted)))
     solved = perf_counter() - built
-    print(f"smoothed aggregation: set-up {built - start:.2f} s, {len(counted)} iterations, {solved:.2f} s, "
-          f"{error:.1e} from ours in the energy norm")  # fmt: skip
+    print(
+        f"smoothed aggregation: set-up {built - start:.2f} s, {len(counted)} iterations, "
+        f"{solved:.2f} s, "
+        f"{error:.1e} from ours in the energy norm"
+    )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--quick", action="store_true", help="small grids only")
     quick = parser.parse_args().quick
     print(machine())
@@ -159,7 +196,10 @@ def main() -> None:
         "Hz",
     )
     print(f"\nincremental, to {TOLERANCE:g} in the energy norm\n{table(list(rows), head)}")
-    print(f"total grows with unknowns to the power {np.polyfit(np.log(unknowns), np.log(times), 1)[0]:.2f}")
+    print(
+        "total grows with unknowns to the power "
+        f"{np.polyfit(np.log(unknowns), np.log(times), 1)[0]:.2f}"
+    )
     against_aggregation(middle)
 
 

@@ -1,9 +1,11 @@
-"""Velocity from encoder steps: raw difference, first-order adaptive window and constant acceleration, on every scene.
+"""Velocity from encoder steps: raw difference, first-order adaptive window and constant
+acceleration, on every scene.
 
 Run: python tests/bench/bench_velocity.py [SCENE ...]
 
-Hands of all groups move the device for two seconds a scene. Error is the root mean square over the ticks and axes against
-the velocity of the device's true position, central differences of it; delay is the shift at which both correlate best.
+Hands of all groups move the device for two seconds a scene. Error is the root mean square over the
+ticks and axes against the velocity of the device's true position, central differences of it; delay
+is the shift at which both correlate best.
 """
 
 import sys
@@ -28,11 +30,20 @@ WINDOWS = (5, 8, 15, 30)
 
 
 def recorded(name: str, index: int) -> tuple[Array, Array, float]:
-    """Positions that the encoders read and true ones [m], each shape (n, 3), and the encoder's step [m]."""
-    entries = {"device": "touch", "hand": GROUPS[index % len(GROUPS)], "seed": 600 + index, "duration_s": SECONDS}
+    """Positions that the encoders read and true ones [m], each shape (n, 3), and the encoder's
+    step [m].
+    """
+    entries = {
+        "device": "touch",
+        "hand": GROUPS[index % len(GROUPS)],
+        "seed": 600 + index,
+        "duration_s": SECONDS,
+    }
     scene = load_scene(name, entries | {"prediction": "none", "coupling.delay_ms": 0})
     if scene.stress is not None:
-        scene = load_scene(name, entries | {"prediction": "none", "coupling.delay_ms": 0, "stress": None})
+        scene = load_scene(
+            name, entries | {"prediction": "none", "coupling.delay_ms": 0, "stress": None}
+        )
     trace = simulate(scene).trace
     step = device_parameters("touch").encoder_step_m
     return 1e-3 * trace.vectors("device", "mm"), 1e-3 * trace.vectors("device_true", "mm"), step
@@ -46,8 +57,9 @@ def difference(position_m: Array, step_m: float) -> Array:
 def adaptive(position_m: Array, step_m: float, *, longest: int) -> Array:
     """First-order adaptive window, end-fit (Janabi-Sharifi, Hayward and Chen 2000) [m/s].
 
-    In each axis the longest window is taken whose line from its first to its last sample passes all within it by no
-    more than the noise, a whole step of the encoder for the difference of two rounded samples.
+    In each axis the longest window is taken whose line from its first to its last sample passes all
+    within it by no more than the noise, a whole step of the encoder for the difference of two
+    rounded samples.
     """
     found = np.zeros_like(position_m)
     for axis, places in enumerate(position_m.T):
@@ -88,11 +100,15 @@ def main() -> None:
             error = float(np.sqrt(((found - velocity[50:-1]) ** 2).mean()))
             delay = latency_ms(found, velocity[50:-1], tick_s=TICK_S)
             over_all[name].append((error / size, delay))
-            rows.append((scene, name, f"{1e3 * error:.2f}", f"{100.0 * error / size:.1f}", f"{delay:.1f}"))
+            rows.append(
+                (scene, name, f"{1e3 * error:.2f}", f"{100.0 * error / size:.1f}", f"{delay:.1f}")
+            )
     for name, each in over_all.items():
         error, delay = np.mean(each, axis=0)
         worst = max(found[0] for found in each)
-        rows.append(("all", name, f"worst {100.0 * worst:.1f} %", f"{100.0 * error:.1f}", f"{delay:.1f}"))
+        rows.append(
+            ("all", name, f"worst {100.0 * worst:.1f} %", f"{100.0 * error:.1f}", f"{delay:.1f}")
+        )
     print(table(rows, ("scene", "velocity", "error mm/s", "% of the velocity", "delay ms")))
 
 

@@ -1,9 +1,11 @@
-"""Cost and error of a hyperelastic organ at 1 kHz: `python tests/bench/chart_law.py --out DIR [--ratio 0.45]`.
+"""Cost and error of a hyperelastic organ at 1 kHz: `python tests/bench/chart_law.py --out DIR
+[--ratio 0.45]`.
 
-A ball of 16 mm is pressed 6.4 mm into a slab at 20 mm/s and rests there, neo-Hookean: by the linear law, by the
-compliance at rest with an offset solved on coarser meshes and at other intervals, and by Newton's method, which is the
-reference. Force while it moves and at rest, displacement of the surface at rest, time of a solve between ticks and of a
-tick, both processor time of one core. Writes `law.csv` and `law.png`.
+A ball of 16 mm is pressed 6.4 mm into a slab at 20 mm/s and rests there, neo-Hookean: by the linear
+law, by the compliance at rest with an offset solved on coarser meshes and at other intervals, and
+by Newton's method, which is the reference. Force while it moves and at rest, displacement of the
+surface at rest, time of a solve between ticks and of a tick, both processor time of one core.
+Writes `law.csv` and `law.png`.
 """
 
 import argparse
@@ -19,8 +21,19 @@ from tissue.models.organ.law_offset import LawOffset
 from tissue.simulation.simulate import simulate
 
 RATIOS, INTERVALS_MS = (1.0, 1.4, 2.0, 2.8), (10.0, 25.0, 100.0)
-HEAD = ("law", "ratio", "interval ms", "unknowns", "solve ms", "99 %", "tick us", "99 %", "moving %", "at rest %",
-        "displacement %")  # fmt: skip
+HEAD = (
+    "law",
+    "ratio",
+    "interval ms",
+    "unknowns",
+    "solve ms",
+    "99 %",
+    "tick us",
+    "99 %",
+    "moving %",
+    "at rest %",
+    "displacement %",
+)
 TOUCHED_N = 1e-3
 """Force from which a tick and a solve count."""
 
@@ -50,8 +63,17 @@ def row_of(name, scene, exact):
     rest = abs(run.trace["force_z_N"][-1] / exact.force_N[-1] - 1.0)
     late = [float(1e3 * np.percentile(taken, share)) for share in (50, 99)]
     tick = [float(np.percentile(ticks, share)) for share in (50, 99)]
-    return [name, scene.organ.law_edge_ratio, scene.organ.law_interval_ms, int(unknowns), *late, *tick,
-            100.0 * moving, 100.0 * rest, 100.0 * surface_error(run, exact)]  # fmt: skip
+    return [
+        name,
+        scene.organ.law_edge_ratio,
+        scene.organ.law_interval_ms,
+        int(unknowns),
+        *late,
+        *tick,
+        100.0 * moving,
+        100.0 * rest,
+        100.0 * surface_error(run, exact),
+    ]
 
 
 def draw(rows, path):
@@ -69,18 +91,32 @@ def draw(rows, path):
         ("surface at rest, error / %", 10),
     )
     for axis, (label, column) in zip(axes, shown, strict=True):
-        for interval, colour, marker in zip(INTERVALS_MS, ("#0072B2", "#E69F00", "#CC79A7"), "os^", strict=True):
+        for interval, colour, marker in zip(
+            INTERVALS_MS, ("#0072B2", "#E69F00", "#CC79A7"), "os^", strict=True
+        ):
             some = [row for row in rows if row[0] == "neo-Hookean" and row[2] == interval]
             axis.plot(
-                [row[4] for row in some], [row[column] for row in some], color=colour, marker=marker, markersize=9,
+                [row[4] for row in some],
+                [row[column] for row in some],
+                color=colour,
+                marker=marker,
+                markersize=9,
                 label=f"solved every {interval:g} ms",
-            )  # fmt: skip
+            )
             for row in some:
-                axis.annotate(f"{row[1]:g}", (row[4], row[column]), textcoords="offset points", xytext=(8, 4))
+                axis.annotate(
+                    f"{row[1]:g}", (row[4], row[column]), textcoords="offset points", xytext=(8, 4)
+                )
         linear = next(row[column] for row in rows if row[0] == "linear")
         axis.axhline(linear, color="0.4", linestyle="--")
         axis.text(
-            0.98, linear, "linear law", color="0.3", ha="right", va="bottom", transform=axis.get_yaxis_transform()
+            0.98,
+            linear,
+            "linear law",
+            color="0.3",
+            ha="right",
+            va="bottom",
+            transform=axis.get_yaxis_transform(),
         )
         axis.set(xscale="log", yscale="log", xlabel="time of a solve, median / ms", ylabel=label)
         axis.grid(True, which="major", color="0.9")
@@ -104,7 +140,15 @@ def main():
             rows.append(row_of("neo-Hookean", scene, exact))
     with (asked.out / "law.csv").open("w", newline="") as file:
         csv.writer(file).writerows([HEAD, *rows])
-    print(table([[f"{value:.3g}" if isinstance(value, float) else str(value) for value in row] for row in rows], HEAD))
+    print(
+        table(
+            [
+                [f"{value:.3g}" if isinstance(value, float) else str(value) for value in row]
+                for row in rows
+            ],
+            HEAD,
+        )
+    )
     draw(rows, asked.out / "law.png")
 
 

@@ -2,16 +2,18 @@
 
 `python tests/bench/chart_liver.py --out DIR [--quick]` writes tables (CSV) and a picture:
 
-- force on a sphere of 10 mm, 4 mm deep in a block (100 x 100 x 50 mm, 5 kPa, Poisson's ratio 0.45, a quarter of it by
+- force on a sphere of 10 mm, 4 mm deep in a block (100 x 100 x 50 mm, 5 kPa, Poisson's ratio 0.45,
+  a quarter of it by
   symmetry): order, refinement and law, solved whole or tick by tick on the linear compliance;
 - the answer of one linear body to one load: solve path, tolerance, basis size;
-- the depth at which the linear force passes 1, 5 and 10 % of error against neo-Hookean, on the block, the procedural liver
+- the depth at which the linear force passes 1, 5 and 10 % of error against neo-Hookean, on the
+  block, the procedural liver
   and the scanned one (if it lies beside the checkout).
 
-The reference is neo-Hookean on the finest quadratic mesh; its distance to the next coarser one is the bar below which
-no difference is resolved. Coarse and linear cells are too stiff, the linear law is too soft: single points come close by
-accident, a trend over refinement does not. Agreement with the reference is not agreement with an organ, whose moduli
-scatter by 20 % and more.
+The reference is neo-Hookean on the finest quadratic mesh; its distance to the next coarser one is
+the bar below which no difference is resolved. Coarse and linear cells are too stiff, the linear law
+is too soft: single points come close by accident, a trend over refinement does not. Agreement with
+the reference is not agreement with an organ, whose moduli scatter by 20 % and more.
 """
 
 import argparse
@@ -52,7 +54,9 @@ LAW_NAMES = {Law.LINEAR: "linear", Law.COROTATIONAL: "corotational", Law.NEO_HOO
 
 
 def quarter(order: int, layers: int) -> tuple[Space, np.ndarray]:
-    """A quarter of the block about the sphere's axis, so many layers of cells in each direction; its held components."""
+    """A quarter of the block about the sphere's axis, so many layers of cells in each direction;
+    its held components.
+    """
     aside = 0.05 * (GROWTH ** np.arange(layers + 1) - 1.0) / (GROWTH**layers - 1.0)
     space = Space(grid(aside, aside, -aside[::-1]), order)
     held = (np.abs(space.nodes_m) < 1e-12) & np.array([True, True, False])
@@ -61,7 +65,9 @@ def quarter(order: int, layers: int) -> tuple[Space, np.ndarray]:
 
 
 def quarter_forces_N(space: Space, held: np.ndarray, law: Law, depths_m: np.ndarray) -> np.ndarray:
-    """Force on the whole block at each depth [N], shape (d,); NaN from the first depth that is not solved."""
+    """Force on the whole block at each depth [N], shape (d,); NaN from the first depth that is
+    not solved.
+    """
     body = NonlinearBody(space, LIVER, law=law)
     solver = NewtonSolver(body, held, tolerance=1e-6)
     found = press(
@@ -85,7 +91,9 @@ def whole_solve(space: Space, held: np.ndarray, law: Law) -> tuple[float, float]
 
 
 def ticks(space: Space, held: np.ndarray) -> tuple[float, float]:
-    """Force at the depth [N], found tick by tick on the compliance, and the median time of a tick there [s]."""
+    """Force at the depth [N], found tick by tick on the compliance, and the median time of a
+    tick there [s].
+    """
     faces = space.faces
     if space.order == 2:
         faces = faces[:, [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]].reshape(-1, 3)
@@ -95,18 +103,27 @@ def ticks(space: Space, held: np.ndarray) -> tuple[float, float]:
     body = HeldBody(assemble(space, LIVER), space.nodes_m, held)
     compliance = surface_compliance_m_N(body, nodes)
     contact = SurfaceContact(
-        space.nodes_m[nodes], corners.reshape(-1, 3), compliance, SphereProbe(RADIUS_M), friction=0.0
+        space.nodes_m[nodes],
+        corners.reshape(-1, 3),
+        compliance,
+        SphereProbe(RADIUS_M),
+        friction=0.0,
     )
     upright = np.eye(3)
     for depth in np.linspace(-1e-4, DEPTH_M, 60):
         result = contact.solve(np.array([0.0, 0.0, -depth]), upright)
     force = 4.0 * float(result.force_N[2])
-    cost = cost_of(lambda k: contact.solve(np.array([0.0, 0.0, 2e-6 * np.sin(0.3 * k) - DEPTH_M]), upright), count=400)
+    cost = cost_of(
+        lambda k: contact.solve(np.array([0.0, 0.0, 2e-6 * np.sin(0.3 * k) - DEPTH_M]), upright),
+        count=400,
+    )
     return force, 1e-6 * cost.median
 
 
 def forces(quick: bool) -> tuple[list[Point], float]:
-    """Error of the force on the sphere by order, refinement, law and solver; and what the reference leaves open."""
+    """Error of the force on the sphere by order, refinement, law and solver; and what the
+    reference leaves open.
+    """
     finest, next_finest = ((2, 7), (2, 6)) if quick else ((2, 9), (2, 8))
     sizes = {1: (5, 6) if quick else (5, 6, 7, 8, 10), 2: (5,) if quick else (4, 5, 6, 7)}
     reference, _ = whole_solve(*quarter(*finest), Law.NEO_HOOKEAN)
@@ -125,7 +142,9 @@ def forces(quick: bool) -> tuple[list[Point], float]:
 
 
 def paths(quick: bool) -> list[Point]:
-    """Error of the displacement of touchable nodes under one load, to the factor's answer, and time of a right side."""
+    """Error of the displacement of touchable nodes under one load, to the factor's answer, and
+    time of a right side.
+    """
     mesh = bisected(liver(spacing_m=14e-3), lambda at: np.full(len(at), 16e-3 if quick else 13e-3))
     space = Space(mesh)
     held = np.isin(np.arange(space.node_count), liver_region(mesh, "below"))
@@ -146,17 +165,33 @@ def paths(quick: bool) -> list[Point]:
 
     matrix = assemble(space, LIVER)
     left = np.abs(
-        np.where(held[:, None], 0.0, (matrix @ factor.solve(load).displacement_m.ravel()).reshape(-1, 3) - load)
+        np.where(
+            held[:, None],
+            0.0,
+            (matrix @ factor.solve(load).displacement_m.ravel()).reshape(-1, 3) - load,
+        )
     )
     print(
-        f"{len(mesh.cells)} tetrahedra; residual of the factor's answer {left.max() / np.abs(load).max():.1e} of the load"
+        f"{len(mesh.cells)} tetrahedra; residual of the factor's answer "
+        f"{left.max() / np.abs(load).max():.1e} of the load"
     )
     points = [
-        ("factor", "factor", cost_of(lambda _: factor.solve(load), count=12, warm_up=2).median * 1e-6, left.max())
+        (
+            "factor",
+            "factor",
+            cost_of(lambda _: factor.solve(load), count=12, warm_up=2).median * 1e-6,
+            left.max(),
+        )
     ]
     for tolerance in (1e-1, 1e-2, 1e-4, 1e-6, 1e-8):
         multigrid = MultigridSolver(body, tolerance=tolerance)
-        points.append(point("multigrid", f"{tolerance:g}", lambda m=multigrid: m.solve(load).displacement_m[touchable]))
+        points.append(
+            point(
+                "multigrid",
+                f"{tolerance:g}",
+                lambda m=multigrid: m.solve(load).displacement_m[touchable],
+            )
+        )
     compliance = surface_compliance_m_N(body, touchable)
     flat = load[touchable].ravel()
     points.append(point("condensed", "condensed", lambda: (compliance @ flat).reshape(-1, 3)))
@@ -165,7 +200,9 @@ def paths(quick: bool) -> list[Point]:
     for size in (6, 12, 24, 48, 96, 192, 384):
         if size < min(whole.size, len(rows)):
             modes = np.ascontiguousarray(whole.modes[rows, :size])
-            points.append(point("reduced", f"{size}", lambda m=modes: (m @ (m.T @ flat)).reshape(-1, 3)))
+            points.append(
+                point("reduced", f"{size}", lambda m=modes: (m @ (m.T @ flat)).reshape(-1, 3))
+            )
     return points
 
 
@@ -177,23 +214,44 @@ def limits(quick: bool) -> dict[str, LinearLimits]:
     laws = (Law.LINEAR, Law.NEO_HOOKEAN)
 
     def local(mesh, at, fine):
-        return bisected(mesh, lambda x: fine + 0.5 * np.maximum(np.linalg.norm(x - at, axis=1) - 7e-3, 0.0))
+        return bisected(
+            mesh, lambda x: fine + 0.5 * np.maximum(np.linalg.norm(x - at, axis=1) - 7e-3, 0.0)
+        )
 
     space, held = quarter(2, 5 if quick else 7)
     by_law = {law: quarter_forces_N(space, held, law, depths) for law in laws}
     found["block, P2"] = LinearLimits(depths, by_law)
-    bodies = {"procedural liver": (liver(spacing_m=14e-3), np.zeros(3), lambda m: liver_region(m, "below"))}
+    bodies = {
+        "procedural liver": (
+            liver(spacing_m=14e-3),
+            np.zeros(3),
+            lambda m: liver_region(m, "below"),
+        )
+    }
     if ANATOMY.exists() and not quick:
         scanned, _ = tetrahedralise(read_surface(ANATOMY, scale_mm=1.0), edge_m=0.016)
-        top = scanned.nodes_m[scanned.surface_nodes[scanned.nodes_m[scanned.surface_nodes, 2].argmax()]]
-        bodies["scanned liver"] = (scanned, top, lambda m: nodes_facing(m, direction=(0, 0, -1), within_deg=50.0))
+        top = scanned.nodes_m[
+            scanned.surface_nodes[scanned.nodes_m[scanned.surface_nodes, 2].argmax()]
+        ]
+        bodies["scanned liver"] = (
+            scanned,
+            top,
+            lambda m: nodes_facing(m, direction=(0, 0, -1), within_deg=50.0),
+        )
     for name, (coarse, top, supports) in bodies.items():
         mesh = local(coarse, top, size)
         space = Space(mesh)
         fixed = np.zeros(space.node_count, dtype=bool)
         fixed[supports(mesh)] = True
         found[f"{name}, P1"] = linear_limits(
-            space, LIVER, fixed, point_m=top, inward=(0, 0, -1), radius_m=RADIUS_M, depths_m=depths, laws=laws
+            space,
+            LIVER,
+            fixed,
+            point_m=top,
+            inward=(0, 0, -1),
+            radius_m=RADIUS_M,
+            depths_m=depths,
+            laws=laws,
         )
     return found
 
@@ -206,7 +264,9 @@ def write(path: Path, head: tuple[str, ...], rows: list[tuple[str, ...]]) -> Non
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, required=True, help="folder for tables and picture")
     parser.add_argument("--quick", action="store_true", help="coarse and few: to see that it runs")
     asked = parser.parse_args()
@@ -216,20 +276,47 @@ def main() -> None:
     by_path = paths(asked.quick)
     for name, points in (("force", by_force), ("path", by_path)):
         on = {p[:2] for p in frontier([p for p in points if np.isfinite(p[3])])}
-        rows = [(p[0], p[1], f"{1e3 * p[2]:.4g}", f"{p[3]:.3g}", "yes" if p[:2] in on else "") for p in points]
-        write(asked.out / f"chart_liver_{name}.csv", ("kind", "setting", "cost_ms", "error", "frontier"), rows)
+        rows = [
+            (p[0], p[1], f"{1e3 * p[2]:.4g}", f"{p[3]:.3g}", "yes" if p[:2] in on else "")
+            for p in points
+        ]
+        write(
+            asked.out / f"chart_liver_{name}.csv",
+            ("kind", "setting", "cost_ms", "error", "frontier"),
+            rows,
+        )
     judged = limits(asked.quick)
-    rows = [(name, *(f"{1e3 * found.passed_at_m(s):.2f}" for s in SHARES)) for name, found in judged.items()]
-    write(asked.out / "chart_liver_limits.csv", ("body", *(f"linear_off_{s:.0%}_at_mm" for s in SHARES)), rows)
     rows = [
-        (name, f"{1e3 * depth:g}", *(f"{found.force_N[law][k]:.5g}" if law in found.force_N else "" for law in Law))
+        (name, *(f"{1e3 * found.passed_at_m(s):.2f}" for s in SHARES))
+        for name, found in judged.items()
+    ]
+    write(
+        asked.out / "chart_liver_limits.csv",
+        ("body", *(f"linear_off_{s:.0%}_at_mm" for s in SHARES)),
+        rows,
+    )
+    rows = [
+        (
+            name,
+            f"{1e3 * depth:g}",
+            *(f"{found.force_N[law][k]:.5g}" if law in found.force_N else "" for law in Law),
+        )
         for name, found in judged.items()
         for k, depth in enumerate(found.depth_m)
     ]
-    write(asked.out / "chart_liver_forces.csv", ("body", "depth_mm", *(f"{LAW_NAMES[law]}_N" for law in Law)), rows)
+    write(
+        asked.out / "chart_liver_forces.csv",
+        ("body", "depth_mm", *(f"{LAW_NAMES[law]}_N" for law in Law)),
+        rows,
+    )
     draw(
         [
-            (f"force {1e3 * DEPTH_M:g} mm deep", "error to the finest neo-Hookean / %", by_force, resolution),
+            (
+                f"force {1e3 * DEPTH_M:g} mm deep",
+                "error to the finest neo-Hookean / %",
+                by_force,
+                resolution,
+            ),
             ("one linear body, one load", "error to the factor's answer / %", by_path, 0.0),
         ],
         judged,

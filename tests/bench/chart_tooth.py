@@ -1,8 +1,9 @@
-"""Cells and particles of the tooth against error and cost: `python tests/bench/chart_tooth.py [--out FILE.png]`.
+"""Cells and particles of the tooth against error and cost: `python tests/bench/chart_tooth.py
+[--out FILE.png]`.
 
-The procedural molar with a cavity under 1 N: displacement of the tooth in its ligament, and stress recovered
-in the dentin beside and under the cavity's bottom, at several cell sizes and particles a cell, against the finest. The force at the bur
-needs none of it.
+The procedural molar with a cavity under 1 N: displacement of the tooth in its ligament, and stress
+recovered in the dentin beside and under the cavity's bottom, at several cell sizes and particles a
+cell, against the finest. The force at the bur needs none of it.
 """
 
 import argparse
@@ -21,7 +22,12 @@ SETTINGS = ((1.0, 2), (0.7, 2), (0.5, 1), (0.5, 2), (0.5, 4), (0.4, 2), (0.3, 2)
 CAVITY = cylinder(1.0e-3, (0.0, 0.0, -2.5e-3), (0.0, 0.0, 5e-3))
 POINT_M, FORCE_N = np.array([0.0, 0.0, -2.5e-3]), np.array([0.3, 0.0, -0.95])
 PROBES_M = np.array(
-    [[x, y, z] for z in (-2.6e-3, -2.9e-3, -3.4e-3, -4.2e-3) for x in (-7e-4, 0.0, 7e-4) for y in (-7e-4, 0.0, 7e-4)]
+    [
+        [x, y, z]
+        for z in (-2.6e-3, -2.9e-3, -3.4e-3, -4.2e-3)
+        for x in (-7e-4, 0.0, 7e-4)
+        for y in (-7e-4, 0.0, 7e-4)
+    ]
 )
 
 
@@ -51,7 +57,9 @@ def measure(cell_mm: float, along: int) -> dict[str, float | np.ndarray]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", help="picture to write")
     out = parser.parse_args().out
     print(machine())
@@ -60,13 +68,39 @@ def main() -> None:
     rows, points = [], []
     for (cell, along), values in found.items():
         displacement = abs(values["moved"] / reference["moved"] - 1.0)
-        stress = np.linalg.norm(values["probes"] - reference["probes"]) / np.linalg.norm(reference["probes"])
+        stress = np.linalg.norm(values["probes"] - reference["probes"]) / np.linalg.norm(
+            reference["probes"]
+        )
         points.append((cell, along, displacement, stress, values["warm_s"]))
-        rows.append((f"{cell:g} mm", f"{along**3}", f"{values['unknowns']}", f"{values['particles']}",
-                     f"{values['moved']:.3f}", f"{displacement:.2%}", f"{stress:.1%}", f"{values['setup_s']:.2f}",
-                     f"{1e3 * values['warm_s']:.0f}"))  # fmt: skip
-    print(table(rows, ("cell", "particles/cell", "unknowns", "particles", "moved um", "error", "stress error",
-                       "set-up s", "warm solve ms")))  # fmt: skip
+        rows.append(
+            (
+                f"{cell:g} mm",
+                f"{along**3}",
+                f"{values['unknowns']}",
+                f"{values['particles']}",
+                f"{values['moved']:.3f}",
+                f"{displacement:.2%}",
+                f"{stress:.1%}",
+                f"{values['setup_s']:.2f}",
+                f"{1e3 * values['warm_s']:.0f}",
+            )
+        )
+    print(
+        table(
+            rows,
+            (
+                "cell",
+                "particles/cell",
+                "unknowns",
+                "particles",
+                "moved um",
+                "error",
+                "stress error",
+                "set-up s",
+                "warm solve ms",
+            ),
+        )
+    )
     if out:
         draw(points, out)
 
@@ -79,14 +113,27 @@ def draw(points: list[tuple[float, int, float, float, float]], out: str) -> None
     from matplotlib import pyplot
 
     figure, axes = pyplot.subplots(figsize=(7.5, 5), layout="constrained")
-    for column, label, colour, marker in ((2, "displacement", "#0072B2", "o"), (3, "stress", "#D55E00", "s")):
+    for column, label, colour, marker in (
+        (2, "displacement", "#0072B2", "o"),
+        (3, "stress", "#D55E00", "s"),
+    ):
         chosen = [(1e3 * p[4], 100 * p[column], f"{p[0]:g} mm, {p[1] ** 3}") for p in points[:-1]]
-        axes.scatter(*zip(*[c[:2] for c in chosen], strict=True), color=colour, marker=marker, label=label, s=50)
+        axes.scatter(
+            *zip(*[c[:2] for c in chosen], strict=True),
+            color=colour,
+            marker=marker,
+            label=label,
+            s=50,
+        )
         for cost, error, name in chosen:
-            axes.annotate(name, (cost, error), textcoords="offset points", xytext=(6, 4), fontsize=8)
+            axes.annotate(
+                name, (cost, error), textcoords="offset points", xytext=(6, 4), fontsize=8
+            )
     axes.axvline(100.0, color="0.5", linestyle="--")
     axes.text(100.0, axes.get_ylim()[1], " 10 Hz", va="top", color="0.4")
-    axes.set(xscale="log", yscale="log", xlabel="warm solve / ms", ylabel="error to 0.2 mm cells / %")
+    axes.set(
+        xscale="log", yscale="log", xlabel="warm solve / ms", ylabel="error to 0.2 mm cells / %"
+    )
     axes.grid(alpha=0.3, which="both")
     axes.legend(title="cell, particles a cell")
     figure.savefig(out, dpi=150)

@@ -1,7 +1,9 @@
-"""Predictors in closed loop, where a hand answers what was predicted: part of `bench_prediction.py --closed`.
+"""Predictors in closed loop, where a hand answers what was predicted: part of `bench_prediction.py
+--closed`.
 
-Every predictor runs at the stiffness that is chosen for a loop that holds the force, so that nothing but the prediction
-differs, and at the one that is chosen for itself. What was run is kept as lines of a table, and is not run again.
+Every predictor runs at the stiffness that is chosen for a loop that holds the force, so that
+nothing but the prediction differs, and at the one that is chosen for itself. What was run is kept
+as lines of a table, and is not run again.
 """
 
 import csv
@@ -28,7 +30,16 @@ __all__ = ["close"]
 LATENCY_MS = 4
 FIRST_SEED = 30_000
 STIFFNESSES = ("hold's", "own")
-HEAD = ("predictor", "stiffness", "seed", "stiffness_N_m", "error", "least_error", "excess", "latency_ms")
+HEAD = (
+    "predictor",
+    "stiffness",
+    "seed",
+    "stiffness_N_m",
+    "error",
+    "least_error",
+    "excess",
+    "latency_ms",
+)
 
 Task = tuple[str, str, str, int]
 """Scene, predictor, one of `STIFFNESSES`, and seed."""
@@ -37,7 +48,9 @@ Task = tuple[str, str, str, int]
 @lru_cache
 def stiffness_N_m(name: str, kind: str, hand: str) -> float:
     """What is chosen for a predictor in a hand [N/m]."""
-    return judged_loop(loop_settings(by_hand(name, kind, hand, FIRST_SEED)), step_s=TICK_S).stiffness_N_m
+    return judged_loop(
+        loop_settings(by_hand(name, kind, hand, FIRST_SEED)), step_s=TICK_S
+    ).stiffness_N_m
 
 
 def by_hand(name: str, kind: str, hand: str, seed: int) -> Scene:
@@ -55,7 +68,9 @@ def by_hand(name: str, kind: str, hand: str, seed: int) -> Scene:
 
 
 def run(task: Task) -> tuple[float, ...]:
-    """Stiffness [N/m], error, least error and excess as shares of the ideal force, and residual latency [ms]."""
+    """Stiffness [N/m], error, least error and excess as shares of the ideal force, and residual
+    latency [ms].
+    """
     name, kind, at, seed = task
     hand = list(GROUPS)[seed % len(GROUPS)]
     stiffness = stiffness_N_m(name, kind if at == "own" else "hold", hand)
@@ -103,8 +118,15 @@ def close(kinds: dict[str, Sequence[str]], runs: int, folder: Path) -> None:
         report(name, each, seeds, read(folder / f"closed-{name}.csv"))
 
 
-def report(name: str, kinds: Sequence[str], seeds: range, kept: dict[tuple[str, str, int], tuple[float, ...]]) -> None:
-    """The table of a scene: means over seeds, the worst error, and the excess in shares of hold's at its stiffness."""
+def report(
+    name: str,
+    kinds: Sequence[str],
+    seeds: range,
+    kept: dict[tuple[str, str, int], tuple[float, ...]],
+) -> None:
+    """The table of a scene: means over seeds, the worst error, and the excess in shares of
+    hold's at its stiffness.
+    """
     rows, base = [], np.nan
     for at in STIFFNESSES:
         for kind in kinds:
@@ -115,12 +137,43 @@ def report(name: str, kinds: Sequence[str], seeds: range, kept: dict[tuple[str, 
             worst = np.max(np.abs(found), axis=0)
             if kind == "hold":
                 base = excess
-            rows.append((kind, at, f"{stiffness:.0f}", f"{100 * error:.2f}", f"{100 * worst[1]:.2f}",
-                         f"{100 * least:.2f}", f"{100 * excess:.2f}", f"{100 * worst[3]:.2f}", f"{excess / base:.2f}",
-                         f"{late:+.2f}", f"{worst[4]:.2f}", f"{len(found)}"))  # fmt: skip
+            rows.append(
+                (
+                    kind,
+                    at,
+                    f"{stiffness:.0f}",
+                    f"{100 * error:.2f}",
+                    f"{100 * worst[1]:.2f}",
+                    f"{100 * least:.2f}",
+                    f"{100 * excess:.2f}",
+                    f"{100 * worst[3]:.2f}",
+                    f"{excess / base:.2f}",
+                    f"{late:+.2f}",
+                    f"{worst[4]:.2f}",
+                    f"{len(found)}",
+                )
+            )
     print(f"\n{name} in closed loop at {LATENCY_MS} ms")
-    print(table(rows, ("predictor", "stiffness", "N/m", "error %", "worst %", "least %", "excess %", "worst %",
-                       "of hold's", "late ms", "worst ms", "runs")), flush=True)  # fmt: skip
+    print(
+        table(
+            rows,
+            (
+                "predictor",
+                "stiffness",
+                "N/m",
+                "error %",
+                "worst %",
+                "least %",
+                "excess %",
+                "worst %",
+                "of hold's",
+                "late ms",
+                "worst ms",
+                "runs",
+            ),
+        ),
+        flush=True,
+    )
 
 
 def read(path: Path) -> dict[tuple[str, str, int], tuple[float, ...]]:
@@ -129,7 +182,11 @@ def read(path: Path) -> dict[tuple[str, str, int], tuple[float, ...]]:
         return {}
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.reader(file))[1:]
-    return {(row[0], row[1], int(row[2])): tuple(map(float, row[3:])) for row in rows if len(row) == len(HEAD)}
+    return {
+        (row[0], row[1], int(row[2])): tuple(map(float, row[3:]))
+        for row in rows
+        if len(row) == len(HEAD)
+    }
 
 
 def write(path: Path, row: tuple[object, ...]) -> None:

@@ -15,11 +15,13 @@ __all__ = ["CostModel"]
 
 @dataclass(frozen=True)
 class CostModel:
-    """Median tick of a scene's model: a constant, a share for each element of the tool, and one for each cell it meets.
+    """Median tick of a scene's model: a constant, a share for each element of the tool, and one for
+    each cell it meets.
 
-    ``tick = a + b elements + c met`` with none of them negative, fitted to relative errors. What a cutter meets is a
-    surface, so voxels are counted over the area of contact. An organ's contacts are swept until they rest, and each
-    sums over all others: there an element is a contact that a sweep visits, and what it meets are the others.
+    ``tick = a + b elements + c met`` with none of them negative, fitted to relative errors. What a
+    cutter meets is a surface, so voxels are counted over the area of contact. An organ's contacts
+    are swept until they rest, and each sums over all others: there an element is a contact that a
+    sweep visits, and what it meets are the others.
 
     Attributes
     ----------
@@ -41,7 +43,9 @@ class CostModel:
             If there are fewer.
         """
         if len(points) < 3:
-            raise InputError(f"points must be at least 3 to fit a cost, got {len(points)}: measure more settings")
+            raise InputError(
+                f"points must be at least 3 to fit a cost, got {len(points)}: measure more settings"
+            )
         ticks = np.array([point.median_us for point in points])
         terms = np.array([_terms(point) for point in points])
         scale = terms.max(axis=0)

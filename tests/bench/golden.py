@@ -39,11 +39,16 @@ def column_hashes(arguments: list[str]) -> dict[str, str]:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
         command = [sys.executable, "-m", "tissue", "run", *arguments, "--no-pictures"]
-        subprocess.run([*command, "--out", str(out)], check=True, capture_output=True, cwd=RECORDED.parents[2])
+        subprocess.run(
+            [*command, "--out", str(out)], check=True, capture_output=True, cwd=RECORDED.parents[2]
+        )
         with (out / "trace.csv").open(newline="", encoding="utf-8") as file:
             header, *rows = csv.reader(file)
     columns = dict(zip(header, zip(*rows, strict=True), strict=True))
-    return {name: hashlib.sha256("\n".join(cells).encode()).hexdigest()[:16] for name, cells in columns.items()}
+    return {
+        name: hashlib.sha256("\n".join(cells).encode()).hexdigest()[:16]
+        for name, cells in columns.items()
+    }
 
 
 def main() -> None:
@@ -62,7 +67,9 @@ def main() -> None:
     differing = 0
     for case, hashes in found.items():
         before = recorded["hashes"][case]
-        names = sorted(name for name in before.keys() | hashes.keys() if before.get(name) != hashes.get(name))
+        names = sorted(
+            name for name in before.keys() | hashes.keys() if before.get(name) != hashes.get(name)
+        )
         differing += bool(names)
         print(f"{case}: {'the same' if not names else 'differs in ' + ', '.join(names)}")
     sys.exit(1 if differing else 0)

@@ -1,4 +1,6 @@
-"""What grows: models of growing size, with the time of a tick and the bytes of the arrays that they hold on to."""
+"""What grows: models of growing size, with the time of a tick and the bytes of the arrays that
+they hold on to.
+"""
 
 import gc
 import types
@@ -57,10 +59,13 @@ def median_us(call: Callable[[int], object], *, count: int, warm_up: int = 2) ->
     return min(cost_of(call, count=count + warm_up, warm_up=warm_up).median for _ in range(2))
 
 
-def burr_ticks(edge_mm: float, spacing_mm: float, shell_m: float | None = None) -> tuple[Any, float, float]:
+def burr_ticks(
+    edge_mm: float, spacing_mm: float, shell_m: float | None = None
+) -> tuple[Any, float, float]:
     """A ball burr of 2 mm, half of it in a block: model, mean of carving and median of force [us].
 
-    Bricks take turns, so that a median tick carves few of them; the slowest fifth of the ticks is left out.
+    Bricks take turns, so that a median tick carves few of them; the slowest fifth of the ticks is
+    left out.
     """
     from meshes.shapes.anatomy import cortical_block
     from meshes.voxels.voxelise import voxelise
@@ -71,8 +76,13 @@ def burr_ticks(edge_mm: float, spacing_mm: float, shell_m: float | None = None) 
     from tissue.models.tissue_model import ToolMotion
 
     volume = voxelise(cortical_block(size_mm=(edge_mm,) * 3), spacing_m=1e-3 * spacing_mm)
-    model = BoneModel(volume, Cutter(ball_burr(diameter_m=2e-3), 6, 1000.0), (cutting_coefficients("bone"),), cores=1,
-                      shell_spacing_m=shell_m)  # fmt: skip
+    model = BoneModel(
+        volume,
+        Cutter(ball_burr(diameter_m=2e-3), 6, 1000.0),
+        (cutting_coefficients("bone"),),
+        cores=1,
+        shell_spacing_m=shell_m,
+    )
     motion = ToolMotion(speed_m_s=4e-3)
     motion.heading[0] = (1.0, 0.0, 0.0)
     motion.tip_m[:] = (-1e-3, 0.0, -1e-3)
@@ -98,21 +108,32 @@ def voxels(quick: bool) -> Series:
     """The block grows, the tool stays: a tick must not."""
     for edge in (4.0, 6.4, 9.6) if quick else (4.0, 6.4, 9.6, 14.4, 19.2):
         model, carve, force = burr_ticks(edge, 0.1)
-        yield "voxels of the block, tick", Point((edge / 0.1) ** 3, carve + force, array_bytes(model))
+        yield (
+            "voxels of the block, tick",
+            Point((edge / 0.1) ** 3, carve + force, array_bytes(model)),
+        )
 
 
 def resolution(quick: bool) -> Series:
-    """The same block and tool in finer voxels: the tick follows the surface in touch, the memory the volume."""
+    """The same block and tool in finer voxels: the tick follows the surface in touch, the memory
+    the volume.
+    """
     for spacing in (0.2, 0.14, 0.1) if quick else (0.25, 0.2, 0.14, 0.1, 0.07, 0.05):
         model, carve, _ = burr_ticks(4.0, spacing, 1e-4)
-        yield "voxels of a finer block, carve", Point((4.0 / spacing) ** 3, carve, array_bytes(model))
+        yield (
+            "voxels of a finer block, carve",
+            Point((4.0 / spacing) ** 3, carve, array_bytes(model)),
+        )
 
 
 def shell(quick: bool) -> Series:
     """Elements of the cutter."""
     for spacing in (0.2, 0.1, 0.05) if quick else (0.2, 0.1, 0.05, 0.03, 0.02):
         model, _, force = burr_ticks(4.0, 0.1, 1e-3 * spacing)
-        yield "shell points, force", Point(len(model.shell.areas_m2), force, array_bytes(model.shell))
+        yield (
+            "shell points, force",
+            Point(len(model.shell.areas_m2), force, array_bytes(model.shell)),
+        )
 
 
 def tetrahedra(quick: bool) -> Series:
@@ -155,18 +176,25 @@ def tetrahedra(quick: bool) -> Series:
             made["grids"] = MultigridSolver(body)
             made["grids"].solve(load)
 
-        yield "tetrahedra, multigrid", Point(size, median_us(solved, count=1), memory_bytes(made["grids"]))
+        yield (
+            "tetrahedra, multigrid",
+            Point(size, median_us(solved, count=1), memory_bytes(made["grids"])),
+        )
 
 
 def touched(edge_m: float, cells: int) -> Point:
-    """A ball of 10 mm stroked over a flat surface whose compliance falls with distance, as that of a deep body does."""
+    """A ball of 10 mm stroked over a flat surface whose compliance falls with distance, as that
+    of a deep body does.
+    """
     from tissue.models.organ.contact import SurfaceContact
     from tissue.models.organ.probe import SphereProbe
 
     at = np.linspace(-0.5 * edge_m, 0.5 * edge_m, cells + 1)
     nodes = np.stack(np.meshgrid(at, at, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
     number = np.arange(len(nodes)).reshape(cells + 1, cells + 1)
-    a, b, c, d = (n.ravel() for n in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+    a, b, c, d = (
+        n.ravel() for n in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
+    )
     faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
     step = edge_m / cells
     far = np.linalg.norm(nodes[:, None] - nodes[None], axis=2)
@@ -175,7 +203,9 @@ def touched(edge_m: float, cells: int) -> Point:
     contact.place(np.array([0.0, 0.0, 1e-3]), np.eye(3))
 
     def tick(index: int) -> None:
-        contact.solve(np.array([max(0, index - 100) * 1e-5, 0.0, -2e-3 * min(1.0, index / 100)]), np.eye(3))
+        contact.solve(
+            np.array([max(0, index - 100) * 1e-5, 0.0, -2e-3 * min(1.0, index / 100)]), np.eye(3)
+        )
 
     time_us = cost_of(tick, count=400, warm_up=110).median
     return Point(len(nodes), time_us, array_bytes(contact))
@@ -202,9 +232,14 @@ def particles(quick: bool) -> Series:
             start = perf_counter()
             body.set_remaining(hit, np.zeros(len(hit), dtype=np.int64))
             body.update()
-            body.solve(body.spread(tip - [0.0, 0.0, 1e-3], np.array([0.2, 0.0, -1.0])), tolerance=TOLERANCE)
+            body.solve(
+                body.spread(tip - [0.0, 0.0, 1e-3], np.array([0.2, 0.0, -1.0])), tolerance=TOLERANCE
+            )
             costs.append(perf_counter() - start)
-        yield "particles, cut and solve", Point(len(position), 1e6 * float(np.median(costs[2:])), array_bytes(body))
+        yield (
+            "particles, cut and solve",
+            Point(len(position), 1e6 * float(np.median(costs[2:])), array_bytes(body)),
+        )
 
 
 def observables(quick: bool) -> Series:
@@ -233,7 +268,10 @@ def observables(quick: bool) -> Series:
             seen[:6] = run[index]
             matrix @ seen
 
-        yield "observables, tick", Point(size, median_us(tick, count=1500, warm_up=100), matrix.nbytes + seen.nbytes)
+        yield (
+            "observables, tick",
+            Point(size, median_us(tick, count=1500, warm_up=100), matrix.nbytes + seen.nbytes),
+        )
 
 
 def ticks(quick: bool) -> Series:

@@ -43,7 +43,9 @@ class Cost:
 
 
 def cost_of(call: Callable[[int], object], *, count: int, warm_up: int = 50) -> Cost:
-    """Time ``call(i)`` for i = 0 ... count - 1; the first ``warm_up`` calls are made but not counted."""
+    """Time ``call(i)`` for i = 0 ... count - 1; the first ``warm_up`` calls are made but not
+    counted.
+    """
     times = []
     gc.collect()
     gc.disable()
@@ -68,11 +70,15 @@ def machine() -> str:
     model = platform.processor() or platform.machine()
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as info:
-            model = next(line.split(":")[1].strip() for line in info if line.startswith("model name"))
+            model = next(
+                line.split(":")[1].strip() for line in info if line.startswith("model name")
+            )
     except (OSError, StopIteration):
         pass
     versions = ", ".join(f"{name} {version(name)}" for name in ("numpy", "warp-lang"))
-    return f"{model}, {os.cpu_count()} cores, Python {platform.python_version()}, {versions}, {commit}"
+    return (
+        f"{model}, {os.cpu_count()} cores, Python {platform.python_version()}, {versions}, {commit}"
+    )
 
 
 def table(rows: list[tuple[str, ...]], head: tuple[str, ...]) -> str:
@@ -87,5 +93,10 @@ def memory_bytes(solver) -> int:
     if hasattr(solver, "_factor"):
         return 8 * int(solver._factor.entries)
     levels = solver._hierarchy.levels
-    matrices = [part for level in levels for name in "APR" if (part := getattr(level, name, None)) is not None]
+    matrices = [
+        part
+        for level in levels
+        for name in "APR"
+        if (part := getattr(level, name, None)) is not None
+    ]
     return sum(m.data.nbytes + m.indices.nbytes + m.indptr.nbytes for m in matrices)

@@ -1,10 +1,14 @@
-"""Do chosen settings hold where they were not measured: `python tests/bench/held_out.py --out DIR [--seeds N] [SCENE ...]`.
+"""Do chosen settings hold where they were not measured: `python tests/bench/held_out.py --out DIR
+[--seeds N] [SCENE ...]`.
 
-1. Every setting of a scene is measured on the scene's own motion, as `fidelity` does it, then on others: feed x 0.8-1.25,
-   depth x 0.9-1.1, the path moved aside by up to half a voxel (half a millimetre where no hole guides the tool). The same
-   with imaged anatomy in the scene, where `../shared/anatomy` is there. Printed: in how many runs what `fidelity` chooses
-   for a demanded error meets it, for several factors of safety.
-2. `--cost`: the tick of each setting predicted from all the others of its scene, least of several medians.
+1. Every setting of a scene is measured on the scene's own motion, as `fidelity` does it, then on
+others: feed x 0.8-1.25,
+   depth x 0.9-1.1, the path moved aside by up to half a voxel (half a millimetre where no hole
+   guides the tool). The same with imaged anatomy in the scene, where `../shared/anatomy` is there.
+   Printed: in how many runs what `fidelity` chooses for a demanded error meets it, for several
+   factors of safety.
+2. `--cost`: the tick of each setting predicted from all the others of its scene, least of several
+medians.
 """
 
 import argparse
@@ -41,12 +45,21 @@ FACTORS = (1.0, 1.25, 1.5, 1.75, 2.0, 2.5)
 ROOT = Path(__file__).resolve().parents[3] / "shared" / "anatomy"
 REAL: dict[str, dict[str, dict[str, Any]]] = {
     "glenoid": {
-        "openforge scapula": {"anatomy.file": "scapula/openforge_scapula_left.stl", "anatomy.scale_mm": 50.0},
+        "openforge scapula": {
+            "anatomy.file": "scapula/openforge_scapula_left.stl",
+            "anatomy.scale_mm": 50.0,
+        },
         "myosim scapula": {"anatomy.file": "scapula/myosim_scapula.stl"},
     },
     "molar": {
-        "carious tooth 2": {"anatomy.file": "tooth/caries_tooth_2.nii.gz", "anatomy.spacing_mm": 0.034},
-        "carious tooth 4": {"anatomy.file": "tooth/caries_tooth_4.nii.gz", "anatomy.spacing_mm": 0.034},
+        "carious tooth 2": {
+            "anatomy.file": "tooth/caries_tooth_2.nii.gz",
+            "anatomy.spacing_mm": 0.034,
+        },
+        "carious tooth 4": {
+            "anatomy.file": "tooth/caries_tooth_4.nii.gz",
+            "anatomy.spacing_mm": 0.034,
+        },
     },
     "liver-press": {"scanned liver": {"anatomy.file": "liver/liver.vtk", "anatomy.scale_mm": 1.0}},
 }
@@ -82,8 +95,11 @@ def subjects(name: str) -> Iterator[tuple[str, Scene]]:
             print(f"{title}: {file.name} is not here")
 
 
-def errors(name: str, scene: Scene, seeds: int, out: Path) -> tuple[Frontier, dict[str, dict[str, float]]]:
-    """Measurements of a scene, and the error of each of its best settings on every run that was not measured.
+def errors(
+    name: str, scene: Scene, seeds: int, out: Path
+) -> tuple[Frontier, dict[str, dict[str, float]]]:
+    """Measurements of a scene, and the error of each of its best settings on every run that was not
+    measured.
 
     What a call that was interrupted has found is not run again.
     """
@@ -101,7 +117,9 @@ def errors(name: str, scene: Scene, seeds: int, out: Path) -> tuple[Frontier, di
         try:
             for setting in left:
                 run = simulate(changed(other, setting.changes), allow_unstable=True)
-                found[setting.name][where] = force_error(*force_and_reference_N(run, other, quick=True))
+                found[setting.name][where] = force_error(
+                    *force_and_reference_N(run, other, quick=True)
+                )
                 with ran.open("a", encoding="utf-8", newline="") as file:
                     csv.writer(file).writerow((setting.name, where, found[setting.name][where]))
         except InputError as refusal:
@@ -113,24 +131,36 @@ def chosen(frontier: Frontier, demand: float, factor: float) -> str | None:
     """What `fidelity` would choose with a factor of safety."""
     before, fidelity.SAFETY = fidelity.SAFETY, factor
     try:
-        return fidelity.choose(frontier.points, Fidelity(force_error=demand), gap=frontier.gap).setting
+        return fidelity.choose(
+            frontier.points, Fidelity(force_error=demand), gap=frontier.gap
+        ).setting
     except InputError:
         return None
     finally:
         fidelity.SAFETY = before
 
 
-def report(name: str, frontier: Frontier, found: dict[str, dict[str, float]]) -> dict[float, list[bool]]:
+def report(
+    name: str, frontier: Frontier, found: dict[str, dict[str, float]]
+) -> dict[float, list[bool]]:
     """What was chosen and whether it held; all verdicts by factor."""
     base = {point.setting: point.force_error for point in frontier.points}
     rows = []
     for setting, each in found.items():
         values = np.array(list(each.values()))
         ratio = values / base[setting] if base[setting] > 0.0 else np.full(len(values), np.nan)
-        rows.append((setting, f"{100 * base[setting]:.2g}", f"{100 * np.median(values):.2g}", f"{100 * values.max():.2g}",
-                     f"{np.quantile(ratio, 0.95):.2f}"))  # fmt: skip
+        rows.append(
+            (
+                setting,
+                f"{100 * base[setting]:.2g}",
+                f"{100 * np.median(values):.2g}",
+                f"{100 * values.max():.2g}",
+                f"{np.quantile(ratio, 0.95):.2f}",
+            )
+        )
     print(
-        f"\n{name}: error to the reference (known to {100 * frontier.gap:.2g} %) / %, as measured and on {len(values)} other runs"
+        f"\n{name}: error to the reference (known to {100 * frontier.gap:.2g} %) / %, as "
+        f"measured and on {len(values)} other runs"
     )
     print(table(rows, ("setting", "measured", "median", "worst", "95 % of ratios")))
     verdicts: dict[float, list[bool]] = defaultdict(list)
@@ -146,24 +176,44 @@ def report(name: str, frontier: Frontier, found: dict[str, dict[str, float]]) ->
             verdicts[factor] += met
             cells.append(f"{100 * np.mean(met):.0f} {setting}")
         rows.append((f"{100 * demand:g} %", *cells))
-    print(table(rows, ("demanded", *(f"x {factor:g}" for factor in sorted({fidelity.SAFETY, *FACTORS})))))
+    print(
+        table(
+            rows, ("demanded", *(f"x {factor:g}" for factor in sorted({fidelity.SAFETY, *FACTORS})))
+        )
+    )
     return verdicts
 
 
 def cost_settings(scene: Scene) -> list[Setting]:
-    """Settings whose ticks are compared: those of a full chart on one compute device, without the stress."""
-    return [each for each in settings_of(scene, quick=False)
-            if each.family in ("voxels", "shell", "elements") and "binary" not in each.name]  # fmt: skip
+    """Settings whose ticks are compared: those of a full chart on one compute device, without
+    the stress.
+    """
+    return [
+        each
+        for each in settings_of(scene, quick=False)
+        if each.family in ("voxels", "shell", "elements") and "binary" not in each.name
+    ]
 
 
 def timed(short: Scene, setting: Setting) -> Measured:
-    """A setting's tick on the scene's own motion, and what it counts; its error is not asked for."""
+    """A setting's tick on the scene's own motion, and what it counts; its error is not asked
+    for.
+    """
     run = simulate(changed(short, setting.changes), allow_unstable=True)
     counted = np.flatnonzero(run.trace["contact_mm2"] > 0.0)[SETTLED:]
     elements, met, step = counts(run, counted)
     tick = float(np.median(run.timing["tick_us"][counted]))
-    return Measured(scene=short.name, setting=setting.name, family=setting.family, force_error=float("nan"),
-                    median_us=tick, elements=elements, step_mm=step, met=met, machine="")  # fmt: skip
+    return Measured(
+        scene=short.name,
+        setting=setting.name,
+        family=setting.family,
+        force_error=float("nan"),
+        median_us=tick,
+        elements=elements,
+        step_mm=step,
+        met=met,
+        machine="",
+    )
 
 
 def cost(name: str) -> list[float]:
@@ -176,19 +226,31 @@ def cost(name: str) -> list[float]:
     for index, point in enumerate(points):
         predicted_us = CostModel.fitted(points[:index] + points[index + 1 :]).tick_us(point)
         ratios.append(predicted_us / point.median_us)
-        rows.append((point.setting, f"{point.elements}", f"{point.met:.0f}", f"{point.median_us:.0f}",
-                     f"{predicted_us:.0f}", f"{100 * (ratios[-1] - 1):+.0f} %"))  # fmt: skip
+        rows.append(
+            (
+                point.setting,
+                f"{point.elements}",
+                f"{point.met:.0f}",
+                f"{point.median_us:.0f}",
+                f"{predicted_us:.0f}",
+                f"{100 * (ratios[-1] - 1):+.0f} %",
+            )
+        )
     print(f"\n{name}: {CostModel.fitted(points)}")
     print(table(rows, ("setting", "elements", "met", "tick us", "predicted", "off")), flush=True)
     return ratios
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("scenes", nargs="*", help="default: " + ", ".join(SCENES))
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--cost", action="store_true", help="the cost model instead")
-    parser.add_argument("--out", type=Path, default=Path("held_out"), help="folder of what was found")
+    parser.add_argument(
+        "--out", type=Path, default=Path("held_out"), help="folder of what was found"
+    )
     given = parser.parse_args()
     print(machine())
     names = given.scenes or SCENES
@@ -196,7 +258,8 @@ def main() -> None:
         ratios = np.array([ratio for name in names for ratio in cost(name)])
         within = np.mean(np.abs(ratios - 1.0) <= 0.25)
         print(
-            f"\n{100 * within:.0f} % of {len(ratios)} ticks within 25 %, worst {100 * np.abs(ratios - 1.0).max():.0f} % off"
+            f"\n{100 * within:.0f} % of {len(ratios)} ticks within 25 %, worst "
+            f"{100 * np.abs(ratios - 1.0).max():.0f} % off"
         )
         return
     together: dict[float, list[bool]] = defaultdict(list)
@@ -211,7 +274,10 @@ def main() -> None:
             for factor, met in report(subject, frontier, found).items():
                 together[factor] += met
     print("\nall demands that were not refused, all runs")
-    shares = [(f"x {f:g}", f"{100 * np.mean(met):.1f} %", str(len(met))) for f, met in sorted(together.items())]
+    shares = [
+        (f"x {f:g}", f"{100 * np.mean(met):.1f} %", str(len(met)))
+        for f, met in sorted(together.items())
+    ]
     print(table(shares, ("safety", "met", "runs")))
 
 

@@ -1,7 +1,8 @@
-"""The packages and their imports as a picture: ``python tests/bench/import_graph.py PICTURE.png [CHECKOUT]``.
+"""The packages and their imports as a picture: ``python tests/bench/import_graph.py PICTURE.png
+[CHECKOUT]``.
 
-A package, or a module at the top of ``tissue``, stands above all that it imports; a circle of imports is orange. An
-arrow is as wide as there are modules that import.
+A package, or a module at the top of ``tissue``, stands above all that it imports; a circle of
+imports is orange. An arrow is as wide as there are modules that import.
 """
 
 import ast
@@ -13,26 +14,38 @@ from matplotlib.figure import Figure
 from scipy.sparse.csgraph import connected_components
 from structure import imports, sources
 
-CIRCLE, STRAIGHT, BOX = "#D55E00", "#0072B2", {"boxstyle": "round,pad=0.35", "facecolor": "white", "linewidth": 0.8}
+CIRCLE, STRAIGHT, BOX = (
+    "#D55E00",
+    "#0072B2",
+    {"boxstyle": "round,pad=0.35", "facecolor": "white", "linewidth": 0.8},
+)
 
 
 def measured(root: Path) -> tuple[list[str], np.ndarray, list[int], int]:
-    """Names of the packages, modules of the first that import the second, modules of each, and all lines."""
+    """Names of the packages, modules of the first that import the second, modules of each, and
+    all lines.
+    """
     files = sources(root)
     files.pop("tissue", None)  # hands out names of all layers, each when it is asked for
-    package = {name: ".".join(name.split(".")[: 2 if name.startswith("tissue.") else 1]) for name in files}
+    package = {
+        name: ".".join(name.split(".")[: 2 if name.startswith("tissue.") else 1]) for name in files
+    }
     names = sorted(set(package.values()))
     at = {name: names.index(package[name]) for name in files}
     count = np.zeros((len(names), len(names)), dtype=int)
     for name, path in files.items():
-        for one in {at[each] for each in imports(ast.parse(path.read_text("utf-8")), set(files))} - {at[name]}:
+        for one in {
+            at[each] for each in imports(ast.parse(path.read_text("utf-8")), set(files))
+        } - {at[name]}:
             count[at[name], one] += 1
     lines = [len(path.read_text("utf-8").splitlines()) for path in files.values()]
     return names, count, np.bincount(list(at.values())).tolist(), sum(lines)
 
 
 def layers_of(count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Layer of each package, 0 the lowest, and the number of the circle that it is part of, or of itself."""
+    """Layer of each package, 0 the lowest, and the number of the circle that it is part of, or
+    of itself.
+    """
     _, circle = connected_components(count, connection="strong")
     layer = np.zeros(len(count), dtype=int)
     above, below = np.nonzero((count > 0) & (circle[:, None] != circle))
@@ -49,7 +62,10 @@ def draw(root: Path, path: Path) -> None:
     (x, y), base = np.zeros((2, len(names))), 0.0
     for level in range(layer.max() + 1):
         row = np.flatnonzero(layer == level)
-        middle = [x[below].mean() if (below := (count[one] > 0) & (layer < level)).any() else 0.0 for one in row]
+        middle = [
+            x[below].mean() if (below := (count[one] > 0) & (layer < level)).any() else 0.0
+            for one in row
+        ]
         row, lines_of = row[np.argsort(middle, kind="stable")], -(-len(row) // 7)
         x[row] = (np.arange(len(row)) - 0.5 * (len(row) - 1)) / max(len(row) - 1, 2)
         x[row] += 0.1 * (-1) ** level * (len(row) == 1)
@@ -69,11 +85,16 @@ def draw(root: Path, path: Path) -> None:
         box = BOX | {"edgecolor": CIRCLE if several[i] else "0.3"}
         axes.text(x[i], y[i], text, ha="center", va="center", size=10, bbox=box)
     chart.suptitle(
-        f"{sum(modules)} modules, {lines} lines; {len(names)} packages in {layer.max() + 1} layers, "
-        f"{(count > 0).sum()} arrows between them, {several.sum()} packages in {len(set(circle[several]))} circles"
+        f"{sum(modules)} modules, {lines} lines; {len(names)} packages in {layer.max() + 1} "
+        "layers, "
+        f"{(count > 0).sum()} arrows between them, {several.sum()} packages in "
+        f"{len(set(circle[several]))} circles"
     )
     chart.savefig(path)
 
 
 if __name__ == "__main__":
-    draw(Path(sys.argv[2]) if len(sys.argv) > 2 else Path(__file__).resolve().parents[2], Path(sys.argv[1]))
+    draw(
+        Path(sys.argv[2]) if len(sys.argv) > 2 else Path(__file__).resolve().parents[2],
+        Path(sys.argv[1]),
+    )

@@ -28,7 +28,14 @@ BOUNDARY: dict[type[ast.cmpop], type[ast.cmpop]] = {
 }
 FACTOR = 1.1
 """Factor of a changed constant."""
-SKIPPED_CALLS = ("require_", "_require", "InputError", "set_module_options", "warn", "register_at_fork")
+SKIPPED_CALLS = (
+    "require_",
+    "_require",
+    "InputError",
+    "set_module_options",
+    "warn",
+    "register_at_fork",
+)
 """Calls that check or report instead of compute, by the start of their name."""
 SKIPPED_NAMES = ("__all__", "__slots__")
 
@@ -131,7 +138,9 @@ class _Walk:
         for child in _parts(node):
             self._expression(child, node, scope)
 
-    def _add(self, scope: str, operator: str, node: ast.AST, parent: ast.AST, changed: ast.AST | str) -> None:
+    def _add(
+        self, scope: str, operator: str, node: ast.AST, parent: ast.AST, changed: ast.AST | str
+    ) -> None:
         """Book a mutant; a constant is shown within the expression around it."""
         shown = parent if isinstance(node, ast.Constant) else node
         before = ast.unparse(shown)
@@ -146,7 +155,9 @@ class _Walk:
         key = f"{scope} | {operator} | {change}"
         start = self._starts[node.lineno - 1] + node.col_offset
         end = self._starts[node.end_lineno - 1] + node.end_col_offset
-        self.found.append(Mutant(self.module, scope, operator, change, self._counts[key], (start, end), text))
+        self.found.append(
+            Mutant(self.module, scope, operator, change, self._counts[key], (start, end), text)
+        )
         self._counts[key] += 1
 
 
@@ -165,7 +176,9 @@ def _changes(node: ast.AST, parent: ast.AST) -> Iterator[tuple[str, ast.expr]]:
         elif isinstance(node.op, ast.Div | ast.Pow):
             yield "term", left
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
-        if not (isinstance(node.operand, ast.Constant) and isinstance(parent, ast.Subscript | ast.Slice)):
+        if not (
+            isinstance(node.operand, ast.Constant) and isinstance(parent, ast.Subscript | ast.Slice)
+        ):
             yield "sign", node.operand
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
         yield "comparator", node.operand
@@ -173,7 +186,8 @@ def _changes(node: ast.AST, parent: ast.AST) -> Iterator[tuple[str, ast.expr]]:
         kind = type(node.ops[0])
         yield "comparator", ast.Compare(node.left, [NEGATED[kind]()], node.comparators)
         counts = any(
-            isinstance(side, ast.Constant) and type(side.value) is int for side in (node.left, *node.comparators)
+            isinstance(side, ast.Constant) and type(side.value) is int
+            for side in (node.left, *node.comparators)
         )
         if kind in BOUNDARY and (counts or isinstance(parent, ast.While)):
             yield "off by one", ast.Compare(node.left, [BOUNDARY[kind]()], node.comparators)
@@ -207,7 +221,9 @@ def _parts(node: ast.AST) -> Iterator[ast.AST]:
 
 def _is_skipped(node: ast.stmt) -> bool:
     """Whether a statement only documents, imports, checks or raises."""
-    if isinstance(node, ast.Raise | ast.Assert | ast.Import | ast.ImportFrom | ast.AsyncFunctionDef):
+    if isinstance(
+        node, ast.Raise | ast.Assert | ast.Import | ast.ImportFrom | ast.AsyncFunctionDef
+    ):
         return True
     if isinstance(node, ast.If) and isinstance(node.body[-1], ast.Raise) and not node.orelse:
         return True
@@ -216,7 +232,9 @@ def _is_skipped(node: ast.stmt) -> bool:
     if isinstance(node, ast.Expr):
         value = node.value
         return not isinstance(value, ast.Call) or _name(value.func).startswith(SKIPPED_CALLS)
-    return isinstance(node, ast.Assign) and any(_name(target) in SKIPPED_NAMES for target in node.targets)
+    return isinstance(node, ast.Assign) and any(
+        _name(target) in SKIPPED_NAMES for target in node.targets
+    )
 
 
 def _is_text(node: ast.AST) -> bool:

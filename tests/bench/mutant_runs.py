@@ -19,11 +19,33 @@ __all__ = ["PACKAGES", "Runs", "Tree", "Verdict", "file_of", "preload"]
 
 PACKAGES = ("kernels", "meshes", "tissue")
 PRELOADED = (
-    "numpy", "scipy.sparse.linalg", "scipy.spatial.transform", "scipy.special", "scipy.optimize", "scipy.interpolate",
-    "scipy.stats", "scipy.signal", "scipy.ndimage", "scipy.integrate", "warp", "pydantic", "pytest", "xdist",
-    "pytest_timeout", "skimage.measure", "trimesh", "pyamg", "threadpoolctl", "psutil", "matplotlib.pyplot", "rich",
-    "pyvista", "tomli_w", "skfem", "statsmodels.api",
-)  # fmt: skip
+    "numpy",
+    "scipy.sparse.linalg",
+    "scipy.spatial.transform",
+    "scipy.special",
+    "scipy.optimize",
+    "scipy.interpolate",
+    "scipy.stats",
+    "scipy.signal",
+    "scipy.ndimage",
+    "scipy.integrate",
+    "warp",
+    "pydantic",
+    "pytest",
+    "xdist",
+    "pytest_timeout",
+    "skimage.measure",
+    "trimesh",
+    "pyamg",
+    "threadpoolctl",
+    "psutil",
+    "matplotlib.pyplot",
+    "rich",
+    "pyvista",
+    "tomli_w",
+    "skfem",
+    "statsmodels.api",
+)
 """Modules that are imported once, before any process is forked."""
 CODE_ERRORS = ("codegen.py", "WarpCodegen", "kernel build failed")
 """Marks of kernels that do not compile: such a mutant shows nothing about the tests."""
@@ -82,7 +104,9 @@ class Tree:
     def __init__(self, source: Path, folder: Path) -> None:
         self.root = folder / "tree"
         for name in (*PACKAGES, "tests"):
-            shutil.copytree(source / name, self.root / name, ignore=shutil.ignore_patterns("__pycache__"))
+            shutil.copytree(
+                source / name, self.root / name, ignore=shutil.ignore_patterns("__pycache__")
+            )
         shutil.copy2(source / "pyproject.toml", self.root)
         shared = source.parent / "shared"
         if shared.is_dir():
@@ -140,7 +164,9 @@ class _Watch:
 class _Child:
     """Forked process that runs pytest in a tree."""
 
-    def __init__(self, tree: Tree, tests: Sequence[str], first: Sequence[str], *, stop: bool, limit_s: float) -> None:
+    def __init__(
+        self, tree: Tree, tests: Sequence[str], first: Sequence[str], *, stop: bool, limit_s: float
+    ) -> None:
         self.work = tree.root.parent / f"run-{time.monotonic_ns()}"
         self.work.mkdir()
         self._limit_s, self._started = limit_s, time.monotonic()
@@ -166,9 +192,18 @@ class _Child:
         os.chdir(tree.root)
         os.environ["TISSUE_CACHE"] = str(self.work / "cache")
         os.environ["PYTHONPATH"] = str(tree.root)
-        sys.path[:] = [str(tree.root), *(each for each in sys.path if each and Path(each) != Path(__file__).parent)]
+        sys.path[:] = [
+            str(tree.root),
+            *(each for each in sys.path if each and Path(each) != Path(__file__).parent),
+        ]
         observer = _Watch(first)
-        options = ["-p", "no:cacheprovider", "--basetemp", str(self.work / "tmp"), *(["-x"] if stop else [])]
+        options = [
+            "-p",
+            "no:cacheprovider",
+            "--basetemp",
+            str(self.work / "tmp"),
+            *(["-x"] if stop else []),
+        ]
         code = int(pytest.main([*options, *tests], plugins=[observer]))
         (self.work / "failures.json").write_text(json.dumps(observer.failures))
         return code
@@ -188,7 +223,9 @@ class _Child:
     def failures(self) -> list[tuple[str, str]]:
         """Tests that failed, each with its report."""
         path = self.work / "failures.json"
-        return [(name, text) for name, text in json.loads(path.read_text())] if path.is_file() else []
+        return (
+            [(name, text) for name, text in json.loads(path.read_text())] if path.is_file() else []
+        )
 
     def verdict(self) -> Verdict:
         """What the run shows."""
@@ -212,7 +249,11 @@ class Runs:
         self._busy: list[tuple[_Child, Tree, Callable[[Verdict], None]]] = []
 
     def start(
-        self, mutant: Mutant, tests: Sequence[str], first: Sequence[str], done: Callable[[Verdict], None]
+        self,
+        mutant: Mutant,
+        tests: Sequence[str],
+        first: Sequence[str],
+        done: Callable[[Verdict], None],
     ) -> None:
         """Run the tests on a mutant as soon as a tree is free, and hand the verdict to ``done``."""
         while not self._free:
@@ -234,7 +275,9 @@ class Runs:
             time.sleep(POLL_S)
         failed = [name for name, _ in child.failures()]
         verdict = child.verdict()
-        return failed or ([] if verdict.outcome == "passed" else [f"{verdict.outcome}: {' '.join(tests)}"])
+        return failed or (
+            [] if verdict.outcome == "passed" else [f"{verdict.outcome}: {' '.join(tests)}"]
+        )
 
     def _poll(self) -> None:
         time.sleep(POLL_S)

@@ -1,9 +1,10 @@
-"""Measure how many planted errors the quick tests catch: `python tests/bench/mutants.py` (see README.md here).
+"""Measure how many planted errors the quick tests catch: `python tests/bench/mutants.py` (see
+README.md here).
 
-Each mutant is one small error in a numerically important module: a sign, a comparator, a constant times 1.1, a dropped
-term, or an integer off by one. `mutants.toml` lists the modules with the tests that guard them, and the mutants that
-change no result, each with its reason. `mutants_recorded.txt` holds mutants by address, so that the same errors can be
-planted after files have moved.
+Each mutant is one small error in a numerically important module: a sign, a comparator, a constant
+times 1.1, a dropped term, or an integer off by one. `mutants.toml` lists the modules with the tests
+that guard them, and the mutants that change no result, each with its reason. `mutants_recorded.txt`
+holds mutants by address, so that the same errors can be planted after files have moved.
 """
 
 import argparse
@@ -44,7 +45,9 @@ class Table:
     def __init__(self, path: Path = HERE / "mutants.toml") -> None:
         table = tomllib.loads(path.read_text())
         self.guards = {module: _test_files(names) for module, names in table["guards"].items()}
-        self.equivalent = {entry["mutant"]: entry["reason"] for entry in table.get("equivalent", [])}
+        self.equivalent = {
+            entry["mutant"]: entry["reason"] for entry in table.get("equivalent", [])
+        }
         split = [address.split(" | ", 1) for address in self.equivalent]
         self._moved = {place for module, place in split if file_of(module, ROOT) is None}
         self._all: list[Mutant] | None = None
@@ -55,19 +58,29 @@ class Table:
         if path is None:
             return []
         found = mutants_of(module, path.read_text())
-        return [each for each in found if each.address not in self.equivalent and each.place not in self._moved]
+        return [
+            each
+            for each in found
+            if each.address not in self.equivalent and each.place not in self._moved
+        ]
 
     def placed(self, address: str) -> Mutant | None:
-        """Mutant of an address; in another module if its function has moved, None if it is nowhere."""
+        """Mutant of an address; in another module if its function has moved, None if it is
+        nowhere.
+        """
         module, place = address.split(" | ", 1)
         for each in self.of(module):
             if each.place == place:
                 return each
         if self._all is None:
-            paths = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+            paths = [
+                path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))
+            ]
             names = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in paths]
             self._all = [
-                each for name, path in zip(names, paths, strict=True) for each in mutants_of(name, path.read_text())
+                each
+                for name, path in zip(names, paths, strict=True)
+                for each in mutants_of(name, path.read_text())
             ]
         found = [each for each in self._all if each.place == place]
         return found[0] if len(found) == 1 else None
@@ -86,14 +99,20 @@ def _test_files(names: list[str]) -> list[str]:
 
 
 def _rank(seed: int, text: str) -> bytes:
-    """Place of a text in an order that depends on nothing else, so that edits elsewhere do not reshuffle a draw."""
+    """Place of a text in an order that depends on nothing else, so that edits elsewhere do not
+    reshuffle a draw.
+    """
     return blake2b(f"{seed} {text}".encode()).digest()
 
 
 def fresh(table: Table, seed: int, only: str) -> Iterator[Mutant]:
-    """Draw mutants without end of supply: module after module, and in each operator after operator."""
+    """Draw mutants without end of supply: module after module, and in each operator after
+    operator.
+    """
     stocks: dict[str, dict[str, deque[Mutant]]] = {}
-    for module in sorted((name for name in table.guards if only in name), key=lambda name: _rank(seed, name)):
+    for module in sorted(
+        (name for name in table.guards if only in name), key=lambda name: _rank(seed, name)
+    ):
         stock: dict[str, deque[Mutant]] = defaultdict(deque)
         for each in sorted(table.of(module), key=lambda each: _rank(seed, each.address)):
             stock[each.operator].append(each)
@@ -105,7 +124,10 @@ def fresh(table: Table, seed: int, only: str) -> Iterator[Mutant]:
             operators = [operator for operator in stock if stock[operator]]
             if operators:
                 yield stock[operators[turn % len(operators)]].popleft()
-        stocks = {name: {key: left for key, left in stock.items() if left} for name, stock in stocks.items()}
+        stocks = {
+            name: {key: left for key, left in stock.items() if left}
+            for name, stock in stocks.items()
+        }
         turn += 1
 
 
@@ -125,9 +147,13 @@ class Score:
             if verdict.test in self.killers[guard]:
                 self.killers[guard].remove(verdict.test)
             self.killers[guard].appendleft(verdict.test)
-        word = "caught" if verdict.outcome in CAUGHT else verdict.outcome.replace("passed", "SURVIVED")
+        word = (
+            "caught" if verdict.outcome in CAUGHT else verdict.outcome.replace("passed", "SURVIVED")
+        )
         test = verdict.test or (verdict.outcome if word == "caught" else "")
-        print(f"{time.monotonic() - self._started:7.1f} s  {word:9} {address}  [{test}]", flush=True)
+        print(
+            f"{time.monotonic() - self._started:7.1f} s  {word:9} {address}  [{test}]", flush=True
+        )
 
     @property
     def counted(self) -> int:
@@ -149,13 +175,17 @@ class Score:
             shares[address.split(" | ")[2]][verdict.outcome in CAUGHT] += 1
             if verdict.outcome in CAUGHT:
                 continue
-            print(f"  {_location(mutant) if mutant else 'not placed'}  {verdict.outcome}\n    {address}")
+            print(
+                f"  {_location(mutant) if mutant else 'not placed'}  {verdict.outcome}\n    "
+                f"{address}"
+            )
         for operator, share in sorted(shares.items()):
             print(f"{operator}: {share[True]} of {sum(share.values())} caught")
         percent = 100.0 * self.caught / max(self.counted, 1)
         print(f"mutation score: {self.caught} of {self.counted} caught, {percent:.1f} %")
         print(
-            f"left out: {len(self.table.equivalent)} listed as equivalent, {len(self.verdicts) - self.counted} do not compile"
+            f"left out: {len(self.table.equivalent)} listed as equivalent, "
+            f"{len(self.verdicts) - self.counted} do not compile"
         )
 
 
@@ -166,7 +196,9 @@ def _location(mutant: Mutant) -> str:
     return f"{path.relative_to(ROOT)}:{line}"
 
 
-def measure(table: Table, draw: Iterator[str], count: int, *, workers: int, limit_s: float, folder: Path) -> Score:
+def measure(
+    table: Table, draw: Iterator[str], count: int, *, workers: int, limit_s: float, folder: Path
+) -> Score:
     """Plant mutants one after the other until enough of them count."""
     score = Score(table)
     runs = Runs(ROOT, folder, workers=workers, limit_s=limit_s)
@@ -184,10 +216,14 @@ def measure(table: Table, draw: Iterator[str], count: int, *, workers: int, limi
         moved = mutant.module if mutant else module
         tests = table.guards.get(moved) or table.guards.get(module, [])
         if mutant is None or not tests:
-            score.add(address, mutant, module, Verdict("no place" if mutant is None else "no tests"))
+            score.add(
+                address, mutant, module, Verdict("no place" if mutant is None else "no tests")
+            )
             continue
 
-        def done(verdict: Verdict, address: str = address, mutant: Mutant = mutant, module: str = module) -> None:
+        def done(
+            verdict: Verdict, address: str = address, mutant: Mutant = mutant, module: str = module
+        ) -> None:
             score.add(address, mutant, module, verdict)
 
         runs.start(mutant, tests, list(score.killers[module]), done)
@@ -198,7 +234,9 @@ def measure(table: Table, draw: Iterator[str], count: int, *, workers: int, limi
 
 def _require_sound(runs: Runs, score: Score, table: Table) -> None:
     """Stop if a test that caught an error also fails without one."""
-    killers = sorted({verdict.test for _, verdict in score.verdicts.values() if verdict.outcome == "failed"})
+    killers = sorted(
+        {verdict.test for _, verdict in score.verdicts.values() if verdict.outcome == "failed"}
+    )
     slow = {
         each.split(" | ")[0]
         for each, (_, verdict) in score.verdicts.items()
@@ -208,24 +246,46 @@ def _require_sound(runs: Runs, score: Score, table: Table) -> None:
     for module in sorted(slow):
         failing += runs.failing(table.guards[module], limit_s=runs.limit_s)
     if failing:
-        sys.exit("the score means nothing, tests fail without a planted error:\n  " + "\n  ".join(failing))
+        sys.exit(
+            "the score means nothing, tests fail without a planted error:\n  "
+            + "\n  ".join(failing)
+        )
 
 
 def coverage(table: Table, folder: Path) -> None:
-    """Print the branch coverage of the guarded modules by their guarding tests; kernels are compiled and not seen."""
+    """Print the branch coverage of the guarded modules by their guarding tests; kernels are
+    compiled and not seen.
+    """
     modules = [module for module in table.guards if not module.startswith("kernels.")]
     tests = sorted({test for module in modules for test in table.guards[module]})
     paths = [file_of(module, ROOT) for module in modules]
     include = ",".join(str(path.relative_to(ROOT)) for path in paths if path is not None)
     data = f"--data-file={folder / 'coverage'}"
     command = [sys.executable, "-m", "coverage"]
-    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}",
+    }
     pytest_options = ["-q", "-p", "no:cacheprovider"]
     subprocess.run(
-        [*command, "run", "--branch", f"--include={include}", data, "-m", "pytest", *pytest_options, *tests],
-        cwd=ROOT, env=environment, check=True,
-    )  # fmt: skip
-    subprocess.run([*command, "report", data, "--skip-covered"], cwd=ROOT, env=environment, check=True)
+        [
+            *command,
+            "run",
+            "--branch",
+            f"--include={include}",
+            data,
+            "-m",
+            "pytest",
+            *pytest_options,
+            *tests,
+        ],
+        cwd=ROOT,
+        env=environment,
+        check=True,
+    )
+    subprocess.run(
+        [*command, "report", data, "--skip-covered"], cwd=ROOT, env=environment, check=True
+    )
 
 
 def _take_kernels(folder: Path) -> None:
@@ -238,36 +298,70 @@ def _take_kernels(folder: Path) -> None:
 
 def main() -> None:
     """Run the command."""
-    parser = argparse.ArgumentParser(description="Plant errors, run the tests that guard them, print the score.")
+    parser = argparse.ArgumentParser(
+        description="Plant errors, run the tests that guard them, print the score."
+    )
     parser.add_argument("--count", type=int, default=200, help="mutants to count (default: 200)")
     parser.add_argument("--seed", type=int, default=1, help="seed of the draw (default: 1)")
-    parser.add_argument("--fresh", action="store_true", help="draw from the code instead of a file of addresses")
-    parser.add_argument("--recorded", type=Path, default=RECORDED, help="addresses to draw from (default: %(default)s)")
+    parser.add_argument(
+        "--fresh", action="store_true", help="draw from the code instead of a file of addresses"
+    )
+    parser.add_argument(
+        "--recorded",
+        type=Path,
+        default=RECORDED,
+        help="addresses to draw from (default: %(default)s)",
+    )
     parser.add_argument("--only", default="", help="part of the names of the modules to draw from")
     parser.add_argument("--like", default="", help="part of the addresses to draw")
     parser.add_argument("--workers", type=int, default=2, help="processes at once (default: 2)")
-    parser.add_argument("--limit-s", type=float, default=90.0, help="processor time of one mutant (default: 90 s)")
+    parser.add_argument(
+        "--limit-s", type=float, default=90.0, help="processor time of one mutant (default: 90 s)"
+    )
     parser.add_argument("--record", type=Path, help="file to write the counted addresses to")
-    parser.add_argument("--coverage", action="store_true", help="measure branch coverage too (needs coverage)")
+    parser.add_argument(
+        "--coverage", action="store_true", help="measure branch coverage too (needs coverage)"
+    )
     options = parser.parse_args()
 
     table = Table()
     if options.fresh:
         draw = (each.address for each in fresh(table, options.seed, options.only))
     else:
-        recorded = [line for line in options.recorded.read_text().splitlines() if line not in table.equivalent]
-        draw = (each for each in sorted(recorded, key=lambda line: _rank(options.seed, line)) if options.only in each)
+        recorded = [
+            line
+            for line in options.recorded.read_text().splitlines()
+            if line not in table.equivalent
+        ]
+        draw = (
+            each
+            for each in sorted(recorded, key=lambda line: _rank(options.seed, line))
+            if options.only in each
+        )
     with tempfile.TemporaryDirectory(prefix="tissue-mutants-") as name:
         folder = Path(name)
         _take_kernels(folder / "warp")
         os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
         preload()
-        print(f"{options.count} mutants, seed {options.seed}, {options.workers} processes", flush=True)
+        print(
+            f"{options.count} mutants, seed {options.seed}, {options.workers} processes", flush=True
+        )
         drawn = (each for each in draw if options.like in each)
-        score = measure(table, drawn, options.count, workers=options.workers, limit_s=options.limit_s, folder=folder)
+        score = measure(
+            table,
+            drawn,
+            options.count,
+            workers=options.workers,
+            limit_s=options.limit_s,
+            folder=folder,
+        )
         score.report()
         if options.record:
-            counted = [address for address, (_, verdict) in score.verdicts.items() if verdict.outcome != "void"]
+            counted = [
+                address
+                for address, (_, verdict) in score.verdicts.items()
+                if verdict.outcome != "void"
+            ]
             options.record.write_text("".join(f"{each}\n" for each in sorted(counted)))
         if options.coverage:
             coverage(table, folder)

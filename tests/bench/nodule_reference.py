@@ -1,9 +1,11 @@
-"""Force over the nodule of `palpation` by a finite element code of its own: `python tests/bench/nodule_reference.py 5`.
+"""Force over the nodule of `palpation` by a finite element code of its own: `python
+tests/bench/nodule_reference.py 5`.
 
-Hexahedra of 27 nodes whose faces follow the ball exactly, one half of the slab, a rigid ball without friction that is
-held off at Gauss points by multipliers. Shares with the library only the sparse factor. The number is the count of
-elements over half the width of the box around the nodule; 5 takes a minute, 6 two.
-Prints force with the nodule, force where the nodule has the modulus of the tissue around it, and the excess, by depth.
+Hexahedra of 27 nodes whose faces follow the ball exactly, one half of the slab, a rigid ball
+without friction that is held off at Gauss points by multipliers. Shares with the library only the
+sparse factor. The number is the count of elements over half the width of the box around the nodule;
+5 takes a minute, 6 two. Prints force with the nodule, force where the nodule has the modulus of the
+tissue around it, and the excess, by depth.
 """
 
 import argparse
@@ -22,9 +24,13 @@ CENTRE, RADIUS, BOX = np.array([-20.0, 0.0, -17.0]), 9.0, 17.0
 BALL, POISSON, NODULE_KPA, TISSUE_KPA = 8.0, 0.49, 100.0, 20.0
 DEPTHS = (2.0, 3.0, 3.5, 4.0)
 CORE, ROUNDED = 0.5, 0.06
-"""Half-side of the cube in the middle of the nodule, over its radius, and how far its corners are pulled in."""
+"""Half-side of the cube in the middle of the nodule, over its radius, and how far its corners
+are pulled in.
+"""
 REACH, PENALTY, GAP = 11.0, 600.0, 2e-3
-"""Nodes that may be touched [mm], stiffness of the contact [kPa/mm], and penetration allowed [mm]."""
+"""Nodes that may be touched [mm], stiffness of the contact [kPa/mm], and penetration allowed
+[mm].
+"""
 
 
 def with_middles(edges: Array) -> Array:
@@ -51,11 +57,17 @@ def shapes(at: Array) -> tuple[Array, Array]:
 
 
 def elements_of(points: Array) -> list[Array]:
-    """Elements of a lattice of nodes, shape (a, b, c, 3), each turned so that its volume is positive."""
+    """Elements of a lattice of nodes, shape (a, b, c, 3), each turned so that its volume is
+    positive.
+    """
     found = []
     for i, j, k in product(*(range(0, size - 1, 2) for size in points.shape[:3])):
         part = points[i : i + 3, j : j + 3, k : k + 3]
-        sides = part[2, 1, 1] - part[0, 1, 1], part[1, 2, 1] - part[1, 0, 1], part[1, 1, 2] - part[1, 1, 0]
+        sides = (
+            part[2, 1, 1] - part[0, 1, 1],
+            part[1, 2, 1] - part[1, 0, 1],
+            part[1, 1, 2] - part[1, 1, 0],
+        )
         if np.linalg.det(sides) < 0.0:
             part = part[::-1]
         found.append(part.reshape(27, 3))
@@ -79,36 +91,55 @@ def mesh_of(count: int) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_]]:
     for axis, sign in ((0, -1.0), (0, 1.0), (1, 1.0), (2, -1.0), (2, 1.0)):
         across = [other for other in range(3) if other != axis]
         face = np.full((len(lines[across[0]]), len(lines[across[1]]), 3), sign)
-        face[..., across[0]], face[..., across[1]] = np.meshgrid(*(lines[a] for a in across), indexing="ij")
+        face[..., across[0]], face[..., across[1]] = np.meshgrid(
+            *(lines[a] for a in across), indexing="ij"
+        )
         sphere = RADIUS * face / np.linalg.norm(face, axis=-1, keepdims=True)
-        for found, low, high, layers in ((inside, core(face), sphere, 1), (outside, sphere, BOX * face, 3)):
+        for found, low, high, layers in (
+            (inside, core(face), sphere, 1),
+            (outside, sphere, BOX * face, 3),
+        ):
             share = with_middles(np.linspace(0.0, 1.0, layers + 1))[:, None]
-            found += elements_of(CENTRE + low[:, :, None] * (1.0 - share) + high[:, :, None] * share)
+            found += elements_of(
+                CENTRE + low[:, :, None] * (1.0 - share) + high[:, :, None] * share
+            )
     first, (x, y, z) = BOX * (edges[-1] - edges[-2]), CENTRE
     sides = (
-        np.concatenate([grown(x - BOX, -60.0, first)[:0:-1], x + BOX * edges, grown(x + BOX, 60.0, first)[1:]]),
+        np.concatenate(
+            [grown(x - BOX, -60.0, first)[:0:-1], x + BOX * edges, grown(x + BOX, 60.0, first)[1:]]
+        ),
         np.concatenate([y + BOX * edges[edges >= -1e-12], grown(y + BOX, 40.0, first)[1:]]),
         np.concatenate([np.linspace(-40.0, z - BOX, 3)[:-1], z + BOX * edges]),
     )
     for place in product(*(range(len(each) - 1) for each in sides)):
         ends = [each[at : at + 2] for each, at in zip(sides, place, strict=True)]
         if not (np.abs(np.mean(ends, axis=1) - CENTRE) < BOX).all():
-            outside += elements_of(np.stack(np.meshgrid(*map(with_middles, ends), indexing="ij"), axis=-1))
+            outside += elements_of(
+                np.stack(np.meshgrid(*map(with_middles, ends), indexing="ij"), axis=-1)
+            )
     corners = np.round(np.array(inside + outside).reshape(-1, 3), 5) + 0.0
     nodes, number = np.unique(corners, axis=0, return_inverse=True)
     cells = number.reshape(-1, 27)
     return nodes, cells, np.arange(len(cells)) < len(inside)
 
 
-def stiffness_of(nodes: Array, cells: NDArray[np.int64], inside: NDArray[np.bool_], nodule_kPa: float) -> bsr_array:
+def stiffness_of(
+    nodes: Array, cells: NDArray[np.int64], inside: NDArray[np.bool_], nodule_kPa: float
+) -> bsr_array:
     """Stiffness [mN/mm], the slab graded from 5 to 50 kPa along x."""
     at, weights = np.polynomial.legendre.leggauss(3)
     value, slope = shapes(at)
     corners, blocks = nodes[cells], np.zeros((len(cells), 27, 3, 27, 3))
     for a, b, c in product(range(3), repeat=3):
         of = lambda i, j, k: np.einsum("i,j,k->ijk", i, j, k).ravel()  # noqa: E731
-        local = np.stack([of(slope[a], value[b], value[c]), of(value[a], slope[b], value[c]),
-                          of(value[a], value[b], slope[c])], axis=-1)  # fmt: skip
+        local = np.stack(
+            [
+                of(slope[a], value[b], value[c]),
+                of(value[a], slope[b], value[c]),
+                of(value[a], value[b], slope[c]),
+            ],
+            axis=-1,
+        )
         jacobian = np.einsum("eai,aj->eij", corners, local)
         volume = weights[a] * weights[b] * weights[c] * np.linalg.det(jacobian)
         assert volume.min() > 0.0
@@ -128,8 +159,12 @@ def stiffness_of(nodes: Array, cells: NDArray[np.int64], inside: NDArray[np.bool
     return bsr_array((0.5 * (whole + whole.T)).tobsr((3, 3)))
 
 
-def gauss_points(nodes: Array, cells: NDArray[np.int64], near: NDArray[np.int64]) -> tuple[Array, Array, Array]:
-    """Points of the upper face [mm], areas [mm2], and shares of the near nodes in them, shape (q, k)."""
+def gauss_points(
+    nodes: Array, cells: NDArray[np.int64], near: NDArray[np.int64]
+) -> tuple[Array, Array, Array]:
+    """Points of the upper face [mm], areas [mm2], and shares of the near nodes in them, shape
+    (q, k).
+    """
     at, weights = np.polynomial.legendre.leggauss(5)
     value, slope = shapes(at)
     points, areas, shares = [], [], []
@@ -175,7 +210,9 @@ def forces_N(nodes: Array, cells: NDArray[np.int64], stiffness: bsr_array) -> Ar
                 length = np.linalg.norm(arm, axis=1)
                 normal = arm / length[:, None]
                 pressure = np.maximum(multiplier - PENALTY * (length - BALL), 0.0)
-                slope = surface @ moved - np.einsum("cqf,qc->f", moves, (areas * pressure)[:, None] * normal)
+                slope = surface @ moved - np.einsum(
+                    "cqf,qc->f", moves, (areas * pressure)[:, None] * normal
+                )
                 if step_number and np.abs(slope).max() < 1e-7 * np.abs(surface @ moved).max():
                     break
                 on = pressure > 0.0
@@ -198,7 +235,8 @@ def main() -> None:
     parser.add_argument("count", type=int, nargs="?", default=5)
     nodes, cells, inside = mesh_of(parser.parse_args().count)
     stiff, plain = (
-        forces_N(nodes, cells, stiffness_of(nodes, cells, inside, young)) for young in (NODULE_KPA, TISSUE_KPA)
+        forces_N(nodes, cells, stiffness_of(nodes, cells, inside, young))
+        for young in (NODULE_KPA, TISSUE_KPA)
     )
     print(f"{3 * len(nodes)} unknowns; depth mm, force with the nodule N, without N, excess")
     for depth, one, other in zip(DEPTHS, stiff, plain, strict=True):

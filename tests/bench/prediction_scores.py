@@ -1,4 +1,6 @@
-"""Scores of all predictors on one recorded run, at every latency: what a process of `bench_prediction.py` does."""
+"""Scores of all predictors on one recorded run, at every latency: what a process of
+`bench_prediction.py` does.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +22,9 @@ RECORDED_MS = 4
 """Latency under which runs are recorded; predictors are scored on them as if it were another."""
 FORCE_LIMIT_N = 3.3
 KNOWN = "(path known)"
-"""Look-ahead on the path that the device goes on, without a guard: what is left is the law's; no predictor."""
+"""Look-ahead on the path that the device goes on, without a guard: what is left is the law's; no
+predictor.
+"""
 
 
 class KnownPath:
@@ -60,11 +64,15 @@ class Kept:
         """The run of a file, whose name ends with its seed."""
         with np.load(path) as kept:
             seed = int(path.stem.rsplit("-", 1)[1])
-            run = Recording(kept["position"], kept["velocity"], kept["force"], kept["contact"], "", seed)
+            run = Recording(
+                kept["position"], kept["velocity"], kept["force"], kept["contact"], "", seed
+            )
             return cls(run, kept["ideal"])
 
 
-def scores(path: Path, variant: Scene, share: float, latencies_ms: list[int]) -> dict[tuple[str, int], np.ndarray]:
+def scores(
+    path: Path, variant: Scene, share: float, latencies_ms: list[int]
+) -> dict[tuple[str, int], np.ndarray]:
     """Error, least error, excess and residual latency [ms] of every predictor at every latency.
 
     Every latency has a pass of its own: a guard judges the one lead that it is asked for first.
@@ -79,5 +87,7 @@ def scores(path: Path, variant: Scene, share: float, latencies_ms: list[int]) ->
             else:
                 made = trained_predictor(kind, trained, force_limit_N=FORCE_LIMIT_N)
             score = motor_score(made, one, kept.run, kept.ideal_N, delay_ms=late)
-            found[kind, late] = np.array((score.error, score.least_error, score.excess, score.latency_ms))
+            found[kind, late] = np.array(
+                (score.error, score.least_error, score.excess, score.latency_ms)
+            )
     return found

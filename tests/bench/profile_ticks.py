@@ -1,10 +1,13 @@
-"""Where a tick's time goes, scene by scene, by script and by hand: `python tests/bench/profile_ticks.py [--deep | --added] [SCENE ...]`.
+"""Where a tick's time goes, scene by scene, by script and by hand: `python
+tests/bench/profile_ticks.py [--deep | --added] [SCENE ...]`.
 
-Stages are medians over ticks in contact [us], of the faster of two runs. By hand the stage `motion` holds the simulated
-device and hand, which a real device does not need. `--deep` runs once more under cProfile and names the functions with the
-most time of their own: shares, since a profiler makes small functions look larger than they are. `--added` prints what
-hand, coupling, prediction by koopman-look-ahead and perception add to the same scripted scene: percentiles of ticks by
-hand less those of ticks by script, of every tick the least of some runs, since another process on the machine only adds.
+Stages are medians over ticks in contact [us], of the faster of two runs. By hand the stage `motion`
+holds the simulated device and hand, which a real device does not need. `--deep` runs once more
+under cProfile and names the functions with the most time of their own: shares, since a profiler
+makes small functions look larger than they are. `--added` prints what hand, coupling, prediction by
+koopman-look-ahead and perception add to the same scripted scene: percentiles of ticks by hand less
+those of ticks by script, of every tick the least of some runs, since another process on the machine
+only adds.
 """
 
 import argparse
@@ -59,7 +62,8 @@ class Profiled(RunObserver):
 def ran(scene: Scene) -> Run:
     """The faster of two runs."""
     return min(
-        (simulate(scene, allow_unstable=True) for _ in range(2)), key=lambda run: np.median(run.timing["tick_us"])
+        (simulate(scene, allow_unstable=True) for _ in range(2)),
+        key=lambda run: np.median(run.timing["tick_us"]),
     )
 
 
@@ -67,7 +71,9 @@ def stages(run: Run) -> dict[str, float]:
     """Median of the tick and of each stage in contact [us], and the 99th percentile of the tick."""
     touching = np.flatnonzero(run.trace["contact_mm2"] > 0.0)[20:]
     counted = touching if touching.size else np.arange(len(run.trace.rows))
-    found = {name: float(np.median(run.timing[f"{name}_us"][counted])) for name in ("tick", *STAGES)}
+    found = {
+        name: float(np.median(run.timing[f"{name}_us"][counted])) for name in ("tick", *STAGES)
+    }
     return found | {"p99": float(np.percentile(run.timing["tick_us"][counted], 99))}
 
 
@@ -86,7 +92,9 @@ def deepest(scene: Scene) -> list[tuple[str, float, float]]:
 
 
 class Clocked(RunObserver):
-    """Goes along with a run and takes the processor time of its ticks, and of the simulated device and hand within [us]."""
+    """Goes along with a run and takes the processor time of its ticks, and of the simulated
+    device and hand within [us].
+    """
 
     def __init__(self) -> None:
         self.ticks_us: list[float] = []
@@ -117,7 +125,8 @@ class Clocked(RunObserver):
 
 
 def least_us(scenes: Sequence[Scene]) -> list[np.ndarray]:
-    """Ticks in contact of each scene, rows wall, processor, simulated device [us]: of every tick the least of the runs.
+    """Ticks in contact of each scene, rows wall, processor, simulated device [us]: of every tick
+    the least of the runs.
 
     A run does the same work each time. The scenes take turns, so that both meet the same machine.
     """
@@ -136,24 +145,47 @@ def least_us(scenes: Sequence[Scene]) -> list[np.ndarray]:
 
 
 def added(names: Sequence[str]) -> None:
-    """What a hand, with all that belongs to it, adds to a scripted scene; a wall, met by hand only, is shown whole."""
+    """What a hand, with all that belongs to it, adds to a scripted scene; a wall, met by hand
+    only, is shown whole.
+    """
     rows = []
     for name in names:
         scene = load_scene(name)
         print(name, flush=True)
         both = [changed(by_hand(scene), HANDED)] + [scene] * (scene.device is None)
-        hand, script = [*least_us([excerpt(each, {}, quick=True) for each in both]), np.zeros((3, 1))][:2]
+        hand, script = [
+            *least_us([excerpt(each, {}, quick=True) for each in both]),
+            np.zeros((3, 1)),
+        ][:2]
         shown = (script[1], hand[1], hand[2])
         cells = [f"{np.median(each):.0f}, {np.percentile(each, 99):.0f}" for each in shown]
-        for less, before in ((hand[1], script[1]), (hand[1] - hand[2], script[1]), (hand[0], script[0])):
-            cells.append(", ".join(f"{np.percentile(less, q) - np.percentile(before, q):.0f}" for q in (50, 99)))
+        for less, before in (
+            (hand[1], script[1]),
+            (hand[1] - hand[2], script[1]),
+            (hand[0], script[0]),
+        ):
+            cells.append(
+                ", ".join(
+                    f"{np.percentile(less, q) - np.percentile(before, q):.0f}" for q in (50, 99)
+                )
+            )
         rows.append((name, *cells))
-    head = ("scene", "script", "by hand", "simulated device, hand", "added", "without those", "added, wall clock")
+    head = (
+        "scene",
+        "script",
+        "by hand",
+        "simulated device, hand",
+        "added",
+        "without those",
+        "added, wall clock",
+    )
     print("\nMedian, 99 % of ticks in contact [us], processor time\n\n" + table(rows, head))
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("scenes", nargs="*", help="default: all")
     parser.add_argument("--deep", action="store_true", help="name functions, too")
     parser.add_argument("--added", action="store_true", help="what a hand adds to the script")
@@ -171,10 +203,20 @@ def main() -> None:
             at = stages(ran(short))
             largest = max(STAGES, key=at.__getitem__)
             rows.append(
-                (name, kind, f"{at['tick']:.0f}", f"{at['p99']:.0f}", *(f"{at[s]:.0f}" for s in STAGES), largest)
+                (
+                    name,
+                    kind,
+                    f"{at['tick']:.0f}",
+                    f"{at['p99']:.0f}",
+                    *(f"{at[s]:.0f}" for s in STAGES),
+                    largest,
+                )
             )
             if given.deep:
-                shares = [f"{100 * share:.0f} % {what} ({calls:.3g} calls)" for what, share, calls in deepest(short)]
+                shares = [
+                    f"{100 * share:.0f} % {what} ({calls:.3g} calls)"
+                    for what, share, calls in deepest(short)
+                ]
                 deep.append(f"{name}, {kind}: " + "; ".join(shares))
             print(f"{name}, {kind}", flush=True)
     print("\n" + table(rows, ("scene", "moved by", "tick", "99 %", *STAGES, "largest")))

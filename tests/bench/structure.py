@@ -1,9 +1,9 @@
 """Print the structure of the source: `python tests/bench/structure.py [--scene NAME] [CHECKOUT]`.
 
 Figures are those of the table in `CONTRIBUTING.md`: tokens without comments and docstrings,
-statements, files, packages, import cycles, names in strings, parameters, packed assignments. A scene
-is followed from the command to its first tick: modules of `tissue` that its calls enter, and calls
-to a module of a higher layer than the caller's.
+statements, files, packages, import cycles, names in strings, parameters, packed assignments. A
+scene is followed from the command to its first tick: modules of `tissue` that its calls enter, and
+calls to a module of a higher layer than the caller's.
 """
 
 import argparse
@@ -100,7 +100,9 @@ def tokens(source: str, tree: ast.AST) -> int:
     docstrings = {
         (node.value.lineno, node.value.col_offset)
         for node in ast.walk(tree)
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+        if isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
     }
     found = tokenize.generate_tokens(io.StringIO(source).readline)
     return sum(each.type not in SILENT and each.start not in docstrings for each in found)
@@ -109,14 +111,19 @@ def tokens(source: str, tree: ast.AST) -> int:
 def statements(tree: ast.AST) -> int:
     """Return the number of statements without docstrings."""
     return sum(
-        isinstance(node, ast.stmt) and not (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant))
+        isinstance(node, ast.stmt)
+        and not (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant))
         for node in ast.walk(tree)
     )
 
 
 def is_packed(node: ast.AST) -> bool:
     """Return whether a node assigns several values to several names at once."""
-    return isinstance(node, ast.Assign) and isinstance(node.value, ast.Tuple) and isinstance(node.targets[0], ast.Tuple)
+    return (
+        isinstance(node, ast.Assign)
+        and isinstance(node.value, ast.Tuple)
+        and isinstance(node.targets[0], ast.Tuple)
+    )
 
 
 def parameter_count(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
@@ -157,7 +164,9 @@ def print_followed(root: Path, scene: str, layers: tuple[tuple[str, ...], ...]) 
             print(f"{scene}, from the command to the first tick: {len(entered)} modules")
             print(f"  {', '.join(entered)}")
         if line.startswith("CALLS"):
-            pairs = [tuple(f"tissue.{name}" for name in pair.split(">")) for pair in line.split()[1:]]
+            pairs = [
+                tuple(f"tissue.{name}" for name in pair.split(">")) for pair in line.split()[1:]
+            ]
             up = [
                 f"{caller} > {called}"
                 for caller, called in pairs
@@ -169,7 +178,9 @@ def print_followed(root: Path, scene: str, layers: tuple[tuple[str, ...], ...]) 
 def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("checkout", nargs="?", type=Path, default=Path(__file__).resolve().parents[2])
+    parser.add_argument(
+        "checkout", nargs="?", type=Path, default=Path(__file__).resolve().parents[2]
+    )
     parser.add_argument("--scene", default="milling")
     chosen = parser.parse_args()
     root = chosen.checkout.resolve()
@@ -183,14 +194,24 @@ def main() -> None:
         print(f"tokens in {package}: {of}")
     print(f"tokens: {sum(counted.values())}")
     tests = [ast.parse(path.read_text("utf-8")) for path in (root / "tests").rglob("*.py")]
-    print(f"statements: {sum(map(statements, trees.values()))}; in tests: {sum(map(statements, tests))}")
+    print(
+        f"statements: {sum(map(statements, trees.values()))}; in tests: "
+        f"{sum(map(statements, tests))}"
+    )
     outside = len(files) + len(list((root / "examples").rglob("*.py")))
     print(f"Python files: {len(files)}; with examples: {outside}")
     packages = [path.parent for path in (root / "tissue").glob("*/__init__.py")]
     print(f"packages of tissue: {len(packages)}")
 
-    named = {name: modules_in_strings(tree, set(files)) for name, tree in trees.items() if name != "tissue"}
-    graph = {name: (imports(trees[name], set(files)) | found) - {name, "tissue"} for name, found in named.items()}
+    named = {
+        name: modules_in_strings(tree, set(files))
+        for name, tree in trees.items()
+        if name != "tissue"
+    }
+    graph = {
+        name: (imports(trees[name], set(files)) | found) - {name, "tissue"}
+        for name, found in named.items()
+    }
     upward = [
         f"{name} > {other}"
         for name, found in named.items()

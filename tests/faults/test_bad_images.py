@@ -1,4 +1,6 @@
-"""Images that are not what they claim: each is refused in one sentence that names what is wrong, none is run."""
+"""Images that are not what they claim: each is refused in one sentence that names what is wrong,
+none is run.
+"""
 
 import gzip
 import re
@@ -90,23 +92,68 @@ def flipped_bit(folder, kind):
 
 BAD = {
     # NIfTI
-    "nifti cut": (lambda f: nifti(f, left=0.8), "must hold the 280 bytes of voxels its header states, got 153"),
-    "nifti cut in its header": (lambda f: nifti(f, left=0.3), "must be a NIfTI image, got image.nii"),
-    "gzip cut": (lambda f: nifti(f, suffix=".nii.gz", left=0.95), "compressed data are damaged or cut off"),
+    "nifti cut": (
+        lambda f: nifti(f, left=0.8),
+        "must hold the 280 bytes of voxels its header states, got 153",
+    ),
+    "nifti cut in its header": (
+        lambda f: nifti(f, left=0.3),
+        "must be a NIfTI image, got image.nii",
+    ),
+    "gzip cut": (
+        lambda f: nifti(f, suffix=".nii.gz", left=0.95),
+        "compressed data are damaged or cut off",
+    ),
     "gzip cut to 30 %": (lambda f: nifti(f, suffix=".nii.gz", left=0.3), "file must "),
-    "nifti larger than its data": (lambda f: nifti(f, dim=(3, 700, 500, 400)), "must hold the 280000000 bytes"),
-    "nifti smaller than its data": (lambda f: nifti(f, dim=(3, 7, 5, 3)), "must hold the 210 bytes .* got more"),
-    "nifti of absurd size": (lambda f: nifti(f, suffix=".nii.gz", dim=(3, 32767, 32767, 32767)), "must hold the 70"),
-    "nifti spacing 0": (lambda f: nifti(f, pixdim=(1, 0, 0.5, 2)), "pixdim must be positive .* got 0 x 0.5 x 2"),
-    "nifti spacing below 0": (lambda f: nifti(f, code=0, pixdim=(1, -0.8, 0.5, 2)), "pixdim must be positive"),
-    "nifti spacing nan": (lambda f: nifti(f, pixdim=(1, np.nan, 0.5, 2)), "pixdim must be positive"),
-    "nifti spacing 1.8e19": (lambda f: nifti(f, code=0, pixdim=(1, 1.8e19, 0.5, 2)), r"spacing must be in \[1e-05, 1"),
-    "nifti sform against pixdim": (lambda f: nifti(f, pixdim=(1, 1.6, 0.5, 2)), "pixdim and sform must state the same"),
-    "nifti sform nan": (lambda f: nifti(f, sform=np.full((3, 4), np.nan)), "pixdim and sform must state the same"),
-    "nifti slope infinite": (lambda f: nifti(f, slope=np.inf), "scl_slope and scl_inter must be finite"),
-    "nifti intercept nan": (lambda f: nifti(f, intercept=np.nan), "scl_slope and scl_inter must be finite"),
+    "nifti larger than its data": (
+        lambda f: nifti(f, dim=(3, 700, 500, 400)),
+        "must hold the 280000000 bytes",
+    ),
+    "nifti smaller than its data": (
+        lambda f: nifti(f, dim=(3, 7, 5, 3)),
+        "must hold the 210 bytes .* got more",
+    ),
+    "nifti of absurd size": (
+        lambda f: nifti(f, suffix=".nii.gz", dim=(3, 32767, 32767, 32767)),
+        "must hold the 70",
+    ),
+    "nifti spacing 0": (
+        lambda f: nifti(f, pixdim=(1, 0, 0.5, 2)),
+        "pixdim must be positive .* got 0 x 0.5 x 2",
+    ),
+    "nifti spacing below 0": (
+        lambda f: nifti(f, code=0, pixdim=(1, -0.8, 0.5, 2)),
+        "pixdim must be positive",
+    ),
+    "nifti spacing nan": (
+        lambda f: nifti(f, pixdim=(1, np.nan, 0.5, 2)),
+        "pixdim must be positive",
+    ),
+    "nifti spacing 1.8e19": (
+        lambda f: nifti(f, code=0, pixdim=(1, 1.8e19, 0.5, 2)),
+        r"spacing must be in \[1e-05, 1",
+    ),
+    "nifti sform against pixdim": (
+        lambda f: nifti(f, pixdim=(1, 1.6, 0.5, 2)),
+        "pixdim and sform must state the same",
+    ),
+    "nifti sform nan": (
+        lambda f: nifti(f, sform=np.full((3, 4), np.nan)),
+        "pixdim and sform must state the same",
+    ),
+    "nifti slope infinite": (
+        lambda f: nifti(f, slope=np.inf),
+        "scl_slope and scl_inter must be finite",
+    ),
+    "nifti intercept nan": (
+        lambda f: nifti(f, intercept=np.nan),
+        "scl_slope and scl_inter must be finite",
+    ),
     "nifti offset": (lambda f: nifti(f, vox_offset=-8.0), "vox_offset must be at least 352"),
-    "nifti 4-D": (lambda f: nifti(f, dim=(4, 7, 5, 2, 2)), "one image of three axes, got 7 x 5 x 2 x 2"),
+    "nifti 4-D": (
+        lambda f: nifti(f, dim=(4, 7, 5, 2, 2)),
+        "one image of three axes, got 7 x 5 x 2 x 2",
+    ),
     "nifti 2-D": (lambda f: nifti(f, dim=(2, 35, 4)), "dim must count three or more axes"),
     "nifti colours": (lambda f: nifti(f, datatype=128, bitpix=24), "one real number per voxel"),
     "nifti complex": (lambda f: nifti(f, datatype=32, bitpix=64), "one real number per voxel"),
@@ -120,21 +167,48 @@ BAD = {
     "nrrd cut": (lambda f: nrrd(f, left=0.7), "must hold the 280 bytes"),
     "nrrd cut in its header": (lambda f: nrrd(f, left=0.2), "file must "),
     "nrrd gzip cut": (lambda f: nrrd(f, encoding="gzip", left=0.9), "damaged or cut off"),
-    "nrrd larger than its data": (lambda f: nrrd(f, sizes="70 50 40"), "must hold the 280000 bytes"),
+    "nrrd larger than its data": (
+        lambda f: nrrd(f, sizes="70 50 40"),
+        "must hold the 280000 bytes",
+    ),
     "nrrd smaller than its data": (lambda f: nrrd(f, sizes="7 5 3"), "must hold the 210 bytes"),
-    "nrrd spacing 0": (lambda f: nrrd(f, **UNSPACED, spacings="0 0.5 2"), "spacings must be above 0"),
-    "nrrd spacing below 0": (lambda f: nrrd(f, **UNSPACED, spacings="-1 0.5 2"), "spacings must be above 0"),
-    "nrrd spacing nan": (lambda f: nrrd(f, **UNSPACED, spacings="nan 0.5 2"), "spacings must be finite"),
-    "nrrd spacing 1.8e19": (lambda f: nrrd(f, space_directions=f"({HUGE},0,0) (0,1,0) (0,0,1)"), "spacing must be in"),
-    "nrrd axes in a plane": (lambda f: nrrd(f, space_directions="(1,0,0) (0,1,0) (1,1,0)"), "file must|must span"),
-    "nrrd axis without direction": (lambda f: nrrd(f, space_directions="none (0,1,0) (0,0,1)"), "must be finite"),
+    "nrrd spacing 0": (
+        lambda f: nrrd(f, **UNSPACED, spacings="0 0.5 2"),
+        "spacings must be above 0",
+    ),
+    "nrrd spacing below 0": (
+        lambda f: nrrd(f, **UNSPACED, spacings="-1 0.5 2"),
+        "spacings must be above 0",
+    ),
+    "nrrd spacing nan": (
+        lambda f: nrrd(f, **UNSPACED, spacings="nan 0.5 2"),
+        "spacings must be finite",
+    ),
+    "nrrd spacing 1.8e19": (
+        lambda f: nrrd(f, space_directions=f"({HUGE},0,0) (0,1,0) (0,0,1)"),
+        "spacing must be in",
+    ),
+    "nrrd axes in a plane": (
+        lambda f: nrrd(f, space_directions="(1,0,0) (0,1,0) (1,1,0)"),
+        "file must|must span",
+    ),
+    "nrrd axis without direction": (
+        lambda f: nrrd(f, space_directions="none (0,1,0) (0,0,1)"),
+        "must be finite",
+    ),
     "nrrd origin nan": (lambda f: nrrd(f, space_origin="(nan,0,0)"), "space origin must be finite"),
-    "nrrd origin far": (lambda f: nrrd(f, space_origin="(1e12,0,0)"), "the origin must be finite and within"),
+    "nrrd origin far": (
+        lambda f: nrrd(f, space_origin="(1e12,0,0)"),
+        "the origin must be finite and within",
+    ),
     "nrrd over time": (lambda f: nrrd(f, kinds="domain domain time"), "three axes in space"),
     "nrrd of vectors": (lambda f: nrrd(f, dimension="4", sizes="2 7 5 2"), "three axes in space"),
     "nrrd left-handed": (lambda f: nrrd(f, space="3D-left-handed"), "space must be one of"),
     "nrrd quantised": (lambda f: nrrd(f, old_min="-1024"), "values unscaled"),
-    "nrrd units": (lambda f: nrrd(f, space_units='"mm" "mm" "inch"'), "the unit of the axes must be"),
+    "nrrd units": (
+        lambda f: nrrd(f, space_units='"mm" "mm" "inch"'),
+        "the unit of the axes must be",
+    ),
     "nrrd data missing": (lambda f: detached(f, True), "voxels.raw, which is not there"),
     "nrrd data cut": (lambda f: detached(f, False), "must hold the 280 bytes"),
     "text as nrrd": (lambda f: text(f, "image.nrrd"), "must be a NRRD image"),
@@ -149,28 +223,61 @@ BAD = {
         lambda f: meta(f, ElementDataFile="gone.raw"),
         "must lie in one file next to it, got gone.raw",
     ),
-    "meta larger than its data": (lambda f: meta(f, DimSize="70 50 40"), "must hold the 280000 bytes"),
+    "meta larger than its data": (
+        lambda f: meta(f, DimSize="70 50 40"),
+        "must hold the 280000 bytes",
+    ),
     "meta smaller than its data": (lambda f: meta(f, DimSize="7 5 3"), "must hold the 210 bytes"),
     "meta size below 0": (lambda f: meta(f, DimSize="-7 5 4"), "DimSize must be three counts"),
     "meta size 0": (lambda f: meta(f, DimSize="0 5 4"), "DimSize must be three counts"),
-    "meta spacing 0": (lambda f: meta(f, ElementSpacing="0 0.5 2"), "elementspacing must be above 0"),
-    "meta spacing below 0": (lambda f: meta(f, ElementSpacing="-0.8 0.5 2"), "elementspacing must be above 0"),
-    "meta spacing nan": (lambda f: meta(f, ElementSpacing="nan 0.5 2"), "elementspacing must be finite"),
-    "meta spacing 1.8e19": (lambda f: meta(f, ElementSpacing=f"{HUGE} 0.5 2"), "spacing must be in"),
+    "meta spacing 0": (
+        lambda f: meta(f, ElementSpacing="0 0.5 2"),
+        "elementspacing must be above 0",
+    ),
+    "meta spacing below 0": (
+        lambda f: meta(f, ElementSpacing="-0.8 0.5 2"),
+        "elementspacing must be above 0",
+    ),
+    "meta spacing nan": (
+        lambda f: meta(f, ElementSpacing="nan 0.5 2"),
+        "elementspacing must be finite",
+    ),
+    "meta spacing 1.8e19": (
+        lambda f: meta(f, ElementSpacing=f"{HUGE} 0.5 2"),
+        "spacing must be in",
+    ),
     "meta offset nan": (lambda f: meta(f, Offset="nan 0 0"), "offset must be finite"),
-    "meta axes not of length 1": (lambda f: meta(f, TransformMatrix="2 0 0 0 1 0 0 0 1"), "must be of length 1"),
-    "meta axes in a plane": (lambda f: meta(f, TransformMatrix="1 0 0 0 1 0 1 0 0"), "file must|must "),
+    "meta axes not of length 1": (
+        lambda f: meta(f, TransformMatrix="2 0 0 0 1 0 0 0 1"),
+        "must be of length 1",
+    ),
+    "meta axes in a plane": (
+        lambda f: meta(f, TransformMatrix="1 0 0 0 1 0 1 0 0"),
+        "file must|must ",
+    ),
     "meta 4-D": (lambda f: meta(f, NDims="4", DimSize="7 5 2 2"), "three axes, got NDims 4"),
-    "meta channels": (lambda f: meta(f, ElementNumberOfChannels="2", DimSize="7 5 2"), "and 2 channels"),
-    "meta compressed in name only": (lambda f: meta(f, CompressedData="True"), "compressed data are damaged"),
-    "meta compressed and cut": (lambda f: meta(f, compressed=True, left=0.8), "compressed data are damaged or cut off"),
+    "meta channels": (
+        lambda f: meta(f, ElementNumberOfChannels="2", DimSize="7 5 2"),
+        "and 2 channels",
+    ),
+    "meta compressed in name only": (
+        lambda f: meta(f, CompressedData="True"),
+        "compressed data are damaged",
+    ),
+    "meta compressed and cut": (
+        lambda f: meta(f, compressed=True, left=0.8),
+        "compressed data are damaged or cut off",
+    ),
     "meta header size": (lambda f: meta(f, HeaderSize="-7"), "HeaderSize must be -1 or more"),
     "meta directions in words": (
         lambda f: meta(f, TransformMatrix=None, AnatomicalOrientation="LPS"),
         "directions must be given as TransformMatrix",
     ),
     "meta unit": (lambda f: meta(f, DistanceUnits="inch"), "the unit of the axes must be"),
-    "meta key twice": (lambda f: meta(f, tail={"Offset ": "1 2 3"}), "every key once, got offset twice"),
+    "meta key twice": (
+        lambda f: meta(f, tail={"Offset ": "1 2 3"}),
+        "every key once, got offset twice",
+    ),
     "text as meta": (lambda f: text(f, "image.mhd"), "must be a MetaImage"),
     "bit of a meta": (lambda f: flipped_bit(f, "mha"), "compressed data are damaged"),
     # DICOM
@@ -178,9 +285,18 @@ BAD = {
         lambda f: dicom(f, change=lambda p: slice_2(p).unlink()),
         "got 4 mm where others are 2 mm .* 1 m",
     ),
-    "slice cut": (lambda f: dicom(f, change=lambda p: cut(slice_2(p), 0.97)), "70 bytes of pixels .* file 3 of 4"),
-    "slice cut to 30 %": (lambda f: dicom(f, change=lambda p: cut(slice_2(p), 0.3)), "a damaged one, file 3 of 4"),
-    "slice empty": (lambda f: dicom(f, change=lambda p: slice_2(p).write_bytes(b"")), "another kind as file 3 of 4"),
+    "slice cut": (
+        lambda f: dicom(f, change=lambda p: cut(slice_2(p), 0.97)),
+        "70 bytes of pixels .* file 3 of 4",
+    ),
+    "slice cut to 30 %": (
+        lambda f: dicom(f, change=lambda p: cut(slice_2(p), 0.3)),
+        "a damaged one, file 3 of 4",
+    ),
+    "slice empty": (
+        lambda f: dicom(f, change=lambda p: slice_2(p).write_bytes(b"")),
+        "another kind as file 3 of 4",
+    ),
     "rows against pixels": (
         lambda f: dicom(f, rows=50),
         "must hold the 700 bytes of pixels that its header states, got",
@@ -189,7 +305,10 @@ BAD = {
         lambda f: dicom(f, each=lambda k: {"series": f"1.2.{k % 2}", "series_number": 3 + k % 2}),
         r"got 2 in series \(number 3 of 2 slices, number 4 of 2 slices\)",
     ),
-    "tilt not shown": (lambda f: dicom(f, tilt=15.0), "tilt of the gantry, got 15 degrees stated and 0 shown"),
+    "tilt not shown": (
+        lambda f: dicom(f, tilt=15.0),
+        "tilt of the gantry, got 15 degrees stated and 0 shown",
+    ),
     "slices uneven": (
         lambda f: dicom(f, each=lambda k: {"position": (10.0, 20.0, (0.0, 2.0, 4.7, 6.0)[k])}),
         "evenly spaced, got distances of 1.3 to 2.7 mm",
@@ -208,21 +327,45 @@ BAD = {
     ),
     "pixels of 0 mm": (lambda f: dicom(f, spacing="0\\0.8"), "spacing must be in"),
     "pixels below 0 mm": (lambda f: dicom(f, spacing="-0.5\\0.8"), "spacing must be in"),
-    "pixels of nan": (lambda f: dicom(f, spacing="nan\\0.8"), "PixelSpacing must be 2 finite numbers|damaged"),
+    "pixels of nan": (
+        lambda f: dicom(f, spacing="nan\\0.8"),
+        "PixelSpacing must be 2 finite numbers|damaged",
+    ),
     "pixels of 1.8e19 mm": (lambda f: dicom(f, spacing=f"{HUGE}\\0.8"), "spacing must be in"),
-    "no pixel spacing": (lambda f: dicom(f, leave_out=[(0x28, 0x30)]), "PixelSpacing must be 2 finite numbers"),
-    "no position": (lambda f: dicom(f, leave_out=[(0x20, 0x32)]), "ImagePositionPatient must be 3 finite numbers"),
-    "no orientation": (lambda f: dicom(f, leave_out=[(0x20, 0x37)]), "ImageOrientationPatient must be 6"),
-    "no right angle": (lambda f: dicom(f, orientation="1\\0\\0\\1\\0\\0"), "two unit vectors at a right angle"),
+    "no pixel spacing": (
+        lambda f: dicom(f, leave_out=[(0x28, 0x30)]),
+        "PixelSpacing must be 2 finite numbers",
+    ),
+    "no position": (
+        lambda f: dicom(f, leave_out=[(0x20, 0x32)]),
+        "ImagePositionPatient must be 3 finite numbers",
+    ),
+    "no orientation": (
+        lambda f: dicom(f, leave_out=[(0x20, 0x37)]),
+        "ImageOrientationPatient must be 6",
+    ),
+    "no right angle": (
+        lambda f: dicom(f, orientation="1\\0\\0\\1\\0\\0"),
+        "two unit vectors at a right angle",
+    ),
     "colour table": (lambda f: dicom(f, photometric="PALETTE COLOR"), "must hold grey values"),
-    "three colours": (lambda f: dicom(f, photometric="RGB", samples=3, columns=2), "must hold|damaged"),
+    "three colours": (
+        lambda f: dicom(f, photometric="RGB", samples=3, columns=2),
+        "must hold|damaged",
+    ),
     "inverted grey without air": (
         lambda f: dicom(f, values=VALUES % 100 + 1000, photometric="MONOCHROME1"),
         "must be known whether values of MONOCHROME1 are inverted",
     ),
-    "syntax of other pixels": (lambda f: dicom(f, syntax="1.2.840.10008.1.2.4.90"), "a damaged one, file 1 of 4"),
+    "syntax of other pixels": (
+        lambda f: dicom(f, syntax="1.2.840.10008.1.2.4.90"),
+        "a damaged one, file 1 of 4",
+    ),
     "unknown syntax": (lambda f: dicom(f, syntax="1.2.3.4.5"), "a damaged one"),
-    "text among slices": (lambda f: dicom(f, change=lambda p: text(p, "z.dcm")), "another kind as file 5 of 5"),
+    "text among slices": (
+        lambda f: dicom(f, change=lambda p: text(p, "z.dcm")),
+        "another kind as file 5 of 5",
+    ),
     "one slice": (lambda f: dicom(f, values=VALUES[:, :, :1]), "two slices or more"),
     # others
     "folder": (lambda f: f, "without DICOM files or TIFF slices"),
@@ -277,7 +420,11 @@ def test_tiff_slices_that_are_cut_are_refused(tmp_path):
     from skimage.io import imsave
 
     for k in range(3):
-        imsave(tmp_path / f"{k}.tif", np.arange(6400, dtype=np.uint16).reshape(80, 80), check_contrast=False)
+        imsave(
+            tmp_path / f"{k}.tif",
+            np.arange(6400, dtype=np.uint16).reshape(80, 80),
+            check_contrast=False,
+        )
     cut(tmp_path / "1.tif", 0.3)
     with pytest.raises(InputError, match=r"file must be a readable TIFF slice, got 1.tif"):
         read_image(tmp_path, spacing_mm=0.02)

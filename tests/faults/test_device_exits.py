@@ -57,7 +57,9 @@ def test_a_normal_end_ramps_the_force_off(kind):
     assert len(run.trace.rows) == ticks
     if kind is Computed:  # what follows the wall clock is as even as the machine's load lets it be
         played = np.array(device.commands)[:ticks, :3]
-        np.testing.assert_allclose(run.trace.vectors("device_force", "N"), played, rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(
+            run.trace.vectors("device_force", "N"), played, rtol=0.0, atol=1e-12
+        )
         ramp = device.sizes_N[ticks - 1 :]
         assert ramp[0] > PUSHING_N and len(ramp) <= RAMP_S / TICK_S + 2
         np.testing.assert_allclose(np.diff(ramp)[:-1], -ramp[0] * TICK_S / RAMP_S, rtol=1e-9)
@@ -65,7 +67,9 @@ def test_a_normal_end_ramps_the_force_off(kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "error", [OSError("the cable is out"), ValueError(), KeyboardInterrupt(), SystemExit(3)], ids=repr
+    "error",
+    [OSError("the cable is out"), ValueError(), KeyboardInterrupt(), SystemExit(3)],
+    ids=repr,
 )
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_exception_in_read_ends_at_zero_and_raises_one_sentence(kind, error, tmp_path):
@@ -78,14 +82,19 @@ def test_an_exception_in_read_ends_at_zero_and_raises_one_sentence(kind, error, 
     assert saved.status == ("interrupted" if isinstance(error, KeyboardInterrupt) else "failed")
     if is_error:
         message = str(raised.value)
-        assert message.startswith(f"device.read must not fail, got {type(error).__name__}") and "\n" not in message
+        assert (
+            message.startswith(f"device.read must not fail, got {type(error).__name__}")
+            and "\n" not in message
+        )
         assert "at 0.300 s: check the device" in message and saved.problem == message
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_exception_in_command_ends_at_zero(kind):
     device = kind(raising(OSError("no answer")), where="command")
-    with pytest.raises(DeviceError, match=r"device\.command must not fail, got OSError \(no answer\) at 0\.300 s"):
+    with pytest.raises(
+        DeviceError, match=r"device\.command must not fail, got OSError \(no answer\) at 0\.300 s"
+    ):
         pressed(device)
     assert_left_alone(device)
 
@@ -125,9 +134,13 @@ def test_an_exception_elsewhere_in_the_run_ends_at_zero(kind, monkeypatch):
     ],
 )
 def test_a_call_that_never_returns_is_given_up(kind, where, tmp_path):
-    """Zero goes out from another thread, or the device is closed; the run ends while the call still blocks."""
+    """Zero goes out from another thread, or the device is closed; the run ends while the call
+    still blocks.
+    """
     device = kind(block, where=where)
-    with pytest.raises(DeviceError, match=rf"device\.{where} must .*, got no answer for .* s: check the device"):
+    with pytest.raises(
+        DeviceError, match=rf"device\.{where} must .*, got no answer for .* s: check the device"
+    ):
         pressed(device, out=tmp_path / "run")
     assert device.blocked.is_set() and not device.freed.is_set()
     saved = SavedRun(tmp_path / "run")
@@ -142,12 +155,16 @@ def test_a_call_that_never_returns_is_given_up(kind, where, tmp_path):
         if thread.name in ("ticks", "device"):
             thread.join(10.0)
     late = device.sizes_N[count:]
-    assert np.count_nonzero(late) <= (where == "command"), "the run that was given up commands again"
+    assert np.count_nonzero(late) <= (where == "command"), (
+        "the run that was given up commands again"
+    )
     assert not any(device.commands[-1])
 
 
 def test_a_loop_that_hangs_lets_the_device_go_and_takes_it_up_again(monkeypatch):
-    """Not the device but the tissue blocks: zero within a tenth of a second, and the force comes back gradually."""
+    """Not the device but the tissue blocks: zero within a tenth of a second, and the force comes
+    back gradually.
+    """
     device, play, stood = Recording(), HandMotion.play, []
 
     def slow(motion, response):
@@ -183,7 +200,9 @@ def test_opening_may_take_longer_than_a_read(monkeypatch):
     device.opening = threading.Event()
     threading.Timer(0.2, device.opening.set).start()
     held, found = SafeDevice(device), []
-    thread = threading.Thread(target=lambda: held.__enter__() and held.__exit__(None, None, None), daemon=True)
+    thread = threading.Thread(
+        target=lambda: held.__enter__() and held.__exit__(None, None, None), daemon=True
+    )
     thread.start()
     while not device.opening.is_set():
         found.append(held.stop_if_stuck())
@@ -198,7 +217,8 @@ def test_opening_that_never_ends_is_given_up(monkeypatch):
     device = Slow()
     device.opening = threading.Event()
     with pytest.raises(
-        DeviceError, match=r"device\.__enter__ must return within 0\.1 s, got no answer for 0\.1 s: check"
+        DeviceError,
+        match=r"device\.__enter__ must return within 0\.1 s, got no answer for 0\.1 s: check",
     ):
         pressed(device)
     device.opening.set()
@@ -253,7 +273,14 @@ finally:
 )
 def test_a_signal_ends_at_zero(name, tmp_path):
     out, message = tmp_path / "run", tmp_path / "last"
-    command = [sys.executable, "-c", CHILD, str(Path(__file__).parents[1] / "fixtures"), str(out), str(message)]
+    command = [
+        sys.executable,
+        "-c",
+        CHILD,
+        str(Path(__file__).parents[1] / "fixtures"),
+        str(out),
+        str(message),
+    ]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     try:
         while (line := child.stdout.readline()) and line != "pressed\n":
@@ -264,7 +291,10 @@ def test_a_signal_ends_at_zero(name, tmp_path):
         child.kill()
     last, greatest, left = json.loads(message.read_text("utf-8"))
     assert last == [0.0] * 6 and greatest > PUSHING_N and left == 1
-    assert (SavedRun(out).status, SavedRun(out).problem) == ("interrupted", "Ctrl-C" if name == "SIGINT" else name)
+    assert (SavedRun(out).status, SavedRun(out).problem) == (
+        "interrupted",
+        "Ctrl-C" if name == "SIGINT" else name,
+    )
     assert child.returncode != 0
 
 
@@ -296,7 +326,12 @@ def test_a_device_of_which_nothing_is_held_is_opened_by_the_run():
 
 def test_a_device_that_is_open_already_gets_its_remedy():
     device = Port()
-    with device, pytest.raises(DeviceError, match=r"port already open.*give it without `with`: the run opens"):
+    with (
+        device,
+        pytest.raises(
+            DeviceError, match=r"port already open.*give it without `with`: the run opens"
+        ),
+    ):
         pressed(device)
 
 
@@ -315,7 +350,10 @@ def test_a_faulty_device_passes_on_that_it_is_entered_and_left():
 @pytest.mark.parametrize(
     ("sample", "message"),
     [
-        ((0.0, 0.0, 0.02), "device.read must return a Sample or None, got tuple: use tissue.haptics.Sample"),
+        (
+            (0.0, 0.0, 0.02),
+            "device.read must return a Sample or None, got tuple: use tissue.haptics.Sample",
+        ),
         (None, ""),
     ],
 )

@@ -33,7 +33,10 @@ def accepted(samples, **limits):
 
 def moving(offsets, *, speed_m_s=0.1):
     """Samples of a straight motion with offsets [m], shape (n, 3)."""
-    return [Sample(tick * TICK, (speed_m_s * tick * TICK + x, y, z)) for tick, (x, y, z) in enumerate(offsets.tolist())]
+    return [
+        Sample(tick * TICK, (speed_m_s * tick * TICK + x, y, z))
+        for tick, (x, y, z) in enumerate(offsets.tolist())
+    ]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -60,7 +63,12 @@ def test_noise_of_a_turn_is_a_fault_and_smooth_samples_are_accepted_again():
         for tick, turn in enumerate(turns)
     ]
     guard = SampleGuard(force_limit_N=3.0)
-    good = np.array([guard.validate_sample(sample, tick * TICK) is not None for tick, sample in enumerate(samples)])
+    good = np.array(
+        [
+            guard.validate_sample(sample, tick * TICK) is not None
+            for tick, sample in enumerate(samples)
+        ]
+    )
     assert good[:200].all() and good[220:600].mean() < 0.05 and good[750:].all()
 
 
@@ -71,7 +79,9 @@ def test_the_noise_of_a_sensor_is_none(scale_m):
 
 
 def test_roughness_by_its_closed_form():
-    """Three samples of an acceleration a lie a T^2 / 2 off the straight line: rough above the limit, not below."""
+    """Three samples of an acceleration a lie a T^2 / 2 off the straight line: rough above the
+    limit, not below.
+    """
     for share, noisy in ((0.99, False), (1.01, True)):
         course = Roughness(2000.0)
         for tick in range(100):
@@ -95,14 +105,19 @@ def test_a_device_that_repeats_its_samples_is_no_noise(held):
 def test_clocks_that_jitter_are_no_noise():
     rng = np.random.default_rng(2)
     true = np.arange(3000) * TICK + rng.uniform(-4e-4, 4e-4, size=3000)
-    samples = [Sample(tick * TICK, (0.1 * np.sin(10.0 * at), 0.0, 0.0)) for tick, at in enumerate(true.tolist())]
+    samples = [
+        Sample(tick * TICK, (0.1 * np.sin(10.0 * at), 0.0, 0.0))
+        for tick, at in enumerate(true.tolist())
+    ]
     assert accepted(samples) == (1.0, [])
 
 
 @pytest.mark.parametrize("name", DEVICES)
 @pytest.mark.parametrize("group", HANDS)
 def test_no_hand_on_no_device_is_taken_for_noise(group, name):
-    """Fast taps on the stiffest wall that a vendor allows, with tremor, encoder steps, and a jerk of 19 N."""
+    """Fast taps on the stiffest wall that a vendor allows, with tremor, encoder steps, and a
+    jerk of 19 N.
+    """
     device, rng = device_parameters(name), np.random.default_rng(3)
     times = np.arange(0.0, 3.0, 0.2)
     depths = np.where(np.arange(len(times)) % 2, -0.02, 0.02)
@@ -117,7 +132,10 @@ def test_no_hand_on_no_device_is_taken_for_noise(group, name):
     guard = SampleGuard(force_limit_N=device.force_limit_N)
     roughest = []
     observe = guard._places.observe
-    guard._places.observe = lambda *sample: (observe(*sample), roughest.append(guard._places.share))[0]
+    guard._places.observe = lambda *sample: (
+        observe(*sample),
+        roughest.append(guard._places.share),
+    )[0]
     run = press_wall(
         SimulatedDevice(device, hand, position_m=(0.0, 0.0, 0.02)),
         renderer("proxy", device.loop(device.stiffness_limit_N_m)),
@@ -139,8 +157,14 @@ def test_no_hand_on_no_device_is_taken_for_noise(group, name):
         (Sample(0.1, (np.inf, 0.0, 0.0)), "a sample that is not finite"),
         (Sample(0.1, AT, spin_rad_s=(0.0, 0.0, np.nan)), "a sample that is not finite"),
         (Sample(0.1, AT, spin_rad_s=(0.0, 0.0, -1e9)), "a spin that no hand has"),
-        (Sample(0.1, AT, quaternion=(0.0, 0.0, 0.0, 2.0)), "a quaternion that is not of unit length"),
-        (Sample(0.1, AT, quaternion=(0.0, 0.0, 0.0, 0.98)), "a quaternion that is not of unit length"),
+        (
+            Sample(0.1, AT, quaternion=(0.0, 0.0, 0.0, 2.0)),
+            "a quaternion that is not of unit length",
+        ),
+        (
+            Sample(0.1, AT, quaternion=(0.0, 0.0, 0.0, 0.98)),
+            "a quaternion that is not of unit length",
+        ),
     ],
 )
 def test_what_cannot_be_is_a_fault(sample, what):
@@ -184,11 +208,19 @@ def test_what_is_no_sample_is_an_error_of_one_sentence(sample, message):
     assert "\n" not in str(raised.value)
 
 
-@pytest.mark.parametrize("kind", [np.array, list, lambda numbers: np.array(numbers, dtype=np.float32)])
+@pytest.mark.parametrize(
+    "kind", [np.array, list, lambda numbers: np.array(numbers, dtype=np.float32)]
+)
 def test_vectors_may_be_lists_or_arrays(kind):
     guard = SampleGuard(force_limit_N=3.0)
     for tick in range(20):
-        sample = Sample(tick * TICK, kind((0.0, 0.0, 0.001 * tick)), kind(AT), kind((0.0, 0.0, 0.0, 1.005)), kind(AT))
+        sample = Sample(
+            tick * TICK,
+            kind((0.0, 0.0, 0.001 * tick)),
+            kind(AT),
+            kind((0.0, 0.0, 0.0, 1.005)),
+            kind(AT),
+        )
         found = guard.validate_sample(sample, tick * TICK)
         assert found is not None and found.quaternion == (0.0, 0.0, 0.0, 1.0)
 
@@ -249,7 +281,9 @@ def test_a_force_changes_no_faster_than_its_device_states(name):
 
 
 class Missing(ComputedDevice):
-    """A mass that a hand presses onto the wall to and fro, some of whose samples are missing; it sums what was played."""
+    """A mass that a hand presses onto the wall to and fro, some of whose samples are missing; it
+    sums what was played.
+    """
 
     def __init__(self):
         self.depth_m, self.speed_m_s, self.force_N, self.time_s = 0.01, 0.0, 0.0, 0.0
@@ -270,7 +304,11 @@ class Missing(ComputedDevice):
         if self._gap == 0 and self._rng.random() < 0.02:
             self._gap = self._rng.integers(1, 21)
         self._gap = max(self._gap - 1, 0)
-        return None if self._gap else Sample(time_s, (0.0, 0.0, float(self.depth_m)), (0.0, 0.0, float(self.speed_m_s)))
+        return (
+            None
+            if self._gap
+            else Sample(time_s, (0.0, 0.0, float(self.depth_m)), (0.0, 0.0, float(self.speed_m_s)))
+        )
 
     def command(self, force_N, torque_Nm):
         self.force_N = float(force_N[2])
@@ -279,7 +317,9 @@ class Missing(ComputedDevice):
 @pytest.mark.parametrize("delay_ms", [0, 2])
 def test_a_passive_wall_creates_nothing_though_samples_are_missing(delay_ms):
     device = Missing()
-    scene = load_scene("wall", {"duration_s": 0.8, "renderer": "passivity", "coupling.delay_ms": delay_ms})
+    scene = load_scene(
+        "wall", {"duration_s": 0.8, "renderer": "passivity", "coupling.delay_ms": delay_ms}
+    )
     run = simulate(scene, device=device, allow_unstable=True)
     assert any("no sample" in what for _, what in run.events) and device.work_J < -0.02
     assert device.most_J < 3e-4

@@ -1,4 +1,6 @@
-"""Devices that report other units or other quaternions: the run ends, or the force fades, with a sentence."""
+"""Devices that report other units or other quaternions: the run ends, or the force fades, with a
+sentence.
+"""
 
 import numpy as np
 import pytest
@@ -16,15 +18,21 @@ from tissue.scene.hardware import Hardware
 
 TICK = 1e-3
 LIMITS = DeviceParameters(
-    mass_kg=0.1, damping_N_s_m=0.5, force_limit_N=8.0,
-    workspace_width_m=0.16, workspace_height_m=0.12, workspace_depth_m=0.07,
-)  # fmt: skip
+    mass_kg=0.1,
+    damping_N_s_m=0.5,
+    force_limit_N=8.0,
+    workspace_width_m=0.16,
+    workspace_height_m=0.12,
+    workspace_depth_m=0.07,
+)
 DIAGONAL_M = (0.16**2 + 0.12**2 + 0.07**2) ** 0.5
 TURN = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
 
 
 class Goes(ComputedDevice):
-    """A device whose position is a function of time, in a unit of its own, and which keeps its commands."""
+    """A device whose position is a function of time, in a unit of its own, and which keeps its
+    commands.
+    """
 
     def __init__(self, path, quaternion=(0.0, 0.0, 0.0, 1.0)):
         self.path, self.quaternion, self.forces = path, quaternion, []
@@ -71,10 +79,13 @@ def wall(**changes):
 
 
 def test_a_device_in_millimetres_ends_the_run_at_zero_with_its_reason():
-    """At 4 mm/s no sample is a jump: only the workspace shows that 4 m each second are none of an arm."""
+    """At 4 mm/s no sample is a jump: only the workspace shows that 4 m each second are none of
+    an arm.
+    """
     device = Goes(falling_mm)
     with pytest.raises(
-        DeviceError, match=r"its workspace is 160 x 120 x 70 mm\. If it reports millimetres, give metres"
+        DeviceError,
+        match=r"its workspace is 160 x 120 x 70 mm\. If it reports millimetres, give metres",
     ):
         tissue.simulate(wall(), device=device)
     assert len(device.forces) * TICK * 4.0 < 3.1 * DIAGONAL_M  # not long after the arm's end
@@ -108,7 +119,9 @@ def test_a_loop_stops_a_device_in_millimetres():
 @pytest.mark.parametrize("share", [0.95, 1.05])
 def test_the_reach_is_three_diagonals_of_the_workspace(share):
     reach, end_m = Reach(LIMITS), share * 3.0 * DIAGONAL_M
-    places = [(0.3 + end_m * part, 0.0, 0.0) for part in np.linspace(0.0, 1.0, 50)] + [(0.3 + end_m, 0.0, 0.0)] * 30
+    places = [(0.3 + end_m * part, 0.0, 0.0) for part in np.linspace(0.0, 1.0, 50)] + [
+        (0.3 + end_m, 0.0, 0.0)
+    ] * 30
     if share < 1.0:
         for place in places:
             reach.require(place)
@@ -140,7 +153,9 @@ def test_a_clutch_and_a_mouse_go_further_than_an_arm():
 
     adapter.poll = poll
     guard = SampleGuard(force_limit_N=1.0)
-    last = [guard.validate_sample(device.read(TICK * tick), TICK * tick) for tick in range(12_000)][-1]
+    last = [guard.validate_sample(device.read(TICK * tick), TICK * tick) for tick in range(12_000)][
+        -1
+    ]
     assert last.position_m[0] > 3.0 * DIAGONAL_M
     mouse = MouseDevice()
     mouse.push((2.0, 0.0, 0.0))
@@ -153,18 +168,24 @@ def test_a_clutch_and_a_mouse_go_further_than_an_arm():
     [
         (0.0, 0.0, 0.0, 0.0),
         (0.3, 0.0, 0.0, 0.3),
-        *(pytest.param(each, marks=pytest.mark.slow) for each in ((0.5, 0.5, 0.5, 0.6), (0.0, 0.0, 90.0, 0.0))),
+        *(
+            pytest.param(each, marks=pytest.mark.slow)
+            for each in ((0.5, 0.5, 0.5, 0.6), (0.0, 0.0, 90.0, 0.0))
+        ),
     ],
 )
 def test_a_quaternion_of_another_length_gives_no_force(quaternion):
-    """Of one's own device and of an adapter, whose workspace would have brought it to unit length in silence."""
+    """Of one's own device and of an adapter, whose workspace would have brought it to unit
+    length in silence.
+    """
     start = Goes(lambda time_s: (0.0, 0.0, 0.02 - 0.1 * time_s), quaternion)
     run = tissue.simulate(wall(duration_s=0.45), device=start)
     assert not np.array(start.forces).any()
     assert any("a quaternion that is not of unit length" in what for _, what in run.events)
     adapter = Adapter(lambda time_s: (0.0, 0.0, 0.02 - 0.1 * time_s), quaternion)
     run = tissue.simulate(
-        wall(duration_s=0.45), device=MappedDevice(adapter, Hardware(ramp_ms=0.0), start_m=(0.0, 0.0, 0.02))
+        wall(duration_s=0.45),
+        device=MappedDevice(adapter, Hardware(ramp_ms=0.0), start_m=(0.0, 0.0, 0.02)),
     )
     assert not np.array(adapter.pushed).any()
     assert any("a quaternion that is not of unit length" in what for _, what in run.events)
@@ -176,7 +197,9 @@ def test_an_adapter_whose_quaternion_is_right_again_goes_on_from_there():
     device.read(0.0)
     adapter.quaternion = TURN
     sample = device.read(TICK)
-    assert sample.position_m == pytest.approx((0.0, 0.0, 0.02)) and sample.quaternion == pytest.approx((0, 0, 0, 1))
+    assert sample.position_m == pytest.approx(
+        (0.0, 0.0, 0.02)
+    ) and sample.quaternion == pytest.approx((0, 0, 0, 1))
 
 
 def test_a_device_that_gives_w_first_is_named():

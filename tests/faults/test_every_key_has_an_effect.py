@@ -1,4 +1,6 @@
-"""Every key of every kind of scene: another value changes what a run gives, or the key is refused with one that does."""
+"""Every key of every kind of scene: another value changes what a run gives, or the key is
+refused with one that does.
+"""
 
 import hashlib
 import json
@@ -38,7 +40,9 @@ BY_DATA = {
     "anatomy.site": "anatomy.site must not be caries for a tooth without a lesion, got caries: ",
     "materials": "materials must hold a constant that the scene rests on, got ",
 }
-"""Refusals of keys that only the contents of files leave without effect, besides those with "must be left out"."""
+"""Refusals of keys that only the contents of files leave without effect, besides those with
+"must be left out".
+"""
 CLOCK = ("tick_us", "missed_deadlines", "events", "machine", "tissue", "scheduling", "machine_gaps")
 """Entries of a summary that a clock or a machine decides."""
 QUICK = ("wall",)
@@ -59,7 +63,9 @@ def stress_in_this_process(monkeypatch):
 
 
 def fingerprint(scene):
-    """A digest of all that a run gives but for times, events, which hold times too, and the machine."""
+    """A digest of all that a run gives but for times, events, which hold times too, and the
+    machine.
+    """
     from tissue.show.figures.tool_mesh import tool_surface
 
     run = simulate(scene)
@@ -67,7 +73,13 @@ def fingerprint(scene):
     digest = hashlib.blake2b(json.dumps(figures_of_run, sort_keys=True, default=str).encode())
     arrays = [run.trace.rows, tool_surface(scene.tool).points]
     if (volume := run.parts.volume) is not None:
-        arrays += [volume.origin_m, np.float64(volume.spacing_m), volume.fraction, volume.layer, volume.density_kg_m3]
+        arrays += [
+            volume.origin_m,
+            np.float64(volume.spacing_m),
+            volume.fraction,
+            volume.layer,
+            volume.density_kg_m3,
+        ]
     series = getattr(run.parts.tissue, "fields", None)
     for frame in series.frames if series is not None else ():
         arrays += [frame.points[name] for name in sorted(frame.points)]
@@ -77,7 +89,9 @@ def fingerprint(scene):
 
 
 def without_effect(kind, files, folder):
-    """Keys of a kind whose other value changes nothing, or is refused for another reason than having no effect."""
+    """Keys of a kind whose other value changes nothing, or is refused for another reason than
+    having no effect.
+    """
     table, base = kinds(files)[kind], folder / "base.toml"
     base.write_text(tomli_w.dumps(table))
     plain, found = fingerprint(load_scene(base)), []
@@ -121,7 +135,11 @@ def test_every_kind_of_scene_is_walked_through():
     motions = {table["motion"]["kind"] for table in made.values()}
     for name in scene_names():
         scene = load_scene(name)
-        assert scene.anatomy.kind in anatomies and scene.tool.kind in tools and scene.motion.kind in motions
+        assert (
+            scene.anatomy.kind in anatomies
+            and scene.tool.kind in tools
+            and scene.motion.kind in motions
+        )
     assert motions == {"path", "thrust", "replay"} and len(anatomies) == 9 and len(tools) == 10
 
 
@@ -134,7 +152,9 @@ def test_a_saved_scene_is_the_same_scene_and_is_not_refused(kind, files, tmp_pat
     assert load_scene(tmp_path / "saved.toml") == scene
 
 
-def test_a_key_that_the_file_leaves_without_effect_is_refused_unless_it_is_a_default(files, tmp_path):
+def test_a_key_that_the_file_leaves_without_effect_is_refused_unless_it_is_a_default(
+    files, tmp_path
+):
     from tissue.simulation.builders.organ import held_mesh
 
     base, kept = tmp_path / "base.toml", tmp_path / "kept.toml"
@@ -143,6 +163,8 @@ def test_a_key_that_the_file_leaves_without_effect_is_refused_unless_it_is_a_def
     kept.write_text(saved_text(load_scene(base)))
     assert "edge_mm = 20" in kept.read_text()
     place = {"path_m": np.zeros((2, 3)), "touch_edge_m": 0.02, "report": lambda what, share: None}
-    with pytest.raises(InputError, match="edge_mm must be left out for tetrahedra from a file, got 12: "):
+    with pytest.raises(
+        InputError, match="edge_mm must be left out for tetrahedra from a file, got 12: "
+    ):
         held_mesh(asked.anatomy, **place)
     assert held_mesh(load_scene(kept).anatomy, **place).mesh.cells.size

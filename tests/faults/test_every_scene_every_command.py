@@ -33,15 +33,41 @@ def fast(scene):
 def test_a_scene_works_with_the_commands_of_runs(command, tmp_path, scene):
     script = tmp_path / "script"
     finished(command, "run", scene, "--duration-s", SHORT_S, *fast(scene), "--out", script)
-    by_hand = ["--set", "device=touch", "--set", "prediction=koopman", "--set", "perception=population"]
-    finished(command, "run", scene, "--duration-s", SHORT_S, *fast(scene), *by_hand, "--out", tmp_path / "hand")
+    by_hand = [
+        "--set",
+        "device=touch",
+        "--set",
+        "prediction=koopman",
+        "--set",
+        "perception=population",
+    ]
+    finished(
+        command,
+        "run",
+        scene,
+        "--duration-s",
+        SHORT_S,
+        *fast(scene),
+        *by_hand,
+        "--out",
+        tmp_path / "hand",
+    )
     assert json.loads((tmp_path / "hand" / "summary.json").read_text())["status"] == "complete"
     finished(command, "report", script)
     finished(command, "view", script, "--screenshot", tmp_path / "view.png")
     _, _, refusal = command("assess", tmp_path / "hand", "--against", tmp_path / "hand")
     assert not refusal or "without contact" in refusal  # so short a run need not touch
     finished(command, "compare", script, script)
-    finished(command, "sweep", scene, "--set", f"duration_s={SHORT_S}", *fast(scene), "--out", tmp_path / "sweep")
+    finished(
+        command,
+        "sweep",
+        scene,
+        "--set",
+        f"duration_s={SHORT_S}",
+        *fast(scene),
+        "--out",
+        tmp_path / "sweep",
+    )
     finished(command, "stability", scene, "--set", "device=touch")
     assert load_scene(scene).name in finished(command, "scenes", scene)
     assert (tmp_path / "view.png").stat().st_size > 1000
@@ -55,7 +81,9 @@ def coarsest_and_finest(scene, *, quick):
 
 @pytest.mark.parametrize("scene", CHARTED)
 def test_a_scene_can_be_charted(command, tmp_path, scene, monkeypatch):
-    """At two settings, at one place, on coarser voxels, without other processes: `test_charts.py` has these."""
+    """At two settings, at one place, on coarser voxels, without other processes:
+    `test_charts.py` has these.
+    """
     monkeypatch.setattr(measure, "EXCERPT_S", {True: CHARTED[scene]})
     monkeypatch.setattr(settings, "PLACES", settings.PLACES[:1])
     monkeypatch.setitem(settings.VOXEL_SHARES, True, (2.0, 1.4, 1.0))

@@ -1,4 +1,6 @@
-"""Damaged files of every kind are read or refused in one sentence: no traceback, no crash, no hang."""
+"""Damaged files of every kind are read or refused in one sentence: no traceback, no crash, no
+hang.
+"""
 
 import os
 import shutil
@@ -9,11 +11,27 @@ import numpy as np
 import pytest
 from fuzz_files import Reading, damaged
 
-QUICK = {"surface": 5, "tets": 16, "poses": 8, "scene": 8, "predictor": 6, "observer": 10, "trials": 10}
-QUICK |= {"study": 4, "assess": 5, "surface apart": 0, "tets apart": 0, "run apart": 0, "image": 2, "image apart": 0}
+QUICK = {
+    "surface": 5,
+    "tets": 16,
+    "poses": 8,
+    "scene": 8,
+    "predictor": 6,
+    "observer": 10,
+    "trials": 10,
+}
+QUICK |= {
+    "study": 4,
+    "assess": 5,
+    "surface apart": 0,
+    "tets apart": 0,
+    "run apart": 0,
+    "image": 2,
+    "image apart": 0,
+}
 QUICK |= {"log": 3, "log apart": 0, "toolpath": 3}
-"""Damaged files from each whole one, by reader; one that parses in a process of its own takes most of a second, and goes
-to the slow set."""
+"""Damaged files from each whole one, by reader; one that parses in a process of its own takes most
+of a second, and goes to the slow set."""
 FIRST_SEED = int(os.environ.get("TISSUE_FUZZ_SEED", "0"))
 """Of the damage: set the variable for other damage."""
 SLOW = {reader: 14 if reader.endswith(" apart") else 18 * count for reader, count in QUICK.items()}
@@ -28,7 +46,9 @@ def sources(tmp_path_factory):
 
 
 def spoilt_file(folder: Path, source: Path, reader: str, seed: int, work: Path) -> Path:
-    """A damaged copy of a file, in a copy of its folder where it has one; what the reader is given."""
+    """A damaged copy of a file, in a copy of its folder where it has one; what the reader is
+    given.
+    """
     content = damaged(source.read_bytes(), seed)
     whole = {"study": "study", "assess": "run", "run apart": "run"}.get(reader)
     if whole is None:
@@ -72,9 +92,11 @@ def test_whole_files_are_read(sources, apart):
         if reader.endswith(" apart") != apart:
             continue
         for source in paths:
-            given = {"study": folder / "study", "assess": folder / "run", "run apart": folder / "run"}.get(
-                reader, source
-            )
+            given = {
+                "study": folder / "study",
+                "assess": folder / "run",
+                "run apart": folder / "run",
+            }.get(reader, source)
             assert reading.read(reader.removesuffix(" apart"), given) == ("read", ""), source
     reading.close()
 
@@ -95,5 +117,7 @@ def test_two_thousand_damaged_files_are_read_or_refused(sources, tmp_path):
 
 def test_damage_follows_from_its_seed():
     content = bytes(np.random.default_rng(0).integers(32, 127, size=1000, dtype=np.uint8))
-    assert [damaged(content, seed) for seed in range(50)] == [damaged(content, seed) for seed in range(50)]
+    assert [damaged(content, seed) for seed in range(50)] == [
+        damaged(content, seed) for seed in range(50)
+    ]
     assert sum(damaged(content, seed) != content for seed in range(50)) > 45

@@ -1,4 +1,6 @@
-"""Files that state or inflate to more than the memory, and files that are none: refused before anything is decoded."""
+"""Files that state or inflate to more than the memory, and files that are none: refused before
+anything is decoded.
+"""
 
 import gzip
 import os
@@ -11,7 +13,9 @@ import numpy as np
 import pytest
 from fuzz_files import Reading
 
-pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits of the address space")
+pytestmark = pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="limits of the address space"
+)
 
 ADDRESS_SPACE_GB = 8.0
 """Of the reading process: libraries map 3 GB, a claim of 16 GB and more does not fit."""
@@ -43,11 +47,25 @@ def nrrd(path, **fields):
 def tiff(path):
     """A TIFF of 60000 x 60000 zeros, deflated in one strip that holds few of them."""
     data = zlib.compress(bytes(1000))
-    tags = [(256, 4, 60000), (257, 4, 60000), (258, 3, 16), (259, 3, 8), (262, 3, 1), (273, 4, 8), (277, 3, 1),
-            (278, 4, 60000), (279, 4, len(data))]  # fmt: skip
+    tags = [
+        (256, 4, 60000),
+        (257, 4, 60000),
+        (258, 3, 16),
+        (259, 3, 8),
+        (262, 3, 1),
+        (273, 4, 8),
+        (277, 3, 1),
+        (278, 4, 60000),
+        (279, 4, len(data)),
+    ]
     entries = b"".join(struct.pack("<HHII", tag, kind, 1, value) for tag, kind, value in tags)
-    path.write_bytes(struct.pack("<2sHI", b"II", 42, 8 + len(data)) + data + struct.pack("<H", len(tags)) + entries
-                     + bytes(4))  # fmt: skip
+    path.write_bytes(
+        struct.pack("<2sHI", b"II", 42, 8 + len(data))
+        + data
+        + struct.pack("<H", len(tags))
+        + entries
+        + bytes(4)
+    )
 
 
 def npz(path):
@@ -93,12 +111,27 @@ def mat(path):
 def dicom(path):
     """Two slices of 60000 x 60000 pixels in RLE, of which the pixels are missing."""
     path.mkdir()
-    parts = struct.pack("<HH2sHI", 0x7FE0, 0x10, b"OB", 0, 0xFFFFFFFF) + struct.pack("<HHI", 0xFFFE, 0xE000, 0)
-    parts += struct.pack("<HHI", 0xFFFE, 0xE000, 64) + bytes(64) + struct.pack("<HHI", 0xFFFE, 0xE0DD, 0)
-    fields = {"rows": 60000, "columns": 60000, "syntax": "1.2.840.10008.1.2.5", "leave_out": [(0x7FE0, 0x10)]}
+    parts = struct.pack("<HH2sHI", 0x7FE0, 0x10, b"OB", 0, 0xFFFFFFFF) + struct.pack(
+        "<HHI", 0xFFFE, 0xE000, 0
+    )
+    parts += (
+        struct.pack("<HHI", 0xFFFE, 0xE000, 64) + bytes(64) + struct.pack("<HHI", 0xFFFE, 0xE0DD, 0)
+    )
+    fields = {
+        "rows": 60000,
+        "columns": 60000,
+        "syntax": "1.2.840.10008.1.2.5",
+        "leave_out": [(0x7FE0, 0x10)],
+    }
     for k in range(2):
         head = write.dicom_bytes(
-            FEW[:, :, 0].astype(np.uint16), (0.0, 0.0, k), AXES[0], AXES[1], (1.0, 1.0), number=k + 1, **fields
+            FEW[:, :, 0].astype(np.uint16),
+            (0.0, 0.0, k),
+            AXES[0],
+            AXES[1],
+            (1.0, 1.0),
+            number=k + 1,
+            **fields,
         )
         (path / f"{k}.dcm").write_bytes(head + parts)
 
@@ -111,9 +144,15 @@ CLAIMS = {
     "e.nhdr": ("image", lambda p: nrrd(p, sizes="4000 4000 600", data_file="e.raw")),
     "f.nhdr": ("image", lambda p: nrrd(p, sizes="4000 4000 600", data_file="f.raw 1 1 1")),
     "g.nii": ("image", lambda p: write.write_nifti(p, FEW, AXES, ORIGIN, dim=(3, 4000, 4000, 600))),
-    "h.nii.gz": ("image", lambda p: write.write_nifti(p, FEW, AXES, ORIGIN, dim=(3, 4000, 4000, 600))),
+    "h.nii.gz": (
+        "image",
+        lambda p: write.write_nifti(p, FEW, AXES, ORIGIN, dim=(3, 4000, 4000, 600)),
+    ),
     "i.mha": ("image", lambda p: write.write_meta(p, FEW, AXES, ORIGIN, DimSize="4000 4000 600")),
-    "j.mhd": ("image", lambda p: write.write_meta(p, FEW, AXES, ORIGIN, compressed=True, DimSize="4000 4000 600")),
+    "j.mhd": (
+        "image",
+        lambda p: write.write_meta(p, FEW, AXES, ORIGIN, compressed=True, DimSize="4000 4000 600"),
+    ),
     "k.tif": ("image", tiff),
     "dicom": ("image", dicom),
     "l.nrrd": ("labels", lambda p: nrrd(p, sizes="4000 4000 600", encoding="gzip")),
@@ -123,11 +162,22 @@ CLAIMS = {
     "p.hdf5": ("log", recording),
     "q.hdf5": ("poses", recording),
     "r.mat": ("log", mat),
-    "s.ply": ("surface", lambda p: p.write_text(
-        "ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty float x\nproperty float y\n"
-        "property float z\nelement face 4000000000\nproperty list uchar int vertex_indices\nend_header\n0000")),
-    "t.msh": ("tets", lambda p: p.write_text("$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n4000000000\n1 0 0 0\n")),
-}  # fmt: skip
+    "s.ply": (
+        "surface",
+        lambda p: p.write_text(
+            "ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty float "
+            "x\nproperty float y\n"
+            "property float z\nelement face 4000000000\nproperty list uchar int "
+            "vertex_indices\nend_header\n0000"
+        ),
+    ),
+    "t.msh": (
+        "tets",
+        lambda p: p.write_text(
+            "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n4000000000\n1 0 0 0\n"
+        ),
+    ),
+}
 
 
 @pytest.mark.parametrize("name", CLAIMS)
@@ -147,14 +197,18 @@ def zeros_nifti(path):
 
 
 def zeros_nrrd(path):
-    write.write_nrrd(path, np.zeros((1000, 1000, 8), dtype=np.uint16), AXES, ORIGIN, encoding="gzip")
+    write.write_nrrd(
+        path, np.zeros((1000, 1000, 8), dtype=np.uint16), AXES, ORIGIN, encoding="gzip"
+    )
 
 
 def zeros_h5(path):
     import h5py
 
     with h5py.File(path, "w") as file:
-        file.create_dataset("time_s", data=np.zeros(2_000_000), chunks=(1_000_000,), compression="gzip")
+        file.create_dataset(
+            "time_s", data=np.zeros(2_000_000), chunks=(1_000_000,), compression="gzip"
+        )
 
 
 def zeros_parquet(path):
@@ -167,12 +221,16 @@ def zeros_parquet(path):
 def zeros_dicom(path):
     """A deflated slice of which an element holds 16 MB of zeros."""
     plane = np.zeros((4, 3), dtype=np.uint16)
-    whole = write.dicom_bytes(plane, ORIGIN, AXES[0], AXES[1], (1.0, 1.0), syntax="1.2.840.10008.1.2.1.99")
+    whole = write.dicom_bytes(
+        plane, ORIGIN, AXES[0], AXES[1], (1.0, 1.0), syntax="1.2.840.10008.1.2.1.99"
+    )
     start = 144 + struct.unpack_from("<I", whole, 140)[0]
     more = struct.pack("<HH2sHI", 0x7FE1, 0x1001, b"OB", 0, 16_000_000) + bytes(16_000_000)
     deflate = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
     path.mkdir()
-    (path / "0.dcm").write_bytes(whole[:start] + deflate.compress(whole[start:] + more) + deflate.flush())
+    (path / "0.dcm").write_bytes(
+        whole[:start] + deflate.compress(whole[start:] + more) + deflate.flush()
+    )
 
 
 BOMBS = {
@@ -192,7 +250,11 @@ def test_a_file_that_inflates_beyond_the_limit_is_refused(tmp_path, limited, nam
     stored = sum(file.stat().st_size for file in tmp_path.rglob("*") if file.is_file())
     assert stored < 0.02e9 * BOMB_GB
     outcome, message = limited.read(reader, tmp_path / name)
-    assert outcome == "refused" and "--max-memory-GB" in message and f"{SMALLER_GB:g} GB of memory" in message, message
+    assert (
+        outcome == "refused"
+        and "--max-memory-GB" in message
+        and f"{SMALLER_GB:g} GB of memory" in message
+    ), message
 
 
 @pytest.mark.slow
@@ -239,7 +301,9 @@ def test_only_regular_files_are_read(tmp_path, reading, kind):
             assert outcome == "refused", f"{reader} of {name}: {outcome} {message}"
 
 
-@pytest.mark.parametrize("name", ["voxels.raw", "/dev/zero", "voxels%d.raw 0 0 1", "LIST\nvoxels.raw"])
+@pytest.mark.parametrize(
+    "name", ["voxels.raw", "/dev/zero", "voxels%d.raw 0 0 1", "LIST\nvoxels.raw"]
+)
 def test_the_voxels_of_a_header_lie_in_regular_files(tmp_path, reading, name):
     os.mkfifo(tmp_path / "voxels.raw")
     os.mkfifo(tmp_path / "voxels0.raw")
@@ -256,7 +320,9 @@ def test_the_voxels_of_a_metaimage_lie_in_a_regular_file(tmp_path, reading, name
     assert reading.read("image", tmp_path / "image.mhd")[0] == "refused"
 
 
-@pytest.mark.parametrize("name", ["voxels.raw", "voxels%d.raw 0 1 1 2", "LIST\nvoxels0.raw\nvoxels1.raw"])
+@pytest.mark.parametrize(
+    "name", ["voxels.raw", "voxels%d.raw 0 1 1 2", "LIST\nvoxels0.raw\nvoxels1.raw"]
+)
 def test_voxels_in_files_of_their_own_are_read(tmp_path, reading, name):
     values = np.arange(24, dtype=np.int16).reshape(4, 3, 2)
     data = values.tobytes(order="F")

@@ -1,4 +1,6 @@
-"""No command touches a file of the user: each is run over folders and files that it did not write."""
+"""No command touches a file of the user: each is run over folders and files that it did not
+write.
+"""
 
 import hashlib
 import json
@@ -15,16 +17,28 @@ from tissue.system.owned_folder import MARKER, OwnedFolder, owned_folder, requir
 
 WALL = ("wall", "--set", "duration_s=0.05")
 FOLDERS = {
-    "run": (("run", *WALL, "--no-pictures"), "trace.csv summary.json bone.stl pictures/section.png carving/rest.vtp"),
-    "sweep": (("sweep", "wall", "--set", "duration_s=0.05,0.06"), "sweep.csv sweep.png compare.png sweep.json"),
+    "run": (
+        ("run", *WALL, "--no-pictures"),
+        "trace.csv summary.json bone.stl pictures/section.png carving/rest.vtp",
+    ),
+    "sweep": (
+        ("sweep", "wall", "--set", "duration_s=0.05,0.06"),
+        "sweep.csv sweep.png compare.png sweep.json",
+    ),
     "compare": (("compare", "a", "b"), "compare.csv compare.png"),
     "assess": (("assess", "a", "--against", "b"), "assessment.json assessment.png"),
     "import": (("import", "ct.nrrd"), "scene.toml import.json"),
     "fit": (("fit", "wall", "--measured", "log.csv"), "fitted.toml report.html loads.csv"),
     "stability": (("stability", "wall"), "stability.png"),
-    "atlas": (("stability", "--only", "wild_input"), "index.html wild_input.png wild_input_jump.csv"),
+    "atlas": (
+        ("stability", "--only", "wild_input"),
+        "index.html wild_input.png wild_input_jump.csv",
+    ),
     "chart": (("chart", "wall", "--quick"), "wall.csv wall.png frontier.png machine.txt"),
-    "prediction": (("chart", "prediction", "wall"), "errors.csv prediction_wall.png prediction_tasks.png"),
+    "prediction": (
+        ("chart", "prediction", "wall"),
+        "errors.csv prediction_wall.png prediction_tasks.png",
+    ),
     "perception": (("chart", "perception"), "perception-people.png"),
     "study": (("study", "run", "--trials", 1), "plan.toml study.json"),
     "study plan": (("study", "plan", "--trials", 1), "plan.toml trials.csv"),
@@ -49,7 +63,9 @@ def content(folder):
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
         plain = path.is_file() and not path.is_symlink()
-        found[name] = hashlib.sha256(path.read_bytes()).hexdigest() if plain else os.lstat(path).st_mode
+        found[name] = (
+            hashlib.sha256(path.read_bytes()).hexdigest() if plain else os.lstat(path).st_mode
+        )
     return found
 
 
@@ -66,7 +82,9 @@ def made(tmp_path_factory):
     import tissue
 
     folder = tmp_path_factory.mktemp("made") / "made"
-    return tissue.simulate(tissue.load_scene("wall", {"duration_s": 0.05})).save(folder, pictures=False)
+    return tissue.simulate(tissue.load_scene("wall", {"duration_s": 0.05})).save(
+        folder, pictures=False
+    )
 
 
 @pytest.mark.parametrize("option", [(), ("--overwrite",)], ids=["plain", "overwrite"])
@@ -114,7 +132,9 @@ def test_single_files_are_replaced_on_request_and_only_where_they_are_regular(
 
 @pytest.mark.parametrize("arguments", [("schema",), ("train", "wall")])
 def test_a_device_node_is_never_replaced(refused, tmp_path, arguments):
-    """A node like /dev/null, of our own: a command that failed here would take that of the machine away."""
+    """A node like /dev/null, of our own: a command that failed here would take that of the
+    machine away.
+    """
     node = tmp_path / "null"
     try:
         os.mknod(node, stat.S_IFCHR | 0o666, os.makedev(1, 3))
@@ -125,10 +145,16 @@ def test_a_device_node_is_never_replaced(refused, tmp_path, arguments):
 
 
 def test_a_run_of_the_user_is_not_a_run_by_its_summary_alone(refused, tmp_path):
-    """A file with that name and a version in it is no proof, nor is a folder that an older version did not write."""
+    """A file with that name and a version in it is no proof, nor is a folder that an older
+    version did not write.
+    """
     folder = tmp_path / "mine"
     put(folder, ["bone.stl", "pictures/mine.png"])
-    for held in ({}, {"format": 1}, {"format": 1, "scene": "x", "status": "interrupted", "tissue": "0.2.0"}):
+    for held in (
+        {},
+        {"format": 1},
+        {"format": 1, "scene": "x", "status": "interrupted", "tissue": "0.2.0"},
+    ):
         (folder / "summary.json").write_text(json.dumps(held))
         before = content(folder)
         assert "files of other origin" in refused("run", *WALL, "--out", folder, "--overwrite")
@@ -139,11 +165,15 @@ def test_a_run_of_version_0_2_is_replaced_and_nothing_beside_it(command, made, t
     folder = shutil.copytree(made, tmp_path / "old")
     (folder / MARKER).unlink()
     put(folder, ["notes.txt", "pictures/mine.png", "carving/mine.txt", "band/mine.toml"])
-    mine = {name: each for name, each in content(folder).items() if "mine" in name or "notes" in name}
+    mine = {
+        name: each for name, each in content(folder).items() if "mine" in name or "notes" in name
+    }
     assert SavedRun(folder).complete
     assert command("run", *WALL, "--no-pictures", "--out", folder)[0] == 2
     assert command("run", *WALL, "--no-pictures", "--out", folder, "--overwrite")[0] == 0
-    assert {name: each for name, each in content(folder).items() if "mine" in name or "notes" in name} == mine
+    assert {
+        name: each for name, each in content(folder).items() if "mine" in name or "notes" in name
+    } == mine
     listed = json.loads((folder / MARKER).read_text())["files"]["run"]
     assert set(listed) == {"trace.csv", "timing.csv", "scene.toml", "summary.json"}
 
@@ -152,7 +182,9 @@ def test_an_import_keeps_off_a_run(refused, made, tmp_path):
     folder = shutil.copytree(made, tmp_path / "run")
     before = content(folder)
     message = refused("import", "ct.nrrd", "--out", folder, "--overwrite")
-    assert message.endswith("scene.toml, which belongs to another kind of output (run): choose another --out")
+    assert message.endswith(
+        "scene.toml, which belongs to another kind of output (run): choose another --out"
+    )
     assert content(folder) == before
 
 
@@ -160,7 +192,9 @@ def test_a_sweep_keeps_off_a_run_that_is_not_its_own(command, made, tmp_path):
     folder = shutil.copytree(made, tmp_path / "out" / "seed=1")
     before = content(folder)
     for _ in range(2):  # the first must not make it one of the sweep
-        code, _, error = command("sweep", *WALL, "--set", "seed=1,2", "--workers", 1, "--out", tmp_path / "out")
+        code, _, error = command(
+            "sweep", *WALL, "--set", "seed=1,2", "--workers", 1, "--out", tmp_path / "out"
+        )
         assert code == 1 and "seed=1: out must not hold another run" in error
         assert content(folder) == before
 
@@ -171,8 +205,14 @@ def test_a_sweep_keeps_off_a_run_that_is_not_its_own(command, made, tmp_path):
         "[]",
         "{",
         '{"format": "tissue output folder", "version": 2, "tissue": "9", "files": {}}',
-        '{"format": "tissue output folder", "version": 1, "tissue": "0", "files": {"run": ["../target"]}}',
-        '{"format": "tissue output folder", "version": 1, "tissue": "0", "files": {"run": ["/etc/hostname"]}}',
+        (
+            '{"format": "tissue output folder", "version": 1, "tissue": "0", "files": {"run": '
+            '["../target"]}}'
+        ),
+        (
+            '{"format": "tissue output folder", "version": 1, "tissue": "0", "files": {"run": '
+            '["/etc/hostname"]}}'
+        ),
         "[" * 5000,
     ],
 )
@@ -196,7 +236,10 @@ def test_what_took_the_place_of_a_listed_file_is_kept(tmp_path):
             with whole_file(out / name) as temporary:
                 temporary.write_text("ours")
         put(out, ["c.txt"])
-        with pytest.raises(InputError, match=r"files of other origin, got .* with c\.txt"), whole_file(out / "c.txt"):
+        with (
+            pytest.raises(InputError, match=r"files of other origin, got .* with c\.txt"),
+            whole_file(out / "c.txt"),
+        ):
             pass
     put(tmp_path, ["target/b.txt", "target/a.txt"])
     shutil.rmtree(out / "sub")
@@ -254,7 +297,10 @@ def test_no_command_touches_what_it_did_not_write(command, tmp_path, monkeypatch
     mine = {}
     for folder, arguments in writing.items():
         put(tmp_path / folder, others)
-        mine |= {f"{folder}/{name}": hashlib.sha256(f"the user's {name}".encode()).hexdigest() for name in others}
+        mine |= {
+            f"{folder}/{name}": hashlib.sha256(f"the user's {name}".encode()).hexdigest()
+            for name in others
+        }
         for option in ((), ("--overwrite",)):
             code, _, error = command(*arguments, "--out", folder, *option)
             assert code == 0, error
@@ -267,6 +313,8 @@ def test_no_command_touches_what_it_did_not_write(command, tmp_path, monkeypatch
     assert command(*run, "--no-pictures", "--out", "made", "--overwrite")[0] == 0
     found = content(tmp_path)
     assert {name: found.get(name) for name in mine} == mine
-    assert (tmp_path / "made/pictures/shown.png").read_text() == "the user's made/pictures/shown.png"
+    assert (
+        tmp_path / "made/pictures/shown.png"
+    ).read_text() == "the user's made/pictures/shown.png"
     left = {each.name for each in (tmp_path / "made/pictures").iterdir()}
     assert left == {"mine.png", "shown.png"} and not (tmp_path / "made" / "report.html").exists()

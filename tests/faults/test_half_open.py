@@ -1,4 +1,6 @@
-"""Peers that accept a connection and then answer no more: a run that has finished stays finished, without an error."""
+"""Peers that accept a connection and then answer no more: a run that has finished stays
+finished, without an error.
+"""
 
 import base64
 import hashlib
@@ -24,20 +26,29 @@ CLOSES_S = 0.9
 """A run gives a device up that takes longer than a second to close."""
 KEY = "dGhlIHNhbXBsZSBub25jZQ=="
 REQUEST = (
-    f"GET / HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: {KEY}\r\n"
+    "GET / HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: "
+    f"Upgrade\r\nSec-WebSocket-Key: {KEY}\r\n"
     "Sec-WebSocket-Version: 13\r\n\r\n"
 ).encode()
 STATE = {
     "cursor_position": {"x": 0.0, "y": -0.1, "z": 0.1},
     "cursor_velocity": {"x": 0.0, "y": 0.0, "z": 0.0},
 }
-DEVICE = {"device_id": "0A", "state": STATE, "status": {"calibrated": True, "power_supply": True, "ready": True}}
+DEVICE = {
+    "device_id": "0A",
+    "state": STATE,
+    "status": {"calibrated": True, "power_supply": True, "ready": True},
+}
 
 
 def framed(data, *, opcode=2, masked=False):
     """A frame of a WebSocket by RFC 6455, masked with zeros."""
     size = len(data)
-    length = bytes([size | 0x80 * masked]) if size < 126 else struct.pack(">BH", 126 | 0x80 * masked, size)
+    length = (
+        bytes([size | 0x80 * masked])
+        if size < 126
+        else struct.pack(">BH", 126 | 0x80 * masked, size)
+    )
     return bytes([0x80 | opcode]) + length + bytes(4 * masked) + data
 
 
@@ -48,7 +59,9 @@ def free_port():
 
 
 class Peer(threading.Thread):
-    """A device that connects to a run as soon as it listens, sends some parts, and goes silent with its line open."""
+    """A device that connects to a run as soon as it listens, sends some parts, and goes silent
+    with its line open.
+    """
 
     def __init__(self, port, parts):
         super().__init__(daemon=True)
@@ -83,7 +96,9 @@ HANDSHAKES = {
 @pytest.mark.parametrize(
     "parts",
     [
-        each if each in ("nothing", "a device that vanishes") else pytest.param(each, marks=pytest.mark.slow)
+        each
+        if each in ("nothing", "a device that vanishes")
+        else pytest.param(each, marks=pytest.mark.slow)
         for each in HANDSHAKES
     ],
 )
@@ -96,7 +111,9 @@ def test_a_run_with_a_silent_connection_finishes(parts):
 
 
 def test_a_device_takes_the_place_of_one_that_reads_no_more():
-    """The first one's buffers are full, so that a packet for it waits; the second one gets its wrenches at once."""
+    """The first one's buffers are full, so that a packet for it waits; the second one gets its
+    wrenches at once.
+    """
     with NetworkAdapter(Hardware(address="ws://127.0.0.1:0")) as adapter:
         port = int(adapter.address.rpartition(":")[2])
         first = Peer(port, [REQUEST, framed(packet(HELLO, 1), masked=True)])
@@ -124,7 +141,9 @@ def test_a_device_takes_the_place_of_one_that_reads_no_more():
 
 
 def packet_of_kind(heard, kind):
-    """The first packet of a kind in what came over a line, which begins with the answer to the handshake."""
+    """The first packet of a kind in what came over a line, which begins with the answer to the
+    handshake.
+    """
     for match in re.finditer(rb"TDEV", heard):
         data = heard[match.start() :]
         size = 28 + struct.unpack_from("<H", data, 6)[0] if len(data) > 8 else len(data) + 1
@@ -170,7 +189,9 @@ class Service(threading.Thread):
             line.sendall(b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\n\r\n")
             return
         key = re.search(rb"Sec-WebSocket-Key: (\S+)", request)[1]
-        accept = base64.b64encode(hashlib.sha1(key + b"258EAFA5-E914-47DA-95CA-C5AB0DC85B11").digest())
+        accept = base64.b64encode(
+            hashlib.sha1(key + b"258EAFA5-E914-47DA-95CA-C5AB0DC85B11").digest()
+        )
         line.sendall(
             b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
             b"Sec-WebSocket-Accept: " + accept + b"\r\n\r\n"
@@ -207,9 +228,16 @@ def test_a_service_that_never_states_its_version_is_used():
 
 @pytest.mark.parametrize("full", [False, True])
 def test_a_run_whose_service_vanishes_at_its_end_is_finished(full):
-    """The service reads no more in the last tenth of a second; its buffers may be full, so that zero cannot be sent."""
+    """The service reads no more in the last tenth of a second; its buffers may be full, so that
+    zero cannot be sent.
+    """
     service = Service()
-    keys = {"device": "haply", "hardware.address": service.url, "duration_s": 0.4, "coupling.stiffness_N_m": 100.0}
+    keys = {
+        "device": "haply",
+        "hardware.address": service.url,
+        "duration_s": 0.4,
+        "coupling.stiffness_N_m": 100.0,
+    }
 
     def vanish(tick, row):
         if tick == 300:
@@ -236,7 +264,9 @@ def test_a_run_whose_service_vanishes_at_its_end_is_finished(full):
 
 
 def fill(link):
-    """Fill the buffers of a connection, so that the next frame on it waits; in a thread that is left behind."""
+    """Fill the buffers of a connection, so that the next frame on it waits; in a thread that is
+    left behind.
+    """
     connection = link._socket
 
     def send():

@@ -1,7 +1,9 @@
-"""A run on Haply's device against a stand-in service: it presses, is stable, and every fault leaves it without force.
+"""A run on Haply's device against a stand-in service: it presses, is stable, and every fault leaves
+it without force.
 
-The stand-in runs in a process of its own and records when each force came. What is asserted is the order of commands;
-that zero comes within 50 ms of a fault is measured, and asserted of the best of some tries in the slow set.
+The stand-in runs in a process of its own and records when each force came. What is asserted is the
+order of commands; that zero comes within 50 ms of a fault is measured, and asserted of the best of
+some tries in the slow set.
 """
 
 import os
@@ -34,7 +36,8 @@ def scene_on(service, **changes):
 
 
 class Pressing:
-    """Goes along with a run: once it has pressed for a while a fault is made, and the run ends some time after that.
+    """Goes along with a run: once it has pressed for a while a fault is made, and the run ends some
+    time after that.
 
     Parameters
     ----------
@@ -43,7 +46,8 @@ class Pressing:
     fault
         Called in a thread of its own; returns when the fault began [s].
     expected
-        What the stand-in's last command has to become, called with its session and force, before the run ends.
+        What the stand-in's last command has to become, called with its session and force, before
+        the run ends.
     """
 
     def __init__(self, service, fault, expected=lambda session, force: not any(force)):
@@ -70,13 +74,17 @@ class Pressing:
 
 
 def zeroed(commands, began_s, until_s=None):
-    """Time from a fault to the zero behind the last other force [s]; the last one until then has to be zero."""
+    """Time from a fault to the zero behind the last other force [s]; the last one until then has
+    to be zero.
+    """
     kept = [each for each in commands if until_s is None or each[0] < until_s]
     forces = np.array([force for *_, force in kept])
     times = np.array([time_s for time_s, *_ in kept])
     pushing = np.flatnonzero(np.any(forces != 0.0, axis=1))
     assert not forces[-1].any(), "the last command is zero"
-    assert np.linalg.norm(forces[times < began_s], axis=1).max() > PUSHING_N, "it was pressed before the fault"
+    assert np.linalg.norm(forces[times < began_s], axis=1).max() > PUSHING_N, (
+        "it was pressed before the fault"
+    )
     return times[pushing[-1] + 1] - began_s
 
 
@@ -90,7 +98,9 @@ def best_of(tries, measure):
 
 
 class AtRest:
-    """Ends a run once it has been pushed without a break for so many ticks, in which the device moved by little."""
+    """Ends a run once it has been pushed without a break for so many ticks, in which the device
+    moved by little.
+    """
 
     def __init__(self, ticks, within_mm):
         self._depths, self._ticks, self._within = [], ticks, within_mm
@@ -106,7 +116,9 @@ class AtRest:
 
 @pytest.mark.parametrize("version", ["3.5.0", "3.1.2"])
 def test_a_wall_is_pressed_in_closed_loop_until_hand_and_wall_balance(version):
-    """At the stiffness that the judge finds stable it comes to rest, where the hand's spring holds the wall's."""
+    """At the stiffness that the judge finds stable it comes to rest, where the hand's spring
+    holds the wall's.
+    """
     with RemoteService(version=version, press_m=0.03) as service:
         at_rest = AtRest(150, 0.2)
         run = simulate(scene_on(service), on_tick=at_rest)
@@ -163,7 +175,9 @@ def test_zero_follows_a_fault_of_the_service_soon(name, tmp_path):
 
 
 def after_shuffling(states):
-    """Of a hand that goes around in a circle, states of so many milliseconds come in a random order."""
+    """Of a hand that goes around in a circle, states of so many milliseconds come in a random
+    order.
+    """
     with RemoteService(press_m=0.035, circle_m=0.03) as service:
         pressing = Pressing(service, lambda: service.set(shuffled=states))
         run = simulate(scene_on(service), on_tick=pressing)
@@ -272,7 +286,9 @@ simulate(load_scene("wall", values), on_tick=on_tick, out=Path(sys.argv[2]))
 def after_signal(name, folder):
     with RemoteService(press_m=0.03) as service:
         command = [sys.executable, "-c", CHILD, service.url, str(folder)]
-        child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        child = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        )
         try:
             while (line := child.stdout.readline()) and line != "pressed\n":
                 pass
@@ -298,9 +314,13 @@ def test_a_device_that_is_not_calibrated_is_refused_before_the_run(tmp_path):
     status = {"calibrated": False, "power_supply": True, "ready": True, "in_use": False}
     with RemoteService(status=status) as service:
         with pytest.raises(
-            InputError, match=r"^haply must be calibrated, got calibrated = false of 049D: calibrate it"
+            InputError,
+            match=r"^haply must be calibrated, got calibrated = false of 049D: calibrate it",
         ):
             simulate(scene_on(service), out=tmp_path / "run")
         assert service.commands() == []
-    with pytest.raises(InputError, match=r"haply must be reached at ws://127\.0\.0\.1:.*: start the Inverse Service"):
+    with pytest.raises(
+        InputError,
+        match=r"haply must be reached at ws://127\.0\.0\.1:.*: start the Inverse Service",
+    ):
         simulate(scene_on(service))

@@ -91,14 +91,18 @@ def test_a_helper_that_is_stopped_is_given_up_and_sending_to_it_does_not_block(e
     assert echo.receive(longest_s=60.0) == 1
     os.kill(echo.number, signal.SIGSTOP)
     echo.send(np.zeros(1_000_000))
-    with pytest.raises(HelperLostError, match=r"the process that echoes was stopped and has done nothing for 1\.5 s"):
+    with pytest.raises(
+        HelperLostError,
+        match=r"the process that echoes was stopped and has done nothing for 1\.5 s",
+    ):
         echo.receive(longest_s=60.0)
     assert gone(echo.number)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("does", "message"), [("sleep", "hangs and has done nothing for 1.5 s"), ("busy", "took longer than 2.5 s")]
+    ("does", "message"),
+    [("sleep", "hangs and has done nothing for 1.5 s"), ("busy", "took longer than 2.5 s")],
 )
 def test_a_helper_that_hangs_or_works_for_ever_is_given_up(echo, does, message):
     echo.send(does)
@@ -112,7 +116,8 @@ def test_a_helper_that_is_killed_is_named_by_its_signal(echo):
     os.kill(echo.number, signal.SIGKILL)
     echo.send(1)
     with pytest.raises(
-        HelperLostError, match=r"the process that echoes was ended by SIGKILL \(memory may have run out\)"
+        HelperLostError,
+        match=r"the process that echoes was ended by SIGKILL \(memory may have run out\)",
     ):
         echo.receive(longest_s=60.0)
 
@@ -143,7 +148,9 @@ def plain():
 @pytest.mark.parametrize("when", ["begun", "last"])
 @pytest.mark.parametrize("name", ["SIGKILL", "SIGSTOP"])
 def test_a_run_that_loses_its_stress_keeps_all_else(plain, tmp_path, monkeypatch, name, when):
-    """Bone, trace and pictures are those of the run that nothing disturbs; one sentence names what is missing."""
+    """Bone, trace and pictures are those of the run that nothing disturbs; one sentence names
+    what is missing.
+    """
     if not hasattr(signal, name):
         pytest.skip(f"this system has no {name}")
     monkeypatch.setattr("tissue.system.child.IDLE_S", 2.0)
@@ -164,15 +171,21 @@ def test_a_run_that_loses_its_stress_keeps_all_else(plain, tmp_path, monkeypatch
     assert saved.complete and (out / "bone.stl").is_file()
     np.testing.assert_array_equal(saved.trace.rows, plain.trace.rows)
     np.testing.assert_array_equal(run.remaining, plain.remaining)
-    message = [each["what"] for each in saved.summary["events"] if "solves the stress" in each["what"]]
-    how = "was ended by SIGKILL" if name == "SIGKILL" else "was stopped and has done nothing for 2 s"
+    message = [
+        each["what"] for each in saved.summary["events"] if "solves the stress" in each["what"]
+    ]
+    how = (
+        "was ended by SIGKILL" if name == "SIGKILL" else "was stopped and has done nothing for 2 s"
+    )
     assert (
         len(message) == 1
         and how in message[0]
         and message[0].endswith("no stress and no frames, everything else goes on")
     )
     if (out / "pictures").is_dir():
-        assert {"removed_depth.png", "force_torque.png"} <= {each.name for each in (out / "pictures").iterdir()}
+        assert {"removed_depth.png", "force_torque.png"} <= {
+            each.name for each in (out / "pictures").iterdir()
+        }
 
 
 PARENT = """
@@ -194,7 +207,9 @@ def test_a_killed_process_leaves_neither_helper_nor_its_helper(tmp_path, monkeyp
     (tmp_path / "sleeping.py").write_text("import time\ntime.sleep(1000)\n")
     code = f"import tissue.system.child; tissue.system.child.START = {start_in(tmp_path)!r}\n"
     (tmp_path / "waiting.py").write_text(code + WAITING)
-    with subprocess.Popen([sys.executable, "-c", code + PARENT], stdout=subprocess.PIPE, text=True) as parent:
+    with subprocess.Popen(
+        [sys.executable, "-c", code + PARENT], stdout=subprocess.PIPE, text=True
+    ) as parent:
         numbers = [int(parent.stdout.readline()), int(parent.stdout.readline())]
         if stopped:
             os.kill(numbers[0], signal.SIGSTOP)
@@ -207,12 +222,23 @@ def test_a_command_of_no_python_is_empty(monkeypatch):
     assert child_command("tissue.show.viewer.view") == []
 
 
-def test_a_helper_that_is_lost_before_the_first_tick_ends_the_run_in_a_sentence(tmp_path, monkeypatch, command):
+def test_a_helper_that_is_lost_before_the_first_tick_ends_the_run_in_a_sentence(
+    tmp_path, monkeypatch, command
+):
     def lost(*_, **__):
         raise HelperLostError("the process that solves the stress was ended by SIGKILL")
 
     monkeypatch.setattr("tissue.models.tooth.stress_process.StressProcess", lost)
-    changes = [f"--set={key}={value}" for key, value in TOOTH.items() if key.startswith(("voxels", "stress"))]
-    code, _, message = command("run", "molar", *changes, "--duration-s", 0.01, "--out", tmp_path / "run")
-    assert (code, message) == (1, "error: the process that solves the stress was ended by SIGKILL: run it again\n")
+    changes = [
+        f"--set={key}={value}"
+        for key, value in TOOTH.items()
+        if key.startswith(("voxels", "stress"))
+    ]
+    code, _, message = command(
+        "run", "molar", *changes, "--duration-s", 0.01, "--out", tmp_path / "run"
+    )
+    assert (code, message) == (
+        1,
+        "error: the process that solves the stress was ended by SIGKILL: run it again\n",
+    )
     assert not (tmp_path / "run").exists()

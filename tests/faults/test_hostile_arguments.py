@@ -1,4 +1,6 @@
-"""Arguments, streams and places that no command can use end in one sentence, and never in a traceback."""
+"""Arguments, streams and places that no command can use end in one sentence, and never in a
+traceback.
+"""
 
 import json
 import os
@@ -34,8 +36,12 @@ def nowhere(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("value", [nested(DEEP), nested(DEEP, "{a=", "}", "1"), DIGITS, 15 * DIGITS, nested(40)])
-@pytest.mark.parametrize("key", ["hand", "seed", "motion.points_mm", "coupling.stiffness_N_m", "keep_clear.files"])
+@pytest.mark.parametrize(
+    "value", [nested(DEEP), nested(DEEP, "{a=", "}", "1"), DIGITS, 15 * DIGITS, nested(40)]
+)
+@pytest.mark.parametrize(
+    "key", ["hand", "seed", "motion.points_mm", "coupling.stiffness_N_m", "keep_clear.files"]
+)
 def test_a_value_that_is_nested_or_long_is_refused(refused, tmp_path, key, value):
     message = refused("run", "wall", "--set", f"{key}={value}", "--out", tmp_path / "out")
     assert key in message and len(message) < 1000
@@ -64,13 +70,19 @@ def test_a_whole_number_of_hundreds_of_digits_in_a_file_is_infinite():
 
 
 def test_a_key_of_thousands_of_parts_is_refused(refused, tmp_path):
-    assert "dots" in refused("run", "wall", "--set", f"{'.'.join(DEEP * ['a'])}=1", "--out", tmp_path / "out")
+    assert "dots" in refused(
+        "run", "wall", "--set", f"{'.'.join(DEEP * ['a'])}=1", "--out", tmp_path / "out"
+    )
 
 
-@pytest.mark.parametrize("text", [f"a = {nested(DEEP)}", f"[{'.'.join(DEEP * ['a'])}]", f"a = {15 * DIGITS}"])
+@pytest.mark.parametrize(
+    "text", [f"a = {nested(DEEP)}", f"[{'.'.join(DEEP * ['a'])}]", f"a = {15 * DIGITS}"]
+)
 def test_a_scene_that_is_nested_or_long_is_refused(refused, tmp_path, text):
     (tmp_path / "deep.toml").write_text(f'name = "x"\n{text}\n')
-    assert "scene must be valid TOML" in refused("run", tmp_path / "deep.toml", "--out", tmp_path / "out")
+    assert "scene must be valid TOML" in refused(
+        "run", tmp_path / "deep.toml", "--out", tmp_path / "out"
+    )
 
 
 def test_tables_are_read_to_a_stated_depth():
@@ -98,9 +110,12 @@ def test_tables_are_read_to_a_stated_depth():
     ],
 )
 @pytest.mark.parametrize(
-    "text", [nested(DEEP), '{"a": ' + nested(DEEP) + "}", nested(DEEP, '{"a":', "}", "1"), 15 * DIGITS]
+    "text",
+    [nested(DEEP), '{"a": ' + nested(DEEP) + "}", nested(DEEP, '{"a":', "}", "1"), 15 * DIGITS],
 )
-def test_a_file_that_is_nested_or_long_is_refused(refused, tmp_path, monkeypatch, file, arguments, text):
+def test_a_file_that_is_nested_or_long_is_refused(
+    refused, tmp_path, monkeypatch, file, arguments, text
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "out").mkdir()
     (tmp_path / file).write_text(f"a = {text}\n" if file.endswith(".toml") else f"{text}\n")
@@ -108,23 +123,47 @@ def test_a_file_that_is_nested_or_long_is_refused(refused, tmp_path, monkeypatch
 
 
 def test_the_character_nul_is_refused(refused, tmp_path):
-    for change in ('materials="a\\u0000b"', 'perception="observer:a\\u0000b"', 'coupling.predictor_file="a\\u0000b"'):
-        assert "without the character NUL" in refused("run", "wall", "--set", change, "--out", tmp_path / "out")
+    for change in (
+        'materials="a\\u0000b"',
+        'perception="observer:a\\u0000b"',
+        'coupling.predictor_file="a\\u0000b"',
+    ):
+        assert "without the character NUL" in refused(
+            "run", "wall", "--set", change, "--out", tmp_path / "out"
+        )
     scene = load_scene("glenoid")
     with pytest.raises(InputError, match=r"anatomy\.file must be a text without the character NUL"):
         changed(scene, {"anatomy.file": "a\0b.stl"})
-    (tmp_path / "x.toml").write_text('name = "x"\n[anatomy]\nkind = "glenoid"\nfile = "a\\u0000b.stl"\n')
-    assert "without the character NUL" in refused("run", tmp_path / "x.toml", "--out", tmp_path / "out")
+    (tmp_path / "x.toml").write_text(
+        'name = "x"\n[anatomy]\nkind = "glenoid"\nfile = "a\\u0000b.stl"\n'
+    )
+    assert "without the character NUL" in refused(
+        "run", tmp_path / "x.toml", "--out", tmp_path / "out"
+    )
 
 
-@pytest.mark.parametrize("place", ["dangling", "loop", "dangling/below", "loop/below", "x\udcff", "nul\0"])
+@pytest.mark.parametrize(
+    "place", ["dangling", "loop", "dangling/below", "loop/below", "x\udcff", "nul\0"]
+)
 @pytest.mark.parametrize(
     "arguments",
-    [WALL, ("sweep", "wall", "--set", "seed=1,2"), ("stability", "wall"), ("compare", "a", "b"), ("chart", "perception"),
-     ("study", "plan"), ("fit", "wall", "--measured", "x.csv"), ("import", "x.nrrd"), ("schema",), ("train", "wall")],
+    [
+        WALL,
+        ("sweep", "wall", "--set", "seed=1,2"),
+        ("stability", "wall"),
+        ("compare", "a", "b"),
+        ("chart", "perception"),
+        ("study", "plan"),
+        ("fit", "wall", "--measured", "x.csv"),
+        ("import", "x.nrrd"),
+        ("schema",),
+        ("train", "wall"),
+    ],
     ids=lambda arguments: arguments[0],
-)  # fmt: skip
-def test_a_place_that_cannot_be_used_is_refused_before_anything_is_computed(refused, nowhere, place, arguments):
+)
+def test_a_place_that_cannot_be_used_is_refused_before_anything_is_computed(
+    refused, nowhere, place, arguments
+):
     before = sorted(os.listdir(nowhere))
     assert refused(*arguments, "--out", place).startswith("out must ")
     assert sorted(os.listdir(nowhere)) == before
@@ -141,8 +180,13 @@ def test_a_report_is_refused_where_it_cannot_be_written(refused, nowhere, place)
 
 def test_a_sweep_of_millions_is_refused_at_once(refused, tmp_path):
     numbers = ",".join(map(str, range(1, 161)))
-    changes = [("--set", f"{key}={numbers}") for key in ("seed", "motion.feed_mm_s", "coupling.stiffness_N_m")]
-    message = refused("sweep", "wall", *(word for change in changes for word in change), "--out", tmp_path / "out")
+    changes = [
+        ("--set", f"{key}={numbers}")
+        for key in ("seed", "motion.feed_mm_s", "coupling.stiffness_N_m")
+    ]
+    message = refused(
+        "sweep", "wall", *(word for change in changes for word in change), "--out", tmp_path / "out"
+    )
     assert "got 4096000 combinations" in message and not (tmp_path / "out").exists()
     with pytest.raises(InputError, match="at most"):
         import tissue
@@ -168,7 +212,15 @@ def test_a_working_directory_that_is_gone_is_named(tmp_path):
 
 @pytest.mark.slow
 def test_a_stream_that_takes_ascii_alone_is_served(tmp_path):
-    arguments = ("run", "milling", "--set", "voxels.spacing_mm=0.8", "--duration-s", "0.02", "--no-pictures")
+    arguments = (
+        "run",
+        "milling",
+        "--set",
+        "voxels.spacing_mm=0.8",
+        "--duration-s",
+        "0.02",
+        "--no-pictures",
+    )
     command = [MAIN[2], *arguments, "--out", str(tmp_path / "out")]
     code, out, error = ended(command, env=ENVIRONMENT | {"PYTHONIOENCODING": "ascii"})
     assert code == 0 and error == "" and "removed" in out and out.isascii()
@@ -178,7 +230,10 @@ def test_a_stream_that_takes_ascii_alone_is_served(tmp_path):
 def test_streams_that_are_closed_are_no_place_for_files(tmp_path):
     """What a library prints to a closed stream would go into the file that was opened first."""
     out = tmp_path / "out"
-    close = "import os; [os.close(number) for number in (0, 1, 2)]; from tissue.cli.main import main; main()"
+    close = (
+        "import os; [os.close(number) for number in (0, 1, 2)]; from tissue.cli.main import "
+        "main; main()"
+    )
     command = [close, *WALL, "--out", str(out)]
     assert ended(command, capture_output=False)[0] == 0
     held = json.loads((out / "summary.json").read_text())

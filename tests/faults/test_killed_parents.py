@@ -11,7 +11,9 @@ import pytest
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(not sys.platform.startswith("linux"), reason="processes are found by their command lines"),
+    pytest.mark.skipif(
+        not sys.platform.startswith("linux"), reason="processes are found by their command lines"
+    ),
 ]
 ROOT = Path(__file__).resolve().parents[2]
 MAIN = [sys.executable, "-c", "from tissue.cli.main import main; main()"]
@@ -62,7 +64,9 @@ def gone(processes, within_s):
 @pytest.mark.parametrize("later_s", [0.0, 4.0])
 def test_the_workers_of_a_sweep_end_with_it(tmp_path, later_s):
     values = ("--set", "voxels.spacing_mm=0.2,0.21", "--set", "duration_s=8")
-    process = started(tmp_path, "sweep", "milling", *values, "--workers", 2, "--out", tmp_path / "out")
+    process = started(
+        tmp_path, "sweep", "milling", *values, "--workers", 2, "--out", tmp_path / "out"
+    )
     workers = children(process, "multiprocessing-fork", 2)
     time.sleep(later_s)
     workers += psutil.Process(process.pid).children(recursive=True)
@@ -78,10 +82,19 @@ def files(place):
 
 
 def test_a_drawing_leaves_no_mesh_behind(tmp_path):
-    changes = ("--set", "voxels.spacing_mm=0.3", "--set", "motion.feed_mm_s=50", "--duration-s", 0.1)
+    changes = (
+        "--set",
+        "voxels.spacing_mm=0.3",
+        "--set",
+        "motion.feed_mm_s=50",
+        "--duration-s",
+        0.1,
+    )
     process = started(tmp_path, "run", "milling", *changes, "--out", tmp_path / "out")
     drawing = children(process, "tissue.show.figures.rendering", 1)
-    while drawing[0].is_running() and not (tmp_path / "out/pictures/bone_before_after.png").exists():
+    while (
+        drawing[0].is_running() and not (tmp_path / "out/pictures/bone_before_after.png").exists()
+    ):
         left = files(tmp_path)  # a kill at any moment of the drawing would leave these
         assert max(left.values(), default=0) < MESH_BYTES, left
         time.sleep(0.02)
@@ -91,7 +104,9 @@ def test_a_drawing_leaves_no_mesh_behind(tmp_path):
 
 
 def test_a_command_that_is_killed_ends_its_drawing(tmp_path):
-    process = started(tmp_path, "run", "milling", "--set", "voxels.spacing_mm=0.4", "--duration-s", 0.02)
+    process = started(
+        tmp_path, "run", "milling", "--set", "voxels.spacing_mm=0.4", "--duration-s", 0.02
+    )
     drawing = children(process, "tissue.show.figures.rendering", 1)
     process.kill()
     process.wait()

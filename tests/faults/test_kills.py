@@ -1,4 +1,6 @@
-"""Commands killed at random moments, and stopped by signals: what was finished is kept, nothing is left behind."""
+"""Commands killed at random moments, and stopped by signals: what was finished is kept, nothing
+is left behind.
+"""
 
 import csv
 import json
@@ -31,23 +33,47 @@ TIMED = ("median_us", "p99_us", "missed", "far_us", "built_s")
 """Columns of a chart that are measured by the clock."""
 MOLAR = (
     *("run", "molar", "--set", "voxels.spacing_mm=0.2", "--set", "stress.cell_mm=0.8"),
-    *("--set", "stress.interval_ms=10", "--set", "motion.feed_mm_s=3", "--duration-s", "0.1", "--no-pictures"),
+    *(
+        "--set",
+        "stress.interval_ms=10",
+        "--set",
+        "motion.feed_mm_s=3",
+        "--duration-s",
+        "0.1",
+        "--no-pictures",
+    ),
 )
 STUDY = (
-    *("study", "run", "--trials", "3", "--tasks", "T2", "--groups", "novice", "--methods", "penalty"),
+    *(
+        "study",
+        "run",
+        "--trials",
+        "3",
+        "--tasks",
+        "T2",
+        "--groups",
+        "novice",
+        "--methods",
+        "penalty",
+    ),
     *("--no-sensitivity", "--workers", "2"),
 )
 
 
 class Command:
-    """The ``tissue`` command in a process of its own, by whose mark all that it starts are found."""
+    """The ``tissue`` command in a process of its own, by whose mark all that it starts are
+    found.
+    """
 
     def __init__(self, place, *arguments):
         self.mark = uuid4().hex
         variables = {"PYTHONPATH": str(ROOT), "TISSUE_CACHE": str(place / "cache"), MARK: self.mark}
         heeding = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
         self.begun = place / f"{self.mark}.begun"
-        code = heeding + f"from tissue.__main__ import main; open({str(self.begun)!r}, 'w').close(); main()"
+        code = (
+            heeding
+            + f"from tissue.__main__ import main; open({str(self.begun)!r}, 'w').close(); main()"
+        )
         self.process = subprocess.Popen(
             [sys.executable, "-c", code, *map(str, arguments)],
             cwd=place,
@@ -58,7 +84,9 @@ class Command:
         )
 
     def stopped_after(self, seconds, how):
-        """Send a signal a while after its first own line, unless it has ended; whether it was sent, what it printed."""
+        """Send a signal a while after its first own line, unless it has ended; whether it was
+        sent, what it printed.
+        """
         until = time.monotonic() + 60.0
         while not self.begun.exists() and time.monotonic() < until:
             time.sleep(0.005)
@@ -72,13 +100,18 @@ class Command:
     def left(self, within_s=30.0):
         """What it started and has not ended after a while."""
         until = time.monotonic() + within_s
-        while (found := [each for each in psutil.process_iter() if self._is_ours(each)]) and time.monotonic() < until:
+        while (
+            found := [each for each in psutil.process_iter() if self._is_ours(each)]
+        ) and time.monotonic() < until:
             time.sleep(0.1)
         return found
 
     def _is_ours(self, process):
         try:
-            return process.environ().get(MARK) == self.mark and process.status() != psutil.STATUS_ZOMBIE
+            return (
+                process.environ().get(MARK) == self.mark
+                and process.status() != psutil.STATUS_ZOMBIE
+            )
         except psutil.Error:
             return False
 
@@ -99,14 +132,23 @@ def check_run(out, whole, *, killed):
     if not killed:
         for name in ("trace.csv", "bone.stl", "bone.nrrd", "scene.toml"):
             assert (out / name).read_bytes() == (whole / name).read_bytes(), name
-        assert len(list((out / "fields").glob("*.vtu"))) == len(list((whole / "fields").glob("*.vtu"))) > 5
+        assert (
+            len(list((out / "fields").glob("*.vtu")))
+            == len(list((whole / "fields").glob("*.vtu")))
+            > 5
+        )
 
 
 def check_study(out, whole, *, killed):
-    """Every trial that is there is whole; the tables of a study that went on are those of one that never stopped."""
+    """Every trial that is there is whole; the tables of a study that went on are those of one
+    that never stopped.
+    """
     kept = [each for each in out.glob("trials/*.json") if not each.name.startswith(".")]
     for each in kept:
-        assert json.loads(each.read_text())["rows"] == json.loads((whole / "trials" / each.name).read_text())["rows"]
+        assert (
+            json.loads(each.read_text())["rows"]
+            == json.loads((whole / "trials" / each.name).read_text())["rows"]
+        )
     if not killed:
         assert len(kept) == 3
         assert (out / "trials.csv").read_bytes() == (whole / "trials.csv").read_bytes()
@@ -123,7 +165,9 @@ def check_trained(out, whole, *, killed):
 
 
 def check_session(out, whole, *, killed):
-    """The log holds the first trials of the whole session; the observer is there at the end alone."""
+    """The log holds the first trials of the whole session; the observer is there at the end
+    alone.
+    """
     name = "observer.trials.jsonl"
     log = out.with_name(name)
     if log.exists():
@@ -131,7 +175,10 @@ def check_session(out, whole, *, killed):
         lines = text[: text.rfind(b"\n") + 1]
         assert whole.with_name(name).read_bytes().startswith(lines)
     if out.exists() or not killed:
-        assert out.read_bytes() == whole.read_bytes() and log.read_bytes() == whole.with_name(name).read_bytes()
+        assert (
+            out.read_bytes() == whole.read_bytes()
+            and log.read_bytes() == whole.with_name(name).read_bytes()
+        )
 
 
 def check_chart(out, whole, *, killed):
@@ -142,14 +189,21 @@ def check_chart(out, whole, *, killed):
     tables = []
     for folder in (out, whole):
         with (folder / "wall.csv").open(encoding="utf-8", newline="") as file:
-            tables.append([{k: v for k, v in row.items() if k not in TIMED} for row in csv.DictReader(file)])
+            tables.append(
+                [{k: v for k, v in row.items() if k not in TIMED} for row in csv.DictReader(file)]
+            )
     assert tables[0] == tables[1] and len(tables[0]) > 3
 
 
 CASES = {
     "run": (MOLAR, "run", check_run, True),
     "study": (STUDY, "study", check_study, False),
-    "train": (("train", "wall", "--trials", "6", "--set", "duration_s=0.5"), "wall.npz", check_trained, True),
+    "train": (
+        ("train", "wall", "--trials", "6", "--set", "duration_s=0.5"),
+        "wall.npz",
+        check_trained,
+        True,
+    ),
     "calibrate": (
         ("calibrate", "--observer", "simulated:1", "--trials", "12", "--numbers", "4"),
         "observer.json",
@@ -184,7 +238,9 @@ def whole(tmp_path_factory):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", CASES)
 def test_a_kill_at_any_moment_loses_only_the_work_in_progress(tmp_path, whole, kind):
-    """Moments are drawn within what the command takes; after the kills it is run to its end on what they left."""
+    """Moments are drawn within what the command takes; after the kills it is run to its end on
+    what they left.
+    """
     wanted, lasts_s = whole(kind)
     line, name, check, anew = CASES[kind]
     out, rng = tmp_path / name, random.Random(f"{SEED} {kind}")
@@ -227,14 +283,20 @@ def test_a_stop_is_met_in_one_sentence(tmp_path, kind, how):
     """With 130 and 143, at moments from the first import on; and nothing is left running."""
     rng = random.Random(f"{SEED} {kind} {how}")
     for seconds in (rng.uniform(0.1, 0.6), rng.uniform(1.5, 6.0)):
-        out = tmp_path / f"{seconds:.3f}{'.json' if kind == 'calibrate' else '.npz' if kind == 'train' else ''}"
+        out = (
+            tmp_path
+            / f"{seconds:.3f}{'.json' if kind == 'calibrate' else '.npz' if kind == 'train' else ''}"
+        )
         command = Command(tmp_path, *STOPPED[kind], "--out", out)
         stopped, printed = command.stopped_after(seconds, getattr(signal, how))
-        message = "".join(line for line in printed.splitlines(keepends=True) if not PROGRESS.match(line))
+        message = "".join(
+            line for line in printed.splitlines(keepends=True) if not PROGRESS.match(line)
+        )
         assert "Traceback" not in message and message.count("\n") <= 1, printed
         code = command.process.returncode
         assert code != 2, message
-        if code == -getattr(signal, how):  # Python was ending after the command's last line: a shell shows 130 or 143
+        # Python was ending after the command's last line: a shell shows 130 or 143
+        if code == -getattr(signal, how):
             assert out.exists() and "stopped" not in message
         elif stopped and code != 0:
             assert code == (130 if how == "SIGINT" else 143), message
@@ -250,4 +312,8 @@ def test_a_stop_at_once_is_met_in_one_sentence(tmp_path):
     for how, code in ((signal.SIGINT, 130), (signal.SIGTERM, 143)):
         command = Command(tmp_path, "scenes")
         stopped, message = command.stopped_after(0.02, how)
-        assert stopped and command.process.returncode == code and message == "stopped before anything was begun\n"
+        assert (
+            stopped
+            and command.process.returncode == code
+            and message == "stopped before anything was begun\n"
+        )

@@ -18,13 +18,38 @@ POSES = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,tool_qx,tool_qy,tool_qz,tool_qw\n0
 BAD_TEXT = [
     ("surface", "zero.obj", OBJ.replace("f 1 3 2", "f 0 3 2"), "vertex numbers from 1"),
     ("surface", "beyond.obj", OBJ.replace("f 1 3 2", "f 99 3 2"), "must name vertices 1 to 8"),
-    ("surface", "back.obj", OBJ.replace("f 1 3 2", "f -99 3 2"), "names vertex -99 after 8 vertices"),
-    ("surface", "huge.obj", OBJ.replace("f 1 3 2", "f 99999999999999999999 3 2"), "must name vertices 1 to 8"),
+    (
+        "surface",
+        "back.obj",
+        OBJ.replace("f 1 3 2", "f -99 3 2"),
+        "names vertex -99 after 8 vertices",
+    ),
+    (
+        "surface",
+        "huge.obj",
+        OBJ.replace("f 1 3 2", "f 99999999999999999999 3 2"),
+        "must name vertices 1 to 8",
+    ),
     ("surface", "two.obj", OBJ.replace("f 1 3 2", "f 1 3"), "three or more vertex numbers"),
-    ("surface", "nan.obj", OBJ.replace("v 40.0 0.0 0.0", "v nan 0.0 0.0"), "vertices must be finite"),
-    ("surface", "flat.obj", OBJ.replace("v 40.0 0.0 0.0", "v 40.0 0.0"), "three numbers of a vertex"),
+    (
+        "surface",
+        "nan.obj",
+        OBJ.replace("v 40.0 0.0 0.0", "v nan 0.0 0.0"),
+        "vertices must be finite",
+    ),
+    (
+        "surface",
+        "flat.obj",
+        OBJ.replace("v 40.0 0.0 0.0", "v 40.0 0.0"),
+        "three numbers of a vertex",
+    ),
     ("surface", "word.obj", OBJ + "hello\n", "begins with no keyword"),
-    ("tets", "node.msh", MSH.replace("1 4 2 1 1 1 2 3 7", "1 4 2 1 1 1 2 3 77"), "must name nodes of the file, got 77"),
+    (
+        "tets",
+        "node.msh",
+        MSH.replace("1 4 2 1 1 1 2 3 7", "1 4 2 1 1 1 2 3 77"),
+        "must name nodes of the file, got 77",
+    ),
     ("tets", "short.msh", MSH.replace("1 4 2 1 1 1 2 3 7", "1 4 2 1 1 1 2 3"), "whole sections"),
     ("tets", "long.msh", MSH.replace("1 4 2 1 1 1 2 3 7", "1 4 2 1 1 1 2 3 7 8"), "whole sections"),
     ("tets", "twice.msh", MSH.replace("\n2 40.0 0.0 0.0", "\n1 40.0 0.0 0.0"), "whole sections"),
@@ -58,7 +83,9 @@ def refused(reader, path):
     return str(raised.value)
 
 
-@pytest.mark.parametrize(("reader", "name", "text", "sentence"), BAD_TEXT, ids=[case[1] for case in BAD_TEXT])
+@pytest.mark.parametrize(
+    ("reader", "name", "text", "sentence"), BAD_TEXT, ids=[case[1] for case in BAD_TEXT]
+)
 def test_a_bad_text_file_is_refused(tmp_path, reader, name, text, sentence):
     (tmp_path / name).write_text(text)
     assert sentence in refused(reader, tmp_path / name)
@@ -97,7 +124,8 @@ def test_a_bad_surface_is_refused(meshes, tmp_path, name, old, new):
 
 
 @pytest.mark.parametrize(
-    ("length", "message"), [(-50, "12 triangles in its header and 11 of them"), (60, "a part of its header and 0 of")]
+    ("length", "message"),
+    [(-50, "12 triangles in its header and 11 of them"), (60, "a part of its header and 0 of")],
 )
 def test_a_binary_stl_that_is_cut_is_refused(meshes, tmp_path, length, message):
     (tmp_path / "cut.stl").write_bytes((meshes / "binary.stl").read_bytes()[:length])
@@ -107,9 +135,13 @@ def test_a_binary_stl_that_is_cut_is_refused(meshes, tmp_path, length, message):
 def test_messages_for_the_author_of_a_parser_are_left_out(tmp_path):
     """A text file of PLY by its header, and noise by the names of its formats."""
     for name in ("noise.ply", "noise.vtp", "noise.vtk"):
-        (tmp_path / name).write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex x\n\xff\x00")
+        (tmp_path / name).write_bytes(
+            b"ply\nformat binary_little_endian 1.0\nelement vertex x\n\xff\x00"
+        )
         message = refused("surface", tmp_path / name)
-        assert not re.search(r"\w(Error|Exception)|object|codec", message) and message.endswith("export it again")
+        assert not re.search(r"\w(Error|Exception)|object|codec", message) and message.endswith(
+            "export it again"
+        )
 
 
 @pytest.mark.slow
@@ -134,13 +166,22 @@ def test_a_bad_file_of_vtk_is_refused(meshes, tmp_path, reader, name, old, new):
     assert "got " in refused(reader, tmp_path / name)
 
 
-SUMMARY = {"format": 1, "status": "interrupted", "scene": "milling", "layers": ["bone, hard"], "events": []}
+SUMMARY = {
+    "format": 1,
+    "status": "interrupted",
+    "scene": "milling",
+    "layers": ["bone, hard"],
+    "events": [],
+}
 
 
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"format": 99, "tissue": "9.0"}, "must be of format 1 or older, got 99, written by tissue 9.0"),
+        (
+            {"format": 99, "tissue": "9.0"},
+            "must be of format 1 or older, got 99, written by tissue 9.0",
+        ),
         ({"format": None}, "must state the version of its format"),
         ({"format": True}, "must state the version of its format"),
         ({"status": "fine"}, "must hold status"),
@@ -210,12 +251,16 @@ def test_names_from_files_are_shown_as_text(capsys):
 
 
 def test_forces_below_the_least_are_zero(monkeypatch):
-    """With a least force of 1 N in place of 1e-12 N, so that a short run holds some of either side."""
+    """With a least force of 1 N in place of 1e-12 N, so that a short run holds some of either
+    side.
+    """
     from tissue import load_scene, simulate
     from tissue.simulation.trace import LEAST_LOAD
 
     assert LEAST_LOAD == 1e-12
-    scene = load_scene("milling", {"voxels.spacing_mm": 0.8, "duration_s": 0.3, "motion.feed_mm_s": 40.0})
+    scene = load_scene(
+        "milling", {"voxels.spacing_mm": 0.8, "duration_s": 0.3, "motion.feed_mm_s": 40.0}
+    )
     plain = simulate(scene).trace
     monkeypatch.setattr("tissue.simulation.loop.LEAST_LOAD", 1.0)
     cleared = simulate(scene).trace

@@ -7,8 +7,28 @@ import pytest
 
 import tissue
 
-SCENE = {"voxels.spacing_mm": 0.8, "tool.shell_spacing_mm": 0.8, "duration_s": 0.8, "cutting.axial_chip_N_mm2": 0.0}
-CELLS = ("", "nan", "inf", "-inf", "1e300", "-1e300", "1e-300", "1_0", "1,5", "0", "abc", "12:30", "99999999", "\u0661")
+SCENE = {
+    "voxels.spacing_mm": 0.8,
+    "tool.shell_spacing_mm": 0.8,
+    "duration_s": 0.8,
+    "cutting.axial_chip_N_mm2": 0.0,
+}
+CELLS = (
+    "",
+    "nan",
+    "inf",
+    "-inf",
+    "1e300",
+    "-1e300",
+    "1e-300",
+    "1_0",
+    "1,5",
+    "0",
+    "abc",
+    "12:30",
+    "99999999",
+    "\u0661",
+)
 FACTORS = (-1.0, 0.0, 1e3, 1e-3, 1e6, 1e-6, -1e3, 1e12)
 NAMES = (
     "time_s",
@@ -59,11 +79,17 @@ def mutated(names, rows, chance):
             case 5:
                 cells[chance.randrange(len(rows)), at] = chance.choice(CELLS)
             case 6:
-                rows = rows[chance.choice([slice(None, None, -1), slice(0, 60), slice(None, None, 7), slice(0, 1)])]
+                rows = rows[
+                    chance.choice(
+                        [slice(None, None, -1), slice(0, 60), slice(None, None, 7), slice(0, 1)]
+                    )
+                ]
             case 7:
                 rows[chance.randrange(len(rows)) :, at] = chance.choice([0.0, 1e9, float("nan")])
             case 8:
-                flags.append(f"{chance.choice(NAMES)}={chance.choice(['-', ''])}{names[at]}:{chance.choice(UNITS)}")
+                flags.append(
+                    f"{chance.choice(NAMES)}={chance.choice(['-', ''])}{names[at]}:{chance.choice(UNITS)}"
+                )
             case 9:
                 rows = rows[np.array(chance.sample(range(len(rows)), len(rows)))]
             case 10:
@@ -72,7 +98,9 @@ def mutated(names, rows, chance):
                 rows[:, at] = chance.uniform(-10.0, 10.0)
     lines = [delimiter.join(names)]
     for number, row in enumerate(rows.tolist()):
-        lines.append(delimiter.join(cells.get((number, at), f"{value:.6g}") for at, value in enumerate(row)))
+        lines.append(
+            delimiter.join(cells.get((number, at), f"{value:.6g}") for at, value in enumerate(row))
+        )
     return "\n".join(lines) + "\n", flags
 
 
@@ -93,5 +121,10 @@ def outcome(text, flags, path, scene):
 def test_broken_logs_are_fitted_or_refused_in_one_sentence(tmp_path):
     names, rows = planted_log()
     scene = tissue.load_scene("milling", SCENE)
-    found = [outcome(*mutated(names, rows, random.Random(seed)), tmp_path / f"{seed}.csv", scene) for seed in range(12)]
-    assert any(isinstance(each, str) for each in found) and any(isinstance(each, int) for each in found)
+    found = [
+        outcome(*mutated(names, rows, random.Random(seed)), tmp_path / f"{seed}.csv", scene)
+        for seed in range(12)
+    ]
+    assert any(isinstance(each, str) for each in found) and any(
+        isinstance(each, int) for each in found
+    )

@@ -1,4 +1,6 @@
-"""A line to a network device that damages, repeats, reorders and invents packets: nothing false passes, nothing ends."""
+"""A line to a network device that damages, repeats, reorders and invents packets: nothing false
+passes, nothing ends.
+"""
 
 import struct
 import zlib
@@ -25,7 +27,9 @@ def spoilt(data, kind, rng):
     elif kind == "longer":
         raw += rng.bytes(int(rng.integers(1, 200)))
     elif kind == "noise":
-        raw = bytearray((b"TDEV" if rng.integers(2) else b"") + rng.bytes(int(rng.integers(0, 300))))
+        raw = bytearray(
+            (b"TDEV" if rng.integers(2) else b"") + rng.bytes(int(rng.integers(0, 300)))
+        )
     elif kind == "header":  # a whole packet, its checksum among it, whose fields are anything
         raw[4 : 4 + 12] = rng.bytes(12)
         raw[-4:] = struct.pack("<I", zlib.crc32(bytes(raw[:-4])))
@@ -51,7 +55,9 @@ def test_of_damaged_packets_only_whole_ones_pass(seed):
 
 @pytest.mark.parametrize("seed", range(ROUNDS))
 def test_a_damaged_line_gives_poses_in_order_and_loses_no_count(seed):
-    """Every packet that was handed over is counted once; poses that pass are those that were sent, in their order."""
+    """Every packet that was handed over is counted once; poses that pass are those that were
+    sent, in their order.
+    """
     rng = np.random.default_rng(1000 + seed)
     clock = iter(np.arange(0.0, 1e3, 1e-4))
     session = NetworkSession(lambda: float(next(clock)))
@@ -73,7 +79,9 @@ def test_a_damaged_line_gives_poses_in_order_and_loses_no_count(seed):
             if (sample := session.take()) is not None:
                 passed.append(sample.position_m[0])
     assert (
-        passed == sorted(set(passed)) and set(passed) <= {float(count) for count in range(1, 301)} and len(passed) > 5
+        passed == sorted(set(passed))
+        and set(passed) <= {float(count) for count in range(1, 301)}
+        and len(passed) > 5
     )
     counted = sum(count for name, count in session.counts.items() if name not in ("lost", "hellos"))
     assert counted == handed and session.counts["poses"] == len(passed) and session.peer == "me"
@@ -81,7 +89,9 @@ def test_a_damaged_line_gives_poses_in_order_and_loses_no_count(seed):
 
 @pytest.mark.parametrize("seed", range(10))
 def test_any_bytes_of_any_sender_leave_the_session_usable(seed):
-    """Whole packets of any kind and number from four senders, and noise: replies are hello or a refusal."""
+    """Whole packets of any kind and number from four senders, and noise: replies are hello or a
+    refusal.
+    """
     rng = np.random.default_rng(2000 + seed)
     clock = iter(np.arange(0.0, 1e3, 1e-3))
     session = NetworkSession(lambda: float(next(clock)))
@@ -90,11 +100,18 @@ def test_any_bytes_of_any_sender_leave_the_session_usable(seed):
         kind = int(rng.integers(0, 9))
         payload = rng.normal(size=lengths.get(kind, 0) // 8).tobytes()
         number = int(rng.choice([rng.integers(2**32), 2**32 - 1, 0, 1]))
-        data = packet(kind, number, payload, echo=int(rng.integers(2**32))) if rng.integers(4) else rng.bytes(60)
+        data = (
+            packet(kind, number, payload, echo=int(rng.integers(2**32)))
+            if rng.integers(4)
+            else rng.bytes(60)
+        )
         reply = session.receive(data, int(rng.integers(4)))
         assert reply is None or read(reply)[0] in (HELLO, 6)
         session.take()
-        if rng.integers(3) == 0 and (sending := session.wrench(((1.0, 0.0, 0.0), (0.0, 0.0, 0.0)))) is not None:
+        if (
+            rng.integers(3) == 0
+            and (sending := session.wrench(((1.0, 0.0, 0.0), (0.0, 0.0, 0.0)))) is not None
+        ):
             assert sending[0] == session.peer
     session.bye()
     assert read(session.receive(packet(HELLO, 1), "me"))[0] == HELLO

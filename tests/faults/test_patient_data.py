@@ -8,7 +8,15 @@ import image_writers as write
 import numpy as np
 import pytest
 
-SECRETS = ("Quillfeather", "Aurelia", "19481103", "PID-774411", "ACC-90817263", "Saint Elsewhere", "Drblackwood")
+SECRETS = (
+    "Quillfeather",
+    "Aurelia",
+    "19481103",
+    "PID-774411",
+    "ACC-90817263",
+    "Saint Elsewhere",
+    "Drblackwood",
+)
 UIDS = ("1.2.826.0.1.3680043.9.77.1", "1.2.826.0.1.3680043.9.77.2")
 PATIENT = [
     (0x08, 0x20, "DA", "19481103"),
@@ -54,8 +62,12 @@ def test_a_run_writes_nothing_of_the_patient(command, here, monkeypatch):
     code, out, error = command(*RUN, *SHORT)
     assert code == 0, error
     require_none((out + error).encode())
-    written = [file for folder in ("out", "cache") for file in (here / folder).rglob("*") if file.is_file()]
-    assert any(file.suffix == ".png" for file in written) and any(file.name == "summary.json" for file in written)
+    written = [
+        file for folder in ("out", "cache") for file in (here / folder).rglob("*") if file.is_file()
+    ]
+    assert any(file.suffix == ".png" for file in written) and any(
+        file.name == "summary.json" for file in written
+    )
     for file in written:
         require_none(file.name.encode() + file.read_bytes())
     assert "scan" in (here / "out" / "scene.toml").read_text()  # the folder's name is the user's
@@ -128,7 +140,9 @@ def test_several_series_are_named_by_number_and_slices(refused, here):
 
 
 def test_a_series_number_that_holds_a_name_is_left_out(refused, here):
-    write_block(here, each=lambda k: {"series": UIDS[k % 2], "series_number": "Aurelia" if k % 2 else 1})
+    write_block(
+        here, each=lambda k: {"series": UIDS[k % 2], "series_number": "Aurelia" if k % 2 else 1}
+    )
     sentence = refused(*RUN)
     assert "number ? of 6 slices" in sentence
     require_none(sentence.encode())

@@ -1,4 +1,6 @@
-"""Scenes broken at random: each loads, or is refused in one sentence; some of those that load are built and run."""
+"""Scenes broken at random: each loads, or is refused in one sentence; some of those that load
+are built and run.
+"""
 
 import os
 import random
@@ -16,10 +18,40 @@ from tissue.scene.load import saved_text
 SEED = os.environ.get("TISSUE_FUZZ_SEED", "")
 """Seed of other mutations than those of every day; without it a scene's number is its seed."""
 WILD = (
-    0, -1, 1, 1e300, -1e300, 1e-300, float("nan"), float("inf"), -float("inf"), 2**63, -(2**63), True, False, "", "0.1",
-    "none", "ä\u202e\x07", "a" * 5000, [], [0.0], [0, 0, 0], [[0, 0, 0]], [1, "x", None], {}, {"kind": "path"},
-    {"kind": 3}, {"a": {"b": {"c": 1}}}, [[float("nan")] * 3] * 2, "../..", "/", "\\", "novice", "touch",
-)  # fmt: skip
+    0,
+    -1,
+    1,
+    1e300,
+    -1e300,
+    1e-300,
+    float("nan"),
+    float("inf"),
+    -float("inf"),
+    2**63,
+    -(2**63),
+    True,
+    False,
+    "",
+    "0.1",
+    "none",
+    "ä\u202e\x07",
+    "a" * 5000,
+    [],
+    [0.0],
+    [0, 0, 0],
+    [[0, 0, 0]],
+    [1, "x", None],
+    {},
+    {"kind": "path"},
+    {"kind": 3},
+    {"a": {"b": {"c": 1}}},
+    [[float("nan")] * 3] * 2,
+    "../..",
+    "/",
+    "\\",
+    "novice",
+    "touch",
+)
 CHARACTERS = "=[]{}\",.#\n\t -+eE0159abz_'\\ä\x00\ufeff"
 
 
@@ -62,7 +94,9 @@ def mutated_table(table, chance):
                 other = of(table, chance.choice(list(leaves(table))))
                 inner[key] = deepcopy(chance.choice(list(other.values()) or [0]))
             case 7:
-                table[chance.choice(["stress", "heat", "organ", "coupling", "cutting", "x"])] = chance.choice(WILD)
+                table[chance.choice(["stress", "heat", "organ", "coupling", "cutting", "x"])] = (
+                    chance.choice(WILD)
+                )
             case _:
                 inner[key] = chance.choice(WILD)
     return table
@@ -87,7 +121,9 @@ def mutated_text(text, chance):
             case _:
                 text = (
                     text[:at]
-                    + chance.choice(["nan", "-inf", "1e999", "0x7f", "''", "[[", "true", "1979-05-27"])
+                    + chance.choice(
+                        ["nan", "-inf", "1e999", "0x7f", "''", "[[", "true", "1979-05-27"]
+                    )
                     + text[at:]
                 )
     return text
@@ -107,7 +143,9 @@ def written(number, tables, folder):
     else:
         text = mutated_text(text, chance)
     path = folder / "scene.toml"
-    path.write_bytes(text.encode("utf-8", "surrogatepass") if chance.random() < 0.98 else text.encode("utf-16"))
+    path.write_bytes(
+        text.encode("utf-8", "surrogatepass") if chance.random() < 0.98 else text.encode("utf-16")
+    )
     return path
 
 
@@ -133,7 +171,9 @@ def is_sentence(message):
 
 
 def share_refused(numbers, tables, folder):
-    """Part of the mutated scenes that are refused; those that load are kept by a run as they are."""
+    """Part of the mutated scenes that are refused; those that load are kept by a run as they
+    are.
+    """
     refused = 0
     for number in numbers:
         found = outcome(written(number, tables, folder))
@@ -148,13 +188,17 @@ def share_refused(numbers, tables, folder):
 
 
 def test_some_hundred_broken_scenes_load_or_are_refused_in_a_sentence(tables, tmp_path):
-    assert 0.3 < share_refused(range(300), tables, tmp_path) < 1.0, "mutations that break some and not all"
+    assert 0.3 < share_refused(range(300), tables, tmp_path) < 1.0, (
+        "mutations that break some and not all"
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_ten_thousand_broken_scenes_load_or_are_refused_in_a_sentence(tables, tmp_path):
-    assert 0.3 < share_refused(range(10_000), tables, tmp_path) < 1.0, "mutations that break some and not all"
+    assert 0.3 < share_refused(range(10_000), tables, tmp_path) < 1.0, (
+        "mutations that break some and not all"
+    )
 
 
 @pytest.mark.parametrize("count", [4, pytest.param(120, marks=pytest.mark.slow)])
@@ -177,7 +221,9 @@ def test_broken_scenes_that_load_are_built_or_refused_in_a_sentence(count, table
         except InputError as refusal:
             assert is_sentence(str(refusal)), f"scene {number}: {refusal}"
         except Exception as problem:
-            raise AssertionError(f"scene {number}: {(tmp_path / 'scene.toml').read_text('utf-8')[:2000]}") from problem
+            raise AssertionError(
+                f"scene {number}: {(tmp_path / 'scene.toml').read_text('utf-8')[:2000]}"
+            ) from problem
         built += 1
         if built == count:
             return

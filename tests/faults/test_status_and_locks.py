@@ -1,4 +1,6 @@
-"""The status of a run is reported truly, whatever ended it, and two processes never write one output."""
+"""The status of a run is reported truly, whatever ended it, and two processes never write one
+output.
+"""
 
 import json
 import os
@@ -30,7 +32,9 @@ def holder():
 
     def begin(path, kind):
         pipe = subprocess.PIPE
-        process = subprocess.Popen([sys.executable, "-c", HOLD, str(path), kind], stdin=pipe, stdout=pipe, text=True)
+        process = subprocess.Popen(
+            [sys.executable, "-c", HOLD, str(path), kind], stdin=pipe, stdout=pipe, text=True
+        )
         started.append(process)
         assert process.stdout.readline() == "held\n"
         return process
@@ -48,7 +52,9 @@ def test_a_second_process_is_kept_off_and_the_owner_is_named(tmp_path, holder, k
         out.parent.mkdir()
     process = holder(out, kind)
     for _ in range(2):  # the first refusal must not take the number away
-        with pytest.raises(InputError, match=f"which process {process.pid} is writing: wait for it"):
+        with pytest.raises(
+            InputError, match=f"which process {process.pid} is writing: wait for it"
+        ):
             OutputLock(out, folder=kind == "folder")
     process.kill()
     process.wait()
@@ -76,7 +82,8 @@ def test_a_run_is_kept_out_of_a_folder_that_another_writes(tmp_path, holder, ref
     process = holder(out, "folder")
     message = refused("run", "milling", "--out", out, *(["--overwrite"] if overwrite else []))
     assert message == (
-        f"out must have one writer at a time, got {out}, which process {process.pid} is writing: wait for it, end it, "
+        f"out must have one writer at a time, got {out}, which process {process.pid} is "
+        "writing: wait for it, end it, "
         "or choose another --out"
     )
     assert [each.name for each in out.iterdir()] == [".lock"]
@@ -86,13 +93,17 @@ def test_a_process_is_known_by_more_than_its_number():
     me = identity()
     assert is_alive(me)
     assert not is_alive(me | {"started_s": me["started_s"] - 60.0}), "a number that was given again"
-    assert is_alive(me | {"machine": "elsewhere", "id": 2**30}), "one of another machine cannot be looked for"
+    assert is_alive(me | {"machine": "elsewhere", "id": 2**30}), (
+        "one of another machine cannot be looked for"
+    )
     assert not is_alive(me | {"id": 2**30}) and not is_alive({}) and not is_alive(None)
     child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
     other = me | {"id": child.pid, "started_s": psutil.Process(child.pid).create_time()}
     assert is_alive(other)
     child.kill()
-    os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOWAIT) if hasattr(os, "waitid") else child.wait()
+    os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOWAIT) if hasattr(
+        os, "waitid"
+    ) else child.wait()
     assert not is_alive(other), "a zombie runs no longer"
     child.communicate()
 
@@ -103,7 +114,9 @@ def test_a_run_is_running_complete_failed_or_interrupted(tmp_path):
     folder.begin(load_scene("milling"))
     saved = SavedRun(out)
     assert (saved.status, saved.complete) == ("running", False)
-    assert f"goes on before its first tick was written, process {os.getpid()} writes it" in _about(saved)
+    assert f"goes on before its first tick was written, process {os.getpid()} writes it" in _about(
+        saved
+    )
     held = json.loads((out / "summary.json").read_text())
     held["process"]["started_s"] -= 1000.0
     (out / "summary.json").write_text(json.dumps(held))
@@ -126,7 +139,9 @@ def test_a_run_is_running_complete_failed_or_interrupted(tmp_path):
     ],
 )
 @pytest.mark.parametrize("when", ["ticks", "saving"])
-def test_what_ends_a_run_is_in_its_summary_and_its_trace_is_kept(tmp_path, monkeypatch, error, status, problem, when):
+def test_what_ends_a_run_is_in_its_summary_and_its_trace_is_kept(
+    tmp_path, monkeypatch, error, status, problem, when
+):
     class Ends(RunObserver):
         def before_tick(self, index):
             if index == 7 and when == "ticks":
@@ -162,7 +177,9 @@ def test_a_refused_scene_leaves_the_old_run_and_no_new_folder(tmp_path, monkeypa
     for folder, overwrite in ((out, True), (tmp_path / "new", False)):
         with pytest.raises(InputError):
             simulate(load_scene("milling", QUICK), out=folder, overwrite=overwrite)
-    assert {each.relative_to(out): each.read_bytes() for each in out.rglob("*") if each.is_file()} == before
+    assert {
+        each.relative_to(out): each.read_bytes() for each in out.rglob("*") if each.is_file()
+    } == before
     assert [each.name for each in tmp_path.iterdir()] == ["run"]
 
 
@@ -189,7 +206,9 @@ class Held:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="os.kill ends a process at once on Windows")
-@pytest.mark.parametrize(("name", "raised"), [("SIGTERM", Terminated), ("SIGINT", KeyboardInterrupt)])
+@pytest.mark.parametrize(
+    ("name", "raised"), [("SIGTERM", Terminated), ("SIGINT", KeyboardInterrupt)]
+)
 def test_a_stop_that_native_code_makes_an_error_of_its_own_is_still_a_stop(name, raised):
     number = getattr(signal, name)
     before = signal.signal(number, signal.default_int_handler)

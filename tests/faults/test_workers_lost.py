@@ -1,4 +1,6 @@
-"""Workers and drawing processes that are killed or stopped, and a Ctrl-C while something is drawn."""
+"""Workers and drawing processes that are killed or stopped, and a Ctrl-C while something is
+drawn.
+"""
 
 import multiprocessing
 import os
@@ -33,7 +35,11 @@ def test_a_worker_that_does_not_work_is_ended_and_reported(monkeypatch, how):
         assert first_done(pool, [pool.submit(abs, -3)], lambda *_: None).pop().result() == 3
         futures = [pool.submit(stop_oneself, getattr(signal, how)), pool.submit(abs, -4)]
         first_done(pool, futures, lambda doing, _: message.append(doing)).pop().result()
-    assert message == (["a worker was stopped and has done nothing for 1 s: it is ended"] if how == "SIGSTOP" else [])
+    assert message == (
+        ["a worker was stopped and has done nothing for 1 s: it is ended"]
+        if how == "SIGSTOP"
+        else []
+    )
     assert not multiprocessing.active_children()
 
 
@@ -41,7 +47,8 @@ def test_a_worker_that_does_not_work_is_ended_and_reported(monkeypatch, how):
 def drawing(tmp_path, monkeypatch):
     """A module that draws for ever, in one kind of window, and a place for its process's number."""
     (tmp_path / "drawing.py").write_text(
-        "import os, sys, time\nfrom pathlib import Path\nPath(sys.argv[1]).write_text(str(os.getpid()))\n"
+        "import os, sys, time\nfrom pathlib import "
+        "Path\nPath(sys.argv[1]).write_text(str(os.getpid()))\n"
         "time.sleep(1000)\n"
     )
     start = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); {child.START}"

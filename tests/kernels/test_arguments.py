@@ -1,4 +1,6 @@
-"""Arguments that a kernel writes, also through functions it calls, end in ``_out``; what ends so is written."""
+"""Arguments that a kernel writes, also through functions it calls, end in ``_out``; what ends so
+is written.
+"""
 
 import ast
 from collections.abc import Iterator
@@ -43,7 +45,9 @@ def names(node: ast.FunctionDef) -> list[str]:
 
 
 def stored(node: ast.FunctionDef) -> Iterator[str]:
-    """Names of which an entry is assigned, such as ``a`` in ``a.b[i] = c``; a struct's own copy is not an entry."""
+    """Names of which an entry is assigned, such as ``a`` in ``a.b[i] = c``; a struct's own copy
+    is not an entry.
+    """
     for each in ast.walk(node):
         if isinstance(each, ast.Assign | ast.AugAssign):
             for target in each.targets if isinstance(each, ast.Assign) else [each.target]:
@@ -66,14 +70,20 @@ def written() -> dict[tuple[str, str], set[str]]:
         for (module, name), node in found.items():
             for call in ast.walk(node):
                 callee = (
-                    (module, call.func.id) if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) else None
+                    (module, call.func.id)
+                    if isinstance(call, ast.Call) and isinstance(call.func, ast.Name)
+                    else None
                 )
                 if callee in found:
                     for argument, given in zip(names(found[callee]), call.args, strict=True):
                         base = given
                         while isinstance(base, ast.Attribute):
                             base = base.value
-                        if argument in result[callee] and isinstance(base, ast.Name) and base.id in names(node):
+                        if (
+                            argument in result[callee]
+                            and isinstance(base, ast.Name)
+                            and base.id in names(node)
+                        ):
                             grown = grown or base.id not in result[module, name]
                             result[module, name].add(base.id)
     return result

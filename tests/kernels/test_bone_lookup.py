@@ -1,4 +1,6 @@
-"""What bone was there before any cut, against plain NumPy: random bytes, three layers that meet, missing bricks."""
+"""What bone was there before any cut, against plain NumPy: random bytes, three layers that meet,
+missing bricks.
+"""
 
 import numpy as np
 import pytest
@@ -46,14 +48,19 @@ def volume_of(surface, boundary, layer, density):
     fraction = np.where(surface < SURFACE_ZERO, 255, 0).astype(np.uint8)
     return VoxelVolume(
         np.zeros(3), 1e-4, fraction, layer, density, ("a", "b", "c"), None, surface, boundary
-    )  # fmt: skip
+    )
 
 
 def look_up(volume, points):
     store = BrickStore.from_volume(volume, device="cpu")
     numbers = wp.zeros((len(points), 3), dtype=float, device="cpu")
     slopes = wp.zeros(len(points), dtype=wp.vec3, device="cpu")
-    inputs = [store.brick_of, store.material, store.nearby, wp.array(points, dtype=wp.vec3, device="cpu")]
+    inputs = [
+        store.brick_of,
+        store.material,
+        store.nearby,
+        wp.array(points, dtype=wp.vec3, device="cpu"),
+    ]
     wp.launch(evaluate, dim=len(points), inputs=inputs, outputs=[numbers, slopes], device="cpu")
     distance, layer, density = numbers.numpy().T
     return store, distance, layer.astype(int), density, slopes.numpy()
@@ -65,13 +72,21 @@ def random_points(random, count, shape):
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_random_bytes_against_numpy(seed):
-    """Three layers that meet in every cell, a brick left out, and bytes on both sides of every threshold."""
+    """Three layers that meet in every cell, a brick left out, and bytes on both sides of every
+    threshold.
+    """
     random = np.random.default_rng(seed)
     surface = random.integers(INSIDE, OUTSIDE + 1, SHAPE).astype(np.uint8)
-    boundary, layer = random.integers(1, FAR + 1, SHAPE).astype(np.uint8), random.integers(0, 3, SHAPE).astype(np.uint8)
+    boundary, layer = (
+        random.integers(1, FAR + 1, SHAPE).astype(np.uint8),
+        random.integers(0, 3, SHAPE).astype(np.uint8),
+    )
     density = random.integers(300, 1900, SHAPE).astype(np.uint16)
     surface[MISSING] = OUTSIDE
-    volume, points = volume_of(surface, boundary, layer, density), random_points(random, 20000, SHAPE)
+    volume, points = (
+        volume_of(surface, boundary, layer, density),
+        random_points(random, 20000, SHAPE),
+    )
     store, distance, kind, kg_m3, slope = look_up(volume, points)
     stored = stored_voxels(store.brick_of.numpy(), SHAPE)
     assert (~stored[MISSING]).all() and stored.sum() == stored.size - 512
@@ -88,7 +103,10 @@ def test_random_bytes_against_numpy(seed):
 
 def test_far_from_surface_and_layers_the_nearest_voxel_answers():
     random = np.random.default_rng(1)
-    layer, density = (random.integers(0, 3, SHAPE).astype(np.uint8), random.integers(300, 1900, SHAPE))
+    layer, density = (
+        random.integers(0, 3, SHAPE).astype(np.uint8),
+        random.integers(300, 1900, SHAPE),
+    )
     full = np.ones(SHAPE, dtype=np.uint8)
     volume = volume_of(INSIDE * full, FAR * full, layer, density.astype(np.uint16))
     points = random_points(random, 500, SHAPE)
@@ -104,12 +122,16 @@ def test_air_two_voxels_off_is_outside():
     surface[3, 3, 3] = SURFACE_ZERO - 60
     zeros = np.zeros_like(surface)
     points = random.uniform(5.0, 8.0, (100, 3))
-    _, distance, _, _, slope = look_up(volume_of(surface, zeros, zeros, zeros.astype(np.uint16)), points)
+    _, distance, _, _, slope = look_up(
+        volume_of(surface, zeros, zeros, zeros.astype(np.uint16)), points
+    )
     assert (distance == 2.0).all() and (slope == 0.0).all()
 
 
 def test_planes_between_layers_and_at_the_surface_lie_where_they_are():
-    """Stored to 1/63 and 1/127 voxel, a plane is met within a step by every point that is farther from it."""
+    """Stored to 1/63 and 1/127 voxel, a plane is met within a step by every point that is
+    farther from it.
+    """
     random = np.random.default_rng(3)
     for _ in range(5):
         normal, across = random.normal(size=(2, 3))
@@ -118,7 +140,10 @@ def test_planes_between_layers_and_at_the_surface_lie_where_they_are():
         surface, change = centres @ normal, centres @ across
         boundary = np.rint(np.clip(127 * np.abs(change), 0, FAR)).astype(np.uint8)
         volume = volume_of(
-            surface_steps(surface), boundary, (change > 0).astype(np.uint8), np.full(SHAPE, 1000, np.uint16)
+            surface_steps(surface),
+            boundary,
+            (change > 0).astype(np.uint8),
+            np.full(SHAPE, 1000, np.uint16),
         )
         points = random_points(random, 4000, SHAPE)
         points = points[((points > 1) & (points < np.array(SHAPE) - 1)).all(axis=1)]

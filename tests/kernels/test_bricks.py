@@ -12,13 +12,21 @@ from tissue.models.bone.bricks import BrickStore
 
 
 @wp.kernel
-def evaluate_cut(normal: wp.array(dtype=wp.vec3), distance: wp.array(dtype=float), volume_out: wp.array(dtype=float)):
+def evaluate_cut(
+    normal: wp.array(dtype=wp.vec3),
+    distance: wp.array(dtype=float),
+    volume_out: wp.array(dtype=float),
+):
     i = wp.tid()
     volume_out[i] = cube_behind_plane(plane_of(normal[i]), distance[i])
 
 
 @wp.kernel
-def locate(brick_of: wp.array3d(dtype=int), voxel: wp.array(dtype=wp.vec3i), place_out: wp.array2d(dtype=int)):
+def locate(
+    brick_of: wp.array3d(dtype=int),
+    voxel: wp.array(dtype=wp.vec3i),
+    place_out: wp.array2d(dtype=int),
+):
     i = wp.tid()
     place_out[i, 0] = voxel_row(brick_of, voxel[i][0], voxel[i][1], voxel[i][2])
     place_out[i, 1] = voxel_column(voxel[i][0], voxel[i][1], voxel[i][2])
@@ -26,13 +34,18 @@ def locate(brick_of: wp.array3d(dtype=int), voxel: wp.array(dtype=wp.vec3i), pla
 
 def cut_volumes(normals, distances):
     out = wp.zeros(len(distances), dtype=float, device="cpu")
-    arrays = [wp.array(normals, dtype=wp.vec3, device="cpu"), wp.array(distances, dtype=float, device="cpu")]
+    arrays = [
+        wp.array(normals, dtype=wp.vec3, device="cpu"),
+        wp.array(distances, dtype=float, device="cpu"),
+    ]
     wp.launch(evaluate_cut, dim=len(distances), inputs=arrays, outputs=[out], device="cpu")
     return out.numpy()
 
 
 def random_volume(shape=(21, 17, 30), seed=3):
-    """Random voxels with their distances; an empty brick with, near it, one that lies near the surface alone."""
+    """Random voxels with their distances; an empty brick with, near it, one that lies near the
+    surface alone.
+    """
     random = np.random.default_rng(seed)
     fraction = random.integers(0, 256, shape, dtype=np.uint8)
     fraction[8:16, 8:16, 8:24] = 0
@@ -40,7 +53,9 @@ def random_volume(shape=(21, 17, 30), seed=3):
     surface[8:16, 8:16, 8:16] = OUTSIDE
     layer = random.integers(0, 3, shape, dtype=np.uint8)
     density = random.integers(100, 2000, shape).astype(np.uint16)
-    return VoxelVolume(np.zeros(3), 1e-4, fraction, layer, density, ("a", "b", "c"), None, surface, boundary)
+    return VoxelVolume(
+        np.zeros(3), 1e-4, fraction, layer, density, ("a", "b", "c"), None, surface, boundary
+    )
 
 
 def test_plane_through_a_cube_against_counting():
@@ -58,7 +73,9 @@ def test_plane_through_a_cube_against_counting():
 def test_plane_along_the_axes_is_exact():
     normals = np.repeat(np.eye(3), 5, axis=0)
     distances = np.tile([-0.6, -0.25, 0.0, 0.25, 0.6], 3)
-    assert cut_volumes(normals, distances) == pytest.approx(np.tile([1.0, 0.75, 0.5, 0.25, 0.0], 3), abs=2e-4)
+    assert cut_volumes(normals, distances) == pytest.approx(
+        np.tile([1.0, 0.75, 0.5, 0.25, 0.0], 3), abs=2e-4
+    )
 
 
 def test_plane_and_its_opposite_fill_the_cube():
@@ -66,7 +83,9 @@ def test_plane_and_its_opposite_fill_the_cube():
     normals = random.normal(size=(200, 3))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     distances = random.uniform(-0.9, 0.9, 200)
-    assert cut_volumes(normals, distances) + cut_volumes(-normals, -distances) == pytest.approx(np.ones(200), abs=1e-5)
+    assert cut_volumes(normals, distances) + cut_volumes(-normals, -distances) == pytest.approx(
+        np.ones(200), abs=1e-5
+    )
 
 
 def test_store_keeps_every_voxel():
@@ -84,7 +103,11 @@ def test_empty_bricks_are_not_stored():
     assert brick_of[1, 1, 1] == -1
     assert len(store.remaining) == brick_of.size - 1
     near = brick_of[1, 1, 2]  # no bone, and within two voxels of its surface
-    assert near >= 0 and store.alive.numpy()[near] == 2**64 - 1 and not store.remaining.numpy()[near].any()
+    assert (
+        near >= 0
+        and store.alive.numpy()[near] == 2**64 - 1
+        and not store.remaining.numpy()[near].any()
+    )
 
 
 def test_rows_and_columns_point_at_the_voxels():
@@ -94,7 +117,11 @@ def test_rows_and_columns_point_at_the_voxels():
     places = wp.zeros((500, 2), dtype=int, device="cpu")
     inputs = [store.brick_of, wp.array(voxels, dtype=wp.vec3i, device="cpu")]
     wp.launch(locate, dim=500, inputs=inputs, outputs=[places], device="cpu")
-    remaining, material, nearby = store.remaining.numpy(), store.material.numpy(), store.nearby.numpy()
+    remaining, material, nearby = (
+        store.remaining.numpy(),
+        store.material.numpy(),
+        store.nearby.numpy(),
+    )
     for voxel, (row, column) in zip(voxels, places.numpy(), strict=True):
         inside = all(0 <= v < n for v, n in zip(voxel, volume.shape, strict=True))
         if row < 0:
@@ -102,8 +129,12 @@ def test_rows_and_columns_point_at_the_voxels():
         elif inside:
             at = tuple(voxel)
             assert remaining[row, column] == int(volume.fraction[at]) * 257
-            assert material[row, column] == (int(volume.density_kg_m3[at]) << 16) | int(volume.layer[at])
-            assert nearby[row, column] == (int(volume.layer_distance[at]) << 8) | int(volume.surface_distance[at])
+            assert material[row, column] == (int(volume.density_kg_m3[at]) << 16) | int(
+                volume.layer[at]
+            )
+            assert nearby[row, column] == (int(volume.layer_distance[at]) << 8) | int(
+                volume.surface_distance[at]
+            )
         else:  # fills up the last brick: air
             assert remaining[row, column] == 0 and nearby[row, column] & 255 > SURFACE_ZERO
     assert (store.swept.numpy() == 65535).all()
@@ -115,15 +146,21 @@ def test_trilinear_sampling_equals_scipy():
     points = np.random.default_rng(4).uniform(-1.0, 32.0, (2000, 3))
     padded = np.pad(volume.fraction / 255.0, 4)
     expected = map_coordinates(padded, points.T - 0.5 + 4, order=1)
-    assert store.sample(points * volume.spacing_m) == pytest.approx(expected, abs=2e-6)  # single precision coordinates
+    # single precision coordinates
+    assert store.sample(points * volume.spacing_m) == pytest.approx(expected, abs=2e-6)
 
 
 def test_a_voxel_outside_the_grid_on_any_side_has_no_row():
-    """Two bricks along each axis, all stored: rows of the inside, -1 one voxel beyond every face."""
+    """Two bricks along each axis, all stored: rows of the inside, -1 one voxel beyond every
+    face.
+    """
     brick_of = np.arange(8, dtype=np.int32).reshape(2, 2, 2)
     voxels = np.array(list(np.ndindex(18, 18, 18))) - 1
     places = wp.zeros((len(voxels), 2), dtype=int, device="cpu")
-    inputs = [wp.array(brick_of, dtype=int, device="cpu"), wp.array(voxels, dtype=wp.vec3i, device="cpu")]
+    inputs = [
+        wp.array(brick_of, dtype=int, device="cpu"),
+        wp.array(voxels, dtype=wp.vec3i, device="cpu"),
+    ]
     wp.launch(locate, dim=len(voxels), inputs=inputs, outputs=[places], device="cpu")
     inside = ((voxels >= 0) & (voxels < 16)).all(axis=1)
     rows = np.full(len(voxels), -1)

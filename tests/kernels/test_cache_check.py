@@ -1,4 +1,6 @@
-"""A damaged entry of Warp's kernel cache is compiled anew instead of breaking every later process."""
+"""A damaged entry of Warp's kernel cache is compiled anew instead of breaking every later
+process.
+"""
 
 import os
 import shutil
@@ -25,7 +27,12 @@ def run(cache):
     """Load a kernel of the project in a process of its own; return its exit code and output."""
     environment = os.environ | {"WARP_CACHE_PATH": str(cache), "PYTHONPATH": str(ROOT)}
     ended = subprocess.run(
-        [sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, "-c", PROGRAM],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
     )
     return ended.returncode, ended.stdout.split("\n")[0], ended.stderr
 
@@ -63,7 +70,8 @@ STRUCTURAL = ("empty", "truncated", "zeros")
 
 
 @pytest.mark.parametrize(
-    ("damage", "recorded"), [(name, True) for name in DAMAGE] + [(name, False) for name in STRUCTURAL]
+    ("damage", "recorded"),
+    [(name, True) for name in DAMAGE] + [(name, False) for name in STRUCTURAL],
 )
 @pytest.mark.parametrize("ending", [".o", ".meta"])
 def test_a_damaged_entry_is_found(cache, ending, damage, recorded):

@@ -9,7 +9,14 @@ from scipy.spatial.transform import Rotation
 from meshes.shapes.plane_cube import cube_fraction
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
-from tissue.cutters.profile import ball_burr, cylinder, flat_reamer, hemispherical_reamer, pear_bur, twist_drill
+from tissue.cutters.profile import (
+    ball_burr,
+    cylinder,
+    flat_reamer,
+    hemispherical_reamer,
+    pear_bur,
+    twist_drill,
+)
 from tissue.materials.constants import cutting_coefficients
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import ToolMotion
@@ -19,9 +26,13 @@ PROFILES = {
     "ball burr": ball_burr(diameter_m=4e-3),
     "cylinder": cylinder(diameter_m=3e-3, length_m=2e-3),
     "twist drill": twist_drill(diameter_m=2.5e-3, length_m=4e-3, point_angle_rad=2.06),
-    "hemispherical reamer": hemispherical_reamer(diameter_m=5e-3, peg_diameter_m=1e-3, peg_length_m=1e-3),
+    "hemispherical reamer": hemispherical_reamer(
+        diameter_m=5e-3, peg_diameter_m=1e-3, peg_length_m=1e-3
+    ),
     "pear bur": pear_bur(diameter_m=2.4e-3, length_m=3e-3),
-    "flat reamer": flat_reamer(diameter_m=4e-3, length_m=1e-3, peg_diameter_m=1e-3, peg_length_m=8e-4),
+    "flat reamer": flat_reamer(
+        diameter_m=4e-3, length_m=1e-3, peg_diameter_m=1e-3, peg_length_m=8e-4
+    ),
 }
 
 
@@ -38,7 +49,9 @@ def full_block(count=64):
 
 
 def stamp(profile, motion, removal="subvoxel"):
-    model = BoneModel(full_block(), Cutter(profile, 4, 500.0), (cutting_coefficients("bone"),), removal=removal)
+    model = BoneModel(
+        full_block(), Cutter(profile, 4, 500.0), (cutting_coefficients("bone"),), removal=removal
+    )
     model.place(motion)
     return model
 
@@ -55,7 +68,9 @@ def tilted():
 def signed_distance(profile, motion):
     """Distance of every voxel centre [voxel] by the profile's closed form, and its gradient."""
     volume = full_block()
-    centres = np.stack(np.meshgrid(*(volume.centres_m(axis) for axis in range(3)), indexing="ij"), axis=-1)
+    centres = np.stack(
+        np.meshgrid(*(volume.centres_m(axis) for axis in range(3)), indexing="ij"), axis=-1
+    )
     offset = centres.reshape(-1, 3) - motion.tip_m
     height = offset @ motion.rotation[:, 2]
     radius = np.sqrt(np.maximum((offset**2).sum(axis=1) - height**2, 0.0))
@@ -77,18 +92,25 @@ def dense(store, array):
 
 def blocks(store):
     """Whether each block of 2 x 2 x 2 voxels may hold bone, half the shape of the block."""
-    bits = np.unpackbits(store.alive.numpy().astype("<u8").view(np.uint8), bitorder="little").reshape(-1, 64)
+    bits = np.unpackbits(
+        store.alive.numpy().astype("<u8").view(np.uint8), bitorder="little"
+    ).reshape(-1, 64)
     rows = bits[store.brick_of.numpy()].astype(bool)
     count = rows.shape[0]
-    return rows.reshape(count, count, count, 4, 4, 4).transpose(0, 3, 1, 4, 2, 5).reshape((4 * count,) * 3)
+    return (
+        rows.reshape(count, count, count, 4, 4, 4)
+        .transpose(0, 3, 1, 4, 2, 5)
+        .reshape((4 * count,) * 3)
+    )
 
 
 @pytest.mark.parametrize("name", PROFILES)
 def test_subvoxel_carving_against_numpy(name):
     """Fractions from the tangent plane at every voxel, in closed form.
 
-    The kernel takes distances from a table of at least two cells a voxel, and the direction once a block where the
-    surface is smooth: within 0.03 of a voxel for 99 % of the surface, within 0.15 at edges, which the table rounds.
+    The kernel takes distances from a table of at least two cells a voxel, and the direction once a
+    block where the surface is smooth: within 0.03 of a voxel for 99 % of the surface, within 0.15
+    at edges, which the table rounds.
     """
     profile, motion = PROFILES[name], tilted()
     remaining = stamp(profile, motion).remaining() / 255.0
@@ -100,7 +122,8 @@ def test_subvoxel_carving_against_numpy(name):
     surface = np.abs(distance) <= 0.9
     smooth = surface & (np.abs(length - 1.0) < 0.01)
     print(
-        f"\n{name}: mean {error[surface].mean():+.4f}, 99 % smooth {np.percentile(np.abs(error[smooth]), 99):.3f}, "
+        f"\n{name}: mean {error[surface].mean():+.4f}, 99 % smooth "
+        f"{np.percentile(np.abs(error[smooth]), 99):.3f}, "
         f"all {np.percentile(np.abs(error[surface]), 99):.3f}, max {np.abs(error).max():.3f} voxel"
     )
     assert np.percentile(np.abs(error[smooth]), 99) < 0.025
@@ -112,7 +135,9 @@ def test_subvoxel_carving_against_numpy(name):
 
 @pytest.mark.parametrize("name", PROFILES)
 def test_binary_carving_against_numpy(name):
-    """Whole voxels by their centres; within 0.25 of the surface the table's rounding of edges may decide otherwise."""
+    """Whole voxels by their centres; within 0.25 of the surface the table's rounding of edges
+    may decide otherwise.
+    """
     profile, motion = PROFILES[name], tilted()
     remaining = stamp(profile, motion, "binary").remaining()
     distance, _ = signed_distance(profile, motion)
@@ -132,7 +157,9 @@ def test_binary_carving_against_numpy(name):
     ids=["ball burr", "cylinder", "pear bur"],
 )
 def test_a_convex_tool_passes_over_nothing_that_it_reaches(made, scale):
-    """The same integers where every block is looked at; 2 to 6 cells of the distance table in a voxel."""
+    """The same integers where every block is looked at; 2 to 6 cells of the distance table in a
+    voxel.
+    """
     turns = np.random.default_rng(5).uniform(-1.5, 1.5, (6, 3))
     found = []
     for convex in (True, False):
@@ -170,25 +197,44 @@ def test_cut_twice_is_cut_once():
 
 
 def test_the_kept_distance_is_that_to_the_ball():
-    """In stored steps of 1/4096 voxel; table, tangent sphere and rounding are 0.02 voxel off at most."""
-    model, (distance, _) = stamp(PROFILES["ball burr"], tilted()), signed_distance(PROFILES["ball burr"], tilted())
+    """In stored steps of 1/4096 voxel; table, tangent sphere and rounding are 0.02 voxel off at
+    most.
+    """
+    model, (distance, _) = (
+        stamp(PROFILES["ball burr"], tilted()),
+        signed_distance(PROFILES["ball burr"], tilted()),
+    )
     swept = dense(model.store, model.store.swept).astype(float)
     near = np.abs(distance) < 0.5  # every block of these is within reach
     assert (swept[near] - 32768.0) / 4096.0 == pytest.approx(distance[near], abs=0.02)
-    assert ((swept[near] - 32768.0) / 4096.0 - distance[near]).mean() == pytest.approx(0.0, abs=0.003)
+    assert ((swept[near] - 32768.0) / 4096.0 - distance[near]).mean() == pytest.approx(
+        0.0, abs=0.003
+    )
     assert (swept[distance < -4.0] == 0).all()  # swallowed
     assert (swept[distance > 4.0] == 65535).all()  # never near
 
 
 def test_a_swallowed_block_keeps_nothing():
-    """A block goes once its middle lies deeper than its half diagonal; all that has bone in it is still looked at."""
+    """A block goes once its middle lies deeper than its half diagonal; all that has bone in it
+    is still looked at.
+    """
     model = stamp(PROFILES["ball burr"], tilted())
-    middle = signed_distance(PROFILES["ball burr"], tilted())[0].reshape(32, 2, 32, 2, 32, 2).mean(axis=(1, 3, 5))
+    middle = (
+        signed_distance(PROFILES["ball burr"], tilted())[0]
+        .reshape(32, 2, 32, 2, 32, 2)
+        .mean(axis=(1, 3, 5))
+    )
     alive = blocks(model.store)
-    deep, clear = middle < -1.7320508 - 0.05, middle > -1.7320508 + 0.05  # the mean is not the middle's distance
+    # the mean is not the middle's distance
+    deep, clear = middle < -1.7320508 - 0.05, middle > -1.7320508 + 0.05
     assert not alive[deep].any() and alive[clear].all() and deep.any()
     for array in (model.store.remaining, model.store.swept):
-        assert not dense(model.store, array).reshape(32, 2, 32, 2, 32, 2).max(axis=(1, 3, 5))[deep].any()
+        assert (
+            not dense(model.store, array)
+            .reshape(32, 2, 32, 2, 32, 2)
+            .max(axis=(1, 3, 5))[deep]
+            .any()
+        )
 
 
 def test_two_cuts_in_either_order():
@@ -196,7 +242,9 @@ def test_two_cuts_in_either_order():
     random, found = np.random.default_rng(2), []
     moved = random.uniform(-1e-3, 1e-3, (4, 3))
     for order in ([0, 1, 2, 3], [3, 1, 0, 2]):
-        model = BoneModel(full_block(), Cutter(PROFILES["ball burr"], 4, 500.0), (cutting_coefficients("bone"),))
+        model = BoneModel(
+            full_block(), Cutter(PROFILES["ball burr"], 4, 500.0), (cutting_coefficients("bone"),)
+        )
         for each in order:
             motion = tilted()
             motion.tip_m[:] += moved[each]
@@ -228,11 +276,14 @@ def test_the_least_distance_on_a_path_is_kept():
         model.advance(motion)
     model.finish()
     volume = full_block()
-    centres = np.stack(np.meshgrid(*(volume.centres_m(axis) for axis in range(3)), indexing="ij"), axis=-1)
+    centres = np.stack(
+        np.meshgrid(*(volume.centres_m(axis) for axis in range(3)), indexing="ij"), axis=-1
+    )
     offset = centres - (start + 2e-3 * motion.rotation[:, 2])
     at = np.clip(offset @ along, 0.0, 2e-4)
     distance = (np.linalg.norm(offset - at[..., None] * along, axis=-1) - 2e-3) / SPACING_M
     near = np.abs(distance) < 0.4
     kept = (dense(model.store, model.store.swept)[near].astype(float) - 32768.0) / 4096.0
-    assert kept == pytest.approx(distance[near], abs=0.05)  # a brick is visited every 0.2 voxel: 0.2 ** 2 / 2 + 0.02
+    # a brick is visited every 0.2 voxel: 0.2 ** 2 / 2 + 0.02
+    assert kept == pytest.approx(distance[near], abs=0.05)
     assert (kept - distance[near]).mean() == pytest.approx(0.0, abs=0.005)

@@ -21,11 +21,15 @@ def body_of(particles, grid):
 def test_slots_are_apart_and_strips_hold_every_cell_once():
     _, grid = ragged_block()
     layout = StripLayout(grid)
-    assert len(np.unique(layout.slot)) == grid.node_count and layout.slot.max() + LANES < layout.slots
+    assert (
+        len(np.unique(layout.slot)) == grid.node_count and layout.slot.max() + LANES < layout.slots
+    )
     assert len(np.unique(layout.strip, axis=0)) == grid.cell_count
     strip, lane = layout.strip.T
     for corner, (pencil, above) in enumerate(np.ndindex(4, 2)):
-        assert np.array_equal(layout.slot[grid.cell_nodes[:, corner]], layout.base[strip, pencil] + lane + above)
+        assert np.array_equal(
+            layout.slot[grid.cell_nodes[:, corner]], layout.base[strip, pencil] + lane + above
+        )
 
 
 @pytest.mark.parametrize("scalar, tolerance", [(wp.float64, DOUBLE), (wp.float32, SINGLE)])
@@ -47,14 +51,22 @@ def test_product_is_that_of_the_cells_matrices_on_any_number_of_cores(scalar, to
 
 
 def test_cells_of_other_particles_are_left_to_their_matrices():
-    """A third of the cells with 27 particles; what is cut and what carries nothing counts in both."""
-    particles, grid = block((4, 3, 11), 1e-3, places=lattice(3), modulus_Pa=lambda x: 1e10 * (1.0 + x[:, 0] / 1e-3))
-    coarse = ParticleSet(*(getattr(particles, name).copy() for name in particles.__dataclass_fields__))
+    """A third of the cells with 27 particles; what is cut and what carries nothing counts in
+    both.
+    """
+    particles, grid = block(
+        (4, 3, 11), 1e-3, places=lattice(3), modulus_Pa=lambda x: 1e10 * (1.0 + x[:, 0] / 1e-3)
+    )
+    coarse = ParticleSet(
+        *(getattr(particles, name).copy() for name in particles.__dataclass_fields__)
+    )
     cell = grid.locate(coarse.position_m)[0]
     place = grid.locate(coarse.position_m)[1]
     moved = (cell % 3 > 0)[:, None]
     coarse.position_m[:] = np.where(
-        moved, coarse.position_m + 1e-3 * (np.where(place < 0.5, 0.25, 0.75) - place), coarse.position_m
+        moved,
+        coarse.position_m + 1e-3 * (np.where(place < 0.5, 0.25, 0.75) - place),
+        coarse.position_m,
     )
     body = body_of(coarse, grid)
     assert 0.5 < body.cells.strips.regular.mean() < 0.8

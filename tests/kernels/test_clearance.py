@@ -10,7 +10,9 @@ from kernels.elements import CHUNK, Elements
 
 SPACING_M = 1e-4
 ROUNDING_M = 4e-8
-"""Places of up to 40 voxels are known to 1e-5 voxel in float32, and the field changes by up to 2 mm a voxel."""
+"""Places of up to 40 voxels are known to 1e-5 voxel in float32, and the field changes by up to 2
+mm a voxel.
+"""
 
 
 def test_least_distance_of_each_chunk_also_outside_the_grid():

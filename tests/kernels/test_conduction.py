@@ -12,7 +12,9 @@ STEP_S = 0.02
 
 
 def fields(seed, shape=(9, 7, 8)):
-    """Rise, filled fraction with holes, conductances along three axes, heat capacity and power, as in a tooth."""
+    """Rise, filled fraction with holes, conductances along three axes, heat capacity and power,
+    as in a tooth.
+    """
     random = np.random.default_rng(seed)
     filled = random.uniform(0.1, 1.0, shape) * (random.uniform(size=shape) > 0.3)
     rise = random.uniform(0.0, 20.0, shape) * (filled > 0.0)
@@ -31,7 +33,9 @@ def stepped(values, *, first_plane=0):
 
 
 def expected(rise, filled, along_x, along_y, along_z, capacity, power):
-    """T + dt (sum over faces of G a dT + P) / (f C), a = min(max(f, g), 2 min(f, g)): 0 next to an empty cell."""
+    """T + dt (sum over faces of G a dT + P) / (f C), a = min(max(f, g), 2 min(f, g)): 0 next to
+    an empty cell.
+    """
     rise, filled, capacity, power = (each.astype(float) for each in (rise, filled, capacity, power))
     gain = power.copy()
     for axis, along in enumerate((along_x, along_y, along_z)):
@@ -41,7 +45,9 @@ def expected(rise, filled, along_x, along_y, along_z, capacity, power):
         flux = g[:-1] * np.where(least > 0.5 * most, most, 2.0 * least) * np.diff(t, axis=0)
         low += flux
         high -= flux
-    return np.where(filled > 0.0, rise + STEP_S * gain / np.where(filled > 0.0, filled * capacity, 1.0), 0.0)
+    return np.where(
+        filled > 0.0, rise + STEP_S * gain / np.where(filled > 0.0, filled * capacity, 1.0), 0.0
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))

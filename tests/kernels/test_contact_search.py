@@ -40,7 +40,9 @@ def join(
 
 
 class Scene:
-    """A rough sheet with a full compliance, a ball pressed into it, and the search for what is near."""
+    """A rough sheet with a full compliance, a ball pressed into it, and the search for what is
+    near.
+    """
 
     def __init__(self, seed, cells=14, edge_m=0.03):
         random = np.random.default_rng(seed)
@@ -48,12 +50,22 @@ class Scene:
         self.nodes = np.stack(np.meshgrid(at, at, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
         self.nodes += random.normal(size=self.nodes.shape) * 2e-4
         number = np.arange(len(self.nodes)).reshape(cells + 1, cells + 1)
-        a, b, c, d = (n.ravel() for n in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+        a, b, c, d = (
+            n.ravel() for n in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
+        )
         self.faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
         self.compliance = random.normal(size=(3 * len(self.nodes),) * 2)
         contact = SurfaceContact(self.nodes, self.faces, self.compliance, PROBE)
-        self.body, self.points, self.lists, self.patch = contact._body, contact._points, contact._lists, contact._patch
-        self.tip, self.turn = np.array([*random.uniform(-3e-3, 3e-3, 2), -8e-4]), Rotation.random(random_state=seed)
+        self.body, self.points, self.lists, self.patch = (
+            contact._body,
+            contact._points,
+            contact._lists,
+            contact._patch,
+        )
+        self.tip, self.turn = (
+            np.array([*random.uniform(-3e-3, 3e-3, 2), -8e-4]),
+            Rotation.random(random_state=seed),
+        )
         self.tip += 6e-3 * (
             np.array([0.0, 0.0, 1.0]) - self.turn.as_matrix()[:, 2]
         )  # the ball's centre above the sheet
@@ -71,10 +83,21 @@ class Scene:
         results = np.zeros(RESULTS)
         results[LARGEST] = largest_m
         inputs = [
-            wp.array(self.centres, dtype=wp.vec3d, device="cpu"), wp.array(self.radii, dtype=wp.float64, device="cpu"),
-            PROBE.kind, self.size, self.rows, REACH_M, wp.array(results, dtype=wp.float64, device="cpu"),
-        ]  # fmt: skip
-        wp.launch(find_near, dim=1, inputs=inputs, outputs=[self.body, self.lists, self.patch], device="cpu")
+            wp.array(self.centres, dtype=wp.vec3d, device="cpu"),
+            wp.array(self.radii, dtype=wp.float64, device="cpu"),
+            PROBE.kind,
+            self.size,
+            self.rows,
+            REACH_M,
+            wp.array(results, dtype=wp.float64, device="cpu"),
+        ]
+        wp.launch(
+            find_near,
+            dim=1,
+            inputs=inputs,
+            outputs=[self.body, self.lists, self.patch],
+            device="cpu",
+        )
 
     def run(self, afresh):
         out = wp.zeros(2, dtype=wp.int32, device="cpu")
@@ -96,17 +119,23 @@ def test_near_triangles_are_those_within_reach(seed):
         right = np.flatnonzero(scene.distance(scene.centres) < scene.radii + REACH_M + largest)
         np.testing.assert_array_equal(near, right)
         slots = scene.patch.count.numpy()[SLOTS]
-        np.testing.assert_array_equal(np.sort(scene.patch.node.numpy()[:slots]), np.unique(scene.faces[right]))
+        np.testing.assert_array_equal(
+            np.sort(scene.patch.node.numpy()[:slots]), np.unique(scene.faces[right])
+        )
     assert 10 < len(right) < len(scene.faces)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_entered_triangles_join_with_the_responses_of_their_points(seed):
-    """W of a point is sum w_a w_b W_ab; afresh, forces of points give those of nodes and only their triangles work."""
+    """W of a point is sum w_a w_b W_ab; afresh, forces of points give those of nodes and only
+    their triangles work.
+    """
     scene = Scene(seed)
     scene.find(0.0)
     joined = scene.run(0), scene.run(0)
-    weight, first, following = (getattr(scene.points, each).numpy() for each in ("weight", "first", "following"))
+    weight, first, following = (
+        getattr(scene.points, each).numpy() for each in ("weight", "first", "following")
+    )
     triangle = np.full(len(weight), -1)
     for face, point in enumerate(first):
         while point >= 0:
@@ -123,7 +152,9 @@ def test_entered_triangles_join_with_the_responses_of_their_points(seed):
         to_nodes = np.einsum("b,aibj->aij", weight[point], blocks[nodes][:, :, nodes])
         scale = ROUNDING * np.abs(to_nodes).max()
         assert response[point, :3] == pytest.approx(to_nodes, abs=scale)
-        assert response[point, 3] == pytest.approx(np.einsum("a,aij->ij", weight[point], to_nodes), abs=scale)
+        assert response[point, 3] == pytest.approx(
+            np.einsum("a,aij->ij", weight[point], to_nodes), abs=scale
+        )
     random = np.random.default_rng(seed)
     carrying = random.choice(entered, len(entered) // 2, replace=False)
     force = random.normal(size=(len(weight), 3)) * np.isin(triangle, carrying)[:, None]

@@ -35,7 +35,9 @@ def read(
 
 
 def test_readings():
-    """Rows are tip, rotation, last tip, last rotation; a shell's point stands for the plane through it."""
+    """Rows are tip, rotation, last tip, last rotation; a shell's point stands for the plane
+    through it.
+    """
     random = np.random.default_rng(0)
     compliance, rows = random.normal(size=(3 * NODES, 3 * NODES)), random.normal(size=(8, 3))
     place, at, normal = random.normal(size=(3, NODES, 3))
@@ -58,7 +60,9 @@ def test_readings():
     ]
     wp.launch(read, dim=NODES, inputs=inputs, outputs=out, device="cpu")
     blocks, moved, distance, direction = (each.numpy() for each in out)
-    assert blocks == pytest.approx(0.4 * compliance.reshape(NODES, 3, NODES, 3).transpose(0, 2, 1, 3), abs=ROUNDING)
+    assert blocks == pytest.approx(
+        0.4 * compliance.reshape(NODES, 3, NODES, 3).transpose(0, 2, 1, 3), abs=ROUNDING
+    )
     assert moved[:, 0] == pytest.approx(rows[0] + place @ rows[1:4].T, abs=ROUNDING)
     assert moved[:, 1] == pytest.approx(rows[4] + place @ rows[5:8].T, abs=ROUNDING)
     assert distance == pytest.approx(((place - at) * normal).sum(axis=1), abs=ROUNDING)

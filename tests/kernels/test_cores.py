@@ -1,18 +1,35 @@
-"""Cores that threads run on: counted, limited, and kept free for the thread whose work is shared."""
+"""Cores that threads run on: counted, limited, and kept free for the thread whose work is
+shared.
+"""
 
 import os
 
 import pytest
 
 import kernels.cores as cores
-from kernels.cores import CoreThreads, allowed_cores, core_count, cores_without, current_core, limit_cores
+from kernels.cores import (
+    CoreThreads,
+    allowed_cores,
+    core_count,
+    cores_without,
+    current_core,
+    limit_cores,
+)
 
-linux = pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="the system reports no cores")
+linux = pytest.mark.skipif(
+    not hasattr(os, "sched_getaffinity"), reason="the system reports no cores"
+)
 
 
 @pytest.mark.parametrize(
     ("core", "allowed", "left"),
-    [(1, {0, 1}, {0}), (0, {0}, {0}), (None, {0, 1}, {0, 1}), (7, {0, 1}, {0, 1}), (0, set(), set())],
+    [
+        (1, {0, 1}, {0}),
+        (0, {0}, {0}),
+        (None, {0, 1}, {0, 1}),
+        (7, {0, 1}, {0, 1}),
+        (0, set(), set()),
+    ],
 )
 def test_one_core_is_left_out_where_another_one_remains(core, allowed, left):
     assert cores_without(core, allowed) == left

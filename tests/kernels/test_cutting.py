@@ -22,7 +22,9 @@ HARD = CuttingCoefficients(150e6, 60e6, 10e6, 5e3, 4e3, 1e3, 1800.0, 1.5)
 
 
 def layered(count=48, seed=5):
-    """Two layers in slabs, distances and densities at random, a brick left out where the tool cuts."""
+    """Two layers in slabs, distances and densities at random, a brick left out where the tool
+    cuts.
+    """
     random, shape = np.random.default_rng(seed), (count,) * 3
     surface = random.integers(INSIDE, 200, shape).astype(np.uint8)
     boundary = random.integers(1, FAR + 1, shape).astype(np.uint8)
@@ -31,12 +33,22 @@ def layered(count=48, seed=5):
     fraction[16:24, 24:32, 16:24], surface[16:24, 24:32, 16:24] = 0, OUTSIDE
     layer = np.ascontiguousarray(np.indices(shape)[0] // 11 % 2, dtype=np.uint8)
     return VoxelVolume(
-        np.full(3, -2.4e-3), 1e-4, fraction, layer, density, ("soft", "hard"), None, surface, boundary
-    )  # fmt: skip
+        np.full(3, -2.4e-3),
+        1e-4,
+        fraction,
+        layer,
+        density,
+        ("soft", "hard"),
+        None,
+        surface,
+        boundary,
+    )
 
 
 def store_distances(model, stored, values):
-    """Write every voxel's kept distance to what the tool swept or to older cuts, shape of the volume."""
+    """Write every voxel's kept distance to what the tool swept or to older cuts, shape of the
+    volume.
+    """
     count, store = len(values) // 8, model.store
     rows = values.reshape(count, 4, 2, count, 4, 2, count, 4, 2)
     rows = rows.transpose(0, 3, 6, 1, 4, 7, 2, 5, 8).reshape(count, count, count, 512)
@@ -44,9 +56,15 @@ def store_distances(model, stored, values):
 
 
 def clear_blocks(model, blocks):
-    """Leave nothing alive in some blocks of 2 x 2 x 2 voxels, bool, shape of the volume in blocks."""
+    """Leave nothing alive in some blocks of 2 x 2 x 2 voxels, bool, shape of the volume in
+    blocks.
+    """
     count, store = len(blocks) // 4, model.store
-    bits = blocks.reshape(count, 4, count, 4, count, 4).transpose(0, 2, 4, 1, 3, 5).reshape(count, count, count, 64)
+    bits = (
+        blocks.reshape(count, 4, count, 4, count, 4)
+        .transpose(0, 2, 4, 1, 3, 5)
+        .reshape(count, count, count, 64)
+    )
     bits = bits[store.brick_of.numpy() >= 0]
     store.alive.numpy()[:] &= ~np.packbits(bits, axis=1, bitorder="little").view("<u8").reshape(-1)
 
@@ -54,15 +72,22 @@ def clear_blocks(model, blocks):
 def distances(model, motion):
     """Distance of every voxel's centre to the tool [voxel], by its profile, shape of the volume."""
     volume = model.store.volume
-    centres = np.stack(np.meshgrid(*(volume.centres_m(axis) for axis in range(3)), indexing="ij"), axis=-1)
+    centres = np.stack(
+        np.meshgrid(*(volume.centres_m(axis) for axis in range(3)), indexing="ij"), axis=-1
+    )
     offset = centres.reshape(-1, 3) - motion.tip_m
     height = offset @ motion.rotation[:, 2]
     radius = np.linalg.norm(offset - height[:, None] * motion.rotation[:, 2], axis=1)
-    return model.cutter.profile.distance(np.column_stack([radius, height]))[0].reshape(volume.shape) / volume.spacing_m
+    return (
+        model.cutter.profile.distance(np.column_stack([radius, height]))[0].reshape(volume.shape)
+        / volume.spacing_m
+    )
 
 
 def older_cuts(model, motion, random):
-    """Kept distances of an older cut that crosses the tool's surface at a slant, a tenth of them never near."""
+    """Kept distances of an older cut that crosses the tool's surface at a slant, a tenth of them
+    never near.
+    """
     distance = distances(model, motion)
     across = np.tensordot(np.array([0.6, 0.64, 0.48]), np.indices(distance.shape) - 21.0, axes=1)
     older = np.clip(np.rint(32768 + 4096 * (distance + across)), 0, 65534).astype(np.uint16)
@@ -79,7 +104,9 @@ def taken_before(model, motion, older, stored, point, inside):
     part = point - 0.5 - low
     corners = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
     found = np.stack([difference[tuple((low + corner).T)] for corner in corners], axis=1)
-    weight = np.stack([np.where(corner, part, 1.0 - part).prod(axis=1) for corner in corners], axis=1)
+    weight = np.stack(
+        [np.where(corner, part, 1.0 - part).prod(axis=1) for corner in corners], axis=1
+    )
     weight = np.where(np.isnan(found), 0.0, weight)
     mean = np.nansum(weight * np.nan_to_num(found), axis=1) / np.maximum(weight.sum(axis=1), 1e-9)
     table, shell = model.cutter.table(spacing_m=model.store.volume.spacing_m), model.shell
@@ -87,17 +114,21 @@ def taken_before(model, motion, older, stored, point, inside):
     radius = shell.radii_m / model.store.volume.spacing_m
     bend = table.bend[tuple((np.stack([radius, height]) * table.cells_per_voxel).astype(int))]
     heading = motion.heading[0] / np.linalg.norm(motion.heading[0])
-    bent = np.where(bend < EDGE_BEND, 1.5 * bend * (part * (1.0 - part) * heading**2).sum(axis=1), 0.0)
+    bent = np.where(
+        bend < EDGE_BEND, 1.5 * bend * (part * (1.0 - part) * heading**2).sum(axis=1), 0.0
+    )
     filled = np.where(np.isnan(found), 0.0, found)
     bent = np.minimum(bent, 0.5 * (filled.max(axis=1) - filled.min(axis=1)))
     here = kept[nearest]
-    taken = np.where(np.isnan(here), False, np.where(here > 0.9, False, (here < -0.9) | (mean < 0.002 - bent)))
+    taken = np.where(
+        np.isnan(here), False, np.where(here > 0.9, False, (here < -0.9) | (mean < 0.002 - bent))
+    )
     return inside & taken
 
 
 def expected_forces(model, motion, older, swallowed):
-    """The formula of :mod:`kernels.cutting` in NumPy, in double precision; ``older``: kept distances of older
-    cuts, ``swallowed``: voxels of blocks that a tool held whole."""
+    """The formula of :mod:`kernels.cutting` in NumPy, in double precision; ``older``: kept
+    distances of older cuts, ``swallowed``: voxels of blocks that a tool held whole."""
     volume, shell, cutter = model.store.volume, model.shell, model.cutter
     arm = shell.points_m @ motion.rotation.T
     normal = shell.normals @ motion.rotation.T
@@ -132,7 +163,11 @@ def expected_forces(model, motion, older, swallowed):
         return np.concatenate([force.sum(axis=0), np.cross(arm, force).sum(axis=0)])
 
     rate = float((shell.areas_m2 * share * advance).sum())
-    return wrench("chip_Pa", length * advance * cutter.chip_per_speed_s), wrench("edge_N_m", length), rate
+    return (
+        wrench("chip_Pa", length * advance * cutter.chip_per_speed_s),
+        wrench("edge_N_m", length),
+        rate,
+    )
 
 
 def tilted_motion(turning):
@@ -143,7 +178,9 @@ def tilted_motion(turning):
     return motion
 
 
-@pytest.mark.parametrize("turning", [(0.0, 0.0, 0.0), (40.0, -20.0, 10.0)], ids=["along", "turning"])
+@pytest.mark.parametrize(
+    "turning", [(0.0, 0.0, 0.0), (40.0, -20.0, 10.0)], ids=["along", "turning"]
+)
 @pytest.mark.parametrize(
     "profile",
     [ball_burr(diameter_m=3e-3), twist_drill(diameter_m=2e-3, length_m=3e-3, point_angle_rad=2.0)],
@@ -162,7 +199,8 @@ def test_forces_against_numpy(profile, spin_rad_s, turning):
     clear_blocks(model, blocks)
     chip, edge, rate = expected_forces(model, motion, older, swallowed)
     response = model.respond(motion)
-    # Single precision: an element within 1e-7 m of a voxel's face may read its neighbour, 1 in 1e3 elements.
+    # Single precision: an element within 1e-7 m of a voxel's face may read its neighbour, 1 in 1e3
+    # elements.
     for got, want in ((response.resistance, chip), (response.edge, edge)):
         assert got[:3] == pytest.approx(want[:3], abs=2e-3 * np.linalg.norm(want[:3]))
         assert got[3:] == pytest.approx(want[3:], abs=2e-3 * np.linalg.norm(want[3:]))
@@ -178,7 +216,9 @@ def solid(below):
     far, layer = np.full(shape, FAR, np.uint8), np.zeros(shape, np.uint8)
     density = np.full(shape, 1000, np.uint16)
     surface = surface_steps(-depth)
-    return VoxelVolume(np.full(3, -2.4e-3), 1e-4, fraction, layer, density, ("soft",), None, surface, far)
+    return VoxelVolume(
+        np.full(3, -2.4e-3), 1e-4, fraction, layer, density, ("soft",), None, surface, far
+    )
 
 
 def engaged_m2(model, motion):
@@ -187,21 +227,28 @@ def engaged_m2(model, motion):
 
 
 def test_an_older_cut_as_deep_disengages_and_one_less_deep_does_not():
-    """Where the same surface was kept, rounding and two poses decide nothing: up to 12 steps deeper still engages."""
+    """Where the same surface was kept, rounding and two poses decide nothing: up to 12 steps
+    deeper still engages.
+    """
     model = BoneModel(solid(48), Cutter(ball_burr(diameter_m=3e-3), 5, 700.0), (SOFT,))
     motion = ToolMotion(speed_m_s=1e-3)
     motion.tip_m[:], motion.heading[0] = (0.0, 0.0, -1e-3), (0.0, 0.0, -1.0)
     steps = 32768 + 4096 * distances(model, motion)
     found = []
     for deeper in (0.05, 0.0, -0.05):  # the table and the tangent sphere are 0.02 voxel off
-        store_distances(model, model.store.older, np.clip(np.rint(steps - 4096 * deeper), 1, 65534).astype(np.uint16))
+        store_distances(
+            model,
+            model.store.older,
+            np.clip(np.rint(steps - 4096 * deeper), 1, 65534).astype(np.uint16),
+        )
         found.append(engaged_m2(model, motion))
     half = model.shell.areas_m2[model.shell.normals[:, 2] < -1e-5].sum()
     assert found[0] == 0.0 and found[2] == pytest.approx(half, rel=1e-6)
     motion_of_the_cut = ToolMotion(speed_m_s=1e-3, tip_m=motion.tip_m.copy())
     fresh = BoneModel(solid(48), model.cutter, (SOFT,))
     fresh.place(motion_of_the_cut)
-    assert engaged_m2(fresh, motion) == pytest.approx(half, rel=1e-6)  # its own cut, carved by the kernel
+    # its own cut, carved by the kernel
+    assert engaged_m2(fresh, motion) == pytest.approx(half, rel=1e-6)
 
 
 def test_a_chunk_over_bricks_without_bone_is_left_out():
@@ -214,8 +261,12 @@ def test_a_chunk_over_bricks_without_bone_is_left_out():
 
 
 def test_the_engaged_area_grows_smoothly_as_a_ball_enters():
-    """Its cap below the surface is 2 pi R depth, of which a surface that is read by the voxel shows steps."""
-    model = BoneModel(solid(24), Cutter(ball_burr(diameter_m=3e-3), 5, 700.0), (SOFT,), shell_spacing_m=5e-5)
+    """Its cap below the surface is 2 pi R depth, of which a surface that is read by the voxel
+    shows steps.
+    """
+    model = BoneModel(
+        solid(24), Cutter(ball_burr(diameter_m=3e-3), 5, 700.0), (SOFT,), shell_spacing_m=5e-5
+    )
     motion = ToolMotion(speed_m_s=1e-3)
     motion.heading[0] = (0.0, 0.0, -1.0)
     depth = np.linspace(0.0, 8e-4, 161)
@@ -228,7 +279,8 @@ def test_the_engaged_area_grows_smoothly_as_a_ball_enters():
 
 
 def test_tool_that_backs_off_does_not_cut():
-    model = BoneModel(solid(20), Cutter(ball_burr(diameter_m=3e-3), 5, 700.0), (SOFT,))  # bone below the ball only
+    # bone below the ball only
+    model = BoneModel(solid(20), Cutter(ball_burr(diameter_m=3e-3), 5, 700.0), (SOFT,))
     motion = ToolMotion(speed_m_s=1e-3)
     motion.tip_m[:] = (0, 0, -6e-4)
     motion.heading[0] = (0, 0, 1)

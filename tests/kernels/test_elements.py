@@ -5,7 +5,16 @@ import pytest
 import warp as wp
 from scipy.spatial.transform import Rotation
 
-from kernels.elements import CHUNK, LANES, Elements, advance_of, may_cut, meets_bone, place_of, travel_of
+from kernels.elements import (
+    CHUNK,
+    LANES,
+    Elements,
+    advance_of,
+    may_cut,
+    meets_bone,
+    place_of,
+    travel_of,
+)
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr, pear_bur
@@ -43,12 +52,16 @@ def layer_of_bone():
     filled = np.zeros((48,) * 3, np.uint8)
     filled[:, :, 8:16] = 255
     density = np.full(filled.shape, 1800, np.uint16)
-    return VoxelVolume(np.full(3, -24 * SPACING_M), SPACING_M, filled, np.zeros_like(filled), density, ("bone",))
+    return VoxelVolume(
+        np.full(3, -24 * SPACING_M), SPACING_M, filled, np.zeros_like(filled), density, ("bone",)
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("turning", [0.0, 300.0])
-@pytest.mark.parametrize("profile", [ball_burr(diameter_m=3e-3), pear_bur(diameter_m=2e-3, length_m=3e-3)])
+@pytest.mark.parametrize(
+    "profile", [ball_burr(diameter_m=3e-3), pear_bur(diameter_m=2e-3, length_m=3e-3)]
+)
 def test_a_chunk_that_is_passed_over_holds_no_element_that_cuts(profile, turning):
     random, passed = np.random.default_rng(6), 0
     model = BoneModel(layer_of_bone(), Cutter(profile, 4, 500.0), (cutting_coefficients("bone"),))
@@ -65,7 +78,9 @@ def test_a_chunk_that_is_passed_over_holds_no_element_that_cuts(profile, turning
         place = wp.zeros((len(shell.areas_m2), 3), dtype=float, device="cpu")
         may = wp.zeros(len(shell.areas_m2), dtype=int, device="cpu")
         inputs = [model.elements, model.motion_rows, SPACING_M, store.brick_of, store.alive]
-        wp.launch(ask, dim=len(shell.areas_m2), inputs=inputs, outputs=[advance, place, may], device="cpu")
+        wp.launch(
+            ask, dim=len(shell.areas_m2), inputs=inputs, outputs=[advance, place, may], device="cpu"
+        )
         normal, arm = shell.normals @ motion.rotation.T, shell.points_m @ motion.rotation.T
         expected = ((motion.heading[0] + np.cross(motion.heading[1], arm)) * normal).sum(axis=1)
         assert advance.numpy() == pytest.approx(expected, abs=SINGLE * (1.0 + turning * 5e-3))
@@ -94,14 +109,21 @@ def ask_box(
 
 @pytest.mark.parametrize("radius", [0.4, 5.0, 13.0])
 def test_a_box_meets_the_bricks_that_it_overlaps(radius):
-    """Boxes around points in and around a grid of 5 x 4 x 6 bricks, some missing and some empty, against all bricks."""
+    """Boxes around points in and around a grid of 5 x 4 x 6 bricks, some missing and some empty,
+    against all bricks.
+    """
     random = np.random.default_rng(0)
     shape = np.array([5, 4, 6])
-    brick_of = np.where(random.random(shape) < 0.4, np.arange(shape.prod()).reshape(shape), -1).astype(np.int32)
+    brick_of = np.where(
+        random.random(shape) < 0.4, np.arange(shape.prod()).reshape(shape), -1
+    ).astype(np.int32)
     alive = np.where(random.random(shape.prod()) < 0.5, 1 << 17, 0).astype(np.uint64)
     middles = random.uniform(-20.0, 8.0 * shape + 20.0, (3000, 3)).astype(np.float32)
     out = wp.zeros(len(middles), dtype=int, device="cpu")
-    inputs = [wp.array(brick_of, dtype=wp.int32, device="cpu"), wp.array(alive, dtype=wp.uint64, device="cpu")]
+    inputs = [
+        wp.array(brick_of, dtype=wp.int32, device="cpu"),
+        wp.array(alive, dtype=wp.uint64, device="cpu"),
+    ]
     inputs += [wp.array(middles, dtype=wp.vec3, device="cpu"), radius]
     wp.launch(ask_box, dim=len(middles), inputs=inputs, outputs=[out], device="cpu")
     low = 8.0 * np.argwhere((brick_of >= 0) & (alive[np.maximum(brick_of, 0)] > 0))
@@ -112,24 +134,41 @@ def test_a_box_meets_the_bricks_that_it_overlaps(radius):
 
 def test_an_element_s_advance_and_place_are_those_of_numpy():
     """One tool, turning about its tip, tilted: the first hundred elements."""
-    model = BoneModel(layer_of_bone(), Cutter(ball_burr(diameter_m=3e-3), 4, 500.0), (cutting_coefficients("bone"),))
+    model = BoneModel(
+        layer_of_bone(),
+        Cutter(ball_burr(diameter_m=3e-3), 4, 500.0),
+        (cutting_coefficients("bone"),),
+    )
     motion, shell, count = ToolMotion(speed_m_s=1e-3), model.shell, 100
     motion.tip_m[:] = (2e-4, -3e-4, 1e-4)
     motion.rotation[:] = Rotation.from_euler("xyz", [0.5, -0.3, 0.8]).as_matrix()
     motion.heading[:] = [[0.6, 0.0, -0.8], [200.0, -100.0, 50.0]]
     model.respond(motion)
-    arrays = [wp.zeros(count, dtype=float), wp.zeros((count, 3), dtype=float), wp.zeros(count, dtype=int)]
+    arrays = [
+        wp.zeros(count, dtype=float),
+        wp.zeros((count, 3), dtype=float),
+        wp.zeros(count, dtype=int),
+    ]
     inputs = [model.elements, model.motion_rows, SPACING_M, model.store.brick_of, model.store.alive]
     wp.launch(ask, dim=count, inputs=inputs, outputs=arrays, device="cpu")
-    normal, arm = shell.normals[:count] @ motion.rotation.T, shell.points_m[:count] @ motion.rotation.T
+    normal, arm = (
+        shell.normals[:count] @ motion.rotation.T,
+        shell.points_m[:count] @ motion.rotation.T,
+    )
     expected = ((motion.heading[0] + np.cross(motion.heading[1], arm)) * normal).sum(axis=1)
     assert arrays[0].numpy() == pytest.approx(expected, abs=2 * SINGLE)
-    assert arrays[1].numpy() == pytest.approx((motion.tip_m + arm) / SPACING_M + 24, abs=SINGLE * 48)
+    assert arrays[1].numpy() == pytest.approx(
+        (motion.tip_m + arm) / SPACING_M + 24, abs=SINGLE * 48
+    )
 
 
-@pytest.mark.parametrize("profile", [ball_burr(diameter_m=3e-3), pear_bur(diameter_m=2e-3, length_m=3e-3)])
+@pytest.mark.parametrize(
+    "profile", [ball_burr(diameter_m=3e-3), pear_bur(diameter_m=2e-3, length_m=3e-3)]
+)
 def test_the_ball_and_the_cone_of_a_chunk_hold_all_its_elements(profile):
-    """Each chunk is 128 elements in order; its ball touches one of them, and its cone one of their normals."""
+    """Each chunk is 128 elements in order; its ball touches one of them, and its cone one of
+    their normals.
+    """
     model = BoneModel(layer_of_bone(), Cutter(profile, 4, 500.0), (cutting_coefficients("bone"),))
     shell, elements = model.shell, model.elements
     balls, cones = elements.chunk_ball.numpy(), elements.chunk_cone.numpy()

@@ -17,8 +17,12 @@ NOTHING = CuttingCoefficients(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1000.0, 1.0)
 
 def engaged(profile, *, speed_m_s=FEED_M_S, pressed=0.0):
     """A tool held all in bone of 1000 kg/m3, moving down its axis."""
-    volume = density_volume(np.full((48,) * 3, 1000.0), spacing_mm=0.1, origin_mm=(-2.4, -2.4, -2.4))
-    bone = EngagedBone(BoneModel(volume, Cutter(profile, FLUTES, SPIN), (NOTHING,), shell_spacing_m=3e-5))
+    volume = density_volume(
+        np.full((48,) * 3, 1000.0), spacing_mm=0.1, origin_mm=(-2.4, -2.4, -2.4)
+    )
+    bone = EngagedBone(
+        BoneModel(volume, Cutter(profile, FLUTES, SPIN), (NOTHING,), shell_spacing_m=3e-5)
+    )
     motion = ToolMotion(speed_m_s=speed_m_s, pressed=pressed)
     motion.tip_m[:], motion.heading[0] = (0.0, 0.0, -1.5e-3), (0.0, 0.0, -1.0)
     response = bone.respond(motion)
@@ -26,15 +30,19 @@ def engaged(profile, *, speed_m_s=FEED_M_S, pressed=0.0):
 
 
 def test_each_coefficient_of_a_ball_that_plunges():
-    """Over the lower half of a ball, theta from its tip: dF = N / (2 pi) R dtheta dphi, h = v cos(theta) 2 pi / N w."""
+    """Over the lower half of a ball, theta from its tip: dF = N / (2 pi) R dtheta dphi, h = v
+    cos(theta) 2 pi / N w.
+    """
     loads, response = engaged(ball_burr(diameter_m=2.0 * RADIUS_M))
     chip = FEED_M_S * 2.0 * np.pi / (FLUTES * SPIN)
     along, around = FLUTES * RADIUS_M, -FLUTES * RADIUS_M**2
-    want = np.zeros((6, 6))  # tangential, radial and axial chip, then edge; force and torque about the tip
+    # tangential, radial and axial chip, then edge; force and torque about the tip
+    want = np.zeros((6, 6))
     want[0, 5], want[3, 5] = 0.5 * around * chip, around
     want[1, 2], want[4, 2] = 0.25 * np.pi * along * chip, along
     want[2, 2], want[5, 2] = -along * chip, -0.5 * np.pi * along
-    # 20,000 elements: 1e-3 of the greatest component of each coefficient's load, sideways too, where loads cancel.
+    # 20,000 elements: 1e-3 of the greatest component of each coefficient's load, sideways too,
+    # where loads cancel.
     for coefficient in range(6):
         size = np.abs(want[coefficient]).max()
         arm = np.array([1.0, 1.0, 1.0, RADIUS_M, RADIUS_M, RADIUS_M])
@@ -45,7 +53,9 @@ def test_each_coefficient_of_a_ball_that_plunges():
 
 
 def test_chip_and_edge_of_a_cylinder_that_plunges_are_in_one_ratio():
-    """All that advances is its flat end, by the same chip: no log at one feed keeps the two apart."""
+    """All that advances is its flat end, by the same chip: no log at one feed keeps the two
+    apart.
+    """
     loads, _ = engaged(cylinder(diameter_m=2.0 * RADIUS_M, length_m=2e-3))
     chip = FEED_M_S * 2.0 * np.pi / (FLUTES * SPIN)
     assert np.abs(loads[3:]).max() > 0.0
@@ -53,9 +63,13 @@ def test_chip_and_edge_of_a_cylinder_that_plunges_are_in_one_ratio():
 
 
 def test_a_tool_at_rest_feels_the_pressed_share_of_the_edge_force_and_no_chip():
-    """The edge force of the lower half of a ball is N R along its axis; 0.3 of it holds a tool that is pressed so."""
+    """The edge force of the lower half of a ball is N R along its axis; 0.3 of it holds a tool
+    that is pressed so.
+    """
     for pressed in (0.0, 0.3, 1.0):
-        loads, response = engaged(ball_burr(diameter_m=2.0 * RADIUS_M), speed_m_s=0.0, pressed=pressed)
+        loads, response = engaged(
+            ball_burr(diameter_m=2.0 * RADIUS_M), speed_m_s=0.0, pressed=pressed
+        )
         edge = pressed * FLUTES * RADIUS_M
         assert not loads[:3].any() and response.removal_rate_m3_s == 0.0
         assert loads[4, 2] == pytest.approx(edge, rel=4e-3)

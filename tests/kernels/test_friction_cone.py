@@ -8,7 +8,9 @@ from scipy.spatial.transform import Rotation
 from kernels.friction_cone import coulomb_force, safe_inverse
 
 ROUNDING = 1e-9
-"""Newton on the cone stops at 1e-13; systems of condition up to 1e3 lie between that and the laws."""
+"""Newton on the cone stops at 1e-13; systems of condition up to 1e3 lie between that and the
+laws.
+"""
 
 
 @wp.kernel
@@ -44,7 +46,9 @@ def forces(compliance, old, gap, normal, slip, friction):
     given = [
         wp.array(value, dtype=dtype, device="cpu")
         for value, dtype in zip(
-            (compliance, old, gap, normal, slip), (wp.mat33d, wp.vec3d, wp.float64, wp.vec3d, wp.vec3d), strict=True
+            (compliance, old, gap, normal, slip),
+            (wp.mat33d, wp.vec3d, wp.float64, wp.vec3d, wp.vec3d),
+            strict=True,
         )
     ]
     out = wp.zeros(len(gap), dtype=wp.vec3d, device="cpu")
@@ -73,7 +77,10 @@ def test_a_contact_obeys_signorini_and_coulomb(seed, friction):
     slipping = (press > 0.0) & ~sticking
     assert (direction[sticking] / scale[sticking] < ROUNDING).all()
     opposed = np.einsum("ni,ni->n", tangential, sideways)[slipping]
-    assert np.abs(opposed + size[slipping] * direction[slipping]).max() < ROUNDING * ((1.0 + size) * scale).max()
+    assert (
+        np.abs(opposed + size[slipping] * direction[slipping]).max()
+        < ROUNDING * ((1.0 + size) * scale).max()
+    )
     assert (press == 0.0).sum() > 100 and slipping.sum() > 100
     assert friction == 0.0 or sticking.sum() > 10
 
@@ -82,13 +89,21 @@ def test_a_point_that_cannot_move_sideways_is_still_pushed():
     """On a plane of symmetry one direction has no compliance: the limit of a small one."""
     compliance = np.diag([0.0, 2.0, 1.0])[None]
     almost = compliance + np.diag([1e-7, 0.0, 0.0])
-    given = (np.zeros((1, 3)), np.array([-1.0]), np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.3, 0.0]]), 0.2)
+    given = (
+        np.zeros((1, 3)),
+        np.array([-1.0]),
+        np.array([[0.0, 0.0, 1.0]]),
+        np.array([[0.0, 0.3, 0.0]]),
+        0.2,
+    )
     np.testing.assert_allclose(forces(compliance, *given), forces(almost, *given), atol=1e-6)
 
 
 @pytest.mark.parametrize("friction", [0.1, 0.5])
 def test_a_contact_along_any_axis_is_that_along_z_turned(friction):
-    """The same contact with its normal along x, y or z, either sign: the force turns with everything else."""
+    """The same contact with its normal along x, y or z, either sign: the force turns with
+    everything else.
+    """
     compliance, old, gap, _, slip = random_contacts(9, count=50)
     gap = -np.abs(gap)
     upright = forces(compliance, old, gap, np.tile([0.0, 0.0, 1.0], (50, 1)), slip, friction)

@@ -1,4 +1,6 @@
-"""Packed cell stiffness, its product and the gradients of the shape functions against dense NumPy matrices."""
+"""Packed cell stiffness, its product and the gradients of the shape functions against dense
+NumPy matrices.
+"""
 
 from itertools import combinations_with_replacement, product
 
@@ -25,7 +27,11 @@ SHAPE = (3, 2, 2)
 
 
 @wp.kernel
-def read_blocks(stiffness: wp.array2d(dtype=wp.mat33d), place_out: wp.array2d(dtype=int), block_out: wp.array3d(dtype=wp.mat33d)):  # fmt: skip
+def read_blocks(
+    stiffness: wp.array2d(dtype=wp.mat33d),
+    place_out: wp.array2d(dtype=int),
+    block_out: wp.array3d(dtype=wp.mat33d),
+):
     cell = wp.tid()
     for a in range(8):
         for b in range(8):
@@ -34,7 +40,9 @@ def read_blocks(stiffness: wp.array2d(dtype=wp.mat33d), place_out: wp.array2d(dt
 
 
 @wp.kernel
-def evaluate_gradients(at: wp.array(dtype=wp.vec3d), inverse: wp.float64, out: wp.array(dtype=CornerGradients)):
+def evaluate_gradients(
+    at: wp.array(dtype=wp.vec3d), inverse: wp.float64, out: wp.array(dtype=CornerGradients)
+):
     out[wp.tid()] = corner_gradients(at[wp.tid()], inverse)
 
 
@@ -54,7 +62,9 @@ def random_cells(count, seed=0):
     dense = np.random.default_rng(seed).normal(size=(count, 24, 24))
     dense = dense + dense.transpose(0, 2, 1)
     split = dense.reshape(count, 8, 3, 8, 3).transpose(0, 1, 3, 2, 4)
-    packed = np.stack([split[:, a, b] for a, b in combinations_with_replacement(range(8), 2)], axis=1)
+    packed = np.stack(
+        [split[:, a, b] for a, b in combinations_with_replacement(range(8), 2)], axis=1
+    )
     return dense, split, np.ascontiguousarray(packed)
 
 
@@ -67,7 +77,9 @@ def test_blocks_are_those_of_the_dense_matrix_also_below_the_diagonal():
     assert packed.shape[1] == BLOCKS
     place = wp.zeros((8, 8), dtype=int, device="cpu")
     blocks = wp.zeros((4, 8, 8), dtype=wp.mat33d, device="cpu")
-    wp.launch(read_blocks, dim=4, inputs=[put(packed, wp.mat33d)], outputs=[place, blocks], device="cpu")
+    wp.launch(
+        read_blocks, dim=4, inputs=[put(packed, wp.mat33d)], outputs=[place, blocks], device="cpu"
+    )
     np.testing.assert_array_equal(blocks.numpy(), split)
     assert (place.numpy()[np.triu_indices(8)] == np.arange(BLOCKS)).all()
 
@@ -85,8 +97,15 @@ def test_product_gathered_at_nodes_is_that_of_the_assembled_matrix():
         unknowns = (3 * nodes[cell][:, None] + np.arange(3)).ravel()
         whole[np.ix_(unknowns, unknowns)] += dense[at] * live[cell]
     corner = wp.zeros((len(chosen), 8), dtype=wp.vec3d, device="cpu")
-    inputs = [put(chosen, wp.int32), put(row, wp.int32), put(nodes, wp.int32), put(live, wp.uint8),
-              put(packed, wp.mat33d), put(displacement, wp.vec3d), 0]  # fmt: skip
+    inputs = [
+        put(chosen, wp.int32),
+        put(row, wp.int32),
+        put(nodes, wp.int32),
+        put(live, wp.uint8),
+        put(packed, wp.mat33d),
+        put(displacement, wp.vec3d),
+        0,
+    ]
     wp.launch(cell_products, dim=len(chosen), inputs=inputs, outputs=[corner], device="cpu")
     touched, place = np.unique(nodes[chosen]), np.full(len(nodes) + 1, -1)
     place[chosen] = np.arange(len(chosen))
@@ -99,13 +118,23 @@ def test_product_gathered_at_nodes_is_that_of_the_assembled_matrix():
 
 
 def test_gradients_are_those_of_the_products_of_hat_functions():
-    """N_a is the product of x or 1 - x over axes; central differences are exact in each axis of a trilinear function."""
+    """N_a is the product of x or 1 - x over axes; central differences are exact in each axis of
+    a trilinear function.
+    """
     at, edge, half = np.random.default_rng(2).uniform(size=(50, 3)), 0.3, 0.25
     out = wp.zeros(50, dtype=CornerGradients, device="cpu")
-    wp.launch(evaluate_gradients, dim=50, inputs=[put(at, wp.vec3d), 1.0 / edge], outputs=[out], device="cpu")
+    wp.launch(
+        evaluate_gradients,
+        dim=50,
+        inputs=[put(at, wp.vec3d), 1.0 / edge],
+        outputs=[out],
+        device="cpu",
+    )
 
     def shapes(points):
         return np.where(CORNERS, points[:, None], 1.0 - points[:, None]).prod(axis=2)
 
-    slopes = [(shapes(at + half * e) - shapes(at - half * e)) / (2.0 * half * edge) for e in np.eye(3)]
+    slopes = [
+        (shapes(at + half * e) - shapes(at - half * e)) / (2.0 * half * edge) for e in np.eye(3)
+    ]
     assert out.numpy() == pytest.approx(np.stack(slopes, axis=2), abs=10.0 * ROUNDING)

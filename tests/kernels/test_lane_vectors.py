@@ -1,4 +1,6 @@
-"""Vectors in lanes against NumPy: diagonal, the eigenvalue assumed, a smoothing step, and from nodes and back."""
+"""Vectors in lanes against NumPy: diagonal, the eigenvalue assumed, a smoothing step, and from
+nodes and back.
+"""
 
 import numpy as np
 import pytest
@@ -39,7 +41,9 @@ def test_assumed_eigenvalue_is_above_the_largest():
 
 
 def test_smoothing_multiplies_by_every_cell_wherever_its_particles_lie():
-    """Every third cell's particles lie aside of the strips' points; one that was left out or moved there would show."""
+    """Every third cell's particles lie aside of the strips' points; one that was left out or
+    moved there would show.
+    """
     aside = np.arange(4 * 3 * 11) % 3 == 0
     body = body_of(*block((4, 3, 11), 1e-3, places=lattice(2) + 0.2 * aside[:, None, None]))
     assert np.array_equal(body.cells.strips.regular, ~aside)
@@ -48,7 +52,10 @@ def test_smoothing_multiplies_by_every_cell_wherever_its_particles_lie():
     finest._direction.single.numpy()[:, slot] = vector.T
     finest._multiply()
     wanted = (dense_stiffness(body) @ vector.ravel()).reshape(-1, 3)
-    assert np.abs(finest._force.single.numpy()[:, slot].T - wanted).max() <= 2e-6 * np.abs(wanted).max()
+    assert (
+        np.abs(finest._force.single.numpy()[:, slot].T - wanted).max()
+        <= 2e-6 * np.abs(wanted).max()
+    )
 
 
 def test_lanes_give_back_what_they_take_and_a_step_is_its_formula():
@@ -60,7 +67,13 @@ def test_lanes_give_back_what_they_take_and_a_step_is_its_formula():
     given = {name: random.normal(size=(grid.node_count, 3)).astype(np.float32) for name in names}
     for name in names:
         source = wp.array(given[name], dtype=wp.vec3f, device="cpu")
-        wp.launch(to_lanes, dim=len(slot), inputs=[slot, source, 0], outputs=[lanes[name].single], device="cpu")
+        wp.launch(
+            to_lanes,
+            dim=len(slot),
+            inputs=[slot, source, 0],
+            outputs=[lanes[name].single],
+            device="cpu",
+        )
     inputs = [lanes["inverse"].by_eight, 0.2, 2.4, 0]
     outputs = [lanes[name].by_eight for name in names[1:]]
     wp.launch(smooth, dim=outputs[0].shape[1], inputs=inputs, outputs=outputs, device="cpu")
@@ -73,5 +86,11 @@ def test_lanes_give_back_what_they_take_and_a_step_is_its_formula():
     }
     for name, right in wanted.items():
         found = wp.zeros(len(slot), dtype=wp.vec3f, device="cpu")
-        wp.launch(from_lanes, dim=len(slot), inputs=[slot, lanes[name].single, 0], outputs=[found], device="cpu")
+        wp.launch(
+            from_lanes,
+            dim=len(slot),
+            inputs=[slot, lanes[name].single, 0],
+            outputs=[found],
+            device="cpu",
+        )
         assert found.numpy() == pytest.approx(right, abs=1e-5)

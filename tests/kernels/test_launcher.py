@@ -1,4 +1,6 @@
-"""Launches split over threads: the same result, also where no thread is free, and only where work is large."""
+"""Launches split over threads: the same result, also where no thread is free, and only where
+work is large.
+"""
 
 from threading import Event
 from time import sleep
@@ -31,7 +33,9 @@ def launch_of(gain, monkeypatch) -> tuple[SplitLaunch, np.ndarray]:
     """A launch on a machine where splitting gains so much, and what it writes."""
     monkeypatch.setattr(launcher, "_gain", lambda threads: gain)
     out = wp.zeros(COUNT, dtype=wp.int32, device="cpu")
-    launch = SplitLaunch(squares, dim=COUNT, inputs=[0], outputs=[out], offset_index=0, device="cpu", cores=2)
+    launch = SplitLaunch(
+        squares, dim=COUNT, inputs=[0], outputs=[out], offset_index=0, device="cpu", cores=2
+    )
     return launch, out.numpy()
 
 
@@ -41,7 +45,9 @@ def split(monkeypatch) -> tuple[SplitLaunch, np.ndarray]:
 
 
 def test_a_part_that_no_thread_begins_is_taken_back(split, monkeypatch):
-    """With its thread held up the launch neither waits nor leaves anything out, nor is a part run twice afterwards."""
+    """With its thread held up the launch neither waits nor leaves anything out, nor is a part
+    run twice afterwards.
+    """
     launch, out = split
     monkeypatch.setattr(launcher, "SPLIT_ABOVE_S", 0.0)
     begun, release = Event(), Event()
@@ -59,7 +65,9 @@ def test_a_part_that_no_thread_begins_is_taken_back(split, monkeypatch):
 
 
 def test_one_slow_run_does_not_split_a_small_launch(split, monkeypatch):
-    """Only what stays large is split: work is assumed to grow by a factor of two from run to run."""
+    """Only what stays large is split: work is assumed to grow by a factor of two from run to
+    run.
+    """
     launch, _ = split
     clock = iter(np.cumsum([0.0, 1e-5, 0.0, 5e-3, 0.0, 1e-5, 0.0, *[5e-3, 0.0] * 6]))
     monkeypatch.setattr(launcher, "perf_counter", lambda: next(clock))

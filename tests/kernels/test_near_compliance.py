@@ -1,4 +1,6 @@
-"""Gathered rows against the compliance they come from, after nodes came near, were loaded, rested and left."""
+"""Gathered rows against the compliance they come from, after nodes came near, were loaded,
+rested and left.
+"""
 
 import numpy as np
 import pytest
@@ -25,7 +27,9 @@ def test_rows_stay_those_of_the_compliance_while_nodes_come_and_go(scale):
         if tick == 120:
             contact.scale_compliance(scale)
         at = 0.05 * tick
-        result = contact.solve(np.array([0.009 * np.sin(at), 0.007 * np.sin(0.7 * at), 2e-3 * np.cos(at)]), np.eye(3))
+        result = contact.solve(
+            np.array([0.009 * np.sin(at), 0.007 * np.sin(0.7 * at), 2e-3 * np.cos(at)]), np.eye(3)
+        )
         near, loaded, _ = patch.count.numpy()
         seen.append((near, loaded))
         node = patch.node.numpy()[:near]

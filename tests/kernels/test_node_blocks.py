@@ -35,7 +35,9 @@ class Grid:
         nodes = np.array(list(np.ndindex((CELLS + 1,) * 3)))
         number = np.pad(np.arange(len(nodes)).reshape((CELLS + 1,) * 3), 1, constant_values=-1)
         lows = np.array(list(np.ndindex((CELLS,) * 3)))
-        self.cell_nodes = np.stack([number[tuple((lows + corner + 1).T)] for corner in CORNERS], axis=1)
+        self.cell_nodes = np.stack(
+            [number[tuple((lows + corner + 1).T)] for corner in CORNERS], axis=1
+        )
         self.node_cells = np.full((len(nodes), 8), -1)
         for cell, corner in np.ndindex(self.cell_nodes.shape):
             self.node_cells[self.cell_nodes[cell, corner], corner] = cell
@@ -45,7 +47,9 @@ class Grid:
         self.free = (random.uniform(size=nodes.shape) > 0.2).astype(float)
         self.load = random.normal(size=nodes.shape)
         self.colour = (nodes % 2) @ (4, 2, 1)
-        around = np.stack([number[tuple((nodes + 1 + step).T)] for step in product((-1, 0, 1), repeat=3)], axis=1)
+        around = np.stack(
+            [number[tuple((nodes + 1 + step).T)] for step in product((-1, 0, 1), repeat=3)], axis=1
+        )
         self.start, self.column, self.place = [0], [], np.full((len(nodes), 27), -1)
         for node, neighbours in enumerate(around):
             there = np.flatnonzero(neighbours >= 0)
@@ -70,9 +74,12 @@ class Grid:
     def rows(self):
         """Kernel's blocks, diagonal, rounded blocks and inverses, as Warp arrays."""
         split = self.cells.reshape(-1, 8, 3, 8, 3).transpose(0, 1, 3, 2, 4)
-        packed = np.stack([split[:, a, b] for a, b in combinations_with_replacement(range(8), 2)], axis=1)
+        packed = np.stack(
+            [split[:, a, b] for a, b in combinations_with_replacement(range(8), 2)], axis=1
+        )
         count = len(self.free)
-        rows, start = put(np.arange(count)[::-1], wp.int32), put(self.start, wp.int32)  # in any order
+        # in any order
+        rows, start = put(np.arange(count)[::-1], wp.int32), put(self.start, wp.int32)
         made = [
             put(np.full((len(self.column), 3, 3), 7.0), wp.mat33d),  # of an earlier assembly
             wp.zeros(count, dtype=wp.mat33d, device="cpu"),
@@ -80,13 +87,23 @@ class Grid:
         single = wp.zeros(len(self.column), dtype=wp.mat33f, device="cpu")
         inverse = wp.zeros(count, dtype=wp.mat33f, device="cpu")
         inputs = [
-            rows, start, put(self.node_cells, wp.int32), put(self.place, wp.int32), put(self.free, wp.vec3d),
-            put(self.cell_nodes, wp.int32), put(self.live, wp.uint8), put(packed, wp.mat33d),
+            rows,
+            start,
+            put(self.node_cells, wp.int32),
+            put(self.place, wp.int32),
+            put(self.free, wp.vec3d),
+            put(self.cell_nodes, wp.int32),
+            put(self.live, wp.uint8),
+            put(packed, wp.mat33d),
             0,
-        ]  # fmt: skip
+        ]
         wp.launch(assemble_rows, dim=count, inputs=inputs, outputs=made, device="cpu")
-        wp.launch(to_single, dim=count, inputs=[rows, start, made[0], 0], outputs=[single], device="cpu")
-        wp.launch(invert_diagonal, dim=count, inputs=[rows, made[1], 0], outputs=[inverse], device="cpu")
+        wp.launch(
+            to_single, dim=count, inputs=[rows, start, made[0], 0], outputs=[single], device="cpu"
+        )
+        wp.launch(
+            invert_diagonal, dim=count, inputs=[rows, made[1], 0], outputs=[inverse], device="cpu"
+        )
         return *made, single, inverse
 
 
@@ -114,7 +131,9 @@ def test_rows_are_those_of_the_assembled_matrix(seed):
 
 
 def test_sweeps_are_gauss_seidel_by_colours():
-    """The first solves (L + D) v = f and leaves f - K v; a second corrects v by (L + D)^-1 of that."""
+    """The first solves (L + D) v = f and leaves f - K v; a second corrects v by (L + D)^-1 of
+    that.
+    """
     grid = Grid()
     *_, single, inverse = grid.rows()
     count, matrix = len(grid.free), grid.matrix()

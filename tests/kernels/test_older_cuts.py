@@ -1,4 +1,6 @@
-"""Whether an older cut has taken a point of the tool's surface, against the exact capsule of that cut."""
+"""Whether an older cut has taken a point of the tool's surface, against the exact capsule of
+that cut.
+"""
 
 from itertools import pairwise
 
@@ -23,11 +25,18 @@ BONE = Anatomy(
     "half space",
     half_space([0.0, 0.0, 1.0]),
     ("cortical",),
-    lambda points, depth: (np.zeros(len(points), dtype=np.uint8), np.full(len(points), 1800.0, points.dtype)),
+    lambda points, depth: (
+        np.zeros(len(points), dtype=np.uint8),
+        np.full(len(points), 1800.0, points.dtype),
+    ),
 )
-CORNERS_M = 1e-3 * np.array([[-1.5, 0, -0.3], [1, 0, -0.3], [1, 0, 0.3], [0.03, 0.21, 0.3], [0.03, 0.21, -0.35]])
+CORNERS_M = 1e-3 * np.array(
+    [[-1.5, 0, -0.3], [1, 0, -0.3], [1, 0, 0.3], [0.03, 0.21, 0.3], [0.03, 0.21, -0.35]]
+)
 UNSURE = 0.15
-"""Share of a voxel by which interpolation between voxel centres may miss the edge of an older cut."""
+"""Share of a voxel by which interpolation between voxel centres may miss the edge of an older
+cut.
+"""
 
 
 @wp.kernel
@@ -65,13 +74,19 @@ def ask(
 
 
 def slot_and_plunge():
-    """A model with a slot along x, 0.3 mm deep, whose tool was lifted and now plunges deeper, aside of the slot."""
+    """A model with a slot along x, 0.3 mm deep, whose tool was lifted and now plunges deeper,
+    aside of the slot.
+    """
     volume = voxelise(
         BONE,
         spacing_m=SPACING,
         region_m=(np.array([-3e-3, -2e-3, -1e-3]), np.array([3e-3, 2e-3, 2.5e-3])),
     )
-    model = BoneModel(volume, Cutter(ball_burr(diameter_m=2 * RADIUS), 6, -1000.0), (cutting_coefficients("bone"),))
+    model = BoneModel(
+        volume,
+        Cutter(ball_burr(diameter_m=2 * RADIUS), 6, -1000.0),
+        (cutting_coefficients("bone"),),
+    )
     motion = ToolMotion(speed_m_s=5e-3)
     motion.tip_m[:] = CORNERS_M[0]
     for index, (start, end) in enumerate(pairwise(CORNERS_M)):
@@ -124,7 +139,10 @@ def test_points_of_a_slot_are_taken_and_points_outside_are_not():
             SPACING / RADIUS / 3.0,
             wp.array(np.column_stack([rows, column]), dtype=wp.int32, device="cpu"),
         ],
-        outputs=[wp.zeros((len(points) // 100 + 1, SLOTS + 1), dtype=corner8f, device="cpu"), taken],
+        outputs=[
+            wp.zeros((len(points) // 100 + 1, SLOTS + 1), dtype=corner8f, device="cpu"),
+            taken,
+        ],
         device="cpu",
     )
     sure = np.abs(gap) > UNSURE * SPACING
@@ -134,14 +152,18 @@ def test_points_of_a_slot_are_taken_and_points_outside_are_not():
 
 
 @wp.kernel
-def evaluate_bend(bend: float, heading: wp.vec3, part: wp.array(dtype=wp.vec3), below_out: wp.array(dtype=float)):
+def evaluate_bend(
+    bend: float, heading: wp.vec3, part: wp.array(dtype=wp.vec3), below_out: wp.array(dtype=float)
+):
     i = wp.tid()
     below_out[i] = bend_below(bend, heading, part[i])
 
 
 @pytest.mark.parametrize("bend", [0.02, 0.2, float(EDGE_BEND)])
 def test_a_parabola_lies_below_its_interpolation_by_its_bend(bend):
-    """A parabola of curvature 3 bend along the heading, between eight voxel centres; an edge has no curvature."""
+    """A parabola of curvature 3 bend along the heading, between eight voxel centres; an edge has
+    no curvature.
+    """
     random = np.random.default_rng(4)
     heading = np.array([0.48, -0.6, 0.64])
     parts = random.random((50, 3))
@@ -156,14 +178,18 @@ def test_a_parabola_lies_below_its_interpolation_by_its_bend(bend):
     inputs = [bend, wp.vec3(*heading), wp.array(parts, dtype=wp.vec3, device="cpu")]
     wp.launch(evaluate_bend, dim=len(parts), inputs=inputs, outputs=[out], device="cpu")
     assert wanted.min() >= 0.0
-    assert out.numpy() == pytest.approx(np.zeros(50) if bend == float(EDGE_BEND) else wanted, abs=1e-6)
+    assert out.numpy() == pytest.approx(
+        np.zeros(50) if bend == float(EDGE_BEND) else wanted, abs=1e-6
+    )
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_an_older_cut_between_voxel_centres_is_interpolated(axis):
-    """An older cut 0.2 voxels deeper than the tool at every other voxel, and 1.8 short of it at those between.
+    """An older cut 0.2 voxels deeper than the tool at every other voxel, and 1.8 short of it at
+    those between.
 
-    Between a deeper voxel and the next one the sign changes after a tenth of the distance: before it the bone is taken.
+    Between a deeper voxel and the next one the sign changes after a tenth of the distance: before
+    it the bone is taken.
     """
     model = slot_and_plunge()
     store, volume = model.store, model.store.volume
@@ -185,21 +211,33 @@ def test_an_older_cut_between_voxel_centres_is_interpolated(axis):
     inside = ((points > 2.0) & (points < np.array(volume.shape) - 2.0)).all(axis=1) & (
         points[:, 2] < 15.0
     )  # bricks are stored up to voxel 15
-    inside &= np.linalg.norm(np.floor(points) + 0.5 - centre, axis=1) - RADIUS / SPACING > -0.65  # else surely taken
+    # else surely taken
+    inside &= np.linalg.norm(np.floor(points) + 0.5 - centre, axis=1) - RADIUS / SPACING > -0.65
     chosen = inside & (((part > 0.02) & (part < 0.075)) | ((part > 0.125) & (part < 0.2)))
     points, out, part = points[chosen], out[chosen], part[chosen]
     rows, columns = stored_at(store, np.floor(points).astype(int))
     there = rows >= 0
-    points, out, part, rows, columns = points[there], out[there], part[there], rows[there], columns[there]
+    points, out, part, rows, columns = (
+        points[there],
+        out[there],
+        part[there],
+        rows[there],
+        columns[there],
+    )
     pose = np.zeros((4, 6))
     pose[0, :3], pose[0, 5] = (tip - volume.origin_m) / SPACING, 1.0
     taken = wp.zeros(len(points), dtype=wp.int32, device="cpu")
     inputs = [
-        model.carver.tool, wp.array(pose, dtype=wp.float64, device="cpu"), wp.vec3(0.0, 0.0, 0.0), store.brick_of,
-        wp.array(older, dtype=wp.uint16, device="cpu"), wp.array(points, dtype=wp.vec3, device="cpu"),
-        wp.array(out, dtype=wp.vec3, device="cpu"), SPACING / RADIUS / 3.0,
+        model.carver.tool,
+        wp.array(pose, dtype=wp.float64, device="cpu"),
+        wp.vec3(0.0, 0.0, 0.0),
+        store.brick_of,
+        wp.array(older, dtype=wp.uint16, device="cpu"),
+        wp.array(points, dtype=wp.vec3, device="cpu"),
+        wp.array(out, dtype=wp.vec3, device="cpu"),
+        SPACING / RADIUS / 3.0,
         wp.array(np.column_stack([rows, columns]), dtype=wp.int32, device="cpu"),
-    ]  # fmt: skip
+    ]
     seen = wp.zeros((len(points) // 100 + 1, SLOTS + 1), dtype=corner8f, device="cpu")
     wp.launch(ask, dim=len(points), inputs=inputs, outputs=[seen, taken], device="cpu")
     wanted = part < 0.1

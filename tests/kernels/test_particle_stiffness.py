@@ -1,4 +1,6 @@
-"""Cell stiffness, its product, its assembly and its projection to a coarser grid, against plain NumPy and SciPy."""
+"""Cell stiffness, its product, its assembly and its projection to a coarser grid, against plain
+NumPy and SciPy.
+"""
 
 import numpy as np
 import pytest
@@ -34,7 +36,9 @@ def numpy_cells(particles, grid):
     weight = particles.volume_m3 * particles.remaining / 65535.0
     for p, (c, at) in enumerate(zip(cell, place, strict=True)):
         first, shear = particles.lame_Pa[p]
-        total[c] += full_cell_stiffness(grid.edge_m, at[None], weight[p : p + 1], first_Pa=first, shear_Pa=shear)
+        total[c] += full_cell_stiffness(
+            grid.edge_m, at[None], weight[p : p + 1], first_Pa=first, shear_Pa=shear
+        )
     return total
 
 
@@ -88,7 +92,10 @@ def test_full_cell_against_scikit_fem():
     mesh = skfem.MeshHex.init_tensor(*([0.0, 1e-3],) * 3)
     basis = skfem.Basis(mesh, skfem.ElementVector(skfem.ElementHex1()), intorder=3)
     theirs = linear_elasticity(*lame_parameters(18.6e9, 0.31)).assemble(basis).toarray()
-    nodes = [int(np.argmin(np.linalg.norm(mesh.p.T - at, axis=1))) for at in grid.node_position_m[grid.cell_nodes[0]]]
+    nodes = [
+        int(np.argmin(np.linalg.norm(mesh.p.T - at, axis=1)))
+        for at in grid.node_position_m[grid.cell_nodes[0]]
+    ]
     rows = basis.nodal_dofs[:, nodes].T.ravel()
     assert np.abs(ours - theirs[np.ix_(rows, rows)]).max() <= ROUNDING * np.abs(theirs).max()
 
@@ -97,14 +104,18 @@ def test_a_single_particle_leaves_twelve_more_modes_that_the_inner_stiffness_clo
     particles = ParticleSet.uniform(np.full((1, 3), 0.3e-3), volume_m3=1e-10, modulus_Pa=18.6e9)
     grid = HexGrid.around(particles.position_m, edge_m=1e-3, origin_m=np.zeros(3))
     for strength, rank in ((0.0, 6), (1.0, 18)):
-        values = np.linalg.eigvalsh(CellStiffness(particles, grid, inner_strength=strength).cell_matrices()[0])
+        values = np.linalg.eigvalsh(
+            CellStiffness(particles, grid, inner_strength=strength).cell_matrices()[0]
+        )
         assert int((values > 1e-10 * values[-1]).sum()) == rank
 
 
 def test_a_centre_particle_of_the_full_volume_is_closed_to_the_exact_cell():
-    """What one particle in the middle misses is the rest of the cell's integral, here by 3 x 3 x 3 Gauss points.
+    """What one particle in the middle misses is the rest of the cell's integral, here by 3 x 3 x 3
+    Gauss points.
 
-    That rest is kept for equal Lame constants, that is for a Poisson's ratio of 1/4, and E = 2.5 mu.
+    That rest is kept for equal Lame constants, that is for a Poisson's ratio of 1/4, and E = 2.5
+    mu.
     """
     edge, first, shear = 1e-3, 5e9, 5e9
     modulus, ratio = 2.5 * shear, 0.25
@@ -148,14 +159,20 @@ def test_product_and_rows_against_the_scattered_matrix():
 
 
 def test_springs_at_points_add_their_stiffness():
-    """sum N^T S N over the points, with N the shape functions at each; what they push back with is that product."""
+    """sum N^T S N over the points, with N the shape functions at each; what they push back with
+    is that product.
+    """
     particles, grid = random_body(seed=4)
     springs = random_springs(particles.position_m)
-    bare, sprung = (CellStiffness(particles, grid, inner_strength=0.1, springs=s) for s in (None, springs))
+    bare, sprung = (
+        CellStiffness(particles, grid, inner_strength=0.1, springs=s) for s in (None, springs)
+    )
     cell, place = grid.locate(springs.position_m)
     shape = np.zeros((len(cell), grid.node_count))
     np.put_along_axis(shape, grid.cell_nodes[cell], shape_values(place), axis=1)
-    added = np.einsum("kp,kij,kq->piqj", shape, springs.stiffness_N_m, shape).reshape((3 * grid.node_count,) * 2)
+    added = np.einsum("kp,kij,kq->piqj", shape, springs.stiffness_N_m, shape).reshape(
+        (3 * grid.node_count,) * 2
+    )
     found = scattered(sprung) - scattered(bare)
     assert np.abs(found - added).max() <= 1e-12 * np.abs(scattered(sprung)).max()
     moved = np.random.default_rng(2).normal(size=(grid.node_count, 3))
@@ -165,7 +182,9 @@ def test_springs_at_points_add_their_stiffness():
 
 def test_coarse_grid_is_the_galerkin_projection():
     """Coarse cells summed from their children against P^T A P of the assembled matrix."""
-    particles, grid = block((6, 5, 7), 1e-3, modulus_Pa=lambda x: np.where(x[:, 0] < 2.5e-3, 2e6, 84e9))
+    particles, grid = block(
+        (6, 5, 7), 1e-3, modulus_Pa=lambda x: np.where(x[:, 0] < 2.5e-3, 2e6, 84e9)
+    )
     supports = NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0)
     body = ParticleBody(particles, grid, supports, springs=random_springs(particles.position_m))
     coarse = body._hierarchy.coarser[0]
@@ -182,7 +201,9 @@ def test_coarse_grid_is_the_galerkin_projection():
 
 def test_preconditioner_is_symmetric_and_positive():
     """Single precision leaves 1e-6 of asymmetry; the form is positive on random loads."""
-    particles, grid = block((6, 6, 6), 1e-3, modulus_Pa=lambda x: np.where(x[:, 0] < 2.5e-3, 2e6, 84e9))
+    particles, grid = block(
+        (6, 6, 6), 1e-3, modulus_Pa=lambda x: np.where(x[:, 0] < 2.5e-3, 2e6, 84e9)
+    )
     body = ParticleBody(particles, grid, at_bottom(grid))
     body.solve(body.spread(np.full(3, 5.9e-3), np.array([0.0, 0.0, -1.0])))
     a, b = np.random.default_rng(3).normal(size=(2, grid.node_count, 3)) * ~body.supports.fixed
@@ -192,7 +213,9 @@ def test_preconditioner_is_symmetric_and_positive():
 
 
 def test_one_and_two_cores_give_the_same_bits():
-    particles, grid = block((17, 17, 17), 1e-3, modulus_Pa=lambda x: np.where(x[:, 0] < 8.5e-3, 2e6, 84e9))
+    particles, grid = block(
+        (17, 17, 17), 1e-3, modulus_Pa=lambda x: np.where(x[:, 0] < 8.5e-3, 2e6, 84e9)
+    )
     fields = []
     for cores in (1, 2, 2):
         body = ParticleBody(particles, grid, at_bottom(grid), cores=cores)
@@ -208,4 +231,6 @@ def test_strain_matrix_of_gauss_points_sums_to_the_volume():
     stretch[4:, 0] = edge
     total = full_cell_stiffness(edge, GAUSS, np.full(8, edge**3 / 8), first_Pa=0.0, shear_Pa=0.5e9)
     assert stretch.ravel() @ total @ stretch.ravel() == pytest.approx(1e9 * edge**3, rel=1e-12)
-    assert np.allclose(strain_matrix(np.full(3, 0.5), edge) @ stretch.ravel(), [1, 0, 0, 0, 0, 0], atol=1e-12)
+    assert np.allclose(
+        strain_matrix(np.full(3, 0.5), edge) @ stretch.ravel(), [1, 0, 0, 0, 0, 0], atol=1e-12
+    )

@@ -14,8 +14,12 @@ from tissue.models.tooth.supports import NodeSupports
 
 def deformed():
     random = np.random.default_rng(0)
-    particles, grid = block((3, 2, 2), 1e-3, modulus_Pa=lambda x: 10.0 ** random.uniform(6, 11, len(x)))
-    body = ParticleBody(particles, grid, NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0))
+    particles, grid = block(
+        (3, 2, 2), 1e-3, modulus_Pa=lambda x: 10.0 ** random.uniform(6, 11, len(x))
+    )
+    body = ParticleBody(
+        particles, grid, NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0)
+    )
     return body, 1e-6 * random.normal(size=(grid.node_count, 3))
 
 
@@ -30,7 +34,11 @@ def test_particle_stress_against_numpy():
 
     gradient = np.stack(
         [
-            np.einsum("pa,pai->pi", shape_values(place + step * axis) - shape_values(place - step * axis), nodes)
+            np.einsum(
+                "pa,pai->pi",
+                shape_values(place + step * axis) - shape_values(place - step * axis),
+                nodes,
+            )
             / (2.0 * step * edge)
             for axis in np.eye(3)
         ],
@@ -38,9 +46,12 @@ def test_particle_stress_against_numpy():
     )
     strain = 0.5 * (gradient + gradient.transpose(0, 2, 1))
     first, shear = body.particles.lame_Pa.T[:, :, None, None]
-    stress = 2.0 * shear * strain + first * np.trace(strain, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    stress = 2.0 * shear * strain + first * np.trace(strain, axis1=1, axis2=2)[
+        :, None, None
+    ] * np.eye(3)
     order = ([0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1])
-    scale = np.abs(stress).max(axis=(1, 2))[:, None]  # 1e-7 of it: the central difference of a cubic, and rounding
+    # 1e-7 of it: the central difference of a cubic, and rounding
+    scale = np.abs(stress).max(axis=(1, 2))[:, None]
     assert (np.abs(found - stress[:, *order]) <= 1e-7 * scale).all()
     von_mises, principal = stress_invariants(found)
     assert (np.abs(principal - np.linalg.eigvalsh(stress)[:, ::-1]) <= 1e-6 * scale).all()
@@ -59,9 +70,13 @@ def test_a_chosen_particle_has_the_stress_it_has_among_all():
 
 def test_uniform_pressure_has_equal_principal_values():
     particles, grid = block((3, 3, 3), 1e-3, modulus_Pa=1e9)
-    body = ParticleBody(particles, grid, NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0))
+    body = ParticleBody(
+        particles, grid, NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0)
+    )
     pressure = 1e9 * 1e-3 / (1.0 - 2.0 * 0.3)
-    von_mises, principal = stress_invariants(particle_stress(body.cells, 1e-3 * grid.node_position_m))
+    von_mises, principal = stress_invariants(
+        particle_stress(body.cells, 1e-3 * grid.node_position_m)
+    )
     assert np.allclose(principal, pressure, rtol=1e-9)
     assert np.abs(von_mises).max() < 1e-9 * pressure
 
@@ -73,14 +88,22 @@ def evaluate_principal(stress: wp.array(dtype=wp.mat33d), values_out: wp.array(d
 
 
 @pytest.mark.parametrize(
-    "wanted", [(2.0, -1.0, -1.0), (1.0, 1.0, -2.0), (3.0, 0.0, 0.0), (5.0, 2.0, -4.0), (0.0, 0.0, 0.0)]
+    "wanted",
+    [(2.0, -1.0, -1.0), (1.0, 1.0, -2.0), (3.0, 0.0, 0.0), (5.0, 2.0, -4.0), (0.0, 0.0, 0.0)],
 )
 def test_principal_values_of_turned_matrices(wanted):
-    """Of 2,000 rotations; where two values are equal the cosine lies at the end of its range, where it may round over."""
+    """Of 2,000 rotations; where two values are equal the cosine lies at the end of its range,
+    where it may round over.
+    """
     turns = Rotation.random(2000, random_state=0).as_matrix()
     stress = np.einsum("nij,j,nkj->nik", turns, wanted, turns)
     out = wp.zeros(len(stress), dtype=wp.vec3d, device="cpu")
     wp.launch(
-        evaluate_principal, dim=len(stress), inputs=[wp.array(stress, dtype=wp.mat33d)], outputs=[out], device="cpu"
+        evaluate_principal,
+        dim=len(stress),
+        inputs=[wp.array(stress, dtype=wp.mat33d)],
+        outputs=[out],
+        device="cpu",
     )
-    assert out.numpy() == pytest.approx(np.broadcast_to(wanted, (2000, 3)), abs=1e-7)  # the root of rounding
+    # the root of rounding
+    assert out.numpy() == pytest.approx(np.broadcast_to(wanted, (2000, 3)), abs=1e-7)

@@ -25,7 +25,9 @@ def distance_each(
     direction_out[i] = direction
 
 
-@pytest.mark.parametrize("probe", [SphereProbe(0.004), CylinderProbe(0.004, 0.0005)], ids=["sphere", "cylinder"])
+@pytest.mark.parametrize(
+    "probe", [SphereProbe(0.004), CylinderProbe(0.004, 0.0005)], ids=["sphere", "cylinder"]
+)
 def test_distances_agree_with_numpy_and_their_gradients_with_differences(probe):
     rng = np.random.default_rng(3)
     rotation, tip = Rotation.random(random_state=1).as_matrix(), np.array([0.01, -0.02, 0.03])
@@ -33,7 +35,10 @@ def test_distances_agree_with_numpy_and_their_gradients_with_differences(probe):
     rows = np.vstack([tip, rotation, tip, rotation])
 
     def kernel(points):
-        out = wp.zeros(len(points), dtype=wp.float64, device="cpu"), wp.zeros(len(points), dtype=wp.vec3d, device="cpu")
+        out = (
+            wp.zeros(len(points), dtype=wp.float64, device="cpu"),
+            wp.zeros(len(points), dtype=wp.vec3d, device="cpu"),
+        )
         inputs = [
             probe.kind,
             wp.vec2d(*probe.size_m),
@@ -48,7 +53,9 @@ def test_distances_agree_with_numpy_and_their_gradients_with_differences(probe):
     np.testing.assert_allclose(distance, expected, atol=1e-15)
     np.testing.assert_allclose(direction, expected_direction, atol=1e-10)
     step = 1e-7
-    slopes = np.column_stack([(kernel(local + e)[0] - kernel(local - e)[0]) / (2 * step) for e in step * np.eye(3)])
+    slopes = np.column_stack(
+        [(kernel(local + e)[0] - kernel(local - e)[0]) / (2 * step) for e in step * np.eye(3)]
+    )
     # Within a step of an edge between face and side the difference straddles both.
     smooth = np.abs(np.linalg.norm(slopes, axis=1) - 1.0) < 1e-3
     assert smooth.mean() > 0.99

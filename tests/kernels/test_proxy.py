@@ -3,7 +3,18 @@
 import numpy as np
 import pytest
 
-from kernels.proxy import CENTRE, CONVERGED, FORCE, MOMENT, POSITION, PRESSING, ROTATION, SOLVES, STEPS, TRAVEL
+from kernels.proxy import (
+    CENTRE,
+    CONVERGED,
+    FORCE,
+    MOMENT,
+    POSITION,
+    PRESSING,
+    ROTATION,
+    SOLVES,
+    STEPS,
+    TRAVEL,
+)
 from tissue.haptics.proxy.proxy import Proxy
 from tissue.haptics.proxy.tool_shell import ToolShell
 from tissue.haptics.proxy.voxmap import ContactField, HalfSpace
@@ -15,7 +26,9 @@ NORMAL = np.array([0.2, -0.3, 1.0]) / np.linalg.norm([0.2, -0.3, 1.0])
 
 
 def tick(device_m, *, friction=0.0, lever_m=None):
-    """State and report after one tick from above the plane, the ball's centre off the tool's origin."""
+    """State and report after one tick from above the plane, the ball's centre off the tool's
+    origin.
+    """
     arm = np.array([1e-3, 2e-3, -1e-3])
     field = ContactField(HalfSpace(np.zeros(3), NORMAL))
     shell = ToolShell.ball(RADIUS_M, centre_m=tuple(arm))
@@ -30,7 +43,9 @@ def test_a_free_device_is_followed(lever_m):
     device = 2e-3 * NORMAL + np.array([1e-3, 0.0, 0.0])
     state, report, arm = tick(device, lever_m=lever_m)
     assert state[POSITION : POSITION + 3] == pytest.approx(device - arm, abs=EXACT_M)
-    assert state[ROTATION : ROTATION + 4] == pytest.approx(np.array([0.0, 0.0, 0.0, 1.0]), abs=EXACT_M)
+    assert state[ROTATION : ROTATION + 4] == pytest.approx(
+        np.array([0.0, 0.0, 0.0, 1.0]), abs=EXACT_M
+    )
     assert state[TRAVEL] == pytest.approx(np.linalg.norm(device - START_M * NORMAL), rel=1e-6)
     assert report[[CONVERGED, PRESSING]].tolist() == [1.0, 0.0] and report[STEPS] >= 1.0
     assert not report[FORCE : FORCE + 3].any() and not report[MOMENT : MOMENT + 3].any()
@@ -38,7 +53,8 @@ def test_a_free_device_is_followed(lever_m):
 
 @pytest.mark.parametrize("friction", [0.0, 0.2, 5.0])
 def test_a_ball_rests_on_the_plane_below_its_device(friction):
-    """The device goes d = 0.5 mm deep and 2 d along, from 4 d above contact: the plane is met after 1.6 d along.
+    """The device goes d = 0.5 mm deep and 2 d along, from 4 d above contact: the plane is met after
+    1.6 d along.
 
     There friction holds the ball, or lets it slide until it pulls back by the coefficient times d.
     """

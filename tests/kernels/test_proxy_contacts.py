@@ -1,4 +1,6 @@
-"""Planes that a shell must stay above, beside exact solids and at an inner corner of voxels, against closed forms."""
+"""Planes that a shell must stay above, beside exact solids and at an inner corner of voxels,
+against closed forms.
+"""
 
 import numpy as np
 import pytest
@@ -48,16 +50,29 @@ class Looker:
 
     def __init__(self, points_m, field, *, radius_m=0.0):
         normals = np.zeros_like(points_m)
-        self.field, self.contacts = field, Proxy(ToolShell(points_m, normals, radius_m), field)._contacts
+        self.field, self.contacts = (
+            field,
+            Proxy(ToolShell(points_m, normals, radius_m), field)._contacts,
+        )
         self.shell = Shell()
         self.shell.point = wp.array(points_m, dtype=wp.vec3d, device="cpu")
-        self.shell.radius, self.shell.reach = radius_m, np.linalg.norm(points_m, axis=1).max() + radius_m
+        self.shell.radius, self.shell.reach = (
+            radius_m,
+            np.linalg.norm(points_m, axis=1).max() + radius_m,
+        )
 
     def look(self, position_m, *, turn=None, travel_m=0.0, wanted_m=0.0, step_m=STEP_M):
         """Number of candidates, least gap and free path length."""
         found = wp.zeros(3, dtype=wp.float64, device="cpu")
         quaternion = (turn or Rotation.identity()).as_quat()
-        inputs = [self.field.arrays, self.shell, wp.transformd(position_m, quaternion), travel_m, wanted_m, step_m]
+        inputs = [
+            self.field.arrays,
+            self.shell,
+            wp.transformd(position_m, quaternion),
+            travel_m,
+            wanted_m,
+            step_m,
+        ]
         wp.launch(collect_once, dim=1, inputs=inputs, outputs=[self.contacts, found], device="cpu")
         count, gap, clear = found.numpy()
         return int(count), gap, clear
@@ -67,8 +82,13 @@ class Looker:
 
 
 def solids(random):
-    """A plane askew, a box and a ball, and their distances and normals by formula, shape (points, 3)."""
-    normal, low = np.array([0.1, -0.2, 1.0]) / np.linalg.norm([0.1, -0.2, 1.0]), np.array([0.0, 0.0, -2e-3])
+    """A plane askew, a box and a ball, and their distances and normals by formula, shape
+    (points, 3).
+    """
+    normal, low = (
+        np.array([0.1, -0.2, 1.0]) / np.linalg.norm([0.1, -0.2, 1.0]),
+        np.array([0.0, 0.0, -2e-3]),
+    )
     centre, half = np.array([4e-3, 0.0, 1e-3]), np.array([1e-3, 2e-3, 1.5e-3])
     middle, radius = np.array([-4e-3, 1e-3, 0.0]), 2e-3
 
@@ -78,19 +98,27 @@ def solids(random):
         to_box = np.linalg.norm(outside, axis=1)
         inner = np.eye(3)[beyond.argmax(axis=1)]
         with np.errstate(invalid="ignore"):
-            from_box = np.sign(at - centre) * np.where(to_box[:, None] > 0.0, outside / to_box[:, None], inner)
+            from_box = np.sign(at - centre) * np.where(
+                to_box[:, None] > 0.0, outside / to_box[:, None], inner
+            )
         to_box = np.where(to_box > 0.0, to_box, beyond.max(axis=1))
         arm = at - middle
         size = np.linalg.norm(arm, axis=1)
         away = np.stack([(at - low) @ normal, to_box, size - radius], axis=1)
-        return away, np.stack([np.broadcast_to(normal, at.shape), from_box, arm / size[:, None]], axis=1)
+        return away, np.stack(
+            [np.broadcast_to(normal, at.shape), from_box, arm / size[:, None]], axis=1
+        )
 
-    return ContactField(HalfSpace(low, normal), Box(centre, 2.0 * half), Ball(middle, radius)), distance
+    return ContactField(
+        HalfSpace(low, normal), Box(centre, 2.0 * half), Ball(middle, radius)
+    ), distance
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_candidates_beside_solids_and_points_that_sleep(seed):
-    """A gap is the distance less the ball's radius; a point sleeps for what it is farther away than a step."""
+    """A gap is the distance less the ball's radius; a point sleeps for what it is farther away
+    than a step.
+    """
     random = np.random.default_rng(seed)
     points = random.normal(size=(60, 3)) * 2e-3
     field, distance = solids(random)
@@ -107,7 +135,9 @@ def test_candidates_beside_solids_and_points_that_sleep(seed):
     assert looker.read("gap", count) == pytest.approx(gaps[point, solid], abs=ROUNDING_M)
     assert looker.read("normal", count) == pytest.approx(normals[point, solid], abs=1e-12)
     assert looker.read("arm", count) == pytest.approx(arm, abs=ROUNDING_M)
-    assert looker.read("moment", count) == pytest.approx(np.cross(arm, normals[point, solid]), abs=ROUNDING_M)
+    assert looker.read("moment", count) == pytest.approx(
+        np.cross(arm, normals[point, solid]), abs=ROUNDING_M
+    )
     bound = gaps.min(axis=1)
     assert gap == pytest.approx(bound.min(), abs=ROUNDING_M)
     assert clear == pytest.approx(np.maximum(bound, STEP_M).min(), abs=ROUNDING_M)
@@ -125,18 +155,31 @@ def test_candidates_beside_solids_and_points_that_sleep(seed):
 
 
 def test_a_point_keeps_the_plane_that_it_met_while_it_goes_up_a_wall():
-    """At an inner corner the plane met before stays with its force, until the point has left it or the voxels."""
+    """At an inner corner the plane met before stays with its force, until the point has left it
+    or the voxels.
+    """
     spacing, count = 2e-4, 32
     corner = np.indices((count,) * 3)
     fraction = np.where((corner[0] < 10) | (corner[2] < 10), 255, 0).astype(np.uint8)
     volume = VoxelVolume(
-        np.zeros(3), spacing, fraction, np.zeros_like(fraction), np.full(fraction.shape, 1800, np.uint16), ("bone",)
+        np.zeros(3),
+        spacing,
+        fraction,
+        np.zeros_like(fraction),
+        np.full(fraction.shape, 1800, np.uint16),
+        ("bone",),
     )
-    looker = Looker(np.zeros((1, 3)), ContactField(store=BrickStore.from_volume(volume, device="cpu")))
+    looker = Looker(
+        np.zeros((1, 3)), ContactField(store=BrickStore.from_volume(volume, device="cpu"))
+    )
     edge, far, step, force = 10 * spacing, 20 * spacing, 0.5 * spacing, 1e-4
     shift = (0.5 - SURFACE) * spacing  # the surface lies that far outside the voxels' faces
     found, gap, clear = looker.look((far, far, edge + 0.3 * spacing), step_m=step)
-    assert (found, gap, clear) == (1, pytest.approx(0.3 * spacing - shift, abs=1e-12), pytest.approx(step))
+    assert (found, gap, clear) == (
+        1,
+        pytest.approx(0.3 * spacing - shift, abs=1e-12),
+        pytest.approx(step),
+    )
     assert looker.read("normal", 1) == pytest.approx(np.array([[0.0, 0.0, 1.0]]), abs=1e-12)
     looker.contacts.press.assign([force, 0.0, 0.0])
     found, _, _ = looker.look((edge + 0.3 * spacing, far, edge + 0.6 * spacing), step_m=step)
@@ -153,10 +196,16 @@ def test_a_point_keeps_the_plane_that_it_met_while_it_goes_up_a_wall():
     assert not looker.read("press").any() and not looker.read("plane_normal").any()
 
 
-@pytest.mark.parametrize(("press", "place"), [((5.0, 1.0, 3.0), 1), ((5.0, 3.0, 1.0), 2), ((5.0, 0.0, 0.0), 1)])
+@pytest.mark.parametrize(
+    ("press", "place"), [((5.0, 1.0, 3.0), 1), ((5.0, 3.0, 1.0), 2), ((5.0, 0.0, 0.0), 1)]
+)
 def test_a_plane_that_is_kept_takes_the_place_of_the_weaker_of_the_older_two(press, place):
-    """The second of two points: its present plane and force move, the other kept plane and the first point stay."""
-    looker = Looker(np.zeros((2, 3)), ContactField(HalfSpace(np.zeros(3), np.array([0.0, 0.0, 1.0]))))
+    """The second of two points: its present plane and force move, the other kept plane and the
+    first point stay.
+    """
+    looker = Looker(
+        np.zeros((2, 3)), ContactField(HalfSpace(np.zeros(3), np.array([0.0, 0.0, 1.0])))
+    )
     contacts = looker.contacts
     normals, offsets = np.random.default_rng(0).normal(size=(2, 3, 3)), np.arange(6.0).reshape(2, 3)
     contacts.plane_normal = wp.array(normals, dtype=wp.vec3d, device="cpu")
@@ -172,15 +221,26 @@ def test_a_plane_that_is_kept_takes_the_place_of_the_weaker_of_the_older_two(pre
 
 
 def test_a_point_that_goes_along_a_face_keeps_no_second_plane():
-    """The face is one plane wherever the point stands, so the plane met before is not another one."""
+    """The face is one plane wherever the point stands, so the plane met before is not another
+    one.
+    """
     spacing, count = 2e-4, 32
     fraction = np.where(np.indices((count,) * 3)[2] < 10, 255, 0).astype(np.uint8)
     volume = VoxelVolume(
-        np.zeros(3), spacing, fraction, np.zeros_like(fraction), np.full(fraction.shape, 1800, np.uint16), ("bone",)
+        np.zeros(3),
+        spacing,
+        fraction,
+        np.zeros_like(fraction),
+        np.full(fraction.shape, 1800, np.uint16),
+        ("bone",),
     )
-    looker = Looker(np.zeros((1, 3)), ContactField(store=BrickStore.from_volume(volume, device="cpu")))
+    looker = Looker(
+        np.zeros((1, 3)), ContactField(store=BrickStore.from_volume(volume, device="cpu"))
+    )
     for x in (20.0, 20.4, 21.3):
-        found, _, _ = looker.look((x * spacing, 20.3 * spacing, 10.3 * spacing), step_m=0.5 * spacing)
+        found, _, _ = looker.look(
+            (x * spacing, 20.3 * spacing, 10.3 * spacing), step_m=0.5 * spacing
+        )
         assert found == 1
         assert not looker.read("plane_normal")[0, 1:].any()
         assert looker.read("press")[1:].tolist() == [0.0, 0.0]

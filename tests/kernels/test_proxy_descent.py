@@ -21,7 +21,9 @@ from kernels.proxy_descent import (
 from kernels.proxy_forces import MEMBERS
 
 EXACT = 1e-9
-"""Of lengths and angles of size one: the contact's matrix is stiffened by 1e-13, and rounding is 1e-15."""
+"""Of lengths and angles of size one: the contact's matrix is stiffened by 1e-13, and rounding is
+1e-15.
+"""
 REACH, STEP, TOLERANCE = 0.7, 0.5, 1e-6
 
 
@@ -56,9 +58,18 @@ def step_once(
     accepted = accept_trial(before, gap, settings.step)
     number_out[1] = accepted.deepest
     descent, reaction, ended = take_step(
-        accepted, Reaction(), contacts_out, 1, settings, wp.transform_get_translation(goal),
-        wp.transform_get_rotation(goal), gap, clear, wp.float64(0.0), wp.float64(REACH),
-    )  # fmt: skip
+        accepted,
+        Reaction(),
+        contacts_out,
+        1,
+        settings,
+        wp.transform_get_translation(goal),
+        wp.transform_get_rotation(goal),
+        gap,
+        clear,
+        wp.float64(0.0),
+        wp.float64(REACH),
+    )
     vector_out[0] = descent.shift
     vector_out[1] = descent.turn
     vector_out[2] = reaction.force
@@ -76,11 +87,17 @@ def one_contact(arm, normal, gap):
     contacts = Contacts()
     contacts.slots = 1
     for name, values, dtype in (
-        ("press", [0.0], wp.float64), ("slot", [0], wp.int32), ("chosen", [0], wp.int32), ("gap", [gap], wp.float64),
-        ("arm", [arm], wp.vec3d), ("normal", [normal], wp.vec3d), ("moment", [np.cross(arm, normal)], wp.vec3d),
-        ("member", np.zeros(MEMBERS), wp.int32), ("lower", np.zeros((MEMBERS, MEMBERS)), wp.float64),
+        ("press", [0.0], wp.float64),
+        ("slot", [0], wp.int32),
+        ("chosen", [0], wp.int32),
+        ("gap", [gap], wp.float64),
+        ("arm", [arm], wp.vec3d),
+        ("normal", [normal], wp.vec3d),
+        ("moment", [np.cross(arm, normal)], wp.vec3d),
+        ("member", np.zeros(MEMBERS), wp.int32),
+        ("lower", np.zeros((MEMBERS, MEMBERS)), wp.float64),
         ("side", np.zeros((MEMBERS, 3)), wp.float64),
-    ):  # fmt: skip
+    ):
         setattr(contacts, name, wp.array(values, dtype=dtype, device="cpu"))
     return contacts
 
@@ -91,7 +108,10 @@ class Case:
     def __init__(self, seed, *, compliance, gap, clear=10.0, solves=0):
         random = np.random.default_rng(seed)
         self.start, self.goal = random.normal(size=(2, 3))
-        self.turns = Rotation.random(random_state=seed), Rotation.from_rotvec(random.normal(size=3) * 0.4)
+        self.turns = (
+            Rotation.random(random_state=seed),
+            Rotation.from_rotvec(random.normal(size=3) * 0.4),
+        )
         self.shift = self.goal - self.start
         self.turn = self.turns[1].as_rotvec() if compliance else np.zeros(3)
         self.motion = random.normal(size=(2, 3)) * [[1.0], [float(compliance > 0.0)]]
@@ -104,11 +124,22 @@ class Case:
         goal = wp.transformd(self.goal, (self.turns[1] * self.turns[0]).as_quat())
         start = wp.transformd(self.start, self.turns[0].as_quat())
         out = [
-            wp.zeros(1, dtype=wp.transformd, device="cpu"), wp.zeros(5, dtype=wp.vec3d, device="cpu"),
-            wp.zeros(1, dtype=wp.transformd, device="cpu"), wp.zeros(6, dtype=wp.float64, device="cpu"),
-        ]  # fmt: skip
+            wp.zeros(1, dtype=wp.transformd, device="cpu"),
+            wp.zeros(5, dtype=wp.vec3d, device="cpu"),
+            wp.zeros(1, dtype=wp.transformd, device="cpu"),
+            wp.zeros(6, dtype=wp.float64, device="cpu"),
+        ]
         motion = wp.array(self.motion, dtype=wp.vec3d, device="cpu")
-        inputs = [settings, start, motion, goal, gap, clear, solves, one_contact(self.arm, self.normal, gap)]
+        inputs = [
+            settings,
+            start,
+            motion,
+            goal,
+            gap,
+            clear,
+            solves,
+            one_contact(self.arm, self.normal, gap),
+        ]
         wp.launch(step_once, dim=1, inputs=inputs, outputs=out, device="cpu")
         self.halved, self.vectors, self.trial, self.numbers = (each.numpy() for each in out)
 
@@ -138,7 +169,9 @@ def test_a_free_motion_arrives_or_is_shortened(compliance, clear):
     for seed in range(5):
         case = Case(seed, compliance=compliance, gap=50.0, clear=clear)
         share = min(clear / length(case.shift, case.turn), 1.0)
-        assert case.vectors[:2] == pytest.approx(share * np.array([case.shift, case.turn]), abs=EXACT)
+        assert case.vectors[:2] == pytest.approx(
+            share * np.array([case.shift, case.turn]), abs=EXACT
+        )
         assert case.numbers[2] == pytest.approx(share * length(case.shift, case.turn), abs=EXACT)
         assert case.numbers[3:].tolist() == [GOES_ON, float(share == 1.0), 0.0]
         case.check_pose(case.trial, share * case.shift, share * case.turn)
@@ -147,15 +180,21 @@ def test_a_free_motion_arrives_or_is_shortened(compliance, clear):
 
 @pytest.mark.parametrize("compliance", [0.0, 1.5])
 def test_a_motion_into_a_plane_ends_on_it(compliance):
-    """With one plane, f = -(g + n . t + m . w) / (n . n + c m . m), t' = t + f n, w' = w + c f m."""
+    """With one plane, f = -(g + n . t + m . w) / (n . n + c m . m), t' = t + f n, w' = w + c f
+    m.
+    """
     for seed in range(5):
         case = Case(seed, compliance=compliance, gap=0.05)
         moment = np.cross(case.arm, case.normal)
-        press = -(0.05 + case.normal @ case.shift + moment @ case.turn) / (1.0 + compliance * moment @ moment)
+        press = -(0.05 + case.normal @ case.shift + moment @ case.turn) / (
+            1.0 + compliance * moment @ moment
+        )
         assert press > 0.0
         force = press * case.normal
         shift, turn = case.shift + force, case.turn + compliance * press * moment
-        assert case.vectors == pytest.approx(np.array([shift, turn, force, press * moment, case.arm]), abs=EXACT)
+        assert case.vectors == pytest.approx(
+            np.array([shift, turn, force, press * moment, case.arm]), abs=EXACT
+        )
         assert case.numbers[3:].tolist() == [GOES_ON, 0.0, 1.0]
         case.check_pose(case.trial, shift, turn)
 
@@ -180,12 +219,18 @@ def aim_often(
     descent.lowest = wp.float64(1.0e300)
     for k in range(numbers_out.shape[0]):
         descent = aim_at(
-            descent, wp.transform_get_translation(goal), wp.transform_get_rotation(goal), compliance, spacing
+            descent,
+            wp.transform_get_translation(goal),
+            wp.transform_get_rotation(goal),
+            compliance,
+            spacing,
         )
         numbers_out[k, 0] = wp.float64(descent.stalls)
         numbers_out[k, 1] = descent.lowest
         if k == 3:  # halfway there, the springs' energy has fallen to a quarter
-            descent.position = wp.float64(0.5) * (descent.position + wp.transform_get_translation(goal))
+            descent.position = wp.float64(0.5) * (
+                descent.position + wp.transform_get_translation(goal)
+            )
 
 
 @pytest.mark.parametrize(("spacing", "stalls"), [(1e-4, [0, 1, 2, 3, 0, 1]), (0.0, [0] * 6)])
@@ -198,4 +243,6 @@ def test_steps_that_leave_the_springs_energy_are_counted_as_stalls_near_voxels(s
     wp.launch(aim_often, dim=1, inputs=[*poses, compliance, spacing], outputs=[out], device="cpu")
     far, turned = np.sum((goal - start) ** 2), turn.magnitude() ** 2 / compliance
     assert out.numpy()[:, 0].tolist() == stalls
-    assert out.numpy()[:, 1] == pytest.approx([far + turned] * 4 + [0.25 * far + turned] * 2, abs=EXACT)
+    assert out.numpy()[:, 1] == pytest.approx(
+        [far + turned] * 4 + [0.25 * far + turned] * 2, abs=EXACT
+    )

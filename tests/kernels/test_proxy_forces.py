@@ -1,4 +1,6 @@
-"""The active set and its friction against SciPy's non-negative least squares and the laws of Coulomb."""
+"""The active set and its friction against SciPy's non-negative least squares and the laws of
+Coulomb.
+"""
 
 import numpy as np
 import pytest
@@ -43,12 +45,16 @@ def solve_once(
     members_out[1] = solves
 
 
-def solved(arms, normals, gaps, free, *, compliance, friction=0.0, press=None, last=NOTHING, solves=None):
+def solved(
+    arms, normals, gaps, free, *, compliance, friction=0.0, press=None, last=NOTHING, solves=None
+):
     """Normal forces, friction force and its arm; the number of solves is added to `solves`."""
     count = len(gaps)
     clearance = Contacts()
     clearance.slots = 1
-    clearance.press = wp.array(np.zeros(count) if press is None else press, dtype=wp.float64, device="cpu")
+    clearance.press = wp.array(
+        np.zeros(count) if press is None else press, dtype=wp.float64, device="cpu"
+    )
     clearance.slot = wp.array(np.arange(count), dtype=wp.int32, device="cpu")
     clearance.arm = wp.array(arms, dtype=wp.vec3d, device="cpu")
     clearance.normal = wp.array(normals, dtype=wp.vec3d, device="cpu")
@@ -58,7 +64,10 @@ def solved(arms, normals, gaps, free, *, compliance, friction=0.0, press=None, l
     clearance.member = wp.zeros(MEMBERS, dtype=wp.int32, device="cpu")
     clearance.lower = wp.zeros((MEMBERS, MEMBERS), dtype=wp.float64, device="cpu")
     clearance.side = wp.zeros((MEMBERS, 3), dtype=wp.float64, device="cpu")
-    out, members = wp.zeros(2, dtype=wp.vec3d, device="cpu"), wp.zeros(2, dtype=wp.int32, device="cpu")
+    out, members = (
+        wp.zeros(2, dtype=wp.vec3d, device="cpu"),
+        wp.zeros(2, dtype=wp.int32, device="cpu"),
+    )
     start, before = (wp.array(each, dtype=wp.vec3d, device="cpu") for each in (free, last))
     inputs = [clearance, count, compliance, friction, start, before]
     wp.launch(solve_once, dim=1, inputs=inputs, outputs=[out, members], device="cpu")
@@ -68,13 +77,17 @@ def solved(arms, normals, gaps, free, *, compliance, friction=0.0, press=None, l
 
 
 def least_distance(arms, normals, gaps, free, *, compliance):
-    """Motion nearest to the free one that keeps all planes (Lawson and Hanson 1974, least distance programming)."""
+    """Motion nearest to the free one that keeps all planes (Lawson and Hanson 1974, least
+    distance programming).
+    """
     scale = np.sqrt(compliance)
     rows = np.hstack([normals, scale * np.cross(arms, normals)])
     start = np.concatenate([free[0], free[1] / scale if scale else np.zeros(3)])
     wanted = -gaps - rows @ start
     size = max(np.abs(wanted).max(), 1e-30)
-    u, _ = nnls(np.vstack([rows.T, wanted / size]), np.concatenate([np.zeros(6), [1.0]]), maxiter=10_000)
+    u, _ = nnls(
+        np.vstack([rows.T, wanted / size]), np.concatenate([np.zeros(6), [1.0]]), maxiter=10_000
+    )
     rest = np.vstack([rows.T, wanted / size]) @ u - np.concatenate([np.zeros(6), [1.0]])
     step = start - size * rest[:6] / rest[6]
     return step[:3], scale * step[3:]
@@ -99,7 +112,9 @@ def test_frictionless_motion_is_the_nearest_one_allowed(lever):
         normals /= np.linalg.norm(normals, axis=1)[:, None]
         normals[normals[:, 2] < 0.1] = [0.0, 0.0, 1.0]
         gaps = random.uniform(0.0, 1e-3, count)
-        free = np.array([random.normal(size=3) * 3e-3, random.normal(size=3) * (0.1 if lever else 0.0)])
+        free = np.array(
+            [random.normal(size=3) * 3e-3, random.normal(size=3) * (0.1 if lever else 0.0)]
+        )
         press, _, _ = solved(arms, normals, gaps, free, compliance=compliance)
         shift, turn = moved(arms, normals, press, free, compliance=compliance)
         expected = least_distance(arms, normals, gaps, free, compliance=compliance)
@@ -111,7 +126,9 @@ def test_frictionless_motion_is_the_nearest_one_allowed(lever):
 
 
 def test_many_points_of_a_face_press_as_one():
-    """A hundred planes that depend on each other, a start from wrong forces: the motion is the same."""
+    """A hundred planes that depend on each other, a start from wrong forces: the motion is the
+    same.
+    """
     random = np.random.default_rng(2)
     arms = np.column_stack([random.uniform(-5e-3, 5e-3, (100, 2)), np.full(100, -1e-3)])
     normals = np.tile([0.0, 0.0, 1.0], (100, 1))
@@ -126,16 +143,25 @@ def test_many_points_of_a_face_press_as_one():
 
 @pytest.mark.parametrize("friction", [0.05, 0.3, 1.0])
 def test_friction_holds_or_works_against_the_slip(friction):
-    """Coulomb at the centre of pressure: inside the cone nothing slips, on it the force opposes the slip."""
+    """Coulomb at the centre of pressure: inside the cone nothing slips, on it the force opposes
+    the slip.
+    """
     random = np.random.default_rng(3)
     stuck = slipped = 0
     for _ in range(60):
         count = int(random.integers(1, 12))
         arms = random.normal(size=(count, 3)) * 3e-3
         normals = np.tile([0.0, 0.0, 1.0], (count, 1))
-        free = np.array([random.normal(size=3) * [1e-3, 1e-3, 0.0] - [0, 0, 2e-3], random.normal(size=3) * 0.01])
+        free = np.array(
+            [random.normal(size=3) * [1e-3, 1e-3, 0.0] - [0, 0, 2e-3], random.normal(size=3) * 0.01]
+        )
         press, rub, arm = solved(
-            arms, normals, 0.2e-3 + arms[:, 2] - arms[:, 2].min(), free, compliance=2500.0, friction=friction
+            arms,
+            normals,
+            0.2e-3 + arms[:, 2] - arms[:, 2].min(),
+            free,
+            compliance=2500.0,
+            friction=friction,
         )
         total = press.sum()
         shift, turn = moved(arms, normals, press, free, compliance=2500.0, rub=rub, arm=arm)
@@ -166,7 +192,9 @@ def slanted_planes(random):
 def after_ticks(given, *, friction, press=None, last=NOTHING, ticks=20):
     """Normal forces, friction force and its arm after some ticks at one place."""
     for _ in range(ticks):
-        press, *last = solved(*given, compliance=GROOVE, friction=friction, press=press, last=np.array(last))
+        press, *last = solved(
+            *given, compliance=GROOVE, friction=friction, press=press, last=np.array(last)
+        )
     return press, *last
 
 
@@ -183,11 +211,12 @@ def slip_of(given, press, rub, arm):
 
 @pytest.mark.parametrize("friction", [0.1, 0.4])
 def test_friction_on_slanted_planes_answers_to_what_they_press_then(friction):
-    """A groove of random planes: friction changes what each presses, and is bounded by what they press with it.
+    """A groove of random planes: friction changes what each presses, and is bounded by what they
+    press with it.
 
-    All laws at once: no plane is entered, none pulls, one of both is zero; friction acts at the centre of pressure
-    across the resultant, at most the coefficient times the sum of the normal forces, and holds that point or opposes
-    its slip.
+    All laws at once: no plane is entered, none pulls, one of both is zero; friction acts at the
+    centre of pressure across the resultant, at most the coefficient times the sum of the normal
+    forces, and holds that point or opposes its slip.
     """
     random = np.random.default_rng(7)
     stuck = slipped = 0
@@ -213,7 +242,9 @@ def test_friction_on_slanted_planes_answers_to_what_they_press_then(friction):
 
 
 def test_a_groove_holds_up_to_the_coefficient_that_it_needs():
-    """What friction pulls, over what all planes press, is the coefficient needed: 1 % more holds, 1 % less slips."""
+    """What friction pulls, over what all planes press, is the coefficient needed: 1 % more
+    holds, 1 % less slips.
+    """
     random, seen = np.random.default_rng(11), 0
     for _ in range(16):
         given = slanted_planes(random)
@@ -223,16 +254,22 @@ def test_a_groove_holds_up_to_the_coefficient_that_it_needs():
         if needed > 0.9 or np.linalg.norm(slip) > 1e-9:
             continue
         for share, slips in ((1.01, False), (0.99, True)):
-            again = after_ticks(given, friction=share * needed, press=press, last=np.array([rub, arm]))
+            again = after_ticks(
+                given, friction=share * needed, press=press, last=np.array([rub, arm])
+            )
             slid = np.linalg.norm(slip_of(given, *again)[0])
             assert (slid > 1e-8) == slips
-            assert np.linalg.norm(again[1]) == pytest.approx(min(share, 1.0) * needed * again[0].sum(), rel=1e-6)
+            assert np.linalg.norm(again[1]) == pytest.approx(
+                min(share, 1.0) * needed * again[0].sum(), rel=1e-6
+            )
         seen += 1
     assert seen > 5
 
 
 def test_solves_of_the_active_set_are_counted_over_all_rounds():
-    """From wrong forces each plane that joins or leaves is a solve; friction solves again in every round."""
+    """From wrong forces each plane that joins or leaves is a solve; friction solves again in
+    every round.
+    """
     given = slanted_planes(np.random.default_rng(7))
     counts = []
     for friction in (0.0, 0.4):

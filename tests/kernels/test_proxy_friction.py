@@ -1,4 +1,6 @@
-"""Forces on a point of two tangential directions against NumPy's solve and SciPy's root of the cone's equation."""
+"""Forces on a point of two tangential directions against NumPy's solve and SciPy's root of the
+cone's equation.
+"""
 
 import numpy as np
 import pytest
@@ -8,7 +10,9 @@ from scipy.optimize import brentq
 from kernels.proxy_friction import holding_force, slipping_force
 
 EXACT = 1e-9
-"""Relative: compliances of condition up to a hundred, softened by 1e-11, and Newton steps that end at 1e-13."""
+"""Relative: compliances of condition up to a hundred, softened by 1e-11, and Newton steps that
+end at 1e-13.
+"""
 COUNT = 200
 
 
@@ -29,7 +33,9 @@ def evaluate(
 
 
 def test_holding_and_slipping_forces():
-    """W f = -v where the bound allows; else (W + s I) f = -v with the s >= 0 for which |f| is the bound."""
+    """W f = -v where the bound allows; else (W + s I) f = -v with the s >= 0 for which |f| is
+    the bound.
+    """
     random = np.random.default_rng(0)
     half = random.normal(size=(COUNT, 2, 2))
     compliance = half @ half.transpose(0, 2, 1) + 0.1 * np.eye(2)
@@ -55,6 +61,14 @@ def test_holding_and_slipping_forces():
         right = hold[i]
         if np.linalg.norm(right) > bound[i]:
             most = np.linalg.norm(slip[i]) / bound[i]
-            right = force(brentq(lambda s, i=i: np.linalg.norm(force(s)) - bound[i], 0.0, most, xtol=1e-14, rtol=1e-14))
+            right = force(
+                brentq(
+                    lambda s, i=i: np.linalg.norm(force(s)) - bound[i],
+                    0.0,
+                    most,
+                    xtol=1e-14,
+                    rtol=1e-14,
+                )
+            )
         assert found[i, 1] == pytest.approx(right, abs=EXACT * np.linalg.norm(hold[i]))
     assert 50 < (np.linalg.norm(hold, axis=1) > bound).sum() < COUNT - 20

@@ -8,7 +8,9 @@ from scipy.spatial.transform import Rotation
 from kernels.rigid_motion import motion_length, pose_distance, turn_between, turned_by
 
 ROUNDING = 1e-12
-"""Of angles up to pi; near a half turn the rotation vector is known to the root of rounding, so those are left out."""
+"""Of angles up to pi; near a half turn the rotation vector is known to the root of rounding, so
+those are left out.
+"""
 COUNT = 300
 
 
@@ -32,18 +34,28 @@ def evaluate(
 
 
 def test_turns_and_lengths():
-    """Turns from 1e-12 to almost a half turn; the shortest turn between q and -q is that between q and q."""
+    """Turns from 1e-12 to almost a half turn; the shortest turn between q and -q is that between
+    q and q.
+    """
     random, reach = np.random.default_rng(0), 0.03
     start = Rotation.random(COUNT, random_state=1)
     turn = random.normal(size=(COUNT, 3))
     turn *= (10.0 ** random.uniform(-12.0, 0.49, COUNT) / np.linalg.norm(turn, axis=1))[:, None]
     turn[0] = 0.0
     place = random.normal(size=(COUNT, 2, 3))
-    given = [wp.array(start.as_quat(), dtype=wp.quatd, device="cpu"), wp.array(turn, dtype=wp.vec3d, device="cpu")]
+    given = [
+        wp.array(start.as_quat(), dtype=wp.quatd, device="cpu"),
+        wp.array(turn, dtype=wp.vec3d, device="cpu"),
+    ]
     given.append(wp.array(place, dtype=wp.vec3d, device="cpu"))
-    goal, found = wp.zeros(COUNT, dtype=wp.quatd, device="cpu"), wp.zeros(COUNT, dtype=wp.vec3d, device="cpu")
+    goal, found = (
+        wp.zeros(COUNT, dtype=wp.quatd, device="cpu"),
+        wp.zeros(COUNT, dtype=wp.vec3d, device="cpu"),
+    )
     length = wp.zeros((COUNT, 3), dtype=wp.float64, device="cpu")
-    wp.launch(evaluate, dim=COUNT, inputs=[*given, reach], outputs=[goal, found, length], device="cpu")
+    wp.launch(
+        evaluate, dim=COUNT, inputs=[*given, reach], outputs=[goal, found, length], device="cpu"
+    )
     right = (Rotation.from_rotvec(turn) * start).as_matrix()
     assert Rotation.from_quat(goal.numpy()).as_matrix() == pytest.approx(right, abs=ROUNDING)
     assert found.numpy() == pytest.approx(turn, abs=ROUNDING)

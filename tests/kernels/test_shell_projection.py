@@ -19,12 +19,19 @@ def put(values, dtype):
 
 
 def surface(random, cells=10, edge_m=0.02):
-    """Nodes and triangles of two rough sheets, one 0.8 mm above the other, outward up, in random order."""
+    """Nodes and triangles of two rough sheets, one 0.8 mm above the other, outward up, in random
+    order.
+    """
     at = np.linspace(-0.5 * edge_m, 0.5 * edge_m, cells + 1)
-    nodes = np.stack(np.meshgrid([0.0, -8e-4], at, at, indexing="ij"), axis=-1).reshape(-1, 3)[:, [1, 2, 0]]
+    nodes = np.stack(np.meshgrid([0.0, -8e-4], at, at, indexing="ij"), axis=-1).reshape(-1, 3)[
+        :, [1, 2, 0]
+    ]
     nodes[:, 2] += random.normal(size=len(nodes)) * 4e-4
     number = np.arange(len(nodes)).reshape(2, cells + 1, cells + 1)
-    a, b, c, d = (n.ravel() for n in (number[:, :-1, :-1], number[:, 1:, :-1], number[:, 1:, 1:], number[:, :-1, 1:]))
+    a, b, c, d = (
+        n.ravel()
+        for n in (number[:, :-1, :-1], number[:, 1:, :-1], number[:, 1:, 1:], number[:, :-1, 1:])
+    )
     faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
     return nodes, random.permutation(faces)
 
@@ -39,7 +46,9 @@ def expected(place, direction, corners, near, limit):
     faces = -direction @ (outward / np.linalg.norm(outward, axis=1)[:, None]).T > GRAZING
     shape = (len(place), len(a), 3)
     columns = [np.broadcast_to(each, shape) for each in (ab, ac, -direction[:, None])]
-    v, w, t = np.moveaxis(np.linalg.solve(np.stack(columns, axis=-1), (place[:, None] - a)[..., None])[..., 0], -1, 0)
+    v, w, t = np.moveaxis(
+        np.linalg.solve(np.stack(columns, axis=-1), (place[:, None] - a)[..., None])[..., 0], -1, 0
+    )
     there = faces & near & (v >= 0.0) & (w >= 0.0) & (v + w <= 1.0) & (np.abs(t) < limit[:, None])
     away = np.where(there, np.abs(t), np.inf)
     found = np.where(there.any(axis=1), away.argmin(axis=1), -1)
@@ -63,8 +72,15 @@ def test_points_lie_on_the_nearest_triangle_along_their_normals(seed):
     pose = np.vstack([tips[0], turns[0], tips[1], turns[1]])
     near = np.flatnonzero(random.uniform(size=len(faces)) > 0.2)
     body, lists, shell = Body(), Lists(), Points()
-    body.free, body.moved, body.corners = put(nodes, wp.vec3d), put(moved, wp.vec3d), put(faces, wp.int32)
-    lists.count, lists.near = put(np.eye(1, 3, NEARBY)[0] * len(near), wp.int32), put(near, wp.int32)
+    body.free, body.moved, body.corners = (
+        put(nodes, wp.vec3d),
+        put(moved, wp.vec3d),
+        put(faces, wp.int32),
+    )
+    lists.count, lists.near = (
+        put(np.eye(1, 3, NEARBY)[0] * len(near), wp.int32),
+        put(near, wp.int32),
+    )
     for name in ("tool_point", "tool_normal", "weight"):
         setattr(shell, name, wp.zeros(COUNT, dtype=wp.vec3d, device="cpu"))
     shell.ready = wp.full(COUNT, 1, dtype=wp.int32, device="cpu")
@@ -72,7 +88,15 @@ def test_points_lie_on_the_nearest_triangle_along_their_normals(seed):
     shell.first = wp.full(len(faces), -5, dtype=wp.int32, device="cpu")
     shell.following = wp.full(COUNT, -5, dtype=wp.int32, device="cpu")
     home = wp.zeros(COUNT, dtype=wp.int32, device="cpu")
-    inputs = [put(points, wp.vec3d), put(normals, wp.vec3d), put(pose, wp.float64), reach, 0, body, lists]
+    inputs = [
+        put(points, wp.vec3d),
+        put(normals, wp.vec3d),
+        put(pose, wp.float64),
+        reach,
+        0,
+        body,
+        lists,
+    ]
     wp.launch(project_shell, dim=COUNT, inputs=inputs, outputs=[shell, home], device="cpu")
     place, direction = tips[0] + points @ turns[0].T, normals @ turns[0].T
     limit = reach + np.linalg.norm(place - tips[1] - points @ turns[1].T, axis=1)

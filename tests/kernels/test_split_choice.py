@@ -73,8 +73,11 @@ def test_a_choice_follows_the_machine_while_it_runs(before, after):
 
 
 def test_a_trial_has_as_many_whole_as_split_runs_as_late_as_early():
-    places = [[place for place, split in enumerate(ORDER) if split == kind] for kind in (False, True)]
-    for power in (0, 1, 2, 3):  # work that grows with the run's number to the third power makes no difference
+    places = [
+        [place for place, split in enumerate(ORDER) if split == kind] for kind in (False, True)
+    ]
+    # work that grows with the run's number to the third power makes no difference
+    for power in (0, 1, 2, 3):
         assert sum(place**power for place in places[0]) == sum(place**power for place in places[1])
 
 
@@ -122,9 +125,13 @@ def test_times_too_short_for_the_clock_are_no_gain():
     assert choice.gain == 1.0
 
 
-@pytest.mark.parametrize(("whole_s", "split_s", "gain"), [(3e-4, 2e-4, 1.5), (3e-4, 3.6e-4, 1 / 1.2)])
+@pytest.mark.parametrize(
+    ("whole_s", "split_s", "gain"), [(3e-4, 2e-4, 1.5), (3e-4, 3.6e-4, 1 / 1.2)]
+)
 def test_the_calibration_compares_whole_with_split_work(whole_s, split_s, gain):
-    """By a clock that shows those times: three looks at how long hashing takes, then whole and split in turn."""
+    """By a clock that shows those times: three looks at how long hashing takes, then whole and
+    split in turn.
+    """
     steps = [1e-4] * 3
     times, shown = cycle([whole_s, split_s]), [0.0]
     for step in steps:

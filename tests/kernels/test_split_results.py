@@ -1,4 +1,6 @@
-"""Launches in parts give the bits of the whole ones, whether this machine would split them or not."""
+"""Launches in parts give the bits of the whole ones, whether this machine would split them or
+not.
+"""
 
 import numpy as np
 import pytest
@@ -56,9 +58,13 @@ def test_bone(monkeypatch):
     """Carving, forces and unit loads of a ball that goes down and sideways."""
 
     def run(cores):
-        volume = density_volume(np.full((40,) * 3, 1500.0), spacing_mm=0.1, origin_mm=(-2.0, -2.0, -4.0))
+        volume = density_volume(
+            np.full((40,) * 3, 1500.0), spacing_mm=0.1, origin_mm=(-2.0, -2.0, -4.0)
+        )
         cutter = Cutter(ball_burr(diameter_m=2e-3), 5, 700.0)
-        bone = BoneModel(volume, cutter, (cutting_coefficients("bone"),), shell_spacing_m=8e-5, cores=cores)
+        bone = BoneModel(
+            volume, cutter, (cutting_coefficients("bone"),), shell_spacing_m=8e-5, cores=cores
+        )
         engaged = EngagedBone(bone, cores=cores)
         motion, found = ToolMotion(speed_m_s=4e-3), []
         motion.heading[0] = (0.6, 0.0, -0.8)
@@ -80,10 +86,16 @@ def test_tetrahedra(monkeypatch, order):
         space = Space(distorted(2), order)
         constants = lame(5e3, 0.4)
         moved = 2e-3 * np.random.default_rng(0).normal(size=space.nodes_m.shape)
-        found = [assemble(space, each).data for each in (constants, stiffness_of_lame(constants[None])[0])]
+        found = [
+            assemble(space, each).data
+            for each in (constants, stiffness_of_lame(constants[None])[0])
+        ]
         found.append(cell_stress(space, moved, constants).stress_Pa)
         ogden = Hyperelastic.mooney_rivlin(700.0, 250.0, bulk_Pa=97e3)
-        for body in (NonlinearBody(space, constants, law=Law.COROTATIONAL), NonlinearBody(space, None, law=ogden)):
+        for body in (
+            NonlinearBody(space, constants, law=Law.COROTATIONAL),
+            NonlinearBody(space, None, law=ogden),
+        ):
             found += [*body.energy_and_force(moved), body.stiffness(moved).data]
         return found
 
@@ -105,9 +117,13 @@ def test_a_shell_on_an_organ(monkeypatch):
 
 def test_particles_of_a_tooth(monkeypatch):
     def run(cores):
-        particles, grid = block((6, 5, 7), 1e-3, modulus_Pa=lambda x: np.where(x[:, 0] < 2.5e-3, 2e6, 84e9))
+        particles, grid = block(
+            (6, 5, 7), 1e-3, modulus_Pa=lambda x: np.where(x[:, 0] < 2.5e-3, 2e6, 84e9)
+        )
         body = ParticleBody(particles, grid, at_bottom(grid), cores=cores)
-        moved = body.solve(body.spread(np.array([3e-3, 2e-3, 7e-3]), np.array([1.0, 0.0, -2.0]))).displacement_m
+        moved = body.solve(
+            body.spread(np.array([3e-3, 2e-3, 7e-3]), np.array([1.0, 0.0, -2.0]))
+        ).displacement_m
         return [moved, particle_stress(body.cells, moved), body.matrix().toarray()]
 
     whole_and_in_parts(run, monkeypatch)

@@ -16,7 +16,9 @@ SIDE_M = 40e-3
 def wall():
     """A block whose upper face is the plane z = 0."""
     block = trimesh.creation.box(3 * [1e3 * SIDE_M])
-    return Structure(1e-3 * np.asarray(block.vertices) - [0.0, 0.0, 0.5 * SIDE_M], np.asarray(block.faces))
+    return Structure(
+        1e-3 * np.asarray(block.vertices) - [0.0, 0.0, 0.5 * SIDE_M], np.asarray(block.faces)
+    )
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 5.0, 30.0])

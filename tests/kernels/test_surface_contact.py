@@ -1,4 +1,6 @@
-"""A solved contact against the laws that all its points must obey together, with displacements from NumPy."""
+"""A solved contact against the laws that all its points must obey together, with displacements
+from NumPy.
+"""
 
 import numpy as np
 import pytest
@@ -10,19 +12,30 @@ from tissue.models.organ.probe import SphereProbe
 TOLERANCE = 1e-9
 """Step of the last sweep over the largest displacement."""
 LEFT = 1e-6
-"""What sweeps that converge by a tenth each leave of gaps and slips, over the largest displacement, with a margin."""
+"""What sweeps that converge by a tenth each leave of gaps and slips, over the largest
+displacement, with a margin.
+"""
 RADIUS_M = 6e-3
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.1, 0.4])
 def test_all_points_obey_signorini_and_coulomb_together(friction):
-    """u = W H^T f; no gap is negative, no force pulls, one of them is zero, and friction is at most mu times normal."""
+    """u = W H^T f; no gap is negative, no force pulls, one of them is zero, and friction is at
+    most mu times normal.
+    """
     nodes, faces, compliance = falling_sheet(cells=20, edge_m=0.02)
     contact = SurfaceContact(
-        nodes, faces, compliance, SphereProbe(RADIUS_M), friction=friction, tolerance=TOLERANCE, sweeps=2000
+        nodes,
+        faces,
+        compliance,
+        SphereProbe(RADIUS_M),
+        friction=friction,
+        tolerance=TOLERANCE,
+        sweeps=2000,
     )
     weights = np.random.default_rng(0).dirichlet([4.0, 4.0, 4.0], len(contact._points.weight))
-    contact._points.weight.assign(weights)  # off the triangles' middles, where the three nodes would be alike
+    # off the triangles' middles, where the three nodes would be alike
+    contact._points.weight.assign(weights)
     contact.place(np.array([0.0, 0.0, 1e-4]), np.eye(3))
     tip = np.array([0.0, 0.0, -2e-3])
     for step in range(3):
@@ -30,7 +43,9 @@ def test_all_points_obey_signorini_and_coulomb_together(friction):
         result = contact.solve(tip, np.eye(3))
         assert result.outcome is ContactOutcome.CONVERGED
         points = contact._points
-        first, following, weight = (getattr(points, name).numpy() for name in ("first", "following", "weight"))
+        first, following, weight = (
+            getattr(points, name).numpy() for name in ("first", "following", "weight")
+        )
         triangle = np.full(len(weight), -1)
         for face, point in enumerate(first):
             while point >= 0:

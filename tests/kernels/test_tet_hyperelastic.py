@@ -1,4 +1,6 @@
-"""Tetrahedra under laws of principal stretches: against NumPy, closed forms, differences, turns, work and a mirror."""
+"""Tetrahedra under laws of principal stretches: against NumPy, closed forms, differences, turns,
+work and a mirror.
+"""
 
 import numpy as np
 import pytest
@@ -42,21 +44,37 @@ def bent(body: NonlinearBody, seed: int) -> np.ndarray:
 
 @LAW
 def test_one_tetrahedron_is_that_of_numpy(name):
-    """Random, turned, equal, nearly equal and far apart stretches: energy, force and tangent to 1e-10."""
+    """Random, turned, equal, nearly equal and far apart stretches: energy, force and tangent to
+    1e-10.
+    """
     law, random = LAWS[name], np.random.default_rng(5)
-    gradients = [Rotation.random(rng=random).as_matrix() @ (np.eye(3) + random.uniform(-0.3, 0.3, (3, 3)))
-                 for _ in range(12)]  # fmt: skip
+    gradients = [
+        Rotation.random(rng=random).as_matrix() @ (np.eye(3) + random.uniform(-0.3, 0.3, (3, 3)))
+        for _ in range(12)
+    ]
     turn = Rotation.random(rng=random).as_matrix()
-    for stretch in ((1, 1, 1), (1.2, 1.2, 0.8), (1.1, 1.1 + 1e-9, 1.1), (2.0, 0.5, 1.0), (0.3, 1.9, 1.7)):
+    for stretch in (
+        (1, 1, 1),
+        (1.2, 1.2, 0.8),
+        (1.1, 1.1 + 1e-9, 1.1),
+        (2.0, 0.5, 1.0),
+        (0.3, 1.9, 1.7),
+    ):
         gradients += [np.diag(stretch), turn @ np.diag(stretch), np.diag(stretch) @ turn]
     body = NonlinearBody(Space(TetMesh(CORNERS, np.array([[0, 1, 2, 3]]))), None, law=law)
     for f in gradients:
         moved = CORNERS @ (f - np.eye(3)).T
         energy, force = body.energy_and_force(moved)
-        tangent = np.einsum("aj,ijkl,bl->aibk", SLOPES, law.tangent(f), SLOPES).reshape(12, 12) * VOLUME
+        tangent = (
+            np.einsum("aj,ijkl,bl->aibk", SLOPES, law.tangent(f), SLOPES).reshape(12, 12) * VOLUME
+        )
         assert energy == pytest.approx(VOLUME * law.energy(f), rel=1e-10, abs=1e-15 * VOLUME * BULK)
-        np.testing.assert_allclose(force, VOLUME * SLOPES @ law.stress(f).T, atol=1e-10 * VOLUME * BULK / 0.01)
-        np.testing.assert_allclose(body.stiffness(moved).toarray(), tangent, atol=1e-10 * np.abs(tangent).max())
+        np.testing.assert_allclose(
+            force, VOLUME * SLOPES @ law.stress(f).T, atol=1e-10 * VOLUME * BULK / 0.01
+        )
+        np.testing.assert_allclose(
+            body.stiffness(moved).toarray(), tangent, atol=1e-10 * np.abs(tangent).max()
+        )
 
 
 @LAW
@@ -67,18 +85,25 @@ def test_force_and_stiffness_are_differences_and_symmetric_to_the_bit(name, orde
     _, force = body.energy_and_force(at)
     stiffness = body.stiffness(at)
     direction = np.random.default_rng(2).normal(size=at.shape)
-    plus, minus = body.energy_and_force(at + h * direction), body.energy_and_force(at - h * direction)
+    plus, minus = (
+        body.energy_and_force(at + h * direction),
+        body.energy_and_force(at - h * direction),
+    )
     scale = np.linalg.norm(force) * np.linalg.norm(direction)
     assert abs((plus[0] - minus[0]) / (2.0 * h) - np.sum(force * direction)) < 1e-7 * scale
     product = (stiffness @ direction.ravel()).reshape(-1, 3)
-    np.testing.assert_allclose((plus[1] - minus[1]) / (2.0 * h), product, atol=1e-7 * np.abs(product).max())
+    np.testing.assert_allclose(
+        (plus[1] - minus[1]) / (2.0 * h), product, atol=1e-7 * np.abs(product).max()
+    )
     assert np.array_equal(stiffness.toarray(), stiffness.toarray().T)
 
 
 @LAW
 @pytest.mark.parametrize("order", [1, 2])
 def test_turned_and_mirrored_bodies_have_the_same_energy(name, order):
-    """Force turns with the body; a body mirrored with its motion has the mirrored force; turned over it has none."""
+    """Force turns with the body; a body mirrored with its motion has the mirrored force; turned
+    over it has none.
+    """
     body = shaken_body(name, order)
     moved = bent(body, 3)
     energy, force = body.energy_and_force(moved)
@@ -92,7 +117,9 @@ def test_turned_and_mirrored_bodies_have_the_same_energy(name, order):
     corners = space.cell_nodes[:, :4]
     mesh = TetMesh(body.nodes_m[: corners.max() + 1] * flip, corners[:, [1, 0, 2, 3]])
     other = NonlinearBody(Space(mesh, order), None, law=LAWS[name])
-    where = np.array([np.argmin(np.linalg.norm(other.nodes_m - at, axis=1)) for at in body.nodes_m * flip])
+    where = np.array(
+        [np.argmin(np.linalg.norm(other.nodes_m - at, axis=1)) for at in body.nodes_m * flip]
+    )
     reflected = np.empty_like(moved)
     reflected[where] = moved * flip
     mirrored = other.energy_and_force(reflected)
@@ -106,18 +133,25 @@ def test_work_of_the_forces_is_the_energy(name):
     body = shaken_body(name, 2)
     end = bent(body, 4)
     node, weight = np.polynomial.legendre.leggauss(20)
-    work = sum(0.5 * w * np.sum(body.energy_and_force(0.5 * (t + 1.0) * end)[1] * end)
-               for t, w in zip(node, weight, strict=True))  # fmt: skip
+    work = sum(
+        0.5 * w * np.sum(body.energy_and_force(0.5 * (t + 1.0) * end)[1] * end)
+        for t, w in zip(node, weight, strict=True)
+    )
     assert work == pytest.approx(body.energy_and_force(end)[0], rel=1e-9)
 
 
 def cauchy_difference(name: str, first: float, third: float, second: float) -> float:
-    """s_1 - s_3 of principal stretches at constant volume, written out from each law's definition [Pa]."""
+    """s_1 - s_3 of principal stretches at constant volume, written out from each law's
+    definition [Pa].
+    """
     if name == "ogden":
         return sum(2.0 * mu / n * (first**n - third**n) for mu, n in OGDEN)
     x = first**2 + second**2 + third**2 - 3.0
-    w1, w2 = {"neo-hookean": (1000.0, 0.0), "mooney-rivlin": (700.0, 250.0),
-              "yeoh": (900.0 + 300.0 * x + 120.0 * x**2, 0.0)}[name]  # fmt: skip
+    w1, w2 = {
+        "neo-hookean": (1000.0, 0.0),
+        "mooney-rivlin": (700.0, 250.0),
+        "yeoh": (900.0 + 300.0 * x + 120.0 * x**2, 0.0),
+    }[name]
     return 2.0 * (first**2 - third**2) * (w1 + w2 * second**2)
 
 
@@ -125,7 +159,9 @@ def cauchy_difference(name: str, first: float, third: float, second: float) -> f
 @pytest.mark.parametrize("kind", ["uniaxial", "equibiaxial"])
 @pytest.mark.parametrize("stretch", [0.7, 1.4])
 def test_a_pulled_block_is_the_closed_form(name, kind, stretch):
-    """Sides free: J follows from kappa (J - 1/J) / 2 = -(s_1 - s_3) / 3 per free direction, and the force to 1e-6."""
+    """Sides free: J follows from kappa (J - 1/J) / 2 = -(s_1 - s_3) / 3 per free direction, and
+    the force to 1e-6.
+    """
     space = Space(box((0.02, 0.02, 0.02), (2, 2, 2)))
     body = NonlinearBody(space, None, law=LAWS[name])
     driven = [0] if kind == "uniaxial" else [0, 1]
@@ -142,7 +178,8 @@ def test_a_pulled_block_is_the_closed_form(name, kind, stretch):
         found = solution.displacement_m
     pull = solution.force_N[space.nodes_m[:, 0] > 0.02 - 1e-9, 0].sum()
     volume = 1.0
-    for _ in range(60):  # s_3 = 0 on the free sides: pressure of the change of volume against the mean stress
+    # s_3 = 0 on the free sides: pressure of the change of volume against the mean stress
+    for _ in range(60):
         free = (volume / stretch) ** 0.5 if kind == "uniaxial" else volume / stretch**2
         unit = volume ** (1 / 3)
         other = free if kind == "uniaxial" else stretch
@@ -154,7 +191,9 @@ def test_a_pulled_block_is_the_closed_form(name, kind, stretch):
 
 @LAW
 def test_a_sheared_block_is_the_closed_form(name):
-    """Surface moved by simple shear 0.6: inside the same (patch test), and the shear force on a face to 1e-6."""
+    """Surface moved by simple shear 0.6: inside the same (patch test), and the shear force on a
+    face to 1e-6.
+    """
     g = 0.6
     mesh = box((0.03, 0.03, 0.03), (3, 3, 3))
     inner = ((mesh.nodes_m > 1e-9) & (mesh.nodes_m < 0.03 - 1e-9)).all(axis=1)
@@ -162,7 +201,10 @@ def test_a_sheared_block_is_the_closed_form(name):
     space = Space(TetMesh(mesh.nodes_m + inner[:, None] * shift, mesh.cells))
     held = np.zeros(space.nodes_m.shape, dtype=bool)
     held[np.unique(space.faces)] = True
-    solver, found = NewtonSolver(NonlinearBody(space, None, law=LAWS[name]), held, tolerance=1e-11), None
+    solver, found = (
+        NewtonSolver(NonlinearBody(space, None, law=LAWS[name]), held, tolerance=1e-11),
+        None,
+    )
     for share in (0.5, 1.0):
         goal = share * g * space.nodes_m[:, [1]] * [1.0, 0.0, 0.0]
         solution = solver.solve(goal, start_m=found)

@@ -1,4 +1,6 @@
-"""Energy, force and tangent of the three laws: against NumPy, by finite differences, under rotation."""
+"""Energy, force and tangent of the three laws: against NumPy, by finite differences, under
+rotation.
+"""
 
 import numpy as np
 import pytest
@@ -28,7 +30,9 @@ def body_of(law, order=1, seed=0):
 
 
 def shaken(body, seed, size=0.15):
-    """A displacement of strains about ``size``, turned by a large rotation unless the law is linear."""
+    """A displacement of strains about ``size``, turned by a large rotation unless the law is
+    linear.
+    """
     random = np.random.default_rng(seed)
     turn = np.eye(3) if body.law is Law.LINEAR else Rotation.random(rng=random).as_matrix()
     bent = body.nodes_m @ (turn @ (np.eye(3) + size * random.uniform(-1.0, 1.0, (3, 3)))).T
@@ -39,7 +43,9 @@ def shaken(body, seed, size=0.15):
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("seed", range(4))
 def test_energy_force_and_stiffness_agree(law, order, seed):
-    """Central differences over random directions: truncation is h^2, rounding 1e-16/h; at h = 1e-6 both below 1e-8."""
+    """Central differences over random directions: truncation is h^2, rounding 1e-16/h; at h =
+    1e-6 both below 1e-8.
+    """
     body = body_of(law, order, seed)
     at = shaken(body, 100 + seed)
     random = np.random.default_rng(200 + seed)
@@ -48,11 +54,16 @@ def test_energy_force_and_stiffness_agree(law, order, seed):
     for _ in range(3):
         direction = random.normal(size=at.shape)
         h = 1e-6 * np.abs(body.nodes_m).max()
-        plus, minus = body.energy_and_force(at + h * direction), body.energy_and_force(at - h * direction)
+        plus, minus = (
+            body.energy_and_force(at + h * direction),
+            body.energy_and_force(at - h * direction),
+        )
         scale = np.linalg.norm(force) * np.linalg.norm(direction)
         assert abs((plus[0] - minus[0]) / (2.0 * h) - np.sum(force * direction)) < 1e-7 * scale
         product = (stiffness @ direction.ravel()).reshape(-1, 3)
-        np.testing.assert_allclose((plus[1] - minus[1]) / (2.0 * h), product, atol=1e-7 * np.abs(product).max())
+        np.testing.assert_allclose(
+            (plus[1] - minus[1]) / (2.0 * h), product, atol=1e-7 * np.abs(product).max()
+        )
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -69,7 +80,10 @@ def test_stiffness_at_rest_is_one_and_has_six_zero_modes():
     for order in (1, 2):
         space = space_of(order, 0)
         zero = np.zeros(space.nodes_m.shape)
-        rest = [NonlinearBody(space, lame(YOUNG, POISSON), law=law).stiffness(zero).toarray() for law in LAWS]
+        rest = [
+            NonlinearBody(space, lame(YOUNG, POISSON), law=law).stiffness(zero).toarray()
+            for law in LAWS
+        ]
         for other in (*rest[1:], assemble(space, lame(YOUNG, POISSON)).toarray()):
             np.testing.assert_allclose(other, rest[0], atol=1e-12 * np.abs(rest[0]).max())
         values = np.linalg.eigvalsh(rest[0])
@@ -78,18 +92,30 @@ def test_stiffness_at_rest_is_one_and_has_six_zero_modes():
 
 @pytest.mark.parametrize("law", LAWS)
 def test_against_numpy(law):
-    """One linear tetrahedron under a known gradient, formulas written out with an SVD and dense algebra."""
+    """One linear tetrahedron under a known gradient, formulas written out with an SVD and dense
+    algebra.
+    """
     random = np.random.default_rng(5)
     nodes = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) * 0.01
-    body = NonlinearBody(Space(TetMesh(nodes, np.array([[0, 1, 2, 3]]))), lame(YOUNG, POISSON), law=law)
+    body = NonlinearBody(
+        Space(TetMesh(nodes, np.array([[0, 1, 2, 3]]))), lame(YOUNG, POISSON), law=law
+    )
     mu, lam = YOUNG / (2 * (1 + POISSON)), YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON))
-    volume, gradient = 1e-6 / 6.0, np.array([[-1.0, -1, -1], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) / 0.01
+    volume, gradient = (
+        1e-6 / 6.0,
+        np.array([[-1.0, -1, -1], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) / 0.01,
+    )
     for _ in range(20):
-        f = Rotation.random(rng=random).as_matrix() @ (np.eye(3) + random.uniform(-0.3, 0.3, (3, 3)))
+        f = Rotation.random(rng=random).as_matrix() @ (
+            np.eye(3) + random.uniform(-0.3, 0.3, (3, 3))
+        )
         j = np.linalg.det(f)
         if law is Law.LINEAR:
             e = (f + f.T) / 2 - np.eye(3)
-            psi, p = mu * np.sum(e * e) + lam / 2 * np.trace(e) ** 2, 2 * mu * e + lam * np.trace(e) * np.eye(3)
+            psi, p = (
+                mu * np.sum(e * e) + lam / 2 * np.trace(e) ** 2,
+                2 * mu * e + lam * np.trace(e) * np.eye(3),
+            )
         elif law is Law.COROTATIONAL:
             u, s, vt = np.linalg.svd(f)
             psi, p = (
@@ -101,25 +127,32 @@ def test_against_numpy(law):
             p = mu * f + (lam * np.log(j) - mu) * np.linalg.inv(f).T
         energy, force = body.energy_and_force(nodes @ (f - np.eye(3)).T)
         assert energy == pytest.approx(volume * psi, rel=1e-12)
-        np.testing.assert_allclose(force, volume * gradient @ p.T, atol=1e-12 * np.abs(volume * gradient @ p.T).max())
+        np.testing.assert_allclose(
+            force, volume * gradient @ p.T, atol=1e-12 * np.abs(volume * gradient @ p.T).max()
+        )
 
 
 def test_frame_invariance(capsys):
-    """A rigid turn: no force from the nonlinear laws; the linear law's false stress grows as 1 - cos, and is printed."""
+    """A rigid turn: no force from the nonlinear laws; the linear law's false stress grows as 1 -
+    cos, and is printed.
+    """
     stiff = np.abs(assemble(space_of(2, 0), lame(YOUNG, POISSON)).data).max()
     for law in (Law.COROTATIONAL, Law.NEO_HOOKEAN):
         body = body_of(law, 2)
         for seed in range(10):
             turn = Rotation.random(rng=np.random.default_rng(seed))
             _, force = body.energy_and_force(turn.apply(body.nodes_m) - body.nodes_m)
-            assert np.abs(force).max() < 1e-13 * stiff * 0.02  # rounding of positions 0.02 m times stiffness
+            # rounding of positions 0.02 m times stiffness
+            assert np.abs(force).max() < 1e-13 * stiff * 0.02
             bent = shaken(body, seed)
             first, turned = (
                 body.energy_and_force(bent),
                 body.energy_and_force(turn.apply(body.nodes_m + bent) - body.nodes_m),
             )
             assert turned[0] == pytest.approx(first[0], rel=1e-11)
-            np.testing.assert_allclose(turned[1], turn.apply(first[1]), atol=1e-11 * np.abs(first[1]).max())
+            np.testing.assert_allclose(
+                turned[1], turn.apply(first[1]), atol=1e-11 * np.abs(first[1]).max()
+            )
     body = body_of(Law.LINEAR, 1)
     errors, angles = [], np.array([1.0, 5.0, 10.0, 20.0, 45.0])
     for angle in angles:
@@ -146,20 +179,26 @@ def test_turned_over_cells_have_infinite_energy(law):
 
 
 def test_small_strain_limit():
-    """All laws agree to first order: the difference to linear shrinks with the square of the strain."""
+    """All laws agree to first order: the difference to linear shrinks with the square of the
+    strain.
+    """
     linear = body_of(Law.LINEAR, 2)
     direction = np.random.default_rng(0).normal(size=linear.nodes_m.shape) * 1e-3
     for law in (Law.COROTATIONAL, Law.NEO_HOOKEAN):
         body, sizes = body_of(law, 2), np.array([1e-2, 1e-3, 1e-4])
         errors = [
-            np.abs(body.energy_and_force(s * direction)[1] - linear.energy_and_force(s * direction)[1]).max()
+            np.abs(
+                body.energy_and_force(s * direction)[1] - linear.energy_and_force(s * direction)[1]
+            ).max()
             for s in sizes
         ]
         assert np.polyfit(np.log(sizes), np.log(errors), 1)[0] == pytest.approx(2.0, abs=0.05)
 
 
 def test_bad_input():
-    """Refused where it enters: a matrix where Lame constants belong, and constants that are not a number."""
+    """Refused where it enters: a matrix where Lame constants belong, and constants that are not
+    a number.
+    """
     with pytest.raises(InputError, match="lame_Pa must have shape"):
         NonlinearBody(space_of(1, 0), np.eye(6), law=Law.LINEAR)
     with pytest.raises(InputError):

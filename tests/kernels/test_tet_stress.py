@@ -18,7 +18,9 @@ def put(values, dtype):
 
 @pytest.mark.parametrize(("functions", "laws"), [(4, 1), (10, CELLS)], ids=["linear", "quadratic"])
 def test_groups_against_numpy(functions, laws):
-    """grad u = sum u_A (sum (slope_Ac . l) g_c)^T; von Mises from the deviator, principal values by eigvalsh."""
+    """grad u = sum u_A (sum (slope_Ac . l) g_c)^T; von Mises from the deviator, principal values
+    by eigvalsh.
+    """
     random = np.random.default_rng(functions)
     at = random.dirichlet(np.ones(4), PLACES)
     slope = random.normal(size=(functions, 4, 4))
@@ -31,18 +33,33 @@ def test_groups_against_numpy(functions, laws):
     sizes[3] = 0
     start = np.concatenate([[0], np.cumsum(sizes)])
     member = random.integers(0, CELLS * PLACES, start[-1])
-    shapes = [((GROUPS, 6), wp.float64), ((GROUPS, 6), wp.float64), (GROUPS, wp.float64), (GROUPS, wp.vec3d)]
+    shapes = [
+        ((GROUPS, 6), wp.float64),
+        ((GROUPS, 6), wp.float64),
+        (GROUPS, wp.float64),
+        (GROUPS, wp.vec3d),
+    ]
     out = [wp.zeros(shape, dtype=dtype, device="cpu") for shape, dtype in shapes]
     inputs = [
-        put(start, wp.int32), put(member, wp.int32), put(at, wp.vec4d), put(slope, wp.vec4d), put(nodes, wp.int32),
-        put(gradient, wp.vec3d), put(volume, wp.float64), put(law, wp.float64), put(moved, wp.vec3d), 0,
-    ]  # fmt: skip
+        put(start, wp.int32),
+        put(member, wp.int32),
+        put(at, wp.vec4d),
+        put(slope, wp.vec4d),
+        put(nodes, wp.int32),
+        put(gradient, wp.vec3d),
+        put(volume, wp.float64),
+        put(law, wp.float64),
+        put(moved, wp.vec3d),
+        0,
+    ]
     wp.launch(group_stress, dim=GROUPS, inputs=inputs, outputs=out, device="cpu")
     along = np.einsum("acl,pl,ncx->npax", slope, at, gradient)
     grad = np.einsum("nax,npay->npxy", moved[nodes], along)
     strain = 0.5 * (grad + grad.transpose(0, 1, 3, 2))
     voigt = np.stack([strain[..., i, j] for i, j in PAIRS], axis=-1)
-    stress = np.einsum("nij,npj->npi", np.broadcast_to(law, (CELLS, 6, 6)), voigt * [1, 1, 1, 2, 2, 2])
+    stress = np.einsum(
+        "nij,npj->npi", np.broadcast_to(law, (CELLS, 6, 6)), voigt * [1, 1, 1, 2, 2, 2]
+    )
     for group in range(GROUPS):
         cell, place = np.divmod(member[start[group] : start[group + 1]], PLACES)
         weight = volume[cell] / volume[cell].sum() if len(cell) else np.zeros(0)
@@ -56,4 +73,6 @@ def test_groups_against_numpy(functions, laws):
         deviator = tensor - np.trace(tensor) / 3.0 * np.eye(3)
         assert out[2].numpy()[group] == pytest.approx(np.sqrt(1.5 * (deviator**2).sum()), abs=scale)
         # acos loses half the digits where two principal values nearly meet
-        assert out[3].numpy()[group] == pytest.approx(np.linalg.eigvalsh(tensor)[::-1], abs=1e4 * scale)
+        assert out[3].numpy()[group] == pytest.approx(
+            np.linalg.eigvalsh(tensor)[::-1], abs=1e4 * scale
+        )

@@ -24,7 +24,11 @@ def fibrous(count, seed=0):
     """An orthotropic material turned at random in each cell, shape (m, 6, 6)."""
     axes = np.linalg.qr(np.random.default_rng(seed).normal(size=(count, 3, 3)))[0]
     axes[:, :, 0] *= np.linalg.det(axes)[:, None]
-    matrix = orthotropic(young_Pa=(12e9, 13.4e9, 20e9), shear_Pa=(4.53e9, 5.61e9, 6.23e9), poisson_ratio=(0.376, 0.222, 0.235))  # fmt: skip
+    matrix = orthotropic(
+        young_Pa=(12e9, 13.4e9, 20e9),
+        shear_Pa=(4.53e9, 5.61e9, 6.23e9),
+        poisson_ratio=(0.376, 0.222, 0.235),
+    )
     return rotated(matrix, axes)
 
 
@@ -42,11 +46,15 @@ MATERIALS = {
 
 
 def strain_matrices(space, cell, at):
-    """B of a cell at barycentric coordinates, shape (6, nodes, 3), engineering strains in the order xx ... xy."""
+    """B of a cell at barycentric coordinates, shape (6, nodes, 3), engineering strains in the
+    order xx ... xy.
+    """
     corners = space.mesh.nodes_m[space.mesh.cells[cell]]
     g = np.linalg.inv(np.vstack([np.ones(4), corners.T]))[:, 1:]
     if space.order == 2:
-        g = np.vstack([(4.0 * at[:, None] - 1.0) * g, [4.0 * (at[i] * g[j] + at[j] * g[i]) for i, j in EDGES]])
+        g = np.vstack(
+            [(4.0 * at[:, None] - 1.0) * g, [4.0 * (at[i] * g[j] + at[j] * g[i]) for i, j in EDGES]]
+        )
     b = np.zeros((6, len(g), 3))
     for k, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))):
         b[k, :, i] += g[:, j]
@@ -94,7 +102,9 @@ def test_matrix_equals_its_transpose_bitwise(order, material):
     turned = matrix.T.tobsr((3, 3))
     turned.sort_indices()
     assert matrix.blocksize == (3, 3) and matrix.has_sorted_indices
-    assert np.array_equal(matrix.indptr, turned.indptr) and np.array_equal(matrix.indices, turned.indices)
+    assert np.array_equal(matrix.indptr, turned.indptr) and np.array_equal(
+        matrix.indices, turned.indices
+    )
     assert np.array_equal(matrix.data, turned.data)
 
 
@@ -121,23 +131,38 @@ def test_order_of_the_threads_does_not_change_a_bit():
     space = Space(distorted(4), 2)
     pairs, (corners, weights) = space.pattern, pair_tables(2)
     arrays = [
-        wp.array(part, dtype=wp.int32) for part in (pairs.pair_start, pairs.contribution, pairs.place, pairs.mirror)
+        wp.array(part, dtype=wp.int32)
+        for part in (pairs.pair_start, pairs.contribution, pairs.place, pairs.mirror)
     ]
     material = wp.array(mixed(space.cell_count), dtype=wp.float64)
-    tables = [wp.array(corners, dtype=wp.int32), wp.array(weights, dtype=wp.float64), *space.gradients, material]
+    tables = [
+        wp.array(corners, dtype=wp.int32),
+        wp.array(weights, dtype=wp.float64),
+        *space.gradients,
+        material,
+    ]
     found = wp.zeros(len(pairs.column), dtype=wp.mat33d)
     count, half = len(pairs.place), len(pairs.place) // 3
     for first, last in ((half, count), (0, half)):
-        wp.launch(pair_stiffness_isotropic, dim=last - first, inputs=[*arrays, *tables, first], outputs=[found])
+        wp.launch(
+            pair_stiffness_isotropic,
+            dim=last - first,
+            inputs=[*arrays, *tables, first],
+            outputs=[found],
+        )
     assert np.array_equal(found.numpy(), assemble(space, mixed(space.cell_count)).data)
 
 
 def test_middle_nodes_lie_in_the_middle_of_their_edges():
     space = Space(distorted(3), 2)
     corners = space.nodes_m[space.cell_nodes[:, :4]]
-    assert np.allclose(space.nodes_m[space.cell_nodes[:, 4:]], corners[:, EDGES].mean(axis=2), atol=1e-15)
+    assert np.allclose(
+        space.nodes_m[space.cell_nodes[:, 4:]], corners[:, EDGES].mean(axis=2), atol=1e-15
+    )
     on_faces = space.nodes_m[space.faces]
-    assert np.allclose(on_faces[:, 3:], on_faces[:, [[0, 1], [1, 2], [0, 2]]].mean(axis=2), atol=1e-15)
+    assert np.allclose(
+        on_faces[:, 3:], on_faces[:, [[0, 1], [1, 2], [0, 2]]].mean(axis=2), atol=1e-15
+    )
     assert space.node_count == len(np.unique(space.cell_nodes)) == len(space.nodes_m)
 
 
@@ -148,19 +173,29 @@ def test_stress_against_numpy(order):
     moved = np.random.default_rng(1).normal(size=(space.node_count, 3))
     found = cell_stress(space, moved, material)
     middle = np.full(4, 0.25)
-    strain = np.array([
-        np.einsum("kai,ai->k", strain_matrices(space, cell, middle), moved[nodes])
-        for cell, nodes in enumerate(space.cell_nodes)
-    ])  # fmt: skip
+    strain = np.array(
+        [
+            np.einsum("kai,ai->k", strain_matrices(space, cell, middle), moved[nodes])
+            for cell, nodes in enumerate(space.cell_nodes)
+        ]
+    )
     stress = np.einsum("mij,mj->mi", material, strain)
     tensor = stress[:, [[0, 5, 4], [5, 1, 3], [4, 3, 2]]]
     size = np.abs(stress).max()
-    assert np.allclose(found.strain, strain * [1, 1, 1, 0.5, 0.5, 0.5], atol=ROUNDING * np.abs(strain).max(), rtol=0)
+    assert np.allclose(
+        found.strain,
+        strain * [1, 1, 1, 0.5, 0.5, 0.5],
+        atol=ROUNDING * np.abs(strain).max(),
+        rtol=0,
+    )
     assert np.abs(found.stress_Pa - stress).max() <= ROUNDING * size
-    # 1e-7: the arc cosine of the closed form loses half the digits where two principal stresses meet
+    # 1e-7: the arc cosine of the closed form loses half the digits where two principal stresses
+    # meet
     assert np.abs(found.principal_Pa - np.linalg.eigvalsh(tensor)[:, ::-1]).max() <= 1e-7 * size
     deviator = tensor - np.trace(tensor, axis1=1, axis2=2)[:, None, None] / 3.0 * np.eye(3)
-    assert np.allclose(found.von_mises_Pa, np.sqrt(1.5 * (deviator**2).sum(axis=(1, 2))), rtol=1e-10)
+    assert np.allclose(
+        found.von_mises_Pa, np.sqrt(1.5 * (deviator**2).sum(axis=(1, 2))), rtol=1e-10
+    )
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -173,16 +208,25 @@ def test_node_stress_is_the_mean_over_cells_by_volume(order):
     for node in (0, 13, space.node_count - 1):
         total, weight = np.zeros(6), 0.0
         for cell, local in np.argwhere(space.cell_nodes == node):
-            strain = np.einsum("kai,ai->k", strain_matrices(space, cell, places[local]), moved[space.cell_nodes[cell]])
+            strain = np.einsum(
+                "kai,ai->k",
+                strain_matrices(space, cell, places[local]),
+                moved[space.cell_nodes[cell]],
+            )
             total += space.volumes_m3[cell] * isotropic_of(material[cell]) @ strain
             weight += space.volumes_m3[cell]
         assert np.allclose(
-            found.stress_Pa[node], total / weight, rtol=1e-10, atol=1e-10 * np.abs(found.stress_Pa).max()
+            found.stress_Pa[node],
+            total / weight,
+            rtol=1e-10,
+            atol=1e-10 * np.abs(found.stress_Pa).max(),
         )
 
 
 def test_quadratic_field_has_its_linear_stress_at_nodes():
-    """u = (x^2, x y, z^2 / 2): the quadratic space holds it, and smoothing leaves a linear stress alone."""
+    """u = (x^2, x y, z^2 / 2): the quadratic space holds it, and smoothing leaves a linear
+    stress alone.
+    """
     space = Space(distorted(3), 2)
     x, y, z = space.nodes_m.T
     found = node_stress(space, np.column_stack([x * x, x * y, 0.5 * z * z]), lame(1.0, 0.25)).strain

@@ -1,4 +1,6 @@
-"""Distance from a tool of revolution against closed forms in NumPy, and its bounds over triangles against samples."""
+"""Distance from a tool of revolution against closed forms in NumPy, and its bounds over
+triangles against samples.
+"""
 
 import numpy as np
 import pytest
@@ -10,7 +12,9 @@ RADIUS, HEIGHT = 1.5, 4.0
 
 
 @wp.kernel
-def distances(outline: Outline, points: wp.array(dtype=wp.vec3d), distance_out: wp.array(dtype=wp.float64)):
+def distances(
+    outline: Outline, points: wp.array(dtype=wp.vec3d), distance_out: wp.array(dtype=wp.float64)
+):
     i = wp.tid()
     distance_out[i] = distance_to_tool(outline, points[i])
 
@@ -23,19 +27,27 @@ def bounds(
     upper_out: wp.array(dtype=wp.float64),
 ):
     i = wp.tid()
-    lower, upper = bounds_over(outline, corners[i, 0], corners[i, 1], corners[i, 2], wp.float64(1.0e9))
+    lower, upper = bounds_over(
+        outline, corners[i, 0], corners[i, 1], corners[i, 2], wp.float64(1.0e9)
+    )
     lower_out[i] = lower
     upper_out[i] = upper
 
 
 @wp.kernel
-def feet(points: wp.array(dtype=wp.vec3d), corners: wp.array2d(dtype=wp.vec3d), foot_out: wp.array(dtype=wp.vec3d)):
+def feet(
+    points: wp.array(dtype=wp.vec3d),
+    corners: wp.array2d(dtype=wp.vec3d),
+    foot_out: wp.array(dtype=wp.vec3d),
+):
     i = wp.tid()
     foot_out[i] = nearest_on_triangle(points[i], corners[i, 0], corners[i, 1], corners[i, 2])
 
 
 def cylinder():
-    """Half section of a cylinder from z = 0 to `HEIGHT`: bottom, side and top, each start, direction and length."""
+    """Half section of a cylinder from z = 0 to `HEIGHT`: bottom, side and top, each start,
+    direction and length.
+    """
     rows = np.zeros((3, 10))
     rows[:, :5] = [[0, 0, 1, 0, RADIUS], [RADIUS, 0, 0, 1, HEIGHT], [RADIUS, HEIGHT, -1, 0, RADIUS]]
     outline = Outline()
@@ -62,7 +74,9 @@ def vectors(values):
 def test_the_distance_is_that_of_a_cylinder(seed):
     points = np.random.default_rng(seed).uniform([-4, -4, -3], [4, 4, 7], (500, 3))
     found = wp.zeros(500, dtype=wp.float64, device="cpu")
-    wp.launch(distances, dim=500, inputs=[cylinder(), vectors(points)], outputs=[found], device="cpu")
+    wp.launch(
+        distances, dim=500, inputs=[cylinder(), vectors(points)], outputs=[found], device="cpu"
+    )
     np.testing.assert_allclose(found.numpy(), from_cylinder(points), atol=1e-12)
 
 
@@ -77,7 +91,8 @@ def test_bounds_over_a_triangle_hold_its_smallest_distance(seed):
     sampled = from_cylinder(np.einsum("sw,twx->tsx", weights, corners)).min(axis=1)
     assert (lower.numpy() <= sampled + 1e-12).all()
     assert (upper.numpy() >= lower.numpy() - 1e-12).all()
-    # The upper bound is the distance of some point of the triangle; samples miss the smallest one by a little.
+    # The upper bound is the distance of some point of the triangle; samples miss the smallest one
+    # by a little.
     assert (upper.numpy() >= sampled - 0.3).all()
     assert np.median(upper.numpy() - lower.numpy()) < 0.1
 
@@ -89,7 +104,9 @@ def test_the_nearest_point_of_a_triangle_is_no_farther_than_any_other():
     inputs = [vectors(points), wp.array(corners, dtype=wp.vec3d, device="cpu")]
     wp.launch(feet, dim=200, inputs=inputs, outputs=[found], device="cpu")
     weights = rng.dirichlet([0.5, 0.5, 0.5], 4000)
-    sampled = np.linalg.norm(np.einsum("sw,twx->tsx", weights, corners) - points[:, None], axis=2).min(axis=1)
+    sampled = np.linalg.norm(
+        np.einsum("sw,twx->tsx", weights, corners) - points[:, None], axis=2
+    ).min(axis=1)
     nearest = np.linalg.norm(found.numpy() - points, axis=1)
     assert (nearest <= sampled + 1e-12).all() and (nearest >= sampled - 0.1).all()
     mixed = np.linalg.solve(np.moveaxis(corners, 1, 2), found.numpy()[..., None])[..., 0]

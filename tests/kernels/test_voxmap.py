@@ -16,7 +16,12 @@ SPACING, ORIGIN = 1e-4, np.array([-1e-3, 2e-3, 0.5e-3])
 
 def volume_of(fraction):
     return VoxelVolume(
-        ORIGIN, SPACING, fraction, np.zeros_like(fraction), np.full(fraction.shape, 1800, np.uint16), ("bone",)
+        ORIGIN,
+        SPACING,
+        fraction,
+        np.zeros_like(fraction),
+        np.full(fraction.shape, 1800, np.uint16),
+        ("bone",),
     )
 
 
@@ -40,15 +45,20 @@ def test_level_against_scipy_across_bricks_and_borders():
     random = np.random.default_rng(0)
     points = random.uniform(ORIGIN - 0.9 * SPACING, volume.bounds_m[1] + 0.9 * SPACING, (4000, 3))
     found, normal = field.distance(points)
-    inside = (np.abs(points - np.clip(points, *volume.bounds_m)) == 0.0).all(axis=1)  # else the bound of the border
-    assert found[inside] == pytest.approx(level_by_scipy(volume, points[inside]), abs=1e-7 * SPACING)
+    # else the bound of the border
+    inside = (np.abs(points - np.clip(points, *volume.bounds_m)) == 0.0).all(axis=1)
+    assert found[inside] == pytest.approx(
+        level_by_scipy(volume, points[inside]), abs=1e-7 * SPACING
+    )
     assert inside.sum() > 3000
     lengths = np.linalg.norm(normal, axis=1)
     assert (np.isclose(lengths, 1.0) | (lengths == 0.0)).all()
 
 
 def test_exit_direction_is_the_gradient_of_the_level():
-    """Central differences inside cells, where the level is smooth; their error is of second order in the step."""
+    """Central differences inside cells, where the level is smooth; their error is of second
+    order in the step.
+    """
     volume = random_volume(4)
     field = ContactField(store=BrickStore.from_volume(volume, device="cpu"))
     random = np.random.default_rng(1)
@@ -73,9 +83,13 @@ def test_clearance_never_exceeds_the_distance_to_bone():
     held = random.integers(0, fraction.shape, (12, 3))
     fraction[tuple(held.T)] = 200
     field = ContactField(store=BrickStore.from_volume(volume_of(fraction), device="cpu"))
-    points = random.uniform(ORIGIN - 2e-3, ORIGIN + SPACING * np.array(fraction.shape) + 2e-3, (3000, 3))
+    points = random.uniform(
+        ORIGIN - 2e-3, ORIGIN + SPACING * np.array(fraction.shape) + 2e-3, (3000, 3)
+    )
     low = ORIGIN + SPACING * (held - 0.5)  # a voxel is felt up to the centres of its neighbours
-    beyond = np.maximum(np.maximum(low - points[:, None], points[:, None] - low - 2.0 * SPACING), 0.0)
+    beyond = np.maximum(
+        np.maximum(low - points[:, None], points[:, None] - low - 2.0 * SPACING), 0.0
+    )
     true = np.linalg.norm(beyond, axis=2).min(axis=1)
     found, _ = field.distance(points)
     far = found > SURFACE * SPACING * (1 + 1e-9)
@@ -103,7 +117,9 @@ def test_solids_against_signed_distance_shapes():
 
 
 def test_plane_surface_is_found_within_a_quarter_voxel():
-    """A face at any height: sunk by the difference of the levels, the point that touches is never in the bone."""
+    """A face at any height: sunk by the difference of the levels, the point that touches is
+    never in the bone.
+    """
     for part in np.linspace(0.0, 1.0, 18):
         fraction = np.zeros((16, 16, 32), np.uint8)
         fraction[:, :, :16], fraction[:, :, 16] = 255, round(255 * part)

@@ -1,4 +1,6 @@
-"""Every page of the atlas on its quick sweep: verdict, answers of the engine, and verdicts of spoilt data."""
+"""Every page of the atlas on its quick sweep: verdict, answers of the engine, and verdicts of
+spoilt data.
+"""
 
 import numpy as np
 import pytest
@@ -23,9 +25,13 @@ SPOILT = {
     "lost_samples": ("duplicated", "guarded_at_end", "bare_at_end"),
     "wild_input": ("jump", "guarded_N", "bare_N"),
 }
-"""Table, the column of the engine, and that of the failing method; None: the column of the engine, negated."""
+"""Table, the column of the engine, and that of the failing method; None: the column of the
+engine, negated.
+"""
 RIGHTED = {"wall_map": ("delay", {"first_order_N_m": "exact_N_m", "pade_N_m": "exact_N_m"})}
-"""Columns of failing methods and right ones to put there, where the column of the engine is not enough."""
+"""Columns of failing methods and right ones to put there, where the column of the engine is not
+enough.
+"""
 
 
 def replaced(data, table, columns):
@@ -37,19 +43,25 @@ def replaced(data, table, columns):
 
 @pytest.mark.parametrize(
     "page",
-    [pytest.param(each, id=each.name, marks=[pytest.mark.slow] if each.name in HEAVY else []) for each in PAGES],
+    [
+        pytest.param(each, id=each.name, marks=[pytest.mark.slow] if each.name in HEAVY else [])
+        for each in PAGES
+    ],
 )
 def test_a_page_shows_its_boundary_and_how_the_engine_behaves(page):
     data = page.measure(True)
     verdict, answers = page.judge(data), page.ask()
     assert verdict.fails, verdict.sentence
     assert verdict.holds, verdict.sentence
-    assert not [answer for answer in answers if answer.conduct is Conduct.SILENT] and len(answers) >= 2
+    assert (
+        not [answer for answer in answers if answer.conduct is Conduct.SILENT] and len(answers) >= 2
+    )
     assert "nan" not in verdict.sentence and any(letter.isdigit() for letter in verdict.sentence)
     for table in data.values():
         assert len({len(values) for values in table.values()}) == 1
         assert all(np.asarray(values).dtype == float for values in table.values())
-    # Were the engine as wrong as the method in question, or that one as right as the engine, the page would report it.
+    # Were the engine as wrong as the method in question, or that one as right as the engine, the
+    # page would report it.
     table, engine, failing = SPOILT[page.name]
     righted = RIGHTED.get(page.name, (table, {failing: engine}))
     with np.errstate(all="ignore"):

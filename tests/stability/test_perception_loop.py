@@ -1,4 +1,6 @@
-"""A deadband and a steep map inside the loop: what they do to a wall that was stable, and what pays for it."""
+"""A deadband and a steep map inside the loop: what they do to a wall that was stable, and what
+pays for it.
+"""
 
 from dataclasses import replace
 
@@ -77,35 +79,42 @@ def half_of_critical(parameters, grip=None):
 
 
 def test_a_cycle_through_a_deadband_returns_the_energy_of_its_threshold():
-    """Loaded and unloaded slowly along a spring, the held force lags by half a threshold on the average, in either direction.
+    """Loaded and unloaded slowly along a spring, the held force lags by half a threshold on the
+    average, in either direction.
 
-    So a cycle creates the integral of the threshold over the depth, kappa ((F2 + F0)^2 - (F1 + F0)^2) / 2 K: a Coulomb
-    friction of half the threshold with the wrong sign.
+    So a cycle creates the integral of the threshold over the depth, kappa ((F2 + F0)^2 - (F1 +
+    F0)^2) / 2 K: a Coulomb friction of half the threshold with the wrong sign.
     """
     stiffness = 400.0
     size = np.concatenate([np.linspace(0.3, 3.0, 40_000), np.linspace(3.0, 0.3, 40_000)])
     held = held_back(np.column_stack([0 * size, 0 * size, size]), LAW)[0][:, 2]
     created = -np.sum((held[:-1]) * np.diff(size / stiffness))
     expected = LAW.kappa * ((3.0 + LAW.offset) ** 2 - (0.3 + LAW.offset) ** 2) / (2.0 * stiffness)
-    assert created == pytest.approx(expected, rel=0.1)  # the last step at either end is a part of one: 1 of 40
+    # the last step at either end is a part of one: 1 of 40
+    assert created == pytest.approx(expected, rel=0.1)
     worst = np.sum(LAW.threshold(held[:-1]) * np.abs(np.diff(size / stiffness)))
     assert created < worst
 
 
 @pytest.mark.parametrize(("name", "force_N"), [("touch", 0.5), ("six-dof", 2.0)])
 def test_a_friction_of_half_the_threshold_stops_what_the_deadband_rings(name, force_N):
-    """A wall at half of its critical stiffness, nobody's hand: it rings without friction, and not with half of it.
+    """A wall at half of its critical stiffness, nobody's hand: it rings without friction, and not
+    with half of it.
 
-    The same condition as that of a position quantiser, friction >= K step / 2 (Abbott and Okamura 2005), for one of
-    force.
+    The same condition as that of a position quantiser, friction >= K step / 2 (Abbott and Okamura
+    2005), for one of force.
     """
     threshold, ripples = float(LAW.threshold(force_N)), []
     stiffness = half_of_critical(device_parameters(name))
     for share in (0.0, 0.2, 0.6):  # at 0.5 it takes more than these two seconds to die
-        parameters = replace(device_parameters(name), friction_N=share * threshold, encoder_step_m=1e-6)
+        parameters = replace(
+            device_parameters(name), friction_N=share * threshold, encoder_step_m=1e-6
+        )
         run, _ = pressed(parameters, stiffness, Push(force_N))
         ripples.append(run.ripple_N(0.5) / threshold)
-    plain, _ = pressed(replace(parameters, friction_N=0.2 * threshold), stiffness, Push(force_N), felt=False)
+    plain, _ = pressed(
+        replace(parameters, friction_N=0.2 * threshold), stiffness, Push(force_N), felt=False
+    )
     assert ripples[0] > 4.0 and ripples[1] > 2.0 and ripples[2] < 1e-9
     assert plain.ripple_N(0.5) < 1e-9 * threshold
 
@@ -115,18 +124,23 @@ def test_a_deadband_that_knows_the_friction_does_not_ring():
     parameters = replace(device_parameters("six-dof"), encoder_step_m=1e-6)
     stiffness = half_of_critical(parameters)
     blind, _ = pressed(parameters, stiffness, Push(4.0), duration_s=3.0)
-    aware, law = pressed(parameters, stiffness, Push(4.0), friction_N=parameters.friction_N, duration_s=3.0)
+    aware, law = pressed(
+        parameters, stiffness, Push(4.0), friction_N=parameters.friction_N, duration_s=3.0
+    )
     assert blind.ripple_N(0.5) > float(LAW.threshold(4.0))
     assert aware.ripple_N(0.5) < 1e-9
     wanted, played = (np.array(each) for each in zip(*law.kept, strict=True))
     mapped, size = law.person.law.command_N(wanted[:, 2]), played[:, 2]
-    assert np.abs(mapped - size).max() <= parameters.friction_N + 1e-6  # by table, to 1e-7 of some newtons
+    # by table, to 1e-7 of some newtons
+    assert np.abs(mapped - size).max() <= parameters.friction_N + 1e-6
 
 
 @pytest.mark.parametrize("group", ["nobody", "novice", "expert"])
 @pytest.mark.parametrize("name", ["touch", "omni", "six-dof"])
 def test_published_friction_and_a_hand_leave_less_than_the_threshold(name, group):
-    """Devices as they are, pressed with 1 N: the force ripples by less than the threshold, tremor and noise left out."""
+    """Devices as they are, pressed with 1 N: the force ripples by less than the threshold,
+    tremor and noise left out.
+    """
     parameters, person = device_parameters(name), None
     if group == "nobody":
         stiffness, hand = half_of_critical(parameters), Push(1.0)
@@ -141,24 +155,32 @@ def test_published_friction_and_a_hand_leave_less_than_the_threshold(name, group
 
 
 def test_a_deadband_never_creates_more_than_its_threshold_times_the_path_length():
-    """By the law of the error alone, tick by tick, in the worst case there is: no friction, no hand, ringing."""
+    """By the law of the error alone, tick by tick, in the worst case there is: no friction, no
+    hand, ringing.
+    """
     parameters = replace(device_parameters("touch"), friction_N=0.0)
     run, law = pressed(parameters, half_of_critical(parameters), Push(1.0))
     wanted, played = (np.array(each) for each in zip(*law.kept, strict=True))
     moved = np.diff(run.position_m, axis=0)
     taken = -np.cumsum(np.einsum("ij,ij->i", wanted[:-1], moved))
-    allowed = np.cumsum(LAW.threshold(np.linalg.norm(played[:-1], axis=1)) * np.linalg.norm(moved, axis=1))
+    allowed = np.cumsum(
+        LAW.threshold(np.linalg.norm(played[:-1], axis=1)) * np.linalg.norm(moved, axis=1)
+    )
     assert (run.taken_J[1:] >= taken - allowed * (1.0 + 1e-9) - 1e-12).all()
     assert run.taken_J[-1] < taken[-1]
 
 
 @pytest.mark.parametrize("fault", ["dropped", "late", "duplicated", "non-finite", "wild"])
 def test_a_faulty_device_is_survived(fault):
-    """The guard before it keeps samples that no hand makes from it; the force fades and comes back, as without it."""
+    """The guard before it keeps samples that no hand makes from it; the force fades and comes
+    back, as without it.
+    """
     parameters = device_parameters("touch")
     law = Felt(ProxyRenderer(200.0, 0.0), population_on(parameters))
     device = FaultyDevice(SimulatedDevice(parameters, Push(1.0)), [Fault(fault, 0.4, 0.5)])
-    run = press_wall(device, law, duration_s=0.8, guard=SampleGuard(force_limit_N=parameters.force_limit_N))
+    run = press_wall(
+        device, law, duration_s=0.8, guard=SampleGuard(force_limit_N=parameters.force_limit_N)
+    )
     size = np.linalg.norm(run.force_N, axis=1)
     assert np.isfinite(run.force_N).all() and size.max() <= parameters.force_limit_N * (1.0 + 1e-12)
     assert (size[430:499] == 0.0).all() or fault == "late"
@@ -166,8 +188,15 @@ def test_a_faulty_device_is_survived(fault):
 
 
 def test_a_steep_map_makes_the_wall_as_much_stiffer():
-    """An observer with exponent 1.2: stiffness times slope decides, by eigenvalues and by the run that they predict."""
-    law = ForceMap(intensity_of(reference_observer()), Intensity(log_alpha=0.0, beta=1.2), lowest_N=0.2, knee_N=2.31)
+    """An observer with exponent 1.2: stiffness times slope decides, by eigenvalues and by the
+    run that they predict.
+    """
+    law = ForceMap(
+        intensity_of(reference_observer()),
+        Intensity(log_alpha=0.0, beta=1.2),
+        lowest_N=0.2,
+        knee_N=2.31,
+    )
     assert law.steepest == pytest.approx(1.7 / 1.2, rel=2e-3)
     parameters = replace(device_parameters("touch"), friction_N=0.0, encoder_step_m=0.0)
     loop = parameters.loop(1.0)
@@ -185,7 +214,9 @@ def test_a_steep_map_makes_the_wall_as_much_stiffer():
     start_N = float(np.interp(2.0, law.command_N(forces), forces))
     for share, grows in ((0.9 / slope, False), (1.1 / slope, True)):
         assert (spectral_radius(loop.with_stiffness(share * slope * critical)) > 1.0) is grows
-        device = SimulatedDevice(parameters, Push(2.0), position_m=(0.0, 0.0, -0.98 * start_N / (share * critical)))
+        device = SimulatedDevice(
+            parameters, Push(2.0), position_m=(0.0, 0.0, -0.98 * start_N / (share * critical))
+        )
         run = press_wall(device, Mapped(share * critical, 0.0), duration_s=1.5)
         swings = np.abs(run.force_N[:, 2] - 2.0)
         assert bool(swings[1200:].max() > swings[100:400].max()) is grows

@@ -1,4 +1,6 @@
-"""Predictors taken past where they fail: far ahead, in another tissue, without a cap, on a loop that chatters."""
+"""Predictors taken past where they fail: far ahead, in another tissue, without a cap, on a loop
+that chatters.
+"""
 
 from dataclasses import replace
 
@@ -30,10 +32,16 @@ def unseen():
 
 
 def test_at_long_horizons_the_capped_operator_stays_and_an_uncapped_one_explodes(wall, unseen):
-    """Printed: g(x_{t+n}) = K^n g(x_t). With a radius of 1.05 the n-th power is 1.05^n; capped, it is bounded."""
+    """Printed: g(x_{t+n}) = K^n g(x_t). With a radius of 1.05 the n-th power is 1.05^n; capped,
+    it is bounded.
+    """
     grown = replace(wall.operator, A=1.05 * wall.operator.A)
     sizes = {}
-    for name, operator in (("capped", wall.operator), ("grown", grown), ("capped again", grown.capped(1.0))):
+    for name, operator in (
+        ("capped", wall.operator),
+        ("grown", grown),
+        ("capped again", grown.capped(1.0)),
+    ):
         loop = Koopman(OperatorPath(operator, growth=wall.growth))
         for row in range(1200):
             loop.meet(Contact.of_row(unseen.contact[row]))
@@ -58,7 +66,9 @@ def test_the_guard_bounds_the_prediction_of_an_exploding_operator(wall, unseen):
 @pytest.mark.parametrize("factor", [0.5, 2.0, 8.0])
 @pytest.mark.parametrize("kind", ["koopman", "koopman-look-ahead"])
 def test_in_a_force_it_was_not_trained_on_it_is_as_good_as_at_home(wall, unseen, kind, factor):
-    """Half to eight times the force and stiffness of the same motion: the same error, to rounding."""
+    """Half to eight times the force and stiffness of the same motion: the same error, to
+    rounding.
+    """
     contact = unseen.contact.copy()
     contact[:, [0, *range(4, 16)]] *= factor
     other = replace(unseen, force_N=factor * unseen.force_N, contact=contact)
@@ -84,10 +94,17 @@ def test_dropped_and_repeated_samples_leave_it_bounded(wall, unseen):
 
 @pytest.mark.slow
 def test_prediction_takes_a_loop_past_where_latency_makes_it_chatter():
-    """At 1.5 kN/m and 4 ms the wall throws the device off again and again (24 switches); predicted, it is held (4)."""
+    """At 1.5 kN/m and 4 ms the wall throws the device off again and again (24 switches);
+    predicted, it is held (4).
+    """
     switches = {}
     for prediction in ("none", "koopman"):
-        entries = {"seed": 500, "coupling.delay_ms": 4, "coupling.stiffness_N_m": 1500.0, "prediction": prediction}
+        entries = {
+            "seed": 500,
+            "coupling.delay_ms": 4,
+            "coupling.stiffness_N_m": 1500.0,
+            "prediction": prediction,
+        }
         trace = simulate(load_scene("wall", entries), allow_unstable=True).trace
         touching = trace["raw_force_z_N"] != 0.0
         switches[prediction] = int(np.abs(np.diff(touching.astype(int))).sum())

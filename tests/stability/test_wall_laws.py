@@ -1,6 +1,7 @@
 """Published statements about haptic loops taken to where they fail, each beside the one that holds.
 
-The numbers E3, E4, E9, E10 and E11 are those of the project's list of errors in a published haptic framework.
+The numbers E3, E4, E9, E10 and E11 are those of the project's list of errors in a published haptic
+framework.
 """
 
 from math import inf, pi, sin, sqrt
@@ -13,7 +14,13 @@ from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Hand, hand_parameters
 from tissue.haptics.hand.minimum_jerk import waypoints
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
-from tissue.haptics.loop.filters import DelayLine, LowPass, cutoff_Hz, low_pass_gain, relaxation_bound
+from tissue.haptics.loop.filters import (
+    DelayLine,
+    LowPass,
+    cutoff_Hz,
+    low_pass_gain,
+    relaxation_bound,
+)
 from tissue.haptics.loop.passivity import PassivityControl
 from tissue.haptics.loop.sampled_loop import WallLoop, spectral_radius
 from tissue.haptics.loop.stability_bounds import delay_bound_N_m, pade_bound_N_m, passive_bound_N_m
@@ -24,7 +31,9 @@ TICK = 1e-3
 
 
 def amplitude(time_constant_s, frequency_Hz):
-    """Steady amplitude of the low-pass for a sine of amplitude 1, by running it at 2000 steps a period."""
+    """Steady amplitude of the low-pass for a sine of amplitude 1, by running it at 2000 steps a
+    period.
+    """
     step = 5e-4 / frequency_Hz
     low_pass = LowPass(time_constant_s, step_s=step, size=1)
     times = step * np.arange(round(8.0 * time_constant_s / step) + 2000)
@@ -47,28 +56,38 @@ def test_e3_is_exact_for_a_held_input_at_any_step(step_s):
     time_constant, low_pass = 5e-3, LowPass(5e-3, step_s=step_s)
     for tick in range(1, 6):
         reached = low_pass.step(np.array([1.0, -2.0, 0.0]))
-        assert reached == pytest.approx((1.0 - np.exp(-tick * step_s / time_constant)) * np.array([1.0, -2.0, 0.0]))
+        assert reached == pytest.approx(
+            (1.0 - np.exp(-tick * step_s / time_constant)) * np.array([1.0, -2.0, 0.0])
+        )
     assert low_pass_gain(0.0, step_s) == 1.0
     explicit = 0.0
     for _ in range(200):
         explicit += step_s / time_constant * (1.0 - explicit)
-    assert (abs(explicit - 1.0) > 1e3) == (step_s > 2.0 * time_constant)  # the usual explicit step runs away
+    # the usual explicit step runs away
+    assert (abs(explicit - 1.0) > 1e3) == (step_s > 2.0 * time_constant)
 
 
 UNSAFE = [
-    WallLoop(mass_kg=0.05, damping_N_s_m=0.1, wall_damping_N_s_m=10.0, delay_s=4e-3, stiffness_N_m=1.0),
-    WallLoop(mass_kg=0.02, damping_N_s_m=0.1, wall_damping_N_s_m=5.0, delay_s=4e-3, stiffness_N_m=1.0),
+    WallLoop(
+        mass_kg=0.05, damping_N_s_m=0.1, wall_damping_N_s_m=10.0, delay_s=4e-3, stiffness_N_m=1.0
+    ),
+    WallLoop(
+        mass_kg=0.02, damping_N_s_m=0.1, wall_damping_N_s_m=5.0, delay_s=4e-3, stiffness_N_m=1.0
+    ),
     WallLoop(mass_kg=0.05, damping_N_s_m=5.0, delay_s=20e-3, stiffness_N_m=1.0),
 ]
 
 
 @pytest.mark.parametrize("loop", UNSAFE)
 def test_e4_pade_promises_stiffness_that_runs_away(loop):
-    """Just inside the line of the first-order Padé delay the loop grows; just inside the eigenvalues' it settles."""
+    """Just inside the line of the first-order Padé delay the loop grows; just inside the
+    eigenvalues' it settles.
+    """
     exact, promised = critical_stiffness_N_m(loop), pade_bound_N_m(loop)
     assert promised > 1.05 * exact
     assert pade_bound_N_m(loop, hold=False) > promised
-    assert sqrt(promised / loop.mass_kg) * (loop.delay_s + 0.5 * TICK) > 0.5  # w t is no longer small
+    # w t is no longer small
+    assert sqrt(promised / loop.mass_kg) * (loop.delay_s + 0.5 * TICK) > 0.5
     grown = growth_while_running([loop, loop], np.array([0.98 * promised, 0.98 * exact]))
     assert grown[0] > 1.0 > grown[1]
 
@@ -82,7 +101,9 @@ def test_e4_pade_is_good_where_the_delay_is_short():
 
 
 def energy_from_a_cycle(law):
-    """Energy that a contact gives to a device led once around a cycle inside it [J]; fine steps, so nothing leaks."""
+    """Energy that a contact gives to a device led once around a cycle inside it [J]; fine steps,
+    so nothing leaks.
+    """
     step, given = 1e-4, 0.0
     for time in np.arange(0.0, 1.0, step):
         depth = np.array([1e-3 * np.sin(2 * pi * time), 0.0, -2e-3 + 1e-3 * np.cos(2 * pi * time)])
@@ -97,9 +118,9 @@ def test_e9_a_damper_with_the_printed_sign_feeds_the_device():
     printed = energy_from_a_cycle(lambda p, v: stiffness * (proxy - p) + damping * v)
     assert printed == pytest.approx(expected, rel=1e-3)
     ours = ProxyRenderer(stiffness, damping)
-    assert energy_from_a_cycle(lambda p, v: ours.render(p, v, proxy, np.zeros(3), TICK)) == pytest.approx(
-        -expected, rel=1e-3
-    )
+    assert energy_from_a_cycle(
+        lambda p, v: ours.render(p, v, proxy, np.zeros(3), TICK)
+    ) == pytest.approx(-expected, rel=1e-3)
 
 
 def test_e9_the_damper_is_at_rest_where_both_move_alike():
@@ -112,7 +133,9 @@ def test_e9_the_damper_is_at_rest_where_both_move_alike():
 
 @pytest.mark.parametrize("rate_Hz", [1000.0, 2000.0, 5000.0])
 def test_e10_positive_gains_at_1_khz_are_not_enough(rate_Hz):
-    """k, b > 0 and at least 1 kHz: "passive" as printed, yet it grows; more virtual damping makes it worse."""
+    """k, b > 0 and at least 1 kHz: "passive" as printed, yet it grows; more virtual damping
+    makes it worse.
+    """
     tick = 1.0 / rate_Hz
     device = {"mass_kg": 0.045, "damping_N_s_m": 0.35, "tick_s": tick}
     stiff = WallLoop(**device, stiffness_N_m=1.05 * 2.0 * 0.35 / tick)
@@ -128,7 +151,9 @@ def test_e10_positive_gains_at_1_khz_are_not_enough(rate_Hz):
 
 @pytest.mark.parametrize("delay", [0, 1, 2, 5, 20])
 def test_e11_relaxation_settles_up_to_the_bound_and_not_to_1_or_2(delay):
-    """Run F <- F + a (F_wanted - F delayed) 2 % below and above; the printed 0 < a < 1 fails with delay."""
+    """Run F <- F + a (F_wanted - F delayed) 2 % below and above; the printed 0 < a < 1 fails
+    with delay.
+    """
 
     def left(gain):
         force, line = np.zeros(1), DelayLine(delay, size=1)
@@ -154,13 +179,18 @@ def test_e11_relaxation_settles_up_to_the_bound_and_not_to_1_or_2(delay):
 def test_a_controller_without_bound_would_itself_ring():
     """Sampled damping beyond m / T is unstable: the controller's bound keeps it below."""
     mass = 0.045
-    beyond = WallLoop(mass_kg=mass, damping_N_s_m=0.0, stiffness_N_m=1.0, wall_damping_N_s_m=2.1 * mass / TICK)
+    beyond = WallLoop(
+        mass_kg=mass, damping_N_s_m=0.0, stiffness_N_m=1.0, wall_damping_N_s_m=2.1 * mass / TICK
+    )
     assert spectral_radius(beyond) > 1.0
     control, limit = PassivityControl(0.5 * mass / TICK), 0.5 * mass / TICK
     control.step(np.zeros(3), np.zeros(3), np.zeros(3), TICK)
-    played = control.step(np.array([0.0, 0.0, 3.0]), np.array([0.0, 0.0, 1e-5]), np.array([0.0, 0.0, 1e-2]), TICK)
+    played = control.step(
+        np.array([0.0, 0.0, 3.0]), np.array([0.0, 0.0, 1e-5]), np.array([0.0, 0.0, 1e-2]), TICK
+    )
     assert control.damping_N_s_m == limit and played[2] == pytest.approx(3.0 - limit * 1e-2)
-    for speed in (0.1, 1.0):  # a fast device without energy in store: no push, and the damping within its bound
+    # a fast device without energy in store: no push, and the damping within its bound
+    for speed in (0.1, 1.0):
         control = PassivityControl(0.5 * mass / TICK)
         control.step(np.zeros(3), np.zeros(3), np.zeros(3), TICK)
         at = np.array([0.0, 0.0, speed * TICK])
@@ -178,7 +208,9 @@ def test_a_hand_of_every_group_stiffens_what_a_free_device_can_hold():
 
 
 def let_go(name, stiffness_N_m, *, two_sided, kind="proxy", aim_m=5e-3):
-    """Positions along z [m] after a hand that pressed the middle of a spring, or a wall, has opened (at 0.8 s)."""
+    """Positions along z [m] after a hand that pressed the middle of a spring, or a wall, has
+    opened (at 0.8 s).
+    """
     limits = device_parameters(name)
     path = waypoints(np.array([0.0, 0.3]), np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -aim_m]]))
     hand = Hand(hand_parameters("expert"), path, rng=np.random.default_rng(0), let_go_s=0.8)
@@ -191,21 +223,29 @@ def let_go(name, stiffness_N_m, *, two_sided, kind="proxy", aim_m=5e-3):
         free = not two_sided and at[2] >= 0.0
         proxy = at if free else np.zeros(3)
         force = low_pass.step(law.render(at, speed, proxy, speed if free else np.zeros(3), TICK))
-        device.command(force * min(limits.force_limit_N / max(float(np.linalg.norm(force)), 1e-12), 1.0), np.zeros(3))
+        device.command(
+            force * min(limits.force_limit_N / max(float(np.linalg.norm(force)), 1e-12), 1.0),
+            np.zeros(3),
+        )
         found.append(device.translation.position[2])
     return np.array(found[800:])
 
 
 def test_let_go_at_the_default_a_wall_is_left_and_between_two_walls_only_friction_helps():
-    """Why the default is that of a device in a hand: what it costs to be safe without one, and where it matters.
+    """Why the default is that of a device in a hand: what it costs to be safe without one, and
+    where it matters.
 
-    Half of the critical value without a hand is a seventh to a ninth of the default. It is not needed on a wall, which
-    a released device leaves within some hundredths of a second. Held from both sides, a Touch fades by its friction, a
-    six-dof device, whose friction is a sixth of that, grows until its force limit bounds it.
+    Half of the critical value without a hand is a seventh to a ninth of the default. It is not
+    needed on a wall, which a released device leaves within some hundredths of a second. Held from
+    both sides, a Touch fades by its friction, a six-dof device, whose friction is a sixth of that,
+    grows until its force limit bounds it.
     """
     for name in ("touch", "omni", "six-dof"):
         limits = device_parameters(name)
-        default, safe = limits.stiffness_limit_N_m, 0.5 * critical_stiffness_N_m(limits.loop(1.0, filter_s=1e-3))
+        default, safe = (
+            limits.stiffness_limit_N_m,
+            0.5 * critical_stiffness_N_m(limits.loop(1.0, filter_s=1e-3)),
+        )
         assert 7.0 < default / safe < 9.0
         after = let_go(name, default, two_sided=False)
         assert (after[50:] > 0.0).all() and np.ptp(after[1000:]) < 1e-4

@@ -1,4 +1,6 @@
-"""Hands that let go or jerk and devices that lie: whatever happens, the force stays bounded and does not stay stale."""
+"""Hands that let go or jerk and devices that lie: whatever happens, the force stays bounded and
+does not stay stale.
+"""
 
 import numpy as np
 import pytest
@@ -47,7 +49,11 @@ def test_a_faulty_device_fades_and_comes_back(kind, fault):
     assert jumps.max() < 0.06 * size.max(), "the force steps instead of fading"
     assert guard.bad_ticks >= 97
     reported = [what for when, what in guard.events if when > 0.1]
-    assert len(reported) >= 2 and reported[-1] == "samples are good again" and reported[0].endswith("the force fades")
+    assert (
+        len(reported) >= 2
+        and reported[-1] == "samples are good again"
+        and reported[0].endswith("the force fades")
+    )
     assert simulated.refused_commands == 0
     assert np.abs(simulated.translation.position).max() < 0.05
 
@@ -61,7 +67,9 @@ def test_one_missing_sample_takes_a_twentieth_of_the_force():
 
 
 def test_without_the_guard_a_wild_sample_commands_a_wild_force():
-    """What the guard is for: 1e9 m in the wall is 1e12 N; the device itself still plays no more than it can."""
+    """What the guard is for: 1e9 m in the wall is 1e12 N; the device itself still plays no more
+    than it can.
+    """
 
     class Wild(FaultyDevice):
         def read(self, time_s):
@@ -75,25 +83,36 @@ def test_without_the_guard_a_wild_sample_commands_a_wild_force():
     assert simulated.saturated_ticks > 0
     guard = SampleGuard(force_limit_N=device.force_limit_N)
     run = press_wall(
-        Wild(SimulatedDevice(device), ()), renderer("penalty", device.loop(1000.0)), duration_s=1.0, guard=guard
+        Wild(SimulatedDevice(device), ()),
+        renderer("penalty", device.loop(1000.0)),
+        duration_s=1.0,
+        guard=guard,
     )
     assert not run.force_N.any() and guard.bad_ticks == 10
 
 
 @pytest.mark.parametrize("kind", RENDERERS)
 def test_a_hand_that_lets_go_is_not_thrown_at(kind):
-    """The wall gives back no more than its spring held; the omni's own friction then stops the handle."""
+    """The wall gives back no more than its spring held; the omni's own friction then stops the
+    handle.
+    """
     run, _, simulated = pressed(kind, let_go_s=0.8)
     held = run.force_N[799, 2]
     assert held > 0.3 and run.force_N[:, 2].max() <= 3.3
     assert not run.force_N[-100:].any()
     energy = 0.5 * held**2 / STIFFNESS_N_M
-    assert 0.0 < simulated.translation.position[2] <= energy / device_parameters("omni").friction_N + 1e-3
+    assert (
+        0.0
+        < simulated.translation.position[2]
+        <= energy / device_parameters("omni").friction_N + 1e-3
+    )
     assert simulated.translation.velocity == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("kind", RENDERERS)
-@pytest.mark.parametrize("direction", [(0.0, 0.0, -1.0), (0.6, 0.0, 0.8)], ids=["into the wall", "off it"])
+@pytest.mark.parametrize(
+    "direction", [(0.0, 0.0, -1.0), (0.6, 0.0, 0.8)], ids=["into the wall", "off it"]
+)
 def test_a_jerk_of_60_N_stays_bounded_and_settles(kind, direction):
     jerk = 60.0 * np.array(direction)
     run, _, _ = pressed(kind, push=lambda t: jerk if 0.7 <= t < 0.72 else 0.0 * jerk, seconds=2.5)
@@ -106,7 +125,9 @@ def test_a_jerk_of_60_N_stays_bounded_and_settles(kind, direction):
 def test_the_guard_lets_a_fast_hand_pass_and_takes_up_a_device_that_comes_back():
     guard = SampleGuard(force_limit_N=3.0)
     for tick in range(50):
-        assert guard.validate_sample(Sample(tick * TICK, (4e-3 * tick, 0.0, 0.0), (4.0, 0.0, 0.0)), tick * TICK)
+        assert guard.validate_sample(
+            Sample(tick * TICK, (4e-3 * tick, 0.0, 0.0), (4.0, 0.0, 0.0)), tick * TICK
+        )
     assert guard.bad_ticks == 0
     # Gone for 100 ms, back 0.3 m away: that is 3 m/s and accepted.
     assert guard.validate_sample(None, 0.06) is None
@@ -115,9 +136,11 @@ def test_the_guard_lets_a_fast_hand_pass_and_takes_up_a_device_that_comes_back()
     assert guard.validate_sample(Sample(0.151, (0.8, 0.0, 0.0)), 0.151) is None
     assert guard.validate_sample(Sample(0.25, (0.8, 0.0, 0.0)), 0.25)
     assert [what for _, what in guard.events] == [
-        "no sample: the force fades", "samples are good again",
-        "a jump that no hand makes: the force fades", "samples are good again",
-    ]  # fmt: skip
+        "no sample: the force fades",
+        "samples are good again",
+        "a jump that no hand makes: the force fades",
+        "samples are good again",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -142,7 +165,10 @@ def test_a_first_sample_is_judged_too(sample, word):
 def test_a_turn_that_no_hand_makes_is_refused():
     guard = SampleGuard(force_limit_N=3.0)
     guard.validate_sample(Sample(0.0, (0.0, 0.0, 0.0)), 0.0)
-    assert guard.validate_sample(Sample(TICK, (0.0, 0.0, 0.0), quaternion=(1.0, 0.0, 0.0, 0.0)), TICK) is None
+    assert (
+        guard.validate_sample(Sample(TICK, (0.0, 0.0, 0.0), quaternion=(1.0, 0.0, 0.0, 0.0)), TICK)
+        is None
+    )
     assert "turn" in guard.events[-1][1]
     half = Sample(2 * TICK, (0.0, 0.0, 0.0), quaternion=(0.0, 0.0, 0.01, 1.005))
     assert np.linalg.norm(guard.validate_sample(half, 2 * TICK).quaternion) == pytest.approx(1.0)
@@ -157,7 +183,9 @@ def test_a_model_that_fails_is_held_back_as_well(wrong):
         force, torque = guard.limit_force(
             np.array([0.0, wrong if bad else 1.0, 0.0]), np.array([wrong if bad else 0.5, 0.0, 0.0])
         )
-        assert np.linalg.norm(force) <= 3.0 * (1 + 1e-12) and np.linalg.norm(torque) <= 0.1 * (1 + 1e-12)
+        assert np.linalg.norm(force) <= 3.0 * (1 + 1e-12) and np.linalg.norm(torque) <= 0.1 * (
+            1 + 1e-12
+        )
         if tick == 29:
             assert force[1] == 1.0 and torque[0] == 0.1
     if not np.isfinite(wrong):

@@ -1,7 +1,9 @@
-"""A band against closed forms: a ball that goes straight down into a block, its force an integral over the hemisphere.
+"""A band against closed forms: a ball that goes straight down into a block, its force an integral
+over the hemisphere.
 
-With radial coefficients alone the sides cancel, and the thrust is N R (pi / 4 K_rc h + K_re), h = 60 v / (N n) the chip's
-thickness at the tip. It is a sum, each constant of which has its own variance.
+With radial coefficients alone the sides cancel, and the thrust is N R (pi / 4 K_rc h + K_re), h =
+60 v / (N n) the chip's thickness at the tip. It is a sum, each constant of which has its own
+variance.
 """
 
 import numpy as np
@@ -20,9 +22,13 @@ CHIP_MM = 60.0 * FEED_MM_S / (FLUTES * SPIN_RPM)
 FREE = ("radial_chip_N_mm2", "radial_edge_N_mm")
 PER_UNIT = FLUTES * RADIUS_MM * np.array([np.pi / 4.0 * CHIP_MM, 1.0])
 GEOMETRY = 0.01
-"""Share of the force by which voxels of 0.2 mm and the elements of a ball of 1 mm may miss the integral."""
+"""Share of the force by which voxels of 0.2 mm and the elements of a ball of 1 mm may miss the
+integral.
+"""
 SAMPLING = 0.03
-"""Share by which 1,024 balanced samples may miss a quantile, five times what bench_band.py measures at the median."""
+"""Share by which 1,024 balanced samples may miss a quantile, five times what bench_band.py
+measures at the median.
+"""
 
 
 def laws():
@@ -38,7 +44,9 @@ def parts():
 @pytest.fixture(scope="module")
 def band():
     others = {
-        name: 0.0 for name in constants("cutting", "bone") if name.endswith(("N_mm2", "N_mm")) and name not in FREE
+        name: 0.0
+        for name in constants("cutting", "bone")
+        if name.endswith(("N_mm2", "N_mm")) and name not in FREE
     }
     scene = Scene(
         name="plunge",
@@ -53,7 +61,9 @@ def band():
 
 
 def test_the_peak_force_has_the_quantiles_of_the_sum(band):
-    assert set(band.constants) == {f"cutting.bone.{name}" for name in (*FREE, "reference_density_kg_m3")}
+    assert set(band.constants) == {
+        f"cutting.bone.{name}" for name in (*FREE, "reference_density_kg_m3")
+    }
     cited = PER_UNIT @ [law.value for law in laws()]
     assert band.nominal[-20:, 3] == pytest.approx(cited, rel=GEOMETRY)
     exact = np.quantile(np.add.outer(*parts()).ravel(), tuple(LEVELS.values()))
@@ -62,7 +72,9 @@ def test_the_peak_force_has_the_quantiles_of_the_sum(band):
     assert found == pytest.approx(exact, rel=SAMPLING)
     assert band.quantiles[:, -1, 3] == pytest.approx(exact, rel=SAMPLING)
     alone = np.quantile(parts()[0] + parts()[1].mean(), tuple(LEVELS.values()))
-    assert np.abs(found / alone - 1.0).max() > 5.0 * SAMPLING, "of the chip alone the quantiles are others"
+    assert np.abs(found / alone - 1.0).max() > 5.0 * SAMPLING, (
+        "of the chip alone the quantiles are others"
+    )
 
 
 def test_the_indices_of_a_sum_are_the_shares_of_its_variance(band):
@@ -71,8 +83,8 @@ def test_the_indices_of_a_sum_are_the_shares_of_its_variance(band):
     for kind in ("first", "total"):
         indices = band.summary["sobol"]["force_N.peak"]
         found = [indices[f"cutting.bone.{name}"][kind] for name in FREE]
-        assert indices["cutting.bone.reference_density_kg_m3"][kind] == pytest.approx(0.0, abs=1e-9), (
-            "its exponent is 0"
-        )
+        assert indices["cutting.bone.reference_density_kg_m3"][kind] == pytest.approx(
+            0.0, abs=1e-9
+        ), "its exponent is 0"
         print(kind, found, exact)
         assert found == pytest.approx(exact, abs=0.05)

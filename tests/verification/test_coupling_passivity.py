@@ -1,4 +1,6 @@
-"""Energy of a sampled wall: what the hold leaks, what the observer sees of it, what the controller pays back."""
+"""Energy of a sampled wall: what the hold leaks, what the observer sees of it, what the
+controller pays back.
+"""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -27,7 +29,9 @@ def along_z(value):
 
 
 def through_the_wall(play):
-    """Prescribed motion through a wall; energy that the acting forces took, counted apart from any observer [J]."""
+    """Prescribed motion through a wall; energy that the acting forces took, counted apart from
+    any observer [J].
+    """
     taken, lowest = 0.0, 0.0
     for tick, (depth, following) in enumerate(pairwise(DEPTHS)):
         velocity = (depth - DEPTHS[tick - 1]) / TICK if tick else following / TICK
@@ -54,14 +58,18 @@ def test_the_hold_leaks_what_it_should_and_the_observer_books_it():
 
 def test_the_controller_pays_the_leak_back():
     control = PassivityControl(50.0)
-    taken, lowest = through_the_wall(lambda force, position, velocity: control.step(force, position, velocity, TICK))
+    taken, lowest = through_the_wall(
+        lambda force, position, velocity: control.step(force, position, velocity, TICK)
+    )
     assert taken >= -1e-15 and lowest >= -1e-15
     assert control.dissipated_J == pytest.approx(LEAK_J, rel=1e-9)
 
 
 @pytest.mark.parametrize("delay_ticks", [0.0, 0.4, 1.0, 2.7])
 def test_a_delayed_force_is_booked_where_it_acts(delay_ticks):
-    """Against the work of the simulated motors; without amplifier lag, friction and substeps it is exact."""
+    """Against the work of the simulated motors; without amplifier lag, friction and substeps it
+    is exact.
+    """
     device = DeviceParameters(mass_kg=0.05, damping_N_s_m=1.0, transport_delay_s=delay_ticks * TICK)
     simulated = SimulatedDevice(device, substeps=1)
     simulated.translation.velocity = (0.1, -0.05, 0.2)
@@ -73,8 +81,11 @@ def test_a_delayed_force_is_booked_where_it_acts(delay_ticks):
         simulated.command(force, np.zeros(3))
         observer.hold(force)
     whole = delay_ticks == int(delay_ticks)
-    # In a fraction of a tick only its share of the displacement is known: random forces of 1 N leave 5e-4 J open.
-    assert observer.energy_J == pytest.approx(-simulated.translation.motor_work_J, abs=1e-12 if whole else 1e-3)
+    # In a fraction of a tick only its share of the displacement is known: random forces of 1 N
+    # leave 5e-4 J open.
+    assert observer.energy_J == pytest.approx(
+        -simulated.translation.motor_work_J, abs=1e-12 if whole else 1e-3
+    )
 
 
 @pytest.mark.parametrize("name", ["six-dof", "omni"])
@@ -113,8 +124,10 @@ def tapping(seconds, kind, *, seed=1, name="six-dof", stiffness_N_m=1500.0, dela
 
 
 DIP_J = 2e-4
-"""Energy by which a supervised wall may be ahead of its ledger [J]: a prediction is wrong by a change of speed within the
-step and the lag, F T dv with F up to 3 N and dv up to 0.03 m/s, for the few ticks until it is paid back."""
+"""Energy by which a supervised wall may be ahead of its ledger [J]: a prediction is wrong by a
+change of speed within the step and the lag, F T dv with F up to 3 N and dv up to 0.03 m/s, for the
+few ticks until it is paid back.
+"""
 
 
 def assert_never_created(run, energies):
@@ -149,11 +162,16 @@ def test_ten_minutes_of_contact_never_create_energy():
     ],
 )
 def test_a_latency_does_not_let_a_supervised_wall_create_energy(name, stiffness_N_m, delay_ms):
-    """Booked at the motors; the bare wall of 1.5 kN/m gives out 136 mJ in 10 s at 4 ms, and 2.4 J at 8 ms."""
+    """Booked at the motors; the bare wall of 1.5 kN/m gives out 136 mJ in 10 s at 4 ms, and 2.4
+    J at 8 ms.
+    """
     at = {"name": name, "stiffness_N_m": stiffness_N_m, "delay_s": 1e-3 * delay_ms}
     for seed in (1, 2):
         run, energies = tapping(10.0, "passivity", seed=seed, **at)
-        print(f"{name}, {stiffness_N_m:.0f} N/m, {delay_ms} ms: never below {1e3 * energies.min():.2f} mJ")
+        print(
+            f"{name}, {stiffness_N_m:.0f} N/m, {delay_ms} ms: never below "
+            f"{1e3 * energies.min():.2f} mJ"
+        )
         assert np.linalg.norm(run.force_N, axis=1).max() > 1.0
         assert energies.min() >= -1.5 * DIP_J
 
@@ -175,27 +193,34 @@ def test_what_a_wall_reaches_is_reported_with_what_the_device_allows():
     found = {
         each.renderer: each
         for each in wall_limits(
-            device_parameters("six-dof"), hand_parameters("expert"), rates_Hz=(1000.0,), delays_s=(2e-3,)
+            device_parameters("six-dof"),
+            hand_parameters("expert"),
+            rates_Hz=(1000.0,),
+            delays_s=(2e-3,),
         )
     }
     assert list(found) == ["penalty", "passivity", "proxy"]
     penalty, passivity = found["penalty"], found["passivity"]
     assert found["proxy"].reached_N_m == penalty.reached_N_m  # one law on a flat wall
-    assert penalty.passive_N_m < penalty.free_N_m < penalty.reached_N_m < penalty.held_N_m  # it bounces
+    # it bounces
+    assert penalty.passive_N_m < penalty.free_N_m < penalty.reached_N_m < penalty.held_N_m
     assert passivity.reached_N_m > 2.0 * penalty.reached_N_m
     assert penalty.ratio == pytest.approx(0.39, abs=0.06)  # one rung of 15 %
     assert (
-        knock(device_parameters("six-dof"), hand_parameters("expert"), "penalty", penalty.reached_N_m)[0].ripple_N(0.2)
+        knock(
+            device_parameters("six-dof"), hand_parameters("expert"), "penalty", penalty.reached_N_m
+        )[0].ripple_N(0.2)
         < 0.05
     )
 
 
 @pytest.mark.parametrize(("pending_N", "mass_kg"), [(0.0, 0.1), (0.4, 0.1), (2.0, 0.05)])
 def test_the_work_of_a_pending_force_is_that_of_constant_acceleration(pending_N, mass_kg):
-    """A force F1 that was sent out a tick ago speeds a free device of v up to v1 = v + F1 T / m in that tick.
+    """A force F1 that was sent out a tick ago speeds a free device of v up to v1 = v + F1 T / m in
+    that tick.
 
-    Its work is F1 T (v + v1) / 2, and the new force F works F T v1 in the tick after it. Nothing is stored, so all of
-    it is taken off the new force at v1: what is left is -F1 (v + v1) / (2 v1).
+    Its work is F1 T (v + v1) / 2, and the new force F works F T v1 in the tick after it. Nothing is
+    stored, so all of it is taken off the new force at v1: what is left is -F1 (v + v1) / (2 v1).
     """
     control = PassivityControl(1e6, delay_ticks=1.0, mass_kg=mass_kg)
     speed, force = 0.05, 1.5

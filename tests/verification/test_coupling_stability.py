@@ -1,4 +1,6 @@
-"""Critical stiffness of a virtual wall: the published table, closed forms, and the loop left to run."""
+"""Critical stiffness of a virtual wall: the published table, closed forms, and the loop left to
+run.
+"""
 
 from dataclasses import replace
 from math import inf
@@ -11,15 +13,27 @@ from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import HandAction, hand_parameters
 from tissue.haptics.hand.minimum_jerk import waypoints
-from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands, judge, require_stable
+from tissue.haptics.loop.critical_stiffness import (
+    critical_stiffness_N_m,
+    in_hands,
+    judge,
+    require_stable,
+)
 from tissue.haptics.loop.sampled_loop import WallLoop, loop_matrix, spectral_radius
-from tissue.haptics.loop.stability_bounds import delay_bound_N_m, passive_bound_N_m, quantised_bound_N_m
+from tissue.haptics.loop.stability_bounds import (
+    delay_bound_N_m,
+    passive_bound_N_m,
+    quantised_bound_N_m,
+)
 from tissue.haptics.loop.stability_map import measured_critical_N_m, stability_map
 from tissue.scene.registry import DEVICES, HANDS
 
 TABLE = [
     (wall_damping, delay, critical)
-    for wall_damping, row in ((0.0, (200.07, 66.70, 40.03, 22.26)), (0.5, (1188.0, 396.0, 237.0, 131.0)))
+    for wall_damping, row in (
+        (0.0, (200.07, 66.70, 40.03, 22.26)),
+        (0.5, (1188.0, 396.0, 237.0, 131.0)),
+    )
     for delay, critical in zip((0, 1, 2, 4), row, strict=True)
 ]
 """Wall damping [N s/m], delay [ticks], critical stiffness [N/m] for 50 g, 0.1 N s/m and 1 kHz."""
@@ -56,7 +70,12 @@ def test_real_devices_held_and_free_filtered_and_slow(model_ticks):
     for name in DEVICES:
         bare = device_parameters(name).loop(100.0)
         held = in_hands(bare, [hand_parameters(group).grip[:3] for group in HANDS])
-        loops += [bare, *held, replace(held[0], filter_s=1e-3), replace(held[0], wall_damping_N_s_m=2.0)]
+        loops += [
+            bare,
+            *held,
+            replace(held[0], filter_s=1e-3),
+            replace(held[0], wall_damping_N_s_m=2.0),
+        ]
     loops = [replace(each, model_ticks=model_ticks) for each in loops]
     assert measured_critical_N_m(loops) == pytest.approx(
         [critical_stiffness_N_m(each) for each in loops], rel=BY_RUNNING
@@ -73,8 +92,12 @@ class Push:
 @pytest.mark.parametrize("delay", [0.0, 5e-4, 1e-3, 2.3e-3])
 @pytest.mark.parametrize("amplifier_Hz", [inf, 300.0])
 def test_the_simulated_device_obeys_the_same_boundary(delay, amplifier_Hz):
-    """The device without friction and encoder steps, on a wall that also pulls, 0.5 % below and above."""
-    device = DeviceParameters(mass_kg=0.045, damping_N_s_m=0.35, transport_delay_s=delay, amplifier_Hz=amplifier_Hz)
+    """The device without friction and encoder steps, on a wall that also pulls, 0.5 % below and
+    above.
+    """
+    device = DeviceParameters(
+        mass_kg=0.045, damping_N_s_m=0.35, transport_delay_s=delay, amplifier_Hz=amplifier_Hz
+    )
     critical = critical_stiffness_N_m(device.loop(1.0))
 
     def amplitude_grows(stiffness):
@@ -92,9 +115,13 @@ def test_the_simulated_device_obeys_the_same_boundary(delay, amplifier_Hz):
 
 def test_passive_bound_is_colgates_and_with_delay_gils():
     for wall_damping in (0.0, 0.05, -0.05):
-        assert passive_bound_N_m(wall(wall_damping)) == pytest.approx(2.0 * (0.1 - abs(wall_damping)) / 1e-3, rel=1e-6)
+        assert passive_bound_N_m(wall(wall_damping)) == pytest.approx(
+            2.0 * (0.1 - abs(wall_damping)) / 1e-3, rel=1e-6
+        )
     for delay in (0, 1, 2, 4):
-        assert passive_bound_N_m(wall(0.0, delay)) == pytest.approx(delay_bound_N_m(wall(0.0, delay)), rel=1e-5)
+        assert passive_bound_N_m(wall(0.0, delay)) == pytest.approx(
+            delay_bound_N_m(wall(0.0, delay)), rel=1e-5
+        )
     assert passive_bound_N_m(wall(0.2)) == 0.0
 
 
@@ -123,10 +150,14 @@ def test_no_wall_within_the_passive_bound_is_unstable_with_any_hand():
 
 def test_quantised_bound_takes_the_smaller_of_its_two():
     omni = device_parameters("omni")
-    bound = quantised_bound_N_m(omni.loop(1.0), friction_N=omni.friction_N, encoder_m=omni.encoder_step_m)
+    bound = quantised_bound_N_m(
+        omni.loop(1.0), friction_N=omni.friction_N, encoder_m=omni.encoder_step_m
+    )
     assert bound == pytest.approx(2.0 * omni.damping_N_s_m / 1e-3)
     assert 2.0 * omni.friction_N / omni.encoder_step_m == pytest.approx(9.5e3, rel=0.01)
-    assert quantised_bound_N_m(omni.loop(1.0), friction_N=1e-3, encoder_m=5e-5) == pytest.approx(40.0)
+    assert quantised_bound_N_m(omni.loop(1.0), friction_N=1e-3, encoder_m=5e-5) == pytest.approx(
+        40.0
+    )
 
 
 def test_the_map_of_the_loop_is_what_the_loop_does():
@@ -136,7 +167,9 @@ def test_the_map_of_the_loop_is_what_the_loop_does():
     state[1] = 0.01
     for _ in range(10):
         state = loop_matrix(loop) @ state
-    simulated = SimulatedDevice(DeviceParameters(mass_kg=0.05, damping_N_s_m=0.1, transport_delay_s=2.4e-3), substeps=1)
+    simulated = SimulatedDevice(
+        DeviceParameters(mass_kg=0.05, damping_N_s_m=0.1, transport_delay_s=2.4e-3), substeps=1
+    )
     simulated.translation.velocity = (0.0, 0.0, 0.01)
     before = force = filtered = 0.0
     for tick in range(31):
@@ -150,14 +183,22 @@ def test_the_map_of_the_loop_is_what_the_loop_does():
 
 def test_a_verdict_names_margin_and_nearest_stable_value():
     good, bad = judge(wall(stiffness_N_m=150.0)), judge(wall(stiffness_N_m=400.0))
-    assert good.stable and good.margin == pytest.approx(0.2503, abs=1e-4) and good.nearest_N_m == 150.0
+    assert (
+        good.stable and good.margin == pytest.approx(0.2503, abs=1e-4) and good.nearest_N_m == 150.0
+    )
     assert good.spectral_radius < 1.0 < bad.spectral_radius
-    assert not bad.stable and bad.margin == pytest.approx(-1.0, abs=1e-3) and bad.nearest_N_m == 200.0
+    assert (
+        not bad.stable and bad.margin == pytest.approx(-1.0, abs=1e-3) and bad.nearest_N_m == 200.0
+    )
     assert bad.sentence(400.0).endswith("the nearest stable value is 200 N/m")
     assert judge(wall(stiffness_N_m=bad.nearest_N_m)).stable
-    with pytest.raises(InputError, match=r"stiffness_N_m must be below 200.1 to be stable, got 400 .*: use 200"):
+    with pytest.raises(
+        InputError, match=r"stiffness_N_m must be below 200.1 to be stable, got 400 .*: use 200"
+    ):
         require_stable(wall(stiffness_N_m=400.0))
-    with pytest.raises(InputError, match="wall_damping_N_s_m must leave some stiffness stable, got 120"):
+    with pytest.raises(
+        InputError, match="wall_damping_N_s_m must leave some stiffness stable, got 120"
+    ):
         require_stable(wall(120.0))
     assert require_stable(wall(stiffness_N_m=150.0)) == good
 
@@ -166,13 +207,22 @@ def test_the_worst_hand_decides():
     loop, hands = device_parameters("omni").loop(500.0), [(0.0, 0.0, 0.0), (300.0, 4.0, 0.1)]
     free, held = (judge(each) for each in in_hands(loop, hands))
     assert not free.stable and held.stable
-    assert judge(loop, hands) == replace(free, spectral_radius=max(free.spectral_radius, held.spectral_radius))
+    assert judge(loop, hands) == replace(
+        free, spectral_radius=max(free.spectral_radius, held.spectral_radius)
+    )
 
 
 @pytest.mark.slow
 def test_a_map_holds_measured_exact_and_theory():
-    chosen = in_hands(device_parameters("omni").loop(700.0), [hand_parameters("expert").grip[:3]])[0]
-    found = stability_map(chosen, dampings_N_s_m=np.linspace(0.0, 60.0, 5), delays_s=np.linspace(0.0, 6e-3, 5), rows=12)
+    chosen = in_hands(device_parameters("omni").loop(700.0), [hand_parameters("expert").grip[:3]])[
+        0
+    ]
+    found = stability_map(
+        chosen,
+        dampings_N_s_m=np.linspace(0.0, 60.0, 5),
+        delays_s=np.linspace(0.0, 6e-3, 5),
+        rows=12,
+    )
     assert found.verdict == judge(chosen)
     for chart in (found.over_damping, found.over_delay):
         assert chart.measured_N_m == pytest.approx(chart.exact_N_m, rel=BY_RUNNING)
@@ -184,9 +234,14 @@ def test_a_map_holds_measured_exact_and_theory():
 
 def test_unusable_loops_are_refused():
     nan = float("nan")
-    for name, value, word in (("mass_kg", 0.0, "mass_kg"), ("stiffness_N_m", nan, "stiffness_N_m"), ("tick_s", -1e-3, "tick_s"),
-                              ("filter_s", -1.0, "time_constant_s"), ("model_ticks", 0, "model_ticks"),
-                              ("amplifier_Hz", nan, "amplifier_Hz")):  # fmt: skip
+    for name, value, word in (
+        ("mass_kg", 0.0, "mass_kg"),
+        ("stiffness_N_m", nan, "stiffness_N_m"),
+        ("tick_s", -1e-3, "tick_s"),
+        ("filter_s", -1.0, "time_constant_s"),
+        ("model_ticks", 0, "model_ticks"),
+        ("amplifier_Hz", nan, "amplifier_Hz"),
+    ):
         with pytest.raises(InputError, match=f"{word} must be"):
             wall(**{name: value})
     with pytest.raises(InputError, match="times_s must increase"):

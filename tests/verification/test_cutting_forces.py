@@ -34,7 +34,8 @@ def pull(model, start_m, direction, *, length_m, feed_m_s, step_m, rotation=None
     return np.array(rows)
 
 
-# Altintas slot milling, case 18: N = 4, depth 1 mm, 0.02 mm a tooth, K_t, K_r = 150, 60 N/mm2, K_te, K_re = 5, 4 N/mm.
+# Altintas slot milling, case 18: N = 4, depth 1 mm, 0.02 mm a tooth, K_t, K_r = 150, 60 N/mm2,
+# K_te, K_re = 5, 4 N/mm.
 TEETH, DEPTH_M, CHIP_M = 4, 1e-3, 2e-5
 SLOT = CuttingCoefficients(150e6, 60e6, 0.0, 5e3, 4e3, 0.0, 1800.0, 1.0)
 MEAN_X_N = -TEETH * DEPTH_M * (SLOT.radial_chip_Pa * CHIP_M / 4 + SLOT.radial_edge_N_m / pi)
@@ -48,7 +49,9 @@ def test_closed_form_of_the_slot_is_the_published_example():
 
 
 def test_slot_forces_summed_over_elements():
-    """Elements of the engaged half in closed form: 0.1 %, the error of a midpoint rule over the elements."""
+    """Elements of the engaged half in closed form: 0.1 %, the error of a midpoint rule over the
+    elements.
+    """
     cutter = Cutter(cylinder(diameter_m=6e-3, length_m=DEPTH_M), TEETH, SPIN_RAD_S)
     shell = cutter.shell(spacing_m=4e-5)
     side = np.abs(shell.normals[:, 2]) < 0.5
@@ -68,9 +71,14 @@ def test_slot_forces_on_voxels():
     volume = voxelise(cortical_block(size_mm=(14, 7.2, 1.6)), spacing_m=1e-4)
     cutter = Cutter(cylinder(diameter_m=6e-3, length_m=3e-3), TEETH, SPIN_RAD_S)
     model = BoneModel(volume, cutter, (SLOT,))
-    rows = pull(model, (-6.3e-3, 0, -DEPTH_M), (1, 0, 0), length_m=9e-3, feed_m_s=FEED_M_S, step_m=1e-5)
+    rows = pull(
+        model, (-6.3e-3, 0, -DEPTH_M), (1, 0, 0), length_m=9e-3, feed_m_s=FEED_M_S, step_m=1e-5
+    )
     force = rows[500:, :3].mean(axis=0)
-    print(f"\nslot on voxels: {force[0]:.4f}, {force[1]:.4f} N; closed form {MEAN_X_N:.4f}, {MEAN_Y_N:.4f} N")
+    print(
+        f"\nslot on voxels: {force[0]:.4f}, {force[1]:.4f} N; closed form {MEAN_X_N:.4f}, "
+        f"{MEAN_Y_N:.4f} N"
+    )
     assert force[:2] == pytest.approx((MEAN_X_N, MEAN_Y_N), rel=0.02)
     assert abs(force[2]) < 0.02 * MEAN_Y_N  # the flat end does not advance
 
@@ -105,14 +113,19 @@ def test_element_removal_rate_integrates_to_the_voxel_volume(sharp_slot):
 @pytest.mark.slow
 @pytest.mark.parametrize("depth_m", [1e-4, 2e-4, 5e-4])
 def test_shallow_pass_over_a_cut_bottom_keeps_the_balance(depth_m):
-    """A second pass, one to five voxels deeper than the first, removes by elements what it removes in voxels: 3 %.
+    """A second pass, one to five voxels deeper than the first, removes by elements what it removes
+    in voxels: 3 %.
 
     One voxel of depth is the worst case: a pass that the fill resolves by a single layer of voxels.
     """
     volume = voxelise(cortical_block(size_mm=(10, 6, 2)), spacing_m=1e-4)
-    model = BoneModel(volume, Cutter(ball_burr(diameter_m=6e-3), 6, 1000.0), (BONE,), shell_spacing_m=1e-4)
+    model = BoneModel(
+        volume, Cutter(ball_burr(diameter_m=6e-3), 6, 1000.0), (BONE,), shell_spacing_m=1e-4
+    )
     pull(model, (-3e-3, 0, -3e-4), (1, 0, 0), length_m=6e-3, feed_m_s=5e-3, step_m=5e-6)
-    rows = pull(model, (3e-3, 0, -3e-4 - depth_m), (-1, 0, 0), length_m=6e-3, feed_m_s=5e-3, step_m=5e-6)
+    rows = pull(
+        model, (3e-3, 0, -3e-4 - depth_m), (-1, 0, 0), length_m=6e-3, feed_m_s=5e-3, step_m=5e-6
+    )
     first = 400
     from_elements = rows[first:, 6].sum() * 1e-3
     assert from_elements == pytest.approx(rows[-1, 7] - rows[first - 1, 7], rel=0.03)
@@ -126,7 +139,9 @@ def turned(angle):
 @pytest.mark.slow
 @pytest.mark.parametrize(("angle", "tolerance"), [(pi / 2, 1e-3), (pi, 1e-3), (0.4, 0.02)])
 def test_turned_scene_gives_turned_forces(angle, tolerance):
-    """Quarter turns map voxels onto voxels: equal up to rounding; other angles agree to what voxels resolve, 2 %."""
+    """Quarter turns map voxels onto voxels: equal up to rounding; other angles agree to what
+    voxels resolve, 2 %.
+    """
     results = []
     for turn in (np.eye(3), turned(angle)):
         volume = voxelise(cortical_block(size_mm=(9, 9, 2)), spacing_m=1e-4)
@@ -143,13 +158,26 @@ def test_turned_scene_gives_turned_forces(angle, tolerance):
 def test_mirrored_scene_gives_mirrored_forces():
     """Mirrored at y = 0 with the spin reversed: forces mirror, torques mirror as axial vectors.
 
-    The elements' spiral is not its own mirror image: with 12,000 of them the two agree within 0.5 %.
+    The elements' spiral is not its own mirror image: with 12,000 of them the two agree within 0.5
+    %.
     """
     results = []
     for side in (1.0, -1.0):
         volume = voxelise(cortical_block(size_mm=(9, 9, 2)), spacing_m=1e-4)
-        model = BoneModel(volume, Cutter(ball_burr(diameter_m=4e-3), 6, side * 1000.0), (BONE,), shell_spacing_m=6e-5)
-        rows = pull(model, (-1.5e-3, 0, -5e-4), (1.0, 0.3 * side, 0), length_m=3e-3, feed_m_s=5e-3, step_m=5e-6)
+        model = BoneModel(
+            volume,
+            Cutter(ball_burr(diameter_m=4e-3), 6, side * 1000.0),
+            (BONE,),
+            shell_spacing_m=6e-5,
+        )
+        rows = pull(
+            model,
+            (-1.5e-3, 0, -5e-4),
+            (1.0, 0.3 * side, 0),
+            length_m=3e-3,
+            feed_m_s=5e-3,
+            step_m=5e-6,
+        )
         results.append(rows[300:, :6].mean(axis=0))
     mirrored = results[0] * np.array([1, -1, 1, -1, 1, -1])
     assert results[1][:3] == pytest.approx(mirrored[:3], abs=5e-3 * np.linalg.norm(mirrored[:3]))
@@ -159,7 +187,9 @@ def test_mirrored_scene_gives_mirrored_forces():
 def test_force_grows_with_density_as_the_power_law():
     forces = []
     for density in (600.0, 1800.0):
-        volume = voxelise(cortical_block(size_mm=(6, 6, 1.6), density_kg_m3=density), spacing_m=1e-4)
+        volume = voxelise(
+            cortical_block(size_mm=(6, 6, 1.6), density_kg_m3=density), spacing_m=1e-4
+        )
         model = BoneModel(volume, Cutter(ball_burr(diameter_m=4e-3), 6, 1000.0), (BONE,))
         rows = pull(model, (0, 0, 0), (0, 0, -1), length_m=8e-4, feed_m_s=1e-3, step_m=2e-6)
         forces.append(np.linalg.norm(rows[-1, :3]))
@@ -167,7 +197,9 @@ def test_force_grows_with_density_as_the_power_law():
 
 
 def test_implicit_step_holds_where_the_explicit_one_blows_up():
-    """Plunging burr, drag c from the bone model: explicit steps diverge for dt > 2 m / c, the implicit one settles."""
+    """Plunging burr, drag c from the bone model: explicit steps diverge for dt > 2 m / c, the
+    implicit one settles.
+    """
     volume = voxelise(cortical_block(size_mm=(8, 8, 3)), spacing_m=1e-4)
     blunt = replace(BONE, radial_chip_Pa=3.0 * BONE.radial_chip_Pa)
     model = BoneModel(volume, Cutter(ball_burr(diameter_m=6e-3), 2, 100.0), (blunt,))
@@ -184,7 +216,10 @@ def test_implicit_step_holds_where_the_explicit_one_blows_up():
         explicit += step / mass * (thrust - edge - drag * explicit)
         implicit = implicit_speed(implicit, thrust=thrust - edge, drag=drag, mass=mass, step_s=step)
     settled = (thrust - edge) / drag
-    print(f"\ndrag {drag:.0f} N s/m, limit {2e3 * mass / drag:.3f} ms: {explicit:.3g} and {implicit:.3g} m/s")
+    print(
+        f"\ndrag {drag:.0f} N s/m, limit {2e3 * mass / drag:.3f} ms: {explicit:.3g} and "
+        f"{implicit:.3g} m/s"
+    )
     assert abs(explicit) > 1e6 * settled
     for _ in range(200):
         implicit = implicit_speed(implicit, thrust=thrust - edge, drag=drag, mass=mass, step_s=step)
@@ -200,7 +235,12 @@ def test_implicit_step_holds_where_the_explicit_one_blows_up():
 
 def test_thrust_below_the_edge_force_does_not_move_the_tool():
     push = PushAlongAxis(
-        np.array([0, 0, 1e-3]), axis=(0, 0, 1), thrust_N=5.0, mass_kg=0.5, max_feed_m_s=5e-3, depth_m=2e-3
+        np.array([0, 0, 1e-3]),
+        axis=(0, 0, 1),
+        thrust_N=5.0,
+        mass_kg=0.5,
+        max_feed_m_s=5e-3,
+        depth_m=2e-3,
     )
     from tissue.models.tissue_model import Response
 
@@ -214,11 +254,18 @@ def test_thrust_below_the_edge_force_does_not_move_the_tool():
 
 
 def test_thrust_balances_the_cutting_force():
-    """A steady force-driven plunge: the axial cutting force equals the thrust once inertia has died away (0.5 %)."""
+    """A steady force-driven plunge: the axial cutting force equals the thrust once inertia has
+    died away (0.5 %).
+    """
     volume = voxelise(cortical_block(size_mm=(8, 8, 6)), spacing_m=1e-4)
     model = BoneModel(volume, Cutter(cylinder(diameter_m=4e-3, length_m=8e-3), 4, 300.0), (BONE,))
     push = PushAlongAxis(
-        np.array([0, 0, 2e-4]), axis=(0, 0, 1), thrust_N=40.0, mass_kg=0.5, max_feed_m_s=5e-3, depth_m=4e-3
+        np.array([0, 0, 2e-4]),
+        axis=(0, 0, 1),
+        thrust_N=40.0,
+        mass_kg=0.5,
+        max_feed_m_s=5e-3,
+        depth_m=4e-3,
     )
     motion = ToolMotion()
     push.begin(motion)

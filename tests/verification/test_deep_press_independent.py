@@ -1,9 +1,10 @@
 """Deep presses against an analyst who knew the geometry and the energy alone, not this code.
 
-Their method shares nothing with ours: axial symmetry with nine-node cells and three fields (displacement, pressure, volume),
-which do not lock, augmented Lagrangian contact at points of faces, edges of 1, 0.5 and 0.25 mm at the ball; and what a
-square base adds to a round one by cells of 27 nodes in three dimensions. They put their figures' own error at 0.05 %, 0.1 %
-at the least depth. The volumetric energy is kappa / 4 (J^2 - 1 - 2 ln J), as ours.
+Their method shares nothing with ours: axial symmetry with nine-node cells and three fields
+(displacement, pressure, volume), which do not lock, augmented Lagrangian contact at points of
+faces, edges of 1, 0.5 and 0.25 mm at the ball; and what a square base adds to a round one by cells
+of 27 nodes in three dimensions. They put their figures' own error at 0.05 %, 0.1 % at the least
+depth. The volumetric energy is kappa / 4 (J^2 - 1 - 2 ln J), as ours.
 """
 
 import numpy as np
@@ -21,22 +22,32 @@ BLOCK_N = {4e-3: 0.1414, 8e-3: 0.3916}
 
 @pytest.mark.slow
 def test_a_run_under_a_law_has_the_independent_force(capsys):
-    """As shipped: at rest within 1.5 %, moving within 4 %, of which the first depth, where few nodes touch, is most."""
+    """As shipped: at rest within 1.5 %, moving within 4 %, of which the first depth, where few
+    nodes touch, is most.
+    """
     run = simulate(scene_of(law="neo-hookean", poisson_ratio=0.45), cores=1)
     moving, rest = moving_N(run) / SLAB_N - 1.0, run.trace["force_z_N"][-1] / SLAB_N[-1] - 1.0
     newton = by_newton(scene_of(law="neo-hookean", poisson_ratio=0.45)).force_N / SLAB_N - 1.0
-    linear = simulate(scene_of(poisson_ratio=0.45), cores=1).trace["force_z_N"][-1] / SLAB_N[-1] - 1.0
+    linear = (
+        simulate(scene_of(poisson_ratio=0.45), cores=1).trace["force_z_N"][-1] / SLAB_N[-1] - 1.0
+    )
     with capsys.disabled():
         depths = ", ".join(f"{1e3 * depth:g}" for depth in DEPTHS_M)
-        print(f"\noff the independent force by % at {depths} mm: moving {np.round(100 * moving, 1)}, Newton's method on "
-              f"the scene's mesh {np.round(100 * newton, 1)}; at rest {rest:+.1%}, linear law {linear:+.1%}")  # fmt: skip
+        print(
+            f"\noff the independent force by % at {depths} mm: moving "
+            f"{np.round(100 * moving, 1)}, Newton's method on "
+            f"the scene's mesh {np.round(100 * newton, 1)}; at rest {rest:+.1%}, linear law "
+            f"{linear:+.1%}"
+        )
     assert abs(rest) < 0.015 and np.abs(moving).max() < 0.045 and np.abs(newton).max() < 0.03
     assert len(run.trace.rows) > TURN and linear < -0.15, "what the linear law misses"
 
 
 @pytest.mark.slow
 def test_quadratic_cells_approach_the_independent_force(capsys):
-    """At nu = 0.49 cells of 5 mm are 14 % too stiff at half the depth and 4 % at the whole: their nodes alone touch."""
+    """At nu = 0.49 cells of 5 mm are 14 % too stiff at half the depth and 4 % at the whole:
+    their nodes alone touch.
+    """
     forces = 4.0 * our_presses(*quarter(2, 5e-3, 1.5), np.array(list(BLOCK_N)))[0]
     off = forces / np.array(list(BLOCK_N.values())) - 1.0
     with capsys.disabled():

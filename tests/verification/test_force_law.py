@@ -33,13 +33,17 @@ def plate(normal, plate_m=np.inf):
 
 
 def forces(anatomy, *corners_mm, frame=None, spacing_m=1e-4):
-    """Force on the burr at every tick along straight lines of a frame, in that frame, and which line a tick is on."""
+    """Force on the burr at every tick along straight lines of a frame, in that frame, and which
+    line a tick is on.
+    """
     frame = frame or Rotation.identity()
     corners = 1e-3 * np.array(corners_mm)
     centres = frame.apply(corners + np.array([0.0, 0.0, R]))
     margin = R + 10 * spacing_m
     volume = voxelise(
-        anatomy, spacing_m=spacing_m, region_m=(centres.min(axis=0) - margin, centres.max(axis=0) + margin)
+        anatomy,
+        spacing_m=spacing_m,
+        region_m=(centres.min(axis=0) - margin, centres.max(axis=0) + margin),
     )
     model = BoneModel(volume, BURR, (BONE, BONE), cores=1)
     motion, found, lines = ToolMotion(speed_m_s=FEED, rotation=frame.as_matrix()), [], []
@@ -58,9 +62,13 @@ def forces(anatomy, *corners_mm, frame=None, spacing_m=1e-4):
 
 @pytest.mark.parametrize("frame", [Rotation.identity(), TURNED], ids=["lattice", "turned"])
 def test_a_pass_back_through_an_old_slot_meets_little(frame):
-    """At most 1 % of the full cut: elements that graze the old surface ask of the next voxel, which lies deeper in it."""
+    """At most 1 % of the full cut: elements that graze the old surface ask of the next voxel,
+    which lies deeper in it.
+    """
     there, back = [-1.2, 0, -0.3], [1.2, 0, -0.3]
-    force, line = forces(plate(frame.apply([0.0, 0.0, 1.0])), [-1.2, 0, 0.1], there, back, there, frame=frame)
+    force, line = forces(
+        plate(frame.apply([0.0, 0.0, 1.0])), [-1.2, 0, 0.1], there, back, there, frame=frame
+    )
     full = np.linalg.norm(force[line == 1][100:], axis=1).mean()
     again = np.linalg.norm(force[line == 2], axis=1)
     print(f"\nfull {full:.3f} N, again {again.mean() / full:.4f}, worst {again.max() / full:.4f}")
@@ -68,9 +76,18 @@ def test_a_pass_back_through_an_old_slot_meets_little(frame):
 
 
 def slot_force(depth):
-    """Force [N] on a ball that goes along x in solid bone under a face, cut to a depth, integrated by hand."""
-    ktc, krc, kte, kre = (getattr(BONE, name) for name in (
-        "tangential_chip_Pa", "radial_chip_Pa", "tangential_edge_N_m", "radial_edge_N_m"))  # fmt: skip
+    """Force [N] on a ball that goes along x in solid bone under a face, cut to a depth,
+    integrated by hand.
+    """
+    ktc, krc, kte, kre = (
+        getattr(BONE, name)
+        for name in (
+            "tangential_chip_Pa",
+            "radial_chip_Pa",
+            "tangential_edge_N_m",
+            "radial_edge_N_m",
+        )
+    )
     a, chip = acos(1 - depth / R), FEED * BURR.chip_per_speed_s
     scale, sense = BURR.flute_count * R / (2 * pi), np.sign(BURR.spin_rad_s)
     x = -(krc * chip * pi / 2 * (a / 2 - sin(2 * a) / 4) + kre * 2 * (1 - np.cos(a)))
@@ -90,18 +107,26 @@ def test_a_slot_has_its_closed_form_in_any_frame(frame):
 
 
 def slanted_plunge(tips_z, normal, plate_m):
-    """Forces [N] on a ball that plunges along -z into a plate over another layer, from a fine sum over its surface.
+    """Forces [N] on a ball that plunges along -z into a plate over another layer, from a fine sum
+    over its surface.
 
-    Points of the surface are added up in the order of their depth, so that those below a depth are a difference of two.
+    Points of the surface are added up in the order of their depth, so that those below a depth are
+    a difference of two.
     """
     count = 300
     polar = (np.arange(count) + 0.5) / count * (pi / 2)
     turn = (np.arange(2 * count) + 0.5) / count * pi
     polar, turn = np.meshgrid(polar, turn, indexing="ij")
-    out = np.stack([np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), -np.cos(polar)], axis=-1)
-    upper, lower = (np.array([1800.0, 400.0]) / BONE.reference_density_kg_m3) ** BONE.density_exponent
+    out = np.stack(
+        [np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), -np.cos(polar)], axis=-1
+    )
+    upper, lower = (
+        np.array([1800.0, 400.0]) / BONE.reference_density_kg_m3
+    ) ** BONE.density_exponent
     chip = FEED * BURR.chip_per_speed_s * np.cos(polar)
-    around = np.sign(BURR.spin_rad_s) * np.stack([-np.sin(turn), np.cos(turn), np.zeros_like(turn)], axis=-1)
+    around = np.sign(BURR.spin_rad_s) * np.stack(
+        [-np.sin(turn), np.cos(turn), np.zeros_like(turn)], axis=-1
+    )
     per_length = (BONE.tangential_chip_Pa * chip + BONE.tangential_edge_N_m)[..., None] * around
     per_length += (BONE.radial_chip_Pa * chip + BONE.radial_edge_N_m)[..., None] * out
     length = BURR.flute_count / (2 * pi) * R * (pi / 2 / count) * (pi / count)
@@ -118,7 +143,9 @@ def slanted_plunge(tips_z, normal, plate_m):
 
 @pytest.mark.parametrize("spacing_m", [2e-4, pytest.param(1e-4, marks=pytest.mark.slow)])
 def test_layers_at_a_slant_are_met_where_they_lie(spacing_m):
-    """A plunge through a slanted plate: means over 50 ms within 0.3 %, which the cutter's elements alone are off by."""
+    """A plunge through a slanted plate: means over 50 ms within 0.3 %, which the cutter's
+    elements alone are off by.
+    """
     normal = np.array([0.25, 0.15, 1.0]) / np.linalg.norm([0.25, 0.15, 1.0])
     force, _ = forces(plate(normal, 4.5e-4), [0, 0, 0.4], [0, 0, -0.8], spacing_m=spacing_m)
     tips = 4e-4 - FEED * TICK_S * np.arange(1, 301)

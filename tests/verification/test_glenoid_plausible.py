@@ -1,4 +1,6 @@
-"""Reaming forces of the glenoid scene against the published range, and how they hang on the weakest coefficients."""
+"""Reaming forces of the glenoid scene against the published range, and how they hang on the
+weakest coefficients.
+"""
 
 import numpy as np
 import pytest
@@ -6,7 +8,8 @@ import pytest
 import tissue
 from tissue.materials.constants import constants
 
-PUBLISHED_TORQUE_NM, PUBLISHED_THRUST_N = (0.2, 2.0), (20.0, 100.0)  # glenoid reaming, 300-1000 rpm, low confidence
+# glenoid reaming, 300-1000 rpm, low confidence
+PUBLISHED_TORQUE_NM, PUBLISHED_THRUST_N = (0.2, 2.0), (20.0, 100.0)
 COARSE = {
     "voxels.spacing_mm": 0.2,
     "motion.points_mm": [[0, 0, -0.1], [0, 0, -2.0]],
@@ -14,11 +17,15 @@ COARSE = {
     "tool.spin_rpm": 2000.0,
     "duration_s": 1.0,
 }
-"""Four times the scene's feed and spin: the same chip thickness and force in a quarter of the ticks."""
+"""Four times the scene's feed and spin: the same chip thickness and force in a quarter of the
+ticks.
+"""
 
 
 def steady(**changes):
-    """Thrust and torque [N, N m] near full depth: they push back, and against a tool that turns clockwise from above."""
+    """Thrust and torque [N, N m] near full depth: they push back, and against a tool that turns
+    clockwise from above.
+    """
     run = tissue.simulate(tissue.load_scene("glenoid", COARSE | changes))
     late = slice(-120, -60)
     return run.trace["model_force_z_N"][late].mean(), run.trace["model_torque_z_Nm"][late].mean()
@@ -33,14 +40,18 @@ def test_thrust_and_torque_lie_in_the_published_range():
 
 @pytest.mark.slow
 def test_scaled_feed_and_spin_keep_the_force():
-    """Chip thickness depends on feed over spin alone: half of both keeps the force within 2 % (voxel ripple)."""
+    """Chip thickness depends on feed over spin alone: half of both keeps the force within 2 %
+    (voxel ripple).
+    """
     slower = steady(**{"motion.feed_mm_s": 1.0, "tool.spin_rpm": 1000.0, "duration_s": 1.9})
     assert slower == pytest.approx(steady(), rel=0.02)
 
 
 @pytest.mark.slow
 def test_sensitivity_to_the_coefficients_is_printed():
-    """Each coefficient at both ends of its cited range; the spread is what low confidence means here."""
+    """Each coefficient at both ends of its cited range; the spread is what low confidence means
+    here.
+    """
     base = steady()
     print(f"\ncited values: thrust {base[0]:.1f} N, torque {base[1]:.3f} N m")
     torques = [base[1]]
@@ -50,11 +61,15 @@ def test_sensitivity_to_the_coefficients_is_printed():
         ends = [steady(**{f"cutting.{name}": value}) for value in (constant.low, constant.high)]
         torques += [torque for _, torque in ends]
         print(
-            f"{name:<28} {constant.low:5g} to {constant.high:5g}: thrust {ends[0][0]:5.1f} to {ends[1][0]:5.1f} N,"
+            f"{name:<28} {constant.low:5g} to {constant.high:5g}: thrust {ends[0][0]:5.1f} "
+            f"to {ends[1][0]:5.1f} N,"
             f" torque {ends[0][1]:.3f} to {ends[1][1]:.3f} N m"
         )
-    # More of a coefficient raises the load; the exponent lowers it on bone below the reference density.
+    # More of a coefficient raises the load; the exponent lowers it on bone below the reference
+    # density.
     assert np.isfinite(torques).all()
     assert (
-        steady(**{"cutting.tangential_edge_N_mm": 10.0})[1] > base[1] > steady(**{"cutting.density_exponent": 2.0})[1]
+        steady(**{"cutting.tangential_edge_N_mm": 10.0})[1]
+        > base[1]
+        > steady(**{"cutting.density_exponent": 2.0})[1]
     )

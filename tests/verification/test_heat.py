@@ -1,4 +1,6 @@
-"""Heat conduction against closed forms (Carslaw and Jaeger 1959, ch. X; Jaeger 1942), with material that is removed."""
+"""Heat conduction against closed forms (Carslaw and Jaeger 1959, ch. X; Jaeger 1942), with
+material that is removed.
+"""
 
 import numpy as np
 import pytest
@@ -14,7 +16,9 @@ DIFFUSIVITY = CONDUCTIVITY / CAPACITY
 def grid_of(conductivity, capacity, edges_m, filled=None):
     """Cells of given material, full where they hold any."""
     filled = (conductivity > 0.0).astype(float) if filled is None else filled
-    return HeatGrid(edges_m, filled, conductivity, capacity, np.zeros(conductivity.shape, dtype=bool))
+    return HeatGrid(
+        edges_m, filled, conductivity, capacity, np.zeros(conductivity.shape, dtype=bool)
+    )
 
 
 def medium(shape, spacing_m):
@@ -24,7 +28,9 @@ def medium(shape, spacing_m):
 
 
 def point_source_error(spacing_m, time_s=2.0, side_m=8e-3):
-    """Largest error over a ball of 1.5 mm, against the peak, some time after 1 mJ came into one point."""
+    """Largest error over a ball of 1.5 mm, against the peak, some time after 1 mJ came into one
+    point.
+    """
     count = int(side_m / spacing_m) | 1
     body = medium((count,) * 3, spacing_m)
     power = np.zeros((count,) * 3)
@@ -50,10 +56,18 @@ def test_point_source_converges_with_second_order():
 
 
 def test_plane_source_at_an_insulated_face_over_growing_cells():
-    """Constant flux into a half space: T(0, t) = 2 q sqrt(t / (pi k rho c)); 2 % at the face's first cell centre."""
+    """Constant flux into a half space: T(0, t) = 2 q sqrt(t / (pi k rho c)); 2 % at the face's
+    first cell centre.
+    """
     time, flux = 1.0, 1000.0
-    widths = np.concatenate([np.full(20, 5e-5), np.full(10, 1e-4), np.full(10, 2e-4), np.full(6, 4e-4)])
-    edges = (np.concatenate([[0.0], np.cumsum(widths)]), 5e-5 * np.arange(3.0), 1e-4 * np.arange(3.0))
+    widths = np.concatenate(
+        [np.full(20, 5e-5), np.full(10, 1e-4), np.full(10, 2e-4), np.full(6, 4e-4)]
+    )
+    edges = (
+        np.concatenate([[0.0], np.cumsum(widths)]),
+        5e-5 * np.arange(3.0),
+        1e-4 * np.arange(3.0),
+    )
     shape = (len(widths), 2, 2)
     body = Conduction(grid_of(np.full(shape, CONDUCTIVITY), np.full(shape, CAPACITY), edges))
     power = np.zeros(shape)
@@ -62,7 +76,9 @@ def test_plane_source_at_an_insulated_face_over_growing_cells():
     spread = 2.0 * np.sqrt(DIFFUSIVITY * time)
     for cell in (0, 12, 22, 27):
         depth = 0.5 * (edges[0][cell] + edges[0][cell + 1])
-        exact = spread / np.sqrt(np.pi) * np.exp(-((depth / spread) ** 2)) - depth * erfc(depth / spread)
+        exact = spread / np.sqrt(np.pi) * np.exp(-((depth / spread) ** 2)) - depth * erfc(
+            depth / spread
+        )
         peak = spread / np.sqrt(np.pi)
         assert body.rise_K[cell, 0, 0] == pytest.approx(
             flux / CONDUCTIVITY * exact, abs=0.01 * flux / CONDUCTIVITY * peak
@@ -71,9 +87,11 @@ def test_plane_source_at_an_insulated_face_over_growing_cells():
 
 @pytest.mark.slow
 def test_moving_band_against_jaeger():
-    """A band of width 2 l moves with V over an insulated half space (Jaeger 1942), in two dimensions:
+    """A band of width 2 l moves with V over an insulated half space (Jaeger 1942), in two
+    dimensions:
 
-    T = q / (pi k) integral over the band of exp(-V (x - s) / 2a) K0(V sqrt((x - s)^2 + z^2) / 2a) ds.
+    T = q / (pi k) integral over the band of exp(-V (x - s) / 2a) K0(V sqrt((x - s)^2 + z^2) / 2a)
+    ds.
     """
     h, half, speed, flux = 5e-5, 4e-4, 1.5e-3, 1e4
     shape = (220, 1, 60)
@@ -82,7 +100,9 @@ def test_moving_band_against_jaeger():
     for tick in range(ticks):
         middle = 1.5e-3 + speed * (tick + 0.5) * step
         low = h * np.arange(shape[0])
-        covered = np.clip(np.minimum(low + h, middle + half) - np.maximum(low, middle - half), 0.0, h)
+        covered = np.clip(
+            np.minimum(low + h, middle + half) - np.maximum(low, middle - half), 0.0, h
+        )
         power = np.zeros(shape)
         power[:, 0, 0] = flux * covered * h
         body.advance(power, step)
@@ -91,9 +111,15 @@ def test_moving_band_against_jaeger():
 
     def exact(x, z):
         def part(s):
-            return np.exp(-speed * (x - s) / (2 * DIFFUSIVITY)) * k0(speed * np.hypot(x - s, z) / (2 * DIFFUSIVITY))
+            return np.exp(-speed * (x - s) / (2 * DIFFUSIVITY)) * k0(
+                speed * np.hypot(x - s, z) / (2 * DIFFUSIVITY)
+            )
 
-        return flux / (np.pi * CONDUCTIVITY) * quad(part, -half, half, points=[x] if abs(x) < half else None)[0]
+        return (
+            flux
+            / (np.pi * CONDUCTIVITY)
+            * quad(part, -half, half, points=[x] if abs(x) < half else None)[0]
+        )
 
     peak = exact(-half, 0.5 * h)
     for x, z in ((0.0, 0.5), (-3e-4, 0.5), (2e-4, 0.5), (-6e-4, 4.5), (-1e-3, 8.5), (0.0, 6.5)):
@@ -103,9 +129,11 @@ def test_moving_band_against_jaeger():
 
 
 def receded(spacing_m, speed=1.5e-3, time_s=1.0, interval_s=0.01):
-    """Heat that is left under a face that recedes under a flux of 1 W/m2, relative to q a / v^2, when all is steady.
+    """Heat that is left under a face that recedes under a flux of 1 W/m2, relative to q a / v^2,
+    when all is steady.
 
-    T = q / (rho c v) exp(-v x / a) ahead of the face, so that q a / v^2 is left for each area and the rest has gone.
+    T = q / (rho c v) exp(-v x / a) ahead of the face, so that q a / v^2 is left for each area and
+    the rest has gone.
     """
     count = int(4e-3 / spacing_m)
     body = medium((count, 1, 1), spacing_m)
@@ -118,19 +146,25 @@ def receded(spacing_m, speed=1.5e-3, time_s=1.0, interval_s=0.01):
         body.advance(power, interval_s)
         warmer = 0.5 * area * filled[cell] * spacing_m / (CONDUCTIVITY * area)
         face += speed * interval_s
-        lost = filled - np.clip((spacing_m * np.arange(1, count + 1) - face) / spacing_m, 0.0, 1.0) * (filled > 0.0)
+        lost = filled - np.clip(
+            (spacing_m * np.arange(1, count + 1) - face) / spacing_m, 0.0, 1.0
+        ) * (filled > 0.0)
         cells = np.flatnonzero(lost > 1e-12)
         body.remove(cells, lost[cells], np.full(len(cells), warmer))
         left.append(body.stored_J)
     assert body.stored_J + body.removed_J == pytest.approx(area * time_s, rel=1e-4)
     assert (body.rise_K[: int(face / spacing_m), 0, 0] == 0.0).all()
-    assert volume * CAPACITY * float((body.rise_K * body.filled).sum()) == pytest.approx(body.stored_J, rel=1e-6)
+    assert volume * CAPACITY * float((body.rise_K * body.filled).sum()) == pytest.approx(
+        body.stored_J, rel=1e-6
+    )
     period = max(round(spacing_m / speed / interval_s), 1)
     return np.mean(left[-4 * period :]) / area * speed**2 / DIFFUSIVITY
 
 
 def test_removed_material_takes_its_heat_along():
-    """Within 10 % in cells of v h / a = 1.1, as by default in dentin, and in cells a quarter of that."""
+    """Within 10 % in cells of v h / a = 1.1, as by default in dentin, and in cells a quarter of
+    that.
+    """
     coarse, fine = receded(1.25e-4), receded(3.125e-5)
     print(f"\nreceding face: {coarse:.3f} and {fine:.3f} of the closed form is left")
     assert coarse == pytest.approx(1.0, abs=0.1)
@@ -161,12 +195,15 @@ def test_stays_bounded_at_its_longest_step_and_not_far_beyond():
     shape = (16, 16, 16)
     edges = tuple(2e-4 * np.arange(n + 1.0) for n in shape)
     filled = random.uniform(0.02, 1.0, shape)
-    body = Conduction(grid_of(np.full(shape, CONDUCTIVITY), np.full(shape, CAPACITY), edges, filled))
+    body = Conduction(
+        grid_of(np.full(shape, CONDUCTIVITY), np.full(shape, CAPACITY), edges, filled)
+    )
     rough = random.uniform(0.0, 1.0, shape).astype(np.float32)
     body._temperature[0].assign(rough)
     body.advance(np.zeros(shape), 200 * body.longest_step_s)
     assert body.rise_K.min() >= 0.0 and body.rise_K.max() <= 1.0
-    body._record(3.0 * body.longest_step_s)  # beyond the limit, as an explicit step must not be taken
+    # beyond the limit, as an explicit step must not be taken
+    body._record(3.0 * body.longest_step_s)
     body._temperature[0].assign(rough)
     for _ in range(200):
         body.step()

@@ -1,4 +1,6 @@
-"""Eigenvalues beyond the circle: what the cap changes, and second-order polynomials of contact with and without it."""
+"""Eigenvalues beyond the circle: what the cap changes, and second-order polynomials of contact
+with and without it.
+"""
 
 import numpy as np
 import pytest
@@ -16,7 +18,9 @@ SENSORS = (1e-5, 5e-3)
 
 
 def spread(rng, radii):
-    """A matrix with real eigenvalues of these sizes and eigenvectors that are far from orthogonal."""
+    """A matrix with real eigenvalues of these sizes and eigenvectors that are far from
+    orthogonal.
+    """
     size = len(radii)
     vectors = rng.normal(size=(size, size)) + np.eye(size)
     return vectors @ np.diag(radii) @ np.linalg.inv(vectors)
@@ -41,7 +45,8 @@ def test_what_is_stable_moves_as_before(seed):
     assert count == 2
     assert capped @ vectors[:, stable] == pytest.approx(matrix @ vectors[:, stable], abs=1e-10)
     after = np.linalg.eigvals(capped)
-    # Two eigenvalues at 1 that share an eigenvector: rounding moves them by the square root of its size.
+    # Two eigenvalues at 1 that share an eigenvector: rounding moves them by the square root of its
+    # size.
     assert spectral_radius(capped) == pytest.approx(1.0, abs=1e-6)
     assert np.sort(np.abs(after))[:6] == pytest.approx(np.sort(np.abs(values[stable])), rel=1e-9)
 
@@ -52,7 +57,9 @@ def test_real_eigenvalues_change_the_matrix_by_no_more_than_their_excess(seed):
     radii = np.concatenate([rng.uniform(0.2, 0.95, 4), 1.0 + rng.uniform(1e-4, 1e-2, 3)])
     matrix = spread(rng, radii)
     capped, _ = cap_spectrum(matrix)
-    assert np.linalg.norm(capped - matrix) == pytest.approx(np.linalg.norm(radii[4:] - 1.0), rel=1e-5)
+    assert np.linalg.norm(capped - matrix) == pytest.approx(
+        np.linalg.norm(radii[4:] - 1.0), rel=1e-5
+    )
 
 
 def test_turning_modes_keep_their_frequency():
@@ -82,11 +89,15 @@ def test_a_cap_that_cannot_be_is_refused():
 
 
 def touching(rng, count, rows=1001):
-    """Place and wall force of a mass that a slow random force presses against a wall, at 1 kHz, as sensors read them."""
+    """Place and wall force of a mass that a slow random force presses against a wall, at 1 kHz,
+    as sensors read them.
+    """
     times = STEP_S * np.arange(rows)
     pushes = np.zeros((count, rows))
     for _ in range(3):
-        size, rate, phase = (rng.uniform(*ends, (count, 1)) for ends in ((0.2, 1.0), (0.5, 5.0), (0.0, 2.0 * np.pi)))
+        size, rate, phase = (
+            rng.uniform(*ends, (count, 1)) for ends in ((0.2, 1.0), (0.5, 5.0), (0.0, 2.0 * np.pi))
+        )
         pushes += size * np.sin(2.0 * np.pi * rate * times + phase)
     starts = np.column_stack([rng.uniform(-0.02, 0.0, count), np.zeros(count)])
     seen = []
@@ -99,10 +110,15 @@ def touching(rng, count, rows=1001):
 
 
 def growth(operator, start, rows=20_000):
-    """Largest state in training deviations over each half of 20 s of free running under two sines."""
+    """Largest state in training deviations over each half of 20 s of free running under two
+    sines.
+    """
     times = STEP_S * np.arange(rows)
     push = 0.7 * np.sin(2.0 * np.pi * 1.3 * times) + 0.5 * np.sin(2.0 * np.pi * 3.7 * times)
-    away = np.abs(operator.predict(start, push[:, None], rows) - operator.middle[:2]) / operator.scale[:2]
+    away = (
+        np.abs(operator.predict(start, push[:, None], rows) - operator.middle[:2])
+        / operator.scale[:2]
+    )
     return away[: rows // 2].max(), away[rows // 2 :].max()
 
 
@@ -122,7 +138,8 @@ def test_second_order_polynomials_of_contact_diverge_without_the_cap_and_hold_wi
             assert np.log(second / first) == pytest.approx(10_000 * np.log(radius), rel=0.2)
         first, second = growth(wild.capped(1.0 - 1e-4), start)
         assert second < 30.0 and second < 2.0 * first + 1.0
-        # At exactly 1 a constant force still drifts in proportion to time: twice as far in twice the time.
+        # At exactly 1 a constant force still drifts in proportion to time: twice as far in twice
+        # the time.
         first, second = growth(wild.capped(1.0), start)
         assert second < 2.5 * first + 1.0
     print(f"second-order polynomials on contact: {diverged} of 3 fits diverge without the cap")
@@ -148,7 +165,9 @@ def test_the_cap_loses_no_accuracy_over_the_horizons_that_matter():
 
 
 def test_the_gap_as_an_observable_helps_over_one_step():
-    """The wall's force is linear in the overlap; what the gap will do is not, so the help fades with the horizon."""
+    """The wall's force is linear in the overlap; what the gap will do is not, so the help fades
+    with the horizon.
+    """
     rng = np.random.default_rng(4)
     episodes, unseen = touching(rng, 8), touching(rng, 4)
     plain, gap = (

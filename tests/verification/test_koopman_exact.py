@@ -1,4 +1,6 @@
-"""Lifted operators against closed forms: the slow manifold, generators and their exponentials, Van der Pol as published."""
+"""Lifted operators against closed forms: the slow manifold, generators and their exponentials,
+Van der Pol as published.
+"""
 
 import numpy as np
 import pytest
@@ -21,7 +23,9 @@ from tissue.prediction.edmd.episodes import Episode
 CLOSED = Polynomials(2, columns=(0,))
 """x1, x2 and x1²: closed under the slow manifold's flow."""
 EXACT = 1e-10
-"""Of the contract, case 24; met by four orders, the data being exact and the factor being orthogonal."""
+"""Of the contract, case 24; met by four orders, the data being exact and the factor being
+orthogonal.
+"""
 PRINTED = 5e-9
 """Half of the last printed digit."""
 
@@ -29,7 +33,10 @@ PRINTED = 5e-9
 def slow_episodes(rng, count=20, rows=50):
     times = SLOW_STEP_S * np.arange(rows)
     starts = rng.uniform(-1.0, 1.0, (count, 2))
-    return [Episode(states, None, SLOW_STEP_S, slow_manifold(states)) for states in slow_manifold_at(starts, times)]
+    return [
+        Episode(states, None, SLOW_STEP_S, slow_manifold(states))
+        for states in slow_manifold_at(starts, times)
+    ]
 
 
 @pytest.mark.parametrize("offset", [True, False], ids=["offset", "bare"])
@@ -62,7 +69,9 @@ def test_a_generator_from_rates_is_the_slow_manifolds_own():
     logarithm = Edmd(CLOSED).fit(episodes).generator()
     assert np.abs(logarithm.A - SLOW_GENERATOR).max() < EXACT
     for found in (generator, logarithm):
-        assert np.abs(found.discrete(SLOW_STEP_S).A - expm(SLOW_STEP_S * SLOW_GENERATOR)).max() < EXACT
+        assert (
+            np.abs(found.discrete(SLOW_STEP_S).A - expm(SLOW_STEP_S * SLOW_GENERATOR)).max() < EXACT
+        )
 
 
 def driven(rng, steps_s, rows=40, count=6):
@@ -95,11 +104,15 @@ def test_two_half_steps_are_a_step():
     operator = Edmd(Identity()).fit(driven(np.random.default_rng(2), 0.02)[3])
     half = operator.generator().discrete(0.01)
     state, inputs = np.array([0.3, -1.0]), np.array([0.7])
-    assert half.predict(state, inputs, 2)[1] == pytest.approx(operator.predict(state, inputs, 1)[0], abs=EXACT)
+    assert half.predict(state, inputs, 2)[1] == pytest.approx(
+        operator.predict(state, inputs, 1)[0], abs=EXACT
+    )
 
 
 def test_generator_and_discrete_form_agree_ever_better_with_shorter_steps():
-    """Where observables are not closed the logarithm of EDMD differs from gEDMD by O(h), both seeing the same states."""
+    """Where observables are not closed the logarithm of EDMD differs from gEDMD by O(h), both
+    seeing the same states.
+    """
     steps, apart = np.array([0.04, 0.02, 0.01, 0.005]), []
     starts = np.random.default_rng(3).uniform(-1.0, 1.0, (300, 2))
     for step in steps:
@@ -123,16 +136,22 @@ def test_delays_make_up_for_a_speed_that_is_not_measured():
     operator = Edmd(Delays(1)).fit([Episode(each[:, :1], None, 0.02) for each in table])
     predicted = operator.predict(table[0, :2, :1], None, 40)
     assert np.abs(predicted - table[0, 2:42, :1]).max() < 1e-9
-    assert np.sort(operator.eigenvalues) == pytest.approx(np.sort(np.linalg.eigvals(whole[:2, :2])), abs=EXACT)
+    assert np.sort(operator.eigenvalues) == pytest.approx(
+        np.sort(np.linalg.eigvals(whole[:2, :2])), abs=EXACT
+    )
 
 
 @pytest.mark.slow
 def test_van_der_pol_as_korda_and_mezic():
-    """200 trajectories of 10 s at 10 ms, random inputs; then 3 s under a square wave of 0.3 s, from 100 starts."""
+    """200 trajectories of 10 s at 10 ms, random inputs; then 3 s under a square wave of 0.3 s,
+    from 100 starts.
+    """
     found = {5: [], 100: []}
     for seed in range(3):
         rng = np.random.default_rng(seed)
-        episodes = record(van_der_pol, rng.uniform(-1, 1, (200, 2)), rng.uniform(-1, 1, (200, 1001)), 0.01)
+        episodes = record(
+            van_der_pol, rng.uniform(-1, 1, (200, 2)), rng.uniform(-1, 1, (200, 1001)), 0.01
+        )
         square = np.where(0.01 * np.arange(301) % 0.3 < 0.15, 1.0, -1.0)
         unseen = record(van_der_pol, rng.uniform(-1, 1, (100, 2)), np.tile(square, (100, 1)), 0.01)
         for count, errors in found.items():
@@ -142,9 +161,12 @@ def test_van_der_pol_as_korda_and_mezic():
             missed = []
             for each in unseen:
                 predicted = operator.predict(each.states[0], each.inputs[:-1], 300)
-                missed.append(np.linalg.norm(predicted - each.states[1:]) / np.linalg.norm(each.states[1:]))
+                missed.append(
+                    np.linalg.norm(predicted - each.states[1:]) / np.linalg.norm(each.states[1:])
+                )
             errors.append(100.0 * np.mean(missed))
-    # Measured: 27, 29 and 32 % of 100 centres; 97, 81 and 56 % of five, where the centres' luck decides.
+    # Measured: 27, 29 and 32 % of 100 centres; 97, 81 and 56 % of five, where the centres' luck
+    # decides.
     for count, errors in found.items():
         print(f"Van der Pol, {count} functions: {', '.join(f'{each:.0f}' for each in errors)} %")
     assert all(20.0 < each < 35.0 for each in found[100])

@@ -1,10 +1,20 @@
-"""Orders and slopes: what Theorem 1 claims of one step beside what is measured, and how errors fall with samples."""
+"""Orders and slopes: what Theorem 1 claims of one step beside what is measured, and how errors
+fall with samples.
+"""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from koopman_systems import advance, contact, duffing, record, slow_manifold, slow_manifold_at, van_der_pol
+from koopman_systems import (
+    advance,
+    contact,
+    duffing,
+    record,
+    slow_manifold,
+    slow_manifold_at,
+    van_der_pol,
+)
 
 from tissue.prediction.edmd.dictionary import Gaussians, Identity, Polynomials
 from tissue.prediction.edmd.edmd import Edmd, horizon_errors
@@ -19,7 +29,8 @@ STEPS_S = np.array([1e-3, 5e-4, 2.5e-4, 1.25e-4])
 class StepErrors:
     """Mean one-step errors over some states against the step, in scaled observables.
 
-    `euler` is the update that the paper's Theorem 1 calls O(h²), `exact` that of the exponential, `defect` |Lφ - Kφ|.
+    `euler` is the update that the paper's Theorem 1 calls O(h²), `exact` that of the exponential,
+    `defect` |Lφ - Kφ|.
     """
 
     steps_s: np.ndarray
@@ -36,17 +47,22 @@ def closure_defects(generator, states, rates):
 
 
 def step_errors(generator, states, rates, flow, steps_s):
-    """One-step errors of a generator from given states for several steps, by Euler's rule and by the exponential.
+    """One-step errors of a generator from given states for several steps, by Euler's rule and by
+    the exponential.
 
-    By Taylor, φ(x(t + h)) = φ + h Lφ + O(h²), so the error is h |Lφ - Kφ| + O(h²): second order only where the
-    dictionary is closed, and then zero with the exact exponential. `flow` leads from a step [s] to the states after it.
+    By Taylor, φ(x(t + h)) = φ + h Lφ + O(h²), so the error is h |Lφ - Kφ| + O(h²): second order
+    only where the dictionary is closed, and then zero with the exact exponential. `flow` leads from
+    a step [s] to the states after it.
     """
     lifted = generator.dictionary.lift(states)
     fitted = lifted @ generator.A.T + generator.offset
     sizes = []
     for step in steps_s:
         advanced = generator.dictionary.lift(flow(step))
-        missed = (advanced - lifted - step * fitted, advanced - generator.discrete(step).advance(lifted))
+        missed = (
+            advanced - lifted - step * fitted,
+            advanced - generator.discrete(step).advance(lifted),
+        )
         sizes.append([np.linalg.norm(each / generator.scale, axis=1).mean() for each in missed])
     euler, exact = np.array(sizes).T
     defect = float(closure_defects(generator, states, rates).mean())
@@ -56,7 +72,9 @@ def step_errors(generator, states, rates, flow, steps_s):
 def states_of(field, rng, count=400, spread=(1.0, 1.0)):
     """Random states with their rates, as episodes of two rows that a generator is fitted to."""
     states = rng.uniform(-1.0, 1.0, (count, 2)) * spread
-    return [Episode(np.stack([each, each]), None, 1.0, field(np.stack([each, each]))) for each in states], states
+    return [
+        Episode(np.stack([each, each]), None, 1.0, field(np.stack([each, each]))) for each in states
+    ], states
 
 
 def slope(steps, errors):
@@ -98,9 +116,17 @@ def test_other_dictionaries_are_of_first_order_whatever_the_theorem_states(field
     generator = Edmd(dictionary).fit_generator(episodes)
     # A spring of 500 N/m under 0.1 kg moves in 0.1 s: finer steps show the limit there.
     steps = STEPS_S * (0.1 if field is contact else 1.0)
-    found = step_errors(generator, states, field(states), lambda step: advance(field, states, step, substeps=8), steps)
+    found = step_errors(
+        generator,
+        states,
+        field(states),
+        lambda step: advance(field, states, step, substeps=8),
+        steps,
+    )
     orders = [slope(found.steps_s, each) for each in (found.euler, found.exact)]
-    print(f"{field.__name__}, {lifted}: orders {orders[0]:.2f} (Euler), {orders[1]:.2f} (exponential)")
+    print(
+        f"{field.__name__}, {lifted}: orders {orders[0]:.2f} (Euler), {orders[1]:.2f} (exponential)"
+    )
     assert found.defect > 0.1
     for errors, order in zip((found.euler, found.exact), orders, strict=True):
         assert order == pytest.approx(1.0, abs=0.05)
@@ -109,7 +135,9 @@ def test_other_dictionaries_are_of_first_order_whatever_the_theorem_states(field
 
 
 def test_the_defect_is_where_the_rates_are_missed():
-    """Of a linear fit to the Duffing oscillator: the rate of the speed alone, by what is not linear in x³."""
+    """Of a linear fit to the Duffing oscillator: the rate of the speed alone, by what is not
+    linear in x³.
+    """
     episodes, states = states_of(duffing, np.random.default_rng(7))
     generator = Edmd(Identity()).fit_generator(episodes)
     missed = duffing(states) - states @ generator.A.T - generator.offset
@@ -126,7 +154,9 @@ def noisy_fit_errors(samples, rng, process, measured, runs=30):
         for noise in process * rng.normal(size=(samples, 2)):
             states.append(truth @ states[-1] + noise)
         table = np.array(states) + measured * rng.normal(size=(samples + 1, 2))
-        errors.append(np.linalg.norm(Edmd(Identity(), cap=None).fit([Episode(table, None, 1e-3)]).A - truth))
+        errors.append(
+            np.linalg.norm(Edmd(Identity(), cap=None).fit([Episode(table, None, 1e-3)]).A - truth)
+        )
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
@@ -141,9 +171,13 @@ def test_errors_fall_with_the_root_of_the_samples():
 
 
 def test_noise_of_the_sensor_does_not_average_out():
-    """It is in the regressors too, so that least squares is biased towards zero, however many the samples."""
+    """It is in the regressors too, so that least squares is biased towards zero, however many
+    the samples.
+    """
     rng = np.random.default_rng(12)
-    few, many = (noisy_fit_errors(count, rng, process=1.0, measured=1.0, runs=10) for count in (1600, 6400))
+    few, many = (
+        noisy_fit_errors(count, rng, process=1.0, measured=1.0, runs=10) for count in (1600, 6400)
+    )
     assert many > 0.7 * few
     assert many > 5.0 * noisy_fit_errors(6400, rng, process=1.0, measured=0.0, runs=10)
 
@@ -157,13 +191,16 @@ def test_a_nonlinear_system_learnt_from_noisy_runs(seed):
         first, second = states[k]
         states[k + 1] = (0.9 * first, 0.7 * second + 0.5 * first**2) + noise[k]
     operator = Edmd(Polynomials(2, columns=(0,))).fit([Episode(states, None, 1e-3)])
-    # Four standard errors: of the weights about sqrt((1 - 0.7²) / 8000), of a variance sqrt(2 / 8000), each relative.
+    # Four standard errors: of the weights about sqrt((1 - 0.7²) / 8000), of a variance sqrt(2 /
+    # 8000), each relative.
     assert np.abs(operator.A[:2, :2] - np.diag([0.9, 0.7])).max() < 0.032
     assert operator.offset[2] == pytest.approx(sigma**2, rel=0.1)
 
 
 def test_more_horizon_more_error_and_never_the_printed_power():
-    """E2: the n-step error is what it is; an operator beyond the circle is off by its radius to the power n."""
+    """E2: the n-step error is what it is; an operator beyond the circle is off by its radius to
+    the power n.
+    """
     rng = np.random.default_rng(13)
     episodes = record(duffing, rng.uniform(-1.0, 1.0, (20, 2)), np.zeros((20, 200)), 0.02)
     honest = Edmd(Polynomials(3)).fit(episodes)

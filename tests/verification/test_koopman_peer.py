@@ -9,15 +9,20 @@ from tissue.prediction.edmd.dictionary import Delays, Identity, Polynomials
 from tissue.prediction.edmd.edmd import Edmd
 from tissue.prediction.edmd.episodes import Episode
 
-pytestmark = pytest.mark.slow  # pykoop takes seconds to import; test_koopman_exact holds the same operators
+# pykoop takes seconds to import; test_koopman_exact holds the same operators
+pytestmark = pytest.mark.slow
 
 SAME = 1e-8
-"""Of the contract. pykoop solves normal equations, so that it loses twice the digits of the condition number."""
+"""Of the contract. pykoop solves normal equations, so that it loses twice the digits of the
+condition number.
+"""
 
 
 @pytest.fixture(scope="module")
 def pykoop():
-    return pytest.importorskip("pykoop", reason="pykoop is not installed: pip install 'tissue-sim[dev]'")
+    return pytest.importorskip(
+        "pykoop", reason="pykoop is not installed: pip install 'tissue-sim[dev]'"
+    )
 
 
 def recorded(seed, scaled=False):
@@ -28,15 +33,21 @@ def recorded(seed, scaled=False):
         states, inputs = [rng.normal(size=2)], rng.normal(size=(60, 1))
         for now in inputs[:-1, 0]:
             first, second = states[-1]
-            turned = np.array([0.9 * first + 0.1 * second + 0.2 * now, -0.1 * first + 0.95 * second + 0.1 * now])
+            turned = np.array(
+                [0.9 * first + 0.1 * second + 0.2 * now, -0.1 * first + 0.95 * second + 0.1 * now]
+            )
             states.append(turned + 0.05 * np.array([first * second, -(first**2)]))
         episodes.append(Episode(np.array(states), inputs, 0.01))
     if scaled:
         before = np.vstack([np.hstack((each.states, each.inputs))[:-1] for each in episodes])
         size = np.sqrt((before**2).mean(axis=0))
-        episodes = [Episode(each.states / size[:2], each.inputs / size[2:], 0.01) for each in episodes]
+        episodes = [
+            Episode(each.states / size[:2], each.inputs / size[2:], 0.01) for each in episodes
+        ]
     marks = [np.full((60, 1), float(index)) for index in range(4)]
-    table = np.vstack([np.hstack((mark, e.states, e.inputs)) for mark, e in zip(marks, episodes, strict=True)])
+    table = np.vstack(
+        [np.hstack((mark, e.states, e.inputs)) for mark, e in zip(marks, episodes, strict=True)]
+    )
     return episodes, table
 
 
@@ -72,16 +83,24 @@ def test_polynomials(pykoop, seed, order):
 @pytest.mark.parametrize("lags", [1, 2, 3])
 def test_delays(pykoop, lags):
     episodes, table = recorded(0)
-    found = theirs(pykoop, table, [("delays", pykoop.DelayLiftingFn(n_delays_state=lags, n_delays_input=0))])
+    found = theirs(
+        pykoop, table, [("delays", pykoop.DelayLiftingFn(n_delays_state=lags, n_delays_input=0))]
+    )
     off = np.abs(ours(episodes, Delays(lags)) - found).max()
     print(f"pykoop, {lags} delays: {off:.0e}")
     assert off < SAME
 
 
 def test_ridge(pykoop):
-    """Their weight is one for the sum over samples of unscaled data; ours one for the mean over scaled data."""
+    """Their weight is one for the sum over samples of unscaled data; ours one for the mean over
+    scaled data.
+    """
     episodes, table = recorded(1, scaled=True)
     samples = sum(len(each.states) - 1 for each in episodes)
     assert (
-        np.abs(ours(episodes, Identity(), ridge=0.05) - theirs(pykoop, table, None, alpha=0.05 * samples)).max() < SAME
+        np.abs(
+            ours(episodes, Identity(), ridge=0.05)
+            - theirs(pykoop, table, None, alpha=0.05 * samples)
+        ).max()
+        < SAME
     )

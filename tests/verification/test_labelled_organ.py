@@ -1,4 +1,6 @@
-"""`tissue.Organ.from_labels` against organs of known surfaces, springs in series and Eshelby's inclusion."""
+"""`tissue.Organ.from_labels` against organs of known surfaces, springs in series and Eshelby's
+inclusion.
+"""
 
 from pathlib import Path
 
@@ -29,27 +31,53 @@ def over_the_ball_N(organ, turn):
 
 @pytest.mark.parametrize("part_kPa", [40.0, 1.0])
 def test_labels_give_the_force_of_the_surfaces_that_they_were_made_of(part_kPa):
-    """Ellipsoid of 72 x 52 x 44 mm with a ball of 18 mm, 4 mm under the place that is pressed; stiff as a tumour, soft.
+    """Ellipsoid of 72 x 52 x 44 mm with a ball of 18 mm, 4 mm under the place that is pressed;
+    stiff as a tumour, soft.
 
-    Edges of 2.5 mm under the ball: fillings of one surface then differ by 2 %, with 3.5 mm by 5 %, and no two runs of
-    the mesher are alike: the bands are wider by that. Slices of 5 mm are 3.6 to the tumour, less than one over it.
+    Edges of 2.5 mm under the ball: fillings of one surface then differ by 2 %, with 3.5 mm by 5 %,
+    and no two runs of the mesher are alike: the bands are wider by that. Slices of 5 mm are 3.6 to
+    the tumour, less than one over it.
     """
-    made = {"modulus_kPa": MODULUS_KPA, "poisson_ratio": 0.45, "edge_mm": 6, "parts": {"tumour": part_kPa}}
+    made = {
+        "modulus_kPa": MODULUS_KPA,
+        "poisson_ratio": 0.45,
+        "edge_mm": 6,
+        "parts": {"tumour": part_kPa},
+    }
     _, turn = organ_labels((3, 3, 3), 0)
-    outer = pyvista.ParametricEllipsoid(*RADII_MM, u_res=120, v_res=120, w_res=120).triangulate().clean()
+    outer = (
+        pyvista.ParametricEllipsoid(*RADII_MM, u_res=120, v_res=120, w_res=120)
+        .triangulate()
+        .clean()
+    )
     outer.points = outer.points @ turn.T
-    inner = pyvista.Sphere(radius=BALL_MM, center=turn @ (0, 0, 9), theta_resolution=60, phi_resolution=60)
-    exact = over_the_ball_N(tissue.Organ.from_surface(outer, inclusions={"tumour": inner}, **made), turn)
-    bands = {(1, 1, 1): 0.04, (2, 2, 2): 0.04, (3, 3, 3): 0.07, (0.8, 0.8, 3): 0.05, (0.7, 0.7, 5): 0.08}
+    inner = pyvista.Sphere(
+        radius=BALL_MM, center=turn @ (0, 0, 9), theta_resolution=60, phi_resolution=60
+    )
+    exact = over_the_ball_N(
+        tissue.Organ.from_surface(outer, inclusions={"tumour": inner}, **made), turn
+    )
+    bands = {
+        (1, 1, 1): 0.04,
+        (2, 2, 2): 0.04,
+        (3, 3, 3): 0.07,
+        (0.8, 0.8, 3): 0.05,
+        (0.7, 0.7, 5): 0.08,
+    }
     for spacing, band in bands.items():
         labels, _ = organ_labels(spacing, 0, {"tumour": ((0, 0, 9), BALL_MM)})
         force = over_the_ball_N(tissue.Organ.from_labels(labels, organ="organ", **made), turn)
-        print(f"{part_kPa:g} kPa, {spacing} mm: {force:.4f} of {exact:.4f} N, {force / exact - 1:+.1%}")
+        print(
+            f"{part_kPa:g} kPa, {spacing} mm: {force:.4f} of {exact:.4f} N, "
+            f"{force / exact - 1:+.1%}"
+        )
         assert force == pytest.approx(exact, rel=band), spacing
 
 
 def block_labels(part):
-    """Labels of a block of 48 mm in voxels of 1.5 mm, and where a part is, by the centres of the voxels [mm]."""
+    """Labels of a block of 48 mm in voxels of 1.5 mm, and where a part is, by the centres of the
+    voxels [mm].
+    """
     values = np.zeros((38, 38, 38), dtype=np.uint8)
     values[3:35, 3:35, 3:35] = 1
     at = np.stack(np.meshgrid(*[1.5 * np.arange(38) - 27.75] * 3, indexing="ij"), axis=-1)
@@ -60,19 +88,28 @@ def block_labels(part):
 def squeezed(labels, part_kPa, edge_mm=6.0):
     """A block under a punch wider than it, without Poisson's ratio: straight columns."""
     organ = tissue.Organ.from_labels(
-        labels, organ="block", modulus_kPa=MODULUS_KPA, poisson_ratio=0.0, parts={"part": part_kPa}, edge_mm=edge_mm,
+        labels,
+        organ="block",
+        modulus_kPa=MODULUS_KPA,
+        poisson_ratio=0.0,
+        parts={"part": part_kPa},
+        edge_mm=edge_mm,
         friction=0.0,
-    )  # fmt: skip
+    )
     return organ.press(PUNCH, depth_mm=3, at_mm=(0, 0, 24), along=(0, 0, -1))
 
 
 def test_a_block_of_two_labels_is_two_springs_in_series():
-    """The part is the lower half and reaches the surface on five sides; its edges are rounded as the labels' are.
+    """The part is the lower half and reaches the surface on five sides; its edges are rounded as
+    the labels' are.
 
-    Slopes at the end of the press: at first the punch meets the highest of the nodes, a few tenths of a millimetre.
+    Slopes at the end of the press: at first the punch meets the highest of the nodes, a few tenths
+    of a millimetre.
     """
     labels = block_labels(lambda at: at[..., 2] < 0.0)
-    even, halves = (squeezed(labels, modulus).stiffness_N_mm for modulus in (MODULUS_KPA, 8.0 * MODULUS_KPA))
+    even, halves = (
+        squeezed(labels, modulus).stiffness_N_mm for modulus in (MODULUS_KPA, 8.0 * MODULUS_KPA)
+    )
     print(f"halves over even: {halves / even:.4f}, springs {2.0 / (1.0 + 1.0 / 8.0):.4f}")
     assert halves / even == pytest.approx(2.0 / (1.0 + 1.0 / 8.0), rel=0.02)
 
@@ -89,15 +126,21 @@ def mean_strain(press):
 
 @pytest.mark.parametrize("ratio", [8.0, 0.2])
 def test_a_ball_of_labels_is_strained_as_eshelbys(ratio):
-    """A ball of 9.6 mm in a block of 48 mm under a uniform strain (Eshelby 1957, Proc. R. Soc. A 241:376), nu = 0.
+    """A ball of 9.6 mm in a block of 48 mm under a uniform strain (Eshelby 1957, Proc. R. Soc. A
+    241:376), nu = 0.
 
-    Its strain over that of the same ball as stiff as the block; 1.5 % of the block's volume is no infinite one.
+    Its strain over that of the same ball as stiff as the block; 1.5 % of the block's volume is no
+    infinite one.
     """
     labels = block_labels(lambda at: (at**2).sum(axis=-1) < 7.2**2)
-    found = mean_strain(squeezed(labels, ratio * MODULUS_KPA)) / mean_strain(squeezed(labels, MODULUS_KPA))
+    found = mean_strain(squeezed(labels, ratio * MODULUS_KPA)) / mean_strain(
+        squeezed(labels, MODULUS_KPA)
+    )
     volume, shape = 1.0 / 3.0, 8.0 / 15.0
     exact = 1.0 / 3.0 / (1.0 + volume * (ratio - 1.0)) + 2.0 / 3.0 / (1.0 + shape * (ratio - 1.0))
-    print(f"modulus x {ratio:g}: strain x {found:.4f}, Eshelby {exact:.4f}, {found / exact - 1:+.1%}")
+    print(
+        f"modulus x {ratio:g}: strain x {found:.4f}, Eshelby {exact:.4f}, {found / exact - 1:+.1%}"
+    )
     assert found == pytest.approx(exact, rel=0.05)
 
 
@@ -105,10 +148,17 @@ def test_a_ball_of_labels_is_strained_as_eshelbys(ratio):
 def test_a_liver_of_a_real_scan_with_its_gallbladder():
     """A CT of 3 mm whose edge cuts the liver off; the gallbladder, half outside, is a part."""
     organ = tissue.Organ.from_labels(
-        REAL, organ="liver", parts={"gallbladder": 1.0}, modulus_kPa=5.4, poisson_ratio=0.45, held="top", edge_mm=10
+        REAL,
+        organ="liver",
+        parts={"gallbladder": 1.0},
+        modulus_kPa=5.4,
+        poisson_ratio=0.45,
+        held="top",
+        edge_mm=10,
     )
     assert "The image cuts it off: 196 cm2 of its surface lie in the edge" in organ.notes["liver"]
-    voxels_ml = 27e-3 * 39976  # 38634 of the liver, 1333 of the gallbladder, a hollow of 8, a voxel of both
+    # 38634 of the liver, 1333 of the gallbladder, a hollow of 8, a voxel of both
+    voxels_ml = 27e-3 * 39976
     mesh = organ.mesh.compute_cell_sizes()
     volumes = [1e-3 * mesh["Volume"][mesh["part"] == k].sum() for k in (0, 1)]
     print(f"{sum(volumes):.1f} ml of {voxels_ml:.1f} ml; {organ.notes}")

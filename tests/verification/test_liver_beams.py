@@ -1,4 +1,6 @@
-"""Beams: the cantilever and its locking, bars in series and the bilayer (validation cases 5, 6 and 11)."""
+"""Beams: the cantilever and its locking, bars in series and the bilayer (validation cases 5, 6
+and 11).
+"""
 
 import numpy as np
 import pytest
@@ -15,21 +17,25 @@ LENGTH, YOUNG = 10.0, 1000.0
 
 
 def clamped(order, cells, ratio=0.3):
-    """Tip deflection of a bar 10 x 1 x 1 clamped at its root under 1 N, and the largest bending stress a height off it."""
+    """Tip deflection of a bar 10 x 1 x 1 clamped at its root under 1 N, and the largest bending
+    stress a height off it.
+    """
     space, material = Space(box((LENGTH, 1.0, 1.0), cells), order), lame(YOUNG, ratio)
     held = np.repeat(space.nodes_m[:, :1] < 1e-9, 3, axis=1)
     end = faces_where(space, lambda x: x[:, 0] > LENGTH - 1e-9)
     moved = solve(assemble(space, material), traction(space, (0.0, 0.0, 1.0), faces=end), held)
     stress = node_stress(space, moved, material).stress_Pa[:, 0]
-    skin = (np.abs(space.nodes_m[:, 2]) < 1e-9) & (np.abs(space.nodes_m[:, 0] - 0.2 * LENGTH) < 0.26)
+    skin = (np.abs(space.nodes_m[:, 2]) < 1e-9) & (
+        np.abs(space.nodes_m[:, 0] - 0.2 * LENGTH) < 0.26
+    )
     return moved[space.nodes_m[:, 0] > LENGTH - 1e-9, 2].mean(), stress[skin].max()
 
 
 def test_cantilever():
     """Timoshenko 4.0312, plane-stress elasticity 4.0275; 0.5 %.
 
-    The root moves as that of the plane-stress solution (Timoshenko and Goodier 1970): it may warp and bulge. A clamp
-    that stops both takes 0.8 % off (3.996), which is no error of the cells.
+    The root moves as that of the plane-stress solution (Timoshenko and Goodier 1970): it may warp
+    and bulge. A clamp that stops both takes 0.8 % off (3.996), which is no error of the cells.
     """
     space = Space(box((LENGTH, 1.0, 1.0), (20, 2, 4)), 2)
     x, y, z = space.nodes_m.T - [[0.0], [0.5], [0.5]]
@@ -41,49 +47,71 @@ def test_cantilever():
     moved[:, 2] = 3.0 * ratio * z * z * LENGTH / (6.0 * YOUNG * inertia)
     end = faces_where(space, lambda x: x[:, 0] > LENGTH - 1e-9)
     height = space.nodes_m[end[:, :3], 2].mean(axis=1) - 0.5
-    load = traction(space, np.column_stack([0 * height, 0 * height, 1.5 * (1.0 - 4.0 * height**2)]), faces=end)
-    found = solve(assemble(space, lame(YOUNG, ratio)), load / load.sum(), held, moved)[x > LENGTH - 1e-9, 2].mean()
+    load = traction(
+        space, np.column_stack([0 * height, 0 * height, 1.5 * (1.0 - 4.0 * height**2)]), faces=end
+    )
+    found = solve(assemble(space, lame(YOUNG, ratio)), load / load.sum(), held, moved)[
+        x > LENGTH - 1e-9, 2
+    ].mean()
     print(f"\ntip {found:.4f} against 4.0312 and 4.0275; clamped {clamped(2, (20, 2, 4))[0]:.4f}")
     assert found == pytest.approx(4.0312, rel=0.005)
     assert found == pytest.approx(4.0275, rel=0.005)
 
 
 def test_locking_of_linear_cells():
-    """Benzley et al. 1995 in kind: linear tetrahedra far too stiff in bending, more so at Poisson's ratio 0.49.
+    """Benzley et al. 1995 in kind: linear tetrahedra far too stiff in bending, more so at Poisson's
+    ratio 0.49.
 
-    They report 31.5 % in displacement and 21.2 % in stress at 0.3 (666 unknowns), 71.7 and 66.8 % at 0.49, and 44.8 and
-    35.2 % there with 3615 unknowns, on an unstructured mesh of a bar whose sides are not at hand. So this bar, of
-    as many unknowns, is held to the pattern and not to the figures: an error of tens of percent that grows from 0.3 to
+    They report 31.5 % in displacement and 21.2 % in stress at 0.3 (666 unknowns), 71.7 and 66.8 %
+    at 0.49, and 44.8 and
+    35.2 % there with 3615 unknowns, on an unstructured mesh of a bar whose sides are not at hand.
+    So this bar, of as many unknowns, is held to the pattern and not to the figures: an error of
+    tens of percent that grows from 0.3 to
     0.49 and falls with refinement; the quadratic cells on the coarse mesh, a few percent at both.
     """
     print()
     error = {}
     for ratio in (0.3, 0.49):
         wanted = clamped(2, (30, 3, 3), ratio)
-        for name, order, cells in (("coarse", 1, (23, 2, 2)), ("fine", 1, (47, 4, 4)), ("quadratic", 2, (12, 1, 1))):
+        for name, order, cells in (
+            ("coarse", 1, (23, 2, 2)),
+            ("fine", 1, (47, 4, 4)),
+            ("quadratic", 2, (12, 1, 1)),
+        ):
             found = np.array(clamped(order, cells, ratio))
             error[name, ratio] = np.abs(found / wanted - 1.0)
             unknowns = Space(box((LENGTH, 1.0, 1.0), cells), order).unknown_count
-            print(f"nu {ratio}: {name} ({unknowns} unknowns), error of displacement and stress {error[name, ratio]}")
+            print(
+                f"nu {ratio}: {name} ({unknowns} unknowns), error of displacement and stress "
+                f"{error[name, ratio]}"
+            )
     assert (error["coarse", 0.3] > 0.15).all() and (error["coarse", 0.49] > 0.5).all()
     assert (error["coarse", 0.49] > error["coarse", 0.3] + 0.1).all()
-    assert (error["fine", 0.3] < error["coarse", 0.3]).all() and (error["fine", 0.49] < error["coarse", 0.49]).all()
+    assert (error["fine", 0.3] < error["coarse", 0.3]).all() and (
+        error["fine", 0.49] < error["coarse", 0.49]
+    ).all()
     assert error["quadratic", 0.3][0] < 0.05 and error["quadratic", 0.49][0] < 0.10
 
 
 def test_bar_hung_by_its_end():
-    """A bar under its own weight stretches by rho g L^2 / (2 E), with Poisson's ratio 0; quadratic cells hold it exactly."""
+    """A bar under its own weight stretches by rho g L^2 / (2 E), with Poisson's ratio 0;
+    quadratic cells hold it exactly.
+    """
     space = Space(box((1.0, 1.0, 3.0), (1, 1, 3)), 2)
     load = gravity(space, density_kg_m3=1060.0)
     assert load.sum(axis=0) == pytest.approx([0.0, 0.0, -1060.0 * 9.80665 * 3.0])
     moved = solve(assemble(space, lame(5e5, 0.0)), load, planes(space, x=0.0, y=0.0, z=3.0))
     z = space.nodes_m[:, 2]
-    assert np.allclose(moved[:, 2], -1060.0 * 9.80665 * (9.0 - z * z) / (2.0 * 5e5), rtol=1e-10, atol=1e-13)
+    assert np.allclose(
+        moved[:, 2], -1060.0 * 9.80665 * (9.0 - z * z) / (2.0 * 5e5), rtol=1e-10, atol=1e-13
+    )
 
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_bars_in_series_are_exact(order):
-    """Three bars between two plates: E_eff = sum h / sum (h / E), over a contrast of enamel to pulp."""
+    """Three bars between two plates: E_eff = sum h / sum (h / E), over a contrast of enamel to
+    pulp.
+    """
     moduli, ends = np.array([84e9, 2e6, 18.6e9]), np.array([2.0, 5.0, 9.0]) * 1e-3
     space = Space(box((2e-3, 2e-3, 9e-3), (2, 2, 9)), order)
     middle = space.mesh.nodes_m[space.mesh.cells].mean(axis=1)[:, 2]
@@ -99,10 +127,11 @@ def test_bars_in_series_are_exact(order):
 
 
 def test_bilayer_beam():
-    """100:1, stiff on top, bent by its ends about the axis .745050 from the soft face: EI = 1.175846, no axial force.
+    """100:1, stiff on top, bent by its ends about the axis .745050 from the soft face: EI =
+    1.175846, no axial force.
 
-    With Poisson's ratio 0 the exact displacement is quadratic in each layer, so the quadratic cells hold it: 1e-6, which
-    is what six digits of the axis leave.
+    With Poisson's ratio 0 the exact displacement is quadratic in each layer, so the quadratic cells
+    hold it: 1e-6, which is what six digits of the axis leave.
     """
     axis, turn = 0.745050, 1e-3
     space = Space(box((1.0, 0.5, 1.0), (4, 2, 4)), 2)
@@ -117,6 +146,9 @@ def test_bilayer_beam():
     found = solve(matrix, np.zeros_like(moved), held, moved)
     force = (matrix @ found.ravel()).reshape(-1, 3)[x > 1.0 - 1e-9, 0] / 0.5
     moment = -(force * (z[x > 1.0 - 1e-9] - axis)).sum()
-    print(f"\nEI {moment / turn:.6f} against 1.175846; axial force over moment {force.sum() / moment:.1e}")
+    print(
+        f"\nEI {moment / turn:.6f} against 1.175846; axial force over moment "
+        f"{force.sum() / moment:.1e}"
+    )
     assert moment / turn == pytest.approx(1.175846, rel=1e-5)
     assert abs(force.sum()) < 1e-4 * moment

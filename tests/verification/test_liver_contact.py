@@ -1,7 +1,8 @@
-"""Contact of a sphere and a drag on a half-space against closed forms: Hertz, Sneddon, Cattaneo and Mindlin.
+"""Contact of a sphere and a drag on a half-space against closed forms: Hertz, Sneddon, Cattaneo and
+Mindlin.
 
-Half-spaces by their own Green's functions, which leaves only the contact's error; `test_liver_punches` holds the same
-and other closed forms against tetrahedra.
+Half-spaces by their own Green's functions, which leaves only the contact's error;
+`test_liver_punches` holds the same and other closed forms against tetrahedra.
 """
 
 import numpy as np
@@ -34,18 +35,24 @@ def triangles(count):
 def over_tile(antiderivative, x, y, tile):
     """Integral over a square of tile whose centre lies at (-x, -y)."""
     h = 0.5 * tile
-    return sum(sign * antiderivative(x + p, y + q) for p, q, sign in ((h, h, 1), (-h, -h, 1), (h, -h, -1), (-h, h, -1)))
+    return sum(
+        sign * antiderivative(x + p, y + q)
+        for p, q, sign in ((h, h, 1), (-h, -h, 1), (h, -h, -1), (-h, h, -1))
+    )
 
 
 def half_space(count, tile, poisson_ratio, tangential):
-    """Compliance that moves each tile along z, and by `tangential` times as much along x, without coupling.
+    """Compliance that moves each tile along z, and by `tangential` times as much along x, without
+    coupling.
 
     Love 1929 (Johnson 1985, eq. 3.25): a uniform pressure on a rectangle of a half-space.
     """
     axis = tile * (np.arange(count) - 0.5 * (count - 1))
     nodes = np.stack(np.meshgrid(axis, axis, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
     x, y = (nodes[:, None, k] - nodes[None, :, k] for k in (0, 1))
-    deflection = over_tile(lambda x, y: x * np.arcsinh(y / np.abs(x)) + y * np.arcsinh(x / np.abs(y)), x, y, tile)
+    deflection = over_tile(
+        lambda x, y: x * np.arcsinh(y / np.abs(x)) + y * np.arcsinh(x / np.abs(y)), x, y, tile
+    )
     full = np.zeros((len(nodes), 3, len(nodes), 3))
     full[:, 2, :, 2] = deflection / (np.pi * tile**2 * plane_modulus(poisson_ratio))
     full[:, 0, :, 0] = full[:, 1, :, 1] = tangential * full[:, 2, :, 2]
@@ -55,7 +62,8 @@ def half_space(count, tile, poisson_ratio, tangential):
 def quarter_half_space(count, tile, poisson_ratio):
     """A quarter of a half-space with its images: nodes, triangles and compliance in all directions.
 
-    Boussinesq 1885 and Cerruti 1882 (Johnson 1985, eqs. 3.18 and 3.77) integrated over square tiles.
+    Boussinesq 1885 and Cerruti 1882 (Johnson 1985, eqs. 3.18 and 3.77) integrated over square
+    tiles.
     """
     axis = tile * (np.arange(count) + 0.5)
     nodes = np.stack(np.meshgrid(axis, axis, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
@@ -88,14 +96,23 @@ def quarter_half_space(count, tile, poisson_ratio):
 
 
 def test_a_sphere_on_tiles_follows_hertz_and_converges():
-    """Shallow enough, a/R = 0.02, that sphere and paraboloid agree to 1e-4; at least 3 tiles to the radius."""
+    """Shallow enough, a/R = 0.02, that sphere and paraboloid agree to 1e-4; at least 3 tiles to
+    the radius.
+    """
     errors = []
     for count in (9, 17, 31):
         tile = 31 * TILE_M / count
         nodes, faces, compliance = half_space(count, tile, 0.49, 0.0)
         radius = 0.0012 / 0.02
         contact = SurfaceContact(
-            nodes, faces, compliance, SphereProbe(radius), friction=0.0, spacing_m=1.0, tolerance=1e-8, sweeps=2000
+            nodes,
+            faces,
+            compliance,
+            SphereProbe(radius),
+            friction=0.0,
+            spacing_m=1.0,
+            tolerance=1e-8,
+            sweeps=2000,
         )
         depths = 0.02**2 * radius * np.linspace(0.4, 1.0, 7)
         found = [contact.solve(np.array([0.0, 0.0, -d]), np.eye(3)).force_N[2] for d in depths]
@@ -109,14 +126,20 @@ def test_a_sphere_on_tiles_follows_hertz_and_converges():
 
 
 def upright(nodes, height):
-    """A tool whose normals all point down, a point over each node: the boundary conditions of Hertz and Sneddon."""
+    """A tool whose normals all point down, a point over each node: the boundary conditions of
+    Hertz and Sneddon.
+    """
     return ShellProbe(
-        np.column_stack([nodes[:, :2], height]), np.tile([0.0, 0.0, -1.0], (len(nodes), 1)), np.ones(len(nodes))
+        np.column_stack([nodes[:, :2], height]),
+        np.tile([0.0, 0.0, -1.0], (len(nodes), 1)),
+        np.ones(len(nodes)),
     )
 
 
 def sneddon_N(radius, contact, poisson_ratio):
-    """Force and depth of a sphere on a half-space at a radius of contact (Sneddon 1965): normals upright."""
+    """Force and depth of a sphere on a half-space at a radius of contact (Sneddon 1965): normals
+    upright.
+    """
     log = np.log((radius + contact) / (radius - contact))
     force = plane_modulus(poisson_ratio) * (0.5 * (contact**2 + radius**2) * log - contact * radius)
     return force, 0.5 * contact * log
@@ -126,16 +149,19 @@ RADIUS_M, DEPTH_M = 5e-3, 2e-3
 DEEP_N = 0.0487
 """Force on a true sphere, R = 5 mm, 2 mm deep, E = 5 kPa, nu = 0.49, at which tiles converge.
 
-8.6 % below Sneddon's 0.0533 N and 12 % below Hertz' 0.0555 N. Both press with upright normals and count what
-moves down at the place where it lay. A frictionless sphere 2 mm deep leans its normals by up to 37 degrees and so
-spreads the surface: what lay at r is met by the sphere farther out, where the sphere is higher. Linear elasticity,
-contact where the surface has moved to; 1 % covers what is left at 12 tiles to 3.3 mm.
+8.6 % below Sneddon's 0.0533 N and 12 % below Hertz' 0.0555 N. Both press with upright normals and
+count what moves down at the place where it lay. A frictionless sphere 2 mm deep leans its normals
+by up to 37 degrees and so spreads the surface: what lay at r is met by the sphere farther out,
+where the sphere is higher. Linear elasticity, contact where the surface has moved to; 1 % covers
+what is left at 12 tiles to 3.3 mm.
 """
 
 
 @pytest.mark.parametrize("count", [8, 12])
 def test_a_deep_sphere_at_its_literal_numbers(count):
-    """Case 13, R = 5 mm, 2 mm deep, E = 5 kPa, nu = 0.49: Hertz' problem 0.0555 N, Sneddon's 0.0533 N, 1 %."""
+    """Case 13, R = 5 mm, 2 mm deep, E = 5 kPa, nu = 0.49: Hertz' problem 0.0555 N, Sneddon's
+    0.0533 N, 1 %.
+    """
     body = quarter_half_space(count, 3.3e-3 / count, 0.49)
     depths = np.linspace(DEPTH_M / 40.0, DEPTH_M, 40)
     square = (body[0][:, :2] ** 2).sum(axis=1)
@@ -146,7 +172,9 @@ def test_a_deep_sphere_at_its_literal_numbers(count):
     assert abs(np.polyfit(np.log(depths[20:]), np.log(found[20:]), 1)[0] - 1.5) < 0.05
     exact, depth = sneddon_N(RADIUS_M, 2.95056e-3, 0.49)
     assert depth == pytest.approx(DEPTH_M, rel=1e-5)
-    found = pressed(body, upright(body[0], RADIUS_M - np.sqrt(RADIUS_M**2 - square)), depths, times=4.0)
+    found = pressed(
+        body, upright(body[0], RADIUS_M - np.sqrt(RADIUS_M**2 - square)), depths, times=4.0
+    )
     assert found[-1] == pytest.approx(exact, rel=0.01)
     found = pressed(body, SphereProbe(RADIUS_M), depths, times=4.0)
     assert found[-1] == pytest.approx(DEEP_N, rel=0.01)
@@ -155,8 +183,9 @@ def test_a_deep_sphere_at_its_literal_numbers(count):
 def test_a_drag_follows_its_own_normal_curve():
     """Without coupling, Q(U) = mu (P(d) - P(d - U / (mu k))) exactly, also after discretisation.
 
-    Ciavarella 1998 and Jäger 1998, after Cattaneo 1938 and Mindlin 1949; k is tangential over normal compliance. The
-    sphere is shallow, so that its normals lean by at most a/R = 0.01 out of the vertical, and the drag does not reverse.
+    Ciavarella 1998 and Jäger 1998, after Cattaneo 1938 and Mindlin 1949; k is tangential over
+    normal compliance. The sphere is shallow, so that its normals lean by at most a/R = 0.01 out of
+    the vertical, and the drag does not reverse.
     """
     nodes, faces, compliance = half_space(21, TILE_M, 0.3, 1.21)
     radius, depth, friction = 0.08, 1e-5, 0.4
@@ -167,7 +196,9 @@ def test_a_drag_follows_its_own_normal_curve():
         press.forget()
         return press.solve(np.array([0.0, 0.0, -d]), np.eye(3)).force_N[2] if d > 0.0 else 0.0
 
-    drag = SurfaceContact(nodes, faces, compliance, SphereProbe(radius), friction=friction, **options)
+    drag = SurfaceContact(
+        nodes, faces, compliance, SphereProbe(radius), friction=friction, **options
+    )
     drag.place(np.array([0.0, 0.0, 1e-6]), np.eye(3))
     drag.solve(np.array([0.0, 0.0, -depth]), np.eye(3))
     whole = normal_N(depth)

@@ -1,4 +1,6 @@
-"""Manufactured solution in three dimensions (validation case 2): slopes and bounds of linear and quadratic cells."""
+"""Manufactured solution in three dimensions (validation case 2): slopes and bounds of linear and
+quadratic cells.
+"""
 
 import numpy as np
 import pytest
@@ -15,7 +17,9 @@ AMPLITUDE = np.array([1.0, -0.5, 0.7])
 
 
 def quadrature(points):
-    """Conical product rule on the tetrahedron, degree 2 points - 2 at least: barycentric coordinates, weights of mean 1."""
+    """Conical product rule on the tetrahedron, degree 2 points - 2 at least: barycentric
+    coordinates, weights of mean 1.
+    """
     at, weight = np.polynomial.legendre.leggauss(points)
     at, weight = 0.5 * (at + 1.0), 0.5 * weight
     a, b, c = np.meshgrid(at, at, at, indexing="ij")
@@ -25,7 +29,9 @@ def quadrature(points):
 
 
 def shape_values(barycentric, order):
-    """Shape functions of the nodes at points, shape (..., nodes): l_A, or l_A (2 l_A - 1) and 4 l_i l_j on the edges."""
+    """Shape functions of the nodes at points, shape (..., nodes): l_A, or l_A (2 l_A - 1) and 4
+    l_i l_j on the edges.
+    """
     if order == 1:
         return barycentric
     i, j = np.array(EDGES).T
@@ -40,7 +46,9 @@ def displacement(x):
 def gradient(x):
     """du_i / dx_j."""
     sine, cosine = np.sin(np.pi * x), np.cos(np.pi * x)
-    each = [np.pi * cosine[..., j] * sine[..., (j + 1) % 3] * sine[..., (j + 2) % 3] for j in range(3)]
+    each = [
+        np.pi * cosine[..., j] * sine[..., (j + 1) % 3] * sine[..., (j + 2) % 3] for j in range(3)
+    ]
     return AMPLITUDE[:, None] * np.stack(each, axis=-1)[..., None, :]
 
 
@@ -51,13 +59,17 @@ def body_force(x):
     for i in range(3):
         for j in range(3):
             k = 3 - i - j
-            second[..., i, j] = -sine.prod(axis=-1) if i == j else cosine[..., i] * cosine[..., j] * sine[..., k]
+            second[..., i, j] = (
+                -sine.prod(axis=-1) if i == j else cosine[..., i] * cosine[..., j] * sine[..., k]
+            )
     second *= np.pi**2
     return -(FIRST + SHEAR) * second @ AMPLITUDE + 3.0 * np.pi**2 * SHEAR * displacement(x)
 
 
 def errors(order, cells):
-    """Errors in L2 of the displacement and of its gradient, relative to the norms of the exact ones."""
+    """Errors in L2 of the displacement and of its gradient, relative to the norms of the exact
+    ones.
+    """
     space = Space(box((1.0, 1.0, 1.0), (cells,) * 3), order)
     at, weight = quadrature(order + 2)
     corners = space.mesh.nodes_m[space.mesh.cells]
@@ -68,16 +80,22 @@ def errors(order, cells):
     nodes = space.cell_nodes.ravel()
     load = np.stack([np.bincount(nodes, local[:, i], space.node_count) for i in range(3)], axis=1)
     outside = ((space.nodes_m < 1e-9) | (space.nodes_m > 1.0 - 1e-9)).any(axis=1)
-    found = solve_iteratively(assemble(space, (FIRST, SHEAR)), load, np.repeat(outside[:, None], 3, axis=1))
+    found = solve_iteratively(
+        assemble(space, (FIRST, SHEAR)), load, np.repeat(outside[:, None], 3, axis=1)
+    )
     at_cells = found[space.cell_nodes]
     moved = np.einsum("pa,mai->mpi", shapes, at_cells)
-    along = np.einsum("aci,pi,mcj->mpaj", gradient_slopes(4, order), at, space.gradients[0].numpy(), optimize=True)
+    along = np.einsum(
+        "aci,pi,mcj->mpaj", gradient_slopes(4, order), at, space.gradients[0].numpy(), optimize=True
+    )
     slopes = np.einsum("mai,mpaj->mpij", at_cells, along, optimize=True)
     zero = np.sqrt(
-        (share[..., None] * (moved - displacement(x)) ** 2).sum() / (share[..., None] * displacement(x) ** 2).sum()
+        (share[..., None] * (moved - displacement(x)) ** 2).sum()
+        / (share[..., None] * displacement(x) ** 2).sum()
     )
     one = np.sqrt(
-        (share[..., None, None] * (slopes - gradient(x)) ** 2).sum() / (share[..., None, None] * gradient(x) ** 2).sum()
+        (share[..., None, None] * (slopes - gradient(x)) ** 2).sum()
+        / (share[..., None, None] * gradient(x) ** 2).sum()
     )
     return zero, one
 
@@ -88,10 +106,15 @@ def errors(order, cells):
     ids=["linear", "quadratic"],
 )
 def test_slopes_and_bounds(order, cells, bounds):
-    """Orders p + 1 in displacement and p in strain, within 0.1; bounds on the finest mesh are a tenth above what is seen."""
+    """Orders p + 1 in displacement and p in strain, within 0.1; bounds on the finest mesh are a
+    tenth above what is seen.
+    """
     zero, one = np.array([errors(order, n) for n in cells]).T
     size = 1.0 / np.array(cells)
-    print(f"\nP{order}: L2 {zero}, slope {slope(size, zero):.3f}; H1 {one}, slope {slope(size, one):.3f}")
+    print(
+        f"\nP{order}: L2 {zero}, slope {slope(size, zero):.3f}; H1 {one}, slope "
+        f"{slope(size, one):.3f}"
+    )
     assert slope(size, zero) == pytest.approx(order + 1, abs=0.1)
     assert slope(size, one) == pytest.approx(order, abs=0.1)
     assert zero[-1] < bounds[0] and one[-1] < bounds[1]

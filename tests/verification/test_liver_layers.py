@@ -12,21 +12,25 @@ from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 
 RATIO, ANGLE, FAR = 0.499, np.radians(6.0), 4000.0
-"""0.499 for the table's 0.5 adds 0.1 % to a displacement; beyond 4000 radii lie 0.0003 of F2 (at 1000 it was 0.001)."""
+"""0.499 for the table's 0.5 adds 0.1 % to a displacement; beyond 4000 radii lie 0.0003 of F2 (at
+1000 it was 0.001).
+"""
 
 TABLE = {
     2: {0.25: 0.990, 0.5: 0.926, 1.0: 0.790, 2.0: 0.662},
     10: {0.25: 0.942, 0.5: 0.738, 1.0: 0.486, 2.0: 0.306},
     100: {0.25: 0.704, 0.5: 0.429, 1.0: 0.235, 2.0: 0.125},
 }
-"""F2 = w0 E2 / (1.5 p a) by E1/E2 and h/a: bonded layer, Poisson's ratio 0.5, uniform pressure on a disc of radius a."""
+"""F2 = w0 E2 / (1.5 p a) by E1/E2 and h/a: bonded layer, Poisson's ratio 0.5, uniform pressure
+on a disc of radius a.
+"""
 
 
 def settlement(radius, layer, young, *, below, capsule=None):
     """Settlement of the middle of a pressed disc over that of a bare half-space, 1.5 p a / E2.
 
-    A wedge of 6 degrees about the axis, one brick wide, of quadratic cells; its sides may slide but not leave their
-    planes. Steps grow away from the rim of the disc and from the layer.
+    A wedge of 6 degrees about the axis, one brick wide, of quadratic cells; its sides may slide but
+    not leave their planes. Steps grow away from the rim of the disc and from the layer.
     """
     inside = radius - graded(0.0, radius, 0.15 * radius, 1.25)[::-1]
     radii = np.concatenate([inside, graded(radius, FAR * radius, 0.15 * radius, 1.35)[1:]])
@@ -36,16 +40,27 @@ def settlement(radius, layer, young, *, below, capsule=None):
     mesh = wedge(radii, depths, ANGLE)
     space, small = Space(mesh, 2), 1e-9 * radius
     middle = mesh.nodes_m[mesh.cells].mean(axis=1)[:, 2]
-    matrix = assemble(space, np.where((middle > -layer)[:, None], lame(young, RATIO), lame(below, RATIO)))
+    matrix = assemble(
+        space, np.where((middle > -layer)[:, None], lame(young, RATIO), lame(below, RATIO))
+    )
     top = faces_where(space, lambda x: np.abs(x[:, 2]) < small)
     if capsule is not None:
         matrix = matrix + capsule_stiffness(space, faces=top, poisson_ratio=RATIO, **capsule)
-    disc = (np.linalg.norm(space.nodes_m[top[:, :3], :2], axis=2) < radius * (1.0 + 1e-9)).all(axis=1)
+    disc = (np.linalg.norm(space.nodes_m[top[:, :3], :2], axis=2) < radius * (1.0 + 1e-9)).all(
+        axis=1
+    )
     x, y, z = space.nodes_m.T
-    frame, held = np.tile(np.eye(3), (space.node_count, 1, 1)), np.zeros((space.node_count, 3), dtype=bool)
+    frame, held = (
+        np.tile(np.eye(3), (space.node_count, 1, 1)),
+        np.zeros((space.node_count, 3), dtype=bool),
+    )
     axis = np.hypot(x, y) < small
     second = (np.abs(x * np.sin(ANGLE) - y * np.cos(ANGLE)) < small) & ~axis
-    frame[second] = [[np.cos(ANGLE), np.sin(ANGLE), 0.0], [-np.sin(ANGLE), np.cos(ANGLE), 0.0], [0.0, 0.0, 1.0]]
+    frame[second] = [
+        [np.cos(ANGLE), np.sin(ANGLE), 0.0],
+        [-np.sin(ANGLE), np.cos(ANGLE), 0.0],
+        [0.0, 0.0, 1.0],
+    ]
     held[second | (y < small), 1] = True
     held[axis, :2] = True
     held[z < depths[0] + small] = True
@@ -55,34 +70,49 @@ def settlement(radius, layer, young, *, below, capsule=None):
 
 
 QUICK = ((100, 0.25),)
-REST = [(contrast, depth) for contrast in TABLE for depth in TABLE[contrast] if (contrast, depth) not in QUICK]
+REST = [
+    (contrast, depth)
+    for contrast in TABLE
+    for depth in TABLE[contrast]
+    if (contrast, depth) not in QUICK
+]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("contrast", "depth"), [*QUICK, *(pytest.param(*entry, marks=pytest.mark.slow) for entry in REST)]
+    ("contrast", "depth"),
+    [*QUICK, *(pytest.param(*entry, marks=pytest.mark.slow) for entry in REST)],
 )
 def test_two_layer_half_space(contrast, depth):
-    """2 % in every entry of the table: the meshes are up to a hundredth too stiff at the largest contrast."""
+    """2 % in every entry of the table: the meshes are up to a hundredth too stiff at the largest
+    contrast.
+    """
     found, wanted = settlement(1.0, depth, contrast, below=1.0), TABLE[contrast][depth]
-    print(f"\nE1/E2 {contrast}, h/a {depth}: {found:.4f} against {wanted} ({found / wanted - 1.0:+.2%})")
+    print(
+        f"\nE1/E2 {contrast}, h/a {depth}: {found:.4f} against {wanted} "
+        f"({found / wanted - 1.0:+.2%})"
+    )
     assert found == pytest.approx(wanted, rel=0.02)
 
 
 @pytest.mark.slow
 def test_capsule_does_not_stiffen_palpation_and_a_thick_skin_stiffens_a_needle():
-    """Over 6 kPa: x1.00 at a radius of 4 mm for 100 um of 1 and 10 MPa; x1.25 at 0.6 mm for 100 um of 1 MPa.
+    """Over 6 kPa: x1.00 at a radius of 4 mm for 100 um of 1 and 10 MPa; x1.25 at 0.6 mm for 100 um
+    of 1 MPa.
 
-    The 1.25 is the bending and shearing of a layer that is a sixth of the radius thick: a bonded solid layer shows it
-    (within 3 %). A membrane, which only resists stretch, does not: the surface of an incompressible half-space that is
-    pressed does not move sideways, so there is nothing to stretch, and the factor is 1.00 there too.
+    The 1.25 is the bending and shearing of a layer that is a sixth of the radius thick: a bonded
+    solid layer shows it (within 3 %). A membrane, which only resists stretch, does not: the surface
+    of an incompressible half-space that is pressed does not move sideways, so there is nothing to
+    stretch, and the factor is 1.00 there too.
     """
     print()
     for radius, young in ((4e-3, 1e6), (4e-3, 1e7), (0.6e-3, 1e6)):
         bare = settlement(radius, 0.25 * radius, 6e3, below=6e3)
         skin = {"thickness_m": 1e-4, "young_Pa": young}
         membrane = bare / settlement(radius, 0.25 * radius, 6e3, below=6e3, capsule=skin)
-        print(f"radius {radius * 1e3:g} mm, capsule of {young / 1e6:g} MPa: membrane x{membrane:.4f}")
+        print(
+            f"radius {radius * 1e3:g} mm, capsule of {young / 1e6:g} MPa: membrane x{membrane:.4f}"
+        )
         assert membrane == pytest.approx(1.0, abs=0.005)
     solid = bare / settlement(0.6e-3, 1e-4, 1e6, below=6e3)
     print(f"radius 0.6 mm, solid layer of 1 MPa: x{solid:.3f}")
@@ -91,10 +121,14 @@ def test_capsule_does_not_stiffen_palpation_and_a_thick_skin_stiffens_a_needle()
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_stretched_capsule_has_the_energy_of_plane_stress(order):
-    """Uniform stretch e in both directions: t A E e^2 / (1 - nu); along one side alone t A E e^2 / (2 (1 - nu^2)); shear t A mu g^2 / 2."""
+    """Uniform stretch e in both directions: t A E e^2 / (1 - nu); along one side alone t A E e^2
+    / (2 (1 - nu^2)); shear t A mu g^2 / 2.
+    """
     space = Space(box((0.3, 0.2, 0.1), (3, 2, 1)), order)
     top = faces_where(space, lambda x: x[:, 2] > 0.1 - 1e-9)
-    matrix = capsule_stiffness(space, thickness_m=5e-5, young_Pa=8.2e6, poisson_ratio=0.4, faces=top)
+    matrix = capsule_stiffness(
+        space, thickness_m=5e-5, young_Pa=8.2e6, poisson_ratio=0.4, faces=top
+    )
     x, y, z = space.nodes_m.T
     size = 5e-5 * 0.06 * 8.2e6
     for moved, wanted in (
@@ -117,4 +151,6 @@ def test_matrix_with_a_capsule_equals_its_transpose_bitwise(order):
     for matrix in (skin, assemble(space, lame(5e3, 0.45)) + skin):
         turned = matrix.T.tobsr((3, 3))
         turned.sort_indices()
-        assert np.array_equal(matrix.indices, turned.indices) and np.array_equal(matrix.data, turned.data)
+        assert np.array_equal(matrix.indices, turned.indices) and np.array_equal(
+            matrix.data, turned.data
+        )

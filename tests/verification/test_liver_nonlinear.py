@@ -1,4 +1,6 @@
-"""Nonlinear equilibria: homogeneous states, large rotation, contact of a sphere, and where linear stops being enough."""
+"""Nonlinear equilibria: homogeneous states, large rotation, contact of a sphere, and where
+linear stops being enough.
+"""
 
 import numpy as np
 import pytest
@@ -29,14 +31,18 @@ def shaken_box(order: int, seed: int = 0) -> Space:
     """A box whose inner nodes are moved by up to a sixth of a side."""
     mesh = box((0.03, 0.03, 0.03), (3, 3, 3))
     inner = ((mesh.nodes_m > 1e-9) & (mesh.nodes_m < 0.03 - 1e-9)).all(axis=1)
-    nodes = mesh.nodes_m + inner[:, None] * np.random.default_rng(seed).uniform(-1.6e-3, 1.6e-3, mesh.nodes_m.shape)
+    nodes = mesh.nodes_m + inner[:, None] * np.random.default_rng(seed).uniform(
+        -1.6e-3, 1.6e-3, mesh.nodes_m.shape
+    )
     return Space(TetMesh(nodes, mesh.cells), order)
 
 
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("law", list(Law))
 def test_patch(law, order):
-    """A large affine motion of the surface is followed inside, exactly: 1e-9 of it, the residual allowed being 1e-11."""
+    """A large affine motion of the surface is followed inside, exactly: 1e-9 of it, the residual
+    allowed being 1e-11.
+    """
     space = shaken_box(order)
     turn = np.eye(3) if law is Law.LINEAR else Rotation.from_rotvec([0.2, -0.3, 0.1]).as_matrix()
     f = turn @ np.array([[1.15, 0.1, 0.0], [0.0, 0.9, 0.05], [0.05, 0.0, 0.95]])
@@ -53,7 +59,9 @@ def test_patch(law, order):
 
 
 def test_large_rotation(capsys):
-    """A bar whose ends are turned together by 60 degrees in steps: the nonlinear laws find no stress, linear a false one."""
+    """A bar whose ends are turned together by 60 degrees in steps: the nonlinear laws find no
+    stress, linear a false one.
+    """
     space = Space(box((0.06, 0.015, 0.015), (6, 2, 2)))
     ends = (space.nodes_m[:, 0] < 1e-9) | (space.nodes_m[:, 0] > 0.06 - 1e-9)
     held = np.repeat(ends[:, None], 3, axis=1)
@@ -69,14 +77,22 @@ def test_large_rotation(capsys):
         stretched[law] = float(np.linalg.norm(pull)) / area
         if law in TURNING:
             np.testing.assert_allclose(moved, turn.apply(space.nodes_m) - space.nodes_m, atol=1e-9)
-    # The linear law takes the turn for a compression by 1 - cos(60 degrees) = 0.5: thousands of pascals at E = 5 kPa.
+    # The linear law takes the turn for a compression by 1 - cos(60 degrees) = 0.5: thousands of
+    # pascals at E = 5 kPa.
     assert max(stretched[law] for law in TURNING) < 1e-4 and stretched[Law.LINEAR] > 1e3
     with capsys.disabled():
-        print(f"\nfalse stress of the linear law in a bar turned by 60 degrees: {stretched[Law.LINEAR] / 5e3:.0%} of E")
+        print(
+            "\nfalse stress of the linear law in a bar turned by 60 degrees: "
+            f"{stretched[Law.LINEAR] / 5e3:.0%} of E"
+        )
 
 
-def block(order: int = 1, *, first: float, growth: float = 1.4, deep: float = 0.05) -> tuple[Space, np.ndarray]:
-    """A quarter of a block, twice as wide as deep, fine at its top corner (the axis of the sphere), and its base."""
+def block(
+    order: int = 1, *, first: float, growth: float = 1.4, deep: float = 0.05
+) -> tuple[Space, np.ndarray]:
+    """A quarter of a block, twice as wide as deep, fine at its top corner (the axis of the
+    sphere), and its base.
+    """
     aside = graded(0.0, deep, first, growth)
     space = Space(grid(aside, aside, graded(0.0, -deep, first, growth)[::-1]), order)
     return space, space.nodes_m[:, 2] < -deep + 1e-9
@@ -91,17 +107,23 @@ def quarter_solver(space: Space, base: np.ndarray, law: Law, **options) -> Newto
 
 @pytest.mark.parametrize("law", list(Law))
 def test_sphere_contact(law):
-    """Signorini's conditions to the sphere's tolerance, equilibrium with the supports, and no influence of the penalty."""
+    """Signorini's conditions to the sphere's tolerance, equilibrium with the supports, and no
+    influence of the penalty.
+    """
     space, base = block(first=3e-3)
     solver = quarter_solver(space, base, law)
     top = np.flatnonzero(space.nodes_m[:, 2] > -1e-12)
     compliance = solver.rest_diagonal.reshape(-1, 3)[top].mean(axis=1)
     forces = []
     for stiffer in (3.0, 30.0):
-        sphere = RigidSphere(top, stiffer * compliance, radius_m=RADIUS_M, centre_m=(0.0, 0.0, RADIUS_M - 5e-3))
+        sphere = RigidSphere(
+            top, stiffer * compliance, radius_m=RADIUS_M, centre_m=(0.0, 0.0, RADIUS_M - 5e-3)
+        )
         solution = solver.solve(sphere=sphere)
         assert solution.outcome is SolverOutcome.CONVERGED
-        away = np.linalg.norm(space.nodes_m[top] + solution.displacement_m[top] - sphere.centre_m, axis=1)
+        away = np.linalg.norm(
+            space.nodes_m[top] + solution.displacement_m[top] - sphere.centre_m, axis=1
+        )
         push = np.linalg.norm(solution.force_N[top], axis=1)
         pressed = push > 1e-6 * push.max()
         assert pressed.sum() > 5 and away.min() > RADIUS_M * (1.0 - 1.1e-6)
@@ -114,23 +136,35 @@ def test_sphere_contact(law):
 
 @pytest.mark.slow
 def test_shallow_contact_is_hertz():
-    """Linear law, 1 mm deep in a block 31 contact radii thick: Hertz (1882) within 5 %, at quadratic cells of a third of
-    the contact radius."""
+    """Linear law, 1 mm deep in a block 31 contact radii thick: Hertz (1882) within 5 %, at
+    quadratic cells of a third of the contact radius."""
     space, base = block(2, first=1.2e-3, growth=1.6, deep=0.1)
     solver = quarter_solver(space, base, Law.LINEAR, tolerance=1e-6)
-    top = np.flatnonzero((space.nodes_m[:, 2] > -1e-12) & (np.linalg.norm(space.nodes_m, axis=1) < RADIUS_M))
+    top = np.flatnonzero(
+        (space.nodes_m[:, 2] > -1e-12) & (np.linalg.norm(space.nodes_m, axis=1) < RADIUS_M)
+    )
     compliance = solver.rest_diagonal.reshape(-1, 3)[top].mean(axis=1)
     sphere = RigidSphere(
-        top, 10.0 * compliance, radius_m=RADIUS_M, centre_m=(0.0, 0.0, RADIUS_M - 1e-3), tolerance=1e-4
+        top,
+        10.0 * compliance,
+        radius_m=RADIUS_M,
+        centre_m=(0.0, 0.0, RADIUS_M - 1e-3),
+        tolerance=1e-4,
     )
     force = 4.0 * solver.solve(sphere=sphere).tool_force_N[2]
-    assert force == pytest.approx(4.0 / 3.0 * 5e3 / (1.0 - 0.45**2) * np.sqrt(RADIUS_M) * 1e-3**1.5, rel=0.05)
+    assert force == pytest.approx(
+        4.0 / 3.0 * 5e3 / (1.0 - 0.45**2) * np.sqrt(RADIUS_M) * 1e-3**1.5, rel=0.05
+    )
 
 
 def sentence_of(name: str, limits: LinearLimits) -> str:
     """One line on where the linear law passes 1, 5 and 10 %, and one on the forces."""
-    depths = ", ".join(f"{share:.0%} at {1e3 * limits.passed_at_m(share):.2f} mm" for share in (0.01, 0.05, 0.10))
-    pairs = zip(limits.depth_m, limits.force_N[Law.NEO_HOOKEAN], limits.error(Law.LINEAR), strict=True)
+    depths = ", ".join(
+        f"{share:.0%} at {1e3 * limits.passed_at_m(share):.2f} mm" for share in (0.01, 0.05, 0.10)
+    )
+    pairs = zip(
+        limits.depth_m, limits.force_N[Law.NEO_HOOKEAN], limits.error(Law.LINEAR), strict=True
+    )
     return f"\n{name}: linear force passes {depths}\n  " + "; ".join(
         f"{1e3 * d:g} mm {f:.3f} N {e:+.1%}" for d, f, e in pairs
     )
@@ -138,20 +172,31 @@ def sentence_of(name: str, limits: LinearLimits) -> str:
 
 @pytest.mark.slow
 def test_linear_limits_of_a_block(capsys):
-    """A soft block pressed by a sphere: the linear law is too soft, the more so the deeper, and right as depth goes to zero."""
+    """A soft block pressed by a sphere: the linear law is too soft, the more so the deeper, and
+    right as depth goes to zero.
+    """
     mesh = bisected(
         box((0.1, 0.1, 0.05), (5, 5, 3)),
-        lambda at: 2.5e-3 + 0.5 * np.maximum(np.linalg.norm(at - [0.05, 0.05, 0.05], axis=1) - 6e-3, 0.0),
+        lambda at: (
+            2.5e-3 + 0.5 * np.maximum(np.linalg.norm(at - [0.05, 0.05, 0.05], axis=1) - 6e-3, 0.0)
+        ),
     )
     space = Space(mesh)
     limits = linear_limits(
-        space, LIVER, mesh.nodes_m[:, 2] < 1e-9, point_m=(0.05, 0.05, 0.05), inward=(0.0, 0.0, -1.0), radius_m=RADIUS_M,
-        depths_m=DEPTHS_M, laws=(Law.LINEAR, Law.NEO_HOOKEAN),
-    )  # fmt: skip
+        space,
+        LIVER,
+        mesh.nodes_m[:, 2] < 1e-9,
+        point_m=(0.05, 0.05, 0.05),
+        inward=(0.0, 0.0, -1.0),
+        radius_m=RADIUS_M,
+        depths_m=DEPTHS_M,
+        laws=(Law.LINEAR, Law.NEO_HOOKEAN),
+    )
     with capsys.disabled():
         print(sentence_of("block 100 x 100 x 50 mm", limits))
     error = limits.error(Law.LINEAR)
-    # A contact of few nodes jumps when one more comes in: at 1 mm by a per cent or two of the force.
+    # A contact of few nodes jumps when one more comes in: at 1 mm by a per cent or two of the
+    # force.
     assert abs(error[0]) < 0.03 and (np.diff(error[1:]) < 0.0).all()
     assert limits.passed_at_m(0.01) < limits.passed_at_m(0.05) < limits.passed_at_m(0.10)
     assert np.isnan(limits.passed_at_m(0.9))
@@ -161,12 +206,20 @@ def test_linear_limits_of_a_block(capsys):
 def test_linear_limits_of_the_procedural_liver(capsys):
     """The same on a liver that lies on its visceral side, pressed on the dome."""
     coarse = liver(spacing_m=14e-3)
-    mesh = bisected(coarse, lambda at: 2e-3 + 0.5 * np.maximum(np.linalg.norm(at, axis=1) - 7e-3, 0.0))
+    mesh = bisected(
+        coarse, lambda at: 2e-3 + 0.5 * np.maximum(np.linalg.norm(at, axis=1) - 7e-3, 0.0)
+    )
     held = np.isin(np.arange(len(mesh.nodes_m)), liver_region(mesh, "below"))
     limits = linear_limits(
-        Space(mesh), LIVER, held, point_m=(0.0, 0.0, 0.0), inward=(0.0, 0.0, -1.0), radius_m=RADIUS_M,
-        depths_m=DEPTHS_M, laws=(Law.LINEAR, Law.NEO_HOOKEAN),
-    )  # fmt: skip
+        Space(mesh),
+        LIVER,
+        held,
+        point_m=(0.0, 0.0, 0.0),
+        inward=(0.0, 0.0, -1.0),
+        radius_m=RADIUS_M,
+        depths_m=DEPTHS_M,
+        laws=(Law.LINEAR, Law.NEO_HOOKEAN),
+    )
     with capsys.disabled():
         print(sentence_of(f"procedural liver, {len(mesh.cells)} tetrahedra", limits))
     assert limits.passed_at_m(0.01) < limits.passed_at_m(0.05) < limits.passed_at_m(0.10)
@@ -175,21 +228,36 @@ def test_linear_limits_of_the_procedural_liver(capsys):
 @pytest.mark.slow
 def test_linear_limits_of_a_real_liver(anatomy, capsys):
     """And on a scanned one, held where it faces away from the tool."""
-    coarse, _ = tetrahedralise(read_surface(anatomy / "liver" / "liver.vtk", scale_mm=1.0), edge_m=0.02)
+    coarse, _ = tetrahedralise(
+        read_surface(anatomy / "liver" / "liver.vtk", scale_mm=1.0), edge_m=0.02
+    )
     top = coarse.nodes_m[coarse.surface_nodes[coarse.nodes_m[coarse.surface_nodes, 2].argmax()]]
-    mesh = bisected(coarse, lambda at: 2e-3 + 0.5 * np.maximum(np.linalg.norm(at - top, axis=1) - 7e-3, 0.0))
-    held = np.isin(np.arange(len(mesh.nodes_m)), nodes_facing(mesh, direction=(0.0, 0.0, -1.0), within_deg=50.0))
+    mesh = bisected(
+        coarse, lambda at: 2e-3 + 0.5 * np.maximum(np.linalg.norm(at - top, axis=1) - 7e-3, 0.0)
+    )
+    held = np.isin(
+        np.arange(len(mesh.nodes_m)),
+        nodes_facing(mesh, direction=(0.0, 0.0, -1.0), within_deg=50.0),
+    )
     limits = linear_limits(
-        Space(mesh), LIVER, held, point_m=top, inward=(0.0, 0.0, -1.0), radius_m=RADIUS_M,
-        depths_m=DEPTHS_M, laws=(Law.LINEAR, Law.NEO_HOOKEAN),
-    )  # fmt: skip
+        Space(mesh),
+        LIVER,
+        held,
+        point_m=top,
+        inward=(0.0, 0.0, -1.0),
+        radius_m=RADIUS_M,
+        depths_m=DEPTHS_M,
+        laws=(Law.LINEAR, Law.NEO_HOOKEAN),
+    )
     with capsys.disabled():
         print(sentence_of(f"scanned liver, {len(mesh.cells)} tetrahedra", limits))
     assert np.isfinite(limits.passed_at_m(0.05))
 
 
 def test_how_solves_end():
-    """Each outcome but convergence is reached: too few steps, and held nodes that turn cells over."""
+    """Each outcome but convergence is reached: too few steps, and held nodes that turn cells
+    over.
+    """
     space = shaken_box(1)
     held = np.repeat((np.abs(space.nodes_m[:, 2] - 0.015) > 0.015 - 1e-9)[:, None], 3, axis=1)
     goal = np.zeros(held.shape)
@@ -202,7 +270,9 @@ def test_how_solves_end():
 
 
 def test_corotational_cells_can_be_pressed_flat():
-    """The law has a finite energy up to a flat cell: a sphere gets there at its radius of depth, and the solve reports it."""
+    """The law has a finite energy up to a flat cell: a sphere gets there at its radius of depth,
+    and the solve reports it.
+    """
     space, base = block(first=3e-3)
     body = quarter_solver(space, base, Law.COROTATIONAL).body
     found = press(
@@ -231,6 +301,11 @@ def test_bad_input():
         "point_m must": {"point_m": (1.0, 1.0, 1.0)},
         "depths_m must": {"depths_m": (2e-3, 1e-3)},
     }.items():
-        asked = {"point_m": (0.015, 0.015, 0.03), "inward": (0.0, 0.0, -1.0), "depths_m": (1e-3,), **change}
+        asked = {
+            "point_m": (0.015, 0.015, 0.03),
+            "inward": (0.0, 0.0, -1.0),
+            "depths_m": (1e-3,),
+            **change,
+        }
         with pytest.raises(InputError, match=words):
             press(body, base, radius_m=RADIUS_M, **asked)

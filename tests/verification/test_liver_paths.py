@@ -1,4 +1,6 @@
-"""All paths to ``K u = f`` give the same answer on the real liver and on a box, each to its stated tolerance."""
+"""All paths to ``K u = f`` give the same answer on the real liver and on a box, each to its
+stated tolerance.
+"""
 
 import numpy as np
 import pytest
@@ -33,11 +35,15 @@ def organ(mesh, ratio, order=1):
 
 def energy_error(body, found, exact):
     off = (found - exact).ravel()
-    return np.sqrt(off @ (body.stiffness @ off) / (exact.ravel() @ (body.stiffness @ exact.ravel())))
+    return np.sqrt(
+        off @ (body.stiffness @ off) / (exact.ravel() @ (body.stiffness @ exact.ravel()))
+    )
 
 
 def assert_paths_agree(body, touchable):
-    """Hold every path against the factor under a press on the top and under random forces on all touchable nodes."""
+    """Hold every path against the factor under a press on the top and under random forces on all
+    touchable nodes.
+    """
     factor = DirectSolver(body)
     compliance = surface_compliance_m_N(body, touchable)
     paths = [
@@ -55,9 +61,14 @@ def assert_paths_agree(body, touchable):
         for path in paths:
             found = path.solve(load)
             assert found.converged, type(path).__name__
-            assert energy_error(body, found.displacement_m, exact.displacement_m) <= path.tolerance, type(path).__name__
+            assert (
+                energy_error(body, found.displacement_m, exact.displacement_m) <= path.tolerance
+            ), type(path).__name__
         expected = exact.displacement_m[touchable].ravel()
-        assert np.abs(compliance @ load[touchable].ravel() - expected).max() < 1e-10 * np.abs(expected).max()
+        assert (
+            np.abs(compliance @ load[touchable].ravel() - expected).max()
+            < 1e-10 * np.abs(expected).max()
+        )
     lazy = LazyCompliance(factor, touchable)
     near = np.argsort(body.nodes_m[touchable, 2])[-5:]
     lazy.want(near)
@@ -96,8 +107,11 @@ def test_paths_agree_on_a_tetrahedral_liver(anatomy, name, unit_mm):
 
 
 @pytest.mark.slow
-def test_paths_agree_on_the_surface_of_a_liver_filled_with_tetrahedra(anatomy, tmp_path, monkeypatch):
-    # Filling takes half a minute: once for all tests, from the machine's own cache; the compliance is found afresh.
+def test_paths_agree_on_the_surface_of_a_liver_filled_with_tetrahedra(
+    anatomy, tmp_path, monkeypatch
+):
+    # Filling takes half a minute: once for all tests, from the machine's own cache; the compliance
+    # is found afresh.
     mesh = read_tets(anatomy / "liver" / "liver.vtk", edge_m=0.02).mesh
     assert len(mesh.cells) > 2000
     monkeypatch.setenv("TISSUE_CACHE", str(tmp_path))
@@ -108,7 +122,9 @@ def test_paths_agree_on_the_surface_of_a_liver_filled_with_tetrahedra(anatomy, t
 
 
 def test_iterations_follow_refinement_little_and_the_ratio_as_stated():
-    """To 1e-8 from rest: at most twice as many on eight times the cells, and growing as the ratio nears 0.5."""
+    """To 1e-8 from rest: at most twice as many on eight times the cells, and growing as the
+    ratio nears 0.5.
+    """
     counts = {}
     for cells in (6, 12):
         mesh = box((0.1, 0.1, 0.1), (cells,) * 3)

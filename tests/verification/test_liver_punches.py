@@ -1,7 +1,9 @@
-"""Tetrahedra pressed by spheres and punches against closed forms: Hertz, Boussinesq, the flat punch, and Hayes' layer.
+"""Tetrahedra pressed by spheres and punches against closed forms: Hertz, Boussinesq, the flat
+punch, and Hayes' layer.
 
-A wedge of 5 degrees about the tool's axis, one brick wide, of quadratic cells graded towards the contact; its sides may
-slide but not leave their planes. Its chords lie at most 0.1 % of the radius inside the circle.
+A wedge of 5 degrees about the tool's axis, one brick wide, of quadratic cells graded towards the
+contact; its sides may slide but not leave their planes. Its chords lie at most 0.1 % of the radius
+inside the circle.
 """
 
 import numpy as np
@@ -56,7 +58,9 @@ def condensed(radii, depths, poisson_ratio, *, touch_m, rim_held):
     nodes, tiny = space.nodes_m, 1e-7 * radii[1]
     round_m = np.hypot(nodes[:, 0], nodes[:, 1])
     axis = round_m < tiny
-    turn = np.array([[np.cos(ANGLE), np.sin(ANGLE), 0.0], [-np.sin(ANGLE), np.cos(ANGLE), 0.0], [0.0, 0.0, 1.0]])
+    turn = np.array(
+        [[np.cos(ANGLE), np.sin(ANGLE), 0.0], [-np.sin(ANGLE), np.cos(ANGLE), 0.0], [0.0, 0.0, 1.0]]
+    )
     second = (np.abs(nodes @ turn[1]) < tiny) & ~axis
     held = np.zeros(nodes.shape, dtype=bool)
     held[second | (nodes[:, 1] < tiny), 1] = True
@@ -69,8 +73,15 @@ def condensed(radii, depths, poisson_ratio, *, touch_m, rim_held):
     start = np.repeat(3 * np.arange(len(nodes)), 9)
     turned = csr_array((frame.ravel(), (start + rows, start + columns)))
     free = np.flatnonzero(~held.ravel())
-    stiffness = (turned @ assemble(space, lame(YOUNG_PA, poisson_ratio)).tocsr() @ turned.T)[free][:, free].tocsc()
-    factor = splu(stiffness, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    stiffness = (turned @ assemble(space, lame(YOUNG_PA, poisson_ratio)).tocsr() @ turned.T)[free][
+        :, free
+    ].tocsc()
+    factor = splu(
+        stiffness,
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
     top, faces = touchable(space, touch_m)
     place = np.full(held.size, -1)
     place[free] = np.arange(len(free))
@@ -82,21 +93,29 @@ def condensed(radii, depths, poisson_ratio, *, touch_m, rim_held):
         load[rows[column]] = 1.0
         compliance[moving, column] = factor.solve(load)[rows[moving]]
     axes, count = frame[top], len(top)
-    compliance = np.einsum("aji,ajbk,bkl->aibl", axes, compliance.reshape(count, 3, count, 3), axes, optimize=True)
+    compliance = np.einsum(
+        "aji,ajbk,bkl->aibl", axes, compliance.reshape(count, 3, count, 3), axes, optimize=True
+    )
     compliance = compliance.reshape(3 * count, -1)
     return nodes[top], faces, 0.5 * (compliance + compliance.T)
 
 
 def graded_half_space(contact, poisson_ratio, cells=10):
-    """So many cells to 1.2 radii of the contact; the far end lies at 300, where 0.2 % of the depth is lost."""
+    """So many cells to 1.2 radii of the contact; the far end lies at 300, where 0.2 % of the
+    depth is lost.
+    """
     first = 1.2 * contact / cells
-    radii = np.concatenate([np.arange(cells + 1) * first, 1.2 * contact + growing(1.3 * first, 1.7, 300.0 * contact)])
+    radii = np.concatenate(
+        [np.arange(cells + 1) * first, 1.2 * contact + growing(1.3 * first, 1.7, 300.0 * contact)]
+    )
     depths = np.concatenate([[0.0], growing(0.5 * first, 1.5, 300.0 * contact)])
     return condensed(radii, depths, poisson_ratio, touch_m=1.4 * contact, rim_held=True), radii[-1]
 
 
 def test_shallow_sphere_and_point_load():
-    """Case 13: E = 5 kPa, nu = 0.49; 2 %, at a/R up to 0.05, where a sphere is Hertz' paraboloid; Boussinesq 1885."""
+    """Case 13: E = 5 kPa, nu = 0.49; 2 %, at a/R up to 0.05, where a sphere is Hertz'
+    paraboloid; Boussinesq 1885.
+    """
     a = 0.00316
     body, far = graded_half_space(a, 0.49)
     shallow = 0.05
@@ -110,7 +129,8 @@ def test_shallow_sphere_and_point_load():
     distance = np.linalg.norm(nodes, axis=1)
     centre = int(np.argmin(distance))
     ring = np.flatnonzero((distance > 0.75 * a) & (distance < 1.3 * a))
-    # The wedge's share of a newton acts on its own axis; the far end is held, which takes its deflection off everywhere.
+    # The wedge's share of a newton acts on its own axis; the far end is held, which takes its
+    # deflection off everywhere.
     deflection = compliance[3 * ring + 2, 3 * centre + 2] / TIMES
     exact = (1.0 / distance[ring] - 1.0 / far) / (np.pi * plane_modulus(0.49))
     assert abs(deflection / exact - 1.0).max() < 0.03
@@ -128,10 +148,12 @@ def upright(nodes):
 
 @pytest.mark.slow
 def test_deep_sphere_at_its_literal_numbers():
-    """Case 13, R = 5 mm, 2 mm deep: Hertz' problem 0.0555 N, normals upright; a true sphere as on the exact half-space,
+    """Case 13, R = 5 mm, 2 mm deep: Hertz' problem 0.0555 N, normals upright; a true sphere as on
+    the exact half-space,
 
-    where `test_liver_contact` finds 0.0487 N and explains why it is less; 2 %, and nearer with every refinement. Cells that
-    grow by 1.7 and 1.5 a ring and layer leave 1 % whatever the first is.
+    where `test_liver_contact` finds 0.0487 N and explains why it is less; 2 %, and nearer with
+    every refinement. Cells that grow by 1.7 and 1.5 a ring and layer leave 1 % whatever the first
+    is.
     """
     at = np.linspace(5e-5, 2e-3, 40)
     off = []
@@ -158,7 +180,9 @@ def test_flat_punch(poisson_ratio):
     radii = np.concatenate([a * EDGE, a + growing(1.3 * fine, 1.6, 300.0 * a)])
     depths = np.concatenate([[0.0], growing(fine, 1.5, 300.0 * a)])
     body = condensed(radii, depths, poisson_ratio, touch_m=1.01 * a, rim_held=True)
-    found = pressed(body, CylinderProbe(1.001 * a, 1e-6 * a), np.linspace(1e-4, 2e-3, 20), times=TIMES)[-1]
+    found = pressed(
+        body, CylinderProbe(1.001 * a, 1e-6 * a), np.linspace(1e-4, 2e-3, 20), times=TIMES
+    )[-1]
     exact = 2.0 * plane_modulus(poisson_ratio) * a * 0.002
     assert poisson_ratio != 0.49 or exact == pytest.approx(0.1316, abs=5e-5)
     assert abs(found / exact - 1.0) < 0.03
@@ -175,13 +199,14 @@ QUICK = {(0.3, 0.2), (0.45, 0.6), (0.49, 1.0), (0.49, 2.0)}
 
 
 @pytest.mark.parametrize(
-    ("poisson_ratio", "share"), [pytest.param(*c, marks=() if c in QUICK else pytest.mark.slow) for c in CELLS]
+    ("poisson_ratio", "share"),
+    [pytest.param(*c, marks=() if c in QUICK else pytest.mark.slow) for c in CELLS],
 )
 def test_flat_punch_on_a_bonded_layer(poisson_ratio, share):
     """Case 14, Hayes 1972: P = 2 E* a kappa d; 1 %.
 
-    Linear theory leaves the rim's material under the edge, while a squeezed layer flows out: the press is shallow, and
-    the punch wider by as much as that.
+    Linear theory leaves the rim's material under the edge, while a squeezed layer flows out: the
+    press is shallow, and the punch wider by as much as that.
     """
     a, fine = 0.005, 0.005 * (1.0 - EDGE[-2])
     height = a / share
@@ -189,16 +214,20 @@ def test_flat_punch_on_a_bonded_layer(poisson_ratio, share):
     depths = np.concatenate([[0.0], growing(fine, 1.4, height)])
     depths *= height / depths[-1]
     body = condensed(radii, depths, poisson_ratio, touch_m=1.01 * a, rim_held=False)
-    found = pressed(body, CylinderProbe(1.001 * a, 1e-6 * a), height * np.linspace(2e-4, 1e-3, 5), times=TIMES)[-1]
+    found = pressed(
+        body, CylinderProbe(1.001 * a, 1e-6 * a), height * np.linspace(2e-4, 1e-3, 5), times=TIMES
+    )[-1]
     kappa = found / (2.0 * plane_modulus(poisson_ratio) * a * 1e-3 * height)
     assert abs(kappa / KAPPA[poisson_ratio][share] - 1.0) < 0.01
 
 
 @pytest.mark.slow
 def test_bisected_cells_at_the_literal_numbers():
-    """Case 13 as an organ is meshed: a cube's quarter, halved towards the tool, quadratic cells of 2 mm there; 3 %.
+    """Case 13 as an organ is meshed: a cube's quarter, halved towards the tool, quadratic cells of
+    2 mm there; 3 %.
 
-    Of this the sides and base, 0.2 m away, make about 1 %. Hertz, the true sphere as above, and the flat punch.
+    Of this the sides and base, 0.2 m away, make about 1 %. Hertz, the true sphere as above, and the
+    flat punch.
     """
     size = 0.2
 
@@ -222,5 +251,7 @@ def test_bisected_cells_at_the_literal_numbers():
         (CylinderProbe(5e-3, 1e-6), 0.1316),
     ):
         found = pressed(body, probe, at, times=4)[-1]
-        print(f"\n{type(probe).__name__} {found:.5f} N against {exact} N ({found / exact - 1.0:+.1%})")
+        print(
+            f"\n{type(probe).__name__} {found:.5f} N against {exact} N ({found / exact - 1.0:+.1%})"
+        )
         assert abs(found / exact - 1.0) < 0.03

@@ -1,4 +1,6 @@
-"""Creep of a finite element surface under contact: closed forms, the direct hereditary integral, Lee and Radok's limit."""
+"""Creep of a finite element surface under contact: closed forms, the direct hereditary integral,
+Lee and Radok's limit.
+"""
 
 import tracemalloc
 
@@ -21,7 +23,9 @@ SIDE_M, DEPTH_M = 0.04, 0.02
 
 @pytest.fixture(scope="module")
 def surface():
-    """Top nodes of a small block of E = 5 kPa on a fixed base, and the compliance between them [m/N]."""
+    """Top nodes of a small block of E = 5 kPa on a fixed base, and the compliance between them
+    [m/N].
+    """
     space = Space(box((SIDE_M, SIDE_M, DEPTH_M), (8, 8, 4)))
     stiffness = assemble(space, lame(5e3, 0.4)).toarray()
     free = np.flatnonzero(np.repeat(space.nodes_m[:, 2] > 1e-9, 3))
@@ -29,7 +33,9 @@ def surface():
     unknowns = (3 * top[:, None] + np.arange(3)).ravel()
     unit = np.zeros((len(free), len(unknowns)))
     unit[np.searchsorted(free, unknowns), np.arange(len(unknowns))] = 1.0
-    compliance = np.linalg.solve(stiffness[np.ix_(free, free)], unit)[np.searchsorted(free, unknowns)]
+    compliance = np.linalg.solve(stiffness[np.ix_(free, free)], unit)[
+        np.searchsorted(free, unknowns)
+    ]
     return space.nodes_m[top], 0.5 * (compliance + compliance.T)
 
 
@@ -42,7 +48,9 @@ def test_step_of_force_creeps(surface):
         now = creep.instant_factor * elastic + creep.history
         creep.advance(elastic)
         if tick in (1, 10, 100, 2000):
-            np.testing.assert_allclose(now, compliance_of(SERIES, tick * STEP_S) * elastic, rtol=1e-11)
+            np.testing.assert_allclose(
+                now, compliance_of(SERIES, tick * STEP_S) * elastic, rtol=1e-11
+            )
 
 
 def patch(surface):
@@ -53,7 +61,9 @@ def patch(surface):
 
 
 def pressed(surface, depths, *, elastic_start=0.0, step_s=STEP_S):
-    """Force [N] on a bonded punch that follows ``depths`` [m], solved tick by tick on the compliance."""
+    """Force [N] on a bonded punch that follows ``depths`` [m], solved tick by tick on the
+    compliance.
+    """
     near, columns = patch(surface)
     mutual = columns[3 * near + 2]
     before = (columns @ np.linalg.solve(mutual, np.full(len(near), elastic_start))).reshape(-1, 3)
@@ -67,7 +77,9 @@ def pressed(surface, depths, *, elastic_start=0.0, step_s=STEP_S):
 
 
 def test_step_of_displacement_relaxes(surface):
-    """A punch that jumps in and stays: the relaxation modulus. The force is not linear in a tick: 1e-4, as asked."""
+    """A punch that jumps in and stays: the relaxation modulus. The force is not linear in a
+    tick: 1e-4, as asked.
+    """
     ticks = np.array([10, 100, 1000])
     force = pressed(surface, np.ones(1000), elastic_start=1.0)
     np.testing.assert_allclose(force[ticks - 1], modulus_of(SERIES, ticks * STEP_S), rtol=1e-4)
@@ -77,7 +89,9 @@ def test_ramp_and_hold(surface):
     """A ramp of 1 s and a hold: the tabulated values to 1e-4."""
     time = STEP_S * np.arange(1, 1001)
     force = pressed(surface, np.minimum(time, 1.0))
-    np.testing.assert_allclose(force[[49, 99, 199, 999]], (0.441130, 0.815187, 0.675873, 0.516071), atol=1e-4)
+    np.testing.assert_allclose(
+        force[[49, 99, 199, 999]], (0.441130, 0.815187, 0.675873, 0.516071), atol=1e-4
+    )
 
 
 def test_second_order_in_time(surface):
@@ -91,7 +105,9 @@ def test_second_order_in_time(surface):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_against_the_hereditary_integral(seed):
-    """Forces that come and go at changing nodes, against the integral over the whole past, term by term."""
+    """Forces that come and go at changing nodes, against the integral over the whole past, term
+    by term.
+    """
     random = np.random.default_rng(seed)
     share = random.dirichlet(np.ones(4))[:-1]
     series = Prony(tuple(share), tuple(10.0 ** random.uniform(-2.0, 1.0, 3)))
@@ -106,9 +122,9 @@ def test_against_the_hereditary_integral(seed):
     spectrum = series.retardation
     edge = STEP_S * np.arange(61)[:, None]
     # integral of the creep compliance from 0 to t
-    whole = edge[:, 0] + ((edge - spectrum.time_s * -np.expm1(-edge / spectrum.time_s)) * spectrum.amplitude).sum(
-        axis=1
-    )
+    whole = edge[:, 0] + (
+        (edge - spectrum.time_s * -np.expm1(-edge / spectrum.time_s)) * spectrum.amplitude
+    ).sum(axis=1)
     mean = np.diff(whole) / STEP_S
     steps = np.diff(elastic, axis=0, prepend=0.0)
     direct = [sum(mean[n - m] * steps[m] for m in range(n + 1)) for n in range(60)]
@@ -116,7 +132,9 @@ def test_against_the_hereditary_integral(seed):
 
 
 def sphere_forces(surface, depths):
-    """Elastic and creeping force [N] on a frictionless sphere of 20 mm at these depths [m]; nodes in contact."""
+    """Elastic and creeping force [N] on a frictionless sphere of 20 mm at these depths [m];
+    nodes in contact.
+    """
     nodes, compliance = surface
     up = compliance[2::3, 2::3]
     factor = cholesky(up)
@@ -124,8 +142,13 @@ def sphere_forces(surface, depths):
     creep, found = HereditaryIntegral(SERIES.retardation, (len(nodes), 3), step_s=STEP_S), []
 
     def nodal(clearance, scale):
-        """Non-negative pushes f down that leave no node in the sphere: scale W f >= clearance, where f > 0 equal."""
-        return nnls(np.sqrt(scale) * factor, solve_triangular(factor.T, clearance, lower=True) / np.sqrt(scale))[0]
+        """Non-negative pushes f down that leave no node in the sphere: scale W f >= clearance,
+        where f > 0 equal.
+        """
+        return nnls(
+            np.sqrt(scale) * factor,
+            solve_triangular(factor.T, clearance, lower=True) / np.sqrt(scale),
+        )[0]
 
     for depth in depths:
         elastic = nodal(depth - rise, 1.0)
@@ -136,7 +159,9 @@ def sphere_forces(surface, depths):
 
 
 def test_growing_contact_is_lee_and_radok(surface):
-    """While the contact grows, the relaxed elastic force is right; when it shrinks, it pulls where the contact has let go."""
+    """While the contact grows, the relaxed elastic force is right; when it shrinks, it pulls
+    where the contact has let go.
+    """
     ticks = np.arange(1, 101)
     depths = 4e-3 * np.concatenate([ticks / 100.0, 1.0 - ticks / 100.0])
     forces = sphere_forces(surface, depths)
@@ -146,7 +171,8 @@ def test_growing_contact_is_lee_and_radok(surface):
         shortcut.append(relaxed.instant_factor * elastic + relaxed.history[0])
         relaxed.advance(elastic)
     shortcut = np.array(shortcut)
-    # Nodes come in between two ticks, which is of first order: 0.3 % of the largest force at 100 ticks.
+    # Nodes come in between two ticks, which is of first order: 0.3 % of the largest force at 100
+    # ticks.
     np.testing.assert_allclose(forces[:100, 1], shortcut[:100], atol=3e-3 * shortcut.max())
     assert shortcut[-1] < -0.02 * shortcut.max()
     assert (forces[:, 1] >= 0.0).all()
@@ -157,7 +183,10 @@ def test_growing_contact_is_lee_and_radok(surface):
 
 def test_a_tick_allocates_nothing():
     """A thousand ticks on 2,000 nodes leave memory as it was; the offset stays in place."""
-    creep, value = HereditaryIntegral(SERIES.retardation, (2000, 3), step_s=1e-3), np.ones((2000, 3))
+    creep, value = (
+        HereditaryIntegral(SERIES.retardation, (2000, 3), step_s=1e-3),
+        np.ones((2000, 3)),
+    )
     place = creep.history
     creep.advance(value)
     tracemalloc.start()

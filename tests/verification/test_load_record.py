@@ -1,4 +1,6 @@
-"""Recorded unit loads of each coefficient, and of each layer, against the quadrature over the exact geometry."""
+"""Recorded unit loads of each coefficient, and of each layer, against the quadrature over the
+exact geometry.
+"""
 
 from dataclasses import fields, replace
 
@@ -32,7 +34,8 @@ def test_each_coefficient_of_each_layer_against_the_quadrature():
             zero[at] = replace(layer, **{name: 1e3})
             want = wrench_at(tick, path, cutter, replace(solid, coefficients=tuple(zero)))
             got = record.loads(tuple(zero))[tick]
-            # where the forces of a coefficient cancel, as those around a bur do, its torque is what it is held to
+            # where the forces of a coefficient cancel, as those around a bur do, its torque is what
+            # it is held to
             size = max(np.linalg.norm(want[:3]), np.linalg.norm(want[3:]) / cutter.profile.radius_m)
             assert got[:3] == pytest.approx(want[:3], abs=CLOSE * size)
             assert got[3:] == pytest.approx(want[3:], abs=CLOSE * size * cutter.profile.radius_m)

@@ -25,7 +25,9 @@ def block(spacing_m, size_mm=(6.4, 6.4, 1.6)):
 
 
 def ball(volume, removal="subvoxel"):
-    return BoneModel(volume, Cutter(ball_burr(diameter_m=2 * RADIUS_M), 6, 1000.0), BONE, removal=removal)
+    return BoneModel(
+        volume, Cutter(ball_burr(diameter_m=2 * RADIUS_M), 6, 1000.0), BONE, removal=removal
+    )
 
 
 def sweep(model, start_m, end_m, *, step_m=2e-6):
@@ -44,7 +46,9 @@ def sweep(model, start_m, end_m, *, step_m=2e-6):
 
 
 def cap_errors(removal, spacings_m):
-    """Root mean square over random placements of the relative error of a cap's volume, for each spacing."""
+    """Root mean square over random placements of the relative error of a cap's volume, for each
+    spacing.
+    """
     random = np.random.default_rng(1)
     errors = []
     for spacing in spacings_m:
@@ -61,7 +65,9 @@ def cap_errors(removal, spacings_m):
     return np.array(errors)
 
 
-@pytest.mark.parametrize("spacings_m", [SPACINGS_M[:3], pytest.param(SPACINGS_M, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "spacings_m", [SPACINGS_M[:3], pytest.param(SPACINGS_M, marks=pytest.mark.slow)]
+)
 def test_cap_volume_converges_with_second_order_and_beats_binary_removal(spacings_m):
     subvoxel, binary = cap_errors("subvoxel", spacings_m), cap_errors("binary", spacings_m)
     slope = np.polyfit(np.log(spacings_m), np.log(subvoxel), 1)[0]
@@ -107,7 +113,9 @@ def full_block(spacing_m, count):
 
 
 def swept_error(radius_m, spacing_m, along, *, length_m, random):
-    """Relative error of what a ball removes on a line inside a block, beyond what its first pose took."""
+    """Relative error of what a ball removes on a line inside a block, beyond what its first pose
+    took.
+    """
     along = np.array(along) / np.linalg.norm(along)
     count = 8 * int(np.ceil((2.0 * radius_m + length_m) / spacing_m / 8) + 1)
     tool = Cutter(ball_burr(diameter_m=2 * radius_m), 6, 1000.0)
@@ -122,13 +130,16 @@ def swept_error(radius_m, spacing_m, along, *, length_m, random):
 @pytest.mark.slow
 @pytest.mark.parametrize("along", [(1.0, 0.0, 0.0), (0.3, 0.2, -1.0), (1.0, 1.0, 1.0)])
 def test_a_sweep_inside_bone_removes_a_straight_tube(along):
-    """A ball of 0.5 mm on a line: its circle times the path, whose wall is straight along it where the ball is not.
+    """A ball of 0.5 mm on a line: its circle times the path, whose wall is straight along it where
+    the ball is not.
 
     At ten voxels' radius a wall as round as the ball leaves 0.1 %; second order in the spacing.
     """
     random, errors = np.random.default_rng(3), []
     for spacing in (0.1e-3, 0.05e-3):
-        found = [swept_error(0.5e-3, spacing, along, length_m=0.4e-3, random=random) for _ in range(3)]
+        found = [
+            swept_error(0.5e-3, spacing, along, length_m=0.4e-3, random=random) for _ in range(3)
+        ]
         errors.append(np.mean(found))
     print(f"\nalong {along}: " + ", ".join(f"{100 * error:+.3f} %" for error in errors))
     assert abs(errors[0]) < 2.5e-3
@@ -138,9 +149,14 @@ def test_a_sweep_inside_bone_removes_a_straight_tube(along):
 @pytest.mark.slow
 @pytest.mark.parametrize("along", [(1.0, 0.0, 0.0), (1.0, 0.7, 0.0)])
 def test_a_cylinder_drawn_across_its_axis_leaves_flat_walls(along):
-    """Twice its radius times the path in every layer of voxels that its ends do not reach: a round wall leaves 0.05 %."""
+    """Twice its radius times the path in every layer of voxels that its ends do not reach: a
+    round wall leaves 0.05 %.
+    """
     random, radius, spacing, length, errors = np.random.default_rng(4), 0.5e-3, 0.05e-3, 0.4e-3, []
-    tool, along = cylinder(diameter_m=2 * radius, length_m=1e-3), np.array(along) / np.linalg.norm(along)
+    tool, along = (
+        cylinder(diameter_m=2 * radius, length_m=1e-3),
+        np.array(along) / np.linalg.norm(along),
+    )
     for _ in range(3):
         model, left = BoneModel(full_block(spacing, 40), Cutter(tool, 6, 1000.0), BONE), []
         start = random.uniform(-0.5, 0.5, 3) * spacing - 0.5 * length * along - [0.0, 0.0, 0.5e-3]
@@ -148,7 +164,9 @@ def test_a_cylinder_drawn_across_its_axis_leaves_flat_walls(along):
         left.append(model.remaining()[:, :, 16:24].astype(float))
         sweep(model, start, start + length * along)
         left.append(model.remaining()[:, :, 16:24].astype(float))
-        errors.append((left[0] - left[1]).sum() / 255 * spacing**2 / (8 * 2 * radius * length) - 1.0)
+        errors.append(
+            (left[0] - left[1]).sum() / 255 * spacing**2 / (8 * 2 * radius * length) - 1.0
+        )
     print(f"\nalong {along}: {100 * np.mean(errors):+.3f} %")
     assert abs(np.mean(errors)) < 3e-4
 
@@ -187,7 +205,9 @@ def test_order_of_overlapping_cuts_does_not_matter():
 def test_result_does_not_depend_on_cores():
     runs = []
     for cores in (1, 2, 3):
-        model = BoneModel(block(0.1e-3), Cutter(ball_burr(diameter_m=2 * RADIUS_M), 6, 1000.0), BONE, cores=cores)
+        model = BoneModel(
+            block(0.1e-3), Cutter(ball_burr(diameter_m=2 * RADIUS_M), 6, 1000.0), BONE, cores=cores
+        )
         model.carver._carve._work_s = model._forces._work_s = 1.0  # split from the first launch on
         sweep(model, (-5e-4, 0, 1e-4), (5e-4, 0, -8e-4), step_m=2e-5)
         motion = ToolMotion(tip_m=np.array([5e-4, 0, -8e-4]), speed_m_s=1e-3)

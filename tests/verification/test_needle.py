@@ -1,7 +1,8 @@
-"""A needle along its axis: the curve of Okamura (2004), the work of cutting and energy, against closed forms.
+"""A needle along its axis: the curve of Okamura (2004), the work of cutting and energy, against
+closed forms.
 
-No measured needle force is at hand to hold the model against: what is tested is the published fit to one needle in
-bovine liver, and what follows from the model's own laws.
+No measured needle force is at hand to hold the model against: what is tested is the published fit
+to one needle in bovine liver, and what follows from the model's own laws.
 """
 
 from dataclasses import replace
@@ -26,16 +27,27 @@ def test_before_the_puncture_the_force_is_the_polynomial():
 
 
 def test_okamura_liver():
-    """2.30 N at 16.7 mm, a drop of 0.66 N with 0.65 N of it left elastic, then growth with depth (Okamura 2004)."""
+    """2.30 N at 16.7 mm, a drop of 0.66 N with 0.65 N of it left elastic, then growth with depth
+    (Okamura 2004).
+    """
     mm, force, insertion, deflection, elastic, cutting, friction = trace(LIVER, [-1.0, 60.0])
     peak = int(np.argmax(force[mm < 18.0]))
     drop = force[peak] - force[peak + 1]
     late = mm > mm[peak + 1]
     slope, start = np.polyfit(1e-3 * mm[late], force[late], 1)
     per_length = FRICTION.sliding_in_N_m + FRICTION.viscous_in_N_s_m2 * SPEED_M_S
-    print(f"\nat 16.7 mm {np.interp(16.7, mm, force):.3f} N (published 2.30), puncture at {mm[peak]:.2f} mm (16.7)")
-    print(f"drop {drop:.3f} N (0.66), then {elastic[late][0]:.3f} N elastic (0.65), {cutting[late][0]:.3f} N cutting")
-    print(f"deflection after it {deflection[late][0]:.1f} mm, slope over the tip's travel {slope:.2f} N/m (10.6)")
+    print(
+        f"\nat 16.7 mm {np.interp(16.7, mm, force):.3f} N (published 2.30), puncture at "
+        f"{mm[peak]:.2f} mm (16.7)"
+    )
+    print(
+        f"drop {drop:.3f} N (0.66), then {elastic[late][0]:.3f} N elastic (0.65), "
+        f"{cutting[late][0]:.3f} N cutting"
+    )
+    print(
+        f"deflection after it {deflection[late][0]:.1f} mm, slope over the tip's travel "
+        f"{slope:.2f} N/m (10.6)"
+    )
     assert np.interp(16.7, mm, force) == pytest.approx(2.30, rel=FITTED)
     assert force[peak] == pytest.approx(2.30, rel=0.01)
     assert mm[peak] == pytest.approx(16.7, rel=FITTED)
@@ -45,14 +57,18 @@ def test_okamura_liver():
     np.testing.assert_allclose(cutting[late], 0.94, atol=EXACT)
     np.testing.assert_allclose(elastic + cutting + friction, force, atol=EXACT)
     np.testing.assert_allclose(insertion + deflection, np.maximum(mm, 0.0), atol=1e-9)
-    # Over the inserted length the friction's own slope is exact; over the travel the force is straight within 1 mN,
-    # since the organ yields a little more with every millimetre.
-    np.testing.assert_allclose(np.diff(force[late]) / np.diff(1e-3 * insertion[late]), per_length, rtol=1e-6)
+    # Over the inserted length the friction's own slope is exact; over the travel the force is
+    # straight within 1 mN, since the organ yields a little more with every millimetre.
+    np.testing.assert_allclose(
+        np.diff(force[late]) / np.diff(1e-3 * insertion[late]), per_length, rtol=1e-6
+    )
     assert np.abs(force[late] - start - slope * 1e-3 * mm[late]).max() < 1e-3
 
 
 def test_a_hole_that_does_not_cling_misses_the_drop():
-    """With a puncture and a cutting force alone, and no hold, the force falls twice as far as it was measured to."""
+    """With a puncture and a cutting force alone, and no hold, the force falls twice as far as it
+    was measured to.
+    """
     letting_go = replace(LIVER, membranes=(replace(CAPSULE, hold_N=0.0),))
     _, force, *_ = trace(letting_go, [-1.0, 20.0])
     peak = int(np.argmax(force))
@@ -60,14 +76,18 @@ def test_a_hole_that_does_not_cling_misses_the_drop():
 
 
 def test_the_force_after_the_puncture_balances_in_closed_form():
-    """a1 u + a2 u² = cutting + hold + C (z - u): the u of the quadratic, at every travel behind the puncture."""
+    """a1 u + a2 u² = cutting + hold + C (z - u): the u of the quadratic, at every travel behind
+    the puncture.
+    """
     insertion = Insertion(LIVER)
     drive(insertion, 17e-3)
     for travel in np.linspace(17.1e-3, 80e-3, 50).tolist():
         insertion.advance(travel, SPEED_M_S)
         roots = np.roots([5200.0, 48.0 + 10.57, -(0.94 + 0.65 + 10.57 * travel)])
         assert insertion.deflection_m == pytest.approx(roots.max(), rel=1e-9)
-        assert insertion.pull_N == pytest.approx(0.94 + 0.65 + 10.57 * insertion.inserted_m, rel=1e-9)
+        assert insertion.pull_N == pytest.approx(
+            0.94 + 0.65 + 10.57 * insertion.inserted_m, rel=1e-9
+        )
 
 
 def test_the_vessel_wall_is_a_second_puncture():
@@ -79,7 +99,8 @@ def test_the_vessel_wall_is_a_second_puncture():
     assert (np.diff(force[resting]) > 0.0).all()
     expected = wall.puncture_N + CAPSULE.hold_N + FRICTION.static_in_N_m * 30e-3
     last = np.flatnonzero(resting)[-1]
-    # One tick before the puncture: the organ's stiffness there, below 250 N/m, times 3 µm of travel.
+    # One tick before the puncture: the organ's stiffness there, below 250 N/m, times 3 µm of
+    # travel.
     assert expected - 1e-3 < force[last] <= expected
     assert mm[last] == pytest.approx(30.0 + 1e3 * tissue.deflection_m(expected), abs=4e-3)
     assert force[last + 1] < force[last] - 0.5
@@ -93,7 +114,9 @@ def test_an_old_track_takes_no_cutting_until_its_end():
     assert (insertion.inserted_m, insertion.pull_N) == (0.0, 0.0)
     again = drive(insertion, 60e-3)
     sliding = (again[:, 1] > 0.0) & (again[:, 1] < cut)
-    np.testing.assert_allclose(again[sliding, 2], 0.65 + FRICTION.sliding_in_N_m * again[sliding, 1], atol=1e-9)
+    np.testing.assert_allclose(
+        again[sliding, 2], 0.65 + FRICTION.sliding_in_N_m * again[sliding, 1], atol=1e-9
+    )
     assert insertion.cut_m > cut
     assert insertion.pull_N == pytest.approx(pushed(60e-3).pull_N, rel=EXACT)
 
@@ -116,7 +139,10 @@ TISSUES = {
         quadratic_N_m2=0.0,
         cutting_N=0.2,
         friction=FRICTION,
-        membranes=tuple(Membrane(name=str(k), depth_m=5e-3 * k, puncture_N=0.4, hold_N=0.1 * k) for k in range(4)),
+        membranes=tuple(
+            Membrane(name=str(k), depth_m=5e-3 * k, puncture_N=0.4, hold_N=0.1 * k)
+            for k in range(4)
+        ),
     ),
 }
 
@@ -131,12 +157,15 @@ def wander(seed, count=24):
 @pytest.mark.parametrize("tissue", TISSUES.values(), ids=TISSUES)
 @pytest.mark.parametrize("seed", range(3))
 def test_energy_is_lost_and_never_made(tissue, seed):
-    """Work done on the needle minus the organ's energy never falls, step by step, on any path that ends outside."""
+    """Work done on the needle minus the organ's energy never falls, step by step, on any path
+    that ends outside.
+    """
     insertion = Insertion(tissue)
     rows = np.vstack([drive(insertion, turn) for turn in wander(seed)])
     work = 0.5 * (rows[1:, 2] + rows[:-1, 2]) * np.diff(rows[:, 0])
     lost = work - np.diff(rows[:, 3])
-    # The trapezium misses a kink in the force, where sticking ends, by a quarter of the stiffness times the step squared.
+    # The trapezium misses a kink in the force, where sticking ends, by a quarter of the stiffness
+    # times the step squared.
     kink_J = 0.25 * 400.0 * 1e-5**2
     assert lost.min() > -kink_J
     assert rows[-1, 3] == 0.0 and insertion.inserted_m == 0.0
@@ -162,13 +191,17 @@ def test_pull_energy_and_deflection_agree(sign):
     """The pull is the slope of the energy (central difference), and the deflection its inverse."""
     for deflection in np.linspace(1e-4, 20e-3, 40):
         step = 1e-6
-        slope = energy_J(LIVER, sign * deflection + step) - energy_J(LIVER, sign * deflection - step)
+        slope = energy_J(LIVER, sign * deflection + step) - energy_J(
+            LIVER, sign * deflection - step
+        )
         assert LIVER.pull_N(sign * deflection) == pytest.approx(slope / (2.0 * step), rel=1e-6)
         assert LIVER.deflection_m(LIVER.pull_N(deflection)) == pytest.approx(deflection, rel=EXACT)
 
 
 def two_insertions(tissue, depth_mm):
-    """Work of an insertion [J], of a second one along its track to the same depth, and the track's length [m]."""
+    """Work of an insertion [J], of a second one along its track to the same depth, and the
+    track's length [m].
+    """
     mm, force, length, *_ = trace(tissue, [-1.0, depth_mm, -30.0, depth_mm], feed_m_s=20e-3)
     deep = int(np.flatnonzero(mm > depth_mm - 1e-6)[0])
     out = deep + int(np.argmin(mm[deep:]))
@@ -182,23 +215,33 @@ def two_insertions(tissue, depth_mm):
 @pytest.mark.slow
 @pytest.mark.parametrize("toughness_J_m2", [76.0, 164.0, 225.0])
 def test_toughness_is_recovered_from_the_work_of_two_insertions(toughness_J_m2):
-    """Work of a first insertion less that of a second along its track, per area of the crack (Gokgol 2012).
+    """Work of a first insertion less that of a second along its track, per area of the crack
+    (Gokgol 2012).
 
-    The difference between two depths leaves the steady part: what the capsule costs falls out. The trapezium over ticks
-    of 20 µm in a force of a newton is good to 1e-3; the case asks for 5 %.
+    The difference between two depths leaves the steady part: what the capsule costs falls out. The
+    trapezium over ticks of 20 µm in a force of a newton is good to 1e-3; the case asks for 5 %.
     """
     width_m = 1.27e-3
     tissue = replace(LIVER, cutting_N=toughness_J_m2 * width_m)
-    (first, second, short_m), (first_deep, second_deep, long_m) = (two_insertions(tissue, at) for at in (40.0, 60.0))
+    (first, second, short_m), (first_deep, second_deep, long_m) = (
+        two_insertions(tissue, at) for at in (40.0, 60.0)
+    )
     work_J = (first_deep - second_deep) - (first - second)
     found = work_J / ((long_m - short_m) * width_m)
-    print(f"\n{toughness_J_m2:g} J/m2 put in, {found:.1f} recovered; {work_J / (20e-3 * width_m):.1f} per tip travel")
+    print(
+        f"\n{toughness_J_m2:g} J/m2 put in, {found:.1f} recovered; "
+        f"{work_J / (20e-3 * width_m):.1f} per tip travel"
+    )
     assert found == pytest.approx(toughness_J_m2, rel=0.05)
-    assert work_J / (20e-3 * width_m) < found, "the organ yields: the track is shorter than the tip's travel"
+    assert work_J / (20e-3 * width_m) < found, (
+        "the organ yields: the track is shorter than the tip's travel"
+    )
 
 
 def test_the_cutting_force_of_liver_is_more_than_its_fracture():
-    """0.94 N over a crack as wide as the needle would be 740 J/m2, or 236 J/m2 over one round its whole circumference."""
+    """0.94 N over a crack as wide as the needle would be 740 J/m2, or 236 J/m2 over one round
+    its whole circumference.
+    """
     diameter_m = 1.27e-3
     assert 740.0 * diameter_m == pytest.approx(LIVER.cutting_N, rel=1e-2)
     assert 225.0 * pi * diameter_m < LIVER.cutting_N

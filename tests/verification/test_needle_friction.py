@@ -1,4 +1,6 @@
-"""Friction on the shaft of a needle: where it slides, sticks, turns round and breaks away, against closed forms."""
+"""Friction on the shaft of a needle: where it slides, sticks, turns round and breaks away,
+against closed forms.
+"""
 
 import numpy as np
 import pytest
@@ -17,7 +19,9 @@ def test_friction_turns_round_with_a_band_in_which_the_shaft_sticks():
     band_m = deflection + LIVER.deflection_m(breakaway)
     assert 60e-3 - back[stuck, 0].min() == pytest.approx(band_m, abs=1e-6)  # one step
     assert back[0, 2] == pytest.approx(pull, rel=EXACT)
-    np.testing.assert_allclose(back[stuck, 2], [LIVER.pull_N(z - length) for z in back[stuck, 0]], atol=EXACT)
+    np.testing.assert_allclose(
+        back[stuck, 2], [LIVER.pull_N(z - length) for z in back[stuck, 0]], atol=EXACT
+    )
     assert back[:, 2].min() == pytest.approx(-breakaway, abs=3e-4)  # 250 N/m over one step
     sliding = ~stuck
     np.testing.assert_allclose(
@@ -34,7 +38,9 @@ def test_a_needle_that_stops_breaks_away_with_the_static_friction():
     on = drive(insertion, 65e-3, step_m=1e-6)
     peak = 0.94 + 0.65 + FRICTION.static_in_N_m * length
     assert on[:, 2].max() == pytest.approx(peak, abs=3e-4)
-    assert on[np.argmax(on[:, 2]) + 1, 2] == pytest.approx(0.94 + 0.65 + FRICTION.sliding_in_N_m * length, rel=0.02)
+    assert on[np.argmax(on[:, 2]) + 1, 2] == pytest.approx(
+        0.94 + 0.65 + FRICTION.sliding_in_N_m * length, rel=0.02
+    )
     np.testing.assert_allclose(insertion.pull_N, pushed(65e-3).pull_N, rtol=EXACT)
 
 
@@ -49,8 +55,8 @@ def test_a_needle_that_turns_round_twice_breaks_away_with_the_static_friction():
 
 
 def test_the_parts_of_the_force():
-    """They add up everywhere; while the shaft slides they are hold, cutting and friction, while it sticks they fall back
-    together, and before an intact wall all that comes on top is elastic."""
+    """They add up everywhere; while the shaft slides they are hold, cutting and friction, while it
+    sticks they fall back together, and before an intact wall all that comes on top is elastic."""
     insertion = Insertion(needle_tissue(walls=[vessel_wall(30e-3)]))
     resting = []
     for leg in (70e-3, -20e-3, 70e-3):
@@ -83,9 +89,15 @@ def test_slower_than_half_the_band_it_creeps_under_static_friction(share):
     speed, creeping = 0.5 * share * FRICTION.stick_band_m_s, share < 1.0
     drive(insertion, 45e-3, speed_m_s=speed)
     per_length = FRICTION.static_in_N_m if creeping else FRICTION.sliding_in_N_m
-    assert insertion.pull_N == pytest.approx(0.94 + 0.65 + per_length * insertion.inserted_m, rel=1e-9)
-    assert insertion.drag_N_s_m == (0.0 if creeping else FRICTION.viscous_in_N_s_m2 * insertion.inserted_m)
+    assert insertion.pull_N == pytest.approx(
+        0.94 + 0.65 + per_length * insertion.inserted_m, rel=1e-9
+    )
+    assert insertion.drag_N_s_m == (
+        0.0 if creeping else FRICTION.viscous_in_N_s_m2 * insertion.inserted_m
+    )
     drive(insertion, 10e-3, speed_m_s=speed)
     per_length = FRICTION.static_out_N_m if creeping else FRICTION.sliding_out_N_m
     assert insertion.pull_N == pytest.approx(-0.65 - per_length * insertion.inserted_m, rel=1e-9)
-    assert insertion.drag_N_s_m == (0.0 if creeping else FRICTION.viscous_out_N_s_m2 * insertion.inserted_m)
+    assert insertion.drag_N_s_m == (
+        0.0 if creeping else FRICTION.viscous_out_N_s_m2 * insertion.inserted_m
+    )

@@ -1,7 +1,8 @@
-"""Insertions into bovine liver with peaks at 19, 28, 32 and 36 mm, 1.4 to 2.3 N, which fall to a fifth.
+"""Insertions into bovine liver with peaks at 19, 28, 32 and 36 mm, 1.4 to 2.3 N, which fall to a
+fifth.
 
-Only these numbers are known of them, no curve and no constants of their organs: what is tested is whether the law can
-have such a shape, with how stiff an organ, and what the cited one comes to.
+Only these numbers are known of them, no curve and no constants of their organs: what is tested is
+whether the law can have such a shape, with how stiff an organ, and what the cited one comes to.
 """
 
 import numpy as np
@@ -16,16 +17,27 @@ PEAKS_MM = np.array([19.0, 28.0, 32.0, 36.0])
 PEAKS_N = np.array([2.3, 1.9, 1.6, 1.4])
 FIFTH = 0.2
 STIFF = {
-    "linear_N_mm": 0.45, "quadratic_N_mm2": 0.0, "capsule_puncture_N": 0.3, "capsule_hold_N": 0.0, "cutting_N": 0.27,
-    "sliding_in_N_m": 2.5, "static_in_N_m": 3.0, "viscous_in_N_s_m2": 0.0,
-}  # fmt: skip
-"""An organ of 0.45 N/mm, as stiff at every deflection as the cited one at 39 mm, whose holes do not cling."""
+    "linear_N_mm": 0.45,
+    "quadratic_N_mm2": 0.0,
+    "capsule_puncture_N": 0.3,
+    "capsule_hold_N": 0.0,
+    "cutting_N": 0.27,
+    "sliding_in_N_m": 2.5,
+    "static_in_N_m": 3.0,
+    "viscous_in_N_s_m2": 0.0,
+}
+"""An organ of 0.45 N/mm, as stiff at every deflection as the cited one at 39 mm, whose holes do
+not cling.
+"""
 
 
 def scene_of(folder):
-    """Membranes so far in front of the peaks as the organ gives: the tip meets each a deflection before it breaks."""
+    """Membranes so far in front of the peaks as the organ gives: the tip meets each a deflection
+    before it breaks.
+    """
     lines = [
-        f'[needle.liver.{k}]\nvalue = {v}\nrange = [{v}, {v}]\nsource = "t"\nconfidence = "L"' for k, v in STIFF.items()
+        f'[needle.liver.{k}]\nvalue = {v}\nrange = [{v}, {v}]\nsource = "t"\nconfidence = "L"'
+        for k, v in STIFF.items()
     ]
     (folder / "organ.toml").write_text("\n".join(lines), "utf-8")
     names = [f"membrane {number}" for number in range(1, 5)]
@@ -35,7 +47,9 @@ def scene_of(folder):
         {
             "materials": str(folder / "organ.toml"),
             "anatomy.interval_ms": 0.0,
-            "anatomy.membrane_depths_mm": dict(zip(names, PEAKS_MM - PEAKS_N / STIFF["linear_N_mm"], strict=True)),
+            "anatomy.membrane_depths_mm": dict(
+                zip(names, PEAKS_MM - PEAKS_N / STIFF["linear_N_mm"], strict=True)
+            ),
             "anatomy.membrane_punctures_N": dict(zip(names, PEAKS_N - friction_N, strict=True)),
             "anatomy.membrane_holds_N": dict.fromkeys(names, 0.0),
             "motion.points_mm": [[0, 0, 2], [0, 0, -45]],
@@ -58,10 +72,11 @@ def test_a_stiff_organ_with_four_membranes_has_the_shape(tmp_path):
 
 
 def test_the_cited_organ_comes_to_the_first_two_only():
-    """Between two peaks the tip goes at most as far as the organ's deflection grows: closed form of the polynomial.
+    """Between two peaks the tip goes at most as far as the organ's deflection grows: closed form of
+    the polynomial.
 
-    Even where every fall to a fifth is granted, the third peak, 4 mm on, is below 1.4 N, and to reach 1.4 N the force
-    may not have fallen below a third.
+    Even where every fall to a fifth is granted, the third peak, 4 mm on, is below 1.4 N, and to
+    reach 1.4 N the force may not have fallen below a third.
     """
     tissue = needle_tissue()
     for fallen_N in FIFTH * np.array([1.4, 2.3]):

@@ -1,4 +1,6 @@
-"""Psychometric functions, staircases and people of known truth against printed and exact values (case 25)."""
+"""Psychometric functions, staircases and people of known truth against printed and exact values
+(case 25).
+"""
 
 import numpy as np
 import pytest
@@ -38,7 +40,9 @@ def test_people_answer_as_often_as_the_function_predicts():
     crowd, rng = people(40_000, lapse=0.03), np.random.default_rng(1)
     for step in (0.0, 0.05, 0.154, 0.4):
         share = two_interval(2.0, step, 0.07, 0.2, 0.03)
-        assert crowd.correct(2.0, step, rng).mean() == pytest.approx(float(share), abs=4.0 * 0.5 / 200.0)
+        assert crowd.correct(2.0, step, rng).mean() == pytest.approx(
+            float(share), abs=4.0 * 0.5 / 200.0
+        )
     numbers = crowd.number(2.0, rng)
     assert np.exp(np.log(numbers).mean()) == pytest.approx(2.0**1.7, rel=4.0 * 0.2 / 200.0)
 
@@ -48,7 +52,8 @@ def test_tired_people_and_heavy_tails():
     tired = people(40_000, fatigue=0.5)
     assert tired.correct(2.0, 0.231, rng, trial=100).mean() == pytest.approx(0.75, abs=0.01)
     heavy = people(40_000, freedom=3.0)
-    assert heavy.correct(2.0, 0.154, rng).mean() > 0.77  # at equal variance most of the noise is smaller
+    # at equal variance most of the noise is smaller
+    assert heavy.correct(2.0, 0.154, rng).mean() > 0.77
 
 
 @pytest.mark.parametrize("group", GROUPS)
@@ -57,15 +62,19 @@ def test_people_of_a_group_are_drawn_by_their_seed(group):
     assert (one.kappa == two.kappa).all() and (one.beta == two.beta).all()
     median = {"novice": 0.09, "intermediate": 0.08, "expert": 0.07}[group]
     # four standard errors of the median of a log-normal of spread 0.3
-    assert np.log(np.median(one.kappa) / median) == pytest.approx(0.0, abs=4.0 * 1.25 * 0.3 / 500**0.5)
+    assert np.log(np.median(one.kappa) / median) == pytest.approx(
+        0.0, abs=4.0 * 1.25 * 0.3 / 500**0.5
+    )
 
 
 @pytest.mark.parametrize(("down", "target"), [(2, 0.7071), (3, 0.7937)])
 def test_a_staircase_settles_at_its_target(down, target):
-    """Up as often as down: over all moves the mean of p^n is one half, exactly, and p lies close to its root.
+    """Up as often as down: over all moves the mean of p^n is one half, exactly, and p lies close to
+    its root.
 
-    The first is a martingale's law and is held to four standard errors; the second is biased by the size of a step and
-    the curve's bend, and is held to 1.5 points, which separates 70.7 from 79.4 %.
+    The first is a martingale's law and is held to four standard errors; the second is biased by the
+    size of a step and the curve's bend, and is held to 1.5 points, which separates 70.7 from 79.4
+    %.
     """
     count, rng = 200, np.random.default_rng(4)
     crowd = people(count)

@@ -1,4 +1,6 @@
-"""Calibration recovers people of known truth: values, intervals, ranks, and trials that are needed (case 25)."""
+"""Calibration recovers people of known truth: values, intervals, ranks, and trials that are
+needed (case 25).
+"""
 
 import numpy as np
 import pytest
@@ -36,18 +38,23 @@ def calibrated(crowd, rng, *, trials, prior=SMALL, stimuli=None):
     found = AdaptiveThreshold(prior, stimuli, observers=len(crowd))
     for trial in range(trials):
         asked = found.propose()
-        found.answer(asked, crowd.correct(found.base_N[asked], found.step_N[asked], rng, trial=trial))
+        found.answer(
+            asked, crowd.correct(found.base_N[asked], found.step_N[asked], rng, trial=trial)
+        )
     return found
 
 
 @pytest.mark.slow
 def test_weber_of_seven_percent_is_recovered():
-    """100 sessions of 120 trials: the mean to three standard errors and the prior's pull, one session to its spread."""
+    """100 sessions of 120 trials: the mean to three standard errors and the prior's pull, one
+    session to its spread.
+    """
     found = calibrated(people(100), np.random.default_rng(0), trials=120)
     weber, spread = found.weber()
     errors = np.log(weber / 0.07)
     print(
-        f"Weber fraction of 7 %: {7.0 * np.exp(errors.mean()):.2f} %, one session scatters by {100 * errors.std():.0f} %"
+        f"Weber fraction of 7 %: {7.0 * np.exp(errors.mean()):.2f} %, one session scatters "
+        f"by {100 * errors.std():.0f} %"
     )
     assert abs(errors.mean()) < 3.0 * errors.std() / 10.0 + 0.02
     assert errors.std() < 0.2
@@ -57,33 +64,45 @@ def test_weber_of_seven_percent_is_recovered():
 @pytest.mark.slow
 @pytest.mark.parametrize(("lapse", "bias"), [(0.0, 0.06), (0.02, 0.02), (0.06, 0.05)])
 def test_thresholds_hardly_depend_on_lapses(lapse, bias):
-    """300 people of 120 trials: a grid whose least lapse was 2.5 % had those without any 12 % low, and 2 % 6 % low."""
-    found = calibrated(people(300, lapse=lapse), np.random.default_rng(0), trials=120, prior=ThresholdPrior())
+    """300 people of 120 trials: a grid whose least lapse was 2.5 % had those without any 12 %
+    low, and 2 % 6 % low.
+    """
+    found = calibrated(
+        people(300, lapse=lapse), np.random.default_rng(0), trials=120, prior=ThresholdPrior()
+    )
     errors = np.log(found.threshold_N(1.0)[0] / (0.07 * 1.2))
     print(
-        f"lapse {lapse:g}: thresholds at 1 N {100 * np.expm1(errors.mean()):+.1f} %, lapse {found.lapse().mean():.3f}"
+        f"lapse {lapse:g}: thresholds at 1 N {100 * np.expm1(errors.mean()):+.1f} %, lapse "
+        f"{found.lapse().mean():.3f}"
     )
     assert abs(errors.mean()) < bias + 3.0 * errors.std() / 300**0.5
     assert found.lapse().mean() == pytest.approx(lapse, abs=0.015)
 
 
 def test_stevens_of_1_7_is_recovered():
-    """200 sessions of 24 numbers: the mean to four standard errors, intervals that hold the truth as often as they claim."""
+    """200 sessions of 24 numbers: the mean to four standard errors, intervals that hold the
+    truth as often as they claim.
+    """
     crowd, rng = people(200), np.random.default_rng(1)
     forces = np.resize(MAGNITUDE_FORCES_N, 24)
     numbers = np.array([crowd.number(force, rng) for force in forces])
     fits = [fit_magnitudes(forces, column) for column in numbers.T]
     exponents = np.array([fit.mean[1] for fit in fits])
-    assert exponents.mean() == pytest.approx(1.7, abs=4.0 * exponents.std() / 200**0.5 + 0.003)  # and the prior's pull
+    # and the prior's pull
+    assert exponents.mean() == pytest.approx(1.7, abs=4.0 * exponents.std() / 200**0.5 + 0.003)
     print(f"exponent of 1.7: {exponents.mean():.2f}, one session scatters by {exponents.std():.2f}")
     assert exponents.std() < 0.07
-    held = np.mean([low < 1.7 < high for low, high in (fit.exponent_at([0.025, 0.975]) for fit in fits)])
+    held = np.mean(
+        [low < 1.7 < high for low, high in (fit.exponent_at([0.025, 0.975]) for fit in fits)]
+    )
     assert 0.91 < held < 0.995  # of 200: three standard errors around 95 %
 
 
 @pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_they_claim():
-    """95 % intervals of 800 people drawn from the prior, between the grid's points: 92 to 98 % hold it."""
+    """95 % intervals of 800 people drawn from the prior, between the grid's points: 92 to 98 %
+    hold it.
+    """
     rng, count = np.random.default_rng(2), 800
     prior = ThresholdPrior(cells=61, offset_cells=9, lapse_cells=4)
     weber, offset, lapse, masses = prior.parameters()
@@ -97,21 +116,28 @@ def test_intervals_hold_the_truth_as_often_as_they_claim():
     held = []
     for _ in range(count):
         variance = PRIOR_SCALE / rng.gamma(PRIOR_SHAPE)
-        alpha, beta = np.array(PRIOR_MEAN) + np.sqrt(variance / PRIOR_WEIGHT) * rng.standard_normal(2)
+        alpha, beta = np.array(PRIOR_MEAN) + np.sqrt(variance / PRIOR_WEIGHT) * rng.standard_normal(
+            2
+        )
         forces = np.resize(MAGNITUDE_FORCES_N, 12)
-        numbers = np.exp(alpha + beta * np.log(forces) + np.sqrt(variance) * rng.standard_normal(12))
+        numbers = np.exp(
+            alpha + beta * np.log(forces) + np.sqrt(variance) * rng.standard_normal(12)
+        )
         least, most = fit_magnitudes(forces, numbers).exponent_at([0.025, 0.975])
         held.append(least < beta < most)
     print(
-        f"95 % intervals hold {100 * covered:.1f} % of the Weber fractions, {100 * np.mean(held):.1f} % of the exponents"
+        f"95 % intervals hold {100 * covered:.1f} % of the Weber fractions, "
+        f"{100 * np.mean(held):.1f} % of the exponents"
     )
     assert 0.92 < np.mean(held) < 0.98
 
 
 def test_ranks_of_simulated_calibrations_are_uniform():
-    """600 people from the prior: the posterior's mass below the truth, ties split at random, is uniform.
+    """600 people from the prior: the posterior's mass below the truth, ties split at random, is
+    uniform.
 
-    A chi-square test over twelve bins at 0.1 %. A posterior that is too narrow (answers counted twice) must fail it.
+    A chi-square test over twelve bins at 0.1 %. A posterior that is too narrow (answers counted
+    twice) must fail it.
     """
     rng, count = np.random.default_rng(3), 600
     weber, offset, lapse, masses = SMALL.parameters()
@@ -142,14 +168,18 @@ def test_ranks_of_exponents_are_uniform():
     rng, ranks, forces = np.random.default_rng(4), [], np.resize(MAGNITUDE_FORCES_N, 8)
     for _ in range(400):
         variance = PRIOR_SCALE / rng.gamma(PRIOR_SHAPE)
-        alpha, beta = np.array(PRIOR_MEAN) + np.sqrt(variance / PRIOR_WEIGHT) * rng.standard_normal(2)
+        alpha, beta = np.array(PRIOR_MEAN) + np.sqrt(variance / PRIOR_WEIGHT) * rng.standard_normal(
+            2
+        )
         numbers = np.exp(alpha + beta * np.log(forces) + np.sqrt(variance) * rng.standard_normal(8))
         ranks.append(_rank(fit_magnitudes(forces, numbers), beta))
     assert kstest(ranks, "uniform").pvalue > 1e-3
 
 
 def test_the_most_informative_comparison_is_the_one_of_least_expected_entropy():
-    """Against the definition, written out: every comparison, both answers, entropy of each posterior."""
+    """Against the definition, written out: every comparison, both answers, entropy of each
+    posterior.
+    """
     prior = ThresholdPrior(cells=9, offset_cells=3, lapse_cells=2)
     found = AdaptiveThreshold(prior, comparisons((0.5, 2.0)))
     rng = np.random.default_rng(5)
@@ -170,7 +200,9 @@ def test_the_most_informative_comparison_is_the_one_of_least_expected_entropy():
 
 @pytest.mark.slow
 def test_ten_percent_in_fewer_trials_than_staircases():
-    """300 people: after how many trials half of the thresholds lie within 10 % of the truth, for good."""
+    """300 people: after how many trials half of the thresholds lie within 10 % of the truth, for
+    good.
+    """
     rng, count, trials = np.random.default_rng(6), 300, 500
     crowd = draw_observers("intermediate", count, rng)
     truth = crowd.kappa * (2.0 + crowd.offset_N)
@@ -185,13 +217,18 @@ def test_ten_percent_in_fewer_trials_than_staircases():
             each.answer(crowd.correct(2.0, each.level, rng))
             estimate = each.threshold() * D_PRIME_75 / (2.0**0.5 * ndtri(each.target))
             errors[down].append(np.median(np.abs(np.log(estimate / truth))))
-    needed = {name: trials - int(np.argmax(np.array(each)[::-1] > np.log(1.1))) for name, each in errors.items()}
+    needed = {
+        name: trials - int(np.argmax(np.array(each)[::-1] > np.log(1.1)))
+        for name, each in errors.items()
+    }
     assert needed["adaptive"] < needed[3] and needed["adaptive"] < needed[2]
 
 
 @pytest.mark.slow
 def test_a_wrong_noise_model_biases_the_threshold_by_what_is_reported():
-    """Heavy tails make thresholds look 10 to 40 % lower, fatigue of 50 % a hundred trials 10 to 60 % higher."""
+    """Heavy tails make thresholds look 10 to 40 % lower, fatigue of 50 % a hundred trials 10 to
+    60 % higher.
+    """
     for wrong, low, high in (({"freedom": 3.0}, 0.6, 0.95), ({"fatigue": 0.5}, 1.1, 1.6)):
         found = calibrated(people(100, **wrong), np.random.default_rng(7), trials=120)
         assert low < np.exp(np.log(found.weber()[0] / 0.07).mean()) < high, wrong
@@ -217,11 +254,17 @@ def test_what_makes_no_sense_is_refused(call, sentence):
 
 
 def test_comparisons_stay_below_the_device_s_limit_in_steps_of_one_ratio():
-    """Of all steps those are left out, and only those, whose larger force the device cannot play."""
+    """Of all steps those are left out, and only those, whose larger force the device cannot
+    play.
+    """
     bases, steps = comparisons((0.5, 2.0), force_limit_N=2.2)
     every = comparisons((0.5, 2.0), force_limit_N=100.0)
     assert (bases + steps <= 2.2).all() and len(bases) < len(every[0])
     fits = every[0] + every[1] <= 2.2
     assert bases.tolist() == every[0][fits].tolist() and steps.tolist() == every[1][fits].tolist()
-    ratios = every[1][:-1][every[0][:-1] == every[0][1:]] / every[1][1:][every[0][:-1] == every[0][1:]]
-    assert np.ptp(ratios) < 1e-12 and every[1][0] / every[1][len(every[1]) // 2] == pytest.approx(0.7 / 2.2, rel=0.1)
+    ratios = (
+        every[1][:-1][every[0][:-1] == every[0][1:]] / every[1][1:][every[0][:-1] == every[0][1:]]
+    )
+    assert np.ptp(ratios) < 1e-12 and every[1][0] / every[1][len(every[1]) // 2] == pytest.approx(
+        0.7 / 2.2, rel=0.1
+    )

@@ -11,10 +11,11 @@ MODULUS_KPA = 8.0
 
 
 def bonded_layer_N(depth_m, radius_m, thickness_m, ratio):
-    """Force of a ball on a layer bonded to the ground (Dimitriadis et al. 2002, Biophys. J. 82:2798, eq. 13).
+    """Force of a ball on a layer bonded to the ground (Dimitriadis et al. 2002, Biophys. J.
+    82:2798, eq. 13).
 
-    Hertz's force times a series in sqrt(R d) / h, written for nu = 0.5 in front and general in its terms; here with
-    Hertz's own factor in front.
+    Hertz's force times a series in sqrt(R d) / h, written for nu = 0.5 in front and general in its
+    terms; here with Hertz's own factor in front.
     """
     a = -(1.2876 - 1.4678 * ratio + 1.3442 * ratio**2) / (1.0 - ratio)
     b = (0.6387 - 1.0277 * ratio + 1.5164 * ratio**2) / (1.0 - ratio)
@@ -32,10 +33,11 @@ def hertz_N(depth_m, radius_m, ratio):
 @pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.3, 0.49])
 def test_a_ball_on_a_large_block_follows_hertz(ratio):
-    """A ball of 100 mm, 0.2 to 0.5 mm deep (a/R up to 0.1), without friction; 6 edges to the contact's radius at the end.
+    """A ball of 100 mm, 0.2 to 0.5 mm deep (a/R up to 0.1), without friction; 6 edges to the
+    contact's radius at the end.
 
-    The block is 24 contact radii thick: without the layer's correction Hertz is 5 % low. What is left is the mesh, and
-    that the surface turns with a true ball where Hertz's stays upright.
+    The block is 24 contact radii thick: without the layer's correction Hertz is 5 % low. What is
+    left is the mesh, and that the surface turns with a true ball where Hertz's stays upright.
     """
     block = tissue.Organ.block(
         (240, 240, 120), edge_mm=24, modulus_kPa=MODULUS_KPA, poisson_ratio=ratio, friction=0.0
@@ -44,7 +46,10 @@ def test_a_ball_on_a_large_block_follows_hertz(ratio):
     deep = press.depth_mm >= 0.2
     exact = bonded_layer_N(1e-3 * press.depth_mm[deep], 0.05, 0.12, ratio)
     error = press.forces_N[deep, 2] / exact - 1.0
-    print(f"nu {ratio}: error {100 * error.min():+.2f} to {100 * error.max():+.2f} %, last {100 * error[-1]:+.2f} %")
+    print(
+        f"nu {ratio}: error {100 * error.min():+.2f} to {100 * error.max():+.2f} %, last "
+        f"{100 * error[-1]:+.2f} %"
+    )
     print(f"Hertz alone: {100 * (press.forces_N[-1, 2] / hertz_N(5e-4, 0.05, ratio) - 1.0):+.2f} %")
     assert np.abs(error).max() < 0.03 and abs(error[-1]) < 0.02
     slope = np.polyfit(np.log(press.depth_mm[deep]), np.log(press.forces_N[deep, 2]), 1)[0]
@@ -67,7 +72,9 @@ def rod(low_kPa, high_kPa, *, ratio=0.0, cells=4, swapped=False):
 
 @pytest.mark.slow
 def test_a_rod_of_two_materials_is_two_springs_in_series():
-    """A flat punch wider than the rod, nu = 0: F = A d / (L1 / E1 + L2 / E2) exactly, whatever the friction."""
+    """A flat punch wider than the rod, nu = 0: F = A d / (L1 / E1 + L2 / E2) exactly, whatever
+    the friction.
+    """
     punch = tissue.flat_punch(diameter_mm=40)
     for swapped in (False, True):
         press = rod(10.0, 40.0, swapped=swapped).press(punch, depth_mm=1.0, at_mm=(10, 10, 40))
@@ -87,24 +94,36 @@ def test_a_rod_of_two_materials_is_two_springs_in_series():
 
 @pytest.mark.slow
 def test_a_press_is_what_the_scene_runner_gives(monkeypatch):
-    """Straight down on the built-in liver: the same mesh, material and supports, at the same places of the tip.
+    """Straight down on the built-in liver: the same mesh, material and supports, at the same places
+    of the tip.
 
-    With the contact's tolerance of a tick within it, 0.2 %; the tighter one of a press is off by what a tick's leaves.
+    With the contact's tolerance of a tick within it, 0.2 %; the tighter one of a press is off by
+    what a tick's leaves.
     """
     changes = {"motion.points_mm": [[0, 0, 1], [0, 0, -5]], "motion.feed_mm_s": 15.0}
     scene = tissue.load_scene("liver-press", changes)
     run = tissue.simulate(scene)
     sweep = np.array(scene.motion.points_mm) * 1e-3
     found = held_mesh(scene.anatomy, path_m=sweep, touch_edge_m=5e-3, report=lambda *_: None)
-    organ = tissue.Organ.from_tetrahedra(found.mesh, modulus_kPa=5.4, poisson_ratio=0.49, held=found.held)
+    organ = tissue.Organ.from_tetrahedra(
+        found.mesh, modulus_kPa=5.4, poisson_ratio=0.49, held=found.held
+    )
     for tolerance, sweeps, allowed in ((1e-3, 100, 2e-3), (1e-5, 5000, 5e-3)):
         monkeypatch.setattr("tissue.models.organ.press.TOLERANCE", tolerance)
         monkeypatch.setattr("tissue.models.organ.press.SWEEPS", sweeps)
-        press = organ.press(tissue.ball(diameter_mm=20), depth_mm=4.5, at_mm=(0, 0, 0), along=(0, 0, -1))
+        press = organ.press(
+            tissue.ball(diameter_mm=20), depth_mm=4.5, at_mm=(0, 0, 0), along=(0, 0, -1)
+        )
         tip = press.tip_mm[2] + press.depth_mm[-1] - press.depth_mm
-        expected = [np.interp(-tip, -run.trace["tool_z_mm"], run.trace[f"model_force_{axis}_N"]) for axis in "xyz"]
+        expected = [
+            np.interp(-tip, -run.trace["tool_z_mm"], run.trace[f"model_force_{axis}_N"])
+            for axis in "xyz"
+        ]
         error = np.abs(press.forces_N.T - expected).max() / np.abs(expected).max()
-        print(f"tolerance {tolerance:g}: largest difference from the scene {100 * error:.3f} % of the greatest force")
+        print(
+            f"tolerance {tolerance:g}: largest difference from the scene {100 * error:.3f} % "
+            "of the greatest force"
+        )
         assert error < allowed
     assert [what.split(":")[0] for _, what in run.events] == ["pressed 3.7 mm deep"]
     assert "from 3.7 mm on the linear law is more than 5%" in press.notes["linear"]
@@ -115,8 +134,12 @@ def test_a_refined_organ_converges():
     """Force over edges of the tool's diameter: halving a quarter moves it by less than 3 %."""
     ball, forces = tissue.ball(diameter_mm=12), []
     for edge in (6.0, 3.0, 1.5):
-        organ = tissue.Organ.block((80, 80, 40), edge_mm=10, modulus_kPa=MODULUS_KPA, poisson_ratio=0.45)
-        press = organ.refined(edge_mm=edge, near_mm=(0, 0, 0)).press(ball, depth_mm=2.0, at_mm=(0.7, 0.4, 0))
+        organ = tissue.Organ.block(
+            (80, 80, 40), edge_mm=10, modulus_kPa=MODULUS_KPA, poisson_ratio=0.45
+        )
+        press = organ.refined(edge_mm=edge, near_mm=(0, 0, 0)).press(
+            ball, depth_mm=2.0, at_mm=(0.7, 0.4, 0)
+        )
         forces.append(press.force_magnitude_N)
     off = np.array(forces) / forces[-1] - 1.0
     print("edges of 6, 3, 1.5 mm under a ball of 12 mm:", np.round(100 * off, 2), "% off the last")

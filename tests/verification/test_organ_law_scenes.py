@@ -1,4 +1,6 @@
-"""Every hyperelastic law in every built-in scene of an organ, shortened, pressed deep, slid and lifted off."""
+"""Every hyperelastic law in every built-in scene of an organ, shortened, pressed deep, slid and
+lifted off.
+"""
 
 import numpy as np
 import pytest
@@ -14,16 +16,21 @@ LAWS = {
 }
 SCENES = {
     "liver-press": {
-        "anatomy.edge_mm": 22.0, "anatomy.touch_edge_mm": 7.0, "motion.feed_mm_s": 60.0,
+        "anatomy.edge_mm": 22.0,
+        "anatomy.touch_edge_mm": 7.0,
+        "motion.feed_mm_s": 60.0,
         "motion.points_mm": [[0, 0, 0.5], [0, 0, -8], [8, 0, -8], [8, 0, 0.5]],
     },
     "palpation": {
-        "anatomy.size_mm": [80, 50, 40], "anatomy.touch_edge_mm": 7.0, "motion.feed_mm_s": 60.0,
+        "anatomy.size_mm": [80, 50, 40],
+        "anatomy.touch_edge_mm": 7.0,
+        "motion.feed_mm_s": 60.0,
         "motion.points_mm": [[-24, 0, 0.5], [-24, 0, -4], [-20, 0, -4], [-20, 0, 0.5]],
     },
-}  # fmt: skip
-"""Of the liver 0.8 of the ball's radius deep. There the tangent under forces alone is indefinite: version 0.2 left 18 %
-of the force unbalanced in this slide, and ended in a traceback at other places."""
+}
+"""Of the liver 0.8 of the ball's radius deep. There the tangent under forces alone is indefinite:
+version 0.2 left 18 % of the force unbalanced in this slide, and ended in a traceback at other
+places."""
 DEPTHS_MM = np.linspace(1.0, 3.5, 6)
 
 
@@ -32,7 +39,9 @@ DEPTHS_MM = np.linspace(1.0, 3.5, 6)
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("name", SCENES)
 def test_a_law_runs_in_a_scene(name, law):
-    """Every solve is balanced, and an elastic organ pushes back as hard when the ball leaves it as when it comes."""
+    """Every solve is balanced, and an elastic organ pushes back as hard when the ball leaves it
+    as when it comes.
+    """
     changes = {"organ.law": law, "organ.interval_ms": 200.0, "organ.friction": 0.05}
     changes |= {f"organ.{key}": value for key, value in LAWS[law].items()}
     run = simulate(load_scene(name, SCENES[name] | changes), cores=1)
@@ -45,8 +54,11 @@ def test_a_law_runs_in_a_scene(name, law):
     down = np.interp(DEPTHS_MM, depth_mm[: deepest + 1], force_N[: deepest + 1])
     leaving = np.flatnonzero(depth_mm > DEPTHS_MM[0] - 0.5)[::-1]
     up = np.interp(DEPTHS_MM, depth_mm[leaving[:60]], force_N[leaving[:60]])
-    print(name, law, run.summary["law"], "up over down", (up / down).round(3), "peak", force_N.max())
-    # The ball leaves at another place than it came, up to 8 mm away, with a solve 25 ms old: 1.5 mm of its path.
+    print(
+        name, law, run.summary["law"], "up over down", (up / down).round(3), "peak", force_N.max()
+    )
+    # The ball leaves at another place than it came, up to 8 mm away, with a solve 25 ms old: 1.5 mm
+    # of its path.
     np.testing.assert_allclose(up, down, rtol=0.35)
     frame = run.parts.tissue.fields.frames[-1]
     assert np.abs(frame.points["displacement_mm"]).max() < 1.2 * depth_mm.max() + 1.0

@@ -1,7 +1,8 @@
-"""A ball pressed into an organ of a hyperelastic law at 1 kHz, against Newton's method with a rigid ball of its own.
+"""A ball pressed into an organ of a hyperelastic law at 1 kHz, against Newton's method with a rigid
+ball of its own.
 
-The reference shares cells and law (which felupe confirms, `test_deep_press`), not the contact, the compliance, nor what
-brings law and ticks together.
+The reference shares cells and law (which felupe confirms, `test_deep_press`), not the contact, the
+compliance, nor what brings law and ticks together.
 """
 
 import numpy as np
@@ -27,23 +28,36 @@ LAWS = {
 @pytest.mark.parametrize("ratio", [1.0, 1.4])
 @pytest.mark.parametrize("law", LAWS)
 def test_the_force_of_a_deep_press_is_that_of_newtons_method(law, ratio):
-    """At 20 mm/s a law that is solved forty times a second is late; at rest it is not, on the organ's mesh or a coarser.
+    """At 20 mm/s a law that is solved forty times a second is late; at rest it is not, on the
+    organ's mesh or a coarser.
 
-    The stiffening one bears twice the linear force; on the compliance at rest it swung and lost a third of its force.
+    The stiffening one bears twice the linear force; on the compliance at rest it swung and lost a
+    third of its force.
     """
     scene = scene_of(**LAWS[law], law_edge_ratio=ratio, poisson_ratio=0.45)
     run, exact = simulate(scene, cores=1), by_newton(scene)
     moving, force_N = moving_N(run), run.trace["force_z_N"]
-    print(law, ratio, "moving", moving / exact.force_N - 1.0, "at rest", force_N[-1] / exact.force_N[-1] - 1.0,
-          "displacement", surface_error(run, exact))  # fmt: skip
+    print(
+        law,
+        ratio,
+        "moving",
+        moving / exact.force_N - 1.0,
+        "at rest",
+        force_N[-1] / exact.force_N[-1] - 1.0,
+        "displacement",
+        surface_error(run, exact),
+    )
     assert moving == pytest.approx(exact.force_N, rel=0.07 if law == "stiffening" else 0.04)
-    # On a coarser mesh of the law the springs that hold the nodes under the tool leave the stiffening law 1.25 % too stiff.
+    # On a coarser mesh of the law the springs that hold the nodes under the tool leave the
+    # stiffening law 1.25 % too stiff.
     at_rest = 0.015 if law == "stiffening" and ratio > 1.0 else 0.01
     assert force_N[-1] == pytest.approx(exact.force_N[-1], rel=at_rest)
     assert surface_error(run, exact) < 0.03
     assert not [what for _, what in run.events if "not reached" in what or "did not settle" in what]
     linear = simulate(scene_of(poisson_ratio=0.45), cores=1)
-    assert abs(linear.trace["force_z_N"][-1] / exact.force_N[-1] - 1.0) > 0.08, "what the linear law misses"
+    assert abs(linear.trace["force_z_N"][-1] / exact.force_N[-1] - 1.0) > 0.08, (
+        "what the linear law misses"
+    )
 
 
 @pytest.mark.slow
@@ -51,14 +65,20 @@ def test_the_force_of_a_deep_press_is_that_of_newtons_method(law, ratio):
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("share", [0.5, 0.95])
 def test_a_hand_presses_a_stiffening_organ_without_swinging(law, share):
-    """At a share of the critical stiffness of the coupling, which is judged on a wall: nothing is stiffer.
+    """At a share of the critical stiffness of the coupling, which is judged on a wall: nothing is
+    stiffer.
 
     Over the last 0.4 s, a cubic taken out, the force at the device moves by less than 2 %.
     """
-    scene = changed(scene_of(**LAWS[law], poisson_ratio=0.45), {"device": "touch", "duration_s": 1.4})
+    scene = changed(
+        scene_of(**LAWS[law], poisson_ratio=0.45), {"device": "touch", "duration_s": 1.4}
+    )
     settings = loop_settings(scene)
     hands = in_hands(judged_loop(settings, step_s=TICK_S), [settings.person.grip[:3]])
-    run = simulate(changed(scene, {"coupling.stiffness_N_m": share * critical_stiffness_N_m(hands[0])}), cores=1)
+    run = simulate(
+        changed(scene, {"coupling.stiffness_N_m": share * critical_stiffness_N_m(hands[0])}),
+        cores=1,
+    )
     force_N = run.trace["device_force_z_N"][-400:]
     ticks = np.arange(len(force_N))
     swing = np.std(force_N - np.polyval(np.polyfit(ticks, force_N, 3), ticks))

@@ -1,11 +1,21 @@
-"""Perception against closed forms: Weber, Stevens' predictive, the inverse map, the recursive filter."""
+"""Perception against closed forms: Weber, Stevens' predictive, the inverse map, the recursive
+filter.
+"""
 
 import numpy as np
 import pytest
 
 from tissue import InputError
 from tissue.perception.estimate import LocalLevel
-from tissue.perception.laws import Intensity, Weber, correct_of_d_prime, intensity_of, two_interval, weber, weber_of
+from tissue.perception.laws import (
+    Intensity,
+    Weber,
+    correct_of_d_prime,
+    intensity_of,
+    two_interval,
+    weber,
+    weber_of,
+)
 from tissue.perception.mapping import ForceMap, LogTable
 from tissue.perception.observer import Observer, population, population_observer, reference_observer
 from tissue.perception.perceived import Sense
@@ -15,7 +25,14 @@ KNEE_N = 2.31
 
 
 def person(**changed):
-    given = {"alpha": 1.0, "beta": 1.7, "kappa": 0.07, "offset_N": 0.2, "lapse": 0.02, "sigma": 0.2} | changed
+    given = {
+        "alpha": 1.0,
+        "beta": 1.7,
+        "kappa": 0.07,
+        "offset_N": 0.2,
+        "lapse": 0.02,
+        "sigma": 0.2,
+    } | changed
     return Observer.known("someone", **given)
 
 
@@ -24,22 +41,28 @@ def people(count, seed):
     rng = np.random.default_rng(seed)
     for _ in range(count):
         yield person(
-            alpha=np.exp(rng.normal(0.0, 0.5)), beta=rng.uniform(1.0, 2.2), kappa=rng.uniform(0.04, 0.2),
-            offset_N=rng.uniform(0.1, 0.3), spread={"alpha": rng.uniform(0, 0.4), "beta": rng.uniform(0, 0.3)},
-        )  # fmt: skip
+            alpha=np.exp(rng.normal(0.0, 0.5)),
+            beta=rng.uniform(1.0, 2.2),
+            kappa=rng.uniform(0.04, 0.2),
+            offset_N=rng.uniform(0.1, 0.3),
+            spread={"alpha": rng.uniform(0, 0.4), "beta": rng.uniform(0, 0.3)},
+        )
 
 
 def test_weber_is_7_percent_of_strong_forces_and_more_of_weak_ones():
     law = weber("force")
     assert law.threshold(10.0) == pytest.approx(0.07 * 10.2)
     shares = law.threshold([0.1, 0.2, 0.5, 5.0]) / [0.1, 0.2, 0.5, 5.0]
-    assert shares[0] == pytest.approx(0.21) and shares[1] == pytest.approx(0.14)  # within the cited 10-28 %
+    # within the cited 10-28 %
+    assert shares[0] == pytest.approx(0.21) and shares[1] == pytest.approx(0.14)
     assert 0.07 < shares[-1] < 0.075
     assert weber("torque").kappa == 0.127 and 0.08 <= weber("stiffness").kappa <= 0.23
 
 
 def test_e6_no_threshold_is_negative_where_the_printed_law_gives_some():
-    """N(kappa, tau^2) of people who scatter by a half of kappa is negative for 2.3 % of them; at 0 N it is 0 for all."""
+    """N(kappa, tau^2) of people who scatter by a half of kappa is negative for 2.3 % of them; at
+    0 N it is 0 for all.
+    """
     rng = np.random.default_rng(0)
     printed = rng.normal(0.07, 0.035, 100_000)
     assert 0.02 < (printed < 0.0).mean() < 0.026
@@ -50,12 +73,15 @@ def test_e6_no_threshold_is_negative_where_the_printed_law_gives_some():
 def test_a_quantile_of_the_threshold_leaves_nine_in_ten_above_it():
     observer = person(spread={"kappa": 0.3})
     drawn = observer.draws(200_000, np.random.default_rng(1))["kappa"]
-    assert (drawn > weber_of(observer, quantile=0.1).kappa).mean() == pytest.approx(0.9, abs=0.004)  # 5 standard errors
+    # 5 standard errors
+    assert (drawn > weber_of(observer, quantile=0.1).kappa).mean() == pytest.approx(0.9, abs=0.004)
     assert weber_of(observer).kappa == pytest.approx(0.07)
 
 
 def test_moments_of_intensity_are_those_of_quadrature():
-    """Gauss-Hermite over both coordinates, 60 nodes a side, against the closed forms; with a correlation."""
+    """Gauss-Hermite over both coordinates, 60 nodes a side, against the closed forms; with a
+    correlation.
+    """
     law = Intensity(log_alpha=-0.1, beta=1.6, variances=(0.09, 0.02, 0.04), scatter=0.05)
     nodes, weights = np.polynomial.hermite_e.hermegauss(60)
     weights = weights / weights.sum()
@@ -72,14 +98,17 @@ def test_moments_of_intensity_are_those_of_quadrature():
 
 @pytest.mark.parametrize("uncertain", [0.0, 0.25, 0.5])
 def test_the_scatter_of_a_rating_is_the_mean_of_sigma_squared(uncertain):
-    """Gauss-Hermite over ln sigma, 60 nodes, and over the noise of one rating, against the law's scatter and spread."""
+    """Gauss-Hermite over ln sigma, 60 nodes, and over the noise of one rating, against the law's
+    scatter and spread.
+    """
     observer = person(sigma=0.3, spread={"sigma": uncertain})
     nodes, weights = np.polynomial.hermite_e.hermegauss(60)
     weights = weights / weights.sum()
     mean_square = weights @ (0.3 * np.exp(uncertain * nodes)) ** 2
     law = intensity_of(observer)
     assert law.scatter == pytest.approx(mean_square, rel=1e-10)
-    # Everything else is known: a rating is the intensity of 2 N times 1 + sigma times a standard normal number.
+    # Everything else is known: a rating is the intensity of 2 N times 1 + sigma times a standard
+    # normal number.
     assert law.spread(2.0) == pytest.approx(law.expected(2.0) * np.sqrt(mean_square), rel=1e-10)
 
 
@@ -93,12 +122,14 @@ def test_intensity_is_inverted_for_every_observer():
 
 def test_people_have_the_laws_that_are_stated():
     law, drawn = population(), population().draws(400_000, np.random.default_rng(3))
-    assert drawn["alpha"].mean() == pytest.approx(1.0, abs=0.003)  # five standard errors, here and below
-    assert drawn["beta"].mean() == pytest.approx(1.7, abs=0.002) and drawn["beta"].std() == pytest.approx(
-        0.2, abs=0.002
-    )
+    # five standard errors, here and below
+    assert drawn["alpha"].mean() == pytest.approx(1.0, abs=0.003)
+    assert drawn["beta"].mean() == pytest.approx(1.7, abs=0.002) and drawn[
+        "beta"
+    ].std() == pytest.approx(0.2, abs=0.002)
     assert (drawn["sigma"] ** 2).mean() == pytest.approx(law.sigma**2, rel=0.005)
-    inverse = 1.0 / drawn["sigma"] ** 2  # of an inverse-gamma variance this is gamma: mean / std = sqrt(shape)
+    # of an inverse-gamma variance this is gamma: mean / std = sqrt(shape)
+    inverse = 1.0 / drawn["sigma"] ** 2
     assert (inverse.mean() / inverse.std()) ** 2 == pytest.approx(law.sigma_shape, rel=0.02)
     coordinates = Observer.from_draws("drawn", drawn, trials=0)
     assert coordinates.mean == pytest.approx(population_observer().mean, abs=0.005)
@@ -107,7 +138,9 @@ def test_people_have_the_laws_that_are_stated():
 
 
 def test_e5_the_reference_feels_what_was_wanted_to_1e_6():
-    """The observer's expected intensity of the command is the reference's of the force; by table, every choice."""
+    """The observer's expected intensity of the command is the reference's of the force; by
+    table, every choice.
+    """
     reference = intensity_of(reference_observer())
     forces = np.geomspace(0.3, KNEE_N, 500)
     observers = [reference_observer(), population_observer(), *people(60, 4)]
@@ -124,19 +157,33 @@ def test_e5_the_reference_feels_what_was_wanted_to_1e_6():
 
 
 def test_e5_the_command_has_no_unit_of_intensity_where_the_printed_one_does():
-    """Intensities in tenths of a unit change the printed command E[S] tenfold, and ours not at all."""
+    """Intensities in tenths of a unit change the printed command E[S] tenfold, and ours not at
+    all.
+    """
     forces = np.linspace(0.3, KNEE_N, 50)
-    one = ForceMap(Intensity(log_alpha=0.0, beta=1.7), Intensity(log_alpha=0.2, beta=1.5), lowest_N=0.2, knee_N=KNEE_N)
+    one = ForceMap(
+        Intensity(log_alpha=0.0, beta=1.7),
+        Intensity(log_alpha=0.2, beta=1.5),
+        lowest_N=0.2,
+        knee_N=KNEE_N,
+    )
     ten = np.log(10.0)
     other = ForceMap(
-        Intensity(log_alpha=ten, beta=1.7), Intensity(log_alpha=0.2 + ten, beta=1.5), lowest_N=0.2, knee_N=KNEE_N
+        Intensity(log_alpha=ten, beta=1.7),
+        Intensity(log_alpha=0.2 + ten, beta=1.5),
+        lowest_N=0.2,
+        knee_N=KNEE_N,
     )
     assert other.command_N(forces) == pytest.approx(one.command_N(forces), rel=1e-12)
-    assert intensity_of(person(alpha=10.0)).expected(2.0) == pytest.approx(10 * intensity_of(person()).expected(2.0))
+    assert intensity_of(person(alpha=10.0)).expected(2.0) == pytest.approx(
+        10 * intensity_of(person()).expected(2.0)
+    )
 
 
 def test_ratios_of_intensity_survive_up_to_the_knee_and_the_device_is_never_asked_for_more():
-    """With gain 1 or below, E[S(c(F1))] / E[S(c(F2))] = (F1 / F2)^1.7 for every observer and pair."""
+    """With gain 1 or below, E[S(c(F1))] / E[S(c(F2))] = (F1 / F2)^1.7 for every observer and
+    pair.
+    """
     reference, forces = intensity_of(reference_observer()), np.geomspace(0.3, KNEE_N, 80)
     wanted = np.divide.outer(forces, forces) ** 1.7
     gains = []
@@ -184,15 +231,25 @@ def test_e8_the_steady_state_is_0_618_and_not_the_printed_0_5():
 
 
 def test_e8_the_variance_is_that_of_the_error_and_the_printed_one_is_not():
-    """Levels that wander by q and looks with r, 4,000 runs: the squared error at the end has the filter's variance."""
+    """Levels that wander by q and looks with r, 4,000 runs: the squared error at the end has the
+    filter's variance.
+    """
     rng = np.random.default_rng(7)
     wander, noise = 0.3, 2.0
-    law, level, estimate, variance = LocalLevel(wander=wander, noise=noise), np.zeros(4000), np.zeros(4000), 0.0
+    law, level, estimate, variance = (
+        LocalLevel(wander=wander, noise=noise),
+        np.zeros(4000),
+        np.zeros(4000),
+        0.0,
+    )
     for _ in range(40):
         level = level + np.sqrt(wander) * rng.standard_normal(4000)
-        estimate, variance = law.step(estimate, variance, level + np.sqrt(noise) * rng.standard_normal(4000))
+        estimate, variance = law.step(
+            estimate, variance, level + np.sqrt(noise) * rng.standard_normal(4000)
+        )
     spread = ((estimate - level) ** 2).mean()
-    assert spread == pytest.approx(variance, rel=0.1)  # standard error of a variance of 4,000: 2.2 %
+    # standard error of a variance of 4,000: 2.2 %
+    assert spread == pytest.approx(variance, rel=0.1)
     assert wander * noise / (wander + noise) < 0.5 * spread  # printed
 
 
@@ -203,10 +260,13 @@ def test_e8_is_the_local_level_filter_of_statsmodels(wander, noise):
         "statsmodels.tsa.statespace.structural", reason="statsmodels is not installed (test extra)"
     )
     rng = np.random.default_rng(8)
-    seen = np.cumsum(np.sqrt(wander) * rng.standard_normal(200)) + np.sqrt(noise) * rng.standard_normal(200)
+    seen = np.cumsum(np.sqrt(wander) * rng.standard_normal(200)) + np.sqrt(
+        noise
+    ) * rng.standard_normal(200)
     model = structural.UnobservedComponents(seen, "llevel")
     model.ssm.tolerance = 0.0  # theirs freezes the gain once it hardly changes
-    model.ssm.initialize_known(np.array([0.5]), np.array([[3.0 + wander]]))  # theirs is before the first look
+    # theirs is before the first look
+    model.ssm.initialize_known(np.array([0.5]), np.array([[3.0 + wander]]))
     theirs = model.filter([noise, wander])
     law, level, variance = LocalLevel(wander=wander, noise=noise), 0.5, 3.0
     for tick, look in enumerate(seen):
@@ -216,7 +276,9 @@ def test_e8_is_the_local_level_filter_of_statsmodels(wander, noise):
 
 
 def test_a_sense_scatters_by_its_threshold_and_is_the_steady_filter():
-    """Two constant forces a threshold apart are discriminated at d' = 0.954: 75 % in two intervals."""
+    """Two constant forces a threshold apart are discriminated at d' = 0.954: 75 % in two
+    intervals.
+    """
     law = Weber(kappa=0.07, offset=0.2)
     estimates = []
     for force, seed in ((2.0, 9), (2.0 + float(law.threshold(2.0)), 10)):
@@ -225,7 +287,8 @@ def test_a_sense_scatters_by_its_threshold_and_is_the_steady_filter():
         assert estimates_N.mean() == pytest.approx(force, abs=0.02)
         estimates.append(estimates_N[::500])  # five time constants apart: independent
     weak, strong = estimates
-    assert weak.std() == pytest.approx(float(law.threshold(2.0)) / 0.9538725524, rel=0.12)  # 800 looks: 2.5 %
+    # 800 looks: 2.5 %
+    assert weak.std() == pytest.approx(float(law.threshold(2.0)) / 0.9538725524, rel=0.12)
     right = np.mean(strong[:, None] > weak[None, :])
     assert right == pytest.approx(0.75, abs=0.04)
     at = sense.at(2.0)
@@ -240,7 +303,9 @@ def test_the_threshold_is_that_of_two_intervals():
 
 @pytest.mark.parametrize("force_N", [0.0, 0.5, 4.0])
 def test_the_filter_of_a_sense_has_the_noise_of_the_threshold_at_its_force(force_N):
-    """r = s^2 (2 - G) / G for a scatter s of the threshold over d' = 0.954, and q = G^2 r / (1 - G)."""
+    """r = s^2 (2 - G) / G for a scatter s of the threshold over d' = 0.954, and q = G^2 r / (1 -
+    G).
+    """
     law, gain = Weber(kappa=0.07, offset=0.2), 1.0 - np.exp(-1e-3 / 0.1)
     at = Sense(law, integration_s=0.1, tick_s=1e-3, rng=np.random.default_rng(0)).at(force_N)
     scatter = 0.07 * (force_N + 0.2) / 0.9538725524

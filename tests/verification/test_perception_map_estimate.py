@@ -10,20 +10,29 @@ NODES = 2000
 
 
 def cases(count, seed):
-    """Observations, noises and priors; a third is negative or zero, a quarter has two turning points."""
+    """Observations, noises and priors; a third is negative or zero, a quarter has two turning
+    points.
+    """
     rng = np.random.default_rng(seed)
     middle = rng.normal(0.0, 1.5, count)
     spread = np.exp(rng.uniform(np.log(0.05), np.log(2.5), count))
     noise = np.exp(rng.uniform(np.log(0.01), np.log(3.0), count))
-    drawn = np.exp(middle + spread * rng.standard_normal(count)) + 3.0 * noise * rng.standard_normal(count)
+    drawn = np.exp(
+        middle + spread * rng.standard_normal(count)
+    ) + 3.0 * noise * rng.standard_normal(count)
     below = -rng.exponential(2.0, count) * (rng.random(count) < 0.8)
     return np.where(rng.random(count) < 0.35, below, drawn), noise, middle, spread
 
 
 def two_maxima(count, seed):
-    """Observations so far above the prior, 20 to 400 medians, that half of the posteriors have two maxima."""
+    """Observations so far above the prior, 20 to 400 medians, that half of the posteriors have
+    two maxima.
+    """
     rng = np.random.default_rng(seed)
-    spread, seen = rng.uniform(0.15, 0.6, count), np.exp(rng.uniform(np.log(20.0), np.log(400.0), count))
+    spread, seen = (
+        rng.uniform(0.15, 0.6, count),
+        np.exp(rng.uniform(np.log(20.0), np.log(400.0), count)),
+    )
     noise = spread * np.sqrt(seen * np.exp(1.0 - spread**2 + rng.uniform(0.0, np.log(6.0), count)))
     return seen, noise, np.zeros(count), spread
 
@@ -36,7 +45,9 @@ def maxima(seen, noise, middle, spread):
 
 
 def off_the_grid(seen, noise, middle, spread):
-    """How much the grid's best is better than ours, and how far from it ours lies, in cells; shapes (count,)."""
+    """How much the grid's best is better than ours, and how far from it ours lies, in cells;
+    shapes (count,).
+    """
     found = np.log(map_force_N(seen, noise, median_N=np.exp(middle), log_spread=spread))
     ours = log_posterior(found, seen, noise, middle, spread)
     better, cells = [], []
@@ -52,7 +63,9 @@ def off_the_grid(seen, noise, middle, spread):
     return np.concatenate(better), np.concatenate(cells)
 
 
-@pytest.mark.parametrize(("count", "seed"), [(4000, 0), pytest.param(100_000, 10, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("count", "seed"), [(4000, 0), pytest.param(100_000, 10, marks=pytest.mark.slow)]
+)
 def test_it_is_the_best_of_a_grid(count, seed):
     for given in (cases(count, seed), two_maxima(count // 4, seed + 1)):
         better, cells = off_the_grid(*given)
@@ -70,7 +83,9 @@ def test_bimodal_posteriors_are_among_them_and_both_sides_win():
 
 
 def test_e7_a_climb_from_one_start_ends_on_the_lower_maximum_of_some():
-    """Uphill from the prior's median, or from the observation, along the exact slope, steps of at most 0.02."""
+    """Uphill from the prior's median, or from the observation, along the exact slope, steps of
+    at most 0.02.
+    """
     given = two_maxima(1000, 4)
     both = maxima(*given) == 2
     seen, noise, middle, spread = (each[both] for each in given)
@@ -81,7 +96,10 @@ def test_e7_a_climb_from_one_start_ends_on_the_lower_maximum_of_some():
             w = np.exp(u)
             slope = -(u - middle) / spread**2 - 1.0 + (seen - w) * w / noise**2
             u += 0.02 * np.tanh(slope)
-        lower = log_posterior(u, seen, noise, middle, spread) < log_posterior(best, seen, noise, middle, spread) - 0.1
+        lower = (
+            log_posterior(u, seen, noise, middle, spread)
+            < log_posterior(best, seen, noise, middle, spread) - 0.1
+        )
         assert lower.mean() > 0.05
 
 
@@ -90,12 +108,17 @@ def test_it_is_defined_for_every_real_observation():
     found = map_force_N(seen, 0.2)
     assert np.isfinite(found).all() and (found > 0.0).all()
     assert (np.diff(found[3:]) > 0.0).all() and found[-1] == pytest.approx(1e6)
-    assert map_force_N(2.0, 0.1).shape == () and map_force_N(np.ones((3, 1)), [0.1, 0.2]).shape == (3, 2)
+    assert map_force_N(2.0, 0.1).shape == () and map_force_N(np.ones((3, 1)), [0.1, 0.2]).shape == (
+        3,
+        2,
+    )
 
 
 def test_limits_are_the_prior_and_the_observation():
     assert map_force_N(5.0, 1e-6, median_N=1.0, log_spread=1.0) == pytest.approx(5.0, rel=1e-9)
-    assert map_force_N(5.0, 1e9, median_N=2.0, log_spread=0.5) == pytest.approx(2.0 * np.exp(-0.25), rel=1e-9)
+    assert map_force_N(5.0, 1e9, median_N=2.0, log_spread=0.5) == pytest.approx(
+        2.0 * np.exp(-0.25), rel=1e-9
+    )
 
 
 @pytest.mark.parametrize(
@@ -117,15 +140,22 @@ def test_a_prior_that_excludes_the_data_is_refused():
     require_prior_fits(2.0, 0.1, median_N=1.0, log_spread=0.5)
     require_prior_fits(-0.3, 0.1, median_N=1.0, log_spread=1.0)
     for seen in (50.0, -5.0):
-        with pytest.raises(InputError, match=r"seen_N must be possible under the prior of 1 N with log spread 0.1"):
+        with pytest.raises(
+            InputError, match=r"seen_N must be possible under the prior of 1 N with log spread 0.1"
+        ):
             require_prior_fits(seen, 0.1, median_N=1.0, log_spread=0.1)
 
 
 @pytest.mark.parametrize(("spreads", "possible"), [(5.9, True), (6.1, False)])
 def test_a_prior_excludes_what_lies_six_deviations_beyond_its_sixth(spreads, possible):
-    """The highest force is exp(6 s) medians, and a look may be 6 noises above it; below, 6 noises under exp(-6 s)."""
+    """The highest force is exp(6 s) medians, and a look may be 6 noises above it; below, 6
+    noises under exp(-6 s).
+    """
     median, spread, noise = 2.0, 0.2, 0.05
-    for seen in (median * np.exp(6 * spread) + spreads * noise, median * np.exp(-6 * spread) - spreads * noise):
+    for seen in (
+        median * np.exp(6 * spread) + spreads * noise,
+        median * np.exp(-6 * spread) - spreads * noise,
+    ):
         if possible:
             require_prior_fits(seen, noise, median_N=median, log_spread=spread)
         else:

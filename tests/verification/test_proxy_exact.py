@@ -1,6 +1,8 @@
-"""The proxy against closed forms on exact solids: planes, edges, corners, thin walls, friction, tilted boxes.
+"""The proxy against closed forms on exact solids: planes, edges, corners, thin walls, friction,
+tilted boxes.
 
-``EXACT`` is what the validation case asks for (case 23: 1e-9); lengths are in metres, so it stands for a nanometre.
+``EXACT`` is what the validation case asks for (case 23: 1e-9); lengths are in metres, so it stands
+for a nanometre.
 """
 
 from itertools import pairwise
@@ -58,7 +60,9 @@ def test_plane_pushes_back_with_stiffness_times_depth():
 
 
 def test_inner_corner_of_two_and_three_planes():
-    """In a concave right angle the proxy is the device with each negative coordinate put to 0 (Zilles and Salisbury)."""
+    """In a concave right angle the proxy is the device with each negative coordinate put to 0
+    (Zilles and Salisbury).
+    """
     planes = [HalfSpace((0.0, 0.0, 0.0), normal) for normal in np.eye(3)]
     for count in (2, 3):
         proxy = point_on(*planes[:count], start=(1e-3, 2e-3, 1e-3))
@@ -70,9 +74,13 @@ def test_inner_corner_of_two_and_three_planes():
 
 
 def test_sharp_inner_corner_needs_both_planes_at_once():
-    """A wedge of 30 degrees: the device below its apex, inside both walls, leaves the proxy in the apex."""
+    """A wedge of 30 degrees: the device below its apex, inside both walls, leaves the proxy in
+    the apex.
+    """
     half = np.radians(15.0)
-    walls = [HalfSpace((0.0, 0.0, 0.0), (side * np.cos(half), 0.0, np.sin(half))) for side in (-1.0, 1.0)]
+    walls = [
+        HalfSpace((0.0, 0.0, 0.0), (side * np.cos(half), 0.0, np.sin(half))) for side in (-1.0, 1.0)
+    ]
     proxy = point_on(*walls, start=(0.0, 0.0, 5e-3))
     result = walk(proxy, (0.0, 0.0, 5e-3), (1e-4, 1e-3, -3e-3))
     assert result.position_m == pytest.approx(at(0.0, 1e-3, 0.0), abs=EXACT)
@@ -81,12 +89,16 @@ def test_sharp_inner_corner_needs_both_planes_at_once():
 
 @pytest.mark.parametrize("radius", [0.5e-3, 2e-3])
 def test_ball_on_a_convex_edge_and_corner(radius):
-    """A ball's proxy on an edge lies at its radius from the edge, on the line from there to the device."""
+    """A ball's proxy on an edge lies at its radius from the edge, on the line from there to the
+    device.
+    """
     corner = Box((-5e-3, -5e-3, -5e-3), (10e-3, 10e-3, 10e-3))
     proxy = point_on(corner, start=(2 * radius, -2e-3, 2 * radius), radius=radius)
     device = 0.6 * radius * at(np.cos(0.9), 0.0, np.sin(0.9)) + at(0.0, -2e-3, 0.0)
     result = walk(proxy, (2 * radius, -2e-3, 2 * radius), device)
-    assert result.position_m == pytest.approx(at(0.0, -2e-3, 0.0) + (device + at(0, 2e-3, 0)) / 0.6, abs=EXACT)
+    assert result.position_m == pytest.approx(
+        at(0.0, -2e-3, 0.0) + (device + at(0, 2e-3, 0)) / 0.6, abs=EXACT
+    )
     direction = at(1.0, 2.0, 2.0) / 3.0
     proxy.place(3.0 * radius * direction)
     result = walk(proxy, 3.0 * radius * direction, 0.7 * radius * direction)
@@ -94,7 +106,9 @@ def test_ball_on_a_convex_edge_and_corner(radius):
 
 
 def test_point_slides_off_a_convex_edge_and_is_free():
-    """Dragged under the surface past an edge the proxy leaves the top face there and joins the device."""
+    """Dragged under the surface past an edge the proxy leaves the top face there and joins the
+    device.
+    """
     proxy = point_on(Box((0.0, 0.0, -5e-3), (10e-3, 10e-3, 10e-3)), start=(0.0, 0.0, 1e-3))
     walk(proxy, (0.0, 0.0, 1e-3), (0.0, 0.0, -1e-3))
     assert walk(proxy, (0.0, 0.0, -1e-3), (4.9e-3, 0.0, -1e-3)).position_m == pytest.approx(
@@ -106,7 +120,9 @@ def test_point_slides_off_a_convex_edge_and_is_free():
 
 
 def test_thin_wall_holds_where_the_nearest_point_pops_through():
-    """E12: the free point nearest to the device changes sides halfway through a wall; the proxy does not."""
+    """E12: the free point nearest to the device changes sides halfway through a wall; the proxy
+    does not.
+    """
     wall = Box((0.0, 0.0, 0.0), (0.1, 0.1, 1e-4))
     proxy = point_on(wall, start=(0.0, 0.0, 1e-3))
     grid = np.arange(-3000, 3001) * 1e-6
@@ -116,7 +132,9 @@ def test_thin_wall_holds_where_the_nearest_point_pops_through():
         device = at(1e-4, 0.0, 1e-3 - depth)
         nearest = free[np.argmin(np.abs(free - device[2]))]
         popped |= bool(nearest < 0.0)
-        assert proxy.advance(device).position_m == pytest.approx(at(1e-4, 0.0, max(device[2], 0.5e-4)), abs=EXACT)
+        assert proxy.advance(device).position_m == pytest.approx(
+            at(1e-4, 0.0, max(device[2], 0.5e-4)), abs=EXACT
+        )
     assert popped, "the printed rule should fail here"
 
 
@@ -151,12 +169,18 @@ def test_friction_sticks_if_and_only_if_the_pull_is_inside_the_cone():
             assert result.position_m == pytest.approx(STILL, abs=EXACT)
         for pull in (1.000001 * friction * depth, 2.0 * friction * depth, 9e-3):
             result = proxy.advance(pull * direction - at(0.0, 0.0, depth))
-            assert result.position_m == pytest.approx((pull - friction * depth) * direction, abs=EXACT)
-            assert np.linalg.norm(result.push_m[:2]) == pytest.approx(friction * result.push_m[2], rel=1e-9)
+            assert result.position_m == pytest.approx(
+                (pull - friction * depth) * direction, abs=EXACT
+            )
+            assert np.linalg.norm(result.push_m[:2]) == pytest.approx(
+                friction * result.push_m[2], rel=1e-9
+            )
 
 
 def test_friction_changes_nothing_where_planes_hold_every_direction():
-    """In a corner of three planes the friction is not determined; the proxy rests there all the same."""
+    """In a corner of three planes the friction is not determined; the proxy rests there all the
+    same.
+    """
     planes = [HalfSpace((0.0, 0.0, 0.0), normal) for normal in np.eye(3)]
     proxy = point_on(*planes, start=(1e-3, 2e-3, 1e-3), friction=0.1)
     for device in ((-1e-3, -2e-3, -3e-3), (-2e-3, -1e-3, -1e-3), (-3e-3, -2e-3, -4e-3)):
@@ -166,9 +190,13 @@ def test_friction_changes_nothing_where_planes_hold_every_direction():
 
 
 def test_friction_starts_where_the_surface_is_met():
-    """A device that comes down slanting sticks where its path meets the plane, not below where it set out."""
+    """A device that comes down slanting sticks where its path meets the plane, not below where
+    it set out.
+    """
     proxy = point_on(PLANE, start=(0.0, 0.0, 1.03e-3), friction=2.0)
-    result = walk(proxy, (0.0, 0.0, 1.03e-3), (1.03e-3, 0.0, 0.0), (1.33e-3, 0.0, -0.3e-3), feed=0.17e-3)
+    result = walk(
+        proxy, (0.0, 0.0, 1.03e-3), (1.03e-3, 0.0, 0.0), (1.33e-3, 0.0, -0.3e-3), feed=0.17e-3
+    )
     assert result.position_m == pytest.approx(at(1.03e-3, 0.0, 0.0), abs=EXACT)
 
 
@@ -231,18 +259,26 @@ def test_box_flat_on_a_plane_is_balanced():
 
 
 def test_tilted_device_of_a_box_that_lies_flat():
-    """While the push lies within the base the box is flat, and the torque is the rotational spring's: k l^2 theta."""
+    """While the push lies within the base the box is flat, and the torque is the rotational
+    spring's: k l^2 theta.
+    """
     tilt = 0.04  # l^2 theta = 1.6e-5 < depth x half width = 2.4e-5
     result, pose = box_on_plane(at(0.0, 0.0, HALF[2] - 4e-3), (0.0, tilt, 0.0))
-    assert np.array(turn_between(result.quaternion, at(0.0, 0.0, 0.0, 1.0))) == pytest.approx(STILL, abs=EXACT)
+    assert np.array(turn_between(result.quaternion, at(0.0, 0.0, 0.0, 1.0))) == pytest.approx(
+        STILL, abs=EXACT
+    )
     assert result.position_m[2] == pytest.approx(HALF[2], abs=EXACT)
     torque = STIFFNESS * LEVER**2 * np.array(turn_between(pose, result.quaternion))
-    assert torque == pytest.approx(at(0.0, -STIFFNESS * LEVER**2 * tilt, 0.0), abs=STIFFNESS * EXACT)
+    assert torque == pytest.approx(
+        at(0.0, -STIFFNESS * LEVER**2 * tilt, 0.0), abs=STIFFNESS * EXACT
+    )
     assert STIFFNESS * result.push_moment_m2 == pytest.approx(torque, abs=1e-9)
 
 
 def test_tilted_box_on_its_edge():
-    """On one edge the tilt phi balances springs and push: l^2 (theta - phi) = push x lever arm of the edge."""
+    """On one edge the tilt phi balances springs and push: l^2 (theta - phi) = push x lever arm
+    of the edge.
+    """
     tilt, height = 0.5, 1e-3
     a, c = HALF[0], HALF[2]
 
@@ -258,11 +294,15 @@ def test_tilted_box_on_its_edge():
     turned = np.array(turn_between(at(0.0, 0.0, 0.0, 1.0), result.quaternion))
     assert turned == pytest.approx(at(0.0, phi, 0.0), abs=EXACT)
     assert result.position_m[2] == pytest.approx(low(phi)[0], abs=EXACT)
-    assert result.push_moment_m2[1] == pytest.approx(-(low(phi)[0] - height) * low(phi)[1], abs=1e-12)
+    assert result.push_moment_m2[1] == pytest.approx(
+        -(low(phi)[0] - height) * low(phi)[1], abs=1e-12
+    )
 
 
 def test_one_ball_rolls_off_another():
-    """Pressed on a ball beside its top the proxy ends on the line through the device (a smooth, convex surface)."""
+    """Pressed on a ball beside its top the proxy ends on the line through the device (a smooth,
+    convex surface).
+    """
     proxy = point_on(Ball((0.0, 0.0, 0.0), 5e-3), start=(0.0, 0.0, 8e-3), radius=2e-3)
     device = 6e-3 * at(0.28, 0.0, 0.96)
     result = walk(proxy, (0.0, 0.0, 8e-3), (0.0, 0.0, 6.5e-3), device)
@@ -270,7 +310,9 @@ def test_one_ball_rolls_off_another():
 
 
 def test_coupling_and_wall_in_series():
-    """Case 22: 1200 N/m against 1e4 N/m feels like 1071 N/m; two springs in a row share the force."""
+    """Case 22: 1200 N/m against 1e4 N/m feels like 1071 N/m; two springs in a row share the
+    force.
+    """
     felt, push = 1.0 / (1.0 / 1200.0 + 1.0 / 1e4), 2e-3
     assert felt == pytest.approx(1071.4, abs=0.1)
     wall_gives = push - push * felt / 1200.0

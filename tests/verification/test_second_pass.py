@@ -1,7 +1,9 @@
-"""A second pass over an older cut, against an integral over the ball's surface of the solid that the first one left.
+"""A second pass over an older cut, against an integral over the ball's surface of the solid that
+the first one left.
 
-The integral is written from the law alone: dF = -(N A / (2 pi r)) [(K_tc h + K_te) t + (K_rc h + K_re) n] on what advances,
-lies below the face and outside all capsules that the ball swept on its earlier lines.
+The integral is written from the law alone: dF = -(N A / (2 pi r)) [(K_tc h + K_te) t + (K_rc h +
+K_re) n] on what advances, lies below the face and outside all capsules that the ball swept on its
+earlier lines.
 """
 
 import numpy as np
@@ -17,7 +19,9 @@ BURR = Cutter(ball_burr(diameter_m=2 * R), 6, -100.0)
 FIRST = [(-2, 0, 0.3), (-2, 0, DEPTH), (2, 0, DEPTH)]
 LIFT = [(2, 0, 0.3)]
 NOTHING_LEFT, LITTLE_LEFT = 0.01, 0.02
-"""Of the full cut's force, over 50 ms: what a hand may feel where there is nothing, and the error where there is a little."""
+"""Of the full cut's force, over 50 ms: what a hand may feel where there is nothing, and the
+error where there is a little.
+"""
 FRAMES = {"lattice": UPRIGHT, "turned": Rotation.from_euler("xyz", [0.5, -0.3, 0.7])}
 
 
@@ -46,13 +50,19 @@ LITTLE |= {"slanted in depth": along(0.0, DEPTH + 0.2, DEPTH - 0.2)}
 
 
 def surface_sum(cut, ticks, rows=300):
-    """Force [N] at ticks, shape (n, 3), summed over `rows` by twice as many cells of equal angles."""
+    """Force [N] at ticks, shape (n, 3), summed over `rows` by twice as many cells of equal
+    angles.
+    """
     tips, velocities, lines = cut.ticks()
     centres = 1e-3 * np.array(cut.corners_mm) + [0.0, 0.0, R]
     polar = np.repeat((np.arange(rows) + 0.5) / rows * np.pi, 2 * rows)
     turn = np.tile((np.arange(2 * rows) + 0.5) / rows * np.pi, rows)
-    normal = np.column_stack([np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), -np.cos(polar)])
-    around = np.sign(BURR.spin_rad_s) * np.column_stack([-np.sin(turn), np.cos(turn), np.zeros_like(turn)])
+    normal = np.column_stack(
+        [np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), -np.cos(polar)]
+    )
+    around = np.sign(BURR.spin_rad_s) * np.column_stack(
+        [-np.sin(turn), np.cos(turn), np.zeros_like(turn)]
+    )
     per_radian = BURR.flute_count / (2 * np.pi) * R * (np.pi / rows) ** 2
     found = []
     for tick in ticks:
@@ -80,7 +90,9 @@ def second_pass(corners, frame, shift_m=(0.0, 0.0, 0.0)):
     wanted = surface_sum(cut, ticks)
     off = cut.engine(1e-4, frame=frame, shift_m=shift_m)[ticks] - wanted
     windows = off[: len(off) // 5 * 5].reshape(-1, 5, 3).mean(axis=1)
-    return np.linalg.norm(windows, axis=1).max() / full, np.linalg.norm(wanted, axis=1).mean() / full
+    return np.linalg.norm(windows, axis=1).max() / full, np.linalg.norm(
+        wanted, axis=1
+    ).mean() / full
 
 
 @pytest.mark.parametrize("frame", FRAMES)
@@ -104,7 +116,9 @@ def test_what_little_is_left_is_felt(name):
 def test_every_second_pass_in_turned_and_shifted_frames(name):
     corners, frames = (NOTHING | LITTLE)[name], Rotation.random(4, random_state=4)
     shifts = np.random.default_rng(0).uniform(-5e-4, 5e-4, (4, 3))
-    found = [second_pass(corners, frame, shift) for frame, shift in zip(frames, shifts, strict=True)]
+    found = [
+        second_pass(corners, frame, shift) for frame, shift in zip(frames, shifts, strict=True)
+    ]
     worst, true = max(error for error, _ in found), found[0][1]
     print(f"\n{name}: {100 * worst:.2f} % of the full cut, true force {100 * true:.1f} %")
     assert worst < (NOTHING_LEFT if name in NOTHING else LITTLE_LEFT)

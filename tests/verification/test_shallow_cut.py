@@ -1,4 +1,6 @@
-"""The force of `Bone.cut` in shallow slots, against an integral of the cutting law over the engaged cap of the ball."""
+"""The force of `Bone.cut` in shallow slots, against an integral of the cutting law over the
+engaged cap of the ball.
+"""
 
 import numpy as np
 import pytest
@@ -13,7 +15,8 @@ N_M2, N_M = 1e6, 1e3
 def integral(radius_m, depth_m, tilt, chip, edge):
     """Force of a ball in a first straight slot along x in flat bone, its axis tilted about y.
 
-    Elements in front of the ball and below z = 0 cut: dF = -N dA / (2 pi r) [(K_t h + E_t) t + (K_r h + E_r) n].
+    Elements in front of the ball and below z = 0 cut: dF = -N dA / (2 pi r) [(K_t h + E_t) t + (K_r
+    h + E_r) n].
     """
     axis = np.array([np.sin(tilt), 0.0, np.cos(tilt)])
     nodes, weights = leggauss(300)
@@ -22,7 +25,9 @@ def integral(radius_m, depth_m, tilt, chip, edge):
     theta, phi = np.meshgrid(polar, around, indexing="ij")
     share = np.outer(weights * 0.5 * np.arccos(1.0 - depth_m / radius_m), weights * 0.5 * np.pi)
     area = share * np.sin(theta) * radius_m**2
-    normal = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), -np.cos(theta)], axis=-1)
+    normal = np.stack(
+        [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), -np.cos(theta)], axis=-1
+    )
     off_axis = normal - (normal @ axis)[..., None] * axis
     lever = np.linalg.norm(off_axis, axis=-1)
     tangent = np.cross(-axis, off_axis / lever[..., None])  # clockwise as seen from the shank

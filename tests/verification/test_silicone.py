@@ -1,9 +1,11 @@
-"""Silicone cylinders pressed between platens: a modulus from one batch predicts the force of the other.
+"""Silicone cylinders pressed between platens: a modulus from one batch predicts the force of the
+other.
 
-Dawood et al. 2026: diameter 50 mm, height 30 mm, three mixes, batches A and B of five tests each. Friction of the platens
-is unreported, so both limits are given: none, which neo-Hookean answers in closed form, and bonded,
-which takes finite elements. One number is fitted, Young's modulus, on batch A up to 30 % compression; batch B is
-predicted. The force is proportional to the modulus, so one solve serves all.
+Dawood et al. 2026: diameter 50 mm, height 30 mm, three mixes, batches A and B of five tests each.
+Friction of the platens is unreported, so both limits are given: none, which neo-Hookean answers in
+closed form, and bonded, which takes finite elements. One number is fitted, Young's modulus, on
+batch A up to 30 % compression; batch B is predicted. The force is proportional to the modulus, so
+one solve serves all.
 """
 
 from pathlib import Path
@@ -34,7 +36,9 @@ def octant(unit: np.ndarray) -> np.ndarray:
     return np.column_stack([RADIUS_M * across, 0.5 * HEIGHT_M * (1.0 - (1.0 - c) ** 1.5)])
 
 
-def pressed(compression: np.ndarray, *, bonded: bool, law: Law = Law.NEO_HOOKEAN, cells=(4, 4, 5)) -> np.ndarray:
+def pressed(
+    compression: np.ndarray, *, bonded: bool, law: Law = Law.NEO_HOOKEAN, cells=(4, 4, 5)
+) -> np.ndarray:
     """Force over area and Young's modulus at each compression, from quadratic tetrahedra."""
     space = Space(mapped(cells, octant), 2)
     nodes = space.nodes_m
@@ -59,7 +63,9 @@ def frictionless(compression: np.ndarray) -> np.ndarray:
 
 
 def test_column_without_friction():
-    """Quadratic tetrahedra against the closed form of the same compressible law, lateral stretch by bisection."""
+    """Quadratic tetrahedra against the closed form of the same compressible law, lateral stretch
+    by bisection.
+    """
     share = np.array([0.1, 0.2, 0.3])
     lam, mu = lame(1.0, POISSON)
     exact = []
@@ -78,10 +84,12 @@ def test_column_without_friction():
 
 @pytest.mark.slow
 def test_batch_predicts_batch(anatomy, capsys):
-    """Batch B within 10 % (L2) of the prediction to 30 % compression, all mixes and both limits of friction.
+    """Batch B within 10 % (L2) of the prediction to 30 % compression, all mixes and both limits of
+    friction.
 
-    Batches scatter by 2 to 7 % against each other at one compression, so a single modulus cannot do better. Beyond 50 % the
-    silicone stiffens more than neo-Hookean: the error there is printed and must show.
+    Batches scatter by 2 to 7 % against each other at one compression, so a single modulus cannot do
+    better. Beyond 50 % the silicone stiffens more than neo-Hookean: the error there is printed and
+    must show.
     """
     knots = np.linspace(0.0, FITTED, 11)
     bonded = np.concatenate([[0.0], pressed(knots[1:], bonded=True)])
@@ -93,7 +101,10 @@ def test_batch_predicts_batch(anatomy, capsys):
     }
     lines, errors, late = [], {name: [] for name in limits}, []
     for mix in MIXES:
-        known, unknown = ([(s[s <= FITTED], p[s <= FITTED]) for s, p in traces(anatomy, mix, batch)] for batch in "AB")
+        known, unknown = (
+            [(s[s <= FITTED], p[s <= FITTED]) for s, p in traces(anatomy, mix, batch)]
+            for batch in "AB"
+        )
         assert len(known) == len(unknown) == 5
         for name, shape in limits.items():
             basis = np.concatenate([shape(s) for s, _ in known])
@@ -101,32 +112,45 @@ def test_batch_predicts_batch(anatomy, capsys):
             off = [np.linalg.norm(young * shape(s) - p) / np.linalg.norm(p) for s, p in unknown]
             errors[name] += off
             lines.append(
-                f"{mix:10} {name:26} E {1e-3 * young:6.2f} kPa   batch B off by {np.mean(off):6.1%}, at most {max(off):6.1%}"
+                f"{mix:10} {name:26} E {1e-3 * young:6.2f} kPa   batch B off by "
+                f"{np.mean(off):6.1%}, at most {max(off):6.1%}"
             )
             if shape is frictionless:
                 at = [np.interp(0.6, s, p) for s, p in traces(anatomy, mix, "B")]
                 late.append(1.0 - young * frictionless(np.array(0.6)) / np.mean(at))
     with capsys.disabled():
         print("\n" + "\n".join(lines))
-        print("at 60 % compression the prediction without friction is short by " + ", ".join(f"{v:.0%}" for v in late))
+        print(
+            "at 60 % compression the prediction without friction is short by "
+            + ", ".join(f"{v:.0%}" for v in late)
+        )
     assert max(errors["no friction, neo-Hookean"] + errors["bonded, neo-Hookean"]) < 0.10
     assert np.mean(errors["bonded, linear"]) > np.mean(errors["bonded, neo-Hookean"])
     assert min(late) > 0.2
 
 
-@pytest.mark.parametrize(("column", "most"), [(yeoh_column, 0.1), (ogden_column, 0.1), (neo_hookean_column, 0.25)])
+@pytest.mark.parametrize(
+    ("column", "most"), [(yeoh_column, 0.1), (ogden_column, 0.1), (neo_hookean_column, 0.25)]
+)
 def test_a_stiffening_law_predicts_the_other_batch_to_60_percent(anatomy, column, most):
-    """Constants by batch A; error of batch B, root mean square over its tests, over its mean curve (L2).
+    """Constants by batch A; error of batch B, root mean square over its tests, over its mean curve
+    (L2).
 
     Batches are 3.6 to 8.5 % apart. Neo-Hookean, which does not stiffen enough, fails.
     """
     at, errors = np.linspace(0.01, 0.6, 60), []
     for mix in MIXES:
-        known, unknown = (np.array([np.interp(at, s, p) for s, p in traces(anatomy, mix, batch)]) for batch in "AB")
+        known, unknown = (
+            np.array([np.interp(at, s, p) for s, p in traces(anatomy, mix, batch)])
+            for batch in "AB"
+        )
         predicted = fitted(column, at, known.mean(axis=0))
         off = np.linalg.norm(unknown - predicted, axis=1) / np.linalg.norm(unknown.mean(axis=0))
         errors.append(float(np.sqrt(np.mean(off**2))))
-    print(column.__name__, " ".join(f"{mix} {error:.1%}" for mix, error in zip(MIXES, errors, strict=True)))
+    print(
+        column.__name__,
+        " ".join(f"{mix} {error:.1%}" for mix, error in zip(MIXES, errors, strict=True)),
+    )
     assert max(errors) < most
     assert (max(errors) > 0.1) == (column is neo_hookean_column)
 
@@ -146,30 +170,45 @@ def test_columns_are_those_of_the_laws():
                 return law.stress(np.diag([side, side, along]))[0, 0]
 
             side = brentq(aside, 0.9 * along**-0.5, 1.1 * along**-0.5, xtol=1e-14)
-            assert -law.stress(np.diag([side, side, along]))[2, 2] == pytest.approx(expected, rel=1e-4)
+            assert -law.stress(np.diag([side, side, along]))[2, 2] == pytest.approx(
+                expected, rel=1e-4
+            )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("bonded", [False, True])
-def test_small_strains_of_a_batch_predict_the_other_within_twice_the_scatter(anatomy, bonded, capsys):
-    """Linear law on the engine's mesh, to 5 % compression; the scatter is the standard deviation of all ten tests.
+def test_small_strains_of_a_batch_predict_the_other_within_twice_the_scatter(
+    anatomy, bonded, capsys
+):
+    """Linear law on the engine's mesh, to 5 % compression; the scatter is the standard deviation of
+    all ten tests.
 
     To 30 % the same law is off by more than twice the scatter, which the figure must show.
     """
     stiffness = float(pressed(np.array([0.05]), bonded=bonded, law=Law.LINEAR)[0]) / 0.05
-    errors = {most: [offness(anatomy, mix, stiffness, most) for mix in MIXES] for most in (0.05, 0.3)}
+    errors = {
+        most: [offness(anatomy, mix, stiffness, most) for mix in MIXES] for most in (0.05, 0.3)
+    }
     with capsys.disabled():
         for most, found in errors.items():
-            text = ", ".join(f"{1e-3 * young:.2f} kPa {share:.2f} scatters" for young, share in found)
-            print(f"\nlinear to {most:.0%}, {'bonded' if bonded else 'no friction'}: {text}", end="")
+            text = ", ".join(
+                f"{1e-3 * young:.2f} kPa {share:.2f} scatters" for young, share in found
+            )
+            print(
+                f"\nlinear to {most:.0%}, {'bonded' if bonded else 'no friction'}: {text}", end=""
+            )
     assert max(share for _, share in errors[0.05]) < 2.0
     assert min(share for _, share in errors[0.3]) > 2.0
 
 
 def offness(folder: Path, mix: str, stiffness: float, most: float) -> tuple[float, float]:
-    """Young's modulus [Pa] by batch A, and the error of its prediction of batch B over the scatter of both."""
+    """Young's modulus [Pa] by batch A, and the error of its prediction of batch B over the
+    scatter of both.
+    """
     at = np.linspace(0.01, most, round(100 * most))
-    known, unknown = (np.array([np.interp(at, s, p) for s, p in traces(folder, mix, batch)]) for batch in "AB")
+    known, unknown = (
+        np.array([np.interp(at, s, p) for s, p in traces(folder, mix, batch)]) for batch in "AB"
+    )
     both = np.concatenate([known, unknown])
     young = float((known @ at).sum() / (stiffness * len(known) * (at @ at)))
     error = np.sqrt(np.mean((unknown - young * stiffness * at) ** 2))
@@ -181,4 +220,6 @@ def offness(folder: Path, mix: str, stiffness: float, most: float) -> tuple[floa
 def test_bonded_column_has_converged():
     """The mesh of the prediction against a finer one, to 20 % compression: 2 %."""
     share = np.linspace(0.04, 0.2, 5)
-    np.testing.assert_allclose(pressed(share, bonded=True), pressed(share, bonded=True, cells=(7, 7, 8)), rtol=0.02)
+    np.testing.assert_allclose(
+        pressed(share, bonded=True), pressed(share, bonded=True, cells=(7, 7, 8)), rtol=0.02
+    )

@@ -1,7 +1,8 @@
-"""Silicone cylinders pressed to 60 % strain: each hyperelastic law is fitted to batch A and predicts batch B.
+"""Silicone cylinders pressed to 60 % strain: each hyperelastic law is fitted to batch A and
+predicts batch B.
 
-Cylinders and platens as in `test_silicone`; the platens are taken as free of friction and the silicone as
-incompressible, so the force is the closed form of uniaxial compression.
+Cylinders and platens as in `test_silicone`; the platens are taken as free of friction and the
+silicone as incompressible, so the force is the closed form of uniaxial compression.
 """
 
 from collections.abc import Callable
@@ -59,20 +60,27 @@ def test_a_fit_returns_the_law_that_was_planted(name):
 
 
 def test_batch_predicts_batch_to_60_percent(anatomy, capsys):
-    """Laws with two constants or more predict batch B within 10 % (L2, mean of its five tests); neo-Hookean does not.
+    """Laws with two constants or more predict batch B within 10 % (L2, mean of its five tests);
+    neo-Hookean does not.
 
     Single cylinders of the softest mix are up to 11 % off.
     """
     lines, errors = [], {name: [] for name in LAWS}
     for mix in MIXES:
         known, unknown = (
-            [(s[s <= STRAIN][::EVERY], p[s <= STRAIN][::EVERY]) for s, p in traces(anatomy, mix, batch)]
+            [
+                (s[s <= STRAIN][::EVERY], p[s <= STRAIN][::EVERY])
+                for s, p in traces(anatomy, mix, batch)
+            ]
             for batch in "AB"
         )
         for name in LAWS:
             shares = shares_off(fitted(name, known), unknown)
             errors[name].append(float(np.mean(shares)))
-            lines.append(f"{mix:10} {name:14} batch B off by {np.mean(shares):6.1%}, at most {max(shares):6.1%}")
+            lines.append(
+                f"{mix:10} {name:14} batch B off by {np.mean(shares):6.1%}, at most "
+                f"{max(shares):6.1%}"
+            )
     with capsys.disabled():
         print("\n" + "\n".join(lines))
     assert max(errors["mooney-rivlin"] + errors["yeoh"] + errors["ogden"]) < 0.10

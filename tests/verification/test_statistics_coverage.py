@@ -46,7 +46,9 @@ def test_interval_of_partial_eta_squared_covers():
 
 def test_intervals_of_the_mixed_model_cover():
     """One fit has the closed form's interval; the closed form covers in 10,000 populations."""
-    pytest.importorskip("statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'")
+    pytest.importorskip(
+        "statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'"
+    )
     rng = np.random.default_rng(11)
     planted = np.array([-0.3, 0.0, 0.1, 0.2])
     many, groups = simulated_cells(
@@ -81,19 +83,31 @@ def simulated_trials(rng):
         for trial in range(4):
             shared = 0.9 * rng.normal()
             rows += [
-                {"task": "t", "group": "gh"[user // 6], "user": user, "trial": trial, "method": method, "seed": 0,
-                 "m": user_level + tastes[index] + shared + 0.7 * rng.normal()}
+                {
+                    "task": "t",
+                    "group": "gh"[user // 6],
+                    "user": user,
+                    "trial": trial,
+                    "method": method,
+                    "seed": 0,
+                    "m": user_level + tastes[index] + shared + 0.7 * rng.normal(),
+                }
                 for index, method in enumerate("abcd")
-            ]  # fmt: skip
+            ]
     return TrialTable.from_rows(rows)
 
 
 def trials_of(rng, *, users=15, rows=20, slopes=(0.5, -0.3), between=1.0):
     """A response with two predictors in odd units, users apart."""
     person = np.repeat(np.arange(users), rows)
-    columns = {"force_error": rng.gamma(4.0, 0.01, len(person)), "latency_ms": rng.normal(4.0, 0.5, len(person))}
+    columns = {
+        "force_error": rng.gamma(4.0, 0.01, len(person)),
+        "latency_ms": rng.normal(4.0, 0.5, len(person)),
+    }
     value = between * rng.normal(size=users)[person] + rng.normal(size=len(person))
-    value += sum(slope * each / each.std() for slope, each in zip(slopes, columns.values(), strict=True))
+    value += sum(
+        slope * each / each.std() for slope, each in zip(slopes, columns.values(), strict=True)
+    )
     return value, columns, person
 
 
@@ -104,10 +118,18 @@ def test_credible_intervals_cover():
     for _ in range(300):
         values, columns, person = trials_of(rng)
         found = regression(values, columns, person, response="error")
-        truth = [slope / each.std() for slope, each in zip((0.5, -0.3), columns.values(), strict=True)]
-        held.append([each.low <= slope <= each.high for each, slope in zip(found.slopes, truth, strict=True)])
+        truth = [
+            slope / each.std() for slope, each in zip((0.5, -0.3), columns.values(), strict=True)
+        ]
+        held.append(
+            [
+                each.low <= slope <= each.high
+                for each, slope in zip(found.slopes, truth, strict=True)
+            ]
+        )
         shares.append(found.correlation)
-    assert np.mean(held, axis=0) == pytest.approx([0.95] * 2, abs=0.038)  # three standard errors of 300
+    # three standard errors of 300
+    assert np.mean(held, axis=0) == pytest.approx([0.95] * 2, abs=0.038)
     assert np.mean(shares) == pytest.approx(0.5, abs=0.05)
 
 
@@ -118,7 +140,9 @@ def test_a_slope_that_is_not_there_is_reported_above_zero_half_the_time():
     for _ in range(300):
         values, columns, person = trials_of(rng, slopes=(0.0, 0.0))
         chances += regression(values, columns, person, response="error").chances[:1]
-    assert np.mean((np.array(chances) < 0.025) | (np.array(chances) > 0.975)) == pytest.approx(0.05, abs=0.038)
+    assert np.mean((np.array(chances) < 0.025) | (np.array(chances) > 0.975)) == pytest.approx(
+        0.05, abs=0.038
+    )
     assert stats.kstest(chances, "uniform").pvalue > 1e-3
 
 
@@ -126,7 +150,10 @@ def test_the_regression_does_not_know_units():
     values, columns, person = trials_of(np.random.default_rng(8))
     once = regression(values, columns, person, response="error")
     again = regression(
-        1e3 * values + 7.0, {name: 1e-3 * each for name, each in columns.items()}, person, response="error"
+        1e3 * values + 7.0,
+        {name: 1e-3 * each for name, each in columns.items()},
+        person,
+        response="error",
     )
     for one, other in zip(once.slopes, again.slopes, strict=True):
         assert (other.value, other.low, other.high) == pytest.approx(
@@ -135,18 +162,24 @@ def test_the_regression_does_not_know_units():
 
 
 def test_with_a_wide_prior_it_is_least_squares_within_users():
-    """Far more variance between users than within: slopes are those of the columns with users' means taken out."""
+    """Far more variance between users than within: slopes are those of the columns with users'
+    means taken out.
+    """
     values, columns, person = trials_of(np.random.default_rng(9), between=50.0)
     found = regression(values, columns, person, response="error", slope_spread=1e4)
     out = lambda each: each - (np.bincount(person, each) / np.bincount(person))[person]  # noqa: E731
-    least, *_ = np.linalg.lstsq(np.column_stack([out(each) for each in columns.values()]), out(values), rcond=None)
+    least, *_ = np.linalg.lstsq(
+        np.column_stack([out(each) for each in columns.values()]), out(values), rcond=None
+    )
     assert [each.value for each in found.slopes] == pytest.approx(least, rel=2e-3)
 
 
 @pytest.mark.slow
 def test_quadrature_agrees_with_chains():
     """The same model by NUTS: medians and ends of intervals within the chains' own error."""
-    numpyro = pytest.importorskip("numpyro", reason="numpyro is not installed: it checks the quadrature by chains")
+    numpyro = pytest.importorskip(
+        "numpyro", reason="numpyro is not installed: it checks the quadrature by chains"
+    )
     import jax
     import numpyro.distributions as dist
 
@@ -166,10 +199,15 @@ def test_quadrature_agrees_with_chains():
         users = numpyro.sample("users", dist.Normal(0.0, 1.0).expand([10]))
         user_level = users * rest * jax.numpy.sqrt(share / (1.0 - share))
         numpyro.deterministic("slope", slopes)
-        numpyro.sample("seen", dist.Normal(level + design @ slopes + user_level[person], rest), obs=standard)
+        numpyro.sample(
+            "seen", dist.Normal(level + design @ slopes + user_level[person], rest), obs=standard
+        )
 
     chains = numpyro.infer.MCMC(
-        numpyro.infer.NUTS(model, target_accept_prob=0.9), num_warmup=500, num_samples=4000, progress_bar=False
+        numpyro.infer.NUTS(model, target_accept_prob=0.9),
+        num_warmup=500,
+        num_samples=4000,
+        progress_bar=False,
     )
     chains.run(jax.random.PRNGKey(0))
     drawn = np.asarray(chains.get_samples()["slope"]) * values.std() / matrix.std(axis=0)
@@ -179,4 +217,6 @@ def test_quadrature_agrees_with_chains():
         width = high - low
         assert each.value == pytest.approx(middle, abs=0.02 * width)
         assert (each.low, each.high) == pytest.approx((low, high), abs=0.03 * width)
-    assert ours.correlation == pytest.approx(float(np.mean(chains.get_samples()["share"])), abs=0.02)
+    assert ours.correlation == pytest.approx(
+        float(np.mean(chains.get_samples()["share"])), abs=0.02
+    )

@@ -22,7 +22,9 @@ from tissue.evaluation.statistics.trials import Cells
 
 ALPHA = 0.05
 OFF = 0.01
-"""False alarms are wanted at 5 +- 1 %: four and a half standard errors of 10,000 replications, two of 2,000."""
+"""False alarms are wanted at 5 +- 1 %: four and a half standard errors of 10,000 replications,
+two of 2,000.
+"""
 USERS, TRIALS = 12, 8
 WORLD = Components(user=1.0, user_method=0.3, trial=0.5, residual=1.0)
 FLAT = np.zeros((3, 4))
@@ -31,7 +33,12 @@ FLAT = np.zeros((3, 4))
 def null(count, seed=1, components=WORLD, users=USERS):
     """Cell means of three groups of users under four equal methods."""
     return simulated_cells(
-        components, FLAT, users_per_group=users, trials=TRIALS, populations=count, rng=np.random.default_rng(seed)
+        components,
+        FLAT,
+        users_per_group=users,
+        trials=TRIALS,
+        populations=count,
+        rng=np.random.default_rng(seed),
     )
 
 
@@ -46,7 +53,9 @@ def test_strata_alarm_at_the_stated_level(name):
 
 
 def test_chi_squared_alarms_too_often_with_few_users():
-    """Why Wald's statistic of a mixed model is referred to F: with five users a group, chi squared has over 8 %."""
+    """Why Wald's statistic of a mixed model is referred to F: with five users a group, chi
+    squared has over 8 %.
+    """
     values, groups = null(10_000, users=5)
     found = strata(values, groups, (4,), between=True)
     assert np.mean(stats.chi2.sf(2.0 * found.F, 2) < ALPHA) > 0.08
@@ -55,7 +64,9 @@ def test_chi_squared_alarms_too_often_with_few_users():
 
 @pytest.mark.parametrize("name", ["method", "group x method"])
 def test_without_sphericity_the_corrected_test_holds(name):
-    """One method that users take very differently: the plain test alarms too often, Greenhouse and Geisser's does not."""
+    """One method that users take very differently: the plain test alarms too often, Greenhouse
+    and Geisser's does not.
+    """
     values, groups = null(10_000, users=20)
     values[:, :, 3] += 3.0 * np.random.default_rng(2).normal(size=values.shape[:2])
     chosen, between = TESTS[name]
@@ -72,21 +83,28 @@ def test_manova_alarms_at_the_stated_level(between):
     groups = np.repeat([0, 1, 2], USERS)
     scores = rng.normal(size=(10_000, len(groups), 4)) @ mix
     alarms = np.mean(pillai(scores, groups, between=between).p < ALPHA)
-    print(f"null data, MANOVA of {'groups' if between else 'methods'}: {100 * alarms:.1f} % rejected at 5 %")
+    print(
+        f"null data, MANOVA of {'groups' if between else 'methods'}: {100 * alarms:.1f} % "
+        "rejected at 5 %"
+    )
     assert alarms == pytest.approx(ALPHA, abs=OFF)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TESTS)
 def test_permutations_alarm_at_the_stated_level(name):
-    """With 99 shuffles p takes the values 0.01, 0.02 ... so that 5 % is p <= 0.05. Errors are far from normal."""
+    """With 99 shuffles p takes the values 0.01, 0.02 ... so that 5 % is p <= 0.05. Errors are
+    far from normal.
+    """
     chosen, between = TESTS[name]
     rng = np.random.default_rng(7)
     groups = np.repeat([0, 1, 2], 6)
     alarms = []
     for _ in range(2000):
         values = rng.exponential(size=(18, 1)) + rng.exponential(size=(18, 4))
-        found = permutation(values, groups, (4,), chosen, between=between, question="?", rng=rng, count=99)
+        found = permutation(
+            values, groups, (4,), chosen, between=between, question="?", rng=rng, count=99
+        )
         alarms.append(found.p <= ALPHA)
     assert np.mean(alarms) == pytest.approx(ALPHA, abs=OFF)
 
@@ -94,14 +112,20 @@ def test_permutations_alarm_at_the_stated_level(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("between", [True, False], ids=["groups", "methods"])
 def test_permuted_pillai_alarms_at_the_stated_level(between):
-    pytest.importorskip("statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'")
+    pytest.importorskip(
+        "statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'"
+    )
     rng = np.random.default_rng(8)
     groups = np.repeat([0, 1, 2], 6)
     alarms = []
     for _ in range(4000):
         scores = rng.laplace(size=(18, 2))
         measured = float(pillai(scores, groups, between=between).trace)
-        others = shuffled_users(scores, 99, rng) if between else scores * rng.choice([-1.0, 1.0], (99, 18, 1))
+        others = (
+            shuffled_users(scores, 99, rng)
+            if between
+            else scores * rng.choice([-1.0, 1.0], (99, 18, 1))
+        )
         alarms.append(shuffled_p(measured, pillai(others, groups, between=between).trace) <= ALPHA)
     assert np.mean(alarms) == pytest.approx(ALPHA, abs=OFF)
     message = multivariate(scores, groups, between=between, question="?", rng=rng, permutations=999)
@@ -129,7 +153,9 @@ def test_power_of_a_paired_design_is_the_noncentral_f():
     means = np.tile([0.0, 0.15, 0.3, 0.45], (3, 1))
     found = {
         each.test: each
-        for each in simulated_power(WORLD, means, users_per_group=8, trials=10, rng=np.random.default_rng(11))
+        for each in simulated_power(
+            WORLD, means, users_per_group=8, trials=10, rng=np.random.default_rng(11)
+        )
     }
     error = WORLD.user_method + WORLD.residual / 10
     shift = 24 * ((means[0] - means[0].mean()) ** 2).sum() / error
@@ -138,7 +164,9 @@ def test_power_of_a_paired_design_is_the_noncentral_f():
     assert 0.3 < exact < 0.9
     assert found["method"].hits.low - 0.005 < exact < found["method"].hits.high + 0.005
     for each in found.values():
-        assert each.false_alarms.value == pytest.approx(ALPHA, abs=OFF) and each.populations == 10_000
+        assert (
+            each.false_alarms.value == pytest.approx(ALPHA, abs=OFF) and each.populations == 10_000
+        )
     assert "false alarms" in found["group"].sentence
 
 
@@ -148,7 +176,9 @@ def test_power_grows_with_users_and_not_beyond_them_with_trials():
     rates = [
         {
             each.test: each.hits.value
-            for each in simulated_power(WORLD, means, users_per_group=users, trials=trials, rng=rng, populations=2000)
+            for each in simulated_power(
+                WORLD, means, users_per_group=users, trials=trials, rng=rng, populations=2000
+            )
         }["group"]
         for users, trials in ((5, 10), (20, 10), (60, 10), (5, 10_000))
     ]
@@ -169,11 +199,15 @@ def cells_of(values, groups):
 
 
 def test_redrawn_users_alarm_nearly_at_their_level():
-    """Users drawn with replacement appear twice: error rates lie near 5 %, within two points at 12 users a group."""
+    """Users drawn with replacement appear twice: error rates lie near 5 %, within two points at
+    12 users a group.
+    """
     shares = []
     for seed in range(8):
         values, groups = null(1, seed=seed)
-        found = redrawn_power(cells_of(values[0], groups), rng=np.random.default_rng(seed), populations=1000)
+        found = redrawn_power(
+            cells_of(values[0], groups), rng=np.random.default_rng(seed), populations=1000
+        )
         shares.append([each.false_alarms.value for each in found])
     assert np.mean(shares, axis=0) == pytest.approx([ALPHA] * 3, abs=0.02)
     assert found[0].users_per_group == USERS

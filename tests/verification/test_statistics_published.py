@@ -5,7 +5,12 @@ import pytest
 from scipy import stats
 
 from tissue.evaluation.statistics.comparison import compare, tukey_groups, tukey_levels
-from tissue.evaluation.statistics.hypothesis_test import cohens_d, mardia, normal_residuals, partial_eta_squared
+from tissue.evaluation.statistics.hypothesis_test import (
+    cohens_d,
+    mardia,
+    normal_residuals,
+    partial_eta_squared,
+)
 from tissue.evaluation.statistics.manova import multivariate
 from tissue.evaluation.statistics.mixed import mixed_model
 from tissue.evaluation.statistics.strata import (
@@ -20,7 +25,9 @@ from tissue.evaluation.statistics.strata import (
 )
 from tissue.evaluation.statistics.trials import TrialTable
 
-pytest.importorskip("statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'")
+pytest.importorskip(
+    "statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'"
+)
 MACHINES = np.array(
     [
         [[52.0, 52.8, 53.1], [62.1, 62.6, 64.0], [67.5, 67.2, 66.9]],
@@ -31,19 +38,43 @@ MACHINES = np.array(
         [[46.4, 44.8, 49.2], [43.7, 44.2, 43.0], [62.0, 61.4, 60.5]],
     ]
 )
-"""Productivity of six workers on three machines, three times each (Milliken and Johnson 1992, p. 285)."""
+"""Productivity of six workers on three machines, three times each (Milliken and Johnson 1992, p.
+285).
+"""
 GIRLS = [
-    [21.0, 20.0, 21.5, 23.0], [21.0, 21.5, 24.0, 25.5], [20.5, 24.0, 24.5, 26.0], [23.5, 24.5, 25.0, 26.5],
-    [21.5, 23.0, 22.5, 23.5], [20.0, 21.0, 21.0, 22.5], [21.5, 22.5, 23.0, 25.0], [23.0, 23.0, 23.5, 24.0],
-    [20.0, 21.0, 22.0, 21.5], [16.5, 19.0, 19.0, 19.5], [24.5, 25.0, 28.0, 28.0],
-]  # fmt: skip
+    [21.0, 20.0, 21.5, 23.0],
+    [21.0, 21.5, 24.0, 25.5],
+    [20.5, 24.0, 24.5, 26.0],
+    [23.5, 24.5, 25.0, 26.5],
+    [21.5, 23.0, 22.5, 23.5],
+    [20.0, 21.0, 21.0, 22.5],
+    [21.5, 22.5, 23.0, 25.0],
+    [23.0, 23.0, 23.5, 24.0],
+    [20.0, 21.0, 22.0, 21.5],
+    [16.5, 19.0, 19.0, 19.5],
+    [24.5, 25.0, 28.0, 28.0],
+]
 BOYS = [
-    [26.0, 25.0, 29.0, 31.0], [21.5, 22.5, 23.0, 26.5], [23.0, 22.5, 24.0, 27.5], [25.5, 27.5, 26.5, 27.0],
-    [20.0, 23.5, 22.5, 26.0], [24.5, 25.5, 27.0, 28.5], [22.0, 22.0, 24.5, 26.5], [24.0, 21.5, 24.5, 25.5],
-    [23.0, 20.5, 31.0, 26.0], [27.5, 28.0, 31.0, 31.5], [23.0, 23.0, 23.5, 25.0], [21.5, 23.5, 24.0, 28.0],
-    [17.0, 24.5, 26.0, 29.5], [22.5, 25.5, 25.5, 26.0], [23.0, 24.5, 26.0, 30.0], [22.0, 21.5, 23.5, 25.0],
-]  # fmt: skip
-"""Distance between two points of a child's skull at 8, 10, 12 and 14 years [mm] (Potthoff and Roy 1964)."""
+    [26.0, 25.0, 29.0, 31.0],
+    [21.5, 22.5, 23.0, 26.5],
+    [23.0, 22.5, 24.0, 27.5],
+    [25.5, 27.5, 26.5, 27.0],
+    [20.0, 23.5, 22.5, 26.0],
+    [24.5, 25.5, 27.0, 28.5],
+    [22.0, 22.0, 24.5, 26.5],
+    [24.0, 21.5, 24.5, 25.5],
+    [23.0, 20.5, 31.0, 26.0],
+    [27.5, 28.0, 31.0, 31.5],
+    [23.0, 23.0, 23.5, 25.0],
+    [21.5, 23.5, 24.0, 28.0],
+    [17.0, 24.5, 26.0, 29.5],
+    [22.5, 25.5, 25.5, 26.0],
+    [23.0, 24.5, 26.0, 30.0],
+    [22.0, 21.5, 23.5, 25.0],
+]
+"""Distance between two points of a child's skull at 8, 10, 12 and 14 years [mm] (Potthoff and
+Roy 1964).
+"""
 DENTAL = np.array(GIRLS + BOYS)
 SEX = np.repeat([0, 1], [len(GIRLS), len(BOYS)])
 PLANTS = (
@@ -51,16 +82,29 @@ PLANTS = (
     [4.81, 4.17, 4.41, 3.59, 5.87, 3.83, 6.03, 4.89, 4.32, 4.69],
     [6.31, 5.12, 5.54, 5.50, 5.37, 5.29, 4.92, 6.15, 5.80, 5.26],
 )
-"""Dried weight of plants under a control and two treatments (Dobson 1983), the data PlantGrowth of R."""
+"""Dried weight of plants under a control and two treatments (Dobson 1983), the data PlantGrowth
+of R.
+"""
 SKULLS = np.array(
     [
-        [2.068, 2.070, 1.580], [2.068, 2.074, 1.602], [2.090, 2.090, 1.613], [2.097, 2.093, 1.613],
-        [2.117, 2.125, 1.663], [2.140, 2.146, 1.681], [2.045, 2.054, 1.580], [2.076, 2.088, 1.602],
-        [2.090, 2.093, 1.643], [2.111, 2.114, 1.643], [2.093, 2.098, 1.653], [2.100, 2.106, 1.623],
+        [2.068, 2.070, 1.580],
+        [2.068, 2.074, 1.602],
+        [2.090, 2.090, 1.613],
+        [2.097, 2.093, 1.613],
+        [2.117, 2.125, 1.663],
+        [2.140, 2.146, 1.681],
+        [2.045, 2.054, 1.580],
+        [2.076, 2.088, 1.602],
+        [2.090, 2.093, 1.643],
+        [2.111, 2.114, 1.643],
+        [2.093, 2.098, 1.653],
+        [2.100, 2.106, 1.623],
         [2.104, 2.101, 1.653],
     ]
-)  # fmt: skip
-"""Three logarithms of lengths of skulls from three places (SAS/STAT 9.2 User's Guide, Introduction to Regression)."""
+)
+"""Three logarithms of lengths of skulls from three places (SAS/STAT 9.2 User's Guide,
+Introduction to Regression).
+"""
 PLACE = np.repeat([0, 1, 2], [6, 4, 3])
 RNG = 8
 
@@ -68,25 +112,43 @@ RNG = 8
 def machines_table():
     """The workers' scores as trials; the three repeats on one machine are not those on another."""
     return TrialTable.from_rows(
-        {"task": "work", "group": "all", "user": f"w{w}", "trial": 3 * m + k, "method": "ABC"[m], "seed": 0,
-         "score": MACHINES[w, m, k]}
-        for w in range(6) for m in range(3) for k in range(3)
-    )  # fmt: skip
+        {
+            "task": "work",
+            "group": "all",
+            "user": f"w{w}",
+            "trial": 3 * m + k,
+            "method": "ABC"[m],
+            "seed": 0,
+            "score": MACHINES[w, m, k],
+        }
+        for w in range(6)
+        for m in range(3)
+        for k in range(3)
+    )
 
 
 def dental_table():
     return TrialTable.from_rows(
-        {"task": "growth", "group": "FM"[SEX[child]], "user": f"c{child:02d}", "trial": 0, "method": f"{age:02d}",
-         "seed": 0, "distance_mm": DENTAL[child, index]}
-        for child in range(len(DENTAL)) for index, age in enumerate((8, 10, 12, 14))
-    )  # fmt: skip
+        {
+            "task": "growth",
+            "group": "FM"[SEX[child]],
+            "user": f"c{child:02d}",
+            "trial": 0,
+            "method": f"{age:02d}",
+            "seed": 0,
+            "distance_mm": DENTAL[child, index],
+        }
+        for child in range(len(DENTAL))
+        for index, age in enumerate((8, 10, 12, 14))
+    )
 
 
 def test_mixed_model_of_the_machines():
     """Pinheiro and Bates (2000, section 1.3): 4.78105, 3.72953 and 0.96158; F(2, 10) = 20.6."""
     model = mixed_model(machines_table(), "score")
     found = model.components
-    assert found.user**0.5 == pytest.approx(4.78105, rel=2e-3)  # the optimiser stops at a gradient of 1e-5
+    # the optimiser stops at a gradient of 1e-5
+    assert found.user**0.5 == pytest.approx(4.78105, rel=2e-3)
     assert found.user_method**0.5 == pytest.approx(3.729532, rel=1e-3)
     assert found.residual**0.5 == pytest.approx(0.9615771, rel=1e-3)
     assert found.trial == 0.0
@@ -107,13 +169,17 @@ def test_strata_of_the_machines_are_the_same_test():
 
 
 def test_growth_of_children():
-    """The analysis by SAS PROC GLM: sex 9.29 (0.0054), age 35.35, both 2.36 (0.0781), epsilon 0.8672, Mauchly 0.1997."""
+    """The analysis by SAS PROC GLM: sex 9.29 (0.0054), age 35.35, both 2.36 (0.0781), epsilon
+    0.8672, Mauchly 0.1997.
+    """
     sex = strata(DENTAL, SEX, (4,), between=True)
     age = strata(DENTAL, SEX, (4,), (0,), between=False)
     both = strata(DENTAL, SEX, (4,), (0,), between=True)
     assert (sex.degrees, age.degrees, both.degrees) == ((1, 25), (3, 75), (3, 75))
     assert [round(float(each.F), 2) for each in (sex, age, both)] == [9.29, 35.35, 2.36]
-    assert float(sex.p) == pytest.approx(0.0054, abs=5e-5) and float(both.p) == pytest.approx(0.0781, abs=5e-5)
+    assert float(sex.p) == pytest.approx(0.0054, abs=5e-5) and float(both.p) == pytest.approx(
+        0.0781, abs=5e-5
+    )
     assert float(age.epsilon) == pytest.approx(0.8672, abs=5e-5)
     assert mauchly(scores_of(DENTAL, (4,), (0,)), SEX) == pytest.approx(0.1997, abs=5e-5)
 
@@ -121,8 +187,17 @@ def test_growth_of_children():
 def test_comparison_of_children_names_what_fails():
     found = compare(dental_table(), "distance_mm", task="growth", rng=np.random.default_rng(RNG))
     method, group, both = found.tests
-    assert (round(group.statistic, 2), round(method.statistic, 2), round(both.statistic, 2)) == (9.29, 35.35, 2.36)
-    assert {each.test for each in method.alternatives} == {"permutation", "Greenhouse-Geisser", "Hotelling", "Friedman"}
+    assert (round(group.statistic, 2), round(method.statistic, 2), round(both.statistic, 2)) == (
+        9.29,
+        35.35,
+        2.36,
+    )
+    assert {each.test for each in method.alternatives} == {
+        "permutation",
+        "Greenhouse-Geisser",
+        "Hotelling",
+        "Friedman",
+    }
     normal = next(each for each in method.assumptions if each.name == "normal residuals")
     assert not normal.holds  # one boy shrinks by 5 mm from 12 to 14 years
     assert not method.sound and method.found
@@ -130,7 +205,9 @@ def test_comparison_of_children_names_what_fails():
 
 def test_manova_of_skulls():
     """SAS/STAT 9.2 User's Guide, figure 4.5."""
-    found = multivariate(SKULLS, PLACE, between=True, question="skulls: place", rng=np.random.default_rng(RNG))
+    found = multivariate(
+        SKULLS, PLACE, between=True, question="skulls: place", rng=np.random.default_rng(RNG)
+    )
     published = {
         "Pillai": (0.44702843, 0.86),
         "Wilks": (0.60143661, 0.77),
@@ -138,7 +215,9 @@ def test_manova_of_skulls():
         "Roy": (0.35530890, 1.07),
     }
     for name, (value, statistic) in published.items():
-        each = next(each for each in (found, *found.alternatives) if each.test.startswith(f"MANOVA, {name}"))
+        each = next(
+            each for each in (found, *found.alternatives) if each.test.startswith(f"MANOVA, {name}")
+        )
         assert each.test.endswith(f"{value:.4g}")
         assert each.statistic == pytest.approx(statistic, abs=0.005)
     ours = pillai(SKULLS, PLACE, between=True)
@@ -153,11 +232,15 @@ def test_pillai_is_that_of_statsmodels(between, width):
     scores, groups = rng.normal(0.3, 1.0, (24, width)), np.repeat([0, 1, 2], [9, 8, 7])
     ours = pillai(scores, groups, between=between)
     if width > 1:
-        found = multivariate(scores, groups, between=between, question="?", rng=rng, permutations=99)
+        found = multivariate(
+            scores, groups, between=between, question="?", rng=rng, permutations=99
+        )
         assert found.p == pytest.approx(float(ours.p), rel=1e-8)
         assert found.test == f"MANOVA, Pillai's trace {float(ours.trace):.4g}"
     elif between:
-        assert float(ours.p) == pytest.approx(float(strata(scores, groups, (1,), between=True).p), rel=1e-9)
+        assert float(ours.p) == pytest.approx(
+            float(strata(scores, groups, (1,), between=True).p), rel=1e-9
+        )
 
 
 def test_hotelling_is_that_of_statsmodels():
@@ -177,23 +260,40 @@ def test_tukey_of_plants():
         (0.494, -0.1972161, 1.1852161, 0.1979960),
         (0.865, 0.1737839, 1.5562161, 0.0120064),
     )
-    for pair, (difference, low, high, p) in zip(tukey_groups(PLANTS, names, metric="g"), published, strict=True):
+    for pair, (difference, low, high, p) in zip(
+        tukey_groups(PLANTS, names, metric="g"), published, strict=True
+    ):
         assert pair.effect.value == pytest.approx(difference, abs=1e-9)
         assert (pair.effect.low, pair.effect.high) == pytest.approx((low, high), abs=2e-6)
         assert pair.p == pytest.approx(p, abs=2e-6) and pair.alternatives[0].test == "Games-Howell"
 
 
 def test_groups_of_plants_by_tests_that_rest_on_less():
-    """R: kruskal.test H = 7.9882, p = 0.01842; oneway.test F = 5.181, 17.128 degrees, p = 0.01739."""
+    """R: kruskal.test H = 7.9882, p = 0.01842; oneway.test F = 5.181, 17.128 degrees, p =
+    0.01739.
+    """
     values, groups = np.concatenate(PLANTS), np.repeat([0, 1, 2], 10)
-    ranks, uneven = kruskal_wallis(values, groups, question="g"), welch(values, groups, question="g")
-    assert ranks.statistic == pytest.approx(7.9882, abs=5e-5) and ranks.p == pytest.approx(0.01842, abs=5e-6)
-    assert uneven.statistic == pytest.approx(5.181, abs=5e-4) and uneven.p == pytest.approx(0.01739, abs=5e-6)
+    ranks, uneven = (
+        kruskal_wallis(values, groups, question="g"),
+        welch(values, groups, question="g"),
+    )
+    assert ranks.statistic == pytest.approx(7.9882, abs=5e-5) and ranks.p == pytest.approx(
+        0.01842, abs=5e-6
+    )
+    assert uneven.statistic == pytest.approx(5.181, abs=5e-4) and uneven.p == pytest.approx(
+        0.01739, abs=5e-6
+    )
     assert uneven.degrees[1] == pytest.approx(17.128, abs=5e-4)
     exact = strata(values[:, None], groups, (1,), between=True)
     assert float(exact.p) == pytest.approx(0.01591, abs=5e-6)  # R: anova, F = 4.8461
     shuffled = permutation(
-        values[:, None], groups, (1,), (), between=True, question="g", rng=np.random.default_rng(RNG)
+        values[:, None],
+        groups,
+        (1,),
+        (),
+        between=True,
+        question="g",
+        rng=np.random.default_rng(RNG),
     )
     assert shuffled.p == pytest.approx(0.0159, abs=0.006)  # three standard errors of 4,999 shuffles
 
@@ -209,9 +309,13 @@ def test_tukey_within_users_of_two_levels_is_the_paired_test():
     rng = np.random.default_rng(10)
     values = rng.normal([0.0, 0.6], size=(12, 2))
     (pair,) = tukey_levels(values, ("a", "b"), np.zeros(12, dtype=int), metric="m")
-    assert pair.p == pytest.approx(float(stats.ttest_rel(values[:, 0], values[:, 1]).pvalue), rel=1e-6)
+    assert pair.p == pytest.approx(
+        float(stats.ttest_rel(values[:, 0], values[:, 1]).pvalue), rel=1e-6
+    )
     assert "b minus a" in pair.question and pair.effect.value > 0.0
-    assert pair.alternatives[0].statistic == pytest.approx(float(stats.ttest_rel(values[:, 1], values[:, 0]).statistic))
+    assert pair.alternatives[0].statistic == pytest.approx(
+        float(stats.ttest_rel(values[:, 1], values[:, 0]).statistic)
+    )
 
 
 @pytest.mark.parametrize("within", [(0,), (1,), (0, 1)], ids=["first", "second", "both"])
@@ -222,19 +326,25 @@ def test_strata_are_the_analysis_of_variance_of_statsmodels(within):
 
     rng = np.random.default_rng(11)
     values = rng.normal(size=(9, 12)) + rng.normal(size=(9, 1))
-    frame = pd.DataFrame([{"u": u, "a": k // 4, "b": k % 4, "y": values[u, k]} for u in range(9) for k in range(12)])
+    frame = pd.DataFrame(
+        [{"u": u, "a": k // 4, "b": k % 4, "y": values[u, k]} for u in range(9) for k in range(12)]
+    )
     rows = anova_lm(ols("y ~ C(a) * C(b) + C(u) + C(u):C(a) + C(u):C(b)", frame).fit())
     effect = {(0,): "C(a)", (1,): "C(b)", (0, 1): "C(a):C(b)"}[within]
     error = {(0,): "C(u):C(a)", (1,): "C(u):C(b)", (0, 1): "Residual"}[within]
     ours = strata(values, np.zeros(9, dtype=int), (3, 4), within, between=False)
-    assert float(ours.F) == pytest.approx(rows.loc[effect, "mean_sq"] / rows.loc[error, "mean_sq"], rel=1e-9)
+    assert float(ours.F) == pytest.approx(
+        rows.loc[effect, "mean_sq"] / rows.loc[error, "mean_sq"], rel=1e-9
+    )
     assert ours.degrees == (rows.loc[effect, "df"], rows.loc[error, "df"])
 
 
 def test_effects_by_their_definitions():
     first, second = np.array([2.0, 4.0, 6.0, 8.0]), np.array([1.0, 3.0, 4.0, 6.0])
     assert cohens_d(first, second).value == pytest.approx(1.5 / np.sqrt((20.0 + 13.0) / 6.0))
-    assert cohens_d(first, second, paired=True).value == pytest.approx(1.5 / np.std([1.0, 1.0, 2.0, 2.0], ddof=1))
+    assert cohens_d(first, second, paired=True).value == pytest.approx(
+        1.5 / np.std([1.0, 1.0, 2.0, 2.0], ddof=1)
+    )
     eta = partial_eta_squared(5.0, 2.0, 27.0)
     assert eta.value == pytest.approx(10.0 / 37.0) and eta.low < eta.value < eta.high
     # An interval that just excludes zero belongs to a p of 2.5 %.
@@ -262,4 +372,6 @@ def test_tukey_within_users_takes_the_range_of_the_levels_over_the_error_of_thei
     values, groups = rng.normal(size=(30, 4)) + rng.normal(size=(30, 1)), np.repeat([0, 1, 2], 10)
     error = strata(values, groups, (4,), (0,), between=False)
     widest = max(each.statistic for each in tukey_levels(values, "abcd", groups, metric="m"))
-    assert widest == pytest.approx(np.ptp(values.mean(axis=0)) / np.sqrt(float(error.error_square) / 30), rel=1e-12)
+    assert widest == pytest.approx(
+        np.ptp(values.mean(axis=0)) / np.sqrt(float(error.error_square) / 30), rel=1e-12
+    )

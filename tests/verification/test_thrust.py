@@ -1,4 +1,6 @@
-"""A tool that a thrust pushes into bone, against the balance of forces integrated by itself from closed forms."""
+"""A tool that a thrust pushes into bone, against the balance of forces integrated by itself from
+closed forms.
+"""
 
 from math import pi
 
@@ -11,10 +13,28 @@ from tissue.materials.constants import cutting_coefficients
 
 DT_S, MASS_KG, MAX_MM_S, START_MM = 1e-3, 0.5, 5.0, 0.5
 TOOLS = {
-    "flat reamer": {"kind": "flat-reamer", "diameter_mm": 12.0, "length_mm": 10.0, "flutes": 4, "spin_rpm": 500.0},
-    "end mill": {"kind": "cylinder", "diameter_mm": 6.0, "length_mm": 10.0, "flutes": 4, "spin_rpm": 3000.0},
+    "flat reamer": {
+        "kind": "flat-reamer",
+        "diameter_mm": 12.0,
+        "length_mm": 10.0,
+        "flutes": 4,
+        "spin_rpm": 500.0,
+    },
+    "end mill": {
+        "kind": "cylinder",
+        "diameter_mm": 6.0,
+        "length_mm": 10.0,
+        "flutes": 4,
+        "spin_rpm": 3000.0,
+    },
     "ball": {"kind": "ball-burr", "diameter_mm": 5.0, "flutes": 6, "spin_rpm": 10000.0},
-    "drill": {"kind": "twist-drill", "diameter_mm": 3.2, "length_mm": 20.0, "flutes": 2, "spin_rpm": 1000.0},
+    "drill": {
+        "kind": "twist-drill",
+        "diameter_mm": 3.2,
+        "length_mm": 20.0,
+        "flutes": 2,
+        "spin_rpm": 1000.0,
+    },
 }
 BONE = cutting_coefficients("bone")
 
@@ -43,10 +63,18 @@ def pushed(tool, thrust_N, *, duration_s=0.35, max_mm_s=MAX_MM_S):
 
 @pytest.mark.parametrize(
     ("name", "thrust_N"),
-    [("flat reamer", 40.0), ("flat reamer", 60.0), ("end mill", 60.0), ("ball", 40.0), ("drill", 60.0)],
+    [
+        ("flat reamer", 40.0),
+        ("flat reamer", 60.0),
+        ("end mill", 60.0),
+        ("ball", 40.0),
+        ("drill", 60.0),
+    ],
 )
 def test_force_never_exceeds_the_thrust_and_what_stops_the_mass(name, thrust_N):
-    """In every tick m (v - v_before) / dt = thrust - F where the feed limit does not act; F below it where it does."""
+    """In every tick m (v - v_before) / dt = thrust - F where the feed limit does not act; F
+    below it where it does.
+    """
     run = pushed(TOOLS[name], thrust_N)
     force = run.trace["model_force_z_N"]
     speed = -1e-3 * run.trace["velocity_z_mm_s"]
@@ -56,7 +84,8 @@ def test_force_never_exceeds_the_thrust_and_what_stops_the_mass(name, thrust_N):
     moving = (speed > 0.0) & (speed < 1e-3 * MAX_MM_S * (1.0 - 1e-9))
     inertia = MASS_KG * (speed - before) / DT_S
     np.testing.assert_allclose((force + inertia)[moving], thrust_N, rtol=1e-6)
-    # The pose is that of the speed within a hundredth, but for the ticks of a landing on a flat end, where the force jumps.
+    # The pose is that of the speed within a hundredth, but for the ticks of a landing on a flat
+    # end, where the force jumps.
     travelled = -np.diff(run.trace["tool_z_mm"]) / 1e3 / DT_S
     off = np.abs(travelled - speed[1:]) > 0.0101 * np.maximum(speed[1:], travelled) + 1e-9
     assert off.sum() <= 4 and travelled.min() >= 0.0
@@ -65,7 +94,8 @@ def test_force_never_exceeds_the_thrust_and_what_stops_the_mass(name, thrust_N):
 def plunged_N(radius_m, flutes, omega, depth_m, speed_m_s):
     """Axial force on a ball whose lowest point is so deep, by integrating its elements; strength 1.
 
-    At polar angle a: radius R sin a, advance v cos a, area 2 pi R^2 sin a da, cutting edge N / (2 pi R sin a) per area.
+    At polar angle a: radius R sin a, advance v cos a, area 2 pi R^2 sin a da, cutting edge N / (2
+    pi R sin a) per area.
     """
     if depth_m <= 0.0:
         return 0.0
@@ -79,7 +109,9 @@ def plunged_N(radius_m, flutes, omega, depth_m, speed_m_s):
 
 
 def integrated(thrust_N, force_N, ticks):
-    """Depths [m] and forces [N] of implicit Euler ticks, each solved by bisection for the force at its own end."""
+    """Depths [m] and forces [N] of implicit Euler ticks, each solved by bisection for the force
+    at its own end.
+    """
     depth, speed, rows = -1e-3 * START_MM, 0.0, []
     for _ in range(ticks):
 
@@ -87,7 +119,11 @@ def integrated(thrust_N, force_N, ticks):
             return MASS_KG * (v - speed) / DT_S + force_N(depth + v * DT_S, v) - thrust_N
 
         top = 1e-3 * MAX_MM_S
-        speed = top if excess(top) <= 0.0 else (brentq(excess, 0.0, top, xtol=1e-12) if excess(0.0) < 0.0 else 0.0)
+        speed = (
+            top
+            if excess(top) <= 0.0
+            else (brentq(excess, 0.0, top, xtol=1e-12) if excess(0.0) < 0.0 else 0.0)
+        )
         depth += speed * DT_S
         rows.append((depth, force_N(depth, speed)))
     return np.array(rows).T
@@ -95,7 +131,9 @@ def integrated(thrust_N, force_N, ticks):
 
 @pytest.mark.parametrize("thrust_N", [pytest.param(25.0, marks=pytest.mark.slow), 40.0])
 def test_ball_follows_the_balance_integrated_from_its_elements(thrust_N):
-    """Depth within 1 % of 2 mm at all times, the force within 3 % of the thrust: 0.2 mm voxels, 6000 elements."""
+    """Depth within 1 % of 2 mm at all times, the force within 3 % of the thrust: 0.2 mm voxels,
+    6000 elements.
+    """
     tool = TOOLS["ball"]
     run = pushed(tool, thrust_N, duration_s=0.5)
     omega = tool["spin_rpm"] * 2.0 * pi / 60.0
@@ -108,14 +146,18 @@ def test_ball_follows_the_balance_integrated_from_its_elements(thrust_N):
 
 
 def test_flat_end_cuts_at_the_feed_of_the_closed_form():
-    """Over a flat end the edges' lengths add up to N R: F = N R ((K_rc - K_ac) h + K_re - K_ae), and torque N R^2 / 2."""
+    """Over a flat end the edges' lengths add up to N R: F = N R ((K_rc - K_ac) h + K_re - K_ae),
+    and torque N R^2 / 2.
+    """
     tool, thrust = TOOLS["end mill"], 60.0
     run = pushed(tool, thrust)
     chip = (thrust / (tool["flutes"] * 3e-3) - BONE.radial_edge_N_m + BONE.axial_edge_N_m) / (
         BONE.radial_chip_Pa - BONE.axial_chip_Pa
     )
     feed_mm_s = 1e3 * chip * tool["flutes"] * tool["spin_rpm"] / 60.0
-    torque = 0.5 * tool["flutes"] * 3e-3**2 * (BONE.tangential_chip_Pa * chip + BONE.tangential_edge_N_m)
+    torque = (
+        0.5 * tool["flutes"] * 3e-3**2 * (BONE.tangential_chip_Pa * chip + BONE.tangential_edge_N_m)
+    )
     assert -run.trace["velocity_z_mm_s"][-1] == pytest.approx(feed_mm_s, rel=0.01)
     torques = np.abs(run.trace["model_torque_z_Nm"])
     assert torques[-1] == pytest.approx(torque, rel=0.01)
@@ -123,17 +165,27 @@ def test_flat_end_cuts_at_the_feed_of_the_closed_form():
 
 
 def test_feed_limit_is_an_event_and_in_the_summary():
-    """30 and 60 N give one force at a limit of 1 mm/s, and both report for how long it acted; a reamer never reaches it."""
-    runs = [pushed(TOOLS["drill"], thrust_N, duration_s=1.0, max_mm_s=1.0) for thrust_N in (30.0, 60.0)]
+    """30 and 60 N give one force at a limit of 1 mm/s, and both report for how long it acted; a
+    reamer never reaches it.
+    """
+    runs = [
+        pushed(TOOLS["drill"], thrust_N, duration_s=1.0, max_mm_s=1.0) for thrust_N in (30.0, 60.0)
+    ]
     for run, thrust_N in zip(runs, ("30", "60"), strict=True):
         limit = run.summary["feed_limit"]
         touching = run.trace["contact_mm2"] > 0.0
         active = touching & (np.abs(run.trace["velocity_z_mm_s"] + 1.0) < 1e-9)
         assert limit["active_s"] == pytest.approx(1e-3 * active.sum(), abs=3e-3)
-        assert limit["first_s"] == pytest.approx(run.trace["time_s"][np.flatnonzero(active)[0]], abs=3e-3)
+        assert limit["first_s"] == pytest.approx(
+            run.trace["time_s"][np.flatnonzero(active)[0]], abs=3e-3
+        )
         (event,) = [each for each in run.summary["events"] if "max_feed_mm_s" in each["what"]]
         assert event["time_s"] == limit["first_s"] and f"{limit['active_s']:.3f} s" in event["what"]
         assert f"the thrust of {thrust_N} N" in event["what"]
     free = pushed(TOOLS["flat reamer"], 40.0)
-    assert free.summary["feed_limit"] == {"max_feed_mm_s": MAX_MM_S, "active_s": 0.0, "first_s": None}
+    assert free.summary["feed_limit"] == {
+        "max_feed_mm_s": MAX_MM_S,
+        "active_s": 0.0,
+        "first_s": None,
+    }
     assert not any("max_feed" in event["what"] for event in free.summary["events"])

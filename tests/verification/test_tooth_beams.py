@@ -10,11 +10,16 @@ from tissue.models.tooth.supports import NodeSupports
 
 
 def test_bars_in_series_are_exact():
-    """Three bars between two plates: E_eff = sum h / sum (h / E), over a contrast of enamel to pulp."""
+    """Three bars between two plates: E_eff = sum h / sum (h / E), over a contrast of enamel to
+    pulp.
+    """
     moduli, parts, edge = np.array([84e9, 2e6, 18.6e9]), np.array([2, 3, 4]), 1e-3
     ends = np.cumsum(parts) * edge
     particles, grid = block(
-        (2, 2, 9), edge, modulus_Pa=lambda x: moduli[np.searchsorted(ends, x[:, 2])], poisson_ratio=0.0
+        (2, 2, 9),
+        edge,
+        modulus_Pa=lambda x: moduli[np.searchsorted(ends, x[:, 2])],
+        poisson_ratio=0.0,
     )
     height, area, stretch = ends[-1], 4.0 * edge**2, 1e-6
     top = grid.node_place[:, 2] == 9
@@ -29,22 +34,28 @@ def test_bars_in_series_are_exact():
     effective = height / (parts * edge / moduli).sum()
     assert force == pytest.approx(effective * area * stretch / height, rel=1e-10)
     stress = particle_stress(body.cells, found.displacement_m)[:, 2]
-    # where 2 MPa lies beside 84 GPa, rounding of the stiff layer's displacement (1e-16 of it) is 4e-12 of its strain
+    # where 2 MPa lies beside 84 GPa, rounding of the stiff layer's displacement (1e-16 of it) is
+    # 4e-12 of its strain
     assert np.allclose(stress, effective * stretch / height, rtol=1e-6)
 
 
 def test_bilayer_beam():
-    """100:1, stiff on top, bent by its ends about the axis .745050 from the soft face: EI = 1.175846, no axial force.
+    """100:1, stiff on top, bent by its ends about the axis .745050 from the soft face: EI =
+    1.175846, no axial force.
 
-    The ends turn without warping, so with Poisson's ratio 0 the exact field is pure bending. 16 cells in the height,
-    4^3 particles each; 1 % is the case's tolerance, trilinear cells stiffen bending by 1 / (2 n^2) of each layer.
+    The ends turn without warping, so with Poisson's ratio 0 the exact field is pure bending. 16
+    cells in the height, 4^3 particles each; 1 % is the case's tolerance, trilinear cells stiffen
+    bending by 1 / (2 n^2) of each layer.
     """
     through, length, axis, turn = 16, 1.0, 0.745050, 1e-3
     edge = 1.0 / through
     particles, grid = block(
-        (through, 2, through), edge, modulus_Pa=lambda x: np.where(x[:, 2] > 0.5, 100.0, 1.0), poisson_ratio=0.0,
+        (through, 2, through),
+        edge,
+        modulus_Pa=lambda x: np.where(x[:, 2] > 0.5, 100.0, 1.0),
+        poisson_ratio=0.0,
         places=lattice(4),
-    )  # fmt: skip
+    )
     ends = (grid.node_place[:, 0] == 0) | (grid.node_place[:, 0] == through)
     held = np.zeros((grid.node_count, 3), dtype=bool)
     held[ends, 0] = True
@@ -55,7 +66,9 @@ def test_bilayer_beam():
     side = np.where(grid.node_place[:, 0] == 0, -0.5, 0.5)
     moved[:, 0] = -turn * side * (grid.node_position_m[:, 2] - axis)
     moved[:, 1:] = 0.0
-    body = ParticleBody(particles, grid, NodeSupports.of(grid.node_count, held=held, displacement_m=moved))
+    body = ParticleBody(
+        particles, grid, NodeSupports.of(grid.node_count, held=held, displacement_m=moved)
+    )
     found = body.solve(np.zeros_like(moved), tolerance=1e-8)
     assert found.converged
     force = body.reactions(found.displacement_m, np.zeros_like(moved))
@@ -72,7 +85,9 @@ def test_bilayer_beam():
 def cantilever(through):
     edge = 1.0 / through
     particles, grid = block((10 * through, through, through), edge, modulus_Pa=1000.0)
-    body = ParticleBody(particles, grid, NodeSupports.of(grid.node_count, held=grid.node_place[:, 0] == 0))
+    body = ParticleBody(
+        particles, grid, NodeSupports.of(grid.node_count, held=grid.node_place[:, 0] == 0)
+    )
     tip = grid.node_place[:, 0] == 10 * through
     inside = ((grid.node_place[:, 1:] > 0) & (grid.node_place[:, 1:] < through)).sum(axis=1)
     share = tip * 2.0**inside
@@ -84,7 +99,8 @@ def cantilever(through):
 
 
 def test_cantilever():
-    """Case 5: 4.0312 (Timoshenko). The clamp holds the cross-section from bulging, 0.3 % here; 1 % with it.
+    """Case 5: 4.0312 (Timoshenko). The clamp holds the cross-section from bulging, 0.3 % here; 1 %
+    with it.
 
     Trilinear cells lock in bending at order 2: two grids extrapolate.
     """

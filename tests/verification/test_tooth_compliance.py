@@ -1,4 +1,6 @@
-"""Support compliance against closed forms: a stiff block on springs and on a uniform elastic layer."""
+"""Support compliance against closed forms: a stiff block on springs and on a uniform elastic
+layer.
+"""
 
 import numpy as np
 import pytest
@@ -13,8 +15,8 @@ STIFF = 1e15  # [Pa], a million times what the supports are: the block moves as 
 
 
 def test_stiff_block_on_springs():
-    """Springs S in any direction at random points: K = sum R^T S R over them, about a point above, where the motions
-    couple."""
+    """Springs S in any direction at random points: K = sum R^T S R over them, about a point above,
+    where the motions couple."""
     particles, grid = block((4, 4, 4), EDGE, modulus_Pa=STIFF)
     random = np.random.default_rng(3)
     points = EDGE * random.uniform(0.0, 4.0, (25, 3)) * [1.0, 1.0, 0.3]
@@ -22,7 +24,9 @@ def test_stiff_block_on_springs():
     springs = PointSprings(points, half @ half.transpose(0, 2, 1))
     body = ParticleBody(particles, grid, NodeSupports.of(grid.node_count), springs=springs)
     reference = np.array([1e-3, 2e-3, 5e-3])
-    found = support_compliance(body, weights=np.ones(grid.node_count), reference_m=reference, tolerance=1e-8)
+    found = support_compliance(
+        body, weights=np.ones(grid.node_count), reference_m=reference, tolerance=1e-8
+    )
     assert found.converged
     from tissue.models.tooth.compliance import rigid_motions
 
@@ -35,16 +39,22 @@ def test_stiff_block_on_springs():
 
 
 def test_stiff_block_on_an_elastic_layer():
-    """Layer of Poisson's ratio 0 and thickness t, held below: K_z = E A / t, K_x = G A / t, K_rz = G I_p / t.
+    """Layer of Poisson's ratio 0 and thickness t, held below: K_z = E A / t, K_x = G A / t, K_rz =
+    G I_p / t.
 
-    One layer of cells cannot bulge, so the compression and shear are those of the closed form to 1 %, what the free
-    edge of a layer of twelve cells adds in shear.
+    One layer of cells cannot bulge, so the compression and shear are those of the closed form to 1
+    %, what the free edge of a layer of twelve cells adds in shear.
     """
     soft, side = 50e6, 12
     particles, grid = block(
-        (side, side, 4), EDGE, poisson_ratio=0.0, modulus_Pa=lambda x: np.where(x[:, 2] < EDGE, soft, STIFF)
+        (side, side, 4),
+        EDGE,
+        poisson_ratio=0.0,
+        modulus_Pa=lambda x: np.where(x[:, 2] < EDGE, soft, STIFF),
     )
-    body = ParticleBody(particles, grid, NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0))
+    body = ParticleBody(
+        particles, grid, NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0)
+    )
     weights = (grid.node_place[:, 2] >= 1).astype(float)
     reference = np.array([side * EDGE / 2, side * EDGE / 2, EDGE])
     found = support_compliance(body, weights=weights, reference_m=reference, tolerance=1e-7)

@@ -30,7 +30,9 @@ DEEP = {
 
 
 class Drilled:
-    """A molar drilled into its pulp, and the stress of each frame beside a cold solve of the same state."""
+    """A molar drilled into its pulp, and the stress of each frame beside a cold solve of the
+    same state.
+    """
 
     def __init__(self, monkeypatch):
         self.lead = []
@@ -55,7 +57,9 @@ class Drilled:
         self.force = np.linalg.norm(self.trace.vectors("model_force", "N"), axis=1)
 
     def inside(self, layer):
-        """Ticks in which all that the bur meets is one layer: its half ball is 0.5 mm high, enamel ends near -1.4."""
+        """Ticks in which all that the bur meets is one layer: its half ball is 0.5 mm high,
+        enamel ends near -1.4.
+        """
         high, low = {"enamel": (-0.5, -1.2), "dentin": (-2.0, -4.5)}[layer]
         depth = self.trace["tool_z_mm"]
         return (depth < high) & (depth > low)
@@ -68,7 +72,9 @@ def drilled():
 
 
 def test_the_tooth_gives_by_micrometres_per_newton(drilled):
-    """A tooth in its ligament moves by 1 to 20 um/N, least along its axis; the compliance is that of a passive body."""
+    """A tooth in its ligament moves by 1 to 20 um/N, least along its axis; the compliance is
+    that of a passive body.
+    """
     compliance = drilled.model.stress.compliance
     assert np.array_equal(compliance.matrix, compliance.matrix.T)
     assert np.linalg.eigvalsh(compliance.matrix)[0] > 0.0
@@ -76,20 +82,26 @@ def test_the_tooth_gives_by_micrometres_per_newton(drilled):
     give = 1e6 * np.diag(compliance.matrix)[:3]
     assert ((give > 0.5) & (give < 20.0)).all() and give[2] == give.min()
     moved = drilled.trace["tooth_centroid_z_um"][drilled.inside("enamel")].mean()
-    assert moved == pytest.approx(-give[2] * drilled.force[drilled.inside("enamel")].mean(), rel=0.05)
+    assert moved == pytest.approx(
+        -give[2] * drilled.force[drilled.inside("enamel")].mean(), rel=0.05
+    )
 
 
 def test_what_is_booked_is_what_is_missing(drilled):
     """Removed volume per layer equals the missing volume in the voxels, exactly."""
     bone = drilled.model.milling
-    np.testing.assert_array_equal(bone.start_steps - bone.removed_steps, bone.store.steps_by_layer())
+    np.testing.assert_array_equal(
+        bone.start_steps - bone.removed_steps, bone.store.steps_by_layer()
+    )
     lost = dict(zip(bone.layer_names, bone.removed_steps, strict=True))
     assert min(lost["enamel"], lost["dentin"], lost["pulp"]) > 0
     assert lost["caries"] == lost["ligament"] == lost["bone"] == 0
 
 
 def test_particles_lose_what_the_voxels_lose(drilled):
-    """Within 1 %: a particle at the surface holds less than what the finer voxels in its place do, or more."""
+    """Within 1 %: a particle at the surface holds less than what the finer voxels in its place
+    do, or more.
+    """
     model = drilled.model
     volume, field = model.milling.store.volume, model.stress.field
     left = model.remaining()
@@ -101,20 +113,27 @@ def test_particles_lose_what_the_voxels_lose(drilled):
     share = 1.0 - body.cells.remaining / FULL_STEPS
     particles = float((body.particles.volume_m3[body.cells.order] * share).sum())
     tooth = np.isin(volume.layer, [volume.layer_names.index(name) for name in TOOTH])
-    voxels = float((volume.fraction - left)[tooth].sum(dtype=np.int64)) / 255 * volume.voxel_volume_m3
+    voxels = (
+        float((volume.fraction - left)[tooth].sum(dtype=np.int64)) / 255 * volume.voxel_volume_m3
+    )
     assert particles == pytest.approx(voxels, rel=0.01)
 
 
 def test_stress_after_warm_starts_is_that_of_a_cold_solve(drilled):
-    """Von Mises stress over the cells, relative L2: within 0.5 %, at every frame of the drilling."""
+    """Von Mises stress over the cells, relative L2: within 0.5 %, at every frame of the
+    drilling.
+    """
     assert len(drilled.lead) > 20
     assert max(drilled.lead) < 0.005
     assert {record.outcome for record in drilled.model.stress.records} == {"CONVERGED"}
 
 
 def test_the_pulp_is_reported_before_it_is_hit(drilled):
-    """Both limits and the exposure once each, in their order; the exposure within a voxel of the pulp's roof."""
-    on_pulp = [event for event in drilled.run.events if "pulp" in event[1]]  # a busy machine also reports late stress
+    """Both limits and the exposure once each, in their order; the exposure within a voxel of the
+    pulp's roof.
+    """
+    # a busy machine also reports late stress
+    on_pulp = [event for event in drilled.run.events if "pulp" in event[1]]
     times, message = zip(*on_pulp, strict=True)
     assert message == (
         "less than 1 mm of dentin is left over the pulp",
@@ -122,7 +141,13 @@ def test_the_pulp_is_reported_before_it_is_hit(drilled):
         "the pulp is exposed",
     )
     assert list(times) == sorted(set(times))
-    depth = dict(zip(message, np.interp(times, drilled.trace["time_s"], drilled.trace["tool_z_mm"]), strict=True))
+    depth = dict(
+        zip(
+            message,
+            np.interp(times, drilled.trace["time_s"], drilled.trace["tool_z_mm"]),
+            strict=True,
+        )
+    )
     assert depth["the pulp is exposed"] == pytest.approx(-5.0, abs=0.1)
     assert not drilled.trace["removed_pulp_mm3"][drilled.trace["time_s"] < times[1]].any()
     assert drilled.trace["removed_pulp_mm3"][-1] > 0.0
@@ -131,8 +156,13 @@ def test_the_pulp_is_reported_before_it_is_hit(drilled):
 
 
 def test_forces_are_those_of_preparing_a_tooth(drilled):
-    """Enamel within the published 0.1 to 4.9 N of tooth preparation, and more than three times dentin's force."""
-    enamel, dentin = drilled.force[drilled.inside("enamel")], drilled.force[drilled.inside("dentin")]
+    """Enamel within the published 0.1 to 4.9 N of tooth preparation, and more than three times
+    dentin's force.
+    """
+    enamel, dentin = (
+        drilled.force[drilled.inside("enamel")],
+        drilled.force[drilled.inside("dentin")],
+    )
     assert len(enamel) > 400 and len(dentin) > 1000
     for force in (enamel, dentin):
         assert force.min() > 0.1 and force.max() < 4.9
@@ -140,13 +170,20 @@ def test_forces_are_those_of_preparing_a_tooth(drilled):
 
 
 def dentin_over(pulp_distance):
-    """A bur over a pulp given by its distance function of points [m], in a block of dentin with its top at z = 0."""
+    """A bur over a pulp given by its distance function of points [m], in a block of dentin with
+    its top at z = 0.
+    """
     shape = (60, 40, 70)
     origin = SPACING_M * np.array([-30.0, -20.0, -70.0])
     centres = origin + SPACING_M * (np.stack(np.indices(shape), axis=-1) + 0.5)
     layer = (pulp_distance(centres) < 0.0).astype(np.uint8)
     volume = VoxelVolume(
-        origin, SPACING_M, np.full(shape, 255, np.uint8), layer, np.full(shape, 2100, np.uint16), ("dentin", "pulp")
+        origin,
+        SPACING_M,
+        np.full(shape, 255, np.uint8),
+        layer,
+        np.full(shape, 2100, np.uint16),
+        ("dentin", "pulp"),
     )
     model = ToothModel(
         BoneModel(
@@ -167,13 +204,17 @@ def dentin_over(pulp_distance):
 
 
 def test_dentin_over_a_flat_pulp():
-    """The tip's height over it, within half a voxel, and the least of them once the bur goes up again."""
+    """The tip's height over it, within half a voxel, and the least of them once the bur goes up
+    again.
+    """
     model, at = dentin_over(lambda x: x[..., 2] + 2.0 * MM)
     for depth in np.linspace(0.05, 1.95, 39):
         assert at((0.3, 0.1, -depth)) == pytest.approx(2.0 - depth, abs=0.5e3 * SPACING_M)
     least = at((0.3, 0.1, -1.95))
     assert at((0.3, 0.1, 0.0)) == at((-0.2, 0.0, -1.0)) == least
-    assert model.notices == [f"less than {limit} mm of dentin is left over the pulp" for limit in ("1", "0.5")]
+    assert model.notices == [
+        f"less than {limit} mm of dentin is left over the pulp" for limit in ("1", "0.5")
+    ]
 
 
 def test_dentin_over_a_round_pulp():

@@ -1,4 +1,6 @@
-"""The bed of springs that a tooth rests in, against closed forms that know neither the voxels nor the frame."""
+"""The bed of springs that a tooth rests in, against closed forms that know neither the voxels
+nor the frame.
+"""
 
 import numpy as np
 import pytest
@@ -28,25 +30,38 @@ def test_stiffness_of_a_bonded_layer():
 
 def springs_on(tooth, bed, *, spacing_m, origin_m=(0.0, 0.0, 0.0)):
     return bed_springs(
-        tooth, bed, origin_m=np.array(origin_m), spacing_m=spacing_m, across_N_m3=ACROSS, along_N_m3=ALONG
+        tooth,
+        bed,
+        origin_m=np.array(origin_m),
+        spacing_m=spacing_m,
+        across_N_m3=ACROSS,
+        along_N_m3=ALONG,
     )
 
 
 def test_flat_bed():
-    """The springs sum to area times stiffness; only rounding is left, since no face of the border leans."""
+    """The springs sum to area times stiffness; only rounding is left, since no face of the
+    border leans.
+    """
     tooth, bed = np.zeros((2, 12, 8, 8), dtype=bool)
     tooth[:, :, 2:], bed[:, :, :2] = True, True
     springs, area = springs_on(tooth, bed, spacing_m=0.5 * MM)
     assert area == pytest.approx(6 * MM * 4 * MM, rel=1e-6)
     wanted = area * np.diag([ALONG, ALONG, ACROSS])
-    assert springs.stiffness_N_m.sum(axis=0) == pytest.approx(wanted, rel=1e-5, abs=1e-5 * wanted.max())
+    assert springs.stiffness_N_m.sum(axis=0) == pytest.approx(
+        wanted, rel=1e-5, abs=1e-5 * wanted.max()
+    )
 
 
 def rigid(solid, bed, *, edge_m, spacing_m, origin_m):
-    """Support compliance of a rigid body of voxels in a bed, about the frame's origin, its springs and their area."""
+    """Support compliance of a rigid body of voxels in a bed, about the frame's origin, its
+    springs and their area.
+    """
     springs, area = springs_on(solid, bed, spacing_m=spacing_m, origin_m=origin_m)
     position = origin_m + spacing_m * (np.argwhere(solid) + 0.5)
-    particles = ParticleSet.uniform(position, volume_m3=spacing_m**3, modulus_Pa=RIGID_PA, poisson_ratio=0.3)
+    particles = ParticleSet.uniform(
+        position, volume_m3=spacing_m**3, modulus_Pa=RIGID_PA, poisson_ratio=0.3
+    )
     grid = HexGrid.around(position, edge_m=edge_m)
     body = ParticleBody(particles, grid, NodeSupports.of(grid.node_count), springs=springs)
     weights = np.zeros(grid.node_count)
@@ -57,21 +72,28 @@ def rigid(solid, bed, *, edge_m, spacing_m, origin_m):
 
 
 def test_rigid_sphere_in_its_bed():
-    """Along every axis it gives by 1 / (A (k_n + 2 k_t) / 3), and only the bed's shear resists its rotation, by
-    2/3 A R^2 k_t. The springs act half a voxel below the surface, 2 % of the radius and twice that of the rotation's
-    stiffness; with the diagonal of each spring alone it would be 1 + (k_n / k_t - 1) / 5 = 3 times too stiff."""
+    """Along every axis it gives by 1 / (A (k_n + 2 k_t) / 3), and only the bed's shear resists its
+    rotation, by 2/3 A R^2 k_t. The springs act half a voxel below the surface, 2 % of the radius
+    and twice that of the rotation's stiffness; with the diagonal of each spring alone it would be 1
+    + (k_n / k_t - 1) / 5 = 3 times too stiff.
+    """
     count, spacing = 56, 0.1 * MM
     radius = 22.3 * spacing
     origin = np.full(3, -0.5 * count * spacing)
     away = spacing * np.linalg.norm(np.indices((count,) * 3) + 0.5 - count / 2, axis=0)
-    found, springs, area = rigid(away < radius, away >= radius, edge_m=0.5 * MM, spacing_m=spacing, origin_m=origin)
+    found, springs, area = rigid(
+        away < radius, away >= radius, edge_m=0.5 * MM, spacing_m=spacing, origin_m=origin
+    )
     give = np.diag(found.matrix)
     print(
-        "\nsphere: rotation's stiffness over the closed form", 1.0 / give[3:] / (2.0 / 3.0 * area * radius**2 * ALONG)
+        "\nsphere: rotation's stiffness over the closed form",
+        1.0 / give[3:] / (2.0 / 3.0 * area * radius**2 * ALONG),
     )
     assert area == pytest.approx(4.0 * np.pi * radius**2, rel=0.01)
     assert give[:3] == pytest.approx(np.full(3, 3.0 / (area * (ACROSS + 2.0 * ALONG))), rel=0.01)
-    assert 1.0 / give[3:] == pytest.approx(np.full(3, 2.0 / 3.0 * area * radius**2 * ALONG), rel=0.05)
+    assert 1.0 / give[3:] == pytest.approx(
+        np.full(3, 2.0 / 3.0 * area * radius**2 * ALONG), rel=0.05
+    )
     assert springs.stiffness_N_m.sum(axis=0) == pytest.approx(
         area * (ACROSS + 2.0 * ALONG) / 3.0 * np.eye(3), rel=1e-3, abs=1e-3 * area * ACROSS
     )
@@ -79,8 +101,9 @@ def test_rigid_sphere_in_its_bed():
 
 @pytest.mark.parametrize("turn_deg", [20.0, 45.0])
 def test_tilted_plate(turn_deg):
-    """A flat bed across n, however it lies in the voxels, is A (k_t I + (k_n - k_t) n n^T): the normals of the
-    voxels' smooth surface err by less than a degree, which turns 0.016 of the stiffness across."""
+    """A flat bed across n, however it lies in the voxels, is A (k_t I + (k_n - k_t) n n^T): the
+    normals of the voxels' smooth surface err by less than a degree, which turns 0.016 of the
+    stiffness across."""
     count, spacing = 64, 0.1 * MM
     normal = Rotation.from_euler("xz", [turn_deg, 0.6 * turn_deg], degrees=True).as_matrix()[:, 2]
     centres = spacing * (np.stack(np.indices((count,) * 3), axis=-1) + 0.5 - count / 2)
@@ -93,8 +116,9 @@ def test_tilted_plate(turn_deg):
 
 
 def test_a_turned_frame_gives_the_same_compliance_turned():
-    """A rigid root, an ellipsoid held below its middle, in one frame and in another, turned about all axes: the
-    matrices differ by the voxels' staircase alone, 3 % of the geometric means of the diagonal."""
+    """A rigid root, an ellipsoid held below its middle, in one frame and in another, turned about
+    all axes: the matrices differ by the voxels' staircase alone, 3 % of the geometric means of the
+    diagonal."""
     count, spacing = 60, 0.1 * MM
     origin = np.full(3, -0.5 * count * spacing)
     centres = origin + spacing * (np.stack(np.indices((count,) * 3), axis=-1) + 0.5)
@@ -115,7 +139,9 @@ def test_a_turned_frame_gives_the_same_compliance_turned():
 
 
 def test_rigid_block_on_a_bed():
-    """It gives by 1 / (k A) along each axis. The bed acts at the voxels' centres, half of one above the border."""
+    """It gives by 1 / (k A) along each axis. The bed acts at the voxels' centres, half of one
+    above the border.
+    """
     particles, grid = block((4, 4, 3), 1 * MM, modulus_Pa=RIGID_PA)
     tooth, bed = np.zeros((2, 16, 16, 13), dtype=bool)
     tooth[:, :, 1:], bed[:, :, :1] = True, True
@@ -123,7 +149,10 @@ def test_rigid_block_on_a_bed():
     springs, area = springs_on(tooth, bed, spacing_m=spacing, origin_m=(0, 0, -spacing))
     body = ParticleBody(particles, grid, NodeSupports.of(grid.node_count), springs=springs)
     found = support_compliance(
-        body, weights=np.ones(grid.node_count), reference_m=np.array([2, 2, 0.125]) * MM, tolerance=1e-8
+        body,
+        weights=np.ones(grid.node_count),
+        reference_m=np.array([2, 2, 0.125]) * MM,
+        tolerance=1e-8,
     )
     assert found.converged and area == pytest.approx(16 * MM**2, rel=1e-6)
     wanted = 1.0 / (16 * MM**2 * np.array([ALONG, ALONG, ACROSS]))

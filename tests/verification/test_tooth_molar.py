@@ -1,5 +1,5 @@
-"""The real molar in its ligament, held outside: it must solve at every cell size, and 1 N on a cusp moves it by
-micrometres. The meshes are OpenMandible's first lower molar, in millimetres."""
+"""The real molar in its ligament, held outside: it must solve at every cell size, and 1 N on a cusp
+moves it by micrometres. The meshes are OpenMandible's first lower molar, in millimetres."""
 
 from functools import cache
 from time import perf_counter
@@ -18,7 +18,9 @@ MEASURED_LIGAMENT = 0.5e6  # within the measured 0.05-1 MPa; finite element pape
 
 
 def inside(vertices, faces, axes):
-    """Which points of a lattice lie in a closed surface, by the winding number along vertical lines."""
+    """Which points of a lattice lie in a closed surface, by the winding number along vertical
+    lines.
+    """
     from meshes.voxels.column_crossings import column_crossings
 
     x, y, z = axes
@@ -36,31 +38,50 @@ def labels(folder, spacing_m):
     meshes = [trimesh.load(folder / "tooth" / f"openmandible_L6_{name}.stl") for name in LAYERS]
     bounds = 1e-3 * np.array([mesh.bounds for mesh in meshes])
     low = bounds[:, 0].min(axis=0)
-    axes = [np.arange(a + 0.5 * spacing_m, b, spacing_m) for a, b in zip(low, bounds[:, 1].max(axis=0), strict=True)]
+    axes = [
+        np.arange(a + 0.5 * spacing_m, b, spacing_m)
+        for a, b in zip(low, bounds[:, 1].max(axis=0), strict=True)
+    ]
     label = np.full([len(axis) for axis in axes], -1)
-    for layer in (3, 1, 0, 2):  # where two overlap, pulp before enamel before dentin before ligament
-        vertices, faces = 1e-3 * np.asarray(meshes[layer].vertices), np.asarray(meshes[layer].faces, dtype=np.int64)
+    # where two overlap, pulp before enamel before dentin before ligament
+    for layer in (3, 1, 0, 2):
+        vertices, faces = (
+            1e-3 * np.asarray(meshes[layer].vertices),
+            np.asarray(meshes[layer].faces, dtype=np.int64),
+        )
         label[inside(vertices, faces, axes)] = layer
     return label, low
 
 
 def molar(folder, edge_m, *, ligament_Pa, shift=0.0):
-    """The tooth at two particles along a cell's edge; held are the nodes outside it around which all is ligament."""
+    """The tooth at two particles along a cell's edge; held are the nodes outside it around which
+    all is ligament.
+    """
     spacing = edge_m / 2.0
     label, low = labels(folder, spacing)
     layer = label[label >= 0]
     position = low + spacing * (np.argwhere(label >= 0) + 0.5)
     modulus = np.where(layer == 3, ligament_Pa, MODULUS[layer])
     particles = ParticleSet(
-        position, np.full(len(layer), spacing**3), modulus, RATIO[layer], layer.astype(np.uint8),
+        position,
+        np.full(len(layer), spacing**3),
+        modulus,
+        RATIO[layer],
+        layer.astype(np.uint8),
         np.full(len(layer), 65535, dtype=np.uint16),
-    )  # fmt: skip
+    )
     grid = HexGrid.around(position, edge_m=edge_m, origin_m=low - edge_m * (1.0 + shift))
     cell, _ = grid.locate(position)
-    ligament, stiff = (np.bincount(cell[m], minlength=grid.cell_count) > 0 for m in (layer == 3, layer < 3))
+    ligament, stiff = (
+        np.bincount(cell[m], minlength=grid.cell_count) > 0 for m in (layer == 3, layer < 3)
+    )
     around, there = np.maximum(grid.node_cells, 0), grid.node_cells >= 0
     count = np.where(there, np.bincount(cell, minlength=grid.cell_count)[around], 0)
-    held = (count < 8).any(axis=1) & (there & ligament[around]).any(axis=1) & ~(there & stiff[around]).any(axis=1)
+    held = (
+        (count < 8).any(axis=1)
+        & (there & ligament[around]).any(axis=1)
+        & ~(there & stiff[around]).any(axis=1)
+    )
     return ParticleBody(particles, grid, NodeSupports.of(grid.node_count, held=held))
 
 
@@ -76,12 +97,16 @@ def check(folder, edge_mm, ligament_Pa):
     built = perf_counter()
     found = body.solve(press_cusp(body), tolerance=1e-6)
     solved = perf_counter()
-    tooth = body.grid.cell_nodes[body.cells.particle_cell[body.cells.rank[body.particles.layer < 2]]]
+    tooth = body.grid.cell_nodes[
+        body.cells.particle_cell[body.cells.rank[body.particles.layer < 2]]
+    ]
     moved = np.linalg.norm(found.displacement_m[np.unique(tooth)], axis=1) * 1e6
     print(
         f"\n{edge_mm} mm, ligament {ligament_Pa / 1e6:g} MPa: {3 * body.grid.node_count} unknowns, "
-        f"{found.iterations} iterations, read and built in {built - start:.2f} s, solved in {solved - built:.2f} s; "
-        f"moves {np.median(moved):.2f} um (median), {moved.max():.2f} um (most); {len(body.debris)} particles loose"
+        f"{found.iterations} iterations, read and built in {built - start:.2f} s, solved in "
+        f"{solved - built:.2f} s; "
+        f"moves {np.median(moved):.2f} um (median), {moved.max():.2f} um (most); "
+        f"{len(body.debris)} particles loose"
     )
     assert found.outcome.name == "CONVERGED"
     assert found.iterations <= 30
@@ -106,7 +131,9 @@ def test_molar_solves_at_quarter_millimetre(anatomy):
 @pytest.mark.slow
 @pytest.mark.parametrize("shift", [0.13, 0.31, 0.57, 0.83])
 def test_molar_solves_wherever_the_grid_lies(anatomy, shift):
-    """The grid's place cuts other cells, leaves other islands and moves particles in their cells: 13 to 15 iterations."""
+    """The grid's place cuts other cells, leaves other islands and moves particles in their
+    cells: 13 to 15 iterations.
+    """
     body = molar(anatomy, 4e-4, ligament_Pa=50e6, shift=shift)
     found = body.solve(press_cusp(body), tolerance=1e-6)
     print(f"\nshift {shift}: {found.iterations} iterations, {len(body.debris)} loose particles")

@@ -1,4 +1,6 @@
-"""Patch tests: a linear field is exact on full cells, and where particles lie at random the error has its order."""
+"""Patch tests: a linear field is exact on full cells, and where particles lie at random the
+error has its order.
+"""
 
 import numpy as np
 import pytest
@@ -14,26 +16,40 @@ EXACT = 1e-10
 
 
 def patch_error(body):
-    """Root mean square error of inner displacements and largest of stress, over the largest value of each."""
+    """Root mean square error of inner displacements and largest of stress, over the largest
+    value of each.
+    """
     wanted = body.grid.node_position_m @ FIELD.T
     found = body.solve(np.zeros_like(wanted), tolerance=1e-13)
-    stress, (first, shear) = particle_stress(body.cells, found.displacement_m), body.particles.lame_Pa[0]
+    stress, (first, shear) = (
+        particle_stress(body.cells, found.displacement_m),
+        body.particles.lame_Pa[0],
+    )
     exact = first * np.trace(FIELD) * np.eye(3) + shear * (FIELD + FIELD.T)
     exact = exact[[0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]]
-    moved = np.sqrt(((found.displacement_m - wanted)[~body.supports.fixed] ** 2).mean()) / np.abs(wanted).max()
+    moved = (
+        np.sqrt(((found.displacement_m - wanted)[~body.supports.fixed] ** 2).mean())
+        / np.abs(wanted).max()
+    )
     return moved, np.abs(stress - exact).max() / np.abs(exact).max(), found
 
 
 def held_patch(particles, grid):
     held = on_boundary(grid)
     return ParticleBody(
-        particles, grid, NodeSupports.of(grid.node_count, held=held, displacement_m=grid.node_position_m @ FIELD.T)
+        particles,
+        grid,
+        NodeSupports.of(grid.node_count, held=held, displacement_m=grid.node_position_m @ FIELD.T),
     )
 
 
-@pytest.mark.parametrize("places", [GAUSS, lattice(2), lattice(3)], ids=["gauss", "lattice 2", "lattice 3"])
+@pytest.mark.parametrize(
+    "places", [GAUSS, lattice(2), lattice(3)], ids=["gauss", "lattice 2", "lattice 3"]
+)
 def test_full_cells_are_exact(places):
-    moved, stress, found = patch_error(held_patch(*block((6, 5, 4), 1e-3, modulus_Pa=18.6e9, places=places)))
+    moved, stress, found = patch_error(
+        held_patch(*block((6, 5, 4), 1e-3, modulus_Pa=18.6e9, places=places))
+    )
     assert found.converged
     assert moved <= EXACT and stress <= EXACT
 
@@ -45,16 +61,31 @@ def random_patch(cells, per_cell, seed):
 
 
 def test_random_particles_err_with_the_root_of_their_number():
-    """Monte Carlo quadrature: stress error falls as N^-1/2 (0.15: scatter of four points over 12 seeds)."""
+    """Monte Carlo quadrature: stress error falls as N^-1/2 (0.15: scatter of four points over 12
+    seeds).
+    """
     counts = np.array([8, 32, 128, 512])
-    errors = [np.mean([patch_error(random_patch(4, int(n), seed))[1] for seed in range(3)]) for n in counts]
-    print("\nparticles a cell, largest stress error:", dict(zip(counts.tolist(), np.round(errors, 4), strict=True)))
+    errors = [
+        np.mean([patch_error(random_patch(4, int(n), seed))[1] for seed in range(3)])
+        for n in counts
+    ]
+    print(
+        "\nparticles a cell, largest stress error:",
+        dict(zip(counts.tolist(), np.round(errors, 4), strict=True)),
+    )
     assert slope(counts, errors) == pytest.approx(-0.5, abs=0.15)
 
 
 def test_random_particles_still_converge_in_displacement():
-    """At 8 particles a cell the stress error stays, but the displacement error falls with the edge: order 1."""
+    """At 8 particles a cell the stress error stays, but the displacement error falls with the
+    edge: order 1.
+    """
     cells = np.array([4, 8, 12])
-    errors = [np.mean([patch_error(random_patch(int(n), 8, seed))[0] for seed in range(3)]) for n in cells]
-    print("\ncells an edge, displacement error:", dict(zip(cells.tolist(), np.round(errors, 5), strict=True)))
+    errors = [
+        np.mean([patch_error(random_patch(int(n), 8, seed))[0] for seed in range(3)]) for n in cells
+    ]
+    print(
+        "\ncells an edge, displacement error:",
+        dict(zip(cells.tolist(), np.round(errors, 5), strict=True)),
+    )
     assert slope(1.0 / cells, errors) >= 0.8

@@ -1,6 +1,8 @@
-"""Stress recovered over a fixed length against the mean of known fields over the same balls: order 2 in the cells.
+"""Stress recovered over a fixed length against the mean of known fields over the same balls: order
+2 in the cells.
 
-Beside a hole: Lame's hollow sphere, cut from a grid. Beside a load: Kelvin's point force, spread over a ball.
+Beside a hole: Lame's hollow sphere, cut from a grid. Beside a load: Kelvin's point force, spread
+over a ball.
 """
 
 import numpy as np
@@ -30,7 +32,9 @@ def ball(reach, count=41):
 
 
 def places_by_the_hole(count=30):
-    """Random places of the octant up to 0.25 from the hole, whose ball no plane of symmetry cuts."""
+    """Random places of the octant up to 0.25 from the hole, whose ball no plane of symmetry
+    cuts.
+    """
     random = np.random.default_rng(0)
     out = np.abs(random.normal(size=(40 * count, 3)))
     places = out / np.linalg.norm(out, axis=1)[:, None] * random.uniform(INNER, 1.25, (len(out), 1))
@@ -44,7 +48,9 @@ def mean_by_the_hole(places):
     for place in places:
         radius = np.linalg.norm(place + points, axis=1)
         inside = (radius > INNER) & (radius < OUTER)
-        means.append(np.average(exact_stress((place + points)[inside]), axis=0, weights=weights[inside]))
+        means.append(
+            np.average(exact_stress((place + points)[inside]), axis=0, weights=weights[inside])
+        )
     return np.array(means)
 
 
@@ -54,19 +60,31 @@ def errors_by_the_hole(cells):
     found = body.solve(pressure_load(body), tolerance=1e-7)
     assert found.converged
     stress, particles = particle_stress(body.cells, found.displacement_m), body.particles
-    recovery = StressRecovery(particles, body.cells, places, np.zeros(len(places), dtype=int), reach_m=REACH)
+    recovery = StressRecovery(
+        particles, body.cells, places, np.zeros(len(places), dtype=int), reach_m=REACH
+    )
     mean = recovery(found.displacement_m)
-    near = [int(np.argmin(np.linalg.norm(particles.position_m - place, axis=1))) for place in places]
-    return relative(mean[:, FULL], mean_by_the_hole(places)), relative(stress[near][:, FULL], exact_stress(places))
+    near = [
+        int(np.argmin(np.linalg.norm(particles.position_m - place, axis=1))) for place in places
+    ]
+    return relative(mean[:, FULL], mean_by_the_hole(places)), relative(
+        stress[near][:, FULL], exact_stress(places)
+    )
 
 
 @pytest.mark.parametrize(
-    ("cells", "finest"), [((8, 12), 0.03), pytest.param((8, 12, 16, 24, 32), 0.0035, marks=pytest.mark.slow)]
+    ("cells", "finest"),
+    [((8, 12), 0.03), pytest.param((8, 12, 16, 24, 32), 0.0035, marks=pytest.mark.slow)],
 )
 def test_stress_beside_a_hole(cells, finest):
-    """Order 1.8 or more in the edge, where the stress at single particles comes down with 1 at best."""
+    """Order 1.8 or more in the edge, where the stress at single particles comes down with 1 at
+    best.
+    """
     recovered, single = np.array([errors_by_the_hole(n) for n in cells]).T
-    print("\ncells, error recovered and at particles", *zip(cells, recovered.round(4), single.round(3), strict=True))
+    print(
+        "\ncells, error recovered and at particles",
+        *zip(cells, recovered.round(4), single.round(3), strict=True),
+    )
     assert slope(1.0 / np.array(cells), recovered) >= 1.8
     assert (np.diff(recovered) < 0.0).all() and recovered[-1] < finest
     assert (recovered < 0.2 * single).all()
@@ -77,8 +95,8 @@ FORCE = np.array([0.3, -0.5, 0.8])
 
 
 def kelvin(position, moment):
-    """Displacement by Kelvin's force in a ball of this second moment per mass, and averaged over another: U + moment
-    times U's Laplacian over 6, exact outside, for U is biharmonic."""
+    """Displacement by Kelvin's force in a ball of this second moment per mass, and averaged over
+    another: U + moment times U's Laplacian over 6, exact outside, for U is biharmonic."""
     r = np.linalg.norm(position, axis=1)[:, None]
     along = (position @ FORCE)[:, None] * position
     plain = (3.0 - 4.0 * RATIO) * FORCE / r + along / r**3
@@ -89,24 +107,37 @@ def kelvin(position, moment):
 def kelvin_stress(position, moment, step=1e-4):
     """Its stress by central differences, shape (n, 3, 3)."""
     gradient = np.stack(
-        [(kelvin(position + step * e, moment) - kelvin(position - step * e, moment)) / (2 * step) for e in np.eye(3)],
+        [
+            (kelvin(position + step * e, moment) - kelvin(position - step * e, moment)) / (2 * step)
+            for e in np.eye(3)
+        ],
         axis=2,
     )
     strain = 0.5 * (gradient + gradient.transpose(0, 2, 1))
     first = 2.0 * SHEAR * RATIO / (1.0 - 2.0 * RATIO)
-    return 2.0 * SHEAR * strain + first * np.trace(strain, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    return 2.0 * SHEAR * strain + first * np.trace(strain, axis1=1, axis2=2)[
+        :, None, None
+    ] * np.eye(3)
 
 
 def errors_by_the_load(cells):
-    """Relative error of the recovered stress under a force spread over a ball, and under one at a point."""
-    particles, grid = block((cells,) * 3, 2.0 * HALF / cells, modulus_Pa=2.0 * SHEAR * (1.0 + RATIO), places=lattice(2))
+    """Relative error of the recovered stress under a force spread over a ball, and under one at
+    a point.
+    """
+    particles, grid = block(
+        (cells,) * 3, 2.0 * HALF / cells, modulus_Pa=2.0 * SHEAR * (1.0 + RATIO), places=lattice(2)
+    )
     centre, moment = np.full(3, HALF), 3.0 / 7.0 * RADIUS**2
     held = on_boundary(grid)
     moved = kelvin(np.where(held[:, None], grid.node_position_m - centre, HALF), moment)
-    body = ParticleBody(particles, grid, NodeSupports.of(grid.node_count, held=held, displacement_m=moved))
+    body = ParticleBody(
+        particles, grid, NodeSupports.of(grid.node_count, held=held, displacement_m=moved)
+    )
     out = np.random.default_rng(1).normal(size=(40, 3))
     places = out / np.linalg.norm(out, axis=1)[:, None] * np.linspace(0.82, 1.0, 40)[:, None]
-    recovery = StressRecovery(particles, body.cells, centre + places, np.zeros(len(places), dtype=int), reach_m=RADIUS)
+    recovery = StressRecovery(
+        particles, body.cells, centre + places, np.zeros(len(places), dtype=int), reach_m=RADIUS
+    )
     wanted, errors = kelvin_stress(places, 2.0 * moment), []
     for load in (body.spread_over(centre, FORCE, radius_m=RADIUS), body.spread(centre, FORCE)):
         found = body.solve(load, tolerance=1e-8)
@@ -121,21 +152,33 @@ def test_stress_beside_a_load():
     """Order 1.8 or more in the edge under a force spread over a ball."""
     cells = np.array([8, 12, 16, 24])
     spread, point = np.array([errors_by_the_load(int(n)) for n in cells]).T
-    print("\ncells, error under a ball and a point", *zip(cells, spread.round(4), point.round(4), strict=True))
+    print(
+        "\ncells, error under a ball and a point",
+        *zip(cells, spread.round(4), point.round(4), strict=True),
+    )
     assert slope(1.0 / cells, spread) >= 1.8
     assert (np.diff(spread) < 0.0).all() and spread[-1] < 0.02
 
 
 @pytest.mark.parametrize("cells", [4, 8])
 def test_layers_are_not_mixed_and_removed_particles_do_not_count(cells):
-    """Two layers of unlike modulus under one strain: each place has its own layer's stress, whether particles count
-    singly or by cells; where nothing of it is left, or no cell carries load, it is not a number."""
-    particles, grid = block((cells,) * 3, 1.0 / cells, modulus_Pa=lambda x: np.where(x[:, 0] > 0.5, 9.0, 1.0))
+    """Two layers of unlike modulus under one strain: each place has its own layer's stress, whether
+    particles count singly or by cells; where nothing of it is left, or no cell carries load, it is
+    not a number."""
+    particles, grid = block(
+        (cells,) * 3, 1.0 / cells, modulus_Pa=lambda x: np.where(x[:, 0] > 0.5, 9.0, 1.0)
+    )
     particles.layer[:] = particles.position_m[:, 0] > 0.5
-    body = ParticleBody(particles, grid, NodeSupports.of(grid.node_count, held=grid.node_place[:, 0] == 0))
-    recovery = StressRecovery(particles, body.cells, np.full((2, 3), 0.5), np.array([0, 1]), reach_m=0.3)
+    body = ParticleBody(
+        particles, grid, NodeSupports.of(grid.node_count, held=grid.node_place[:, 0] == 0)
+    )
+    recovery = StressRecovery(
+        particles, body.cells, np.full((2, 3), 0.5), np.array([0, 1]), reach_m=0.3
+    )
     moved = 1e-3 * grid.node_position_m
-    wanted = np.array([1.0, 9.0])[:, None] * 1e-3 / (1.0 - 2.0 * RATIO) * np.array([1, 1, 1, 0, 0, 0])
+    wanted = (
+        np.array([1.0, 9.0])[:, None] * 1e-3 / (1.0 - 2.0 * RATIO) * np.array([1, 1, 1, 0, 0, 0])
+    )
     assert recovery(moved) == pytest.approx(wanted, rel=1e-6, abs=1e-8)
     right = np.flatnonzero(particles.layer == 1)
     body.set_remaining(right, np.zeros(len(right), dtype=int))

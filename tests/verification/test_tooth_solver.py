@@ -1,4 +1,6 @@
-"""Iterations over contrast and refinement, every outcome of a solve, islands, removal and warm starts."""
+"""Iterations over contrast and refinement, every outcome of a solve, islands, removal and warm
+starts.
+"""
 
 import numpy as np
 import pytest
@@ -15,7 +17,9 @@ CONTRASTS = (1.0, 100.0, 4200.0, 42000.0)
 
 
 def ball_in_block(cells, contrast):
-    """84 GPa around a ball of 84 GPa / contrast, on a layer of the same: pulp and ligament at once."""
+    """84 GPa around a ball of 84 GPa / contrast, on a layer of the same: pulp and ligament at
+    once.
+    """
 
     def modulus(x):
         soft = (np.linalg.norm(x - EDGE / 2, axis=1) < 0.25 * EDGE) | (x[:, 2] < 0.125 * EDGE)
@@ -31,9 +35,18 @@ def push(body, at=(0.5, 0.4, 1.0)):
 
 @pytest.mark.slow
 def test_iterations_follow_neither_contrast_nor_refinement():
-    """To 1e-6 in the energy norm, from rest; 25 is the real molar's count, no grid may take 8 more than the first."""
-    counts = np.array([[ball_in_block(n, c).solve(push(ball_in_block(n, c)), tolerance=1e-6).iterations
-                        for n in (8, 12, 16, 20)] for c in CONTRASTS])  # fmt: skip
+    """To 1e-6 in the energy norm, from rest; 25 is the real molar's count, no grid may take 8
+    more than the first.
+    """
+    counts = np.array(
+        [
+            [
+                ball_in_block(n, c).solve(push(ball_in_block(n, c)), tolerance=1e-6).iterations
+                for n in (8, 12, 16, 20)
+            ]
+            for c in CONTRASTS
+        ]
+    )
     print("\ncontrast  8^3 12^3 16^3 20^3 cells")
     for contrast, row in zip(CONTRASTS, counts, strict=True):
         print(f"{contrast:8.0f}  {row}")
@@ -42,7 +55,9 @@ def test_iterations_follow_neither_contrast_nor_refinement():
 
 
 def with_pieces():
-    """A bar held at one end, a cell that meets it in an edge, and two cells apart from it; held at x = 0."""
+    """A bar held at one end, a cell that meets it in an edge, and two cells apart from it; held
+    at x = 0.
+    """
     bar = [[i, 0, 0] for i in range(4)]
     cells = np.array([*bar, [4, 1, 0], [2, 3, 0], [2, 4, 0]])
     position = ((cells[:, None] + lattice(2)) * 1e-3).reshape(-1, 3)
@@ -63,7 +78,9 @@ def test_islands_and_hinges_are_debris_and_the_rest_solves():
     assert values[0] > 1e-6 * values[-1]
 
 
-@pytest.mark.parametrize("at", [(4.5e-3, 1.9e-3, 0.5e-3), (2.5e-3, 4.9e-3, 0.3e-3)], ids=["hinge", "island"])
+@pytest.mark.parametrize(
+    "at", [(4.5e-3, 1.9e-3, 0.5e-3), (2.5e-3, 4.9e-3, 0.3e-3)], ids=["hinge", "island"]
+)
 def test_plain_assembly_is_singular_and_reports_it(at):
     body = ParticleBody(*with_pieces(), drop_islands=False)
     matrix = body.matrix().toarray()
@@ -88,14 +105,24 @@ def test_a_load_on_debris_and_a_body_without_support_are_reported():
 def test_too_few_iterations_are_reported():
     body = ball_in_block(8, 42000.0)
     found = body.solve(push(body), limit=2)
-    assert found.outcome is SolverOutcome.NOT_CONVERGED and found.iterations == 2 and found.error > 1e-4
+    assert (
+        found.outcome is SolverOutcome.NOT_CONVERGED
+        and found.iterations == 2
+        and found.error > 1e-4
+    )
     assert not body.displacement_m.any()
 
 
 def test_an_indefinite_matrix_is_reported():
     load = np.ones((4, 3))
     found = solve_cells(
-        lambda u: -u, load, diagonal=load, precondition=lambda r: r, start_m=0.0 * load, tolerance=1e-6, limit=9
+        lambda u: -u,
+        load,
+        diagonal=load,
+        precondition=lambda r: r,
+        start_m=0.0 * load,
+        tolerance=1e-6,
+        limit=9,
     )
     assert found.outcome is SolverOutcome.INDEFINITE
 
@@ -108,7 +135,9 @@ def test_no_load_needs_no_iteration():
 
 @pytest.mark.slow
 def test_removed_particles_leave_the_stiffness_of_a_fresh_assembly():
-    """1,000 random removals, one update each: only touched cells are summed, and the result is the fresh one's bits."""
+    """1,000 random removals, one update each: only touched cells are summed, and the result is
+    the fresh one's bits.
+    """
     body = ball_in_block(8, 42000.0)
     random = np.random.default_rng(0)
     for _ in range(1000):
@@ -119,9 +148,17 @@ def test_removed_particles_leave_the_stiffness_of_a_fresh_assembly():
     left[body.cells.order] = body.cells.remaining
     arrays = body.particles
     fresh = ParticleBody(
-        ParticleSet(arrays.position_m, arrays.volume_m3, arrays.modulus_Pa, arrays.poisson_ratio, arrays.layer, left),
-        body.grid, body.supports,
-    )  # fmt: skip
+        ParticleSet(
+            arrays.position_m,
+            arrays.volume_m3,
+            arrays.modulus_Pa,
+            arrays.poisson_ratio,
+            arrays.layer,
+            left,
+        ),
+        body.grid,
+        body.supports,
+    )
     assert np.array_equal(body.cells.cell_matrices(), fresh.cells.cell_matrices())
     assert np.array_equal(body.debris, fresh.debris)
     ours, theirs = body.matrix(), fresh.matrix()
@@ -132,7 +169,9 @@ def test_removed_particles_leave_the_stiffness_of_a_fresh_assembly():
 
 
 def test_stress_after_warm_starts_is_that_of_a_cold_solve():
-    """A ball cuts 20 steps deep, every solve from the last: largest stress difference below 0.5 % of the largest."""
+    """A ball cuts 20 steps deep, every solve from the last: largest stress difference below 0.5
+    % of the largest.
+    """
     body = ball_in_block(16, 42000.0)
     position = body.particles.position_m
     warm = []
@@ -145,10 +184,13 @@ def test_stress_after_warm_starts_is_that_of_a_cold_solve():
         warm.append(body.solve(load))
     cold = body.solve(load, tolerance=1e-10, cold=True)
     kept = np.flatnonzero(body.cells.remaining[body.cells.rank])
-    ours, exact = (particle_stress(body.cells, s.displacement_m, particles=kept) for s in (warm[-1], cold))
+    ours, exact = (
+        particle_stress(body.cells, s.displacement_m, particles=kept) for s in (warm[-1], cold)
+    )
     error = np.abs(ours - exact).max() / stress_invariants(exact)[0].max()
     print(
-        f"\nwarm {[s.iterations for s in warm]} iterations, cold {cold.iterations}; stress off by {100 * error:.3f} %"
+        f"\nwarm {[s.iterations for s in warm]} iterations, cold {cold.iterations}; stress "
+        f"off by {100 * error:.3f} %"
     )
     assert all(s.converged for s in warm) and cold.converged
     assert error <= 5e-3

@@ -1,8 +1,20 @@
-"""Hollow sphere under inner pressure (Lame, validation case 3) cut from a grid, beside body-fitted tetrahedra."""
+"""Hollow sphere under inner pressure (Lame, validation case 3) cut from a grid, beside
+body-fitted tetrahedra.
+"""
 
 import numpy as np
 import pytest
-from hollow_sphere import ENERGY, INNER, MODULUS, OUTER, PRESSURE, RATIO, exact_stress, pressure_load, sphere
+from hollow_sphere import (
+    ENERGY,
+    INNER,
+    MODULUS,
+    OUTER,
+    PRESSURE,
+    RATIO,
+    exact_stress,
+    pressure_load,
+    sphere,
+)
 from tooth_bodies import slope
 
 from tissue.models.tooth.recovery import particle_stress
@@ -27,11 +39,17 @@ def particle_errors(cells, **options):
     weights = (body.particles.volume_m3 * body.particles.remaining / 65535.0)[chosen]
     exact = exact_stress(body.particles.position_m[chosen])
     energy = 0.5 * (load * found.displacement_m).sum()
-    return abs(energy / ENERGY - 1.0), energy_norm(stress - exact, weights) / energy_norm(exact, weights), body
+    return (
+        abs(energy / ENERGY - 1.0),
+        energy_norm(stress - exact, weights) / energy_norm(exact, weights),
+        body,
+    )
 
 
 def tetrahedra_errors(cells):
-    """The same of body-fitted linear tetrahedra: a cube's shell, of max-norm 1 to 2, bent onto the sphere."""
+    """The same of body-fitted linear tetrahedra: a cube's shell, of max-norm 1 to 2, bent onto
+    the sphere.
+    """
     skfem = pytest.importorskip("skfem")
     from skfem.helpers import ddot, dot, sym_grad
     from skfem.models.elasticity import lame_parameters, linear_elasticity, linear_stress
@@ -44,10 +62,12 @@ def tetrahedra_errors(cells):
     basis = skfem.Basis(mesh, skfem.ElementVector(skfem.ElementTetP1()), intorder=2)
     first, shear = lame_parameters(MODULUS, RATIO)
     matrix = linear_elasticity(first, shear).assemble(basis)
-    inner = mesh.facets_satisfying(lambda x: np.linalg.norm(x, axis=0) < INNER, boundaries_only=True)
-    load = skfem.LinearForm(lambda v, w: PRESSURE * dot(w.x / np.linalg.norm(w.x, axis=0), v)).assemble(
-        basis.boundary(inner)
+    inner = mesh.facets_satisfying(
+        lambda x: np.linalg.norm(x, axis=0) < INNER, boundaries_only=True
     )
+    load = skfem.LinearForm(
+        lambda v, w: PRESSURE * dot(w.x / np.linalg.norm(w.x, axis=0), v)
+    ).assemble(basis.boundary(inner))
     held = np.concatenate([basis.nodal_dofs[axis, mesh.p[axis] < 1e-9] for axis in range(3)])
     moved = skfem.solve(*skfem.condense(matrix, load, D=held))
     stress_of = linear_stress(first, shear)
@@ -66,7 +86,9 @@ def tetrahedra_errors(cells):
 
 @pytest.mark.slow
 def test_lame_sphere_converges():
-    """Energy converges at least with order 1 and stress, in the energy norm, with 1 (0.85: four cut grids scatter)."""
+    """Energy converges at least with order 1 and stress, in the energy norm, with 1 (0.85: four
+    cut grids scatter).
+    """
     cells = np.array([8, 12, 16, 24])
     particle = np.array([particle_errors(int(n))[:2] for n in cells])
     print("\ncells  particles: energy, stress")
@@ -81,7 +103,9 @@ def test_lame_sphere_converges():
 
 @pytest.mark.slow
 def test_particles_against_body_fitted_tetrahedra():
-    """On grids of equal edge the cut cells err less than linear tetrahedra that follow the surfaces."""
+    """On grids of equal edge the cut cells err less than linear tetrahedra that follow the
+    surfaces.
+    """
     print("\ncells  particles: energy, stress   tetrahedra: energy, stress")
     for cells in (8, 16):
         ours, theirs = particle_errors(cells)[:2], tetrahedra_errors(cells)
@@ -91,9 +115,11 @@ def test_particles_against_body_fitted_tetrahedra():
 
 @pytest.mark.slow
 def test_error_and_condition_of_stabilisation():
-    """Condition number of the diagonally scaled stiffness, and errors, over particles a cell and inner stiffness.
+    """Condition number of the diagonally scaled stiffness, and errors, over particles a cell and
+    inner stiffness.
 
-    One particle a cell without it is singular; a tenth closes it and costs less than a tenth of the errors.
+    One particle a cell without it is singular; a tenth closes it and costs less than a tenth of the
+    errors.
     """
     print("\nparticles a cell  strength  condition  energy error  stress error")
     rows = {}
@@ -106,7 +132,9 @@ def test_error_and_condition_of_stabilisation():
             values = np.linalg.eigvalsh(scale[:, None] * matrix[np.ix_(kept, kept)] * scale)
             rows[per_edge, strength] = values[-1] / values[0], energy, stress
             row = rows[per_edge, strength]
-            print(f"{per_edge**3:16d}  {strength:8.0e}  {row[0]:9.2e}  {row[1]:12.4f}  {row[2]:12.4f}")
+            print(
+                f"{per_edge**3:16d}  {strength:8.0e}  {row[0]:9.2e}  {row[1]:12.4f}  {row[2]:12.4f}"
+            )
     bare = sphere(8, inner_strength=0.0, per_edge=1)
     assert not bare.solve(pressure_load(bare)).converged
     assert rows[1, 0.1][0] < 0.1 * rows[1, 1e-3][0]

@@ -41,7 +41,11 @@ def assess(
         Replace the assessment that the folder already holds.
     """
     from tissue.evaluation.assessment import assess as hold_against
-    from tissue.evaluation.assessment import assessment_lines, require_assessment_folder, write_assessment
+    from tissue.evaluation.assessment import (
+        assessment_lines,
+        require_assessment_folder,
+        write_assessment,
+    )
     from tissue.simulation.run_folder import SavedRun
 
     if out is None:

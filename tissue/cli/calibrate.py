@@ -34,9 +34,11 @@ def calibrate(
     seed: Annotated[int, Parameter(converter=whole)] = 0,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Find a person's threshold and exponent for force in an adaptive session, or a population's from many sessions.
+    """Find a person's threshold and exponent for force in an adaptive session, or a population's
+    from many sessions.
 
-    Every trial is on disk before the next: after an interruption the same command goes on where it stopped.
+    Every trial is on disk before the next: after an interruption the same command goes on where it
+    stopped.
 
     Parameters
     ----------
@@ -49,8 +51,8 @@ def calibrate(
     out
         File to write; default observer.json, or population.json. Trials and picture lie beside it.
     device
-        What plays forces to a person, default mouse: mouse (bars stand for forces), or simulated: touch, omni, six-dof,
-        haply, forcedimension, sigma-7, openhaptics, network, recorded.
+        What plays forces to a person, default mouse: mouse (bars stand for forces), or simulated:
+        touch, omni, six-dof, haply, forcedimension, sigma-7, openhaptics, network, recorded.
     trials
         Comparisons of two forces; default 120.
     numbers
@@ -68,13 +70,20 @@ def calibrate(
             "try --observer simulated:1 --out observer.json"
         )
     if population is not None:
-        left_out("with --population, which fits sessions that are over", "remove it",
-                 device=device, trials=trials, numbers=numbers)  # fmt: skip
+        left_out(
+            "with --population, which fits sessions that are over",
+            "remove it",
+            device=device,
+            trials=trials,
+            numbers=numbers,
+        )
         from tissue.evaluation.calibration.population_fit import fit_population
 
         target = out or Path("population.json")
         with output_locked(target, folder=False):
-            lines = fit_population(population, target, seed=seed, overwrite=overwrite, progress=problems.is_terminal)
+            lines = fit_population(
+                population, target, seed=seed, overwrite=overwrite, progress=problems.is_terminal
+            )
         console.print(*lines, sep="\n")
         return
     from tissue.evaluation.calibration.answers import questioner
@@ -84,13 +93,19 @@ def calibrate(
     target = out or Path("observer.json")
     name = observer or f"person on {device}"
     answer, limit_N = questioner(observer, device, seed=seed, read=input, show=_show)
-    plan = Plan(seed=seed, trials=TRIALS if trials is None else trials,
-                numbers=NUMBERS if numbers is None else numbers, force_limit_N=limit_N)  # fmt: skip
+    plan = Plan(
+        seed=seed,
+        trials=TRIALS if trials is None else trials,
+        numbers=NUMBERS if numbers is None else numbers,
+        force_limit_N=limit_N,
+    )
     with output_locked(target, folder=False):
         _session(target, name, plan, answer, live=not ask, overwrite=overwrite)
 
 
-def _session(target: Path, name: str, plan: "Plan", answer: "Answer", *, live: bool, overwrite: bool) -> None:
+def _session(
+    target: Path, name: str, plan: "Plan", answer: "Answer", *, live: bool, overwrite: bool
+) -> None:
     """A session from where its log stands to its files."""
     from meshes.base.whole_file import whole_file
     from tissue.evaluation.calibration.answers import begin
@@ -131,7 +146,9 @@ def _ask_all(log: "TrialLog", answer: "Answer", *, live: bool) -> None:
     session: Session = log.session
     moving = live and problems.is_terminal
     try:
-        with Live(console=problems, refresh_per_second=12, transient=True, auto_refresh=moving) as shown:
+        with Live(
+            console=problems, refresh_per_second=12, transient=True, auto_refresh=moving
+        ) as shown:
             while not session.complete:
                 asked = session.ask()
                 log.take(asked, answer(asked, session.trial))
@@ -142,7 +159,8 @@ def _ask_all(log: "TrialLog", answer: "Answer", *, live: bool) -> None:
     except (KeyboardInterrupt, StoppedError) as stopped:
         log.close()
         problems.print(
-            f"stopped after trial {read_log(log.path)[1].trial}: all are in {log.path}; the same command goes on there"
+            f"stopped after trial {read_log(log.path)[1].trial}: all are in {log.path}; the "
+            "same command goes on there"
         )
         sys.exit(stopped.exit_code if isinstance(stopped, Terminated) else 130)
     log.close()

@@ -25,14 +25,15 @@ def chart(
     observer: Path | None = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Measure and draw speed against accuracy: of scenes, or of predictors; or what an observer feels.
+    """Measure and draw speed against accuracy: of scenes, or of predictors; or what an observer
+    feels.
 
     Parameters
     ----------
     what
-        Names of built-in scenes, default all: what every setting costs and how far its force is off. `prediction`, and
-        scenes after it (default palpation, wall and milling): errors of all predictors on runs they have not seen.
-        `perception`: intensity, threshold and mapping.
+        Names of built-in scenes, default all: what every setting costs and how far its force is
+        off. `prediction`, and scenes after it (default palpation, wall and milling): errors of all
+        predictors on runs they have not seen. `perception`: intensity, threshold and mapping.
     out
         Folder to write; default charts, charts/prediction or charts/perception.
     quick
@@ -58,9 +59,15 @@ def chart(
 
             raise InputError(f"perception must stand alone, got {scene} after it: leave it out")
         case _:
-            left_out("unless predictors are charted", "add prediction before the scenes, or remove it", trials=trials)
             left_out(
-                "unless perception is charted", "name perception in place of scenes, or remove it", observer=observer
+                "unless predictors are charted",
+                "add prediction before the scenes, or remove it",
+                trials=trials,
+            )
+            left_out(
+                "unless perception is charted",
+                "name perception in place of scenes, or remove it",
+                observer=observer,
             )
             _scenes(list(what), out or Path("charts"), quick=quick, overwrite=overwrite)
 
@@ -76,7 +83,9 @@ def _scenes(names: list[str], folder: Path, *, quick: bool, overwrite: bool) -> 
         console.print(note)
     workers = min(os.cpu_count() or 1, MOST_WORKERS)
     with progress() as report, worker_pool(workers) as pool:
-        found = chart_scenes(names, folder, quick=quick, overwrite=overwrite, pool=pool, report=report)
+        found = chart_scenes(
+            names, folder, quick=quick, overwrite=overwrite, pool=pool, report=report
+        )
     console.print(*chart_lines(found), sep="\n")
     console.print(f"pictures and tables in {folder}")
 

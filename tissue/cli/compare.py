@@ -37,7 +37,11 @@ def compare(
 
     if out is None:
         left_out("without --out, for nothing is written", "remove it", overwrite=overwrite)
-        left_out("without --out, for nothing is drawn", "remove it", over=over if over != "time" else None)
+        left_out(
+            "without --out, for nothing is drawn",
+            "remove it",
+            over=over if over != "time" else None,
+        )
     if out is not None:
         require_folder(out, KIND, FILES, overwrite=overwrite)
     found = compared(*folders)

@@ -25,8 +25,8 @@ def devices(
 ) -> None:
     """List the haptic devices that are found and their limits, or test one of them.
 
-    The test measures how often and how evenly a device gives samples and its latency, with no force, and then pushes
-    the hand by 0.5 N if that is confirmed. Not for clinical use.
+    The test measures how often and how evenly a device gives samples and its latency, with no
+    force, and then pushes the hand by 0.5 N if that is confirmed. Not for clinical use.
 
     Parameters
     ----------
@@ -44,13 +44,22 @@ def devices(
         Replace the file.
     """
     if test is None:
-        left_out("without --test", "name a device by --test", address=address, seconds=seconds, yes=yes, out=out)
+        left_out(
+            "without --test",
+            "name a device by --test",
+            address=address,
+            seconds=seconds,
+            yes=yes,
+            out=out,
+        )
         left_out("without --out", "remove it", overwrite=overwrite)
         _list()
         return
     if out is None:
         left_out("without --out", "remove it", overwrite=overwrite)
-    _test(test, address or "", 2.0 if seconds is None else seconds, out, yes=yes, overwrite=overwrite)
+    _test(
+        test, address or "", 2.0 if seconds is None else seconds, out, yes=yes, overwrite=overwrite
+    )
 
 
 def _list() -> None:
@@ -60,7 +69,9 @@ def _list() -> None:
         found = found_devices()
     here = [each for each in found if not each.problem]
     for each in here:
-        console.print(f"{each.name:<15} {each.where}  {each.detail}", f"{'':<15} {_limits(each)}", sep="\n")
+        console.print(
+            f"{each.name:<15} {each.where}  {each.detail}", f"{'':<15} {_limits(each)}", sep="\n"
+        )
     if not here:
         console.print("no device is found")
     for each in found:
@@ -75,12 +86,15 @@ def _limits(found: "FoundDevice") -> str:
     torque = f", {limits.torque_limit_Nm:g} N m" if limits.torque_limit_Nm > 0.0 else ", no torque"
     box = " x ".join(f"{1e3 * edge:g}" for edge in limits.workspace_m)
     return (
-        f"at most {limits.force_limit_N:g} N{torque}; workspace {box} mm; {limits.rate_Hz:g} Hz and "
+        f"at most {limits.force_limit_N:g} N{torque}; workspace {box} mm; {limits.rate_Hz:g} "
+        "Hz and "
         f"{1e3 * limits.transport_delay_s:g} ms of latency unless measured"
     )
 
 
-def _test(name: str, address: str, seconds: float, out: Path | None, *, yes: bool, overwrite: bool) -> None:
+def _test(
+    name: str, address: str, seconds: float, out: Path | None, *, yes: bool, overwrite: bool
+) -> None:
     from meshes.base.errors import InputError
     from tissue.haptics.real.measured_file import write_measured
     from tissue.haptics.real.search import adapter_class
@@ -96,7 +110,9 @@ def _test(name: str, address: str, seconds: float, out: Path | None, *, yes: boo
     if out is not None:
         require_new_file(out, overwrite=overwrite)
         if not out.parent.is_dir():
-            raise InputError(f"out must lie in a folder that exists, got {out}: create {out.parent}")
+            raise InputError(
+                f"out must lie in a folder that exists, got {out}: create {out.parent}"
+            )
     with adapter_class(name)(Hardware(address=address)) as adapter:
         with problems.status(f"measuring {name} for {seconds:g} s: move the handle"):
             measured = self_test(adapter, seconds=seconds)
@@ -104,7 +120,8 @@ def _test(name: str, address: str, seconds: float, out: Path | None, *, yes: boo
         if yes or _confirmed(f"{BUMP_N:g} N for {BUMP_S:g} s"):
             pushed = bump(adapter)
             console.print(
-                f"push              {BUMP_N:g} N along the device's z: moved {1e3 * pushed.along_m:.2f} mm along it, "
+                f"push              {BUMP_N:g} N along the device's z: moved "
+                f"{1e3 * pushed.along_m:.2f} mm along it, "
                 f"{1e3 * pushed.moved_m:.2f} mm in all"
             )
         else:
@@ -118,11 +135,21 @@ def _lines(measured: "SelfTest") -> list[str]:
     from math import isfinite
 
     def ms(middle: float, most: float) -> str:
-        return f"{1e3 * middle:.3f} ms, 99 % {1e3 * most:.3f} ms" if isfinite(middle) else "not shown by this device"
+        return (
+            f"{1e3 * middle:.3f} ms, 99 % {1e3 * most:.3f} ms"
+            if isfinite(middle)
+            else "not shown by this device"
+        )
 
     return [
-        f"samples           {measured.samples} in {measured.seconds:g} s, {measured.rate_Hz:.0f} Hz",
-        f"interval          {ms(measured.interval_s, measured.interval_99_s)}, max {1e3 * measured.longest_s:.3f} ms",
+        (
+            f"samples           {measured.samples} in {measured.seconds:g} s, "
+            f"{measured.rate_Hz:.0f} Hz"
+        ),
+        (
+            f"interval          {ms(measured.interval_s, measured.interval_99_s)}, max "
+            f"{1e3 * measured.longest_s:.3f} ms"
+        ),
         f"calls             {ms(measured.call_s, measured.call_99_s)}",
         f"round trip        {ms(measured.round_trip_s, measured.round_trip_99_s)}",
     ]
@@ -130,7 +157,10 @@ def _lines(measured: "SelfTest") -> list[str]:
 
 def _confirmed(push: str) -> bool:
     """Whether a person who holds the device wants to be pushed."""
-    console.print(f"Hold the handle loosely; the device will push with at most {push}. Type push and Enter to feel it:")
+    console.print(
+        f"Hold the handle loosely; the device will push with at most {push}. Type push and "
+        "Enter to feel it:"
+    )
     try:
         return input().strip().lower() == "push"
     except EOFError:

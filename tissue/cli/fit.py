@@ -34,9 +34,11 @@ def fit(
     out
         Folder to write; default fits/NAME.
     free
-        Constants to find, between commas: cutting.trabecular, cutting.edge, or full names; default the usual ones.
+        Constants to find, between commas: cutting.trabecular, cutting.edge, or full names; default
+        the usual ones.
     column
-        NAME=COLUMN[:UNIT], where the log has another name or unit, such as force_x_N=-Fx:mN; may be repeated.
+        NAME=COLUMN[:UNIT], where the log has another name or unit, such as force_x_N=-Fx:mN; may be
+        repeated.
     set_
         KEY=VALUE, replaces an entry of the scene; may be repeated.
     cores
@@ -71,4 +73,7 @@ def fit(
         console.print(sentence)
     changes = [f"materials={folder / 'fitted.toml'}"] if found.fitted.of_material else []
     changes += [f"{name}={value:.4g}" for name, value in found.fitted.scene_keys.items()]
-    console.print(f"files in {folder}; next: tissue run {scene} {' '.join(f'--set {each}' for each in changes)}")
+    console.print(
+        f"files in {folder}; next: tissue run {scene} "
+        f"{' '.join(f'--set {each}' for each in changes)}"
+    )

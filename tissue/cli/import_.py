@@ -45,7 +45,8 @@ def import_(
     labels
         Label volume, or folder of masks, of the same CT.
     label_names
-        totalsegmentator, dentalsegmentator, verse, or a TOML file that names the numbers; default the file's own names.
+        totalsegmentator, dentalsegmentator, verse, or a TOML file that names the numbers; default
+        the file's own names.
     region
         Label that is the bone or soft organ, such as scapula_left.
     crop
@@ -59,8 +60,8 @@ def import_(
     density
         internal, a named law, or line:SLOPE,OFFSET; default internal where the image allows it.
     site
-        glenoid, femoral-head, humeral-head, vertebra[:left], tooth[:lesion], X,Y,Z in mm, or .mrk.json; default by the
-        region's name.
+        glenoid, femoral-head, humeral-head, vertebra[:left], tooth[:lesion], X,Y,Z in mm, or
+        .mrk.json; default by the region's name.
     normal
         X,Y,Z: outward direction at a site that is a point; default that of the surface.
     coordinates
@@ -85,18 +86,35 @@ def import_(
     box = None if crop is None else _numbers("crop", crop, 6, "X0,Y0,Z0,X1,Y1,Z1")
     with progress() as shown:
         made = import_ct(
-            source, out, labels=labels, label_names=label_names, region=region,
-            crop_mm=None if box is None else (_three(box[:3]), _three(box[3:])), threshold=threshold, series=series,
+            source,
+            out,
+            labels=labels,
+            label_names=label_names,
+            region=region,
+            crop_mm=None if box is None else (_three(box[:3]), _three(box[3:])),
+            threshold=threshold,
+            series=series,
             spacing_mm=spacing_mm,
-            density=density, site=_three(_numbers("site", site, 3, "X,Y,Z")) if site and "," in site else site,
-            normal=None if normal is None else _three(_numbers("normal", normal, 3, "X,Y,Z")), coordinates=coordinates,
-            path=path, feed_mm_s=feed_mm_s, keep_clear=keep_clear, like=like, parts=dict(map(_part, part)),
-            max_memory_GB=max_memory_GB, overwrite=overwrite, progress=shown,
-        )  # fmt: skip
+            density=density,
+            site=_three(_numbers("site", site, 3, "X,Y,Z")) if site and "," in site else site,
+            normal=None if normal is None else _three(_numbers("normal", normal, 3, "X,Y,Z")),
+            coordinates=coordinates,
+            path=path,
+            feed_mm_s=feed_mm_s,
+            keep_clear=keep_clear,
+            like=like,
+            parts=dict(map(_part, part)),
+            max_memory_GB=max_memory_GB,
+            overwrite=overwrite,
+            progress=shown,
+        )
     for sentence in made.sentences:
         console.print(sentence)
     console.print(f"files in {made.folder}")
-    console.print(f"next: tissue {'run' if made.has_site else 'view'} {made.scene if made.has_site else made.folder}")
+    console.print(
+        f"next: tissue {'run' if made.has_site else 'view'} "
+        f"{made.scene if made.has_site else made.folder}"
+    )
 
 
 def _part(text: str) -> tuple[str, float]:
@@ -124,5 +142,8 @@ def _numbers(name: str, text: str, count: int, form: str) -> list[float]:
     except ValueError:
         found = []
     if len(found) != count:
-        raise InputError(f"{name} must be {count} numbers, {form}, got {text}: write them with commas and no spaces")
+        raise InputError(
+            f"{name} must be {count} numbers, {form}, got {text}: write them with commas and "
+            "no spaces"
+        )
     return found

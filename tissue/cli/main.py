@@ -34,10 +34,11 @@ PIPE_CLOSED = 141
 
 
 def open_streams() -> None:
-    """Replace standard streams that are closed, and print characters that a stream cannot encode by their codes.
+    """Replace standard streams that are closed, and print characters that a stream cannot encode by
+    their codes.
 
-    A descriptor that is closed would be given to the next file that is opened, and libraries that print to it would
-    write into that file.
+    A descriptor that is closed would be given to the next file that is opened, and libraries that
+    print to it would write into that file.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
@@ -94,10 +95,15 @@ CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG)
 
 
 def main() -> NoReturn:
-    """Run the command: bad input becomes one sentence and exit code 2, Ctrl-C ends with 130, SIGTERM with 143."""
+    """Run the command: bad input becomes one sentence and exit code 2, Ctrl-C ends with 130,
+    SIGTERM with 143.
+    """
     open_streams()
     if not has_working_folder():
-        _refuse("the working directory must exist, got one that was removed: change to another directory")
+        _refuse(
+            "the working directory must exist, got one that was removed: change to another "
+            "directory"
+        )
     try:
         with terminated_as_exception(), _plain_warnings():
             try:
@@ -119,14 +125,22 @@ def main() -> NoReturn:
         if error.errno not in FULL + CLOSED:
             if not error.filename or not error.strerror:
                 raise
-            _refuse(f"files must stay as they are while a command runs, got {error.strerror.lower()} at "
-                    f"{error.filename}: check this path")  # fmt: skip
+            _refuse(
+                "files must stay as they are while a command runs, got "
+                f"{error.strerror.lower()} at "
+                f"{error.filename}: check this path"
+            )
         required, remedy = (
-            ("have space", "free some space or choose") if error.errno in FULL else ("be writable", "choose")
+            ("have space", "free some space or choose")
+            if error.errno in FULL
+            else ("be writable", "choose")
         )
         where = f" at {error.filename}" if error.filename else ""
         place, other = _place(error.filename)
-        _refuse(f"{place} must {required}, got {(error.strerror or '').lower()}{where}: {remedy} {other}")
+        _refuse(
+            f"{place} must {required}, got {(error.strerror or '').lower()}{where}: {remedy} "
+            f"{other}"
+        )
     except HelperLostError as lost:
         _refuse(f"{lost}: run it again", code=1)
     except KeyboardInterrupt as stopped:
@@ -143,12 +157,15 @@ def main() -> NoReturn:
 
 @contextmanager
 def _plain_warnings() -> Iterator[None]:
-    """Show a warning of a part that an installed package offers as a line, without where it was raised."""
+    """Show a warning of a part that an installed package offers as a line, without where it was
+    raised.
+    """
     with warnings.catch_warnings():
         others = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-            if category.__name__ not in ("PluginWarning", "OldSceneWarning"):  # whose modules help does without
+            # whose modules help does without
+            if category.__name__ not in ("PluginWarning", "OldSceneWarning"):
                 return others(message, category, *where, **more)
             from rich.markup import escape
 
@@ -163,7 +180,10 @@ def _print_offered() -> None:
     from tissue.scene.plugins import offered_names
 
     if offered := offered_names():
-        console.print("Installed packages add " + "; ".join(f"{k} {', '.join(names)}" for k, names in offered.items()))
+        console.print(
+            "Installed packages add "
+            + "; ".join(f"{k} {', '.join(names)}" for k, names in offered.items())
+        )
 
 
 def _has_written() -> bool:
@@ -173,12 +193,17 @@ def _has_written() -> bool:
 
 
 def _place(file: object) -> tuple[str, str]:
-    """What a file that could not be written belongs to, and how another place for that is chosen."""
+    """What a file that could not be written belongs to, and how another place for that is
+    chosen.
+    """
     from meshes.base.cache import cache_folder
 
     warp = sys.modules.get("warp")
     kernels = getattr(getattr(warp, "config", None), "kernel_cache_dir", None)
-    caches = ((cache_folder(), "another folder by TISSUE_CACHE"), (kernels, "another folder by WARP_CACHE_PATH"))
+    caches = (
+        (cache_folder(), "another folder by TISSUE_CACHE"),
+        (kernels, "another folder by WARP_CACHE_PATH"),
+    )
     for folder, other in caches:
         if folder and file and Path(str(file)).absolute().is_relative_to(Path(folder).absolute()):
             return "cache", other
@@ -200,18 +225,32 @@ def _usage(error: CycloptsError) -> str:
     match error:
         case UnknownCommandError(unused_tokens=[word, *_]):
             known = [name for name in app if not name.startswith("-")]
-            return f"command must be one of {', '.join(known)}, got {word}{nearest(word, known)}: see `tissue --help`"
+            return (
+                f"command must be one of {', '.join(known)}, got {word}{nearest(word, known)}: "
+                "see `tissue --help`"
+            )
         case UnknownOptionError(token=token, argument_collection=arguments):
             word = (token.keyword or token.value).split("=")[0]
-            known = [name for argument in arguments for name in argument.names if name.startswith("-")]
-            return f"option must be one of {', '.join(known)}, got {word}{nearest(word, known)}: see `{command} --help`"
+            known = [
+                name for argument in arguments for name in argument.names if name.startswith("-")
+            ]
+            return (
+                f"option must be one of {', '.join(known)}, got {word}{nearest(word, known)}: "
+                f"see `{command} --help`"
+            )
         case MissingArgumentError(argument=argument) if argument is not None:
             name = argument.name if argument.name.startswith("-") else argument.name.lower()
             return f"{name} must be given, got nothing: see `{command} --help`"
         case CoercionError(token=token, target_type=kind) if token is not None:
             what = {int: "a whole number", float: "a number"}.get(kind or str, "readable")
-            return f"{token.keyword or 'value'} must be {what}, got {token.value}: see `{command} --help`"
+            return (
+                f"{token.keyword or 'value'} must be {what}, got {token.value}: see `{command} "
+                "--help`"
+            )
         case UnusedCliTokensError(unused_tokens=[word, *_]):
             return f"{command} must be given nothing more, got {word}: see `{command} --help`"
         case _:
-            return " ".join(str(error).split()).rstrip(".").replace(". ", "; ") + f": see `{command} --help`"
+            return (
+                " ".join(str(error).split()).rstrip(".").replace(". ", "; ")
+                + f": see `{command} --help`"
+            )

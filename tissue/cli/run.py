@@ -24,7 +24,9 @@ def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: 
     """The table a person reads after a run."""
     from rich.table import Table
 
-    table = Table(title=f"{summary['scene']}: {summary['simulated_s']:g} s simulated in {wall_s:.1f} s")
+    table = Table(
+        title=f"{summary['scene']}: {summary['simulated_s']:g} s simulated in {wall_s:.1f} s"
+    )
     table.add_column("quantity")
     table.add_column("value", justify="right")
     for layer, removed in summary["removed_mm3"].items() if summary["cuts"] else ():
@@ -35,14 +37,21 @@ def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: 
         if band is not None and band[key]["peak"]["p95"] > 0.0:
             table.add_row(f"{name}, 90 % of {band['samples']} samples", _ends(band[key], unit))
     tick = summary["tick_us"]
-    table.add_row("tick, median / 99 % / max", f"{tick['median']:.0f} / {tick['p99']:.0f} / {tick['max']:.0f} µs")
-    table.add_row("missed 1 ms deadlines", f"{summary['missed_deadlines']} of {summary['simulated_s'] * 1e3:.0f}")
+    table.add_row(
+        "tick, median / 99 % / max",
+        f"{tick['median']:.0f} / {tick['p99']:.0f} / {tick['max']:.0f} µs",
+    )
+    table.add_row(
+        "missed 1 ms deadlines",
+        f"{summary['missed_deadlines']} of {summary['simulated_s'] * 1e3:.0f}",
+    )
     for quantity, value in _scheduling_rows(summary):
         table.add_row(quantity, value)
     if "late_us" in summary:
         late = summary["late_us"]
         table.add_row(
-            "delay of ticks, median / 99 % / max", f"{late['median']:.0f} / {late['p99']:.0f} / {late['max']:.0f} µs"
+            "delay of ticks, median / 99 % / max",
+            f"{late['median']:.0f} / {late['p99']:.0f} / {late['max']:.0f} µs",
         )
         table.add_row("wall clock skipped", f"{summary['skipped_ms']:.1f} ms")
     table.add_row("writing files and pictures", f"{saving_s:.1f} s")
@@ -62,7 +71,9 @@ def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: 
 def _scheduling_rows(summary: "Summary") -> Iterator[tuple[str, str]]:
     """How late the machine itself was, and what was chosen for launches and background work."""
     if (gaps := summary.get("machine_gaps")) is not None:
-        met = f"{gaps['count']} in {gaps['spun_s']:.2g} s, longest {1e-3 * gaps['longest_us']:.2g} ms"
+        met = (
+            f"{gaps['count']} in {gaps['spun_s']:.2g} s, longest {1e-3 * gaps['longest_us']:.2g} ms"
+        )
         over = f"gaps of the machine over {1e-3 * gaps['least_us']:g} ms, expected in these ticks"
         yield over, f"{gaps['expected_in_ticks']:.1f} ({met})"
     if (chosen := summary.get("scheduling")) is not None:
@@ -78,7 +89,10 @@ def _pair(figures: dict[str, float], unit: str) -> str:
 
 def _ends(figures: dict[str, dict[str, float]], unit: str) -> str:
     """Ends of the 90 % intervals of the peak and of the mean."""
-    peak, mean = (f"{figures[name]['p05']:.3g}–{figures[name]['p95']:.3g}" for name in ("peak", "mean_in_contact"))
+    peak, mean = (
+        f"{figures[name]['p05']:.3g}–{figures[name]['p95']:.3g}"
+        for name in ("peak", "mean_in_contact")
+    )
     return f"{peak} / {mean} {unit}"
 
 
@@ -97,11 +111,13 @@ class SceneOptions:
     seed
         Seed of every random draw: of a run with a device, and of the samples of a band.
     duration_s
-        Simulated time in seconds; a run of the whole motion is longer by the hand's reaction time, under 1 s.
+        Simulated time in seconds; a run of the whole motion is longer by the hand's reaction time,
+        under 1 s.
     set_
         KEY=VALUE, replaces an entry of the scene, such as voxels.spacing_mm=0.2; may be repeated.
     fidelity
-        force_error=0.03 or tick_ms=0.7: take the cheapest settings of this machine that meet it; may be repeated.
+        force_error=0.03 or tick_ms=0.7: take the cheapest settings of this machine that meet it;
+        may be repeated.
     """
 
     seed: Whole = None
@@ -146,11 +162,11 @@ class FileOptions:
     out
         Output folder (default: runs/NAME).
     format_
-        Further formats besides CSV: parquet, npz, mat, h5 of the trace, or recording, HDF5 in volumetric_drilling's
-        layout; may be repeated.
+        Further formats besides CSV: parquet, npz, mat, h5 of the trace, or recording, HDF5 in
+        volumetric_drilling's layout; may be repeated.
     pictures
-        Format of the pictures: png, svg or pdf. In svg and pdf lines and text are vectors, and 3D views are images of
-        400 pixels an inch.
+        Format of the pictures: png, svg or pdf. In svg and pdf lines and text are vectors, and 3D
+        views are images of 400 pixels an inch.
     no_pictures
         Draw no pictures.
     """
@@ -169,13 +185,16 @@ class BandOptions:
     Attributes
     ----------
     band
-        Samples of the constants in their ranges, such as 200: forces, torques and figures with 50 and 90 % bands.
+        Samples of the constants in their ranges, such as 200: forces, torques and figures with 50
+        and 90 % bands.
     workers
         Processes that run the samples of a band in parallel, if each sample is a run of its own.
     scheduler
-        tcp://HOST:PORT or tls://HOST:PORT: run the samples of a band on the workers of that Dask scheduler instead.
+        tcp://HOST:PORT or tls://HOST:PORT: run the samples of a band on the workers of that Dask
+        scheduler instead.
     each_run
-        Run every sample of a band instead of reweighing the loads, so that temperature and stress have bands too.
+        Run every sample of a band instead of reweighing the loads, so that temperature and stress
+        have bands too.
     """
 
     band: Whole = None
@@ -192,17 +211,21 @@ class LiveOptions:
     Attributes
     ----------
     live
-        Run against the wall clock, in a window with mouse and keys as device, or without a display scripted.
+        Run against the wall clock, in a window with mouse and keys as device, or without a display
+        scripted.
     web
-        With --live: in a browser on this machine, at an address that is printed, instead of a window.
+        With --live: in a browser on this machine, at an address that is printed, instead of a
+        window.
     slicer
-        With --live: publish the run for 3D Slicer and other programs on this machine by OpenIGTLink.
+        With --live: publish the run for 3D Slicer and other programs on this machine by
+        OpenIGTLink.
     slicer_port
         With --slicer: port to publish at; default 18944.
     slicer_drives
         With --slicer: the transform tissue-target of 3D Slicer moves the tool, and no window opens.
     ros2
-        With --live: publish pose, velocity and force on topics of ROS 2, /tissue/measured_cp and so on.
+        With --live: publish pose, velocity and force on topics of ROS 2, /tissue/measured_cp and so
+        on.
     """
 
     live: Flag = False
@@ -242,7 +265,8 @@ def run(
     by_hand = live.web or live.slicer_drives
     loaded = _load(scene, overrides, live=live.live, by_hand=by_hand)
     seed = scene_options.seed
-    if seed is not None and (band.band is None or loaded.device is not None):  # else it seeds the band alone
+    # else it seeds the band alone
+    if seed is not None and (band.band is None or loaded.device is not None):
         loaded = _load(scene, overrides | {"seed": seed}, live=live.live, by_hand=by_hand)
     _refuse_unused(loaded, engine, live=live.live)
     _check_band(loaded, band, live=live.live)
@@ -264,10 +288,22 @@ def run(
         if band.band is not None:
             with progress() as report:
                 finished.band(
-                    band.band, seed=seed, workers=band.workers, scheduler=band.scheduler, each_run=band.each_run,
-                    compute=engine.compute, cores=engine.cores, pictures=drawn, progress=report,
-                )  # fmt: skip
-    print_summary(finished.summary, folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated)
+                    band.band,
+                    seed=seed,
+                    workers=band.workers,
+                    scheduler=band.scheduler,
+                    each_run=band.each_run,
+                    compute=engine.compute,
+                    cores=engine.cores,
+                    pictures=drawn,
+                    progress=report,
+                )
+    print_summary(
+        finished.summary,
+        folder,
+        wall_s=perf_counter() - started,
+        saving_s=perf_counter() - simulated,
+    )
 
 
 def _overrides(options: SceneOptions) -> dict[str, Any]:
@@ -284,7 +320,9 @@ def _overrides(options: SceneOptions) -> dict[str, Any]:
 
 
 def _load(scene: str, overrides: dict[str, Any], *, live: bool, by_hand: bool) -> "Scene":
-    """Load the scene; a live run is moved by a page or 3D Slicer, or by a window where there is a display."""
+    """Load the scene; a live run is moved by a page or 3D Slicer, or by a window where there is
+    a display.
+    """
     from tissue.scene.load import load_scene
     from tissue.system.offscreen import await_display
 
@@ -301,10 +339,16 @@ def _live_settings(options: LiveOptions, duration_s: float | None) -> "LiveSetti
     """
     if not options.live:
         left_out(
-            "without --live", "give --live, or see a run that has ended by `tissue view DIR --web`", web=options.web
+            "without --live",
+            "give --live, or see a run that has ended by `tissue view DIR --web`",
+            web=options.web,
         )
         left_out("without --live", "give --live", ros2=options.ros2)
-        left_out("without --live", "give --live, or open the files of a run that has ended", slicer=options.slicer)
+        left_out(
+            "without --live",
+            "give --live, or open the files of a run that has ended",
+            slicer=options.slicer,
+        )
     if not options.slicer:
         idle = {"slicer_port": options.slicer_port, "slicer_drives": options.slicer_drives}
         left_out("without --slicer", "give --live --slicer, or remove it", **idle)
@@ -335,7 +379,10 @@ def _refuse_unused(scene: "Scene", engine: EngineOptions, *, live: bool) -> None
     if scene.anatomy.kind in ("wall", "layers"):
         there = engine.compute if engine.compute != "cpu" else None
         left_out(
-            f"for a {scene.anatomy.kind}, which no kernel computes", "remove it", cores=engine.cores, compute=there
+            f"for a {scene.anatomy.kind}, which no kernel computes",
+            "remove it",
+            cores=engine.cores,
+            compute=there,
         )
 
 
@@ -352,7 +399,9 @@ def _check_band(scene: "Scene", options: BandOptions, *, live: bool) -> None:
 
 @contextmanager
 def _naming_stop(folder: Path) -> Iterator[None]:
-    """Add to Ctrl-C or SIGTERM that nothing was written, if the folder is as it was before the run."""
+    """Add to Ctrl-C or SIGTERM that nothing was written, if the folder is as it was before the
+    run.
+    """
     before = _written(folder)
     try:
         yield

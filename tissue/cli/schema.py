@@ -11,7 +11,9 @@ from tissue.cli.terminal import console, left_out
 __all__ = ["schema"]
 
 
-def schema(*, out: Path | None = None, overwrite: Annotated[bool, Parameter(negative="")] = False) -> None:
+def schema(
+    *, out: Path | None = None, overwrite: Annotated[bool, Parameter(negative="")] = False
+) -> None:
     """Print the JSON schema of scenes, by which an editor completes and checks their keys.
 
     Parameters

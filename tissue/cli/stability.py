@@ -19,10 +19,12 @@ def stability(
     only: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Report the stability of a scene's device and operator; without a scene, show where every method fails.
+    """Report the stability of a scene's device and operator; without a scene, show where every
+    method fails.
 
-    With a scene: whether its coupling is stable, and a map of stiffness against damping and delay. Without one: the
-    atlas, one page for every method, taken past its region of failure, in two minutes or so.
+    With a scene: whether its coupling is stable, and a map of stiffness against damping and delay.
+    Without one: the atlas, one page for every method, taken past its region of failure, in two
+    minutes or so.
 
     Parameters
     ----------
@@ -31,8 +33,8 @@ def stability(
     set_
         KEY=VALUE, replaces an entry of the scene, such as device=six-dof; may be repeated.
     out
-        Folder that takes picture and data of a scene's map, which is otherwise only printed; or the atlas, default
-        atlas.
+        Folder that takes picture and data of a scene's map, which is otherwise only printed; or the
+        atlas, default atlas.
     only
         Page of the atlas to make, such as wall_map, and no other; may be repeated.
     overwrite
@@ -42,13 +44,19 @@ def stability(
 
     if scene is None:
         if set_:
-            raise InputError(f"--set must go with a scene, got {set_[0]} without one: name the scene")
+            raise InputError(
+                f"--set must go with a scene, got {set_[0]} without one: name the scene"
+            )
         _atlas(out or Path("atlas"), only, overwrite=overwrite)
         return
     if only:
-        raise InputError(f"--only must go without a scene, got {only[0]} with {scene}: leave the scene out")
+        raise InputError(
+            f"--only must go without a scene, got {only[0]} with {scene}: leave the scene out"
+        )
     if out is None:
-        left_out("with a scene and no --out, for nothing is written", "remove it", overwrite=overwrite)
+        left_out(
+            "with a scene and no --out, for nothing is written", "remove it", overwrite=overwrite
+        )
     from tissue.evaluation.stability_report import (
         require_map_folder,
         scene_stability,
@@ -81,5 +89,7 @@ def _atlas(folder: Path, only: tuple[str, ...], *, overwrite: bool) -> None:
     good = sum(entry.shown for entry in entries)
     seconds = sum(entry.took_s for entry in entries)
     console.print(
-        f"{good} of {len(entries)} pages show their boundary with the engine holding, falling back or refusing; "
-        f"{seconds:.0f} s; open {folder / 'index.html'}")  # fmt: skip
+        f"{good} of {len(entries)} pages show their boundary with the engine holding, "
+        "falling back or refusing; "
+        f"{seconds:.0f} s; open {folder / 'index.html'}"
+    )

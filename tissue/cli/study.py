@@ -12,7 +12,10 @@ if TYPE_CHECKING:
 
 __all__ = ["study"]
 
-study = App(name="study", help="Compare methods of rendering force over many trials, and report what they show.")
+study = App(
+    name="study",
+    help="Compare methods of rendering force over many trials, and report what they show.",
+)
 Names = Annotated[tuple[str, ...], Parameter(negative="", consume_multiple=True)]
 
 
@@ -33,7 +36,8 @@ def run(
 ) -> None:
     """Run a study, or go on with one: every trial is on disk as soon as it is done.
 
-    The plan (measures, tests, exclusions, seeds, power) is registered in plan.toml before the first trial.
+    The plan (measures, tests, exclusions, seeds, power) is registered in plan.toml before the first
+    trial.
 
     Parameters
     ----------
@@ -67,12 +71,21 @@ def run(
 
     plan = _planned(trials, tasks, methods, groups, sensitivity, seed)
     if only is not None:
-        left_out("with --only, which runs one trial here and keeps nothing", "remove it",
-                 workers=workers, scheduler=scheduler, out=out, retry=retry)  # fmt: skip
+        left_out(
+            "with --only, which runs one trial here and keeps nothing",
+            "remove it",
+            workers=workers,
+            scheduler=scheduler,
+            out=out,
+            retry=retry,
+        )
         trial = run_trial(plan, TrialKey.named(only))
         console.print(f"{only}, seed {trial.seed}, {trial.took_s:.1f} s")
         for row in trial.rows:
-            line = ", ".join(f"{name} {each if isinstance(each, str) else f'{each:.6g}'}" for name, each in row.items())
+            line = ", ".join(
+                f"{name} {each if isinstance(each, str) else f'{each:.6g}'}"
+                for name, each in row.items()
+            )
             console.print(line)
         return
     out = out or Path("studies/paper")
@@ -88,13 +101,19 @@ def run(
                 problems.print(doing)
 
         bar("starting workers", 0.0)
-        folder = run_study(plan, out, workers=workers, scheduler=scheduler, retry=retry, report=report)
+        folder = run_study(
+            plan, out, workers=workers, scheduler=scheduler, retry=retry, report=report
+        )
     kept = list(folder.trials(variant=None))
     failed = sum(trial.failed for trial in kept)
     console.print(f"{len(kept)} trials in {out}, {failed} with a failure")
     for task in plan.tasks:
-        took = sorted(trial.took_s for trial in kept if trial.key.task == task and not trial.key.variant)
-        console.print(f"{task}: {took[len(took) // 2]:.1f} s a trial of {len(plan.methods)} methods")
+        took = sorted(
+            trial.took_s for trial in kept if trial.key.task == task and not trial.key.variant
+        )
+        console.print(
+            f"{task}: {took[len(took) // 2]:.1f} s a trial of {len(plan.methods)} methods"
+        )
     console.print(f"next: tissue study report {out}")
 
 
@@ -109,7 +128,8 @@ def register_plan(
     seed: Annotated[int, Parameter(converter=whole)] = 0,
     out: Path | None = None,
 ) -> None:
-    """Register a study without running it: write plan.toml, which `tissue study run` of the same options keeps to.
+    """Register a study without running it: write plan.toml, which `tissue study run` of the same
+    options keeps to.
 
     Parameters
     ----------
@@ -130,14 +150,22 @@ def register_plan(
     console.print(f"next: tissue study run with the same options, --out {out}")
 
 
-def _planned(trials: int, tasks: Names, methods: Names, groups: Names, sensitivity: bool, seed: int) -> "Plan":
+def _planned(
+    trials: int, tasks: Names, methods: Names, groups: Names, sensitivity: bool, seed: int
+) -> "Plan":
     """The plan of a command's options; names may be divided by commas."""
     from tissue.evaluation.study.plan import Plan
 
     chosen = {"tasks": tasks, "methods": methods, "groups": groups}
-    split = {name: tuple(each for word in words for each in word.split(",") if each) for name, words in chosen.items()}
+    split = {
+        name: tuple(each for word in words for each in word.split(",") if each)
+        for name, words in chosen.items()
+    }
     return Plan(
-        seed=seed, trials=trials, sensitivity=sensitivity, **{name: words for name, words in split.items() if words}
+        seed=seed,
+        trials=trials,
+        sensitivity=sensitivity,
+        **{name: words for name, words in split.items() if words},
     )
 
 
@@ -148,7 +176,8 @@ def report(folder: Path, /) -> None:
     Parameters
     ----------
     folder
-        Folder that `tissue study run` wrote; a study that is not done yet is reported as far as it is.
+        Folder that `tissue study run` wrote; a study that is not done yet is reported as far as it
+        is.
     """
     with progress() as report:
         from tissue.evaluation.study.report import write_report

@@ -32,8 +32,8 @@ def sweep(
     scene
         Name of a built-in scene (see `tissue scenes`) or a TOML file.
     set_
-        KEY=VALUE,VALUE, values of an entry of the scene, such as voxels.spacing_mm=0.2,0.4; commas in brackets belong
-        to a value; may be repeated.
+        KEY=VALUE,VALUE, values of an entry of the scene, such as voxels.spacing_mm=0.2,0.4; commas
+        in brackets belong to a value; may be repeated.
     out
         Folder to write; default sweeps/NAME.
     workers
@@ -61,9 +61,17 @@ def sweep(
     with progress() as report:
         report("starting", 0.0)
         found = swept(
-            loaded, changes, out=folder, workers=workers or os.cpu_count() or 1, compute=compute, cores=cores,
-            pictures=pictures, overwrite=overwrite, allow_unstable=allow_unstable, progress=report,
-        )  # fmt: skip
+            loaded,
+            changes,
+            out=folder,
+            workers=workers or os.cpu_count() or 1,
+            compute=compute,
+            cores=cores,
+            pictures=pictures,
+            overwrite=overwrite,
+            allow_unstable=allow_unstable,
+            progress=report,
+        )
     titles, rows = found.texts()
     table = Table(title=f"{loaded.name}: {len(found.finished)} of {len(found.runs)} runs")
     for title in titles:
@@ -75,6 +83,9 @@ def sweep(
         problems.print(f"{name}: {problem}")
     for name, note in found.notes.items():
         problems.print(f"note: {name}: {note}")
-    console.print(f"files in {folder}: {', '.join(sorted(path.name for path in folder.iterdir() if path.is_file()))}")
+    console.print(
+        f"files in {folder}: "
+        f"{', '.join(sorted(path.name for path in folder.iterdir() if path.is_file()))}"
+    )
     if found.failures:
         sys.exit(1)

@@ -21,7 +21,9 @@ QUIET_S = 30.0
 
 
 class _Terminal(Console):
-    """Prints text as it is: no markup unless asked for, no line broken, control characters by their codes."""
+    """Prints text as it is: no markup unless asked for, no line broken, control characters by
+    their codes.
+    """
 
     def print(self, *objects: Any, **options: Any) -> None:
         """As `Console.print`."""
@@ -56,7 +58,9 @@ def left_out(where: str, remedy: str, **flags: object) -> None:
     for name, value in flags.items():
         if value is not None and value is not False and value != ():
             got = "it" if value is True else value
-            raise InputError(f"--{name.replace('_', '-')} must be left out {where}, got {got}: {remedy}")
+            raise InputError(
+                f"--{name.replace('_', '-')} must be left out {where}, got {got}: {remedy}"
+            )
 
 
 @contextmanager

@@ -21,7 +21,8 @@ def train(
     cores: Annotated[int | None, Parameter(converter=whole)] = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Train what predicts a scene's force, on runs by hands of all groups, and validate it on runs held out.
+    """Train what predicts a scene's force, on runs by hands of all groups, and validate it on runs
+    held out.
 
     Parameters
     ----------
@@ -56,17 +57,24 @@ def train(
         found.write(path, overwrite=overwrite)
     facts = found.facts
     checked = found.facts["validation"]
-    errors = {kind: sum(each) for kind, each in checked["errors"].items() if PREDICTORS[kind].trained}
+    errors = {
+        kind: sum(each) for kind, each in checked["errors"].items() if PREDICTORS[kind].trained
+    }
     best = min(errors, key=lambda kind: errors[kind])
     lines = [
-        f"{facts['dictionary']}: {facts['observables']} observables from {facts['samples']} samples; "
+        f"{facts['dictionary']}: {facts['observables']} observables from {facts['samples']} "
+        "samples; "
         f"largest eigenvalue {facts['radius_before_cap']:.6f}, {facts['capped']} capped",
-        f"error on {len(checked['held_out'])} run{'s' * (len(checked['held_out']) > 1)} held out, % of the force, at "
+        f"error on {len(checked['held_out'])} run{'s' * (len(checked['held_out']) > 1)} held "
+        "out, % of the force, at "
         f"{', '.join(map(str, checked['horizons_ms']))} ms:",
         *(
             f"{kind:>18}  " + "  ".join(f"{100.0 * e:6.2f}" for e in errors)
             for kind, errors in checked["errors"].items()
         ),
-        f"written to {path}; use it with --set prediction={best} --set coupling.predictor_file={path}",
+        (
+            f"written to {path}; use it with --set prediction={best} --set "
+            f"coupling.predictor_file={path}"
+        ),
     ]
     console.print(*lines, sep="\n")

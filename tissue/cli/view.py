@@ -44,7 +44,8 @@ def view(
     time_s
         Moment that is shown at first, in seconds; default that of the greatest force.
     clean
-        With --screenshot: what was simulated alone on a transparent ground, without text, scales, tool and arrows.
+        With --screenshot: what was simulated alone on a transparent ground, without text, scales,
+        tool and arrows.
     web
         In a browser on this machine, at an address that is printed, in place of a window.
     overwrite
@@ -55,7 +56,16 @@ def view(
     opened = (lambda address: console.print(f"open {address}; Ctrl-C ends it")) if web else None
     with nullcontext() if movie is None else progress() as report:
         shown = show(
-            folder, screenshot=screenshot, movie=movie, hide=hide, field=field, scale=scale, time_s=time_s, clean=clean,
-            overwrite=overwrite, progress=report, opened=opened,
-        )  # fmt: skip
+            folder,
+            screenshot=screenshot,
+            movie=movie,
+            hide=hide,
+            field=field,
+            scale=scale,
+            time_s=time_s,
+            clean=clean,
+            overwrite=overwrite,
+            progress=report,
+            opened=opened,
+        )
     console.print(shown)

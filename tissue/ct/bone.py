@@ -1,4 +1,6 @@
-"""A bone of a CT as a scene: cropped, by label or threshold, with its density, its site and what is around it."""
+"""A bone of a CT as a scene: cropped, by label or threshold, with its density, its site and what
+is around it.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -11,12 +13,27 @@ from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress
 from meshes.ct.density import CT_DENSITY, DensityLaw
 from meshes.ct.extraction import BoneOfImage, by_label, by_threshold, cropped
-from meshes.ct.inspection import Histogram, Inspection, bone_label_note, histogram_of, inspect, suggest_threshold
+from meshes.ct.inspection import (
+    Histogram,
+    Inspection,
+    bone_label_note,
+    histogram_of,
+    inspect,
+    suggest_threshold,
+)
 from meshes.ct.labels import Labels, on_grid_of
 from meshes.ct.laws import DENSITY_LAWS, density_law
 from meshes.images.frame import Image
 from meshes.surfaces.surface import Surface, surface_from_triangles
-from tissue.ct.draft import Draft, Writer, scene_tables, toml, write_density, write_labels, write_surface
+from tissue.ct.draft import (
+    Draft,
+    Writer,
+    scene_tables,
+    toml,
+    write_density,
+    write_labels,
+    write_surface,
+)
 from tissue.ct.pictures import BonePictures
 from tissue.ct.placing import Placed, import_path, kept_clear, placed
 from tissue.ct.request import ImportRequest
@@ -31,7 +48,12 @@ _KEPT = 0.01
 """Difference of volume up to which a label's volume counts as kept."""
 SHOWN_MM = 15.0
 """Width of the surroundings of a bone in pictures."""
-USUAL = {"glenoid": "glenoid", "vertebra": "pedicle", "vertebra:left": "pedicle", "vertebra:right": "pedicle"}
+USUAL = {
+    "glenoid": "glenoid",
+    "vertebra": "pedicle",
+    "vertebra:left": "pedicle",
+    "vertebra:right": "pedicle",
+}
 """Scene whose tool and motion are taken by default, by the kind of the site."""
 PLUNGE: Mapping[str, Mapping[str, object]] = {
     "voxels": {"spacing_mm": 0.2},
@@ -68,7 +90,11 @@ def bone_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
     progress("finding the bone", 0.0)
     bone, threshold, found = _bone(request, source)
     surface = _surface(bone, source.inspection.source)
-    sentences += [*found, *bone.notes, f"bone of {bone.volume_mm3 * 1e-3:.4g} ml, {len(surface.faces)} triangles"]
+    sentences += [
+        *found,
+        *bone.notes,
+        f"bone of {bone.volume_mm3 * 1e-3:.4g} ml, {len(surface.faces)} triangles",
+    ]
     files: dict[str, Writer] = {"bone.ply": partial(write_surface, surface)}
     tables: dict[str, Any] = {"kind": "bone", "file": "bone.ply"}
     density = None
@@ -84,7 +110,9 @@ def bone_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
         files["labels.seg.nrrd"] = partial(write_labels, on_grid_of(source.labels, blank))
     clear, kept = kept_clear(request, source.labels, progress)
     kept_files = {each: f"keep_clear_{each}.ply" for each in clear}
-    files |= {kept_files[each]: partial(write_surface, structure) for each, structure in clear.items()}
+    files |= {
+        kept_files[each]: partial(write_surface, structure) for each, structure in clear.items()
+    }
     progress("finding the site", 0.0)
     at, sentence = placed(request, surface)
     sentences += [sentence, *kept]
@@ -94,7 +122,9 @@ def bone_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
         sentences.append(path.sentence)
         files["path.csv"] = path.table.write
     files["slices.png"] = partial(pictures.draw_slices, _around(source.image, surface))
-    files["histogram.png"] = partial(pictures.draw_histogram, source.histogram, threshold, source.law)
+    files["histogram.png"] = partial(
+        pictures.draw_histogram, source.histogram, threshold, source.law
+    )
     files["bone.png"] = partial(pictures.draw_bone, density)
     if path is not None:
         files["path.png"] = pictures.draw_path
@@ -123,7 +153,8 @@ def _source(request: ImportRequest, progress: Progress) -> tuple[_Source, list[s
     law = _law(request.density.strip(), image, found)
     if law is None:
         sentences.append(
-            "density: unknown, for the values are not Hounsfield units; the bone gets a shell of even thickness. "
+            "density: unknown, for the values are not Hounsfield units; the bone gets a "
+            "shell of even thickness. "
             "Give --density line:SLOPE,OFFSET to use them"
         )
     histogram = histogram_of(image.values)
@@ -135,7 +166,9 @@ def _source(request: ImportRequest, progress: Progress) -> tuple[_Source, list[s
 
 
 def _law(text: str, image: Image, found: Inspection) -> DensityLaw | None:
-    """Return the law that a request names, by default the first that the image allows; None where it allows none."""
+    """Return the law that a request names, by default the first that the image allows; None
+    where it allows none.
+    """
     is_auto = text == "auto"
     if not found.is_hounsfield:
         if is_auto:
@@ -152,13 +185,19 @@ def _law(text: str, image: Image, found: Inspection) -> DensityLaw | None:
     except InputError as error:
         if not is_auto:
             raise
-        return replace(CT_DENSITY, source=f"{CT_DENSITY.source}; no calibration within the image: {error}")
+        return replace(
+            CT_DENSITY, source=f"{CT_DENSITY.source}; no calibration within the image: {error}"
+        )
 
 
 def _bone(request: ImportRequest, source: _Source) -> tuple[BoneOfImage, float | None, list[str]]:
-    """Take the bone out of the image; return it, its threshold where there is one, and sentences."""
+    """Take the bone out of the image; return it, its threshold where there is one, and
+    sentences.
+    """
     if source.labels is None or request.region is None:
-        threshold, note = suggest_threshold(source.histogram, is_hounsfield=source.inspection.is_hounsfield)
+        threshold, note = suggest_threshold(
+            source.histogram, is_hounsfield=source.inspection.is_hounsfield
+        )
         if request.threshold is not None:
             threshold = request.threshold
             note = f"threshold {threshold:g}, as given"
@@ -180,7 +219,10 @@ def _kept_volume(bone: BoneOfImage) -> str:
     if abs(change) <= _KEPT:
         return f" and its volume of {1e-3 * bone.label_mm3:.4g} ml kept to {_KEPT:.0%}"
     more = "more" if change > 0.0 else "less"
-    return f"; the surface encloses {abs(change):.1%} {more} than the label's volume of {1e-3 * bone.label_mm3:.4g} ml"
+    return (
+        f"; the surface encloses {abs(change):.1%} {more} than the label's volume of "
+        f"{1e-3 * bone.label_mm3:.4g} ml"
+    )
 
 
 def _surface(bone: BoneOfImage, source: str) -> Surface:
@@ -211,20 +253,25 @@ def _certainty(bone: BoneOfImage, density: Image, law: DensityLaw) -> str:
     middle = float(np.median(held))
     low, high = law.band(np.array([(middle - law.offset_kg_m3) / law.slope_kg_m3]))
     return (
-        f"{law.name}: median {middle:.0f} kg/m3, 90 % between {low[0]:.0f} and {high[0]:.0f}; least {held.min():.0f}, "
+        f"{law.name}: median {middle:.0f} kg/m3, 90 % between {low[0]:.0f} and "
+        f"{high[0]:.0f}; least {held.min():.0f}, "
         f"greatest {held.max():.0f}"
     )
 
 
 def _followed(like: str | None, at: Placed | None, *, replay: bool) -> dict[str, Any]:
-    """Return head and tables of the scene whose tool and motion are taken, with a guide hole under ``anatomy``."""
+    """Return head and tables of the scene whose tool and motion are taken, with a guide hole
+    under ``anatomy``.
+    """
     wanted = like or USUAL.get((at.kind if at else None) or "")
     if wanted is None:
         tables: dict[str, Any] = dict(PLUNGE)
     else:
         scene = load_scene(wanted)
         if not isinstance(scene.tool, Tool):
-            raise InputError("like", "be a scene in which a tool cuts", like, "use milling or glenoid")
+            raise InputError(
+                "like", "be a scene in which a tool cuts", like, "use milling or glenoid"
+            )
         tables = scene_tables(scene, (*HEAD, *TABLES, "anatomy"))
         tables["anatomy"] = {key: value for key, value in tables["anatomy"].items() if key in HOLE}
     if replay:
@@ -259,7 +306,8 @@ def _scene_text(
     text = "\n".join([toml(head), *lines, "", toml(keep_clear | followed)])
     if at is None:
         return (
-            f"# No site yet: pick one by `tissue view` of this folder, or write anatomy.centre_mm and normal.\n{text}"
+            "# No site yet: pick one by `tissue view` of this folder, or write "
+            f"anatomy.centre_mm and normal.\n{text}"
         )
     return text
 

@@ -1,4 +1,6 @@
-"""What an import writes: files that other programs read, the text of a scene, and a record of what was found."""
+"""What an import writes: files that other programs read, the text of a scene, and a record of
+what was found.
+"""
 
 import json
 import re
@@ -77,9 +79,16 @@ class Draft:
 
         wanted = [name for name in self.files if pictures or not name.endswith(".png")]
         names = (SCENE, RECORD, *wanted)
-        record = {"tissue": tissue.__version__, **self.record, "sentences": self.sentences, "files": names}
+        record = {
+            "tissue": tissue.__version__,
+            **self.record,
+            "sentences": self.sentences,
+            "files": names,
+        }
         sentences = list(self.sentences)
-        with owned_folder(out, "import", {*names, *listed_files(out).get("import", ())}, overwrite=overwrite):
+        with owned_folder(
+            out, "import", {*names, *listed_files(out).get("import", ())}, overwrite=overwrite
+        ):
             _write_text(out / RECORD, json.dumps(record, indent=2, ensure_ascii=False) + "\n")
             _write_text(out / SCENE, self.scene)
             for name in wanted:
@@ -105,7 +114,9 @@ def write_surface(surface: Surface, path: Path) -> None:
 
 
 def write_density(density: Image, path: Path, *, law: str) -> None:
-    """Write densities as NRRD, whole kg/m3, in LPS; `law` states their origin and their uncertainty."""
+    """Write densities as NRRD, whole kg/m3, in LPS; `law` states their origin and their
+    uncertainty.
+    """
     _write_image(density, path, {"content": "apparent density kg/m3", LAW: law})
 
 
@@ -113,7 +124,10 @@ def write_labels(labels: Labels, path: Path) -> None:
     """Write labels with their names as 3D Slicer reads them (`.seg.nrrd`)."""
     size = labels.image.values.shape
     extent = f"0 {size[0] - 1} 0 {size[1] - 1} 0 {size[2] - 1}"
-    about = {"Segmentation_MasterRepresentation": "Binary labelmap", "Segmentation_ContainedRepresentationNames": ""}
+    about = {
+        "Segmentation_MasterRepresentation": "Binary labelmap",
+        "Segmentation_ContainedRepresentationNames": "",
+    }
     for index, (number, name) in enumerate(sorted(labels.names.items())):
         keys = {"ID": name, "Name": name, "LabelValue": str(number), "Layer": "0", "Extent": extent}
         about |= {f"Segment{index}_{key}": value for key, value in keys.items()}

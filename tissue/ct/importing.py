@@ -47,7 +47,8 @@ def import_ct(
     progress: Progress = silent,
     **options: Any,
 ) -> Imported:
-    """Make a scene of a CT: a folder with a bone, its density, a site and pictures, with a tooth, or with a soft organ.
+    """Make a scene of a CT: a folder with a bone, its density, a site and pictures, with a tooth,
+    or with a soft organ.
 
     Parameters
     ----------
@@ -71,8 +72,8 @@ def import_ct(
     labels : str or Path
         Label volume of the same CT, or folder of masks, one a label.
     label_names : str
-        ``totalsegmentator``, ``dentalsegmentator``, ``verse``, or a TOML file whose table ``[labels]`` gives each name
-        its number; default the names in the file's own header.
+        ``totalsegmentator``, ``dentalsegmentator``, ``verse``, or a TOML file whose table
+        ``[labels]`` gives each name its number; default the names in the file's own header.
     region : str
         Label that is the bone or the organ.
     crop_mm : pair of points
@@ -84,15 +85,17 @@ def import_ct(
     spacing_mm : float
         Distance between neighbours [mm] of files that do not state it, such as TIFF slices.
     density : str
-        ``internal``, a named law, or ``line:SLOPE,OFFSET``, see `meshes.ct.laws.density_law`; default internal where
-        the image allows it.
+        ``internal``, a named law, or ``line:SLOPE,OFFSET``, see `meshes.ct.laws.density_law`;
+        default internal where the image allows it.
     site : str or point
-        ``glenoid``, ``femoral-head``, ``humeral-head``, ``vertebra`` (``:left``, ``:right``), ``tooth``,
-        ``tooth:lesion``, a point [mm], or a file of 3D Slicer markups; default by the region's name.
+        ``glenoid``, ``femoral-head``, ``humeral-head``, ``vertebra`` (``:left``, ``:right``),
+        ``tooth``, ``tooth:lesion``, a point [mm], or a file of 3D Slicer markups; default by the
+        region's name.
     normal : point
         Outward direction at a site that is a point; default that of the surface.
     coordinates : {"LPS", "RAS"}
-        Frame of crop, site, normal and path: that of DICOM (LPS) or of NIfTI and 3D Slicer's views (RAS).
+        Frame of crop, site, normal and path: that of DICOM (LPS) or of NIfTI and 3D Slicer's views
+        (RAS).
     path : str or Path
         Toolpath in the frame of the image [mm]: CSV, markups curve or G-code, see
         `meshes.paths.toolpath.read_toolpath`.
@@ -111,14 +114,19 @@ def import_ct(
         If the image or an option cannot be used, or the folder holds another import.
     """
     folder = Path(out)
-    require_folder(folder, "import", (SCENE, RECORD), overwrite=overwrite)  # before minutes of reading
+    # before minutes of reading
+    require_folder(folder, "import", (SCENE, RECORD), overwrite=overwrite)
     unknown = sorted(options.keys() - {each.name for each in fields(ImportRequest)})
     if unknown:
         raise TypeError(f"import_ct() got an unexpected keyword argument {unknown[0]!r}")
     given = {name: value for name, value in options.items() if value is not None}
     convert = {"labels": Path, "path": Path, "keep_clear": tuple, "parts": dict}
     request = ImportRequest(
-        Path(source), **{name: convert[name](value) if name in convert else value for name, value in given.items()}
+        Path(source),
+        **{
+            name: convert[name](value) if name in convert else value
+            for name, value in given.items()
+        },
     )
     draft_of = bone_draft
     if request.is_tooth:

@@ -1,4 +1,6 @@
-"""Teeth and soft organs of a segmentation as scenes: a tooth under a bur, tetrahedra with parts under a ball."""
+"""Teeth and soft organs of a segmentation as scenes: a tooth under a bur, tetrahedra with parts
+under a ball.
+"""
 
 from dataclasses import replace
 from functools import partial
@@ -30,7 +32,9 @@ PARTS = ("voxels", "tool", "motion", "cutting", "output", "duration_s", "device"
 MARGIN = 3
 """Voxels kept around the tooth."""
 FRONT = (0.0, -1.0, 0.0)
-"""Direction to the tool that presses an organ: the front, in LPS, of a patient who lies on the back."""
+"""Direction to the tool that presses an organ: the front, in LPS, of a patient who lies on the
+back.
+"""
 BALL_MM = 12.0
 DEPTH_MM = 4.0
 FEED_MM_S = 5.0
@@ -45,7 +49,12 @@ def tooth_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
     sentences = list(image.notes)
     if request.labels is not None and request.source.resolve() == request.labels.resolve():
         if request.series is not None:
-            raise InputError("series", "be left out where the labels are the source", request.series, "leave it out")
+            raise InputError(
+                "series",
+                "be left out where the labels are the source",
+                request.series,
+                "leave it out",
+            )
     else:
         image = request.read_image()
         with names_of_caller({"region": "labels"}):
@@ -67,7 +76,9 @@ def tooth_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
     voxel_mm3 = float(np.prod(tooth.image.spacing_mm))
     record = {
         "source": tooth.image.source,
-        "volume_mm3": {each: voxel_mm3 * int(tooth.mask(each).sum()) for each in tooth.names.values()},
+        "volume_mm3": {
+            each: voxel_mm3 * int(tooth.mask(each).sum()) for each in tooth.names.values()
+        },
     }
     files: dict[str, Writer] = {
         "tooth.seg.nrrd": partial(write_labels, tooth),
@@ -77,7 +88,9 @@ def tooth_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
 
 
 def _enamel_note(image: Image, labels: Labels) -> list[str]:
-    """Return a warning if the enamel does not lie on bright voxels; raises for labels of another image."""
+    """Return a warning if the enamel does not lie on bright voxels; raises for labels of another
+    image.
+    """
     placed = on_grid_of(labels, image)
     if "enamel" not in placed.names.values() or not inspect(image).is_hounsfield:
         return []
@@ -92,7 +105,8 @@ def _tooth(labels: Labels) -> Labels:
         if name not in layers.values():
             held = ", ".join(list(labels.names.values())[:12])
             raise InputError(
-                f"labels must name enamel and dentin for a tooth, got {held} in {labels.image.source}: name them by "
+                f"labels must name enamel and dentin for a tooth, got {held} in "
+                f"{labels.image.source}: name them by "
                 "--label-names FILE, of the names " + ", ".join(TOOTH_LAYERS)
             )
     chosen = _only(labels, layers)
@@ -101,12 +115,16 @@ def _tooth(labels: Labels) -> Labels:
 
 def _only(labels: Labels, kept: dict[int, str]) -> Labels:
     """Return some of the labels."""
-    values = np.where(np.isin(labels.image.values, list(kept)), labels.image.values, 0).astype(np.uint8)
+    values = np.where(np.isin(labels.image.values, list(kept)), labels.image.values, 0).astype(
+        np.uint8
+    )
     return Labels(replace(labels.image, values=values), kept)
 
 
 def _site(tooth: Labels, *, at_lesion: bool) -> tuple[Array, str]:
-    """Return the middle of the largest lesion or of the tooth [mm, LPS], and a sentence on the site."""
+    """Return the middle of the largest lesion or of the tooth [mm, LPS], and a sentence on the
+    site.
+    """
     from scipy.ndimage import label
 
     spacing = np.array(tooth.image.spacing_mm)
@@ -125,7 +143,9 @@ def _site(tooth: Labels, *, at_lesion: bool) -> tuple[Array, str]:
     counts = np.bincount(pieces.ravel())[1:]
     middle = origin + spacing * np.argwhere(pieces == 1 + int(np.argmax(counts))).mean(axis=0)
     sizes = np.sort(counts)[::-1]
-    second = f"the second has {sizes[1] / sizes[0]:.1%} of it" if len(sizes) > 1 else "there is no other"
+    second = (
+        f"the second has {sizes[1] / sizes[0]:.1%} of it" if len(sizes) > 1 else "there is no other"
+    )
     return middle, f"site: over the largest lesion, {sizes[0] * np.prod(spacing):.3g} mm3; {second}"
 
 
@@ -133,8 +153,12 @@ def _draw_tooth(image: Image, tooth: Labels, centre_mm: Array, file: Path) -> No
     """Draw slices of an image with the layers of a tooth, through a point [mm, LPS]."""
     low = np.array(tooth.image.origin_mm)
     high = low + tooth.image.spacing_mm * (np.array(tooth.image.values.shape) - 1)
-    masks = sorted(((name, tooth.mask(name)) for name in tooth.names.values()), key=lambda each: -each[1].sum())
-    outer, *inner = ((name, replace(tooth.image, values=mask - np.float32(0.5))) for name, mask in masks)
+    masks = sorted(
+        ((name, tooth.mask(name)) for name in tooth.names.values()), key=lambda each: -each[1].sum()
+    )
+    outer, *inner = (
+        (name, replace(tooth.image, values=mask - np.float32(0.5))) for name, mask in masks
+    )
     draw_ct_slices(
         cropped(image, (tuple(low.tolist()), tuple(high.tolist()))),
         file,
@@ -160,7 +184,9 @@ def organ_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
         if not modulus > 0.0:
             raise InputError("part", "have a modulus above 0", f"{each}={modulus:g}", "give kPa")
     mask = labels.mask(region)
-    note = soft_label_note(image, mask, region) if mask.any() and inspect(image).is_hounsfield else ""
+    note = (
+        soft_label_note(image, mask, region) if mask.any() and inspect(image).is_hounsfield else ""
+    )
     mesh, notes = organ_mesh(labels, region, tuple(request.parts), report=progress)
     sentences = [*image.notes, *labels.image.notes, *([note] if note else [])]
     sentences += [f"{each}: {text}" for each, text in notes.items()]
@@ -170,7 +196,8 @@ def organ_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
         "source": image.source,
         "organ": region,
         "volume_ml": {
-            each: float(volumes_ml[mesh.part == number].sum()) for number, each in enumerate(mesh.part_names)
+            each: float(volumes_ml[mesh.part == number].sum())
+            for number, each in enumerate(mesh.part_names)
         },
         "parts_kPa": dict(request.parts),
     }
@@ -181,7 +208,9 @@ def organ_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
 
     files: dict[str, Writer] = {
         "organ.vtu": partial(write_organ, mesh),
-        "labels.seg.nrrd": partial(write_labels, _only(labels, {labels.number(each): each for each in names})),
+        "labels.seg.nrrd": partial(
+            write_labels, _only(labels, {labels.number(each): each for each in names})
+        ),
         "slices.png": draw,
     }
     return Draft(toml(_organ_scene(request, name, image.source)), record, files, sentences)
@@ -208,5 +237,9 @@ def _organ_scene(request: ImportRequest, name: str, source: str) -> dict[str, An
         "anatomy": anatomy,
         "organ": organ,
         "tool": {"kind": "sphere-probe", "diameter_mm": BALL_MM},
-        "motion": {"kind": "path", "points_mm": [[0, 0, 2], [0, 0, -DEPTH_MM]], "feed_mm_s": FEED_MM_S},
+        "motion": {
+            "kind": "path",
+            "points_mm": [[0, 0, 2], [0, 0, -DEPTH_MM]],
+            "feed_mm_s": FEED_MM_S,
+        },
     }

@@ -14,7 +14,12 @@ from meshes.images.frame import Image
 from meshes.surfaces.surface import Surface
 from meshes.voxels.mesh_sampling import triangle_distance
 from tissue.ct.placing import ImportedPath, Placed
-from tissue.show.figures.ct_pictures import draw_ct_bone, draw_ct_histogram, draw_ct_slices, draw_path_depth
+from tissue.show.figures.ct_pictures import (
+    draw_ct_bone,
+    draw_ct_histogram,
+    draw_ct_slices,
+    draw_path_depth,
+)
 
 __all__ = ["BonePictures"]
 
@@ -50,14 +55,19 @@ class BonePictures:
             around,
             file,
             body=("bone", replace(part, values=self.bone.field - np.float32(self.bone.level))),
-            others={f"{name}, to keep clear of": _depth(surface, part) for name, surface in self.clear.items()},
+            others={
+                f"{name}, to keep clear of": _depth(surface, part)
+                for name, surface in self.clear.items()
+            },
             centre_mm=middle if self._centre_mm is None else self._centre_mm,
             normal=self._normal,
             points_mm=self._points_mm,
             title=self.title,
         )
 
-    def draw_histogram(self, histogram: Histogram, threshold: float | None, law: DensityLaw | None, file: Path) -> None:
+    def draw_histogram(
+        self, histogram: Histogram, threshold: float | None, law: DensityLaw | None, file: Path
+    ) -> None:
         """Draw the grey values of the image and of the bone."""
         draw_ct_histogram(
             histogram.values,
@@ -82,15 +92,22 @@ class BonePictures:
         )
 
     def draw_path(self, file: Path) -> str | None:
-        """Draw the path on the bone in the colours of its depth; return why it could not be drawn."""
+        """Draw the path on the bone in the colours of its depth; return why it could not be
+        drawn.
+        """
         assert self.path is not None and self._normal is not None
         title = self.surface.report.source
-        return draw_path_depth(self.surface, self.path.depth, file, normal=self._normal, title=title)
+        return draw_path_depth(
+            self.surface, self.path.depth, file, normal=self._normal, title=title
+        )
 
 
 def _depth(surface: Surface, image: Image) -> Image:
     """Return the depth of an image's voxels within a surface [m], negative outside."""
-    axes = [o + s * np.arange(n) for o, s, n in zip(image.origin_mm, image.spacing_mm, image.values.shape, strict=True)]
+    axes = [
+        o + s * np.arange(n)
+        for o, s, n in zip(image.origin_mm, image.spacing_mm, image.values.shape, strict=True)
+    ]
     grid = lattice(*axes)
     low = 1e3 * surface.vertices_m.min(axis=0)
     high = 1e3 * surface.vertices_m.max(axis=0)

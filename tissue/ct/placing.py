@@ -1,4 +1,6 @@
-"""Where to work on an imported bone: its site, the structures to keep clear of, and the toolpath at the site."""
+"""Where to work on an imported bone: its site, the structures to keep clear of, and the toolpath
+at the site.
+"""
 
 import re
 import unicodedata
@@ -30,8 +32,10 @@ USUAL = (
 )
 """Site that is searched for by default, by a word in the name of the bone's label."""
 JOINTS_MM = {"glenoid": 18.0, "femoral-head": 20.0, "humeral-head": 18.0}
-"""Distance from the site across its normal within which the surface is a joint's [mm]: half of the glenoid's height of
-37 mm, and a cap of the heads, whose radii are 21 to 27 (`meshes.surfaces.glenoid`, `meshes.surfaces.landmarks`)."""
+"""Distance from the site across its normal within which the surface is a joint's [mm]: half of the
+glenoid's height of 37 mm, and a cap of the heads, whose radii are 21 to 27
+(`meshes.surfaces.glenoid`, `meshes.surfaces.landmarks`).
+"""
 KEYS = {
     "anatomy.centre_mm": "site",
     "anatomy.normal": "normal",
@@ -67,7 +71,8 @@ class Placed:
 
 
 def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str]:
-    """Return the site of a request and a sentence on it; None where none was asked for and the usual one is not found.
+    """Return the site of a request and a sentence on it; None where none was asked for and the
+    usual one is not found.
 
     Raises
     ------
@@ -106,13 +111,20 @@ def _searched(kind: str, surface: Surface) -> tuple[Placed, str]:
     with names_of_caller(KEYS):
         found = find_site(kind, surface)
     second = found.second_centre_mm is not None
-    other = f"the next best place scores {found.second_score:.2f}" if second else "no other place came near"
+    other = (
+        f"the next best place scores {found.second_score:.2f}"
+        if second
+        else "no other place came near"
+    )
     site = Placed(found.site, kind, JOINTS_MM.get(kind, 0.0))
     return site, f"site: {kind} {found.site.confidence}; {other}"
 
 
-def kept_clear(request: ImportRequest, labels: Labels | None, report: Progress) -> tuple[dict[str, Surface], list[str]]:
-    """Return the surfaces of the labels that the tool must not touch, by plain name, and sentences on them.
+def kept_clear(
+    request: ImportRequest, labels: Labels | None, report: Progress
+) -> tuple[dict[str, Surface], list[str]]:
+    """Return the surfaces of the labels that the tool must not touch, by plain name, and sentences
+    on them.
 
     Raises
     ------
@@ -124,24 +136,35 @@ def kept_clear(request: ImportRequest, labels: Labels | None, report: Progress) 
     with names_of_caller({"label": "keep_clear"}):
         wanted = [labels.names[labels.number(name)] for name in request.keep_clear]
     if len(set(wanted)) < len(wanted):
-        raise InputError("keep_clear", "name each label once", ", ".join(request.keep_clear), "leave one out")
+        raise InputError(
+            "keep_clear", "name each label once", ", ".join(request.keep_clear), "leave one out"
+        )
     found = {}
     sentences = []
     for name, plain in zip(wanted, plain_names(wanted), strict=True):
         report(f"finding {name}", 0.0)
         triangles, notes = kept_label(labels.image, labels.mask(name), name)
         with names_of_caller({"anatomy.scale_mm": f"keep_clear {name}"}):
-            found[plain] = surface_from_triangles(*triangles, source=name, scale_mm=1.0, cut_off=True, every_piece=True)
+            found[plain] = surface_from_triangles(
+                *triangles, source=name, scale_mm=1.0, cut_off=True, every_piece=True
+            )
         called = "" if plain == name else f", called {plain} in the scene"
         sentences += [f"keep clear: {name}{called}", *notes]
     return found, sentences
 
 
 def plain_names(names: Sequence[str]) -> list[str]:
-    """Convert names of labels to those that a scene takes: plain letters, digits and underscores, each name once."""
+    """Convert names of labels to those that a scene takes: plain letters, digits and
+    underscores, each name once.
+    """
     taken: list[str] = []
     for name in names:
-        letters = unicodedata.normalize("NFKD", name.casefold()).encode("ascii", "ignore").decode().lower()
+        letters = (
+            unicodedata.normalize("NFKD", name.casefold())
+            .encode("ascii", "ignore")
+            .decode()
+            .lower()
+        )
         first = re.sub("[^a-z0-9]+", "_", letters).strip("_")[:LONGEST] or "structure"
         plain = first
         number = 1
@@ -154,7 +177,9 @@ def plain_names(names: Sequence[str]) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class ImportedPath:
-    """A path on a bone: its poses in the frame of the site, its depth under the surface, and a sentence on it."""
+    """A path on a bone: its poses in the frame of the site, its depth under the surface, and a
+    sentence on it.
+    """
 
     table: ReplayTable
     depth: PathDepth
@@ -173,7 +198,12 @@ def import_path(request: ImportRequest, at: Placed | None, surface: Surface) -> 
         return None
     name = request.path.name
     if at is None:
-        raise InputError("site", "be given with a path", f"none for {name}", "give a point near its start by --site")
+        raise InputError(
+            "site",
+            "be given with a path",
+            f"none for {name}",
+            "give a point near its start by --site",
+        )
     path = read_toolpath(request.path, request.coordinates)
     if path.feeds_mm_s is not None and request.feed_mm_s is not None:
         raise InputError(
@@ -190,10 +220,14 @@ def import_path(request: ImportRequest, at: Placed | None, surface: Surface) -> 
             f"{name}, which stays {-depth.deepest_mm:.3g} mm outside",
             "check its frame by --coordinates LPS or RAS",
         )
-    table = to_replay(path, at.site, feed_mm_s=request.feed_mm_s or FEED_MM_S, clearance_mm=CLEARANCE_MM)
+    table = to_replay(
+        path, at.site, feed_mm_s=request.feed_mm_s or FEED_MM_S, clearance_mm=CLEARANCE_MM
+    )
     length = float(np.linalg.norm(np.diff(path.points_mm, axis=0), axis=1).sum())
     sentence = (
-        f"path: {len(path.points_mm)} points of {name}, {length:.4g} mm in {table.times_s[-1]:.3g} s, its tip at most "
-        f"{depth.deepest_mm:.3g} mm under the surface and {depth.share_inside:.0%} of it in the bone"
+        f"path: {len(path.points_mm)} points of {name}, {length:.4g} mm in "
+        f"{table.times_s[-1]:.3g} s, its tip at most "
+        f"{depth.deepest_mm:.3g} mm under the surface and {depth.share_inside:.0%} of it in "
+        "the bone"
     )
     return ImportedPath(table, depth, sentence)

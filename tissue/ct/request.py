@@ -1,4 +1,6 @@
-"""Options of an import: which image, which part of it, where to work, and which scene to make of it."""
+"""Options of an import: which image, which part of it, where to work, and which scene to make of
+it.
+"""
 
 import re
 from collections.abc import Mapping
@@ -6,7 +8,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from meshes.base.errors import InputError, as_vector, in_brackets, names_of_caller, require_positive, require_range
+from meshes.base.errors import (
+    InputError,
+    as_vector,
+    in_brackets,
+    names_of_caller,
+    require_positive,
+    require_range,
+)
 from meshes.ct.extraction import Box
 from meshes.ct.labels import Labels, on_grid_of, read_labels
 from meshes.images.frame import Image
@@ -21,11 +30,20 @@ Point = tuple[float, float, float]
 
 TEETH = ("tooth", "tooth:lesion")
 NAMED_SITES = (
-    "glenoid", "femoral-head", "humeral-head", "vertebra", "vertebra:left", "vertebra:right", *TEETH,
-)  # fmt: skip
+    "glenoid",
+    "femoral-head",
+    "humeral-head",
+    "vertebra",
+    "vertebra:left",
+    "vertebra:right",
+    *TEETH,
+)
 """Sites that are searched for."""
 MARKUPS = (".json", ".fcsv")
-SOFT = "liver|kidney|spleen|pancreas|prostate|bladder|brain|stomach|heart|lung|thyroid|muscle|gluteus|iliopsoas"
+SOFT = (
+    "liver|kidney|spleen|pancreas|prostate|bladder|brain|stomach|heart|lung|thyroid|muscle"
+    "|gluteus|iliopsoas"
+)
 """Words in the name of a label that is a soft organ."""
 
 
@@ -62,7 +80,12 @@ class ImportRequest:
     def __post_init__(self) -> None:
         if self.labels is None:
             self._leave_out(
-                "without labels", "label_names", "region", "keep_clear", "parts", remedy="give --labels FILE too"
+                "without labels",
+                "label_names",
+                "region",
+                "keep_clear",
+                "parts",
+                remedy="give --labels FILE too",
             )
         if self.region is not None:
             self._leave_out("with a region, whose label is the bone", "threshold")
@@ -70,8 +93,19 @@ class ImportRequest:
             require_range("threshold", self.threshold, -1e9, 1e9, "use about 226 for CT")
         if self.is_tooth:
             if self.labels is None:
-                raise InputError("labels", f"be given for site {self.site}", "nothing", "give --labels FILE")
-            self._leave_out("for a tooth", "region", "density", "threshold", "path", "keep_clear", "parts", "crop_mm")
+                raise InputError(
+                    "labels", f"be given for site {self.site}", "nothing", "give --labels FILE"
+                )
+            self._leave_out(
+                "for a tooth",
+                "region",
+                "density",
+                "threshold",
+                "path",
+                "keep_clear",
+                "parts",
+                "crop_mm",
+            )
         elif self.labels is not None and self.region is None:
             raise InputError(
                 "region",
@@ -81,7 +115,9 @@ class ImportRequest:
             )
         self._require_points()
         if self.normal is not None and self.point_mm is None:
-            self._leave_out("unless site is a point", "normal", remedy="give the point too, or leave it out")
+            self._leave_out(
+                "unless site is a point", "normal", remedy="give the point too, or leave it out"
+            )
         if isinstance(self.site, str) and not self.is_markups and self.site not in NAMED_SITES:
             raise InputError(
                 "site",
@@ -96,9 +132,13 @@ class ImportRequest:
         else:
             self._leave_out("with a path, which is the motion", "like")
         if self.is_soft:
-            self._leave_out("for a soft organ", "density", "threshold", "path", "keep_clear", "like", "crop_mm")
+            self._leave_out(
+                "for a soft organ", "density", "threshold", "path", "keep_clear", "like", "crop_mm"
+            )
             if isinstance(self.site, str):
-                raise InputError("site", "be a point for a soft organ", self.site, "give X,Y,Z in mm")
+                raise InputError(
+                    "site", "be a point for a soft organ", self.site, "give X,Y,Z in mm"
+                )
 
     def _leave_out(self, when: str, *names: str, remedy: str = "leave it out") -> None:
         """Raise for an option that is given where it has no effect."""
@@ -112,11 +152,21 @@ class ImportRequest:
 
     def _require_points(self) -> None:
         """Raise for coordinates that are not finite, or whose frame is unknown or of no numbers."""
-        for name, points in (("site", [self.site]), ("normal", [self.normal]), ("crop", self.crop_mm or ())):
-            if any(as_vector(each) is None for each in points if each is not None and not isinstance(each, str)):
+        for name, points in (
+            ("site", [self.site]),
+            ("normal", [self.normal]),
+            ("crop", self.crop_mm or ()),
+        ):
+            if any(
+                as_vector(each) is None
+                for each in points
+                if each is not None and not isinstance(each, str)
+            ):
                 raise InputError(name, "be of three finite numbers", points, "give x, y, z")
         if self.coordinates not in TO_LPS:
-            raise InputError("coordinates", "be LPS or RAS", self.coordinates, "give the frame of the numbers")
+            raise InputError(
+                "coordinates", "be LPS or RAS", self.coordinates, "give the frame of the numbers"
+            )
         path_in_numbers = self.path is not None and self.path.suffix.lower() not in MARKUPS
         in_numbers = path_in_numbers or self.crop_mm is not None or self.point_mm is not None
         if self.coordinates == "RAS" and not in_numbers:
@@ -126,7 +176,9 @@ class ImportRequest:
                 "RAS",
                 "files of markups state their own frame; leave it out",
             )
-        if self.crop_mm is not None and any(low >= high for low, high in zip(*self.crop_mm, strict=True)):
+        if self.crop_mm is not None and any(
+            low >= high for low, high in zip(*self.crop_mm, strict=True)
+        ):
             raise InputError(
                 "crop",
                 "have its lowest corner first",
@@ -142,7 +194,9 @@ class ImportRequest:
     @property
     def is_soft(self) -> bool:
         """Whether the region is a soft organ, by its name or because parts of it have moduli."""
-        return bool(self.parts) or (self.region is not None and re.search(SOFT, self.region.lower()) is not None)
+        return bool(self.parts) or (
+            self.region is not None and re.search(SOFT, self.region.lower()) is not None
+        )
 
     @property
     def is_markups(self) -> bool:

@@ -1,4 +1,6 @@
-"""A tool's whole body, its pegs and its inside included, as distances to structures are measured from it."""
+"""A tool's whole body, its pegs and its inside included, as distances to structures are measured
+from it.
+"""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -20,14 +22,19 @@ CONVEX = 1e-9
 
 
 def body_points(profile: Profile, *, spacing_m: float) -> Array:
-    """Points of a body of revolution [m], shape (n, 3), origin at the tip, for pictures and bounding boxes.
+    """Points of a body of revolution [m], shape (n, 3), origin at the tip, for pictures and
+    bounding boxes.
 
-    They cover what cuts and what does not, up to the profile's top, every ring at which the outline bends, and the
-    inside on a lattice. They lie `spacing_m` [m] apart on the surface, or farther where there would be too many.
+    They cover what cuts and what does not, up to the profile's top, every ring at which the outline
+    bends, and the inside on a lattice. They lie `spacing_m` [m] apart on the surface, or farther
+    where there would be too many.
     """
     spacing = max(spacing_m, (sum(piece.area_m2 for piece in profile.pieces) / ON_SURFACE) ** 0.5)
     parts = [spiral(piece, spacing_m=spacing)[0] for piece in profile.pieces]
-    for radius, height in [*profile.edges.tolist(), *((0.0, height) for height in profile.height_range_m)]:
+    for radius, height in [
+        *profile.edges.tolist(),
+        *((0.0, height) for height in profile.height_range_m),
+    ]:
         parts.append(_ring(radius, height, max(ceil(2.0 * pi * radius / spacing), 1)))
     return np.concatenate([*parts, _inside(profile, spacing)])
 
@@ -59,8 +66,8 @@ class OutlineTable:
     kind
         0 for a line, 1 for an arc, shape (pieces,).
     shape
-        Of a line: start, unit direction, length. Of an arc: centre, radius, direction of its middle, cosine of its half
-        angle, directions of its ends. Shape (pieces, 10), [m].
+        Of a line: start, unit direction, length. Of an arc: centre, radius, direction of its
+        middle, cosine of its half angle, directions of its ends. Shape (pieces, 10), [m].
     first
         First piece of each part, and the number of pieces, shape (parts + 1,).
     convex
@@ -74,14 +81,19 @@ class OutlineTable:
 
 
 def outline_table(profile: Profile) -> OutlineTable:
-    """Split a tool into convex parts, a peg apart from what it guides, and write their outlines as numbers."""
+    """Split a tool into convex parts, a peg apart from what it guides, and write their outlines
+    as numbers.
+    """
     parts = convex_parts(profile)
     rows = [_row(piece) for part in parts for piece in part]
     first = np.cumsum([0, *map(len, parts)])
     convex = [_is_convex(part) for part in parts]
     kinds = [isinstance(piece, Arc) for part in parts for piece in part]
     return OutlineTable(
-        np.array(kinds, dtype=np.int32), np.array(rows), first.astype(np.int32), np.array(convex, dtype=np.int32)
+        np.array(kinds, dtype=np.int32),
+        np.array(rows),
+        first.astype(np.int32),
+        np.array(convex, dtype=np.int32),
     )
 
 
@@ -97,7 +109,9 @@ def _row(piece: Piece) -> list[float]:
 
 
 def convex_parts(profile: Profile) -> list[tuple[Piece, ...]]:
-    """Split a tool into convex outlines of which it is the union; a peg reaches through the tool to its top."""
+    """Split a tool into convex outlines of which it is the union; a peg reaches through the tool
+    to its top.
+    """
     pieces = profile.pieces
     first = next((k for k, piece in enumerate(pieces) if piece.cutting), 0)
     if profile.convex or first == 0:

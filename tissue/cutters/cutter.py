@@ -18,9 +18,13 @@ TABLE_ERROR_VOXELS = 2.0e-4
 CELLS_PER_VOXEL = 2.0, 6.0
 """Least and greatest resolution of the distance table."""
 EDGE_REACH_VOXELS = 3.0
-"""Voxels this close to an edge of the profile are cut one by one: more than the half diagonal of a block."""
+"""Voxels this close to an edge of the profile are cut one by one: more than the half diagonal of
+a block.
+"""
 PATCH = 128
-"""Elements that lie together on the surface: they face the same direction and meet the same voxels."""
+"""Elements that lie together on the surface: they face the same direction and meet the same
+voxels.
+"""
 GOLDEN = 0.6180339887498949
 MARGIN_VOXELS = 10.0
 """The table reaches this far beyond the tool: more than the half diagonal of a brick."""
@@ -80,8 +84,9 @@ class Cutter:
     flute_count
         Cutting edges N around the axis.
     spin_rad_s
-        Angular velocity about the axis [rad/s], by the right-hand rule about the axis from tip to shank. A common
-        right-hand drill or mill turns clockwise as seen from its shank: negative. A tool that cuts turns.
+        Angular velocity about the axis [rad/s], by the right-hand rule about the axis from tip to
+        shank. A common right-hand drill or mill turns clockwise as seen from its shank: negative. A
+        tool that cuts turns.
     """
 
     profile: Profile
@@ -91,7 +96,10 @@ class Cutter:
     def __repr__(self) -> str:
         diameter_mm = 2e3 * self.profile.radius_m
         rpm = -self.spin_rad_s * 60.0 / (2.0 * pi)
-        return f"Cutter({diameter_mm:.4g} mm wide, {self.flute_count} flutes, {rpm:.6g} turns a minute)"
+        return (
+            f"Cutter({diameter_mm:.4g} mm wide, {self.flute_count} flutes, {rpm:.6g} turns a "
+            "minute)"
+        )
 
     @property
     def chip_per_speed_s(self) -> float:
@@ -111,8 +119,9 @@ class Cutter:
     def shell(self, *, spacing_m: float) -> PointShell:
         """Point shell with elements about ``spacing_m`` apart, denser toward the axis.
 
-        Elements lie on golden-angle spirals, a Fibonacci lattice over each piece: no two share a height, so the rim of
-        a cut never meets many at once, and sums over part of the surface converge almost as fast as over all of it.
+        Elements lie on golden-angle spirals, a Fibonacci lattice over each piece: no two share a
+        height, so the rim of a cut never meets many at once, and sums over part of the surface
+        converge almost as fast as over all of it.
         """
         return _shells.of((self.profile, spacing_m), lambda: self._shell(spacing_m))
 
@@ -127,7 +136,11 @@ class Cutter:
 
     def _shell(self, spacing_m: float, *, cutting: bool = True) -> PointShell:
         """The same, made anew."""
-        parts = [spiral(piece, spacing_m=spacing_m) for piece in self.profile.pieces if piece.cutting == cutting]
+        parts = [
+            spiral(piece, spacing_m=spacing_m)
+            for piece in self.profile.pieces
+            if piece.cutting == cutting
+        ]
         points, normals, areas = (np.concatenate(column) for column in zip(*parts, strict=True))
         order = np.concatenate(_patches(points, np.arange(len(points))))
         points = points[order]
@@ -143,7 +156,9 @@ class Cutter:
         """The same, made anew."""
         low, high = (h / spacing_m for h in self.profile.height_range_m)
         reach = self.profile.radius_m / spacing_m
-        cells = float(np.clip(ceil(sqrt(1.0 / (8.0 * TABLE_ERROR_VOXELS * reach))), *CELLS_PER_VOXEL))
+        cells = float(
+            np.clip(ceil(sqrt(1.0 / (8.0 * TABLE_ERROR_VOXELS * reach))), *CELLS_PER_VOXEL)
+        )
         height_min = low - MARGIN_VOXELS
         r = np.arange(ceil((reach + MARGIN_VOXELS) * cells) + 2) / cells
         z = np.arange(ceil((high - low + 2.0 * MARGIN_VOXELS) * cells) + 2) / cells + height_min
@@ -152,7 +167,9 @@ class Cutter:
         distance = (distance / spacing_m).reshape(len(r), len(z))
         slope = np.stack(np.gradient(distance, 1.0 / cells), axis=-1)
         azimuthal = slope[..., 0] / np.maximum(r, 0.5)[:, None]
-        bend = np.clip(meridional.reshape(distance.shape) * spacing_m, 0.0, 1.0) + np.clip(azimuthal, -1.0, 1.0)
+        bend = np.clip(meridional.reshape(distance.shape) * spacing_m, 0.0, 1.0) + np.clip(
+            azimuthal, -1.0, 1.0
+        )
         bend /= 6.0
         for corner in self.profile.edges:
             near = np.linalg.norm(grid - corner / spacing_m, axis=1) < EDGE_REACH_VOXELS
@@ -179,7 +196,8 @@ def spiral(piece: Piece, *, spacing_m: float) -> tuple[Array, Array, Array]:
     count = max(ceil(piece.area_m2 / spacing_m**2), 16)
     share = np.linspace(0.0, 1.0, 4097)
     radius = piece.at(share)[0][:, 0]
-    # Half of the elements follow the area, half the profile's length: edge forces weigh a ring by its width alone.
+    # Half of the elements follow the area, half the profile's length: edge forces weigh a ring by
+    # its width alone.
     density = radius / radius.mean() + 1.0
     below = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
     at = np.interp((np.arange(count) + 0.5) / count, below / below[-1], share)
@@ -194,7 +212,9 @@ def spiral(piece: Piece, *, spacing_m: float) -> tuple[Array, Array, Array]:
 
 
 def _patches(points: Array, chosen: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-    """Indices of points in patches of `PATCH`, the last smaller, by halving along the longest side."""
+    """Indices of points in patches of `PATCH`, the last smaller, by halving along the longest
+    side.
+    """
     if len(chosen) <= PATCH:
         return [chosen]
     side = int(np.argmax(np.ptp(points[chosen], axis=0)))

@@ -16,8 +16,10 @@ __all__ = ["MEDIAL_TOLERANCE_M", "MedialAxis", "medial_axis"]
 MEDIAL_TOLERANCE_M = 4e-6
 """Most by which a ball of the true medial axis reaches out of the balls of the polylines [m]."""
 STRAIGHT_M = 1e-6
-"""Largest deviation of the polylines in the space of radius, height and ball radius [m]; a fourth of the tolerance.
-A ball reaches out by at most twice the deviation, and two steps, sampling and merging, each deviate."""
+"""Largest deviation of the polylines in the space of radius, height and ball radius [m]; a fourth
+of the tolerance. A ball reaches out by at most twice the deviation, and two steps, sampling and
+merging, each deviate.
+"""
 FIRST_SAMPLES = 9
 HALVINGS = 26
 """Samples of each piece at first, and how often the intervals between them are halved at most."""
@@ -33,10 +35,11 @@ class MedialAxis:
     Attributes
     ----------
     starts_m, ends_m
-        Radius, height and ball radius at both ends of each segment [m], shape (segments, 3). The ball radius is linear
-        in between.
+        Radius, height and ball radius at both ends of each segment [m], shape (segments, 3). The
+        ball radius is linear in between.
     across
-        1 where a ball lies in no convex part of the tool alone, as at the foot of a peg, shape (segments,).
+        1 where a ball lies in no convex part of the tool alone, as at the foot of a peg, shape
+        (segments,).
     """
 
     starts_m: Array
@@ -47,8 +50,8 @@ class MedialAxis:
 def medial_axis(profile: Profile) -> MedialAxis:
     """Compute the medial axis of a half section.
 
-    Each largest ball touches the outline. The outline is sampled, and at each sample the largest ball that touches it
-    from inside is found by bisection.
+    Each largest ball touches the outline. The outline is sampled, and at each sample the largest
+    ball that touches it from inside is found by bisection.
     """
     chains = [_chain(profile, touch) for touch in _touches(profile.pieces)]
     starts = np.concatenate([chain[:-1] for chain in chains])
@@ -68,7 +71,9 @@ Touch = Callable[[Array], tuple[Array, Array]]
 
 
 def _touches(pieces: tuple[Piece, ...]) -> list[Touch]:
-    """Ways in which a ball can touch an outline from inside: each piece, and each corner that juts into the tool."""
+    """Ways in which a ball can touch an outline from inside: each piece, and each corner that
+    juts into the tool.
+    """
     touches: list[Touch] = [piece.at for piece in pieces]
     ends = np.array([0.0, 1.0])
     for before, after in pairwise(pieces):
@@ -86,7 +91,9 @@ def _fan(corner: Array, first: float, turn: float) -> Touch:
 
     def touch(share: Array) -> tuple[Array, Array]:
         angle = first + share * turn
-        return np.broadcast_to(corner, (len(share), 2)), np.column_stack([np.cos(angle), np.sin(angle)])
+        return np.broadcast_to(corner, (len(share), 2)), np.column_stack(
+            [np.cos(angle), np.sin(angle)]
+        )
 
     return touch
 
@@ -111,15 +118,17 @@ def _chain(profile: Profile, touch: Touch) -> Array:
 
 
 def _balls(profile: Profile, points: Array, normals: Array) -> Array:
-    """Largest balls that touch the outline from inside: radius and height of the centre, ball radius, shape (n, 3)."""
+    """Largest balls that touch the outline from inside: radius and height of the centre, ball
+    radius, shape (n, 3).
+    """
     low, high = profile.height_range_m
     least = np.zeros(len(points))
     most = np.full(len(points), 0.5 * (high - low) + profile.radius_m)
     for _ in range(BISECTIONS):
         size = 0.5 * (least + most)
         centres = points - size[:, None] * normals
-        # A centre that has left the tool is nearer to where it left, so that no sign is needed. Beyond the axis a ball
-        # is nearer to the other side of the outline.
+        # A centre that has left the tool is nearer to where it left, so that no sign is needed.
+        # Beyond the axis a ball is nearer to the other side of the outline.
         nearest = np.min([piece.seen_from(centres)[0] for piece in profile.pieces], axis=0)
         fits = (centres[:, 0] >= -TOUCH_M) & (nearest >= size - TOUCH_M)
         least = np.where(fits, size, least)

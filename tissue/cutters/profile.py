@@ -1,7 +1,7 @@
 """Profiles of cutters: the half section that turns around the tool's axis.
 
-A profile runs in the (radius, height) half plane from the axis at the tip to the axis at the top, with the material to
-its left. Heights are measured from the tip, the point that a tool pose places.
+A profile runs in the (radius, height) half plane from the axis at the tip to the axis at the top,
+with the material to its left. Heights are measured from the tip, the point that a tool pose places.
 """
 
 from collections.abc import Sequence
@@ -34,7 +34,9 @@ AXIS_M = 1e-9
 
 @dataclass(frozen=True)
 class Line:
-    """Straight piece from ``start`` to ``end``, each (radius, height) [m]; ``cutting`` where it carries edges."""
+    """Straight piece from ``start`` to ``end``, each (radius, height) [m]; ``cutting`` where it
+    carries edges.
+    """
 
     start: tuple[float, float]
     end: tuple[float, float]
@@ -51,14 +53,20 @@ class Line:
         return pi * (self.start[0] + self.end[0]) * self.length_m
 
     def at(self, share: Array) -> tuple[Array, Array]:
-        """Points, shape (n, 2) [m], and outward normals, shape (n, 2), at shares of the length in [0, 1]."""
+        """Points, shape (n, 2) [m], and outward normals, shape (n, 2), at shares of the length
+        in [0, 1].
+        """
         a = np.asarray(self.start)
         b = np.asarray(self.end)
         direction = (b - a) / self.length_m
-        return a + share[:, None] * (b - a), np.broadcast_to([direction[1], -direction[0]], (len(share), 2))
+        return a + share[:, None] * (b - a), np.broadcast_to(
+            [direction[1], -direction[0]], (len(share), 2)
+        )
 
     def seen_from(self, points: Array) -> tuple[Array, Array]:
-        """Distance [m] and meridional curvature [1/m] of the parallel curve at ``points``, shape (n, 2)."""
+        """Distance [m] and meridional curvature [1/m] of the parallel curve at ``points``, shape
+        (n, 2).
+        """
         a = np.asarray(self.start)
         b = np.asarray(self.end)
         share = np.clip((points - a) @ (b - a) / self.length_m**2, 0.0, 1.0)
@@ -73,7 +81,9 @@ class Line:
 
 @dataclass(frozen=True)
 class Arc:
-    """Circular piece around ``centre`` from angle ``first`` to ``last`` [rad] (0 outward, -pi/2 toward the tip)."""
+    """Circular piece around ``centre`` from angle ``first`` to ``last`` [rad] (0 outward, -pi/2
+    toward the tip).
+    """
 
     centre: tuple[float, float]
     radius: float
@@ -93,13 +103,17 @@ class Arc:
         return 2.0 * pi * (self.centre[0] * self.length_m + self.radius * climb)
 
     def at(self, share: Array) -> tuple[Array, Array]:
-        """Points, shape (n, 2) [m], and outward normals, shape (n, 2), at shares of the length in [0, 1]."""
+        """Points, shape (n, 2) [m], and outward normals, shape (n, 2), at shares of the length
+        in [0, 1].
+        """
         angle = self.first + share * (self.last - self.first)
         normal = np.column_stack([np.cos(angle), np.sin(angle)])
         return np.asarray(self.centre) + self.radius * normal, normal
 
     def seen_from(self, points: Array) -> tuple[Array, Array]:
-        """Distance [m] and meridional curvature [1/m] of the parallel curve at ``points``, shape (n, 2)."""
+        """Distance [m] and meridional curvature [1/m] of the parallel curve at ``points``, shape
+        (n, 2).
+        """
         from_centre = points - np.asarray(self.centre)
         reach = np.linalg.norm(from_centre, axis=1)
         middle = 0.5 * (self.first + self.last)
@@ -128,7 +142,8 @@ class Profile:
     convex: bool
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "pieces", tuple(self.pieces))  # what is made of a profile is kept by it
+        # what is made of a profile is kept by it
+        object.__setattr__(self, "pieces", tuple(self.pieces))
 
     @property
     def outline(self) -> Array:
@@ -148,20 +163,27 @@ class Profile:
 
     @property
     def edges(self) -> Array:
-        """Points where the outline is not smooth, the axis mirrored, shape (n, 2): radius and height [m]."""
+        """Points where the outline is not smooth, the axis mirrored, shape (n, 2): radius and
+        height [m].
+        """
         ends = np.array([0.0, 1.0])
         starts = [piece.at(ends) for piece in self.pieces]
         found = []
         for before, after in pairwise(starts):
             if before[1][1] @ after[1][0] < SMOOTH:
                 found.append(after[0][0])
-        for at, normal in ((starts[0][0][0], starts[0][1][0]), (starts[-1][0][1], starts[-1][1][1])):
+        for at, normal in (
+            (starts[0][0][0], starts[0][1][0]),
+            (starts[-1][0][1], starts[-1][1][1]),
+        ):
             if abs(normal[1]) < SMOOTH:
                 found.append(at)
         return np.array(found).reshape(-1, 2)
 
     def distance(self, points: Array) -> tuple[Array, Array]:
-        """Signed distance [m], negative inside, and meridional curvature [1/m] seen from (radius, height) points."""
+        """Signed distance [m], negative inside, and meridional curvature [1/m] seen from
+        (radius, height) points.
+        """
         seen = [piece.seen_from(points) for piece in self.pieces]
         distances = np.stack([distance for distance, _ in seen])
         nearest = distances.argmin(axis=0)
@@ -172,7 +194,9 @@ class Profile:
 
 
 def _inside(outline: Array, points: Array) -> Flags:
-    """Whether (radius, height) points lie inside a closed outline: crossing number along +radius."""
+    """Whether (radius, height) points lie inside a closed outline: crossing number along
+    +radius.
+    """
     inside = np.zeros(len(points), dtype=bool)
     for (r0, z0), (r1, z1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         if z0 == z1 or max(r0, r1) < AXIS_M:
@@ -192,7 +216,14 @@ def ball_burr(*, diameter_m: float) -> Profile:
 def cylinder(*, diameter_m: float, length_m: float) -> Profile:
     """Flat-ended cylinder (end mill): end and side cut."""
     r = 0.5 * diameter_m
-    return Profile((Line((0, 0), (r, 0)), Line((r, 0), (r, length_m)), Line((r, length_m), (0, length_m), False)), True)
+    return Profile(
+        (
+            Line((0, 0), (r, 0)),
+            Line((r, 0), (r, length_m)),
+            Line((r, length_m), (0, length_m), False),
+        ),
+        True,
+    )
 
 
 def twist_drill(*, diameter_m: float, length_m: float, point_angle_rad: float) -> Profile:
@@ -210,11 +241,18 @@ def twist_drill(*, diameter_m: float, length_m: float, point_angle_rad: float) -
 
 
 def _peg(radius: float, length: float, top: float) -> list[Piece]:
-    """Non-cutting guide peg that ends ``length`` below the tip and meets the cutter at height ``top``."""
-    return [Line((0, -length), (radius, -length), False), Line((radius, -length), (radius, top), False)]
+    """Non-cutting guide peg that ends ``length`` below the tip and meets the cutter at height
+    ``top``.
+    """
+    return [
+        Line((0, -length), (radius, -length), False),
+        Line((radius, -length), (radius, top), False),
+    ]
 
 
-def hemispherical_reamer(*, diameter_m: float, peg_diameter_m: float = 0.0, peg_length_m: float = 0.0) -> Profile:
+def hemispherical_reamer(
+    *, diameter_m: float, peg_diameter_m: float = 0.0, peg_length_m: float = 0.0
+) -> Profile:
     """Hemisphere that cuts with its face, with a central guide peg where its diameter is not 0."""
     r = 0.5 * diameter_m
     q = 0.5 * peg_diameter_m
@@ -227,13 +265,17 @@ def hemispherical_reamer(*, diameter_m: float, peg_diameter_m: float = 0.0, peg_
 def flat_reamer(
     *, diameter_m: float, length_m: float, peg_diameter_m: float = 0.0, peg_length_m: float = 0.0
 ) -> Profile:
-    """Disc ``length_m`` thick that cuts with face and rim, with a central guide peg where its diameter is not 0."""
+    """Disc ``length_m`` thick that cuts with face and rim, with a central guide peg where its
+    diameter is not 0.
+    """
     r = 0.5 * diameter_m
     q = 0.5 * peg_diameter_m
     pieces: Sequence[Piece] = [] if q == 0.0 else _peg(q, peg_length_m, 0.0)
     face = Line((q, 0.0), (r, 0.0))
     rim = Line((r, 0.0), (r, length_m))
-    return Profile((*pieces, face, rim, Line((r, length_m), (0.0, length_m), False)), convex=q == 0.0)
+    return Profile(
+        (*pieces, face, rim, Line((r, length_m), (0.0, length_m), False)), convex=q == 0.0
+    )
 
 
 def pear_bur(*, diameter_m: float, length_m: float) -> Profile:
@@ -241,4 +283,11 @@ def pear_bur(*, diameter_m: float, length_m: float) -> Profile:
     r = 0.5 * diameter_m
     slope = float(np.arctan2(0.5 * r, length_m - r))  # angle of the flank to the axis
     flank = Line((r * cos(slope), r + r * sin(slope)), (0.5 * r, length_m))
-    return Profile((Arc((0.0, r), r, -0.5 * pi, slope), flank, Line((0.5 * r, length_m), (0.0, length_m), False)), True)
+    return Profile(
+        (
+            Arc((0.0, r), r, -0.5 * pi, slope),
+            flank,
+            Line((0.5 * r, length_m), (0.0, length_m), False),
+        ),
+        True,
+    )

@@ -1,4 +1,6 @@
-"""Rotating cutters in the units of their makers' catalogues: millimetres, flutes and turns a minute."""
+"""Rotating cutters in the units of their makers' catalogues: millimetres, flutes and turns a
+minute.
+"""
 
 from collections.abc import Callable
 from functools import partial
@@ -9,7 +11,15 @@ from tissue.cutters import profile
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import Profile
 
-__all__ = ["ball_burr", "cylinder", "flat_reamer", "hemispherical_reamer", "of_profile", "pear_bur", "twist_drill"]
+__all__ = [
+    "ball_burr",
+    "cylinder",
+    "flat_reamer",
+    "hemispherical_reamer",
+    "of_profile",
+    "pear_bur",
+    "twist_drill",
+]
 
 FASTEST_RPM = 1e6
 """Turns a minute at most: an air turbine has 400,000."""
@@ -36,20 +46,31 @@ def ball_burr(*, diameter_mm: float, flutes: int, spin_rpm: float) -> Cutter:
 
 
 def pear_bur(*, diameter_mm: float, length_mm: float, flutes: int, spin_rpm: float) -> Cutter:
-    """Return a dental pear: a ball at the tip, a taper to the neck `length_mm` [mm] above; the rest as `ball_burr`."""
+    """Return a dental pear: a ball at the tip, a taper to the neck `length_mm` [mm] above; the
+    rest as `ball_burr`.
+    """
     _require_longer(length_mm, 0.5 * diameter_mm, "the radius of its ball")
     return _cutter(profile.pear_bur, flutes, spin_rpm, diameter_mm=diameter_mm, length_mm=length_mm)
 
 
 def cylinder(*, diameter_mm: float, length_mm: float, flutes: int, spin_rpm: float) -> Cutter:
-    """Return a flat end mill that cuts with face and side, `length_mm` [mm] long; the rest as `ball_burr`."""
+    """Return a flat end mill that cuts with face and side, `length_mm` [mm] long; the rest as
+    `ball_burr`.
+    """
     return _cutter(profile.cylinder, flutes, spin_rpm, diameter_mm=diameter_mm, length_mm=length_mm)
 
 
 def twist_drill(
-    *, diameter_mm: float, length_mm: float, point_angle_deg: float = 118.0, flutes: int = 2, spin_rpm: float
+    *,
+    diameter_mm: float,
+    length_mm: float,
+    point_angle_deg: float = 118.0,
+    flutes: int = 2,
+    spin_rpm: float,
 ) -> Cutter:
-    """Return a twist drill `length_mm` [mm] long, its point of 60 to 170 degrees; the rest as `ball_burr`."""
+    """Return a twist drill `length_mm` [mm] long, its point of 60 to 170 degrees; the rest as
+    `ball_burr`.
+    """
     angle = radians(require_range("point_angle_deg", point_angle_deg, 60.0, 170.0, "use 118"))
     _require_longer(length_mm, 0.5 * diameter_mm / tan(0.5 * angle), "the height of its point")
     make = partial(profile.twist_drill, point_angle_rad=angle)
@@ -57,11 +78,20 @@ def twist_drill(
 
 
 def hemispherical_reamer(
-    *, diameter_mm: float, peg_diameter_mm: float = 0.0, peg_length_mm: float = 0.0, flutes: int, spin_rpm: float
+    *,
+    diameter_mm: float,
+    peg_diameter_mm: float = 0.0,
+    peg_length_mm: float = 0.0,
+    flutes: int,
+    spin_rpm: float,
 ) -> Cutter:
-    """Return a reamer shaped as half a ball, with a smooth peg ahead of it where its sizes are given [mm]."""
+    """Return a reamer shaped as half a ball, with a smooth peg ahead of it where its sizes are
+    given [mm].
+    """
     peg = _peg(peg_diameter_mm, peg_length_mm, diameter_mm)
-    return _cutter(partial(profile.hemispherical_reamer, **peg), flutes, spin_rpm, diameter_mm=diameter_mm)
+    return _cutter(
+        partial(profile.hemispherical_reamer, **peg), flutes, spin_rpm, diameter_mm=diameter_mm
+    )
 
 
 def flat_reamer(
@@ -73,25 +103,39 @@ def flat_reamer(
     flutes: int,
     spin_rpm: float,
 ) -> Cutter:
-    """Return a disc `length_mm` [mm] high that cuts with its face, with a smooth peg where its sizes are given [mm]."""
+    """Return a disc `length_mm` [mm] high that cuts with its face, with a smooth peg where its
+    sizes are given [mm].
+    """
     make = partial(profile.flat_reamer, **_peg(peg_diameter_mm, peg_length_mm, diameter_mm))
     return _cutter(make, flutes, spin_rpm, diameter_mm=diameter_mm, length_mm=length_mm)
 
 
 def of_profile(shape: Profile, *, flutes: int, spin_rpm: float) -> Cutter:
-    """Return a cutter of any half section, see `tissue.cutters.profile.Profile`; flutes and spin as `ball_burr`."""
+    """Return a cutter of any half section, see `tissue.cutters.profile.Profile`; flutes and spin
+    as `ball_burr`.
+    """
     if isinstance(flutes, bool) or not isinstance(flutes, int) or not 1 <= flutes <= 200:
-        raise InputError(f"flutes must be a whole number from 1 to 200, got {flutes!r}: count the cutting edges")
-    (rpm,) = require_ranges(("spin_rpm", spin_rpm, -FASTEST_RPM, FASTEST_RPM, "use 500 for a reamer, 20000 for a burr"))
+        raise InputError(
+            f"flutes must be a whole number from 1 to 200, got {flutes!r}: count the cutting edges"
+        )
+    (rpm,) = require_ranges(
+        ("spin_rpm", spin_rpm, -FASTEST_RPM, FASTEST_RPM, "use 500 for a reamer, 20000 for a burr")
+    )
     if rpm == 0.0:
-        raise InputError("spin_rpm must not be 0 for a tool that cuts, got 0: use 500 for a reamer, 20000 for a burr")
+        raise InputError(
+            "spin_rpm must not be 0 for a tool that cuts, got 0: use 500 for a reamer, 20000 "
+            "for a burr"
+        )
     return Cutter(shape, flutes, -rpm * 2.0 * pi / 60.0)
 
 
-def _cutter(make: Callable[..., Profile], flutes: int, spin_rpm: float, **lengths_mm: float) -> Cutter:
+def _cutter(
+    make: Callable[..., Profile], flutes: int, spin_rpm: float, **lengths_mm: float
+) -> Cutter:
     """Return the cutter of a profile whose lengths are given in millimetres."""
     lengths_m = {
-        name.removesuffix("_mm") + "_m": 1e-3 * require_range(name, length, 0.1, 200.0, "give it in millimetres")
+        name.removesuffix("_mm") + "_m": 1e-3
+        * require_range(name, length, 0.1, 200.0, "give it in millimetres")
         for name, length in lengths_mm.items()
     }
     return of_profile(make(**lengths_m), flutes=flutes, spin_rpm=spin_rpm)
@@ -99,17 +143,22 @@ def _cutter(make: Callable[..., Profile], flutes: int, spin_rpm: float, **length
 
 def _require_longer(length_mm: float, least_mm: float, what: str) -> None:
     if length_mm <= least_mm:
-        raise InputError(f"length_mm must be above {what} ({least_mm:.4g}), got {length_mm:g}: make it longer")
+        raise InputError(
+            f"length_mm must be above {what} ({least_mm:.4g}), got {length_mm:g}: make it longer"
+        )
 
 
 def _peg(diameter_mm: float, length_mm: float, tool_mm: float) -> dict[str, float]:
-    """Return diameter and length of a peg [m] by the profile's arguments, none of them for no peg."""
+    """Return diameter and length of a peg [m] by the profile's arguments, none of them for no
+    peg.
+    """
     if diameter_mm == 0.0 and length_mm == 0.0:
         return {}
     require_positive("peg_diameter_mm", diameter_mm, "give both sizes of the peg, or neither")
     require_positive("peg_length_mm", length_mm, "give both sizes of the peg, or neither")
     if diameter_mm >= tool_mm:
         raise InputError(
-            f"peg_diameter_mm must be below diameter_mm ({tool_mm:g}), got {diameter_mm:g}: use a thin one"
+            f"peg_diameter_mm must be below diameter_mm ({tool_mm:g}), got {diameter_mm:g}: "
+            "use a thin one"
         )
     return {"peg_diameter_m": 1e-3 * diameter_mm, "peg_length_m": 1e-3 * length_mm}

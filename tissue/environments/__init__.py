@@ -1,8 +1,9 @@
-"""Gymnasium environments in which contact force matters: milling a pocket, drilling a tooth, palpating for a nodule.
+"""Gymnasium environments in which contact force matters: milling a pocket, drilling a tooth,
+palpating for a nodule.
 
-Once this module is imported, `gymnasium.make` knows ``tissue/Milling-v0``, ``tissue/Drilling-v0`` and
-``tissue/Palpation-v0``; ``gymnasium.make("tissue.environments:tissue/Milling-v0")`` imports it, too. Gymnasium reads no
-entry points since version 1.0.
+Once this module is imported, `gymnasium.make` knows ``tissue/Milling-v0``, ``tissue/Drilling-v0``
+and ``tissue/Palpation-v0``; ``gymnasium.make("tissue.environments:tissue/Milling-v0")`` imports it,
+too. Gymnasium reads no entry points since version 1.0.
 """
 
 from importlib import import_module

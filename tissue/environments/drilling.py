@@ -25,12 +25,16 @@ SPACING_M = 5e-5
 """Edge of a voxel: a twentieth of the bur."""
 BUR_MM, FLUTES, SPIN_RPM = 1.0, 6, 400_000.0
 HAND_KG = 0.1
-"""Mass that moves with the bur: a handpiece of 0.06 to 0.1 kg (from memory of makers' data) and some of the hand."""
+"""Mass that moves with the bur: a handpiece of 0.06 to 0.1 kg (from memory of makers' data) and
+some of the hand.
+"""
 TOP_SPEED_M_S = 1e-2
 START_M, CEILING_M = 5e-4, 8e-4
 """Gap between tip and tooth where an episode starts, and where the bur counts as withdrawn."""
 INTO_DENTIN_M = 5e-4
-"""Wanted depth beyond the junction of enamel and dentin: about that of a cavity's base, 0.2 to 0.5 mm (from memory)."""
+"""Wanted depth beyond the junction of enamel and dentin: about that of a cavity's base, 0.2 to
+0.5 mm (from memory).
+"""
 TOO_DEEP_M = 1e-3
 """Beyond the wanted depth by this the episode is lost; the pulp lies 3 mm below the junction."""
 
@@ -38,24 +42,26 @@ TOO_DEEP_M = 1e-3
 class Drilling(ContactEnvironment):
     """Drill through the enamel of a molar, stop 0.5 mm into the dentin, and withdraw.
 
-    A round bur of 1 mm at 400,000 a minute goes straight down. Nothing observed shows where the enamel ends: it is felt
-    as less resistance. An episode draws the place on the occlusal surface and the densities of enamel and dentin, which
-    change how hard they are to cut.
+    A round bur of 1 mm at 400,000 a minute goes straight down. Nothing observed shows where the
+    enamel ends: it is felt as less resistance. An episode draws the place on the occlusal surface
+    and the densities of enamel and dentin, which change how hard they are to cut.
 
-    **Action**, 1 number in [-1, 1]: thrust of the hand along the bur, of 3 N, down where positive. What the bur does
-    follows from the balance of thrust, cutting force, 0.1 kg and a damping that lets 3 N move it at 10 mm/s in air.
+    **Action**, 1 number in [-1, 1]: thrust of the hand along the bur, of 3 N, down where positive.
+    What the bur does follows from the balance of thrust, cutting force, 0.1 kg and a damping that
+    lets 3 N move it at 10 mm/s in air.
 
-    **Observation**, see `entries`: depth of the tip below the surface at that place, greatest depth so far, velocity
-    downwards, force and torque on the bur, volume removed, time left.
+    **Observation**, see `entries`: depth of the tip below the surface at that place, greatest depth
+    so far, velocity downwards, force and torque on the bur, volume removed, time left.
 
     **Reward**, see `ContactEnvironment`, with the potential::
 
         P = min(deepest, d) / d - max(0, deepest - d) / 1 mm
 
-    of the greatest depth so far and the wanted one d, from the surface to 0.5 mm below the junction on the bur's axis;
-    ``reward_terms`` holds its parts as ``progress`` and ``overdepth``. No policy scores above 1; doing nothing scores
-    -0.1. An episode ends when the bur, having cut, is 0.8 mm above the surface again, or is 1 mm too deep; it is
-    truncated after 5 s. Force costs from 2 N on. Heat is not modelled.
+    of the greatest depth so far and the wanted one d, from the surface to 0.5 mm below the junction
+    on the bur's axis; ``reward_terms`` holds its parts as ``progress`` and ``overdepth``. No policy
+    scores above 1; doing nothing scores
+    -0.1. An episode ends when the bur, having cut, is 0.8 mm above the surface again, or is 1 mm
+    too deep; it is truncated after 5 s. Force costs from 2 N on. Heat is not modelled.
 
     Parameters
     ----------
@@ -103,7 +109,9 @@ class Drilling(ContactEnvironment):
     def bone(self) -> RestorableBone:
         """The same under the bur; made at the first reset."""
         bur = ball_burr(diameter_mm=BUR_MM, flutes=FLUTES, spin_rpm=SPIN_RPM)
-        return RestorableBone(self.volume, bur, shell_spacing_m=SPACING_M, materials=self._materials)
+        return RestorableBone(
+            self.volume, bur, shell_spacing_m=SPACING_M, materials=self._materials
+        )
 
     @property
     def model(self) -> BoneModel:
@@ -111,7 +119,9 @@ class Drilling(ContactEnvironment):
         return self.bone.model
 
     def _prepare(self) -> None:
-        self.bone.restore({name: self.drawn[f"{name}_density_kg_m3"] for name in ("enamel", "dentin")})
+        self.bone.restore(
+            {name: self.drawn[f"{name}_density_kg_m3"] for name in ("enamel", "dentin")}
+        )
         self._place_m = np.array([1e-3 * self.drawn["x_mm"], 1e-3 * self.drawn["y_mm"]])
         self.surface_m, junction_m = self._heights(self._place_m)
         self.wanted_m = self.surface_m - junction_m + INTO_DENTIN_M
@@ -131,7 +141,9 @@ class Drilling(ContactEnvironment):
         i, j = np.floor((place_m - volume.origin_m[:2]) / volume.spacing_m).astype(int)
         held = volume.fraction[i, j] > 127
         enamel = held & (volume.layer[i, j] == volume.layer_names.index("enamel"))
-        heights = volume.origin_m[2] + volume.spacing_m * np.array([np.flatnonzero(held)[-1] + 1, enamel.argmax()])
+        heights = volume.origin_m[2] + volume.spacing_m * np.array(
+            [np.flatnonzero(held)[-1] + 1, enamel.argmax()]
+        )
         return float(heights[0]), float(heights[1])
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
@@ -171,7 +183,9 @@ class Drilling(ContactEnvironment):
         motion.heading[0, 2] = 1.0 if self._speed < 0.0 else -1.0
 
     def _felt(self, response: Response) -> Array:
-        """Return the loads in the cut bone, on a bur that goes down: the next tick starts from them."""
+        """Return the loads in the cut bone, on a bur that goes down: the next tick starts from
+        them.
+        """
         motion = self.tool
         motion.heading[0, 2] = -1.0
         motion.speed_m_s = max(self._speed, 0.0)
@@ -223,7 +237,12 @@ class Drilling(ContactEnvironment):
         removed = {name: self.bone.removed_mm3(name) for name in ("enamel", "dentin")}
         deepest = 1e3 * self._deepest_m
         wanted = 1e3 * self.wanted_m
-        return {"depth_mm": 1e3 * self.depth_m, "deepest_mm": deepest, "wanted_mm": wanted, "removed_mm3": removed}
+        return {
+            "depth_mm": 1e3 * self.depth_m,
+            "deepest_mm": deepest,
+            "wanted_mm": wanted,
+            "removed_mm3": removed,
+        }
 
     def _draw(self) -> NDArray[np.uint8]:
         from tissue.environments.pictures import drilling_picture

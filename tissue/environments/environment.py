@@ -51,14 +51,17 @@ class Entry:
 class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
     """A tool that a policy leads against tissue: the environment is the motion of its tool.
 
-    A step is `ticks` ticks of 1 ms under one action, whose entries lie in [-1, 1]. The observation is the numbers of
-    `entries`, each over its scale and clipped to [-1, 1], loads being means over the step. The reward of a step is::
+    A step is `ticks` ticks of 1 ms under one action, whose entries lie in [-1, 1]. The observation
+    is the numbers of `entries`, each over its scale and clipped to [-1, 1], loads being means over
+    the step. The reward of a step is::
 
-        P(after) - P(before) - 1.0 / M * sum over its ticks of max(0, F / limit - 1) - 0.1 * ticks / M
+        P(after) - P(before) - 1.0 / M * sum over its ticks of max(0, F / limit - 1) - 0.1 * ticks /
+        M
 
-    with the potential P of the task, the size F of the contact force and the M ticks of a whole episode. ``info`` holds
-    its parts in ``reward_terms``, the episode's random draws in ``drawn``, the largest force of the step in
-    ``peak_force_N``, and the score so far, which is the sum of rewards, in ``score``.
+    with the potential P of the task, the size F of the contact force and the M ticks of a whole
+    episode. ``info`` holds its parts in ``reward_terms``, the episode's random draws in ``drawn``,
+    the largest force of the step in ``peak_force_N``, and the score so far, which is the sum of
+    rewards, in ``score``.
 
     Parameters
     ----------
@@ -76,7 +79,9 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
     entries: ClassVar[tuple[Entry, ...]]
     action_count: ClassVar[int]
     ranges: ClassVar[Mapping[str, tuple[float, float]]]
-    """Limits of the quantities that an episode draws uniformly; `reset(options={...})` fixes any of them."""
+    """Limits of the quantities that an episode draws uniformly; `reset(options={...})` fixes any
+    of them.
+    """
     usual_duration_s: ClassVar[float]
     usual_force_limit_N: ClassVar[float]
 
@@ -91,17 +96,23 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
         self.ticks = int(require_range("ticks", ticks, 1, 200, "use 20 for 50 actions a second"))
         duration = self.usual_duration_s if duration_s is None else duration_s
         limit = self.usual_force_limit_N if force_limit_N is None else force_limit_N
-        self.force_limit_N = require_positive("force_limit_N", limit, f"use {self.usual_force_limit_N:g}")
+        self.force_limit_N = require_positive(
+            "force_limit_N", limit, f"use {self.usual_force_limit_N:g}"
+        )
         require_range("duration_s", duration, 0.1, 600.0, f"use {self.usual_duration_s:g}")
         if render_mode not in (None, *self.metadata["render_modes"]):
-            raise InputError(f"render_mode must be None or rgb_array, got {render_mode!r}: leave it out")
+            raise InputError(
+                f"render_mode must be None or rgb_array, got {render_mode!r}: leave it out"
+            )
         self.metadata = {**self.metadata, "render_fps": max(round(1.0 / (self.ticks * TICK_S)), 1)}
         self.render_mode = render_mode
         self.duration_s = float(duration)
         self._steps = max(round(duration / (self.ticks * TICK_S)), 1)
         self._scales = np.concatenate([np.full(each.count, each.scale) for each in self.entries])
         self.action_space = spaces.Box(-1.0, 1.0, (self.action_count,), np.float32)
-        self.observation_space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, self._scales.shape, np.float32)
+        self.observation_space: spaces.Space[Any] = spaces.Box(
+            -1.0, 1.0, self._scales.shape, np.float32
+        )
         self._done_steps = 0
         self.score = 0.0
         self._loads = np.zeros(6)
@@ -119,7 +130,9 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
         """Pose of the tool as the tissue has it."""
         return self.stepper.tool
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode; `options` fixes what would be drawn, by the names of `ranges`.
 
         Raises
@@ -128,11 +141,17 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
             If an option is unknown or out of its range.
         """
         super().reset(seed=seed)
-        self.drawn = {name: float(self.np_random.uniform(*limits)) for name, limits in self.ranges.items()}
+        self.drawn = {
+            name: float(self.np_random.uniform(*limits)) for name, limits in self.ranges.items()
+        }
         for name, value in (options or {}).items():
             if name not in self.ranges:
-                raise InputError(f"options must be of {', '.join(self.ranges)}, got {name!r}: leave it out")
-            self.drawn[name] = require_range(f"options[{name!r}]", value, *self.ranges[name], "take one in between")
+                raise InputError(
+                    f"options must be of {', '.join(self.ranges)}, got {name!r}: leave it out"
+                )
+            self.drawn[name] = require_range(
+                f"options[{name!r}]", value, *self.ranges[name], "take one in between"
+            )
         self._done_steps = 0
         self.score = 0.0
         self._loads[:] = 0.0
@@ -164,7 +183,12 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
         reward = float(sum(terms.values()))
         self.score += reward
         terminated = self._is_over()
-        info = {"reward_terms": terms, "peak_force_N": peak, "score": self.score, "drawn": dict(self.drawn)}
+        info = {
+            "reward_terms": terms,
+            "peak_force_N": peak,
+            "score": self.score,
+            "drawn": dict(self.drawn),
+        }
         truncated = not terminated and self._done_steps >= self._steps
         return self._observe(), reward, terminated, truncated, info | self._facts()
 

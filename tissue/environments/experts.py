@@ -1,4 +1,6 @@
-"""Scripted policies that do what each task asks, from observations alone: what a learned one is compared with."""
+"""Scripted policies that do what each task asks, from observations alone: what a learned one is
+compared with.
+"""
 
 from typing import Any
 
@@ -38,8 +40,12 @@ class MillingExpert:
         env = self._env
         seen = self._env.named(observation)
         share = float(np.linalg.norm(seen["force"])) / env.force_limit_N
-        self._speed = float(np.clip(self._speed * np.clip(0.9 / max(share, 0.1), 0.6, 1.5), 2.0, env.top_speed_mm_s))
-        while len(self._corners) > 1 and np.linalg.norm(self._corners[0] - seen["tip"]) < REACHED_MM:
+        self._speed = float(
+            np.clip(self._speed * np.clip(0.9 / max(share, 0.1), 0.6, 1.5), 2.0, env.top_speed_mm_s)
+        )
+        while (
+            len(self._corners) > 1 and np.linalg.norm(self._corners[0] - seen["tip"]) < REACHED_MM
+        ):
             self._corners.pop(0)
         away = self._corners[0] - seen["tip"]
         step_mm = 1e-3 * env.ticks * self._speed
@@ -47,7 +53,9 @@ class MillingExpert:
 
 
 class DrillingExpert:
-    """Pushes at the limit through enamel, gently once resistance halves, 0.5 mm on from there, and out again."""
+    """Pushes at the limit through enamel, gently once resistance halves, 0.5 mm on from there,
+    and out again.
+    """
 
     def __init__(self, env: Drilling) -> None:
         self._env = env
@@ -76,7 +84,9 @@ class DrillingExpert:
 
 
 class PalpationExpert:
-    """Slides round in a circle, then out and across at its hardest place, and lifts where it is hardest."""
+    """Slides round in a circle, then out and across at its hardest place, and lifts where it is
+    hardest.
+    """
 
     def __init__(self, env: Palpation) -> None:
         self._env = env
@@ -91,10 +101,15 @@ class PalpationExpert:
         tip = seen["tip"]
         force = float(np.linalg.norm(seen["force"]))
         if self._stage > 0:
-            self._felt.append(np.array([tip[0], tip[1], force / max(-tip[2], 0.3) ** 1.5]))  # a ball's law
+            # a ball's law
+            self._felt.append(np.array([tip[0], tip[1], force / max(-tip[2], 0.3) ** 1.5]))
         if force > 0.9 * self._env.force_limit_N:
             self._height_mm = min(self._height_mm + 0.15, -0.5)
-        while self._plan and np.linalg.norm(self._plan[0] - tip[:2]) < 0.4 and (self._stage > 0 or tip[2] < -1.5):
+        while (
+            self._plan
+            and np.linalg.norm(self._plan[0] - tip[:2]) < 0.4
+            and (self._stage > 0 or tip[2] < -1.5)
+        ):
             self._plan.pop(0)
             if not self._plan:
                 self._next_stage()
@@ -131,7 +146,9 @@ class PalpationExpert:
 
 
 def expert_of(env: Any) -> MillingExpert | DrillingExpert | PalpationExpert:
-    """Return a new expert for an episode of an environment, wrapped or not: call it with each observation."""
+    """Return a new expert for an episode of an environment, wrapped or not: call it with each
+    observation.
+    """
     bare = env.unwrapped
     if isinstance(bare, Milling):
         return MillingExpert(bare)

@@ -21,11 +21,13 @@ __all__ = ["Milling"]
 LAYERS = ("target", "tolerance", "spared")
 BLOCK_MM = (13.2, 10.8, 3.6)
 SPACING_MM = 0.2
-"""Edge of a voxel: a twentieth of the burr. Forces are within 2 % of those at 0.1 mm on the paths that were tried."""
+"""Edge of a voxel: a twentieth of the burr. Forces are within 2 % of those at 0.1 mm on the
+paths that were tried.
+"""
 BURR_MM, FLUTES, SPIN_RPM = 4.0, 6, 20_000.0
 TOLERANCE_MM = 0.25
-"""Distance on both sides of the pocket's wall that counts neither as target nor as overcut: more than half a voxel and
-the scallops between tracks 0.7 mm apart."""
+"""Distance on both sides of the pocket's wall that counts neither as target nor as overcut: more
+than half a voxel and the scallops between tracks 0.7 mm apart."""
 PATCH_MM = 0.6
 """Distance of the patch's points: with 9 of them a fifth more than the burr."""
 DONE = 0.99
@@ -34,24 +36,29 @@ DONE = 0.99
 class Milling(ContactEnvironment):
     """Mill a pocket out of cortical bone: all of it, nothing else, without pushing hard.
 
-    A ball burr of 4 mm turns at 20,000 a minute over a block whose top lies at z = 0. The pocket is what it sweeps
-    where its tip goes over a rectangle of 4 x 2 mm, 0.8 mm deep; 0.25 mm on both sides of its wall count as neither.
-    The hand is stiff: the tool goes where it is led. An episode draws the bone's density and where the tool starts.
+    A ball burr of 4 mm turns at 20,000 a minute over a block whose top lies at z = 0. The pocket is
+    what it sweeps where its tip goes over a rectangle of 4 x 2 mm, 0.8 mm deep; 0.25 mm on both
+    sides of its wall count as neither. The hand is stiff: the tool goes where it is led. An episode
+    draws the bone's density and where the tool starts.
 
-    **Action**, 3 numbers in [-1, 1]: velocity of the tip along x, y and z, of 10 mm/s. A virtual fixture keeps the tip
-    within 2.75, 1.75 mm of the middle along x, y and from 2 mm over the bone to 1.1 mm deep.
+    **Action**, 3 numbers in [-1, 1]: velocity of the tip along x, y and z, of 10 mm/s. A virtual
+    fixture keeps the tip within 2.75, 1.75 mm of the middle along x, y and from 2 mm over the bone
+    to 1.1 mm deep.
 
-    **Observation**, see `entries`: the tip from the middle of the pocket's mouth, its velocity, force and torque on the
-    tool, from the tip to the nearest voxel of the target that is left, share of the target that is gone, overcut as a
-    share of the target, time left. With ``patch=True`` a dictionary of that as ``state`` and of the share of bone at
-    9 x 9 x 9 points 0.6 mm apart around the burr's centre as ``patch``.
+    **Observation**, see `entries`: the tip from the middle of the pocket's mouth, its velocity,
+    force and torque on the tool, from the tip to the nearest voxel of the target that is left,
+    share of the target that is gone, overcut as a share of the target, time left. With
+    ``patch=True`` a dictionary of that as ``state`` and of the share of bone at 9 x 9 x 9 points
+    0.6 mm apart around the burr's centre as ``patch``.
 
     **Reward**, see `ContactEnvironment`, with the potential::
 
-        P = (volume removed of the target - volume removed beyond the tolerance) / volume of the target
+        P = (volume removed of the target - volume removed beyond the tolerance) / volume of the
+        target
 
-    in ``reward_terms`` as ``progress`` and ``overcut``. No policy scores above 1; doing nothing scores -0.1. An episode
-    ends when 99 % of the target are gone and is truncated after 12 s. Force costs from 20 N on.
+    in ``reward_terms`` as ``progress`` and ``overcut``. No policy scores above 1; doing nothing
+    scores -0.1. An episode ends when 99 % of the target are gone and is truncated after 12 s. Force
+    costs from 20 N on.
 
     Parameters
     ----------
@@ -87,7 +94,9 @@ class Milling(ContactEnvironment):
     top_speed_mm_s = 10.0
     reach_mm = np.array([[-2.75, -1.75, -1.1], [2.75, 1.75, 2.0]])
 
-    def __init__(self, *, patch: bool = False, materials: str | PathLike[str] | None = None, **options: Any) -> None:
+    def __init__(
+        self, *, patch: bool = False, materials: str | PathLike[str] | None = None, **options: Any
+    ) -> None:
         super().__init__(**options)
         self._with_patch = patch
         self._materials = materials
@@ -100,7 +109,9 @@ class Milling(ContactEnvironment):
         """The block; made at the first reset."""
         burr = ball_burr(diameter_mm=BURR_MM, flutes=FLUTES, spin_rpm=SPIN_RPM)
         block = _block(self.pocket_mm)
-        return RestorableBone(block, burr, shell_spacing_m=1e-3 * SPACING_MM, materials=self._materials)
+        return RestorableBone(
+            block, burr, shell_spacing_m=1e-3 * SPACING_MM, materials=self._materials
+        )
 
     @cached_property
     def _target(self) -> tuple[NDArray[np.intp], Array]:
@@ -142,7 +153,9 @@ class Milling(ContactEnvironment):
     def _shares(self) -> tuple[float, float]:
         """Removed of the target and beyond the tolerance, over the target's volume."""
         removed = self.bone.model.removed_m3
-        return 1e9 * float(removed[0]) / self._target_mm3, 1e9 * float(removed[2]) / self._target_mm3
+        return 1e9 * float(removed[0]) / self._target_mm3, 1e9 * float(
+            removed[2]
+        ) / self._target_mm3
 
     def _potential(self) -> dict[str, float]:
         share, over = self._shares()
@@ -155,10 +168,14 @@ class Milling(ContactEnvironment):
         at, centres = self._target
         left = centres[self.bone.left(at)]
         away = left - self.tool.tip_m
-        nearest = 1e3 * away[np.einsum("ij,ij->i", away, away).argmin()] if len(left) else np.zeros(3)
+        nearest = (
+            1e3 * away[np.einsum("ij,ij->i", away, away).argmin()] if len(left) else np.zeros(3)
+        )
         velocity = 1e3 * self.tool.speed_m_s * self.tool.heading[0]
         loads = self._loads[:3], 1e3 * self._loads[3:]
-        state = self._scaled(self.tip_mm, velocity, *loads, nearest, *self._shares(), self.time_left)
+        state = self._scaled(
+            self.tip_mm, velocity, *loads, nearest, *self._shares(), self.time_left
+        )
         if not self._with_patch:
             return state
         centre = self.tool.tip_m + np.array([0.0, 0.0, 0.5e-3 * BURR_MM])
@@ -179,10 +196,17 @@ def _block(pocket_mm: tuple[float, float, float]) -> VoxelVolume:
     """The block with its layers: the pocket, what lies near its wall, and the rest."""
     counts = np.round(np.array(BLOCK_MM) / SPACING_MM).astype(int)
     origin = np.array([-0.5, -0.5, -1.0]) * SPACING_MM * counts
-    x, y, z = (start + SPACING_MM * (np.arange(n) + 0.5) for start, n in zip(origin, counts, strict=True))
+    x, y, z = (
+        start + SPACING_MM * (np.arange(n) + 0.5) for start, n in zip(origin, counts, strict=True)
+    )
     length, width, depth = pocket_mm
-    aside = np.maximum(np.abs(x)[:, None, None] - 0.5 * length, 0.0), np.maximum(np.abs(y)[:, None] - 0.5 * width, 0.0)
+    aside = (
+        np.maximum(np.abs(x)[:, None, None] - 0.5 * length, 0.0),
+        np.maximum(np.abs(y)[:, None] - 0.5 * width, 0.0),
+    )
     wall = np.sqrt(aside[0] ** 2 + aside[1] ** 2 + (z - 0.5 * BURR_MM + depth) ** 2) - 0.5 * BURR_MM
     layer = 1 + (wall > TOLERANCE_MM).astype(np.uint8) - (wall < -TOLERANCE_MM).astype(np.uint8)
     density = np.full(layer.shape, 1800.0)
-    return density_volume(density, spacing_mm=SPACING_MM, origin_mm=origin, layer=layer, layer_names=LAYERS)
+    return density_volume(
+        density, spacing_mm=SPACING_MM, origin_mm=origin, layer=layer, layer_names=LAYERS
+    )

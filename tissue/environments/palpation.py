@@ -19,15 +19,17 @@ __all__ = ["Palpation"]
 SIZE_M, EDGE_M = (0.1, 0.1, 0.028), 4e-3
 NODULE_RADIUS_M, NODULE_DEPTH_M = 8e-3, 13e-3
 MODULUS_KPA, NODULE_TIMES = 5.0, 20.0
-"""Young's modulus that is solved for, with forces scaled to the episode's, and how much stiffer the nodule is."""
+"""Young's modulus that is solved for, with forces scaled to the episode's, and how much stiffer
+the nodule is.
+"""
 POISSON_RATIO = 0.45
 """Lower than soft tissue's 0.49, at which linear tetrahedra lock."""
 BALL_RADIUS_M = 8e-3
 REACH_M = 22e-3
 """How far from its start the fingertip goes aside."""
 LOWEST_M, START_M, CEILING_M = -3e-3, 1e-3, 3e-3
-"""Heights of the tip: the deepest, where linear elasticity is within 5 % of a hyperelastic force, that at the start,
-and that at which the fingertip counts as lifted."""
+"""Heights of the tip: the deepest, where linear elasticity is within 5 % of a hyperelastic force,
+that at the start, and that at which the fingertip counts as lifted."""
 NEAR_M = 10e-3
 TOP_SPEED_M_S = np.array([60e-3, 60e-3, 30e-3])
 
@@ -35,13 +37,15 @@ TOP_SPEED_M_S = np.array([60e-3, 60e-3, 30e-3])
 class Palpation(ContactEnvironment):
     """Find a stiff nodule under the surface of soft tissue: press, slide, and lift where it lies.
 
-    A fingertip, a ball of 16 mm, goes over a slab of linear-elastic tissue, friction 0.1, in which a nodule of 16 mm,
-    20 times as stiff, lies 5 mm under the surface, 10 to 18 mm from where the tip starts. An episode draws the tissue's
-    modulus, to which all forces are proportional, distance and bearing of the nodule, and how the slab is turned. The
-    frame's origin lies at the start, on the surface.
+    A fingertip, a ball of 16 mm, goes over a slab of linear-elastic tissue, friction 0.1, in which
+    a nodule of 16 mm, 20 times as stiff, lies 5 mm under the surface, 10 to 18 mm from where the
+    tip starts. An episode draws the tissue's modulus, to which all forces are proportional,
+    distance and bearing of the nodule, and how the slab is turned. The frame's origin lies at the
+    start, on the surface.
 
-    **Action**, 3 numbers in [-1, 1]: velocity of the tip along x and y, of 60 mm/s, and z, of 30 mm/s. The tip stays
-    within 22 mm of the start aside, and from 3 mm over the surface to 3 mm deep.
+    **Action**, 3 numbers in [-1, 1]: velocity of the tip along x and y, of 60 mm/s, and z, of 30
+    mm/s. The tip stays within 22 mm of the start aside, and from 3 mm over the surface to 3 mm
+    deep.
 
     **Observation**, see `entries`: tip and its velocity, force and torque on the tip, time left.
 
@@ -49,9 +53,10 @@ class Palpation(ContactEnvironment):
 
         P = max(0, 1 - d / 10 mm)
 
-    of the distance d aside between tip and nodule, ``progress`` in ``reward_terms``: 0 at the start. No policy scores
-    above 1; doing nothing scores -0.1. An episode ends when the tip, having touched, is 3 mm above the surface, and is
-    truncated after 6 s; where the tip is then is the guess. Force costs from 0.4 N on.
+    of the distance d aside between tip and nodule, ``progress`` in ``reward_terms``: 0 at the
+    start. No policy scores above 1; doing nothing scores -0.1. An episode ends when the tip, having
+    touched, is 3 mm above the surface, and is truncated after 6 s; where the tip is then is the
+    guess. Force costs from 0.4 N on.
 
     Parameters
     ----------
@@ -90,10 +95,18 @@ class Palpation(ContactEnvironment):
     @cached_property
     def organ(self) -> LiverModel:
         """The slab under the fingertip; made at the first reset, its compliance kept on disk."""
-        mesh = slab(size_m=SIZE_M, spacing_m=EDGE_M, nodule=Nodule(NODULE_RADIUS_M, (0.0, 0.0, -NODULE_DEPTH_M)))
+        mesh = slab(
+            size_m=SIZE_M,
+            spacing_m=EDGE_M,
+            nodule=Nodule(NODULE_RADIUS_M, (0.0, 0.0, -NODULE_DEPTH_M)),
+        )
         moduli: dict[str | int, float] = {"nodule": NODULE_TIMES * MODULUS_KPA}
         material = SoftMaterial(
-            modulus_kPa=MODULUS_KPA, poisson_ratio=POISSON_RATIO, parts=moduli, friction=0.1, order=1
+            modulus_kPa=MODULUS_KPA,
+            poisson_ratio=POISSON_RATIO,
+            parts=moduli,
+            friction=0.1,
+            order=1,
         )
         farthest = 1e-3 * self.ranges["distance_mm"][1] + REACH_M
         side = np.arange(-farthest, farthest + EDGE_M, EDGE_M)
@@ -110,7 +123,9 @@ class Palpation(ContactEnvironment):
 
     def _prepare(self) -> None:
         bearing, turn = (np.deg2rad(self.drawn[name]) for name in ("bearing_deg", "turn_deg"))
-        self.nodule_m[:] = 1e-3 * self.drawn["distance_mm"] * np.array([np.cos(bearing), np.sin(bearing)])
+        self.nodule_m[:] = (
+            1e-3 * self.drawn["distance_mm"] * np.array([np.cos(bearing), np.sin(bearing)])
+        )
         cosine = np.cos(turn)
         sine = np.sin(turn)
         self._turn[:2, :2] = [[cosine, -sine], [sine, cosine]]
@@ -158,7 +173,11 @@ class Palpation(ContactEnvironment):
         return self._scaled(1e3 * self.tip_m, 1e3 * self._velocity_m_s, *loads, self.time_left)
 
     def _facts(self) -> dict[str, Any]:
-        return {"tip_mm": 1e3 * self.tip_m, "nodule_mm": 1e3 * self.nodule_m, "error_mm": self.error_mm}
+        return {
+            "tip_mm": 1e3 * self.tip_m,
+            "nodule_mm": 1e3 * self.nodule_m,
+            "error_mm": self.error_mm,
+        }
 
     def _draw(self) -> NDArray[np.uint8]:
         from tissue.environments.pictures import palpation_picture

@@ -1,4 +1,6 @@
-"""Stills of the environments: a section through what is left under the tool, or what a fingertip has felt."""
+"""Stills of the environments: a section through what is left under the tool, or what a fingertip
+has felt.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -39,11 +41,15 @@ def _pixels(figure: Figure) -> NDArray[np.uint8]:
     return np.array(canvas.buffer_rgba(), dtype=np.uint8)[..., :3]
 
 
-def _section(panel: Axes, bone: RestorableBone, across: int, at_m: float, colours: tuple[str, ...]) -> None:
+def _section(
+    panel: Axes, bone: RestorableBone, across: int, at_m: float, colours: tuple[str, ...]
+) -> None:
     """Layers of what is left in the plane across an axis [m]."""
     volume = bone.model.store.volume
     assert volume is not None
-    place = int(np.clip((at_m - volume.origin_m[across]) / volume.spacing_m, 0, volume.shape[across] - 1))
+    place = int(
+        np.clip((at_m - volume.origin_m[across]) / volume.spacing_m, 0, volume.shape[across] - 1)
+    )
     left = np.take(bone.model.remaining(), place, axis=across) > 127
     shown = np.where(left, np.take(volume.layer, place, axis=across).astype(np.int64), -1)
     first, second = (axis for axis in range(3) if axis != across)
@@ -51,13 +57,17 @@ def _section(panel: Axes, bone: RestorableBone, across: int, at_m: float, colour
     high = low + 1e3 * volume.spacing_m * np.array(volume.shape)
     extent = (low[first], high[first], low[second], high[second])
     shades = ListedColormap(["#FFFFFF", *colours])
-    panel.imshow(shown.T, origin="lower", extent=extent, cmap=shades, vmin=-1.5, vmax=len(colours) - 0.5)
+    panel.imshow(
+        shown.T, origin="lower", extent=extent, cmap=shades, vmin=-1.5, vmax=len(colours) - 0.5
+    )
     panel.set_xlabel(f"{'xyz'[first]} / mm")
     panel.set_ylabel(f"{'xyz'[second]} / mm")
 
 
 def milling_picture(env: "Milling") -> NDArray[np.uint8]:
-    """Sections along x under the burr and through the pocket at half its depth, the target in orange."""
+    """Sections along x under the burr and through the pocket at half its depth, the target in
+    orange.
+    """
     figure, (side, top) = _canvas(env, 2)
     tip = env.tip_mm
     radius = 1e3 * env.bone.model.cutter.profile.radius_m
@@ -76,7 +86,13 @@ def drilling_picture(env: "Drilling") -> NDArray[np.uint8]:
     radius = 1e3 * env.bone.model.cutter.profile.radius_m
     _section(side, env.bone, 1, env.tool.tip_m[1], TOOTH_COLOURS)
     side.add_patch(Circle((tip[0], tip[2] + radius), radius, fill=False, color="0.2"))
-    side.axhline(1e3 * (env.surface_m - env.wanted_m), color="0.2", linestyle="--", linewidth=1.0, label="wanted depth")
+    side.axhline(
+        1e3 * (env.surface_m - env.wanted_m),
+        color="0.2",
+        linestyle="--",
+        linewidth=1.0,
+        label="wanted depth",
+    )
     side.set_ylim(-4.0, 2.5)
     side.legend(loc="lower right", fontsize=8)
     return _pixels(figure)
@@ -90,8 +106,14 @@ def palpation_picture(env: "Palpation") -> NDArray[np.uint8]:
     figure.colorbar(shown, ax=top, label="force along z / N")
     at = 1e3 * env.nodule_m
     reach = 1e3 * env.reach_m
-    top.add_patch(Circle((at[0], at[1]), 1e3 * env.nodule_radius_m, fill=False, color="#D55E00", linestyle="--"))
+    top.add_patch(
+        Circle(
+            (at[0], at[1]), 1e3 * env.nodule_radius_m, fill=False, color="#D55E00", linestyle="--"
+        )
+    )
     top.add_patch(Rectangle((-reach, -reach), 2.0 * reach, 2.0 * reach, fill=False, color="none"))
     top.plot(x[-1], y[-1], "o", color="0.2", fillstyle="none", markersize=10)
-    top.set(xlabel="x / mm", ylabel="y / mm", xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
+    top.set(
+        xlabel="x / mm", ylabel="y / mm", xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal"
+    )
     return _pixels(figure)

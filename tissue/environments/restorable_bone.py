@@ -54,7 +54,8 @@ class RestorableBone:
         layers = volume.layer_names
         used = used_of_cutting(given, layers, bone="bone", stated={}, has_reference_density=False)
         given_note(given, used, layers=layers, by="environment")
-        # A material is named for layers that have none of their own; one core, as environments run beside each other.
+        # A material is named for layers that have none of their own; one core, as environments run
+        # beside each other.
         bone = VoxelBone(volume, given.coefficients(layers, {}, bone="bone"))
         self.model = bone.model(cutter, shell_spacing_m=shell_spacing_m, cores=1)
         self._uncut = self.model.carver.state()
@@ -77,7 +78,9 @@ class RestorableBone:
         return 1e9 * float(self.model.removed_m3[self.model.layer_names.index(layer)])
 
     def voxels(self, layer: str) -> tuple[NDArray[np.intp], Array]:
-        """Full voxels of a layer before any cut: places in the flat array of stored voxels, and centres [m]."""
+        """Full voxels of a layer before any cut: places in the flat array of stored voxels, and
+        centres [m].
+        """
         store = self.model.store
         full = self._uncut.remaining.numpy() == np.iinfo(np.uint16).max
         chosen = full & (self._layer == store.grid.layer_names.index(layer))
@@ -90,7 +93,9 @@ class RestorableBone:
         return np.asarray(stored[at] > np.iinfo(np.uint16).max // 2)
 
     def patch(self, centre_m: Array, spacing_m: float) -> NDArray[np.float32]:
-        """Share of bone at points around a place, shape (9, 9, 9), 0 none to 1 full, axes along x, y and z."""
+        """Share of bone at points around a place, shape (9, 9, 9), 0 none to 1 full, axes along
+        x, y and z.
+        """
         side = spacing_m * (np.arange(PATCH_POINTS) - PATCH_POINTS // 2)
         points = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
         found = self.model.store.sample(centre_m + points).reshape((PATCH_POINTS,) * 3)

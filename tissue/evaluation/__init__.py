@@ -1,1 +1,3 @@
-"""What evaluates the engine, which knows nothing of it: charts, atlas, study, calibration, statistics, training."""
+"""What evaluates the engine, which knows nothing of it: charts, atlas, study, calibration,
+statistics, training.
+"""

@@ -1,4 +1,6 @@
-"""Assessment of a trainee's run against a reference run of the same scene, in words and as files."""
+"""Assessment of a trainee's run against a reference run of the same scene, in words and as
+files.
+"""
 
 import json
 from collections.abc import Callable
@@ -29,9 +31,15 @@ from tissue.simulation.trace import Table
 from tissue.system.owned_folder import owned_folder, require_folder
 
 __all__ = [
-    "AssessedRun", "Assessment", "Breach", "Quantity", "assess", "assessment_lines", "require_assessment_folder",
+    "AssessedRun",
+    "Assessment",
+    "Breach",
+    "Quantity",
+    "assess",
+    "assessment_lines",
+    "require_assessment_folder",
     "write_assessment",
-]  # fmt: skip
+]
 
 GAP_S = 0.15
 """Breaches closer than a period of slow tremor are one."""
@@ -43,7 +51,9 @@ REFERENCE = "0.45"
 LIMIT = "#D55E00"
 SHADE = "#E69F00"
 FORCE_MARGIN = 1.25
-"""A trainee may press this many times the reference's peak force where no limit is given: a convention, not a norm."""
+"""A trainee may press this many times the reference's peak force where no limit is given: a
+convention, not a norm.
+"""
 
 
 class AssessedRun(Protocol):
@@ -92,7 +102,8 @@ class Breach:
     def sentence(self) -> str:
         """Time and size of the breach in words."""
         return (
-            f"{self.what} above {self.limit:.3g} {self.unit} from {self.start_s:.3f} to {self.end_s:.3f} s, "
+            f"{self.what} above {self.limit:.3g} {self.unit} from {self.start_s:.3f} to "
+            f"{self.end_s:.3f} s, "
             f"at worst {self.worst:.3g} {self.unit} at {self.worst_at_s:.3f} s"
         )
 
@@ -123,10 +134,16 @@ class Quantity:
         """Return the spans above the limit. Spans a short gap apart are joined."""
         above = np.flatnonzero(self.values > self.limit)
         found = []
-        for span in np.split(above, np.flatnonzero(np.diff(time_s[above]) > GAP_S) + 1) if len(above) else []:
+        for span in (
+            np.split(above, np.flatnonzero(np.diff(time_s[above]) > GAP_S) + 1)
+            if len(above)
+            else []
+        ):
             worst = span[self.values[span].argmax()]
             start, end, at = (float(time_s[index]) for index in (span[0], span[-1], worst))
-            found.append(Breach(self.what, start, end, float(self.values[worst]), at, self.limit, self.unit))
+            found.append(
+                Breach(self.what, start, end, float(self.values[worst]), at, self.limit, self.unit)
+            )
         return found
 
 
@@ -137,7 +154,8 @@ class Assessment:
     Attributes
     ----------
     figures
-        Numbers by name, units in the names; where both runs have one, as {"trainee": ..., "reference": ...}.
+        Numbers by name, units in the names; where both runs have one, as {"trainee": ...,
+        "reference": ...}.
     breaches
         Limits that were passed, in the order of time.
     events
@@ -145,8 +163,8 @@ class Assessment:
     time_s
         Of the trainee's ticks, shape (ticks,).
     deviation, force, depth
-        Distance from the reference's path at the aligned place [mm], size of the force [N], and depth along the
-        reference tool's axis from its first contact [mm].
+        Distance from the reference's path at the aligned place [mm], size of the force [N], and
+        depth along the reference tool's axis from its first contact [mm].
     notes
         Differences between the two runs that limit what the figures mean, a sentence each.
     """
@@ -171,15 +189,17 @@ def assess(
 ) -> Assessment:
     """Compare a run with a reference run of the same scene.
 
-    The two are aligned by place, not by time: dynamic time warping (Sakoe and Chiba 1978) of the tool's paths finds for
-    each tick of the trainee the moment of the reference that it corresponds to, so that a pause is no error.
+    The two are aligned by place, not by time: dynamic time warping (Sakoe and Chiba 1978) of the
+    tool's paths finds for each tick of the trainee the moment of the reference that it corresponds
+    to, so that a pause is no error.
 
     Parameters
     ----------
     trainee, reference
         Runs.
     force_limit_N
-        Force on the tool that should not be passed [N]; 1.25 times the reference's peak where it is not given.
+        Force on the tool that should not be passed [N]; 1.25 times the reference's peak where it is
+        not given.
     deviation_limit_mm
         Distance from the reference's path that should not be passed [mm].
     overshoot_limit_mm
@@ -188,11 +208,15 @@ def assess(
     Raises
     ------
     InputError
-        If the runs are of two tasks (another anatomy, tool or material), hold no trace, or never touch.
+        If the runs are of two tasks (another anatomy, tool or material), hold no trace, or never
+        touch.
     """
     scenes = [each.summary.get("scene") for each in (trainee, reference)]
     if scenes[0] != scenes[1]:
-        raise InputError(f"run and reference must be of one scene, got {scenes[0]} and {scenes[1]}: run the same scene")
+        raise InputError(
+            f"run and reference must be of one scene, got {scenes[0]} and {scenes[1]}: run "
+            "the same scene"
+        )
     require_same_task(trainee.scene, reference.scene)
     mine = _trace(trainee, "run")
     theirs = _trace(reference, "reference")
@@ -210,7 +234,9 @@ def assess(
     time = mine["time_s"]
     deepest = float(plan.max())
     limit = FORCE_MARGIN * float(ideal_size.max()) if force_limit_N is None else force_limit_N
-    require_positive("force_limit_N", limit, "use a reference that touches the tissue, or give --force-limit-N")
+    require_positive(
+        "force_limit_N", limit, "use a reference that touches the tissue, or give --force-limit-N"
+    )
     require_positive("deviation_limit_mm", deviation_limit_mm, "use 1")
     require_positive("overshoot_limit_mm", overshoot_limit_mm, "use 0.5")
     quantities = (
@@ -222,7 +248,11 @@ def assess(
     figures: Figures = {
         "scene": scenes[0],
         "time_in_contact_s": _both(_contact_s, mine, theirs),
-        "deviation_mm": {"mean": float(apart.mean()), "worst": float(apart[worst]), "worst_at_s": float(time[worst])},
+        "deviation_mm": {
+            "mean": float(apart.mean()),
+            "worst": float(apart[worst]),
+            "worst_at_s": float(time[worst]),
+        },
         "peak_force_N": {"trainee": float(size.max()), "reference": float(ideal_size.max())},
         "force_error": force_error(force, ideal[rows]),
         "overshoot_mm": overshoot_mm(depth, target_mm=deepest),
@@ -231,8 +261,14 @@ def assess(
         "complete": {"trainee": trainee.complete, "reference": reference.complete},
     }
     known = {each["what"] for each in reference.summary.get("events", ())}
-    events = [(each["time_s"], each["what"]) for each in trainee.summary.get("events", ()) if each["what"] not in known]
-    breaches = sorted((each for one in quantities for each in one.breaches(time)), key=lambda each: each.start_s)
+    events = [
+        (each["time_s"], each["what"])
+        for each in trainee.summary.get("events", ())
+        if each["what"] not in known
+    ]
+    breaches = sorted(
+        (each for one in quantities for each in one.breaches(time)), key=lambda each: each.start_s
+    )
     notes = (*scene_notes(trainee.scene, reference.scene), *_unfinished(trainee, reference))
     return Assessment(figures, tuple(breaches), tuple(events), time, *quantities, notes)
 
@@ -247,13 +283,22 @@ def assessment_lines(found: Assessment) -> list[str]:
     arc = figures["spectral_arc_length"]
     more = len(found.breaches) - MOST_BREACHES
     return [
-        f"path: {apart['mean']:.2f} mm off on average, {apart['worst']:.2f} at {apart['worst_at_s']:.3f} s",
+        (
+            f"path: {apart['mean']:.2f} mm off on average, {apart['worst']:.2f} at "
+            f"{apart['worst_at_s']:.3f} s"
+        ),
         f"depth: {figures['overshoot_mm']:.2f} mm beyond the reference's deepest point",
         f"force: peak {peak['trainee']:.3g} N against {peak['reference']:.3g}, "
         f"{100.0 * figures['force_error']:.0f} % from the reference's at the same place",
         f"time from first to last contact: {time['trainee']:.2f} s against {time['reference']:.2f}",
-        f"spectral arc length {arc['trainee']:.2f} against {arc['reference']:.2f}, nearer to zero is smoother",
-        f"change of acceleration {rough['trainee']:.3g} m/s² against {rough['reference']:.3g}, lower is smoother",
+        (
+            f"spectral arc length {arc['trainee']:.2f} against {arc['reference']:.2f}, nearer to "
+            "zero is smoother"
+        ),
+        (
+            f"change of acceleration {rough['trainee']:.3g} m/s² against "
+            f"{rough['reference']:.3g}, lower is smoother"
+        ),
         *(f"breach: {each.sentence}" for each in found.breaches[:MOST_BREACHES]),
         *(f"at {at:.3f} s, and not in the reference: {what}" for at, what in found.events),
         *([f"and {more} more breaches"] if more > 0 else []),
@@ -285,12 +330,14 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
     data = {
         **found.figures,
         "limits": {
-            "force_N": found.force.limit, "deviation_mm": found.deviation.limit, "depth_mm": found.depth.limit
+            "force_N": found.force.limit,
+            "deviation_mm": found.deviation.limit,
+            "depth_mm": found.depth.limit,
         },
         "breaches": [asdict(each) for each in found.breaches],
         "notes": list(found.notes),
         "events": [{"time_s": at, "what": what} for at, what in found.events],
-    }  # fmt: skip
+    }
     with owned_folder(folder, "assessment", FILES, overwrite=overwrite):
         with whole_file(folder / FILES[0]) as temporary:
             temporary.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
@@ -299,32 +346,50 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
 
 
 def _draw(found: Assessment, path: Path) -> None:
-    """Draw the quantities of trainee and reference over time, and the limits with their breaches."""
+    """Draw the quantities of trainee and reference over time, and the limits with their
+    breaches.
+    """
     chart = figure(9.0, 7.2)
     panels = chart.subplots(3, 1, sharex=True)
     chart.subplots_adjust(left=0.09, right=0.98, top=0.9, bottom=0.08, hspace=0.14)
     time = found.time_s
     least = 0.002 * float(time[-1] - time[0])  # a breach of a tick or two must still be seen
     labels = ("distance from\nthe path / mm", "force / N", "depth / mm")
-    for axes, label, each in zip(panels, labels, (found.deviation, found.force, found.depth), strict=True):
+    for axes, label, each in zip(
+        panels, labels, (found.deviation, found.force, found.depth), strict=True
+    ):
         for breach in (breach for breach in found.breaches if breach.what == each.what):
             end = max(breach.end_s, breach.start_s + least)
             axes.axvspan(breach.start_s, end, color=SHADE, alpha=0.35, lw=0)
         if each.reference is not None:
-            axes.plot(time, each.reference, color=REFERENCE, linewidth=1.4, label="reference at that place")
+            axes.plot(
+                time,
+                each.reference,
+                color=REFERENCE,
+                linewidth=1.4,
+                label="reference at that place",
+            )
         axes.plot(time, each.values, color=TRAINEE, label="trainee")
         axes.axhline(each.limit, color=LIMIT, linestyle="--", linewidth=1.4, label="limit")
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
         high = max(each.limit, float(each.values.max()))
-        low = max(min(0.0, float(each.values.min())), -high)  # the approach would leave no space for the depth
+        # the approach would leave no space for the depth
+        low = max(min(0.0, float(each.values.min())), -high)
         axes.set_ylim(low, high + 0.08 * (high - low))
     panels[2].set(xlabel="time / s", xlim=(float(time[0]), float(time[-1])))
-    chart.legend(*panels[1].get_legend_handles_labels(), loc="upper right", bbox_to_anchor=(0.985, 0.945), ncols=3,
-                 frameon=False)  # fmt: skip
+    chart.legend(
+        *panels[1].get_legend_handles_labels(),
+        loc="upper right",
+        bbox_to_anchor=(0.985, 0.945),
+        ncols=3,
+        frameon=False,
+    )
     count = len(found.breaches)
     figures = found.figures
-    summary = "no limit passed" if not count else f"{count} breach{'es' if count > 1 else ''}, shaded"
+    summary = (
+        "no limit passed" if not count else f"{count} breach{'es' if count > 1 else ''}, shaded"
+    )
     title = f"{figures['scene']}: a trainee against the reference, {summary}"
     chart.text(0.09, 0.955, title, size=11, va="center")
     mean = figures["deviation_mm"]["mean"]
@@ -337,14 +402,20 @@ def _draw(found: Assessment, path: Path) -> None:
 def _unfinished(trainee: AssessedRun, reference: AssessedRun) -> list[str]:
     """Return sentences on runs that end before their paths do."""
     runs = {"trainee": trainee, "reference": reference}
-    return [f"the path of the {who} is {note}" for who, run in runs.items() if (note := path_note(run.summary))]
+    return [
+        f"the path of the {who} is {note}"
+        for who, run in runs.items()
+        if (note := path_note(run.summary))
+    ]
 
 
 def _trace(run: AssessedRun, name: str) -> Table:
     """Return the trace of a run, long enough to compare."""
     if run.trace is None or len(run.trace.rows) < 10:
         got = run.path or "a run"
-        raise InputError(f"{name} must hold a trace of ten ticks or more, got {got} without: run the scene again")
+        raise InputError(
+            f"{name} must hold a trace of ten ticks or more, got {got} without: run the scene again"
+        )
     return run.trace
 
 
@@ -358,7 +429,9 @@ def _acceleration_change_m_s2(trace: Table) -> float:
 
 
 def _arc_length(trace: Table) -> float:
-    return spectral_arc_length(np.linalg.norm(trace.vectors("velocity", "mm_s"), axis=1), tick_s=TICK_S)
+    return spectral_arc_length(
+        np.linalg.norm(trace.vectors("velocity", "mm_s"), axis=1), tick_s=TICK_S
+    )
 
 
 def _contact_s(trace: Table) -> float:
@@ -368,10 +441,14 @@ def _contact_s(trace: Table) -> float:
 
 
 def _approach(trace: Table) -> tuple[Array, Array]:
-    """Return the mean axis of the tool in contact, out of the tissue, and the place of the first contact [mm]."""
+    """Return the mean axis of the tool in contact, out of the tissue, and the place of the first
+    contact [mm].
+    """
     rows = np.flatnonzero(trace["contact_mm2"] > 0.0)
     if not len(rows):
-        raise InputError("reference must touch the tissue, got a run without contact: choose another reference")
+        raise InputError(
+            "reference must touch the tissue, got a run without contact: choose another reference"
+        )
     quaternions = np.column_stack([trace[f"tool_q{c}"][rows] for c in "xyzw"])
     axis = tool_axes(quaternions).mean(axis=0)
     return axis / np.linalg.norm(axis), trace.vectors("tool", "mm")[rows[0]]

@@ -1,4 +1,6 @@
-"""Checks that two runs are of one task, so that an assessment of one against the other means something."""
+"""Checks that two runs are of one task, so that an assessment of one against the other means
+something.
+"""
 
 import filecmp
 import tomllib
@@ -14,15 +16,18 @@ from tissue.simulation.run_summary import Summary
 __all__ = ["path_note", "require_same_task", "scene_notes"]
 
 TASK = ("anatomy", "keep_clear", "organ", "cutting", "tool")
-"""Parts of a scene that make the task: in another tissue or with another tool, other forces and depths are right."""
+"""Parts of a scene that make the task: in another tissue or with another tool, other forces and
+depths are right.
+"""
 NUMERICAL = frozenset(
     f"organ.{name}"
-    for name in ("law_interval_ms", "law_edge_ratio", "order",
-                 "path", "basis_size", "interval_ms")
-)  # fmt: skip
+    for name in ("law_interval_ms", "law_edge_ratio", "order", "path", "basis_size", "interval_ms")
+)
 """Keys of these parts that change the computation and not the task."""
 FREE = ("name", "description", "seed", "device", "output", "fidelity")
-"""Parts that may differ between a trainee and a reference without a word: who moves the tool, and by which device."""
+"""Parts that may differ between a trainee and a reference without a word: who moves the tool,
+and by which device.
+"""
 
 
 def require_same_task(trainee: Scene | None, reference: Scene | None) -> None:
@@ -38,12 +43,14 @@ def require_same_task(trainee: Scene | None, reference: Scene | None) -> None:
     for key, mine, theirs in _differences(trainee, reference):
         if key.partition(".")[0] in TASK and key not in NUMERICAL:
             raise InputError(
-                f"run and reference must be of one task, got {key} = {shown(mine)} and {shown(theirs)}: run the "
+                f"run and reference must be of one task, got {key} = {shown(mine)} and "
+                f"{shown(theirs)}: run the "
                 "reference's scene"
             )
     if trainee.constants.key != reference.constants.key:
         raise InputError(
-            f"run and reference must be of one material, got constants of {trainee.materials or 'the library'} and "
+            "run and reference must be of one material, got constants of "
+            f"{trainee.materials or 'the library'} and "
             f"{reference.materials or 'the library'}: run the reference's scene"
         )
 
@@ -70,12 +77,15 @@ def _differences(one: Scene, other: Scene) -> Iterator[tuple[str, object, object
     """Yield keys of two scenes with their values where these differ, defaults included."""
     first, second = (dict(_flat(tomllib.loads(each.to_toml()))) for each in (one, other))
     for key in dict.fromkeys((*first, *second)):
-        if first.get(key) != second.get(key) and not _same_file(key, first.get(key), second.get(key)):
+        if first.get(key) != second.get(key) and not _same_file(
+            key, first.get(key), second.get(key)
+        ):
             yield key, first.get(key, "nothing"), second.get(key, "nothing")
 
 
 def _same_file(key: str, one: object, other: object) -> bool:
-    """Return whether a key names files of one name and content; one that is not on this machine is judged by its name.
+    """Return whether a key names files of one name and content; one that is not on this machine is
+    judged by its name.
 
     A trainee's run may come from another machine, where the anatomy lies elsewhere.
     """

@@ -42,10 +42,12 @@ def scene_stability(scene: Scene) -> StabilityMap:
     """
     if scene.device is None:
         raise InputError(
-            f"device must be one of {', '.join(DEVICES)} for a stability map, got none: pass --set device=touch"
+            f"device must be one of {', '.join(DEVICES)} for a stability map, got none: pass "
+            "--set device=touch"
         )
     held = in_hands(
-        judged_loop(loop_settings(scene), step_s=TICK_S), [hand_parameters(scene.held.hand, scene.constants).grip[:3]]
+        judged_loop(loop_settings(scene), step_s=TICK_S),
+        [hand_parameters(scene.held.hand, scene.constants).grip[:3]],
     )
     return stability_map(held[0])
 
@@ -55,12 +57,15 @@ def stability_lines(scene: Scene, found: StabilityMap) -> list[str]:
     chosen = found.chosen
     data = found.over_delay
     return [
-        f"{scene.held.kind} in the hand of a person of the group {scene.held.hand}, {1e-3 / chosen.tick_s:g} kHz, "
+        f"{scene.held.kind} in the hand of a person of the group {scene.held.hand}, "
+        f"{1e-3 / chosen.tick_s:g} kHz, "
         f"{1e3 * chosen.delay_s:g} ms added to the hold, low-pass {1e3 * chosen.filter_s:g} ms",
         f"chosen: {found.verdict.sentence(chosen.stiffness_N_m)}",
         *(
-            f"delay {1e3 * data.values[index]:4.1f} ms: stable below {data.exact_N_m[index]:8.0f} N/m by eigenvalues, "
-            f"{data.measured_N_m[index]:8.0f} measured, {data.lines_N_m['passive'][index]:6.0f} passive"
+            f"delay {1e3 * data.values[index]:4.1f} ms: stable below "
+            f"{data.exact_N_m[index]:8.0f} N/m by eigenvalues, "
+            f"{data.measured_N_m[index]:8.0f} measured, "
+            f"{data.lines_N_m['passive'][index]:6.0f} passive"
             for index in range(0, len(data.values), 6)
         ),
     ]
@@ -77,8 +82,11 @@ def require_map_folder(folder: Path, *, overwrite: bool) -> None:
     require_folder(folder, "map", FILES, overwrite=overwrite)
 
 
-def write_stability_files(scene: Scene, found: StabilityMap, folder: Path, *, overwrite: bool) -> list[Path]:
-    """Write the picture of a map, and boundaries in N/m over what is varied as ``stability_damping`` and ``_delay``.
+def write_stability_files(
+    scene: Scene, found: StabilityMap, folder: Path, *, overwrite: bool
+) -> list[Path]:
+    """Write the picture of a map, and boundaries in N/m over what is varied as
+    ``stability_damping`` and ``_delay``.
 
     Raises
     ------
@@ -86,22 +94,34 @@ def write_stability_files(scene: Scene, found: StabilityMap, folder: Path, *, ov
         If the folder is a file, or holds another map.
     """
     with owned_folder(folder, "map", FILES, overwrite=overwrite):
-        _draw_stability(found, folder / FILES[0], title=f"{scene.name}: {scene.held.kind}, {scene.held.hand}")
+        _draw_stability(
+            found, folder / FILES[0], title=f"{scene.name}: {scene.held.kind}, {scene.held.hand}"
+        )
         for name, data in zip(FILES[1:], (found.over_damping, found.over_delay), strict=True):
-            lines = {f"{line.replace(' ', '_')}_N_m": values for line, values in data.lines_N_m.items()}
-            columns = {data.along: data.values, "measured_N_m": data.measured_N_m, "exact_N_m": data.exact_N_m}
+            lines = {
+                f"{line.replace(' ', '_')}_N_m": values for line, values in data.lines_N_m.items()
+            }
+            columns = {
+                data.along: data.values,
+                "measured_N_m": data.measured_N_m,
+                "exact_N_m": data.exact_N_m,
+            }
             write_columns(folder / name, columns | lines)
     return [folder / name for name in FILES]
 
 
 def _draw_stability(found: StabilityMap, path: Path, *, title: str) -> None:
-    """Draw both charts: growth by eigenvalues as shading, the measured boundary, lines of theory, the chosen point."""
+    """Draw both charts: growth by eigenvalues as shading, the measured boundary, lines of
+    theory, the chosen point.
+    """
     chart = figure(9.0, 4.9)
     axes = chart.subplots(1, 2)
     chart.subplots_adjust(left=0.09, right=0.98, top=0.84, bottom=0.25, wspace=0.24)
     for panel, data in zip(axes, (found.over_damping, found.over_delay), strict=True):
         _draw(panel, data, found)
-    chart.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncols=3, frameon=False, fontsize=9)
+    chart.legend(
+        *axes[0].get_legend_handles_labels(), loc="lower center", ncols=3, frameon=False, fontsize=9
+    )
     chart.text(0.09, 0.95, title, va="center", size=11)
     chosen = f"chosen: {found.verdict.sentence(found.chosen.stiffness_N_m)}"
     chart.text(0.09, 0.895, chosen, va="center", size=9, color="0.25")
@@ -115,16 +135,31 @@ def _draw(panel: Axes, data: StabilityChart, found: StabilityMap) -> None:
     low = data.stiffnesses_N_m[0]
     high = data.stiffnesses_N_m[-1]
     grows = np.where(data.growth >= 1.0, 1.0, np.nan)
-    panel.pcolormesh(across, data.stiffnesses_N_m, grows, cmap="Greys", vmin=0.0, vmax=4.0, shading="nearest")
+    panel.pcolormesh(
+        across, data.stiffnesses_N_m, grows, cmap="Greys", vmin=0.0, vmax=4.0, shading="nearest"
+    )
     panel.plot(across, data.exact_N_m, color="0.1", linewidth=2.0, label="eigenvalues, exact delay")
     panel.plot(
-        across[::2], data.measured_N_m[::2], "o", color="#0072B2", markersize=4.5, label="measured by running it"
+        across[::2],
+        data.measured_N_m[::2],
+        "o",
+        color="#0072B2",
+        markersize=4.5,
+        label="measured by running it",
     )
     for name, values in data.lines_N_m.items():
         colour, line = LINES[name]
         shown = np.where((values > low) & (values < high), values, np.nan)
         panel.plot(across, shown, color=colour, linestyle=line, linewidth=1.6, label=name)
     x = scale * float(getattr(found.chosen, data.along))
-    panel.plot([x], [found.chosen.stiffness_N_m], "*", color="#D55E00", markersize=14, label="chosen", zorder=5)
+    panel.plot(
+        [x],
+        [found.chosen.stiffness_N_m],
+        "*",
+        color="#D55E00",
+        markersize=14,
+        label="chosen",
+        zorder=5,
+    )
     panel.set(xlabel=label, ylabel="stiffness / N/m", yscale="log", ylim=(low, high))
     panel.grid(alpha=0.3, which="both")

@@ -21,15 +21,16 @@ __all__ = ["assemble", "pair_tables"]
 def assemble(space: Space, elasticity: ArrayLike) -> bsr_array:
     """Stiffness matrix [N/m] of linear elastic cells, shape (unknowns, unknowns), in blocks of 3x3.
 
-    Both triangles are stored and equal each other bitwise, on any number of cores. Integrals are exact.
+    Both triangles are stored and equal each other bitwise, on any number of cores. Integrals are
+    exact.
 
     Parameters
     ----------
     space
         Nodes and cells; where the blocks lie is found once and kept there.
     elasticity
-        Lame constants [Pa], shape (2,) or (m, 2), or stiffness matrices [Pa], shape (6, 6) or (m, 6, 6), as
-        `tissue.materials.elasticity` makes them.
+        Lame constants [Pa], shape (2,) or (m, 2), or stiffness matrices [Pa], shape (6, 6) or (m,
+        6, 6), as `tissue.materials.elasticity` makes them.
 
     Raises
     ------
@@ -46,7 +47,10 @@ def assemble(space: Space, elasticity: ArrayLike) -> bsr_array:
     corners, weights = pair_tables(space.order)
     blocks = wp.empty(len(pattern.column), dtype=wp.mat33d, device=device)
     inputs = [
-        *(on(part, wp.int32) for part in (pattern.pair_start, pattern.contribution, pattern.place, pattern.mirror)),
+        *(
+            on(part, wp.int32)
+            for part in (pattern.pair_start, pattern.contribution, pattern.place, pattern.mirror)
+        ),
         on(corners, wp.int32),
         on(weights, wp.float64),
         *space.gradients,
@@ -61,14 +65,18 @@ def assemble(space: Space, elasticity: ArrayLike) -> bsr_array:
         offset_index=len(inputs) - 1,
         device=device,
     )()
-    return bsr_array((blocks.numpy(), pattern.column, pattern.row_start), shape=(space.unknown_count,) * 2)
+    return bsr_array(
+        (blocks.numpy(), pattern.column, pattern.row_start), shape=(space.unknown_count,) * 2
+    )
 
 
 @cache
 def pair_tables(order: int) -> tuple[NDArray[np.int32], Array]:
-    """Two corners of each shape function of each pair in a cell, and weights of their products, shapes (p, 4).
+    """Two corners of each shape function of each pair in a cell, and weights of their products,
+    shapes (p, 4).
 
-    The corners of A are i, j and those of B k, n; weights belong to the products ik, in, jk, jn of the gradients.
+    The corners of A are i, j and those of B k, n; weights belong to the products ik, in, jk, jn of
+    the gradients.
     """
     products = gradient_products(4, order)
     ends = np.concatenate([np.stack([np.arange(4)] * 2, axis=1), EDGES[: len(products) - 4]])

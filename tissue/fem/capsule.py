@@ -1,12 +1,14 @@
-"""A capsule: a thin elastic membrane on the surface, in plane stress, that resists stretch and not bending.
+"""A capsule: a thin elastic membrane on the surface, in plane stress, that resists stretch and not
+bending.
 
-With P = I - n n^T the projection on a face and g_c its gradients, the strain is ``P sym(grad u) P`` and the block of a
-pair ``t (lambda' S + mu S^T + mu tr(S) P)`` with lambda' = E nu / (1 - nu^2): the membrane's counterpart of the cells'
-formula in `kernels.tetrahedra`.
+With P = I - n n^T the projection on a face and g_c its gradients, the strain is ``P sym(grad u) P``
+and the block of a pair ``t (lambda' S + mu S^T + mu tr(S) P)`` with lambda' = E nu / (1 - nu^2):
+the membrane's counterpart of the cells' formula in `kernels.tetrahedra`.
 
-On a curved body prefer linear cells under a stiff capsule: quadratic cells with straight edges have nodes in the middle
-of flat pieces of membrane, which carry no pressure, so that the corners are pulled in too far (by 8 % where capsule and
-body are equally stiff, at 7 cells a quadrant; the mean motion is off by 2 %).
+On a curved body prefer linear cells under a stiff capsule: quadratic cells with straight edges have
+nodes in the middle of flat pieces of membrane, which carry no pressure, so that the corners are
+pulled in too far (by 8 % where capsule and body are equally stiff, at 7 cells a quadrant; the mean
+motion is off by 2 %).
 
 What a capsule adds by bending, as around a needle, is not in it.
 """
@@ -33,10 +35,11 @@ def capsule_stiffness(
     poisson_ratio: float,
     faces: Ints | None = None,
 ) -> bsr_array:
-    """Stiffness matrix [N/m] of a membrane on faces of the surface, to be added to that of the cells.
+    """Stiffness matrix [N/m] of a membrane on faces of the surface, to be added to that of the
+    cells.
 
-    Shape (unknowns, unknowns), in blocks of 3x3. It equals its transpose bitwise, and so does its sum with the matrix
-    of the cells.
+    Shape (unknowns, unknowns), in blocks of 3x3. It equals its transpose bitwise, and so does its
+    sum with the matrix of the cells.
 
     Parameters
     ----------
@@ -60,7 +63,9 @@ def capsule_stiffness(
     nodes = space.faces if faces is None else faces
     thickness = np.broadcast_to(np.asarray(thickness_m, dtype=np.float64), len(nodes))
     if not (np.isfinite(thickness) & (thickness > 0.0)).all():
-        raise InputError(f"thickness_m must be positive and finite, got {thickness.min()}: leave bare faces out")
+        raise InputError(
+            f"thickness_m must be positive and finite, got {thickness.min()}: leave bare faces out"
+        )
     corners = space.nodes_m[nodes[:, :3]]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     double_area = np.linalg.norm(normal, axis=1)
@@ -74,7 +79,9 @@ def capsule_stiffness(
     plane = np.eye(3) - normal[:, :, None] * normal[:, None, :]
     shares = first * product + shear * product.swapaxes(2, 3)
     shares += shear * np.trace(product, axis1=2, axis2=3)[..., None, None] * plane[:, None]
-    return _summed(shares.reshape(-1, 3, 3), Pattern.of(nodes, space.node_count), space.unknown_count)
+    return _summed(
+        shares.reshape(-1, 3, 3), Pattern.of(nodes, space.node_count), space.unknown_count
+    )
 
 
 def _summed(shares: Array, pattern: Pattern, unknown_count: int) -> bsr_array:

@@ -8,19 +8,36 @@ import numpy as np
 
 from meshes.base.arrays import Array
 
-__all__ = ["Iterate", "IterativeSolution", "Solution", "SolverOutcome", "conjugate_gradients", "dot"]
+__all__ = [
+    "Iterate",
+    "IterativeSolution",
+    "Solution",
+    "SolverOutcome",
+    "conjugate_gradients",
+    "dot",
+]
 
 
 class SolverOutcome(Enum):
     """How a solve ended; the value holds the cause and the remedy."""
 
     CONVERGED = "the displacement holds to the tolerance"
-    NOT_CONVERGED = "the iterations ran out: allow more, loosen the tolerance, or take smaller steps"
+    NOT_CONVERGED = (
+        "the iterations ran out: allow more, loosen the tolerance, or take smaller steps"
+    )
     INACCURATE = "rounding is too large: mend sliver cells, or lower the contrast of moduli"
-    INDEFINITE = "the stiffness is not positive definite: check moduli, Poisson's ratio, sliver cells and loose parts"
-    OUTSIDE_BASIS = "the basis does not hold this load to the tolerance: take more modes, or another solver"
+    INDEFINITE = (
+        "the stiffness is not positive definite: check moduli, Poisson's ratio, sliver cells and "
+        "loose parts"
+    )
+    OUTSIDE_BASIS = (
+        "the basis does not hold this load to the tolerance: take more modes, or another solver"
+    )
     INVERTED = "the held nodes turn cells over: move them in smaller steps"
-    STALLED = "no step lowers the energy, cells are about to turn over: press less deep, or use the neo-Hookean law"
+    STALLED = (
+        "no step lowers the energy, cells are about to turn over: press less deep, or use the "
+        "neo-Hookean law"
+    )
     UNSUPPORTED = "nothing holds the body: fix nodes that carry load, or give them springs"
 
 
@@ -37,8 +54,9 @@ class Solution:
     iterations
         Iterations; 0 where the path does not iterate.
     residual
-        Norm of ``f - K u`` over the free components, relative to that of f. For a reduced basis the relative error in
-        the energy norm instead: what it leaves out moves little and weighs much in f.
+        Norm of ``f - K u`` over the free components, relative to that of f. For a reduced basis the
+        relative error in the energy norm instead: what it leaves out moves little and weighs much
+        in f.
     """
 
     displacement_m: Array
@@ -104,8 +122,8 @@ def conjugate_gradients(
 ) -> IterativeSolution:
     """Solve ``K u = f`` for a symmetric positive definite K, on arrays of any shape.
 
-    The direction's factor is Polak and Ribiere's, which forgives a preconditioner that is not quite symmetric, or is in
-    single precision (Golub and Ye 1999, SIAM J. Sci. Comput. 21:1305).
+    The direction's factor is Polak and Ribiere's, which forgives a preconditioner that is not quite
+    symmetric, or is in single precision (Golub and Ye 1999, SIAM J. Sci. Comput. 21:1305).
 
     Parameters
     ----------
@@ -124,12 +142,14 @@ def conjugate_gradients(
     least_curvature
         Below this ``p . K p`` of a direction p is rounding, and K not positive definite.
     correct_last
-        Add the last residual's correction, which is there, to what has converged: it lessens the error where no
-        eigenvalue of ``B K`` is above 2.
+        Add the last residual's correction, which is there, to what has converged: it lessens the
+        error where no eigenvalue of ``B K`` is above 2.
     """
     norm = np.sqrt(dot(load, load))
     if norm == 0.0:
-        return IterativeSolution(np.zeros_like(load), SolverOutcome.CONVERGED, 0, residual=0.0, error=0.0)
+        return IterativeSolution(
+            np.zeros_like(load), SolverOutcome.CONVERGED, 0, residual=0.0, error=0.0
+        )
     found = np.zeros_like(load) if start is None else start
     now = Iterate(found, load - product(found) if found.any() else load)
     before = now.residual

@@ -21,7 +21,8 @@ class Frame:
     points
         Values at the nodes by name with unit, shape (nodes,) or (nodes, 3).
     cells
-        Values of the cells by name with unit, shape (cells,) or (cells, 3); NaN where a cell is gone.
+        Values of the cells by name with unit, shape (cells,) or (cells, 3); NaN where a cell is
+        gone.
     """
 
     time_s: float
@@ -38,7 +39,8 @@ class FieldSeries:
     nodes_m
         Node positions [m], shape (nodes, 3).
     cells
-        Nodes of each cell in VTK's order, shape (cells, 8) for hexahedra or (cells, 4) for tetrahedra.
+        Nodes of each cell in VTK's order, shape (cells, 8) for hexahedra or (cells, 4) for
+        tetrahedra.
     layer
         Layer of each cell, shape (cells,).
     layer_names

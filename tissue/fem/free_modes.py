@@ -8,13 +8,17 @@ from meshes.base.arrays import Array
 __all__ = ["free_modes", "rigid_modes"]
 
 LEAST_HOLD = 1e-6
-"""A motion that moves the held components by less than this share of the body's own motion is free."""
+"""A motion that moves the held components by less than this share of the body's own motion is
+free.
+"""
 STRAIGHT = 1e-4
 """Directions closer to an axis than this are called by its letter."""
 
 
 def rigid_modes(nodes_m: Array, about_m: Array) -> Array:
-    """Displacements of nodes under three unit translations and three unit rotations, shape (n, 3, 6)."""
+    """Displacements of nodes under three unit translations and three unit rotations, shape (n,
+    3, 6).
+    """
     modes = np.zeros((len(nodes_m), 3, 6))
     modes[:, :, :3] = np.eye(3)
     modes[:, :, 3:] = np.cross(np.eye(3)[None], (nodes_m - about_m)[:, None, :]).transpose(0, 2, 1)
@@ -22,7 +26,8 @@ def rigid_modes(nodes_m: Array, about_m: Array) -> Array:
 
 
 def free_modes(nodes_m: Array, held: NDArray[np.bool_]) -> list[str]:
-    """Rigid motions that leave all held components where they are, in words; empty if the body is supported.
+    """Rigid motions that leave all held components where they are, in words; empty if the body is
+    supported.
 
     Parameters
     ----------
@@ -70,7 +75,9 @@ def _named(rows: Array, centre: Array, size: float) -> list[str]:
             slides.append(f"translation along {_direction(shift)}")
             continue
         point = centre + size * np.cross(turn, shift) / (turn @ turn)
-        place = ", ".join(f"{value:.3g}" for value in np.where(np.abs(point) < STRAIGHT * size, 0.0, point))
+        place = ", ".join(
+            f"{value:.3g}" for value in np.where(np.abs(point) < STRAIGHT * size, 0.0, point)
+        )
         pitch = turn @ shift / (turn @ turn)
         kind = "rotation" if abs(pitch) < STRAIGHT else "screw motion"
         turns.append(f"{kind} about {_direction(turn)} through ({place}) m")
@@ -84,4 +91,8 @@ def _direction(vector: Array) -> str:
     main = int(np.abs(unit).argmax())
     if np.abs(np.delete(unit, main)).max() < STRAIGHT:
         return "xyz"[main]
-    return "(" + ", ".join(f"{value:.3g}" for value in np.where(np.abs(unit) < STRAIGHT, 0.0, unit)) + ")"
+    return (
+        "("
+        + ", ".join(f"{value:.3g}" for value in np.where(np.abs(unit) < STRAIGHT, 0.0, unit))
+        + ")"
+    )

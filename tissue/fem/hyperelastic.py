@@ -1,7 +1,8 @@
 """Tetrahedra under large deformation: energy, nodal forces and tangent stiffness.
 
-The nonlinear laws judge where the linear one stops being enough; nothing of them runs in a 1 kHz tick. Linear
-tetrahedra lock as Poisson's ratio nears 0.5; quadratic ones, with four Gauss points, do not.
+The nonlinear laws judge where the linear one stops being enough; nothing of them runs in a 1 kHz
+tick. Linear tetrahedra lock as Poisson's ratio nears 0.5; quadratic ones, with four Gauss points,
+do not.
 """
 
 from enum import Enum
@@ -28,7 +29,9 @@ class Law(Enum):
     """Elastic laws with one small-strain limit; the value states what each holds for."""
 
     LINEAR = "small strain and small rotation"
-    COROTATIONAL = "small strain, any rotation: the linear law in the rotated frame of each Gauss point"
+    COROTATIONAL = (
+        "small strain, any rotation: the linear law in the rotated frame of each Gauss point"
+    )
     NEO_HOOKEAN = "large strain, any rotation: mu/2 (I1 - 3) - mu ln J + lambda/2 (ln J)^2"
 
 
@@ -40,21 +43,29 @@ class NonlinearBody:
     space
         Nodes and cells, linear or quadratic.
     lame_Pa
-        Lame constants lambda, mu of small strains [Pa], shape (2,) or (m, 2), as `tissue.materials.elasticity.lame`
-        makes them; None for a hyperelastic law, which has its own constants.
+        Lame constants lambda, mu of small strains [Pa], shape (2,) or (m, 2), as
+        `tissue.materials.elasticity.lame` makes them; None for a hyperelastic law, which has its
+        own constants.
     law
         Elastic law.
     cell_factors
-        What the moduli of a hyperelastic law are multiplied by in each cell, shape (m,); None for 1.
+        What the moduli of a hyperelastic law are multiplied by in each cell, shape (m,); None for
+        1.
 
     Raises
     ------
     InputError
-        If the constants have another shape or are not those of a stable material, or are given twice.
+        If the constants have another shape or are not those of a stable material, or are given
+        twice.
     """
 
     def __init__(
-        self, space: Space, lame_Pa: ArrayLike | None, *, law: Law | Hyperelastic, cell_factors: Array | None = None
+        self,
+        space: Space,
+        lame_Pa: ArrayLike | None,
+        *,
+        law: Law | Hyperelastic,
+        cell_factors: Array | None = None,
     ) -> None:
         self.space = space
         self.law = law
@@ -66,7 +77,9 @@ class NonlinearBody:
         first, second = local_pairs(width).T
         pattern = space.pattern
         node_place = np.argsort(space.cell_nodes.ravel(), kind="stable")
-        node_start = np.concatenate([[0], np.cumsum(np.bincount(space.cell_nodes.ravel(), minlength=space.node_count))])
+        node_start = np.concatenate(
+            [[0], np.cumsum(np.bincount(space.cell_nodes.ravel(), minlength=space.node_count))]
+        )
 
         def put(values: ArrayLike, dtype: type = wp.int32) -> wp.array[object]:
             return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
@@ -74,9 +87,18 @@ class NonlinearBody:
         def out(shape: int | tuple[int, int], dtype: type) -> wp.array[object]:
             return wp.zeros(shape, dtype=dtype, device=device)
 
-        def launch(kernel: wp.Kernel, dim: int, inputs: list[object], outputs: list[wp.array[object]]) -> SplitLaunch:
+        def launch(
+            kernel: wp.Kernel, dim: int, inputs: list[object], outputs: list[wp.array[object]]
+        ) -> SplitLaunch:
             index = len(inputs)
-            return SplitLaunch(kernel, dim=dim, inputs=[*inputs, 0], outputs=outputs, offset_index=index, device=device)
+            return SplitLaunch(
+                kernel,
+                dim=dim,
+                inputs=[*inputs, 0],
+                outputs=outputs,
+                offset_index=index,
+                device=device,
+            )
 
         self._displacement = out(space.node_count, wp.vec3d)
         self._energy = out(count, wp.float64)
@@ -94,36 +116,59 @@ class NonlinearBody:
             for part in _constants(lame_Pa, law, count, cell_factors)
         ]
         model: list[object] = [
-            put(space.cell_nodes.astype(np.int32)), *space.gradients, put(reference, wp.float64),
-            put(np.full(len(at), 1.0 / len(at)), wp.float64), *constants, self._displacement,
-        ]  # fmt: skip
-        places = [put(p) for p in (pattern.pair_start, pattern.contribution, pattern.place, pattern.mirror)]
+            put(space.cell_nodes.astype(np.int32)),
+            *space.gradients,
+            put(reference, wp.float64),
+            put(np.full(len(at), 1.0 / len(at)), wp.float64),
+            *constants,
+            self._displacement,
+        ]
+        places = [
+            put(p)
+            for p in (pattern.pair_start, pattern.contribution, pattern.place, pattern.mirror)
+        ]
         node_places = [put(p.astype(np.int32)) for p in (node_start, node_place)]
         self._force_launches = (
             launch(force, count, model, [self._energy, shares]),
-            launch(tet_nonlinear.gather_forces, space.node_count, [*node_places, shares.flatten()], [self._force]),
+            launch(
+                tet_nonlinear.gather_forces,
+                space.node_count,
+                [*node_places, shares.flatten()],
+                [self._force],
+            ),
         )
         ends = [put(first.astype(np.int32)), put(second.astype(np.int32))]
         self._stiffness_launches = (
             launch(stiffness, count, [*ends, *model], [squares]),
-            launch(tet_nonlinear.gather_blocks, len(pattern.place), [*places, squares.flatten()], [self._blocks]),
+            launch(
+                tet_nonlinear.gather_blocks,
+                len(pattern.place),
+                [*places, squares.flatten()],
+                [self._blocks],
+            ),
         )
 
     def energy_and_force(self, displacement_m: Array) -> tuple[float, Array]:
-        """Elastic energy [J], infinite where a cell is turned over, and its derivative, shape (n, 3) [N]."""
+        """Elastic energy [J], infinite where a cell is turned over, and its derivative, shape
+        (n, 3) [N].
+        """
         self._displacement.assign(np.ascontiguousarray(displacement_m, dtype=np.float64))
         for run in self._force_launches:
             run()
         return float(self._energy.numpy().sum()), self._force.numpy().copy()
 
     def stiffness(self, displacement_m: Array) -> bsr_array:
-        """Tangent stiffness [N/m] at a displacement that turns no cell over, symmetric to the bit, shape (3n, 3n)."""
+        """Tangent stiffness [N/m] at a displacement that turns no cell over, symmetric to the
+        bit, shape (3n, 3n).
+        """
         self._displacement.assign(np.ascontiguousarray(displacement_m, dtype=np.float64))
         for run in self._stiffness_launches:
             run()
         pattern = self.space.pattern
         size = self.space.unknown_count
-        return bsr_array((self._blocks.numpy().copy(), pattern.column, pattern.row_start), shape=(size, size))
+        return bsr_array(
+            (self._blocks.numpy().copy(), pattern.column, pattern.row_start), shape=(size, size)
+        )
 
 
 def _constants(
@@ -132,18 +177,31 @@ def _constants(
     """What the law's kernels take: its number and Lame constants, or moduli, terms and powers."""
     if isinstance(law, Hyperelastic):
         if lame_Pa is not None:
-            raise InputError("lame_Pa must be None for a hyperelastic law, which has its own constants: leave it out")
+            raise InputError(
+                "lame_Pa must be None for a hyperelastic law, which has its own constants: "
+                "leave it out"
+            )
         each = np.ones(count) if factors is None else np.asarray(factors, dtype=np.float64)
         if each.shape != (count,) or not (each > 0.0).all():
             raise InputError(
-                f"cell_factors must be positive, shape ({count},), got shape {each.shape}: give one a cell"
+                f"cell_factors must be positive, shape ({count},), got shape {each.shape}: "
+                "give one a cell"
             )
         moduli = np.outer(each, [law.bulk_Pa, law.shear_Pa])
-        return moduli, np.array(law.terms) / [law.shear_Pa, 1.0], np.array(law.powers_Pa) / law.shear_Pa
+        return (
+            moduli,
+            np.array(law.terms) / [law.shear_Pa, 1.0],
+            np.array(law.powers_Pa) / law.shear_Pa,
+        )
     if factors is not None:
-        raise InputError("cell_factors must be None without a hyperelastic law, got some: give lame_Pa of each cell")
+        raise InputError(
+            "cell_factors must be None without a hyperelastic law, got some: give lame_Pa of "
+            "each cell"
+        )
     if lame_Pa is None:
         raise InputError("lame_Pa must have shape (2,) or (m, 2), got None: use materials.lame")
     if np.shape(lame_Pa)[-1:] != (2,):
-        raise InputError(f"lame_Pa must have shape (2,) or (m, 2), got {np.shape(lame_Pa)}: use materials.lame")
+        raise InputError(
+            f"lame_Pa must have shape (2,) or (m, 2), got {np.shape(lame_Pa)}: use materials.lame"
+        )
     return list(Law).index(law), np.broadcast_to(elasticity_rows(lame_Pa, count), (count, 2))

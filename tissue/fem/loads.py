@@ -70,7 +70,10 @@ def _spread(space: Space, nodes: Ints, force: Array, share: Array) -> Array:
     """Sum of each row's force, shape (r, 3), times the share of each of its nodes, shape (k,)."""
     each = (force[:, None, :] * share[:, None]).reshape(-1, 3)
     rows = nodes.ravel()
-    return np.stack([np.bincount(rows, weights=each[:, i], minlength=space.node_count) for i in range(3)], axis=1)
+    return np.stack(
+        [np.bincount(rows, weights=each[:, i], minlength=space.node_count) for i in range(3)],
+        axis=1,
+    )
 
 
 def _vectors(name: str, value: ArrayLike, count: int) -> Array:

@@ -1,14 +1,17 @@
-"""Static equilibrium of a nonlinear body: Newton's method on its energy, with a rigid sphere if one presses.
+"""Static equilibrium of a nonlinear body: Newton's method on its energy, with a rigid sphere if one
+presses.
 
-Each Newton step solves with the tangent by conjugate gradients, preconditioned by one factorisation of the stiffness at
-rest, and stops at a direction of negative curvature (Steihaug 1983, SIAM J. Numer. Anal. 20:626): the direction always
-lowers the energy. The step is halved until energy and slope fall; a step that turns a cell over has infinite energy
-and is never taken. A sphere's multipliers are corrected between such solves.
+Each Newton step solves with the tangent by conjugate gradients, preconditioned by one factorisation
+of the stiffness at rest, and stops at a direction of negative curvature (Steihaug 1983, SIAM J.
+Numer. Anal. 20:626): the direction always lowers the energy. The step is halved until energy and
+slope fall; a step that turns a cell over has infinite energy and is never taken. A sphere's
+multipliers are corrected between such solves.
 
-The sphere is rigid and without friction. It enters as an augmented Lagrangian on the surface nodes (Simo and Laursen
-1992, Comput. Struct. 42:97): with g how deep a node lies in the sphere, k a penalty and p a multiplier [N], the energy
-is ``sum (max(0, p + k g)^2 - p^2) / 2 k``, and after each equilibrium ``p <- max(0, p + k g)``. At the end g <= 0 where
-p = 0 and g = 0 where p > 0, whatever the penalty.
+The sphere is rigid and without friction. It enters as an augmented Lagrangian on the surface nodes
+(Simo and Laursen 1992, Comput. Struct. 42:97): with g how deep a node lies in the sphere, k a
+penalty and p a multiplier [N], the energy is ``sum (max(0, p + k g)^2 - p^2) / 2 k``, and after
+each equilibrium ``p <- max(0, p + k g)``. At the end g <= 0 where p = 0 and g = 0 where p > 0,
+whatever the penalty.
 """
 
 from collections.abc import Callable
@@ -25,7 +28,15 @@ from tissue.fem.hyperelastic import NonlinearBody
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import HeldBody
 
-__all__ = ["LONGEST", "NODES", "NewtonSolution", "NewtonSolver", "RigidSphere", "press_at", "resting_sphere"]
+__all__ = [
+    "LONGEST",
+    "NODES",
+    "NewtonSolution",
+    "NewtonSolver",
+    "RigidSphere",
+    "press_at",
+    "resting_sphere",
+]
 
 
 class RigidSphere:
@@ -51,9 +62,14 @@ class RigidSphere:
     """
 
     def __init__(
-        self, nodes: Ints, penalty_N_m: Array, *, radius_m: float, centre_m: Array,
+        self,
+        nodes: Ints,
+        penalty_N_m: Array,
+        *,
+        radius_m: float,
+        centre_m: Array,
         tolerance: float = 1e-6,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.nodes = nodes
         self.radius_m = require_positive("radius_m", radius_m, "use 0.01")
         self._penalty = penalty_N_m
@@ -76,7 +92,9 @@ class RigidSphere:
         pressed, outward, distance = self._pressed(positions_m)
         along = outward[:, :, None] * outward[:, None]
         stiff = np.where(pressed > 0.0, self._penalty, 0.0)
-        return stiff[:, None, None] * along - (pressed / distance)[:, None, None] * (np.eye(3) - along)
+        return stiff[:, None, None] * along - (pressed / distance)[:, None, None] * (
+            np.eye(3) - along
+        )
 
     def force_N(self, positions_m: Array) -> Array:
         """Force of the body on the sphere [N], shape (3,)."""
@@ -118,7 +136,8 @@ class NewtonSolution(Solution):
     Attributes
     ----------
     force_N
-        Derivative of the elastic energy [N], shape (n, 3): what the supports and the sphere push with.
+        Derivative of the elastic energy [N], shape (n, 3): what the supports and the sphere push
+        with.
     tool_force_N
         Force that the body pushes the sphere with [N], shape (3,); zero without one.
     """
@@ -141,7 +160,8 @@ class NewtonSolver:
     step_limit
         Newton steps allowed in a solve.
     precondition
-        Close to the inverse of the stiffness at rest of the free components, on vectors; default: its factorisation.
+        Close to the inverse of the stiffness at rest of the free components, on vectors; default:
+        its factorisation.
 
     Raises
     ------
@@ -160,7 +180,8 @@ class NewtonSolver:
     ) -> None:
         if held.shape != body.nodes_m.shape or not held.any():
             raise InputError(
-                f"held must mark components of shape {body.nodes_m.shape}, got {int(held.sum())} of {held.shape}: "
+                f"held must mark components of shape {body.nodes_m.shape}, got "
+                f"{int(held.sum())} of {held.shape}: "
                 "hold a face"
             )
         self.body = body
@@ -171,12 +192,15 @@ class NewtonSolver:
         rest = body.stiffness(np.zeros(held.shape))
         self.rest_diagonal = rest.diagonal()
         """Diagonal of the stiffness at rest [N/m], shape (3n,)."""
-        # A turned body without stress has forces of rounding alone, and no other to compare them with.
+        # A turned body without stress has forces of rounding alone, and no other to compare them
+        # with.
         extent = float(np.ptp(body.nodes_m, axis=0).max())
         self._rounding_N = POSITIONS * float(self.rest_diagonal.max()) * extent
         self._rounding_J = ROUNDING * 1e-2 * float(self.rest_diagonal.max()) * extent**2
         self.precondition = precondition or _at_rest(HeldBody(rest, body.nodes_m, held))
-        """Close to the inverse of the stiffness at rest; another solver with the same supports may use it."""
+        """Close to the inverse of the stiffness at rest; another solver with the same supports
+        may use it.
+        """
 
     def solve(
         self,
@@ -185,7 +209,8 @@ class NewtonSolver:
         sphere: RigidSphere | None = None,
         start_m: Array | None = None,
     ) -> NewtonSolution:
-        """Equilibrium with held components at ``held_m`` [m], shape (n, 3), from ``start_m`` [m]; default: zero.
+        """Equilibrium with held components at ``held_m`` [m], shape (n, 3), from ``start_m`` [m];
+        default: zero.
 
         With a sphere, its multipliers are corrected until it is settled.
 
@@ -197,7 +222,9 @@ class NewtonSolver:
         now = np.zeros(self.held.shape) if start_m is None else np.array(start_m, dtype=np.float64)
         goal = np.zeros(self.held.shape) if held_m is None else held_m
         if not np.isfinite(goal).all():
-            raise InputError("held_m must be finite, got NaN or infinity: name every node, 0 where it stays")
+            raise InputError(
+                "held_m must be finite, got NaN or infinity: name every node, 0 where it stays"
+            )
         move = np.where(self.held, goal - now, 0.0)
         steps = 0
         if move.any():
@@ -205,7 +232,11 @@ class NewtonSolver:
         for _ in range(CORRECTIONS):
             now, outcome, residual, more = self._minimum(now, sphere)
             steps += more
-            if outcome is not SolverOutcome.CONVERGED or sphere is None or sphere.settled(self.body.nodes_m + now):
+            if (
+                outcome is not SolverOutcome.CONVERGED
+                or sphere is None
+                or sphere.settled(self.body.nodes_m + now)
+            ):
                 break
             outcome = SolverOutcome.NOT_CONVERGED
         _, force = self.body.energy_and_force(now)
@@ -213,13 +244,19 @@ class NewtonSolver:
         return NewtonSolution(now, outcome, steps, residual, force, push)
 
     def _moved_on(self, start: Array, move: Array) -> Array:
-        """The start with held components moved and the free ones following to first order, if no cell turns over."""
+        """The start with held components moved and the free ones following to first order, if no
+        cell turns over.
+        """
         tangent = self.body.stiffness(start)
         following = start + move + self._direction(tangent, -(tangent @ move.ravel()), 1e-3)
         return following if np.isfinite(self.body.energy_and_force(following)[0]) else start + move
 
-    def _minimum(self, now: Array, sphere: RigidSphere | None) -> tuple[Array, SolverOutcome, float, int]:
-        """Newton's method from here with the sphere's multipliers kept: place, outcome, residual and steps."""
+    def _minimum(
+        self, now: Array, sphere: RigidSphere | None
+    ) -> tuple[Array, SolverOutcome, float, int]:
+        """Newton's method from here with the sphere's multipliers kept: place, outcome, residual
+        and steps.
+        """
         energy, size, slope = self._state(now, sphere)
         if not np.isfinite(energy):
             return now, SolverOutcome.INVERTED, np.inf, 0
@@ -241,7 +278,9 @@ class NewtonSolver:
                 rounding = (
                     there[0] <= energy + ROUNDING * abs(energy) + self._rounding_J
                 )  # near the end the slope alone is exact
-                if lower or (rounding and abs(float(np.sum(there[2] * step))) <= 0.5 * abs(downhill)):
+                if lower or (
+                    rounding and abs(float(np.sum(there[2] * step))) <= 0.5 * abs(downhill)
+                ):
                     break
                 share *= 0.5
             else:
@@ -251,7 +290,9 @@ class NewtonSolver:
         return now, SolverOutcome.NOT_CONVERGED, residual, self._step_limit
 
     def _state(self, displacement: Array, sphere: RigidSphere | None) -> tuple[float, float, Array]:
-        """Energy [J], largest force in the body [N], and the energy's derivative, zero where held [N]."""
+        """Energy [J], largest force in the body [N], and the energy's derivative, zero where
+        held [N].
+        """
         energy, force = self.body.energy_and_force(displacement)
         size = np.abs(force).max()
         slope = force
@@ -282,9 +323,13 @@ class NewtonSolver:
             return np.asarray((whole @ full)[free])
 
         found = conjugate_gradients(
-            product, load[free], precondition=self.precondition, tolerance=accuracy, limit=LINEAR_LIMIT,
+            product,
+            load[free],
+            precondition=self.precondition,
+            tolerance=accuracy,
+            limit=LINEAR_LIMIT,
             error=lambda now: float(np.sqrt(now.slopes[-1] / now.slopes[0])),
-        )  # fmt: skip
+        )
         bent = found.outcome is SolverOutcome.INDEFINITE and found.iterations == 0
         full[free] = self.precondition(load[free]) if bent else found.displacement_m
         return full.reshape(self.held.shape)
@@ -305,25 +350,31 @@ LONGEST = 0.3
 
 
 def press_at(
-    solver: NewtonSolver, tip_m: Array, direction: Array, *, radius_m: float, tolerance: float = NODES
+    solver: NewtonSolver,
+    tip_m: Array,
+    direction: Array,
+    *,
+    radius_m: float,
+    tolerance: float = NODES,
 ) -> tuple[NewtonSolution, RigidSphere, float]:
-    """Equilibrium with a rigid sphere that comes straight to its place, the body being at rest before.
+    """Equilibrium with a rigid sphere that comes straight to its place, the body being at rest
+    before.
 
     Parameters
     ----------
     solver
         Solver of the body.
     tip_m, direction
-        Foremost point of the sphere at its place [m], and the unit direction that it comes along, shapes (3,).
+        Foremost point of the sphere at its place [m], and the unit direction that it comes along,
+        shapes (3,).
     radius_m
         Radius of the sphere [m].
     tolerance
         Depth of a node in the sphere that is allowed, over the radius.
 
     Returns
-    -------
-    The equilibrium, the first that did not converge if one does not; the sphere; its path from the first touch [m],
-    not positive where it does not reach the body.
+    ------- The equilibrium, the first that did not converge if one does not; the sphere; its path
+    from the first touch [m], not positive where it does not reach the body.
 
     Raises
     ------
@@ -345,7 +396,9 @@ def press_at(
 def resting_sphere(
     solver: NewtonSolver, point_m: Array, direction: Array, radius_m: float, tolerance: float
 ) -> tuple[RigidSphere, float]:
-    """A sphere aimed at a point [m] where it first touches a node, and how far beyond the point its centre is [m]."""
+    """A sphere aimed at a point [m] where it first touches a node, and how far beyond the point
+    its centre is [m].
+    """
     radius = require_positive("radius_m", radius_m, "use 0.01")
     body = solver.body
     surface = np.unique(body.space.faces)
@@ -357,8 +410,12 @@ def resting_sphere(
     aside = np.linalg.norm(offset - along[:, None] * direction, axis=1)
     inside = aside < radius
     if not inside.any():
-        raise InputError(f"point_m must lie on the surface, got {point_m}: no node of it is in the sphere's path")
+        raise InputError(
+            f"point_m must lie on the surface, got {point_m}: no node of it is in the sphere's path"
+        )
     touching = float((along[inside] - np.sqrt(radius**2 - aside[inside] ** 2)).min())
     penalty = STIFFER * solver.rest_diagonal.reshape(-1, 3)[surface].mean(axis=1)
     centre = point_m + touching * direction
-    return RigidSphere(surface, penalty, radius_m=radius, centre_m=centre, tolerance=tolerance), touching
+    return RigidSphere(
+        surface, penalty, radius_m=radius, centre_m=centre, tolerance=tolerance
+    ), touching

@@ -1,7 +1,8 @@
 """Where the 3x3 blocks of an assembled matrix lie, and which cells each one is summed from.
 
-Pairs of nodes are grouped by two stable counting sorts, linear in their number; SciPy's conversion of one compressed
-row into columns is such a sort. Each pair occurs once, lower node first; its mirror image gets a place, not a sum.
+Pairs of nodes are grouped by two stable counting sorts, linear in their number; SciPy's conversion
+of one compressed row into columns is such a sort. Each pair occurs once, lower node first; its
+mirror image gets a place, not a sum.
 """
 
 from dataclasses import dataclass
@@ -30,8 +31,8 @@ class Pattern:
     pair_start
         First contribution to each pair of nodes, shape (p + 1,).
     contribution
-        Cell times the pairs in a cell, plus the pair in the cell, shape (c,); in the order of cells within a pair. The
-        bitwise complement where the pair is reversed in its cell.
+        Cell times the pairs in a cell, plus the pair in the cell, shape (c,); in the order of cells
+        within a pair. The bitwise complement where the pair is reversed in its cell.
     place
         Block of each pair with the lower node as its row, shape (p,).
     mirror
@@ -67,12 +68,21 @@ class Pattern:
         place = row_start[low] + lower[low] + rank - (np.cumsum(upper) - upper)[low]
         turned = _sorted_by(high, np.flatnonzero(below).astype(np.int32), node_count)
         mirror = place.copy()
-        mirror[turned] = row_start[high[turned]] + np.arange(len(turned)) - (np.cumsum(lower) - lower)[high[turned]]
+        mirror[turned] = (
+            row_start[high[turned]]
+            + np.arange(len(turned))
+            - (np.cumsum(lower) - lower)[high[turned]]
+        )
         column = np.empty(row_start[-1], dtype=np.int32)
         column[place] = high
         column[mirror] = low
         contribution = np.where(flipped[order], ~order, order)
-        return cls(*(part.astype(np.int32) for part in (row_start, column, start, contribution, place, mirror)))
+        return cls(
+            *(
+                part.astype(np.int32)
+                for part in (row_start, column, start, contribution, place, mirror)
+            )
+        )
 
 
 def local_pairs(nodes_a_cell: int) -> Ints:
@@ -81,17 +91,23 @@ def local_pairs(nodes_a_cell: int) -> Ints:
 
 
 def grouped(first: Integers, second: Integers, count: int) -> tuple[Integers, Ints]:
-    """Order that sorts pairs of numbers below `count` stably, and where each new pair starts in it, shape (p + 1,)."""
+    """Order that sorts pairs of numbers below `count` stably, and where each new pair starts in
+    it, shape (p + 1,).
+    """
     every = np.arange(len(first), dtype=np.int32)
     order = _sorted_by(first, _sorted_by(second, every, count), count)
     ordered_first = first[order]
     ordered_second = second[order]
     new = np.ones(len(order) + 1, dtype=bool)
-    new[1:-1] = (ordered_first[1:] != ordered_first[:-1]) | (ordered_second[1:] != ordered_second[:-1])
+    new[1:-1] = (ordered_first[1:] != ordered_first[:-1]) | (
+        ordered_second[1:] != ordered_second[:-1]
+    )
     return order, np.flatnonzero(new)
 
 
 def _sorted_by(key: Integers, order: Integers, count: int) -> Integers:
     """Indices `order` sorted stably by their keys below `count`, in time linear in both."""
-    row = csr_array((order, key[order], np.array([0, len(order)], dtype=np.int32)), shape=(1, count))
+    row = csr_array(
+        (order, key[order], np.array([0, len(order)], dtype=np.int32)), shape=(1, count)
+    )
     return np.asarray(row.tocsc().data)

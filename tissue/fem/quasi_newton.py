@@ -1,11 +1,14 @@
-"""Equilibrium of a nonlinear body under nodal forces that change little by little: L-BFGS on one factor.
+"""Equilibrium of a nonlinear body under nodal forces that change little by little: L-BFGS on one
+factor.
 
-Each step needs one evaluation of the internal forces and one solve with a factor, at first of the stiffness at rest.
-What the last steps found of the curvature (Liu and Nocedal 1989, Math. Program. 45:503) belongs to the body alone, not
-to the forces, so it stays from one load to the next. Where steps become many, the stiffness there is factorised.
+Each step needs one evaluation of the internal forces and one solve with a factor, at first of the
+stiffness at rest. What the last steps found of the curvature (Liu and Nocedal 1989, Math. Program.
+45:503) belongs to the body alone, not to the forces, so it stays from one load to the next. Where
+steps become many, the stiffness there is factorised.
 
-Springs may hold some points near prescribed displacements. Tissue that a tool presses deep can be stable only because
-the tool is rigid: under the same forces without the tool its tangent is indefinite and no equilibrium is near.
+Springs may hold some points near prescribed displacements. Tissue that a tool presses deep can be
+stable only because the tool is rigid: under the same forces without the tool its tangent is
+indefinite and no equilibrium is near.
 """
 
 from collections import deque
@@ -29,13 +32,17 @@ HALVINGS = 12
 ARMIJO = 1e-4
 ROUNDING = 1e-12
 SMALL = 1e-3
-"""Share of the greatest load so far below which a load counts as that much: less need not be balanced."""
+"""Share of the greatest load so far below which a load counts as that much: less need not be
+balanced.
+"""
 MANY = 8
 """Steps of a solve after which the stiffness of where it is takes the place of the one before."""
 SPRING = 1.0
 """Stiffness of a spring over the stiffness of the point that it holds."""
 SHARES = (1.0, 0.5, 0.2)
-"""Shares of an indefinite tangent that are tried; the stiffness at rest makes up the rest and is positive definite."""
+"""Shares of an indefinite tangent that are tried; the stiffness at rest makes up the rest and is
+positive definite.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +97,9 @@ class Springs:
 
     def matrix(self) -> bsr_array:
         """Assemble the stiffness of all springs [N/m], shape (3n, 3n)."""
-        return bsr_array((self.points.T @ diags_array(self.stiffness_N_m) @ self.points).tobsr((3, 3)))
+        return bsr_array(
+            (self.points.T @ diags_array(self.stiffness_N_m) @ self.points).tobsr((3, 3))
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +113,8 @@ class Followed:
     load_N
         Load and forces of the springs [N], shape (n, 3).
     residual
-        Largest force that nothing balances, over the largest of the load and of what was carried before.
+        Largest force that nothing balances, over the largest of the load and of what was carried
+        before.
     steps
         Steps taken.
     """
@@ -128,7 +138,8 @@ class QuasiNewton:
     at_rest
         Factor of the stiffness at rest.
     factorise
-        Makes that of another stiffness [N/m]; raises `NotPositiveDefiniteError` where it has no Cholesky factor.
+        Makes that of another stiffness [N/m]; raises `NotPositiveDefiniteError` where it has no
+        Cholesky factor.
 
     Attributes
     ----------
@@ -159,7 +170,9 @@ class QuasiNewton:
         self._springs = Springs.none(fixed.size)
         self._held_back: Array | None = None
 
-    def follow(self, load_N: Array, *, tolerance: float, step_limit: int, springs: Springs | None = None) -> Followed:
+    def follow(
+        self, load_N: Array, *, tolerance: float, step_limit: int, springs: Springs | None = None
+    ) -> Followed:
         """Go on to the equilibrium under a load [N], shape (n, 3), from where the last one ended.
 
         Parameters
@@ -191,7 +204,8 @@ class QuasiNewton:
             if steps % MANY == 0:
                 self.take_stiffness()
         if worst > max(tolerance * size, at_start):
-            # A law that softens has no least energy: the steps may have led far away. Stay at the last equilibrium.
+            # A law that softens has no least energy: the steps may have led far away. Stay at the
+            # last equilibrium.
             self._displacement, self._energy, self._internal = start
             self._take_factor(self.at_rest)
             acting = self._left(load_N)[0]
@@ -200,12 +214,16 @@ class QuasiNewton:
         return Followed(self._displacement, self._internal, acting, residual, steps)
 
     def _left(self, load_N: Array) -> tuple[Array, Array]:
-        """Compute load and springs together, and what of them nothing balances [N], shape (n, 3) both."""
+        """Compute load and springs together, and what of them nothing balances [N], shape (n, 3)
+        both.
+        """
         acting = load_N + self._springs.energy_and_force(self._displacement)[1]
         return acting, np.where(self._fixed, 0.0, acting - self._internal)
 
     def _advance(self, step: Array, load_N: Array, slope: float) -> bool:
-        """Take a step, shortened until the energy falls; return False where no length of it does."""
+        """Take a step, shortened until the energy falls; return False where no length of it
+        does.
+        """
         if slope <= 0.0:
             return False
         before = self._energy + self._outer(self._displacement, load_N)
@@ -235,7 +253,8 @@ class QuasiNewton:
     def take_stiffness(self) -> None:
         """Factorise the stiffness of this place, made stiffer where it is not positive definite.
 
-        The springs are added first. Where they are not enough, the tangent is mixed with the stiffness at rest.
+        The springs are added first. Where they are not enough, the tangent is mixed with the
+        stiffness at rest.
         """
         tangent = self._body.stiffness(self._displacement)
         rest = self.at_rest.body.stiffness
@@ -267,7 +286,9 @@ class QuasiNewton:
             self._pair(change, force)
 
     def _pair(self, change: Array, force: Array) -> None:
-        """Take a change and that of the body's forces as curvature, where it is positive with the springs."""
+        """Take a change and that of the body's forces as curvature, where it is positive with
+        the springs.
+        """
         whole = force + np.where(self._fixed, 0.0, self._springs.product(change))
         curved = float(np.sum(change * whole))
         if curved > 0.0:
@@ -275,7 +296,9 @@ class QuasiNewton:
             del self._pairs[:-MEMORY]
 
     def _hold_back(self) -> None:
-        """Prepare what the springs take off the displacements of the factor (Woodbury's identity)."""
+        """Prepare what the springs take off the displacements of the factor (Woodbury's
+        identity).
+        """
         points = self._springs.points
         self._held_back = None
         if points.shape[0]:
@@ -283,7 +306,9 @@ class QuasiNewton:
             columns = (3 * nodes[:, None] + np.arange(3)).ravel()
             near = points[:, columns]
             between = near @ (near @ self.factor.compliance_between(nodes)).T
-            self._held_back = np.linalg.inv(np.diag(1.0 / self._springs.stiffness_N_m) + 0.5 * (between + between.T))
+            self._held_back = np.linalg.inv(
+                np.diag(1.0 / self._springs.stiffness_N_m) + 0.5 * (between + between.T)
+            )
 
     def _solve(self, forces_N: Array) -> Array:
         """Solve with the factor and the springs [m], shape (n, 3)."""

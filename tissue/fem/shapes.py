@@ -1,16 +1,24 @@
 """Shape functions of straight-sided simplices, linear and quadratic, in barycentric coordinates.
 
-On a straight simplex the gradients g_c of the barycentric coordinates l_c are constant, and the gradient of shape
-function A is ``sum_c sum_i slope[A, c, i] l_i g_c``: g_A (linear) or ``(4 l_A - 1) g_A`` (quadratic) for a corner, with
-1 = sum l_i, and ``4 (l_i g_j + l_j g_i)`` for the middle of edge ij. Products integrate exactly by
-``mean(l_i l_j) = (1 + delta_ij) / ((d + 1) (d + 2))``, so that no quadrature is needed.
+On a straight simplex the gradients g_c of the barycentric coordinates l_c are constant, and the
+gradient of shape function A is ``sum_c sum_i slope[A, c, i] l_i g_c``: g_A (linear) or ``(4 l_A -
+1) g_A`` (quadratic) for a corner, with 1 = sum l_i, and ``4 (l_i g_j + l_j g_i)`` for the middle of
+edge ij. Products integrate exactly by ``mean(l_i l_j) = (1 + delta_ij) / ((d + 1) (d + 2))``, so
+that no quadrature is needed.
 """
 
 import numpy as np
 
 from meshes.base.arrays import Array, Ints
 
-__all__ = ["EDGES", "TRIANGLE_EDGES", "gauss_points", "gradient_products", "gradient_slopes", "mean_shape"]
+__all__ = [
+    "EDGES",
+    "TRIANGLE_EDGES",
+    "gauss_points",
+    "gradient_products",
+    "gradient_slopes",
+    "mean_shape",
+]
 
 
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
@@ -24,12 +32,16 @@ GAUSS = 0.13819660112501052
 
 
 def gauss_points(order: int) -> Array:
-    """Barycentric coordinates of a tetrahedron's points of equal weight, shape (1, 4) or, quadratic, (4, 4)."""
+    """Barycentric coordinates of a tetrahedron's points of equal weight, shape (1, 4) or,
+    quadratic, (4, 4).
+    """
     return np.full((1, 4), 0.25) if order == 1 else GAUSS + (1.0 - 4.0 * GAUSS) * np.eye(4)
 
 
 def gradient_slopes(corners: int, order: int) -> Array:
-    """Slopes of the gradients, shape (nodes, corners, corners): by shape function, by g_c and by l_i."""
+    """Slopes of the gradients, shape (nodes, corners, corners): by shape function, by g_c and by
+    l_i.
+    """
     edges = _edges(corners, order)
     slope = np.zeros((corners + len(edges), corners, corners))
     for a in range(corners):
@@ -41,7 +53,9 @@ def gradient_slopes(corners: int, order: int) -> Array:
 
 
 def gradient_products(corners: int, order: int) -> Array:
-    """Means over the simplex, shape (nodes, nodes, corners, corners): [A, B, c, d] multiplies g_c g_d^T."""
+    """Means over the simplex, shape (nodes, nodes, corners, corners): [A, B, c, d] multiplies
+    g_c g_d^T.
+    """
     slope = gradient_slopes(corners, order)
     mean = (1.0 + np.eye(corners)) / (corners * (corners + 1))
     return np.asarray(np.einsum("aci,bdj,ij->abcd", slope, slope, mean))
@@ -53,7 +67,9 @@ def mean_shape(corners: int, order: int) -> Array:
         return np.full(corners, 1.0 / corners)
     middle = 4.0 / (corners * (corners + 1))
     at_corner = 4.0 / (corners * (corners + 1)) - 1.0 / corners
-    return np.concatenate([np.full(corners, at_corner), np.full(len(_edges(corners, order)), middle)])
+    return np.concatenate(
+        [np.full(corners, at_corner), np.full(len(_edges(corners, order)), middle)]
+    )
 
 
 def _edges(corners: int, order: int) -> Ints:

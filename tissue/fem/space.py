@@ -1,4 +1,6 @@
-"""Displacement spaces on tetrahedra: linear (P1) with nodes at corners, quadratic (P2) with middles of edges too."""
+"""Displacement spaces on tetrahedra: linear (P1) with nodes at corners, quadratic (P2) with
+middles of edges too.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -42,7 +44,9 @@ class Space:
 
     def __post_init__(self) -> None:
         if self.order not in (1, 2):
-            raise InputError(f"order must be 1 or 2, got {self.order}: use 2 where Poisson's ratio is above 0.45")
+            raise InputError(
+                f"order must be 1 or 2, got {self.order}: use 2 where Poisson's ratio is above 0.45"
+            )
 
     @property
     def node_count(self) -> int:
@@ -70,18 +74,24 @@ class Space:
 
     @cached_property
     def cell_nodes(self) -> Ints:
-        """Nodes of each cell, shape (m, 4) or (m, 10): corners, then the middles of `EDGES` in VTK's order."""
+        """Nodes of each cell, shape (m, 4) or (m, 10): corners, then the middles of `EDGES` in
+        VTK's order.
+        """
         if self.order == 1:
             return self.mesh.cells
         return np.concatenate([self.mesh.cells, len(self.mesh.nodes_m) + self._edges[1]], axis=1)
 
     @cached_property
     def faces(self) -> Ints:
-        """Nodes of each face of the surface, shape (f, 3) or (f, 6): corners as in the mesh, then middles."""
+        """Nodes of each face of the surface, shape (f, 3) or (f, 6): corners as in the mesh,
+        then middles.
+        """
         return self.with_middles(self.mesh.surface)
 
     def with_middles(self, triangles: Ints) -> Ints:
-        """Triangles that are faces of cells, shape (f, 3), with their middle nodes where the space is quadratic."""
+        """Triangles that are faces of cells, shape (f, 3), with their middle nodes where the
+        space is quadratic.
+        """
         if self.order == 1:
             return triangles
         ends = np.sort(triangles[:, TRIANGLE_EDGES], axis=2)
@@ -97,16 +107,25 @@ class Space:
 
     @cached_property
     def gradients(self) -> tuple[wp.array[object], wp.array[object]]:
-        """On the device: gradients of the barycentric coordinates [1/m], vectors (m, 4), and volumes [m3], (m,)."""
+        """On the device: gradients of the barycentric coordinates [1/m], vectors (m, 4), and
+        volumes [m3], (m,).
+        """
         count = self.cell_count
         nodes: wp.array[object] = wp.array(self.mesh.nodes_m, dtype=wp.vec3d, device=self.device)
-        cells: wp.array[object] = wp.array(self.mesh.cells.astype(np.int32), dtype=wp.int32, device=self.device)
+        cells: wp.array[object] = wp.array(
+            self.mesh.cells.astype(np.int32), dtype=wp.int32, device=self.device
+        )
         outputs = [
             wp.empty((count, 4), dtype=wp.vec3d, device=self.device),
             wp.empty(count, dtype=wp.float64, device=self.device),
         ]
         SplitLaunch(
-            cell_gradients, dim=count, inputs=[nodes, cells, 0], outputs=outputs, offset_index=2, device=self.device
+            cell_gradients,
+            dim=count,
+            inputs=[nodes, cells, 0],
+            outputs=outputs,
+            offset_index=2,
+            device=self.device,
         )()
         return outputs[0], outputs[1]
 
@@ -117,7 +136,9 @@ class Space:
 
     @cached_property
     def _edges(self) -> tuple[Ints, Ints]:
-        """Corners of each edge in rising order, shape (e, 2), and the edges of each cell, shape (m, 6)."""
+        """Corners of each edge in rising order, shape (e, 2), and the edges of each cell, shape
+        (m, 6).
+        """
         ends = np.sort(self.mesh.cells[:, EDGES].reshape(-1, 2), axis=1).astype(np.int32)
         order, start = grouped(ends[:, 0], ends[:, 1], len(self.mesh.nodes_m))
         edge_of = np.empty(len(order), dtype=np.int64)

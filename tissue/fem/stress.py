@@ -52,7 +52,8 @@ def group_stress(
     moved = np.ascontiguousarray(displacement_m, dtype=np.float64)
     if moved.shape != (space.node_count, 3) or not np.isfinite(moved).all():
         raise InputError(
-            f"displacement_m must be finite, shape ({space.node_count}, 3), got shape {moved.shape}: take it from a "
+            f"displacement_m must be finite, shape ({space.node_count}, 3), got shape "
+            f"{moved.shape}: take it from a "
             "solve on the same space"
         )
     rows = elasticity_rows(elasticity, space.cell_count)
@@ -75,6 +76,11 @@ def group_stress(
     principal = wp.empty(count, dtype=wp.vec3d, device=device)
     outputs = [strain, stress, von_mises, principal]
     SplitLaunch(
-        tet_stress.group_stress, dim=count, inputs=inputs, outputs=outputs, offset_index=len(inputs) - 1, device=device
+        tet_stress.group_stress,
+        dim=count,
+        inputs=inputs,
+        outputs=outputs,
+        offset_index=len(inputs) - 1,
+        device=device,
     )()
     return StressState(strain.numpy(), stress.numpy(), von_mises.numpy(), principal.numpy())

@@ -16,8 +16,8 @@ NONE = 1e-9
 def surface_transfer(space: Space, points_m: Array) -> csr_array:
     """Shares of the nodes in what points of the surface have, shape (k, n).
 
-    Times displacements of the nodes it gives those of the points; its transpose takes forces on the points to forces
-    on the nodes that do the same work.
+    Times displacements of the nodes it gives those of the points; its transpose takes forces on the
+    points to forces on the nodes that do the same work.
 
     Parameters
     ----------
@@ -30,7 +30,9 @@ def surface_transfer(space: Space, points_m: Array) -> csr_array:
 
     corners = space.mesh.surface
     surface = pyvista.PolyData.from_regular_faces(space.mesh.nodes_m, corners.astype(int))
-    face, nearest = surface.find_closest_cell(np.ascontiguousarray(points_m), return_closest_point=True)
+    face, nearest = surface.find_closest_cell(
+        np.ascontiguousarray(points_m), return_closest_point=True
+    )
     origin, first, second = space.mesh.nodes_m[corners[face]].transpose(1, 0, 2)
     sides = np.stack([first - origin, second - origin], axis=1)
     along = np.einsum("kai,ki->ka", sides, nearest - origin)
@@ -43,6 +45,8 @@ def surface_transfer(space: Space, points_m: Array) -> csr_array:
     nodes = space.faces[face]
     shape = np.where(np.abs(shape) < NONE, 0.0, shape)
     rows = np.repeat(np.arange(len(points_m)), nodes.shape[1])
-    shares = csr_array((shape.ravel(), (rows, nodes.ravel())), shape=(len(points_m), space.node_count))
+    shares = csr_array(
+        (shape.ravel(), (rows, nodes.ravel())), shape=(len(points_m), space.node_count)
+    )
     shares.eliminate_zeros()
     return shares

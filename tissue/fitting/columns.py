@@ -1,4 +1,6 @@
-"""Which column of a log holds which quantity: the names that are known, units, and the flags that map a log's own."""
+"""Which column of a log holds which quantity: the names that are known, units, and the flags
+that map a log's own.
+"""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -44,7 +46,10 @@ class Quantity:
 
 
 def _of(measures: str, *names: str) -> tuple[Quantity, ...]:
-    return tuple(Quantity(name, measures, name.rsplit("_", 1)[1] if UNITS[measures] else "") for name in names)
+    return tuple(
+        Quantity(name, measures, name.rsplit("_", 1)[1] if UNITS[measures] else "")
+        for name in names
+    )
 
 
 def _vector(measures: str, form: str) -> tuple[Quantity, ...]:
@@ -52,16 +57,20 @@ def _vector(measures: str, form: str) -> tuple[Quantity, ...]:
 
 
 _TIMES = _of("time", "time_s", "load_time_s")
-_TURN = (*_of("number", "tool_qx", "tool_qy", "tool_qz", "tool_qw"), *_vector("angle", "tool_r{}_rad"))
+_TURN = (
+    *_of("number", "tool_qx", "tool_qy", "tool_qz", "tool_qw"),
+    *_vector("angle", "tool_r{}_rad"),
+)
 _POSE = (*_vector("length", "tool_{}_mm"), *_TURN)
 _FORCE = _vector("force", "force_{}_N")
 _TORQUE = _vector("torque", "torque_{}_Nm")
 QUANTITIES = {each.name: each for each in (*_TIMES, *_POSE, *_FORCE, *_TORQUE)}
 """What a fit of a cut can use, by name.
 
-Poses are those of the tool's tip in the scene's frame, as a replayed motion has them; ``tool_r*_rad`` is a rotation
-vector instead of a quaternion. Forces and torques act on the tool, in the scene's frame, torques about the tip.
-``load_time_s`` is the clock of forces and torques where it is not that of the poses.
+Poses are those of the tool's tip in the scene's frame, as a replayed motion has them;
+``tool_r*_rad`` is a rotation vector instead of a quaternion. Forces and torques act on the tool, in
+the scene's frame, torques about the tip. ``load_time_s`` is the clock of forces and torques where
+it is not that of the poses.
 """
 
 
@@ -81,7 +90,8 @@ class ColumnMap:
     column: str
 
     def find(self, known: Iterable[str]) -> tuple[str, float, str]:
-        """Column among those that are known, factor from its values to SI with the sign, and a remark or nothing.
+        """Column among those that are known, factor from its values to SI with the sign, and a
+        remark or nothing.
 
         Raises
         ------
@@ -97,7 +107,8 @@ class ColumnMap:
         asked = _split(self.column)[0].removeprefix("-")
         listed = ", ".join(sorted(names)[:60]) + (" and others" if len(names) > 60 else "")
         raise InputError(
-            f"column must map {self.quantity.name} to a column of the log, got {asked}: choose one of {listed}"
+            f"column must map {self.quantity.name} to a column of the log, got {asked}: "
+            f"choose one of {listed}"
         )
 
     def _factor(self, column: str, unit: str) -> tuple[float, str]:
@@ -106,22 +117,29 @@ class ColumnMap:
         if unit and _plain(unit) not in fitting:
             allowed = f"be one of {', '.join(fitting)}" if fitting else "be absent"
             raise InputError(
-                f"column must give {self.quantity.name} a unit of {self.quantity.measures}, got {unit}: it must "
+                f"column must give {self.quantity.name} a unit of {self.quantity.measures}, "
+                f"got {unit}: it must "
                 f"{allowed}"
             )
         taken = _plain(unit) or self.quantity.unit
         stated = _stated(column, fitting)
         if stated and stated != taken and not unit:
             raise InputError(
-                f"column must state the unit where the header of {column} has {stated} and {self.quantity.name} has "
+                f"column must state the unit where the header of {column} has {stated} and "
+                f"{self.quantity.name} has "
                 f"{taken}, got none: write {self.quantity.name}={self.column}:{stated}"
             )
-        remark = f"{column} is read in {taken}, as asked; its header has {stated}" if stated not in ("", taken) else ""
+        remark = (
+            f"{column} is read in {taken}, as asked; its header has {stated}"
+            if stated not in ("", taken)
+            else ""
+        )
         return fitting.get(taken, 1.0), remark
 
 
 def parse_column(text: str, quantities: Mapping[str, Quantity] = QUANTITIES) -> ColumnMap:
-    """A flag ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT``, the last with its sign reversed.
+    """A flag ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT``, the last with its sign
+    reversed.
 
     Without a unit the column is in the unit of the name.
 
@@ -135,16 +153,20 @@ def parse_column(text: str, quantities: Mapping[str, Quantity] = QUANTITIES) -> 
     column = column.strip()
     if not found or not name or not column.removeprefix("-"):
         raise InputError(
-            f"column must be NAME=COLUMN or NAME=COLUMN:UNIT, got {text!r}: write for example force_x_N=Fx"
+            f"column must be NAME=COLUMN or NAME=COLUMN:UNIT, got {text!r}: write for "
+            "example force_x_N=Fx"
         )
     if name not in quantities:
         raise InputError(
-            f"column must name what a fit uses, got {name}: choose one of {', '.join(quantities)} or leave it out"
+            f"column must name what a fit uses, got {name}: choose one of "
+            f"{', '.join(quantities)} or leave it out"
         )
     return ColumnMap(quantities[name], column)
 
 
-def parse_columns(texts: Sequence[str], quantities: Mapping[str, Quantity] = QUANTITIES) -> dict[str, ColumnMap]:
+def parse_columns(
+    texts: Sequence[str], quantities: Mapping[str, Quantity] = QUANTITIES
+) -> dict[str, ColumnMap]:
     """Flags by the name that they map, see `parse_column`, of the quantities that a log may hold.
 
     Raises
@@ -156,7 +178,9 @@ def parse_columns(texts: Sequence[str], quantities: Mapping[str, Quantity] = QUA
     for text in texts:
         each = parse_column(text, quantities)
         if each.quantity.name in maps:
-            raise InputError(f"column must map a name once, got {each.quantity.name} twice: leave one out")
+            raise InputError(
+                f"column must map a name once, got {each.quantity.name} twice: leave one out"
+            )
         maps[each.quantity.name] = each
     return maps
 
@@ -173,7 +197,9 @@ def _plain(unit: str) -> str:
 
 
 def _stated(column: str, fitting: dict[str, float]) -> str:
-    """The unit that a header states, of those that fit: of ``Load (N)``, ``Load [N]`` and ``load_N``."""
+    """The unit that a header states, of those that fit: of ``Load (N)``, ``Load [N]`` and
+    ``load_N``.
+    """
     found = re.search(r"[\[(]([^\])]+)[\])]\s*$", column) or re.search(r"_([A-Za-zµ]+)$", column)
     unit = _plain(found[1]) if found else ""
     return unit if unit in fitting else ""

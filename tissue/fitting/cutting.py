@@ -1,4 +1,6 @@
-"""Loads on a cutter along the poses of a log, for any cutting coefficients: the geometry is recorded once."""
+"""Loads on a cutter along the poses of a log, for any cutting coefficients: the geometry is
+recorded once.
+"""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -22,8 +24,8 @@ __all__ = ["CHANNELS", "CuttingForward", "cutting_forward"]
 CHANNELS = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
 """On the tool, in the scene's frame, torques about the tip."""
 DENSITY = Prior(1.0, 0.85, 1.18)
-"""Factor on a layer's density, 10 % (one standard deviation) up and down: laws from CT numbers to density differ by as
-much between scanners and authors (from memory of the literature)."""
+"""Factor on a layer's density, 10 % (one standard deviation) up and down: laws from CT numbers to
+density differ by as much between scanners and authors (from memory of the literature)."""
 FACTOR = "density_factor"
 """Field of a free density."""
 FIELDS = {
@@ -93,11 +95,15 @@ class CuttingForward:
     def jacobian(self, x: Array) -> Array:
         """See `Forward`."""
         slopes = self.record.jacobian(*self._with(x))
-        columns = [slopes[:, :, each.layer, SENSITIVITIES.index(each.field)] * each.unit for each in self.free]
+        columns = [
+            slopes[:, :, each.layer, SENSITIVITIES.index(each.field)] * each.unit
+            for each in self.free
+        ]
         return np.stack(columns, axis=-1)
 
     def averaged_as(self, log: MeasuredLoads) -> tuple["CuttingForward", MeasuredLoads]:
-        """Return the cut with loads averaged as a log's samples are, at three times their rate, and the log to compare.
+        """Return the cut with loads averaged as a log's samples are, at three times their rate, and
+        the log to compare.
 
         A fit asks for loads thousands of times, so they are averaged once.
         """
@@ -109,12 +115,16 @@ class CuttingForward:
         for at, each in self.record.layers.items():
             by_time = means @ np.moveaxis(each.unit, 2, 0).reshape(len(self.times_s), -1)
             shape = (len(times_s), *each.unit.shape[:2], each.unit.shape[3])
-            layers[at] = replace(each, unit=np.ascontiguousarray(np.moveaxis(by_time.reshape(shape), 0, 2)))
+            layers[at] = replace(
+                each, unit=np.ascontiguousarray(np.moveaxis(by_time.reshape(shape), 0, 2))
+            )
         record = replace(self.record, times_s=self.record.times_s[::every], layers=layers)
         return replace(self, record=record, times_s=times_s), replace(log, within_s=(0.0,))
 
     def _with(self, x: Array) -> tuple[tuple[CuttingCoefficients, ...], Array]:
-        """Coefficients and density factors of each layer for values of the parameters, shape (p,)."""
+        """Coefficients and density factors of each layer for values of the parameters, shape
+        (p,).
+        """
         found = list(self.coefficients)
         factors = np.ones(len(found))
         for each, value in zip(self.free, np.asarray(x, dtype=float).tolist(), strict=True):
@@ -144,12 +154,14 @@ def cutting_forward(
     times_s
         Times of the poses, increasing [s], shape (n,).
     tips_m, quaternions
-        Tips [m], shape (n, 3), and orientations (x, y, z, w), shape (n, 4), of the tool in the scene's frame.
+        Tips [m], shape (n, 3), and orientations (x, y, z, w), shape (n, 4), of the tool in the
+        scene's frame.
     free
-        Free constants: full names, or a table with parts of the name, such as ``cutting.trabecular``,
-        ``cutting.edge`` or ``cutting.trabecular.radial``. By default all that have a range and are not set by the
-        scene, so that a band over the fitted constants is that of the log; the exponent only where the density is
-        not the one at which the coefficients are stated. The factor on each layer's density is always free.
+        Free constants: full names, or a table with parts of the name, such as
+        ``cutting.trabecular``, ``cutting.edge`` or ``cutting.trabecular.radial``. By default all
+        that have a range and are not set by the scene, so that a band over the fitted constants is
+        that of the log; the exponent only where the density is not the one at which the
+        coefficients are stated. The factor on each layer's density is always free.
     cores
         Processor cores to use; default all.
     progress
@@ -158,20 +170,23 @@ def cutting_forward(
     Raises
     ------
     InputError
-        If the scene has nothing to cut, the tool never touches it along the poses, or `free` names what is not there.
+        If the scene has nothing to cut, the tool never touches it along the poses, or `free` names
+        what is not there.
     """
     motion = ReplayPoses(times_s, tips_m, quaternions, step_s=TICK_S)
     record = record_loads(scene, motion=motion, cores=cores, progress=progress)
     if not record.layers:
         raise InputError(
-            "measured must hold poses in which the tool cuts, got a log whose tool only moves through air: give one of "
+            "measured must hold poses in which the tool cuts, got a log whose tool only "
+            "moves through air: give one of "
             "a cut, or its poses in the scene's frame"
         )
     changes = scene.cutting.model_dump(exclude={"material"}, exclude_none=True)
     notes = [f"{subject}: {each}" for subject, each in record.notes.items()]
     if (inside := float(record.trace["removed_mm3"][0])) > 0.0:
         notes.append(
-            f"the tool began in {inside:.3g} mm3 of bone, which were taken away without a force: what was cut before "
+            f"the tool began in {inside:.3g} mm3 of bone, which were taken away without a "
+            "force: what was cut before "
             "the log's first pose is not known"
         )
     return CuttingForward(
@@ -197,15 +212,20 @@ def _free_constants(
         for constant, (field, unit) in FIELDS.items():
             if known[constant].low == known[constant].high:
                 continue
-            parameter = Parameter.of(f"cutting.{name}.{constant}", Prior.of(known[constant], constant))
+            parameter = Parameter.of(
+                f"cutting.{name}.{constant}", Prior.of(known[constant], constant)
+            )
             possible.append(FreeConstant(parameter, at, field, unit))
             tags[parameter.name] = (CUT_AS.get(name, scene.cutting.material),)
             if constant not in stated and (is_scaled or constant != "density_exponent"):
                 usual.add(parameter.name)
     factors = [
-        FreeConstant(Parameter(f"density.{record.layer_names[at]}", DENSITY), at, FACTOR, 1.0) for at in record.layers
+        FreeConstant(Parameter(f"density.{record.layer_names[at]}", DENSITY), at, FACTOR, 1.0)
+        for at in record.layers
     ]
-    wanted = {each.name for each in chosen(free, [each.parameter for each in possible + factors], tags)}
+    wanted = {
+        each.name for each in chosen(free, [each.parameter for each in possible + factors], tags)
+    }
     if not free:
         wanted = usual
     return (*(each for each in possible if each.parameter.name in wanted), *factors)

@@ -1,9 +1,10 @@
 """A log of a cut as a fit takes it, and cuts that would narrow its constants further.
 
-The candidates are steady slots and plunges in each layer, at other feeds, speeds and depths. A steady cut's chip loads
-grow with feed over spin, its edge loads with neither, and both scale with density: one record a depth gives all feeds,
-speeds and layers. Each candidate is a second of steady loads after a quarter of a second in air, from which a sensor's
-bias is known. The entry of the tool is left out.
+The candidates are steady slots and plunges in each layer, at other feeds, speeds and depths. A
+steady cut's chip loads grow with feed over spin, its edge loads with neither, and both scale with
+density: one record a depth gives all feeds, speeds and layers. Each candidate is a second of steady
+loads after a quarter of a second in air, from which a sensor's bias is known. The entry of the tool
+is left out.
 """
 
 from collections.abc import Sequence
@@ -39,7 +40,9 @@ DEPTHS = (0.25, 0.5, 1.0)
 UP = (0.0, 0.0, 1.0)
 TICKS = 60
 STEADY = slice(30, 60)
-"""Ticks of a record, and those whose mean is the steady load: the tool starts in its own place and has left it then."""
+"""Ticks of a record, and those whose mean is the steady load: the tool starts in its own place
+and has left it then.
+"""
 TRAVEL = {"slot": 1.0, "plunge": 0.1}
 """What the tool goes in a record, in radii: a plunge little enough to have one depth."""
 VOXELS = 20
@@ -56,21 +59,35 @@ def cutting_problem(
     progress("recording the geometry of the log", 0.0)
     with names_of_caller({"motion": "measured"}):
         forward = cutting_forward(
-            scene, log.times_s, log.tips_m, log.quaternions_of(scene), free=free, cores=cores, progress=progress
+            scene,
+            log.times_s,
+            log.tips_m,
+            log.quaternions_of(scene),
+            free=free,
+            cores=cores,
+            progress=progress,
         )
     ticks = block_ticks(float(log.load_times_s[-1] - log.load_times_s[0]), log.load_period_s)
     measured = block_averages(log.load_times_s, log.loads, log.channels, ticks)
     forward, measured = forward.averaged_as(measured)
     require_signs(forward, measured)
-    layers = {each.name.split(".")[1] for each in forward.parameters if each.name.startswith("cutting.")}
-    constants = {layer: scene.constants.layer_constants(layer, bone=scene.cutting.material) for layer in sorted(layers)}
+    layers = {
+        each.name.split(".")[1] for each in forward.parameters if each.name.startswith("cutting.")
+    }
+    constants = {
+        layer: scene.constants.layer_constants(layer, bone=scene.cutting.material)
+        for layer in sorted(layers)
+    }
     return Problem(
         forward,
         measured,
         ticks * TICK_S,
         lambda _: list(cutting_candidates(forward).items()),
         forward.notes,
-        {f"cutting.{layer}.{REFERENCE}": known[REFERENCE].value for layer, known in constants.items()},
+        {
+            f"cutting.{layer}.{REFERENCE}": known[REFERENCE].value
+            for layer, known in constants.items()
+        },
     )
 
 
@@ -80,7 +97,8 @@ def cutting_candidates(like: CuttingForward) -> dict[str, CuttingForward]:
     Parameters
     ----------
     like
-        The log's cut: its tool, the layers that it met, its feed where it cut, and its free constants.
+        The log's cut: its tool, the layers that it met, its feed where it cut, and its free
+        constants.
     """
     tool = like.record.scene.tool
     assert isinstance(tool, Tool)
@@ -93,7 +111,8 @@ def cutting_candidates(like: CuttingForward) -> dict[str, CuttingForward]:
             loads = unit.copy()
             loads[:3] *= feed * feed_m_s / recorded_m_s / spin
             name = (
-                f"a {kind} {1e3 * depth * radius_m:.3g} mm deep in {like.record.layer_names[at]} at "
+                f"a {kind} {1e3 * depth * radius_m:.3g} mm deep in "
+                f"{like.record.layer_names[at]} at "
                 f"{1e3 * feed * feed_m_s:.3g} mm/s and {spin * abs(tool.spin_rpm):.6g} rpm"
             )
             found[name] = _second_of(like, at, loads)
@@ -101,30 +120,42 @@ def cutting_candidates(like: CuttingForward) -> dict[str, CuttingForward]:
 
 
 def _second_of(like: CuttingForward, layer: int, unit: Array) -> CuttingForward:
-    """Air, then a second of steady loads in one layer, of a unit of each coefficient, shape (6, 6)."""
+    """Air, then a second of steady loads in one layer, of a unit of each coefficient, shape (6,
+    6).
+    """
     density = round(like.record.layers[layer].nodes.middle_kg_m3)
     ticks = np.repeat(unit[None, :, None], LASTS, axis=2)
     ticks[:, :, :AIR] = 0.0
     loads = LayerLoads(DensityNodes.of(density, density), ticks)
     times_s = TICK_S * np.arange(LASTS, dtype=np.float64)
-    return replace(like, record=replace(like.record, times_s=times_s, layers={layer: loads}), times_s=times_s)
+    return replace(
+        like, record=replace(like.record, times_s=times_s, layers={layer: loads}), times_s=times_s
+    )
 
 
 def _feed_m_s(like: CuttingForward) -> float:
     """Median speed of the tip where the tool cut [m/s]."""
     trace = like.record.trace
-    speed = 1e-3 * np.linalg.norm(np.diff(trace.vectors("tool", "mm"), axis=0), axis=1) / np.diff(trace["time_s"])
+    speed = (
+        1e-3
+        * np.linalg.norm(np.diff(trace.vectors("tool", "mm"), axis=0), axis=1)
+        / np.diff(trace["time_s"])
+    )
     return float(np.median(speed[(trace["contact_mm2"][1:] > 0.0) & (speed > 0.0)]))
 
 
 def _steady(scene: Scene, tool: Tool, kind: str, depth_m: float) -> tuple[Array, float]:
-    """Steady loads of a unit of each coefficient in a block, shape (6, 6), at the feed that comes with them [m/s]."""
+    """Steady loads of a unit of each coefficient in a block, shape (6, 6), at the feed that
+    comes with them [m/s].
+    """
     radius_m = 0.5e-3 * tool.diameter_mm
     travel_m = TRAVEL[kind] * radius_m
     deep = np.array([0.0, 0.0, -depth_m])
     along = np.array([travel_m, 0.0, 0.0]) if kind == "slot" else np.array([0.0, 0.0, -travel_m])
     feed_m_s = travel_m / (TICKS * TICK_S)
-    motion = FollowPath(np.stack([deep - 0.75 * along, deep + 0.25 * along]), feed_m_s=feed_m_s, axis=UP)
+    motion = FollowPath(
+        np.stack([deep - 0.75 * along, deep + 0.25 * along]), feed_m_s=feed_m_s, axis=UP
+    )
     wide_mm = 3.0 * tool.diameter_mm
     size_mm = 2.0 * tool.diameter_mm
     block = scene.model_copy(

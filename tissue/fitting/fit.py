@@ -25,11 +25,15 @@ __all__ = ["ConstantFit", "SceneFit", "fit_scene"]
 
 FITTED = "fit a scene of bone, a tooth or an organ"
 NUISANCES = ("density.", KEYS)
-"""Beginnings of the names of what belongs to the specimen of a log, or is a key of its scene, and to no material."""
+"""Beginnings of the names of what belongs to the specimen of a log, or is a key of its scene,
+and to no material.
+"""
 FAR = 3.0
 FAR_TIMES = 10.0
-"""Standard deviations of a prior beyond which a value contradicts it (0.3 % of constants lie there by chance), and the
-ratio to the end of its range from which it does so in any case: some priors have a heavy tail towards zero."""
+"""Standard deviations of a prior beyond which a value contradicts it (0.3 % of constants lie there
+by chance), and the ratio to the end of its range from which it does so in any case: some priors
+have a heavy tail towards zero.
+"""
 VISIBLE = 20.0
 """Force over the noise's scale from which noise is not why a log determines nothing."""
 
@@ -41,7 +45,8 @@ class ConstantFit:
     Attributes
     ----------
     name
-        ``TABLE.MATERIAL.NAME``, or ``density.LAYER``, the factor on the density of a layer of this specimen.
+        ``TABLE.MATERIAL.NAME``, or ``density.LAYER``, the factor on the density of a layer of this
+        specimen.
     prior
         Cited median and range.
     low, value, high
@@ -51,8 +56,8 @@ class ConstantFit:
     contraction
         Standard deviation after over that before.
     state
-        ``determined``, ``narrowed``, ``at its prior``, or ``doubtful``: far outside its cited range, or found with
-        clocks that contradict their prior.
+        ``determined``, ``narrowed``, ``at its prior``, or ``doubtful``: far outside its cited
+        range, or found with clocks that contradict their prior.
     """
 
     name: str
@@ -67,7 +72,10 @@ class ConstantFit:
     @property
     def is_far(self) -> bool:
         """Whether the value lies far outside the cited range."""
-        is_outside = self.value > FAR_TIMES * self.prior.high > 0.0 or self.value < self.prior.low / FAR_TIMES
+        is_outside = (
+            self.value > FAR_TIMES * self.prior.high > 0.0
+            or self.value < self.prior.low / FAR_TIMES
+        )
         return abs(self.z[1]) > FAR or is_outside
 
 
@@ -113,13 +121,24 @@ class SceneFit:
             cited = parameter.cited or parameter.prior
             z = parameter.prior.z([low, value, high, cited.low, cited.high]).tolist()
             share = float(self.identified.contraction[at])
-            each = ConstantFit(parameter.name, cited, low, value, high, tuple(z), share, self._state(parameter.name))
+            each = ConstantFit(
+                parameter.name,
+                cited,
+                low,
+                value,
+                high,
+                tuple(z),
+                share,
+                self._state(parameter.name),
+            )
             is_doubtful = each.is_far or (each.state == "determined" and self.has_strange_clocks)
             found.append(replace(each, state="doubtful") if is_doubtful else each)
         return tuple(found)
 
     def _state(self, name: str) -> str:
-        """State of a constant by its contraction, whether or not the value agrees with its cited range."""
+        """State of a constant by its contraction, whether or not the value agrees with its cited
+        range.
+        """
         if name in self.identified.determined:
             return "determined"
         return "at its prior" if name in self.identified.at_prior else "narrowed"
@@ -140,19 +159,30 @@ class SceneFit:
         found = []
         if self.has_strange_clocks:
             found.append(
-                f"the forces come {1e3 * self.posterior.nuisances.offset_s:.3g} ms after the poses, "
-                f"{abs(self.offset_sd):.1f} standard deviations of the {1e3 * OFFSET_S:g} ms that are expected. No "
-                "constant counts as determined. Check the times of poses and forces, and the place where the tool "
+                f"the forces come {1e3 * self.posterior.nuisances.offset_s:.3g} ms after the "
+                "poses, "
+                f"{abs(self.offset_sd):.1f} standard deviations of the {1e3 * OFFSET_S:g} ms "
+                "that are expected. No "
+                "constant counts as determined. Check the times of poses and forces, and the "
+                "place where the tool "
                 "touches"
             )
         for each in self.constants:
             if each.is_far:
-                end, side = (each.prior.low, "below") if each.z[1] < 0.0 else (each.prior.high, "above")
-                times = max(each.value, end) / min(each.value, end) if min(each.value, end) > 0.0 else np.inf
+                end, side = (
+                    (each.prior.low, "below") if each.z[1] < 0.0 else (each.prior.high, "above")
+                )
+                times = (
+                    max(each.value, end) / min(each.value, end)
+                    if min(each.value, end) > 0.0
+                    else np.inf
+                )
                 by = f"{times:.3g} times {side}" if np.isfinite(times) else side
                 found.append(
-                    f"{each.name} = {each.value:.3g} is {by} its range of {each.prior.low:g} to {each.prior.high:g} "
-                    f"({abs(each.z[1]):.1f} standard deviations of the prior) and does not count as determined. Check "
+                    f"{each.name} = {each.value:.3g} is {by} its range of {each.prior.low:g} "
+                    f"to {each.prior.high:g} "
+                    f"({abs(each.z[1]):.1f} standard deviations of the prior) and does not "
+                    "count as determined. Check "
                     "the units and signs of the log, the scene and the tool"
                 )
         return tuple(found)
@@ -160,7 +190,9 @@ class SceneFit:
     @property
     def of_material(self) -> tuple[int, ...]:
         """Places of the constants that belong to a material, not to the log's specimen."""
-        return tuple(at for at, name in enumerate(self.posterior.names) if not name.startswith(NUISANCES))
+        return tuple(
+            at for at, name in enumerate(self.posterior.names) if not name.startswith(NUISANCES)
+        )
 
     @property
     def scene_keys(self) -> dict[str, float]:
@@ -183,12 +215,17 @@ class SceneFit:
             for name, value in zip(channels, each.bias.tolist(), strict=True)
         )
         found = [
-            f"forces come {1e3 * each.offset_s:.1f} ms ({1e3 * low:.1f} to {1e3 * high:.1f}) after the poses",
+            (
+                f"forces come {1e3 * each.offset_s:.1f} ms ({1e3 * low:.1f} to {1e3 * high:.1f}) "
+                "after the poses"
+            ),
             f"bias of the sensor: {biases}",
             *self.notes,
         ]
         if not self.posterior.converged:
-            found.append("the search did not come to a maximum: the intervals are not to be trusted")
+            found.append(
+                "the search did not come to a maximum: the intervals are not to be trusted"
+            )
         return tuple(found)
 
 
@@ -202,17 +239,20 @@ def fit_scene(
 ) -> SceneFit:
     """Fit the constants of a scene's material to a log of forces and poses.
 
-    Maximum posterior with the cited ranges as priors; the noise is autocorrelated and has heavy tails; the offset of
-    the clocks, the sensor's bias and the specimen's density are estimated with the constants.
+    Maximum posterior with the cited ranges as priors; the noise is autocorrelated and has heavy
+    tails; the offset of the clocks, the sensor's bias and the specimen's density are estimated with
+    the constants.
 
     Parameters
     ----------
     scene
-        What was cut, and by which tool; its motion and device count for nothing, the log's poses stand for them.
+        What was cut, and by which tool; its motion and device count for nothing, the log's poses
+        stand for them.
     log
         What was measured, in the scene's frame.
     free
-        Constants that are free, see `tissue.fitting.cutting.cutting_forward`; nothing frees the usual ones.
+        Constants that are free, see `tissue.fitting.cutting.cutting_forward`; nothing frees the
+        usual ones.
     cores
         Processor cores to use; default all.
     progress
@@ -221,7 +261,8 @@ def fit_scene(
     Raises
     ------
     InputError
-        If such a scene cannot be fitted, the tool never cuts along the log, or the log determines no constant.
+        If such a scene cannot be fitted, the tool never cuts along the log, or the log determines
+        no constant.
     """
     report = progress or silent
     if not isinstance(scene.anatomy, CutAnatomy | SoftAnatomy):
@@ -236,7 +277,9 @@ def fit_scene(
     material = [at for at, each in enumerate(posterior.names) if not each.startswith(NUISANCES)]
     gains = expected_information(posterior, problem.candidates(posterior), among=material)
     both = (*log.notes, *problem.notes)
-    return SceneFit(scene.name, log.path, posterior, found, tuple(gains), problem.block_s, both, problem.fixed)
+    return SceneFit(
+        scene.name, log.path, posterior, found, tuple(gains), problem.block_s, both, problem.fixed
+    )
 
 
 def require_information(found: Identified, posterior: Posterior) -> None:
@@ -256,10 +299,13 @@ def require_information(found: Identified, posterior: Posterior) -> None:
         scale = float(noise.scale[forces].max())
         if greatest < VISIBLE * scale:
             raise InputError(
-                f"measured must determine a constant, got a log in which noise of {scale:.2g} N hides what the tool "
+                "measured must determine a constant, got a log in which noise of "
+                f"{scale:.2g} N hides what the tool "
                 f"would meet, {greatest:.2g} N at most: give one of a deeper or faster cut"
             )
         raise InputError(
-            f"measured must determine a constant, got a log that the scene explains to {scale:.2g} N and that leaves "
-            "all of its constants at their ranges: check that the scene is what was cut, and choose others by free"
+            "measured must determine a constant, got a log that the scene explains to "
+            f"{scale:.2g} N and that leaves "
+            "all of its constants at their ranges: check that the scene is what was cut, and "
+            "choose others by free"
         )

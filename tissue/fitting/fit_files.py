@@ -1,4 +1,6 @@
-"""A fit's folder: the constants for scenes, numbers, pictures, and a report that needs no other file."""
+"""A fit's folder: the constants for scenes, numbers, pictures, and a report that needs no other
+file.
+"""
 
 import json
 from dataclasses import asdict
@@ -13,7 +15,12 @@ from meshes.base.file_version import package_version
 from meshes.base.whole_file import whole_file
 from tissue.fitting.fit import ConstantFit, SceneFit
 from tissue.fitting.fitted_file import FittedEntry, write_fitted
-from tissue.show.figures.fit_pictures import FittedConstant, draw_constants, draw_measured, draw_residuals
+from tissue.show.figures.fit_pictures import (
+    FittedConstant,
+    draw_constants,
+    draw_measured,
+    draw_residuals,
+)
 from tissue.system.html import html_page, html_picture
 from tissue.system.outputs import write_columns
 from tissue.system.owned_folder import owned_folder
@@ -35,7 +42,9 @@ LAGS = 40
 SHOWN_GAINS = SHOWN_COMBINATIONS = 5
 NATS = 0.1
 LITTLE = 0.95
-"""Gain below which another log is not recommended [nats]; share of an interval above which it is left as it is."""
+"""Gain below which another log is not recommended [nats]; share of an interval above which it is
+left as it is.
+"""
 
 
 def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> list[Path]:
@@ -67,15 +76,23 @@ def _write_files(fit: SceneFit, folder: Path) -> None:
     posterior = fit.posterior
     log = posterior.target.log
     residuals = posterior.residuals
-    draw_measured(log.times_s, log.values, posterior.simulated, log.channels, folder / "measured.png")
+    draw_measured(
+        log.times_s, log.values, posterior.simulated, log.channels, folder / "measured.png"
+    )
     correlations = np.stack([_autocorrelation(each) for each in (residuals, posterior.innovations)])
     draw_residuals(
-        posterior.innovations, correlations, float(np.median(posterior.nuisances.freedom)), folder / "residuals.png"
+        posterior.innovations,
+        correlations,
+        float(np.median(posterior.nuisances.freedom)),
+        folder / "residuals.png",
     )
     draw_constants([_shown(each) for each in fit.constants], folder / "constants.png")
     columns = {"time_s": log.times_s}
     for at, name in enumerate(log.channels):
-        columns |= {f"measured_{name}": log.values[:, at], f"simulated_{name}": posterior.simulated[:, at]}
+        columns |= {
+            f"measured_{name}": log.values[:, at],
+            f"simulated_{name}": posterior.simulated[:, at],
+        }
     write_columns(folder / "loads.csv", columns)
     with whole_file(folder / "fit.json") as temporary:
         temporary.write_text(json.dumps(_numbers(fit, digest), indent=1) + "\n", "utf-8")
@@ -87,7 +104,9 @@ def unit_of(name: str) -> tuple[str, str]:
     """Name without its unit, in words, and the unit as it is written."""
     last = name.rpartition(".")[2]
     unit = next((each for each in UNITS if last.endswith(f"_{each}")), "")
-    words = name.removesuffix(f"_{unit}").removeprefix("cutting.").replace(".", " ").replace("_", " ")
+    words = (
+        name.removesuffix(f"_{unit}").removeprefix("cutting.").replace(".", " ").replace("_", " ")
+    )
     marks = {"N_mm2": "N/mm²", "N_mm": "N/mm"}
     return words, marks.get(unit, unit)
 
@@ -114,8 +133,14 @@ def _write_constants(fit: SceneFit, path: Path, digest: str) -> None:
     spread = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(spread, spread)
     remark = (
-        f'Constants fitted by tissue {package_version()}; a scene takes them by: materials = "{path.name}"',
-        "value: median; range: 5 and 95 % of the posterior; correlation: of the standard normal numbers of each.",
+        (
+            f"Constants fitted by tissue {package_version()}; a scene takes them by: materials = "
+            f'"{path.name}"'
+        ),
+        (
+            "value: median; range: 5 and 95 % of the posterior; correlation: of the standard "
+            "normal numbers of each."
+        ),
     )
     write_fitted(path, entries, correlation, fixed=fixed, remark=remark)
 
@@ -127,7 +152,9 @@ def _shown(each: ConstantFit) -> FittedConstant:
     low, middle, high, *ends = each.z
     cited = (each.prior.low, each.prior.value, each.prior.high)
     is_narrowed = each.state != "at its prior"
-    return FittedConstant(label, unit, cited, fitted, (low, middle, high), (ends[0], ends[1]), is_narrowed)
+    return FittedConstant(
+        label, unit, cited, fitted, (low, middle, high), (ends[0], ends[1]), is_narrowed
+    )
 
 
 def _autocorrelation(values: Array) -> Array:
@@ -160,15 +187,24 @@ def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
         "doubts": list(fit.doubts),
         "constants": [
             {
-                "name": one.name, "p05": one.low, "p50": one.value, "p95": one.high, "contraction": one.contraction,
-                "state": one.state, "prior": [one.prior.low, one.prior.value, one.prior.high],
+                "name": one.name,
+                "p05": one.low,
+                "p50": one.value,
+                "p95": one.high,
+                "contraction": one.contraction,
+                "state": one.state,
+                "prior": [one.prior.low, one.prior.value, one.prior.high],
                 "standard_deviations_from_prior": one.z[1],
             }
             for one in fit.constants
         ],
         "combinations": [
             {
-                "weights": one.weights, "powers": one.powers, "p05": one.low, "p50": one.value, "p95": one.high,
+                "weights": one.weights,
+                "powers": one.powers,
+                "p05": one.low,
+                "p50": one.value,
+                "p95": one.high,
                 "contraction": one.contraction,
             }
             for one in fit.identified.combinations
@@ -181,26 +217,30 @@ def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
         "noise_correlation": each.correlation.tolist(),
         "noise_freedom": each.freedom.tolist(),
         "notes": list(fit.sentences),
-    }  # fmt: skip
+    }
 
 
 def verdicts(fit: SceneFit) -> list[str]:
     """What the log determines, in sentences.
 
-    In this order: what contradicts the priors, determined constants, combinations, what stays at its prior, what next.
+    In this order: what contradicts the priors, determined constants, combinations, what stays at
+    its prior, what next.
     """
     found = [f"doubtful: {each}" for each in fit.doubts]
     names = {each.name: " ".join(filter(None, unit_of(each.name))) for each in fit.constants}
     for each in fit.constants:
         if each.state == "determined":
             label, unit = unit_of(each.name)
-            found.append(f"{label}: {each.value:.3g} ({each.low:.3g} to {each.high:.3g}) {unit}".rstrip())
+            found.append(
+                f"{label}: {each.value:.3g} ({each.low:.3g} to {each.high:.3g}) {unit}".rstrip()
+            )
     for combined in fit.identified.combinations[:SHOWN_COMBINATIONS]:
         terms = [f"{weight:.2g} {unit_of(name)[0]}" for name, weight in combined.weights.items()]
         terms = [" + ".join(terms).replace("+ -", "- ")] if terms else []
         terms += [f"({unit_of(name)[0]})^{power:.2g}" for name, power in combined.powers.items()]
         found.append(
-            f"known better together, each over the median of its prior: {' times '.join(terms)} = {combined.value:.4g} "
+            "known better together, each over the median of its prior: "
+            f"{' times '.join(terms)} = {combined.value:.4g} "
             f"({combined.low:.4g} to {combined.high:.4g})"
         )
     if at_prior := [unit_of(name)[0] for name in fit.identified.at_prior if name in names]:
@@ -225,12 +265,16 @@ def _page(fit: SceneFit, folder: Path) -> str:
         return "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
 
     rows = "".join(
-        f"<tr><td>{escape(one.label)}</td><td>{one.nats:.2g}</td><td>{100.0 * one.shrinks_to:.0f} %</td></tr>"
+        (
+            f"<tr><td>{escape(one.label)}</td><td>{one.nats:.2g}</td>"
+            f"<td>{100.0 * one.shrinks_to:.0f} %</td></tr>"
+        )
         for one in fit.gains[:SHOWN_GAINS]
     )
     widest = escape(unit_of(fit.gains[0].widest)[0]) if fit.gains else ""
     better = (
-        f"<h2>What to measure next</h2><table><tr><th>log of a second</th><th>expected information / nats</th>"
+        "<h2>What to measure next</h2><table><tr><th>log of a second</th><th>expected "
+        "information / nats</th>"
         f"<th>interval of {widest}, of that now</th></tr>{rows}</table>"
         if rows
         else ""

@@ -20,14 +20,16 @@ class Parameter:
     Attributes
     ----------
     name
-        ``TABLE.MATERIAL.NAME`` as the files of constants have it, such as ``cutting.bone.radial_chip_N_mm2``, or
-        ``density.LAYER``, the factor on the density map of a layer.
+        ``TABLE.MATERIAL.NAME`` as the files of constants have it, such as
+        ``cutting.bone.radial_chip_N_mm2``, or ``density.LAYER``, the factor on the density map of a
+        layer.
     prior
         What is known of it before the log.
     cited
-        The prior of a constant whose cited value is an end of its range, such as an axial coefficient of 0. The fit
-        uses the `mirrored` prior in its linear algebra and counts what lies beyond the end as the end itself, see
-        `tissue.fitting.marginal`. None for a constant whose value lies inside its range.
+        The prior of a constant whose cited value is an end of its range, such as an axial
+        coefficient of 0. The fit uses the `mirrored` prior in its linear algebra and counts what
+        lies beyond the end as the end itself, see `tissue.fitting.marginal`. None for a constant
+        whose value lies inside its range.
     """
 
     name: str
@@ -41,22 +43,33 @@ class Parameter:
 
     @property
     def side(self) -> float:
-        """1 where only values above the cited one are possible, -1 where only those below, 0 where both are."""
+        """1 where only values above the cited one are possible, -1 where only those below, 0
+        where both are.
+        """
         if self.cited is None:
             return 0.0
         return 1.0 if self.cited.value == self.cited.low else -1.0
 
 
 def fits(pattern: str, name: str, tags: Collection[str] = ()) -> bool:
-    """Whether a pattern chooses a constant: the table first, then parts of the name, words of it, or tags."""
+    """Whether a pattern chooses a constant: the table first, then parts of the name, words of
+    it, or tags.
+    """
     table, material, *rest = name.split(".")
     wanted, *parts = pattern.split(".")
-    known = {material, *tags, *rest, *(word for full in rest for word in (full, *full.split("_")[:2]))}
+    known = {
+        material,
+        *tags,
+        *rest,
+        *(word for full in rest for word in (full, *full.split("_")[:2])),
+    }
     return wanted == table and known.issuperset(parts)
 
 
 def chosen(
-    free: Sequence[str], possible: Sequence[Parameter], tags: Mapping[str, Collection[str]] | None = None
+    free: Sequence[str],
+    possible: Sequence[Parameter],
+    tags: Mapping[str, Collection[str]] | None = None,
 ) -> list[Parameter]:
     """Return the parameters that patterns choose, see `fits`; all without a pattern.
 
@@ -75,22 +88,30 @@ def chosen(
         If a pattern chooses no parameter.
     """
     words = tags or {}
-    found = {each.name: [fits(pattern, each.name, words.get(each.name, ())) for pattern in free] for each in possible}
+    found = {
+        each.name: [fits(pattern, each.name, words.get(each.name, ())) for pattern in free]
+        for each in possible
+    }
     for at, pattern in enumerate(free):
         if not any(of[at] for of in found.values()):
-            raise InputError(f"free must name constants of this log, got {pattern}: choose among {', '.join(found)}")
+            raise InputError(
+                f"free must name constants of this log, got {pattern}: choose among "
+                f"{', '.join(found)}"
+            )
     return [each for each in possible if not free or any(found[each.name])]
 
 
 class Forward(Protocol):
-    """A scene of which only constants vary: its loads, and their derivatives, along the poses of a log.
+    """A scene of which only constants vary: its loads, and their derivatives, along the poses of a
+    log.
 
     Attributes
     ----------
     parameters
         The free constants, p of them.
     channels
-        What is measured, such as ``force_x_N`` and ``torque_z_Nm``: on the tool, in the world frame.
+        What is measured, such as ``force_x_N`` and ``torque_z_Nm``: on the tool, in the world
+        frame.
     times_s
         Shape (n,), increasing, on the clock of the poses.
     """
@@ -111,7 +132,9 @@ class Forward(Protocol):
         ...
 
     def loads(self, x: Array) -> Array:
-        """Loads [N, N m] of the constants x, shape (p,), in their own units: shape (n, channels)."""
+        """Loads [N, N m] of the constants x, shape (p,), in their own units: shape (n,
+        channels).
+        """
         ...
 
     def jacobian(self, x: Array) -> Array:

@@ -1,4 +1,6 @@
-"""What a log determines: constants narrowed below their priors, and combinations of those that it cannot separate."""
+"""What a log determines: constants narrowed below their priors, and combinations of those that
+it cannot separate.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,7 +13,15 @@ from tissue.fitting.noise import innovations, place_information
 from tissue.fitting.posterior import Posterior
 from tissue.fitting.target import BIAS_SHARE, OFFSET_S
 
-__all__ = ["AT_PRIOR", "DETERMINED", "Combination", "Gain", "Identified", "expected_information", "identified"]
+__all__ = [
+    "AT_PRIOR",
+    "DETERMINED",
+    "Combination",
+    "Gain",
+    "Identified",
+    "expected_information",
+    "identified",
+]
 
 AT_PRIOR = 0.9
 """A constant whose standard deviation is above this share of its prior's stays at its prior."""
@@ -20,11 +30,17 @@ DETERMINED = 0.5
 LEAST_SHARE = 0.1
 """Constants with less than this share of a direction are not named in a combination."""
 ALONE = 0.95
-"""A direction of which one constant has more than this share is that constant and no combination."""
+"""A direction of which one constant has more than this share is that constant and no
+combination.
+"""
 BETTER = 0.5
-"""Standard deviation of a combination over that of its best known constant, each over its prior's, that it is below."""
+"""Standard deviation of a combination over that of its best known constant, each over its
+prior's, that it is below.
+"""
 BALANCED = 0.2
-"""A weighted sum whose terms cancel to less than this share of their sizes has no powers: it is a difference."""
+"""A weighted sum whose terms cancel to less than this share of their sizes has no powers: it is
+a difference.
+"""
 DENSITY = "density."
 EXPONENT = ".density_exponent"
 """What names of constants begin or end with that scale loads by a power."""
@@ -32,15 +48,17 @@ EXPONENT = ".density_exponent"
 
 @dataclass(frozen=True)
 class Combination:
-    """What a log measures of several constants: a weighted mean of its loads, known better than any of them.
+    """What a log measures of several constants: a weighted mean of its loads, known better than any
+    of them.
 
-    Near the values found it is a weighted sum of constants, times powers of densities: such as a chip and an edge
-    coefficient at one feed, times the density to the power of its exponent.
+    Near the values found it is a weighted sum of constants, times powers of densities: such as a
+    chip and an edge coefficient at one feed, times the density to the power of its exponent.
 
     Attributes
     ----------
     weights
-        Of each constant over the median of its prior, by its name; the sizes of all weights sum to 1.
+        Of each constant over the median of its prior, by its name; the sizes of all weights sum to
+        1.
     powers
         Of each density factor or exponent, over the median of its prior.
     value, low, high
@@ -48,8 +66,8 @@ class Combination:
     contraction
         Its standard deviation over that of the prior.
     of
-        Its value for all constants in their own units, shape (p,), of which those that are named count; exact where the
-        weights and powers hold nearby.
+        Its value for all constants in their own units, shape (p,), of which those that are named
+        count; exact where the weights and powers hold nearby.
     """
 
     weights: dict[str, float]
@@ -88,12 +106,20 @@ class Identified:
     @property
     def determined(self) -> tuple[str, ...]:
         """Constants that the log determines by themselves."""
-        return tuple(name for name, share in zip(self.names, self.contraction, strict=True) if share < DETERMINED)
+        return tuple(
+            name
+            for name, share in zip(self.names, self.contraction, strict=True)
+            if share < DETERMINED
+        )
 
     @property
     def at_prior(self) -> tuple[str, ...]:
         """Constants that the log does not narrow by themselves."""
-        return tuple(name for name, share in zip(self.names, self.contraction, strict=True) if share > AT_PRIOR)
+        return tuple(
+            name
+            for name, share in zip(self.names, self.contraction, strict=True)
+            if share > AT_PRIOR
+        )
 
     @property
     def is_empty(self) -> bool:
@@ -102,10 +128,12 @@ class Identified:
 
 
 def identified(posterior: Posterior) -> Identified:
-    """What the log determines: eigenvectors of its information in units of the prior, the nuisances left free.
+    """What the log determines: eigenvectors of its information in units of the prior, the nuisances
+    left free.
 
-    A direction of z that the log determines is the slope of a weighted mean of the loads. That mean is what the log
-    knows, also where the direction of z turns along the curve on which it stays the same.
+    A direction of z that the log determines is the slope of a weighted mean of the loads. That mean
+    is what the log knows, also where the direction of z turns along the curve on which it stays the
+    same.
     """
     p = len(posterior.names)
     target = posterior.target
@@ -123,14 +151,23 @@ def identified(posterior: Posterior) -> Identified:
         for value, vector in zip(eigenvalues, vectors.T[::-1], strict=True)
         if 1.0 / (1.0 + value) < DETERMINED**2 and float(np.max(vector**2)) < ALONE
     ]
-    found = [_combination(posterior, measured @ vector, vector, value) for value, vector in directions]
+    found = [
+        _combination(posterior, measured @ vector, vector, value) for value, vector in directions
+    ]
     alone = dict(zip(posterior.names, contraction.tolist(), strict=True))
-    better = [each for each in found if each.contraction < BETTER * min(alone[name] for name in each.names)]
+    better = [
+        each
+        for each in found
+        if each.contraction < BETTER * min(alone[name] for name in each.names)
+    ]
     return Identified(posterior.names, contraction, eigenvalues, tuple(better))
 
 
-def _combination(posterior: Posterior, mean: Array, direction: Array, information: float) -> Combination:
-    """A mean of whitened loads, shape (m * channels,), whose slope by z is the information times a direction.
+def _combination(
+    posterior: Posterior, mean: Array, direction: Array, information: float
+) -> Combination:
+    """A mean of whitened loads, shape (m * channels,), whose slope by z is the information times a
+    direction.
 
     Constants that count for little are not named: what is not known of them widens the interval.
     """
@@ -173,9 +210,12 @@ def _combination(posterior: Posterior, mean: Array, direction: Array, informatio
     return Combination(
         {names[at]: float(weights[at] / divisor) for at in order if linear[at]},
         {names[at]: float(powers[at]) for at in order if powers[at] != 0.0},
-        value, value - half, value + half, float(np.sqrt(variance) / np.linalg.norm(direction)),
+        value,
+        value - half,
+        value + half,
+        float(np.sqrt(variance) / np.linalg.norm(direction)),
         lambda constants: (measure(np.where(named, constants, x)) - constant) / unit,
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -205,8 +245,9 @@ def expected_information(
 ) -> list[Gain]:
     """Expected information of candidate logs with the noise of the measured one, greatest first.
 
-    Half the logarithm of the determinant of I + C M: C is the covariance of z now, and M the Fisher information of the
-    candidate, its bias unknown (Chaloner and Verdinelli 1995, linearised at the maximum).
+    Half the logarithm of the determinant of I + C M: C is the covariance of z now, and M the Fisher
+    information of the candidate, its bias unknown (Chaloner and Verdinelli 1995, linearised at the
+    maximum).
 
     Parameters
     ----------
@@ -224,7 +265,9 @@ def expected_information(
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     gains = []
     for label, forward in candidates:
-        grown, axes = np.linalg.eigh(np.eye(len(now)) + root.T @ _information(posterior, forward) @ root)
+        grown, axes = np.linalg.eigh(
+            np.eye(len(now)) + root.T @ _information(posterior, forward) @ root
+        )
         grown = np.maximum(grown, 1.0)
         nats = 0.5 * float(np.log(grown).sum())
         after = float(np.sum((root[at] @ axes) ** 2 / grown))
@@ -233,9 +276,11 @@ def expected_information(
 
 
 def _information(posterior: Posterior, forward: Forward) -> Array:
-    """Fisher information of a log about z, its biases and its clock's offset left free, shape (p, p).
+    """Fisher information of a log about z, its biases and its clock's offset left free, shape (p,
+    p).
 
-    A log at another rate than the measured one would have other noise: the candidate is taken at the measured rate.
+    A log at another rate than the measured one would have other noise: the candidate is taken at
+    the measured rate.
     """
     target = posterior.target
     noise = posterior.nuisances
@@ -245,8 +290,13 @@ def _information(posterior: Posterior, forward: Forward) -> Array:
     slopes = target.slopes(posterior.mean_z)
     x = target.x(posterior.mean_z)
     moved = forward.jacobian(x)[::every][:, places] * slopes
-    by_offset = -OFFSET_S * np.gradient(forward.loads(x)[:, places], forward.times_s, axis=0)[::every, :, None]
-    biases = np.broadcast_to(np.diag(BIAS_SHARE * target.log.sizes()), (len(moved), len(places), len(places)))
+    by_offset = (
+        -OFFSET_S
+        * np.gradient(forward.loads(x)[:, places], forward.times_s, axis=0)[::every, :, None]
+    )
+    biases = np.broadcast_to(
+        np.diag(BIAS_SHARE * target.log.sizes()), (len(moved), len(places), len(places))
+    )
     columns = innovations(np.concatenate([moved, biases, by_offset], axis=2), noise.correlation)
     columns *= (np.sqrt(place_information(noise.freedom)) / noise.scale)[:, None]
     rows = columns.reshape(-1, columns.shape[2])

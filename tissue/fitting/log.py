@@ -21,8 +21,8 @@ __all__ = ["MeasuredLog", "pose_notes", "read_log", "without_saturation"]
 GREATEST = {"N": 1e5, "Nm": 1e4}
 """Loads beyond which a log is in another unit [N, N m]."""
 FARTHEST_M = 10.0
-"""Distance of the tool from the scene's origin beyond which its position is in another unit or damaged [m]: carving
-along such a jump would not end."""
+"""Distance of the tool from the scene's origin beyond which its position is in another unit or
+damaged [m]: carving along such a jump would not end."""
 GAP = 5.0
 """Time between two samples, in medians, that is a gap."""
 SHORTEST_S = 0.5
@@ -46,7 +46,8 @@ class MeasuredLog:
     load_times_s
         Times of the loads [s], shape (m,).
     loads
-        Loads on the tool in the scene's frame [N, N m], torques about the tip, shape (m, channels); NaN where missing.
+        Loads on the tool in the scene's frame [N, N m], torques about the tip, shape (m, channels);
+        NaN where missing.
     channels
         Their names, such as ``force_x_N``.
     notes
@@ -68,7 +69,9 @@ class MeasuredLog:
         return float(np.median(np.diff(self.load_times_s)))
 
     def quaternions_of(self, scene: Scene) -> Array:
-        """Orientations, those at the start of the scene's motion where the log has none, shape (n, 4)."""
+        """Orientations, those at the start of the scene's motion where the log has none, shape
+        (n, 4).
+        """
         if self.quaternions is not None:
             return self.quaternions
         first = motion_of(scene, step_s=TICK_S).rotations()[0]
@@ -81,22 +84,28 @@ def read_log(path: Path, columns: Sequence[str] = ()) -> MeasuredLog:
     Parameters
     ----------
     path
-        CSV, Parquet, HDF5, .mat or .npz: a run's own trace needs no columns to be named. Where a trace holds both,
-        ``model_force`` (what the tissue does) is taken, not what was commanded to a device.
+        CSV, Parquet, HDF5, .mat or .npz: a run's own trace needs no columns to be named. Where a
+        trace holds both, ``model_force`` (what the tissue does) is taken, not what was commanded to
+        a device.
     columns
         ``NAME=COLUMN[:UNIT]`` for what has another name, see `tissue.fitting.columns.parse_column`.
 
     Raises
     ------
     InputError
-        If a column is missing or holds what cannot be, times do not increase, or the log is too short.
+        If a column is missing or holds what cannot be, times do not increase, or the log is too
+        short.
     """
     maps = parse_columns(columns)
     found = read_columns(path)
     notes = []
     if "model_force_x_N" in found.names:
         for name in QUANTITIES:
-            if name.startswith(("force_", "torque_")) and name not in maps and f"model_{name}" in found.names:
+            if (
+                name.startswith(("force_", "torque_"))
+                and name not in maps
+                and f"model_{name}" in found.names
+            ):
                 maps[name] = ColumnMap(QUANTITIES[name], f"model_{name}")
         notes.append("forces are those of the model (model_force), before low-pass and device")
     taken, remarks = found.taken(maps, QUANTITIES)
@@ -104,7 +113,9 @@ def read_log(path: Path, columns: Sequence[str] = ()) -> MeasuredLog:
     return _checked(path, taken, found, notes)
 
 
-def _checked(path: Path, taken: dict[str, Array], found: LogColumns, notes: list[str]) -> MeasuredLog:
+def _checked(
+    path: Path, taken: dict[str, Array], found: LogColumns, notes: list[str]
+) -> MeasuredLog:
     """A log of the columns that were read."""
     wanted = ["time_s", *(f"tool_{c}_mm" for c in "xyz")]
     forces = [f"force_{c}_N" for c in "xyz"]
@@ -112,38 +123,50 @@ def _checked(path: Path, taken: dict[str, Array], found: LogColumns, notes: list
     if missing := [name for name in wanted if name not in taken]:
         have = ", ".join(found.names[:40])
         raise InputError(
-            f"measured must hold {', '.join(missing)}, got {path.name} with {have}: name the log's own columns by "
+            f"measured must hold {', '.join(missing)}, got {path.name} with {have}: name the "
+            "log's own columns by "
             f"--column {missing[0]}=COLUMN[:UNIT]"
         )
     times_s = _increasing(taken["time_s"], "time_s", path, notes)
     load_times_s = taken.get("load_time_s")
-    load_times_s = times_s if load_times_s is None else _increasing(load_times_s, "load_time_s", path, notes)
+    load_times_s = (
+        times_s if load_times_s is None else _increasing(load_times_s, "load_time_s", path, notes)
+    )
     channels = tuple(name for name in taken if name.startswith(("force_", "torque_")))
     loads = np.column_stack([taken[name] for name in channels])
     tips_m = np.column_stack([taken[f"tool_{c}_mm"] for c in "xyz"])
     if len(tips_m) != len(times_s) or len(loads) != len(load_times_s):
         raise InputError(
-            f"measured must hold a pose and a load at each of its times, got {len(tips_m)} poses and "
+            f"measured must hold a pose and a load at each of its times, got {len(tips_m)} "
+            "poses and "
             f"{len(loads)} loads at {len(times_s)} and {len(load_times_s)} times "
             f"in {path.name}: name the times of the loads load_time_s"
         )
     if not np.isfinite(tips_m).all():
-        raise InputError(f"measured must hold finite positions, got one that is not in {path.name}: leave its row out")
+        raise InputError(
+            f"measured must hold finite positions, got one that is not in {path.name}: leave "
+            "its row out"
+        )
     if (farthest := float(np.abs(tips_m).max())) >= FARTHEST_M:
         raise InputError(
-            f"measured must hold positions within {FARTHEST_M:g} m of the scene's origin, got {farthest:.3g} m in "
-            f"{path.name}: leave damaged rows out, or give the unit, --column tool_x_mm=COLUMN:um for example"
+            f"measured must hold positions within {FARTHEST_M:g} m of the scene's origin, "
+            f"got {farthest:.3g} m in "
+            f"{path.name}: leave damaged rows out, or give the unit, --column "
+            "tool_x_mm=COLUMN:um for example"
         )
     for name, values in zip(channels, loads.T, strict=True):
         most = GREATEST[name.rpartition("_")[2]]
         if (greatest := float(np.nanmax(np.abs(values), initial=0.0))) >= most:
             raise InputError(
-                f"measured must hold loads below {most:g} in {name}, got {greatest:.3g} in {path.name}: give its unit, "
+                f"measured must hold loads below {most:g} in {name}, got {greatest:.3g} in "
+                f"{path.name}: give its unit, "
                 f"--column {name}=COLUMN:{'mN' if name.endswith('_N') else 'mNm'} for example"
             )
     loads, remarks = without_saturation(loads, channels)
     notes += remarks + pose_notes(times_s, tips_m, float(np.median(np.diff(load_times_s))))
-    return MeasuredLog(path, times_s, tips_m, _turns(taken, path), load_times_s, loads, channels, tuple(notes))
+    return MeasuredLog(
+        path, times_s, tips_m, _turns(taken, path), load_times_s, loads, channels, tuple(notes)
+    )
 
 
 def _increasing(times_s: Array, name: str, path: Path, notes: list[str]) -> Array:
@@ -152,11 +175,13 @@ def _increasing(times_s: Array, name: str, path: Path, notes: list[str]) -> Arra
     if not np.isfinite(times_s).all() or not (steps > 0.0).all():
         line = 0 if not np.isfinite(times_s).all() else int(np.argmin(steps)) + 2
         raise InputError(
-            f"measured must hold times that increase, got {name} that does not in row {line} of {path.name}: sort it"
+            f"measured must hold times that increase, got {name} that does not in row {line} "
+            f"of {path.name}: sort it"
         )
     if times_s[-1] - times_s[0] < SHORTEST_S:
         raise InputError(
-            f"measured must last {SHORTEST_S:g} s or more, got {times_s[-1] - times_s[0]:.3g} s in {path.name}: give a "
+            f"measured must last {SHORTEST_S:g} s or more, got "
+            f"{times_s[-1] - times_s[0]:.3g} s in {path.name}: give a "
             f"longer log, or the unit of its times by --column {name}={name}:ms"
         )
     rate = float(np.median(steps))
@@ -173,33 +198,45 @@ def _turns(taken: dict[str, Array], path: Path) -> Array | None:
         size = np.linalg.norm(found, axis=1)
         if not (size > 1e-6).all():
             raise InputError(
-                f"measured must hold unit quaternions, got a zero one in {path.name}: use 0, 0, 0, 1 there"
+                f"measured must hold unit quaternions, got a zero one in {path.name}: use 0, "
+                "0, 0, 1 there"
             )
         return np.asarray(found / size[:, None])
     vector = [f"tool_r{c}_rad" for c in "xyz"]
     if all(name in taken for name in vector):
-        return np.asarray(Rotation.from_rotvec(np.column_stack([taken[name] for name in vector])).as_quat())
+        return np.asarray(
+            Rotation.from_rotvec(np.column_stack([taken[name] for name in vector])).as_quat()
+        )
     return None
 
 
 PLATEAU = 10
 """Samples in a row at a channel's extreme from which a sensor is taken as saturated."""
 SHARPER = 5
-"""How many times longer than the equal values before and after it such a row is: a peak in coarse steps is not."""
+"""How many times longer than the equal values before and after it such a row is: a peak in
+coarse steps is not.
+"""
 ROUGH = 0.05
-"""Share of samples at which a measured channel turns back; one that is smoother has no noise, and may rest anywhere."""
+"""Share of samples at which a measured channel turns back; one that is smoother has no noise,
+and may rest anywhere.
+"""
 BASELINE = 0.5
-"""Share of the greatest load below which an extreme is where nothing touches the tool, not the end of a range."""
+"""Share of the greatest load below which an extreme is where nothing touches the tool, not the
+end of a range.
+"""
 SLOWER = 5.0
 """Times between two poses in those between two loads from which a path between poses matters."""
 CORNER_M = 2e-5
-"""How far a straight line between two poses may be off, half the noise of an optical tracker [m]."""
+"""How far a straight line between two poses may be off, half the noise of an optical tracker
+[m].
+"""
 SPEED_S = 0.1
 """Time over which a tool's own speed is taken [s]."""
 
 
 def without_saturation(loads: Array, channels: tuple[str, ...]) -> tuple[Array, list[str]]:
-    """Loads without what saturated sensors gave, shape (m, channels), and sentences on that and on coarse steps.
+    """Loads without what saturated sensors gave, shape (m, channels), and sentences on that and on
+    coarse steps.
 
     Parameters
     ----------
@@ -216,10 +253,14 @@ def without_saturation(loads: Array, channels: tuple[str, ...]) -> tuple[Array, 
         for extreme in _saturated(values):
             full = values == extreme
             kept[full, at] = np.nan
-            notes.append(f"{counted(int(full.sum()), 'sample')} of {name} at {extreme:.4g} {unit} left out: saturated")
+            notes.append(
+                f"{counted(int(full.sum()), 'sample')} of {name} at {extreme:.4g} {unit} "
+                "left out: saturated"
+            )
         if (step := _coarse_step(values)) > 0.0:
             notes.append(
-                f"{name} comes in steps of {step:.3g} {unit}, coarser than its noise: their error of "
+                f"{name} comes in steps of {step:.3g} {unit}, coarser than its noise: their "
+                "error of "
                 f"{step / np.sqrt(12.0):.2g} {unit} is part of the noise that is fitted"
             )
     return kept, notes
@@ -243,10 +284,13 @@ def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]
     period_s = float(np.median(np.diff(times_s)))
     notes = []
     bend_m = float(np.linalg.norm(np.diff(tips_m, 2, axis=0), axis=1).max()) / 8.0
-    noise_m = float(np.linalg.norm(1.4826 * np.median(np.abs(np.diff(tips_m, 3, axis=0)), axis=0))) / np.sqrt(20.0)
+    noise_m = float(
+        np.linalg.norm(1.4826 * np.median(np.abs(np.diff(tips_m, 3, axis=0)), axis=0))
+    ) / np.sqrt(20.0)
     if period_s > SLOWER * load_period_s and bend_m > CORNER_M:
         notes.append(
-            f"poses come every {1e3 * period_s:.3g} ms, loads every {1e3 * load_period_s:.3g} ms: the straight path "
+            f"poses come every {1e3 * period_s:.3g} ms, loads every "
+            f"{1e3 * load_period_s:.3g} ms: the straight path "
             f"between poses is off by {1e3 * bend_m:.2g} mm at the sharpest corner, log them faster"
         )
     lag = max(round(SPEED_S / period_s), 1)
@@ -254,8 +298,10 @@ def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]
     fastest_m_s = float((moved_m / (times_s[lag:] - times_s[:-lag])).max(initial=0.0))
     if (shaken_m_s := np.sqrt(2.0) * noise_m / period_s) > fastest_m_s:
         notes.append(
-            f"poses have noise of {1e3 * noise_m:.2g} mm, which is a speed of {1e3 * shaken_m_s:.3g} mm/s from one to "
-            f"the next where the tool moves at {1e3 * fastest_m_s:.3g} mm/s at most: smooth them first"
+            f"poses have noise of {1e3 * noise_m:.2g} mm, which is a speed of "
+            f"{1e3 * shaken_m_s:.3g} mm/s from one to "
+            f"the next where the tool moves at {1e3 * fastest_m_s:.3g} mm/s at most: smooth "
+            "them first"
         )
     return notes
 

@@ -1,4 +1,6 @@
-"""Files of measured logs as columns: CSV, Parquet, HDF5, MATLAB and NumPy, and recordings of volumetric_drilling."""
+"""Files of measured logs as columns: CSV, Parquet, HDF5, MATLAB and NumPy, and recordings of
+volumetric_drilling.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -67,7 +69,9 @@ class LogColumns:
             values[name] = factor * self.numbers(column)
             used.add(column)
         if left := [name for name in self.names if name not in used]:
-            notes.append(f"not used: {', '.join(left[:12])}{' and others' if len(left) > 12 else ''}")
+            notes.append(
+                f"not used: {', '.join(left[:12])}{' and others' if len(left) > 12 else ''}"
+            )
         return values, notes
 
 
@@ -80,7 +84,9 @@ def read_columns(path: Path) -> LogColumns:
         If the file is not there, of another kind, or damaged, or what reads it is not installed.
     """
     if not is_file(path):
-        raise InputError(f"measured must be an existing file, got {path}: give a log such as a run's trace.csv")
+        raise InputError(
+            f"measured must be an existing file, got {path}: give a log such as a run's trace.csv"
+        )
     require_memory(path.stat().st_size, path.name, "text or numbers")
     kind = path.suffix.lower()
     if kind not in READERS:
@@ -91,7 +97,9 @@ def read_columns(path: Path) -> LogColumns:
     except (InputError, MemoryError):
         raise
     except Exception as problem:  # each reader raises kinds of its own for a damaged file
-        raise InputError(f"measured must be a whole {kind} file, got {path} ({problem}): export it again") from None
+        raise InputError(
+            f"measured must be a whole {kind} file, got {path} ({problem}): export it again"
+        ) from None
 
 
 def _text(path: Path) -> LogColumns:
@@ -107,7 +115,8 @@ def _held(columns: Mapping[str, Any]) -> LogColumns:
         values = flat[name]
         if values.ndim != 1 or values.dtype.kind not in "fiu":
             raise InputError(
-                f"measured must hold a column of numbers as {name}, got another kind: export it as numbers"
+                f"measured must hold a column of numbers as {name}, got another kind: export "
+                "it as numbers"
             )
         return values.astype(np.float64)
 
@@ -122,7 +131,9 @@ def _parquet(path: Path) -> LogColumns:
 def _isolated(parser: str, path: Path) -> LogColumns:
     """Columns that a parser finds in a process of its own."""
     name = f"tissue.fitting.log_files:{parser}"
-    return _held(parse_isolated(name, path, what=f"{path.suffix} file", remedy="export it again")[1])
+    return _held(
+        parse_isolated(name, path, what=f"{path.suffix} file", remedy="export it again")[1]
+    )
 
 
 def _npz(path: Path) -> LogColumns:
@@ -143,18 +154,29 @@ def _h5(path: Path) -> LogColumns:
         if any(name in file for name in DRILLING):
             return _drilling(path)
         sets: dict[str, Any] = {}
-        file.visititems(lambda name, each: sets.update({name: each}) if isinstance(each, h5py.Dataset) else None)
+        file.visititems(
+            lambda name, each: sets.update({name: each}) if isinstance(each, h5py.Dataset) else None
+        )
         count = sum(each.size or 0 for each in sets.values())
-        require_memory(sum(each.nbytes for each in sets.values() if each.size), path.name, f"{count:.3g} numbers")
+        require_memory(
+            sum(each.nbytes for each in sets.values() if each.size),
+            path.name,
+            f"{count:.3g} numbers",
+        )
         return _held({name: each[()] for name, each in sets.items()})
 
 
 def _structs(path: Path) -> LogColumns:
-    """Columns of a MATLAB 7.3 file, those of structs by the names of their fields where no two are the same."""
+    """Columns of a MATLAB 7.3 file, those of structs by the names of their fields where no two
+    are the same.
+    """
     found = _h5(path)
     whole = [name for name in found.names if not name.startswith("#")]
     fields = [name.rpartition("/")[2] for name in whole]
-    places = {field if fields.count(field) == 1 else name: name for field, name in zip(fields, whole, strict=True)}
+    places = {
+        field if fields.count(field) == 1 else name: name
+        for field, name in zip(fields, whole, strict=True)
+    }
     return LogColumns(tuple(places), lambda name: found.numbers(places[name]), found.notes)
 
 
@@ -162,16 +184,21 @@ def _drilling(path: Path) -> LogColumns:
     """Poses and loads of a recording of volumetric_drilling, each at times of their own."""
     held = read_drilling(path, what="measured")
     columns = {"time_s": held.times_s}
-    columns |= dict(zip(POSE_NAMES, np.hstack([1e3 * held.tips_m, held.quaternions]).T, strict=True))
+    columns |= dict(
+        zip(POSE_NAMES, np.hstack([1e3 * held.tips_m, held.quaternions]).T, strict=True)
+    )
     if held.load_times_s is not None and held.loads is not None and len(held.load_times_s):
         first, last = held.load_times_s[[0, -1]].tolist()
         if first > held.times_s[-1] or last < 0.0:
             raise InputError(
-                f"measured must hold forces while the poses last, got forces from {first:.6g} to {last:.6g} s after "
-                f"the first pose and poses for {held.times_s[-1]:.6g} s in {path}: bring its time_stamps to one clock"
+                "measured must hold forces while the poses last, got forces from "
+                f"{first:.6g} to {last:.6g} s after "
+                f"the first pose and poses for {held.times_s[-1]:.6g} s in {path}: bring its "
+                "time_stamps to one clock"
             )
         columns["load_time_s"] = held.load_times_s
-        columns |= dict(zip(LOAD_NAMES, held.loads.T, strict=False))  # torques may have been left out
+        # torques may have been left out
+        columns |= dict(zip(LOAD_NAMES, held.loads.T, strict=False))
     found = _held(columns)
     return LogColumns(found.names, found.numbers, held.notes)
 
@@ -183,14 +210,21 @@ def _module(name: str, extra: str) -> Any:
         return import_module(name)
     except ImportError:
         raise InputError(
-            f"measured must have what reads it installed, got no {name}: pip install 'tissue-sim[{extra}]'"
+            f"measured must have what reads it installed, got no {name}: pip install "
+            f"'tissue-sim[{extra}]'"
         ) from None
 
 
 READERS: dict[str, Callable[[Path], LogColumns]] = {
-    ".csv": _text, ".txt": _text, ".tsv": _text, ".parquet": _parquet, ".npz": _npz, ".mat": _mat,
-    ".h5": _h5, ".hdf5": _h5,
-}  # fmt: skip
+    ".csv": _text,
+    ".txt": _text,
+    ".tsv": _text,
+    ".parquet": _parquet,
+    ".npz": _npz,
+    ".mat": _mat,
+    ".h5": _h5,
+    ".hdf5": _h5,
+}
 
 
 _BYTES = 8
@@ -198,16 +232,25 @@ _BYTES = 8
 
 
 def parquet_columns(file: Path) -> Answer:
-    """Return the columns of a Parquet file by name, after its stated size has been held against the memory limit.
+    """Return the columns of a Parquet file by name, after its stated size has been held against the
+    memory limit.
 
     What holds no numbers is returned as an empty matrix, so that its name is known.
     """
     import pyarrow.parquet
 
     about = pyarrow.parquet.ParquetFile(file).metadata
-    chunks = [about.row_group(k).column(j) for k in range(about.num_row_groups) for j in range(about.num_columns)]
+    chunks = [
+        about.row_group(k).column(j)
+        for k in range(about.num_row_groups)
+        for j in range(about.num_columns)
+    ]
     needed = sum(max(_BYTES * chunk.num_values, chunk.total_uncompressed_size) for chunk in chunks)
-    require_memory(max(needed, _BYTES * about.num_rows * about.num_columns), file.name, f"{about.num_rows:.3g} rows")
+    require_memory(
+        max(needed, _BYTES * about.num_rows * about.num_columns),
+        file.name,
+        f"{about.num_rows:.3g} rows",
+    )
     table = pyarrow.parquet.read_table(file)
     columns: dict[str, NDArray[np.number]] = {}
     for name, values in zip(table.column_names, table.columns, strict=True):
@@ -217,7 +260,8 @@ def parquet_columns(file: Path) -> Answer:
 
 
 def mat_columns(file: Path) -> Answer:
-    """Return the numeric arrays of a MATLAB file by name, those of structs by the names of their fields.
+    """Return the numeric arrays of a MATLAB file by name, those of structs by the names of their
+    fields.
 
     What holds no numbers is returned as an empty matrix, so that its name is known.
     """
@@ -228,7 +272,11 @@ def mat_columns(file: Path) -> Answer:
         if name.startswith("__"):
             continue
         fields = getattr(getattr(value, "dtype", None), "names", None)
-        held = {inner: value[inner].item() for inner in fields} if fields and value.ndim == 0 else {name: value}
+        held = (
+            {inner: value[inner].item() for inner in fields}
+            if fields and value.ndim == 0
+            else {name: value}
+        )
         for inner, each in held.items():
             _require_new(inner, columns)
             columns[inner] = _numeric(np.asarray(each))

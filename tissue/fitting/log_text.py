@@ -1,4 +1,6 @@
-"""A measured log as text: delimiter, preamble, header line and units line are found; the cells stay text."""
+"""A measured log as text: delimiter, preamble, header line and units line are found; the cells
+stay text.
+"""
 
 import csv
 import re
@@ -49,7 +51,10 @@ class TextTable:
             If a cell holds no number, naming its line, or two columns have that name.
         """
         if self.names.count(name) != 1:
-            raise InputError(f"column must name one column of the log, got {name}, which is there twice: rename one")
+            raise InputError(
+                f"column must name one column of the log, got {name}, which is there twice: "
+                "rename one"
+            )
         place = self.names.index(name)
         numbers = []
         for line, row in zip(self.lines, self.rows, strict=True):
@@ -78,7 +83,9 @@ def read_text(path: Path) -> TextTable:
     cells = [_cells(line, delimiter) for line in lines]
     start = next(i for i, row in enumerate(cells) if len(row) == width and _is_data(row))
     names, above, has_units = _header(cells[:start], width)
-    notes = [f"{counted(above, 'line')} before the header line {above + 1}"] if above and names else []
+    notes = (
+        [f"{counted(above, 'line')} before the header line {above + 1}"] if above and names else []
+    )
     notes += [f"the units of line {start}"] if has_units else []
     places = [at for at in range(start, len(lines)) if lines[at].strip()]
     if blank := len(lines) - start - len(places):
@@ -91,18 +98,23 @@ def read_text(path: Path) -> TextTable:
     for line, row in zip(numbers, rows, strict=True):
         if len(row) != width:
             raise InputError(
-                f"log must hold {width} values a line, got {len(row)} in line {line} of {path.name}: {_AGAIN}"
+                f"log must hold {width} values a line, got {len(row)} in line {line} of "
+                f"{path.name}: {_AGAIN}"
             )
     return TextTable(names or tuple(map(str, range(1, width + 1))), rows, numbers, tuple(notes))
 
 
 def _decoded(path: Path) -> str:
-    """Text of a file; what is no UTF-8 is read as UTF-16 where it begins so, otherwise as Windows-1252."""
+    """Text of a file; what is no UTF-8 is read as UTF-16 where it begins so, otherwise as
+    Windows-1252.
+    """
     content = path.read_bytes()
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return content.decode("utf-16", "replace")
     if b"\0" in content[:4096]:
-        raise InputError(f"log must be a table of text, got other data in {path.name}: export it as CSV")
+        raise InputError(
+            f"log must be a table of text, got other data in {path.name}: export it as CSV"
+        )
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -110,7 +122,9 @@ def _decoded(path: Path) -> str:
 
 
 def _form(lines: list[str], path: Path) -> tuple[str, int]:
-    """Delimiter and number of cells of the lines that hold data: those that make the most numbers of them."""
+    """Delimiter and number of cells of the lines that hold data: those that make the most
+    numbers of them.
+    """
     best = 0
     form = (",", 0)
     for delimiter in _DELIMITERS:
@@ -125,7 +139,8 @@ def _form(lines: list[str], path: Path) -> tuple[str, int]:
             form = (delimiter, width)
     if not form[1]:
         raise InputError(
-            f"log must hold a table with at least two columns of numbers, got none in {path.name}: export it as CSV"
+            "log must hold a table with at least two columns of numbers, got none in "
+            f"{path.name}: export it as CSV"
         )
     return form
 
@@ -149,7 +164,9 @@ def _is_data(row: list[str]) -> bool:
 
 
 def _header(above: list[list[str]], width: int) -> tuple[tuple[str, ...], int, bool]:
-    """Names, the number of lines before them, and whether a line of units stands between them and the data."""
+    """Names, the number of lines before them, and whether a line of units stands between them
+    and the data.
+    """
     at = len(above) - 1
     while at >= 0 and not any(cell.strip() for cell in above[at]):
         at -= 1
@@ -161,6 +178,9 @@ def _header(above: list[list[str]], width: int) -> tuple[tuple[str, ...], int, b
         first = [cell.strip().removeprefix("#").strip() for cell in above[at - 1]]
         if not _count(first):
             stated = [unit[1].strip() if unit else "" for unit in units]
-            joined = [f"{name} ({unit})" if unit else name for name, unit in zip(first, stated, strict=True)]
+            joined = [
+                f"{name} ({unit})" if unit else name
+                for name, unit in zip(first, stated, strict=True)
+            ]
             return tuple(joined), at - 1, True
     return tuple(names), at, False

@@ -1,19 +1,24 @@
 """The law of one number of a fit: Laplace's approximation of all others at each of its values.
 
-A normal law about the maximum is not enough in three cases, so the density of a number is found on a grid, with the
-others at their most probable values there and integrated by Laplace's approximation (Tierney and Kadane 1986):
+A normal law about the maximum is not enough in three cases, so the density of a number is found on
+a grid, with the others at their most probable values there and integrated by Laplace's
+approximation (Tierney and Kadane 1986):
 
-- A constant whose range spans decades, such as 0.01 of 0 to 0.1. What a log knows of its value is symmetric, what it
-  knows of the standard normal number behind it is not: a load hidden by noise would count as determined
-  (``tests/tissue/fitting/test_marginal.py``).
-- The offset of the clocks. Where a load jumps between two samples of a log, each offset that leaves the jump between
-  them explains the log equally well. The normal law held the planted offset in 78 % of 100 simulated logs, the grid in
-  83 % (``tests/bench/bench_fit_cutting.py block``).
-- Constants whose cited value is an end of their range, such as axial cutting coefficients of 0. A half-normal prior is
-  positive in every draw: no interval of it holds the cited value, and constants that the log cannot separate from it
-  are shifted. The prior used here is a normal law cut off at the cited value, with the part beyond the end counted as
-  the end: half of the probability is the cited value itself, which is then the median, and the other half has the far
-  end of the range as its 95 % quantile. With ``z`` counted away from the end, it differs from the whole normal law
+- A constant whose range spans decades, such as 0.01 of 0 to 0.1. What a log knows of its value is
+  symmetric, what it
+  knows of the standard normal number behind it is not: a load hidden by noise would count as
+  determined (``tests/tissue/fitting/test_marginal.py``).
+- The offset of the clocks. Where a load jumps between two samples of a log, each offset that leaves
+  the jump between
+  them explains the log equally well. The normal law held the planted offset in 78 % of 100
+  simulated logs, the grid in 83 % (``tests/bench/bench_fit_cutting.py block``).
+- Constants whose cited value is an end of their range, such as axial cutting coefficients of 0. A
+  half-normal prior is
+  positive in every draw: no interval of it holds the cited value, and constants that the log cannot
+  separate from it are shifted. The prior used here is a normal law cut off at the cited value, with
+  the part beyond the end counted as the end: half of the probability is the cited value itself,
+  which is then the median, and the other half has the far end of the range as its 95 % quantile.
+  With ``z`` counted away from the end, it differs from the whole normal law
   (`tissue.materials.prior.Prior.mirrored`), with which the maximum is found, by the factor::
 
       0.5 delta(z) / phi(0) + (1 where z > 0)
@@ -38,11 +43,13 @@ from tissue.fitting.target import OFFSET_S, Target
 __all__ = ["Marginal", "log_density_at", "log_factor", "marginal"]
 
 STEPS = np.cumsum(0.4 * 1.25 ** np.arange(16))
-"""Places of the grid to either side of the maximum, in standard deviations of the normal law there. The last one is 55
-away: the flat side of a constant can be many standard deviations wide."""
+"""Places of the grid to either side of the maximum, in standard deviations of the normal law there.
+The last one is 55 away: the flat side of a constant can be many standard deviations wide."""
 WITHIN = np.linspace(0.05, 3.0, 60)
 ABOUT = np.linspace(0.25, 4.0, 16)
-"""Places of the grid of the offset: in samples of the log, and in standard deviations of the normal law."""
+"""Places of the grid of the offset: in samples of the log, and in standard deviations of the
+normal law.
+"""
 NEGLIGIBLE = 10.0
 """Fall of the log density that ends the grid."""
 STEEP = 3.0
@@ -59,13 +66,14 @@ POINTS = 256
 """Points of the quasi-random integral: its error is below 1 % for three correlated constants."""
 MOST_STEPS = 60
 NEAR = 0.01
-"""Steps of least squares to the most probable others, many where a log knows combinations only, whose members lie on a
-curve; and twice the increase of the log density below which the search ends."""
+"""Steps of least squares to the most probable others, many where a log knows combinations only,
+whose members lie on a curve; and twice the increase of the log density below which the search
+ends."""
 DAMPING = 0.1
 HARDER = 8.0
 EASIER = 0.2
-"""Damping of a step that would lower the density, over the information of the priors, and its factors after another
-such step and after a good one (Levenberg 1944)."""
+"""Damping of a step that would lower the density, over the information of the priors, and its
+factors after another such step and after a good one (Levenberg 1944)."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +128,8 @@ def marginal(target: Target, maximum: Array, covariance: Array, at: int) -> Marg
 
 
 def log_density_at(target: Target, u: Array, at: int) -> tuple[float, Array]:
-    """Compute the log density of a number, constants, offset and biases but it integrated, and their best place.
+    """Compute the log density of a number, constants, offset and biases but it integrated, and
+    their best place.
 
     Parameters
     ----------
@@ -157,15 +166,17 @@ def log_density_at(target: Target, u: Array, at: int) -> tuple[float, Array]:
 
 
 def log_factor(mean: Array, covariance: Array) -> float:
-    """Compute the logarithm of a normal posterior's probability under the cut-off prior over that under the normal one.
+    """Compute the logarithm of a normal posterior's probability under the cut-off prior over that
+    under the normal one.
 
-    The integral is sequential (Geweke, Hajivassiliou and Keane): number by number, each conditional law has its
-    probability at zero and above zero in closed form.
+    The integral is sequential (Geweke, Hajivassiliou and Keane): number by number, each conditional
+    law has its probability at zero and above zero in closed form.
 
     Parameters
     ----------
     mean, covariance
-        Of the one-sided numbers under the normal prior, counted away from the end, shape (k,) and (k, k).
+        Of the one-sided numbers under the normal prior, counted away from the end, shape (k,) and
+        (k, k).
     """
     if not len(mean):
         return 0.0
@@ -186,18 +197,26 @@ def log_factor(mean: Array, covariance: Array) -> float:
 
 
 def _reweighted(target: Target, u: Array, others: NDArray[np.intp]) -> tuple[float, Array, Array]:
-    """Log density of a place, its gradient by some numbers, and their normal matrix by reweighted least squares.
+    """Log density of a place, its gradient by some numbers, and their normal matrix by reweighted
+    least squares.
 
-    Fisher's scoring, whose weights are those expected, needs hundreds of steps where residuals are far in the tails.
+    Fisher's scoring, whose weights are those expected, needs hundreds of steps where residuals are
+    far in the tails.
     """
     noise = target.unpacked(u)
     known = np.isfinite(target.log.values)
     simulated, moved = target.linearised(u)
     terms = target.terms(target.log.values - simulated, noise)
-    added = np.nan_to_num(innovations(np.where(known[:, :, None], moved[:, :, others], np.nan), noise.correlation))
+    added = np.nan_to_num(
+        innovations(np.where(known[:, :, None], moved[:, :, others], np.nan), noise.correlation)
+    )
     columns = (np.sqrt(terms.weights)[:, :, None] * added).reshape(-1, len(others))
     gradient = -np.tensordot(np.where(known, terms.by_residuals, 0.0), moved, 2)[others] - u[others]
-    return terms.log_density - 0.5 * float(u @ u), gradient, columns.T @ columns + np.eye(len(others))
+    return (
+        terms.log_density - 0.5 * float(u @ u),
+        gradient,
+        columns.T @ columns + np.eye(len(others)),
+    )
 
 
 @cache
@@ -207,12 +226,17 @@ def _uniform(count: int) -> Array:
 
 
 def _walked(
-    target: Target, at: int, first: tuple[float, Array], along: Array, places: Array, patience: float
+    target: Target,
+    at: int,
+    first: tuple[float, Array],
+    along: Array,
+    places: Array,
+    patience: float,
 ) -> dict[float, tuple[float, Array]]:
     """Log densities at places that lead away from a first one, and the best places of the others.
 
-    They end where the density has been negligible for longer than `patience`: that of the offset may rise again within
-    a sample of the log.
+    They end where the density has been negligible for longer than `patience`: that of the offset
+    may rise again within a sample of the log.
     """
     found: dict[float, tuple[float, Array]] = {}
     highest, u = first
@@ -239,16 +263,24 @@ def _refine(target: Target, at: int, found: dict[float, tuple[float, Array]]) ->
         for low, high in pairwise(sorted(found)):
             ends = [found[low][0], found[high][0]]
             if max(ends) - min(ends) > STEEP and max(ends) > highest - NEGLIGIBLE:
-                found[0.5 * (low + high)] = log_density_at(target, 0.5 * (found[low][1] + found[high][1]), at)
+                found[0.5 * (low + high)] = log_density_at(
+                    target, 0.5 * (found[low][1] + found[high][1]), at
+                )
 
 
 def _law(found: Mapping[float, float], side: float) -> Marginal:
-    """Law of a number from its log density at some places; of a one-sided one, the end at 0 has a probability."""
+    """Law of a number from its log density at some places; of a one-sided one, the end at 0 has
+    a probability.
+    """
     sign = side or 1.0
     logarithms = {sign * place: logarithm for place, logarithm in found.items()}
     places = np.array(sorted(logarithms))
     heights = np.array([logarithms[each] for each in places.tolist()])
-    fine = np.interp(np.linspace(0.0, len(places) - 1.0, FINE * (len(places) - 1) + 1), np.arange(len(places)), places)
+    fine = np.interp(
+        np.linspace(0.0, len(places) - 1.0, FINE * (len(places) - 1) + 1),
+        np.arange(len(places)),
+        places,
+    )
     density = np.exp(PchipInterpolator(places, heights - heights.max())(fine))
     end = END * float(density[0]) if side and fine[0] == 0.0 else 0.0
     summed = end + cumulative_trapezoid(density, fine, initial=0.0)

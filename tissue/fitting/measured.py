@@ -13,7 +13,9 @@ from tissue.models.tissue_model import TICK_S
 __all__ = ["MeasuredLoads", "block_averages", "block_ticks", "shift_operators"]
 
 FEWEST = 50
-"""Samples of a channel below which its scale and the correlation of its noise cannot be estimated."""
+"""Samples of a channel below which its scale and the correlation of its noise cannot be
+estimated.
+"""
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,8 @@ class MeasuredLoads:
     channels
         Names with units, such as ``force_x_N``.
     within_s
-        Times, from that of a sample, at which the loads were read of which it is the mean, shape (k,) [s].
+        Times, from that of a sample, at which the loads were read of which it is the mean, shape
+        (k,) [s].
 
     Raises
     ------
@@ -45,20 +48,26 @@ class MeasuredLoads:
     def __post_init__(self) -> None:
         if self.values.shape != (len(self.times_s), len(self.channels)):
             raise InputError(
-                f"values must have shape ({len(self.times_s)}, {len(self.channels)}), of times and channels, got "
+                f"values must have shape ({len(self.times_s)}, {len(self.channels)}), of "
+                "times and channels, got "
                 f"{self.values.shape}: give one row a sample"
             )
         if not (np.diff(self.times_s) > 0.0).all():
-            raise InputError("times_s must increase, got one that does not: sort the samples and drop repeated ones")
+            raise InputError(
+                "times_s must increase, got one that does not: sort the samples and drop "
+                "repeated ones"
+            )
         counts = np.isfinite(self.values).sum(axis=0)
         if len(counts) and counts.min() < FEWEST:
             raise InputError(
                 f"values must hold {FEWEST} samples of each channel, got {counts.min()} of "
-                f"{self.channels[int(np.argmin(counts))]}: leave the channel out or give a longer log"
+                f"{self.channels[int(np.argmin(counts))]}: leave the channel out or give a "
+                "longer log"
             )
 
     def sizes(self) -> Array:
-        """Root mean square of each channel's unit [N or N m], shape (channels,), not swayed by outliers.
+        """Root mean square of each channel's unit [N or N m], shape (channels,), not swayed by
+        outliers.
 
         Channels of one unit share the largest, since a channel without load has nothing but noise.
         """
@@ -71,9 +80,13 @@ class MeasuredLoads:
 
 
 MOST_SAMPLES = 2000
-"""Samples of a log that a fit takes: noise that lasts for longer than a block is modelled, not averaged out."""
+"""Samples of a log that a fit takes: noise that lasts for longer than a block is modelled, not
+averaged out.
+"""
 LEAST_BLOCK = 5
-"""Ticks of a block: tooth passing and sensor noise above 100 Hz are not what constants are found from."""
+"""Ticks of a block: tooth passing and sensor noise above 100 Hz are not what constants are found
+from.
+"""
 
 
 def block_ticks(duration_s: float, period_s: float) -> int:
@@ -87,7 +100,9 @@ def block_ticks(duration_s: float, period_s: float) -> int:
     return max(LEAST_BLOCK, int(np.ceil(max(duration_s / MOST_SAMPLES, period_s) / TICK_S - 1e-6)))
 
 
-def block_averages(times_s: Array, values: Array, channels: tuple[str, ...], ticks: int) -> MeasuredLoads:
+def block_averages(
+    times_s: Array, values: Array, channels: tuple[str, ...], ticks: int
+) -> MeasuredLoads:
     """Means over blocks; NaN where a block holds less than half of the samples that it should.
 
     Parameters
@@ -127,8 +142,8 @@ def shift_operators(
 ) -> tuple[csr_array, csr_array]:
     """Interpolate what is known at `times_s` at the times ``wanted_s - offset_s``, as matrices.
 
-    Cubic through four neighbours (Catmull and Rom, 1974), whose slope is continuous, so that a gradient by the offset
-    is; before the first and after the last time it is the value there.
+    Cubic through four neighbours (Catmull and Rom, 1974), whose slope is continuous, so that a
+    gradient by the offset is; before the first and after the last time it is the value there.
 
     Parameters
     ----------
@@ -178,4 +193,6 @@ def shift_operators(
 
 def _rows(at_start: Array, at_end: Array, start_tangent: Array, end_tangent: Array) -> Array:
     """Weights of the four neighbours, shape (m, 4), of the Hermite form of a cubic."""
-    return np.stack([-start_tangent, at_start - end_tangent, at_end + start_tangent, end_tangent], axis=1)
+    return np.stack(
+        [-start_tangent, at_start - end_tangent, at_end + start_tangent, end_tangent], axis=1
+    )

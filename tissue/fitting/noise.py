@@ -21,9 +21,11 @@ class NoiseTerms:
     by_residuals
         Its derivative by each residual, shape (m, channels); 0 where there is none.
     by_log_scale, by_correlation, by_freedom
-        Its derivatives by ln scale, the correlation and the degrees of freedom of each channel, shape (channels,).
+        Its derivatives by ln scale, the correlation and the degrees of freedom of each channel,
+        shape (channels,).
     weights
-        Of each squared innovation in the sum of squares that has the same gradient, shape (m, channels) [1/unit²].
+        Of each squared innovation in the sum of squares that has the same gradient, shape (m,
+        channels) [1/unit²].
     """
 
     log_density: float
@@ -37,8 +39,9 @@ class NoiseTerms:
 def innovations(residuals: Array, correlation: Array) -> Array:
     """What each residual adds to the last, e_t = r_t - phi r_(t-1), shape (m, channels).
 
-    The first after a gap (NaN) is sqrt(1 - phi²) r_t, since the chain starts stationary; NaN at gaps. Linear in the
-    residuals, so a third axis of derivatives works as well: shape (m, channels, any).
+    The first after a gap (NaN) is sqrt(1 - phi²) r_t, since the chain starts stationary; NaN at
+    gaps. Linear in the residuals, so a third axis of derivatives works as well: shape (m, channels,
+    any).
     """
     previous, starts = _previous(residuals)
     phi = correlation.reshape(1, -1, *[1] * (residuals.ndim - 2))
@@ -53,11 +56,13 @@ def noise_terms(residuals: Array, scale: Array, correlation: Array, freedom: Arr
     residuals
         Shape (m, channels), NaN where missing, at one rate.
     scale
-        Of the innovations, shape (channels,): a standard deviation of sqrt(2) times it at four degrees of freedom.
+        Of the innovations, shape (channels,): a standard deviation of sqrt(2) times it at four
+        degrees of freedom.
     correlation
         Of neighbouring residuals, in (-1, 1), shape (channels,).
     freedom
-        Degrees of freedom of the innovations, shape (channels,): outliers lose their pull the more the fewer they are.
+        Degrees of freedom of the innovations, shape (channels,): outliers lose their pull the more
+        the fewer they are.
     """
     previous, starts = _previous(residuals)
     here = np.isfinite(residuals)
@@ -68,7 +73,9 @@ def noise_terms(residuals: Array, scale: Array, correlation: Array, freedom: Arr
     stationary = 1.0 - correlation**2
     count = here.sum(axis=0)
     begun = starts.sum(axis=0)
-    constant = gammaln(0.5 * (freedom + 1.0)) - gammaln(0.5 * freedom) - 0.5 * np.log(freedom * np.pi)
+    constant = (
+        gammaln(0.5 * (freedom + 1.0)) - gammaln(0.5 * freedom) - 0.5 * np.log(freedom * np.pi)
+    )
     density = count * (constant - np.log(scale)) + 0.5 * begun * np.log(stationary)
     tails = np.log1p(e**2 / (freedom * scale**2)).sum(axis=0)
     density -= 0.5 * (freedom + 1.0) * tails
@@ -79,17 +86,25 @@ def noise_terms(residuals: Array, scale: Array, correlation: Array, freedom: Arr
     follows = here[1:] & np.logical_not(starts[1:])
     by_residuals[:-1] += np.where(follows, correlation * pull[1:], 0.0)
     moved = np.where(starts, -correlation / np.sqrt(stationary) * residuals, -previous)
-    by_correlation = -np.sum(pull * np.where(here, moved, 0.0), axis=0) - begun * correlation / stationary
-    return NoiseTerms(float(density.sum()), by_residuals, pulled - count, by_correlation, by_freedom, weights)
+    by_correlation = (
+        -np.sum(pull * np.where(here, moved, 0.0), axis=0) - begun * correlation / stationary
+    )
+    return NoiseTerms(
+        float(density.sum()), by_residuals, pulled - count, by_correlation, by_freedom, weights
+    )
 
 
 def place_information(freedom: Array) -> Array:
-    """Fisher information of the place of an innovation of scale 1 (Lange, Little and Taylor 1989), shape of freedom."""
+    """Fisher information of the place of an innovation of scale 1 (Lange, Little and Taylor
+    1989), shape of freedom.
+    """
     return (freedom + 1.0) / (freedom + 3.0)
 
 
 def freedom_information(freedom: Array) -> tuple[Array, Array]:
-    """Fisher information of the degrees of freedom, and between them and ln scale (the same), shapes of freedom."""
+    """Fisher information of the degrees of freedom, and between them and ln scale (the same),
+    shapes of freedom.
+    """
     curved = 0.25 * (polygamma(1, 0.5 * freedom) - polygamma(1, 0.5 * (freedom + 1.0)))
     of_freedom = curved - 0.5 * (freedom + 5.0) / (freedom * (freedom + 1.0) * (freedom + 3.0))
     return np.asarray(of_freedom), -2.0 / ((freedom + 1.0) * (freedom + 3.0))

@@ -1,4 +1,6 @@
-"""Loads of a probe on an organ by its constants: proportional to all moduli together, of second order in the others."""
+"""Loads of a probe on an organ by its constants: proportional to all moduli together, of second
+order in the others.
+"""
 
 import os
 from collections.abc import Sequence
@@ -27,25 +29,28 @@ __all__ = ["OrganForward", "Settled", "organ_problem", "settled"]
 class OrganForward:
     """Loads about the constants of a run.
 
-    Where every stiffness of an organ is free, its force on a given path is proportional to all moduli together, with
-    Poisson's ratio, friction, relaxation and the ratios of moduli kept. So runs are made with the first modulus as it
-    is cited, and with the others in proportion.
+    Where every stiffness of an organ is free, its force on a given path is proportional to all
+    moduli together, with Poisson's ratio, friction, relaxation and the ratios of moduli kept. So
+    runs are made with the first modulus as it is cited, and with the others in proportion.
 
     Attributes
     ----------
     parameters, channels, times_s
         See `tissue.fitting.forward.Forward`.
     moduli
-        Places of the moduli to which loads are proportional together; empty where something else is as stiff as it is.
+        Places of the moduli to which loads are proportional together; empty where something else is
+        as stiff as it is.
     at
         Constants of the run, shape (p,).
     base
         Its loads, shape (n, channels).
     slopes, curvatures
-        Coefficients of the distance of each constant from there and of its square, shape (n, channels, p); zero of the
-        first of the moduli. The distance of a relaxation time is that of its logarithm.
+        Coefficients of the distance of each constant from there and of its square, shape (n,
+        channels, p); zero of the first of the moduli. The distance of a relaxation time is that of
+        its logarithm.
     mixed
-        Coefficients of the products of two distances, half of each in either order, shape (n, channels, p, p).
+        Coefficients of the products of two distances, half of each in either order, shape (n,
+        channels, p, p).
     """
 
     parameters: tuple[Parameter, ...]
@@ -59,7 +64,9 @@ class OrganForward:
     mixed: Array
 
     def reduced(self, x: Array) -> tuple[float, Array]:
-        """By how much loads are scaled, and the constants that a run has in place of x, shape (p,)."""
+        """By how much loads are scaled, and the constants that a run has in place of x, shape
+        (p,).
+        """
         x = np.asarray(x, dtype=float)
         if not self.moduli:
             return 1.0, x
@@ -92,15 +99,16 @@ class OrganForward:
         return found
 
     def moved(self, at: Array, base: Array, *, learnt: float) -> "OrganForward":
-        """With the loads of another run as base, and slopes that explain them from the last one (Broyden 1965).
+        """With the loads of another run as base, and slopes that explain them from the last one
+        (Broyden 1965).
 
         Parameters
         ----------
         at, base
             Constants of that run, and its loads.
         learnt
-            Step from the last run, in standard deviations of the priors, below which slopes are not corrected: they are
-            not to explain single nodes that come into contact.
+            Step from the last run, in standard deviations of the priors, below which slopes are not
+            corrected: they are not to explain single nodes that come into contact.
         """
         distance = self.distance(at)
         middle = np.array([each.prior.value for each in self.parameters])
@@ -123,29 +131,43 @@ class OrganForward:
 
     def _of_run(self, distance: Array) -> Array:
         together = (self.mixed @ distance) @ distance
-        return np.asarray(self.base + self.slopes @ distance + self.curvatures @ distance**2 + together)
+        return np.asarray(
+            self.base + self.slopes @ distance + self.curvatures @ distance**2 + together
+        )
 
     def _slopes_at(self, distance: Array) -> Array:
-        return np.asarray(self.slopes + 2.0 * self.curvatures * distance + 2.0 * (self.mixed @ distance))
+        return np.asarray(
+            self.slopes + 2.0 * self.curvatures * distance + 2.0 * (self.mixed @ distance)
+        )
 
 
 EVERY = 2
 """Ticks between two loads that are kept of a run: a log is averaged over more."""
 STEPS = (0.1, 1.0)
-"""Least and greatest step to either side over which loads are differenced, in standard deviations of a prior: as wide
-as what is known of the constant, but nodes come into contact and leave it, so that smaller ones show single nodes."""
+"""Least and greatest step to either side over which loads are differenced, in standard deviations
+of a prior: as wide as what is known of the constant, but nodes come into contact and leave it, so
+that smaller ones show single nodes.
+"""
 FIRST_STEP = 0.5
 """That to one side before anything is known."""
 SETTLED = 0.3
-"""Distance of the most probable constants from those of the runs, in their standard deviations, at which they agree."""
+"""Distance of the most probable constants from those of the runs, in their standard deviations,
+at which they agree.
+"""
 ROUNDS = 3
 TRIES = 6
 """How often slopes are found, and how often a run follows what was found with them."""
 LEARNT = 0.1
-"""Step of the constants, in standard deviations of their priors, from which slopes are corrected by it."""
-UNSETTLED = "runs and result do not agree yet: the intervals are not to be trusted, free fewer constants"
+"""Step of the constants, in standard deviations of their priors, from which slopes are corrected
+by it.
+"""
+UNSETTLED = (
+    "runs and result do not agree yet: the intervals are not to be trusted, free fewer constants"
+)
 WIDE = 0.2
-"""Standard deviation of a constant over its prior's, from which it is stepped together with each other such one."""
+"""Standard deviation of a constant over its prior's, from which it is stepped together with each
+other such one.
+"""
 FARTHEST = 3.0
 """Standard deviations of a prior beyond which no run is made."""
 
@@ -174,8 +196,8 @@ def organ_problem(
 ) -> Problem:
     """A probe that presses an organ; see `tissue.fitting.fit.fit_scene`.
 
-    The organ is run along the log's poses with the constants as they are and with each of them changed, then about what
-    was found, until runs and result agree.
+    The organ is run along the log's poses with the constants as they are and with each of them
+    changed, then about what was found, until runs and result agree.
     """
     poses = Poses(log.times_s, log.tips_m, log.quaternions_of(scene))
     parameters, moduli = organ_parameters(scene, free)
@@ -183,7 +205,9 @@ def organ_problem(
     measured = block_averages(log.load_times_s, log.loads, log.channels, ticks)
     with (
         names_of_caller({"motion": "measured"}),
-        OrganRuns(scene, poses, log.channels, every=EVERY, cores=cores or os.cpu_count() or 1) as runs,
+        OrganRuns(
+            scene, poses, log.channels, every=EVERY, cores=cores or os.cpu_count() or 1
+        ) as runs,
     ):
         found = settled(parameters, moduli, runs, measured, progress)
     return Problem(found.forward, measured, ticks * TICK_S, lambda _: [], _notes(found, runs.count))
@@ -198,8 +222,9 @@ def settled(
 ) -> Settled:
     """Loads by runs about the constants that a log makes most probable.
 
-    Slopes are differences between runs about one point; runs at what was found with them follow, and correct the
-    slopes, until the two agree; then slopes are found there, over steps as wide as what is known.
+    Slopes are differences between runs about one point; runs at what was found with them follow,
+    and correct the slopes, until the two agree; then slopes are found there, over steps as wide as
+    what is known.
     """
     at = np.array([float(each.prior.x(0.0)) for each in parameters])
     spread = None
@@ -208,7 +233,9 @@ def settled(
     times_s = runs.poses.times_s[0] + EVERY * TICK_S * np.arange(len(base), dtype=np.float64)
     nothing = np.zeros((*base.shape, len(parameters)))
     none = np.zeros((*nothing.shape, len(parameters)))
-    forward = OrganForward(parameters, measured.channels, times_s, moduli, at, base, nothing, nothing, none)
+    forward = OrganForward(
+        parameters, measured.channels, times_s, moduli, at, base, nothing, nothing, none
+    )
     for number in range(ROUNDS):
         progress(f"round {number + 1} of runs of the organ", 0.25 * number)
         forward = _sloped(forward, runs, spread)
@@ -228,11 +255,16 @@ def settled(
 
 
 def _next(forward: OrganForward, z: Array, spread: Array) -> tuple[Array, float]:
-    """Constants of the next run, and how far they lie from those of the last one, in standard deviations."""
+    """Constants of the next run, and how far they lie from those of the last one, in standard
+    deviations.
+    """
     priors = [each.prior for each in forward.parameters]
-    _, same = forward.reduced(np.array([float(prior.x(each)) for prior, each in zip(priors, z, strict=True)]))
+    _, same = forward.reduced(
+        np.array([float(prior.x(each)) for prior, each in zip(priors, z, strict=True)])
+    )
     wanted, last = (
-        np.array([float(prior.z(x)) for prior, x in zip(priors, of, strict=True)]) for of in (same, forward.at)
+        np.array([float(prior.z(x)) for prior, x in zip(priors, of, strict=True)])
+        for of in (same, forward.at)
     )
     near = np.clip(wanted, -FARTHEST, FARTHEST)
     at = np.array([float(prior.x(each)) for prior, each in zip(priors, near, strict=True)])
@@ -240,9 +272,11 @@ def _next(forward: OrganForward, z: Array, spread: Array) -> tuple[Array, float]
 
 
 def _sloped(forward: OrganForward, runs: OrganRuns, spread: Array | None) -> OrganForward:
-    """With slopes by runs about the same constants: to one side of them where nothing is known, else to both.
+    """With slopes by runs about the same constants: to one side of them where nothing is known,
+    else to both.
 
-    Where two constants are known no better than that, along a ridge of the posterior, by both together as well.
+    Where two constants are known no better than that, along a ridge of the posterior, by both
+    together as well.
     """
     places = [at for at in range(len(forward.at)) if at not in forward.moduli[:1]]
     reach = np.full(len(forward.at), FIRST_STEP) if spread is None else np.clip(spread, *STEPS)
@@ -259,8 +293,13 @@ def _sloped(forward: OrganForward, runs: OrganRuns, spread: Array | None) -> Org
     wide = [] if spread is None else [at for at in places if spread[at] > WIDE]
     pairs = list(combinations(wide, 2))
     corners = [stepped((first, 1.0), (second, 1.0)) for first, second in pairs]
-    risen = [each - forward.base for each in runs([_named(forward.parameters, x) for x in [*others, *corners]])]
-    slopes, curvatures, mixed = (np.zeros_like(each) for each in (forward.slopes, forward.curvatures, forward.mixed))
+    risen = [
+        each - forward.base
+        for each in runs([_named(forward.parameters, x) for x in [*others, *corners]])
+    ]
+    slopes, curvatures, mixed = (
+        np.zeros_like(each) for each in (forward.slopes, forward.curvatures, forward.mixed)
+    )
     sides = len(signs)
     for number, at in enumerate(places):
         of = slice(sides * number, sides * (number + 1))
@@ -273,7 +312,9 @@ def _sloped(forward: OrganForward, runs: OrganRuns, spread: Array | None) -> Org
     for (first, second), x, both in zip(pairs, corners, risen[len(others) :], strict=True):
         distance = forward.distance(x)
         left = both - slopes @ distance - curvatures @ distance**2
-        mixed[..., first, second] = mixed[..., second, first] = 0.5 * left / (distance[first] * distance[second])
+        mixed[..., first, second] = mixed[..., second, first] = (
+            0.5 * left / (distance[first] * distance[second])
+        )
     return replace(forward, slopes=slopes, curvatures=curvatures, mixed=mixed)
 
 
@@ -283,12 +324,17 @@ def _named(parameters: Sequence[Parameter], x: Array) -> dict[str, float]:
 
 def _notes(found: Settled, count: int) -> tuple[str, ...]:
     values = {
-        name: found.posterior.interval(at)[1] for at, name in enumerate(found.posterior.names) if name.startswith(KEYS)
+        name: found.posterior.interval(at)[1]
+        for at, name in enumerate(found.posterior.names)
+        if name.startswith(KEYS)
     }
     keys = " ".join(f"--set {name}={value:.4g}" for name, value in values.items())
     return (
         f"{count} runs of the organ, the last {found.away:.2g} standard deviations from the result",
-        "what to measure next is not computed for an organ, whose every candidate would be several runs",
+        (
+            "what to measure next is not computed for an organ, whose every candidate would be "
+            "several runs"
+        ),
         *([UNSETTLED] if found.away >= SETTLED else []),
         *([f"keys of the scene, not in fitted.toml: {keys}"] if keys else []),
     )

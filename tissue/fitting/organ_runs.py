@@ -35,26 +35,33 @@ __all__ = ["KEYS", "PART", "OrganRuns", "Poses", "organ_parameters"]
 
 KEYS = "organ."
 PART = "organ.parts."
-"""Beginning of the names of what is a key of the scene and no constant of a material, and of moduli of parts."""
+"""Beginning of the names of what is a key of the scene and no constant of a material, and of
+moduli of parts.
+"""
 FRICTION = (0.25, 2.5)
-"""5 and 95 % of friction between tool and organ, over the scene's: wet tissue on metal 0.1 to 0.6 (from memory of the
-literature)."""
+"""5 and 95 % of friction between tool and organ, over the scene's: wet tissue on metal 0.1 to 0.6
+(from memory of the literature)."""
 MODULUS = (1.0 / 3.0, 3.0)
 """Likewise of a modulus that the scene states: as liver scatters in tissue/materials/soft.toml."""
 SHAPE = (0.4, 2.5)
-"""Likewise of what gives a hyperelastic law its shape, of which none is cited for an organ: assumed."""
+"""Likewise of what gives a hyperelastic law its shape, of which none is cited for an organ:
+assumed.
+"""
 SHAPES = ("second_share", "square_ratio", "cube_ratio", "exponent")
 """Keys of the organ that do so."""
 SHARE = "second_share"
 NEAREST = 0.1
-"""The one of them that is a share, and the distance of its prior's 95 % quantile from 1, over that of the scene's
-value, at least: assumed. Limits of the others are those of input, and no bounds."""
+"""The one of them that is a share, and the distance of its prior's 95 % quantile from 1, over that
+of the scene's value, at least: assumed. Limits of the others are those of input, and no bounds."""
 
 
-def organ_parameters(scene: Scene, free: Sequence[str]) -> tuple[tuple[Parameter, ...], tuple[int, ...]]:
+def organ_parameters(
+    scene: Scene, free: Sequence[str]
+) -> tuple[tuple[Parameter, ...], tuple[int, ...]]:
     """What is free, and the places of the moduli to which loads are proportional together.
 
-    There are no such moduli where the organ hangs in its own weight, or a modulus beside the free ones is fixed.
+    There are no such moduli where the organ hangs in its own weight, or a modulus beside the free
+    ones is fixed.
 
     Raises
     ------
@@ -72,14 +79,25 @@ def organ_parameters(scene: Scene, free: Sequence[str]) -> tuple[tuple[Parameter
 
 
 def _cited(scene: Scene) -> tuple[list[Parameter], set[str]]:
-    """Constants of the organ's material that the scene does not state, and the names of all moduli among them."""
-    used = [each for each in used_constants(scene, ()) if each.full.startswith("soft.") and each.stated is None]
-    free = [Parameter(each.full, Prior.of(each.cited, each.full)) for each in used if each.cited.low < each.cited.high]
+    """Constants of the organ's material that the scene does not state, and the names of all
+    moduli among them.
+    """
+    used = [
+        each
+        for each in used_constants(scene, ())
+        if each.full.startswith("soft.") and each.stated is None
+    ]
+    free = [
+        Parameter(each.full, Prior.of(each.cited, each.full))
+        for each in used
+        if each.cited.low < each.cited.high
+    ]
     return free, {each.full for each in used if each.name == "modulus_kPa"}
 
 
 def _stated(scene: Scene) -> list[Parameter]:
-    """Moduli, friction and the shape of a law that are keys of the scene; a stiffer or softer ball has a modulus too.
+    """Moduli, friction and the shape of a law that are keys of the scene; a stiffer or softer ball
+    has a modulus too.
 
     What is 0 or negative stays as it is, and so does a share of 1: it has no range.
     """
@@ -99,12 +117,17 @@ def _stated(scene: Scene) -> list[Parameter]:
     shapes = [
         Parameter(f"organ.{name}", prior)
         for name in SHAPES
-        if (value := getattr(organ, name)) is not None and (prior := _shape_prior(name, value)) is not None
+        if (value := getattr(organ, name)) is not None
+        and (prior := _shape_prior(name, value)) is not None
     ]
     if (friction := organ.friction) == 0.0:
         return [*moduli, *shapes]
     low, high = FRICTION
-    return [*moduli, Parameter("organ.friction", Prior(friction, low * friction, high * friction)), *shapes]
+    return [
+        *moduli,
+        Parameter("organ.friction", Prior(friction, low * friction, high * friction)),
+        *shapes,
+    ]
 
 
 def _shape_prior(name: str, value: float) -> Prior | None:
@@ -113,19 +136,25 @@ def _shape_prior(name: str, value: float) -> Prior | None:
     if value <= 0.0 or (name == SHARE and value >= 1.0):
         return None
     if name == SHARE:
-        return Prior(value, low * value, min(high * value, 1.0 - NEAREST * (1.0 - value)), (0.0, 1.0))
+        return Prior(
+            value, low * value, min(high * value, 1.0 - NEAREST * (1.0 - value)), (0.0, 1.0)
+        )
     return Prior(value, low * value, high * value)
 
 
 LAW_MS = 5.0
-"""Time between two solves of a hyperelastic law [ms], the least that a scene may have: measured tissue is not late."""
+"""Time between two solves of a hyperelastic law [ms], the least that a scene may have: measured
+tissue is not late.
+"""
 PAYS_S = 2.0
 """Time of a run from which processes pay, each of which takes as long to start [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Times [s], shape (n,), tips [m], shape (n, 3), and orientations, shape (n, 4), of a log in the scene's frame."""
+    """Times [s], shape (n,), tips [m], shape (n, 3), and orientations, shape (n, 4), of a log in
+    the scene's frame.
+    """
 
     times_s: Array
     tips_m: Array
@@ -157,7 +186,13 @@ class OrganRuns:
     """
 
     def __init__(
-        self, scene: Scene, poses: Poses, channels: Sequence[str] = CHANNELS, *, every: int = 1, cores: int = 1
+        self,
+        scene: Scene,
+        poses: Poses,
+        channels: Sequence[str] = CHANNELS,
+        *,
+        every: int = 1,
+        cores: int = 1,
     ) -> None:
         self.poses = poses
         self.count = 0
@@ -174,12 +209,14 @@ class OrganRuns:
         self._ends.close()
 
     def __call__(self, samples: Sequence[Mapping[str, float]]) -> list[Array]:
-        """Loads on the tool [N, N m], torques about its tip, for each set of constants, shape (n, channels) each.
+        """Loads on the tool [N, N m], torques about its tip, for each set of constants, shape (n,
+        channels) each.
 
         Parameters
         ----------
         samples
-            Values by the names of constants, ``TABLE.MATERIAL.NAME`` or keys of the scene, one set a run.
+            Values by the names of constants, ``TABLE.MATERIAL.NAME`` or keys of the scene, one set
+            a run.
         """
         self.count += len(samples)
         if self._pool is None and min(self._cores, len(samples)) > 1 and self._longest_s > PAYS_S:
@@ -194,7 +231,9 @@ class OrganRuns:
         return found
 
 
-def _loads(scene: Scene, poses: Poses, channels: tuple[str, ...], every: int, values: Mapping[str, float]) -> Array:
+def _loads(
+    scene: Scene, poses: Poses, channels: tuple[str, ...], every: int, values: Mapping[str, float]
+) -> Array:
     """The loads of one run."""
     with TemporaryDirectory(prefix="tissue-fit-") as name:
         with_values = _with(scene, values, Path(name, "sample.toml"))
@@ -202,7 +241,9 @@ def _loads(scene: Scene, poses: Poses, channels: tuple[str, ...], every: int, va
         stands_in = ReplayMotion(kind="replay", file="poses that were given")
         prompt = {"interval_ms": 0.0, "law_interval_ms": LAW_MS}
         organ = with_values.organ.model_copy(update=prompt)
-        ran = with_values.model_copy(update={"motion": stands_in, "device": None, "duration_s": None, "organ": organ})
+        ran = with_values.model_copy(
+            update={"motion": stands_in, "device": None, "duration_s": None, "organ": organ}
+        )
         build = builder_of(ran.anatomy.kind)
         parts = build(ran, motion, step_s=TICK_S, compute="cpu", cores=1, report=silent)
     ticks = tick_count(ran, motion)
@@ -215,7 +256,9 @@ def _loads(scene: Scene, poses: Poses, channels: tuple[str, ...], every: int, va
     loop.finish()
     found = np.column_stack([loop.trace[f"model_{name}"] for name in channels])[::every]
     if not np.isfinite(found).all():
-        raise InputError("measured must hold poses that the organ's contact can follow, got one without a force")
+        raise InputError(
+            "measured must hold poses that the organ's contact can follow, got one without a force"
+        )
     return np.asarray(found, dtype=np.float64)
 
 
@@ -225,7 +268,10 @@ def _with(scene: Scene, values: Mapping[str, float], path: Path) -> Scene:
     given |= {name: value for name, value in values.items() if not name.startswith(KEYS)}
     changes: dict[str, object] = {}
     if given:
-        entries = [FittedEntry(name, value, value, value, "a sample of a fit", "L") for name, value in given.items()]
+        entries = [
+            FittedEntry(name, value, value, value, "a sample of a fit", "L")
+            for name, value in given.items()
+        ]
         write_fitted(path, entries, np.eye(len(entries)), remark=())
         changes["materials"] = str(path)
     parts = dict(scene.organ.parts or {})

@@ -1,7 +1,9 @@
-"""Constants given a log: the maximum of their density, and a normal law about it (Laplace's approximation).
+"""Constants given a log: the maximum of their density, and a normal law about it (Laplace's
+approximation).
 
-Its covariance is the inverse of the expected information: differences of gradients would find the small steps that a
-load takes where the tool leaves an element or a shaft begins to slide one sample earlier.
+Its covariance is the inverse of the expected information: differences of gradients would find the
+small steps that a load takes where the tool leaves an element or a shaft begins to slide one sample
+earlier.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,13 +23,18 @@ from tissue.materials.prior import Prior
 
 __all__ = ["Posterior", "Problem", "climbed", "maximum_posterior", "starts"]
 
-OFFSETS_S = OFFSET_S * np.concatenate([np.arange(-10.0, -3.0), np.linspace(-3.0, 3.0, 25), np.arange(4.0, 11.0)])
-"""Offsets from which the search begins [s]: a force may rise at several times, so that there are several maxima. Those
-beyond three standard deviations of the prior find clocks that contradict it."""
+OFFSETS_S = OFFSET_S * np.concatenate(
+    [np.arange(-10.0, -3.0), np.linspace(-3.0, 3.0, 25), np.arange(4.0, 11.0)]
+)
+"""Offsets from which the search begins [s]: a force may rise at several times, so that there are
+several maxima. Those beyond three standard deviations of the prior find clocks that contradict
+it."""
 STARTS = 2
 NEARBY = np.linspace(-2.5, 2.5, 101)
 REFINED = 3
-"""Offsets about a maximum at which a higher one is looked for, in samples of the log, and how often."""
+"""Offsets about a maximum at which a higher one is looked for, in samples of the log, and how
+often.
+"""
 FARTHEST = 12.0
 """Standard deviations of a prior beyond which nothing is looked for."""
 STEEP = 1e-2
@@ -96,7 +103,10 @@ class Posterior:
     @cached_property
     def marginals(self) -> tuple[Marginal, ...]:
         """Law of each constant, p of them."""
-        return tuple(marginal(self.target, self.maximum, self.covariance, at) for at in range(self.target.constants))
+        return tuple(
+            marginal(self.target, self.maximum, self.covariance, at)
+            for at in range(self.target.constants)
+        )
 
     @property
     def spreads(self) -> Array:
@@ -126,7 +136,8 @@ class Posterior:
 
 
 def maximum_posterior(forward: Forward, log: MeasuredLoads) -> Posterior:
-    """Find the most probable constants and the normal law that the expected information there gives.
+    """Find the most probable constants and the normal law that the expected information there
+    gives.
 
     The noise is that of the restricted likelihood, see `tissue.fitting.target`.
     """
@@ -143,11 +154,15 @@ def maximum_posterior(forward: Forward, log: MeasuredLoads) -> Posterior:
     for _ in range(RESTRICTED):
         place = climbed(Restricted(target, place), place)[1]
     maximum, information, converged = _scored(Restricted(target, place), place)
-    return Posterior(target, maximum, np.asarray(np.linalg.inv(information), dtype=np.float64), converged)
+    return Posterior(
+        target, maximum, np.asarray(np.linalg.inv(information), dtype=np.float64), converged
+    )
 
 
 def climbed(target: Target | Restricted, start: Array) -> tuple[float, Array]:
-    """The greatest log density near a start, and its place, in coordinates in which the information there is one."""
+    """The greatest log density near a start, and its place, in coordinates in which the
+    information there is one.
+    """
     root = np.linalg.inv(np.linalg.cholesky(target.information(start)))
 
     def place(v: Array) -> Array:
@@ -158,14 +173,19 @@ def climbed(target: Target | Restricted, start: Array) -> tuple[float, Array]:
         return -value, -root @ gradient
 
     found = minimize(
-        downwards, np.zeros(len(start)), jac=True, method="L-BFGS-B",
+        downwards,
+        np.zeros(len(start)),
+        jac=True,
+        method="L-BFGS-B",
         options={"maxiter": 400, "maxcor": 30, "ftol": 1e-12, "gtol": 1e-2},
-    )  # fmt: skip
+    )
     return -float(found.fun), place(found.x)
 
 
 def _shifted(target: Target, u: Array) -> list[Array]:
-    """The same place at offsets around: a load that jumps is an outlier at all offsets but its own, without a slope."""
+    """The same place at offsets around: a load that jumps is an outlier at all offsets but its
+    own, without a slope.
+    """
     places = []
     for offset_s in NEARBY * float(np.median(np.diff(target.log.times_s))):
         moved = u.copy()
@@ -184,7 +204,9 @@ def starts(target: Target) -> list[tuple[float, Array]]:
 
 
 def _scored(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
-    """The maximum near a place by Fisher's scoring, the information there, and whether it was found."""
+    """The maximum near a place by Fisher's scoring, the information there, and whether it was
+    found.
+    """
     value, gradient = target.value_and_gradient(u)
     for _ in range(SCORING_STEPS):
         information = target.information(u)
@@ -217,7 +239,8 @@ class Problem:
     block_s
         Length of a block [s].
     candidates
-        Return logs that could be measured next, each with a description, given the posterior of this one.
+        Return logs that could be measured next, each with a description, given the posterior of
+        this one.
     notes
         Remarks for the report.
     fixed

@@ -1,8 +1,9 @@
 """Detection of load channels whose sign is reversed.
 
-Constants of a fit have a known sign, so that a channel of opposite sign cannot be explained by them. The fit would call
-it a bias with noise, and find wrong constants without a word. Each channel, all forces, all torques and all loads are
-therefore fitted with their signs reversed as well.
+Constants of a fit have a known sign, so that a channel of opposite sign cannot be explained by
+them. The fit would call it a bias with noise, and find wrong constants without a word. Each
+channel, all forces, all torques and all loads are therefore fitted with their signs reversed as
+well.
 """
 
 from collections.abc import Sequence
@@ -22,9 +23,13 @@ __all__ = ["require_signs", "reversed_channels"]
 GAIN = 10.0
 """Log density that reversed signs must add: odds of 2e4, where chance between two signs is one."""
 SCREENED = 50.0
-"""Log density by which reversed signs may be worse before the search, which then moves the noise too."""
+"""Log density by which reversed signs may be worse before the search, which then moves the noise
+too.
+"""
 EXPLAINED = 0.5
-"""Share of a channel's variance that the loads must explain once it is reversed: a channel of noise has no sign."""
+"""Share of a channel's variance that the loads must explain once it is reversed: a channel of
+noise has no sign.
+"""
 
 
 def require_signs(forward: Forward, log: MeasuredLoads) -> None:
@@ -39,9 +44,12 @@ def require_signs(forward: Forward, log: MeasuredLoads) -> None:
         names = ", ".join(wrong)
         is_one = len(wrong) == 1
         raise InputError(
-            f"measured has {names} with {'its sign' if is_one else 'their signs'} reversed. With the opposite sign the "
-            f"scene explains {'it' if is_one else 'them'} better. Loads must act on the tool, in the scene's frame: "
-            f"reverse the sign with --column {wrong[0]}=-COLUMN{'' if is_one else ' and so on'}, or drop the column"
+            f"measured has {names} with {'its sign' if is_one else 'their signs'} reversed. "
+            "With the opposite sign the "
+            f"scene explains {'it' if is_one else 'them'} better. Loads must act on the "
+            "tool, in the scene's frame: "
+            "reverse the sign with --column "
+            f"{wrong[0]}=-COLUMN{'' if is_one else ' and so on'}, or drop the column"
         )
 
 
@@ -69,18 +77,28 @@ def reversed_channels(forward: Forward, log: MeasuredLoads) -> tuple[str, ...]:
         if found is signs:
             break
         signs = found
-    return tuple(name for name, sign in zip(log.channels, signs.tolist(), strict=True) if sign < 0.0)
+    return tuple(
+        name for name, sign in zip(log.channels, signs.tolist(), strict=True) if sign < 0.0
+    )
 
 
 def _groups(channels: Sequence[str]) -> list[list[int]]:
     """Places of single channels, of all forces, of all torques, and of all loads."""
-    kinds = [[at for at, name in enumerate(channels) if name.startswith(kind)] for kind in ("force_", "torque_", "")]
+    kinds = [
+        [at for at, name in enumerate(channels) if name.startswith(kind)]
+        for kind in ("force_", "torque_", "")
+    ]
     several = [places for places in kinds if len(places) > 1]
-    return [[at] for at in range(len(channels))] + [each for at, each in enumerate(several) if each not in several[:at]]
+    return [[at] for at in range(len(channels))] + [
+        each for at, each in enumerate(several) if each not in several[:at]
+    ]
 
 
-def _search(forward: Forward, log: MeasuredLoads, signs: Array, wanted: float) -> tuple[float, Array]:
-    """Largest log density of a log with these signs, and the share of each channel's variance that is explained.
+def _search(
+    forward: Forward, log: MeasuredLoads, signs: Array, wanted: float
+) -> tuple[float, Array]:
+    """Largest log density of a log with these signs, and the share of each channel's variance that
+    is explained.
 
     Where the first guess is far from the density that is wanted, they are those of the guess.
     """

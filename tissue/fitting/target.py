@@ -1,4 +1,6 @@
-"""The log density that a fit makes greatest: of a log and of the priors of constants, offset, biases and noise."""
+"""The log density that a fit makes greatest: of a log and of the priors of constants, offset,
+biases and noise.
+"""
 
 from dataclasses import dataclass
 
@@ -8,28 +10,42 @@ from scipy.sparse import csr_array
 from meshes.base.arrays import Array
 from tissue.fitting.forward import Forward
 from tissue.fitting.measured import MeasuredLoads, shift_operators
-from tissue.fitting.noise import NoiseTerms, freedom_information, innovations, noise_terms, place_information
+from tissue.fitting.noise import (
+    NoiseTerms,
+    freedom_information,
+    innovations,
+    noise_terms,
+    place_information,
+)
 
 __all__ = ["OFFSET_S", "Restricted", "Target", "Unpacked"]
 
 OFFSET_S = 0.02
-"""Standard deviation of the prior of the time between the clocks of force and pose [s]: two instruments started by hand
-on one computer; logs of one instrument are at zero."""
+"""Standard deviation of the prior of the time between the clocks of force and pose [s]: two
+instruments started by hand on one computer; logs of one instrument are at zero."""
 BIAS_SHARE = 0.5
 """Standard deviation of a sensor's bias, in shares of the size of the log's loads."""
 NOISE_SHARE = 0.05
 NOISE_SPREAD = 1.5
-"""Median of the noise in shares of the same, and standard deviation of its logarithm: 90 % within a factor of 12."""
+"""Median of the noise in shares of the same, and standard deviation of its logarithm: 90 %
+within a factor of 12.
+"""
 LEAST_NOISE = 1e-3
-"""Least noise in shares of the same: a load's decimals in a file, and the velocity of a replayed tool over a tick."""
+"""Least noise in shares of the same: a load's decimals in a file, and the velocity of a replayed
+tool over a tick.
+"""
 CORRELATION_SPREAD = 1.5
 MOST_CORRELATED = 0.9995
-"""Standard deviation of artanh of the correlation of neighbours, 90 % within +-0.986, and its greatest size."""
+"""Standard deviation of artanh of the correlation of neighbours, 90 % within +-0.986, and its
+greatest size.
+"""
 LEAST_FREEDOM = 2.0
 FREEDOM = 4.0
 FREEDOM_SPREAD = 1.0
-"""Least degrees of freedom of the noise, of a finite variance; median of what they are above it, 90 % from 3 to 23:
-heavy tails, and near enough the normal law, of which 90 % intervals that assume 4 would hold 87 %."""
+"""Least degrees of freedom of the noise, of a finite variance; median of what they are above it, 90
+% from 3 to 23: heavy tails, and near enough the normal law, of which 90 % intervals that assume 4
+would hold 87 %.
+"""
 
 
 @dataclass(frozen=True)
@@ -57,7 +73,8 @@ class Unpacked:
 
 
 class Target:
-    """Log density of constants and nuisances, all of them scaled so that their priors are standard normal.
+    """Log density of constants and nuisances, all of them scaled so that their priors are standard
+    normal.
 
     Parameters
     ----------
@@ -87,10 +104,13 @@ class Target:
         bias, noise, correlation, freedom = u[p + 1 :].reshape(4, c)
         scale = self._sizes * (LEAST_NOISE + NOISE_SHARE * np.exp(NOISE_SPREAD * noise))
         return Unpacked(
-            u[:p], OFFSET_S * float(u[p]), BIAS_SHARE * self._sizes * bias, scale,
+            u[:p],
+            OFFSET_S * float(u[p]),
+            BIAS_SHARE * self._sizes * bias,
+            scale,
             MOST_CORRELATED * np.tanh(CORRELATION_SPREAD * correlation),
             LEAST_FREEDOM + FREEDOM * np.exp(FREEDOM_SPREAD * freedom),
-        )  # fmt: skip
+        )
 
     def x(self, z: Array) -> Array:
         """Constants in their own units."""
@@ -98,7 +118,9 @@ class Target:
 
     def slopes(self, z: Array) -> Array:
         """Derivative of each constant by its z."""
-        return np.array([float(prior.slope(each)) for prior, each in zip(self._priors, z, strict=True)])
+        return np.array(
+            [float(prior.slope(each)) for prior, each in zip(self._priors, z, strict=True)]
+        )
 
     def simulated(self, u: Array) -> Array:
         """Loads at the times of the log with offset and bias, shape (m, channels)."""
@@ -106,12 +128,16 @@ class Target:
         return self.loads(self.x(each.z), each.offset_s) + each.bias
 
     def loads(self, x: Array, offset_s: float) -> Array:
-        """Loads at the times of the log for constants in their own units, without bias, shape (m, channels)."""
+        """Loads at the times of the log for constants in their own units, without bias, shape
+        (m, channels).
+        """
         values, _ = self._shifted(offset_s)
         return np.asarray(values @ self.forward.loads(x)[:, self._places])
 
     def linearised(self, u: Array) -> tuple[Array, Array]:
-        """`simulated`, and its derivatives by z, the scaled offset and the scaled biases, (m, channels, p + 1 + c)."""
+        """`simulated`, and its derivatives by z, the scaled offset and the scaled biases, (m,
+        channels, p + 1 + c).
+        """
         each = self.unpacked(u)
         c = len(self.log.channels)
         place = u[: self.constants + 1]
@@ -122,7 +148,9 @@ class Target:
         return loads + each.bias, np.concatenate([by_place, by_bias], axis=2)
 
     def _by_place(self, each: Unpacked) -> tuple[Array, Array]:
-        """Loads without bias, shape (m, channels), and their derivatives by z and the scaled offset."""
+        """Loads without bias, shape (m, channels), and their derivatives by z and the scaled
+        offset.
+        """
         values, rates = self._shifted(each.offset_s)
         x = self.x(each.z)
         c = len(self.log.channels)
@@ -133,17 +161,21 @@ class Target:
         return np.asarray(values @ loads), np.concatenate([by_z, by_offset[:, :, None]], axis=2)
 
     def whitened(self, moved: Array, noise: Unpacked) -> Array:
-        """Derivatives (m, channels, k) as rows whose products are the expected information, shape (m * channels, k)."""
+        """Derivatives (m, channels, k) as rows whose products are the expected information,
+        shape (m * channels, k).
+        """
         known = np.isfinite(self.log.values)[:, :, None]
         each = innovations(np.where(known, moved, np.nan), noise.correlation) / noise.scale[:, None]
         rows = np.sqrt(place_information(noise.freedom))[:, None] * np.nan_to_num(each)
         return np.asarray(rows.reshape(-1, moved.shape[2]))
 
     def information(self, u: Array) -> Array:
-        """Expected information of the log and the priors about everything, shape (size, size), positive definite.
+        """Expected information of the log and the priors about everything, shape (size, size),
+        positive definite.
 
-        Of constants, offset and biases by the sensitivities, their cross terms with the noise being zero; of the noise
-        of a channel by Student's law (Lange, Little and Taylor 1989) and a stationary chain.
+        Of constants, offset and biases by the sensitivities, their cross terms with the noise being
+        zero; of the noise of a channel by Student's law (Lange, Little and Taylor 1989) and a
+        stationary chain.
         """
         each = self.unpacked(u)
         free = self.constants + 1 + len(self.log.channels)
@@ -167,9 +199,13 @@ class Target:
         return found
 
     def _shifted(self, offset_s: float) -> tuple[csr_array, csr_array]:
-        """Interpolation at an offset; the last one is kept, since a search asks for loads and slopes of one place."""
+        """Interpolation at an offset; the last one is kept, since a search asks for loads and
+        slopes of one place.
+        """
         if self._last_shift is None or self._last_shift[0] != offset_s:
-            operators = shift_operators(self.forward.times_s, self.log.times_s, offset_s, self.log.within_s)
+            operators = shift_operators(
+                self.forward.times_s, self.log.times_s, offset_s, self.log.within_s
+            )
             self._last_shift = offset_s, operators
         return self._last_shift[1]
 
@@ -184,7 +220,9 @@ class Target:
         gradient = -u.copy()
         moved = -np.where(np.isfinite(residuals), terms.by_residuals, 0.0)
         gradient[: p + 1 + c] += moved.ravel() @ sensitivities.reshape(moved.size, -1)
-        gradient[p + 1 + c :] += self.noise_gradient(each, terms.by_log_scale, terms.by_correlation, terms.by_freedom)
+        gradient[p + 1 + c :] += self.noise_gradient(
+            each, terms.by_log_scale, terms.by_correlation, terms.by_freedom
+        )
         return terms.log_density - 0.5 * float(u @ u), gradient
 
     def value(self, u: Array) -> float:
@@ -198,12 +236,20 @@ class Target:
         """Log density of residuals, shape (m, channels), by the noise."""
         return noise_terms(residuals, each.scale, each.correlation, each.freedom)
 
-    def noise_gradient(self, each: Unpacked, by_log_scale: Array, by_correlation: Array, by_freedom: Array) -> Array:
-        """Derivatives by ln scale, correlation and freedom of each channel as those by u, shape (3 * channels,)."""
+    def noise_gradient(
+        self, each: Unpacked, by_log_scale: Array, by_correlation: Array, by_freedom: Array
+    ) -> Array:
+        """Derivatives by ln scale, correlation and freedom of each channel as those by u, shape
+        (3 * channels,).
+        """
         flat = MOST_CORRELATED - each.correlation**2 / MOST_CORRELATED
         grown = FREEDOM_SPREAD * (each.freedom - LEAST_FREEDOM)
         return np.concatenate(
-            [self._by_noise(each) * by_log_scale, CORRELATION_SPREAD * flat * by_correlation, grown * by_freedom]
+            [
+                self._by_noise(each) * by_log_scale,
+                CORRELATION_SPREAD * flat * by_correlation,
+                grown * by_freedom,
+            ]
         )
 
     def _by_noise(self, each: Unpacked) -> Array:
@@ -211,7 +257,9 @@ class Target:
         return np.asarray(NOISE_SPREAD * (1.0 - LEAST_NOISE * self._sizes / each.scale))
 
     def start(self, offset_s: float) -> Array:
-        """Where an optimiser begins: constants by linear least squares from the middle of their priors."""
+        """Where an optimiser begins: constants by linear least squares from the middle of their
+        priors.
+        """
         u = np.zeros(self.size)
         u[self.constants] = offset_s / OFFSET_S
         free = self.constants + 1 + len(self.log.channels)
@@ -220,7 +268,9 @@ class Target:
             residuals = self.log.values - simulated
             known = np.isfinite(residuals)
             scale = 1.4826 * np.nanmedian(np.abs(residuals), axis=0) + 1e-3 * self._sizes
-            weights = np.where(known, 1.0 / np.maximum(scale, np.abs(np.where(known, residuals, 0.0)) / 2.0), 0.0)
+            weights = np.where(
+                known, 1.0 / np.maximum(scale, np.abs(np.where(known, residuals, 0.0)) / 2.0), 0.0
+            )
             columns = (sensitivities * weights[:, :, None]).reshape(-1, free)
             wanted = (weights * np.where(known, residuals, 0.0)).ravel()
             normal = columns.T @ columns / MOST_WEIGHT + np.eye(free)
@@ -228,7 +278,10 @@ class Target:
             u[:free] = np.clip(u[:free] + step, -4.0, 4.0)
         residuals = self.log.values - self.simulated(u)
         e = residuals[1:] - CORRELATED * residuals[:-1]
-        spread = 1.4826 * np.nanmedian(np.abs(e - np.nanmedian(e, axis=0)), axis=0) + LEAST_NOISE * self._sizes
+        spread = (
+            1.4826 * np.nanmedian(np.abs(e - np.nanmedian(e, axis=0)), axis=0)
+            + LEAST_NOISE * self._sizes
+        )
         noise = slice(free, free + len(self._sizes))
         c = len(self._sizes)
         u[noise] = np.log(spread / (NOISE_SHARE * self._sizes)) / NOISE_SPREAD
@@ -264,8 +317,8 @@ class Restricted:
         first = np.where(starts, moved, 0.0)
         products = _products(first, first)
         crossed = _products(now, before)
-        # Information of a channel for correlation phi and scale s: (constant + linear phi + square phi²)
-        # times that of a place over s².
+        # Information of a channel for correlation phi and scale s: (constant + linear phi + square
+        # phi²) times that of a place over s².
         self._constant = products + _products(now, now)
         self._linear = -crossed - np.swapaxes(crossed, 1, 2)
         self._square = _products(before, before) - products
@@ -286,7 +339,9 @@ class Restricted:
         information = (self._constant + phi * self._linear + phi**2 * self._square) * precision
         whole = information.sum(axis=0) + np.eye(information.shape[1])
         inverse = np.linalg.inv(whole)
-        by_phi = np.einsum("ij,cji->c", inverse, (self._linear + 2.0 * phi * self._square) * precision)
+        by_phi = np.einsum(
+            "ij,cji->c", inverse, (self._linear + 2.0 * phi * self._square) * precision
+        )
         by_size = np.einsum("ij,cji->c", inverse, information)
         gradient[p + 1 + c :] -= self.target.noise_gradient(
             each, -by_size, 0.5 * by_phi, by_size / ((nu + 1.0) * (nu + 3.0))
@@ -295,5 +350,7 @@ class Restricted:
 
 
 def _products(left: Array, right: Array) -> Array:
-    """Products of sensitivities (m, channels, k), summed over times, for each channel, shape (channels, k, k)."""
+    """Products of sensitivities (m, channels, k), summed over times, for each channel, shape
+    (channels, k, k).
+    """
     return np.asarray(np.einsum("tci,tcj->cij", left, right, optimize=True))

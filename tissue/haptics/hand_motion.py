@@ -27,7 +27,9 @@ from tissue.prediction.predictor import Predictor
 __all__ = ["HandMotion", "Rendering", "Script"]
 
 SMOOTH_S, SMOOTH_SAMPLES = 0.01, 5
-"""Shortest time [s], and fewest samples, over which the speed of a free tool is estimated: encoders step."""
+"""Shortest time [s], and fewest samples, over which the speed of a free tool is estimated:
+encoders step.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +41,9 @@ class Rendering:
     law
         Renders the force at the device from device and tool [N].
     loop
-        Loop of device and law: its delay books the energy, and its filters of force and velocity are applied. Without a
-        velocity filter the velocity of the sample is used. Its tick is the time between two samples of the device.
+        Loop of device and law: its delay books the energy, and its filters of force and velocity
+        are applied. Without a velocity filter the velocity of the sample is used. Its tick is the
+        time between two samples of the device.
     margin
         Share of the critical stiffness that is left.
     turning_law
@@ -86,7 +89,8 @@ class Script:
     after_s
         Additional time of the hand: to react, to move and to correct [s].
     device_origin_m
-        Position of the tool when the device is at its origin [m]; None lets both start at the same place.
+        Position of the tool when the device is at its origin [m]; None lets both start at the same
+        place.
     """
 
     motion: Motion
@@ -99,16 +103,18 @@ class Script:
 class HandMotion(Motion):
     """A tool that hangs on a device, and the force that the device plays for it.
 
-    Every tick: the sample is judged; the tool follows the device as far as the tissue of the last tick lets it; the
-    tissue answers, and a free tool that has gone into it is brought back within the tick; device and tool give the
-    renderer's force, which passes prediction, low-pass, delay and what is made of it for a person, is limited and
-    changes no faster than the device's slew. So the force answers the sample of its own tick. Without a good sample the
-    tool rests, the renderer pauses and the force fades to zero. A tissue that answers only every ``model_ticks`` leaves
-    tool and renderer's force as they are in between; a predictor then goes on by the device alone.
+    Every tick: the sample is judged; the tool follows the device as far as the tissue of the last
+    tick lets it; the tissue answers, and a free tool that has gone into it is brought back within
+    the tick; device and tool give the renderer's force, which passes prediction, low-pass, delay
+    and what is made of it for a person, is limited and changes no faster than the device's slew. So
+    the force answers the sample of its own tick. Without a good sample the tool rests, the renderer
+    pauses and the force fades to zero. A tissue that answers only every ``model_ticks`` leaves tool
+    and renderer's force as they are in between; a predictor then goes on by the device alone.
 
-    Tool and device start at the same place; from there the tool goes ``motion_scale`` metres for each of the device.
-    With a device that plays torque the tool hangs on it by a spring of rotation, too, turned by the tissue's torque of
-    the last tick; its torque passes low-pass and delay and is played. The cutting speed of turning is left out.
+    Tool and device start at the same place; from there the tool goes ``motion_scale`` metres for
+    each of the device. With a device that plays torque the tool hangs on it by a spring of
+    rotation, too, turned by the tissue's torque of the last tick; its torque passes low-pass and
+    delay and is played. The cutting speed of turning is left out.
 
     Parameters
     ----------
@@ -125,7 +131,12 @@ class HandMotion(Motion):
     """
 
     def __init__(
-        self, device: Device, tool: HeldTool, limits: DeviceParameters, rendering: Rendering, script: Script
+        self,
+        device: Device,
+        tool: HeldTool,
+        limits: DeviceParameters,
+        rendering: Rendering,
+        script: Script,
     ) -> None:
         loop = rendering.loop
         predictor = rendering.predictor
@@ -142,7 +153,8 @@ class HandMotion(Motion):
         self._contact: Renderer = rendering.law
         self._control = None
         if predictor is not None and isinstance(rendering.law, PassivityRenderer):
-            # A controller's step in one tick is no trend of the force: it comes after the prediction.
+            # A controller's step in one tick is no trend of the force: it comes after the
+            # prediction.
             self._contact = rendering.law.inner
             self._control = rendering.law.control
         self._scripted = script.motion
@@ -152,7 +164,9 @@ class HandMotion(Motion):
         self._start = np.array(script.motion.rotations()[0])
         self._scale = script.motion_scale
         origin_m = script.device_origin_m
-        self._shift = (1.0 - self._scale) * script.motion.sweep_m()[0] if origin_m is None else origin_m
+        self._shift = (
+            (1.0 - self._scale) * script.motion.sweep_m()[0] if origin_m is None else origin_m
+        )
         self.contact = partial(seen_contact, tool, loop.stiffness_N_m, self._scale, self._shift)
         self._low_pass = LowPass(loop.filter_s, step_s=TICK_S)
         self._delay = DelayLine(rendering.delay_ticks)
@@ -166,7 +180,9 @@ class HandMotion(Motion):
         self._torques = ForceRange(limit_N=limits.torque_limit_Nm or 1.0)
         lag_s = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
         # The booked force has passed the delay that is made here.
-        self.observer = PassivityObserver(delay_ticks=max(lag_s / TICK_S - rendering.delay_ticks, 0.0))
+        self.observer = PassivityObserver(
+            delay_ticks=max(lag_s / TICK_S - rendering.delay_ticks, 0.0)
+        )
         self._turned: Quaternion | None = None
         self.model_ticks = rendering.model_ticks
         self.lead_ticks = rendering.lead_ticks
@@ -189,7 +205,9 @@ class HandMotion(Motion):
         self.held = SafeDevice(device, limits=self._limits)
         self.guard = guard_of(self.held.device, self._limits, sample_s=self._sample_s)
         self.measure_names = at.MEASURES + at.PREDICTED * (self.predictor is not None)
-        self._person = slice(len(self.measure_names), len(self.measure_names) + len(self._played.names))
+        self._person = slice(
+            len(self.measure_names), len(self.measure_names) + len(self._played.names)
+        )
         self.measure_names += self._played.names
         self._truth = self.held.device if isinstance(self.held.device, KnowsTruth) else None
         self.measure_names += (at.TRUE + at.HAND_FORCE) * (self._truth is not None)
@@ -239,7 +257,9 @@ class HandMotion(Motion):
             self._follow(sample, response, motion)
 
     def correct(self, response: Response, motion: ToolMotion) -> bool:
-        """Bring a free tool that has gone into the tissue to where both balance, or to the speed at which they do."""
+        """Bring a free tool that has gone into the tissue to where both balance, or to the speed
+        at which they do.
+        """
         if self._sample is None or not self.tool.lands(response, motion.heading[0]):
             return False
         arrived = self.tool.tip_m.copy()
@@ -273,7 +293,9 @@ class HandMotion(Motion):
                 turned = self.tool.quaternion
                 spin = np.array(sample.spin_rad_s)
                 still = np.zeros(3)
-                self._torque = self._turning_law.render(sample.quaternion, spin, turned, still, self._step)
+                self._torque = self._turning_law.render(
+                    sample.quaternion, spin, turned, still, self._step
+                )
             row[at.RAW_FORCE] = force = self._raw
             if self.predictor is not None:
                 if self._sees is not None:
@@ -289,7 +311,9 @@ class HandMotion(Motion):
             filtered = self._delay.step(self._low_pass.step(force))
             wanted, compressed = self._played.step(filtered, response)
             if self._turning_law is not None:
-                torque, squeezed = self._torques.play(self._turning_delay.step(self._turning.step(self._torque)))
+                torque, squeezed = self._torques.play(
+                    self._turning_delay.step(self._turning.step(self._torque))
+                )
                 compressed = compressed or squeezed
             self.observer.observe(here)
             row[at.POSITION] = 1e3 * here
@@ -307,7 +331,9 @@ class HandMotion(Motion):
         row[at.ENERGY] = self.observer.energy_J
 
     def raw_force_N(self) -> Array:
-        """The renderer's force of a tick in which nothing is played, shape (3,); without a sample that of the last."""
+        """The renderer's force of a tick in which nothing is played, shape (3,); without a
+        sample that of the last.
+        """
         if self._sample is not None:
             self._render(self._sample)
         elif self._speeds is not None:
@@ -333,7 +359,14 @@ class HandMotion(Motion):
 
     def _pause(self) -> None:
         """Nothing is known of the device in this tick."""
-        for part in (self.law, self._turning_law, self.observer, self.predictor, self._speeds, self._played):
+        for part in (
+            self.law,
+            self._turning_law,
+            self.observer,
+            self.predictor,
+            self._speeds,
+            self._played,
+        ):
             if part is not None:
                 part.pause()
         self.measures[self._person] = self._played.measures

@@ -1,4 +1,6 @@
-"""From the force that a loop has found to the one that a device plays: scaled, in range, with vibration and cues."""
+"""From the force that a loop has found to the one that a device plays: scaled, in range, with
+vibration and cues.
+"""
 
 import numpy as np
 
@@ -58,7 +60,8 @@ class PlayedForce:
         self._cued = slice(self._shaken.stop, self._shaken.stop + len(cued))
 
     def step(self, force_N: Array, response: Response) -> tuple[Array, bool]:
-        """The force that is played for one at the device [N], shape (3,), and whether the device's range compressed it.
+        """The force that is played for one at the device [N], shape (3,), and whether the device's
+        range compressed it.
 
         Raises
         ------
@@ -69,7 +72,12 @@ class PlayedForce:
         wanted = force_N
         if (person := self._person) is not None:
             wanted = person.step(wanted)
-            row[self._perceived] = person.estimated_N, person.perceived, person.perceived_spread, person.above
+            row[self._perceived] = (
+                person.estimated_N,
+                person.perceived,
+                person.perceived_spread,
+                person.above,
+            )
         wanted, compressed = self._range.play(wanted)
         if self._vibration is not None:
             row[self._shaken] = shaken = self._vibration.step(wanted)

@@ -14,19 +14,29 @@ from tissue.motion.quaternion import Quaternion, turn_between
 from tissue.scene.registry import RENDERERS
 
 __all__ = [
-    "PassivityRenderer", "PenaltyRenderer", "ProxyRenderer", "Renderer", "TurningRenderer", "passivity", "penalty",
-    "proxy", "renderer",
-]  # fmt: skip
+    "PassivityRenderer",
+    "PenaltyRenderer",
+    "ProxyRenderer",
+    "Renderer",
+    "TurningRenderer",
+    "passivity",
+    "penalty",
+    "proxy",
+    "renderer",
+]
 
 
 class Renderer(Protocol):
     """A law for the force on a device whose proxy is elsewhere."""
 
-    def render(self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float) -> Array:
-        """Force on the device [N], shape (3,), from positions [m], velocities [m/s] and the step [s].
+    def render(
+        self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float
+    ) -> Array:
+        """Force on the device [N], shape (3,), from positions [m], velocities [m/s] and the step
+        [s].
 
-        Where the positions are the same the device is free and the force is zero. For a rotation the positions are
-        rotation vectors [rad] and the force is a torque [N m].
+        Where the positions are the same the device is free and the force is zero. For a rotation
+        the positions are rotation vectors [rad] and the force is a torque [N m].
         """
 
     def pause(self) -> None:
@@ -34,24 +44,33 @@ class Renderer(Protocol):
 
 
 class SpringDamper:
-    """The numbers of a spring and a damper between a device and its proxy; nothing is kept from tick to tick."""
+    """The numbers of a spring and a damper between a device and its proxy; nothing is kept from
+    tick to tick.
+    """
 
     def __init__(self, stiffness_N_m: float, damping_N_s_m: float = 0.0) -> None:
-        self.stiffness_N_m = require_positive("stiffness_N_m", stiffness_N_m, "use what the device can hold, about 500")
-        self.damping_N_s_m = require_range("damping_N_s_m", damping_N_s_m, 0.0, 1e6, "use 0 for none")
+        self.stiffness_N_m = require_positive(
+            "stiffness_N_m", stiffness_N_m, "use what the device can hold, about 500"
+        )
+        self.damping_N_s_m = require_range(
+            "damping_N_s_m", damping_N_s_m, 0.0, 1e6, "use 0 for none"
+        )
 
     def pause(self) -> None:
         """Nothing is kept from tick to tick."""
 
 
 class PenaltyRenderer(SpringDamper):
-    """Spring and damper between the device and the nearest point of the surface: F = k d - b (v . n) n, n = d / |d|.
+    """Spring and damper between the device and the nearest point of the surface: F = k d - b (v .
+    n) n, n = d / |d|.
 
-    The damper acts on the device's own velocity, along the penetration only, so it rubs on a surface that moves with
-    the device. The force never pulls into the surface.
+    The damper acts on the device's own velocity, along the penetration only, so it rubs on a
+    surface that moves with the device. The force never pulls into the surface.
     """
 
-    def render(self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float) -> Array:
+    def render(
+        self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float
+    ) -> Array:
         """Force on the device [N]."""
         gap = proxy - device
         square = float(gap.dot(gap))
@@ -62,34 +81,49 @@ class PenaltyRenderer(SpringDamper):
 
 
 class ProxyRenderer(SpringDamper):
-    """Spring and damper between device and god-object: F = k (p_proxy - p) + b (v_proxy - v) (Colgate et al. 1995).
+    """Spring and damper between device and god-object: F = k (p_proxy - p) + b (v_proxy - v)
+    (Colgate et al. 1995).
 
-    The damper acts on the relative velocity, so the pair can only lose energy: a published form with ``+ b v_device``
-    alone creates the energy b v^2 every second (E9 of the project's list of errors). It is off where the device is
-    free.
+    The damper acts on the relative velocity, so the pair can only lose energy: a published form
+    with ``+ b v_device`` alone creates the energy b v^2 every second (E9 of the project's list of
+    errors). It is off where the device is free.
     """
 
-    def render(self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float) -> Array:
+    def render(
+        self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float
+    ) -> Array:
         """Force on the device [N]."""
         if not any((proxy - device).tolist()):
             return np.zeros(3)
-        return self.stiffness_N_m * (proxy - device) + self.damping_N_s_m * (proxy_velocity - device_velocity)
+        return self.stiffness_N_m * (proxy - device) + self.damping_N_s_m * (
+            proxy_velocity - device_velocity
+        )
 
 
 class PassivityRenderer:
     """Another law, with an observer that makes a controller pay for the energy it creates.
 
-    Measured at the motors on walls of up to 1.5 kN/m with latencies of up to 8 ms: never ahead by more than 0.3 mJ.
-    It does not see a force that fades while samples are missing; what was taken before such a gap counts for nothing.
+    Measured at the motors on walls of up to 1.5 kN/m with latencies of up to 8 ms: never ahead by
+    more than 0.3 mJ. It does not see a force that fades while samples are missing; what was taken
+    before such a gap counts for nothing.
     """
 
     def __init__(
-        self, inner: Renderer, *, damping_limit_N_s_m: float, delay_ticks: float = 0.0, mass_kg: float = inf
+        self,
+        inner: Renderer,
+        *,
+        damping_limit_N_s_m: float,
+        delay_ticks: float = 0.0,
+        mass_kg: float = inf,
     ) -> None:
         self.inner = inner
-        self.control = PassivityControl(damping_limit_N_s_m, delay_ticks=delay_ticks, mass_kg=mass_kg)
+        self.control = PassivityControl(
+            damping_limit_N_s_m, delay_ticks=delay_ticks, mass_kg=mass_kg
+        )
 
-    def render(self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float) -> Array:
+    def render(
+        self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float
+    ) -> Array:
         """Force on the device [N]."""
         force = self.inner.render(device, device_velocity, proxy, proxy_velocity, dt)
         return self.control.step(force, device, device_velocity, dt)
@@ -100,10 +134,11 @@ class PassivityRenderer:
 
 
 class TurningRenderer:
-    """The same laws for a rotation: the gap is the shortest rotation vector from the device to its proxy.
+    """The same laws for a rotation: the gap is the shortest rotation vector from the device to its
+    proxy.
 
-    The device's turns are summed as rotation vectors from tick to tick, so that an observer within books the work of
-    the torque on them.
+    The device's turns are summed as rotation vectors from tick to tick, so that an observer within
+    books the work of the torque on them.
     """
 
     def __init__(self, inner: Renderer) -> None:
@@ -113,7 +148,14 @@ class TurningRenderer:
         self._turned = np.zeros(3)
         self._before: Quaternion | None = None
 
-    def render(self, device: Quaternion, device_spin: Array, proxy: Quaternion, proxy_spin: Array, dt: float) -> Array:
+    def render(
+        self,
+        device: Quaternion,
+        device_spin: Array,
+        proxy: Quaternion,
+        proxy_spin: Array,
+        dt: float,
+    ) -> Array:
         """Torque on the device [N m] from unit quaternions (x, y, z, w) and spins [rad/s]."""
         if self._before is not None:
             self._turned = self._turned + turn_between(self._before, device)
@@ -134,12 +176,16 @@ def penalty(loop: WallLoop) -> PenaltyRenderer:
 def passivity(loop: WallLoop) -> PassivityRenderer:
     """The penalty law for the wall of a loop, with a passivity controller.
 
-    The loop gives its mass, its lag (delay and amplifier) and the damping that they leave it, a half of m / (T + lag).
+    The loop gives its mass, its lag (delay and amplifier) and the damping that they leave it, a
+    half of m / (T + lag).
     """
     lag = loop.delay_s + loop.filter_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
     limit = 0.5 * loop.mass_kg / (loop.tick_s + lag)
     return PassivityRenderer(
-        penalty(loop), damping_limit_N_s_m=limit, delay_ticks=lag / loop.tick_s, mass_kg=loop.mass_kg
+        penalty(loop),
+        damping_limit_N_s_m=limit,
+        delay_ticks=lag / loop.tick_s,
+        mass_kg=loop.mass_kg,
     )
 
 
@@ -156,6 +202,10 @@ def renderer(kind: str, loop: WallLoop) -> Renderer:
     InputError
         If the name is none of these.
     """
-    built_in: dict[str, Callable[[WallLoop], Renderer]] = {"penalty": penalty, "passivity": passivity, "proxy": proxy}
+    built_in: dict[str, Callable[[WallLoop], Renderer]] = {
+        "penalty": penalty,
+        "passivity": passivity,
+        "proxy": proxy,
+    }
     make: Callable[[WallLoop], Renderer] = RENDERERS[kind] or built_in[kind]
     return make(loop)

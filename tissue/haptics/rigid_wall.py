@@ -1,4 +1,6 @@
-"""A hand presses a device onto a rigid wall, tick by tick: what a loop does where nothing but the wall is simulated."""
+"""A hand presses a device onto a rigid wall, tick by tick: what a loop does where nothing but
+the wall is simulated.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -33,7 +35,8 @@ class WallRun:
     force_N
         Commanded from the tick on, on the device, shape (n, 3).
     taken_J
-        Energy that the loop has taken from the device up to the tick [J], shape (n,), by the positions it sampled.
+        Energy that the loop has taken from the device up to the tick [J], shape (n,), by the
+        positions it sampled.
     """
 
     time_s: Array
@@ -58,9 +61,9 @@ def press_wall(
 ) -> WallRun:
     """Run device, proxy on the plane, renderer and guard for a time [s].
 
-    The proxy of a plane is the device's point where it is free and its foot on the plane elsewhere; its velocity is the
-    part along the plane. Without a guard every sample is valid and no sample means no force. Whatever ends the run,
-    the device is left without force.
+    The proxy of a plane is the device's point where it is free and its foot on the plane elsewhere;
+    its velocity is the part along the plane. Without a guard every sample is valid and no sample
+    means no force. Whatever ends the run, the device is left without force.
     """
     ticks = round(duration_s / tick_s)
     position, velocity, force = np.zeros((3, ticks, 3))
@@ -99,7 +102,12 @@ def press_wall(
 
 
 def knock(
-    device: DeviceParameters, hand: HandParameters, kind: str, stiffness_N_m: float, *, damping_N_s_m: float = 0.0
+    device: DeviceParameters,
+    hand: HandParameters,
+    kind: str,
+    stiffness_N_m: float,
+    *,
+    damping_N_s_m: float = 0.0,
 ) -> tuple[WallRun, SimulatedDevice]:
     """Move onto a wall, hold 5 mm into it, and be jerked off it after 0.8 s (2 N for 20 ms).
 

@@ -9,8 +9,11 @@ from tissue.prediction.contact import Contact
 __all__ = ["seen_contact"]
 
 
-def seen_contact(tool: HeldTool, stiffness_N_m: float, scale: float, shift_m: Array, response: Response) -> Contact:
-    """The contact at the device: a length there is one at the tool over m, a force f times as great.
+def seen_contact(
+    tool: HeldTool, stiffness_N_m: float, scale: float, shift_m: Array, response: Response
+) -> Contact:
+    """The contact at the device: a length there is one at the tool over m, a force f times as
+    great.
 
     Parameters
     ----------

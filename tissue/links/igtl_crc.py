@@ -1,4 +1,6 @@
-"""The checksum of an OpenIGTLink message: CRC-64 of its body, for bodies of many megabytes in NumPy."""
+"""The checksum of an OpenIGTLink message: CRC-64 of its body, for bodies of many megabytes in
+NumPy.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +37,8 @@ BITS: Words = np.arange(64, dtype=np.uint64)
 def crc64(body: bytes | bytearray | memoryview) -> int:
     """The checksum of a message's body.
 
-    The remainder is linear in the body: a long one is cut into `LANES` parts, whose remainders are found at once and
-    then joined in pairs, the earlier of two moved on by the length of the later.
+    The remainder is linear in the body: a long one is cut into `LANES` parts, whose remainders are
+    found at once and then joined in pairs, the earlier of two moved on by the length of the later.
     """
     if len(body) < LONG:
         value = 0
@@ -45,7 +47,8 @@ def crc64(body: bytes | bytearray | memoryview) -> int:
         return value
     width = -(-len(body) // LANES)
     padded = np.zeros(LANES * width, dtype=np.uint8)
-    padded[len(padded) - len(body) :] = np.frombuffer(body, dtype=np.uint8)  # zeros in front change nothing
+    # zeros in front change nothing
+    padded[len(padded) - len(body) :] = np.frombuffer(body, dtype=np.uint8)
     found, moved = np.zeros(LANES, dtype=np.uint64), np.uint64(1) << BITS
     for column in np.ascontiguousarray(padded.reshape(LANES, width).T):
         found = (found << BYTE) ^ TABLE[(found >> TOP) ^ column]

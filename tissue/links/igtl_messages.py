@@ -1,7 +1,7 @@
 """OpenIGTLink messages: header, CRC and the bodies that a run sends and takes, byte for byte.
 
-All numbers are big-endian but for the voxels of an image. A header of version 2 is followed by an extended one, and the
-body by metadata. Lengths are mm, and 3D Slicer takes all of them as RAS.
+All numbers are big-endian but for the voxels of an image. A header of version 2 is followed by an
+extended one, and the body by metadata. Lengths are mm, and 3D Slicer takes all of them as RAS.
 """
 
 import struct
@@ -16,15 +16,31 @@ from meshes.base.errors import InputError
 from tissue.links.igtl_crc import crc64
 
 __all__ = [
-    "HEADER_BYTES", "STATUS_OK", "STATUS_SHUT_DOWN", "Header", "IgtlError", "content_of", "image_body", "ndarray_body",
-    "packed", "parse_header", "parse_transform", "polydata_body", "sensor_body", "si_unit", "status_body",
-    "string_body", "transform_body",
-]  # fmt: skip
+    "HEADER_BYTES",
+    "STATUS_OK",
+    "STATUS_SHUT_DOWN",
+    "Header",
+    "IgtlError",
+    "content_of",
+    "image_body",
+    "ndarray_body",
+    "packed",
+    "parse_header",
+    "parse_transform",
+    "polydata_body",
+    "sensor_body",
+    "si_unit",
+    "status_body",
+    "string_body",
+    "transform_body",
+]
 
 HEADER = struct.Struct(">H12s20sIIQQ")
 HEADER_BYTES = HEADER.size
 EXTENDED = struct.Struct(">HHII")
-"""Size of the extended header, of the metadata's header and of the metadata, and the message's number."""
+"""Size of the extended header, of the metadata's header and of the metadata, and the message's
+number.
+"""
 ENTRY = struct.Struct(">HHI")
 """Length of a key, encoding and length of its value."""
 NEWEST = 3
@@ -39,7 +55,9 @@ UNITS = {"m": 0x01, "g": 0x02, "s": 0x03, "Hz": 0x0A, "N": 0x0B, "Pa": 0x0C}
 """Codes of units that are used here."""
 POINT_SCALARS = 0x00
 LITTLE, RAS = 2, 1
-"""Order of the bytes of an image's voxels, the only ones that are not big-endian, and the frame it is in."""
+"""Order of the bytes of an image's voxels, the only ones that are not big-endian, and the frame
+it is in.
+"""
 
 
 class IgtlError(ValueError):
@@ -71,18 +89,33 @@ class Header:
 
 
 def packed(
-    kind: str, name: str, body: bytes, *, time_s: float, metadata: Mapping[str, str] | None = None, number: int = 0
+    kind: str,
+    name: str,
+    body: bytes,
+    *,
+    time_s: float,
+    metadata: Mapping[str, str] | None = None,
+    number: int = 0,
 ) -> bytes:
-    """A whole message; with metadata its header is of version 2, and ``number`` is that of the message."""
+    """A whole message; with metadata its header is of version 2, and ``number`` is that of the
+    message.
+    """
     version = 1
     if metadata is not None:
         version, texts = 2, [(key.encode(), *_encoded(value)) for key, value in metadata.items()]
-        index = struct.pack(">H", len(texts)) + b"".join(ENTRY.pack(len(k), code, len(v)) for k, code, v in texts)
+        index = struct.pack(">H", len(texts)) + b"".join(
+            ENTRY.pack(len(k), code, len(v)) for k, code, v in texts
+        )
         values = b"".join(key + value for key, _, value in texts)
         body = EXTENDED.pack(EXTENDED.size, len(index), len(values), number) + body + index + values
     seconds = int(time_s)
     fraction = int((time_s - seconds) * 2**32)
-    return HEADER.pack(version, _short(kind, 12), _short(name, 20), seconds, fraction, len(body), crc64(body)) + body
+    return (
+        HEADER.pack(
+            version, _short(kind, 12), _short(name, 20), seconds, fraction, len(body), crc64(body)
+        )
+        + body
+    )
 
 
 def parse_header(header: bytes | bytearray) -> Header:
@@ -105,7 +138,9 @@ def parse_header(header: bytes | bytearray) -> Header:
     if not texts[0]:
         raise IgtlError("a header without a type")
     time_s = seconds + fraction / 2**32
-    return Header(version=version, kind=texts[0], name=texts[1], time_s=time_s, body_bytes=size, crc=crc)
+    return Header(
+        version=version, kind=texts[0], name=texts[1], time_s=time_s, body_bytes=size, crc=crc
+    )
 
 
 def content_of(header: Header, body: bytes | bytearray) -> bytes:
@@ -154,7 +189,11 @@ def parse_transform(content: bytes) -> NDArray[np.float64]:
 
 def status_body(code: int, message: str, *, subcode: int = 0, name: str = "") -> bytes:
     """STATUS with a code such as `STATUS_OK`, and its message."""
-    return struct.pack(">Hq20s", code, subcode, _short(name, 20)) + message.encode("ascii", "replace") + b"\0"
+    return (
+        struct.pack(">Hq20s", code, subcode, _short(name, 20))
+        + message.encode("ascii", "replace")
+        + b"\0"
+    )
 
 
 def string_body(text: str) -> bytes:
@@ -186,7 +225,10 @@ def ndarray_body(values: ArrayLike) -> bytes:
 
 
 def polydata_body(
-    points_mm: ArrayLike, polygons: ArrayLike, *, scalars: Mapping[str, NDArray[np.floating]] | None = None
+    points_mm: ArrayLike,
+    polygons: ArrayLike,
+    *,
+    scalars: Mapping[str, NDArray[np.floating]] | None = None,
 ) -> bytes:
     """POLYDATA of polygons that all have as many points.
 
@@ -220,24 +262,30 @@ def image_body(voxels: NDArray[np.generic], ijk_to_ras_mm: ArrayLike) -> bytes:
     voxels
         Values by their indices i, j, k, shape (ni, nj, nk).
     ijk_to_ras_mm
-        Homogeneous matrix from indices to places [mm], shape (4, 4); the message holds the volume's middle instead of
-        its first voxel.
+        Homogeneous matrix from indices to places [mm], shape (4, 4); the message holds the volume's
+        middle instead of its first voxel.
     """
     matrix, shape = np.asarray(ijk_to_ras_mm, dtype=float), voxels.shape
     if len(shape) != 3 or max(shape) > 0xFFFF:
-        raise InputError(f"voxels must have three axes of at most 65535, got shape {shape}: take fewer")
+        raise InputError(
+            f"voxels must have three axes of at most 65535, got shape {shape}: take fewer"
+        )
     middle = matrix @ [*(0.5 * (np.array(shape) - 1.0)), 1.0]
     placed = np.concatenate([matrix[:3, :3].T.ravel(), middle[:3]]).astype(">f4")
     head = struct.pack(">HBBBB3H", 1, 1, _scalar(voxels), LITTLE, RAS, *shape) + placed.tobytes()
     window = struct.pack(">6H", 0, 0, 0, *shape)
-    return head + window + voxels.astype(voxels.dtype.newbyteorder("<"), copy=False).tobytes(order="F")
+    return (
+        head + window + voxels.astype(voxels.dtype.newbyteorder("<"), copy=False).tobytes(order="F")
+    )
 
 
 def _scalar(values: NDArray[np.generic]) -> int:
     """Number of the type of an array's scalars."""
     kind = f"{values.dtype.kind}{values.dtype.itemsize}"
     if kind not in SCALARS:
-        raise InputError(f"values must be of a type that OpenIGTLink has, got {values.dtype}: use float64")
+        raise InputError(
+            f"values must be of a type that OpenIGTLink has, got {values.dtype}: use float64"
+        )
     return SCALARS[kind]
 
 
@@ -250,5 +298,7 @@ def _short(text: str, size: int) -> bytes:
     """A text as a field of fixed size; one that is longer would be cut off unseen."""
     field = text.encode("ascii", "replace")
     if len(field) > size:
-        raise InputError(f"a name in a message must have at most {size} characters, got {text!r}: shorten it")
+        raise InputError(
+            f"a name in a message must have at most {size} characters, got {text!r}: shorten it"
+        )
     return field

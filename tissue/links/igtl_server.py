@@ -1,4 +1,6 @@
-"""A server of OpenIGTLink that waits for nobody: any number of clients, each with what it has yet to be sent."""
+"""A server of OpenIGTLink that waits for nobody: any number of clients, each with what it has
+yet to be sent.
+"""
 
 import selectors
 import socket
@@ -133,8 +135,8 @@ class Client:
 class IgtlServer:
     """Listens on a port of this machine, sends to all clients, and takes what they send.
 
-    Nothing of it blocks: what a client does not take at once waits for it, and a client that sends what is no
-    OpenIGTLink, or takes nothing for `STALLED_S`, is disconnected.
+    Nothing of it blocks: what a client does not take at once waits for it, and a client that sends
+    what is no OpenIGTLink, or takes nothing for `STALLED_S`, is disconnected.
 
     Parameters
     ----------
@@ -164,7 +166,8 @@ class IgtlServer:
         except (OSError, OverflowError) as error:
             why = getattr(error, "strerror", None) or "no port"
             raise InputError(
-                f"port must be a free port of {host}, got {port} ({why}): end the program that has it, or give another"
+                f"port must be a free port of {host}, got {port} ({why}): end the program "
+                "that has it, or give another"
             ) from None
         self._listener.setblocking(False)
         self._selector = selectors.DefaultSelector()
@@ -180,7 +183,9 @@ class IgtlServer:
         return host, port
 
     def poll(self, timeout_s: float) -> tuple[list[Client], list[Received]]:
-        """Write and read what can be, and wait for news until a time is over; new clients, and what has come."""
+        """Write and read what can be, and wait for news until a time is over; new clients, and
+        what has come.
+        """
         for client in list(self.clients):
             self._try(client, client.write)
         fresh: list[Client] = []
@@ -191,13 +196,19 @@ class IgtlServer:
                 fresh += self._accept()
             elif client in self.clients:
                 came = self._try(client, client.read)
-                received += [Received(client=client, header=header, content=held) for header, held in came or []]
+                received += [
+                    Received(client=client, header=header, content=held)
+                    for header, held in came or []
+                ]
         return fresh, received
 
-    def send(self, message: bytes, *, to: list[Client] | None = None, is_stream: bool = False) -> int:
+    def send(
+        self, message: bytes, *, to: list[Client] | None = None, is_stream: bool = False
+    ) -> int:
         """Send a message to all clients, or to some; to how many it went.
 
-        One of a stream is left out where the client has not yet taken what was before it: the next is newer.
+        One of a stream is left out where the client has not yet taken what was before it: the next
+        is newer.
         """
         sent = 0
         for client in list(self.clients if to is None else to):

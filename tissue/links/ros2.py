@@ -1,4 +1,6 @@
-"""Publishes a live run on topics of ROS 2, run by ``python -m tissue.links.ros2 FOLDER`` in a process."""
+"""Publishes a live run on topics of ROS 2, run by ``python -m tissue.links.ros2 FOLDER`` in a
+process.
+"""
 
 import json
 import os
@@ -38,9 +40,10 @@ WRENCH = (*(f"model_force_{c}_N" for c in "xyz"), *(f"model_torque_{c}_Nm" for c
 class Ros2Publisher:
     """A run while it goes on, by the names of CRTK, in m, m/s, rad/s, N and N m.
 
-    ``measured_cp``: the tool's tip, z from tip to shank. ``measured_cv``: its velocity. ``measured_cf``: what the
-    tissue does to the tool, torques about the tip. ``operating_state``, where crtk_msgs is installed: ENABLED while the
-    ticks go on, PAUSED while they do not, DISABLED at the end.
+    ``measured_cp``: the tool's tip, z from tip to shank. ``measured_cv``: its velocity.
+    ``measured_cf``: what the tissue does to the tool, torques about the tip. ``operating_state``,
+    where crtk_msgs is installed: ENABLED while the ticks go on, PAUSED while they do not, DISABLED
+    at the end.
 
     Parameters
     ----------
@@ -56,16 +59,23 @@ class Ros2Publisher:
     def __init__(self, folder: Path) -> None:
         self._arrays = SharedArrays(folder)
         columns = json.loads((folder / "columns.json").read_text("utf-8"))
-        self._places = {names: [columns.index(name) for name in names] for names in (POSE, TWIST, WRENCH)}
+        self._places = {
+            names: [columns.index(name) for name in names] for names in (POSE, TWIST, WRENCH)
+        }
         self._rclpy: Any = import_module("rclpy")
         signals = import_module("rclpy.signals").SignalHandlerOptions
         self._rclpy.init(args=[], signal_handler_options=signals.NO)
         self._node = self._rclpy.create_node("tissue", namespace=NAMESPACE)
         self._geometry: Any = import_module("geometry_msgs.msg")
         self.topics = ["measured_cp", "measured_cv", "measured_cf"]
-        kinds = (self._geometry.PoseStamped, self._geometry.TwistStamped, self._geometry.WrenchStamped)
+        kinds = (
+            self._geometry.PoseStamped,
+            self._geometry.TwistStamped,
+            self._geometry.WrenchStamped,
+        )
         self._pose, self._twist, self._wrench = (
-            self._node.create_publisher(kind, topic, DEPTH) for kind, topic in zip(kinds, self.topics, strict=True)
+            self._node.create_publisher(kind, topic, DEPTH)
+            for kind, topic in zip(kinds, self.topics, strict=True)
         )
         self._turn, self._state, self._stated_s, self._row_s = 0, "", 0.0, perf_counter()
         self._states: Any = None
@@ -74,7 +84,8 @@ class Ros2Publisher:
         except ImportError:
             return
         qos = import_module("rclpy.qos")
-        last = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)  # for those that come later
+        # for those that come later
+        last = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
         self._states = self._node.create_publisher(self._new_state, "operating_state", last)
         self.topics.append("operating_state")
 
@@ -118,7 +129,11 @@ class Ros2Publisher:
         loads = row[self._places[WRENCH]].tolist()
         _fill(wrench.wrench.force, "xyz", loads[:3])
         _fill(wrench.wrench.torque, "xyz", loads[3:])
-        for publisher, message in ((self._pose, pose), (self._twist, twist), (self._wrench, wrench)):
+        for publisher, message in (
+            (self._pose, pose),
+            (self._twist, twist),
+            (self._wrench, wrench),
+        ):
             _fill(message.header, header, header.values())
             publisher.publish(message)
         self._arrays["frames"][0] += 1
@@ -148,7 +163,8 @@ def _main(folder: str) -> None:
     os.dup2(2, 1)
     try:
         publisher = Ros2Publisher(Path(folder))
-    except Exception as error:  # rclpy raises kinds of its own; the last line printed is what a person reads
+    except Exception as error:
+        # rclpy raises kinds of its own; the last line printed is what a person reads
         sys.exit(f"{type(error).__name__}: {' '.join(str(error).split())}")
     topics = ", ".join(f"/{NAMESPACE}/{topic}" for topic in publisher.topics)
     print(f"ready {topics}", file=standard_output, flush=True)

@@ -15,8 +15,9 @@ LPS_TO_RAS: Array = np.diag([-1.0, -1.0, 1.0])
 class SlicerFrame:
     """A rigid motion from the scene's frame [mm] to RAS [mm], and back.
 
-    A scene whose anatomy comes from a file lies on that file. Another one, whose frame is that of no patient, lies
-    where 3D Slicer puts the files of its run, such as ``bone.nrrd``, which it takes as LPS.
+    A scene whose anatomy comes from a file lies on that file. Another one, whose frame is that of
+    no patient, lies where 3D Slicer puts the files of its run, such as ``bone.nrrd``, which it
+    takes as LPS.
 
     Parameters
     ----------
@@ -46,13 +47,17 @@ class SlicerFrame:
         return np.asarray(self._turn @ np.asarray(vector, dtype=np.float64))
 
     def pose(self, tip_mm: ArrayLike, rotation: ArrayLike) -> Array:
-        """From a tool's frame to RAS [mm], shape (4, 4), by tip [mm] and orientation, shape (3, 3), in the scene."""
+        """From a tool's frame to RAS [mm], shape (4, 4), by tip [mm] and orientation, shape (3,
+        3), in the scene.
+        """
         matrix = np.eye(4)
         matrix[:3, :3] = self._turn @ np.asarray(rotation, dtype=np.float64)
         matrix[:3, 3] = self.points(np.reshape(tip_mm, (1, 3)))[0]
         return matrix
 
     def pose_in_scene(self, matrix: ArrayLike) -> tuple[Array, Array]:
-        """Tip [mm] and orientation, shape (3, 3), in the scene of a tool with a pose in RAS [mm], shape (4, 4)."""
+        """Tip [mm] and orientation, shape (3, 3), in the scene of a tool with a pose in RAS
+        [mm], shape (4, 4).
+        """
         given = np.asarray(matrix, dtype=np.float64)
         return self._turn.T @ (given[:3, 3] - self._origin), self._turn.T @ given[:3, :3]

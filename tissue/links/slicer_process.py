@@ -1,4 +1,6 @@
-"""Publishes a live run for 3D Slicer, run by ``python -m tissue.links.slicer_process FOLDER`` in a process."""
+"""Publishes a live run for 3D Slicer, run by ``python -m tissue.links.slicer_process FOLDER`` in
+a process.
+"""
 
 import json
 import os
@@ -32,14 +34,17 @@ WAIT_S = 0.005
 LINGERS_S = 2.0
 """How long the last messages may take once the run has ended [s]."""
 STREAMS = ("SENSOR", "NDARRAY")
-"""What a client has to ask for, for 3D Slicer takes neither and would report each one as an error."""
+"""What a client has to ask for, for 3D Slicer takes neither and would report each one as an
+error.
+"""
 NICE = 5
 """On a busy machine the ticks come first."""
 Array = NDArray[np.float64]
 
 
 class Publisher:
-    """A run while it goes on, at a port: the newest row, events, and the tissue's surface as it changes.
+    """A run while it goes on, at a port: the newest row, events, and the tissue's surface as it
+    changes.
 
     Parameters
     ----------
@@ -103,7 +108,10 @@ class Publisher:
         self._send_events()
         self._send(self._content.end_message())
         began = perf_counter()
-        while any(client.waits for client in self.server.clients) and perf_counter() - began < LINGERS_S:
+        while (
+            any(client.waits for client in self.server.clients)
+            and perf_counter() - began < LINGERS_S
+        ):
             self.server.poll(WAIT_S)
         self._count()
         self.server.close()

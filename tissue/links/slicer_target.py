@@ -1,4 +1,6 @@
-"""Where a client wants the tool: its transform judged, brought into the scene's frame and into the tool's box."""
+"""Where a client wants the tool: its transform judged, brought into the scene's frame and into
+the tool's box.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +16,9 @@ Array = NDArray[np.float64]
 TARGET = "tissue-target"
 """Name of the transform that moves the tool."""
 OFF = 0.01
-"""How far the product of a rotation with its transpose may be from the identity; single precision is 1e-7."""
+"""How far the product of a rotation with its transpose may be from the identity; single
+precision is 1e-7.
+"""
 
 
 class SlicerTarget:
@@ -25,8 +29,8 @@ class SlicerTarget:
     frame
         Where the scene lies in RAS.
     start
-        ``low_m``, ``high_m``: the box of the tip [m]; ``start_turn``: the tool's first orientation, shape (3, 3);
-        ``drives``: whether a client may move the tool.
+        ``low_m``, ``high_m``: the box of the tip [m]; ``start_turn``: the tool's first orientation,
+        shape (3, 3); ``drives``: whether a client may move the tool.
 
     Attributes
     ----------
@@ -36,16 +40,20 @@ class SlicerTarget:
 
     def __init__(self, frame: SlicerFrame, start: Start) -> None:
         self._frame, self._turn = frame, start["start_turn"].astype(np.float64)
-        self._low, self._high = 1e3 * start["low_m"].astype(float), 1e3 * start["high_m"].astype(float)
+        self._low, self._high = (
+            1e3 * start["low_m"].astype(float),
+            1e3 * start["high_m"].astype(float),
+        )
         self._drives = bool(start["drives"])
         self._driver: Client | None = None
         self.ignored = 0
 
     def wanted(self, received: Received, clients: list[Client]) -> Array | None:
-        """The pose of a transform: tip [mm] in the scene, and turn from the first orientation (x, y, z, w), shape (7,).
+        """The pose of a transform: tip [mm] in the scene, and turn from the first orientation (x,
+        y, z, w), shape (7,).
 
-        None for a transform of another name, and for one that is ignored: no rigid motion, or of a second client while
-        the one that came first is connected.
+        None for a transform of another name, and for one that is ignored: no rigid motion, or of a
+        second client while the one that came first is connected.
         """
         if received.header.name != TARGET:
             return None

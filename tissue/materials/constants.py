@@ -1,4 +1,6 @@
-"""Cited constants, read from the data files next to this one, and the cutting coefficients made of them."""
+"""Cited constants, read from the data files next to this one, and the cutting coefficients made
+of them.
+"""
 
 import tomllib
 from collections.abc import Mapping
@@ -10,13 +12,27 @@ from typing import ClassVar, TypedDict
 from meshes.base.errors import InputError
 
 __all__ = [
-    "CUT_AS", "Constant", "CuttingCoefficients", "Entry", "add_material", "changed_coefficients", "constants",
-    "cutting_coefficients", "listed", "remove_material",
-]  # fmt: skip
+    "CUT_AS",
+    "Constant",
+    "CuttingCoefficients",
+    "Entry",
+    "add_material",
+    "changed_coefficients",
+    "constants",
+    "cutting_coefficients",
+    "listed",
+    "remove_material",
+]
 
 N_MM2 = 1e6  # [Pa]
 N_MM = 1e3  # [N/m]
-CUT_AS = {"enamel": "enamel", "dentin": "dentin", "caries": "dentin", "pulp": "soft", "ligament": "soft"}
+CUT_AS = {
+    "enamel": "enamel",
+    "dentin": "dentin",
+    "caries": "dentin",
+    "pulp": "soft",
+    "ligament": "soft",
+}
 """Material whose cutting coefficients a layer of a tooth has; all others have those of bone."""
 
 
@@ -68,9 +84,17 @@ def constants(table: str, material: str) -> dict[str, Constant]:
     """
     entries = _table(table)
     if material not in entries:
-        raise InputError(f"material must be one of {', '.join(entries)}, got {material}: choose a listed one")
+        raise InputError(
+            f"material must be one of {', '.join(entries)}, got {material}: choose a listed one"
+        )
     return {
-        name: Constant(entry["value"], entry["range"][0], entry["range"][1], entry["source"], entry["confidence"])
+        name: Constant(
+            entry["value"],
+            entry["range"][0],
+            entry["range"][1],
+            entry["source"],
+            entry["confidence"],
+        )
         for name, entry in entries[material].items()
     }
 
@@ -90,7 +114,9 @@ def add_material(table: str, material: str, entries: dict[str, Entry]) -> None:
     """
     known = _table(table)
     if material in known:
-        raise InputError(f"material must be none of {', '.join(known)}, got {material}: choose another name")
+        raise InputError(
+            f"material must be none of {', '.join(known)}, got {material}: choose another name"
+        )
     known[material] = entries
 
 
@@ -106,7 +132,8 @@ def _table(table: str) -> dict[str, dict[str, Entry]]:
 
 
 def cutting_coefficients(material: str, **changes: float | None) -> CuttingCoefficients:
-    """Coefficients of a material in SI; ``changes`` replace single constants, named with their units as in the file.
+    """Coefficients of a material in SI; ``changes`` replace single constants, named with their
+    units as in the file.
 
     Raises
     ------
@@ -116,7 +143,9 @@ def cutting_coefficients(material: str, **changes: float | None) -> CuttingCoeff
     return changed_coefficients(constants("cutting", material), changes)
 
 
-def changed_coefficients(cited: Mapping[str, Constant], changes: Mapping[str, float | None]) -> CuttingCoefficients:
+def changed_coefficients(
+    cited: Mapping[str, Constant], changes: Mapping[str, float | None]
+) -> CuttingCoefficients:
     """Coefficients of cutting constants in SI; `changes` replace single ones.
 
     Raises
@@ -127,7 +156,9 @@ def changed_coefficients(cited: Mapping[str, Constant], changes: Mapping[str, fl
     values = {name: constant.value for name, constant in cited.items()}
     for name, value in changes.items():
         if name not in values:
-            raise InputError(f"cutting must set one of {', '.join(values)}, got {name}: choose a listed name")
+            raise InputError(
+                f"cutting must set one of {', '.join(values)}, got {name}: choose a listed name"
+            )
         if value is not None:
             values[name] = value
     return CuttingCoefficients(

@@ -1,7 +1,9 @@
-"""Linear elastic stiffness: isotropic, transversely isotropic, orthotropic, and turned to follow a fibre field.
+"""Linear elastic stiffness: isotropic, transversely isotropic, orthotropic, and turned to follow a
+fibre field.
 
-Voigt order xx, yy, zz, yz, xz, xy with engineering shear strains (twice the tensor's), so stress = D strain. Material
-axes are 1, 2, 3 = x, y, z until they are turned; the fibre of a transversely isotropic material is axis 3.
+Voigt order xx, yy, zz, yz, xz, xy with engineering shear strains (twice the tensor's), so stress =
+D strain. Material axes are 1, 2, 3 = x, y, z until they are turned; the fibre of a transversely
+isotropic material is axis 3.
 """
 
 import numpy as np
@@ -27,11 +29,14 @@ VOIGT = np.array([[0, 0], [1, 1], [2, 2], [1, 2], [0, 2], [0, 1]])
 """Row and column of the tensor component at each Voigt place."""
 
 SYMMETRIC = 1e-9
-"""Asymmetry allowed, relative to the largest entry: rounding of an inverse of contrast up to a million."""
+"""Asymmetry allowed, relative to the largest entry: rounding of an inverse of contrast up to a
+million.
+"""
 
 
 def lame(young_Pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
-    """Lame constants lambda, mu [Pa], shape (..., 2), of Young's modulus [Pa] and Poisson's ratio, which broadcast.
+    """Lame constants lambda, mu [Pa], shape (..., 2), of Young's modulus [Pa] and Poisson's ratio,
+    which broadcast.
 
     Raises
     ------
@@ -43,7 +48,8 @@ def lame(young_Pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
     outside = ~((ratio > -1.0) & (ratio < 0.5))
     if outside.any():
         raise InputError(
-            f"poisson_ratio must be in (-1, 0.5), got {ratio[outside].flat[0]:g}: use 0.499, or quadratic elements"
+            f"poisson_ratio must be in (-1, 0.5), got {ratio[outside].flat[0]:g}: use 0.499, "
+            "or quadratic elements"
         )
     shear = young / (2.0 * (1.0 + ratio))
     return np.stack(np.broadcast_arrays(2.0 * shear * ratio / (1.0 - 2.0 * ratio), shear), axis=-1)
@@ -69,7 +75,8 @@ def orthotropic(*, young_Pa: ArrayLike, shear_Pa: ArrayLike, poisson_ratio: Arra
     shear_Pa
         G12, G13, G23 [Pa].
     poisson_ratio
-        nu12, nu13, nu23; nu12 is the contraction along 2 of a pull along 1, and nu21 = nu12 E2 / E1.
+        nu12, nu13, nu23; nu12 is the contraction along 2 of a pull along 1, and nu21 = nu12 E2 /
+        E1.
 
     Raises
     ------
@@ -80,7 +87,9 @@ def orthotropic(*, young_Pa: ArrayLike, shear_Pa: ArrayLike, poisson_ratio: Arra
     shear = _positive("shear_Pa", shear_Pa, 3)
     ratio = np.asarray(poisson_ratio, dtype=np.float64)
     if ratio.shape != (3,) or not np.isfinite(ratio).all():
-        raise InputError(f"poisson_ratio must hold nu12, nu13, nu23, got {ratio}: give three finite numbers")
+        raise InputError(
+            f"poisson_ratio must hold nu12, nu13, nu23, got {ratio}: give three finite numbers"
+        )
     compliance = np.zeros((6, 6))
     compliance[range(3), range(3)] = 1.0 / young
     for (i, j), value in zip(((0, 1), (0, 2), (1, 2)), ratio, strict=True):
@@ -89,7 +98,8 @@ def orthotropic(*, young_Pa: ArrayLike, shear_Pa: ArrayLike, poisson_ratio: Arra
     normal = np.linalg.eigvalsh(compliance[:3, :3])
     if normal[0] <= 0.0:
         raise InputError(
-            f"poisson_ratio must leave the stiffness positive definite, got {ratio.tolist()} with moduli "
+            f"poisson_ratio must leave the stiffness positive definite, got {ratio.tolist()} "
+            "with moduli "
             f"{young.tolist()} Pa: keep |nu_ij| below sqrt(E_i / E_j) and their sum lower"
         )
     stiffness = np.linalg.inv(compliance)
@@ -104,7 +114,8 @@ def transversely_isotropic(
     poisson_fibre: float,
     poisson_across: float,
 ) -> Array:
-    """Stiffness matrix [Pa], shape (6, 6), of a material alike in all directions across its fibre, which is axis 3.
+    """Stiffness matrix [Pa], shape (6, 6), of a material alike in all directions across its fibre,
+    which is axis 3.
 
     Parameters
     ----------
@@ -124,7 +135,10 @@ def transversely_isotropic(
     """
     across, fibre = (
         float(_positive(name, value))
-        for name, value in (("young_across_Pa", young_across_Pa), ("young_fibre_Pa", young_fibre_Pa))
+        for name, value in (
+            ("young_across_Pa", young_across_Pa),
+            ("young_fibre_Pa", young_fibre_Pa),
+        )
     )
     if not -1.0 < poisson_across < 1.0:
         raise InputError(f"poisson_across must be in (-1, 1), got {poisson_across}: use about 0.4")
@@ -138,10 +152,12 @@ def transversely_isotropic(
 
 
 def volume_preserving_ratio(*, poisson_ratio: float, modulus_ratio: float) -> float:
-    """Compute Poisson's ratio across fibres at which they leave the bulk modulus as it is without them.
+    """Compute Poisson's ratio across fibres at which they leave the bulk modulus as it is without
+    them.
 
-    Take a transversely isotropic material with moduli E across and r E along its fibres, contraction nu of a pull along
-    them and nu_across of a pull across them. Under a pressure its volume changes by the sum of its compliances::
+    Take a transversely isotropic material with moduli E across and r E along its fibres,
+    contraction nu of a pull along them and nu_across of a pull across them. Under a pressure its
+    volume changes by the sum of its compliances::
 
         1 / K = (2 (1 - nu_across) + (1 - 4 nu) / r) / E
 
@@ -158,10 +174,11 @@ def volume_preserving_ratio(*, poisson_ratio: float, modulus_ratio: float) -> fl
 
 
 def fibre_ratio_range(poisson_ratio: float) -> tuple[float, float]:
-    """Compute the open range of modulus ratios in which `volume_preserving_ratio` leaves a material stable.
+    """Compute the open range of modulus ratios in which `volume_preserving_ratio` leaves a material
+    stable.
 
-    Stable means 1 - nu_across > 2 nu^2 / r, which is r > (1 - 2 nu) / 3, and nu_across > -1, which bounds r from below
-    where nu > 1/4 and from above where nu < -1/6.
+    Stable means 1 - nu_across > 2 nu^2 / r, which is r > (1 - 2 nu) / 3, and nu_across > -1, which
+    bounds r from below where nu > 1/4 and from above where nu < -1/6.
     """
     low = (1.0 - 2.0 * poisson_ratio) / 3.0
     high = np.inf
@@ -174,7 +191,8 @@ def fibre_ratio_range(poisson_ratio: float) -> tuple[float, float]:
 
 
 def checked_stiffness(stiffness_Pa: ArrayLike) -> Array:
-    """Stiffness matrices [Pa], shape (6, 6) or (m, 6, 6), if finite, symmetric and positive definite.
+    """Stiffness matrices [Pa], shape (6, 6) or (m, 6, 6), if finite, symmetric and positive
+    definite.
 
     Raises
     ------
@@ -183,15 +201,23 @@ def checked_stiffness(stiffness_Pa: ArrayLike) -> Array:
     """
     matrix = np.asarray(stiffness_Pa, dtype=np.float64)
     if matrix.ndim not in (2, 3) or matrix.shape[-2:] != (6, 6):
-        raise InputError(f"stiffness_Pa must have shape (6, 6) or (m, 6, 6), got {matrix.shape}: use Voigt matrices")
+        raise InputError(
+            f"stiffness_Pa must have shape (6, 6) or (m, 6, 6), got {matrix.shape}: use "
+            "Voigt matrices"
+        )
     each = matrix.reshape(-1, 6, 6)
     if not np.isfinite(each).all():
         bad = int(np.flatnonzero(~np.isfinite(each).all(axis=(1, 2)))[0])
-        raise InputError(f"stiffness_Pa must be finite, got matrix {bad} with NaN or infinity: leave it out")
-    off = np.abs(each - each.transpose(0, 2, 1)).max(axis=(1, 2)) / np.abs(each).max(axis=(1, 2)).clip(min=1e-300)
+        raise InputError(
+            f"stiffness_Pa must be finite, got matrix {bad} with NaN or infinity: leave it out"
+        )
+    off = np.abs(each - each.transpose(0, 2, 1)).max(axis=(1, 2)) / np.abs(each).max(
+        axis=(1, 2)
+    ).clip(min=1e-300)
     if off.max() > SYMMETRIC:
         raise InputError(
-            f"stiffness_Pa must be symmetric, got matrix {int(off.argmax())} off by {off.max():.1e} of its largest "
+            f"stiffness_Pa must be symmetric, got matrix {int(off.argmax())} off by "
+            f"{off.max():.1e} of its largest "
             "entry: use its mean with its transpose"
         )
     try:
@@ -199,27 +225,30 @@ def checked_stiffness(stiffness_Pa: ArrayLike) -> Array:
     except np.linalg.LinAlgError as problem:
         least = np.linalg.eigvalsh(each)[:, 0]
         raise InputError(
-            f"stiffness_Pa must be positive definite, got matrix {int(least.argmin())} with eigenvalue "
+            f"stiffness_Pa must be positive definite, got matrix {int(least.argmin())} with "
+            "eigenvalue "
             f"{least.min():.3g} Pa: check moduli and Poisson's ratios"
         ) from problem
     return matrix
 
 
 def rotated(stiffness_Pa: ArrayLike, axes: ArrayLike) -> Array:
-    """Stiffness matrices [Pa], shape (m, 6, 6), of a material turned to follow a fibre field (Bond 1943).
+    """Stiffness matrices [Pa], shape (m, 6, 6), of a material turned to follow a fibre field (Bond
+    1943).
 
     Parameters
     ----------
     stiffness_Pa
         In material axes [Pa], shape (6, 6) or (m, 6, 6).
     axes
-        Fibre directions, shape (m, 3), of a material that is transversely isotropic about axis 3; or the material axes
-        1, 2, 3 as columns, shape (m, 3, 3), orthonormal and right-handed.
+        Fibre directions, shape (m, 3), of a material that is transversely isotropic about axis 3;
+        or the material axes 1, 2, 3 as columns, shape (m, 3, 3), orthonormal and right-handed.
 
     Raises
     ------
     InputError
-        If a direction has no length, axes are not a rotation, or one fibre does not fix the material's axes.
+        If a direction has no length, axes are not a rotation, or one fibre does not fix the
+        material's axes.
     """
     matrix = np.asarray(stiffness_Pa, dtype=np.float64)
     frame = np.asarray(axes, dtype=np.float64)
@@ -228,18 +257,27 @@ def rotated(stiffness_Pa: ArrayLike, axes: ArrayLike) -> Array:
         turned = _turned(matrix.reshape(-1, 6, 6), quarter[None])
         if np.abs(turned - matrix).max() > SYMMETRIC * np.abs(matrix).max():
             raise InputError(
-                "axes must be three directions a cell, shape (m, 3, 3), got one fibre a cell: a material that differs "
+                "axes must be three directions a cell, shape (m, 3, 3), got one fibre a "
+                "cell: a material that differs "
                 "across its fibre needs all its axes"
             )
         frame = _frames(frame)
-    off = np.abs(np.einsum("mij,mik->mjk", frame, frame) - np.eye(3)).max() if frame.ndim == 3 else np.inf
+    off = (
+        np.abs(np.einsum("mij,mik->mjk", frame, frame) - np.eye(3)).max()
+        if frame.ndim == 3
+        else np.inf
+    )
     if not off < 1e-9 or (np.linalg.det(frame) < 0.0).any():
-        raise InputError(f"axes must be rotations, shape (m, 3, 3), got columns off by {off:.1e}: orthonormalise them")
+        raise InputError(
+            f"axes must be rotations, shape (m, 3, 3), got columns off by {off:.1e}: "
+            "orthonormalise them"
+        )
     return _turned(matrix.reshape(-1, 6, 6), frame)
 
 
 def elasticity_rows(elasticity: ArrayLike, cell_count: int) -> Array:
-    """An elasticity as rows of one for all cells or one a cell: Lame pairs (1 | m, 2) or matrices (1 | m, 6, 6) [Pa].
+    """An elasticity as rows of one for all cells or one a cell: Lame pairs (1 | m, 2) or matrices
+    (1 | m, 6, 6) [Pa].
 
     Raises
     ------
@@ -249,25 +287,35 @@ def elasticity_rows(elasticity: ArrayLike, cell_count: int) -> Array:
     given = np.asarray(elasticity, dtype=np.float64)
     if given.ndim in (1, 2) and given.shape[-1] == 2:
         rows: Array = given.reshape(-1, 2)
-        stable = np.isfinite(rows).all(axis=1) & (rows[:, 1] > 0.0) & (3.0 * rows[:, 0] + 2.0 * rows[:, 1] > 0.0)
+        stable = (
+            np.isfinite(rows).all(axis=1)
+            & (rows[:, 1] > 0.0)
+            & (3.0 * rows[:, 0] + 2.0 * rows[:, 1] > 0.0)
+        )
         if not stable.all():
             raise InputError(
-                f"elasticity must be positive definite, got Lame constants {rows[~stable][0].tolist()} Pa: use "
+                "elasticity must be positive definite, got Lame constants "
+                f"{rows[~stable][0].tolist()} Pa: use "
                 "lame(young_Pa, poisson_ratio)"
             )
     else:
         rows = checked_stiffness(given).reshape(-1, 6, 6)
     if len(rows) not in (1, cell_count):
-        raise InputError(f"elasticity must be one for all or one for each of {cell_count} cells, got {len(rows)}")
+        raise InputError(
+            f"elasticity must be one for all or one for each of {cell_count} cells, got {len(rows)}"
+        )
     return rows
 
 
 def _positive(name: str, value: ArrayLike, count: int | None = None) -> Array:
     numbers = np.asarray(value, dtype=np.float64)
-    if (count is not None and numbers.shape != (count,)) or not (np.isfinite(numbers) & (numbers > 0.0)).all():
+    if (count is not None and numbers.shape != (count,)) or not (
+        np.isfinite(numbers) & (numbers > 0.0)
+    ).all():
         wanted = "" if count is None else f"{count} numbers, "
         raise InputError(
-            f"{name} must be {wanted}positive and finite, got {numbers.tolist()}: use pascals, about 5e3 for liver"
+            f"{name} must be {wanted}positive and finite, got {numbers.tolist()}: use "
+            "pascals, about 5e3 for liver"
         )
     return numbers
 
@@ -277,7 +325,9 @@ def _frames(fibre: Array) -> Array:
     length = np.linalg.norm(fibre, axis=1)
     if not (length > 0.0).all():
         bad = int(np.flatnonzero(~(length > 0.0))[0])
-        raise InputError(f"axes must be directions, got {fibre[bad]} at cell {bad}: give it any length but zero")
+        raise InputError(
+            f"axes must be directions, got {fibre[bad]} at cell {bad}: give it any length but zero"
+        )
     third = fibre / length[:, None]
     least = np.eye(3)[np.abs(third).argmin(axis=1)]
     first = np.cross(least, third)
@@ -286,7 +336,9 @@ def _frames(fibre: Array) -> Array:
 
 
 def _turned(matrix: Array, rotation: Array) -> Array:
-    """D' = M D M^T with M the rotation of stresses in Voigt order; symmetrised, since products round."""
+    """D' = M D M^T with M the rotation of stresses in Voigt order; symmetrised, since products
+    round.
+    """
     i = VOIGT[:, 0][:, None]
     j = VOIGT[:, 1][:, None]
     k = VOIGT[:, 0][None]

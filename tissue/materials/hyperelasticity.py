@@ -1,14 +1,16 @@
 """Hyperelastic laws of isotropic soft tissue: energy, first Piola-Kirchhoff stress and its tangent.
 
-Neo-Hookean, Mooney-Rivlin, Yeoh and Ogden are one family here. With the principal stretches l_i of the deformation
-gradient F, J = l_1 l_2 l_3, the stretches at constant volume b_i = l_i J^(-1/3), S(alpha) = sum_i b_i^alpha and
-x = S(2) - 3:
+Neo-Hookean, Mooney-Rivlin, Yeoh and Ogden are one family here. With the principal stretches l_i of
+the deformation gradient F, J = l_1 l_2 l_3, the stretches at constant volume b_i = l_i J^(-1/3),
+S(alpha) = sum_i b_i^alpha and x = S(2) - 3:
 
-    psi = sum_p (2 mu_p / alpha_p^2) (S(alpha_p) - 3) + sum_k c_k x^k + (kappa / 4) (J^2 - 1 - 2 ln J)
+    psi = sum_p (2 mu_p / alpha_p^2) (S(alpha_p) - 3) + sum_k c_k x^k + (kappa / 4) (J^2 - 1 - 2 ln
+    J)
 
-The shear modulus of small strains is sum mu_p, kappa their bulk modulus. The volumetric part (Simo and Miehe 1992) is
-apart from the rest, so shear feels no kappa. Stress and tangent follow from the derivatives by ln l_i in the frame of
-the singular vectors of F. Ogden 1984, Non-Linear Elastic Deformations; Yeoh 1993, Rubber Chemistry and Technology 66.
+The shear modulus of small strains is sum mu_p, kappa their bulk modulus. The volumetric part (Simo
+and Miehe 1992) is apart from the rest, so shear feels no kappa. Stress and tangent follow from the
+derivatives by ln l_i in the frame of the singular vectors of F. Ogden 1984, Non-Linear Elastic
+Deformations; Yeoh 1993, Rubber Chemistry and Technology 66.
 """
 
 from dataclasses import dataclass
@@ -22,7 +24,9 @@ from meshes.base.errors import InputError
 __all__ = ["Hyperelastic"]
 
 EQUAL = 1e-5
-"""Relative difference below which two stretches count as equal: the limit's error, its square, is that of rounding."""
+"""Relative difference below which two stretches count as equal: the limit's error, its square,
+is that of rounding.
+"""
 
 
 @dataclass(frozen=True)
@@ -41,7 +45,8 @@ class Hyperelastic:
     Raises
     ------
     InputError
-        If a constant is not finite, an exponent is zero, or the bulk modulus or the shear modulus is not positive.
+        If a constant is not finite, an exponent is zero, or the bulk modulus or the shear modulus
+        is not positive.
     """
 
     bulk_Pa: float
@@ -53,9 +58,14 @@ class Hyperelastic:
             raise InputError(f"constants of a law must be finite, got {self}: give finite numbers")
         if any(alpha == 0.0 for _, alpha in self.terms):
             raise InputError(f"alpha of terms must not be 0, got {self.terms}: leave the term out")
-        for name, value in (("bulk_Pa", self.bulk_Pa), ("the shear modulus of terms", self.shear_Pa)):
+        for name, value in (
+            ("bulk_Pa", self.bulk_Pa),
+            ("the shear modulus of terms", self.shear_Pa),
+        ):
             if value <= 0.0:
-                raise InputError(f"{name} must be positive, got {value:g} Pa: give a stable material")
+                raise InputError(
+                    f"{name} must be positive, got {value:g} Pa: give a stable material"
+                )
 
     @classmethod
     def neo_hookean(cls, shear_Pa: float, *, bulk_Pa: float) -> "Hyperelastic":
@@ -78,19 +88,27 @@ class Hyperelastic:
         return float(sum(mu for mu, _ in self.terms))
 
     def energy(self, gradient: ArrayLike) -> Array:
-        """Energy per undeformed volume [J/m^3], shape (...), of gradients (..., 3, 3); infinite where J <= 0."""
+        """Energy per undeformed volume [J/m^3], shape (...), of gradients (..., 3, 3); infinite
+        where J <= 0.
+        """
         f = np.asarray(gradient, dtype=np.float64)
         upright = np.linalg.det(f) > 0.0
         safe = np.where(upright[..., None, None], f, np.eye(3))
-        return np.where(upright, self._derivatives(np.linalg.svd(safe, compute_uv=False))[0], np.inf)
+        return np.where(
+            upright, self._derivatives(np.linalg.svd(safe, compute_uv=False))[0], np.inf
+        )
 
     def stress(self, gradient: ArrayLike) -> Array:
-        """First Piola-Kirchhoff stress [Pa], shape (..., 3, 3), of gradients (..., 3, 3) with J > 0."""
+        """First Piola-Kirchhoff stress [Pa], shape (..., 3, 3), of gradients (..., 3, 3) with J
+        > 0.
+        """
         u, stretch, v = np.linalg.svd(_upright(gradient))
         return np.asarray((u * (self._derivatives(stretch)[1] / stretch)[..., None, :]) @ v)
 
     def tangent(self, gradient: ArrayLike) -> Array:
-        """Derivatives dP_ij / dF_kl [Pa], shape (..., 3, 3, 3, 3), of gradients (..., 3, 3) with J > 0."""
+        """Derivatives dP_ij / dF_kl [Pa], shape (..., 3, 3, 3, 3), of gradients (..., 3, 3) with
+        J > 0.
+        """
         u, stretch, v = np.linalg.svd(_upright(gradient))
         _, slope, curvature = self._derivatives(stretch)
         first = slope / stretch
@@ -105,20 +123,28 @@ class Hyperelastic:
             b = stretch[..., j]
             equal = np.abs(a - b) < EQUAL * (a + b)
             limit = 0.5 * (second[..., i, i] + second[..., j, j]) - second[..., i, j]
-            stretching = np.where(equal, limit, (first[..., i] - first[..., j]) / np.where(equal, 1.0, a - b))
+            stretching = np.where(
+                equal, limit, (first[..., i] - first[..., j]) / np.where(equal, 1.0, a - b)
+            )
             turning = (first[..., i] + first[..., j]) / (a + b)
             for k, n in ((i, j), (j, i)):
                 local[..., k, n, k, n] = 0.5 * (stretching + turning)
                 local[..., k, n, n, k] = 0.5 * (stretching - turning)
-        return np.einsum("...ia,...bj,...abcd,...kc,...dl->...ijkl", u, v, local, u, v, optimize=True)
+        return np.einsum(
+            "...ia,...bj,...abcd,...kc,...dl->...ijkl", u, v, local, u, v, optimize=True
+        )
 
     def _derivatives(self, stretch: Array) -> tuple[Array, Array, Array]:
-        """Energy (...), its slope (..., 3) and curvature (..., 3, 3) by the logarithms of the stretches."""
+        """Energy (...), its slope (..., 3) and curvature (..., 3, 3) by the logarithms of the
+        stretches.
+        """
         volume = stretch.prod(axis=-1)
         isochoric = stretch / np.cbrt(volume)[..., None]
         energy = 0.25 * self.bulk_Pa * (volume**2 - 1.0 - 2.0 * np.log(volume))
         slope = np.repeat(0.5 * self.bulk_Pa * (volume**2 - 1.0)[..., None], 3, axis=-1)
-        curvature = np.broadcast_to((self.bulk_Pa * volume**2)[..., None, None], (*stretch.shape, 3)).copy()
+        curvature = np.broadcast_to(
+            (self.bulk_Pa * volume**2)[..., None, None], (*stretch.shape, 3)
+        ).copy()
         for mu, alpha in self.terms:
             value, first, second = _power_sum(isochoric, alpha)
             scale = 2.0 * mu / alpha**2
@@ -131,7 +157,11 @@ class Hyperelastic:
             bend = (c * k * (k - 1) * value ** (k - 2))[..., None, None]
             energy = energy + c * value**k
             slope = slope + rate * first
-            curvature = curvature + rate[..., None] * second + bend * first[..., :, None] * first[..., None, :]
+            curvature = (
+                curvature
+                + rate[..., None] * second
+                + bend * first[..., :, None] * first[..., None, :]
+            )
         return energy, slope, curvature
 
 
@@ -147,5 +177,7 @@ def _power_sum(isochoric: Array, alpha: float) -> tuple[Array, Array, Array]:
 def _upright(gradient: ArrayLike) -> Array:
     f = np.asarray(gradient, dtype=np.float64)
     if not (np.linalg.det(f) > 0.0).all():
-        raise InputError("gradient must have a positive determinant: a cell is turned over, shorten the step")
+        raise InputError(
+            "gradient must have a positive determinant: a cell is turned over, shorten the step"
+        )
     return f

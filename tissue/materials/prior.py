@@ -1,4 +1,6 @@
-"""The prior of a cited constant: a smooth, increasing map of a standard normal number through its value and range."""
+"""The prior of a cited constant: a smooth, increasing map of a standard normal number through
+its value and range.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,22 +19,31 @@ Z_95 = 1.6448536269514722
 """95 % quantile of a standard normal number."""
 W_95 = 1.959963984540054
 """95 % quantile of its absolute value."""
-BOUNDS = {"poisson_ratio": (0.0, 0.49995), "prony_g1": (0.0, 0.5), "prony_g2": (0.0, 0.5), "heat_share": (0.0, 1.0)}
-"""Least and greatest value that a scene can be built with, by the name of a constant whose range comes near them:
-solids close to incompressible, and shares of relaxation whose sum stays below one."""
+BOUNDS = {
+    "poisson_ratio": (0.0, 0.49995),
+    "prony_g1": (0.0, 0.5),
+    "prony_g2": (0.0, 0.5),
+    "heat_share": (0.0, 1.0),
+}
+"""Least and greatest value that a scene can be built with, by the name of a constant whose range
+comes near them: solids close to incompressible, and shares of relaxation whose sum stays below
+one."""
 NEAR_ZERO = 0.05
-"""Where a range begins at zero, values below this share of the cited one are squeezed above zero."""
+"""Where a range begins at zero, values below this share of the cited one are squeezed above
+zero.
+"""
 
 
 @dataclass(frozen=True)
 class Prior:
     """Distribution of a constant: `value` is its median, `low` and `high` its 5 and 95 % quantiles.
 
-    A number z ~ N(0, 1) becomes y = y_value + c (exp(g z) - 1), the shifted log-normal (or normal) through the three
-    quantiles, and y the constant x: y = ln x where the range is positive, y = x where it holds negative numbers,
-    y = logit of x between `bounds` where there are any. A range from zero has y = s ln(exp(x / s) - 1), which is x
-    where x is well above s = 0.05 value, and keeps x positive: its `low` is 0.035 value. A value at one
-    end of its range has a half-normal law on the other side, 95 % of it inside.
+    A number z ~ N(0, 1) becomes y = y_value + c (exp(g z) - 1), the shifted log-normal (or normal)
+    through the three quantiles, and y the constant x: y = ln x where the range is positive, y = x
+    where it holds negative numbers, y = logit of x between `bounds` where there are any. A range
+    from zero has y = s ln(exp(x / s) - 1), which is x where x is well above s = 0.05 value, and
+    keeps x positive: its `low` is 0.035 value. A value at one end of its range has a half-normal
+    law on the other side, 95 % of it inside.
 
     Attributes
     ----------
@@ -55,7 +66,8 @@ class Prior:
     def __post_init__(self) -> None:
         if not (np.isfinite([self.low, self.high]).all() and self.low <= self.value <= self.high):
             raise InputError(
-                f"range must hold the value {self.value:g}, got [{self.low:g}, {self.high:g}]: give its 5 and 95 % "
+                f"range must hold the value {self.value:g}, got [{self.low:g}, "
+                f"{self.high:g}]: give its 5 and 95 % "
                 "quantiles"
             )
 
@@ -85,7 +97,9 @@ class Prior:
         return not self.fixed and self.value in (self.low, self.high)
 
     def mirrored(self) -> "Prior":
-        """Return the two-sided prior whose other half is that of a one-sided prior, reflected at its value."""
+        """Return the two-sided prior whose other half is that of a one-sided prior, reflected at
+        its value.
+        """
         low, value, high = self._knots
         outer = [min(low, 2.0 * value - high), max(high, 2.0 * value - low)]
         ends = self._from_y(np.array(outer)).tolist()
@@ -151,7 +165,9 @@ class Prior:
 
     @cached_property
     def _span(self) -> float:
-        """From the value to the end of the range, in y; the upper end, or the only one on another side."""
+        """From the value to the end of the range, in y; the upper end, or the only one on
+        another side.
+        """
         low, value, high = self._knots
         return low - value if self.value == self.high else high - value
 

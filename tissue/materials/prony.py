@@ -1,14 +1,16 @@
 """Prony series: how the stiffness of a soft tissue relaxes, and how its compliance creeps.
 
-The relaxation modulus over its instantaneous value is ``s(t) = g_inf + sum g_i exp(-t / tau_i)``, ``s(0) = 1``. Stress
-is the hereditary integral of the strain rate with s; strain is that of the stress rate with the creep compliance
-``j(t) = 1 + sum j_k (1 - exp(-t / lambda_k))``, where ``p s~(p) p j~(p) = 1`` in Laplace space. With the dashpots'
-strains as state, creep is ``y' = -B y + c sigma``, ``B = diag(1 / tau) - c c^T``, ``c_i = sqrt(g_i / tau_i)``: the
-retardation times are the inverse eigenvalues of a symmetric matrix, one below each relaxation rate (Gross 1953,
-Mathematical Structure of the Theories of Viscoelasticity; Tschoegl 1989).
+The relaxation modulus over its instantaneous value is ``s(t) = g_inf + sum g_i exp(-t / tau_i)``,
+``s(0) = 1``. Stress is the hereditary integral of the strain rate with s; strain is that of the
+stress rate with the creep compliance ``j(t) = 1 + sum j_k (1 - exp(-t / lambda_k))``, where ``p
+s~(p) p j~(p) = 1`` in Laplace space. With the dashpots' strains as state, creep is ``y' = -B y + c
+sigma``, ``B = diag(1 / tau) - c c^T``, ``c_i = sqrt(g_i / tau_i)``: the retardation times are the
+inverse eigenvalues of a symmetric matrix, one below each relaxation rate (Gross 1953, Mathematical
+Structure of the Theories of Viscoelasticity; Tschoegl 1989).
 
-Both integrals take one exponential a term and step. Exact where the input is linear between the steps, hence of second
-order for a smooth one (Taylor, Pister and Goudreau 1970, Int. J. Numer. Methods Eng. 2:45).
+Both integrals take one exponential a term and step. Exact where the input is linear between the
+steps, hence of second order for a smooth one (Taylor, Pister and Goudreau 1970, Int. J. Numer.
+Methods Eng. 2:45).
 """
 
 import math
@@ -54,7 +56,8 @@ class Prony:
     Raises
     ------
     InputError
-        If the lengths differ, a share or a time is not positive and finite, or nothing is left after relaxation.
+        If the lengths differ, a share or a time is not positive and finite, or nothing is left
+        after relaxation.
     """
 
     g: tuple[float, ...]
@@ -73,11 +76,18 @@ class Prony:
                 require_positive(f"{name}[{index}]", value, "leave out a term that does not relax")
         total = math.fsum(self.g)
         if total > 1.0 - 1e-9:
-            raise InputError("g", "sum to less than 1", f"{total:g}", "a solid keeps a share g_inf, lower a share")
+            raise InputError(
+                "g",
+                "sum to less than 1",
+                f"{total:g}",
+                "a solid keeps a share g_inf, lower a share",
+            )
 
     @cached_property
     def retardation(self) -> Spectrum:
-        """Spectrum of the creeping compliance: amplitudes that sum to 1 / g_inf - 1, retardation times."""
+        """Spectrum of the creeping compliance: amplitudes that sum to 1 / g_inf - 1, retardation
+        times.
+        """
         rate = 1.0 / np.array(self.tau_s)
         drive = np.sqrt(np.array(self.g) * rate)
         rates, modes = np.linalg.eigh(np.diag(rate) - np.outer(drive, drive))
@@ -87,9 +97,9 @@ class Prony:
 class HereditaryIntegral:
     """The integral of a spectrum's step response over an input that is linear within each step.
 
-    With ``x`` the input, the response at the end of a step is ``y = instant_factor x + history``. The history is known
-    before the step, so that x may be found from a condition on y (such as a contact) without iterating. Nothing is
-    allocated after construction.
+    With ``x`` the input, the response at the end of a step is ``y = instant_factor x + history``.
+    The history is known before the step, so that x may be found from a condition on y (such as a
+    contact) without iterating. Nothing is allocated after construction.
 
     Parameters
     ----------
@@ -107,7 +117,9 @@ class HereditaryIntegral:
     """
 
     def __init__(self, spectrum: Spectrum, shape: tuple[int, ...], *, step_s: float) -> None:
-        ratio = require_positive("step_s", step_s, "use the length of a tick, 0.001") / spectrum.time_s
+        ratio = (
+            require_positive("step_s", step_s, "use the length of a tick, 0.001") / spectrum.time_s
+        )
         fall = -np.expm1(-ratio)
         mean = fall / ratio
         self.instant_factor = float(1.0 + spectrum.amplitude @ (1.0 - mean))
@@ -117,7 +129,9 @@ class HereditaryIntegral:
         self._terms = np.zeros((len(ratio), *shape))
         self._scaled = np.zeros(shape)
         self.history = np.zeros(shape)
-        """Response at the end of the next step to all inputs so far, if the input then were zero."""
+        """Response at the end of the next step to all inputs so far, if the input then were
+        zero.
+        """
 
     def advance(self, value: ArrayLike) -> None:
         """End a step at this input."""

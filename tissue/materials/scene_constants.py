@@ -16,7 +16,14 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
 from meshes.base.text_tables import read_toml
-from tissue.materials.constants import CUT_AS, Constant, CuttingCoefficients, changed_coefficients, constants, listed
+from tissue.materials.constants import (
+    CUT_AS,
+    Constant,
+    CuttingCoefficients,
+    changed_coefficients,
+    constants,
+    listed,
+)
 
 __all__ = ["Materials", "checked_constant", "energy_note"]
 
@@ -34,10 +41,12 @@ class Materials:
     Attributes
     ----------
     given
-        Constants of a person's file by their names ``TABLE.MATERIAL.NAME``; in the table ``cutting`` a layer may stand
-        for the material, and its constants come before those of its material.
+        Constants of a person's file by their names ``TABLE.MATERIAL.NAME``; in the table
+        ``cutting`` a layer may stand for the material, and its constants come before those of its
+        material.
     names, matrix
-        Correlation of constants as the file states it: of the normal numbers of `tissue.materials.prior.Prior`.
+        Correlation of constants as the file states it: of the normal numbers of
+        `tissue.materials.prior.Prior`.
     file
         Where they were read; nothing where all are cited.
     """
@@ -56,18 +65,22 @@ class Materials:
         Raises
         ------
         InputError
-            If the file cannot be read, or holds a table, a material, a constant or a number that cannot be meant.
+            If the file cannot be read, or holds a table, a material, a constant or a number that
+            cannot be meant.
         """
         path = require_regular(Path(file))
         try:
             text = path.read_text("utf-8")
         except (OSError, ValueError):
-            raise InputError(f"materials must be a TOML file that exists, got {path}: check the path") from None
+            raise InputError(
+                f"materials must be a TOML file that exists, got {path}: check the path"
+            ) from None
         return _parsed(text, str(path))
 
     @classmethod
     def of(cls, given: "str | PathLike[str] | Materials | None") -> "Materials":
-        """Constants that a caller gives, by their file or as they are; None for the cited ones; raises as `read`.
+        """Constants that a caller gives, by their file or as they are; None for the cited ones;
+        raises as `read`.
 
         Raises
         ------
@@ -80,18 +93,25 @@ class Materials:
             return given
         if not isinstance(given, str | PathLike):
             raise InputError(
-                f"materials must be the path of a TOML file, got {type(given).__name__}: name what `tissue fit` wrote"
+                f"materials must be the path of a TOML file, got {type(given).__name__}: "
+                "name what `tissue fit` wrote"
             )
         return cls.read(given)
 
     def constants(self, table: str, material: str) -> dict[str, Constant]:
-        """Constants of a material by their names, those of the file in place of the cited ones; raises as `constants`.
+        """Constants of a material by their names, those of the file in place of the cited ones;
+        raises as `constants`.
 
-        The names of the cited ones are all there; a layer of the table ``cutting`` is no material, see `coefficients`.
+        The names of the cited ones are all there; a layer of the table ``cutting`` is no material,
+        see `coefficients`.
         """
         start = f"{table}.{material}."
         found = constants(table, material)
-        return {name: self.given.get(start + name, one) for name, one in found.items()} if self.given else found
+        return (
+            {name: self.given.get(start + name, one) for name, one in found.items()}
+            if self.given
+            else found
+        )
 
     def layer_constants(self, layer: str, *, bone: str = "bone") -> dict[str, Constant]:
         """Cutting constants of a layer: of its material, or `bone`, and over them its own."""
@@ -120,20 +140,32 @@ class Materials:
         layers = (self.layer_constants(layer, bone=bone) for layer in layer_names)
         return tuple(changed_coefficients(layer, changes) for layer in layers)
 
-    def numbers(self, table: str, numbers: Mapping[str, float], *materials: str) -> dict[str, float]:
-        """Numbers of a device or a hand with those of the file in their place, later materials over earlier ones."""
+    def numbers(
+        self, table: str, numbers: Mapping[str, float], *materials: str
+    ) -> dict[str, float]:
+        """Numbers of a device or a hand with those of the file in their place, later materials
+        over earlier ones.
+        """
         found = dict(numbers)
         for material in materials:
             start = f"{table}.{material}."
-            found |= {name[len(start) :]: one.value for name, one in self.given.items() if name.startswith(start)}
+            found |= {
+                name[len(start) :]: one.value
+                for name, one in self.given.items()
+                if name.startswith(start)
+            }
         return found
 
     def origin(self, table: str, material: str, name: str) -> str:
         """Whether a constant is cited or comes from the file, in a word for a note."""
-        return f"of {Path(self.file).name}" if f"{table}.{material}.{name}" in self.given else "cited"
+        return (
+            f"of {Path(self.file).name}" if f"{table}.{material}.{name}" in self.given else "cited"
+        )
 
     def correlation(self, names: Sequence[str]) -> Array:
-        """Correlation of constants by their names, shape (n, n): ones on the diagonal, zero where the file has none."""
+        """Correlation of constants by their names, shape (n, n): ones on the diagonal, zero
+        where the file has none.
+        """
         found = np.eye(len(names))
         place = {name: at for at, name in enumerate(self.names)}
         for i, first in enumerate(names):
@@ -156,7 +188,9 @@ def _parsed(text: str, path: str) -> Materials:
     try:
         tables = read_toml(text)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"materials must be valid TOML, got {str(error)[:200].lower()} in {path}: fix it") from None
+        raise InputError(
+            f"materials must be valid TOML, got {str(error)[:200].lower()} in {path}: fix it"
+        ) from None
     correlation = tables.pop("correlation", None)
     given: dict[str, Constant] = {}
     for table, materials in tables.items():
@@ -170,7 +204,10 @@ def _parsed(text: str, path: str) -> Materials:
                 full = f"{table}.{material}.{name}"
                 given[full] = checked_constant(full, entry, path)
     if not given:
-        raise InputError(f"materials must hold a constant such as [cutting.bone.radial_chip_N_mm2], got none in {path}")
+        raise InputError(
+            "materials must hold a constant such as [cutting.bone.radial_chip_N_mm2], got "
+            f"none in {path}"
+        )
     if correlation is None:
         return Materials(given, file=path)
     names, matrix = _correlation(correlation, given, path)
@@ -180,7 +217,8 @@ def _parsed(text: str, path: str) -> Materials:
 def _table(found: object, name: str, path: str) -> dict[str, object]:
     if not isinstance(found, dict):
         raise InputError(
-            f"{name} must be a table in materials, got {found} in {path}: write [TABLE.MATERIAL.NAME] with value, "
+            f"{name} must be a table in materials, got {found} in {path}: write "
+            "[TABLE.MATERIAL.NAME] with value, "
             "range, source and confidence"
         )
     return found
@@ -192,7 +230,8 @@ def _require_known(what: str, name: str, known: Iterable[str], path: str) -> Non
         close = difflib.get_close_matches(name, names, n=1)
         meant = f" (did you mean {close[0]}?)" if close else ""
         raise InputError(
-            f"materials must name {what}: {', '.join(names)}, got {name}{meant} in {path}: choose a listed one"
+            f"materials must name {what}: {', '.join(names)}, got {name}{meant} in {path}: "
+            "choose a listed one"
         )
 
 
@@ -224,7 +263,8 @@ def _checked(model: type[Checked], found: object, name: str, path: str) -> Check
         place = ".".join(map(str, (name, *first["loc"])))
         shown = str(first["input"])[:100]
         raise InputError(
-            f"{place} must be valid in {path}, got {shown}: {first['msg'][:1].lower()}{first['msg'][1:]}"
+            f"{place} must be valid in {path}, got {shown}: "
+            f"{first['msg'][:1].lower()}{first['msg'][1:]}"
         ) from None
 
 
@@ -236,7 +276,8 @@ def checked_constant(full: str, found: object, path: str) -> Constant:
     if not low <= entry.value <= high <= most:
         bound = "" if most == np.inf else f" and range within [0, {most:g}]"
         raise InputError(
-            f"{full} must have its value inside its range{bound}, got {entry.value:g} in [{low:g}, {high:g}] in "
+            f"{full} must have its value inside its range{bound}, got {entry.value:g} in "
+            f"[{low:g}, {high:g}] in "
             f"{path}: fix them"
         )
     return Constant(entry.value, low, high, entry.source, entry.confidence)
@@ -250,16 +291,24 @@ def _correlation(
     names = table.names
     for name in names:
         _require_known("constants of the file in correlation", name, given, path)
-    if [len(row) for row in table.matrix] != [len(names)] * len(names) or len(set(names)) != len(names):
+    if [len(row) for row in table.matrix] != [len(names)] * len(names) or len(set(names)) != len(
+        names
+    ):
         raise InputError(
-            f"correlation must have a matrix of {len(names)} rows of as many numbers and names that differ, got "
+            f"correlation must have a matrix of {len(names)} rows of as many numbers and "
+            "names that differ, got "
             f"another in {path}: fix it"
         )
     matrix = np.array(table.matrix).reshape(len(names), len(names))
     is_symmetric = np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-9)
-    if not is_symmetric or not np.allclose(np.diag(matrix), 1.0, rtol=0.0, atol=1e-9) or not _is_definite(matrix):
+    if (
+        not is_symmetric
+        or not np.allclose(np.diag(matrix), 1.0, rtol=0.0, atol=1e-9)
+        or not _is_definite(matrix)
+    ):
         raise InputError(
-            f"correlation must be symmetric and positive definite with ones on its diagonal, got another matrix in "
+            "correlation must be symmetric and positive definite with ones on its diagonal, "
+            "got another matrix in "
             f"{path}: fix it"
         )
     return tuple(names), tuple(tuple(row) for row in matrix.tolist())
@@ -270,9 +319,14 @@ def _is_definite(matrix: Array) -> bool:
 
 
 def energy_note(
-    layer_names: tuple[str, ...], constants: Materials, *, bone: str = "bone", stated: float | None = None
+    layer_names: tuple[str, ...],
+    constants: Materials,
+    *,
+    bone: str = "bone",
+    stated: float | None = None,
 ) -> str:
-    """Describe the specific cutting energy of each layer, its tangential chip coefficient, with range and origin.
+    """Describe the specific cutting energy of each layer, its tangential chip coefficient, with
+    range and origin.
 
     Parameters
     ----------
@@ -291,10 +345,13 @@ def energy_note(
     for layer in layer_names:
         material = CUT_AS.get(layer, bone)
         energy = constants.layer_constants(layer, bone=bone)[ENERGY]
-        known = [name for name in (layer, material) if f"cutting.{name}.{ENERGY}" in constants.given]
+        known = [
+            name for name in (layer, material) if f"cutting.{name}.{ENERGY}" in constants.given
+        ]
         origin = f" of {Path(constants.file).name}" if known else ""
         remarks.append(
-            f"{[*known, material][0]} {1e-3 * energy.value:g} ({1e-3 * energy.low:g}-{1e-3 * energy.high:g}) J/mm3"
+            f"{[*known, material][0]} {1e-3 * energy.value:g} "
+            f"({1e-3 * energy.low:g}-{1e-3 * energy.high:g}) J/mm3"
             f"{origin}, confidence {energy.confidence}"
         )
     return "; ".join(sorted(set(remarks)))

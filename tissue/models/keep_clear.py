@@ -1,4 +1,6 @@
-"""Distance of the tool from structures that it must not touch, at every tick, with breaches as events."""
+"""Distance of the tool from structures that it must not touch, at every tick, with breaches as
+events.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -40,8 +42,8 @@ class Structure:
     faces
         Triangles wound outward, shape (m, 3).
     slack_m
-        Largest distance between the triangles and the surface that they stand for [m]. It is subtracted from every
-        distance.
+        Largest distance between the triangles and the surface that they stand for [m]. It is
+        subtracted from every distance.
     """
 
     vertices_m: Array
@@ -65,9 +67,10 @@ class _Breach:
 class KeepClear:
     """Distance of a tool's whole body from each of some structures.
 
-    The body is that of the cutter as it is simulated, peg, flank and back included; a shaft behind it is not. The
-    distance is the smallest sum, over all points of space, of the signed distances from the tool and from the
-    structure. It is the gap where both are apart. Where they overlap it is negative, and its magnitude is the depth.
+    The body is that of the cutter as it is simulated, peg, flank and back included; a shaft behind
+    it is not. The distance is the smallest sum, over all points of space, of the signed distances
+    from the tool and from the structure. It is the gap where both are apart. Where they overlap it
+    is negative, and its magnitude is the depth.
 
     Parameters
     ----------
@@ -80,7 +83,8 @@ class KeepClear:
     points_m
         Points of the tool's body in its own frame [m], shape (n, 3), for pictures.
     box_m
-        Lowest and highest corner of the box that the tool can reach [m], shape (2, 3); None where it is not known.
+        Lowest and highest corner of the box that the tool can reach [m], shape (2, 3); None where
+        it is not known.
     times_s
         Times at which the tool is measured [s]; None for one every tick.
 
@@ -91,8 +95,9 @@ class KeepClear:
     names
         Columns of a trace: ``distance_NAME_mm``, negative inside.
     measures
-        Their values of the last tick [mm], shape (structures,). A value never lies above the true distance. It lies
-        below by at most the slack of the structure and 0.001 mm where both are apart, 0.01 mm where they overlap.
+        Their values of the last tick [mm], shape (structures,). A value never lies above the true
+        distance. It lies below by at most the slack of the structure and 0.001 mm where both are
+        apart, 0.01 mm where they overlap.
     notices
         What has happened, a sentence each; the loop takes them out as it logs them.
     """
@@ -154,7 +159,9 @@ class KeepClear:
         assert breach.began_s is not None
         lasted_s = self._now_s - breach.began_s
         breach.lasted_s += lasted_s
-        self.notices.append(f"{how} {breach.name}: {1e3 * breach.deepest_now_m:.3f} mm deep, {lasted_s:.3g} s long")
+        self.notices.append(
+            f"{how} {breach.name}: {1e3 * breach.deepest_now_m:.3f} mm deep, {lasted_s:.3g} s long"
+        )
         breach.began_s = None
 
     def finish(self) -> None:
@@ -164,7 +171,9 @@ class KeepClear:
                 self._leave(breach, "still in")
 
     def summary(self) -> dict[str, dict[str, float | None]]:
-        """Least distance [mm], depth [mm], duration [s] and first time [s] of a breach, by structure."""
+        """Least distance [mm], depth [mm], duration [s] and first time [s] of a breach, by
+        structure.
+        """
         return {
             breach.name: {
                 "least_distance_mm": 1e3 * breach.least_m,
@@ -180,9 +189,11 @@ class KeepClear:
 class _Search:
     """Search for the distance between a tool and one structure, with all its memory."""
 
-    def __init__(self, outline: Any, medial: Any, structure: Structure, box_m: Array | None) -> None:
-        # Coordinates lie along the structure's principal axes, where boxes around its triangles are small. They are
-        # counted from its middle: the sign is found in single precision.
+    def __init__(
+        self, outline: Any, medial: Any, structure: Structure, box_m: Array | None
+    ) -> None:
+        # Coordinates lie along the structure's principal axes, where boxes around its triangles are
+        # small. They are counted from its middle: the sign is found in single precision.
         vertices = structure.vertices_m
         self._origin = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
         self._turn = np.linalg.eigh(np.cov((vertices - self._origin).T))[1]

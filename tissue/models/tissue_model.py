@@ -31,7 +31,9 @@ __all__ = [
 TICK_S = 1e-3
 """Length of a tick [s]."""
 SLOW = "longer than its interval"
-"""Words of the notice that a solve beside the ticks was too slow: of the machine, not of the tissue."""
+"""Words of the notice that a solve beside the ticks was too slow: of the machine, not of the
+tissue.
+"""
 
 
 @dataclass
@@ -43,17 +45,20 @@ class ToolMotion:
     tip_m
         Position of the tool's tip in the world [m], shape (3,).
     rotation
-        Tool to world, columns are the tool's axes, shape (3, 3); z is the tool's axis, from tip to shank.
+        Tool to world, columns are the tool's axes, shape (3, 3); z is the tool's axis, from tip to
+        shank.
     heading
-        Velocity of the tip at unit speed, shape (3,), and angular velocity of the pose at unit speed [rad/m], shape
-        (3,), in the world frame; the tool's spin about its own axis is not part of it.
+        Velocity of the tip at unit speed, shape (3,), and angular velocity of the pose at unit
+        speed [rad/m], shape (3,), in the world frame; the tool's spin about its own axis is not
+        part of it.
     speed_m_s
         Speed that scales the heading [m/s].
     pressed
-        Share of the edge force that holds a tool at rest against the bone, 0 (it does not press) to 1 (about to cut).
+        Share of the edge force that holds a tool at rest against the bone, 0 (it does not press) to
+        1 (about to cut).
     push
-        Force [N] and torque [N m] on a resting tool that the bone answers in full, shape (6,); zero for a tool that is
-        led, of which only `pressed` is known.
+        Force [N] and torque [N m] on a resting tool that the bone answers in full, shape (6,); zero
+        for a tool that is led, of which only `pressed` is known.
     """
 
     tip_m: Array = field(default_factory=lambda: np.zeros(3))
@@ -75,7 +80,8 @@ class Response:
     resistance
         Force [N s/m] and torque [N s] per unit of speed along the heading, shape (6,).
     edge
-        Force [N] and torque [N m] that arise as soon as the tool moves, whatever its speed, shape (6,).
+        Force [N] and torque [N m] that arise as soon as the tool moves, whatever its speed, shape
+        (6,).
     wrench
         Force [N] and torque [N m] at the motion's speed, shape (6,).
     removal_rate_m3_s
@@ -85,11 +91,11 @@ class Response:
     measures
         Further columns of the tissue, in the order and units of its `measure_names`.
     stiffness_N_m
-        How the force on a resting tool falls with its position, -dF/dx [N/m], shape (3, 3); None where the tissue does
-        not know it.
+        How the force on a resting tool falls with its position, -dF/dx [N/m], shape (3, 3); None
+        where the tissue does not know it.
     gap_m, normal
-        Distance of a tool that touches nothing from the tissue's surface [m], and the unit direction out of it, shape
-        (3,); infinite where the tissue does not know it.
+        Distance of a tool that touches nothing from the tissue's surface [m], and the unit
+        direction out of it, shape (3,); infinite where the tissue does not know it.
     """
 
     resistance: Array
@@ -105,16 +111,23 @@ class Response:
     @classmethod
     def empty(cls, layer_count: int, measure_count: int = 0) -> "Response":
         """No contact."""
-        return cls(np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(layer_count), measures=np.zeros(measure_count))
+        return cls(
+            np.zeros(6),
+            np.zeros(6),
+            np.zeros(6),
+            np.zeros(layer_count),
+            measures=np.zeros(measure_count),
+        )
 
 
 class TissueModel(Protocol):
-    """A tissue that a tool moves through: what every model has. What only some have are the protocols below.
+    """A tissue that a tool moves through: what every model has. What only some have are the
+    protocols below.
 
-    `place` puts the tool where it starts. Every tick `advance` lets it take away what it reaches at its new pose, then
-    `respond` gives the force at that pose. Neither allocates device memory. A thrust that pushes a cutter calls
-    `respond` first, at poses that it tries, and `advance` once at the pose where the forces balance: `respond` must
-    change nothing.
+    `place` puts the tool where it starts. Every tick `advance` lets it take away what it reaches at
+    its new pose, then `respond` gives the force at that pose. Neither allocates device memory. A
+    thrust that pushes a cutter calls `respond` first, at poses that it tries, and `advance` once at
+    the pose where the forces balance: `respond` must change nothing.
     """
 
     @property
@@ -140,7 +153,9 @@ class TissueModel(Protocol):
         """Bring the tool to its new pose."""
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Force and torque on the tool at its pose; the returned object is overwritten by the next call."""
+        """Force and torque on the tool at its pose; the returned object is overwritten by the
+        next call.
+        """
 
 
 @runtime_checkable
@@ -149,7 +164,9 @@ class SchedulesBackground(Protocol):
 
     @property
     def scheduling(self) -> str:
-        """With what priority and on which cores, in words; empty where nothing works beside them."""
+        """With what priority and on which cores, in words; empty where nothing works beside
+        them.
+        """
         ...
 
 
@@ -185,7 +202,9 @@ class HasHeat(Protocol):
 
     @property
     def heat_balance_J(self) -> dict[str, float] | None:
-        """Energy of cutting and where it went [J], by what took it; None where the scene asks for no heat."""
+        """Energy of cutting and where it went [J], by what took it; None where the scene asks
+        for no heat.
+        """
 
 
 @runtime_checkable

@@ -1,4 +1,6 @@
-"""A stiff flat wall that a ball presses: the hardest thing a device is asked to play, and one known in closed form."""
+"""A stiff flat wall that a ball presses: the hardest thing a device is asked to play, and one
+known in closed form.
+"""
 
 from math import pi
 
@@ -13,8 +15,9 @@ __all__ = ["WallModel"]
 class WallModel:
     """A linear unilateral spring along z over the plane z = 0: F = k depth, without friction.
 
-    Its measure is the depth of the ball's deepest point [mm]; ``engaged_m2`` is the circle in which ball and plane
-    cross. The response holds its stiffness, by which a tool on a device finds its balance at once.
+    Its measure is the depth of the ball's deepest point [mm]; ``engaged_m2`` is the circle in which
+    ball and plane cross. The response holds its stiffness, by which a tool on a device finds its
+    balance at once.
 
     Parameters
     ----------
@@ -47,7 +50,10 @@ class WallModel:
         """
         depth = self._depth_m(motion)
         if depth > 0.0:
-            raise InputError(f"motion must start outside the wall, got a ball {1e3 * depth:g} mm inside: start higher")
+            raise InputError(
+                f"motion must start outside the wall, got a ball {1e3 * depth:g} mm inside: "
+                "start higher"
+            )
 
     def advance(self, motion: ToolMotion) -> None:
         """A spring keeps nothing from tick to tick."""

@@ -1,4 +1,6 @@
-"""Recordings in the layout of volumetric_drilling, by the note on data and the recorder of LCSR-SICKKIDS."""
+"""Recordings in the layout of volumetric_drilling, by the note on data and the recorder of
+LCSR-SICKKIDS.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,7 +41,8 @@ class DrillingRecording:
     load_times_s
         Times of the loads on the poses' clock [s], shape (m,); None of a recording without.
     loads
-        Forces on the tool in the world [N] and, where they are no copy of these, torques [N m], shape (m, 3 or 6).
+        Forces on the tool in the world [N] and, where they are no copy of these, torques [N m],
+        shape (m, 3 or 6).
     notes
         What was found or assumed, in sentences.
     """
@@ -55,10 +58,11 @@ class DrillingRecording:
 def read_drilling(path: Path, *, what: str) -> DrillingRecording:
     """Read a recording of volumetric_drilling, of its present layout or of the older one.
 
-    Its drill's pose lies at the centre of the burr with x towards the shank; it is brought to the tip by half the
-    burr's size where the file states that, else it counts as the tip. The recorder hears each pose twice and out of
-    turn now and then: samples are sorted, and the first of one time is kept. Its plugin turns the force into the
-    camera's axes; where the file has a camera it is turned back.
+    Its drill's pose lies at the centre of the burr with x towards the shank; it is brought to the
+    tip by half the burr's size where the file states that, else it counts as the tip. The recorder
+    hears each pose twice and out of turn now and then: samples are sorted, and the first of one
+    time is kept. Its plugin turns the force into the camera's axes; where the file has a camera it
+    is turned back.
 
     Parameters
     ----------
@@ -75,7 +79,9 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
     try:
         import h5py
     except ImportError:
-        raise InputError(what, "have what reads it installed", "no h5py", "pip install 'tissue-sim[h5]'") from None
+        raise InputError(
+            what, "have what reads it installed", "no h5py", "pip install 'tissue-sim[h5]'"
+        ) from None
     require_regular(path)
     try:
         with h5py.File(path, "r") as file:
@@ -84,7 +90,10 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
         raise
     except Exception as problem:  # h5py raises a dozen kinds for a damaged file
         raise InputError(
-            what, "be a whole HDF5 file", f"{path} ({' '.join(str(problem).split())})", "export it again"
+            what,
+            "be a whole HDF5 file",
+            f"{path} ({' '.join(str(problem).split())})",
+            "export it again",
         ) from None
 
 
@@ -103,11 +112,15 @@ def _read(file: Any, where: _Where) -> DrillingRecording:
     old = POSES not in file and OLD_POSES in file
     poses, events = (OLD_POSES, "") if old else (POSES, EVENTS + "/")
     if poses not in file:
-        raise where.error("be a recording of volumetric_drilling", f"no {POSES}", "give a CSV such as trace.csv")
+        raise where.error(
+            "be a recording of volumetric_drilling", f"no {POSES}", "give a CSV such as trace.csv"
+        )
     names = list(file[poses])
     drills = [name for name in names if "drill" in name]
     if len(drills) != 1:
-        raise where.error("hold the poses of one drill", ", ".join(names) or "no object", "leave one with drill")
+        raise where.error(
+            "hold the poses of one drill", ", ".join(names) or "no object", "leave one with drill"
+        )
     notes = ["a recording of volumetric_drilling, in its world"]
     times, pose = _samples(file, f"{poses}/{drills[0]}", "pose", 7, where)
     if len(times) < 2:
@@ -118,7 +131,9 @@ def _read(file: Any, where: _Where) -> DrillingRecording:
         _, sizes = _samples(file, f"{events}burr_change", "burr_size", 1, where)
         if len(np.unique(sizes)) != 1 or sizes[0, 0] <= 0.0:
             raise where.error(
-                "keep one burr", f"sizes {sorted(set(sizes[:, 0].tolist()))} mm", "cut it where it changes"
+                "keep one burr",
+                f"sizes {sorted(set(sizes[:, 0].tolist()))} mm",
+                "cut it where it changes",
             )
         tips = tips - turns.apply([0.0, 0.0, 0.5e-3 * sizes[0, 0]])
     else:
@@ -136,7 +151,10 @@ def _read(file: Any, where: _Where) -> DrillingRecording:
             notes.append("forces turned from the camera's axes to the world's")
         if len(loads) and loads.any() and np.array_equal(loads[:, :3], loads[:, 3:]):
             loads = loads[:, :3]
-            notes.append("torques left out: they are a copy of the forces, as the recorded program sends them")
+            notes.append(
+                "torques left out: they are a copy of the forces, as the recorded program "
+                "sends them"
+            )
         load_times = load_times - start
     return DrillingRecording(times - start, tips, turns.as_quat(), load_times, loads, tuple(notes))
 
@@ -163,7 +181,11 @@ def _numbers(file: Any, name: str, where: _Where) -> Array:
     found = file.get(name)
     if not isinstance(found, h5py.Dataset) or found.dtype.kind not in "fiu":
         raise where.error(f"hold numbers as {name}", "none", "record it again")
-    require_memory(max(found.dtype.itemsize, 8) * found.size, where.path.name, f"{found.size:.3g} numbers as {name}")
+    require_memory(
+        max(found.dtype.itemsize, 8) * found.size,
+        where.path.name,
+        f"{found.size:.3g} numbers as {name}",
+    )
     return np.asarray(found[()], dtype=np.float64)
 
 
@@ -173,5 +195,9 @@ def _turns(pose: Array, name: str, where: _Where) -> Rotation:
         raise where.error("hold poses", f"none for {name}", "record it again")
     if (wrong := first_off_unit(pose[:, 3:])) is not None:
         length = float(np.linalg.norm(pose[wrong, 3:]))
-        raise where.error("hold unit quaternions", f"one of length {length:.4g} for {name}", "use 0, 0, 0, 1 for none")
+        raise where.error(
+            "hold unit quaternions",
+            f"one of length {length:.4g} for {name}",
+            "use 0, 0, 0, 1 for none",
+        )
     return Rotation.from_quat(pose[:, 3:])

@@ -1,4 +1,6 @@
-"""Motion of a tool along a given path; rotations of a tool, matrices, as quaternions (x, y, z, w)."""
+"""Motion of a tool along a given path; rotations of a tool, matrices, as quaternions (x, y, z,
+w).
+"""
 
 from dataclasses import dataclass
 from math import sqrt
@@ -47,7 +49,9 @@ class FeedLimit:
 
 
 class Motion(Protocol):
-    """Drives a tool: `begin` writes its first pose, then `advance` the pose of every tick and `play` its answer."""
+    """Drives a tool: `begin` writes its first pose, then `advance` the pose of every tick and
+    `play` its answer.
+    """
 
     duration_s: float
     """How long the motion lasts by itself [s]."""
@@ -60,11 +64,15 @@ class Motion(Protocol):
     model_ticks: int = 1
     """Ticks for which one answer of the tissue holds."""
     balances: bool = False
-    """Whether the pose follows from the force at that pose; `correct` then searches for it before a cut is made."""
+    """Whether the pose follows from the force at that pose; `correct` then searches for it
+    before a cut is made.
+    """
 
     @property
     def feed_limit(self) -> FeedLimit | None:
-        """Time for which a limit of the feed, and not a thrust, set the speed; None for a motion without a thrust."""
+        """Time for which a limit of the feed, and not a thrust, set the speed; None for a motion
+        without a thrust.
+        """
         return None
 
     def sweep_m(self) -> Array:
@@ -80,11 +88,14 @@ class Motion(Protocol):
         ...
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Write the pose at ``time_s``, given the response at the previous tick, into ``motion``."""
+        """Write the pose at ``time_s``, given the response at the previous tick, into
+        ``motion``.
+        """
         ...
 
     def correct(self, response: Response, motion: ToolMotion) -> bool:
-        """Move the tool once more within the tick, if the answer to its new pose asks for that; whether it did.
+        """Move the tool once more within the tick, if the answer to its new pose asks for that;
+        whether it did.
 
         A motion that `balances` is asked until it returns False.
         """
@@ -100,7 +111,8 @@ class Motion(Protocol):
 
 
 def first_off_unit(quaternions: Array) -> int | None:
-    """Return the place of the first quaternion that is far from unit length; None where all are near it.
+    """Return the place of the first quaternion that is far from unit length; None where all are
+    near it.
 
     Parameters
     ----------
@@ -113,7 +125,9 @@ def first_off_unit(quaternions: Array) -> int | None:
 
 
 def frame_along(axis: tuple[float, float, float]) -> Array:
-    """Rotation whose third column is the unit vector along ``axis`` and whose first lies as close to x as it can."""
+    """Rotation whose third column is the unit vector along ``axis`` and whose first lies as
+    close to x as it can.
+    """
     z = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
     helper = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     x = helper - z * (helper @ z)
@@ -136,8 +150,8 @@ def matrix_of(quaternion: Array) -> Array:
 def quaternion_of(rotation: Array) -> Array:
     """Unit quaternion with w >= 0 of a rotation matrix, shape (3, 3).
 
-    From the largest of its four components, so that no small number is divided by (Shepperd 1978, J. Guid. Control
-    1:223).
+    From the largest of its four components, so that no small number is divided by (Shepperd 1978,
+    J. Guid. Control 1:223).
     """
     (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
     squares = (1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i, 1.0 + a + e + i)
@@ -165,13 +179,21 @@ class FollowPath(Motion):
         Direction of the tool's axis from tip to shank.
     """
 
-    def __init__(self, points_m: Array, *, feed_m_s: float, axis: tuple[float, float, float]) -> None:
+    def __init__(
+        self, points_m: Array, *, feed_m_s: float, axis: tuple[float, float, float]
+    ) -> None:
         legs = np.diff(points_m, axis=0)
         lengths = np.linalg.norm(legs, axis=1)
         keep = lengths > 0.0
         if not keep.any():
-            raise InputError("motion.points_mm must hold two different points, got only one: add where the tool goes")
-        self._starts, self._headings = points_m[:-1][keep], (legs / np.maximum(lengths, 1e-300)[:, None])[keep]
+            raise InputError(
+                "motion.points_mm must hold two different points, got only one: add where "
+                "the tool goes"
+            )
+        self._starts, self._headings = (
+            points_m[:-1][keep],
+            (legs / np.maximum(lengths, 1e-300)[:, None])[keep],
+        )
         self._ends_s = np.cumsum(lengths[keep]) / feed_m_s
         self._begins_s = np.concatenate([[0.0], self._ends_s[:-1]])
         self._last = points_m[-1]
@@ -205,5 +227,7 @@ class FollowPath(Motion):
             return
         heading = self._headings[self._leg]
         motion.heading[0] = heading
-        motion.tip_m[:] = self._starts[self._leg] + heading * (self._feed * (time_s - self._begins_s[self._leg]))
+        motion.tip_m[:] = self._starts[self._leg] + heading * (
+            self._feed * (time_s - self._begins_s[self._leg])
+        )
         motion.speed_m_s = self._feed

@@ -1,4 +1,6 @@
-"""Files of poses that a cutter was brought to: with the bone before the first cut, all that a cavity needs."""
+"""Files of poses that a cutter was brought to: with the bone before the first cut, all that a
+cavity needs.
+"""
 
 from pathlib import Path
 
@@ -21,12 +23,17 @@ FORMAT = 1
 def write_poses(path: Path, poses: NDArray[np.float64], volume: VoxelVolume) -> None:
     """Write poses and the place of the voxels that they cut to a .npz file."""
     with whole_file(path) as temporary, temporary.open("wb") as file:
-        arrays = {"poses": poses, "origin_m": volume.origin_m, "spacing_m": np.array(volume.spacing_m)}
+        arrays = {
+            "poses": poses,
+            "origin_m": volume.origin_m,
+            "spacing_m": np.array(volume.spacing_m),
+        }
         np.savez_compressed(file, format=np.array(FORMAT), **arrays)  # type: ignore[arg-type]
 
 
 def read_poses(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Read what `write_poses` wrote: poses, origin of the voxels [m], shape (3,), and their spacing [m].
+    """Read what `write_poses` wrote: poses, origin of the voxels [m], shape (3,), and their spacing
+    [m].
 
     Raises
     ------
@@ -40,9 +47,13 @@ def read_poses(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], fl
     except InputError:
         raise
     except Exception:  # NumPy and zipfile raise a dozen kinds for a damaged archive
-        raise InputError("poses", "be a whole file that a run wrote", path, "run the scene again") from None
+        raise InputError(
+            "poses", "be a whole file that a run wrote", path, "run the scene again"
+        ) from None
     if version != FORMAT:
-        raise InputError("poses", f"be of format {FORMAT}", f"{version} in {path}", "run the scene again")
+        raise InputError(
+            "poses", f"be of format {FORMAT}", f"{version} in {path}", "run the scene again"
+        )
     whole = poses.ndim == 2 and poses.shape[1] == COLUMNS and np.isfinite(poses).all()
     if (
         not whole
@@ -50,14 +61,20 @@ def read_poses(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], fl
         or origin.shape != (3,)
         or not np.isfinite([*origin, spacing]).all()
     ):
-        raise InputError("poses", f"hold {COLUMNS} finite columns in the order of ticks", path, "run the scene again")
+        raise InputError(
+            "poses",
+            f"hold {COLUMNS} finite columns in the order of ticks",
+            path,
+            "run the scene again",
+        )
     return poses, origin, spacing
 
 
 def poses_of_trace(
     tips_m: NDArray[np.float64], axes: NDArray[np.float64], velocities: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Poses of a run of which only the trace is left: the bone is then right within what a tool goes between two cuts.
+    """Poses of a run of which only the trace is left: the bone is then right within what a tool
+    goes between two cuts.
 
     Parameters
     ----------
@@ -69,4 +86,6 @@ def poses_of_trace(
     speed = np.linalg.norm(velocities[:, :3], axis=1, keepdims=True)
     heading = np.divide(velocities, speed, out=np.zeros_like(velocities), where=speed > 0.0)
     poses = np.column_stack([np.arange(len(tips_m)), tips_m, axes, heading])
-    return np.vstack([np.append(-1.0, poses[0, 1:]), poses]) if len(poses) else np.zeros((0, COLUMNS))
+    return (
+        np.vstack([np.append(-1.0, poses[0, 1:]), poses]) if len(poses) else np.zeros((0, COLUMNS))
+    )

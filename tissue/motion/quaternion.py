@@ -1,18 +1,31 @@
-"""Rotations inside the tick: unit quaternions (x, y, z, w) and rotation vectors [rad] as plain floats."""
+"""Rotations inside the tick: unit quaternions (x, y, z, w) and rotation vectors [rad] as plain
+floats.
+"""
 
 from collections.abc import Sequence
 from math import atan2, cos, inf, sin, sqrt
 
 __all__ = [
-    "OFF_UNIT", "Quaternion", "Triple", "conjugate", "exponential", "is_nearly_unit", "logarithm", "of_matrix",
-    "product", "turn_between", "unit",
-]  # fmt: skip
+    "OFF_UNIT",
+    "Quaternion",
+    "Triple",
+    "conjugate",
+    "exponential",
+    "is_nearly_unit",
+    "logarithm",
+    "of_matrix",
+    "product",
+    "turn_between",
+    "unit",
+]
 
 Quaternion = tuple[float, float, float, float]
 Triple = tuple[float, float, float]
 """Three components of a vector."""
 OFF_UNIT = 0.02
-"""Largest difference from one of the square of a quaternion's length, for a rotation that was rounded."""
+"""Largest difference from one of the square of a quaternion's length, for a rotation that was
+rounded.
+"""
 
 
 def product(left: Quaternion, right: Quaternion) -> Quaternion:
@@ -41,7 +54,9 @@ def unit(rotation: Quaternion) -> Quaternion | None:
 
 
 def is_nearly_unit(rotation: Quaternion) -> bool:
-    """Return whether the square of the quaternion's length differs from one by at most `OFF_UNIT`."""
+    """Return whether the square of the quaternion's length differs from one by at most
+    `OFF_UNIT`.
+    """
     x, y, z, w = rotation
     return abs(x * x + y * y + z * z + w * w - 1.0) <= OFF_UNIT
 
@@ -67,13 +82,16 @@ def logarithm(rotation: Quaternion) -> Triple:
 def turn_between(start: Quaternion, goal: Quaternion) -> Triple:
     """Rotation vector [rad] of the shortest turn that brings quaternion ``start`` to ``goal``.
 
-    The logarithm of ``goal start^-1``, in the world's axes; at half a turn one of two equal ones is returned.
+    The logarithm of ``goal start^-1``, in the world's axes; at half a turn one of two equal ones is
+    returned.
     """
     return logarithm(product(goal, conjugate(start)))
 
 
 def of_matrix(rows: Sequence[Sequence[float]]) -> Quaternion:
-    """The unit quaternion of a rotation matrix, given by its rows; the largest of four components is found first."""
+    """The unit quaternion of a rotation matrix, given by its rows; the largest of four
+    components is found first.
+    """
     (a, b, c), (d, e, f), (g, h, i) = rows
     trace = a + e + i
     if trace >= max(a, e, i):

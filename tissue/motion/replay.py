@@ -23,7 +23,9 @@ RECORDINGS = (".hdf5", ".h5")
 
 
 FARTHEST_M = 10.0
-"""Largest distance between two poses along an axis [m]: tools in a patient move by less than a metre."""
+"""Largest distance between two poses along an axis [m]: tools in a patient move by less than a
+metre.
+"""
 
 
 class GivenPoses(Motion):
@@ -47,7 +49,8 @@ class GivenPoses(Motion):
     def __init__(self, times_s: Array, tips_m: Array, turns: Rotation) -> None:
         extent_m = float(np.ptp(tips_m, axis=0).max())
         if extent_m > FARTHEST_M:
-            # The carving visits all that a tool sweeps, and one damaged number would make that endless.
+            # The carving visits all that a tool sweeps, and one damaged number would make that
+            # endless.
             raise InputError(
                 "poses",
                 f"lie within {FARTHEST_M:g} m of each other",
@@ -58,11 +61,15 @@ class GivenPoses(Motion):
         self._tips, self._rotations = tips_m, turns.as_matrix()
         steps = np.diff(times_s)[:, None]
         moved = np.diff(tips_m, axis=0) / steps
-        turned = (turns[1:] * turns[:-1].inv()).as_rotvec() / steps if len(steps) else np.zeros((0, 3))
+        turned = (
+            (turns[1:] * turns[:-1].inv()).as_rotvec() / steps if len(steps) else np.zeros((0, 3))
+        )
         velocity, turning = (np.vstack([np.zeros((1, 3)), each]) for each in (moved, turned))
         speed, turn = np.linalg.norm(velocity, axis=1), np.linalg.norm(turning, axis=1)
         self._speeds = np.where(speed > 1e-9, speed, np.where(turn > 1e-9, 1.0, 0.0))
-        self._headings = np.stack([velocity, turning], axis=1) / np.maximum(self._speeds, 1e-300)[:, None, None]
+        self._headings = (
+            np.stack([velocity, turning], axis=1) / np.maximum(self._speeds, 1e-300)[:, None, None]
+        )
 
     def sweep_m(self) -> Array:
         """All positions [m]."""
@@ -112,15 +119,22 @@ class ReplayPoses(GivenPoses):
 
 
 def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
-    """Read poses: a CSV with ``time_s`` and the tool's pose in the columns of ``trace.csv``, or a recording in HDF5.
+    """Read poses: a CSV with ``time_s`` and the tool's pose in the columns of ``trace.csv``, or a
+    recording in HDF5.
 
     Raises
     ------
     InputError
-        If the file is missing, lacks a column, holds values that are not finite, or its times do not increase.
+        If the file is missing, lacks a column, holds values that are not finite, or its times do
+        not increase.
     """
     if not is_file(path):
-        raise InputError("motion.file", "be an existing file of poses", path, "give a CSV such as a run's trace.csv")
+        raise InputError(
+            "motion.file",
+            "be an existing file of poses",
+            path,
+            "give a CSV such as a run's trace.csv",
+        )
     if path.suffix.lower() in RECORDINGS:
         held = read_drilling(path, what="motion.file")
         _require_short(float(held.times_s[-1]), path)
@@ -134,17 +148,29 @@ def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
             missing = [name for name in ("time_s", *POSE_COLUMNS) if name not in names]
             rows = [] if missing else [_pose(row, reader.line_num, path) for row in reader]
     except (UnicodeDecodeError, csv.Error):
-        raise InputError("motion.file", "be a CSV table", f"other data in {path}", "export it as text") from None
+        raise InputError(
+            "motion.file", "be a CSV table", f"other data in {path}", "export it as text"
+        ) from None
     if missing:
-        raise InputError("motion.file", f"have the columns {', '.join(missing)}", f"{path} without them", "add them")
+        raise InputError(
+            "motion.file",
+            f"have the columns {', '.join(missing)}",
+            f"{path} without them",
+            "add them",
+        )
     if len(rows) < 2:
-        raise InputError("motion.file", "hold at least two poses", f"{len(rows)} in {path}", "record more")
+        raise InputError(
+            "motion.file", "hold at least two poses", f"{len(rows)} in {path}", "record more"
+        )
     poses = np.array(rows)
     back = np.flatnonzero(np.diff(poses[:, 0]) <= 0.0)
     if back.size:
         before, after = poses[back[0] : back[0] + 2, 0]
         raise InputError(
-            "motion.file", "have increasing time_s", f"{after:g} after {before:g} in {path}", "sort its rows"
+            "motion.file",
+            "have increasing time_s",
+            f"{after:g} after {before:g} in {path}",
+            "sort its rows",
         )
     _require_short(poses[-1, 0] - poses[0, 0], path)
     if (wrong := first_off_unit(poses[:, 4:])) is not None:
@@ -162,7 +188,9 @@ def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
 def _require_short(lasts_s: float, path: Path) -> None:
     """Refuse what lasts longer than a run may."""
     if lasts_s > LONGEST_S:
-        raise InputError("motion.file", f"last at most {LONGEST_S:g} s", f"{lasts_s:g} in {path}", "cut it")
+        raise InputError(
+            "motion.file", f"last at most {LONGEST_S:g} s", f"{lasts_s:g} in {path}", "cut it"
+        )
 
 
 def _pose(row: dict[str, str], line: int, path: Path) -> list[float]:

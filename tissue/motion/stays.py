@@ -1,4 +1,6 @@
-"""A motion that stays where it starts: what gives a tool on a device its place, orientation and region."""
+"""A motion that stays where it starts: what gives a tool on a device its place, orientation and
+region.
+"""
 
 from math import inf
 

@@ -10,24 +10,33 @@ from tissue.motion.motion import FeedLimit, Motion, frame_along
 __all__ = ["PushAlongAxis", "SpeedSearch", "implicit_speed"]
 
 TOLERANCE = 0.01
-"""Largest difference between the speed that led to a pose and the speed that balances the forces there, relative to the
-larger of both. The balance itself is exact: the tolerance is one of the pose, a hundredth of a tick's travel."""
+"""Largest difference between the speed that led to a pose and the speed that balances the forces
+there, relative to the larger of both. The balance itself is exact: the tolerance is one of the
+pose, a hundredth of a tick's travel.
+"""
 MOST_POSES = 10
-"""Poses that are tried in a tick. Halving the interval of possible speeds 7 times brings it to a hundredth."""
+"""Poses that are tried in a tick. Halving the interval of possible speeds 7 times brings it to a
+hundredth.
+"""
 
 
-def implicit_speed(speed: float, *, thrust: float, drag: float, mass: float, step_s: float) -> float:
-    """Speed [m/s] one implicit Euler step later of a mass under ``thrust`` [N] and a viscous ``drag`` [N s/m]."""
+def implicit_speed(
+    speed: float, *, thrust: float, drag: float, mass: float, step_s: float
+) -> float:
+    """Speed [m/s] one implicit Euler step later of a mass under ``thrust`` [N] and a viscous
+    ``drag`` [N s/m].
+    """
     return (mass * speed / step_s + thrust) / (mass / step_s + drag)
 
 
 class SpeedSearch:
-    """Search for the speed of a tick that balances the forces at the pose to which this speed leads.
+    """Search for the speed of a tick that balances the forces at the pose to which this speed
+    leads.
 
-    The balanced speed S(v) at the pose of a tried speed v lies within the allowed speeds, so that S(v) - v changes its
-    sign between them. The balanced speed itself is tried next. If two of them have not come close, the interval with
-    the change of sign is halved. Where the force jumps, as at the first contact of a flat reamer, the search ends on
-    the side of the larger force.
+    The balanced speed S(v) at the pose of a tried speed v lies within the allowed speeds, so that
+    S(v) - v changes its sign between them. The balanced speed itself is tried next. If two of them
+    have not come close, the interval with the change of sign is halved. Where the force jumps, as
+    at the first contact of a flat reamer, the search ends on the side of the larger force.
 
     Attributes
     ----------
@@ -47,7 +56,9 @@ class SpeedSearch:
         self._poses = 0
 
     def accepts(self, balanced: float) -> bool:
-        """Return whether the pose of `tried` is the one, given the balanced speed there; else set `tried` anew."""
+        """Return whether the pose of `tried` is the one, given the balanced speed there; else
+        set `tried` anew.
+        """
         self._poses += 1
         tried = self.tried
         if abs(balanced - tried) <= TOLERANCE * max(balanced, tried):
@@ -67,15 +78,18 @@ class SpeedSearch:
 
 
 class PushAlongAxis(Motion):
-    """Force-driven: a thrust pushes the tool down its axis; the feed follows from the balance with the cutting force.
+    """Force-driven: a thrust pushes the tool down its axis; the feed follows from the balance with
+    the cutting force.
 
-    The cutting force grows so fast with the feed (up to 1e5 N s/m) that an explicit step is unstable for steps longer
-    than 2 m / c. The balance is solved for the new speed instead, with drag c and edge force at the new pose::
+    The cutting force grows so fast with the feed (up to 1e5 N s/m) that an explicit step is
+    unstable for steps longer than 2 m / c. The balance is solved for the new speed instead, with
+    drag c and edge force at the new pose::
 
         m (v' - v) / dt = thrust - c(x + v' dt) v' - edge(x + v' dt),    v' in [0, greatest feed]
 
-    So the force never exceeds thrust + m v / dt. `advance` starts from the drag of the previous tick, and `correct`
-    tries poses until one agrees. Below the edge force the tool stays where it is and the bone answers the thrust.
+    So the force never exceeds thrust + m v / dt. `advance` starts from the drag of the previous
+    tick, and `correct` tries poses until one agrees. Below the edge force the tool stays where it
+    is and the bone answers the thrust.
 
     Parameters
     ----------
@@ -109,7 +123,8 @@ class PushAlongAxis(Motion):
         if self._longest <= 0.0:
             raise InputError(
                 f"motion.depth_mm must be greater than the depth of motion.start_mm along the feed "
-                f"({1e3 * float(self._start @ self._heading):g}), got {1e3 * depth_m:g}: start higher or go deeper"
+                f"({1e3 * float(self._start @ self._heading):g}), got {1e3 * depth_m:g}: "
+                "start higher or go deeper"
             )
         self._travel = self._speed = 0.0
         self._travel_before = self._speed_before = self._step = 0.0
@@ -136,7 +151,9 @@ class PushAlongAxis(Motion):
         drag, edge = self._resisting(response)
         was_touching, self._touching = self._touching, drag > 0.0 or edge > 0.0
         if self._is_limited and was_touching and self._touching:
-            self._first_limited_s = time_s - step_s if self._limited_s == 0.0 else self._first_limited_s
+            self._first_limited_s = (
+                time_s - step_s if self._limited_s == 0.0 else self._first_limited_s
+            )
             self._limited_s += step_s
         self._travel_before, self._speed_before, self._step = self._travel, self._speed, step_s
         self._speed = self._balanced(drag, edge)
@@ -148,7 +165,9 @@ class PushAlongAxis(Motion):
         self._set_speed(motion, edge)
 
     def correct(self, response: Response, motion: ToolMotion) -> bool:
-        """Try another pose until its forces balance, then set the speed that balances them exactly."""
+        """Try another pose until its forces balance, then set the speed that balances them
+        exactly.
+        """
         if self._settled:
             return False
         drag, edge = self._resisting(response)
@@ -164,7 +183,8 @@ class PushAlongAxis(Motion):
         if self._limited_s == 0.0:
             return []
         what = (
-            f"motion.max_feed_mm_s = {1e3 * self._max_feed:g} limits the feed, for {self._limited_s:.3f} s in all: the "
+            f"motion.max_feed_mm_s = {1e3 * self._max_feed:g} limits the feed, for "
+            f"{self._limited_s:.3f} s in all: the "
             f"force then stays below the thrust of {self._thrust:g} N"
         )
         return [(self._first_limited_s, what)]
@@ -186,9 +206,13 @@ class PushAlongAxis(Motion):
         return max(min(self._max_feed, (self._longest - self._travel_before) / self._step), 0.0)
 
     def _balanced(self, drag: float, edge: float) -> float:
-        """Speed at the end of this tick that balances thrust, inertia, drag and edge force, within the limits [m/s]."""
+        """Speed at the end of this tick that balances thrust, inertia, drag and edge force,
+        within the limits [m/s].
+        """
         thrust = self._thrust - edge
-        free = implicit_speed(self._speed_before, thrust=thrust, drag=drag, mass=self._mass, step_s=self._step)
+        free = implicit_speed(
+            self._speed_before, thrust=thrust, drag=drag, mass=self._mass, step_s=self._step
+        )
         self._is_limited = free > self._max_feed
         return max(min(free, self._highest()), 0.0)
 

@@ -1,1 +1,3 @@
-"""What `import tissue` offers: objects that one holds, runs them and shows them. Nothing below imports it."""
+"""What `import tissue` offers: objects that one holds, runs them and shows them. Nothing below
+imports it.
+"""

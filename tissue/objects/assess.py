@@ -1,4 +1,6 @@
-"""A trainee's run held against a reference of the same scene, as `tissue assess` does: `tissue.assess`."""
+"""A trainee's run held against a reference of the same scene, as `tissue assess` does:
+`tissue.assess`.
+"""
 
 from contextlib import suppress
 from dataclasses import dataclass
@@ -40,14 +42,16 @@ def assess(
     deviation_limit_mm: float = 1.0,
     overshoot_limit_mm: float = 0.5,
 ) -> Assessment:
-    """Hold one run against another of the same scene, aligned by place, so that a pause is no error.
+    """Hold one run against another of the same scene, aligned by place, so that a pause is no
+    error.
 
     Parameters
     ----------
     trainee, reference
         Runs, or folders of runs.
     force_limit_N
-        Force on the tool that should not be passed [N]; 1.25 times the reference's peak where it is not given.
+        Force on the tool that should not be passed [N]; 1.25 times the reference's peak where it is
+        not given.
     deviation_limit_mm
         Distance from the reference's path that should not be passed [mm].
     overshoot_limit_mm
@@ -56,7 +60,8 @@ def assess(
     Raises
     ------
     InputError
-        If the runs are of two tasks (another anatomy, tool or material), hold no trace, or never touch.
+        If the runs are of two tasks (another anatomy, tool or material), hold no trace, or never
+        touch.
     """
     found = engine.assess(
         _held(trainee),

@@ -29,7 +29,8 @@ __all__ = ["Bone"]
 
 
 class Bone:
-    """Bone in the frame of its file or array [mm]; `from_file`, `block`, `from_array` and `from_image` make one.
+    """Bone in the frame of its file or array [mm]; `from_file`, `block`, `from_array` and
+    `from_image` make one.
 
     Attributes
     ----------
@@ -76,8 +77,9 @@ class Bone:
         cortical_density_kg_m3, trabecular_density_kg_m3
             Apparent densities [kg/m3], 50 to 2500.
         options
-            ``material``: name of the cited cutting coefficients, bone or a registered one; ``cutting``: coefficients in
-            place of these, by their names in a scene; ``materials``: file of constants, as `tissue fit` writes it.
+            ``material``: name of the cited cutting coefficients, bone or a registered one;
+            ``cutting``: coefficients in place of these, by their names in a scene; ``materials``:
+            file of constants, as `tissue fit` writes it.
 
         Raises
         ------
@@ -136,7 +138,8 @@ class Bone:
         Parameters
         ----------
         density_kg_m3
-            Apparent density of each voxel [kg/m3], shape (nx, ny, nz), axes along x, y and z, 0 to 20000.
+            Apparent density of each voxel [kg/m3], shape (nx, ny, nz), axes along x, y and z, 0 to
+            20000.
         spacing_mm
             Edge of a voxel [mm].
         origin_mm
@@ -144,7 +147,8 @@ class Bone:
         layer
             Number of each voxel's layer, same shape; default all 0.
         layer_names
-            Name of each layer; enamel, dentin, caries, pulp and ligament are cut as such, others as `material`.
+            Name of each layer; enamel, dentin, caries, pulp and ligament are cut as such, others as
+            `material`.
         options
             As of `from_file`.
 
@@ -155,7 +159,12 @@ class Bone:
         """
         require_known(options, maker="Bone.from_array")
         volume = density_volume(
-            density_kg_m3, spacing_mm=spacing_mm, origin_mm=origin_mm, layer=layer, layer_names=layer_names, margin=1
+            density_kg_m3,
+            spacing_mm=spacing_mm,
+            origin_mm=origin_mm,
+            layer=layer,
+            layer_names=layer_names,
+            margin=1,
         )
         return cls(BoneSource(lambda: volume), **options)
 
@@ -170,7 +179,8 @@ class Bone:
         max_memory_GB: float | None = None,
         **options: Unpack[BoneOptions],
     ) -> "Bone":
-        """Bone of an image volume: what lies above a grey value, of one density, in the patient's frame (LPS, mm).
+        """Bone of an image volume: what lies above a grey value, of one density, in the patient's
+        frame (LPS, mm).
 
         Parameters
         ----------
@@ -181,7 +191,8 @@ class Bone:
         density_kg_m3
             Apparent density of the bone, 50 to 20000 kg/m3.
         spacing_mm
-            Edge of a voxel [mm] to resample to; default the finest of the file's. Of TIFF slices, their own.
+            Edge of a voxel [mm] to resample to; default the finest of the file's. Of TIFF slices,
+            their own.
         max_memory_GB
             Memory that the image may take [GB]; default half of the free memory.
         options
@@ -190,11 +201,14 @@ class Bone:
         Raises
         ------
         InputError
-            If the file cannot be used, nothing lies above the threshold, or it would not fit memory.
+            If the file cannot be used, nothing lies above the threshold, or it would not fit
+            memory.
         """
         require_known(options, maker="Bone.from_image")
         with memory_limit(max_memory_GB):
-            source = image_source(Path(file), threshold=threshold, density_kg_m3=density_kg_m3, spacing_mm=spacing_mm)
+            source = image_source(
+                Path(file), threshold=threshold, density_kg_m3=density_kg_m3, spacing_mm=spacing_mm
+            )
         return cls(source, **options)
 
     def cut(
@@ -208,35 +222,41 @@ class Bone:
         tolerance: float = 0.01,
         keep_clear: Structures | None = None,
     ) -> Cut:
-        """Move a turning tool through poses: remove what it sweeps, and compute the force at every pose.
+        """Move a turning tool through poses: remove what it sweeps, and compute the force at every
+        pose.
 
-        The bone keeps the cut, and the same tool that begins where it ended continues the cut. Between poses the tool
-        moves straight. Its velocity at a pose is the difference to the pose before, so force and torque at the first
-        pose are 0; what lies inside the tool there is removed.
+        The bone keeps the cut, and the same tool that begins where it ended continues the cut.
+        Between poses the tool moves straight. Its velocity at a pose is the difference to the pose
+        before, so force and torque at the first pose are 0; what lies inside the tool there is
+        removed.
 
-        A warning is issued, and noted in `Cut.notes` and `Cut.events`, where the feed per tooth exceeds 0.1 mm, and
-        where a smooth part of the tool, such as a peg, is pushed into bone.
+        A warning is issued, and noted in `Cut.notes` and `Cut.events`, where the feed per tooth
+        exceeds 0.1 mm, and where a smooth part of the tool, such as a peg, is pushed into bone.
 
         Parameters
         ----------
         tool
             A cutter of `tissue.cutters`.
         poses, times_s
-            Tips [mm], shape (n, 3); tips and quaternions (x, y, z, w), shape (n, 7); or matrices from the tool's frame
-            to the bone's [mm], shape (n, 4, 4), with z from tip to shank; and increasing times [s], shape (n,).
+            Tips [mm], shape (n, 3); tips and quaternions (x, y, z, w), shape (n, 7); or matrices
+            from the tool's frame to the bone's [mm], shape (n, 4, 4), with z from tip to shank; and
+            increasing times [s], shape (n,).
         axis
             Direction from tip to shank where poses are tips alone; default z.
         depth_mm, tolerance
-            Smallest depth of cut that matters [mm], 0.001 to 100, and the relative error of its force, 0.001 to 0.1.
-            They decide how many elements the tool's surface has. Voxels should be finer than the depth.
+            Smallest depth of cut that matters [mm], 0.001 to 100, and the relative error of its
+            force, 0.001 to 0.1. They decide how many elements the tool's surface has. Voxels should
+            be finer than the depth.
         keep_clear
-            Closed surfaces that the tool must not touch, by name: files or pyvista surfaces in the frame of the bone
-            [mm]. The trace has ``distance_NAME_mm`` of each, and a breach is an event.
+            Closed surfaces that the tool must not touch, by name: files or pyvista surfaces in the
+            frame of the bone [mm]. The trace has ``distance_NAME_mm`` of each, and a breach is an
+            event.
 
         Raises
         ------
         InputError
-            If an argument cannot be used, or a tooth would take a chip thicker than the tool's radius.
+            If an argument cannot be used, or a tooth would take a chip thicker than the tool's
+            radius.
         """
         tips, turns = poses_of(poses, axis)
         times = times_of(times_s, len(tips))
@@ -284,7 +304,9 @@ class Bone:
         return bone_surface(self.voxel_bone, outer() if outer is not None else None)
 
     def plot(self, **options: Any) -> Any:
-        """Show the bone as it is now, by layer; `options` are those of ``pyvista.PolyData.plot``."""
+        """Show the bone as it is now, by layer; `options` are those of
+        ``pyvista.PolyData.plot``.
+        """
         from tissue.objects.bone_surface import plot_surface
 
         return plot_surface(self.surface(), self.layer_names, **options)

@@ -14,7 +14,12 @@ from tissue.simulation.builders.own_constants import given_note
 
 __all__ = ["BoneOptions", "cut_as", "require_known"]
 
-BOUNDS = {"_N_mm2": (0.0, 5000.0), "_N_mm": (0.0, 500.0), "_exponent": (0.0, 5.0), "_kg_m3": (50.0, 20000.0)}
+BOUNDS = {
+    "_N_mm2": (0.0, 5000.0),
+    "_N_mm": (0.0, 500.0),
+    "_exponent": (0.0, 5.0),
+    "_kg_m3": (50.0, 20000.0),
+}
 """Range of a cutting coefficient by the end of its name, as of a scene's keys."""
 
 
@@ -34,7 +39,8 @@ def require_known(options: Mapping[str, object], *, maker: str) -> None:
             close = get_close_matches(name, known, n=1)
             hint = f"Did you mean {close[0]}? " if close else ""
             raise TypeError(
-                f"{maker} got an unexpected keyword argument {name!r}. {hint}Beyond its own arguments it takes "
+                f"{maker} got an unexpected keyword argument {name!r}. {hint}Beyond its own "
+                "arguments it takes "
                 f"{', '.join(known)}."
             )
 
@@ -52,7 +58,9 @@ def _require_coefficients(cutting: object) -> Mapping[str, float]:
     for name, value in cutting.items():
         for ending, (low, high) in BOUNDS.items():
             if str(name).endswith(ending):
-                checked[name] = require_range(f"cutting[{name}]", value, low, high, "leave it out for the cited value")
+                checked[name] = require_range(
+                    f"cutting[{name}]", value, low, high, "leave it out for the cited value"
+                )
                 break
     return checked
 
@@ -60,14 +68,18 @@ def _require_coefficients(cutting: object) -> Mapping[str, float]:
 def cut_as(
     options: BoneOptions, layers: Sequence[str], density_kg_m3: float | None
 ) -> tuple[tuple[CuttingCoefficients, ...], dict[str, str]]:
-    """Coefficients of layers and a note on a file of constants; `density_kg_m3` where all of the bone has one.
+    """Coefficients of layers and a note on a file of constants; `density_kg_m3` where all of the
+    bone has one.
 
     Raises
     ------
     InputError
         If the file cannot be used, or holds nothing that counts in this bone.
     """
-    given, changes = Materials.of(options.get("materials")), _require_coefficients(options.get("cutting"))
+    given, changes = (
+        Materials.of(options.get("materials")),
+        _require_coefficients(options.get("cutting")),
+    )
     bone = CUTTING_MATERIALS[options.get("material", "bone")][1]
     coefficients = given.coefficients(layers, changes, bone=bone)
     even = all(density_kg_m3 == each.reference_density_kg_m3 for each in coefficients)

@@ -49,7 +49,9 @@ class BoneSource:
 def anatomy_source(
     anatomy: Anatomy, *, spacing_mm: float, outer: "Callable[[], pyvista.PolyData] | None" = None
 ) -> BoneSource:
-    """An anatomy in its own frame, its voxels made where a tool reaches; `outer` as of `BoneSource`."""
+    """An anatomy in its own frame, its voxels made where a tool reaches; `outer` as of
+    `BoneSource`.
+    """
     spacing_m = 1e-3 * require_range("spacing_mm", spacing_mm, 1e-3, 5.0, "use about 0.1")
 
     def drawn() -> "pyvista.PolyData":
@@ -82,7 +84,8 @@ def surface_source(
 
     if path.suffix.lower() not in SURFACE_SUFFIXES:
         raise InputError(
-            f"file must be a surface ({' '.join(SURFACE_SUFFIXES)}), got {path.name}: an image goes to Bone.from_image"
+            f"file must be a surface ({' '.join(SURFACE_SUFFIXES)}), got {path.name}: an "
+            "image goes to Bone.from_image"
         )
     with names_of_caller({"anatomy.scale_mm": "scale_mm"}):
         surface = read_surface(path, scale_mm=scale_mm, cut_off=True)
@@ -98,12 +101,16 @@ def surface_source(
         """The triangles of the file."""
         import pyvista
 
-        return pyvista.PolyData.from_regular_faces(1e3 * surface.vertices_m, surface.faces.astype(int))
+        return pyvista.PolyData.from_regular_faces(
+            1e3 * surface.vertices_m, surface.faces.astype(int)
+        )
 
     return anatomy_source(anatomy, spacing_mm=spacing_mm, outer=outer)
 
 
-def image_source(path: Path, *, threshold: float, density_kg_m3: float, spacing_mm: float | None) -> BoneSource:
+def image_source(
+    path: Path, *, threshold: float, density_kg_m3: float, spacing_mm: float | None
+) -> BoneSource:
     """An image volume, see `tissue.objects.bone.Bone.from_image`.
 
     TIFF slices state no spacing: `spacing_mm` is then that of their voxels.
@@ -113,7 +120,11 @@ def image_source(path: Path, *, threshold: float, density_kg_m3: float, spacing_
     from meshes.images.tiff import tiff_slices
 
     remarks: list[str] = []
-    names = {"anatomy.threshold": "threshold", "anatomy.spacing_mm": "spacing_mm", "resample_mm": "spacing_mm"}
+    names = {
+        "anatomy.threshold": "threshold",
+        "anatomy.spacing_mm": "spacing_mm",
+        "resample_mm": "spacing_mm",
+    }
     with names_of_caller(names):
         found = image_volume(
             read_image(path, spacing_mm=spacing_mm if tiff_slices(path) else None),
@@ -123,6 +134,8 @@ def image_source(path: Path, *, threshold: float, density_kg_m3: float, spacing_
             remark=remarks.append,
         )
     assert found.placement is not None
-    volume = replace(found, origin_m=found.origin_m + 1e-3 * found.placement.origin_mm, placement=None)
+    volume = replace(
+        found, origin_m=found.origin_m + 1e-3 * found.placement.origin_mm, placement=None
+    )
     notes = {"image": " ".join(remarks).replace(KEY, "")} if remarks else {}
     return BoneSource(lambda: volume, notes=notes, density_kg_m3=density_kg_m3)

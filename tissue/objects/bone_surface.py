@@ -20,7 +20,9 @@ __all__ = ["Removed", "bone_surface", "plot_surface", "removed_surface"]
 MERGED, SEAM = 1e-3, 3.0
 """Points of two parts that are one, and loops that belong together, by their distance in voxels."""
 NEAR, AGREE = 0.5, 0.8
-"""Farthest voxels from a file's surface, and least cosine between normals, at which a cut bone is shaded like it."""
+"""Farthest voxels from a file's surface, and least cosine between normals, at which a cut bone
+is shaded like it.
+"""
 
 
 def bone_surface(bone: VoxelBone, outer: "pyvista.PolyData | None") -> "pyvista.PolyData":
@@ -31,13 +33,21 @@ def bone_surface(bone: VoxelBone, outer: "pyvista.PolyData | None") -> "pyvista.
     bone
         The bone.
     outer
-        Surface before any cut [mm], shown where no tool has been; None for a bone whose voxels are all made.
+        Surface before any cut [mm], shown where no tool has been; None for a bone whose voxels are
+        all made.
     """
     if outer is None:
         volume, left = _padded(bone.whole)
-        return _moved(_shaded(with_layers(_contour(_at_origin(volume), left), _at_origin(volume))), volume.origin_m)
+        return _moved(
+            _shaded(with_layers(_contour(_at_origin(volume), left), _at_origin(volume))),
+            volume.origin_m,
+        )
     parts, middle_m = [], bone.bounds_m.mean(axis=0)
-    outer = _moved(outer, -middle_m).clean(point_merging=True).compute_normals(cell_normals=False, split_vertices=False)
+    outer = (
+        _moved(outer, -middle_m)
+        .clean(point_merging=True)
+        .compute_normals(cell_normals=False, split_vertices=False)
+    )
     whole = outer
     spacing_mm = 1e3 * bone.store.grid.spacing_m
     for made, left in bone.cut_parts():
@@ -45,14 +55,18 @@ def bone_surface(bone: VoxelBone, outer: "pyvista.PolyData | None") -> "pyvista.
         outer = _without(outer, volume)
         part = _contour(volume, left)
         if part.n_cells:
-            parts.append(_shaded(with_layers(part, volume), like=whole, within_mm=NEAR * spacing_mm))
+            parts.append(
+                _shaded(with_layers(part, volume), like=whole, within_mm=NEAR * spacing_mm)
+            )
     outer.cell_data["layer"] = np.zeros(outer.n_cells, dtype=np.uint8)
     if parts:
         outer = _joined(outer, parts, spacing_mm)
     return _moved(outer, middle_m)
 
 
-def _joined(outer: "pyvista.PolyData", parts: "list[pyvista.PolyData]", spacing_mm: float) -> "pyvista.PolyData":
+def _joined(
+    outer: "pyvista.PolyData", parts: "list[pyvista.PolyData]", spacing_mm: float
+) -> "pyvista.PolyData":
     """A file's surface and the contours of the parts that were cut as one closed surface."""
     import pyvista
 
@@ -62,8 +76,12 @@ def _joined(outer: "pyvista.PolyData", parts: "list[pyvista.PolyData]", spacing_
         return cut
     outer = outer.triangulate().clean(point_merging=True)
     points = np.concatenate([outer.points, cut.points]).astype(np.float64)
-    faces = np.concatenate([outer.regular_faces, cut.regular_faces + outer.n_points]).astype(np.int64)
-    closed, triangles = close_seams(points, faces, first_part=outer.n_points, within=SEAM * spacing_mm)
+    faces = np.concatenate([outer.regular_faces, cut.regular_faces + outer.n_points]).astype(
+        np.int64
+    )
+    closed, triangles = close_seams(
+        points, faces, first_part=outer.n_points, within=SEAM * spacing_mm
+    )
     surface = pyvista.PolyData.from_regular_faces(closed, triangles.astype(int))
     layer = np.concatenate([outer.cell_data["layer"], cut.cell_data["layer"]])
     surface.cell_data["layer"] = np.pad(layer, (0, len(triangles) - len(layer)))
@@ -74,7 +92,9 @@ def _joined(outer: "pyvista.PolyData", parts: "list[pyvista.PolyData]", spacing_
 
 
 def _moved(surface: "pyvista.PolyData", by_m: NDArray[np.float64]) -> "pyvista.PolyData":
-    """A surface with its points moved, in double precision: far from the origin single precision would not do."""
+    """A surface with its points moved, in double precision: far from the origin single precision
+    would not do.
+    """
     moved = surface.copy()
     moved.points = np.asarray(surface.points, dtype=np.float64) + 1e3 * by_m
     return moved
@@ -86,7 +106,9 @@ def _at_origin(volume: VoxelVolume) -> VoxelVolume:
 
 
 def removed_surface(bone: VoxelBone) -> "pyvista.PolyData":
-    """Surface of what tools have taken away [mm], empty where nothing was; with the cell array ``layer``."""
+    """Surface of what tools have taken away [mm], empty where nothing was; with the cell array
+    ``layer``.
+    """
     import pyvista
 
     parts = [_padded(bone.whole, removed=True)] if bone.on_demand is None else bone.cut_parts()
@@ -99,7 +121,9 @@ def removed_surface(bone: VoxelBone) -> "pyvista.PolyData":
     if not surfaces:
         return pyvista.PolyData()
     whole = surfaces[0].append_polydata(*surfaces[1:]) if surfaces[1:] else surfaces[0]
-    return whole.clean(point_merging=True, absolute=True, tolerance=MERGED * 1e3 * bone.store.grid.spacing_m)
+    return whole.clean(
+        point_merging=True, absolute=True, tolerance=MERGED * 1e3 * bone.store.grid.spacing_m
+    )
 
 
 def plot_surface(surface: "pyvista.PolyData", layer_names: tuple[str, ...], **options: Any) -> Any:
@@ -116,7 +140,9 @@ def plot_surface(surface: "pyvista.PolyData", layer_names: tuple[str, ...], **op
     from tissue.show.figures.figure import BONE, layer_colours
 
     if not surface.n_cells:
-        raise InputError("bone must have been cut to show what was removed, got an uncut one: cut it first")
+        raise InputError(
+            "bone must have been cut to show what was removed, got an uncut one: cut it first"
+        )
     look: dict[str, Any] = {"interpolation": "Phong", "show_axes": True}
     if len(layer_names) == 1:
         look |= {"color": BONE}
@@ -135,7 +161,9 @@ def plot_surface(surface: "pyvista.PolyData", layer_names: tuple[str, ...], **op
 def _shaded(
     surface: "pyvista.PolyData", *, like: "pyvista.PolyData | None" = None, within_mm: float = 0.0
 ) -> "pyvista.PolyData":
-    """A surface of voxels, shaded by its shape and not by their steps, and where it is as it was like the file's."""
+    """A surface of voxels, shaded by its shape and not by their steps, and where it is as it was
+    like the file's.
+    """
     import pyvista
 
     if not surface.n_cells:
@@ -144,7 +172,10 @@ def _shaded(
     if like is not None:
         points = pyvista.PolyData(np.asarray(surface.points))
         found = points.sample(like, tolerance=within_mm, pass_cell_data=False)
-        there, theirs = np.asarray(found.point_data["vtkValidPointMask"]) > 0, np.asarray(found.point_data["Normals"])
+        there, theirs = (
+            np.asarray(found.point_data["vtkValidPointMask"]) > 0,
+            np.asarray(found.point_data["Normals"]),
+        )
         there &= np.einsum("ij,ij->i", theirs, normals) > AGREE
         normals[there] = theirs[there]
     surface.point_data["Normals"] = normals
@@ -153,7 +184,9 @@ def _shaded(
 
 
 def _contour(volume: VoxelVolume, fraction: NDArray[np.uint8]) -> "pyvista.PolyData":
-    """Surface where voxels are half full, between their centres, in mm; open where the voxels end."""
+    """Surface where voxels are half full, between their centres, in mm; open where the voxels
+    end.
+    """
     import pyvista
     from vtkmodules.vtkFiltersCore import vtkFlyingEdges3D
 
@@ -216,7 +249,9 @@ class Removed:
         return sum(self.by_layer_mm3.values())
 
     def surface(self) -> "pyvista.PolyData":
-        """Surface of what was taken away [mm], with the cell array ``layer``; empty before the first cut."""
+        """Surface of what was taken away [mm], with the cell array ``layer``; empty before the
+        first cut.
+        """
         return removed_surface(self._bone)
 
     def plot(self, **options: Any) -> Any:
@@ -224,5 +259,7 @@ class Removed:
         return plot_surface(self.surface(), self._bone.store.grid.layer_names, **options)
 
     def __repr__(self) -> str:
-        parts = ", ".join(f"{volume:.4g} mm3 of {name}" for name, volume in self.by_layer_mm3.items())
+        parts = ", ".join(
+            f"{volume:.4g} mm3 of {name}" for name, volume in self.by_layer_mm3.items()
+        )
         return f"Removed({parts})"

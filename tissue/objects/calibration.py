@@ -1,4 +1,6 @@
-"""Calibration of people who feel forces, and simulated people of known truth: `tissue.calibration`."""
+"""Calibration of people who feel forces, and simulated people of known truth:
+`tissue.calibration`.
+"""
 
 from pathlib import Path
 
@@ -22,18 +24,33 @@ from tissue.perception.adaptive import AdaptiveThreshold
 from tissue.perception.observer import reference_observer
 
 __all__ = [
-    "Answer", "Comparison", "Effect", "Magnitude", "Plan", "Session", "SimulatedObservers", "alike", "change_percent",
-    "estimated_webers", "people", "run", "share_right", "simulated_answers",
-]  # fmt: skip
+    "Answer",
+    "Comparison",
+    "Effect",
+    "Magnitude",
+    "Plan",
+    "Session",
+    "SimulatedObservers",
+    "alike",
+    "change_percent",
+    "estimated_webers",
+    "people",
+    "run",
+    "share_right",
+    "simulated_answers",
+]
 
 
 def people(group: str, count: int, *, seed: int = 0) -> SimulatedObservers:
-    """Return the simulated people of a group (novice, intermediate, expert), drawn from cited spreads."""
+    """Return the simulated people of a group (novice, intermediate, expert), drawn from cited
+    spreads.
+    """
     return draw_observers(group, count, np.random.default_rng(seed))
 
 
 def alike(count: int, **truth: float) -> SimulatedObservers:
-    """Return simulated people who are all alike: those of the reference, and what is given otherwise.
+    """Return simulated people who are all alike: those of the reference, and what is given
+    otherwise.
 
     Parameters
     ----------
@@ -54,19 +71,27 @@ def alike(count: int, **truth: float) -> SimulatedObservers:
     alpha, beta, kappa, offset, lapse, sigma = (
         np.full(count, truth.get(name, getattr(typical, name)), dtype=np.float64) for name in names
     )
-    return SimulatedObservers(alpha=alpha, beta=beta, kappa=kappa, offset_N=offset, lapse=lapse, sigma=sigma)
+    return SimulatedObservers(
+        alpha=alpha, beta=beta, kappa=kappa, offset_N=offset, lapse=lapse, sigma=sigma
+    )
 
 
 def run(
-    answer: Answer, log: str | Path, *, name: str = "simulated", plan: Plan | None = None, trials: int | None = None
+    answer: Answer,
+    log: str | Path,
+    *,
+    name: str = "simulated",
+    plan: Plan | None = None,
+    trials: int | None = None,
 ) -> Session:
     """Run a session as `tissue calibrate` does, from where its log ends.
 
     Parameters
     ----------
     answer
-        Called with what is asked, a `Comparison` or a `Magnitude`, and the trial's number; ``simulated_answers(people,
-        seed)`` is one, and a function that plays both forces to a person is another.
+        Called with what is asked, a `Comparison` or a `Magnitude`, and the trial's number;
+        ``simulated_answers(people, seed)`` is one, and a function that plays both forces to a
+        person is another.
     log
         File that takes every answer before the next is asked.
     name
@@ -92,7 +117,9 @@ def run(
 
 
 def estimated_webers(crowd: SimulatedObservers, *, trials: int = 120, seed: int = 0) -> Array:
-    """Estimate the Weber fraction of many people by a session of comparisons with each, shape (n,)."""
+    """Estimate the Weber fraction of many people by a session of comparisons with each, shape
+    (n,).
+    """
     rng = np.random.default_rng(seed)
     found = AdaptiveThreshold(observers=len(crowd))
     for _ in range(trials):
@@ -102,9 +129,15 @@ def estimated_webers(crowd: SimulatedObservers, *, trials: int = 120, seed: int 
 
 
 def share_right(
-    crowd: SimulatedObservers, first_N: float, second_N: float, *, seed: int, calibrated_by: int | None = None
+    crowd: SimulatedObservers,
+    first_N: float,
+    second_N: float,
+    *,
+    seed: int,
+    calibrated_by: int | None = None,
 ) -> Array:
-    """Return the share of 100 comparisons of two forces [N] in which each names the greater one, shape (n,).
+    """Return the share of 100 comparisons of two forces [N] in which each names the greater one,
+    shape (n,).
 
     Parameters
     ----------
@@ -115,15 +148,19 @@ def share_right(
     seed
         Of the noise, and of the numbers of a calibration.
     calibrated_by
-        Numbers given by each person, by which the force is scaled for them; 0 for a scale by their true exponent,
-        None for the force as it is.
+        Numbers given by each person, by which the force is scaled for them; 0 for a scale by their
+        true exponent, None for the force as it is.
     """
     commands = None
     if calibrated_by is not None:
-        commands = calibrated_commands(crowd, np.random.default_rng([seed, 2]), numbers=calibrated_by)
+        commands = calibrated_commands(
+            crowd, np.random.default_rng([seed, 2]), numbers=calibrated_by
+        )
     return shares_right(crowd, Stimulus(first_N), Stimulus(second_N), seed=seed, commands=commands)
 
 
 def change_percent(before: Array, after: Array, *, seed: int = 0) -> Effect:
-    """Change of the mean of paired shares, each of shape (n,) [%]: ``value``, and 95 % of it in ``low`` to ``high``."""
+    """Change of the mean of paired shares, each of shape (n,) [%]: ``value``, and 95 % of it in
+    ``low`` to ``high``.
+    """
     return gain_of(before, after, np.random.default_rng(seed))

@@ -1,4 +1,6 @@
-"""Several runs beside each other: what differs in their scenes, their figures, and their forces in one picture."""
+"""Several runs beside each other: what differs in their scenes, their figures, and their forces
+in one picture.
+"""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -53,16 +55,27 @@ class Comparison:
 
     def __init__(self, runs: Mapping[str, Run]) -> None:
         if len(runs) < 2:
-            raise InputError(f"compare must be given two runs at least, got {len(runs)}: name another one")
+            raise InputError(
+                f"compare must be given two runs at least, got {len(runs)}: name another one"
+            )
         self.runs = dict(runs)
         self.figures = {name: figures_of(run.summary) for name, run in runs.items()}
         self.scene_differences = _differences([run.scene for run in runs.values()])
         self.notes = list(_notes(self.runs))
 
     def rows(self) -> tuple[list[str], list[tuple[str, list[float | None]]]]:
-        """Titles, and for each figure the first run's value, then each other one's, its difference and share of it."""
+        """Titles, and for each figure the first run's value, then each other one's, its
+        difference and share of it.
+        """
         first, *others = self.runs
-        titles = [first, *(title for name in others for title in (name, f"{name} - {first}", f"{name} / {first} - 1"))]
+        titles = [
+            first,
+            *(
+                title
+                for name in others
+                for title in (name, f"{name} - {first}", f"{name} / {first} - 1")
+            ),
+        ]
         found = []
         for figure in dict.fromkeys(figure for one in self.figures.values() for figure in one):
             base = self.figures[first].get(figure)
@@ -75,7 +88,9 @@ class Comparison:
         return titles, found
 
     def texts(self) -> tuple[list[str], list[list[str]]]:
-        """Titles and rows of a table to read: each figure, and of other runs how far it is from the first one's."""
+        """Titles and rows of a table to read: each figure, and of other runs how far it is from
+        the first one's.
+        """
         _, rows = self.rows()
         found = []
         for figure, (base, *others) in rows:
@@ -86,7 +101,8 @@ class Comparison:
         return ["figure", *self.runs], found
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """Return the table of `rows`, a row for each figure; the scenes' differences are in its ``attrs``.
+        """Return the table of `rows`, a row for each figure; the scenes' differences are in its
+        ``attrs``.
 
         Raises
         ------
@@ -95,13 +111,17 @@ class Comparison:
         """
         titles, rows = self.rows()
         table = needed("pandas", extra="pandas").DataFrame(
-            [values for _, values in rows], index=[figure for figure, _ in rows], columns=titles, dtype=float
+            [values for _, values in rows],
+            index=[figure for figure, _ in rows],
+            columns=titles,
+            dtype=float,
         )
         table.attrs["scene_differences"] = self.scene_differences
         return table.rename_axis(index="figure")
 
     def plot(self, over: Over = "time") -> "NDArray[np.object_]":
-        """Draw the size of force and torque of all runs, and how far the forces are from the first one's.
+        """Draw the size of force and torque of all runs, and how far the forces are from the first
+        one's.
 
         Parameters
         ----------
@@ -139,7 +159,9 @@ class Comparison:
         panels = self.plot(over)
         titles, rows = self.rows()
         with owned_folder(out, KIND, FILES, overwrite=overwrite):
-            write_table(out / FILES[0], ["figure", *titles], [[figure, *values] for figure, values in rows])
+            write_table(
+                out / FILES[0], ["figure", *titles], [[figure, *values] for figure, values in rows]
+            )
             save(panels[0].figure, out / FILES[1])
         pyplot.close(panels[0].figure)
         return [out / name for name in FILES]
@@ -149,7 +171,10 @@ class Comparison:
         found = []
         for key, values in self.scene_differences.items():
             found.append(
-                f"{key}: " + ", ".join(f"{name} {_short(each)}" for name, each in zip(self.runs, values, strict=True))
+                f"{key}: "
+                + ", ".join(
+                    f"{name} {_short(each)}" for name, each in zip(self.runs, values, strict=True)
+                )
             )
         return [*(found or ["the scenes are the same"]), *self.notes]
 
@@ -159,7 +184,11 @@ class Comparison:
     def _repr_html_(self) -> str:
         titles, rows = self.texts()
         keys = [[key, *map(_short, values)] for key, values in self.scene_differences.items()]
-        differ = table_html(keys, titles=("key", *self.runs), caption="keys of the scenes that differ") if keys else ""
+        differ = (
+            table_html(keys, titles=("key", *self.runs), caption="keys of the scenes that differ")
+            if keys
+            else ""
+        )
         notes = table_html([(note,) for note in self.notes]) if self.notes else ""
         return f"<div>{table_html(rows, titles=titles)}{differ}{notes}</div>"
 
@@ -182,15 +211,24 @@ def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comp
     held = [each if isinstance(each, Run) else open_run(each) for each in runs]
     called = _names(held) if names is None else [*names]
     if len(called) != len(held) or len(set(called)) != len(called):
-        raise InputError(f"names must be one for each of {len(held)} runs, all different, got {called}: mend them")
+        raise InputError(
+            f"names must be one for each of {len(held)} runs, all different, got {called}: "
+            "mend them"
+        )
     return Comparison(dict(zip(called, held, strict=True)))
 
 
 def entries_of(scene: Scene) -> dict[str, object]:
-    """Return the entries of a scene by dotted key, defaults included, without its name and description."""
+    """Return the entries of a scene by dotted key, defaults included, without its name and
+    description.
+    """
     import tomllib
 
-    return {key: value for key, value in _flat(tomllib.loads(scene.to_toml())) if key not in ("name", "description")}
+    return {
+        key: value
+        for key, value in _flat(tomllib.loads(scene.to_toml()))
+        if key not in ("name", "description")
+    }
 
 
 def _number(value: float | None) -> str:
@@ -202,7 +240,9 @@ def _differences(scenes: list[Scene]) -> dict[str, tuple[object, ...]]:
     entries = [entries_of(scene) for scene in scenes]
     keys = dict.fromkeys(key for each in entries for key in each)
     found = {key: tuple(each.get(key) for each in entries) for key in keys}
-    return {key: values for key, values in found.items() if any(a != b for a, b in pairwise(values))}
+    return {
+        key: values for key, values in found.items() if any(a != b for a, b in pairwise(values))
+    }
 
 
 def _notes(runs: Mapping[str, Run]) -> Iterator[str]:
@@ -212,20 +252,30 @@ def _notes(runs: Mapping[str, Run]) -> Iterator[str]:
             yield f"{name} did not come to its end: it is {run.status}"
         if note := path_note(run.summary):
             yield f"the path of {name} is {note}"
-    lasted = {name: round(float(run.summary.get("simulated_s", 0.0)), 3) for name, run in runs.items()}
+    lasted = {
+        name: round(float(run.summary.get("simulated_s", 0.0)), 3) for name, run in runs.items()
+    }
     if len(set(lasted.values())) > 1:
-        yield "simulated time differs, so that peaks, means and volumes are of runs of different lengths: " + ", ".join(
-            f"{name} {time_s:g} s" for name, time_s in lasted.items()
+        yield (
+            (
+                "simulated time differs, so that peaks, means and volumes are of runs of "
+                "different lengths: "
+            )
+            + ", ".join(f"{name} {time_s:g} s" for name, time_s in lasted.items())
         )
     names = {name: run.scene.name for name, run in runs.items()}
     if len(set(names.values())) > 1:
-        yield "the runs are of different scenes: " + ", ".join(f"{name} {scene}" for name, scene in names.items())
+        yield "the runs are of different scenes: " + ", ".join(
+            f"{name} {scene}" for name, scene in names.items()
+        )
     if len({run.scene.constants.key for run in runs.values()}) > 1:
         yield "the constants of the materials differ: see the key materials of each scene"
     for entry, words in OUTSIDE.items():
         values = [str(run.summary.get(entry)) for run in runs.values()]
         if len(set(values)) > 1:
-            yield f"{words} differs: " + ", ".join(f"{name} {each}" for name, each in zip(runs, values, strict=True))
+            yield f"{words} differs: " + ", ".join(
+                f"{name} {each}" for name, each in zip(runs, values, strict=True)
+            )
 
 
 def _names(runs: list[Run]) -> list[str]:

@@ -24,7 +24,8 @@ __all__ = ["Cut", "saved_table"]
 
 
 class Cut:
-    """Force, torque and removed volume at every pose of a cut; forces act on the tool, torques about its tip.
+    """Force, torque and removed volume at every pose of a cut; forces act on the tool, torques
+    about its tip.
 
     Attributes
     ----------
@@ -35,34 +36,43 @@ class Cut:
     pose_us
         What each pose took to compute [µs], shape (n,).
     events
-        What has happened, such as a breach of a structure to keep clear of: time [s] and a sentence each.
+        What has happened, such as a breach of a structure to keep clear of: time [s] and a sentence
+        each.
     """
 
-    def __init__(self, trace: Table, pose_us: Array, events: Sequence[tuple[float, str]] = ()) -> None:
+    def __init__(
+        self, trace: Table, pose_us: Array, events: Sequence[tuple[float, str]] = ()
+    ) -> None:
         self.trace, self.pose_us = Trace(trace), pose_us
         self.events = list(events)
         self.notes: dict[str, str] = {}
         start_mm3 = float(self.trace["removed_mm3"][0])
         if start_mm3 > 0.0:
             self.notes["start"] = (
-                f"the first pose lies inside bone: {start_mm3:.3g} mm3 were taken away there without force; where that "
+                f"the first pose lies inside bone: {start_mm3:.3g} mm3 were taken away there "
+                "without force; where that "
                 "is not meant, look at the axis, the unit and the frame of the poses"
             )
 
     @classmethod
     def of(cls, loop: Loop, times_s: Array, *, removed_before_m3: Array) -> "Cut":
-        """What a loop over given poses has recorded, at their times [s], without what was removed before."""
+        """What a loop over given poses has recorded, at their times [s], without what was
+        removed before.
+        """
         layout = TraceLayout.of(loop.parts.tissue.layer_names)
         names = [name for name in loop.trace.columns if not name.startswith("model_")]
         places = [loop.trace.columns.index(name) for name in names]
         rows = loop.trace.rows.copy()
         rows[:, layout.time] = times_s
-        rows[-1, layout.removed_by_layer] = 1e9 * loop.parts.tissue.removed_m3  # a slow cut is spread over ticks
+        # a slow cut is spread over ticks
+        rows[-1, layout.removed_by_layer] = 1e9 * loop.parts.tissue.removed_m3
         rows[:, layout.removed_by_layer] -= 1e9 * removed_before_m3
         rows[:, layout.removed] = rows[:, layout.removed_by_layer].sum(axis=1)
         trace = Table(tuple(names), rows[:, places], loop.trace.layer_names)
         last = len(times_s) - 1
-        events = [(float(times_s[min(round(at_s / TICK_S), last)]), what) for at_s, what in loop.events]
+        events = [
+            (float(times_s[min(round(at_s / TICK_S), last)]), what) for at_s, what in loop.events
+        ]
         return cls(trace, np.asarray(loop.timing["tick_us"]), events)
 
     def __len__(self) -> int:
@@ -99,7 +109,8 @@ class Cut:
         return np.asarray(self.trace["removed_mm3"])
 
     def distance_mm(self, name: str) -> Array:
-        """Distance of the tool from a structure to keep clear of [mm], negative where they overlap, shape (n,).
+        """Distance of the tool from a structure to keep clear of [mm], negative where they overlap,
+        shape (n,).
 
         Raises
         ------
@@ -108,12 +119,16 @@ class Cut:
         """
         column = f"distance_{name}_mm"
         if column not in self.trace.columns:
-            raise InputError(f"name must be a structure given as keep_clear, got {name}: give it to Bone.cut")
+            raise InputError(
+                f"name must be a structure given as keep_clear, got {name}: give it to Bone.cut"
+            )
         return np.asarray(self.trace[column])
 
     @property
     def layer(self) -> NDArray[np.str_]:
-        """Layer in which most of the tool's engaged area lies, "none" without contact, shape (n,)."""
+        """Layer in which most of the tool's engaged area lies, "none" without contact, shape
+        (n,).
+        """
         return np.asarray(self.trace["layer"])
 
     def to_pandas(self) -> "pandas.DataFrame":
@@ -125,23 +140,26 @@ class Cut:
         return self.trace.to_xarray()
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write all columns to a file, its kind by the suffix: .csv, .mat (MATLAB), .npz, .parquet or .h5.
+        """Write all columns to a file, its kind by the suffix: .csv, .mat (MATLAB), .npz, .parquet
+        or .h5.
 
         Raises
         ------
         InputError
-            If the suffix is none of these, its writer is not installed, or the file is there and `overwrite` is not
-            given.
+            If the suffix is none of these, its writer is not installed, or the file is there and
+            `overwrite` is not given.
         """
         return saved_table(self.trace, path, overwrite=overwrite)
 
     def plot(self, *, over: "Figure | None" = None, label: str | None = None) -> "Figure":
-        """Force and torque over time, a panel each: their components and size, or with a label their size alone.
+        """Force and torque over time, a panel each: their components and size, or with a label
+        their size alone.
 
         Parameters
         ----------
         over
-            Figure of an earlier plot, to draw this cut into: ``b.plot(over=a.plot(label="a"), label="b")``.
+            Figure of an earlier plot, to draw this cut into: ``b.plot(over=a.plot(label="a"),
+            label="b")``.
         label
             Name of this cut in the legend.
         """
@@ -150,7 +168,9 @@ class Cut:
         from tissue.show.figures.figure import COMPONENTS
 
         if over is None:
-            figure, panels = plt.subplots(2, 1, sharex=True, figsize=(7.0, 4.5), layout="constrained")
+            figure, panels = plt.subplots(
+                2, 1, sharex=True, figsize=(7.0, 4.5), layout="constrained"
+            )
         else:
             figure, panels = over, over.axes
         shown = (self.force_N, "force / N"), (self.torque_Nm, "torque / N m")
@@ -169,7 +189,8 @@ class Cut:
     def __repr__(self) -> str:
         force = self.force_magnitude_N
         return (
-            f"Cut({len(self)} poses in {self.times_s[-1] - self.times_s[0]:.4g} s, {self.removed_mm3[-1]:.4g} mm3 "
+            f"Cut({len(self)} poses in {self.times_s[-1] - self.times_s[0]:.4g} s, "
+            f"{self.removed_mm3[-1]:.4g} mm3 "
             f"removed, peak force {force.max():.3g} N, {np.median(self.pose_us):.0f} us a pose"
             f"{''.join(f'; {note}' for note in self.notes.values())})"
         )
@@ -181,7 +202,8 @@ def saved_table(trace: Table, path: str | Path, *, overwrite: bool) -> Path:
     Raises
     ------
     InputError
-        If the suffix is unknown, its writer is not installed, or the file is there and `overwrite` is not given.
+        If the suffix is unknown, its writer is not installed, or the file is there and `overwrite`
+        is not given.
     """
     path = Path(path)
     if path.exists() and not overwrite:

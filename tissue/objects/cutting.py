@@ -31,13 +31,20 @@ class TimedPoses:
 
 
 def cut_along(
-    bone: VoxelBone, tool: Cutter, poses: TimedPoses, *, shell_spacing_m: float, keep_clear: KeepClear | None
+    bone: VoxelBone,
+    tool: Cutter,
+    poses: TimedPoses,
+    *,
+    shell_spacing_m: float,
+    keep_clear: KeepClear | None,
 ) -> Cut:
     """Cut along poses; see `tissue.objects.bone.Bone.cut`."""
     tips, turns = poses.tips_m, poses.rotations
     motion = GivenPoses(poses.times_s, tips, turns)
     boxes = tool_boxes(tool, tips, turns.as_matrix()[:, :, 2], spacing_m=bone.store.grid.spacing_m)
-    model, goes_on = bone.under(tool, boxes, (tips[0], turns[0].as_matrix()), shell_spacing_m=shell_spacing_m)
+    model, goes_on = bone.under(
+        tool, boxes, (tips[0], turns[0].as_matrix()), shell_spacing_m=shell_spacing_m
+    )
     before = model.removed_m3
     parts = Parts(motion, model, cutter=tool, keep_clear=keep_clear)
     loop = Loop(parts, ticks=len(tips), output=Output(low_pass_ms=0.0))
@@ -66,11 +73,15 @@ def warn_of(sentences: Sequence[str]) -> None:
 def require_cutter(tool: object, *, spacing_mm: float) -> None:
     """Refuse a tool that cannot cut bone of such voxels [mm]."""
     if not isinstance(tool, Cutter):
-        raise InputError(f"tool must be a cutter, got {type(tool).__name__}: make one by tissue.cutters.ball_burr")
+        raise InputError(
+            f"tool must be a cutter, got {type(tool).__name__}: make one by "
+            "tissue.cutters.ball_burr"
+        )
     width_mm = 2e3 * tool.profile.radius_m
     if width_mm < 4.0 * spacing_mm:
         raise InputError(
-            f"tool must be at least four voxels of {spacing_mm:g} mm wide, got {width_mm:.3g} mm: give the "
+            f"tool must be at least four voxels of {spacing_mm:g} mm wide, got "
+            f"{width_mm:.3g} mm: give the "
             f"bone spacing_mm = {width_mm / 20:.2g}"
         )
 
@@ -80,7 +91,9 @@ def _require_chips(model: BoneModel, number: int) -> None:
     thickest_mm, radius_mm = 1e3 * model.limits.thickest_m, 1e3 * model.cutter.profile.radius_m
     if thickest_mm > radius_mm:
         raise InputError(
-            f"times_s must leave a tooth chips thinner than the tool's radius of {radius_mm:.3g} mm, got "
-            f"{thickest_mm:.3g} mm at pose {number}, up to which the bone is cut: use a slower feed or "
+            "times_s must leave a tooth chips thinner than the tool's radius of "
+            f"{radius_mm:.3g} mm, got "
+            f"{thickest_mm:.3g} mm at pose {number}, up to which the bone is cut: use a "
+            "slower feed or "
             "a higher speed of the tool"
         )

@@ -40,12 +40,18 @@ class Fit:
 
         rows = [
             {
-                "constant": each.name, "cited_low": each.prior.low, "cited": each.prior.value,
-                "cited_high": each.prior.high, "p05": each.low, "p50": each.value, "p95": each.high,
-                "contraction": each.contraction, "state": each.state,
+                "constant": each.name,
+                "cited_low": each.prior.low,
+                "cited": each.prior.value,
+                "cited_high": each.prior.high,
+                "p05": each.low,
+                "p50": each.value,
+                "p95": each.high,
+                "contraction": each.contraction,
+                "state": each.state,
             }
             for each in self.fitted.constants
-        ]  # fmt: skip
+        ]
         return pandas.DataFrame(rows).set_index("constant")
 
     def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
@@ -60,7 +66,10 @@ class Fit:
         return Path(folder)
 
     def __repr__(self) -> str:
-        return f"<tissue.Fit of {self.fitted.name} to {self.fitted.path.name}: {'; '.join(self.verdicts)}>"
+        return (
+            f"<tissue.Fit of {self.fitted.name} to {self.fitted.path.name}: "
+            f"{'; '.join(self.verdicts)}>"
+        )
 
 
 def fit(
@@ -79,11 +88,13 @@ def fit(
     Parameters
     ----------
     scene
-        What was cut or pressed, and by which tool. The log's poses, in the scene's frame, stand for its motion.
+        What was cut or pressed, and by which tool. The log's poses, in the scene's frame, stand for
+        its motion.
     measured
         CSV, Parquet, HDF5, .mat or .npz file; a run's own trace needs no columns.
     free
-        Constants to find, such as ``cutting.trabecular`` or ``cutting.edge``; by default the usual ones.
+        Constants to find, such as ``cutting.trabecular`` or ``cutting.edge``; by default the usual
+        ones.
     columns
         Columns of other names or units: ``{"force_x_N": "-Fx:mN"}``.
     cores
@@ -98,7 +109,11 @@ def fit(
     InputError
         If the log cannot be read, the tool never cuts along it, or it determines nothing.
     """
-    maps = [f"{name}={column}" for name, column in columns.items()] if isinstance(columns, Mapping) else list(columns)
+    maps = (
+        [f"{name}={column}" for name, column in columns.items()]
+        if isinstance(columns, Mapping)
+        else list(columns)
+    )
     with reporting(progress) as report:
         report("reading the log", 0.0)
         with memory_limit(max_memory_GB):

@@ -13,11 +13,25 @@ from tissue.scene.scene import Scene
 from tissue.show.figures.force_time import event_lines
 from tissue.simulation.run_summary import Summary
 
-__all__ = ["curve", "figures_of", "folded", "run_html", "run_line", "run_rows", "scene_html", "scrolled", "table_html"]
+__all__ = [
+    "curve",
+    "figures_of",
+    "folded",
+    "run_html",
+    "run_line",
+    "run_rows",
+    "scene_html",
+    "scrolled",
+    "table_html",
+]
 
 
 def table_html(
-    rows: Iterable[Sequence[object]], *, titles: Sequence[str] = (), caption: str = "", numbers: bool = False
+    rows: Iterable[Sequence[object]],
+    *,
+    titles: Sequence[str] = (),
+    caption: str = "",
+    numbers: bool = False,
 ) -> str:
     """Return a table of texts. ``numbers`` aligns them to the right."""
     side = "right" if numbers else "left"
@@ -32,14 +46,22 @@ def curve(values: Sequence[float], *, title: str, width: int = 320, height: int 
     """Return a small curve from zero, without axes."""
     top = max(*values, 0.0) or 1.0
     step = width / max(len(values) - 1, 1)
-    points = " ".join(f"{step * i:.1f},{height - 1 - (height - 2) * value / top:.1f}" for i, value in enumerate(values))
+    points = " ".join(
+        f"{step * i:.1f},{height - 1 - (height - 2) * value / top:.1f}"
+        for i, value in enumerate(values)
+    )
     line = f'<polyline points="{points}" fill="none" stroke="currentColor" stroke-width="1.2"/>'
-    return f'<svg width="{width}" height="{height}" role="img"><title>{escape(title)}</title>{line}</svg>'
+    return (
+        f'<svg width="{width}" height="{height}" '
+        f'role="img"><title>{escape(title)}</title>{line}</svg>'
+    )
 
 
 def folded(title: str, inner: str, *, is_open: bool = False) -> str:
     """Return HTML under a title that opens and closes it."""
-    return f"<details{' open' if is_open else ''}><summary>{escape(title)}</summary>{inner}</details>"
+    return (
+        f"<details{' open' if is_open else ''}><summary>{escape(title)}</summary>{inner}</details>"
+    )
 
 
 def scrolled(inner: str) -> str:
@@ -48,20 +70,31 @@ def scrolled(inner: str) -> str:
 
 
 def _cells(row: Sequence[object], name: str, side: str) -> str:
-    style = f' style="text-align: {side}; white-space: nowrap"' if side == "right" else ' style="text-align: left"'
+    style = (
+        f' style="text-align: {side}; white-space: nowrap"'
+        if side == "right"
+        else ' style="text-align: left"'
+    )
     return "".join(f"<{name}{style}>{escape(str(each))}</{name}>" for each in row)
 
 
 def scene_html(scene: Scene) -> str:
     """Return the values that a scene sets as a table, with its whole TOML folded below."""
     stated = scene.model_dump(mode="json", exclude_unset=True, exclude={"name", "description"})
-    rows = [(key, json.dumps(value)) for key, value in _entries(stated)]  # lists, texts and numbers as in TOML
+    # lists, texts and numbers as in TOML
+    rows = [(key, json.dumps(value)) for key, value in _entries(stated)]
     whole = tomllib.loads(scene.to_toml())
     plain = {key: value for key, value in whole.items() if not isinstance(value, dict)}
-    sections = {"scene": plain} | {key: value for key, value in whole.items() if isinstance(value, dict)}
-    texts = [folded(name, f"<pre>{escape(tomli_w.dumps(section))}</pre>") for name, section in sections.items()]
+    sections = {"scene": plain} | {
+        key: value for key, value in whole.items() if isinstance(value, dict)
+    }
+    texts = [
+        folded(name, f"<pre>{escape(tomli_w.dumps(section))}</pre>")
+        for name, section in sections.items()
+    ]
     head = f"<p><b>{escape(scene.name)}</b> {escape(scene.description)}</p>"
-    return f"<div>{head}{table_html(rows, titles=('key', 'value'))}{folded('all keys', ''.join(texts))}</div>"
+    table = table_html(rows, titles=("key", "value"))
+    return f"<div>{head}{table}{folded('all keys', ''.join(texts))}</div>"
 
 
 def _entries(table: dict[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
@@ -83,14 +116,22 @@ def run_line(summary: Summary) -> list[str]:
     if summary["status"] != "complete":
         return [name, str(summary["status"])]
     cut = [f"{sum(summary['removed_mm3'].values()):.3g} mm³ removed"] if summary["cuts"] else []
-    return [name, f"{summary['simulated_s']:g} s", f"peak force {summary['force_N']['peak']:.3g} N", *cut]
+    return [
+        name,
+        f"{summary['simulated_s']:g} s",
+        f"peak force {summary['force_N']['peak']:.3g} N",
+        *cut,
+    ]
 
 
 def run_rows(summary: Summary) -> list[tuple[str, str]]:
     """Return figures and their values in words, or the status of an incomplete run."""
     if summary["status"] != "complete":
         problem = summary.get("problem")
-        return [("status", str(summary["status"])), *([("what ended it", str(problem))] if problem else [])]
+        return [
+            ("status", str(summary["status"])),
+            *([("what ended it", str(problem))] if problem else []),
+        ]
     force = summary["force_N"]
     torque = summary["torque_Nm"]
     tick = summary["tick_us"]
@@ -102,10 +143,19 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
         ]
     return [
         *rows,
-        ("force, peak / mean in contact", f"{force['peak']:.3g} / {force['mean_in_contact']:.3g} N"),
-        ("torque, peak / mean in contact", f"{torque['peak']:.3g} / {torque['mean_in_contact']:.3g} N m"),
+        (
+            "force, peak / mean in contact",
+            f"{force['peak']:.3g} / {force['mean_in_contact']:.3g} N",
+        ),
+        (
+            "torque, peak / mean in contact",
+            f"{torque['peak']:.3g} / {torque['mean_in_contact']:.3g} N m",
+        ),
         ("tick, median / 99 %", f"{tick['median']:.0f} / {tick['p99']:.0f} µs"),
-        ("missed 1 ms deadlines", f"{summary['missed_deadlines']} of {summary['simulated_s'] * 1e3:.0f}"),
+        (
+            "missed 1 ms deadlines",
+            f"{summary['missed_deadlines']} of {summary['simulated_s'] * 1e3:.0f}",
+        ),
     ]
 
 
@@ -124,7 +174,11 @@ def figures_of(summary: Summary) -> dict[str, float]:
         "peak_torque_Nm": torque["peak"],
         "mean_torque_Nm": torque["mean_in_contact"],
         **({"removed_mm3": sum(removed.values())} if removed else {}),
-        **({f"removed_{layer}_mm3": volume for layer, volume in removed.items()} if len(removed) > 1 else {}),
+        **(
+            {f"removed_{layer}_mm3": volume for layer, volume in removed.items()}
+            if len(removed) > 1
+            else {}
+        ),
         "events": len(summary["events"]),
         "tick_median_us": tick["median"],
         "tick_99_percent_us": tick["p99"],
@@ -132,7 +186,9 @@ def figures_of(summary: Summary) -> dict[str, float]:
     }
 
 
-def run_html(summary: Summary, events: list[tuple[float, str]], force_N: NDArray[np.float64]) -> str:
+def run_html(
+    summary: Summary, events: list[tuple[float, str]], force_N: NDArray[np.float64]
+) -> str:
     """Return a short table and the force over time, with events and notes folded below."""
     shown = table_html(run_rows(summary), caption=f"run of {summary.get('scene')}")
     if len(force_N):
@@ -140,7 +196,9 @@ def run_html(summary: Summary, events: list[tuple[float, str]], force_N: NDArray
         highest = np.maximum.reduceat(force_N, np.arange(0, len(force_N), every))
         shown += curve(highest.tolist(), title=f"force over time, up to {force_N.max():.3g} N")
     if events:
-        shown += folded("events", table_html([(line,) for line in event_lines(events)]), is_open=True)
+        shown += folded(
+            "events", table_html([(line,) for line in event_lines(events)]), is_open=True
+        )
     if notes := summary.get("notes"):
         shown += folded("notes", table_html(notes.items()))
     return f"<div>{shown}</div>"

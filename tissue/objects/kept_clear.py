@@ -23,11 +23,17 @@ if TYPE_CHECKING:
 __all__ = ["Structures", "clearance_of", "refuse_structures"]
 
 Structures = Mapping[str, Union[str, PathLike[str], "pyvista.PolyData"]]
-"""Closed surface of each structure by name: a file or a pyvista surface, in millimetres in the frame of the bone."""
+"""Closed surface of each structure by name: a file or a pyvista surface, in millimetres in the
+frame of the bone.
+"""
 
 
 def clearance_of(
-    structures: Structures | None, tool: Cutter, *, box_m: Array | None = None, times_s: Array | None = None
+    structures: Structures | None,
+    tool: Cutter,
+    *,
+    box_m: Array | None = None,
+    times_s: Array | None = None,
 ) -> KeepClear | None:
     """Build the measurement of a tool's distance from structures; None without any.
 
@@ -45,7 +51,8 @@ def clearance_of(
         return None
     if not isinstance(structures, Mapping):
         raise InputError(
-            f"keep_clear must be a mapping of names to surfaces, got {type(structures).__name__}: give "
+            "keep_clear must be a mapping of names to surfaces, got "
+            f"{type(structures).__name__}: give "
             '{"nerve": "nerve.stl"}'
         )
     found = {}
@@ -54,10 +61,13 @@ def clearance_of(
             TypeAdapter(Name).validate_python(name)
         except ValidationError:
             raise InputError(
-                f"keep_clear must have names of small letters, digits and underscores, got {name!r}: use one such as "
+                "keep_clear must have names of small letters, digits and underscores, got "
+                f"{name!r}: use one such as "
                 "facial_nerve"
             ) from None
-        with names_of_caller(dict.fromkeys((*FILE_WORDS, "anatomy.scale_mm"), f"keep_clear[{name}]")):
+        with names_of_caller(
+            dict.fromkeys((*FILE_WORDS, "anatomy.scale_mm"), f"keep_clear[{name}]")
+        ):
             found[name] = _structure(name, surface)
     return KeepClear(tool.profile, found, box_m=box_m, times_s=times_s)
 
@@ -65,7 +75,9 @@ def clearance_of(
 def refuse_structures(structures: Structures | None) -> None:
     """Refuse structures where the tool presses an organ, in which nothing is cut."""
     if structures:
-        raise InputError("keep_clear must be left out for an organ, got structures: use it with a cutter in bone")
+        raise InputError(
+            "keep_clear must be left out for an organ, got structures: use it with a cutter in bone"
+        )
 
 
 def _structure(name: str, surface: object) -> Structure:
@@ -76,7 +88,8 @@ def _structure(name: str, surface: object) -> Structure:
         return structure_of_file(Path(surface), scale_mm=1.0)[0]
     if not isinstance(surface, pyvista.PolyData):
         raise InputError(
-            f"surface must be a file or a pyvista.PolyData, got {type(surface).__name__}: give the path of an STL file"
+            f"surface must be a file or a pyvista.PolyData, got {type(surface).__name__}: "
+            "give the path of an STL file"
         )
     triangles = surface.triangulate()
     made = surface_from_triangles(

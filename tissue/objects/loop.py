@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from meshes.base.errors import InputError, require_direction, require_positive, require_range, require_vector
+from meshes.base.errors import (
+    InputError,
+    require_direction,
+    require_positive,
+    require_range,
+    require_vector,
+)
 from tissue.cutters import Cutter, ball_burr
 from tissue.haptics.device.device import Device, DeviceParameters
 from tissue.haptics.device.supervision import run_held
@@ -57,11 +63,12 @@ LONGEST_S = 3600.0
 class Loop:
     """The loop of a haptic device, a tool and a tissue, in ticks of 1 ms.
 
-    In every tick the device is read, the tool follows it on a spring, the tissue answers, and the force is commanded
-    after prediction, low-pass and the device's limits. The spring is judged for stability before the first tick.
+    In every tick the device is read, the tool follows it on a spring, the tissue answers, and the
+    force is commanded after prediction, low-pass and the device's limits. The spring is judged for
+    stability before the first tick.
 
-    Use it as ``with Loop(...) as loop: row = loop.step()``, or ``loop.run(10.0)``, which holds the device itself: its
-    last command is zero, whatever ends the block or the run.
+    Use it as ``with Loop(...) as loop: row = loop.step()``, or ``loop.run(10.0)``, which holds the
+    device itself: its last command is zero, whatever ends the block or the run.
 
     Attributes
     ----------
@@ -102,23 +109,25 @@ class Loop:
         tissue
             What the tool meets.
         tool
-            A cutter for bone, default a ball burr of 4 mm with 6 flutes at 20,000 turns a minute; a pressing tool for
-            an organ, default a ball of 10 mm.
+            A cutter for bone, default a ball burr of 4 mm with 6 flutes at 20,000 turns a minute; a
+            pressing tool for an organ, default a ball of 10 mm.
         device
-            An object with ``read(time_s)``, which gives a `tissue.Sample` in metres or None, and ``command(force_N,
-            torque_Nm)``; entered and left where it is a context manager.
+            An object with ``read(time_s)``, which gives a `tissue.Sample` in metres or None, and
+            ``command(force_N, torque_Nm)``; entered and left where it is a context manager.
         limits
             Name of a known device, `tissue.DeviceParameters`, or a mapping of these numbers.
         start_mm
-            Where the tip is when the device is at its own origin [mm]; default 2 mm above the middle of what is met.
+            Where the tip is when the device is at its own origin [mm]; default 2 mm above the
+            middle of what is met.
         axis
             Direction of the tool from tip to shank; the device's axes are those of the tissue.
         reach_mm
-            Distance around the tool to which bone is made ready, or from the start to which an organ may be touched
-            [mm]. More bone is made when half of the distance is used up, in a tick that takes longer.
+            Distance around the tool to which bone is made ready, or from the start to which an
+            organ may be touched [mm]. More bone is made when half of the distance is used up, in a
+            tick that takes longer.
         predictor, predictor_file
-            Prediction of the force over the latency: a name, or an object with ``observe`` and ``predict``; and the
-            file that `tissue train` wrote, for a name that is trained.
+            Prediction of the force over the latency: a name, or an object with ``observe`` and
+            ``predict``; and the file that `tissue train` wrote, for a name that is trained.
         hand
             Hand for which stability is judged: novice, intermediate or expert.
         materials
@@ -128,14 +137,17 @@ class Loop:
         stiffness_N_m
             Stiffness of the coupling at the device; default half the critical one in that hand.
         force_scale, motion_scale
-            Newtons at the device for each at the tool, by default 1 on an organ and on bone what brings the force in a
-            slot a quarter of the cutter deep within the device's range; metres at the tool for each at the device.
+            Newtons at the device for each at the tool, by default 1 on an organ and on bone what
+            brings the force in a slot a quarter of the cutter deep within the device's range;
+            metres at the tool for each at the device.
         delay_ms, low_pass_ms
-            Latency added before the device, in whole ticks, and time constant of the low-pass before it [ms].
+            Latency added before the device, in whole ticks, and time constant of the low-pass
+            before it [ms].
         allow_unstable
             Run a coupling that is judged unstable, too.
         longest_s, keep_clear
-            Time for which rows are laid out [s]; structures that a cutter must not touch, as of `tissue.Bone.cut`.
+            Time for which rows are laid out [s]; structures that a cutter must not touch, as of
+            `tissue.Bone.cut`.
 
         Raises
         ------
@@ -145,10 +157,18 @@ class Loop:
         require_device(device)
         if tool is None:
             is_organ = isinstance(tissue, Organ)
-            tool = ball(diameter_mm=10) if is_organ else ball_burr(diameter_mm=4, flutes=6, spin_rpm=20_000)
+            tool = (
+                ball(diameter_mm=10)
+                if is_organ
+                else ball_burr(diameter_mm=4, flutes=6, spin_rpm=20_000)
+            )
         require_match(tissue, tool)
         along = require_direction("axis", np.asarray(axis, dtype=np.float64))
-        start = start_above(tissue, along) if start_mm is None else np.asarray(start_mm, dtype=np.float64)
+        start = (
+            start_above(tissue, along)
+            if start_mm is None
+            else np.asarray(start_mm, dtype=np.float64)
+        )
         start_m = 1e-3 * require_vector("start_mm", start)
         reach_m = 1e-3 * require_range("reach_mm", reach_mm, 0.5, 100.0, "use 5")
         constants = Materials.of(materials)
@@ -161,7 +181,11 @@ class Loop:
             low_pass_ms=require_range("low_pass_ms", low_pass_ms, 0.0, 1000.0, "use 1"),
             predictor=predictor,
             predictor_file=predictor_file,
-            coupling={"stiffness_N_m": stiffness_N_m, "motion_scale": motion_scale, "delay_ms": delay_ms},
+            coupling={
+                "stiffness_N_m": stiffness_N_m,
+                "motion_scale": motion_scale,
+                "delay_ms": delay_ms,
+            },
         )
         settings = settings_of(device, options)
         scale, chosen_for = 1.0, ""
@@ -170,7 +194,9 @@ class Loop:
         elif isinstance(tissue, Bone) and isinstance(tool, Cutter):
             usual = loop_parts.usual_force_N(tissue, tool)
             scale = fitted_scale(usual, settings.limits)
-            chosen_for = f", chosen for the {usual:.3g} N of a slot a quarter of the cutter deep at 2 mm/s"
+            chosen_for = (
+                f", chosen for the {usual:.3g} N of a slot a quarter of the cutter deep at 2 mm/s"
+            )
         ticks = round(require_range("longest_s", longest_s, TICK_S, LONGEST_S, "use 600") / TICK_S)
         x, y, z = along.tolist()
         with loop_parts.own_names():
@@ -218,7 +244,10 @@ class Loop:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._closing.__exit__(kind, error, trace)
 
@@ -231,10 +260,13 @@ class Loop:
             If the device is not held, or all rows are full; as `DeviceError`, if the device fails.
         """
         if not self._motion.held.entered:
-            raise InputError("loop must hold its device to step, got one that is not: use it in `with loop:`")
+            raise InputError(
+                "loop must hold its device to step, got one that is not: use it in `with loop:`"
+            )
         if self.ticks == self._most:
             raise InputError(
-                f"longest_s must hold all ticks, got {TICK_S * self._most:g} s that have run: make the loop with more"
+                f"longest_s must hold all ticks, got {TICK_S * self._most:g} s that have "
+                "run: make the loop with more"
             )
         self._keep_ready(self._motion.tool.tip_m)
         self._loop.wait()
@@ -245,7 +277,11 @@ class Loop:
         return self._row
 
     def run(
-        self, seconds: float, *, real_time: bool = False, on_tick: Callable[[int, TickRow], object] | None = None
+        self,
+        seconds: float,
+        *,
+        real_time: bool = False,
+        on_tick: Callable[[int, TickRow], object] | None = None,
     ) -> Self:
         """Run for some seconds of simulated time, hold the device for as long, and return the loop.
 
@@ -254,15 +290,18 @@ class Loop:
         seconds
             Duration [s].
         real_time
-            Whether a tick waits until it is due on the wall clock, as a real device needs it. Ticks then run in a
-            second thread, a sample more than 1.5 ms late is not used, and a device without a command for 50 ms gets
-            zero force.
+            Whether a tick waits until it is due on the wall clock, as a real device needs it. Ticks
+            then run in a second thread, a sample more than 1.5 ms late is not used, and a device
+            without a command for 50 ms gets zero force.
         on_tick
-            Called after every tick with its number and its row; the run ends where it returns False.
+            Called after every tick with its number and its row; the run ends where it returns
+            False.
         """
         count = round(require_range("seconds", seconds, TICK_S, LONGEST_S, "use 10") / TICK_S)
         clock = WallClock(TICK_S) if real_time else None
-        self._motion.held.in_process = not real_time or bool(getattr(self._motion.device, "in_process", False))
+        self._motion.held.in_process = not real_time or bool(
+            getattr(self._motion.device, "in_process", False)
+        )
 
         def go_through() -> None:
             """Run the ticks."""
@@ -301,8 +340,13 @@ class Loop:
         return self.trace.to_pandas()
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write the ticks so far to a file, its kind by the suffix: .csv, .mat, .npz, .parquet or .h5."""
+        """Write the ticks so far to a file, its kind by the suffix: .csv, .mat, .npz, .parquet
+        or .h5.
+        """
         return saved_table(self.trace, path, overwrite=overwrite)
 
     def __repr__(self) -> str:
-        return f"Loop({type(self._motion.device).__name__}, {self.ticks} ticks; {self.notes['coupling']})"
+        return (
+            f"Loop({type(self._motion.device).__name__}, {self.ticks} ticks; "
+            f"{self.notes['coupling']})"
+        )

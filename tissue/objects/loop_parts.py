@@ -1,4 +1,6 @@
-"""What a tool on a device meets: bone that is made around it, or the part of an organ that it can touch."""
+"""What a tool on a device meets: bone that is made around it, or the part of an organ that it
+can touch.
+"""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -53,7 +55,9 @@ KeepsReady = Callable[[Array], None]
 CLEARANCE_MM = 2.0
 """How far above the surface a tool begins where no place is given [mm]."""
 SLOT_VOXELS, SLOT_M_S = 10, 2e-3
-"""Voxels across a cutter, and its feed [m/s], where the force that it usually meets is estimated."""
+"""Voxels across a cutter, and its feed [m/s], where the force that it usually meets is
+estimated.
+"""
 ACROSS = 7
 """Places across the reach at which an organ is looked for."""
 
@@ -61,7 +65,9 @@ ACROSS = 7
 def bone_met(
     bone: Bone, tool: Cutter, start_m: Array, axis: Array, *, reach_m: float
 ) -> tuple[TissueModel, KeepsReady]:
-    """Bone under a cutter, made as far as `reach_m` around it; goes on to be made where the tool goes."""
+    """Bone under a cutter, made as far as `reach_m` around it; goes on to be made where the tool
+    goes.
+    """
     held = bone.voxel_bone
     made_at = start_m.copy()
 
@@ -85,7 +91,9 @@ def bone_met(
 
 
 def usual_force_N(bone: Bone, tool: Cutter) -> float:
-    """Force of a cutter in a slot a quarter of its diameter deep at 2 mm/s in the bone's first layer [N]."""
+    """Force of a cutter in a slot a quarter of its diameter deep at 2 mm/s in the bone's first
+    layer [N].
+    """
     width_m = 2.0 * tool.profile.radius_m
     spacing_m = width_m / SLOT_VOXELS
     shape = 3 * SLOT_VOXELS, 2 * SLOT_VOXELS, SLOT_VOXELS
@@ -115,9 +123,13 @@ def organ_met(
     """An organ under a tool that presses, as far as `reach_m` around and below where it starts."""
     turn = frame_along((float(axis[0]), float(axis[1]), float(axis[2])))
     across = np.linspace(-reach_m, reach_m, ACROSS)
-    x, y, z = (each.ravel() for each in np.meshgrid(across, across, np.linspace(0.0, -reach_m, ACROSS)))
+    x, y, z = (
+        each.ravel() for each in np.meshgrid(across, across, np.linspace(0.0, -reach_m, ACROSS))
+    )
     tips = start_m + np.column_stack([x, y, z]) @ turn.T
-    model, _ = organ.soft.under(tool.shape, tips, np.broadcast_to(turn, (len(tips), 3, 3)), path="condensed")
+    model, _ = organ.soft.under(
+        tool.shape, tips, np.broadcast_to(turn, (len(tips), 3, 3)), path="condensed"
+    )
     return model, lambda tip_m: None
 
 
@@ -135,7 +147,8 @@ def start_above(tissue: Bone | Organ, axis: Array) -> Array:
     found, _ = surface.ray_trace(middle + size * axis, middle - size * axis, first_point=True)
     if np.size(found) == 0:
         raise InputError(
-            f"start_mm must be given where nothing lies under the middle {by(middle, '.4g')} mm, got none: give a "
+            f"start_mm must be given where nothing lies under the middle {by(middle, '.4g')} "
+            "mm, got none: give a "
             "place above the surface"
         )
     return np.asarray(found, dtype=np.float64).reshape(-1, 3)[0] + CLEARANCE_MM * axis
@@ -144,11 +157,14 @@ def start_above(tissue: Bone | Organ, axis: Array) -> Array:
 def require_device(device: object) -> None:
     """Refuse a device that cannot be read and commanded."""
     if isinstance(device, type):
-        raise InputError(f"device must be an object, got the class {device.__name__}: give {device.__name__}()")
+        raise InputError(
+            f"device must be an object, got the class {device.__name__}: give {device.__name__}()"
+        )
     missing = [name for name in ("read", "command") if not callable(getattr(device, name, None))]
     if missing:
         raise InputError(
-            f"device must have read and command, got {type(device).__name__} without {' and '.join(missing)}: see "
+            f"device must have read and command, got {type(device).__name__} without "
+            f"{' and '.join(missing)}: see "
             "tissue.Sample for what read gives"
         )
 
@@ -156,16 +172,22 @@ def require_device(device: object) -> None:
 def require_match(tissue: object, tool: object) -> None:
     """Refuse a tool that cannot meet what it is given with."""
     if not isinstance(tissue, Bone | Organ):
-        raise InputError(f"tissue must be a Bone or an Organ, got {type(tissue).__name__}: make one of these")
+        raise InputError(
+            f"tissue must be a Bone or an Organ, got {type(tissue).__name__}: make one of these"
+        )
     if isinstance(tissue, Bone):
         tissue.require_cutter(tool)
     elif not isinstance(tool, PressingTool):
-        raise InputError(f"tool must press an organ, got {type(tool).__name__}: make one by tissue.ball")
+        raise InputError(
+            f"tool must press an organ, got {type(tool).__name__}: make one by tissue.ball"
+        )
 
 
 @dataclass(frozen=True)
 class LoopOptions:
-    """Arguments of a loop that lie between its device and its tool; see `tissue.objects.loop.Loop`."""
+    """Arguments of a loop that lie between its device and its tool; see
+    `tissue.objects.loop.Loop`.
+    """
 
     limits: str | DeviceParameters | Mapping[str, float]
     hand: str
@@ -189,10 +211,13 @@ def settings_of(device: Device, options: LoopOptions) -> LoopSettings:
         try:
             numbers = DeviceParameters(**numbers)
         except TypeError:
-            raise InputError("limits must give mass_kg and damping_N_s_m, got neither or one: add both") from None
+            raise InputError(
+                "limits must give mass_kg and damping_N_s_m, got neither or one: add both"
+            ) from None
     if not isinstance(numbers, DeviceParameters):
         raise InputError(
-            "limits must be a device's name, tissue.DeviceParameters or a mapping of its numbers, got "
+            "limits must be a device's name, tissue.DeviceParameters or a mapping of its "
+            "numbers, got "
             f"{type(limits).__name__}: give one of these"
         )
     numbers = sampled(numbers)
@@ -201,13 +226,18 @@ def settings_of(device: Device, options: LoopOptions) -> LoopSettings:
         name = predictor.__name__
         raise InputError(f"predictor must be an object, got the class {name}: give {name}()")
     if options.predictor_file is not None and not isinstance(predictor, str):
-        raise InputError(f"predictor_file must come with a predictor's name, got {predictor!r}: name one, or drop it")
+        raise InputError(
+            f"predictor_file must come with a predictor's name, got {predictor!r}: name one, "
+            "or drop it"
+        )
     RENDERERS[options.renderer]  # refused here, by the argument's own name
 
     limit_N = numbers.force_limit_N
     made: Callable[[], Predictor | None] = no_predictor
     if isinstance(predictor, str):
-        made = maker_of(predictor, scene_name="", file=str(options.predictor_file or ""), force_limit_N=limit_N)
+        made = maker_of(
+            predictor, scene_name="", file=str(options.predictor_file or ""), force_limit_N=limit_N
+        )
     elif predictor is not None:
         guarded = GuardedMaker(type(predictor).__name__, lambda: deepcopy(predictor))
         made = lambda: guarded(None, limit_N)  # noqa: E731
@@ -230,7 +260,9 @@ def settings_of(device: Device, options: LoopOptions) -> LoopSettings:
     )
 
 
-def device_note(given: Materials, tissue: Bone | Organ, *, limits: object, hand: str) -> dict[str, str]:
+def device_note(
+    given: Materials, tissue: Bone | Organ, *, limits: object, hand: str
+) -> dict[str, str]:
     """Note which constants of a device that is named and of the hand come from a file.
 
     Raises
@@ -246,9 +278,16 @@ def device_note(given: Materials, tissue: Bone | Organ, *, limits: object, hand:
 
 @contextmanager
 def own_names() -> Iterator[None]:
-    """Let refusals name arguments, where those of a scene name its keys and the command's options."""
+    """Let refusals name arguments, where those of a scene name its keys and the command's
+    options.
+    """
     try:
         yield
     except InputError as error:
-        words = str(error).replace("coupling.", "").replace("output.", "").replace("--allow-unstable", "allow_unstable")
+        words = (
+            str(error)
+            .replace("coupling.", "")
+            .replace("output.", "")
+            .replace("--allow-unstable", "allow_unstable")
+        )
         raise InputError(words) from error

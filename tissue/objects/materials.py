@@ -20,7 +20,8 @@ TITLES = ("constant", "value", "lowest", "highest", "confidence", "source")
 
 
 class Material(dict[str, Constant]):
-    """Constants of a material by their names with units: ``tissue.material("enamel")["modulus_GPa"].value``.
+    """Constants of a material by their names with units:
+    ``tissue.material("enamel")["modulus_GPa"].value``.
 
     Parameters
     ----------
@@ -48,7 +49,14 @@ class Material(dict[str, Constant]):
 
     def _rows(self) -> list[tuple[str, float, float, float, str, str]]:
         return [
-            (name, one.value, one.low, one.high, CONFIDENCE.get(one.confidence, one.confidence), one.source)
+            (
+                name,
+                one.value,
+                one.low,
+                one.high,
+                CONFIDENCE.get(one.confidence, one.confidence),
+                one.source,
+            )
             for name, one in self.items()
         ]
 
@@ -56,7 +64,10 @@ class Material(dict[str, Constant]):
         return f"<{self.name}: {', '.join(f'{name} {one.value:g}' for name, one in self.items())}>"
 
     def _repr_html_(self) -> str:
-        rows = [[f"{each:g}" if isinstance(each, float) else each for each in row] for row in self._rows()]
+        rows = [
+            [f"{each:g}" if isinstance(each, float) else each for each in row]
+            for row in self._rows()
+        ]
         return table_html(rows, titles=TITLES, caption=self.name)
 
 
@@ -76,7 +87,8 @@ def material(name: str) -> Material:
     known = material_names()
     if name not in known:
         raise InputError(
-            f"material must be one of {', '.join(known)}, got {name}{nearest(name, known)}: choose a listed one"
+            f"material must be one of {', '.join(known)}, got {name}{nearest(name, known)}: "
+            "choose a listed one"
         )
     return Material(name)
 

@@ -8,9 +8,11 @@ __all__ = ["MotorForces", "motor_forces"]
 
 
 def motor_forces(run: Run) -> MotorForces:
-    """Compute the force that a device played, and that without latency, encoder steps and filters [N].
+    """Compute the force that a device played, and that without latency, encoder steps and filters
+    [N].
 
-    The ideal force is that of a prompt loop on the very motion of the run: the scene is simulated once more.
+    The ideal force is that of a prompt loop on the very motion of the run: the scene is simulated
+    once more.
 
     Parameters
     ----------
@@ -18,9 +20,9 @@ def motor_forces(run: Run) -> MotorForces:
         A run by a hand, simulated here.
 
     Returns
-    -------
-    Mean forces over every tick but the last, each of shape (n - 1, 3): ``played``, ``ideal``, ``nearest`` (the ideal
-    one by what the encoders read) and ``sent`` (within the device's range).
+    ------- Mean forces over every tick but the last, each of shape (n - 1, 3): ``played``,
+    ``ideal``, ``nearest`` (the ideal one by what the encoders read) and ``sent`` (within the
+    device's range).
 
     Raises
     ------

@@ -1,4 +1,6 @@
-"""A soft organ in the hand: from tetrahedra, a surface or a shape, pressed at any number of places."""
+"""A soft organ in the hand: from tetrahedra, a surface or a shape, pressed at any number of
+places.
+"""
 
 from __future__ import annotations
 
@@ -28,10 +30,11 @@ SPEED_MM_S = 10.0
 
 
 class Organ(OrganMakers):
-    """A soft organ that may be pressed; `from_tetrahedra`, `from_surface`, `from_labels`, `block` and `liver` make one.
+    """A soft organ that may be pressed; `from_tetrahedra`, `from_surface`, `from_labels`, `block`
+    and `liver` make one.
 
-    Linear elastic, in the frame of its mesh, lengths in millimetres. Its stiffness is factorised at the first press,
-    for all that follow.
+    Linear elastic, in the frame of its mesh, lengths in millimetres. Its stiffness is factorised at
+    the first press, for all that follow.
     """
 
     def __init__(self, made: MadeOrgan) -> None:
@@ -42,15 +45,17 @@ class Organ(OrganMakers):
         """Young's modulus of each part by its name [kPa]."""
 
     def refined(self, *, edge_mm: float, near_mm: ArrayLike | None = None) -> Organ:
-        """The same organ with shorter edges where a tool goes; a press wants a quarter of the tool's diameter.
+        """The same organ with shorter edges where a tool goes; a press wants a quarter of the
+        tool's diameter.
 
         Parameters
         ----------
         edge_mm
             Longest edge there [mm]; edges grow by half the distance from there.
         near_mm
-            Places [mm], shape (k, 3) or (3,), each moved to the nearest point of the surface; without them all of it.
-            Presses at these places are quick from the second on; elsewhere each takes some seconds more.
+            Places [mm], shape (k, 3) or (3,), each moved to the nearest point of the surface;
+            without them all of it. Presses at these places are quick from the second on; elsewhere
+            each takes some seconds more.
         """
         return Organ(self._made.refined(edge_mm, near_mm))
 
@@ -107,7 +112,10 @@ class Organ(OrganMakers):
 
         if self.soft.prony is None and (speed_mm_s is not None or hold_s):
             given = "hold_s" if hold_s else "speed_mm_s"
-            raise InputError(f"{given} must be left out for an organ that does not relax: make it with relaxation")
+            raise InputError(
+                f"{given} must be left out for an organ that does not relax: make it with "
+                "relaxation"
+            )
         depth = require_positive("depth_mm", depth_mm, "use a third of the tool's radius")
         stated = press_at(
             self.soft,
@@ -119,10 +127,14 @@ class Organ(OrganMakers):
             hold_s=require_range("hold_s", hold_s, 0.0, 3600.0, "use 0 for none"),
             report=progress,
         )
-        return Press(tool, 1e3 * stated.point_m, stated.along, stated.notes, stated.curve, self._made.mesh)
+        return Press(
+            tool, 1e3 * stated.point_m, stated.along, stated.notes, stated.curve, self._made.mesh
+        )
 
     def plot(self, **options: Any) -> Any:
-        """Show the parts, cut open, and what is held; `options` are those of ``pyvista.Plotter.show``."""
+        """Show the parts, cut open, and what is held; `options` are those of
+        ``pyvista.Plotter.show``.
+        """
         from tissue.objects.organ_picture import plot_organ
 
         return plot_organ(self, **options)

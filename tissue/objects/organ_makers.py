@@ -1,4 +1,6 @@
-"""How a soft organ is made: of tetrahedra, a surface, the labels of a segmentation, a block or the built-in liver."""
+"""How a soft organ is made: of tetrahedra, a surface, the labels of a segmentation, a block or
+the built-in liver.
+"""
 
 from __future__ import annotations
 
@@ -50,8 +52,9 @@ class OrganMakers:
         Parameters
         ----------
         mesh
-            pyvista UnstructuredGrid, a mesh of meshio, points and cells as a pair of arrays, or a file (.vtu .vtk .msh
-            .mesh). Its parts are an array over the cells named ``part`` (or as meshers name them), of numbers or names.
+            pyvista UnstructuredGrid, a mesh of meshio, points and cells as a pair of arrays, or a
+            file (.vtu .vtk .msh .mesh). Its parts are an array over the cells named ``part`` (or as
+            meshers name them), of numbers or names.
         modulus_kPa, poisson_ratio
             Young's modulus [kPa] and Poisson's ratio.
         parts
@@ -59,10 +62,12 @@ class OrganMakers:
         part_names
             Names of numbered parts.
         scale_mm
-            Millimetres per unit of the mesh; without it the mesh is in millimetres, and refused where its size is not.
+            Millimetres per unit of the mesh; without it the mesh is in millimetres, and refused
+            where its size is not.
         held
-            What does not move: a side of the surface, which is what faces ``bottom`` (-z), ``top``, ``-x``, ``+x`` and
-            so on within 60 degrees; the name of a part; a mask of the mesh's points, or their numbers.
+            What does not move: a side of the surface, which is what faces ``bottom`` (-z), ``top``,
+            ``-x``, ``+x`` and so on within 60 degrees; the name of a part; a mask of the mesh's
+            points, or their numbers.
         held_below_mm
             Instead, the surface below this height z [mm].
         order
@@ -74,7 +79,8 @@ class OrganMakers:
         density_kg_m3
             With it the organ lies in its own weight, along -z, before it is touched.
         relaxation
-            Pairs of the share of the modulus that relaxes and its time [s]; `modulus_kPa` is that of the first instant.
+            Pairs of the share of the modulus that relaxes and its time [s]; `modulus_kPa` is that
+            of the first instant.
 
         Raises
         ------
@@ -116,28 +122,45 @@ class OrganMakers:
         Parameters
         ----------
         surface
-            Surface of pyvista or trimesh, vertices and triangles as a pair of arrays, or a file (.stl .obj .ply .vtk).
+            Surface of pyvista or trimesh, vertices and triangles as a pair of arrays, or a file
+            (.stl .obj .ply .vtk).
         modulus_kPa, poisson_ratio, parts, scale_mm, options
             As of `from_tetrahedra`.
         edge_mm
             Edge of the tetrahedra [mm]; without it a fourteenth of the longest side.
         inclusions
-            Closed surfaces of what lies inside, by name: each is a part, whose modulus `parts` gives.
+            Closed surfaces of what lies inside, by name: each is a part, whose modulus `parts`
+            gives.
         progress
             Called with what is being done.
 
         Raises
         ------
         InputError
-            If a surface is not closed or not in millimetres, or an inclusion sticks out or meets another.
+            If a surface is not closed or not in millimetres, or an inclusion sticks out or meets
+            another.
         """
         from tissue.simulation.builders.organ_filled import of_surface
         from tissue.simulation.builders.organ_made import require_known
 
         require_known(options)
-        stated = {"modulus_kPa": modulus_kPa, "poisson_ratio": poisson_ratio, "parts": parts, **options}
+        stated = {
+            "modulus_kPa": modulus_kPa,
+            "poisson_ratio": poisson_ratio,
+            "parts": parts,
+            **options,
+        }
         inner = inclusions or {}
-        return cls(of_surface(surface, stated, edge_mm=edge_mm, inclusions=inner, scale_mm=scale_mm, report=progress))
+        return cls(
+            of_surface(
+                surface,
+                stated,
+                edge_mm=edge_mm,
+                inclusions=inner,
+                scale_mm=scale_mm,
+                report=progress,
+            )
+        )
 
     @classmethod
     def from_labels(
@@ -153,10 +176,11 @@ class OrganMakers:
         progress: Progress = silent,
         **options: Unpack[OrganOptions],
     ) -> Self:
-        """An organ of a segmentation, with what lies in it or on it, such as a tumour or a vessel, as parts.
+        """An organ of a segmentation, with what lies in it or on it, such as a tumour or a vessel,
+        as parts.
 
-        Its surface is that of the labels without the steps of their voxels, its volume theirs. It lies in the frame of
-        the image: LPS, x to the patient's left, y to the back, z to the head.
+        Its surface is that of the labels without the steps of their voxels, its volume theirs. It
+        lies in the frame of the image: LPS, x to the patient's left, y to the back, z to the head.
 
         Parameters
         ----------
@@ -169,7 +193,8 @@ class OrganMakers:
         parts
             Young's moduli of further labels, by name or number [kPa]: each becomes a part.
         names
-            What names the labels of a file that does not: ``totalsegmentator``, ``verse``, or a TOML file.
+            What names the labels of a file that does not: ``totalsegmentator``, ``verse``, or a
+            TOML file.
         edge_mm
             Edge of the tetrahedra [mm]; without it a fourteenth of the longest side.
         progress
@@ -184,8 +209,17 @@ class OrganMakers:
         from tissue.simulation.builders.organ_made import require_known
 
         require_known(options)
-        stated = {"modulus_kPa": modulus_kPa, "poisson_ratio": poisson_ratio, "parts": parts, **options}
-        return cls(of_labels(labels, stated, organ=str(organ), names=names, edge_mm=edge_mm, report=progress))
+        stated = {
+            "modulus_kPa": modulus_kPa,
+            "poisson_ratio": poisson_ratio,
+            "parts": parts,
+            **options,
+        }
+        return cls(
+            of_labels(
+                labels, stated, organ=str(organ), names=names, edge_mm=edge_mm, report=progress
+            )
+        )
 
     @classmethod
     def block(
@@ -206,7 +240,8 @@ class OrganMakers:
         modulus_kPa, poisson_ratio, options
             As of `from_tetrahedra`.
         edge_mm
-            Edges at the top face [mm], which grow downwards; without it a fourteenth of the longest side.
+            Edges at the top face [mm], which grow downwards; without it a fourteenth of the longest
+            side.
         """
         from meshes.organs.liver import slab
         from meshes.tets.tetrahedralise import FILL_EDGES
@@ -216,7 +251,11 @@ class OrganMakers:
         edge = max(x, y, z) / FILL_EDGES if edge_mm is None else edge_mm
         with names_of_caller({"spacing_m": "edge_mm", "size_m": "size_mm"}):
             mesh = slab(size_m=(1e-3 * x, 1e-3 * y, 1e-3 * z), spacing_m=1e-3 * edge)
-        return cls(made_of(mesh, {}, {"modulus_kPa": modulus_kPa, "poisson_ratio": poisson_ratio, **options}))
+        return cls(
+            made_of(
+                mesh, {}, {"modulus_kPa": modulus_kPa, "poisson_ratio": poisson_ratio, **options}
+            )
+        )
 
     @classmethod
     def liver(
@@ -228,7 +267,8 @@ class OrganMakers:
         edge_mm: float = 20.0,
         **options: Unpack[OrganOptions],
     ) -> Self:
-        """The procedural liver of the scenes: the origin on top of the right lobe, z to the head, x to the left.
+        """The procedural liver of the scenes: the origin on top of the right lobe, z to the head, x
+        to the left.
 
         Parameters
         ----------
@@ -249,7 +289,9 @@ class OrganMakers:
         from tissue.simulation.builders.own_constants import soft_constants
 
         stated = {"modulus_kPa": modulus_kPa, "poisson_ratio": poisson_ratio}
-        with names_of_caller({"organ.young_kPa": "modulus_kPa", "organ.poisson_ratio": "poisson_ratio"}):
+        with names_of_caller(
+            {"organ.young_kPa": "modulus_kPa", "organ.poisson_ratio": "poisson_ratio"}
+        ):
             taken, notes = soft_constants(materials, "liver", stated)
         with names_of_caller({"spacing_m": "edge_mm"}):
             mesh = liver(spacing_m=1e-3 * edge_mm)

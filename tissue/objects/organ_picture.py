@@ -22,12 +22,19 @@ TISSUE = (0.93, 0.78, 0.72)
 HELD = (0.35, 0.45, 0.6)
 COLOURS = "YlOrRd"
 """Light where little has moved."""
-MATTE: Any = {"show_edges": True, "edge_opacity": 0.2, "ambient": 0.35, "diffuse": 0.7, "specular": 0.0}
+MATTE: Any = {
+    "show_edges": True,
+    "edge_opacity": 0.2,
+    "ambient": 0.35,
+    "diffuse": 0.7,
+    "specular": 0.0,
+}
 
 
 @quiet_without_display()
 def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any) -> Any:
-    """Show the organ as it was pressed, cut open at the tool, with the outline of its parts, and the tool.
+    """Show the organ as it was pressed, cut open at the tool, with the outline of its parts, and
+    the tool.
 
     Parameters
     ----------
@@ -36,7 +43,8 @@ def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any
     scalars
         Field of its mesh that gives the colour; of a vector the length.
     options
-        Those of ``pyvista.Plotter.show``; ``off_screen``, ``notebook`` and ``window_size`` are the plotter's.
+        Those of ``pyvista.Plotter.show``; ``off_screen``, ``notebook`` and ``window_size`` are the
+        plotter's.
 
     Raises
     ------
@@ -50,7 +58,9 @@ def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any
     moved = press.mesh.copy()
     known = [*moved.point_data, *moved.cell_data]
     if scalars not in known:
-        raise InputError(f"scalars must be one of {', '.join(known)}, got {scalars}: use displacement_mm")
+        raise InputError(
+            f"scalars must be one of {', '.join(known)}, got {scalars}: use displacement_mm"
+        )
     moved.points = moved.points + moved.point_data["displacement_mm"]
     data = moved.point_data if scalars in moved.point_data else moved.cell_data
     values = np.asarray(data[scalars])
@@ -59,7 +69,14 @@ def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any
     across = _across(press.along)
     half = _shaded(moved.clip(normal=across, origin=press.at_mm))
     plotter = _plotter(options)
-    bar: Any = {"title": title, "n_labels": 3, "vertical": True, "position_x": 0.86, "position_y": 0.2, "height": 0.6}
+    bar: Any = {
+        "title": title,
+        "n_labels": 3,
+        "vertical": True,
+        "position_x": 0.86,
+        "position_y": 0.2,
+        "height": 0.6,
+    }
     plotter.add_mesh(half, scalars=title, cmap=colormaps[COLOURS], scalar_bar_args=bar, **MATTE)
     part = np.asarray(moved.cell_data["part"])
     for number in np.unique(part[part > 0]):
@@ -74,8 +91,16 @@ def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any
     plotter.add_mesh(press.tool_mesh, color=TOOL, smooth_shading=True)
     middle = np.asarray(moved.center)
     size = float(np.linalg.norm(np.ptp(moved.points, axis=0)))
-    plotter.camera_position = [middle + size * (1.9 * across - 0.5 * press.along), middle, -press.along]
-    plotter.add_text(f"{press.force_magnitude_N:.3g} N at {press.depth_mm[-1]:.3g} mm", font_size=11, color="black")
+    plotter.camera_position = [
+        middle + size * (1.9 * across - 0.5 * press.along),
+        middle,
+        -press.along,
+    ]
+    plotter.add_text(
+        f"{press.force_magnitude_N:.3g} N at {press.depth_mm[-1]:.3g} mm",
+        font_size=11,
+        color="black",
+    )
     return plotter.show(**options)
 
 
@@ -100,7 +125,9 @@ def plot_organ(organ: Organ, **options: Any) -> Any:
     for number, name in enumerate(names[1:], 1):
         part = grid.extract_cells(np.asarray(grid.cell_data["part"]) == number)
         colour = OTHER_LAYERS[-number % len(OTHER_LAYERS)]
-        plotter.add_mesh(_shaded(part), color=colour, label=f"{name}: {organ.moduli_kPa[name]:g} kPa")
+        plotter.add_mesh(
+            _shaded(part), color=colour, label=f"{name}: {organ.moduli_kPa[name]:g} kPa"
+        )
     held = np.asarray(grid.points)[np.asarray(grid.point_data["held"])]
     plotter.add_points(held, color=HELD, point_size=7, render_points_as_spheres=True, label="held")
     plotter.add_legend(loc="upper left", face="circle", size=(0.3, 0.05 * (len(names) + 1)))  # type: ignore[call-arg]
@@ -118,14 +145,20 @@ def _across(along: Any) -> Any:
 def _shaded(body: pyvista.DataSet) -> pyvista.PolyData:
     """Return the surface of a body with outward normals that keep its edges."""
     surface = body.extract_surface(algorithm="dataset_surface").triangulate()
-    return surface.compute_normals(auto_orient_normals=True, split_vertices=True, feature_angle=40.0)
+    return surface.compute_normals(
+        auto_orient_normals=True, split_vertices=True, feature_angle=40.0
+    )
 
 
 def _plotter(options: dict[str, Any]) -> pyvista.Plotter:
     """Return a plotter on white, and remove its own options from those given."""
     import pyvista
 
-    mine = {name: options.pop(name) for name in ("off_screen", "notebook", "window_size") if name in options}
+    mine = {
+        name: options.pop(name)
+        for name in ("off_screen", "notebook", "window_size")
+        if name in options
+    }
     plotter = pyvista.Plotter(**mine)
     plotter.background_color = pyvista.Color("white")
     return plotter

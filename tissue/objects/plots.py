@@ -21,10 +21,19 @@ if TYPE_CHECKING:
     from tissue.objects.sweep_table import Sweep
     from tissue.simulation.trace import Table
 
-__all__ = ["FORCE_AND_TORQUE", "can_be_drawn", "chosen_panels", "differing", "draw_figures", "overlay", "plot_columns"]
+__all__ = [
+    "FORCE_AND_TORQUE",
+    "can_be_drawn",
+    "chosen_panels",
+    "differing",
+    "draw_figures",
+    "overlay",
+    "plot_columns",
+]
 
 FORCE_AND_TORQUE = tuple(
-    f"model_{name}" for name in (*(f"force_{c}_N" for c in "xyz"), *(f"torque_{c}_Nm" for c in "xyz"))
+    f"model_{name}"
+    for name in (*(f"force_{c}_N" for c in "xyz"), *(f"torque_{c}_Nm" for c in "xyz"))
 )
 COLOURS = (*COMPONENTS, "#CC79A7", "#E69F00", "#56B4E9", "0.1")
 PANEL_IN = 2.3
@@ -48,13 +57,16 @@ def plot_columns(
     wanted = chosen_panels(trace, columns)
     if ax is not None and len(wanted) > 1:
         raise InputError(
-            f"ax must take columns of one unit, got {', '.join(wanted)}: give columns of one of them, or leave ax out"
+            f"ax must take columns of one unit, got {', '.join(wanted)}: give columns of one "
+            "of them, or leave ax out"
         )
     panels = new_panels(len(wanted)) if ax is None else np.array([ax])
     for axes, names in zip(panels, wanted.values(), strict=True):
         if [label_of(name)[-2:] for name in names] == [" x", " y", " z"]:
             size = np.linalg.norm([trace[name] for name in names], axis=0)
-            axes.fill_between(trace["time_s"], size, color=MAGNITUDE, linewidth=0.0, label="magnitude")
+            axes.fill_between(
+                trace["time_s"], size, color=MAGNITUDE, linewidth=0.0, label="magnitude"
+            )
         for name, colour in zip(names, COLOURS * len(names), strict=False):
             axes.plot(trace["time_s"], trace[name], color=colour, label=label_of(name))
     finish(panels, wanted, title)
@@ -81,12 +93,15 @@ def chosen_panels(trace: Trace, columns: Iterable[str] | None) -> dict[str, list
         if name not in trace or name == "layer":
             known = [each for each in trace if each != "layer"]
             raise InputError(
-                f"columns must name columns of numbers of the trace, got {name}{nearest(name, known)}: use some of "
+                "columns must name columns of numbers of the trace, got "
+                f"{name}{nearest(name, known)}: use some of "
                 f"{', '.join(known)}"
             )
         found.setdefault(unit_of(name), []).append(name)
     if not found:
-        raise InputError("columns must name at least one, got none: leave it out for force and torque")
+        raise InputError(
+            "columns must name at least one, got none: leave it out for force and torque"
+        )
     return found
 
 
@@ -95,7 +110,12 @@ def new_panels(count: int) -> "NDArray[np.object_]":
     from matplotlib import pyplot
 
     _, panels = pyplot.subplots(
-        count, 1, sharex=True, squeeze=False, figsize=(8.0, 0.8 + PANEL_IN * count), layout="constrained"
+        count,
+        1,
+        sharex=True,
+        squeeze=False,
+        figsize=(8.0, 0.8 + PANEL_IN * count),
+        layout="constrained",
     )
     return np.asarray(panels[:, 0])
 
@@ -121,7 +141,8 @@ LONG = 28
 
 @styled
 def overlay(traces: "Mapping[str, Table]", *, over: str = "time") -> NDArray[np.object_]:
-    """Draw the size of force and torque of all, and of the first one's force minus each other's at the same place.
+    """Draw the size of force and torque of all, and of the first one's force minus each other's at
+    the same place.
 
     Parameters
     ----------
@@ -151,13 +172,20 @@ def overlay(traces: "Mapping[str, Table]", *, over: str = "time") -> NDArray[np.
             common = first[0][(first[0] >= place[0]) & (first[0] <= place[-1])]
             apart = _at(common, place, force) - _at(common, *first)
             panels[2].plot(common, np.linalg.norm(apart, axis=1), **look)
-    for axes, label in zip(panels, ("force / N", "torque / N m", "force apart from\nthe first one's / N"), strict=True):
+    for axes, label in zip(
+        panels, ("force / N", "torque / N m", "force apart from\nthe first one's / N"), strict=True
+    ):
         axes.set_ylabel(label)
-    panels[-1].set_xlabel("time / s" if over == "time" else "depth of the tool's tip from its first contact / mm")
+    panels[-1].set_xlabel(
+        "time / s" if over == "time" else "depth of the tool's tip from its first contact / mm"
+    )
     if len(traces) <= MOST_NAMED:
         columns = 3 if max(map(len, traces)) < LONG else 2
         legend = panels[0].figure.legend(
-            *panels[0].get_legend_handles_labels(), loc="outside upper left", frameon=False, ncols=columns
+            *panels[0].get_legend_handles_labels(),
+            loc="outside upper left",
+            frameon=False,
+            ncols=columns,
         )
         for text in legend.get_texts():
             text.set_parse_math(False)
@@ -172,13 +200,18 @@ def _place(trace: "Table", over: str, name: str) -> tuple[slice, NDArray[np.floa
     axis, outward = facing(trace)
     contact = trace["contact_mm2"] > 0.0
     if not contact.any():
-        raise InputError(f"runs must touch the tissue to be drawn over depth, got {name} without contact: use time")
+        raise InputError(
+            f"runs must touch the tissue to be drawn over depth, got {name} without contact: "
+            "use time"
+        )
     height = outward * trace.vectors("tool", "mm")[:, axis]
     rows = first_descent(height, contact)
     return rows, np.maximum.accumulate(height[contact.argmax()] - height[rows])
 
 
-def _at(places: NDArray[np.float64], known: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _at(
+    places: NDArray[np.float64], known: NDArray[np.float64], vectors: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Interpolate vectors between known places, shape (places, 3)."""
     return np.column_stack([np.interp(places, known, vectors[:, c]) for c in range(3)])
 
@@ -198,7 +231,11 @@ SWEEP_PANEL_IN = (3.2, 2.4)
 
 def differing(sweep: "Sweep") -> list[str]:
     """Return the figures that differ between finished runs."""
-    return [name for name in sweep.figure_names if len({each.figures.get(name) for each in sweep.finished}) > 1]
+    return [
+        name
+        for name in sweep.figure_names
+        if len({each.figures.get(name) for each in sweep.finished}) > 1
+    ]
 
 
 def can_be_drawn(sweep: "Sweep") -> bool:
@@ -213,10 +250,14 @@ def draw_figures(sweep: "Sweep", names: list[str] | None) -> NDArray[np.object_]
 
     names = differing(sweep) if names is None else names
     if unknown := [name for name in names if name not in sweep.figure_names]:
-        raise InputError(f"figures must be of {', '.join(sweep.figure_names)}, got {unknown[0]}: use some of these")
+        raise InputError(
+            f"figures must be of {', '.join(sweep.figure_names)}, got {unknown[0]}: use some "
+            "of these"
+        )
     if not names or len(sweep.keys) not in (1, 2):
         raise InputError(
-            f"plot must have figures that differ and one key or two, got {len(names)} figures and {len(sweep.keys)} "
+            f"plot must have figures that differ and one key or two, got {len(names)} "
+            f"figures and {len(sweep.keys)} "
             "keys: see the table"
         )
     columns = min(len(names), COLUMNS)
@@ -236,9 +277,17 @@ def draw_figures(sweep: "Sweep", names: list[str] | None) -> NDArray[np.object_]
         for number, (label, points) in enumerate(lines.items()):
             there = [(place, figures[name]) for place, figures in points if name in figures]
             axes.plot(
-                *zip(*there, strict=True), marker="o", markersize=3.5, color=COLOURS[number % len(COLOURS)], label=label
+                *zip(*there, strict=True),
+                marker="o",
+                markersize=3.5,
+                color=COLOURS[number % len(COLOURS)],
+                label=label,
             )
-        axes.set_title(" / ".join(part for part in (label_of(name), unit_of(name)) if part), loc="left", size=9.0)
+        axes.set_title(
+            " / ".join(part for part in (label_of(name), unit_of(name)) if part),
+            loc="left",
+            size=9.0,
+        )
         axes.set_xlabel(sweep.keys[0], parse_math=False)
     plain(panels[: len(names)])
     for axes in panels[: len(names)]:
@@ -246,19 +295,31 @@ def draw_figures(sweep: "Sweep", names: list[str] | None) -> NDArray[np.object_]
     if len(sweep.keys) == 2:
         handles, labels = panels[0].get_legend_handles_labels()
         chart.legend(
-            handles, labels, loc="outside upper left", frameon=False, ncols=6, title=sweep.keys[1], alignment="left"
+            handles,
+            labels,
+            loc="outside upper left",
+            frameon=False,
+            ncols=6,
+            title=sweep.keys[1],
+            alignment="left",
         )
     return np.asarray(panels[: len(names)])
 
 
 def _lines(sweep: "Sweep") -> dict[str, list[tuple[float | str, dict[str, float]]]]:
-    """Return by value of the second key the sorted values of the first, with the figures of their runs."""
+    """Return by value of the second key the sorted values of the first, with the figures of
+    their runs.
+    """
     first, *second = sweep.keys
     found: dict[str, list[tuple[float | str, dict[str, float]]]] = {}
     for each in sweep.finished:
         value = each.values[first]
-        place = value if isinstance(value, float | int) and not isinstance(value, bool) else str(value)
-        found.setdefault(str(each.values[second[0]]) if second else "", []).append((place, each.figures))
+        place = (
+            value if isinstance(value, float | int) and not isinstance(value, bool) else str(value)
+        )
+        found.setdefault(str(each.values[second[0]]) if second else "", []).append(
+            (place, each.figures)
+        )
     for points in found.values():
         if all(not isinstance(place, str) for place, _ in points):
             points.sort(key=lambda point: float(point[0]))

@@ -15,7 +15,8 @@ __all__ = ["feed_along", "poses_of", "times_of"]
 
 
 def feed_along(points_mm: ArrayLike, feed_mm_s: float) -> tuple[Array, Array]:
-    """Tips on straight lines between points at a given feed, one every millisecond, and their times.
+    """Tips on straight lines between points at a given feed, one every millisecond, and their
+    times.
 
     Parameters
     ----------
@@ -25,8 +26,8 @@ def feed_along(points_mm: ArrayLike, feed_mm_s: float) -> tuple[Array, Array]:
         Speed along it [mm/s].
 
     Returns
-    -------
-    Tips [mm], shape (n, 3), and times [s], shape (n,): ``bone.cut(burr, *feed_along(points_mm, feed_mm_s=2))``.
+    ------- Tips [mm], shape (n, 3), and times [s], shape (n,): ``bone.cut(burr,
+    *feed_along(points_mm, feed_mm_s=2))``.
 
     Raises
     ------
@@ -36,18 +37,25 @@ def feed_along(points_mm: ArrayLike, feed_mm_s: float) -> tuple[Array, Array]:
     corners = _rows("points_mm", points_mm, (3,))
     feed = require_positive("feed_mm_s", feed_mm_s, "use about 2")
     if not np.diff(corners, axis=0).any():
-        raise InputError("points_mm must hold two different points, got only one: add where the tool goes")
+        raise InputError(
+            "points_mm must hold two different points, got only one: add where the tool goes"
+        )
     path = FollowPath(1e-3 * corners, feed_m_s=1e-3 * feed, axis=(0.0, 0.0, 1.0))
     if path.duration_s > LONGEST_S:
         raise InputError(
-            f"feed_mm_s must bring the tool along the path within {LONGEST_S:g} s, got {feed:g} which takes "
+            f"feed_mm_s must bring the tool along the path within {LONGEST_S:g} s, got "
+            f"{feed:g} which takes "
             f"{path.duration_s:.4g}: use {feed * path.duration_s / LONGEST_S:.3g} or more"
         )
-    whole: Array = TICK_S * np.arange(int(np.ceil(path.duration_s / TICK_S - 1e-6)), dtype=np.float64)
+    whole: Array = TICK_S * np.arange(
+        int(np.ceil(path.duration_s / TICK_S - 1e-6)), dtype=np.float64
+    )
     times = np.append(whole, path.duration_s)  # the last step is shorter: the feed holds to the end
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
     keep = np.diff(along, prepend=-1.0) > 0.0
-    tips = np.column_stack([np.interp(feed * times, along[keep], corners[keep, c]) for c in range(3)])
+    tips = np.column_stack(
+        [np.interp(feed * times, along[keep], corners[keep, c]) for c in range(3)]
+    )
     return tips, times
 
 
@@ -57,7 +65,8 @@ def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]
     Parameters
     ----------
     poses
-        Tips [mm], shape (n, 3); tips and quaternions (x, y, z, w), shape (n, 7); or matrices, shape (n, 4, 4).
+        Tips [mm], shape (n, 3); tips and quaternions (x, y, z, w), shape (n, 7); or matrices, shape
+        (n, 4, 4).
     axis
         Direction from tip to shank for poses without a turn of their own; default z.
 
@@ -69,7 +78,8 @@ def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]
     shape = np.shape(poses)
     if len(shape) not in (2, 3) or shape[1:] not in ((3,), (7,), (4, 4)):
         raise InputError(
-            "poses must be tips [mm] of shape (n, 3), tips and quaternions (n, 7) or matrices (n, 4, 4), got shape "
+            "poses must be tips [mm] of shape (n, 3), tips and quaternions (n, 7) or "
+            "matrices (n, 4, 4), got shape "
             f"{shape}: give one row a pose"
         )
     rows = _rows("poses", poses, shape[1:])
@@ -82,13 +92,16 @@ def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]
         return 1e-3 * rows, Rotation.from_matrix(np.broadcast_to(turn, (len(rows), 3, 3)).copy())
     if shape[1:] == (7,):
         if (np.linalg.norm(rows[:, 3:], axis=1) < 1e-6).any():
-            raise InputError("poses must hold unit quaternions, got a zero one: use 0, 0, 0, 1 there")
+            raise InputError(
+                "poses must hold unit quaternions, got a zero one: use 0, 0, 0, 1 there"
+            )
         return 1e-3 * rows[:, :3], Rotation.from_quat(rows[:, 3:])
     turns = rows[:, :3, :3]
     error = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max()
     if error > 1e-4 or (np.linalg.det(turns) < 0.0).any():
         raise InputError(
-            f"poses must hold rotations without scale or mirroring, got matrices off by {error:.2g}: normalise them"
+            "poses must hold rotations without scale or mirroring, got matrices off by "
+            f"{error:.2g}: normalise them"
         )
     return 1e-3 * rows[:, :3, 3], Rotation.from_matrix(turns)
 
@@ -104,13 +117,15 @@ def times_of(times_s: ArrayLike, count: int) -> Array:
     times = np.asarray(times_s, dtype=np.float64)
     if times.shape != (count,) or count < 2:
         raise InputError(
-            f"times_s must hold one time for each of at least two poses, got shape {times.shape} for {count} poses: "
+            "times_s must hold one time for each of at least two poses, got shape "
+            f"{times.shape} for {count} poses: "
             "use feed_along to make both of a path"
         )
     if not np.isfinite(times).all() or (np.diff(times) <= 0.0).any():
         at = int(np.argmax(~(np.diff(times) > 0.0)))
         raise InputError(
-            f"times_s must increase, got {times[at + 1]:g} after {times[at]:g}: sort the poses, and drop those twice"
+            f"times_s must increase, got {times[at + 1]:g} after {times[at]:g}: sort the "
+            "poses, and drop those twice"
         )
     return times
 
@@ -120,11 +135,17 @@ def _rows(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
     try:
         rows = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
-        raise InputError(f"{name} must be numbers, got {type(values).__name__}: give an array in millimetres") from None
+        raise InputError(
+            f"{name} must be numbers, got {type(values).__name__}: give an array in millimetres"
+        ) from None
     if rows.shape[1:] != shape or len(rows) == 0:
         raise InputError(
-            f"{name} must have the shape (n, {', '.join(map(str, shape))}), got {rows.shape}: one row each"
+            f"{name} must have the shape (n, {', '.join(map(str, shape))}), got "
+            f"{rows.shape}: one row each"
         )
     if not np.isfinite(rows).all():
-        raise InputError(f"{name} must be finite, got {int((~np.isfinite(rows)).sum())} values that are not: mend them")
+        raise InputError(
+            f"{name} must be finite, got {int((~np.isfinite(rows)).sum())} values that are "
+            "not: mend them"
+        )
     return rows

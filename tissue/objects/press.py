@@ -30,16 +30,19 @@ SLOPE_SHARE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Press:
-    """A press of a tool on an organ; `Organ.press` gives it. Forces are those on the tool, in the mesh's frame.
+    """A press of a tool on an organ; `Organ.press` gives it. Forces are those on the tool, in the
+    mesh's frame.
 
     Attributes
     ----------
     tool
         What pressed.
     at_mm, along
-        Point of the surface that it was led to [mm] and the unit direction that it came along, shapes (3,).
+        Point of the surface that it was led to [mm] and the unit direction that it came along,
+        shapes (3,).
     notes
-        What was found and assumed, by what it is about: read `linear` before a force of a deep press is used.
+        What was found and assumed, by what it is about: read `linear` before a force of a deep
+        press is used.
     """
 
     tool: PressingTool
@@ -103,7 +106,8 @@ class Press:
         """The organ at rest with its fields at the end of the press, in the mesh's frame [mm].
 
         Over the points ``displacement_mm`` and ``reaction_N``, over the cells ``von_mises_kPa``,
-        ``principal_stress_kPa``, ``strain_percent`` and ``part``, which counts into the field ``part_names``.
+        ``principal_stress_kPa``, ``strain_percent`` and ``part``, which counts into the field
+        ``part_names``.
         """
         grid = grid_of(self._mesh)
         for name, values in self._curve.frame.points.items():
@@ -118,7 +122,8 @@ class Press:
         Parameters
         ----------
         options
-            ``scalars``, another field of `mesh`, and those of ``pyvista.Plotter.show``, such as ``screenshot``.
+            ``scalars``, another field of `mesh`, and those of ``pyvista.Plotter.show``, such as
+            ``screenshot``.
         """
         from tissue.objects.organ_picture import plot_press
 
@@ -139,7 +144,13 @@ class Press:
                 "pandas must be installed for a table, got none: pip install 'tissue-sim[pandas]'"
             ) from problem
         x, y, z = self.forces_N.T
-        columns = {"time_s": self.time_s, "depth_mm": self.depth_mm, "force_x_N": x, "force_y_N": y, "force_z_N": z}
+        columns = {
+            "time_s": self.time_s,
+            "depth_mm": self.depth_mm,
+            "force_x_N": x,
+            "force_y_N": y,
+            "force_z_N": z,
+        }
         size = np.linalg.norm(self.forces_N, axis=1)
         return pd.DataFrame(columns | {"force_N": size, "area_mm2": self.areas_mm2})
 
@@ -167,12 +178,16 @@ class Press:
 
     def __repr__(self) -> str:
         return (
-            f"Press({self.tool} at {self._place} mm: {self.force_magnitude_N:.4g} N at {self.depth_mm[-1]:g} mm, "
-            f"{self.stiffness_N_mm:.4g} N/mm, {self.area_mm2:.4g} mm2; {'; '.join(self.notes.values())})"
+            f"Press({self.tool} at {self._place} mm: {self.force_magnitude_N:.4g} N at "
+            f"{self.depth_mm[-1]:g} mm, "
+            f"{self.stiffness_N_mm:.4g} N/mm, {self.area_mm2:.4g} mm2; "
+            f"{'; '.join(self.notes.values())})"
         )
 
 
 def html_table(title: str, rows: Mapping[str, str]) -> str:
     """Names and values as a table of a notebook."""
-    lines = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows.items())
+    lines = "".join(
+        f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows.items()
+    )
     return f"<table><caption>{escape(title)}</caption>{lines}</table>"

@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 __all__ = ["Bar", "reporting", "terminal_bar"]
 
 Bar = Progress | bool | None
-"""What a call takes as ``progress``: what is called, or whether a bar is shown; without either one in a notebook."""
+"""What a call takes as ``progress``: what is called, or whether a bar is shown; without either
+one in a notebook.
+"""
 EVERY_S = 0.2
 """Time between two updates of a notebook's bar [s]."""
 
@@ -55,7 +57,9 @@ def terminal_bar(console: "Console") -> Iterator[Progress]:
 
 @contextmanager
 def _notebook_bar() -> Iterator[Progress]:
-    """A bar of plain HTML, which needs no widgets, in the output of the cell that runs; it goes when it is done."""
+    """A bar of plain HTML, which needs no widgets, in the output of the cell that runs; it goes
+    when it is done.
+    """
     from IPython import display
 
     begun_s = perf_counter()

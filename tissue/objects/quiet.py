@@ -9,7 +9,9 @@ __all__ = ["quiet_without_display"]
 
 @contextmanager
 def quiet_without_display() -> Iterator[None]:
-    """Let VTK write errors only where no display is named: it warns of that, and then draws without one."""
+    """Let VTK write errors only where no display is named: it warns of that, and then draws
+    without one.
+    """
     if os.environ.get("DISPLAY"):
         yield
         return

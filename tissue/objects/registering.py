@@ -18,8 +18,15 @@ from tissue.scene.named_parts import nearest, shown
 from tissue.scene.registry import CUTTERS, CUTTING_MATERIALS, ORGAN_MATERIALS, SCENES, TABLES
 
 __all__ = [
-    "add_materials", "callable_part", "looks", "name", "numbers_of", "parameters", "profile", "scene_name",
-]  # fmt: skip
+    "add_materials",
+    "callable_part",
+    "looks",
+    "name",
+    "numbers_of",
+    "parameters",
+    "profile",
+    "scene_name",
+]
 
 NAME = "[a-z0-9][a-z0-9_-]*"
 SOFT = ("modulus_kPa", "poisson_ratio", "density_kg_m3")
@@ -33,23 +40,30 @@ def name(kind: str, given: object, *, argument: bool = False) -> None:
     pattern = f"{NAME}(:[A-Z]+)?" if argument else NAME
     if not isinstance(given, str) or not re.fullmatch(pattern, given):
         raise InputError(
-            f"name must be of lower-case letters, digits, - and _, got {shown(given)}: choose such a one for the {kind}"
+            f"name must be of lower-case letters, digits, - and _, got {shown(given)}: "
+            f"choose such a one for the {kind}"
         )
     taken = ["none", *(each for table in TABLES[kind] for each in table.known)]
     if given in taken:
-        raise InputError(f"name must be none of {', '.join(taken)}, got {given}: choose another name for this {kind}")
+        raise InputError(
+            f"name must be none of {', '.join(taken)}, got {given}: choose another name for "
+            f"this {kind}"
+        )
 
 
 def callable_part(kind: str, given: str, part: object, methods: Sequence[str] = ()) -> None:
     """Refuse what makes no part: it can be called, and a class has the methods."""
     if not callable(part):
-        raise InputError(f"{kind} {given} must be a class or a function, got {shown(part)}: give what makes one")
+        raise InputError(
+            f"{kind} {given} must be a class or a function, got {shown(part)}: give what makes one"
+        )
     if not isinstance(part, type):
         return
     missing = [method for method in methods if not callable(getattr(part, method, None))]
     if missing:
         raise InputError(
-            f"{kind} {given} must have {' and '.join(methods)}, got {part.__name__} without {' and '.join(missing)}: "
+            f"{kind} {given} must have {' and '.join(methods)}, got {part.__name__} without "
+            f"{' and '.join(missing)}: "
             "add what is missing"
         )
 
@@ -59,13 +73,17 @@ def profile(given: str, part: Any, keys: Sequence[str]) -> None:
     known = dict.fromkeys(chain.from_iterable(CUTTERS[each].keys for each in CUTTERS.built_in))
     for key in keys:
         if key not in known:
-            raise InputError(f"keys must be of {', '.join(sorted(known))}, got {shown(key)}: use one of a tool's keys")
+            raise InputError(
+                f"keys must be of {', '.join(sorted(known))}, got {shown(key)}: use one of a "
+                "tool's keys"
+            )
     sizes = ["diameter_m", *(key.replace("_mm", "_m").replace("_deg", "_rad") for key in keys)]
     try:
         inspect.signature(part).bind(**dict.fromkeys(sizes, 1.0))
     except TypeError as error:
         raise InputError(
-            f"tool {given} must take {' and '.join(sizes)}, got one that does not ({error}): name its arguments so"
+            f"tool {given} must take {' and '.join(sizes)}, got one that does not ({error}): "
+            "name its arguments so"
         ) from None
 
 
@@ -76,7 +94,8 @@ def parameters(kind: str, given: str, part: object) -> None:
 
     if not (isinstance(part, type) and issubclass(part, Part)):
         raise InputError(
-            f"parameters of the {kind} {given} must be a subclass of tissue.scene.anatomy.Part, got {shown(part)}: "
+            f"parameters of the {kind} {given} must be a subclass of "
+            f"tissue.scene.anatomy.Part, got {shown(part)}: "
             "derive it from that"
         )
     kinds = kinds_of(part) if "kind" in part.model_fields else ()
@@ -88,23 +107,32 @@ def parameters(kind: str, given: str, part: object) -> None:
 
 
 def numbers_of(kind: Any, numbers: Any, *, needed: Sequence[str] = ()) -> dict[str, float]:
-    """Return the numbers of an instance of a class of parameters, or of a mapping that the class takes."""
+    """Return the numbers of an instance of a class of parameters, or of a mapping that the class
+    takes.
+    """
     if isinstance(numbers, kind):
         return asdict(numbers)
     if not isinstance(numbers, Mapping):
         raise InputError(
-            f"numbers must be a mapping such as {{mass_kg: 0.05}}, got {shown(numbers)}: give names and values"
+            f"numbers must be a mapping such as {{mass_kg: 0.05}}, got {shown(numbers)}: "
+            "give names and values"
         )
     known = [field.name for field in fields(kind)]
     for each, value in numbers.items():
         if each not in known:
             raise InputError(
-                f"numbers must be of {', '.join(known)}, got {each}{nearest(each, known)}: rename or remove it"
+                f"numbers must be of {', '.join(known)}, got {each}{nearest(each, known)}: "
+                "rename or remove it"
             )
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(f"{each} must be a number, got {shown(value)}: give it in the unit of its name")
+            raise InputError(
+                f"{each} must be a number, got {shown(value)}: give it in the unit of its name"
+            )
     if missing := [each for each in needed if each not in numbers]:
-        raise InputError(f"numbers must have {' and '.join(needed)}, got none for {' and '.join(missing)}: add it")
+        raise InputError(
+            f"numbers must have {' and '.join(needed)}, got none for "
+            f"{' and '.join(missing)}: add it"
+        )
     kind(**numbers)
     return dict(numbers)
 
@@ -115,11 +143,15 @@ def looks(colour: str, marker: str) -> None:
     from matplotlib.markers import MarkerStyle
 
     if not is_color_like(colour):
-        raise InputError(f"colour must be one of matplotlib's, got {shown(colour)}: use for example #0072B2")
+        raise InputError(
+            f"colour must be one of matplotlib's, got {shown(colour)}: use for example #0072B2"
+        )
     try:
         MarkerStyle(marker)
     except ValueError:
-        raise InputError(f"marker must be one of matplotlib's, got {shown(marker)}: use for example o") from None
+        raise InputError(
+            f"marker must be one of matplotlib's, got {shown(marker)}: use for example o"
+        ) from None
 
 
 def scene_name(path: Path) -> str:
@@ -131,7 +163,8 @@ def scene_name(path: Path) -> str:
     taken = [*library_names(), *SCENES.known]
     if found in taken:
         raise InputError(
-            f"name must be none of {', '.join(taken)}, got {found} in {path}: choose another for this scene"
+            f"name must be none of {', '.join(taken)}, got {found} in {path}: choose another "
+            "for this scene"
         )
     return str(found)
 
@@ -141,7 +174,8 @@ def add_materials(path: Path) -> tuple[str, ...]:
     found = _table(path, "material")
     if not found or any(table not in ("cutting", "soft") for table in found):
         raise InputError(
-            f"material must have tables cutting and soft, got {', '.join(found) or 'none'} in {path}: use these"
+            f"material must have tables cutting and soft, got {', '.join(found) or 'none'} "
+            f"in {path}: use these"
         )
     for table, materials in found.items():
         for material, entries in materials.items():
@@ -150,7 +184,9 @@ def add_materials(path: Path) -> tuple[str, ...]:
         for material, entries in materials.items():
             add_material(table, material, entries)
             if not material.endswith(CAPSULE):
-                (CUTTING_MATERIALS if table == "cutting" else ORGAN_MATERIALS).add(material, (table, material))
+                (CUTTING_MATERIALS if table == "cutting" else ORGAN_MATERIALS).add(
+                    material, (table, material)
+                )
     return tuple(dict.fromkeys(material for materials in found.values() for material in materials))
 
 
@@ -159,7 +195,8 @@ def _require_material(path: Path, table: str, material: str, entries: dict[str, 
     where = f"{table}.{material}"
     if not re.fullmatch(NAME, material) or material in listed(table):
         raise InputError(
-            f"{table} must name materials other than {', '.join(listed(table))}, in lower-case letters, digits, - and "
+            f"{table} must name materials other than {', '.join(listed(table))}, in "
+            "lower-case letters, digits, - and "
             f"_, got {material} in {path}: choose another name"
         )
     needed = tuple(constants("cutting", "bone")) if table == "cutting" else SOFT
@@ -181,4 +218,6 @@ def _table(path: Path, kind: str) -> dict[str, Any]:
         return read_toml(path.read_text("utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"{kind} must be a TOML file, got {path} ({reason}): check the path and mend it") from None
+        raise InputError(
+            f"{kind} must be a TOML file, got {path} ({reason}): check the path and mend it"
+        ) from None

@@ -16,7 +16,8 @@ def report(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Path:
-    """Write a run as one HTML file that needs no network: figures, forces, the bone or organ in 3D over time.
+    """Write a run as one HTML file that needs no network: figures, forces, the bone or organ in 3D
+    over time.
 
     Parameters
     ----------
@@ -36,13 +37,17 @@ def report(
     Raises
     ------
     InputError
-        If a run that was not saved is given no ``out``, the folder holds no run or damaged files, or the file is there.
+        If a run that was not saved is given no ``out``, the folder holds no run or damaged files,
+        or the file is there.
     """
     from tissue.show.report.report import NAME, write_report
 
     if not isinstance(run, Run):
         return write_report(run, out, overwrite=overwrite, progress=progress)
     if out is None and run.path is None:
-        raise InputError('out must be given for a run that was not saved, got nothing: use for example "run.html"')
+        raise InputError(
+            "out must be given for a run that was not saved, got nothing: use for example "
+            '"run.html"'
+        )
     out = run.path / NAME if out is None and run.path is not None else out
     return write_report(run._folder(), out, overwrite=overwrite, progress=progress)

@@ -59,20 +59,25 @@ class Run(engine.Run):
 
     @cached_property
     def timing(self) -> Trace:
-        """Duration of each tick and of its stages [µs], columns by name: ``run.timing["tick_us"]``."""
+        """Duration of each tick and of its stages [µs], columns by name:
+        ``run.timing["tick_us"]``.
+        """
         return Trace(super().timing)
 
     @property
     def summary(self) -> Summary:
-        """Figures of the run, as in ``summary.json``: volumes by layer, forces, cost of the ticks, the band."""
+        """Figures of the run, as in ``summary.json``: volumes by layer, forces, cost of the
+        ticks, the band.
+        """
         return super().summary | ({} if self._band is None else {"band": self._band.summary})
 
     def dataset(self) -> "pyvista.ImageData | pyvista.UnstructuredGrid":
         """Return the tissue as a pyvista data set, in the scene's frame in mm.
 
-        Voxels: an image with the cell arrays start and remaining (255 = full), layer, density_kg_m3. Those that are
-        less than half full are hidden by the cell array ``vtkGhostType``, so that ``run.dataset().plot()`` shows the
-        bone. Elements: the mesh of the last frame with its fields.
+        Voxels: an image with the cell arrays start and remaining (255 = full), layer,
+        density_kg_m3. Those that are less than half full are hidden by the cell array
+        ``vtkGhostType``, so that ``run.dataset().plot()`` shows the bone. Elements: the mesh of the
+        last frame with its fields.
 
         Raises
         ------
@@ -84,7 +89,8 @@ class Run(engine.Run):
         return with_empty_hidden(super().dataset())
 
     def surface(self) -> "pyvista.PolyData":
-        """Return the surface of the carved bone [mm]: point array ``removed_depth_mm``, cell array ``layer``.
+        """Return the surface of the carved bone [mm]: point array ``removed_depth_mm``, cell array
+        ``layer``.
 
         Raises
         ------
@@ -105,7 +111,9 @@ class Run(engine.Run):
         progress: Progress | None = None,
     ) -> Path:
         """Write the run's folder and its band; see `tissue.simulation.run.Run.save`."""
-        self.path = super().save(out, formats=formats, pictures=pictures, overwrite=overwrite, progress=progress)
+        self.path = super().save(
+            out, formats=formats, pictures=pictures, overwrite=overwrite, progress=progress
+        )
         self._save_band(pictures)
         return self.path
 
@@ -117,7 +125,9 @@ class Run(engine.Run):
             save_band(self._band, self.path, kind=picture_format(pictures))
 
     def _folder(self) -> Path:
-        """Return a folder with this run's files: its own, or a temporary one if that holds another run by now."""
+        """Return a folder with this run's files: its own, or a temporary one if that holds
+        another run by now.
+        """
         if self._saved is not None:
             return self._saved.path
         if self.path is not None and summary_of(self.path) == self.summary:
@@ -127,13 +137,17 @@ class Run(engine.Run):
             super().save(self._shown.name, pictures=False)
         return Path(self._shown.name)
 
-    def plot(self, columns: Iterable[str] | None = None, *, ax: "Axes | None" = None) -> "NDArray[np.object_]":
-        """Plot columns of the trace over time, by default force and torque on the tool, with the run's events.
+    def plot(
+        self, columns: Iterable[str] | None = None, *, ax: "Axes | None" = None
+    ) -> "NDArray[np.object_]":
+        """Plot columns of the trace over time, by default force and torque on the tool, with the
+        run's events.
 
         Parameters
         ----------
         columns
-            Columns of numbers, such as ``["removed_mm3", "contact_mm2"]``; those of one unit share a panel.
+            Columns of numbers, such as ``["removed_mm3", "contact_mm2"]``; those of one unit share
+            a panel.
         ax
             Axes of matplotlib to draw on, for columns of one unit; without it a new figure is made.
 
@@ -173,20 +187,21 @@ class Run(engine.Run):
         scale
             How many times its size the displacement is drawn.
         interactive
-            Whether it can be turned by the mouse: in a notebook where the extra ``notebook`` is installed, in a script
-            in a window, as `tissue view` opens it, where there is a display. Without it, it is so where it can be.
+            Whether it can be turned by the mouse: in a notebook where the extra ``notebook`` is
+            installed, in a script in a window, as `tissue view` opens it, where there is a display.
+            Without it, it is so where it can be.
         screenshot
             PNG file to write; an existing one is replaced.
 
         Returns
-        -------
-        A still picture, which a notebook shows, with its pixels as ``array``; in a notebook that can, what is turned by
-        the mouse; None of a window, after it was closed.
+        ------- A still picture, which a notebook shows, with its pixels as ``array``; in a notebook
+        that can, what is turned by the mouse; None of a window, after it was closed.
 
         Raises
         ------
         InputError
-            If there is nothing to show, no such layer, field or moment, no display, or 3D cannot be drawn.
+            If there is nothing to show, no such layer, field or moment, no display, or 3D cannot be
+            drawn.
         """
         from tissue.objects.show import show_folder
 
@@ -212,27 +227,31 @@ class Run(engine.Run):
         Parameters
         ----------
         samples
-            Samples of the constants, rounded up to a power of two; None reads the band that was computed before.
+            Samples of the constants, rounded up to a power of two; None reads the band that was
+            computed before.
         seed
             Seed of the samples; default that of the scene.
         workers
-            Processes that run samples in parallel, if each sample is a run, as for a needle. A script that asks for
-            several must begin below ``if __name__ == "__main__":``.
+            Processes that run samples in parallel, if each sample is a run, as for a needle. A
+            script that asks for several must begin below ``if __name__ == "__main__":``.
         scheduler
-            Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``, whose workers run samples instead.
+            Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``, whose workers
+            run samples instead.
         each_run
-            Run every sample where reweighing the loads would do, so that temperature and stress have bands too.
+            Run every sample where reweighing the loads would do, so that temperature and stress
+            have bands too.
         compute, cores, progress
             As for `tissue.simulate`.
         pictures
-            Whether pictures are drawn, or their format, png, svg or pdf; a run that lies in a folder has its band
-            written there, another one where it is saved.
+            Whether pictures are drawn, or their format, png, svg or pdf; a run that lies in a
+            folder has its band written there, another one where it is saved.
 
         Raises
         ------
         InputError
-            If there is no band to read, or none can be made: no constant has a range, the number of samples is none of
-            16 to 65536, more than a tenth of them fail, or the run was stopped early.
+            If there is no band to read, or none can be made: no constant has a range, the number of
+            samples is none of 16 to 65536, more than a tenth of them fail, or the run was stopped
+            early.
         """
         if samples is None:
             if self._band is None:
@@ -244,24 +263,38 @@ class Run(engine.Run):
 
         with reporting(progress) as report:
             made = band_of(
-                self.scene, samples, seed=seed, workers=workers, scheduler=scheduler, each_run=each_run,
-                compute=compute, cores=cores, progress=report,
-            )  # fmt: skip
+                self.scene,
+                samples,
+                seed=seed,
+                workers=workers,
+                scheduler=scheduler,
+                each_run=each_run,
+                compute=compute,
+                cores=cores,
+                progress=report,
+            )
         require_same(
-            made, np.hstack([self.trace.vectors("model_force", "N"), self.trace.vectors("model_torque", "Nm")])
+            made,
+            np.hstack(
+                [self.trace.vectors("model_force", "N"), self.trace.vectors("model_torque", "Nm")]
+            ),
         )
         self._band = made
         self._save_band(pictures)
         return made
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """Return the trace, a row a tick, with the scene's name in ``attrs``; see `Trace.to_pandas`."""
+        """Return the trace, a row a tick, with the scene's name in ``attrs``; see
+        `Trace.to_pandas`.
+        """
         table = self.trace.to_pandas()
         table.attrs["scene"] = self.scene.name
         return table
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return the trace over ``time_s``, with the scene's name in ``attrs``; see `Trace.to_xarray`."""
+        """Return the trace over ``time_s``, with the scene's name in ``attrs``; see
+        `Trace.to_xarray`.
+        """
         return self.trace.to_xarray().assign_attrs(scene=self.scene.name)
 
     @property

@@ -19,7 +19,9 @@ from tissue.system.offscreen import display_problem
 __all__ = ["Picture", "in_notebook", "is_interactive", "show_folder", "with_empty_hidden"]
 
 BACKENDS = ("trame_pyvista", "pyvista.trame.jupyter")
-"""Modules by which pyvista 0.49 and older ones let a notebook turn a picture by the mouse: the extra ``notebook``."""
+"""Modules by which pyvista 0.49 and older ones let a notebook turn a picture by the mouse: the
+extra ``notebook``.
+"""
 
 
 def in_notebook() -> bool:
@@ -80,11 +82,15 @@ class Picture:
 
 
 GHOSTS, HIDDEN = "vtkGhostType", 32
-"""Cell array by which VTK leaves cells out, and its bit for hidden ones (vtkDataSetAttributes::HIDDENCELL)."""
+"""Cell array by which VTK leaves cells out, and its bit for hidden ones
+(vtkDataSetAttributes::HIDDENCELL).
+"""
 
 
 def with_empty_hidden(data: Any) -> Any:
-    """Hide voxels that are less than half full from filters and pictures. A mesh is returned unchanged."""
+    """Hide voxels that are less than half full from filters and pictures. A mesh is returned
+    unchanged.
+    """
     if "remaining" in data.cell_data:
         empty = np.asarray(data.cell_data["remaining"]) < HALF
         data.cell_data[GHOSTS] = np.where(empty, HIDDEN, 0).astype(np.uint8)
@@ -92,21 +98,30 @@ def with_empty_hidden(data: Any) -> Any:
     return data
 
 
-def show_folder(folder: Path, chosen: dict[str, Any], *, interactive: bool | None, screenshot: Path | None) -> Any:
-    """Show the run of a folder, with the moment and so on that were chosen; see `tissue.objects.run.Run.show`."""
+def show_folder(
+    folder: Path, chosen: dict[str, Any], *, interactive: bool | None, screenshot: Path | None
+) -> Any:
+    """Show the run of a folder, with the moment and so on that were chosen; see
+    `tissue.objects.run.Run.show`.
+    """
     from tissue.show.viewer.view import view
 
     notebook = in_notebook()
     if interactive is None:
-        interactive = screenshot is None and (is_interactive() if notebook else display_problem() is None)
+        interactive = screenshot is None and (
+            is_interactive() if notebook else display_problem() is None
+        )
     elif interactive and screenshot is not None:
-        raise InputError(f"screenshot must be left out with interactive, got {screenshot}: leave one of them out")
+        raise InputError(
+            f"screenshot must be left out with interactive, got {screenshot}: leave one of them out"
+        )
     if interactive and not notebook:
         view(folder, **chosen)
         return None
     if interactive and not is_interactive():
         raise InputError(
-            "trame must be installed to turn a picture in a notebook, got none: pip install 'tissue-sim[notebook]'"
+            "trame must be installed to turn a picture in a notebook, got none: pip install "
+            "'tissue-sim[notebook]'"
         )
     with TemporaryDirectory(prefix="tissue-") as place:
         file = screenshot or Path(place) / "shown.png"
@@ -123,5 +138,9 @@ def _turned(folder: Path, chosen: dict[str, Any]) -> Any:
     from tissue.simulation.run_folder import SavedRun
 
     saved = SavedRun(folder)
-    window = Window(saved, str(saved.summary.get("scene", "run")), Choice(**chosen), off_screen=True)
-    return window.plotter.show(jupyter_backend="server", jupyter_kwargs={"collapse_menu": True}, return_viewer=True)
+    window = Window(
+        saved, str(saved.summary.get("scene", "run")), Choice(**chosen), off_screen=True
+    )
+    return window.plotter.show(
+        jupyter_backend="server", jupyter_kwargs={"collapse_menu": True}, return_viewer=True
+    )

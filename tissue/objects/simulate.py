@@ -48,22 +48,25 @@ def simulate(
     cores
         Processor cores to use; default all. The trace does not depend on it.
     out
-        Folder that takes the trace while the run goes on, so that a killed run leaves what it had; without it the run
-        stays in memory until `Run.save`.
+        Folder that takes the trace while the run goes on, so that a killed run leaves what it had;
+        without it the run stays in memory until `Run.save`.
     overwrite
         Replace a run that ``out`` already holds.
     progress
-        Whether to show a bar, or a function called with the present work and its share; default a bar in a notebook.
+        Whether to show a bar, or a function called with the present work and its share; default a
+        bar in a notebook.
     allow_unstable
         Run a device whose coupling is judged unstable, too.
     max_memory_GB
         Memory that a file of the scene may take [GB]; default half of the free memory.
     device
-        Device that is used instead of the one that the scene names, within the limits of that one; default a simulated
-        device or a registered real one. See `tissue.simulation.simulate.simulate`.
+        Device that is used instead of the one that the scene names, within the limits of that one;
+        default a simulated device or a registered real one. See
+        `tissue.simulation.simulate.simulate`.
     on_tick
-        Called after every tick of 1 ms with its number and its row of the trace, a mapping from column to value; the
-        run ends where it returns False. Its duration adds to the time between two ticks.
+        Called after every tick of 1 ms with its number and its row of the trace, a mapping from
+        column to value; the run ends where it returns False. Its duration adds to the time between
+        two ticks.
     observer
         Observer of the ticks instead of `on_tick`; see `tissue.simulation.observer.RunObserver`.
     live
@@ -72,21 +75,31 @@ def simulate(
     Raises
     ------
     InputError
-        If a key has no effect in the scene or it cannot be built, the tool never touches, a device's coupling is
-        unstable, or ``out`` holds another run; as `DeviceError`, if the device fails.
+        If a key has no effect in the scene or it cannot be built, the tool never touches, a
+        device's coupling is unstable, or ``out`` holds another run; as `DeviceError`, if the device
+        fails.
     """
     if on_tick is not None and observer is not None:
-        raise InputError("on_tick must be left out with observer, got both: call it from the observer's on_tick")
+        raise InputError(
+            "on_tick must be left out with observer, got both: call it from the observer's on_tick"
+        )
     if live is not None and any(each is not None for each in (on_tick, observer, device)):
-        raise InputError("live must be left out with a device, on_tick or observer, got both: leave one of them out")
+        raise InputError(
+            "live must be left out with a device, on_tick or observer, got both: leave one "
+            "of them out"
+        )
     if on_tick is not None:
         observer = OnTick(on_tick)
     notes: dict[str, str] = {}
     with memory_limit(max_memory_GB), reporting(progress) as report:
         settings: engine.RunSettings = {
-            "compute": compute, "cores": cores, "out": out, "overwrite": overwrite, "progress": report,
+            "compute": compute,
+            "cores": cores,
+            "out": out,
+            "overwrite": overwrite,
+            "progress": report,
             "allow_unstable": allow_unstable,
-        }  # fmt: skip
+        }
         if scene.fidelity is not None:
             from tissue.evaluation.charts.fidelity import with_fidelity
 
@@ -96,7 +109,9 @@ def simulate(
         else:
             if device is None and (device := opened_device(scene)) is not None:
                 notes["device"] = f"{scene.held.kind} is read and played by {type(device).__name__}"
-            if getattr(device.device if isinstance(device, SafeDevice) else device, "real_time", False):
+            if getattr(
+                device.device if isinstance(device, SafeDevice) else device, "real_time", False
+            ):
                 prioritised = Prioritised()
                 observer = Observers(prioritised, observer or RunObserver(), Paced())
                 run = engine.simulate(scene, device=device, observer=observer, **settings)

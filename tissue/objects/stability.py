@@ -1,4 +1,6 @@
-"""Whether a wall is stable on a haptic device: known before it runs, shown by running it: `tissue.stability`."""
+"""Whether a wall is stable on a haptic device: known before it runs, shown by running it:
+`tissue.stability`.
+"""
 
 from dataclasses import dataclass
 
@@ -12,11 +14,23 @@ from tissue.haptics.loop.stability_map import growth_while_running
 from tissue.haptics.rigid_wall import WallRun
 from tissue.haptics.rigid_wall import knock as knocked
 
-__all__ = ["Knock", "Verdict", "WallLoop", "critical_stiffness_N_m", "growth", "judge", "knock", "wall_loop"]
+__all__ = [
+    "Knock",
+    "Verdict",
+    "WallLoop",
+    "critical_stiffness_N_m",
+    "growth",
+    "judge",
+    "knock",
+    "wall_loop",
+]
 
 
-def wall_loop(device: str | DeviceParameters, stiffness_N_m: float, *, hand: str | None = None) -> WallLoop:
-    """The loop that holds a device against a rigid wall; ``dataclasses.replace`` changes its tick, delay and so on.
+def wall_loop(
+    device: str | DeviceParameters, stiffness_N_m: float, *, hand: str | None = None
+) -> WallLoop:
+    """The loop that holds a device against a rigid wall; ``dataclasses.replace`` changes its tick,
+    delay and so on.
 
     Parameters
     ----------
@@ -25,7 +39,8 @@ def wall_loop(device: str | DeviceParameters, stiffness_N_m: float, *, hand: str
     stiffness_N_m
         Stiffness of the wall [N/m].
     hand
-        Whose hand holds it: novice, intermediate, expert or one that was registered; None for nobody's.
+        Whose hand holds it: novice, intermediate, expert or one that was registered; None for
+        nobody's.
 
     Raises
     ------
@@ -37,7 +52,8 @@ def wall_loop(device: str | DeviceParameters, stiffness_N_m: float, *, hand: str
 
 
 def growth(loop: WallLoop, *, seconds: float = 4.0) -> float:
-    """How much larger a push has become, between 45 and 85 % of a run of the loop: above 1 it grows, below it fades.
+    """How much larger a push has become, between 45 and 85 % of a run of the loop: above 1 it
+    grows, below it fades.
 
     Parameters
     ----------
@@ -57,14 +73,18 @@ class Knock(WallRun):
     Attributes
     ----------
     given_J
-        Energy that the motors gave to the hand in all, lag included [J]; negative where they took some.
+        Energy that the motors gave to the hand in all, lag included [J]; negative where they took
+        some.
     """
 
     given_J: float
 
 
-def knock(device: str | DeviceParameters, stiffness_N_m: float, *, hand: str = "expert", renderer: str) -> Knock:
-    """A hand moves a device onto a wall, holds it 5 mm deep and is jerked off it after 0.8 s, by 2 N for 20 ms.
+def knock(
+    device: str | DeviceParameters, stiffness_N_m: float, *, hand: str = "expert", renderer: str
+) -> Knock:
+    """A hand moves a device onto a wall, holds it 5 mm deep and is jerked off it after 0.8 s, by 2
+    N for 20 ms.
 
     The hand has neither noise nor tremor, so that what moves after the jerk is the loop's own.
 

@@ -1,4 +1,6 @@
-"""Methods of rendering force compared over many simulated trials, as `tissue study run` does: `tissue.study`."""
+"""Methods of rendering force compared over many simulated trials, as `tissue study run` does:
+`tissue.study`.
+"""
 
 from pathlib import Path
 
@@ -12,7 +14,8 @@ __all__ = ["Plan", "StudyFolder", "Trial", "register", "run", "trial"]
 
 
 def register(plan: Plan, out: str | Path) -> StudyFolder:
-    """Register a plan before its first trial: ``plan.toml`` with measures, tests, exclusions, seeds and power.
+    """Register a plan before its first trial: ``plan.toml`` with measures, tests, exclusions, seeds
+    and power.
 
     `run` does so too where it was not done; a plan that was edited since is refused.
 
@@ -34,11 +37,18 @@ def register(plan: Plan, out: str | Path) -> StudyFolder:
 
 
 def run(
-    plan: Plan, out: str | Path, *, workers: int | None = None, retry: bool = False, progress: Progress | None = None
+    plan: Plan,
+    out: str | Path,
+    *,
+    workers: int | None = None,
+    retry: bool = False,
+    progress: Progress | None = None,
 ) -> StudyFolder:
-    """Run the trials of a plan that its folder does not hold yet; ``.table("T2")`` of what is returned has the figures.
+    """Run the trials of a plan that its folder does not hold yet; ``.table("T2")`` of what is
+    returned has the figures.
 
-    A script calls it under ``if __name__ == "__main__":``, for its worker processes import the script.
+    A script calls it under ``if __name__ == "__main__":``, for its worker processes import the
+    script.
 
     Parameters
     ----------

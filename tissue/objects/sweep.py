@@ -58,21 +58,24 @@ def sweep(
 ) -> Sweep:
     """Run a scene at all combinations of values; each run has a folder of its own.
 
-    Finished runs in the folder are kept. The same call therefore continues a sweep that was stopped, and a call with
-    more values adds their runs. A combination that cannot be run is listed and stops no other run.
+    Finished runs in the folder are kept. The same call therefore continues a sweep that was
+    stopped, and a call with more values adds their runs. A combination that cannot be run is listed
+    and stops no other run.
 
     Parameters
     ----------
     scene
         A scene, a built-in name or a TOML file.
     changes
-        Values by dotted key: ``{"motion.feed_mm_s": [2.0, 4.0], "tool.spin_rpm": [800, 1200, 1600]}``.
+        Values by dotted key: ``{"motion.feed_mm_s": [2.0, 4.0], "tool.spin_rpm": [800, 1200,
+        1600]}``.
     out
         Folder that takes the runs, and ``sweep.csv``, ``sweep.png`` and ``compare.png``.
     workers
-        Number of parallel processes, each with one core unless ``cores`` states more; ticks then take longer. A script
-        that asks for several must begin below ``if __name__ == "__main__":``; they know the parts of installed
-        packages, and those that the script registers above that line.
+        Number of parallel processes, each with one core unless ``cores`` states more; ticks then
+        take longer. A script that asks for several must begin below ``if __name__ == "__main__":``;
+        they know the parts of installed packages, and those that the script registers above that
+        line.
     compute, cores, allow_unstable
         As for `tissue.simulate`.
     pictures
@@ -85,20 +88,24 @@ def sweep(
     Raises
     ------
     InputError
-        If no combination makes a scene, the folder holds runs of other scenes under the same names, or several
-        processes are asked for with a part that they do not know.
+        If no combination makes a scene, the folder holds runs of other scenes under the same names,
+        or several processes are asked for with a part that they do not know.
     """
     out = Path(out)
     workers = int(require_range("workers", workers, 1, 4096, "use one a core"))
     runs = planned(scene, changes, out)
     if cores is None and workers > 1:
         cores = 1
-    run = partial(_run, pictures=pictures, compute=compute, cores=cores, allow_unstable=allow_unstable)
+    run = partial(
+        _run, pictures=pictures, compute=compute, cores=cores, allow_unstable=allow_unstable
+    )
     with owned_folder(out, "sweep", (), shared=(RECORD, *FILES)), reporting(progress) as report:
         left = _begin(out, runs, overwrite=overwrite)
         problems = dict(_results(run, left, workers=min(workers, len(left)), report=report))
         runs = [
-            SweptRun(each.name, each.values, each.path, problems.get(each.name, each.problem), each.scene)
+            SweptRun(
+                each.name, each.values, each.path, problems.get(each.name, each.problem), each.scene
+            )
             for each in runs
         ]
         found = Sweep(list(runs[0].values), runs)
@@ -107,22 +114,30 @@ def sweep(
     return found
 
 
-def planned(scene: Scene | str | Path, changes: Mapping[str, Iterable[object]], out: Path) -> list[SweptRun]:
+def planned(
+    scene: Scene | str | Path, changes: Mapping[str, Iterable[object]], out: Path
+) -> list[SweptRun]:
     """Return the runs of all combinations of values, the last key's changing first.
 
     Raises
     ------
     InputError
-        If a key has no values, there are more than `MOST_RUNS` combinations, or no combination makes a scene.
+        If a key has no values, there are more than `MOST_RUNS` combinations, or no combination
+        makes a scene.
     """
     listed = {key: _listed(key, values) for key, values in changes.items()}
     count = prod(len(values) for values in listed.values())
     if count > MOST_RUNS:
-        raise InputError(f"a sweep must have at most {MOST_RUNS} runs, got {count} combinations: give fewer values")
+        raise InputError(
+            f"a sweep must have at most {MOST_RUNS} runs, got {count} combinations: give "
+            "fewer values"
+        )
     fixed = {key: values[0] for key, values in listed.items() if len(values) == 1}
     swept = {key: values for key, values in listed.items() if len(values) > 1}
     base = scene if isinstance(scene, Scene) else load_scene(scene)
-    named = [list(zip(_words(key, values, swept), values, strict=True)) for key, values in swept.items()]
+    named = [
+        list(zip(_words(key, values, swept), values, strict=True)) for key, values in swept.items()
+    ]
     found: dict[str, SweptRun] = {}
     for combination in product(*named):
         name = ",".join(word for word, _ in combination) or base.name
@@ -138,7 +153,8 @@ def planned(scene: Scene | str | Path, changes: Mapping[str, Iterable[object]], 
 
 
 def parse_values(texts: Sequence[str]) -> dict[str, list[object]]:
-    """Parse values by key from ``key=value,value``; a comma within brackets or quotes belongs to a value.
+    """Parse values by key from ``key=value,value``; a comma within brackets or quotes belongs to a
+    value.
 
     Raises
     ------
@@ -154,10 +170,15 @@ def parse_values(texts: Sequence[str]) -> dict[str, list[object]]:
         except tomllib.TOMLDecodeError:  # such as words without quotes
             values = [parse_override(f"{key}={piece}")[1] for piece in pieces if piece]
         if not sign or not all(pieces) or not pieces:
-            raise InputError(f"--set must be key=value,value, got {text}: use for example voxels.spacing_mm=0.2,0.4")
+            raise InputError(
+                f"--set must be key=value,value, got {text}: use for example "
+                "voxels.spacing_mm=0.2,0.4"
+            )
         key = key.strip()
         if key in found:
-            raise InputError(f"--set must name a key once, got {key} twice: give its values in one, by commas")
+            raise InputError(
+                f"--set must name a key once, got {key} twice: give its values in one, by commas"
+            )
         found[key] = values
     return found
 
@@ -168,24 +189,34 @@ def _listed(key: str, values: Iterable[object]) -> list[object]:
     if isinstance(values, Iterable) and not isinstance(values, str | Mapping):
         found = list(islice(values, MOST_RUNS + 1))
     if not found:
-        raise InputError(f"{key} must be given as a list of values, got {values}: use for example [1.0, 2.0]")
+        raise InputError(
+            f"{key} must be given as a list of values, got {values}: use for example [1.0, 2.0]"
+        )
     return [each.tolist() if isinstance(each, np.generic | np.ndarray) else each for each in found]
 
 
 def _words(key: str, values: Sequence[object], swept: Mapping[str, object]) -> list[str]:
-    """Return the parts of folder names for the values of a key: its last word if that is unique, and the value."""
+    """Return the parts of folder names for the values of a key: its last word if that is unique,
+    and the value.
+    """
     last = key.rpartition(".")[2]
     short = last if sum(other.rpartition(".")[2] == last for other in swept) == 1 else key
     texts = [f"{value:g}" if isinstance(value, float) else str(value) for value in values]
     plain = [re.sub(r"[^\w.+-]+", "-", text) for text in texts]
     nested = any(isinstance(value, list | tuple | dict) for value in values)
-    if nested or not all(plain) or len(set(plain)) < len(plain) or max(map(len, plain)) > LONGEST_NAME:
+    if (
+        nested
+        or not all(plain)
+        or len(set(plain)) < len(plain)
+        or max(map(len, plain)) > LONGEST_NAME
+    ):
         plain = [f"no{number}" for number in range(1, len(plain) + 1)]
     return [f"{short}={word}" for word in plain]
 
 
 def _begin(out: Path, runs: list[SweptRun], *, overwrite: bool) -> list[tuple[SweptRun, bool]]:
-    """Record the scenes by folder; return the runs that are left, and whether they may replace a run of this sweep.
+    """Record the scenes by folder; return the runs that are left, and whether they may replace a
+    run of this sweep.
 
     Raises
     ------
@@ -201,14 +232,16 @@ def _begin(out: Path, runs: list[SweptRun], *, overwrite: bool) -> list[tuple[Sw
         recorded = record.get(each.name)
         if recorded not in (None, text) and not overwrite:
             raise InputError(
-                f"out must hold runs of this scene, got another one in {each.path}: pass --overwrite to replace "
+                f"out must hold runs of this scene, got another one in {each.path}: pass "
+                "--overwrite to replace "
                 "it or choose another --out"
             )
         summary = summary_of(each.path)
         if overwrite or recorded != text or summary.get("status") != "complete":
             left.append((each, overwrite or recorded is not None))
         if recorded is not None or overwrite or not summary:
-            record[each.name] = text  # a run of other origin in the folder does not become part of the sweep
+            # a run of other origin in the folder does not become part of the sweep
+            record[each.name] = text
     with whole_file(out / RECORD) as temporary:
         data = {"format": FORMAT, "tissue": package_version(), "scenes": record}
         temporary.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
@@ -226,7 +259,8 @@ def _read(path: Path) -> dict[str, str]:
             raise ValueError(path)
     except (ValueError, LookupError, TypeError, AttributeError):
         raise InputError(
-            f"sweep.json must be as a sweep wrote it, got another one in {path}: choose another --out"
+            f"sweep.json must be as a sweep wrote it, got another one in {path}: choose "
+            "another --out"
         ) from None
     return dict(scenes)
 
@@ -234,7 +268,9 @@ def _read(path: Path) -> dict[str, str]:
 def _results(
     run: "partial[str]", left: list[tuple[SweptRun, bool]], *, workers: int, report: Progress
 ) -> Iterator[tuple[str, str]]:
-    """Run the runs that are left; yield the name and the problem, or an empty one, of each run that ends."""
+    """Run the runs that are left; yield the name and the problem, or an empty one, of each run
+    that ends.
+    """
     total = len(left)
     if workers <= 1:
         for number, (each, replaces) in enumerate(left):
@@ -244,8 +280,10 @@ def _results(
         registered = registered_parts(each.scene for each, _ in left if each.scene is not None)
         if registered and (missing := pool.submit(unknown_parts, registered).result()):
             raise InputError(
-                f"workers must be 1 for parts that are registered in this process alone, got {workers} with the "
-                f'{" and the ".join(map(" ".join, missing))}: register them above if __name__ == "__main__": in the '
+                "workers must be 1 for parts that are registered in this process alone, got "
+                f"{workers} with the "
+                f"{' and the '.join(map(' '.join, missing))}: register them above if "
+                '__name__ == "__main__": in the '
                 "script, or offer them as a package does"
             )
         waiting = {pool.submit(run, each, replaces, False): each.name for each, replaces in left}

@@ -57,7 +57,9 @@ class SweptRun:
 
     @cached_property
     def note(self) -> str:
-        """Reason why the run did not finish its path; empty if it did, or for a run with a problem."""
+        """Reason why the run did not finish its path; empty if it did, or for a run with a
+        problem.
+        """
         return "" if self.problem else path_note(read_summary(self.path))
 
     def open(self) -> Run:
@@ -101,7 +103,9 @@ class Sweep:
         return list(dict.fromkeys(name for each in self.runs for name in each.figures))
 
     def rows(self) -> tuple[list[str], list[list[object]]]:
-        """Return titles and rows: the values, the figures, the problem, the folder and the note of each run."""
+        """Return titles and rows: the values, the figures, the problem, the folder and the note
+        of each run.
+        """
         names = self.figure_names
         rows = []
         for each in self.runs:
@@ -114,7 +118,9 @@ class Sweep:
         names = [name for name in FIRST_FIGURES if name in self.figure_names]
         rows = []
         for each in self.runs:
-            figures = [f"{each.figures[name]:.4g}" if name in each.figures else "" for name in names]
+            figures = [
+                f"{each.figures[name]:.4g}" if name in each.figures else "" for name in names
+            ]
             rows.append([*map(str, each.values.values()), *figures])
         return [*(key.rpartition(".")[2] for key in self.keys), *names], rows
 
@@ -166,7 +172,10 @@ class Sweep:
             pyplot.close(panels[0].figure)
 
     def __repr__(self) -> str:
-        return f"<sweep of {' and '.join(self.keys)}: {len(self.finished)} of {len(self.runs)} runs finished>"
+        return (
+            f"<sweep of {' and '.join(self.keys)}: {len(self.finished)} of {len(self.runs)} runs "
+            "finished>"
+        )
 
     def _repr_html_(self) -> str:
         titles, rows = self.texts()

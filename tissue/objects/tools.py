@@ -61,7 +61,8 @@ def ball(*, diameter_mm: float) -> PressingTool:
 
 
 def flat_punch(*, diameter_mm: float) -> PressingTool:
-    """The flat end of a rigid cylinder, its edge rounded by a tenth of its radius, by 0.5 mm at most.
+    """The flat end of a rigid cylinder, its edge rounded by a tenth of its radius, by 0.5 mm at
+    most.
 
     >>> import tissue
     >>> tissue.flat_punch(diameter_mm=8)
@@ -71,7 +72,8 @@ def flat_punch(*, diameter_mm: float) -> PressingTool:
 
 
 def probe_from_file(file: str | Path, *, scale_mm: float = 1.0) -> PressingTool:
-    """A rigid tool of any shape: a closed surface whose origin is the tip and whose z axis runs to the shank.
+    """A rigid tool of any shape: a closed surface whose origin is the tip and whose z axis runs to
+    the shank.
 
     Parameters
     ----------
@@ -98,4 +100,6 @@ def _round(kind: str, name: str, diameter_mm: float) -> PressingTool:
     from tissue.scene.tool import probe_part
 
     diameter = require_range("diameter_mm", diameter_mm, *SIZES_MM, "a fingertip has about 16")
-    return PressingTool(probe_part(kind=kind, diameter_mm=diameter), f"{name}(diameter_mm={diameter:g})")
+    return PressingTool(
+        probe_part(kind=kind, diameter_mm=diameter), f"{name}(diameter_mm={diameter:g})"
+    )

@@ -1,4 +1,6 @@
-"""The trace and the timing as a notebook holds them: columns by name, also as pandas, xarray and HTML."""
+"""The trace and the timing as a notebook holds them: columns by name, also as pandas, xarray and
+HTML.
+"""
 
 from typing import TYPE_CHECKING, Any
 
@@ -16,19 +18,42 @@ if TYPE_CHECKING:
 __all__ = ["Trace", "label_of", "needed", "unit_of"]
 
 UNITS = {
-    "mm3_s": "mm³/s", "mm_s": "mm/s", "rad_s": "rad/s", "N_mm": "N/mm", "mm3": "mm³", "mm2": "mm²", "mm": "mm",
-    "um": "µm", "Nm": "N m", "mN": "mN", "N": "N", "mJ": "mJ", "J": "J", "us": "µs", "ms": "ms", "s": "s", "W": "W",
-    "kPa": "kPa", "MPa": "MPa", "Pa": "Pa", "C": "°C", "K": "K", "Hz": "Hz", "percent": "%",
-}  # fmt: skip
+    "mm3_s": "mm³/s",
+    "mm_s": "mm/s",
+    "rad_s": "rad/s",
+    "N_mm": "N/mm",
+    "mm3": "mm³",
+    "mm2": "mm²",
+    "mm": "mm",
+    "um": "µm",
+    "Nm": "N m",
+    "mN": "mN",
+    "N": "N",
+    "mJ": "mJ",
+    "J": "J",
+    "us": "µs",
+    "ms": "ms",
+    "s": "s",
+    "W": "W",
+    "kPa": "kPa",
+    "MPa": "MPa",
+    "Pa": "Pa",
+    "C": "°C",
+    "K": "K",
+    "Hz": "Hz",
+    "percent": "%",
+}
 """Units that end a column's name, the longer ones first, and how they are written."""
 SHOWN_ROWS = 5
 """First and last rows that a notebook shows."""
 
 
 class Trace(dict[str, NDArray[Any]], Table):
-    """Columns by name over the ticks, one row a tick: ``run.trace["force_z_N"]``; the unit ends the name.
+    """Columns by name over the ticks, one row a tick: ``run.trace["force_z_N"]``; the unit ends the
+    name.
 
-    It is a ``dict``, so that ``pandas.DataFrame(run.trace)`` is the table. The column ``layer`` holds names.
+    It is a ``dict``, so that ``pandas.DataFrame(run.trace)`` is the table. The column ``layer``
+    holds names.
 
     Parameters
     ----------
@@ -63,11 +88,14 @@ class Trace(dict[str, NDArray[Any]], Table):
         pandas = needed("pandas", extra="pandas")
         columns: dict[str, Any] = dict(self)
         if "layer" in columns:
-            columns["layer"] = pandas.Categorical(columns["layer"], categories=[*self.layer_names, NO_LAYER])
+            columns["layer"] = pandas.Categorical(
+                columns["layer"], categories=[*self.layer_names, NO_LAYER]
+            )
         return pandas.DataFrame(columns).rename_axis(index="tick")
 
     def to_xarray(self) -> "xarray.Dataset":
-        """A variable for each column over the dimension ``time_s``; each has its unit as the attribute ``units``.
+        """A variable for each column over the dimension ``time_s``; each has its unit as the
+        attribute ``units``.
 
         Raises
         ------
@@ -84,7 +112,9 @@ class Trace(dict[str, NDArray[Any]], Table):
             },
             coords={over: self[over] if over in self else np.arange(len(self.rows))},
         )
-        found[over].attrs.update({"long_name": "time", "units": "s"} if over == "time_s" else {"long_name": "tick"})
+        found[over].attrs.update(
+            {"long_name": "time", "units": "s"} if over == "time_s" else {"long_name": "tick"}
+        )
         return found
 
     def __repr__(self) -> str:
@@ -93,16 +123,25 @@ class Trace(dict[str, NDArray[Any]], Table):
     def _repr_html_(self) -> str:
         count = len(self.rows)
         cut = count > 2 * SHOWN_ROWS + 1
-        picked = [*range(SHOWN_ROWS), *range(count - SHOWN_ROWS, count)] if cut else list(range(count))
+        picked = (
+            [*range(SHOWN_ROWS), *range(count - SHOWN_ROWS, count)] if cut else list(range(count))
+        )
         rows = [[_cell(values[row]) for values in self.values()] for row in picked]
         if cut:
             rows.insert(SHOWN_ROWS, ["…"] * len(self))
-        titles = [label_of(name) + (f" / {unit}" if (unit := unit_of(name)) else "") for name in self]
-        return scrolled(table_html(rows, titles=titles, numbers=True)) + f"<p>{count} ticks, {len(self)} columns</p>"
+        titles = [
+            label_of(name) + (f" / {unit}" if (unit := unit_of(name)) else "") for name in self
+        ]
+        return (
+            scrolled(table_html(rows, titles=titles, numbers=True))
+            + f"<p>{count} ticks, {len(self)} columns</p>"
+        )
 
 
 def unit_of(column: str) -> str:
-    """Unit of a column by the end of its name, ``mm/s`` of ``velocity_x_mm_s``; empty where it has none."""
+    """Unit of a column by the end of its name, ``mm/s`` of ``velocity_x_mm_s``; empty where it
+    has none.
+    """
     return next((shown for unit, shown in UNITS.items() if column.endswith(f"_{unit}")), "")
 
 
@@ -127,7 +166,9 @@ def needed(name: str, *, extra: str) -> Any:
     except ModuleNotFoundError as missing:
         if missing.name is None or missing.name.split(".")[0] != name.split(".")[0]:
             raise
-        raise InputError(f"{name} must be installed for this, got none: pip install 'tissue-sim[{extra}]'") from None
+        raise InputError(
+            f"{name} must be installed for this, got none: pip install 'tissue-sim[{extra}]'"
+        ) from None
 
 
 def _units(column: str) -> dict[str, str]:

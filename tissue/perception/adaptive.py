@@ -1,4 +1,6 @@
-"""Estimation of one person: threshold by adaptive comparisons (QUEST+), Stevens' law by magnitude estimation."""
+"""Estimation of one person: threshold by adaptive comparisons (QUEST+), Stevens' law by
+magnitude estimation.
+"""
 
 from dataclasses import dataclass
 
@@ -22,19 +24,24 @@ __all__ = [
 ]
 
 EDGE_MASS = 0.05
-"""Posterior mass in the outermost cells of the Weber fraction's grid from which on the prior, not the data, decides."""
+"""Posterior mass in the outermost cells of the Weber fraction's grid from which on the prior,
+not the data, decides.
+"""
 BASES_N = (0.3, 0.8, 2.0)
 STEP_COUNT = 25
 """Smaller forces of the pairs that are asked [N], and steps at each of them."""
 STEPS = (0.005, 1.5)
 """Least and greatest step that is asked, as shares of the base force plus `LOW_FORCE_N`."""
 LOW_FORCE_N = 0.2
-"""Force at which Weber's law falls short, for the choice of steps and as the median of the prior [N]: between 0.1 and
+"""Force at which Weber's law falls short, for the choice of steps and as the median of the prior
+[N]: between 0.1 and
 0.3 N (memory of the literature, low confidence)."""
 GREATEST_LAPSE = 0.2
 LAPSE_POWER = 2.5
 LAPSE_PRIOR = (0.5, 5.0)
-"""Greatest lapse of the grid, by what power its cells grow towards it, and the parameters of its Beta distribution."""
+"""Greatest lapse of the grid, by what power its cells grow towards it, and the parameters of its
+Beta distribution.
+"""
 
 
 MAGNITUDE_FORCES_N = (0.3, 0.5, 0.8, 1.3, 2.0, 3.2)
@@ -42,7 +49,9 @@ MAGNITUDE_FORCES_N = (0.3, 0.5, 0.8, 1.3, 2.0, 3.2)
 PRIOR_MEAN = (0.0, 1.4)
 """Prior mean of ln alpha and of beta: between palm pressure (1.1) and muscle force (1.7)."""
 PRIOR_WEIGHT = 1.0 / 16.0
-"""Precision of both, in units of that of one report: at a scatter of 0.25 their standard deviation is 1."""
+"""Precision of both, in units of that of one report: at a scatter of 0.25 their standard
+deviation is 1.
+"""
 PRIOR_SHAPE = 2.0
 PRIOR_SCALE = 0.12
 """Inverse-gamma prior of sigma^2: mean 0.12, a scatter of about 0.3."""
@@ -50,17 +59,21 @@ PRIOR_SCALE = 0.12
 
 @dataclass(frozen=True, kw_only=True)
 class ThresholdPrior:
-    """Prior knowledge of Weber fraction, low-force term and lapse before the first trial, on a grid.
+    """Prior knowledge of Weber fraction, low-force term and lapse before the first trial, on a
+    grid.
 
-    The Weber fraction is log-normal between two bounds, the low-force term log-normal around 0.2 N (factor 1.65) within
-    0.05 to 0.8 N, the lapse Beta(0.5, 5) up to 0.2: the mean of the Beta(1, 10) of Schuett et al. (2016), with half its
-    weight. Cells of the Weber fraction are equal in its logarithm; those of the lapse are narrow at small ones, for a
-    grid without people who hardly lapse has their thresholds 12 % low.
+    The Weber fraction is log-normal between two bounds, the low-force term log-normal around 0.2 N
+    (factor 1.65) within
+    0.05 to 0.8 N, the lapse Beta(0.5, 5) up to 0.2: the mean of the Beta(1, 10) of Schuett et al.
+    (2016), with half its weight. Cells of the Weber fraction are equal in its logarithm; those of
+    the lapse are narrow at small ones, for a grid without people who hardly lapse has their
+    thresholds 12 % low.
 
     Attributes
     ----------
     weber
-        Median of the Weber fraction: 7 % is Pang, Tan and Durlach's (1991), at low forces it is up to four times that.
+        Median of the Weber fraction: 7 % is Pang, Tan and Durlach's (1991), at low forces it is up
+        to four times that.
     weber_log_spread
         Standard deviation of its logarithm.
     lowest, highest
@@ -82,7 +95,9 @@ class ThresholdPrior:
         require_positive("weber_log_spread", self.weber_log_spread, "use 0.6")
         require_positive("lowest", self.lowest, "use 0.015")
         if not self.lowest < self.highest < 10.0:
-            raise InputError(f"highest must be in ({self.lowest:g}, 10), got {self.highest}: use 0.6")
+            raise InputError(
+                f"highest must be in ({self.lowest:g}, 10), got {self.highest}: use 0.6"
+            )
         for name, least in (("cells", 5), ("offset_cells", 1), ("lapse_cells", 1)):
             require_range(name, getattr(self, name), least, 1000, "see the defaults")
 
@@ -98,8 +113,14 @@ class ThresholdPrior:
         return np.sqrt(edges[1:] * edges[:-1])
 
     def parameters(self) -> tuple[Array, Array, Array, Array]:
-        """Weber fractions, low-force terms [N], lapses and prior masses of the grid's points, each of shape (n,)."""
-        offsets = np.geomspace(0.05, 0.8, self.offset_cells) if self.offset_cells > 1 else np.array([LOW_FORCE_N])
+        """Weber fractions, low-force terms [N], lapses and prior masses of the grid's points,
+        each of shape (n,).
+        """
+        offsets = (
+            np.geomspace(0.05, 0.8, self.offset_cells)
+            if self.offset_cells > 1
+            else np.array([LOW_FORCE_N])
+        )
         lapse_edges = GREATEST_LAPSE * np.linspace(0.0, 1.0, self.lapse_cells + 1) ** LAPSE_POWER
         lapses = 0.5 * (lapse_edges[1:] + lapse_edges[:-1])
         masses = (
@@ -112,8 +133,11 @@ class ThresholdPrior:
         return weber, offset, lapse, (masses / masses.sum()).ravel()
 
 
-def comparisons(bases_N: tuple[float, ...] = BASES_N, *, force_limit_N: float = 3.3) -> tuple[Array, Array]:
-    """Base forces and steps [N] that can be asked, each of shape (n,): steps of equal ratio at every base force.
+def comparisons(
+    bases_N: tuple[float, ...] = BASES_N, *, force_limit_N: float = 3.3
+) -> tuple[Array, Array]:
+    """Base forces and steps [N] that can be asked, each of shape (n,): steps of equal ratio at
+    every base force.
 
     Parameters
     ----------
@@ -129,12 +153,14 @@ def comparisons(bases_N: tuple[float, ...] = BASES_N, *, force_limit_N: float = 
 
 
 class AdaptiveThreshold:
-    """Posterior over the threshold of one or many observers, and the most informative next comparison for each.
+    """Posterior over the threshold of one or many observers, and the most informative next
+    comparison for each.
 
-    The least expected entropy is the greatest mutual information of answer and parameters, H(answer) minus the mean
-    entropy of the answer at known parameters. With the likelihoods of the comparisons at the grid's points (rows and
-    columns of a matrix) and their entropies held ready, a trial costs two matrix-vector products. The choice is that of
-    QUEST+ (Watson, 2017); the arrangement is this project's.
+    The least expected entropy is the greatest mutual information of answer and parameters,
+    H(answer) minus the mean entropy of the answer at known parameters. With the likelihoods of the
+    comparisons at the grid's points (rows and columns of a matrix) and their entropies held ready,
+    a trial costs two matrix-vector products. The choice is that of QUEST+ (Watson, 2017); the
+    arrangement is this project's.
 
     Parameters
     ----------
@@ -164,12 +190,16 @@ class AdaptiveThreshold:
         self.base_N, self.step_N = stimuli or comparisons()
         self._weber, self._offset, self._lapse, masses = self.prior.parameters()
         self.posterior: Array = np.tile(masses[:, None], observers)
-        self._right = two_interval(self.base_N[:, None], self.step_N[:, None], self._weber, self._offset, self._lapse)
+        self._right = two_interval(
+            self.base_N[:, None], self.step_N[:, None], self._weber, self._offset, self._lapse
+        )
         wrong = 1.0 - self._right
         self._entropy = -(self._right * np.log(self._right) + wrong * np.log(wrong))
 
     def propose(self) -> NDArray[np.intp]:
-        """Return the index of the comparison with the least expected entropy of the posterior, shape (observers,)."""
+        """Return the index of the comparison with the least expected entropy of the posterior,
+        shape (observers,).
+        """
         right = np.clip(self._right @ self.posterior, 1e-12, 1.0 - 1e-12)
         marginal = -(right * np.log(right) + (1.0 - right) * np.log1p(-right))
         return np.argmax(marginal - self._entropy @ self.posterior, axis=0)
@@ -185,11 +215,15 @@ class AdaptiveThreshold:
         return self.posterior.reshape(self.prior.cells, -1, self.posterior.shape[1]).sum(axis=1)
 
     def threshold_N(self, base_N: float) -> tuple[Array, Array]:
-        """Mean threshold at a base force [N] and standard deviation of its logarithm, each of shape (observers,)."""
+        """Mean threshold at a base force [N] and standard deviation of its logarithm, each of
+        shape (observers,).
+        """
         return self._log_moments(self._weber * (base_N + self._offset))
 
     def weber(self) -> tuple[Array, Array]:
-        """Geometric mean of the Weber fraction and standard deviation of its logarithm, each of shape (observers,)."""
+        """Geometric mean of the Weber fraction and standard deviation of its logarithm, each of
+        shape (observers,).
+        """
         return self._log_moments(self._weber)
 
     def offset_N(self) -> Array:
@@ -197,7 +231,9 @@ class AdaptiveThreshold:
         return self._log_moments(self._offset)[0]
 
     def _log_moments(self, values: Array) -> tuple[Array, Array]:
-        """Geometric mean of a positive figure of the grid's points, and standard deviation of its logarithm."""
+        """Geometric mean of a positive figure of the grid's points, and standard deviation of
+        its logarithm.
+        """
         logs = np.log(values)
         mean = logs @ self.posterior
         return np.exp(mean), np.sqrt(np.maximum(logs**2 @ self.posterior - mean**2, 0.0))
@@ -207,20 +243,27 @@ class AdaptiveThreshold:
         return self._lapse @ self.posterior
 
     def weber_quantiles(self, shares: Array) -> Array:
-        """Quantiles of the Weber fraction, shape (shares, observers), linear in its logarithm within a cell."""
+        """Quantiles of the Weber fraction, shape (shares, observers), linear in its logarithm
+        within a cell.
+        """
         edges = np.log(self.prior.weber_edges)
-        below = np.vstack([np.zeros(self.posterior.shape[1]), np.cumsum(self.weber_masses(), axis=0)])
+        below = np.vstack(
+            [np.zeros(self.posterior.shape[1]), np.cumsum(self.weber_masses(), axis=0)]
+        )
         return np.exp(np.column_stack([np.interp(shares, column, edges) for column in below.T]))
 
     def edge_mass(self) -> tuple[Array, Array]:
-        """Posterior mass in the two cells at the lower and at the upper bound of the Weber fraction, (observers,)."""
+        """Posterior mass in the two cells at the lower and at the upper bound of the Weber
+        fraction, (observers,).
+        """
         masses = self.weber_masses()
         return masses[:2].sum(axis=0), masses[-2:].sum(axis=0)
 
 
 @dataclass(frozen=True)
 class MagnitudePosterior:
-    """Normal-inverse-gamma posterior of ln S = ln alpha + beta ln F + sigma e (Gelman et al., 2013, section 14.2).
+    """Normal-inverse-gamma posterior of ln S = ln alpha + beta ln F + sigma e (Gelman et al., 2013,
+    section 14.2).
 
     Attributes
     ----------
@@ -244,7 +287,9 @@ class MagnitudePosterior:
 
     def log_sigma(self) -> tuple[float, float]:
         """Return the mean and variance of ln sigma."""
-        return 0.5 * float(np.log(self.scale) - digamma(self.shape)), 0.25 * float(polygamma(1, self.shape))
+        return 0.5 * float(np.log(self.scale) - digamma(self.shape)), 0.25 * float(
+            polygamma(1, self.shape)
+        )
 
     def exponent_at(self, shares: ArrayLike) -> Array:
         """Return the quantiles of the exponent beta."""
@@ -271,5 +316,7 @@ def fit_magnitudes(forces_N: ArrayLike, numbers: ArrayLike) -> MagnitudePosterio
     precision = prior + design.T @ design
     start = np.array(PRIOR_MEAN)
     mean = np.linalg.solve(precision, prior @ start + design.T @ logarithms)
-    scale = PRIOR_SCALE + 0.5 * float(logarithms @ logarithms + start @ prior @ start - mean @ precision @ mean)
+    scale = PRIOR_SCALE + 0.5 * float(
+        logarithms @ logarithms + start @ prior @ start - mean @ precision @ mean
+    )
     return MagnitudePosterior(mean, precision, PRIOR_SHAPE + 0.5 * len(design), scale)

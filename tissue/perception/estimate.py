@@ -1,4 +1,6 @@
-"""Estimates of a force: the most probable one behind one noisy look, the recursive one, and their errors."""
+"""Estimates of a force: the most probable one behind one noisy look, the recursive one, and
+their errors.
+"""
 
 from dataclasses import dataclass
 from math import sqrt
@@ -30,19 +32,29 @@ FAR = 6.0
 MEDIAN_N = 1.0
 LOG_SPREAD = 1.0
 NOISE_N = 0.3
-"""What single looks are tried on: forces as the prior of ``perception.toml``, a look that scatters as at 4 N."""
+"""What single looks are tried on: forces as the prior of ``perception.toml``, a look that
+scatters as at 4 N.
+"""
 WANDER = 1e-4
 NOISE = 1.0
 TICKS = 2000
 """Variances of level and look that the recursion is tried on, and for how long."""
 TAIL = 3.0
-"""Degrees of freedom of Student's t for heavy tails; its variance is brought to that of the Gaussian."""
+"""Degrees of freedom of Student's t for heavy tails; its variance is brought to that of the
+Gaussian.
+"""
 FATIGUE = 0.1
-"""Share by which a force feels stronger after long pressing, memory of the literature (Jones and Hunter 1983)."""
+"""Share by which a force feels stronger after long pressing, memory of the literature (Jones and
+Hunter 1983).
+"""
 
 
-def log_posterior(log_force: Array, seen_N: Array, noise_N: Array, log_median: Array, log_spread: Array) -> Array:
-    """Logarithm of the density of F at u = ln F, up to a constant: -(u - m)^2 / 2 s^2 - u - (y - e^u)^2 / 2 r^2."""
+def log_posterior(
+    log_force: Array, seen_N: Array, noise_N: Array, log_median: Array, log_spread: Array
+) -> Array:
+    """Logarithm of the density of F at u = ln F, up to a constant: -(u - m)^2 / 2 s^2 - u - (y -
+    e^u)^2 / 2 r^2.
+    """
     off = (log_force - log_median) / log_spread
     missed = (seen_N - np.exp(log_force)) / noise_N
     return -0.5 * off * off - log_force - 0.5 * missed * missed
@@ -55,11 +67,13 @@ def map_force_N(
     median_N: ArrayLike | None = None,
     log_spread: ArrayLike | None = None,
 ) -> Array:
-    """Estimate the force [N] of largest posterior density, for observations that may be zero or negative (E7).
+    """Estimate the force [N] of largest posterior density, for observations that may be zero or
+    negative (E7).
 
-    In u = ln F the slope g(u) = -(u - m) / s^2 - 1 + (y - e^u) e^u / r^2 falls, rises and falls again, or only falls:
-    between are at most two points, the roots of 2 w^2 - y w + r^2 / s^2 in w = e^u. Every falling piece that holds a
-    root holds one maximum. Each is found by Newton's steps held within its bracket, and the higher one is kept.
+    In u = ln F the slope g(u) = -(u - m) / s^2 - 1 + (y - e^u) e^u / r^2 falls, rises and falls
+    again, or only falls: between are at most two points, the roots of 2 w^2 - y w + r^2 / s^2 in w
+    = e^u. Every falling piece that holds a root holds one maximum. Each is found by Newton's steps
+    held within its bracket, and the higher one is kept.
 
     Parameters
     ----------
@@ -68,7 +82,8 @@ def map_force_N(
     noise_N
         Standard deviation of the observation [N], positive.
     median_N, log_spread
-        Median [N] of the prior and the standard deviation of its logarithm; by default those of ``perception.toml``.
+        Median [N] of the prior and the standard deviation of its logarithm; by default those of
+        ``perception.toml``.
 
     Returns
     -------
@@ -87,7 +102,9 @@ def map_force_N(
         raise InputError("seen_N must be finite, got a value that is not: leave that sample out")
     for name, value in (("noise_N", r), ("median_N", middle), ("log_spread", s)):
         if not ((value > 0.0) & np.isfinite(value)).all():
-            raise InputError(f"{name} must be positive and finite, got {np.min(value)}: see perception.toml")
+            raise InputError(
+                f"{name} must be positive and finite, got {np.min(value)}: see perception.toml"
+            )
     y, r, m, s = np.broadcast_arrays(y, r, np.log(middle), s)
     shape = y.shape
     y, r, m, s = (each.ravel() for each in (y, r, m, s))
@@ -95,7 +112,11 @@ def map_force_N(
     with np.errstate(divide="ignore", invalid="ignore"):
         highest = np.where(y > 0.0, np.maximum(np.log(y), turn), turn)
         reach = np.exp(turn)
-        lowest = np.where(y > 0.0, np.minimum(np.log(y), turn), turn - s * s * ((np.abs(y) + reach) / r) * (reach / r))
+        lowest = np.where(
+            y > 0.0,
+            np.minimum(np.log(y), turn),
+            turn - s * s * ((np.abs(y) + reach) / r) * (reach / r),
+        )
         inner = np.sqrt(y * y - 8.0 * (r / s) ** 2)
         two = (y > 0.0) & np.isfinite(inner)
         high_turn = np.where(two, np.log(0.25 * (y + inner)), np.inf)
@@ -110,8 +131,11 @@ def map_force_N(
     return np.asarray(np.exp(best).reshape(shape))
 
 
-def require_prior_fits(seen_N: float, noise_N: float, *, median_N: float, log_spread: float) -> None:
-    """Refuse a prior that excludes what was seen: further than six standard deviations of both laws.
+def require_prior_fits(
+    seen_N: float, noise_N: float, *, median_N: float, log_spread: float
+) -> None:
+    """Refuse a prior that excludes what was seen: further than six standard deviations of both
+    laws.
 
     Raises
     ------
@@ -125,7 +149,8 @@ def require_prior_fits(seen_N: float, noise_N: float, *, median_N: float, log_sp
     high = median_N * np.exp(FAR * log_spread)
     if not low - FAR * noise_N <= seen_N <= high + FAR * noise_N:
         raise InputError(
-            f"seen_N must be possible under the prior of {median_N:g} N with log spread {log_spread:g}, got {seen_N} "
+            f"seen_N must be possible under the prior of {median_N:g} N with log spread "
+            f"{log_spread:g}, got {seen_N} "
             f"with noise {noise_N:g} N: widen the prior or check the unit"
         )
 
@@ -154,12 +179,13 @@ def _root(low: Array, high: Array, y: Array, r: Array, m: Array, s: Array) -> Ar
 
 @dataclass(frozen=True, kw_only=True)
 class LocalLevel:
-    """A level that wanders by a variance q a step and is observed with a variance r (Kalman 1960; E8)::
+    """A level that wanders by a variance q a step and is observed with a variance r (Kalman 1960;
+    E8)::
 
         P = sigma^2 + q,   G = P / (P + r),   level += G (seen - level),   sigma^2 = G r
 
-    The printed sigma^2 = q r / (q + r) leaves the last variance out of P: 0.5 at q = r = 1, where the filter's steady
-    state is (-q + sqrt(q^2 + 4 q r)) / 2 = 0.618.
+    The printed sigma^2 = q r / (q + r) leaves the last variance out of P: 0.5 at q = r = 1, where
+    the filter's steady state is (-q + sqrt(q^2 + 4 q r)) / 2 = 0.618.
 
     Attributes
     ----------
@@ -195,10 +221,11 @@ class AssumptionResult:
     assumed
         What is taken for granted, or what is true instead.
     error
-        Root mean square error: of one look in units of its noise, of the recursion in units of the right filter's
-        standard deviation.
+        Root mean square error: of one look in units of its noise, of the recursion in units of the
+        right filter's standard deviation.
     held
-        Share of true levels within 1.96 standard deviations of the recursion; not a number for one look.
+        Share of true levels within 1.96 standard deviations of the recursion; not a number for one
+        look.
     """
 
     assumed: str
@@ -207,7 +234,9 @@ class AssumptionResult:
 
 
 def map_estimate_errors(rng: np.random.Generator, *, count: int = 20_000) -> list[AssumptionResult]:
-    """Return the errors of the estimate from one look at each of ``count`` forces, by what is assumed."""
+    """Return the errors of the estimate from one look at each of ``count`` forces, by what is
+    assumed.
+    """
     truth = MEDIAN_N * np.exp(LOG_SPREAD * rng.standard_normal(count))
     gaussian = NOISE_N * rng.standard_normal(count)
     tails = NOISE_N * _heavy(rng, count)
@@ -230,13 +259,19 @@ def map_estimate_errors(rng: np.random.Generator, *, count: int = 20_000) -> lis
             look, noise * NOISE_N, median_N=median * MEDIAN_N, log_spread=spread * LOG_SPREAD
         )
     return [
-        AssumptionResult(assumed=assumed, error=float(np.sqrt(np.mean((estimate - truth) ** 2))) / NOISE_N)
+        AssumptionResult(
+            assumed=assumed, error=float(np.sqrt(np.mean((estimate - truth) ** 2))) / NOISE_N
+        )
         for assumed, estimate in estimates.items()
     ]
 
 
-def recursive_estimate_errors(rng: np.random.Generator, *, runs: int = 200) -> list[AssumptionResult]:
-    """Return the errors of the recursive estimate of a wandering level in ``runs`` runs, by what is assumed."""
+def recursive_estimate_errors(
+    rng: np.random.Generator, *, runs: int = 200
+) -> list[AssumptionResult]:
+    """Return the errors of the recursive estimate of a wandering level in ``runs`` runs, by what
+    is assumed.
+    """
     right = LocalLevel(wander=WANDER, noise=NOISE)
     level = 5.0 + np.cumsum(np.sqrt(WANDER) * rng.standard_normal((TICKS, runs)), axis=0)
     gaussian = rng.standard_normal((TICKS, runs))
@@ -250,10 +285,14 @@ def recursive_estimate_errors(rng: np.random.Generator, *, runs: int = 200) -> l
         ("truth has heavy tails", right, level + tails),
         ("truth fatigues by 10 %", right, (1.0 + fatigue) * level + gaussian),
     ]
-    return [_followed(assumed, law, level, seen, right.steady_variance) for assumed, law, seen in cases]
+    return [
+        _followed(assumed, law, level, seen, right.steady_variance) for assumed, law, seen in cases
+    ]
 
 
-def _followed(assumed: str, law: LocalLevel, level: Array, seen: Array, best: float) -> AssumptionResult:
+def _followed(
+    assumed: str, law: LocalLevel, level: Array, seen: Array, best: float
+) -> AssumptionResult:
     """Follow runs by a filter, and return its errors over their second half."""
     estimate = seen[0]
     variance = law.noise
@@ -264,7 +303,9 @@ def _followed(assumed: str, law: LocalLevel, level: Array, seen: Array, best: fl
         if tick >= len(level) // 2:
             off.append((estimate - level[tick]) ** 2)
             held.append(off[-1] < 1.96**2 * variance)
-    return AssumptionResult(assumed=assumed, error=float(np.sqrt(np.mean(off) / best)), held=float(np.mean(held)))
+    return AssumptionResult(
+        assumed=assumed, error=float(np.sqrt(np.mean(off) / best)), held=float(np.mean(held))
+    )
 
 
 def _heavy(rng: np.random.Generator, shape: int | tuple[int, ...]) -> Array:

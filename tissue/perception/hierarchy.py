@@ -1,4 +1,6 @@
-"""Many observers as one population: a hierarchy by Hamiltonian Monte Carlo, and whether it converged."""
+"""Many observers as one population: a hierarchy by Hamiltonian Monte Carlo, and whether it
+converged.
+"""
 
 from dataclasses import dataclass
 from functools import partial
@@ -29,15 +31,19 @@ HYPER = (
     "log_offset",
     "log_offset_spread",
 )
-"""Parameters of the population: means and standard deviations between people, and the mean of sigma squared."""
+"""Parameters of the population: means and standard deviations between people, and the mean of
+sigma squared.
+"""
 VARIANCE_SHAPE = 10.0
-"""Shape of the inverse-gamma law of sigma squared over people: they differ by a third of it (assumed, see
-perception.toml)."""
+"""Shape of the inverse-gamma law of sigma squared over people: they differ by a third of it
+(assumed, see perception.toml)."""
 CHAINS = 2
 """Chains of a fit: one cannot be compared with another."""
 R_HAT = 1.01
 ESS = 400.0
-"""Greatest R-hat and least effective sample size of a fit that counts as converged (Vehtari et al., 2021)."""
+"""Greatest R-hat and least effective sample size of a fit that counts as converged (Vehtari et
+al., 2021).
+"""
 
 
 @dataclass(frozen=True)
@@ -49,7 +55,8 @@ class PopulationTrials:
     observers
         How many people.
     who_compared, base_N, step_N, right
-        For each comparison: index of the person, smaller force and difference [N], and whether the answer was right.
+        For each comparison: index of the person, smaller force and difference [N], and whether the
+        answer was right.
     who_rated, force_N, number
         For each number that was given: index of the person, force [N], number.
     """
@@ -64,7 +71,9 @@ class PopulationTrials:
     number: Array
 
     def counts(self) -> tuple[Index, Array, Array, Index, Index]:
-        """Comparisons summed up: person, base and step [N], how often asked and how often answered rightly."""
+        """Comparisons summed up: person, base and step [N], how often asked and how often
+        answered rightly.
+        """
         rows = np.column_stack([self.who_compared, self.base_N, self.step_N])
         unique, which = np.unique(rows, axis=0, return_inverse=True)
         asked = np.bincount(which.ravel(), minlength=len(unique))
@@ -79,11 +88,11 @@ class PopulationFit:
     Attributes
     ----------
     draws
-        By name, shape (chains, draws) for the population (`HYPER`), (chains, draws, observers) for alpha, beta, kappa,
-        offset_N, lapse and sigma of each person.
+        By name, shape (chains, draws) for the population (`HYPER`), (chains, draws, observers) for
+        alpha, beta, kappa, offset_N, lapse and sigma of each person.
     r_hat, ess
-        Split R-hat and effective sample size of each of `HYPER`, and the worst over the people's parameters as
-        ``people``.
+        Split R-hat and effective sample size of each of `HYPER`, and the worst over the people's
+        parameters as ``people``.
     divergences
         Transitions that diverged.
     """
@@ -99,15 +108,23 @@ class PopulationFit:
         worst = max(self.r_hat, key=lambda name: np.nan_to_num(self.r_hat[name], nan=np.inf))
         least = min(self.ess, key=lambda name: self.ess[name])
         if not self.r_hat[worst] <= R_HAT:
-            found.append(f"R-hat of {worst} is {self.r_hat[worst]:.3f}, above {R_HAT}: the chains have not mixed")
+            found.append(
+                f"R-hat of {worst} is {self.r_hat[worst]:.3f}, above {R_HAT}: the chains "
+                "have not mixed"
+            )
         if not self.ess[least] >= ESS:
-            found.append(f"the effective sample size of {least} is {self.ess[least]:.0f}, below {ESS:.0f}: draw more")
+            found.append(
+                f"the effective sample size of {least} is {self.ess[least]:.0f}, below "
+                f"{ESS:.0f}: draw more"
+            )
         if self.divergences:
             found.append(f"{self.divergences} transitions diverged: the tails may be missed")
         return found
 
     def interval(self, name: str) -> tuple[float, float, float]:
-        """Return the lower end, median and upper end of the central 95 % interval of a population's parameter."""
+        """Return the lower end, median and upper end of the central 95 % interval of a
+        population's parameter.
+        """
         low, middle, high = np.quantile(self.draws[name], [0.025, 0.5, 0.975]).tolist()
         return low, middle, high
 
@@ -120,12 +137,14 @@ def fit_hierarchy(
     draws: int = 600,
     progress: bool = False,
 ) -> PopulationFit:
-    """Sample the posterior of the population and of each person by NUTS (Hoffman and Gelman, 2014) in NumPyro.
+    """Sample the posterior of the population and of each person by NUTS (Hoffman and Gelman, 2014)
+    in NumPyro.
 
-    People: ln alpha, beta, ln kappa and ln offset are normal over people, sigma squared inverse-gamma, lapses
-    Beta(1, 10). The means over people have wide priors around what is published, the standard deviations half-normal
-    ones. Thresholds are written as offsets from the mean, for a simple geometry where a person's trials inform
-    little; factor and exponent, which every person's trials inform well, are not.
+    People: ln alpha, beta, ln kappa and ln offset are normal over people, sigma squared
+    inverse-gamma, lapses Beta(1, 10). The means over people have wide priors around what is
+    published, the standard deviations half-normal ones. Thresholds are written as offsets from the
+    mean, for a simple geometry where a person's trials inform little; factor and exponent, which
+    every person's trials inform well, are not.
 
     Parameters
     ----------
@@ -161,21 +180,28 @@ def fit_hierarchy(
     )
     ratings = (trials.who_rated, np.log(trials.force_N), np.log(trials.number))
     run.run(random.PRNGKey(seed), ratings, trials.counts(), extra_fields=("diverging",))
-    drawn = {name: np.asarray(values, dtype=float) for name, values in run.get_samples(group_by_chain=True).items()}
+    drawn = {
+        name: np.asarray(values, dtype=float)
+        for name, values in run.get_samples(group_by_chain=True).items()
+    }
     people = ("alpha", "beta_person", "kappa", "offset_N", "lapse", "sigma")
     judged = {name: (name,) for name in HYPER} | {"people": people}
     r_hat = {
-        key: max(float(np.max(split_gelman_rubin(drawn[name]))) for name in names) for key, names in judged.items()
+        key: max(float(np.max(split_gelman_rubin(drawn[name]))) for name in names)
+        for key, names in judged.items()
     }
     ess = {
-        key: min(float(np.min(effective_sample_size(drawn[name]))) for name in names) for key, names in judged.items()
+        key: min(float(np.min(effective_sample_size(drawn[name]))) for name in names)
+        for key, names in judged.items()
     }
     kept = {name: drawn[name] for name in (*HYPER, *people)}
     return PopulationFit(kept, r_hat, ess, int(np.sum(run.get_extra_fields()["diverging"])))
 
 
 def _model(
-    observers: int, ratings: tuple[Index, Array, Array], counts: tuple[Index, Array, Array, Index, Index]
+    observers: int,
+    ratings: tuple[Index, Array, Array],
+    counts: tuple[Index, Array, Array, Index, Index],
 ) -> None:
     """Declare the hierarchy in NumPyro."""
     import jax.numpy as jnp
@@ -183,8 +209,12 @@ def _model(
     from jax.scipy.special import ndtr
     from numpyro import distributions as law
 
-    def person(name: str, mean: "Distribution", spread: "Distribution", *, is_well_known: bool) -> "JaxArray":
-        """Sample a normal parameter of each person around the population's; an offset where trials are few."""
+    def person(
+        name: str, mean: "Distribution", spread: "Distribution", *, is_well_known: bool
+    ) -> "JaxArray":
+        """Sample a normal parameter of each person around the population's; an offset where
+        trials are few.
+        """
         centre = numpyro.sample(name, mean)
         width = numpyro.sample(f"{name}_spread", spread)
         with numpyro.plate(f"{name}_people", observers):
@@ -194,11 +224,17 @@ def _model(
 
     log_alpha = person("log_alpha", law.Normal(0.0, 1.0), law.HalfNormal(0.5), is_well_known=True)
     beta = person("beta", law.Normal(1.4, 0.5), law.HalfNormal(0.4), is_well_known=True)
-    log_kappa = person("log_kappa", law.Normal(np.log(0.09), 0.6), law.HalfNormal(0.5), is_well_known=False)
-    log_offset = person("log_offset", law.Normal(np.log(0.2), 0.5), law.HalfNormal(0.4), is_well_known=False)
+    log_kappa = person(
+        "log_kappa", law.Normal(np.log(0.09), 0.6), law.HalfNormal(0.5), is_well_known=False
+    )
+    log_offset = person(
+        "log_offset", law.Normal(np.log(0.2), 0.5), law.HalfNormal(0.4), is_well_known=False
+    )
     variance = numpyro.sample("variance", law.LogNormal(np.log(0.06), 1.0))
     with numpyro.plate("people", observers):
-        squared = numpyro.sample("squared", law.InverseGamma(VARIANCE_SHAPE, (VARIANCE_SHAPE - 1.0) * variance))
+        squared = numpyro.sample(
+            "squared", law.InverseGamma(VARIANCE_SHAPE, (VARIANCE_SHAPE - 1.0) * variance)
+        )
         lapse = numpyro.sample("lapse", law.Beta(1.0, 10.0))
     kappa = numpyro.deterministic("kappa", jnp.exp(log_kappa))
     offset_N = numpyro.deterministic("offset_N", jnp.exp(log_offset))

@@ -1,4 +1,6 @@
-"""Psychophysical laws: Stevens' power law, Weber's law with a low-level term, two-interval psychometric functions."""
+"""Psychophysical laws: Stevens' power law, Weber's law with a low-level term, two-interval
+psychometric functions.
+"""
 
 from dataclasses import dataclass
 from math import exp
@@ -32,7 +34,8 @@ QUANTITIES = {"force": "offset_N", "torque": "offset_Nm", "stiffness": "offset_N
 
 
 def with_lapse(share: ArrayLike, lapse: ArrayLike) -> Array:
-    """Return the share of right answers 1/2 + (1/2 - lapse) share in two intervals (Wichmann and Hill, 2001).
+    """Return the share of right answers 1/2 + (1/2 - lapse) share in two intervals (Wichmann and
+    Hill, 2001).
 
     Parameters
     ----------
@@ -45,17 +48,24 @@ def with_lapse(share: ArrayLike, lapse: ArrayLike) -> Array:
 
 
 def correct_of_d_prime(d_prime: ArrayLike) -> Array:
-    """Return the share of right answers in two intervals: Phi(d' / sqrt(2)) (Green and Swets, 1966)."""
+    """Return the share of right answers in two intervals: Phi(d' / sqrt(2)) (Green and Swets,
+    1966).
+    """
     return ndtr(np.asarray(d_prime, dtype=float) / np.sqrt(2.0))
 
 
 def two_interval(
-    base_N: ArrayLike, step_N: ArrayLike, weber: ArrayLike, offset_N: ArrayLike, lapse: ArrayLike = 0.0
+    base_N: ArrayLike,
+    step_N: ArrayLike,
+    weber: ArrayLike,
+    offset_N: ArrayLike,
+    lapse: ArrayLike = 0.0,
 ) -> Array:
-    """Return the share of right answers to which of two forces was greater, `base_N` or `base_N + step_N`.
+    """Return the share of right answers to which of two forces was greater, `base_N` or `base_N +
+    step_N`.
 
-    The distance d' grows with the step and is 0.954 (75 %) at the threshold weber (base + offset), which is Weber's law
-    with its term for low forces. Arguments broadcast.
+    The distance d' grows with the step and is 0.954 (75 %) at the threshold weber (base + offset),
+    which is Weber's law with its term for low forces. Arguments broadcast.
 
     Parameters
     ----------
@@ -69,23 +79,27 @@ def two_interval(
         Share of strong stimuli that is answered wrongly.
     """
     threshold = np.asarray(weber) * (np.asarray(base_N) + np.asarray(offset_N))
-    return with_lapse(2.0 * correct_of_d_prime(D_PRIME_75 * np.asarray(step_N) / threshold) - 1.0, lapse)
+    return with_lapse(
+        2.0 * correct_of_d_prime(D_PRIME_75 * np.asarray(step_N) / threshold) - 1.0, lapse
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Intensity:
-    """Intensity S = alpha (F / 1 N)^beta (1 + sigma e) of a person of whom (ln alpha, beta) is known as a normal law.
+    """Intensity S = alpha (F / 1 N)^beta (1 + sigma e) of a person of whom (ln alpha, beta) is
+    known as a normal law.
 
-    With x = ln F, m = E[ln alpha] + E[beta] x and v = Var[ln alpha + beta x], which is quadratic in x, the posterior
-    predictive has closed moments::
+    With x = ln F, m = E[ln alpha] + E[beta] x and v = Var[ln alpha + beta x], which is quadratic in
+    x, the posterior predictive has closed moments::
 
         E[S]   = exp(m + v / 2)
         Var[S] = E[S]^2 (exp(v) (1 + E[sigma^2]) - 1)
 
-    The scatter is relative and Gaussian, where a fit of reported numbers has it in ln S: to first order the same, and
-    with sigma squared inverse-gamma over people the mean of a log-normal scatter does not exist. What it would add to
-    E[S], a factor exp(sigma^2 / 2), is alike for all forces, so ratios do not depend on it. The unit of intensity is
-    what the reference observer feels at 1 N.
+    The scatter is relative and Gaussian, where a fit of reported numbers has it in ln S: to first
+    order the same, and with sigma squared inverse-gamma over people the mean of a log-normal
+    scatter does not exist. What it would add to E[S], a factor exp(sigma^2 / 2), is alike for all
+    forces, so ratios do not depend on it. The unit of intensity is what the reference observer
+    feels at 1 N.
 
     Attributes
     ----------
@@ -118,9 +132,11 @@ class Intensity:
         return np.where(np.isfinite(x), deviation, 0.0)
 
     def force_N(self, intensity: ArrayLike) -> Array:
-        """Return the force [N] whose expected intensity is the one given, for intensities of any shape; 0 for 0.
+        """Return the force [N] whose expected intensity is the one given, for intensities of any
+        shape; 0 for 0.
 
-        ln E[S] is quadratic in ln F with curvature Var[beta] >= 0; the branch that rises with the force is taken.
+        ln E[S] is quadratic in ln F with curvature Var[beta] >= 0; the branch that rises with the
+        force is taken.
 
         Raises
         ------
@@ -129,7 +145,9 @@ class Intensity:
         """
         wanted = np.asarray(intensity, dtype=float)
         if not (wanted >= 0.0).all():
-            raise InputError(f"intensity must be at least 0, got {intensity!r}: intensities are sizes")
+            raise InputError(
+                f"intensity must be at least 0, got {intensity!r}: intensities are sizes"
+            )
         a = self.log_alpha + 0.5 * self.variances[0]
         b = self.beta + self.variances[1]
         c = self.variances[2]
@@ -139,7 +157,8 @@ class Intensity:
             found = np.exp(2.0 * above / (b + np.sqrt(root))) if c > 0.0 else np.exp(above / b)
         if b <= 0.0 or not (root[wanted > 0.0] >= 0.0).all():
             raise InputError(
-                f"beta must be known well enough to be inverted, got {self.beta:.3g} with standard deviation "
+                f"beta must be known well enough to be inverted, got {self.beta:.3g} with "
+                "standard deviation "
                 f"{c**0.5:.3g}: ask more trials at weak forces"
             )
         return np.where(wanted > 0.0, found, 0.0)
@@ -171,8 +190,9 @@ def _logarithm(force_N: ArrayLike) -> Array:
 class Weber:
     """Threshold kappa (level + offset), discriminated in 75 % of two-interval trials (E6).
 
-    Weber's law alone, kappa level, lets every change be felt at a level of zero; the offset is the level at which the
-    threshold, as a share of the level, has doubled. Both are positive, so that every threshold is.
+    Weber's law alone, kappa level, lets every change be felt at a level of zero; the offset is the
+    level at which the threshold, as a share of the level, has doubled. Both are positive, so that
+    every threshold is.
 
     Attributes
     ----------
@@ -199,12 +219,15 @@ class Weber:
         """
         levels = np.asarray(level, dtype=float)
         if not (levels >= 0.0).all():
-            raise InputError(f"level must be a size of at least 0, got {level!r}: give the length of the vector")
+            raise InputError(
+                f"level must be a size of at least 0, got {level!r}: give the length of the vector"
+            )
         return self.kappa * (levels + self.offset)
 
 
 def weber(quantity: str) -> Weber:
-    """Return the population's median threshold of force [N], torque [N m] or stiffness [N/m], from ``perception.toml``.
+    """Return the population's median threshold of force [N], torque [N m] or stiffness [N/m], from
+    ``perception.toml``.
 
     Raises
     ------
@@ -212,7 +235,9 @@ def weber(quantity: str) -> Weber:
         If the quantity is none of these.
     """
     if quantity not in QUANTITIES:
-        raise InputError(f"quantity must be one of {', '.join(QUANTITIES)}, got {quantity}: choose one of these")
+        raise InputError(
+            f"quantity must be one of {', '.join(QUANTITIES)}, got {quantity}: choose one of these"
+        )
     known = constants("perception", quantity)
     return Weber(kappa=known["kappa"].value, offset=known[QUANTITIES[quantity]].value)
 
@@ -220,8 +245,10 @@ def weber(quantity: str) -> Weber:
 def weber_of(observer: Observer, *, quantile: float = 0.5) -> Weber:
     """Return an observer's threshold of force [N], at a quantile of what is known of the fraction.
 
-    A quantile below one half gives a threshold that is rather too small than too great: at 0.1 the person's own lies
-    above it with a probability of 90 %.
+    A quantile below one half gives a threshold that is rather too small than too great: at 0.1 the
+    person's own lies above it with a probability of 90 %.
     """
     spread = float(np.sqrt(max(observer.covariance[2, 2], 0.0)))
-    return Weber(kappa=exp(observer.mean[2] + float(ndtri(quantile)) * spread), offset=observer.offset_N)
+    return Weber(
+        kappa=exp(observer.mean[2] + float(ndtri(quantile)) * spread), offset=observer.offset_N
+    )

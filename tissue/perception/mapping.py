@@ -1,4 +1,6 @@
-"""The force to command so that an observer feels what the reference observer would, as a table built once."""
+"""The force to command so that an observer feels what the reference observer would, as a table
+built once.
+"""
 
 from math import exp, log
 
@@ -12,14 +14,16 @@ from tissue.perception.laws import Intensity
 __all__ = ["ForceMap", "LogTable"]
 
 NODES = 4097
-"""Nodes of a table: over five decades the error of log-linear interpolation is below 1e-6 for every observer whose
-exponent is known to 0.5."""
+"""Nodes of a table: over five decades the error of log-linear interpolation is below 1e-6 for every
+observer whose exponent is known to 0.5."""
 
 
 class LogTable:
-    """A positive function of force, tabulated over ln F and interpolated linearly in its own logarithm.
+    """A positive function of force, tabulated over ln F and interpolated linearly in its own
+    logarithm.
 
-    Exact for a power law. Below the first node it falls linearly to zero, above the last it goes on linearly.
+    Exact for a power law. Below the first node it falls linearly to zero, above the last it goes on
+    linearly.
 
     Parameters
     ----------
@@ -31,7 +35,10 @@ class LogTable:
 
     def __init__(self, forces_N: Array, values: Array) -> None:
         if not (np.isfinite(values).all() and (values > 0.0).all()):
-            raise InputError("values must be positive and finite, got one that is not: narrow the range of forces")
+            raise InputError(
+                "values must be positive and finite, got one that is not: narrow the range "
+                "of forces"
+            )
         self._first = float(forces_N[0])
         self._last = float(forces_N[-1])
         self._start = log(self._first)
@@ -53,27 +60,30 @@ class LogTable:
 
 
 class ForceMap:
-    """Command by E5: the force whose expected intensity for this observer is the reference observer's at gain x force.
+    """Command by E5: the force whose expected intensity for this observer is the reference
+    observer's at gain x force.
 
-    Stevens' law is homogeneous, so a common factor on all forces keeps every ratio of intensities, and is the only law
-    that does. The stated law for a device's range is therefore a factor: 1 where the observer needs no more force than
-    the reference at the strongest force that the device plays uncompressed (``knee_N``), and below 1 just so that this
-    force is commanded there where he needs more. Up to the knee then
+    Stevens' law is homogeneous, so a common factor on all forces keeps every ratio of intensities,
+    and is the only law that does. The stated law for a device's range is therefore a factor: 1
+    where the observer needs no more force than the reference at the strongest force that the device
+    plays uncompressed (``knee_N``), and below 1 just so that this force is commanded there where he
+    needs more. Up to the knee then
 
         E[S | command(F1)] / E[S | command(F2)] = (F1 / F2)^beta of the reference
 
     Beyond it `tissue.haptics.loop.filters.ForceRange` compresses, and reports it.
 
-    Neither law has been measured far below the observer's low-force term: below it the map is continued in a straight
-    line to zero, which also bounds its slope there, so that a contact does not begin infinitely stiff.
+    Neither law has been measured far below the observer's low-force term: below it the map is
+    continued in a straight line to zero, which also bounds its slope there, so that a contact does
+    not begin infinitely stiff.
 
     Parameters
     ----------
     reference, observer
         Whose intensity is wanted, and who feels.
     lowest_N, knee_N
-        Where the straight line ends [N], above 0, and the strongest force that the device plays uncompressed [N], above
-        that.
+        Where the straight line ends [N], above 0, and the strongest force that the device plays
+        uncompressed [N], above that.
 
     Attributes
     ----------
@@ -90,7 +100,9 @@ class ForceMap:
         If the observer is known too badly for the map to rise with the force.
     """
 
-    def __init__(self, reference: Intensity, observer: Intensity, *, lowest_N: float, knee_N: float) -> None:
+    def __init__(
+        self, reference: Intensity, observer: Intensity, *, lowest_N: float, knee_N: float
+    ) -> None:
         self._reference = reference
         self._observer = observer
         need = float(observer.force_N(reference.expected(knee_N)))
@@ -100,7 +112,10 @@ class ForceMap:
         commands = self._exact(self.forces_N)
         slopes = np.diff(commands) / np.diff(self.forces_N)
         if not (slopes > 0.0).all():
-            raise InputError("observer must need more force for more intensity, got one who does not: ask more trials")
+            raise InputError(
+                "observer must need more force for more intensity, got one who does not: ask "
+                "more trials"
+            )
         within = int(np.searchsorted(self.forces_N, knee_N))
         self.steepest = float(max(slopes[:within].max(), commands[0] / lowest_N))
         self.table = LogTable(self.forces_N, commands)
@@ -109,7 +124,9 @@ class ForceMap:
         self.spread = LogTable(felt, np.maximum(observer.spread(felt), 1e-12))
 
     def command_N(self, force_N: ArrayLike) -> Array:
-        """Return the sizes of force to command [N] for sizes of force at the device [N], exactly, of any shape."""
+        """Return the sizes of force to command [N] for sizes of force at the device [N],
+        exactly, of any shape.
+        """
         forces = np.asarray(force_N, dtype=float)
         first = self.forces_N[0]
         straight = forces * float(self._exact(first)) / first
@@ -117,4 +134,6 @@ class ForceMap:
 
     def _exact(self, force_N: ArrayLike) -> Array:
         """Return the inverse by closed form, without the straight line."""
-        return self._observer.force_N(self._reference.expected(self.gain * np.asarray(force_N, dtype=float)))
+        return self._observer.force_N(
+            self._reference.expected(self.gain * np.asarray(force_N, dtype=float))
+        )

@@ -1,4 +1,6 @@
-"""Observers of force: knowledge about one person, the file that keeps it, and the population of people."""
+"""Observers of force: knowledge about one person, the file that keeps it, and the population of
+people.
+"""
 
 import json
 from collections.abc import Mapping
@@ -30,9 +32,10 @@ __all__ = [
 ]
 
 PARAMETERS = ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
-"""Stevens' factor and exponent, Weber's fraction and low-force term [N], share of lapses, and relative scatter of a
-reported intensity: S = alpha (F / 1 N)^beta (1 + sigma e), with e of unit variance; a change of kappa (F + offset) is
-discriminated in 75 % of two-interval trials, lapses apart."""
+"""Stevens' factor and exponent, Weber's fraction and low-force term [N], share of lapses, and
+relative scatter of a reported intensity: S = alpha (F / 1 N)^beta (1 + sigma e), with e of unit
+variance; a change of kappa (F + offset) is discriminated in 75 % of two-interval trials, lapses
+apart."""
 BOUNDS = {
     "alpha": (1e-3, 1e3),
     "beta": (0.05, 5.0),
@@ -47,15 +50,18 @@ VERSION = 1
 COORDINATES = ("ln alpha", "beta", "ln kappa", "ln offset_N", "logit lapse", "ln sigma")
 TO_COORDINATE = dict.fromkeys(PARAMETERS, np.log) | {"beta": np.asarray, "lapse": logit}
 WIDEST = 10.0
-"""Greatest standard deviation of a coordinate: beyond it nothing is known, and it is an error of a fit."""
+"""Greatest standard deviation of a coordinate: beyond it nothing is known, and it is an error of
+a fit.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observer:
-    """Knowledge about a person: a normal posterior of (ln alpha, beta, ln kappa, ln offset, logit lapse, ln sigma).
+    """Knowledge about a person: a normal posterior of (ln alpha, beta, ln kappa, ln offset, logit
+    lapse, ln sigma).
 
-    In these coordinates every draw is a possible person: factor, thresholds and scatter are positive (E6), lapses lie
-    between 0 and 1.
+    In these coordinates every draw is a possible person: factor, thresholds and scatter are
+    positive (E6), lapses lie between 0 and 1.
 
     Attributes
     ----------
@@ -64,7 +70,8 @@ class Observer:
     mean
         Mean of the coordinates, shape (6,), in the order of `PARAMETERS`.
     covariance
-        Their covariance, shape (6, 6), symmetric and without negative eigenvalues; zeros for a person known exactly.
+        Their covariance, shape (6, 6), symmetric and without negative eigenvalues; zeros for a
+        person known exactly.
     trials
         How many trials this rests on; 0 for a prior.
 
@@ -83,21 +90,37 @@ class Observer:
         mean = np.array(self.mean, dtype=float)
         covariance = np.array(self.covariance, dtype=float)
         if mean.shape != (6,) or covariance.shape != (6, 6):
-            raise InputError(f"mean and covariance must have shapes (6,) and (6, 6), got {mean.shape} and "
-                             f"{covariance.shape}: one coordinate for each of {', '.join(PARAMETERS)}")  # fmt: skip
+            raise InputError(
+                f"mean and covariance must have shapes (6,) and (6, 6), got {mean.shape} and "
+                f"{covariance.shape}: one coordinate for each of {', '.join(PARAMETERS)}"
+            )
         if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
-            raise InputError("mean and covariance must be finite, got one that is not: calibrate again")
+            raise InputError(
+                "mean and covariance must be finite, got one that is not: calibrate again"
+            )
         for name, (low, high) in BOUNDS.items():
             require_range(
-                name, float(_from(name, mean[PARAMETERS.index(name)])), low, high, "calibrate again, forces in N"
+                name,
+                float(_from(name, mean[PARAMETERS.index(name)])),
+                low,
+                high,
+                "calibrate again, forces in N",
             )
         scale = max(float(np.abs(covariance).max()), 1e-300)
         if np.abs(covariance - covariance.T).max() > 1e-9 * scale:
             raise InputError("covariance must be symmetric, got one that is not: calibrate again")
         if np.linalg.eigvalsh(covariance).min() < -1e-9 * scale:
-            raise InputError("covariance must have no negative eigenvalue, got one: calibrate again")
+            raise InputError(
+                "covariance must have no negative eigenvalue, got one: calibrate again"
+            )
         widest = float(np.sqrt(np.diag(covariance).clip(0.0)).max())
-        require_range("standard deviation", widest, 0.0, WIDEST, "ask more trials, or start from a narrower prior")
+        require_range(
+            "standard deviation",
+            widest,
+            0.0,
+            WIDEST,
+            "ask more trials, or start from a narrower prior",
+        )
         require_range("trials", self.trials, 0, 1e9, "count them")
         mean.flags.writeable = covariance.flags.writeable = False
         object.__setattr__(self, "mean", mean)
@@ -105,12 +128,24 @@ class Observer:
 
     @classmethod
     def known(
-        cls, name: str, *, spread: Mapping[str, float] | None = None, trials: int = 0, **medians: float
+        cls,
+        name: str,
+        *,
+        spread: Mapping[str, float] | None = None,
+        trials: int = 0,
+        **medians: float,
     ) -> "Observer":
-        """Return an observer by the medians of all `PARAMETERS` and the independent spreads of their coordinates."""
+        """Return an observer by the medians of all `PARAMETERS` and the independent spreads of
+        their coordinates.
+        """
         spreads = []
         for parameter in PARAMETERS:
-            require_range(parameter, medians[parameter], *BOUNDS[parameter], "see perception.toml for what is usual")
+            require_range(
+                parameter,
+                medians[parameter],
+                *BOUNDS[parameter],
+                "see perception.toml for what is usual",
+            )
             width = (spread or {}).get(parameter, 0.0)
             spreads.append(require_range(f"spread of {parameter}", width, 0.0, WIDEST, "use 0.2"))
         mean = np.array([TO_COORDINATE[parameter](medians[parameter]) for parameter in PARAMETERS])
@@ -118,7 +153,9 @@ class Observer:
 
     @classmethod
     def from_draws(cls, name: str, draws: Mapping[str, Array], *, trials: int) -> "Observer":
-        """The normal posterior with the mean and covariance of draws, each of shape (n,), by parameter's name."""
+        """The normal posterior with the mean and covariance of draws, each of shape (n,), by
+        parameter's name.
+        """
         rows = np.array([TO_COORDINATE[parameter](draws[parameter]) for parameter in PARAMETERS])
         return cls(name=name, mean=rows.mean(axis=1), covariance=np.cov(rows), trials=trials)
 
@@ -161,7 +198,8 @@ class Observer:
 
 
 def write_observer(observer: Observer, path: Path, *, overwrite: bool = False) -> None:
-    """Write an observer as JSON; a file that is there is replaced only where asked for, and then in one step.
+    """Write an observer as JSON; a file that is there is replaced only where asked for, and then in
+    one step.
 
     Raises
     ------
@@ -183,8 +221,11 @@ def write_observer(observer: Observer, path: Path, *, overwrite: bool = False) -
         with whole_file(path) as temporary:
             temporary.write_text(json.dumps(stored, indent=1) + "\n", "utf-8")
     except OSError as problem:
-        raise InputError(f"out must be a file that can be written, got {path} ({problem.strerror}): choose another "
-                         "folder") from problem  # fmt: skip
+        raise InputError(
+            f"out must be a file that can be written, got {path} ({problem.strerror}): "
+            "choose another "
+            "folder"
+        ) from problem
 
 
 def read_observer(path: Path) -> Observer:
@@ -201,13 +242,19 @@ def read_observer(path: Path) -> Observer:
         stored = read_json(path.read_text("utf-8"))
     except OSError as problem:
         raise InputError(
-            f"observer must be a file that can be read, got {path} ({problem.strerror}): {calibrate}"
+            f"observer must be a file that can be read, got {path} ({problem.strerror}): "
+            f"{calibrate}"
         ) from problem
     except ValueError as problem:
         raise InputError(f"observer must be a JSON file, got {path}: {calibrate}") from problem
     if not isinstance(stored, dict) or stored.get("format") != FORMAT:
-        raise InputError(f"observer must be a file of an observer, got {path}, which is something else: {calibrate}")
-    require_version("observer", stored, VERSION, key="version", where=path, remedy="calibrate again")
+        raise InputError(
+            f"observer must be a file of an observer, got {path}, which is something else: "
+            f"{calibrate}"
+        )
+    require_version(
+        "observer", stored, VERSION, key="version", where=path, remedy="calibrate again"
+    )
     try:
         name = str(stored["name"])
         trials = int(stored["trials"])
@@ -217,7 +264,8 @@ def read_observer(path: Path) -> Observer:
             raise ValueError("other coordinates")
     except (KeyError, TypeError, ValueError, OverflowError) as problem:
         raise InputError(
-            f"observer must hold name, trials, coordinates, mean and covariance, got {path} without: {calibrate}"
+            f"observer must hold name, trials, coordinates, mean and covariance, got {path} "
+            f"without: {calibrate}"
         ) from problem
     try:
         return Observer(name=name, mean=mean, covariance=covariance, trials=trials)
@@ -229,20 +277,25 @@ def _from(parameter: str, coordinate: Array | np.float64) -> Array:
     """Return the value at a coordinate."""
     if parameter == "lapse":
         return np.asarray(expit(coordinate))
-    return np.asarray(coordinate if parameter == "beta" else np.exp(np.minimum(coordinate, log(1e300))))
+    return np.asarray(
+        coordinate if parameter == "beta" else np.exp(np.minimum(coordinate, log(1e300)))
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Population:
-    """Law by which people differ: alpha log-normal with mean 1, beta normal, sigma squared inverse-gamma.
+    """Law by which people differ: alpha log-normal with mean 1, beta normal, sigma squared
+    inverse-gamma.
 
-    The mean of alpha is 1, because the unit of intensity is free: it is what people feel at 1 N on the average. Weber's
-    fraction and low-force term are log-normal, so that thresholds are positive (E6); the lapse is logit-normal.
+    The mean of alpha is 1, because the unit of intensity is free: it is what people feel at 1 N on
+    the average. Weber's fraction and low-force term are log-normal, so that thresholds are positive
+    (E6); the lapse is logit-normal.
 
     Attributes
     ----------
     beta, kappa, offset_N, lapse
-        Medians of Stevens' exponent, Weber's fraction, its low-force term [N] and the share of lapses.
+        Medians of Stevens' exponent, Weber's fraction, its low-force term [N] and the share of
+        lapses.
     sigma
         Relative scatter of reported intensities: root of the mean of sigma squared.
     alpha_log_spread, beta_spread, kappa_log_spread, offset_log_spread, lapse_logit_spread
@@ -264,7 +317,9 @@ class Population:
     sigma_shape: float
 
     def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
-        """Return the parameters of so many people, each of shape (count,), by the names of an observer's parameters."""
+        """Return the parameters of so many people, each of shape (count,), by the names of an
+        observer's parameters.
+        """
         normal = rng.standard_normal((5, count))
         scale = (self.sigma_shape - 1.0) * self.sigma**2
         return {
@@ -277,7 +332,8 @@ class Population:
         }
 
     def observer(self) -> Observer:
-        """Return an observer for an unknown person: the population in the coordinates of an observer.
+        """Return an observer for an unknown person: the population in the coordinates of an
+        observer.
 
         All is exact but for sigma, of whose logarithm mean and variance are kept.
         """
@@ -298,7 +354,9 @@ class Population:
             self.lapse_logit_spread,
             0.5 * np.sqrt(polygamma(1, self.sigma_shape)),
         ]
-        return Observer(name="population", mean=np.array(mean), covariance=np.diag(np.square(spread)))
+        return Observer(
+            name="population", mean=np.array(mean), covariance=np.diag(np.square(spread))
+        )
 
 
 def population() -> Population:
@@ -313,7 +371,9 @@ def population_observer() -> Observer:
 
 
 def reference_observer() -> Observer:
-    """The person whose intensities others are brought to: the population's medians, known exactly, and alpha 1."""
+    """The person whose intensities others are brought to: the population's medians, known
+    exactly, and alpha 1.
+    """
     people = population()
     given = {name: getattr(people, name) for name in PARAMETERS if name != "alpha"}
     return Observer.known("reference", alpha=1.0, **given)

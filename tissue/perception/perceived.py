@@ -1,4 +1,6 @@
-"""Perceptual scaling tick by tick: force map, deadband, and the estimate that a person makes of the force."""
+"""Perceptual scaling tick by tick: force map, deadband, and the estimate that a person makes of
+the force.
+"""
 
 from math import exp, inf, sqrt
 
@@ -19,23 +21,28 @@ BLOCK = 512
 
 
 class Deadband:
-    """Holds a vector while its distance to the wanted one is under the threshold at the held size; then takes the new.
+    """Holds a vector while its distance to the wanted one is under the threshold at the held size;
+    then takes the new.
 
-    The distance is that of vectors, so turning counts as well as growing. What is played is the wanted vector itself
-    whenever it changes, never a sum of steps, so that errors cannot accumulate: at every tick the error is below the
-    threshold. Noise that stays within the threshold of what is held is not played at all.
+    The distance is that of vectors, so turning counts as well as growing. What is played is the
+    wanted vector itself whenever it changes, never a sum of steps, so that errors cannot
+    accumulate: at every tick the error is below the threshold. Noise that stays within the
+    threshold of what is held is not played at all.
 
-    What is weaker than half of what can be felt from nothing is played as zero, so that nothing pulls in free air.
+    What is weaker than half of what can be felt from nothing is played as zero, so that nothing
+    pulls in free air.
 
-    A force that is held while it should fall gives energy to the device: over a cycle as much as a Coulomb friction of
-    half the threshold with the wrong sign. A friction of more than that in the device, or the damping of a hand, pays.
+    A force that is held while it should fall gives energy to the device: over a cycle as much as a
+    Coulomb friction of half the threshold with the wrong sign. A friction of more than that in the
+    device, or the damping of a hand, pays.
 
     Parameters
     ----------
     law
         Threshold of the size.
     widest
-        What the distance never exceeds, in the unit of the vector, however great the threshold; at least 0.
+        What the distance never exceeds, in the unit of the vector, however great the threshold; at
+        least 0.
 
     Attributes
     ----------
@@ -61,7 +68,10 @@ class Deadband:
         if rest := size < REST_SHARE * self._least:
             x = y = z = size = 0.0
         a, b, c = self._held
-        self.changed = self._fresh or (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2 > self._allowed * self._allowed
+        self.changed = (
+            self._fresh
+            or (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2 > self._allowed * self._allowed
+        )
         if not (self.changed or (rest and (a or b or c))):
             return False
         self._fresh = False
@@ -78,7 +88,9 @@ class Deadband:
 
 
 def held_back(wanted: Array, law: Weber) -> tuple[Array, Array]:
-    """Apply a deadband to recorded vectors, shape (n, 3); return them and where they changed, shape (n,)."""
+    """Apply a deadband to recorded vectors, shape (n, 3); return them and where they changed,
+    shape (n,).
+    """
     deadband = Deadband(law)
     played = np.empty_like(wanted, dtype=float)
     changes = np.zeros(len(wanted), dtype=bool)
@@ -91,10 +103,10 @@ def held_back(wanted: Array, law: Weber) -> tuple[Array, Array]:
 class Sense:
     """Estimate of a force by a person: a noisy look every tick, averaged by the steady filter.
 
-    The gain is that of the time over which force is averaged, 1 - exp(-T / tau), and the noise of a look is such that
-    the estimate of a constant force scatters by the threshold: a change of one threshold is d' = 0.954 from none.
-    For this gain G and scatter s a look has the variance r = s^2 (2 - G) / G, and the filter assumes that the force
-    wanders by q = G^2 r / (1 - G) a tick.
+    The gain is that of the time over which force is averaged, 1 - exp(-T / tau), and the noise of a
+    look is such that the estimate of a constant force scatters by the threshold: a change of one
+    threshold is d' = 0.954 from none. For this gain G and scatter s a look has the variance r = s^2
+    (2 - G) / G, and the filter assumes that the force wanders by q = G^2 r / (1 - G) a tick.
 
     Attributes
     ----------
@@ -102,7 +114,9 @@ class Sense:
         The estimate [N]; a size, never below 0.
     """
 
-    def __init__(self, law: Weber, *, integration_s: float, tick_s: float, rng: np.random.Generator) -> None:
+    def __init__(
+        self, law: Weber, *, integration_s: float, tick_s: float, rng: np.random.Generator
+    ) -> None:
         self.gain = 1.0 - exp(-tick_s / integration_s)
         self._kappa = law.kappa
         self._offset = law.offset
@@ -120,7 +134,9 @@ class Sense:
         """Look at a force [N] once; the new estimate."""
         if not self._drawn:
             self._drawn = self._rng.standard_normal(BLOCK).tolist()
-        seen = force_N + self._noise_ratio * self._kappa * (force_N + self._offset) * self._drawn.pop()
+        seen = (
+            force_N + self._noise_ratio * self._kappa * (force_N + self._offset) * self._drawn.pop()
+        )
         self._level += self.gain * (seen - self._level)
         self.force_N = self._level if self._level > 0.0 else 0.0
         return self.force_N
@@ -166,7 +182,9 @@ class PerceivedForce:
         x, y, z = force_N.tolist()
         size = sqrt(x * x + y * y + z * z)
         if not size < inf:
-            raise InputError(f"force must be finite, got {force_N}: hold it back with a SampleGuard")
+            raise InputError(
+                f"force must be finite, got {force_N}: hold it back with a SampleGuard"
+            )
         share = self.law.table.at(size) / size if size > 0.0 else 1.0
         deadband = self.deadband
         if deadband.step(share * x, share * y, share * z):

@@ -10,7 +10,8 @@ __all__ = ["Perception", "PerceptionMaker"]
 
 
 class Perception(Protocol):
-    """Turns a force that shall be felt into the force to command, for one observer; direction stays.
+    """Turns a force that shall be felt into the force to command, for one observer; direction
+    stays.
 
     `step` is called once a tick and costs microseconds.
     """
@@ -18,7 +19,9 @@ class Perception(Protocol):
     estimated_N: float
     """The force as the observer's sense of it is estimated, after the recursive update [N]."""
     perceived: float
-    """Mean of the intensity that the commanded force evokes, in units of the reference observer's."""
+    """Mean of the intensity that the commanded force evokes, in units of the reference
+    observer's.
+    """
     perceived_spread: float
     """Standard deviation of that intensity."""
     steepest: float
@@ -29,7 +32,9 @@ class Perception(Protocol):
     """Whether the last change was above the observer's threshold, and so was rendered."""
 
     def step(self, force_N: Array) -> Array:
-        """Return the force to command [N], shape (3,), for a force at the device [N], shape (3,)."""
+        """Return the force to command [N], shape (3,), for a force at the device [N], shape
+        (3,).
+        """
         ...
 
     def pause(self) -> None:
@@ -41,7 +46,13 @@ class PerceptionMaker(Protocol):
     """Makes a perception on a device."""
 
     def __call__(
-        self, argument: str, *, rng: np.random.Generator, force_limit_N: float, tick_s: float, friction_N: float
+        self,
+        argument: str,
+        *,
+        rng: np.random.Generator,
+        force_limit_N: float,
+        tick_s: float,
+        friction_N: float,
     ) -> Perception:
         """Return a new perception.
 

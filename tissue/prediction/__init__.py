@@ -1,1 +1,3 @@
-"""Force and state some milliseconds ahead: lifted linear operators, and the simple predictors they have to beat."""
+"""Force and state some milliseconds ahead: lifted linear operators, and the simple predictors
+they have to beat.
+"""

@@ -1,4 +1,6 @@
-"""The simple predictors: a straight line, a steady-state Kalman filter, and a linear model that the device drives."""
+"""The simple predictors: a straight line, a steady-state Kalman filter, and a linear model that
+the device drives.
+"""
 
 from collections import deque
 from functools import lru_cache
@@ -14,10 +16,12 @@ from tissue.prediction.predictor import AffineMap, interpolated
 __all__ = ["Kalman", "Linear", "LinearControl", "kalman_gains"]
 
 WINDOW = 10
-"""Ticks over which a slope is taken: of 3 to 30 the best on the recorded wall at 4 to 8 ms but for 8, and better on the
-slower scenes than that; a shorter one takes an encoder's step for a slope."""
+"""Ticks over which a slope is taken: of 3 to 30 the best on the recorded wall at 4 to 8 ms but for
+8, and better on the slower scenes than that; a shorter one takes an encoder's step for a slope."""
 JERKINESS = 1e-3
-"""Variance of the force's third difference over that of its noise: of 1e-8 to 1e-2 the best on the recorded wall."""
+"""Variance of the force's third difference over that of its noise: of 1e-8 to 1e-2 the best on
+the recorded wall.
+"""
 
 
 class Linear:
@@ -61,7 +65,8 @@ class Linear:
 
 @lru_cache
 def kalman_gains(ticks: int, jerkiness: float) -> Array:
-    """Steady gains for force, its rate a tick and that one's, shape (3,), with a force every so many ticks.
+    """Steady gains for force, its rate a tick and that one's, shape (3,), with a force every so
+    many ticks.
 
     Of the process F''' = white noise, by the discrete Riccati equation (Kalman 1960).
     """
@@ -71,13 +76,17 @@ def kalman_gains(ticks: int, jerkiness: float) -> Array:
     onward = np.array([[1.0, step, 0.5 * step**2], [0.0, 1.0, step], [0.0, 0.0, 1.0]])
     noise = np.array([step**3 / 6.0, step**2 / 2.0, step])
     look = np.array([[1.0, 0.0, 0.0]])
-    spread = solve_discrete_are(onward.T, look.T, jerkiness * np.outer(noise, noise) / step, np.eye(1))
+    spread = solve_discrete_are(
+        onward.T, look.T, jerkiness * np.outer(noise, noise) / step, np.eye(1)
+    )
     gains: Array = spread[:, 0] / (spread[0, 0] + 1.0)
     return gains
 
 
 class Kalman:
-    """A force with constant acceleration, but for white noise, seen with white noise; gains are those it settles to."""
+    """A force with constant acceleration, but for white noise, seen with white noise; gains are
+    those it settles to.
+    """
 
     residual_N = 0.0
     is_primary = trusted = True
@@ -112,14 +121,16 @@ class Kalman:
 
 
 class LinearControl:
-    """Linear dynamic mode decomposition with control (Proctor, Brunton & Kutz 2016): F+ = A F + B (x, v) + offset.
+    """Linear dynamic mode decomposition with control (Proctor, Brunton & Kutz 2016): F+ = A F + B
+    (x, v) + offset.
 
     The device goes on at its present speed over the ticks ahead.
 
     Parameters
     ----------
     operator
-        Its states are the force [N], shape (3,), its inputs the device's position [m] and velocity [m/s], shape (6,).
+        Its states are the force [N], shape (3,), its inputs the device's position [m] and velocity
+        [m/s], shape (6,).
     """
 
     residual_N = 0.0
@@ -128,7 +139,8 @@ class LinearControl:
     def __init__(self, operator: Operator) -> None:
         if operator.A.shape != (3, 3) or operator.B.shape != (3, 6):
             raise InputError(
-                f"operator must take a force by position and velocity, got {operator.B.shape}: train it again"
+                "operator must take a force by position and velocity, got "
+                f"{operator.B.shape}: train it again"
             )
         self._A = operator.A
         self._B = operator.B

@@ -1,4 +1,6 @@
-"""What a loop knows of its tool's contact in a tick, for predictors that ask the tissue's own law."""
+"""What a loop knows of its tool's contact in a tick, for predictors that ask the tissue's own
+law.
+"""
 
 from dataclasses import dataclass, field
 from math import inf, isnan, nan
@@ -16,7 +18,8 @@ CONTACT_WIDTH = 21
 
 @dataclass
 class Contact:
-    """A tool that hangs on a device by a spring, and the tissue's local law, in metres and newtons at the device.
+    """A tool that hangs on a device by a spring, and the tissue's local law, in metres and newtons
+    at the device.
 
     Attributes
     ----------
@@ -27,11 +30,11 @@ class Contact:
     force_N
         Force of the tissue on the tool there, shape (3,).
     stiffness_N_m
-        How that force falls with the tool's position, -dF/dx [N/m], shape (3, 3); None where the tissue does not know
-        it.
+        How that force falls with the tool's position, -dF/dx [N/m], shape (3, 3); None where the
+        tissue does not know it.
     gap_m, normal
-        Distance of a free tool from the tissue's surface [m], and the unit direction out of it, shape (3,); infinite
-        where the tissue does not know it.
+        Distance of a free tool from the tissue's surface [m], and the unit direction out of it,
+        shape (3,); infinite where the tissue does not know it.
     cuts
         Whether the tool cuts, so that nothing pushes it back to where it was.
     """
@@ -48,14 +51,24 @@ class Contact:
         """All of it as numbers, shape (CONTACT_WIDTH,); NaN for a stiffness that is not known."""
         stiffness = np.full(9, nan) if self.stiffness_N_m is None else self.stiffness_N_m.ravel()
         return np.concatenate(
-            ((self.spring_N_m,), self.tip_m, self.force_N, stiffness, (self.gap_m,), self.normal, (self.cuts,))
+            (
+                (self.spring_N_m,),
+                self.tip_m,
+                self.force_N,
+                stiffness,
+                (self.gap_m,),
+                self.normal,
+                (self.cuts,),
+            )
         )
 
     @classmethod
     def of_row(cls, row: Array) -> "Contact":
         """The contact that `row` was made of."""
         stiffness = None if isnan(row[7]) else row[7:16].reshape(3, 3)
-        return cls(float(row[0]), row[1:4], row[4:7], stiffness, float(row[16]), row[17:20], bool(row[20]))
+        return cls(
+            float(row[0]), row[1:4], row[4:7], stiffness, float(row[16]), row[17:20], bool(row[20])
+        )
 
 
 @runtime_checkable

@@ -19,15 +19,21 @@ BLEND = 10
 ABSURD = 1e6
 """Metres, metres a second or newtons that no device has."""
 MEMORY = 0.98
-"""Share of what was missed that is still reckoned with a tick later: about 50 ticks, a touch and what follows it."""
+"""Share of what was missed that is still reckoned with a tick later: about 50 ticks, a touch and
+what follows it.
+"""
 WORSE = 1.5
 """Times the other's error from which a predictor is not trusted: below, both are noise; a prior."""
 LEAST_N = 3e-3
 """Error that is never counted as worse [N]."""
 LONG_MEMORY = 0.999
-"""The same where a predictor is compared with holding the force, by what it has cost or saved in all: a second."""
+"""The same where a predictor is compared with holding the force, by what it has cost or saved in
+all: a second.
+"""
 MOST_DEBT = 20.0
-"""Times `LEAST_N`^2 that a predictor may have cost beyond holding: three seconds of no cost make up for all of it."""
+"""Times `LEAST_N`^2 that a predictor may have cost beyond holding: three seconds of no cost make
+up for all of it.
+"""
 PROBATION = 50
 """Ticks for which a predictor must be trusted before it is asked again."""
 
@@ -42,13 +48,15 @@ class Judged(Predictor, Protocol):
 
 
 class Guarded:
-    """A predictor for as long as it can be trusted, and another one in its place: no step in between.
+    """A predictor for as long as it can be trusted, and another one in its place: no step in
+    between.
 
-    The force is the fallback's plus a share of the difference to the predictor's. Trust ends when the predictor
-    itself doubts, when its predictions have lately missed the force that came by more than the other's did, or when
-    over a longer time holding the last force would have missed less, false touches included; then the share falls
-    from 1 to 0 over some ticks, and it rises as slowly after a while of trust. The difference is bounded, and where
-    it is not finite the last one is kept, so a handover changes the force by no more than the bound over those ticks.
+    The force is the fallback's plus a share of the difference to the predictor's. Trust ends when
+    the predictor itself doubts, when its predictions have lately missed the force that came by more
+    than the other's did, or when over a longer time holding the last force would have missed less,
+    false touches included; then the share falls from 1 to 0 over some ticks, and it rises as slowly
+    after a while of trust. The difference is bounded, and where it is not finite the last one is
+    kept, so a handover changes the force by no more than the bound over those ticks.
 
     Parameters
     ----------
@@ -102,7 +110,11 @@ class Guarded:
         worse = not (primary <= WORSE**2 * other + LEAST_N**2 and self._over_held <= LEAST_N**2)
         self._good = self._good + 1 if self.inner.trusted and not worse else 0
         change = 1.0 / BLEND
-        self._share = min(self._share + change, 1.0) if self._good >= PROBATION else max(self._share - change, 0.0)
+        self._share = (
+            min(self._share + change, 1.0)
+            if self._good >= PROBATION
+            else max(self._share - change, 0.0)
+        )
         self.is_primary = self._share > 0.5
 
     def predict(self, ticks: float) -> Array:
@@ -128,7 +140,9 @@ class Guarded:
         return np.array((x + share * u, y + share * v, z + share * w))
 
     def _compare(self, force_N: Array) -> None:
-        """Add what both missed of the force that was predicted for now, or for the time since the last tick."""
+        """Add what both missed of the force that was predicted for now, or for the time since
+        the last tick.
+        """
         fx, fy, fz = force_N.tolist()
         now = fx, fy, fz
         if self._lead and len(self._kept) == ceil(self._lead):
@@ -139,8 +153,12 @@ class Guarded:
             fx = fx + back * (bx - fx)
             fy = fy + back * (by - fy)
             fz = fz + back * (bz - fz)
-            primary, other, held = [(fx - x) ** 2 + (fy - y) ** 2 + (fz - z) ** 2 for x, y, z in kept]
-            self._over_held = min(self._over_held + (1.0 - LONG_MEMORY) * (primary - held), MOST_DEBT * LEAST_N**2)
+            primary, other, held = [
+                (fx - x) ** 2 + (fy - y) ** 2 + (fz - z) ** 2 for x, y, z in kept
+            ]
+            self._over_held = min(
+                self._over_held + (1.0 - LONG_MEMORY) * (primary - held), MOST_DEBT * LEAST_N**2
+            )
             # A touch that is foreseen is not held against who foresees it.
             if any(kept[1]) and any(now):
                 self._missed[0] += (1.0 - MEMORY) * primary

@@ -1,4 +1,6 @@
-"""The lifted linear predictor in the loop: powers of an operator on what a device has moved and how it was pulled."""
+"""The lifted linear predictor in the loop: powers of an operator on what a device has moved and
+how it was pulled.
+"""
 
 from math import sqrt
 
@@ -11,21 +13,29 @@ from tissue.prediction.paths import OperatorPath
 __all__ = ["Koopman"]
 
 LEAST_DEPTH_M = 2e-4
-"""Depth from which a contact's stiffness is read off, and by which a surface is another: four steps of an encoder."""
+"""Depth from which a contact's stiffness is read off, and by which a surface is another: four
+steps of an encoder.
+"""
 
 RELEASED = 20
-"""Ticks without force after which a contact is over: a shorter gap is chatter of a cut, which leaves no surface."""
+"""Ticks without force after which a contact is over: a shorter gap is chatter of a cut, which
+leaves no surface.
+"""
 REMEMBERED = 0.95
-"""Share of the forces so far that still counts a tick later for their direction: a force that fades has none."""
+"""Share of the forces so far that still counts a tick later for their direction: a force that
+fades has none.
+"""
 
 
 class Koopman:
-    """Predicts the force on a device by an operator on its recent displacements and stretches, without the tissue.
+    """Predicts the force on a device by an operator on its recent displacements and stretches,
+    without the tissue.
 
-    The force is the coupling's stiffness times the stretch that the operator gives so far ahead; a force that would
-    turn against the present one is none. A device that has been free for a while has none either, until its path comes
-    to the surface: the plane through the place where the last contact ended, across the force there, if it had begun
-    there, too. From there on it counts for as stiff as that contact was.
+    The force is the coupling's stiffness times the stretch that the operator gives so far ahead; a
+    force that would turn against the present one is none. A device that has been free for a while
+    has none either, until its path comes to the surface: the plane through the place where the last
+    contact ended, across the force there, if it had begun there, too. From there on it counts for
+    as stiff as that contact was.
 
     Parameters
     ----------
@@ -39,7 +49,9 @@ class Koopman:
     def __init__(self, path: OperatorPath) -> None:
         self.path = path
         self._spring = 0.0
-        self._position, self._force, self._normal, self._push, self._surface, self._begun = np.zeros((6, 3))
+        self._position, self._force, self._normal, self._push, self._surface, self._begun = (
+            np.zeros((6, 3))
+        )
         self._answered, self._answer = np.zeros((2, 3))
         self._share = 1.0
         self._known = False
@@ -55,10 +67,12 @@ class Koopman:
         self._spring = contact.spring_N_m
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Take in the device and the force, or in a tick without a force what the contact gives as the device goes on.
+        """Take in the device and the force, or in a tick without a force what the contact gives as
+        the device goes on.
 
-        Not what the operator expects: a stretch that is fed back to it beside displacements that are measured is no
-        trajectory of it, and grew beyond all bounds within seconds where a tissue answers every tenth tick.
+        Not what the operator expects: a stretch that is fed back to it beside displacements that
+        are measured is no trajectory of it, and grew beyond all bounds within seconds where a
+        tissue answers every tenth tick.
         """
         if self._spring == 0.0:
             if force_N is not None:
@@ -83,7 +97,8 @@ class Koopman:
             self._begun = position_m.copy()
             self._surface = position_m.copy()
         elif touched and not touches:
-            # Contact ended at the start of a tick's motion; tissue that lets go deeper than it was met has been cut.
+            # Contact ended at the start of a tick's motion; tissue that lets go deeper than it was
+            # met has been cut.
             self._surface = self._position.copy()
             self._known = abs(float(self._normal @ (self._surface - self._begun))) < LEAST_DEPTH_M
         if touches:
@@ -117,7 +132,9 @@ class Koopman:
         return force if float(force @ self._answer) > 0.0 else np.zeros(3)
 
     def _touched_N(self, at_m: Array) -> Array:
-        """The force where a free device comes to the surface of the last contact; zero if it knows none."""
+        """The force where a free device comes to the surface of the last contact; zero if it
+        knows none.
+        """
         if not self._known or self._free < RELEASED:
             return np.zeros(3)
         overlap = max(float(self._normal @ (self._surface - at_m)), 0.0)

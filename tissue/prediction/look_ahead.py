@@ -1,4 +1,6 @@
-"""Force of the tissue's own law at the predicted place of the device, and the slope of that law, learnt in contact."""
+"""Force of the tissue's own law at the predicted place of the device, and the slope of that law,
+learnt in contact.
+"""
 
 from math import isfinite, sqrt
 
@@ -12,21 +14,29 @@ from tissue.prediction.paths import Path
 __all__ = ["ContactSlope", "LookAhead"]
 
 RIGID = 1e3
-"""Stiffness over the coupling's of a tissue that is known to be near and that nothing has touched yet."""
+"""Stiffness over the coupling's of a tissue that is known to be near and that nothing has
+touched yet.
+"""
 NOISE_M = 1e-6
-"""What a force, over the coupling's stiffness, is off a linear law in a tick [m]: curvature and friction."""
+"""What a force, over the coupling's stiffness, is off a linear law in a tick [m]: curvature and
+friction.
+"""
 DRIFT_PER_M = 50.0
-"""Variance that a slope gains for each metre of motion: one of 1 is unknown again after 20 mm, one of 0.1 after 0.2 mm.
-Of 0.5 to 500 it hardly matters from here on: on palpation 0.40 to 0.68 of hold's excess error, 0.72 at 0.5."""
+"""Variance that a slope gains for each metre of motion: one of 1 is unknown again after 20 mm, one
+of 0.1 after 0.2 mm. Of 0.5 to 500 it hardly matters from here on: on palpation 0.40 to 0.68 of
+hold's excess error, 0.72 at 0.5.
+"""
 UNKNOWN = 1.0
 """Variance of a slope of which nothing is known; that of a tissue as stiff as the coupling is 1."""
 
 
 class ContactSlope:
-    """The matrix S of df = -S dp, force f over the coupling's stiffness and position p both in metres, shape (3, 3).
+    """The matrix S of df = -S dp, force f over the coupling's stiffness and position p both in
+    metres, shape (3, 3).
 
-    A random walk of S, corrected by every tick's changes (recursive least squares with a forgetting that counts motion,
-    not time, so that what a resting tool has learnt stays). Alike in all directions: it turns with the motion.
+    A random walk of S, corrected by every tick's changes (recursive least squares with a forgetting
+    that counts motion, not time, so that what a resting tool has learnt stays). Alike in all
+    directions: it turns with the motion.
     """
 
     def __init__(self) -> None:
@@ -57,23 +67,28 @@ class ContactSlope:
         self._spread = UNKNOWN * np.eye(3)
 
     def _bound(self) -> None:
-        """Keep the spread below that of the unknown; its trace, so that no direction is preferred."""
+        """Keep the spread below that of the unknown; its trace, so that no direction is
+        preferred.
+        """
         size = sum(self._spread.flat[::4].tolist())
         if size > 3.0 * UNKNOWN:
             self._spread *= 3.0 * UNKNOWN / size
 
 
 class LookAhead:
-    """Goes on along the device's path and asks the contact there: coupling and tissue, both linear about the last tick.
+    """Goes on along the device's path and asks the contact there: coupling and tissue, both linear
+    about the last tick.
 
-    With the coupling's stiffness k, the tool's tip p, the tissue's force f on it and that force's slope -df/dp = K, a
-    device at x has the tool where k (x - p') + f - K (p' - p) = 0, and feels k (p' - x). Tissue that would pull has let
-    go. A tool that is free comes to the surface by the gap that the tissue knows of, if it does, and from there on
-    counts for as stiff as it was last. A slope that the tissue does not know is learnt (`ContactSlope`).
+    With the coupling's stiffness k, the tool's tip p, the tissue's force f on it and that force's
+    slope -df/dp = K, a device at x has the tool where k (x - p') + f - K (p' - p) = 0, and feels k
+    (p' - x). Tissue that would pull has let go. A tool that is free comes to the surface by the gap
+    that the tissue knows of, if it does, and from there on counts for as stiff as it was last. A
+    slope that the tissue does not know is learnt (`ContactSlope`).
 
-    A tool that cuts has no place to go back to: its stretch is what the path foresees. A law of the last tick did
-    not serve there: on the operator's path in milling, mixed with the stretch that the operator foresees, a tip that
-    stays left 1.3 of the excess error of holding the force, and one that goes on 1.6.
+    A tool that cuts has no place to go back to: its stretch is what the path foresees. A law of the
+    last tick did not serve there: on the operator's path in milling, mixed with the stretch that
+    the operator foresees, a tip that stays left 1.3 of the excess error of holding the force, and
+    one that goes on 1.6.
 
     What the coupling's damper adds to the spring now, it adds at the end of the path, too.
 
@@ -122,7 +137,9 @@ class LookAhead:
         elif touches:
             self._stiffness = contact.stiffness_N_m / spring
         if touches:
-            self._surface = max(float(force.dot(self._stiffness.dot(force))) / float(force.dot(force)), 0.0)
+            self._surface = max(
+                float(force.dot(self._stiffness.dot(force))) / float(force.dot(force)), 0.0
+            )
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
         """Take in the device, and the force in ticks in which the tissue has answered."""
@@ -167,7 +184,9 @@ class LookAhead:
         assert contact is not None
         force = contact.force_N
         if any(force.tolist()):
-            *_, moved, singular = dgesv(self._unit + self._stiffness, device_m - contact.tip_m + force)
+            *_, moved, singular = dgesv(
+                self._unit + self._stiffness, device_m - contact.tip_m + force
+            )
             left = force - self._stiffness.dot(moved)
             if singular or float(left.dot(force)) <= 0.0:
                 return np.zeros(3)

@@ -1,4 +1,6 @@
-"""A predictor from outside the package: two methods, and what else a loop asks of one made of them."""
+"""A predictor from outside the package: two methods, and what else a loop asks of one made of
+them.
+"""
 
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -17,14 +19,17 @@ __all__ = ["GuardedMaker", "Observes", "Outside"]
 class Observes(Protocol):
     """The least that predicts a force.
 
-    What it has besides is used: ``pause()`` after a sample that did not come, ``trusted``, false while its prediction
-    should not be played, and ``meet(contact)``, which shows it what the tool touches in a tick
-    (`tissue.prediction.contact.Contact`). It is copied and probed before a run, to judge the loop: its answer to a
-    small change must fade within half a second. `predict` changes nothing, and is asked more than once a tick.
+    What it has besides is used: ``pause()`` after a sample that did not come, ``trusted``, false
+    while its prediction should not be played, and ``meet(contact)``, which shows it what the tool
+    touches in a tick (`tissue.prediction.contact.Contact`). It is copied and probed before a run,
+    to judge the loop: its answer to a small change must fade within half a second. `predict`
+    changes nothing, and is asked more than once a tick.
     """
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Take in the device's position [m] and velocity [m/s], shape (3,), and the force on it [N], or None."""
+        """Take in the device's position [m] and velocity [m/s], shape (3,), and the force on it
+        [N], or None.
+        """
         ...
 
     def predict(self, ticks: float) -> Array:
@@ -58,7 +63,9 @@ class Outside:
 
     @property
     def trusted(self) -> bool:
-        """What the predictor states of itself; without that it is trusted, and the guard alone judges."""
+        """What the predictor states of itself; without that it is trusted, and the guard alone
+        judges.
+        """
         return bool(getattr(self.inner, "trusted", True))
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
@@ -75,7 +82,8 @@ class Outside:
         force = np.array(self.inner.predict(ticks), dtype=np.float64)
         if force.shape != (3,):
             raise InputError(
-                f"predict of the predictor {self._name} must return three newtons, got shape {force.shape}: mend it"
+                f"predict of the predictor {self._name} must return three newtons, got shape "
+                f"{force.shape}: mend it"
             )
         return force
 
@@ -86,7 +94,8 @@ class Outside:
 
 
 class GuardedMaker:
-    """Makes a predictor from outside under the guard, which holds the last force where it is not to be trusted.
+    """Makes a predictor from outside under the guard, which holds the last force where it is not to
+    be trusted.
 
     Parameters
     ----------
@@ -106,10 +115,13 @@ class GuardedMaker:
     def __call__(self, trained: Trained | None, force_limit_N: float) -> Predictor:
         """A new one, for a device of so great a force [N]."""
         inner = self.make(trained) if self.trained else self.make()
-        missing = [each for each in ("observe", "predict") if not callable(getattr(inner, each, None))]
+        missing = [
+            each for each in ("observe", "predict") if not callable(getattr(inner, each, None))
+        ]
         if missing:
             raise InputError(
-                f"predictor {self.name} must have observe and predict, got {type(inner).__name__} without "
+                f"predictor {self.name} must have observe and predict, got "
+                f"{type(inner).__name__} without "
                 f"{' and '.join(missing)}: see `tissue.prediction.outside.Observes`"
             )
         return Guarded(Outside(inner, self.name), Hold(), reach_N=force_limit_N)

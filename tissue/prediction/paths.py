@@ -1,4 +1,6 @@
-"""Where a device will be: its displacement some ticks ahead, from the positions that its encoders gave."""
+"""Where a device will be: its displacement some ticks ahead, from the positions that its
+encoders gave.
+"""
 
 from math import floor
 from typing import Protocol
@@ -13,10 +15,12 @@ from tissue.prediction.edmd.lifted import Operator
 __all__ = ["STATE", "FilteredPath", "OperatorPath", "Path"]
 
 STATE = 2
-"""Entries of an axis' state: what the device has moved in the last tick, and the stretch of its coupling, both [m]."""
+"""Entries of an axis' state: what the device has moved in the last tick, and the stretch of its
+coupling, both [m].
+"""
 JERKINESS = 3e-5
-"""Variance of the position's third difference over that of its noise: of 1e-6 to 1e-3 the best on the wall and on
-palpation together, 1e-4 for the one and 1e-5 for the other."""
+"""Variance of the position's third difference over that of its noise: of 1e-6 to 1e-3 the best on
+the wall and on palpation together, 1e-4 for the one and 1e-5 for the other."""
 
 MOST_LEADS = 16
 """Times ahead whose maps are kept: a loop asks for one, and for the next tick."""
@@ -31,11 +35,15 @@ class Path(Protocol):
         ...
 
     def observe(self, position_m: Array, stretch_m: Array) -> None:
-        """Take in a tick: the device's position and its coupling's force over the coupling's stiffness, shape (3,)."""
+        """Take in a tick: the device's position and its coupling's force over the coupling's
+        stiffness, shape (3,).
+        """
         ...
 
     def displacement_m(self, ticks: float) -> Array:
-        """From the position that was observed last to the one to be expected after so many ticks, shape (3,)."""
+        """From the position that was observed last to the one to be expected after so many
+        ticks, shape (3,).
+        """
         ...
 
     def stretch_m(self, ticks: float) -> Array:
@@ -53,7 +61,9 @@ class FilteredPath:
     trusted = True
 
     def __init__(self, jerkiness: float = JERKINESS) -> None:
-        self._gains = kalman_gains(1, require_positive("jerkiness", jerkiness, f"use {JERKINESS:g}"))[:, None]
+        self._gains = kalman_gains(
+            1, require_positive("jerkiness", jerkiness, f"use {JERKINESS:g}")
+        )[:, None]
         self._onward = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
         self._state: Array | None = None
         self._position, self._stretch = np.zeros((2, 3))
@@ -84,23 +94,27 @@ class FilteredPath:
 
 
 class OperatorPath:
-    """Displacement and stretch by powers of one operator on the delayed states of an axis, alike for all axes.
+    """Displacement and stretch by powers of one operator on the delayed states of an axis, alike
+    for all axes.
 
-    States are displacements and stretches, not places, and the operator has no offset; so what is predicted moves with
-    the motion, turns with it, and stays the same whatever the newtons are. States are shape (STATE,) an axis.
+    States are displacements and stretches, not places, and the operator has no offset; so what is
+    predicted moves with the motion, turns with it, and stays the same whatever the newtons are.
+    States are shape (STATE,) an axis.
 
     Parameters
     ----------
     operator
         On `STATE` states with delays, without inputs and offset.
     growth
-        Mean square of the scaled states of a window, all axes together, above which it is out of training.
+        Mean square of the scaled states of a window, all axes together, above which it is out of
+        training.
     """
 
     def __init__(self, operator: Operator, *, growth: float) -> None:
         if operator.state_size != STATE or operator.B.shape[1] or operator.offset.any():
             raise InputError(
-                f"operator must have {STATE} states, no inputs and no offset, got {operator.state_size} and "
+                f"operator must have {STATE} states, no inputs and no offset, got "
+                f"{operator.state_size} and "
                 f"{operator.B.shape[1]}: train it again"
             )
         self._operator = operator
@@ -121,7 +135,9 @@ class OperatorPath:
         return float(scaled.dot(scaled)) <= self._growth
 
     def observe(self, position_m: Array, stretch_m: Array) -> None:
-        """Put a state before the window; the first one fills it, as if the device had been still."""
+        """Put a state before the window; the first one fills it, as if the device had been
+        still.
+        """
         window = self._window
         if self._ticks == 0:
             window[0::STATE] = 0.0
@@ -162,9 +178,12 @@ class OperatorPath:
     def _power(self, ticks: int) -> Array:
         """From a window to what is so many whole ticks ahead, shape (STATE, states)."""
         if not self._powers:
-            self._powers.append(np.eye(STATE, len(self._operator.offset)) * np.array([[0.0], [1.0]]))
+            self._powers.append(
+                np.eye(STATE, len(self._operator.offset)) * np.array([[0.0], [1.0]])
+            )
         while len(self._powers) <= ticks:
-            # S_h = sum of C_x A^j over j = 1..h obeys S_h = (S_{h-1} + C_x) A; the stretch is C_s A^h.
+            # S_h = sum of C_x A^j over j = 1..h obeys S_h = (S_{h-1} + C_x) A; the stretch is C_s
+            # A^h.
             before = self._powers[-1].copy()
             before[0, 0] += 1.0
             self._powers.append(before @ self._operator.A)

@@ -15,21 +15,26 @@ AffineMap = tuple[Array, Array]
 class Predictor(Protocol):
     """Predicts the force on a device some ticks ahead of what has been seen of it.
 
-    Once a tick `observe` gets where the device is and, in ticks in which the tissue has answered, the force; then
-    `predict` gives the force to be expected. Both keep to a fixed cost.
+    Once a tick `observe` gets where the device is and, in ticks in which the tissue has answered,
+    the force; then `predict` gives the force to be expected. Both keep to a fixed cost.
     """
 
     residual_N: float
-    """Size of the last one-tick error [N]: what was expected for the newest force, less that force."""
+    """Size of the last one-tick error [N]: what was expected for the newest force, less that
+    force.
+    """
     is_primary: bool
     """Whether the last predicted force is the predictor's, not that of its fallback."""
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Take in the device's position [m] and velocity [m/s], shape (3,), and the force on it [N], or None."""
+        """Take in the device's position [m] and velocity [m/s], shape (3,), and the force on it
+        [N], or None.
+        """
         ...
 
     def predict(self, ticks: float) -> Array:
-        """Force to be expected so many ticks after the last observation [N], shape (3,); 0 is the present one.
+        """Force to be expected so many ticks after the last observation [N], shape (3,); 0 is the
+        present one.
 
         Ticks need not be whole: what delays a force on its path to the motor is not, see
         `tissue.haptics.loop.motor_path`.
@@ -66,5 +71,9 @@ class Hold:
 
 
 def interpolated(before: AffineMap, after: AffineMap, share: float) -> AffineMap:
-    """The map at a share of the step from one to the next, on a straight line; exactly theirs at 0 and 1."""
-    return (1.0 - share) * before[0] + share * after[0], (1.0 - share) * before[1] + share * after[1]
+    """The map at a share of the step from one to the next, on a straight line; exactly theirs at
+    0 and 1.
+    """
+    return (1.0 - share) * before[0] + share * after[0], (1.0 - share) * before[1] + share * after[
+        1
+    ]

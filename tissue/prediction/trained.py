@@ -1,4 +1,6 @@
-"""What training leaves behind for a scene: operators, their range, and what is asked beyond it, in a file."""
+"""What training leaves behind for a scene: operators, their range, and what is asked beyond it,
+in a file.
+"""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,8 +17,9 @@ __all__ = ["VALIDATED_AT", "Trained", "is_trained", "shipped_file"]
 SHIPPED = Path(__file__).parent / "trained"
 """Folder of the predictors that ship with the engine, one file a scene."""
 VALIDATED_AT = 6
-"""Whole ticks ahead at which predictors are compared in training: the lead of 4 ms of latency, which is 6.11 ticks on a
-touch with its path to the motor, see `tissue.simulation.builders.loop.lead_ticks`."""
+"""Whole ticks ahead at which predictors are compared in training: the lead of 4 ms of latency,
+which is 6.11 ticks on a touch with its path to the motor, see
+`tissue.simulation.builders.loop.lead_ticks`."""
 
 
 @dataclass(frozen=True)
@@ -28,9 +31,11 @@ class Trained:
     scene
         Name of the scene.
     operator
-        Of the lifted predictors, on displacement and stretch of an axis [m], see `tissue.prediction.paths`.
+        Of the lifted predictors, on displacement and stretch of an axis [m], see
+        `tissue.prediction.paths`.
     control
-        Of linear dynamic mode decomposition; states are the force, inputs position and velocity of the device.
+        Of linear dynamic mode decomposition; states are the force, inputs position and velocity of
+        the device.
     growth
         Mean square of the scaled windows above which the operator is out of its training.
     fallback
@@ -47,7 +52,9 @@ class Trained:
     facts: dict[str, Any] = field(default_factory=dict)
 
     def loses(self, kind: str) -> bool:
-        """Whether holding the force missed less on the runs that validated a predictor, a loop's usual lead ahead."""
+        """Whether holding the force missed less on the runs that validated a predictor, a loop's
+        usual lead ahead.
+        """
         if "validation" not in self.facts:
             return False
         errors = self.facts["validation"]["errors"]
@@ -65,7 +72,9 @@ class Trained:
         """
         operators = {"lifted": _rounded(self.operator), "control": _rounded(self.control)}
         header = {"growth": self.growth, "fallback": self.fallback, "facts": self.facts}
-        return write_predictor(path, operators, scene=self.scene, header=header, overwrite=overwrite)
+        return write_predictor(
+            path, operators, scene=self.scene, header=header, overwrite=overwrite
+        )
 
     @classmethod
     def read(cls, path: Path, *, scene: str | None = None) -> "Trained":
@@ -81,10 +90,18 @@ class Trained:
             lifted = stored.operators["lifted"]
             control = stored.operators["control"]
             header = stored.header
-            return cls(stored.scene, lifted, control, float(header["growth"]), header["fallback"], header["facts"])
+            return cls(
+                stored.scene,
+                lifted,
+                control,
+                float(header["growth"]),
+                header["fallback"],
+                header["facts"],
+            )
         except (KeyError, TypeError) as problem:
             raise InputError(
-                f"predictor file must hold what a loop needs, got {path} without {problem}: train it again with "
+                f"predictor file must hold what a loop needs, got {path} without {problem}: "
+                "train it again with "
                 f"'tissue train {stored.scene}'"
             ) from None
 
@@ -101,18 +118,25 @@ def shipped_file(scene: str) -> Path:
     if not path.is_file():
         known = ", ".join(sorted(each.stem for each in SHIPPED.glob("*.npz")))
         raise InputError(
-            f"coupling.predictor_file must be given for a scene other than {known}, got nothing for {scene}: write one "
+            f"coupling.predictor_file must be given for a scene other than {known}, got "
+            f"nothing for {scene}: write one "
             f"with 'tissue train {scene} --out FILE'"
         )
     return path
 
 
 def is_trained(scene: str, file: str = "") -> bool:
-    """Return whether a trained predictor is known for a scene: its own file, or one that ships with the engine."""
+    """Return whether a trained predictor is known for a scene: its own file, or one that ships
+    with the engine.
+    """
     return bool(file) or (SHIPPED / f"{scene}.npz").is_file()
 
 
 def _rounded(operator: Operator) -> Operator:
-    """The operator with its matrices in single precision, and without the moments that only `Online` needs."""
-    short = {name: getattr(operator, name).astype(np.float32).astype(np.float64) for name in ("A", "B")}
+    """The operator with its matrices in single precision, and without the moments that only
+    `Online` needs.
+    """
+    short = {
+        name: getattr(operator, name).astype(np.float32).astype(np.float64) for name in ("A", "B")
+    }
     return replace(operator, **short, moments=np.zeros((0, 0)))

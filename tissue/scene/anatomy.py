@@ -1,4 +1,6 @@
-"""Anatomies that cutters meet: bone and teeth, procedural or from files, each with the keys that shape it alone."""
+"""Anatomies that cutters meet: bone and teeth, procedural or from files, each with the keys that
+shape it alone.
+"""
 
 from typing import Annotated, ClassVar, Literal
 
@@ -8,10 +10,25 @@ from tissue.scene.choices import LAYERS
 from tissue.scene.part import FileName, Idle, Length_mm, Needs, Part, Vector
 
 __all__ = [
-    "BlockAnatomy", "BlockImage", "BlockSurface", "BoneImage", "BoneSurface", "CutAnatomy", "GlenoidAnatomy",
-    "GlenoidImage", "GlenoidSurface", "ImageAnatomy", "MolarAnatomy", "MolarLabels", "MolarSurfaces", "Part",
-    "SurfaceAnatomy", "Tooth", "VertebraAnatomy", "WallAnatomy"
-]  # fmt: skip
+    "BlockAnatomy",
+    "BlockImage",
+    "BlockSurface",
+    "BoneImage",
+    "BoneSurface",
+    "CutAnatomy",
+    "GlenoidAnatomy",
+    "GlenoidImage",
+    "GlenoidSurface",
+    "ImageAnatomy",
+    "MolarAnatomy",
+    "MolarLabels",
+    "MolarSurfaces",
+    "Part",
+    "SurfaceAnatomy",
+    "Tooth",
+    "VertebraAnatomy",
+    "WallAnatomy",
+]
 
 
 class CutAnatomy(Part):
@@ -26,22 +43,30 @@ class CutAnatomy(Part):
 
     @property
     def from_file(self) -> str | None:
-        """File of the whole shape; None for a procedural anatomy and for a tooth of one file a layer."""
+        """File of the whole shape; None for a procedural anatomy and for a tooth of one file a
+        layer.
+        """
         file: str | None = getattr(self, "file", None)
         return file
 
     @property
     def guide_hole_mm(self) -> tuple[float, float]:
         """Diameter and depth of the guide hole [mm]; zeros without one."""
-        return getattr(self, "guide_hole_diameter_mm", 0.0), getattr(self, "guide_hole_depth_mm", 0.0)
+        return getattr(self, "guide_hole_diameter_mm", 0.0), getattr(
+            self, "guide_hole_depth_mm", 0.0
+        )
 
 
 class Drilled(CutAnatomy):
     """Bone or tooth that may have a guide hole."""
 
-    guide_hole_diameter_mm: Annotated[float, Needs("anatomy.guide_hole_depth_mm")] = Field(0.0, ge=0, le=50)
+    guide_hole_diameter_mm: Annotated[float, Needs("anatomy.guide_hole_depth_mm")] = Field(
+        0.0, ge=0, le=50
+    )
     """Diameter of a guide hole drilled along the tool's axis before the run; 0 drills no hole."""
-    guide_hole_depth_mm: Annotated[float, Needs("anatomy.guide_hole_diameter_mm")] = Field(0.0, ge=0, le=100)
+    guide_hole_depth_mm: Annotated[float, Needs("anatomy.guide_hole_diameter_mm")] = Field(
+        0.0, ge=0, le=100
+    )
     """Depth of the guide hole under the face."""
 
 
@@ -51,8 +76,12 @@ class Placed(Drilled):
     file: FileName = Field(examples=["scapula.stl"])
     """Surface (.stl .obj .ply .vtk .vtp), image volume, or folder of TIFF slices."""
     centre_mm: Vector | None = Field(None, examples=[(0.0, 0.0, 0.0)])
-    """Centre of the working face in the file's frame [mm]; without it that of a glenoid is searched for."""
-    normal: Annotated[Vector | None, Needs("anatomy.centre_mm")] = Field(None, examples=[(0.0, 0.0, 1.0)])
+    """Centre of the working face in the file's frame [mm]; without it that of a glenoid is
+    searched for.
+    """
+    normal: Annotated[Vector | None, Needs("anatomy.centre_mm")] = Field(
+        None, examples=[(0.0, 0.0, 1.0)]
+    )
     """Outward normal of the working face in the file's frame."""
     along: Vector | None = Field(None, examples=[(1.0, 0.0, 0.0)])
     """Direction in the file's frame that becomes x, as far as it lies across the normal."""
@@ -91,7 +120,9 @@ class Glenoid(Part):
 
 
 class GlenoidAnatomy(Glenoid, Drilled):
-    """A glenoid: concave face with a subchondral plate over a trabecular vault. Origin at its centre, +z outward."""
+    """A glenoid: concave face with a subchondral plate over a trabecular vault. Origin at its
+    centre, +z outward.
+    """
 
     width_mm: float = Field(27.8, ge=20, le=34)
     """Largest width of the face, anterior to posterior."""
@@ -117,7 +148,9 @@ class Block(Part):
     kind: Literal["block"] = "block"
     """A block, or the image in `file` as it is."""
     density_kg_m3: float = Field(1800.0, ge=100, le=2500)
-    """Apparent density; 1800 to 2000 is cortical bone. Of a surface from a file the density of its shell."""
+    """Apparent density; 1800 to 2000 is cortical bone. Of a surface from a file the density of
+    its shell.
+    """
 
 
 class BlockAnatomy(Block, Drilled):
@@ -132,7 +165,9 @@ class BlockSurface(Block, SurfaceAnatomy):
 
 
 class BlockImage(Block, ImageAnatomy):
-    """Bone from an image: at the site `centre_mm`, else the whole image as it is with its top at z = 0."""
+    """Bone from an image: at the site `centre_mm`, else the whole image as it is with its top at
+    z = 0.
+    """
 
     @property
     def is_whole(self) -> bool:
@@ -142,33 +177,48 @@ class BlockImage(Block, ImageAnatomy):
     def idle(self) -> dict[str, Idle]:
         """Return the keys without effect: an image as it is has no site."""
         whole = Idle("for an image as it is, without anatomy.centre_mm", "set anatomy.centre_mm")
-        placing = ("along", "cortical_thickness_mm", "guide_hole_diameter_mm", "guide_hole_depth_mm")
+        placing = (
+            "along",
+            "cortical_thickness_mm",
+            "guide_hole_diameter_mm",
+            "guide_hole_depth_mm",
+        )
         return super().idle() | (dict.fromkeys(placing, whole) if self.is_whole else {})
 
 
 class Bone(Part):
-    """Bone at a site on its surface, its inside given by its density, by its core, or by a shell of even thickness."""
+    """Bone at a site on its surface, its inside given by its density, by its core, or by a shell
+    of even thickness.
+    """
 
     kind: Literal["bone"] = "bone"
     """The bone in `file` at a site on its surface."""
     density_file: FileName | None = Field(None, examples=["density.nrrd"])
     """Image of the apparent density [kg/m3] in the frame of `file`; layers follow from it."""
-    cortical_above_kg_m3: Annotated[float, Needs("anatomy.density_file")] = Field(1000.0, ge=300, le=2000)
+    cortical_above_kg_m3: Annotated[float, Needs("anatomy.density_file")] = Field(
+        1000.0, ge=300, le=2000
+    )
     """Apparent density from which bone of a `density_file` is cortical."""
     articular_radius_mm: Annotated[float, Needs("anatomy.density_file")] = Field(0.0, ge=0, le=100)
-    """Distance from the site within which dense bone near the surface is the subchondral plate; 0 for no joint."""
+    """Distance from the site within which dense bone near the surface is the subchondral plate;
+    0 for no joint.
+    """
     core_file: Annotated[FileName | None, Needs("anatomy.density_file", is_absent=True)] = Field(
         None, examples=["cancellous.stl"]
     )
     """Closed surface around the trabecular bone, in the frame of `file`."""
     cortical_thickness_mm: Annotated[
-        float, Needs("anatomy.density_file", is_absent=True), Needs("anatomy.core_file", is_absent=True)
+        float,
+        Needs("anatomy.density_file", is_absent=True),
+        Needs("anatomy.core_file", is_absent=True),
     ] = Field(1.5, gt=0, le=10)
     """Thickness of the cortical shell under the surface."""
 
 
 class BoneSurface(Bone, SurfaceAnatomy):
-    """A bone from a surface, as `tissue import` writes of a CT. Origin at the site on its surface, +z outward."""
+    """A bone from a surface, as `tissue import` writes of a CT. Origin at the site on its
+    surface, +z outward.
+    """
 
 
 class BoneImage(Bone, ImageAnatomy):
@@ -182,7 +232,9 @@ class Tooth(CutAnatomy):
     kind: Literal["molar"] = "molar"
     """A molar."""
     ligament_thickness_mm: float = Field(0.22, ge=0.1, le=0.5)
-    """Thickness of the periodontal ligament; of a tooth from files it counts for the stress alone."""
+    """Thickness of the periodontal ligament; of a tooth from files it counts for the stress
+    alone.
+    """
 
     @property
     def layer_files(self) -> dict[str, str]:
@@ -193,7 +245,8 @@ class Tooth(CutAnatomy):
 class MolarAnatomy(Tooth, Drilled):
     """A molar in its socket. Origin at the bottom of the central fossa, +z out of the tooth.
 
-    Real teeth come from one surface a layer (`enamel_file` ...), or from a label volume (`file` with `spacing_mm`).
+    Real teeth come from one surface a layer (`enamel_file` ...), or from a label volume (`file`
+    with `spacing_mm`).
     """
 
     crown_width_mm: float = Field(11.0, ge=9, le=13)
@@ -254,7 +307,8 @@ class MolarLabels(ToothSite):
 
 
 class VertebraAnatomy(Drilled):
-    """A lumbar vertebra. Origin behind its left pedicle, +z outward along the pedicle's axis, +y up.
+    """A lumbar vertebra. Origin behind its left pedicle, +z outward along the pedicle's axis, +y
+    up.
 
     Its structure `canal`, for `keep_clear.names`, lies at +x.
     """

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 __all__ = ["LAYERS", "SURFACE_SUFFIXES", "ByKind", "OneOf", "kinds_of"]
 
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
-"""Ends of the names of surface files; a file of any other name is an image, or a folder of its slices."""
+"""Ends of the names of surface files; a file of any other name is an image, or a folder of its
+slices.
+"""
 LAYERS = ("enamel", "dentin", "pulp", "caries", "ligament")
 """Layers of a tooth that have a surface of their own."""
 
@@ -26,7 +28,9 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class OneOf(Generic[T]):
-    """Marks a scene's text as a name of a table, or one of some others; it is checked when the scene is."""
+    """Marks a scene's text as a name of a table, or one of some others; it is checked when the
+    scene is.
+    """
 
     table: Registry[T]
     others: tuple[str, ...] = ()
@@ -49,12 +53,16 @@ class OneOf(Generic[T]):
                 raise _fault(self.table.group, name, str(error)) from None
         return name
 
-    def __get_pydantic_core_schema__(self, source: object, handler: "GetCoreSchemaHandler") -> "CoreSchema":
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: "GetCoreSchemaHandler"
+    ) -> "CoreSchema":
         from pydantic_core import core_schema
 
         return core_schema.no_info_after_validator_function(self._check, handler(source))
 
-    def __get_pydantic_json_schema__(self, schema: "CoreSchema", handler: object) -> dict[str, object]:
+    def __get_pydantic_json_schema__(
+        self, schema: "CoreSchema", handler: object
+    ) -> dict[str, object]:
         if not any(":" in name for name in self.names):
             return {"enum": list(self.names), "type": "string"}
         patterns = (re.sub(":.*", ":.+", re.escape(name)) for name in self.names)
@@ -72,7 +80,10 @@ def _fault(group: str, name: str, sentence: str) -> Exception:
 def kinds_of(part: "type[BaseModel]") -> tuple[str, ...]:
     """Return the kinds that a part of a scene describes, of those known so far."""
     field = part.model_fields["kind"]
-    return next((each.known for each in field.metadata if isinstance(each, OneOf)), get_args(field.annotation))
+    return next(
+        (each.known for each in field.metadata if isinstance(each, OneOf)),
+        get_args(field.annotation),
+    )
 
 
 SOURCES = {
@@ -95,7 +106,8 @@ def source_of(table: Mapping[str, object]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class ByKind:
-    """Mark of a union of tables, of which the key ``kind`` chooses one, and of those with several the source.
+    """Mark of a union of tables, of which the key ``kind`` chooses one, and of those with several
+    the source.
 
     Attributes
     ----------
@@ -117,7 +129,9 @@ class ByKind:
                     return part
         return variants[0] if variants else None
 
-    def __get_pydantic_core_schema__(self, source: object, handler: "GetCoreSchemaHandler") -> "CoreSchema":
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: "GetCoreSchemaHandler"
+    ) -> "CoreSchema":
         from pydantic_core import core_schema
 
         parts = self.parts()

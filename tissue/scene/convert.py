@@ -12,11 +12,15 @@ __all__ = ["FORMAT", "OldSceneWarning", "converted", "full_key"]
 FORMAT = 2
 """Version of a scene's file. A file without one is of the version that its form shows."""
 OF_DEVICE = ("hand", "renderer", "prediction", "perception", "coupling", "hardware")
-"""Keys of the table [device] that stood at the top of a file of version 0.2, and may be given so as overrides."""
+"""Keys of the table [device] that stood at the top of a file of version 0.2, and may be given so
+as overrides.
+"""
 KEPT = {"description", "seed", "voxels", "output", "device", "hand", "renderer"}
 """Keys of every scene that a run kept before its file stated its version: it held all defaults."""
 REMOVED = {"organ": {"law_method": "offset", "law_basis_size": 40, "law_sampling_error": 0.02}}
-"""Keys of version 0.2 that are gone, with the values by which they had no effect, by the table that held them."""
+"""Keys of version 0.2 that are gone, with the values by which they had no effect, by the table
+that held them.
+"""
 
 
 class OldSceneWarning(UserWarning):
@@ -24,7 +28,9 @@ class OldSceneWarning(UserWarning):
 
 
 def full_key(key: str, value: object = None) -> str:
-    """Return a dotted key with the table of the device where it is given without: ``hand`` is ``device.hand``."""
+    """Return a dotted key with the table of the device where it is given without: ``hand`` is
+    ``device.hand``.
+    """
     if key == "device" and not isinstance(value, Mapping) and value not in (None, "none"):
         return "device.kind"
     return f"device.{key}" if key.split(".")[0] in OF_DEVICE else key
@@ -46,7 +52,8 @@ def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
     name = table.get("device")
     if isinstance(name, str) or moved:
         warnings.warn(
-            f"{path.name} has the form of tissue 0.2. Its device, hand and coupling were read as a table [device]; see "
+            f"{path.name} has the form of tissue 0.2. Its device, hand and coupling were "
+            "read as a table [device]; see "
             "`tissue scenes wall` for the new form.",
             OldSceneWarning,
             stacklevel=3,

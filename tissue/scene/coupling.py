@@ -1,4 +1,6 @@
-"""A scene's haptic device: whose hand holds it, how it is coupled to the tool, and what is done to its force."""
+"""A scene's haptic device: whose hand holds it, how it is coupled to the tool, and what is done
+to its force.
+"""
 
 from collections.abc import Iterator
 from typing import Annotated, Literal
@@ -19,15 +21,23 @@ class Coupling(Part):
     """How a device is coupled to the tool."""
 
     stiffness_N_m: float | None = Field(None, ge=1, le=1e5, examples=[400.0])
-    """Stiffness at the device; without it half the critical one in that hand, at most the device's published limit."""
+    """Stiffness at the device; without it half the critical one in that hand, at most the
+    device's published limit.
+    """
     stiffness_Nm_rad: float | None = Field(None, ge=0.06, le=1000, examples=[0.3])
     """The same for rotation, with a device that plays torque."""
     damping_N_s_m: float = Field(0.0, ge=0, le=1000)
     """Damping at the device."""
-    force_scale: Annotated[float, Field(ge=1e-4, le=100)] | Literal["auto"] = Field("auto", examples=[0.1])
-    """Newtons at the device for each newton at the tool; auto fits the script's largest force to the device."""
+    force_scale: Annotated[float, Field(ge=1e-4, le=100)] | Literal["auto"] = Field(
+        "auto", examples=[0.1]
+    )
+    """Newtons at the device for each newton at the tool; auto fits the script's largest force to
+    the device.
+    """
     motion_scale: float = Field(1.0, ge=0.01, le=100)
-    """Metres at the tool for each metre at the device, both from where the motion starts; angles stay."""
+    """Metres at the tool for each metre at the device, both from where the motion starts; angles
+    stay.
+    """
     delay_ms: int = Field(0, ge=0, le=200)
     """Latency added before the device, in whole ticks."""
     model_ms: int = Field(1, ge=1, le=100)
@@ -37,11 +47,15 @@ class Coupling(Part):
     predictor_file: FileName = ""
     """Trained predictor, as `tissue train` writes it; empty for the scene's own."""
     roam_mm: float | None = Field(None, ge=0, le=100, examples=[8.0])
-    """How far around the scripted motion tissue is made ready for the tool; without it 2 mm on an organ, else none."""
+    """How far around the scripted motion tissue is made ready for the tool; without it 2 mm on
+    an organ, else none.
+    """
 
 
 class Device(Part):
-    """A haptic device by which a hand moves the tool. Without this table the motion moves the tool."""
+    """A haptic device by which a hand moves the tool. Without this table the motion moves the
+    tool.
+    """
 
     kind: Annotated[str, OneOf(DEVICES)] = Field(examples=["touch"])
     """Name of the device."""
@@ -52,11 +66,15 @@ class Device(Part):
     prediction: Annotated[str, OneOf(PREDICTORS, ("none",))] = "none"
     """What predicts the device's force ahead of latency and slow models."""
     perception: Annotated[str, OneOf(PERCEPTIONS, ("none",))] = "none"
-    """For whom the device's force is scaled: none, population, or observer:FILE, as `tissue calibrate` writes it."""
+    """For whom the device's force is scaled: none, population, or observer:FILE, as `tissue
+    calibrate` writes it.
+    """
     coupling: Coupling = Coupling()
     """How the device is coupled to the tool."""
     hardware: Hardware = Hardware()
-    """Where a real device is, how its axes lie in the scene, and what protects the hand that holds it."""
+    """Where a real device is, how its axes lie in the scene, and what protects the hand that
+    holds it.
+    """
 
     def rules(self) -> Iterator[Rule]:
         """Yield the rules of what the device and the prediction do not use."""
@@ -66,11 +84,21 @@ class Device(Part):
         simulated = f"with device = {self.kind}, which no adapter opens"
         koopman = "set prediction = koopman"
         yield "hardware", not entry.has_adapter, simulated, "set device = haply"
-        yield "coupling.stiffness_Nm_rad", not has_torque, "with a device that plays no torque", "set device = six-dof"
+        yield (
+            "coupling.stiffness_Nm_rad",
+            not has_torque,
+            "with a device that plays no torque",
+            "set device = six-dof",
+        )
         yield "coupling.prediction_gain", self.prediction == "none", "without a prediction", koopman
         hold = "with prediction = hold, the present force"
         yield "coupling.prediction_gain", self.prediction == "hold", hold, koopman
-        yield "coupling.predictor_file", not is_trained, "unless a trained prediction is used", koopman
+        yield (
+            "coupling.predictor_file",
+            not is_trained,
+            "unless a trained prediction is used",
+            koopman,
+        )
 
 
 class Fidelity(Part):
@@ -84,5 +112,8 @@ class Fidelity(Part):
     @model_validator(mode="after")
     def _asks_for_something(self) -> "Fidelity":
         if self.force_error is None and self.tick_ms is None:
-            raise InputError("fidelity must ask for something, got nothing: use force_error = 0.03 or tick_ms = 0.7")
+            raise InputError(
+                "fidelity must ask for something, got nothing: use force_error = 0.03 or "
+                "tick_ms = 0.7"
+            )
         return self

@@ -1,4 +1,6 @@
-"""What the tables of named parts hold of a part. Factories of built-in parts lie in the packages above."""
+"""What the tables of named parts hold of a part. Factories of built-in parts lie in the packages
+above.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -6,7 +8,14 @@ from typing import Any
 
 from tissue.scene.part import Part
 
-__all__ = ["AnatomyEntry", "CutterEntry", "DeviceEntry", "MotionEntry", "PredictorEntry", "ProbeEntry"]
+__all__ = [
+    "AnatomyEntry",
+    "CutterEntry",
+    "DeviceEntry",
+    "MotionEntry",
+    "PredictorEntry",
+    "ProbeEntry",
+]
 
 Factory = Callable[..., Any]
 
@@ -18,12 +27,14 @@ class AnatomyEntry:
     Attributes
     ----------
     parameters
-        Tables that a scene may state of it, whose ``kind`` is the entry's name, by the source of its shape.
+        Tables that a scene may state of it, whose ``kind`` is the entry's name, by the source of
+        its shape.
     tool
         The table that describes the tools that it meets.
     build, force_N, pictures, faces
-        Of a part from outside, see `tissue.register`: what makes the parts of a run, estimates the largest force on a
-        scene's scripted motion [N], draws pictures of a run by their files' names, and returns the faces in a window.
+        Of a part from outside, see `tissue.register`: what makes the parts of a run, estimates the
+        largest force on a scene's scripted motion [N], draws pictures of a run by their files'
+        names, and returns the faces in a window.
     """
 
     parameters: "tuple[type[Part], ...] | type[Part]"
@@ -46,8 +57,8 @@ class CutterEntry:
     Attributes
     ----------
     profile
-        Of a part from outside: its half section from ``diameter_m`` and what else shapes it, ``length_m`` of
-        ``length_mm``, ``point_angle_rad`` of ``point_angle_deg``.
+        Of a part from outside: its half section from ``diameter_m`` and what else shapes it,
+        ``length_m`` of ``length_mm``, ``point_angle_rad`` of ``point_angle_deg``.
     keys
         Keys of the tool that shape it, next to its diameter.
     """
@@ -95,7 +106,8 @@ class DeviceEntry:
     Attributes
     ----------
     numbers
-        Values of `tissue.haptics.device.device.DeviceParameters` by their names, which judge and simulate it.
+        Values of `tissue.haptics.device.device.DeviceParameters` by their names, which judge and
+        simulate it.
     make
         Of a part from outside: opens the real device, from where the tool starts in the scene [m].
     has_adapter
@@ -119,8 +131,8 @@ class PredictorEntry:
     Attributes
     ----------
     make
-        Of a part from outside: makes a predictor from what was trained for the scene, None for one that is not trained,
-        and the device's largest force [N].
+        Of a part from outside: makes a predictor from what was trained for the scene, None for one
+        that is not trained, and the device's largest force [N].
     trained
         Whether it needs what `tissue train` writes.
     colour, marker

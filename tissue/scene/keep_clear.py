@@ -13,19 +13,27 @@ Name = Annotated[str, StringConstraints(pattern=r"^[a-z0-9][a-z0-9_]*$")]
 
 
 class KeepClear(Part):
-    """Structures that the tool must not touch: their distance is in the trace, a breach is an event."""
+    """Structures that the tool must not touch: their distance is in the trace, a breach is an
+    event.
+    """
 
     names: tuple[Name, ...] = Field((), strict=False, examples=[("canal",)])
     """Structures that the anatomy knows by name, such as a vertebra's canal."""
     files: dict[Name, str] = Field(default_factory=dict, examples=[{"canal": "canal.ply"}])
-    """Closed surface of each other structure, in the frame and unit of `anatomy.file`, or of the site in mm."""
+    """Closed surface of each other structure, in the frame and unit of `anatomy.file`, or of the
+    site in mm.
+    """
 
     @model_validator(mode="after")
     def _states_some(self) -> "KeepClear":
         if not self.names and not self.files:
-            raise InputError("keep_clear must state names or files, got neither: remove it, or name a structure")
+            raise InputError(
+                "keep_clear must state names or files, got neither: remove it, or name a structure"
+            )
         both = set(self.names) & set(self.files)
         if both or len(set(self.names)) < len(self.names):
             twice = ", ".join(sorted(both or self.names))
-            raise InputError(f"keep_clear must name each structure once, got {twice} twice: remove one")
+            raise InputError(
+                f"keep_clear must name each structure once, got {twice} twice: remove one"
+            )
         return self

@@ -1,4 +1,6 @@
-"""Read a scene from a built-in name or a TOML file, with overrides, or raise one sentence on what is wrong."""
+"""Read a scene from a built-in name or a TOML file, with overrides, or raise one sentence on
+what is wrong.
+"""
 
 import tomllib
 from collections.abc import Callable, Mapping
@@ -20,21 +22,37 @@ from tissue.scene.plugins import refusal
 from tissue.scene.registry import PERCEPTIONS, SCENES
 from tissue.scene.scene import Scene
 
-__all__ = ["changed", "library_names", "load_scene", "parse_override", "saved_text", "scene_names", "scene_text"]
+__all__ = [
+    "changed",
+    "library_names",
+    "load_scene",
+    "parse_override",
+    "saved_text",
+    "scene_names",
+    "scene_text",
+]
 
 PARTS_WITH_FILES = ("anatomy", "motion", "tool", "device")
 """Tables of a scene with keys that name files."""
 REPLACED = "touch"
-"""Device that stands for the mouse of a live session where a scene has none but states how one is coupled."""
+"""Device that stands for the mouse of a live session where a scene has none but states how one
+is coupled.
+"""
 
 
 def library_names() -> list[str]:
     """Names of the built-in scenes."""
-    return sorted(entry.name[:-5] for entry in files("tissue.scene.library").iterdir() if entry.name.endswith(".toml"))
+    return sorted(
+        entry.name[:-5]
+        for entry in files("tissue.scene.library").iterdir()
+        if entry.name.endswith(".toml")
+    )
 
 
 def scene_names() -> list[str]:
-    """Names of the built-in scenes, and of those that were registered or that installed packages offer."""
+    """Names of the built-in scenes, and of those that were registered or that installed packages
+    offer.
+    """
     return sorted({*library_names(), *SCENES})
 
 
@@ -57,7 +75,9 @@ def scene_text(name: str) -> str:
     )
 
 
-def load_scene(source: str | Path, overrides: Mapping[str, object] | None = None, *, live: bool = False) -> Scene:
+def load_scene(
+    source: str | Path, overrides: Mapping[str, object] | None = None, *, live: bool = False
+) -> Scene:
     """Load and validate a scene.
 
     Parameters
@@ -65,16 +85,17 @@ def load_scene(source: str | Path, overrides: Mapping[str, object] | None = None
     source
         Name of a scene, see `scene_names`, or path of a TOML file.
     overrides
-        Values by dotted key, such as ``{"voxels.spacing_mm": 0.2}``; ``device``, ``hand``, ``coupling.delay_ms`` and
-        other keys of the device may be given without the table's name. What one of them makes of no effect is left out.
+        Values by dotted key, such as ``{"voxels.spacing_mm": 0.2}``; ``device``, ``hand``,
+        ``coupling.delay_ms`` and other keys of the device may be given without the table's name.
+        What one of them makes of no effect is left out.
     live
         Whether a mouse replaces the device of a scene without one.
 
     Raises
     ------
     InputError
-        If a key has no effect in the scene, or the scene is unknown, unreadable or invalid: a sentence on what
-        to change.
+        If a key has no effect in the scene, or the scene is unknown, unreadable or invalid: a
+        sentence on what to change.
     """
     path = Path(source)
     if path.suffix == ".toml":
@@ -89,7 +110,8 @@ def load_scene(source: str | Path, overrides: Mapping[str, object] | None = None
     except tomllib.TOMLDecodeError as error:
         message = f"{error}"
         raise InputError(
-            f"scene must be valid TOML, got {message[:1].lower()}{message[1:]} in {path}: mend it there"
+            f"scene must be valid TOML, got {message[:1].lower()}{message[1:]} in {path}: "
+            "mend it there"
         ) from None
     _require_no_nul(table)
     table, was_kept = converted(table, path)
@@ -115,27 +137,40 @@ def changed(scene: Scene, overrides: Mapping[str, object]) -> Scene:
     return _replaced(scene.model_dump(exclude_unset=True), overrides)
 
 
-def _replaced(table: dict[str, Any], overrides: Mapping[str, object], *, live: bool = False) -> Scene:
-    """Return the scene of a table with other values by dotted key, without what only they make of no effect.
+def _replaced(
+    table: dict[str, Any], overrides: Mapping[str, object], *, live: bool = False
+) -> Scene:
+    """Return the scene of a table with other values by dotted key, without what only they make of
+    no effect.
 
-    A file's own key that has no effect even without them stays, and so does one of theirs: both are faults.
+    A file's own key that has no effect even without them stays, and so does one of theirs: both are
+    faults.
     """
     try:
         require_shallow(dict(overrides))
     except RecursionError:
-        raise InputError(f"values must not nest more than {DEEPEST} lists, got more: write the value plainly") from None
+        raise InputError(
+            f"values must not nest more than {DEEPEST} lists, got more: write the value plainly"
+        ) from None
     _require_no_nul(overrides)
     if not overrides:
         return _validated(table)
     already_idle = _idle_keys(table)
     placed = deepcopy(table)
     full = {
-        full_key(key, value): None if (key, value) == ("device", "none") else value for key, value in overrides.items()
+        full_key(key, value): None if (key, value) == ("device", "none") else value
+        for key, value in overrides.items()
     }
     # A new kind starts its part afresh, so kinds go first, in whatever order they were given.
-    for key, value in sorted(full.items(), key=lambda item: item[0] != "device" and not item[0].endswith(".kind")):
+    for key, value in sorted(
+        full.items(), key=lambda item: item[0] != "device" and not item[0].endswith(".kind")
+    ):
         _place(placed, key, _absolute(value, Path.cwd(), key))
-    if live and "device" not in table and full.keys() & {"seed", *(key for key in full if key.startswith("device."))}:
+    if (
+        live
+        and "device" not in table
+        and full.keys() & {"seed", *(key for key in full if key.startswith("device."))}
+    ):
         placed.setdefault("device", {}).setdefault("kind", REPLACED)
     asked_of_device = placed.get("device") or {"kind": ""}
     if "kind" not in asked_of_device and all(value == "none" for value in asked_of_device.values()):
@@ -144,12 +179,17 @@ def _replaced(table: dict[str, Any], overrides: Mapping[str, object], *, live: b
         return _validated(placed)
 
     def is_theirs(key: str) -> bool:
-        return any(key == asked or key.startswith(f"{asked}.") or asked.startswith(f"{key}.") for asked in full)
+        return any(
+            key == asked or key.startswith(f"{asked}.") or asked.startswith(f"{key}.")
+            for asked in full
+        )
 
     return _validated(_without_idle(placed, keep=lambda key: key in already_idle or is_theirs(key)))
 
 
-def _without_idle(table: dict[str, Any], keep: Callable[[str], bool] = lambda key: False) -> dict[str, Any]:
+def _without_idle(
+    table: dict[str, Any], keep: Callable[[str], bool] = lambda key: False
+) -> dict[str, Any]:
     """Return a table without the keys that have no effect in it, but those to keep."""
     left = deepcopy(table)
     while dropped := [key for key in _idle_of(left) if not keep(key)]:
@@ -173,7 +213,9 @@ def _idle_keys(table: dict[str, Any]) -> set[str] | None:
 
 
 def _idle_of(table: Mapping[str, object]) -> list[str]:
-    """Return the dotted keys for which pydantic refuses a table because they have no effect in it."""
+    """Return the dotted keys for which pydantic refuses a table because they have no effect in
+    it.
+    """
     plain = _without_nothing(table)
     try:
         Scene.model_validate(plain)
@@ -183,9 +225,14 @@ def _idle_of(table: Mapping[str, object]) -> list[str]:
 
 
 def _absolute(value: Any, folder: Path, key: str = "") -> Any:
-    """Return a value, or a table of values, with the paths of files under their keys made absolute."""
+    """Return a value, or a table of values, with the paths of files under their keys made
+    absolute.
+    """
     if isinstance(value, Mapping):
-        return {name: _absolute(each, folder, f"{key}.{name}" if key else name) for name, each in value.items()}
+        return {
+            name: _absolute(each, folder, f"{key}.{name}" if key else name)
+            for name, each in value.items()
+        }
     if not isinstance(value, str) or not value:
         return value
     if key == "device.perception":
@@ -201,7 +248,9 @@ def _absolute(value: Any, folder: Path, key: str = "") -> Any:
 def _require_no_nul(value: object, key: str = "") -> None:
     """Refuse texts with the character NUL, which no name of a file can hold."""
     if isinstance(value, str) and "\0" in value:
-        raise InputError(f"{key} must be a text without the character NUL, got {shown(value)}: leave it out")
+        raise InputError(
+            f"{key} must be a text without the character NUL, got {shown(value)}: leave it out"
+        )
     if isinstance(value, Mapping):
         for name, inner in value.items():
             _require_no_nul(inner, f"{key}.{name}" if key else str(name))
@@ -227,18 +276,27 @@ def _without_nothing(table: Mapping[str, object]) -> dict[str, object]:
 def _read(path: Path) -> str:
     """Text of a scene file."""
     if not path.is_file():
-        raise InputError(f"scene must be an existing file, got {path}: check the path or list `tissue scenes`")
+        raise InputError(
+            f"scene must be an existing file, got {path}: check the path or list `tissue scenes`"
+        )
     try:
         return path.read_text("utf-8")
     except UnicodeDecodeError:
-        raise InputError(f"scene must be TOML in UTF-8, got other bytes in {path}: save it as text") from None
+        raise InputError(
+            f"scene must be TOML in UTF-8, got other bytes in {path}: save it as text"
+        ) from None
     except OSError as error:
         message = (error.strerror or "an error").lower()
-        raise InputError(f"scene must be readable, got {message} at {path}: check who may read it") from None
+        raise InputError(
+            f"scene must be readable, got {message} at {path}: check who may read it"
+        ) from None
 
 
-def parse_override(text: str, *, option: str = "--set", example: str = "voxels.spacing_mm=0.2") -> tuple[str, object]:
-    """Key and value of ``key=value``, as an option is given it; the value is TOML, or a string where it is not.
+def parse_override(
+    text: str, *, option: str = "--set", example: str = "voxels.spacing_mm=0.2"
+) -> tuple[str, object]:
+    """Key and value of ``key=value``, as an option is given it; the value is TOML, or a string
+    where it is not.
 
     Raises
     ------
@@ -259,13 +317,15 @@ def _place(table: dict[str, object], key: str, value: object) -> None:
     *parents, last = key.split(".")
     if len(parents) > DEEPEST:
         raise InputError(
-            f"{shown(key)} must name an entry of a part, got {len(parents)} dots: see `tissue scenes NAME`"
+            f"{shown(key)} must name an entry of a part, got {len(parents)} dots: see "
+            "`tissue scenes NAME`"
         )
     for parent in parents:
         inner = table[parent] = {} if table.get(parent) is None else table[parent]
         if not isinstance(inner, dict):
             raise InputError(
-                f"{key} must name an entry of a part, got {parent}, which is a value: see `tissue scenes NAME`"
+                f"{key} must name an entry of a part, got {parent}, which is a value: see "
+                "`tissue scenes NAME`"
             )
         table = inner
     if last == "kind" and parents != ["device"] and table.get("kind", value) != value:

@@ -36,7 +36,10 @@ def sentence(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
         return _unknown_key(names, table, model)
     if names == ("device", "kind") and kind == "missing":
         given = [f"{name} = {shown(value)}" for name, value in _entries(_inner(table, "device"))]
-        return f"device must be given for {', '.join(given) or 'a table [device]'}: set device = touch, or remove it"
+        return (
+            f"device must be given for {', '.join(given) or 'a table [device]'}: set device = "
+            "touch, or remove it"
+        )
     field = _field_at(names, table, model)
     if kind == "missing" and len(path) == len(names):
         return f"{key} must be given, got nothing: {_addition(names, field)}"
@@ -54,7 +57,9 @@ def sentence(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
 
 
 def _idle_sentence(names: tuple[str, ...], refused: Mapping[str, tuple[object, Idle]]) -> str:
-    """Return the sentence for keys without effect; it names all that have none for the same reason."""
+    """Return the sentence for keys without effect; it names all that have none for the same
+    reason.
+    """
     prefix = "".join(f"{name}." for name in names)
     first = next(iter(refused.values()))[1]
     given = {f"{prefix}{key}": value for key, (value, why) in refused.items() if why == first}
@@ -62,17 +67,25 @@ def _idle_sentence(names: tuple[str, ...], refused: Mapping[str, tuple[object, I
         got, them = shown(next(iter(given.values()))), "it"
     else:
         got, them = ", ".join(f"{key} = {shown(value)}" for key, value in given.items()), "them"
-    return f"{' and '.join(given)} must be left out {first.where}, got {got}: {first.remedy}, or remove {them}"
+    return (
+        f"{' and '.join(given)} must be left out {first.where}, got {got}: {first.remedy}, or "
+        f"remove {them}"
+    )
 
 
 def _unknown_key(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> str:
-    """Return the sentence for a key that the chosen table does not have: another has it, or none."""
+    """Return the sentence for a key that the chosen table does not have: another has it, or
+    none.
+    """
     key, word = ".".join(map(shown, names)), names[-1]
     others = _holders(names, table, model)
     chosen = _model_at(names[:-1], table, model)
     if not others:
         known = list(chosen.model_fields)
-        return f"{key} must be one of {', '.join(known)}, got {shown(word)}{nearest(word, known)}: rename or remove it"
+        return (
+            f"{key} must be one of {', '.join(known)}, got {shown(word)}{nearest(word, known)}: "
+            "rename or remove it"
+        )
     part, kinds = ".".join(names[:-1]), kinds_of(chosen)
     got = shown(_value_at(names, table))
     same = [other for other in others if set(kinds_of(other)) & set(kinds)]
@@ -87,11 +100,16 @@ def _unknown_key(names: tuple[str, ...], table: Table, model: type[BaseModel]) -
             where, remedy = f"a {kinds[0]} {source}", f"use one {' or '.join(sources)}"
         return f"{key} must be left out for {where}, got {got}: {remedy}, or remove it"
     other_kind = kinds_of(others[0])[0]
-    return f"{key} must be left out for a {kinds[0]}, got {got}: set {part}.kind = {other_kind}, or remove it"
+    return (
+        f"{key} must be left out for a {kinds[0]}, got {got}: set {part}.kind = {other_kind}, or "
+        "remove it"
+    )
 
 
 def idle_keys(fault: ErrorDetails, table: Table) -> list[str]:
-    """Return the dotted keys of a scene's table that a fault refuses because they have no effect in it."""
+    """Return the dotted keys of a scene's table that a fault refuses because they have no effect
+    in it.
+    """
     names = tuple(str(step) for step in _without_tags(fault["loc"], table, Scene))
     if fault["type"] == "idle_keys":
         return [".".join((*names, key)) for key in fault["ctx"]["refused"]]
@@ -101,13 +119,17 @@ def idle_keys(fault: ErrorDetails, table: Table) -> list[str]:
 
 
 def _holders(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> list[type[BaseModel]]:
-    """Return the other tables of a union that have a key, those for the same tool or tissue first."""
+    """Return the other tables of a union that have a key, those for the same tool or tissue
+    first.
+    """
     if len(names) < 2:
         return []
     outer = _model_at(names[:-2], table, model)
     if names[-2] not in outer.model_fields:
         return []
-    return [part for part in _parts(outer.model_fields[names[-2]]) if names[-1] in part.model_fields]
+    return [
+        part for part in _parts(outer.model_fields[names[-2]]) if names[-1] in part.model_fields
+    ]
 
 
 def _entries(table: Table, prefix: str = "") -> Iterator[tuple[str, object]]:
@@ -138,7 +160,13 @@ def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
     part = _alternatives(field.annotation)[0]
     bounds = _bounds([*field.metadata, *_limits(field.annotation)])
     if part in (int, float):
-        noun = "a whole number" if part is int else "a number" if kind != "finite_number" else "a finite number"
+        noun = (
+            "a whole number"
+            if part is int
+            else "a number"
+            if kind != "finite_number"
+            else "a finite number"
+        )
         if kind in ("float_type", "int_type") or not bounds:
             return f"{noun} {bounds}".strip()
         return bounds
@@ -147,7 +175,9 @@ def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
     if part is str:
         if kind == "string_too_long":
             return f"a path of at most {LONGEST_PATH} characters"
-        return "lower-case letters, digits, - and _" if kind == "string_pattern_mismatch" else "text"
+        return (
+            "lower-case letters, digits, - and _" if kind == "string_pattern_mismatch" else "text"
+        )
     if get_origin(part) is tuple:
         item = get_args(part)[0]
         if get_args(part)[-1] is Ellipsis:
@@ -162,8 +192,17 @@ def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
 
 def _bounds(metadata: Iterable[object]) -> str:
     """Limits as words, from annotations."""
-    flat = [inner for each in metadata for inner in (each.metadata if isinstance(each, FieldInfo) else [each])]
-    words = [f"{word} {shown(getattr(m, name))}" for name, word in BOUNDS for m in flat if hasattr(m, name)]
+    flat = [
+        inner
+        for each in metadata
+        for inner in (each.metadata if isinstance(each, FieldInfo) else [each])
+    ]
+    words = [
+        f"{word} {shown(getattr(m, name))}"
+        for name, word in BOUNDS
+        for m in flat
+        if hasattr(m, name)
+    ]
     return " and ".join(words)
 
 
@@ -173,20 +212,28 @@ def _remedy(field: FieldInfo) -> str:
     if isinstance(value, str):
         return f'use "{value}"' if value else "put it in quotes"
     if isinstance(value, Mapping):
-        return "use { " + ", ".join(f"{name} = {shown(each)}" for name, each in value.items()) + " }"
+        return (
+            "use { " + ", ".join(f"{name} = {shown(each)}" for name, each in value.items()) + " }"
+        )
     return f"use {shown(value)}" if isinstance(value, int | float | list | tuple) else SEE
 
 
 def _addition(names: tuple[str, ...], field: FieldInfo) -> str:
     """How to give what is missing."""
     if not field.examples:
-        return f"add [{'.'.join(names)}] with its entries, {SEE}" if _parts(field) else f"add {names[-1]}, {SEE}"
+        return (
+            f"add [{'.'.join(names)}] with its entries, {SEE}"
+            if _parts(field)
+            else f"add {names[-1]}, {SEE}"
+        )
     example = field.examples[0]
     return f"add {names[-1]} = " + (f'"{example}"' if isinstance(example, str) else shown(example))
 
 
 def _field_at(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> FieldInfo:
-    """Return what the last of some keys may hold, an entry of a scene or of a table of values in it."""
+    """Return what the last of some keys may hold, an entry of a scene or of a table of values in
+    it.
+    """
     if len(names) > 2:
         values = _values(_model_at(names[:-2], table, model).model_fields[names[-2]])
         if values is not None:
@@ -220,7 +267,11 @@ def _parts(field: FieldInfo) -> list[type[BaseModel]]:
     mark = _by_kind(field)
     if mark is not None:
         return list(mark.parts())
-    return [p for p in _alternatives(field.annotation) if isinstance(p, type) and issubclass(p, BaseModel)]
+    return [
+        p
+        for p in _alternatives(field.annotation)
+        if isinstance(p, type) and issubclass(p, BaseModel)
+    ]
 
 
 def _alternatives(annotation: object) -> list[object]:
@@ -228,7 +279,12 @@ def _alternatives(annotation: object) -> list[object]:
     if get_origin(annotation) is Annotated:
         return _alternatives(get_args(annotation)[0])
     if get_origin(annotation) in (Union, UnionType):
-        return [part for each in get_args(annotation) if each is not type(None) for part in _alternatives(each)]
+        return [
+            part
+            for each in get_args(annotation)
+            if each is not type(None)
+            for part in _alternatives(each)
+        ]
     return [annotation]
 
 
@@ -248,8 +304,12 @@ def _value_at(names: tuple[str, ...], table: Table) -> object:
     return table.get(names[-1])
 
 
-def _without_tags(location: tuple[int | str, ...], table: Table, model: type[BaseModel]) -> list[int | str]:
-    """Return a fault's location without what pydantic adds: a part's class, or which type of several a value is not."""
+def _without_tags(
+    location: tuple[int | str, ...], table: Table, model: type[BaseModel]
+) -> list[int | str]:
+    """Return a fault's location without what pydantic adds: a part's class, or which type of
+    several a value is not.
+    """
     path = list(location)
     inner: type[BaseModel] | None = model
     place = 0

@@ -24,7 +24,10 @@ def nearest(word: str, known: Iterable[str]) -> str:
 def unknown_name(key: str, known: Iterable[str], got: str) -> str:
     """The sentence that refuses a name which is not one of those known."""
     known = list(known)
-    return f"{key} must be one of {', '.join(known)}, got {got}{nearest(got, known)}: choose one of these"
+    return (
+        f"{key} must be one of {', '.join(known)}, got {got}{nearest(got, known)}: choose one of "
+        "these"
+    )
 
 
 def shown(value: object) -> str:
@@ -52,8 +55,8 @@ class Registry(Generic[T]):
         The parts by their names. A name such as ``observer:FILE`` stands for all
         texts with something else behind the colon.
     group
-        Group of entry points by which installed packages offer more parts. They are asked for a name that is not known,
-        and when the names are listed.
+        Group of entry points by which installed packages offer more parts. They are asked for a
+        name that is not known, and when the names are listed.
 
     Attributes
     ----------
@@ -98,7 +101,8 @@ class Registry(Generic[T]):
         return refusal(self.group, name) or unknown_name(self.key, (*others, *self), name)
 
     def split(self, text: str, *others: str) -> tuple[str, str]:
-        """The name of a part that a text stands for, and its argument: observer:FILE and a.json for observer:a.json.
+        """The name of a part that a text stands for, and its argument: observer:FILE and a.json for
+        observer:a.json.
 
         Raises
         ------
@@ -123,7 +127,9 @@ class Registry(Generic[T]):
         return None
 
     def with_file_at(self, text: str, folder: Path) -> str:
-        """A text such as observer:a.json with its file made absolute, a relative one taken from ``folder``."""
+        """A text such as observer:a.json with its file made absolute, a relative one taken from
+        ``folder``.
+        """
         for name in self if ":" in text else ():
             head = name.removesuffix("FILE")
             if head.endswith(":") and text.startswith(head) and text != head:
@@ -140,7 +146,8 @@ class Registry(Generic[T]):
         """
         if name in self._parts:
             raise InputError(
-                f"name must be none of {', '.join(self.known)}, got {name}: choose another name for this {self.key}"
+                f"name must be none of {', '.join(self.known)}, got {name}: choose another "
+                f"name for this {self.key}"
             )
         self.put(name, part)
 

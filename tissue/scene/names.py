@@ -9,9 +9,19 @@ from tissue.scene.entries import CutterEntry, DeviceEntry, PredictorEntry, Probe
 from tissue.scene.named_parts import Registry
 
 __all__ = [
-    "CUTTERS", "CUTTING_MATERIALS", "DEVICES", "GROUPS", "HANDS", "NEEDLES", "ORGAN_MATERIALS", "PERCEPTIONS",
-    "PREDICTORS", "PROBES", "RENDERERS", "SCENES",
-]  # fmt: skip
+    "CUTTERS",
+    "CUTTING_MATERIALS",
+    "DEVICES",
+    "GROUPS",
+    "HANDS",
+    "NEEDLES",
+    "ORGAN_MATERIALS",
+    "PERCEPTIONS",
+    "PREDICTORS",
+    "PROBES",
+    "RENDERERS",
+    "SCENES",
+]
 
 
 PEG = ("peg_diameter_mm", "peg_length_mm")
@@ -40,8 +50,12 @@ PROBES: Registry[ProbeEntry] = Registry(
     group="tissue.probes",
 )
 """Smooth tools that press, by their shape."""
-NEEDLES: Registry[Callable[..., Any] | None] = Registry("tool.kind", {"needle": None}, group="tissue.needles")
-"""Needles: what each meets in tissue, from ``walls``, the membranes under the capsule from the surface downwards."""
+NEEDLES: Registry[Callable[..., Any] | None] = Registry(
+    "tool.kind", {"needle": None}, group="tissue.needles"
+)
+"""Needles: what each meets in tissue, from ``walls``, the membranes under the capsule from the
+surface downwards.
+"""
 
 
 def _numbers(table: str, *names: str) -> dict[str, float]:
@@ -53,14 +67,21 @@ REAL = ("haply", "forcedimension", "sigma-7", "openhaptics", "network", "recorde
 """Devices that `tissue.haptics.real` opens; the others of the data file are simulated."""
 DEVICES: Registry[DeviceEntry] = Registry(
     "device",
-    {name: DeviceEntry(_numbers("devices", name), has_adapter=name in REAL) for name in listed("devices")},
+    {
+        name: DeviceEntry(_numbers("devices", name), has_adapter=name in REAL)
+        for name in listed("devices")
+    },
     group="tissue.devices",
 )
 """Haptic devices."""
 HANDS: Registry[Mapping[str, float]] = Registry(
-    "hand", {name: _numbers("hands", "any", name) for name in listed("hands") if name != "any"}, group="tissue.hands"
+    "hand",
+    {name: _numbers("hands", "any", name) for name in listed("hands") if name != "any"},
+    group="tissue.hands",
 )
-"""Hands that hold a device: the numbers of `tissue.haptics.hand.hand.HandParameters` by their names."""
+"""Hands that hold a device: the numbers of `tissue.haptics.hand.hand.HandParameters` by their
+names.
+"""
 GROUPS = HANDS.known
 """Groups of people whose senses are known beside their hands: those of studies and of training."""
 RENDERERS: Registry[Callable[..., Any] | None] = Registry(
@@ -105,8 +126,12 @@ CUTTING_MATERIALS: Registry[tuple[str, str]] = Registry(
 )
 """What bone may be cut as: the table of `tissue.materials.constants` and the name there."""
 ORGAN_MATERIALS: Registry[tuple[str, str]] = Registry(
-    "organ.material", {name: ("soft", name) for name in ("liver", "kidney")}, group="tissue.materials"
+    "organ.material",
+    {name: ("soft", name) for name in ("liver", "kidney")},
+    group="tissue.materials",
 )
 """What a soft organ may be made of."""
 SCENES: Registry[Path] = Registry("scene", {}, group="tissue.scenes")
-"""Files of scenes from elsewhere, by the names that they hold; those of the library are not among them."""
+"""Files of scenes from elsewhere, by the names that they hold; those of the library are not
+among them.
+"""

@@ -11,7 +11,16 @@ from tissue.scene.choices import OneOf
 from tissue.scene.names import ORGAN_MATERIALS
 from tissue.scene.part import FileName, Length_mm, Needs, Part, Rule, Vector
 
-__all__ = ["Held", "LayersAnatomy", "LiverAnatomy", "LiverFile", "Organ", "SlabAnatomy", "SoftAnatomy", "WithNodule"]
+__all__ = [
+    "Held",
+    "LayersAnatomy",
+    "LiverAnatomy",
+    "LiverFile",
+    "Organ",
+    "SlabAnatomy",
+    "SoftAnatomy",
+    "WithNodule",
+]
 
 LAYERS = ("capsule", "parenchyma")
 """What a needle meets in every scene."""
@@ -53,10 +62,14 @@ class Held(SoftAnatomy):
     kind: Literal["liver"] = "liver"
     """A liver, or the organ in `file`."""
     held: Literal["below", "back", "plane", "part"] = "below"
-    """What holds it: the surface it rests on, its back, all below `held_below_mm`, or the part `held_part`."""
+    """What holds it: the surface it rests on, its back, all below `held_below_mm`, or the part
+    `held_part`.
+    """
     held_below_mm: Annotated[float, Needs("anatomy.held", "plane")] = Field(-80.0, ge=-1000, le=0)
     """Height below which the surface is held by `held = "plane"`."""
-    held_part: Annotated[str | None, Needs("anatomy.held", "part")] = Field(None, examples=["ligament"])
+    held_part: Annotated[str | None, Needs("anatomy.held", "part")] = Field(
+        None, examples=["ligament"]
+    )
     """Part of the file, by its name or number, that is held by `held = "part"`."""
 
 
@@ -65,15 +78,21 @@ class LiverAnatomy(Held, WithNodule):
 
 
 class LiverFile(Held):
-    """An organ from a file. Its origin is the surface point nearest to `centre_mm`, else the highest along `normal`."""
+    """An organ from a file. Its origin is the surface point nearest to `centre_mm`, else the
+    highest along `normal`.
+    """
 
     source: ClassVar[str] = "from a file"
     file: FileName = Field(examples=["liver.vtu"])
-    """Tetrahedra (.vtk .vtu .msh .mesh) or a closed surface (.stl .obj .ply .vtk .vtp), which is meshed."""
+    """Tetrahedra (.vtk .vtu .msh .mesh) or a closed surface (.stl .obj .ply .vtk .vtp), which is
+    meshed.
+    """
     scale_mm: float | None = Field(None, gt=0, le=1e5, examples=[1.0])
     """Millimetres per unit of the file."""
     centre_mm: Vector | None = Field(None, examples=[(0.0, 0.0, 50.0)])
-    """Where the tool comes in, in the file's frame; the nearest point of the surface becomes the origin."""
+    """Where the tool comes in, in the file's frame; the nearest point of the surface becomes the
+    origin.
+    """
     normal: Vector = (0.0, 0.0, 1.0)
     """Direction in the file's frame that points up to the tool."""
     along: Vector | None = Field(None, examples=[(1.0, 0.0, 0.0)])
@@ -81,7 +100,9 @@ class LiverFile(Held):
 
 
 class SlabAnatomy(WithNodule):
-    """A block of soft tissue with its top face at z = 0, bonded to the ground: a phantom for palpation."""
+    """A block of soft tissue with its top face at z = 0, bonded to the ground: a phantom for
+    palpation.
+    """
 
     kind: Literal["slab"] = "slab"
     """A slab."""
@@ -96,38 +117,53 @@ def _apart(depths_mm: dict[str, float]) -> dict[str, float] | None:
     listed = sorted(depths_mm.items(), key=lambda each: each[1])
     for name, _ in listed:
         if name in LAYERS:
-            raise InputError(f"anatomy.membrane_depths_mm must not name the {name}, got it: choose another name")
+            raise InputError(
+                f"anatomy.membrane_depths_mm must not name the {name}, got it: choose another name"
+            )
     for (above, depth_mm), (below, other_mm) in pairwise(listed):
         if depth_mm == other_mm:
             raise InputError(
-                f"anatomy.membrane_depths_mm must differ, got {depth_mm:g} for {above} and {below}: move one of them"
+                f"anatomy.membrane_depths_mm must differ, got {depth_mm:g} for {above} and "
+                f"{below}: move one of them"
             )
     return depths_mm or None
 
 
-Depths_mm = Annotated[dict[str, Annotated[float, Field(gt=0, le=200, examples=[40.0])]], AfterValidator(_apart)]
+Depths_mm = Annotated[
+    dict[str, Annotated[float, Field(gt=0, le=200, examples=[40.0])]], AfterValidator(_apart)
+]
 Punctures_N = Annotated[
-    dict[str, Annotated[float, Field(gt=0, le=100, examples=[1.8])]], AfterValidator(lambda given: given or None)
+    dict[str, Annotated[float, Field(gt=0, le=100, examples=[1.8])]],
+    AfterValidator(lambda given: given or None),
 ]
 Holds_N = Annotated[
-    dict[str, Annotated[float, Field(ge=0, le=100, examples=[0.3])]], AfterValidator(lambda given: given or None)
+    dict[str, Annotated[float, Field(ge=0, le=100, examples=[0.3])]],
+    AfterValidator(lambda given: given or None),
 ]
 
 
 class LayersAnatomy(Part):
-    """What a needle meets: a capsule at z = 0, the tissue under it and, where given, membranes in it."""
+    """What a needle meets: a capsule at z = 0, the tissue under it and, where given, membranes
+    in it.
+    """
 
     reads: ClassVar[tuple[str, ...]] = ()
     kind: Literal["layers"] = "layers"
     """Layers, one below the other."""
     membrane_depths_mm: Depths_mm | None = Field(None, examples=[{"vessel wall": 40.0}])
-    """Depths of membranes under the capsule by their names, such as the two walls of a vessel; without them none."""
+    """Depths of membranes under the capsule by their names, such as the two walls of a vessel;
+    without them none.
+    """
     membrane_punctures_N: Punctures_N | None = Field(None, examples=[{"vessel wall": 1.8}])
-    """Forces of the tip at which they break; of those that are not named the force of `needle.vessel_wall`."""
+    """Forces of the tip at which they break; of those that are not named the force of
+    `needle.vessel_wall`.
+    """
     membrane_holds_N: Holds_N | None = Field(None, examples=[{"vessel wall": 0.3}])
     """Forces with which the edges of their holes cling to the shaft; likewise."""
     interval_ms: float = Field(100.0, ge=0, le=10_000)
-    """Time between two frames of displacement, strain and stress around the needle; 0 computes none."""
+    """Time between two frames of displacement, strain and stress around the needle; 0 computes
+    none.
+    """
 
     @model_validator(mode="after")
     def _names_its_membranes(self) -> "LayersAnatomy":
@@ -136,7 +172,8 @@ class LayersAnatomy(Part):
                 if name not in (self.membrane_depths_mm or {}):
                     raise InputError(
                         f"anatomy.{key} must name membranes of anatomy.membrane_depths_mm "
-                        f"({', '.join(self.membrane_depths_mm or {}) or 'none'}), got {name}: give its depth there"
+                        f"({', '.join(self.membrane_depths_mm or {}) or 'none'}), got "
+                        f"{name}: give its depth there"
                     )
         return self
 
@@ -163,15 +200,21 @@ class Organ(Part):
     grading_exponent: Annotated[float, Needs("organ.young_end_kPa")] = Field(1.0, ge=0.2, le=5)
     """Power of the distance from one end to the other by which it is graded; 1 is linear."""
     parts: Moduli_kPa | None = Field(None, examples=[{"nodule": 80.0}])
-    """Young's moduli of parts, by their names or numbers in the file [kPa]; the ball is `nodule`, without it 50 kPa."""
+    """Young's moduli of parts, by their names or numbers in the file [kPa]; the ball is
+    `nodule`, without it 50 kPa.
+    """
     poisson_ratio: float | None = Field(None, gt=-1, lt=0.5, examples=[0.45])
     """Poisson's ratio; without it the cited one."""
     fibre_direction: Annotated[Vector | None, Needs("organ.fibre_modulus_ratio")] = Field(
         None, examples=[(1.0, 0.0, 0.0)]
     )
     """Direction of fibres; with it the tissue is transversely isotropic."""
-    fibre_modulus_ratio: Annotated[float, Needs("organ.fibre_direction")] = Field(1.0, ge=0.25, le=10)
-    """Young's modulus along the fibres over that across them. The bulk modulus is that of the tissue without fibres."""
+    fibre_modulus_ratio: Annotated[float, Needs("organ.fibre_direction")] = Field(
+        1.0, ge=0.25, le=10
+    )
+    """Young's modulus along the fibres over that across them. The bulk modulus is that of the
+    tissue without fibres.
+    """
     capsule: bool = False
     """Whether a capsule of the cited thickness and modulus lies on the surface."""
     gravity: bool = False
@@ -179,14 +222,22 @@ class Organ(Part):
     viscous: bool = False
     """Whether it relaxes by the cited Prony series."""
     law: Literal["linear", "neo-hookean", "mooney-rivlin", "yeoh", "ogden"] = "linear"
-    """Law of large strains, its small strains by the moduli above; all but the first are solved between ticks."""
-    second_share: Annotated[float | None, Needs("organ.law", "mooney-rivlin")] = Field(None, ge=0, le=1, examples=[0.3])
+    """Law of large strains, its small strains by the moduli above; all but the first are solved
+    between ticks.
+    """
+    second_share: Annotated[float | None, Needs("organ.law", "mooney-rivlin")] = Field(
+        None, ge=0, le=1, examples=[0.3]
+    )
     """Share of the second invariant's term in the shear modulus of a Mooney-Rivlin law."""
-    square_ratio: Annotated[float | None, Needs("organ.law", "yeoh")] = Field(None, ge=-1, le=100, examples=[0.1])
+    square_ratio: Annotated[float | None, Needs("organ.law", "yeoh")] = Field(
+        None, ge=-1, le=100, examples=[0.1]
+    )
     """Coefficient of the second power of a Yeoh law over that of the first."""
     cube_ratio: Annotated[float, Needs("organ.law", "yeoh")] = Field(0.0, ge=-1, le=100)
     """The same of the third power."""
-    exponent: Annotated[float | None, Needs("organ.law", "ogden")] = Field(None, ge=-30, le=30, examples=[8.0])
+    exponent: Annotated[float | None, Needs("organ.law", "ogden")] = Field(
+        None, ge=-30, le=30, examples=[8.0]
+    )
     """Exponent of the stretches of an Ogden law of one term; not 0."""
     law_interval_ms: Annotated[float, Needs("organ.law")] = Field(25.0, ge=5, le=1000)
     """Time between two solves of a law that is not linear."""
@@ -195,9 +246,13 @@ class Organ(Part):
     friction: float = Field(0.3, ge=0, le=2)
     """Coulomb friction between tool and organ."""
     order: Literal[1, 2] = 2
-    """Order of the tetrahedra: linear ones lock near incompressibility, quadratic ones take longer to set up."""
+    """Order of the tetrahedra: linear ones lock near incompressibility, quadratic ones take
+    longer to set up.
+    """
     path: Literal["condensed", "lazy", "reduced"] = "condensed"
-    """How the compliance at 1 kHz is had: whole, column by column where the tool is, or from a reduced basis."""
+    """How the compliance at 1 kHz is had: whole, column by column where the tool is, or from a
+    reduced basis.
+    """
     basis_size: Annotated[int, Needs("organ.path", "reduced")] = Field(300, ge=10, le=3000)
     """Vectors of a reduced basis."""
     interval_ms: float = Field(100.0, ge=0, le=10_000)

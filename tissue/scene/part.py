@@ -1,4 +1,6 @@
-"""Base class of a scene's tables, and marks for keys that have an effect only together with another key."""
+"""Base class of a scene's tables, and marks for keys that have an effect only together with
+another key.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -27,7 +29,9 @@ Length_mm = Annotated[float, Field(ge=0.1, le=500)]
 Vector = Annotated[tuple[float, float, float], Strict(False)]
 
 Rule = tuple[str, bool, str, str]
-"""Keys separated by blanks, whether they have no effect, in which case that is so, and what to set instead."""
+"""Keys separated by blanks, whether they have no effect, in which case that is so, and what to
+set instead.
+"""
 
 
 class Idle(NamedTuple):
@@ -38,8 +42,13 @@ class Idle(NamedTuple):
 
 
 def is_given(part: "Part", name: str) -> bool:
-    """Return whether an entry was set to other than its default: what a build asks that finds it without effect."""
-    return name in part.model_fields_set and getattr(part, name) != type(part).model_fields[name].default
+    """Return whether an entry was set to other than its default: what a build asks that finds it
+    without effect.
+    """
+    return (
+        name in part.model_fields_set
+        and getattr(part, name) != type(part).model_fields[name].default
+    )
 
 
 def is_file_key(name: str) -> bool:
@@ -49,7 +58,8 @@ def is_file_key(name: str) -> bool:
 
 @dataclass(frozen=True)
 class Needs:
-    """Mark of a key that has an effect only where another key of its part differs from its default, or has a value.
+    """Mark of a key that has an effect only where another key of its part differs from its default,
+    or has a value.
 
     Attributes
     ----------
@@ -74,7 +84,11 @@ class Needs:
             return Idle(f"with {self.key}", f"remove {self.key}") if is_set else None
         if self.value is not None:
             met = given == self.value
-            return None if met else Idle(f"with {self.key} = {given}", f"set {self.key} = {self.value}")
+            return (
+                None
+                if met
+                else Idle(f"with {self.key} = {given}", f"set {self.key} = {self.value}")
+            )
         if is_set:
             return None
         if isinstance(given, str) and given:
@@ -83,7 +97,9 @@ class Needs:
 
 
 class Part(BaseModel):
-    """Frozen table of a scene. A key that it does not know, or that has no effect in it, is refused."""
+    """Frozen table of a scene. A key that it does not know, or that has no effect in it, is
+    refused.
+    """
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
@@ -94,7 +110,9 @@ class Part(BaseModel):
         yield from ()
 
     def idle(self) -> dict[str, Idle]:
-        """Return the keys that have no effect, and why; keys of inner tables and whole inner tables are dotted."""
+        """Return the keys that have no effect, and why; keys of inner tables and whole inner
+        tables are dotted.
+        """
         found: dict[str, Idle] = {}
         for keys, is_idle, where, remedy in self.rules():
             if is_idle:

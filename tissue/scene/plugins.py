@@ -1,4 +1,6 @@
-"""Parts that installed packages offer by entry points: read once, when a table is asked for more than it knows."""
+"""Parts that installed packages offer by entry points: read once, when a table is asked for more
+than it knows.
+"""
 
 import warnings
 from functools import cache
@@ -9,10 +11,20 @@ __all__ = ["OFFERED", "PluginWarning", "ask_packages", "offered_names", "refusal
 OFFERED = {
     f"tissue.{kind}s": kind
     for kind in (
-        "tool", "probe", "needle", "motion", "tissue", "device", "hand", "renderer", "predictor", "perception",
-        "material", "scene",
+        "tool",
+        "probe",
+        "needle",
+        "motion",
+        "tissue",
+        "device",
+        "hand",
+        "renderer",
+        "predictor",
+        "perception",
+        "material",
+        "scene",
     )
-}  # fmt: skip
+}
 """Groups of entry points, by the function of `tissue.register` that takes what one names."""
 _asked: set[str] = set()
 _refused: dict[tuple[str, str], str] = {}
@@ -25,8 +37,8 @@ class PluginWarning(UserWarning):
 def ask_packages(group: str) -> None:
     """Make known what installed packages offer in a group of entry points; once for each group.
 
-    A part that cannot be had is left out with a `PluginWarning`, see `refusal`. Its name stays with who had it before:
-    with what is built in, or was registered by a call.
+    A part that cannot be had is left out with a `PluginWarning`, see `refusal`. Its name stays with
+    who had it before: with what is built in, or was registered by a call.
     """
     if not group or group in _asked:
         return
@@ -35,7 +47,9 @@ def ask_packages(group: str) -> None:
     for offer in _offers().get(group, ()):
         other = first.setdefault(offer.name, offer)
         if other is not offer:
-            _refuse(offer, f"the package {_package(other)} offers one by that name, too, which is used")
+            _refuse(
+                offer, f"the package {_package(other)} offers one by that name, too, which is used"
+            )
             continue
         try:
             from tissue import register
@@ -43,7 +57,11 @@ def ask_packages(group: str) -> None:
             register.offered(OFFERED[group], offer.name, offer.load)
         except (Exception, SystemExit) as error:
             reason = (str(error).splitlines() or [""])[0]
-            cause = reason if type(error).__name__ == "InputError" else f"{type(error).__name__}: {reason}"
+            cause = (
+                reason
+                if type(error).__name__ == "InputError"
+                else f"{type(error).__name__}: {reason}"
+            )
             _refused[group, offer.name] = _refuse(offer, cause)
 
 

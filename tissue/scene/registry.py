@@ -1,6 +1,8 @@
-"""The parts that a scene names, a table for each kind: choices, messages, loops and charts derive from it.
+"""The parts that a scene names, a table for each kind: choices, messages, loops and charts derive
+from it.
 
-A line in a table makes a part known. `tissue.register` and the entry points of installed packages add parts.
+A line in a table makes a part known. `tissue.register` and the entry points of installed packages
+add parts.
 """
 
 from typing import Any
@@ -47,10 +49,28 @@ from tissue.scene.organ import LayersAnatomy, LiverAnatomy, LiverFile, SlabAnato
 from tissue.scene.tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
 
 __all__ = [
-    "ANATOMIES", "CUTTERS", "CUTTING_MATERIALS", "DEVICES", "GROUPS", "HANDS", "MOTIONS", "NEEDLES", "ORGAN_MATERIALS",
-    "PERCEPTIONS", "PREDICTORS", "PROBES", "RENDERERS", "SCENES", "TABLES", "AnatomyEntry", "CutterEntry",
-    "DeviceEntry", "MotionEntry", "PredictorEntry", "ProbeEntry",
-]  # fmt: skip
+    "ANATOMIES",
+    "CUTTERS",
+    "CUTTING_MATERIALS",
+    "DEVICES",
+    "GROUPS",
+    "HANDS",
+    "MOTIONS",
+    "NEEDLES",
+    "ORGAN_MATERIALS",
+    "PERCEPTIONS",
+    "PREDICTORS",
+    "PROBES",
+    "RENDERERS",
+    "SCENES",
+    "TABLES",
+    "AnatomyEntry",
+    "CutterEntry",
+    "DeviceEntry",
+    "MotionEntry",
+    "PredictorEntry",
+    "ProbeEntry",
+]
 
 ANATOMIES: Registry[AnatomyEntry] = Registry(
     "anatomy.kind",
@@ -70,7 +90,11 @@ ANATOMIES: Registry[AnatomyEntry] = Registry(
 """What a tool meets: the tables of each kind, by the source of its shape, and its tools."""
 MOTIONS: Registry[MotionEntry] = Registry(
     "motion.kind",
-    {"path": MotionEntry(PathMotion), "thrust": MotionEntry(ThrustMotion), "replay": MotionEntry(ReplayMotion)},
+    {
+        "path": MotionEntry(PathMotion),
+        "thrust": MotionEntry(ThrustMotion),
+        "replay": MotionEntry(ReplayMotion),
+    },
     group="tissue.motions",
 )
 """What moves the tool."""

@@ -1,7 +1,8 @@
 """Scenes: frozen, validated descriptions of what to simulate.
 
-A scene is a TOML file. Every quantity carries its unit in its name; anything unknown, missing, out of range or not
-finite is refused with one sentence that names the key, the value, the requirement and a remedy.
+A scene is a TOML file. Every quantity carries its unit in its name; anything unknown, missing, out
+of range or not finite is refused with one sentence that names the key, the value, the requirement
+and a remedy.
 """
 
 import math
@@ -14,14 +15,29 @@ from pydantic import Field, model_validator
 
 from meshes.base.errors import InputError
 from tissue.materials.scene_constants import Materials
-from tissue.scene.anatomy import BlockAnatomy, BlockImage, CutAnatomy, MolarAnatomy, Tooth, WallAnatomy
+from tissue.scene.anatomy import (
+    BlockAnatomy,
+    BlockImage,
+    CutAnatomy,
+    MolarAnatomy,
+    Tooth,
+    WallAnatomy,
+)
 from tissue.scene.choices import ByKind, OneOf, kinds_of
 from tissue.scene.coupling import Device, Fidelity
 from tissue.scene.keep_clear import KeepClear
 from tissue.scene.organ import LayersAnatomy, LiverFile, Organ, SoftAnatomy
 from tissue.scene.part import FileName, Part, Rule
 from tissue.scene.registry import ANATOMIES, CUTTERS, CUTTING_MATERIALS, MOTIONS, NEEDLES, PROBES
-from tissue.scene.tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool, tool_parts
+from tissue.scene.tool import (
+    Needle,
+    PathMotion,
+    Probe,
+    ReplayMotion,
+    ThrustMotion,
+    Tool,
+    tool_parts,
+)
 
 __all__ = ["BlockAnatomy", "Cutting", "Output", "Scene", "Stress", "Voxels"]
 
@@ -32,7 +48,9 @@ class Voxels(Part):
     spacing_mm: float = Field(0.1, gt=0, le=2, examples=[0.1])
     """Edge of a voxel."""
     removal: Literal["subvoxel", "binary"] = "subvoxel"
-    """Whether a voxel loses the part inside the tool, or all of itself once its centre is inside."""
+    """Whether a voxel loses the part inside the tool, or all of itself once its centre is
+    inside.
+    """
     margin_mm: float = Field(3.0, ge=0.5, le=50)
     """Bone kept around what the tool can reach."""
 
@@ -65,16 +83,24 @@ class Output(Part):
     low_pass_ms: float = Field(1.0, ge=0, le=1000)
     """Time constant of the low-pass y += (1 - exp(-T/a)) (u - y); 0 passes the model's force on."""
     vibration_share: float = Field(0.0, ge=0, le=1)
-    """Amplitude of the teeth's vibration relative to the average force, at 250 Hz at most; a device plays it too."""
+    """Amplitude of the teeth's vibration relative to the average force, at 250 Hz at most; a
+    device plays it too.
+    """
     cue_N: float = Field(0.0, ge=0, le=1, examples=[0.3])
-    """Amplitude of the transient that a device plays at first contact, another layer and a puncture; 0 plays none."""
+    """Amplitude of the transient that a device plays at first contact, another layer and a
+    puncture; 0 plays none.
+    """
 
 
 class Stress(Part):
-    """Displacement and stress of a tooth by particle finite elements; a scene without it builds none."""
+    """Displacement and stress of a tooth by particle finite elements; a scene without it builds
+    none.
+    """
 
     cell_mm: float = Field(0.5, ge=0.2, le=1.5)
-    """Edge of a cell; its half, the particles' spacing, must be a whole multiple of voxels.spacing_mm."""
+    """Edge of a cell; its half, the particles' spacing, must be a whole multiple of
+    voxels.spacing_mm.
+    """
     interval_ms: float = Field(100.0, ge=10, le=10_000)
     """Time between two solves; the stress belongs to a state at most this old."""
 
@@ -90,10 +116,15 @@ def motion_parts() -> tuple[type[Part], ...]:
 
 
 AnyAnatomy = Annotated[
-    CutAnatomy | SoftAnatomy | LayersAnatomy | WallAnatomy, ByKind(anatomy_parts, (ANATOMIES.group,))
+    CutAnatomy | SoftAnatomy | LayersAnatomy | WallAnatomy,
+    ByKind(anatomy_parts, (ANATOMIES.group,)),
 ]
-AnyTool = Annotated[Tool | Probe | Needle, ByKind(tool_parts, (CUTTERS.group, PROBES.group, NEEDLES.group))]
-AnyMotion = Annotated[PathMotion | ThrustMotion | ReplayMotion, ByKind(motion_parts, (MOTIONS.group,))]
+AnyTool = Annotated[
+    Tool | Probe | Needle, ByKind(tool_parts, (CUTTERS.group, PROBES.group, NEEDLES.group))
+]
+AnyMotion = Annotated[
+    PathMotion | ThrustMotion | ReplayMotion, ByKind(motion_parts, (MOTIONS.group,))
+]
 
 
 class Scene(Part):
@@ -106,7 +137,9 @@ class Scene(Part):
     seed: int = Field(0, ge=0, lt=2**63)
     """Seed of every random draw."""
     duration_s: float | None = Field(None, ge=1e-3, le=3600, examples=[5.0])
-    """Simulated time; without it as long as the motion lasts. One that holds the whole motion waits for a late hand."""
+    """Simulated time; without it as long as the motion lasts. One that holds the whole motion
+    waits for a late hand.
+    """
     anatomy: AnyAnatomy
     """What the tool meets."""
     voxels: Voxels = Voxels()
@@ -130,10 +163,14 @@ class Scene(Part):
     organ: Organ = Organ()
     """What a soft organ is made of, and how it is solved."""
     materials: FileName = Field("", examples=["fitted.toml"])
-    """TOML file of constants in place of the cited ones, such as `tissue fit` writes; empty takes the cited ones."""
+    """TOML file of constants in place of the cited ones, such as `tissue fit` writes; empty
+    takes the cited ones.
+    """
 
     fidelity: Fidelity | None = None
-    """The fidelity demanded of the run; its settings are then chosen by what was measured on this machine."""
+    """The fidelity demanded of the run; its settings are then chosen by what was measured on
+    this machine.
+    """
 
     @property
     def bone(self) -> CutAnatomy:
@@ -173,11 +210,17 @@ class Scene(Part):
         kind = self.anatomy.kind
         wanted = ANATOMIES[kind].tool
         if not isinstance(self.tool, wanted):
-            names = ", ".join(kind for part in tool_parts() if issubclass(part, wanted) for kind in kinds_of(part))
+            names = ", ".join(
+                kind for part in tool_parts() if issubclass(part, wanted) for kind in kinds_of(part)
+            )
             got = self.tool.kind
-            raise InputError(f"tool.kind must be one of {names} for a {kind}, got {got}: choose one of these")
+            raise InputError(
+                f"tool.kind must be one of {names} for a {kind}, got {got}: choose one of these"
+            )
         if kind == "wall" and self.tool.kind != "sphere-probe":
-            raise InputError(f"tool.kind must be sphere-probe for a wall, got {self.tool.kind}: use a ball")
+            raise InputError(
+                f"tool.kind must be sphere-probe for a wall, got {self.tool.kind}: use a ball"
+            )
         if isinstance(self.tool, Tool) and isinstance(self.anatomy, CutAnatomy):
             self._cutter_fits(self.tool, self.anatomy)
         return self
@@ -187,13 +230,16 @@ class Scene(Part):
         peg, length = tool.peg_mm
         if peg > 0.0 and (hole < peg or depth < length):
             raise InputError(
-                f"tool.peg_diameter_mm must fit the guide hole ({hole:g} mm wide, {depth:g} mm deep), got a peg of "
-                f"{peg:g} x {length:g} mm: widen or deepen it by anatomy.guide_hole_diameter_mm and "
+                f"tool.peg_diameter_mm must fit the guide hole ({hole:g} mm wide, {depth:g} "
+                "mm deep), got a peg of "
+                f"{peg:g} x {length:g} mm: widen or deepen it by "
+                "anatomy.guide_hole_diameter_mm and "
                 "anatomy.guide_hole_depth_mm"
             )
         if tool.diameter_mm < 4.0 * self.voxels.spacing_mm:
             raise InputError(
-                f"voxels.spacing_mm must be at most a quarter of tool.diameter_mm ({tool.diameter_mm:g}), got "
+                "voxels.spacing_mm must be at most a quarter of tool.diameter_mm "
+                f"({tool.diameter_mm:g}), got "
                 f"{self.voxels.spacing_mm:g}: use {tool.diameter_mm / 20:g}"
             )
         if self.stress is not None and isinstance(anatomy, Tooth):
@@ -222,10 +268,22 @@ class Scene(Part):
         reads = getattr(anatomy, "reads", CutAnatomy.reads if is_cut else ())
         others = {"organ": "liver"} | dict.fromkeys(("stress", "heat"), "molar")
         for table in ("voxels", "cutting", "keep_clear", "stress", "heat", "organ"):
-            where = f"for a {anatomy.kind}" + (", which is not cut" if not is_cut and table != "organ" else "")
-            yield table, table not in reads, where, f"set anatomy.kind = {others.get(table, 'block')}"
+            where = f"for a {anatomy.kind}" + (
+                ", which is not cut" if not is_cut and table != "organ" else ""
+            )
+            yield (
+                table,
+                table not in reads,
+                where,
+                f"set anatomy.kind = {others.get(table, 'block')}",
+            )
         if isinstance(anatomy, BlockImage):
-            yield "voxels.margin_mm", anatomy.is_whole, "for an image as it is", "set anatomy.centre_mm"
+            yield (
+                "voxels.margin_mm",
+                anatomy.is_whole,
+                "for an image as it is",
+                "set anatomy.centre_mm",
+            )
         if isinstance(anatomy, Tooth):
             no_stress = not isinstance(anatomy, MolarAnatomy) and self.stress is None
             ligament = "for a tooth from files without stress"
@@ -241,7 +299,12 @@ class Scene(Part):
             return
         is_still = self.tool.spin_rpm == 0.0
         where = "for a tool that does not turn and so cuts nothing"
-        yield "cutting voxels.removal stress heat output.vibration_share", is_still, where, "set tool.spin_rpm"
+        yield (
+            "cutting voxels.removal stress heat output.vibration_share",
+            is_still,
+            where,
+            "set tool.spin_rpm",
+        )
 
     def _device_rules(self) -> Iterator[Rule]:
         is_held = self.device is not None
@@ -252,11 +315,26 @@ class Scene(Part):
             wall = "for a wall, which goes on for ever"
             is_wall = isinstance(self.anatomy, WallAnatomy)
             yield "device.coupling.roam_mm", is_wall, wall, "set motion.points_mm"
-            yield "device.coupling.roam_mm", isinstance(self.tool, Needle), "for a needle", "set motion.points_mm"
+            yield (
+                "device.coupling.roam_mm",
+                isinstance(self.tool, Needle),
+                "for a needle",
+                "set motion.points_mm",
+            )
         if is_held and isinstance(self.motion, ThrustMotion):
-            yield "motion.mass_kg", True, "by a hand on a device, whose masses count", "set device or hand"
+            yield (
+                "motion.mass_kg",
+                True,
+                "by a hand on a device, whose masses count",
+                "set device or hand",
+            )
             lasts = self.duration_s is not None
-            yield "motion.max_feed_mm_s", lasts, "by a hand with duration_s", "set motion.thrust_N or duration_s"
+            yield (
+                "motion.max_feed_mm_s",
+                lasts,
+                "by a hand with duration_s",
+                "set motion.thrust_N or duration_s",
+            )
         if self.fidelity is not None:
             where, remedy = "with fidelity, which chooses it", "leave fidelity out"
             yield "device.prediction", is_held, where, remedy
@@ -264,7 +342,9 @@ class Scene(Part):
             yield "organ.order", not is_held and isinstance(self.tool, Probe), where, remedy
 
     def to_toml(self) -> str:
-        """Return the whole scene, defaults included, as TOML, without keys that have no effect in it."""
+        """Return the whole scene, defaults included, as TOML, without keys that have no effect
+        in it.
+        """
         import tomli_w
 
         return tomli_w.dumps(self.effective_table())
@@ -273,9 +353,17 @@ class Scene(Part):
         """Show in a notebook what the scene states, and all its keys folded below."""
         import tomli_w
 
-        stated = self.model_dump(mode="json", exclude_unset=True, exclude_none=True, exclude={"name", "description"})
-        head = f"<p><b>{escape(self.name)}</b> {escape(self.description)}</p><pre>{escape(tomli_w.dumps(stated))}</pre>"
-        return f"{head}<details><summary>all keys</summary><pre>{escape(self.to_toml())}</pre></details>"
+        stated = self.model_dump(
+            mode="json", exclude_unset=True, exclude_none=True, exclude={"name", "description"}
+        )
+        head = (
+            f"<p><b>{escape(self.name)}</b> "
+            f"{escape(self.description)}</p><pre>{escape(tomli_w.dumps(stated))}</pre>"
+        )
+        return (
+            f"{head}<details><summary>all "
+            f"keys</summary><pre>{escape(self.to_toml())}</pre></details>"
+        )
 
 
 for table in (ANATOMIES, CUTTERS, PROBES, NEEDLES, MOTIONS):

@@ -20,7 +20,9 @@ STATED = {
 
 
 def schema_text() -> str:
-    """JSON schema of a scene's file: keys with descriptions, units in their names, ranges and choices."""
+    """JSON schema of a scene's file: keys with descriptions, units in their names, ranges and
+    choices.
+    """
     for group in OFFERED:
         ask_packages(group)
     schema = Scene.model_json_schema()
@@ -29,10 +31,11 @@ def schema_text() -> str:
 
 
 def scene_for_editors(name: str) -> str:
-    """TOML of a built-in scene; its first line names the schema, which is written to the cache for it.
+    """TOML of a built-in scene; its first line names the schema, which is written to the cache for
+    it.
 
-    The line holds a ``file:`` URL, which taplo and editors that use it resolve from any folder and without a network.
-    Where the cache cannot be written the scene comes without it.
+    The line holds a ``file:`` URL, which taplo and editors that use it resolve from any folder and
+    without a network. Where the cache cannot be written the scene comes without it.
 
     Raises
     ------

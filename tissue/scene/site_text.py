@@ -1,4 +1,6 @@
-"""The site in the text of a scene: read, and written over its two lines, with all else as a person wrote it."""
+"""The site in the text of a scene: read, and written over its two lines, with all else as a
+person wrote it.
+"""
 
 import re
 import tomllib
@@ -30,7 +32,9 @@ def anatomy_of(scene: Path) -> dict[str, object]:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"scene must be TOML, got {error} in {scene}: mend it") from None
     if not isinstance(table, dict):
-        raise InputError(f"scene must have a table [anatomy], got none in {scene}: import the bone again")
+        raise InputError(
+            f"scene must have a table [anatomy], got none in {scene}: import the bone again"
+        )
     return table
 
 
@@ -50,7 +54,8 @@ def save_site(scene: Path, centre_mm: Sequence[float], normal: Sequence[float]) 
 
 
 def with_site(text: str, centre_mm: Sequence[float], normal: Sequence[float]) -> str:
-    """Text of a scene with ``anatomy.centre_mm`` and ``anatomy.normal``, comments and all other lines as they were.
+    """Text of a scene with ``anatomy.centre_mm`` and ``anatomy.normal``, comments and all other
+    lines as they were.
 
     Raises
     ------
@@ -65,7 +70,9 @@ def with_site(text: str, centre_mm: Sequence[float], normal: Sequence[float]) ->
     lines = text.split(end)
     first = next((number for number, line in enumerate(lines) if _ANATOMY.match(line)), None)
     if first is None:
-        raise InputError("scene must have a line [anatomy], got none: write anatomy.centre_mm and normal by hand")
+        raise InputError(
+            "scene must have a line [anatomy], got none: write anatomy.centre_mm and normal by hand"
+        )
     for key, value in values.items():
         _put(lines, first + 1, key, f"{key} = {value}")
     changed = end.join(lines)
@@ -73,13 +80,16 @@ def with_site(text: str, centre_mm: Sequence[float], normal: Sequence[float]) ->
     before["anatomy"] |= values
     if read_toml(changed) != before:
         raise InputError(
-            "scene must state anatomy.centre_mm and normal on lines of their own, got other text: write them by hand"
+            "scene must state anatomy.centre_mm and normal on lines of their own, got other "
+            "text: write them by hand"
         )
     return changed
 
 
 def _put(lines: list[str], first: int, key: str, line: str) -> None:
-    """Replace a key's lines in a table that begins at a line, its comment kept, or add one after the table's last."""
+    """Replace a key's lines in a table that begins at a line, its comment kept, or add one after
+    the table's last.
+    """
     last = first
     for number in range(first, len(lines)):
         if _TABLE.match(lines[number]):
@@ -88,7 +98,11 @@ def _put(lines: list[str], first: int, key: str, line: str) -> None:
             stop = number
             while stop < len(lines) - 1 and not _closed(lines[number : stop + 1]):
                 stop += 1
-            comments = [found[0] for each in lines[number : stop + 1] if (found := re.search(r"\s*#.*$", each))]
+            comments = [
+                found[0]
+                for each in lines[number : stop + 1]
+                if (found := re.search(r"\s*#.*$", each))
+            ]
             lines[number : stop + 1] = [line + "".join(comments)]
             return
         if lines[number].strip() and not lines[number].lstrip().startswith("#"):

@@ -1,4 +1,6 @@
-"""Texts that a scene states: folders of its files, and names of parts that only this process knows."""
+"""Texts that a scene states: folders of its files, and names of parts that only this process
+knows.
+"""
 
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import PurePath, PurePosixPath, PureWindowsPath
@@ -17,10 +19,13 @@ def _texts_of(scene: Scene) -> list[str]:
 
 
 def folders_of(scene: Scene) -> list[str]:
-    """Absolute folders of the files that a scene names, but roots, with the separator behind each; longest first."""
+    """Absolute folders of the files that a scene names, but roots, with the separator behind
+    each; longest first.
+    """
     found = set()
     for text in _texts_of(scene):
-        for each in (text, text.partition(":")[2]):  # a file may follow a part's name, as in observer:FILE
+        # a file may follow a part's name, as in observer:FILE
+        for each in (text, text.partition(":")[2]):
             kinds: tuple[type[PurePath], ...] = (PurePosixPath, PureWindowsPath)
             path = next((kind(each) for kind in kinds if kind(each).is_absolute()), None)
             if path is not None and path.parent != path.parent.parent:
@@ -40,7 +45,9 @@ def _texts(value: Any) -> Iterator[str]:
 
 
 def registered_parts(scenes: Iterable[Scene]) -> list[tuple[str, str]]:
-    """Kind and name of the parts that scenes name and neither this package nor an installed one offers."""
+    """Kind and name of the parts that scenes name and neither this package nor an installed one
+    offers.
+    """
     offered = {name for names in offered_names().values() for name in names}
     named = {text.partition(":")[0] for scene in scenes for text in _texts_of(scene)}
     found = {
@@ -55,4 +62,6 @@ def registered_parts(scenes: Iterable[Scene]) -> list[tuple[str, str]]:
 
 def unknown_parts(parts: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
     """Those of some parts that this process does not know."""
-    return [(kind, name) for kind, name in parts if not any(name in table for table in TABLES[kind])]
+    return [
+        (kind, name) for kind, name in parts if not any(name in table for table in TABLES[kind])
+    ]

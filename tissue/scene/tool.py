@@ -1,4 +1,6 @@
-"""Tools and their motions. Cutters and probes have the keys that their tables in `tissue.scene.names` list."""
+"""Tools and their motions. Cutters and probes have the keys that their tables in
+`tissue.scene.names` list.
+"""
 
 import math
 from functools import cache
@@ -12,12 +14,23 @@ from tissue.scene.names import CUTTERS, NEEDLES, PROBES
 from tissue.scene.part import FileName, Needs, Part, Vector
 
 __all__ = [
-    "Motion", "Needle", "PathMotion", "Probe", "ReplayMotion", "ThrustMotion", "Tool", "probe_part", "tool_of",
+    "Motion",
+    "Needle",
+    "PathMotion",
+    "Probe",
+    "ReplayMotion",
+    "ThrustMotion",
+    "Tool",
+    "probe_part",
+    "tool_of",
     "tool_parts",
-]  # fmt: skip
+]
 
 CUTTER_KEYS: dict[str, Any] = {
-    "length_mm": (float, Field(10.0, gt=0, le=200, description="Length; thickness of a flat reamer.")),
+    "length_mm": (
+        float,
+        Field(10.0, gt=0, le=200, description="Length; thickness of a flat reamer."),
+    ),
     "point_angle_deg": (float, Field(118.0, ge=30, lt=180, description="Included point angle.")),
     "peg_diameter_mm": (
         Annotated[float, Needs("tool.peg_length_mm")],
@@ -30,20 +43,27 @@ CUTTER_KEYS: dict[str, Any] = {
 }
 """Keys that shape some cutters, next to the diameter."""
 PROBE_KEYS: dict[str, Any] = {
-    "diameter_mm": (float, Field(20.0, ge=0.5, le=100, description="Diameter of the ball or cylinder.")),
+    "diameter_mm": (
+        float,
+        Field(20.0, ge=0.5, le=100, description="Diameter of the ball or cylinder."),
+    ),
     "length_mm": (float, Field(40.0, gt=0, le=200, description="Length of the cylinder.")),
     "file": (
         FileName,
         Field(
             examples=["finger.stl"],
-            description="Closed surface of the probe; the file's origin is the tip, z points to the shank.",
+            description=(
+                "Closed surface of the probe; the file's origin is the tip, z points to the shank."
+            ),
         ),
     ),
     "scale_mm": (float, Field(1.0, gt=0, le=1e5, description="Millimetres per unit of that file.")),
 }
 """Keys that shape some probes."""
 USUAL_PROBE_MM = 20.0
-"""Diameter that a probe without one counts as where a mesh is refined around it [mm]: a fingertip's."""
+"""Diameter that a probe without one counts as where a mesh is refined around it [mm]: a
+fingertip's.
+"""
 
 
 class Shaped(Part):
@@ -65,9 +85,13 @@ class Tool(Shaped):
     flutes: Annotated[int, Needs("tool.spin_rpm")] = Field(4, ge=1, le=200)
     """Cutting edges around the axis."""
     spin_rpm: float = Field(ge=-500_000, le=500_000, examples=[500.0])
-    """Spin, clockwise as seen from the shank, the sense of common burs, drills and reamers; a negative one is
-    counter-clockwise. A tool that does not turn (0) cuts nothing: a hand on a device feels the bone with it."""
-    shell_spacing_mm: Annotated[float | None, Needs("tool.spin_rpm")] = Field(None, gt=0, le=10, examples=[0.2])
+    """Spin, clockwise as seen from the shank, the sense of common burs, drills and reamers; a
+    negative one is counter-clockwise. A tool that does not turn (0) cuts nothing: a hand on a
+    device feels the bone with it.
+    """
+    shell_spacing_mm: Annotated[float | None, Needs("tool.spin_rpm")] = Field(
+        None, gt=0, le=10, examples=[0.2]
+    )
     """Distance between the cutter's elements; without it as wide as gives 6000 elements."""
 
     @property
@@ -78,7 +102,9 @@ class Tool(Shaped):
     def without_peg(self) -> "Tool":
         """Return the cutter without its peg, its elements as fine as usual."""
         pegs: dict[str, Any] = {
-            name: 0.0 for name in ("peg_diameter_mm", "peg_length_mm") if name in type(self).model_fields
+            name: 0.0
+            for name in ("peg_diameter_mm", "peg_length_mm")
+            if name in type(self).model_fields
         }
         return self.model_copy(update={**pegs, "shell_spacing_mm": None})
 
@@ -86,7 +112,8 @@ class Tool(Shaped):
     def _spins_and_peg_fits(self) -> "Tool":
         if 0.0 < abs(self.spin_rpm) < 1.0:
             raise InputError(
-                f"tool.spin_rpm must be at least 1 in size, or 0 for a tool that only touches, got {self.spin_rpm:g}: "
+                "tool.spin_rpm must be at least 1 in size, or 0 for a tool that only "
+                f"touches, got {self.spin_rpm:g}: "
                 "use 500"
             )
         peg_mm, _ = self.peg_mm
@@ -188,7 +215,9 @@ class PathMotion(Motion):
 
 
 class ThrustMotion(Motion):
-    """A given thrust pushes the tool along its axis; the feed follows from the balance with the cutting force."""
+    """A given thrust pushes the tool along its axis; the feed follows from the balance with the
+    cutting force.
+    """
 
     kind: Literal["thrust"] = "thrust"
     """Force-driven."""
@@ -205,9 +234,13 @@ class ThrustMotion(Motion):
 
 
 class ReplayMotion(Part):
-    """Poses from a table with the columns of ``trace.csv``: time_s, tool_x_mm ... tool_qw; or from a recording."""
+    """Poses from a table with the columns of ``trace.csv``: time_s, tool_x_mm ... tool_qw; or
+    from a recording.
+    """
 
     kind: Literal["replay"] = "replay"
     """Recorded."""
     file: FileName = Field(examples=["runs/glenoid/trace.csv"])
-    """CSV table of poses, such as a run's own trace, or an HDF5 recording of volumetric_drilling."""
+    """CSV table of poses, such as a run's own trace, or an HDF5 recording of
+    volumetric_drilling.
+    """

@@ -29,7 +29,8 @@ class Used:
     cited
         Value, range, source and confidence: of the scene's own file, where it states the constant.
     full
-        Its name ``TABLE.MATERIAL.NAME``; of a layer's own cutting constant the layer stands for the material.
+        Its name ``TABLE.MATERIAL.NAME``; of a layer's own cutting constant the layer stands for the
+        material.
     stated
         What the scene states in its place, None where that of the tables or of its file is used.
     """
@@ -42,19 +43,30 @@ class Used:
 
 
 def used_constants(scene: Scene, layers: Sequence[str], *, varied: bool = False) -> list[Used]:
-    """Constants of the tissue's layers, and of device and hand where there are any, in the order of their tables.
+    """Constants of the tissue's layers, and of device and hand where there are any, in the order of
+    their tables.
 
-    Where all of them are `varied` together, the density exponent counts in bone of the reference density too.
+    Where all of them are `varied` together, the density exponent counts in bone of the reference
+    density too.
     """
     return _used(
-        scene.constants, _tables(scene, layers, varied), lambda table, material: _stated(scene, table, material)
+        scene.constants,
+        _tables(scene, layers, varied),
+        lambda table, material: _stated(scene, table, material),
     )
 
 
 def used_of_cutting(
-    given: Materials, layers: Sequence[str], *, bone: str, stated: Mapping[str, float], has_reference_density: bool
+    given: Materials,
+    layers: Sequence[str],
+    *,
+    bone: str,
+    stated: Mapping[str, float],
+    has_reference_density: bool,
 ) -> list[Used]:
-    """Those of layers that are cut, `bone` being the material of bone; `stated` are a caller's own."""
+    """Those of layers that are cut, `bone` being the material of bone; `stated` are a caller's
+    own.
+    """
     parts = _cutting(given, layers, bone, has_reference_density=has_reference_density)
     return _used(given, parts, lambda table, material: stated)
 
@@ -65,14 +77,26 @@ def used_of_device(given: Materials, device: str | None, hand: str) -> list[Used
 
 
 def _used(
-    given: Materials, parts: Iterable[Part], stated_of: Callable[[str, str], Mapping[str, float | None]]
+    given: Materials,
+    parts: Iterable[Part],
+    stated_of: Callable[[str, str], Mapping[str, float | None]],
 ) -> list[Used]:
     found: list[Used] = []
     for table, material, chosen in parts:
         stated = stated_of(table, material)
-        known = given.constants(table, material) if material in listed(table) else given.layer_constants(material)
+        known = (
+            given.constants(table, material)
+            if material in listed(table)
+            else given.layer_constants(material)
+        )
         found += [
-            Used(f"{table}, {material.replace('_', ' ')}", name, one, f"{table}.{material}.{name}", stated.get(name))
+            Used(
+                f"{table}, {material.replace('_', ' ')}",
+                name,
+                one,
+                f"{table}.{material}.{name}",
+                stated.get(name),
+            )
             for name, one in known.items()
             if chosen is None or name in chosen
         ]
@@ -84,20 +108,32 @@ def _tables(scene: Scene, layers: Sequence[str], varied: bool) -> Iterator[Part]
     anatomy, tool = scene.anatomy, scene.tool
     if isinstance(tool, Tool) and tool.spin_rpm != 0.0:
         even = not varied and _has_reference_density(scene)
-        yield from _cutting(scene.constants, layers, scene.cutting.material, has_reference_density=even)
+        yield from _cutting(
+            scene.constants, layers, scene.cutting.material, has_reference_density=even
+        )
     yield from _tooth(scene, layers)
     if isinstance(anatomy, SoftAnatomy):
         organ = scene.organ
         names = ["modulus_kPa", "poisson_ratio"] + ["density_kg_m3"] * organ.gravity
         if organ.viscous:
-            names += [name for name in scene.constants.constants("soft", organ.material) if name.startswith("prony")]
+            names += [
+                name
+                for name in scene.constants.constants("soft", organ.material)
+                if name.startswith("prony")
+            ]
         yield "soft", organ.material, tuple(names)
         if organ.capsule:
-            yield "soft", f"{organ.material}_capsule", ("modulus_kPa", "poisson_ratio", "thickness_um")
+            yield (
+                "soft",
+                f"{organ.material}_capsule",
+                ("modulus_kPa", "poisson_ratio", "thickness_um"),
+            )
     if isinstance(anatomy, LayersAnatomy):
         yield "needle", "liver", None
         stated = {"puncture_N": anatomy.membrane_punctures_N, "hold_N": anatomy.membrane_holds_N}
-        walls = tuple(key for key, given in stated.items() if len(given or {}) < len(anatomy.membranes))
+        walls = tuple(
+            key for key, given in stated.items() if len(given or {}) < len(anatomy.membranes)
+        )
         if walls:
             yield "needle", "vessel_wall", walls
         if anatomy.interval_ms > 0.0:
@@ -114,8 +150,12 @@ def _device(device: str | None, hand: str) -> Iterator[Part]:
         yield "hands", hand, None
 
 
-def _cutting(given: Materials, layers: Sequence[str], bone: str, *, has_reference_density: bool) -> Iterator[Part]:
-    """Cutting constants of materials as far as a layer takes them, and those that layers have of their own."""
+def _cutting(
+    given: Materials, layers: Sequence[str], bone: str, *, has_reference_density: bool
+) -> Iterator[Part]:
+    """Cutting constants of materials as far as a layer takes them, and those that layers have of
+    their own.
+    """
     needed = dict[str, dict[str, None]]()
     fixed = {"density_exponent"} if has_reference_density else set()
     for layer in layers:
@@ -131,9 +171,12 @@ def _cutting(given: Materials, layers: Sequence[str], bone: str, *, has_referenc
 def _tooth(scene: Scene, layers: Sequence[str]) -> Iterator[tuple[str, str, tuple[str, ...]]]:
     """Elastic constants of what bears stress, thermal ones of what conducts heat.
 
-    The modulus of caries follows from its density and the modulus of dentin; bone holds the ligament and is rigid.
+    The modulus of caries follows from its density and the modulus of dentin; bone holds the
+    ligament and is rigid.
     """
-    for layer in [layer for layer in dict.fromkeys((*layers, "ligament")) if layer in listed("tooth")]:
+    for layer in [
+        layer for layer in dict.fromkeys((*layers, "ligament")) if layer in listed("tooth")
+    ]:
         names = []
         if scene.stress is not None and layer != "bone":
             names += ["poisson_ratio"] if layer == "caries" else ["modulus_GPa", "poisson_ratio"]
@@ -146,10 +189,14 @@ def _tooth(scene: Scene, layers: Sequence[str]) -> Iterator[tuple[str, str, tupl
 
 
 def _has_reference_density(scene: Scene) -> bool:
-    """Whether all that is cut has the density of its coefficients, so that no power of their ratio counts."""
+    """Whether all that is cut has the density of its coefficients, so that no power of their
+    ratio counts.
+    """
     if not isinstance(scene.anatomy, BlockAnatomy):
         return False
-    reference = scene.constants.constants("cutting", scene.cutting.material)["reference_density_kg_m3"]
+    reference = scene.constants.constants("cutting", scene.cutting.material)[
+        "reference_density_kg_m3"
+    ]
     return scene.anatomy.density_kg_m3 == reference.value
 
 
@@ -157,6 +204,8 @@ def _stated(scene: Scene, table: str, material: str) -> dict[str, float | None]:
     """What a scene states in place of a table's constants."""
     if table == "cutting":
         return dict(scene.cutting.model_dump(exclude={"material"}))
-    if (table, material) == ("soft", scene.organ.material) and isinstance(scene.anatomy, SoftAnatomy):
+    if (table, material) == ("soft", scene.organ.material) and isinstance(
+        scene.anatomy, SoftAnatomy
+    ):
         return {"modulus_kPa": scene.organ.young_kPa, "poisson_ratio": scene.organ.poisson_ratio}
     return {}

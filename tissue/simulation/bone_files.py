@@ -17,7 +17,13 @@ from tissue.simulation.bone_surface import bone_surface, with_depth, with_layers
 from tissue.simulation.depth_map import CarvedRun, depth_map
 from tissue.simulation.run_folder import SavedRun, saved_placement
 from tissue.simulation.saved_fields import require_whole
-from tissue.simulation.vtk_files import image_in_file, image_in_scene, mesh_in_file, write_vtk, write_vtk_xml
+from tissue.simulation.vtk_files import (
+    image_in_file,
+    image_in_scene,
+    mesh_in_file,
+    write_vtk,
+    write_vtk_xml,
+)
 
 if TYPE_CHECKING:
     import pyvista
@@ -43,7 +49,9 @@ def voxel_image(volume: VoxelVolume, remaining: NDArray[np.uint8]) -> "pyvista.I
     import pyvista
 
     image = pyvista.ImageData(
-        dimensions=np.array(volume.shape) + 1, spacing=(volume.spacing_m * 1e3,) * 3, origin=volume.origin_m * 1e3
+        dimensions=np.array(volume.shape) + 1,
+        spacing=(volume.spacing_m * 1e3,) * 3,
+        origin=volume.origin_m * 1e3,
     )
     image.cell_data["start"] = volume.fraction.ravel(order="F")
     image.cell_data["remaining"] = remaining.ravel(order="F")
@@ -54,8 +62,11 @@ def voxel_image(volume: VoxelVolume, remaining: NDArray[np.uint8]) -> "pyvista.I
     return image
 
 
-def read_voxels(file: Path, placement: Placement | None = None) -> tuple[VoxelVolume, NDArray[np.uint8]]:
-    """Read the voxels of a run's ``bone.vti`` in the scene's frame: before the first cut, and the bone left at the end.
+def read_voxels(
+    file: Path, placement: Placement | None = None
+) -> tuple[VoxelVolume, NDArray[np.uint8]]:
+    """Read the voxels of a run's ``bone.vti`` in the scene's frame: before the first cut, and the
+    bone left at the end.
 
     Raises
     ------
@@ -73,14 +84,19 @@ def read_voxels(file: Path, placement: Placement | None = None) -> tuple[VoxelVo
         )
         names = tuple(str(name) for name in image.field_data["layer_names"])
     except (KeyError, ValueError, AttributeError, OSError):
-        raise InputError(f"bone.vti must be a file that a run wrote, got {file}: run the scene again") from None
+        raise InputError(
+            f"bone.vti must be a file that a run wrote, got {file}: run the scene again"
+        ) from None
     origin_m = 1e-3 * np.array(image.origin)
     spacing_m = 1e-3 * float(image.spacing[0])
     return VoxelVolume(origin_m, spacing_m, start, layer, density, names, placement), left
 
 
-def saved_voxels(saved: SavedRun) -> tuple[VoxelVolume, NDArray[np.uint8], NDArray[np.float64] | None]:
-    """Read a run's voxels before the first cut, the bone left at the end, and the poses of the tool that cut.
+def saved_voxels(
+    saved: SavedRun,
+) -> tuple[VoxelVolume, NDArray[np.uint8], NDArray[np.float64] | None]:
+    """Read a run's voxels before the first cut, the bone left at the end, and the poses of the tool
+    that cut.
 
     Raises
     ------
@@ -90,7 +106,9 @@ def saved_voxels(saved: SavedRun) -> tuple[VoxelVolume, NDArray[np.uint8], NDArr
     file = saved.path / "bone.vti"
     poses = saved.path / "carving" / "poses.npz"
     if not file.is_file():
-        raise InputError(f"run must have voxels, got {saved.path} without bone.vti: see its trace and fields")
+        raise InputError(
+            f"run must have voxels, got {saved.path} without bone.vti: see its trace and fields"
+        )
     require_whole(saved)
     volume, left = read_voxels(file, saved_placement(saved.path))
     if not poses.is_file():
@@ -101,7 +119,9 @@ def saved_voxels(saved: SavedRun) -> tuple[VoxelVolume, NDArray[np.uint8], NDArr
 
 
 def carved_surface(run: CarvedRun) -> "pyvista.PolyData":
-    """Surface of the bone after the run [mm]: point array ``removed_depth_mm``, cell array ``layer``, normals."""
+    """Surface of the bone after the run [mm]: point array ``removed_depth_mm``, cell array
+    ``layer``, normals.
+    """
     depth = depth_map(run)
     surface = with_layers(bone_surface(run.volume, run.remaining), run.volume)
     return with_depth(surface, run.volume, run.remaining, depth_mm=depth.depth_mm, axis=depth.axis)
@@ -110,10 +130,11 @@ def carved_surface(run: CarvedRun) -> "pyvista.PolyData":
 def write_bone(run: "Run", out: Path) -> None:
     """Write the bone of a finished run.
 
-    ``bone.vti`` holds the voxels in mm with the cell arrays ``remaining`` and ``start`` (uint8, 255 = full), ``layer``
-    (uint8, an index into the field ``layer_names``) and ``density_kg_m3`` (uint16); ParaView opens it. ``bone.nrrd``
-    holds ``remaining`` for 3D Slicer, which reads no .vti. ``bone.stl`` and ``bone.vtp`` hold the carved surface in mm,
-    the latter with ``removed_depth_mm`` and ``layer``. A bone that was cut away altogether has no ``bone.stl``.
+    ``bone.vti`` holds the voxels in mm with the cell arrays ``remaining`` and ``start`` (uint8, 255
+    = full), ``layer`` (uint8, an index into the field ``layer_names``) and ``density_kg_m3``
+    (uint16); ParaView opens it. ``bone.nrrd`` holds ``remaining`` for 3D Slicer, which reads no
+    .vti. ``bone.stl`` and ``bone.vtp`` hold the carved surface in mm, the latter with
+    ``removed_depth_mm`` and ``layer``. A bone that was cut away altogether has no ``bone.stl``.
 
     Bone from a file is written in the frame and unit of that file, so that it overlays it.
     """
@@ -132,13 +153,17 @@ def write_bone(run: "Run", out: Path) -> None:
         writer = vtkSTLWriter()
         writer.SetFileTypeToBinary()
         writer.SetHeader(
-            "tissue: carved bone in mm" if placement is None else "tissue: carved bone in its file's frame"
+            "tissue: carved bone in mm"
+            if placement is None
+            else "tissue: carved bone in its file's frame"
         )
         write_vtk(writer, surface, out / "bone.stl")
 
 
 def _write_nrrd(run: "Run", path: Path) -> None:
-    """Write ``remaining`` as a compressed NRRD image; its axes are those of the surface files in 3D Slicer (LPS)."""
+    """Write ``remaining`` as a compressed NRRD image; its axes are those of the surface files in
+    3D Slicer (LPS).
+    """
     volume = run.volume
     placement = run.parts.placement
     directions = volume.spacing_m * 1e3 * np.eye(3)
@@ -156,7 +181,8 @@ def _write_nrrd(run: "Run", path: Path) -> None:
             "dimension: 3",
             "space: left-posterior-superior",
             f"sizes: {' '.join(map(str, volume.shape))}",
-            "space directions: " + " ".join(f"({','.join(repr(float(v)) for v in row)})" for row in directions),
+            "space directions: "
+            + " ".join(f"({','.join(repr(float(v)) for v in row)})" for row in directions),
             *units,
             "kinds: domain domain domain",
             "encoding: gzip",

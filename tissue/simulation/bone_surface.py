@@ -10,16 +10,25 @@ from meshes.voxels.volume import FULL, VoxelVolume
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["bone_surface", "cut_out", "smooth_normals", "triangle_means", "with_depth", "with_layers"]
+__all__ = [
+    "bone_surface",
+    "cut_out",
+    "smooth_normals",
+    "triangle_means",
+    "with_depth",
+    "with_layers",
+]
 
 INWARD_VOXELS = 0.75
 """How far under the surface its layer is read: inside the voxel that lies behind it."""
 
 
 def bone_surface(volume: VoxelVolume, fraction: NDArray[np.uint8]) -> "pyvista.PolyData":
-    """Closed surface where voxels are half full, between their centres (flying edges), in mm with outward normals.
+    """Closed surface where voxels are half full, between their centres (flying edges), in mm with
+    outward normals.
 
-    Bone that reaches the edge of the voxels is closed there, so that faces appear where the region was cut out.
+    Bone that reaches the edge of the voxels is closed there, so that faces appear where the region
+    was cut out.
 
     Parameters
     ----------
@@ -34,7 +43,9 @@ def bone_surface(volume: VoxelVolume, fraction: NDArray[np.uint8]) -> "pyvista.P
     spacing = volume.spacing_m * 1e3
     padded = np.pad(fraction, 1)
     image = pyvista.ImageData(
-        dimensions=padded.shape, spacing=(spacing,) * 3, origin=volume.origin_m * 1e3 - 0.5 * spacing
+        dimensions=padded.shape,
+        spacing=(spacing,) * 3,
+        origin=volume.origin_m * 1e3 - 0.5 * spacing,
     )
     image.point_data["fraction"] = padded.ravel(order="F")
     edges = vtkFlyingEdges3D()
@@ -48,7 +59,9 @@ def bone_surface(volume: VoxelVolume, fraction: NDArray[np.uint8]) -> "pyvista.P
 
 
 def with_layers(surface: "pyvista.PolyData", volume: VoxelVolume) -> "pyvista.PolyData":
-    """Add the layer under every triangle as the cell array ``layer`` and the names as the field ``layer_names``."""
+    """Add the layer under every triangle as the cell array ``layer`` and the names as the field
+    ``layer_names``.
+    """
     triangles = surface.regular_faces
     points = surface.points
     normals = surface.point_data["Normals"]
@@ -76,7 +89,8 @@ def with_depth(
     depth_mm: NDArray[np.float64],
     axis: int,
 ) -> "pyvista.PolyData":
-    """Add the point array ``removed_depth_mm``: the bone taken from the column through a point that the tool laid bare.
+    """Add the point array ``removed_depth_mm``: the bone taken from the column through a point that
+    the tool laid bare.
 
     It is 0 on the bone's own surface and on faces where the region was cut out.
 
@@ -94,8 +108,11 @@ def with_depth(
     from scipy.ndimage import map_coordinates
 
     at = _voxels(surface.points, volume).T
-    # On an uncut surface nothing is missing; on a cut one half a voxel is, where the surface runs through it.
-    missing = map_coordinates(volume.fraction - remaining, at, order=1, mode="nearest", output=np.float32)
+    # On an uncut surface nothing is missing; on a cut one half a voxel is, where the surface runs
+    # through it.
+    missing = map_coordinates(
+        volume.fraction - remaining, at, order=1, mode="nearest", output=np.float32
+    )
     columns = map_coordinates(depth_mm, np.delete(at, axis, axis=0), order=1, mode="nearest")
     bare = np.clip(missing / (0.25 * FULL), 0.0, 1.0)
     surface.point_data["removed_depth_mm"] = (bare * columns).astype(np.float32)
@@ -103,7 +120,8 @@ def with_depth(
 
 
 def smooth_normals(surface: "pyvista.PolyData", *, passes: int = 16) -> NDArray[np.float32]:
-    """Unit normals averaged over neighbours, so that a picture shows the bone and not its voxels, shape (n, 3).
+    """Unit normals averaged over neighbours, so that a picture shows the bone and not its voxels,
+    shape (n, 3).
 
     Neighbours count by how far they agree; across an edge they do not count.
     """
@@ -124,7 +142,9 @@ def smooth_normals(surface: "pyvista.PolyData", *, passes: int = 16) -> NDArray[
 
 
 def cut_out(
-    surface: "pyvista.PolyData", volume: VoxelVolume, reach_m: tuple[NDArray[np.float64], NDArray[np.float64]]
+    surface: "pyvista.PolyData",
+    volume: VoxelVolume,
+    reach_m: tuple[NDArray[np.float64], NDArray[np.float64]],
 ) -> NDArray[np.bool_]:
     """Which triangles close the bone where it goes on beyond the voxels, shape (triangles,).
 
@@ -135,7 +155,8 @@ def cut_out(
     volume
         The voxels.
     reach_m
-        Lowest and highest corner of the region that was asked for; where the voxels end short of it, the bone ends.
+        Lowest and highest corner of the region that was asked for; where the voxels end short of
+        it, the bone ends.
     """
     cut = np.zeros(surface.n_cells, dtype=bool)
     near = 0.25 * volume.spacing_m
@@ -148,4 +169,6 @@ def cut_out(
 
 def _voxels(points_mm: NDArray[np.floating], volume: VoxelVolume) -> NDArray[np.float64]:
     """Positions in voxels, centres at whole numbers, shape (n, 3)."""
-    return (np.asarray(points_mm, dtype=np.float64) * 1e-3 - volume.origin_m) / volume.spacing_m - 0.5
+    return (
+        np.asarray(points_mm, dtype=np.float64) * 1e-3 - volume.origin_m
+    ) / volume.spacing_m - 0.5

@@ -12,7 +12,9 @@ from tissue.simulation.trace import Table
 __all__ = ["BreakThrough", "break_throughs"]
 
 FORWARD = 0.5
-"""Least part of a tick's travel that must lead ahead along the tool's axis: a tool that leaves aside breaks nothing."""
+"""Least part of a tick's travel that must lead ahead along the tool's axis: a tool that leaves
+aside breaks nothing.
+"""
 
 
 @dataclass(frozen=True)
@@ -24,8 +26,8 @@ class BreakThrough:
     time_s
         When it first did so in this hole.
     plunge_mm
-        How far it went on from there along its axis, until the end or until it met bone again; the largest of all
-        passes through the hole.
+        How far it went on from there along its axis, until the end or until it met bone again; the
+        largest of all passes through the hole.
     """
 
     time_s: float
@@ -33,10 +35,12 @@ class BreakThrough:
 
 
 def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> list[BreakThrough]:
-    """Where the tip of a tool passed from the inside of the bone, as it was before any cut, to its outside ahead.
+    """Where the tip of a tool passed from the inside of the bone, as it was before any cut, to its
+    outside ahead.
 
-    The surface is where interpolated voxels are half full; its place along a tick is interpolated too. One hole is one
-    break-through: where the tool has been before, within its radius of its axis and behind its tip, the bone is open.
+    The surface is where interpolated voxels are half full; its place along a tick is interpolated
+    too. One hole is one break-through: where the tool has been before, within its radius of its
+    axis and behind its tip, the bone is open.
 
     Parameters
     ----------
@@ -51,13 +55,21 @@ def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> lis
 
     tips = trace.vectors("tool", "mm")
     at = (1e-3 * tips - volume.origin_m) / volume.spacing_m - 0.5
-    share = map_coordinates(volume.fraction, at.T, output=np.float32, order=1, mode="constant") / FULL
+    share = (
+        map_coordinates(volume.fraction, at.T, output=np.float32, order=1, mode="constant") / FULL
+    )
     x, y, z, w = (trace[f"tool_q{c}"] for c in "xyzw")
-    axes = np.column_stack([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)])
+    axes = np.column_stack(
+        [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)]
+    )
     steps = np.diff(tips, axis=0)
     forward = -np.einsum("ij,ij->i", steps, axes[1:])
     travel = np.concatenate([[0.0], np.cumsum(forward)])
-    leaves = (share[:-1] >= 0.5) & (share[1:] < 0.5) & (forward > FORWARD * np.linalg.norm(steps, axis=1))
+    leaves = (
+        (share[:-1] >= 0.5)
+        & (share[1:] < 0.5)
+        & (forward > FORWARD * np.linalg.norm(steps, axis=1))
+    )
     found: list[BreakThrough] = []
     exits_mm: list[Array] = []
     for row in np.flatnonzero(leaves):
@@ -67,7 +79,9 @@ def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> lis
         again = np.flatnonzero(share[row + 1 :] >= 0.5)
         end = row + 1 + (int(again[0]) if len(again) else len(share))
         plunge_mm = float(travel[row + 1 : end].max() - start)
-        if found and _was_there(exit_mm, tips[: row + 1], axes[: row + 1], radius_mm=1e3 * radius_m):
+        if found and _was_there(
+            exit_mm, tips[: row + 1], axes[: row + 1], radius_mm=1e3 * radius_m
+        ):
             hole = int(np.argmin([np.linalg.norm(exit_mm - each) for each in exits_mm]))
             found[hole] = replace(found[hole], plunge_mm=max(found[hole].plunge_mm, plunge_mm))
             continue
@@ -77,7 +91,9 @@ def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> lis
 
 
 def _was_there(point_mm: Array, tips_mm: Array, axes: Array, *, radius_mm: float) -> bool:
-    """Return whether a point lies within a tool's radius of its axis and behind its tip at one of some poses."""
+    """Return whether a point lies within a tool's radius of its axis and behind its tip at one
+    of some poses.
+    """
     away = point_mm - tips_mm
     along = np.einsum("ij,ij->i", away, axes)
     across = np.linalg.norm(away - along[:, None] * axes, axis=1)

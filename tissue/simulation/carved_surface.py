@@ -1,4 +1,6 @@
-"""The surface of a bone that a tool carves: what never changes is taken once, what changes at every moment anew."""
+"""The surface of a bone that a tool carves: what never changes is taken once, what changes at
+every moment anew.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -57,7 +59,9 @@ class CarvedSurface:
         self._high_mm = origin + spacing * (high + 0.5)
 
     def rest(self) -> "pyvista.PolyData":
-        """What no cut changes [mm]: cell array ``layer``, point arrays ``Normals`` and ``removed_depth_mm``, all 0."""
+        """What no cut changes [mm]: cell array ``layer``, point arrays ``Normals`` and
+        ``removed_depth_mm``, all 0.
+        """
         surface = bone_surface(self._whole, self._whole.fraction)
         if not surface.n_cells:
             return surface
@@ -78,7 +82,9 @@ class CarvedSurface:
         return _chosen(surface, self._inside(surface))
 
     def _inside(self, surface: "pyvista.PolyData") -> NDArray[np.bool_]:
-        """Which triangles lie between centres of voxels of which one at least changes, shape (triangles,)."""
+        """Which triangles lie between centres of voxels of which one at least changes, shape
+        (triangles,).
+        """
         middle = triangle_means(surface.points, surface.regular_faces)
         return np.asarray(((middle > self._low_mm) & (middle < self._high_mm)).all(axis=1))
 
@@ -88,7 +94,8 @@ def changed_box(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> Box | No
     differ = before != after
     columns = differ.any(axis=2)
     ends = [
-        np.flatnonzero(along) for along in (columns.any(axis=1), columns.any(axis=0), differ.any(axis=0).any(axis=0))
+        np.flatnonzero(along)
+        for along in (columns.any(axis=1), columns.any(axis=0), differ.any(axis=0).any(axis=0))
     ]
     if not ends[0].size:
         return None
@@ -96,7 +103,9 @@ def changed_box(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> Box | No
 
 
 def coarse_volume(volume: VoxelVolume, block: int) -> VoxelVolume:
-    """The bone in voxels of ``block`` times the edge; each has the layer and density at its middle."""
+    """The bone in voxels of ``block`` times the edge; each has the layer and density at its
+    middle.
+    """
     if block == 1:
         return volume
     middle = tuple(slice(block // 2, None, block) for _ in range(3))
@@ -105,7 +114,9 @@ def coarse_volume(volume: VoxelVolume, block: int) -> VoxelVolume:
     density = np.zeros(fraction.shape, dtype=np.uint16)
     for target, source in ((layer, volume.layer[middle]), (density, volume.density_kg_m3[middle])):
         target[tuple(slice(n) for n in source.shape)] = source
-    return VoxelVolume(volume.origin_m, block * volume.spacing_m, fraction, layer, density, volume.layer_names)
+    return VoxelVolume(
+        volume.origin_m, block * volume.spacing_m, fraction, layer, density, volume.layer_names
+    )
 
 
 def block_means(fraction: NDArray[np.uint8], block: int) -> NDArray[np.uint8]:

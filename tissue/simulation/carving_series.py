@@ -31,7 +31,9 @@ STEPS_S = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 25.0, 50.0, 100.0)
 
 
 def carving_ticks(run: "Run") -> list[int]:
-    """Ticks at the end of which the bone is written: those of the fields where there are any, and the last one."""
+    """Ticks at the end of which the bone is written: those of the fields where there are any,
+    and the last one.
+    """
     last = len(run.trace.rows) - 1
     fields = run.parts.fields
     if fields is not None and len(fields.frames) > 1:
@@ -39,7 +41,10 @@ def carving_ticks(run: "Run") -> list[int]:
         times = times[:: ceil(len(times) / (MOST_FRAMES - 1))]
     else:
         lasts = last * TICK_S
-        step = next((step for step in STEPS_S if lasts <= step * (MOST_FRAMES - 2)), lasts / (MOST_FRAMES - 2))
+        step = next(
+            (step for step in STEPS_S if lasts <= step * (MOST_FRAMES - 2)),
+            lasts / (MOST_FRAMES - 2),
+        )
         times = np.arange(0.0, lasts, step).tolist()
     ticks = {round(time / TICK_S) for time in times}
     return sorted({tick for tick in ticks if tick < last} | {last})
@@ -48,10 +53,10 @@ def carving_ticks(run: "Run") -> list[int]:
 def write_carving(run: "Run", out: Path, *, report: Progress = silent) -> None:
     """Write the bone over time of a run that cut; nothing of one that did not.
 
-    ``carving.pvd`` names two surfaces for each time [s]: what is cut, ``carving/frame_0000.vtp`` and so on, and the
-    rest of the bone, ``carving/rest.vtp``; both in mm, or in the frame and unit of the anatomy's file, with ``layer``
-    and ``removed_depth_mm``. A cut of many triangles is in blocks of voxels. ``carving/poses.npz`` holds what the bone
-    at any other tick can be had from.
+    ``carving.pvd`` names two surfaces for each time [s]: what is cut, ``carving/frame_0000.vtp``
+    and so on, and the rest of the bone, ``carving/rest.vtp``; both in mm, or in the frame and unit
+    of the anatomy's file, with ``layer`` and ``removed_depth_mm``. A cut of many triangles is in
+    blocks of voxels. ``carving/poses.npz`` holds what the bone at any other tick can be had from.
     """
     box = None if run.poses is None else changed_box(run.volume.fraction, run.remaining)
     if run.poses is None or box is None:
@@ -64,7 +69,9 @@ def write_carving(run: "Run", out: Path, *, report: Progress = silent) -> None:
     count = triangles.of(run.remaining[triangles.part]).n_cells
     block = ceil(sqrt(max(count / MOST_TRIANGLES, 1.0)))
     low, high = box
-    carved = CarvedSurface(coarse_volume(run.volume, block), (low // block, -(-high // block)), axis=axis)
+    carved = CarvedSurface(
+        coarse_volume(run.volume, block), (low // block, -(-high // block)), axis=axis
+    )
     fine = tuple(slice(block * one.start, block * one.stop) for one in carved.part)
     placement = run.parts.placement
     _write(carved.rest(), folder / "rest.vtp", placement)

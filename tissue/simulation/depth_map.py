@@ -49,7 +49,8 @@ class DepthMap:
     depth_mm
         Bone removed from each column, undercuts included [mm], shape (nu, nv).
     height_mm
-        Coordinate along `axis` of the bone's face after the run, within its voxel [mm]; NaN where no bone is left.
+        Coordinate along `axis` of the bone's face after the run, within its voxel [mm]; NaN where
+        no bone is left.
     bone
         Columns that held bone before the run.
     exposed
@@ -80,7 +81,8 @@ def depth_map(run: CarvedRun) -> DepthMap:
     removed = (volume.fraction - remaining).sum(axis=axis, dtype=np.int64)
     bone, _, before = _face(volume.fraction, volume.layer, axis, outward)
     left, at, after = _face(remaining, volume.layer, axis, outward)
-    # Single columns at the edge of a hole change their layer as their last voxel goes; they are no exposed bone.
+    # Single columns at the edge of a hole change their layer as their last voxel goes; they are no
+    # exposed bone.
     exposed = [
         (name, binary_opening(left & (after == index) & (before != index), np.ones((3, 3))))
         for index, name in enumerate(volume.layer_names)
@@ -101,7 +103,9 @@ def depth_map(run: CarvedRun) -> DepthMap:
 def tool_axes(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Directions of the tool's axis, third column of the rotations (x, y, z, w), shape (n, 3)."""
     x, y, z, w = quaternions.T
-    return np.column_stack([2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x * x + y * y)])
+    return np.column_stack(
+        [2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x * x + y * y)]
+    )
 
 
 def facing(trace: Table) -> tuple[int, int]:
@@ -116,9 +120,11 @@ def facing(trace: Table) -> tuple[int, int]:
 def _face(
     fraction: NDArray[np.uint8], layer: NDArray[np.uint8], axis: int, outward: int
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.uint8]]:
-    """Whether a column holds bone, how many voxels its face lies above the far end, and the layer that shows there.
+    """Whether a column holds bone, how many voxels its face lies above the far end, and the layer
+    that shows there.
 
-    The face lies in the first voxel from outside that is half full, or in the one above, as far as they are filled.
+    The face lies in the first voxel from outside that is half full, or in the one above, as far as
+    they are filled.
     """
     seen = np.flip(fraction, axis) if outward > 0 else fraction
     first = np.argmax(seen >= HALF, axis=axis)

@@ -1,11 +1,15 @@
-"""The geometry of one run, from which the loads for other cutting coefficients follow without running again.
+"""The geometry of one run, from which the loads for other cutting coefficients follow without
+running again.
 
-The force on a cutter is linear in the coefficients of each layer, and the bone that it meets does not depend on them
-where the tool goes a given path. So one run finds the loads of a unit of each coefficient at every tick, and::
+The force on a cutter is linear in the coefficients of each layer, and the bone that it meets does
+not depend on them where the tool goes a given path. So one run finds the loads of a unit of each
+coefficient at every tick, and::
 
-    loads = sum over layers and nodes of density of strength (K_tc, K_rc, K_ac, K_te, K_re, K_ae) . unit loads
+    loads = sum over layers and nodes of density of strength (K_tc, K_rc, K_ac, K_te, K_re, K_ae) .
+    unit loads
 
-is what a run with those coefficients would have recorded as ``model_force`` and ``model_torque``, within 1e-6.
+is what a run with those coefficients would have recorded as ``model_force`` and ``model_torque``,
+within 1e-6.
 """
 
 from dataclasses import dataclass, replace
@@ -36,21 +40,32 @@ from tissue.simulation.trace import Table
 
 __all__ = ["SENSITIVITIES", "LoadRecord", "record_loads", "why_not_linear"]
 
-SENSITIVITIES = (*CuttingCoefficients.CHIP, *CuttingCoefficients.EDGE, "density_exponent", "density_factor")
+SENSITIVITIES = (
+    *CuttingCoefficients.CHIP,
+    *CuttingCoefficients.EDGE,
+    "density_exponent",
+    "density_factor",
+)
 """What `LoadRecord.jacobian` differentiates by, for each layer."""
 MOST_BYTES = 1_000_000_000
-"""Memory of a record [B]: 60 s of every tick in two layers whose density varies, an hour in one where it does not."""
+"""Memory of a record [B]: 60 s of every tick in two layers whose density varies, an hour in one
+where it does not.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class LayerLoads:
-    """Unit loads of a layer that was met, shape (nodes, 6, n, 6), and the densities of the nodes."""
+    """Unit loads of a layer that was met, shape (nodes, 6, n, 6), and the densities of the
+    nodes.
+    """
 
     nodes: DensityNodes
     unit: Array
 
     def per_coefficient(self, strengths: Array) -> Array:
-        """Loads of a unit of each coefficient for weights of the nodes, shape (k, nodes): (k, 6, n, 6)."""
+        """Loads of a unit of each coefficient for weights of the nodes, shape (k, nodes): (k, 6,
+        n, 6).
+        """
         return np.asarray(np.tensordot(strengths, self.unit, 1))
 
 
@@ -90,7 +105,9 @@ class LoadRecord:
     every: int
     notes: dict[str, str]
 
-    def loads(self, coefficients: tuple[CuttingCoefficients, ...], density_factors: Array | None = None) -> Array:
+    def loads(
+        self, coefficients: tuple[CuttingCoefficients, ...], density_factors: Array | None = None
+    ) -> Array:
         """Force [N] and torque about the tip [N m] on the tool in the world, shape (n, 6).
 
         Parameters
@@ -109,7 +126,9 @@ class LoadRecord:
     def weights(
         self, coefficients: tuple[CuttingCoefficients, ...], density_factors: Array | None = None
     ) -> dict[int, Array]:
-        """What the unit loads of each layer are multiplied by, shape (nodes * 6,); arguments as `loads`."""
+        """What the unit loads of each layer are multiplied by, shape (nodes * 6,); arguments as
+        `loads`.
+        """
         found = {}
         for at, layer in self.layers.items():
             factor = 1.0 if density_factors is None else float(density_factors[at])
@@ -117,15 +136,21 @@ class LoadRecord:
             found[at] = np.multiply.outer(strengths, _values(coefficients[at])).ravel()
         return found
 
-    def jacobian(self, coefficients: tuple[CuttingCoefficients, ...], density_factors: Array | None = None) -> Array:
-        """Derivatives of the loads by `SENSITIVITIES` of each layer, shape (n, 6, layers, 8); arguments as `loads`."""
+    def jacobian(
+        self, coefficients: tuple[CuttingCoefficients, ...], density_factors: Array | None = None
+    ) -> Array:
+        """Derivatives of the loads by `SENSITIVITIES` of each layer, shape (n, 6, layers, 8);
+        arguments as `loads`.
+        """
         found = np.zeros((len(self.times_s), 6, len(self.layer_names), COEFFICIENTS + 2))
         for at, layer in self.layers.items():
             factor = 1.0 if density_factors is None else float(density_factors[at])
             each = coefficients[at]
             strengths = _strengths(layer, each, factor)
             values = _values(each)
-            grown = strengths * layer.nodes.logarithms(reference_kg_m3=each.reference_density_kg_m3, factor=factor)
+            grown = strengths * layer.nodes.logarithms(
+                reference_kg_m3=each.reference_density_kg_m3, factor=factor
+            )
             unit, unit_grown = layer.per_coefficient(np.stack([strengths, grown]))
             found[:, :, at, :COEFFICIENTS] = np.moveaxis(unit, 0, -1)
             found[:, :, at, -2] = np.tensordot(values, unit_grown, 1)
@@ -133,7 +158,8 @@ class LoadRecord:
         return found
 
     def commanded(self, loads: Array) -> Array:
-        """What a run commands of such loads, low-pass and vibration as the scene has them, shape (n, 6).
+        """What a run commands of such loads, low-pass and vibration as the scene has them, shape
+        (n, 6).
 
         Raises
         ------
@@ -142,7 +168,8 @@ class LoadRecord:
         """
         if self.every != 1:
             raise InputError(
-                f"every must be 1 for the force that is commanded, whose low-pass runs each tick, got {self.every}: "
+                "every must be 1 for the force that is commanded, whose low-pass runs each "
+                f"tick, got {self.every}: "
                 "record every tick"
             )
         output = self.scene.output
@@ -155,22 +182,40 @@ class LoadRecord:
 
 def _strengths(layer: LayerLoads, coefficients: CuttingCoefficients, factor: float) -> Array:
     reference = coefficients.reference_density_kg_m3
-    return layer.nodes.strengths(coefficients.density_exponent, reference_kg_m3=reference, factor=factor)
+    return layer.nodes.strengths(
+        coefficients.density_exponent, reference_kg_m3=reference, factor=factor
+    )
 
 
 def _values(coefficients: CuttingCoefficients) -> Array:
     """The six coefficients in SI."""
-    return np.array([getattr(coefficients, name) for name in CuttingCoefficients.CHIP + CuttingCoefficients.EDGE])
+    return np.array(
+        [
+            getattr(coefficients, name)
+            for name in CuttingCoefficients.CHIP + CuttingCoefficients.EDGE
+        ]
+    )
 
 
 def why_not_linear(scene: Scene) -> str:
-    """Why the loads of a scene do not follow from one run for other coefficients, in words; empty where they do."""
+    """Why the loads of a scene do not follow from one run for other coefficients, in words;
+    empty where they do.
+    """
     if not isinstance(scene.anatomy, CutAnatomy) or not isinstance(scene.tool, Tool):
-        return f"a {scene.tool.kind} in a {scene.anatomy.kind} has no cutting coefficients to be linear in"
+        return (
+            f"a {scene.tool.kind} in a {scene.anatomy.kind} has no cutting coefficients to be "
+            "linear in"
+        )
     if scene.device is not None:
-        return f"the device {scene.held.kind} yields to the force, so that the tool's path depends on the coefficients"
+        return (
+            f"the device {scene.held.kind} yields to the force, so that the tool's path depends "
+            "on the coefficients"
+        )
     if scene.motion.kind not in ("path", "replay"):
-        return f"the path of a motion of kind {scene.motion.kind} may depend on the force, and so on the coefficients"
+        return (
+            f"the path of a motion of kind {scene.motion.kind} may depend on the force, and so "
+            "on the coefficients"
+        )
     if scene.tool.spin_rpm == 0.0:
         return "a tool that does not turn cuts nothing"
     return ""
@@ -185,14 +230,16 @@ def record_loads(
     cores: int | None = None,
     progress: Progress | None = None,
 ) -> LoadRecord:
-    """Run a scene's geometry once: it is carved at every tick as in a run, without stress, heat and keep clear.
+    """Run a scene's geometry once: it is carved at every tick as in a run, without stress, heat and
+    keep clear.
 
     Parameters
     ----------
     scene
         A bone or tooth that a cutter mills on a given path.
     motion
-        Moves the tool in place of the scene's motion, for as long as it lasts; it may not depend on the force.
+        Moves the tool in place of the scene's motion, for as long as it lasts; it may not depend on
+        the force.
     every
         Ticks between two whose loads are recorded.
     compute, cores, progress
@@ -201,14 +248,18 @@ def record_loads(
     Raises
     ------
     InputError
-        If the loads are not linear, see `why_not_linear`, the record would not fit `MOST_BYTES`, or as `simulate`.
+        If the loads are not linear, see `why_not_linear`, the record would not fit `MOST_BYTES`, or
+        as `simulate`.
     """
     report = progress or silent
     if motion is not None:
         stands_in = ReplayMotion(kind="replay", file="poses that were given")
         scene = scene.model_copy(update={"motion": stands_in, "device": None, "duration_s": None})
     if why := why_not_linear(scene):
-        raise InputError(f"scene must have a force that is linear in the coefficients, got one where {why}: run it")
+        raise InputError(
+            "scene must have a force that is linear in the coefficients, got one where "
+            f"{why}: run it"
+        )
     scene = scene.model_copy(update={"stress": None, "heat": False, "keep_clear": None})
     motion = motion or motion_of(scene, step_s=TICK_S)
     build = builder_of(scene.anatomy.kind)
@@ -232,14 +283,19 @@ def record_loads(
     )
 
 
-def _recorded(loop: Loop, bone: EngagedBone, every: int, report: Progress) -> tuple[list[Array], Array]:
-    """Unit loads of each layer, shape (nodes, 6, n, 6), and areas engaged of every so many ticks of a loop."""
+def _recorded(
+    loop: Loop, bone: EngagedBone, every: int, report: Progress
+) -> tuple[list[Array], Array]:
+    """Unit loads of each layer, shape (nodes, 6, n, 6), and areas engaged of every so many ticks
+    of a loop.
+    """
     ticks = len(loop.trace.rows)
     count = -(-ticks // every)
     needed = sum(each.nbytes for each in bone.unit_loads) * count
     if needed > MOST_BYTES:
         raise InputError(
-            f"every must leave the record within {MOST_BYTES / 1e9:g} GB, got {every} for {ticks} ticks, which need "
+            f"every must leave the record within {MOST_BYTES / 1e9:g} GB, got {every} for "
+            f"{ticks} ticks, which need "
             f"{needed / 1e9:.1f} GB: use {every * -(-needed // MOST_BYTES)}"
         )
     unit = [np.zeros((*each.shape[:2], count, 6)) for each in bone.unit_loads]

@@ -1,4 +1,6 @@
-"""The tick of 1 ms: motion, removal, force, output and record, one after another with the trace that they leave."""
+"""The tick of 1 ms: motion, removal, force, output and record, one after another with the trace
+that they leave.
+"""
 
 import gc
 import sys
@@ -60,10 +62,12 @@ class PoseLog:
 
 
 class Stepper:
-    """Motion of a tool and answer of a tissue, one tick of 1 ms after another, without output and record.
+    """Motion of a tool and answer of a tissue, one tick of 1 ms after another, without output and
+    record.
 
-    Runs, live runs, prompt references and environments all go through `step`. The cutting force depends on the bone as
-    it was before the present pass, so that it is the same before and after the cut.
+    Runs, live runs, prompt references and environments all go through `step`. The cutting force
+    depends on the bone as it was before the present pass, so that it is the same before and after
+    the cut.
 
     Parameters
     ----------
@@ -72,8 +76,8 @@ class Stepper:
     tissue
         Is cut or pressed by the tool.
     balances
-        Whether the pose is searched at which the force balances the thrust. Poses are tried before the bone there is
-        cut, because a pose that is not kept must remove nothing.
+        Whether the pose is searched at which the force balances the thrust. Poses are tried before
+        the bone there is cut, because a pose that is not kept must remove nothing.
     log
         Takes the poses of a tool that cuts.
 
@@ -88,7 +92,12 @@ class Stepper:
     """
 
     def __init__(
-        self, motion: Motion, tissue: TissueModel, *, balances: bool = False, log: PoseLog | None = None
+        self,
+        motion: Motion,
+        tissue: TissueModel,
+        *,
+        balances: bool = False,
+        log: PoseLog | None = None,
     ) -> None:
         self._motion = motion
         self._tissue = tissue
@@ -117,7 +126,9 @@ class Stepper:
             self._waits.wait_for_background(index * TICK_S)
 
     def step(self, index: int) -> None:
-        """Move the tool and evaluate the tissue; between the ticks of a slow model only the motion goes on."""
+        """Move the tool and evaluate the tissue; between the ticks of a slow model only the
+        motion goes on.
+        """
         motion = self._motion
         tissue = self._tissue
         tool = self.tool
@@ -158,7 +169,9 @@ class Stepper:
 class Tick:
     """One tick: step, output, record. Everything it needs is allocated here, once."""
 
-    def __init__(self, parts: Parts, output: Output, layout: TraceLayout, trace: Table, timing: Table) -> None:
+    def __init__(
+        self, parts: Parts, output: Output, layout: TraceLayout, trace: Table, timing: Table
+    ) -> None:
         self._motion = parts.motion
         self._tissue = parts.tissue
         self._clear = parts.keep_clear
@@ -295,7 +308,9 @@ class Loop:
         Ticks that have run.
     """
 
-    def __init__(self, parts: Parts, *, ticks: int, output: Output, timing_columns: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self, parts: Parts, *, ticks: int, output: Output, timing_columns: tuple[str, ...] = ()
+    ) -> None:
         tissue = parts.tissue
         self.parts = parts
         self.ticks = 0
@@ -303,14 +318,19 @@ class Loop:
         self._notices = tissue.notices if isinstance(tissue, HasNotices) else []
         self._clear = parts.keep_clear
         clear = () if self._clear is None else self._clear.names
-        layout = TraceLayout.of(tissue.layer_names, tissue.measure_names + parts.motion.measure_names + clear)
-        self.trace = Table(layout.columns, np.zeros((ticks, len(layout.columns))), tissue.layer_names)
+        layout = TraceLayout.of(
+            tissue.layer_names, tissue.measure_names + parts.motion.measure_names + clear
+        )
+        self.trace = Table(
+            layout.columns, np.zeros((ticks, len(layout.columns))), tissue.layer_names
+        )
         timed = TIMING_COLUMNS + timing_columns
         self.timing = Table(timed, np.zeros((ticks, len(timed))))
         self._tick = Tick(parts, output, layout, self.trace, self.timing)
 
     def place(self, *, resume: bool = False) -> None:
-        """Put the tool where the motion starts, before the first tick; what that costs belongs to none.
+        """Put the tool where the motion starts, before the first tick; what that costs belongs to
+        none.
 
         With `resume` the tissue goes on from a loop that ended there.
         """

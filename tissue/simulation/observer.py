@@ -1,4 +1,6 @@
-"""Observers of a run: called on every tick, between two ticks. They must not change the result of the run."""
+"""Observers of a run: called on every tick, between two ticks. They must not change the result
+of the run.
+"""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -33,14 +35,17 @@ class RunObserver:
         """Take an event in the tick in which the tissue reports it: time [s] and a sentence."""
 
     def on_end(self) -> list[tuple[float, str]]:
-        """Release what the observer holds, also after an error; return its events, time [s] and a sentence each."""
+        """Release what the observer holds, also after an error; return its events, time [s] and
+        a sentence each.
+        """
         return []
 
 
 class Observers(RunObserver):
     """Several observers as one, called in their order.
 
-    `on_begin` goes through them backwards: a live run takes over Ctrl-C in the first observer, when all others run.
+    `on_begin` goes through them backwards: a live run takes over Ctrl-C in the first observer, when
+    all others run.
     """
 
     def __init__(self, *observers: RunObserver) -> None:
@@ -106,7 +111,9 @@ class TickRow(Mapping[str, float]):
 
 
 class OnTick(RunObserver):
-    """Calls a function with the number and the row of every tick; the run ends when it returns False."""
+    """Calls a function with the number and the row of every tick; the run ends when it returns
+    False.
+    """
 
     def __init__(self, function: Callable[[int, TickRow], Any]) -> None:
         self._function = function

@@ -1,4 +1,6 @@
-"""A run as a recording that other programs read: HDF5 in the layout of volumetric_drilling's recorder."""
+"""A run as a recording that other programs read: HDF5 in the layout of volumetric_drilling's
+recorder.
+"""
 
 from collections.abc import Iterable
 from io import BytesIO
@@ -24,18 +26,25 @@ __all__ = ["Recorded", "write_formats", "write_recording"]
 
 Array = NDArray[np.float64]
 DRILL, ANATOMY = "mastoidectomy_drill", "anatomy_object_name"
-"""Objects by the names that the recorder has by default, so that scripts for its files find them."""
+"""Objects by the names that the recorder has by default, so that scripts for its files find
+them.
+"""
 DENSEST_KG_M3 = 2000.0
 """Density of bone that is drawn white [kg/m3]."""
 ABOUT = (
-    "Lengths in m, times in s from the start of the run, forces in N, torques in N m about the tool's tip. Poses are\n"
-    "T_world_obj: x, y, z, qx, qy, qz, qw. The world is the frame of the scene; there is no camera, and forces on the\n"
-    "tool are in the world's axes. The drill's origin lies half the burr's size above its tip, x towards the shank.\n"
+    "Lengths in m, times in s from the start of the run, forces in N, torques in N m about "
+    "the tool's tip. Poses are\n"
+    "T_world_obj: x, y, z, qx, qy, qz, qw. The world is the frame of the scene; there is no "
+    "camera, and forces on the\n"
+    "tool are in the world's axes. The drill's origin lies half the burr's size above its "
+    "tip, x towards the shank.\n"
     "The anatomy's origin lies in the middle of the block of voxels, whose axes are the world's.\n"
 )
 ABOUT_VOXELS = (
-    "A row of voxel_removed is the place of its time in voxel_time_stamp, then the voxel's index along x, y and z; a\n"
-    "row of voxel_color that place, then red, green, blue (by density) and alpha (bone before the cut), 0 to 255.\n"
+    "A row of voxel_removed is the place of its time in voxel_time_stamp, then the voxel's "
+    "index along x, y and z; a\n"
+    "row of voxel_color that place, then red, green, blue (by density) and alpha (bone "
+    "before the cut), 0 to 255.\n"
     "Removal is fractional: a voxel is removed in the tick in which less than half of it is left.\n"
 )
 
@@ -72,15 +81,20 @@ def write_formats(run: Recorded, folder: Path, formats: Iterable[str]) -> None:
 def write_recording(run: Recorded, path: Path) -> None:
     """Write a run in the layout of volumetric_drilling's recorder, its note on data of version 3.
 
-    What a run does not have is left out, as the recorder leaves out what it did not hear: images and camera, and of a
-    tool that cuts nothing the voxels and the burr.
+    What a run does not have is left out, as the recorder leaves out what it did not hear: images
+    and camera, and of a tool that cuts nothing the voxels and the burr.
     """
     import h5py
 
     # Made in memory: HDF5 ends the process where its file cannot grow on a full disk.
     image = BytesIO()
     with h5py.File(image, "w") as file:
-        for group in ("vision_data/intermittent_data", "vision_data/continuous_data", EVENTS, POSES):
+        for group in (
+            "vision_data/intermittent_data",
+            "vision_data/continuous_data",
+            EVENTS,
+            POSES,
+        ):
             file.create_group(group)
         file["metadata_v3/README"] = ABOUT
         _write_poses(file, run)
@@ -98,8 +112,15 @@ def _write_poses(file: Any, run: Recorded) -> None:
     turns = np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
     held = Rotation.from_quat(turns) if len(turns) else Rotation.identity(0)
     size_mm = tool.diameter_mm if isinstance(tool, Tool) else 0.0
-    centres = 1e-3 * trace.vectors("tool", "mm") + (held.apply([0.0, 0.0, 0.5e-3 * size_mm]) if len(turns) else 0.0)
-    _store(file, f"{POSES}/{DRILL}_pose", times, pose=np.hstack([centres, (held * SHAFT_TO_X.inv()).as_quat()]))
+    centres = 1e-3 * trace.vectors("tool", "mm") + (
+        held.apply([0.0, 0.0, 0.5e-3 * size_mm]) if len(turns) else 0.0
+    )
+    _store(
+        file,
+        f"{POSES}/{DRILL}_pose",
+        times,
+        pose=np.hstack([centres, (held * SHAFT_TO_X.inv()).as_quat()]),
+    )
     place = np.zeros(3)
     if run.poses is not None:
         low, high = run.volume.bounds_m
@@ -109,7 +130,9 @@ def _write_poses(file: Any, run: Recorded) -> None:
     loads = np.hstack([trace.vectors("force", "N"), trace.vectors("torque", "Nm")])
     _store(file, f"{EVENTS}/drill_force_feedback", times, wrench=loads)
     if size_mm > 0.0:
-        _store(file, f"{EVENTS}/burr_change", times[:1], burr_size=np.array([size_mm])[: len(times)])
+        _store(
+            file, f"{EVENTS}/burr_change", times[:1], burr_size=np.array([size_mm])[: len(times)]
+        )
 
 
 def _write_voxels(file: Any, run: Recorded) -> None:

@@ -1,8 +1,9 @@
-"""The force that a device would play if nothing were late, coarse or filtered: what runs by a hand are held against.
+"""The force that a device would play if nothing were late, coarse or filtered: what runs by a hand
+are held against.
 
-Errors are scored at the motor: what is played is taken through transport, hold and amplifier, and held against the
-ideal force at the same time. Beside an error stands the least one, that of a perfect force through the same encoder
-steps, low-pass and amplifier.
+Errors are scored at the motor: what is played is taken through transport, hold and amplifier, and
+held against the ideal force at the same time. Beside an error stands the least one, that of a
+perfect force through the same encoder steps, low-pass and amplifier.
 """
 
 from collections.abc import Mapping
@@ -78,17 +79,26 @@ def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Sce
         If the scene has no device.
     """
     if scene.device is None:
-        raise InputError("scene must have a device to have a played force, got none: set device, such as touch")
-    stiffness = scene.held.coupling.stiffness_N_m or judged_loop(loop_settings(scene), step_s=TICK_S).stiffness_N_m
+        raise InputError(
+            "scene must have a device to have a played force, got none: set device, such as touch"
+        )
+    stiffness = (
+        scene.held.coupling.stiffness_N_m
+        or judged_loop(loop_settings(scene), step_s=TICK_S).stiffness_N_m
+    )
     return changed(scene, {**PROMPT, "coupling.stiffness_N_m": stiffness, **(finest or {})})
 
 
-def ideal_force_N(run: SimulatedRun, finest: Mapping[str, object] | None = None, *, cores: int | None = None) -> Array:
-    """Force on the device that a prompt loop with the finest model gives on the very motion of a run [N], shape (n, 3).
+def ideal_force_N(
+    run: SimulatedRun, finest: Mapping[str, object] | None = None, *, cores: int | None = None
+) -> Array:
+    """Force on the device that a prompt loop with the finest model gives on the very motion of a
+    run [N], shape (n, 3).
 
-    The motion is the device's, so that a hand's reaction to another force is no part of the difference: its true one
-    where the trace has it, which only a simulated device knows, and else what its encoders read. Tissue that is cut
-    differs by what the coarse model has cut otherwise, as it does in a run.
+    The motion is the device's, so that a hand's reaction to another force is no part of the
+    difference: its true one where the trace has it, which only a simulated device knows, and else
+    what its encoders read. Tissue that is cut differs by what the coarse model has cut otherwise,
+    as it does in a run.
 
     Raises
     ------
@@ -102,8 +112,12 @@ def ideal_force_N(run: SimulatedRun, finest: Mapping[str, object] | None = None,
         np.column_stack([trace[f"device_q{c}"] for c in "xyzw"]),
         rate_Hz=1.0 / TICK_S,
     )
-    scene = ideal_scene(run.scene, finest).model_copy(update={"duration_s": len(trace.rows) * TICK_S})
-    parts = build(scene, step_s=TICK_S, compute="cpu", cores=cores, report=silent, allow_unstable=True)
+    scene = ideal_scene(run.scene, finest).model_copy(
+        update={"duration_s": len(trace.rows) * TICK_S}
+    )
+    parts = build(
+        scene, step_s=TICK_S, compute="cpu", cores=cores, report=silent, allow_unstable=True
+    )
     assert isinstance(parts.motion, HandMotion)
     parts.motion.device = played_back
     parts.motion.after_s = 0.0
@@ -111,10 +125,12 @@ def ideal_force_N(run: SimulatedRun, finest: Mapping[str, object] | None = None,
 
 
 def rendered_force_N(parts: Parts, ticks: int) -> Array:
-    """Return the force of the renderer in each tick, before prediction, filter and delay [N], shape (ticks, 3).
+    """Return the force of the renderer in each tick, before prediction, filter and delay [N], shape
+    (ticks, 3).
 
-    It is bit for bit the columns ``raw_force`` of a run of the same parts, at about half the cost: the known motion of
-    the device does not depend on the played force, so that nothing is predicted, filtered, limited, played or recorded.
+    It is bit for bit the columns ``raw_force`` of a run of the same parts, at about half the cost:
+    the known motion of the device does not depend on the played force, so that nothing is
+    predicted, filtered, limited, played or recorded.
 
     Parameters
     ----------
@@ -142,10 +158,11 @@ def rendered_force_N(parts: Parts, ticks: int) -> Array:
 
 
 def stretch_force_N(run: SimulatedRun) -> Array:
-    """The prompt force of a run itself: the stretch of the coupling's spring from tick to tick [N], shape (n, 3).
+    """The prompt force of a run itself: the stretch of the coupling's spring from tick to tick [N],
+    shape (n, 3).
 
-    It is formed from the positions that the encoders read, and by the run's own model: what a predictor is shown, where
-    that model answers every tick.
+    It is formed from the positions that the encoders read, and by the run's own model: what a
+    predictor is shown, where that model answers every tick.
 
     Raises
     ------
@@ -175,8 +192,8 @@ class MotorForces(NamedTuple):
     ideal
         The prompt one at the device's position.
     nearest
-        The prompt one of the run's encoder steps, foreseen by the delay of its path: its error is the least one of a
-        force that follows these steps. One that smooths them may have less.
+        The prompt one of the run's encoder steps, foreseen by the delay of its path: its error is
+        the least one of a force that follows these steps. One that smooths them may have less.
     sent
         The force that the device was given, within its range and scaled for a person.
     """
@@ -197,7 +214,9 @@ def motor_forces(run: SimulatedRun, ideal_N: Array) -> MotorForces:
     """
     settings = loop_settings(run.scene)
     after = device_path(settings.limits)
-    nearest = motor_force_N(motor_path(settings), force_later_N(stretch_force_N(run), lead_ticks(settings)))
+    nearest = motor_force_N(
+        motor_path(settings), force_later_N(stretch_force_N(run), lead_ticks(settings))
+    )
     played = motor_force_N(after, played_force_N(run.trace))
     steady = run.trace.vectors("device_force", "N")
     if VIBRATION[0] in run.trace.columns:

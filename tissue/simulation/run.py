@@ -42,8 +42,8 @@ Part = TypeVar("Part")
 class Run:
     """A run, simulated just now or read back by `load`.
 
-    Parts of a run that was read back are read when they are used first. A part that the folder does not hold raises
-    `InputError`.
+    Parts of a run that was read back are read when they are used first. A part that the folder does
+    not hold raises `InputError`.
 
     Parameters
     ----------
@@ -65,10 +65,11 @@ class Run:
     path
         Folder of the run; None before it is saved.
     scheduling
-        Choices for launches and background work, and the delays of the machine; None if they were not recorded.
+        Choices for launches and background work, and the delays of the machine; None if they were
+        not recorded.
     draw
-        Draws the pictures of the run into a folder in a format and returns a sentence for each that could not be drawn;
-        `tissue.simulate` sets it.
+        Draws the pictures of the run into a folder in a format and returns a sentence for each that
+        could not be drawn; `tissue.simulate` sets it.
     """
 
     path: Path | None = None
@@ -130,19 +131,26 @@ class Run:
 
     @cached_property
     def timing(self) -> Table:
-        """Duration of each tick and of its stages [µs], columns by name: ``run.timing["tick_us"]``."""
+        """Duration of each tick and of its stages [µs], columns by name:
+        ``run.timing["tick_us"]``.
+        """
         file = self._files.path / "timing.csv"
         return self._required(read_table(file, ()) if file.is_file() else None, file.name)
 
     @cached_property
     def events(self) -> list[tuple[float, str]]:
         """Events of the run: time [s] and a sentence each."""
-        return [(float(each["time_s"]), each["what"]) for each in self._files.summary.get("events", ())]
+        return [
+            (float(each["time_s"]), each["what"]) for each in self._files.summary.get("events", ())
+        ]
 
     @cached_property
     def parts(self) -> Parts:
         """Tissue, motion and voxels of the engine; a folder does not keep them."""
-        raise InputError(f"run must be simulated here to have its parts, got {self._files.path}: run the scene again")
+        raise InputError(
+            f"run must be simulated here to have its parts, got {self._files.path}: run the "
+            "scene again"
+        )
 
     @cached_property
     def poses(self) -> NDArray[np.float64] | None:
@@ -165,7 +173,9 @@ class Run:
         if self._saved is not None:
             return self._voxels[0]
         if self.parts.volume is None:
-            raise InputError(f"run must have voxels, got a {self.scene.anatomy.kind}: see its trace and fields")
+            raise InputError(
+                f"run must have voxels, got a {self.scene.anatomy.kind}: see its trace and fields"
+            )
         return self.parts.volume
 
     @cached_property
@@ -189,7 +199,9 @@ class Run:
         return found
 
     def replay(self) -> "CarvingReplay":
-        """Carve the bone once more, for the bone at any tick; raises `InputError` if nothing was cut."""
+        """Carve the bone once more, for the bone at any tick; raises `InputError` if nothing was
+        cut.
+        """
         import warp
 
         from tissue.models.bone.replay import CarvingReplay
@@ -206,7 +218,9 @@ class Run:
 
     @property
     def summary(self) -> Summary:
-        """Figures of the run, as in ``summary.json``: volumes, forces, tick cost, deadlines, scheduling, notes."""
+        """Figures of the run, as in ``summary.json``: volumes, forces, tick cost, deadlines,
+        scheduling, notes.
+        """
         if self._saved is not None:
             return self._saved.summary | {"status": self._saved.status}
         trace = self.trace
@@ -220,7 +234,10 @@ class Run:
             "simulated_s": len(trace.rows) * 1e-3,
             "cuts": self.parts.cutter is not None,
         }
-        for name, volumes_m3 in (("start_mm3", tissue.start_m3), ("removed_mm3", tissue.removed_m3)):
+        for name, volumes_m3 in (
+            ("start_mm3", tissue.start_m3),
+            ("removed_mm3", tissue.removed_m3),
+        ):
             found[name] = dict(zip(trace.layer_names, (volumes_m3 * 1e9).tolist(), strict=True))
         contact = trace["contact_mm2"] > 0.0
         for name, unit in (("force", "N"), ("torque", "Nm")):
@@ -255,7 +272,10 @@ class Run:
         if "late_us" in self.timing:
             late = self.timing["late_us"]
             exposed_s = len(ticks) * TICK_S
-            by_clock = {"late_us": _spread(late), "skipped_ms": 1e-3 * float(self.timing["skipped_us"].sum())}
+            by_clock = {
+                "late_us": _spread(late),
+                "skipped_ms": 1e-3 * float(self.timing["skipped_us"].sum()),
+            }
         missed = int((ticks + late > DEADLINE_US).sum())
         scheduling = {} if self.scheduling is None else self.scheduling.summary(ticks_s=exposed_s)
         return {"tick_us": _spread(ticks), "missed_deadlines": missed, **by_clock, **scheduling}
@@ -263,8 +283,8 @@ class Run:
     def dataset(self) -> "pyvista.ImageData | pyvista.UnstructuredGrid":
         """Return the tissue as a pyvista data set, in the scene's frame in mm.
 
-        Voxels: an image with the cell arrays start and remaining (255 = full), layer, density_kg_m3. Elements: the mesh
-        of the last frame with its fields.
+        Voxels: an image with the cell arrays start and remaining (255 = full), layer,
+        density_kg_m3. Elements: the mesh of the last frame with its fields.
 
         Raises
         ------
@@ -281,12 +301,16 @@ class Run:
                 require_whole(self._saved)
                 mesh: pyvista.UnstructuredGrid = SavedFields(path).frames[-1]
                 return mesh
-        elif self.parts.volume is None and self.parts.fields is not None and self.parts.fields.frames:
+        elif (
+            self.parts.volume is None and self.parts.fields is not None and self.parts.fields.frames
+        ):
             return frame_mesh(self.parts.fields, self.parts.fields.frames[-1])
         return voxel_image(self.volume, self.remaining)
 
     def discard(self, why: str) -> None:
-        """Release a run that is not to be saved; its begun folder holds it as an interrupted one."""
+        """Release a run that is not to be saved; its begun folder holds it as an interrupted
+        one.
+        """
         if self.begun is not None:
             self.begun.interrupt(why)
 
@@ -299,16 +323,19 @@ class Run:
         overwrite: bool = False,
         progress: Progress | None = None,
     ) -> Path:
-        """Write the run's folder; see docs/files.md for its files. A run that was read back is copied.
+        """Write the run's folder; see docs/files.md for its files. A run that was read back is
+        copied.
 
         Parameters
         ----------
         out
             Folder to write.
         formats
-            Further formats: parquet, npz, mat or h5 of the trace; recording, the run in volumetric_drilling's layout.
+            Further formats: parquet, npz, mat or h5 of the trace; recording, the run in
+            volumetric_drilling's layout.
         pictures
-            Whether the folder holds pictures, or their format, png, svg or pdf; a copy has those of its original.
+            Whether the folder holds pictures, or their format, png, svg or pdf; a copy has those of
+            its original.
         overwrite
             Replace a run that the folder already holds.
         progress
@@ -324,11 +351,16 @@ class Run:
             check_format(kind)
         picture_kind = picture_format(pictures)
         if self._saved is None:
-            self._write(Path(out), formats, picture_kind, overwrite=overwrite, report=progress or silent)
+            self._write(
+                Path(out), formats, picture_kind, overwrite=overwrite, report=progress or silent
+            )
             return Path(out)
-        if isinstance(pictures, str) and not list((self._saved.path / "pictures").glob(f"*.{picture_kind}")):
+        if isinstance(pictures, str) and not list(
+            (self._saved.path / "pictures").glob(f"*.{picture_kind}")
+        ):
             raise InputError(
-                f"pictures must be those that the folder has, got {picture_kind} for {self._saved.path}, which is not "
+                f"pictures must be those that the folder has, got {picture_kind} for "
+                f"{self._saved.path}, which is not "
                 f"drawn again: use tissue run SCENE --pictures {picture_kind}"
             )
         copy_run(self._saved, Path(out), pictures=picture_kind is not None, overwrite=overwrite)
@@ -340,7 +372,13 @@ class Run:
         return Path(out)
 
     def _write(
-        self, out: Path, formats: tuple[str, ...], picture_kind: str | None, *, overwrite: bool, report: Progress
+        self,
+        out: Path,
+        formats: tuple[str, ...],
+        picture_kind: str | None,
+        *,
+        overwrite: bool,
+        report: Progress,
     ) -> None:
         """Write the folder of a simulated run, or complete the one that was begun."""
         from tissue.simulation.bone_files import write_bone
@@ -389,10 +427,16 @@ class Run:
     def _required(self, part: Part | None, name: str) -> Part:
         """Return a part of the folder that must be there."""
         if part is None:
-            raise InputError(f"run must hold {name}, got {self._files.path} without it: run the scene again")
+            raise InputError(
+                f"run must hold {name}, got {self._files.path} without it: run the scene again"
+            )
         return part
 
 
 def _spread(values: NDArray[np.float64]) -> dict[str, Any]:
     """Median, 99th percentile and maximum."""
-    return {"median": float(np.median(values)), "p99": float(np.percentile(values, 99)), "max": float(values.max())}
+    return {
+        "median": float(np.median(values)),
+        "p99": float(np.percentile(values, 99)),
+        "max": float(values.max()),
+    }

@@ -88,7 +88,9 @@ def run_file_names() -> tuple[str, ...]:
 
 def named_as_run_files(path: Path) -> set[str]:
     """Return the names of plain files in a folder that are names of a run's files."""
-    found = {each.relative_to(path).as_posix() for name in run_file_names() for each in path.glob(name)}
+    found = {
+        each.relative_to(path).as_posix() for name in run_file_names() for each in path.glob(name)
+    }
     return {name for name in found if (path / name).is_file() and not (path / name).is_symlink()}
 
 
@@ -103,7 +105,10 @@ def picture_format(pictures: bool | str) -> str | None:
     if isinstance(pictures, bool):
         return PICTURE_FORMATS[0] if pictures else None
     if pictures not in PICTURE_FORMATS:
-        raise InputError(f"pictures must be one of {', '.join(PICTURE_FORMATS)}, got {pictures}: choose one of these")
+        raise InputError(
+            f"pictures must be one of {', '.join(PICTURE_FORMATS)}, got {pictures}: choose "
+            "one of these"
+        )
     return pictures
 
 
@@ -112,11 +117,13 @@ KEPT_SCENE = re.compile(r'format = \d+\ntissue = "[^"\n]*"\n')
 
 
 class RunFolder:
-    """A folder that takes a run while it goes on, held against other processes until the run has ended.
+    """A folder that takes a run while it goes on, held against other processes until the run has
+    ended.
 
-    A folder that holds a run is kept unless asked to overwrite it. Only files that the folder's marker lists are
-    replaced or removed, and a folder that holds other files of the same names is refused. Nothing in it changes before
-    `begin`. A folder without a marker counts as a run of version 0.2 if its files are those of a run by their content.
+    A folder that holds a run is kept unless asked to overwrite it. Only files that the folder's
+    marker lists are replaced or removed, and a folder that holds other files of the same names is
+    refused. Nothing in it changes before `begin`. A folder without a marker counts as a run of
+    version 0.2 if its files are those of a run by their content.
 
     Parameters
     ----------
@@ -133,7 +140,9 @@ class RunFolder:
 
     def __init__(self, path: Path, *, overwrite: bool) -> None:
         adopted = _adopted(path)
-        self._owned = OwnedFolder(path, "run", run_file_names(), overwrite=overwrite, adopted=adopted)
+        self._owned = OwnedFolder(
+            path, "run", run_file_names(), overwrite=overwrite, adopted=adopted
+        )
         self.path = path
         self._writers: list[TraceWriter] = []
         self._summary: Summary = {}
@@ -147,7 +156,12 @@ class RunFolder:
         """Take away what is replaced, and mark the folder as that of a run which goes on."""
         self._owned.begin()
         placed = {} if placement is None else {"placement": placement.to_record()}
-        written = {"format": FORMAT, "tissue": package_version(), "status": "running", "process": identity()}
+        written = {
+            "format": FORMAT,
+            "tissue": package_version(),
+            "status": "running",
+            "process": identity(),
+        }
         self._write_summary(written | {"scene": scene.name} | placed)
         with whole_file(self.path / "scene.toml") as temporary:
             temporary.write_text(saved_text(scene) + _remark(placement), "utf-8")
@@ -158,7 +172,8 @@ class RunFolder:
         try:
             yield
         except BaseException as error:
-            with suppress(OSError):  # such as a full disk: the run is then reported as one whose process is gone
+            # such as a full disk: the run is then reported as one whose process is gone
+            with suppress(OSError):
                 self.close_tables()
                 self._stopped(error)
             self._owned.release()
@@ -226,7 +241,8 @@ class SavedRun:
     summary
         Contents of ``summary.json``.
     status
-        ``complete``, ``failed``, ``interrupted`` or ``running``; a run whose process is gone was interrupted.
+        ``complete``, ``failed``, ``interrupted`` or ``running``; a run whose process is gone was
+        interrupted.
     problem
         What ended a run that failed or was interrupted, empty where that is not known.
     scene
@@ -237,8 +253,8 @@ class SavedRun:
     Raises
     ------
     InputError
-        If the folder holds no run, one of another version, or a damaged summary, scene or trace; a trace of a complete
-        run that is shorter or longer than the run was is damaged.
+        If the folder holds no run, one of another version, or a damaged summary, scene or trace; a
+        trace of a complete run that is shorter or longer than the run was is damaged.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -249,13 +265,16 @@ class SavedRun:
         kept = self.path / "scene.toml"
         table = self.path / "trace.csv"
         self.scene = load_scene(kept) if kept.is_file() else None
-        self.trace = read_trace(table, tuple(self.summary.get("layers", ()))) if table.is_file() else None
+        self.trace = (
+            read_trace(table, tuple(self.summary.get("layers", ()))) if table.is_file() else None
+        )
         if self.complete and self.trace is not None:
             stated = round(self.summary["simulated_s"] / TICK_S)
             found = len(self.trace.rows)
             if found != stated:
                 raise InputError(
-                    f"trace.csv must hold {stated} ticks as in summary.json, got {found} in {table}: run the scene "
+                    f"trace.csv must hold {stated} ticks as in summary.json, got {found} in "
+                    f"{table}: run the scene "
                     "again"
                 )
 
@@ -266,7 +285,8 @@ class SavedRun:
 
 
 def saved_placement(path: Path) -> Placement | None:
-    """Where the frame of a run's scene lies in that of its bone and field files; None where they are the same.
+    """Where the frame of a run's scene lies in that of its bone and field files; None where they
+    are the same.
 
     Raises
     ------
@@ -274,14 +294,18 @@ def saved_placement(path: Path) -> Placement | None:
         If the summary's placement is no rigid motion.
     """
     try:
-        record = read_json(require_regular(path / "summary.json").read_text("utf-8")).get("placement")
+        record = read_json(require_regular(path / "summary.json").read_text("utf-8")).get(
+            "placement"
+        )
     except (OSError, ValueError, AttributeError):
         return None
     return None if record is None else Placement.from_record(record)
 
 
 def _remark(placement: Placement | None) -> str:
-    """Where the scene lies in the anatomy's file, as comments of TOML that pin the site where they are copied."""
+    """Where the scene lies in the anatomy's file, as comments of TOML that pin the site where
+    they are copied.
+    """
     if placement is None:
         return ""
     values = {
@@ -290,19 +314,27 @@ def _remark(placement: Placement | None) -> str:
         "along": placement.rotation[:, 0],
         "file_to_scene_mm": placement.file_to_scene_mm,
     }
-    title = "# Where the scene lies in the anatomy's file; as keys of anatomy, the first three would fix it there:\n"
-    return "\n" + title + "".join(f"# {name} = {array.tolist()}\n" for name, array in values.items())
+    title = (
+        "# Where the scene lies in the anatomy's file; as keys of anatomy, the first three would "
+        "fix it there:\n"
+    )
+    return (
+        "\n" + title + "".join(f"# {name} = {array.tolist()}\n" for name, array in values.items())
+    )
 
 
 @contextmanager
 def added_to_run(path: Path) -> Iterator[None]:
-    """Hold the folder of a run that has ended while the block adds files to it or replaces its own."""
+    """Hold the folder of a run that has ended while the block adds files to it or replaces its
+    own.
+    """
     with _held(OwnedFolder(path, "run", (), shared=run_file_names(), adopted=_adopted(path))):
         yield
 
 
 def copy_run(saved: SavedRun, out: Path, *, pictures: bool, overwrite: bool) -> None:
-    """Copy the files of a run that has ended into another folder; into its own folder nothing is copied.
+    """Copy the files of a run that has ended into another folder; into its own folder nothing is
+    copied.
 
     Raises
     ------
@@ -312,9 +344,13 @@ def copy_run(saved: SavedRun, out: Path, *, pictures: bool, overwrite: bool) -> 
     if out.exists() and out.samefile(saved.path):
         return
     if saved.status == "running":
-        raise InputError(f"run must have ended to be copied, got {saved.path}, which goes on: wait for it")
+        raise InputError(
+            f"run must have ended to be copied, got {saved.path}, which goes on: wait for it"
+        )
     names = files_of_run(saved.path)
-    with _held(OwnedFolder(out, "run", run_file_names(), overwrite=overwrite, adopted=_adopted(out))):
+    with _held(
+        OwnedFolder(out, "run", run_file_names(), overwrite=overwrite, adopted=_adopted(out))
+    ):
         for name in names:
             if not pictures and name.startswith("pictures/"):
                 continue
@@ -333,14 +369,18 @@ def _held(folder: OwnedFolder) -> Iterator[None]:
 
 
 def files_of_run(path: Path) -> list[str]:
-    """Names of the files that a run wrote into its folder; of a run without marker, those with names of its files."""
+    """Names of the files that a run wrote into its folder; of a run without marker, those with
+    names of its files.
+    """
     there = listed_files(path).get("run")
     names = named_as_run_files(path) if there is None else there
     return sorted(name for name in names if (path / name).is_file())
 
 
 def _adopted(path: Path) -> set[str]:
-    """Files of a run that version 0.2 wrote, without a marker; none where the folder is no such run by its content."""
+    """Files of a run that version 0.2 wrote, without a marker; none where the folder is no such
+    run by its content.
+    """
     if "run" in listed_files(path):
         return set()
     kept = path / "scene.toml"
@@ -349,7 +389,9 @@ def _adopted(path: Path) -> set[str]:
         saved = SavedRun(path)
         if saved.scene is None or not isinstance(saved.summary.get("tissue"), str):
             return set()
-        is_kept = saved.scene.name == saved.summary["scene"] and KEPT_SCENE.match(kept.read_text("utf-8"))
+        is_kept = saved.scene.name == saved.summary["scene"] and KEPT_SCENE.match(
+            kept.read_text("utf-8")
+        )
         whole = not saved.complete or (table.is_file() and (path / "timing.csv").is_file())
     except (InputError, OSError):
         return set()

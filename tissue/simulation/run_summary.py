@@ -35,27 +35,39 @@ def read_summary(folder: Path) -> Summary:
     """
     path = folder / "summary.json"
     if not path.is_file():
-        raise InputError(f"run must be a folder that `tissue run` wrote, got {folder}: give for example runs/glenoid")
+        raise InputError(
+            f"run must be a folder that `tissue run` wrote, got {folder}: give for example "
+            "runs/glenoid"
+        )
     held = _table_of(folder)
     if not held:
         got = "something else" if held is None else "an empty one"
         raise InputError(f"summary.json must be a table in JSON, got {got} in {path}: {AGAIN}")
     require_version("summary.json", held, FORMAT, where=path, remedy=AGAIN)
-    wanted: dict[str, bool] = {"scene": _is_text(held.get("scene")), "status": held.get("status") in STATUS}
+    wanted: dict[str, bool] = {
+        "scene": _is_text(held.get("scene")),
+        "status": held.get("status") in STATUS,
+    }
     layers = held.get("layers", [])
-    wanted["layers"] = isinstance(layers, list) and all(map(_is_text, layers)) and len(set(layers)) == len(layers)
+    wanted["layers"] = (
+        isinstance(layers, list) and all(map(_is_text, layers)) and len(set(layers)) == len(layers)
+    )
     events = held.get("events", [])
     wanted["events"] = isinstance(events, list) and all(
-        isinstance(each, Mapping) and _is_number(each.get("time_s")) and _is_text(each.get("what")) for each in events
+        isinstance(each, Mapping) and _is_number(each.get("time_s")) and _is_text(each.get("what"))
+        for each in events
     )
     if held.get("status") == "complete":
         wanted["simulated_s"] = _is_number(held.get("simulated_s"))
         for name in ("force_N", "torque_Nm"):
-            wanted[name] = isinstance(held.get(name), Mapping) and _is_number(held[name].get("peak"))
+            wanted[name] = isinstance(held.get(name), Mapping) and _is_number(
+                held[name].get("peak")
+            )
     for name, is_good in wanted.items():
         if not is_good:
             raise InputError(
-                f"summary.json must hold {name} as `tissue run` writes it, got {str(held.get(name))[:60]} in {path}: "
+                f"summary.json must hold {name} as `tissue run` writes it, got "
+                f"{str(held.get(name))[:60]} in {path}: "
                 f"{AGAIN}"
             )
     return held

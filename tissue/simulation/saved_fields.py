@@ -1,4 +1,6 @@
-"""Fields of a saved run: their names and units, their range over the whole run, and the mesh at any moment."""
+"""Fields of a saved run: their names and units, their range over the whole run, and the mesh at
+any moment.
+"""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -17,7 +19,15 @@ from tissue.simulation.vtk_files import mesh_in_scene
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["SavedFields", "field_label", "field_limits", "field_names", "field_values", "frames_of", "require_whole"]
+__all__ = [
+    "SavedFields",
+    "field_label",
+    "field_limits",
+    "field_names",
+    "field_values",
+    "frames_of",
+    "require_whole",
+]
 
 PEAK = 99.8
 """Percentile of a cell field that ends its scale: single cells at the tool lie above it."""
@@ -41,7 +51,9 @@ STRESS = "von_mises_"
 
 
 def field_label(name: str) -> tuple[str, str]:
-    """Words and unit of a field: ``("von Mises", "kPa")`` of ``von_mises_kPa``; no unit is empty."""
+    """Words and unit of a field: ``("von Mises", "kPa")`` of ``von_mises_kPa``; no unit is
+    empty.
+    """
     words, _, unit = name.rpartition("_")
     if unit not in UNITS:
         words = name
@@ -50,7 +62,9 @@ def field_label(name: str) -> tuple[str, str]:
 
 
 def field_names(folder: Path) -> list[str]:
-    """Names of the fields that a run's folder holds, see `SavedFields.names`; empty for a run without any."""
+    """Names of the fields that a run's folder holds, see `SavedFields.names`; empty for a run
+    without any.
+    """
     if not (folder / "fields.pvd").is_file():
         return []
     fields = SavedFields(folder)
@@ -70,18 +84,30 @@ def frames_of(folder: Path) -> list[tuple[float, str]]:
     index = require_regular(folder / "fields.pvd")
     try:
         root = ElementTree.fromstring(index.read_bytes())
-        frames = [(float(one.attrib["timestep"]), one.attrib["file"]) for one in root.iter("DataSet")]
+        frames = [
+            (float(one.attrib["timestep"]), one.attrib["file"]) for one in root.iter("DataSet")
+        ]
         times = [time for time, _ in frames]
-        inside = all((folder / file).resolve().is_relative_to(folder.resolve()) for _, file in frames)
-        if root.tag != "VTKFile" or not np.isfinite(times).all() or (np.diff(times) <= 0.0).any() or not inside:
+        inside = all(
+            (folder / file).resolve().is_relative_to(folder.resolve()) for _, file in frames
+        )
+        if (
+            root.tag != "VTKFile"
+            or not np.isfinite(times).all()
+            or (np.diff(times) <= 0.0).any()
+            or not inside
+        ):
             raise ValueError(index)
     except (ElementTree.ParseError, KeyError, ValueError, LookupError):
-        raise InputError(f"fields.pvd must be a ParaView collection, got {index}: run the scene again") from None
+        raise InputError(
+            f"fields.pvd must be a ParaView collection, got {index}: run the scene again"
+        ) from None
     return frames
 
 
 def require_whole(saved: SavedRun) -> None:
-    """Check that the bone and the frames of a run are not damaged, because VTK could end this process on such files.
+    """Check that the bone and the frames of a run are not damaged, because VTK could end this
+    process on such files.
 
     Raises
     ------
@@ -115,8 +141,8 @@ class SavedFields:
     times_s
         Times of the frames [s], rising.
     names
-        Fields that can be shown, one number or one vector a cell or node; von Mises stress comes first, then the other
-        cell fields, then the nodes'. Of a vector its magnitude is shown.
+        Fields that can be shown, one number or one vector a cell or node; von Mises stress comes
+        first, then the other cell fields, then the nodes'. Of a vector its magnitude is shown.
     layer_names
         Layers or parts that cells belong to.
     displacement
@@ -139,7 +165,8 @@ class SavedFields:
         missing = [file for file in self._files if not file.is_file()]
         if missing:
             raise InputError(
-                f"fields.pvd must name frames that are there, got {len(missing)} missing, first {missing[0]}: run the "
+                f"fields.pvd must name frames that are there, got {len(missing)} missing, "
+                f"first {missing[0]}: run the "
                 "scene again"
             )
         self.times_s = np.array([time for time, _ in frames])
@@ -149,7 +176,9 @@ class SavedFields:
         self.names = [*cells, *points]
         self.layer_names = tuple(str(name) for name in first.field_data.get("layer_names", ()))
         vectors = [
-            name for name in points if name.startswith(DISPLACEMENT) and name.removeprefix(DISPLACEMENT) in IN_MM
+            name
+            for name in points
+            if name.startswith(DISPLACEMENT) and name.removeprefix(DISPLACEMENT) in IN_MM
         ]
         self.displacement = vectors[0] if vectors else None
         self.unit_mm = IN_MM[vectors[0].removeprefix(DISPLACEMENT)] if vectors else 1.0
@@ -159,11 +188,15 @@ class SavedFields:
 
     @property
     def frames(self) -> list[Any]:
-        """Meshes of all frames in their reference configuration [mm], in the scene's frame, read when needed."""
+        """Meshes of all frames in their reference configuration [mm], in the scene's frame, read
+        when needed.
+        """
         if not self._frames:
             import pyvista
 
-            frames = self._frames = [mesh_in_scene(pyvista.read(file), self._placement) for file in self._files]
+            frames = self._frames = [
+                mesh_in_scene(pyvista.read(file), self._placement) for file in self._files
+            ]
             self._same = [_same_mesh(a, b) for a, b in pairwise(frames)]
         return self._frames
 
@@ -175,8 +208,8 @@ class SavedFields:
     def at(self, time_s: float) -> "tuple[pyvista.UnstructuredGrid, float]":
         """Mesh at a moment, and the time that its values belong to [s].
 
-        Between two frames of the same mesh the values are interpolated linearly. Where cells went in between, it is the
-        earlier frame.
+        Between two frames of the same mesh the values are interpolated linearly. Where cells went
+        in between, it is the earlier frame.
         """
         frames = self.frames
         times = self.times_s
@@ -193,34 +226,46 @@ class SavedFields:
         ):
             for name in first:
                 if name in second and np.issubdtype(first[name].dtype, np.floating):
-                    kept[name] = np.asarray(first[name]) + share * (np.asarray(second[name]) - np.asarray(first[name]))
+                    kept[name] = np.asarray(first[name]) + share * (
+                        np.asarray(second[name]) - np.asarray(first[name])
+                    )
         return mesh, float(time_s)
 
     def moved_mm(self, mesh: "pyvista.DataSet") -> NDArray[np.float32]:
         """Displacement of a mesh's nodes [mm], shape (nodes, 3); zero without the field."""
         if self.displacement is None or self.displacement not in mesh.point_data:
             return np.zeros((mesh.n_points, 3), dtype=np.float32)
-        moved: NDArray[np.float32] = np.float32(self.unit_mm) * np.asarray(mesh.point_data[self.displacement])
+        moved: NDArray[np.float32] = np.float32(self.unit_mm) * np.asarray(
+            mesh.point_data[self.displacement]
+        )
         return moved
 
     def greatest_mm(self) -> float:
         """Greatest displacement over the whole run [mm]."""
         return max(
-            (float(np.linalg.norm(self.moved_mm(one), axis=1).max(initial=0.0)) for one in self.frames), default=0.0
+            (
+                float(np.linalg.norm(self.moved_mm(one), axis=1).max(initial=0.0))
+                for one in self.frames
+            ),
+            default=0.0,
         )
 
     def limits(self, name: str) -> tuple[float, float]:
         """Ends of a field's scale, the same over the whole run; see `field_limits`."""
         if name not in self._limits:
-            values = [one for frame in self.frames if (one := field_values(frame, name)) is not None]
+            values = [
+                one for frame in self.frames if (one := field_values(frame, name)) is not None
+            ]
             self._limits[name] = field_limits(name, values)
         return self._limits[name]
 
 
 def field_limits(name: str, values: Sequence[NDArray[np.float32]]) -> tuple[float, float]:
-    """Ends of a field's scale over arrays of its values; symmetric about 0 where they have two signs.
+    """Ends of a field's scale over arrays of its values; symmetric about 0 where they have two
+    signs.
 
-    It begins above 0 for von Mises stress, which falls by decades away from a tool: its scale is logarithmic.
+    It begins above 0 for von Mises stress, which falls by decades away from a tool: its scale is
+    logarithmic.
     """
     values = [one[np.isfinite(one)] for one in values]
     values = [one for one in values if one.size]
@@ -245,7 +290,11 @@ def field_values(mesh: "pyvista.DataSet", name: str) -> NDArray[np.float32] | No
 
 
 def _shown(data: "pyvista.DataSetAttributes") -> list[str]:
-    return [n for n, values in data.items() if n != "layer" and (values.ndim == 1 or values.shape[1] == 3)]
+    return [
+        n
+        for n, values in data.items()
+        if n != "layer" and (values.ndim == 1 or values.shape[1] == 3)
+    ]
 
 
 def _same_mesh(a: "pyvista.UnstructuredGrid", b: "pyvista.UnstructuredGrid") -> bool:

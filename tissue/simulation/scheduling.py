@@ -1,4 +1,6 @@
-"""What was chosen for a run's launches and background work, and how late the machine itself was around its ticks."""
+"""What was chosen for a run's launches and background work, and how late the machine itself was
+around its ticks.
+"""
 
 from typing import Any
 
@@ -10,7 +12,9 @@ from tissue.system.machine_gaps import LEAST_GAP_S, MachineGaps, spin
 __all__ = ["Scheduling", "spin_time_s"]
 
 SPUN_S, SPUN_SHARE = 0.3, 0.1
-"""How long the clock is looked at before the ticks, and after them [s]; at most this share of what is simulated."""
+"""How long the clock is looked at before the ticks, and after them [s]; at most this share of
+what is simulated.
+"""
 
 
 def spin_time_s(simulated_s: float) -> float:
@@ -28,7 +32,8 @@ class Scheduling:
     cores
         Processor cores the run was given; None for all.
     spin_s
-        How long to look at the clock now, and once more when the ticks have ended [s]; 0 not at all.
+        How long to look at the clock now, and once more when the ticks have ended [s]; 0 not at
+        all.
     """
 
     def __init__(self, tissue: TissueModel, *, cores: int | None, spin_s: float) -> None:
@@ -63,8 +68,14 @@ class Scheduling:
             Time in which a gap of the machine made a tick late [s].
         """
         launches = self.launches
-        chosen = {"cores": self._cores, "large_launches": launches.large, "split_launches": launches.split}
-        found: dict[str, Any] = {"scheduling": chosen | ({"background": self._background} if self._background else {})}
+        chosen = {
+            "cores": self._cores,
+            "large_launches": launches.large,
+            "split_launches": launches.split,
+        }
+        found: dict[str, Any] = {
+            "scheduling": chosen | ({"background": self._background} if self._background else {})
+        }
         if self.gaps.spun_s > 0.0:
             found["machine_gaps"] = {
                 "least_us": 1e6 * LEAST_GAP_S,

@@ -21,7 +21,8 @@ CELL_TYPES = {4: 10, 8: 12}
 def frame_mesh(series: FieldSeries, frame: Frame) -> "pyvista.UnstructuredGrid":
     """Mesh of one frame in mm, without the cells that are gone, nor nodes that no other cell has.
 
-    Cell array ``layer`` counts into the field ``layer_names``; the other arrays have the names of the frame's fields.
+    Cell array ``layer`` counts into the field ``layer_names``; the other arrays have the names of
+    the frame's fields.
     """
     import pyvista
 
@@ -48,7 +49,8 @@ def frame_mesh(series: FieldSeries, frame: Frame) -> "pyvista.UnstructuredGrid":
 
 
 def write_fields(series: FieldSeries, folder: Path, placement: Placement | None = None) -> None:
-    """Write ``fields.pvd`` with times in seconds, and a mesh for each frame: ``fields/frame_0000.vtu`` and so on.
+    """Write ``fields.pvd`` with times in seconds, and a mesh for each frame:
+    ``fields/frame_0000.vtu`` and so on.
 
     With a placement they lie in the frame and unit of the anatomy's file.
     """

@@ -1,4 +1,6 @@
-"""What a run did not do of what it was for: a path that it left early, bone or a lesion that it removed nothing of."""
+"""What a run did not do of what it was for: a path that it left early, bone or a lesion that it
+removed nothing of.
+"""
 
 import numpy as np
 
@@ -31,24 +33,31 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
         came = float((trace.vectors("tool", "mm") @ heading).max())
         if came < wanted - TOLERANCE_MM:
             found["path"] = (
-                f"not finished: the tool came to {came:.3g} of motion.depth_mm = {wanted:g}; raise motion.thrust_N or "
+                f"not finished: the tool came to {came:.3g} of motion.depth_mm = {wanted:g}; "
+                "raise motion.thrust_N or "
                 "duration_s"
             )
     elif wanted_s >= path_s + 5e-4:
         found["path"] = (
-            f"not finished: the run ends at {path_s:g} s, the motion at {wanted_s:.6g} s; set duration_s = "
+            f"not finished: the run ends at {path_s:g} s, the motion at {wanted_s:.6g} s; "
+            "set duration_s = "
             f"{wanted_s:.6g} or leave it out to see all of it"
         )
     membranes = scene.anatomy.membranes if isinstance(scene.anatomy, LayersAnatomy) else []
-    if beyond := [(name, depth) for name, depth in membranes if trace["insertion_mm"].max() < depth]:
+    if beyond := [
+        (name, depth) for name, depth in membranes if trace["insertion_mm"].max() < depth
+    ]:
         found["membranes"] = (
             f"never reached: the needle went {trace['insertion_mm'].max():.3g} mm in, beyond lies "
-            f"{', '.join(f'the {name} at {depth:g} mm' for name, depth in beyond)}; see anatomy.membrane_depths_mm"
+            f"{', '.join(f'the {name} at {depth:g} mm' for name, depth in beyond)}; see "
+            "anatomy.membrane_depths_mm"
         )
     if parts.cutter is None or parts.cutter.spin_rad_s == 0.0:
         return found
     if not np.any(parts.tissue.removed_m3):
-        found["removed"] = "nothing: the tool cut no tissue; move it deeper, or let the run last longer"
+        found["removed"] = (
+            "nothing: the tool cut no tissue; move it deeper, or let the run last longer"
+        )
     elif isinstance(tooth := scene.anatomy, Tooth) and _has_lesion(tooth, parts):
         missed = _missed_caries(parts)
         found |= {"removed": missed + _to_the_lesion(tooth, parts)} if missed else {}
@@ -63,8 +72,12 @@ def _has_lesion(anatomy: Tooth, parts: Parts) -> bool:
 
 
 def _missed_caries(parts: Parts) -> str:
-    """What a tool left of the caries, where that is all or, within the reach in a tooth from files, most of it."""
-    removed_m3 = dict(zip(parts.tissue.layer_names, parts.tissue.removed_m3, strict=True)).get("caries", 0.0)
+    """What a tool left of the caries, where that is all or, within the reach in a tooth from
+    files, most of it.
+    """
+    removed_m3 = dict(zip(parts.tissue.layer_names, parts.tissue.removed_m3, strict=True)).get(
+        "caries", 0.0
+    )
     if removed_m3 == 0.0:
         return "nothing of the caries: the tool never met the lesion"
     if parts.placement is None:
@@ -79,5 +92,9 @@ def _to_the_lesion(anatomy: Tooth, parts: Parts) -> str:
     """Where the caries lies, if known, and how to bring the tool to it."""
     at = parts.notes.get("lesion")
     aimed = getattr(anatomy, "site", "") == "caries" or parts.placement is None
-    how = "move motion.points_mm to it" if aimed else "set anatomy.site = caries, or move motion.points_mm to it"
+    how = (
+        "move motion.points_mm to it"
+        if aimed
+        else "set anatomy.site = caries, or move motion.points_mm to it"
+    )
     return (f" ({at})" if at else "") + f"; {how}"

@@ -86,8 +86,8 @@ def simulate(
     cores
         Processor cores to use; default all. The trace does not depend on it.
     out
-        Folder that takes the trace while the run goes on, so that a killed run leaves what it had; without it the run
-        stays in memory until :meth:`tissue.simulation.run.Run.save`.
+        Folder that takes the trace while the run goes on, so that a killed run leaves what it had;
+        without it the run stays in memory until :meth:`tissue.simulation.run.Run.save`.
     overwrite
         Replace a run that ``out`` already holds.
     progress
@@ -95,34 +95,52 @@ def simulate(
     allow_unstable
         Run a device whose coupling is judged unstable, too.
     device
-        Device to read and to play instead of the simulated one in a simulated hand; the scene names the one by whose
-        limits it is judged. The run opens and closes one that is a context manager; give it without ``with``, or for
-        several runs as ``with SafeDevice(device) as held``. Its ticks run in a second thread, and whatever ends them
-        its last command is zero; see `tissue.haptics.device.safe_device.SafeDevice`.
+        Device to read and to play instead of the simulated one in a simulated hand; the scene names
+        the one by whose limits it is judged. The run opens and closes one that is a context
+        manager; give it without ``with``, or for several runs as ``with SafeDevice(device) as
+        held``. Its ticks run in a second thread, and whatever ends them its last command is zero;
+        see `tissue.haptics.device.safe_device.SafeDevice`.
     observer
         Goes along with the ticks.
 
     Raises
     ------
     InputError
-        If a key has no effect in the scene or it cannot be built, the tool never touches, a device's coupling is
-        unstable, or ``out`` holds another run; as `DeviceError`, if the given device fails.
+        If a key has no effect in the scene or it cannot be built, the tool never touches, a
+        device's coupling is unstable, or ``out`` holds another run; as `DeviceError`, if the given
+        device fails.
     """
     report = progress or silent
     if cores is not None and not 1 <= cores <= MOST_CORES:
-        raise InputError(f"cores must be from 1 to {MOST_CORES}, got {str(cores)[:12]}: leave it out to use all")
+        raise InputError(
+            f"cores must be from 1 to {MOST_CORES}, got {str(cores)[:12]}: leave it out to use all"
+        )
     if scene.fidelity is not None:
-        raise InputError("scene must hold settings, got a demand on fidelity: choose them by tissue.simulate")
+        raise InputError(
+            "scene must hold settings, got a demand on fidelity: choose them by tissue.simulate"
+        )
     folder = RunFolder(Path(out), overwrite=overwrite) if out is not None else None
     with folder.ending() if folder is not None else nullcontext():
-        parts = build(scene, step_s=TICK_S, compute=compute, cores=cores, report=report, allow_unstable=allow_unstable)
+        parts = build(
+            scene,
+            step_s=TICK_S,
+            compute=compute,
+            cores=cores,
+            report=report,
+            allow_unstable=allow_unstable,
+        )
         if device is not None:
             if not isinstance(parts.motion, MovedByDevice):
-                raise InputError("scene must name the device that is given, got none: set device, such as touch")
+                raise InputError(
+                    "scene must name the device that is given, got none: set device, such as touch"
+                )
             require_stated_rate(
                 device,
                 device_parameters(scene.held.kind, scene.constants),
-                remedy=f"state devices.{scene.held.kind}.rate_Hz in a file of constants for the key materials",
+                remedy=(
+                    f"state devices.{scene.held.kind}.rate_Hz in a file of constants for the key "
+                    "materials"
+                ),
             )
             parts.motion.device = device
             parts.motion.after_s = 0.0
@@ -133,17 +151,25 @@ def simulate(
             folder.begin(scene, parts.placement)
             folder.open_tables(loop.trace, loop.timing)
         loop.place()
-        scheduling = _run_ticks(loop, ticks, cores=cores, folder=folder, report=report, observer=observer)
+        scheduling = _run_ticks(
+            loop, ticks, cores=cores, folder=folder, report=report, observer=observer
+        )
         trace = loop.trace
         if isinstance(parts.motion, MovedByDevice) and parts.motion.predictor is not None:
             parts.notes |= _prediction_note(trace, parts.motion)
-        parts.notes |= shortfalls(scene, parts, trace, path_s=ticks * TICK_S if device is None else inf)
+        parts.notes |= shortfalls(
+            scene, parts, trace, path_s=ticks * TICK_S if device is None else inf
+        )
         broke = []
         if parts.volume is not None and parts.cutter is not None and parts.cutter.spin_rad_s != 0.0:
             broke = break_throughs(parts.volume, trace, radius_m=parts.cutter.profile.radius_m)
-        through = [(each.time_s, f"broke through, {each.plunge_mm:.2f} mm of plunge") for each in broke]
+        through = [
+            (each.time_s, f"broke through, {each.plunge_mm:.2f} mm of plunge") for each in broke
+        ]
         events = sorted(loop.events + parts.motion.happened() + through, key=lambda event: event[0])
-        run = Run(scene, parts, trace, loop.timing, events=events, poses=loop.poses, compute=compute)
+        run = Run(
+            scene, parts, trace, loop.timing, events=events, poses=loop.poses, compute=compute
+        )
         run.begun = folder
         run.scheduling = scheduling
         run.break_throughs = broke
@@ -162,7 +188,8 @@ def _run_ticks(
     """Run all ticks of a loop with their observer, and report progress about ten times a second."""
     trace = loop.trace
     timing = loop.timing
-    each_row = observer is not None  # many rows at once would delay a tick that follows the wall clock
+    # many rows at once would delay a tick that follows the wall clock
+    each_row = observer is not None
     observer = observer or RunObserver()
     motion = loop.parts.motion
 
@@ -211,7 +238,9 @@ def _run_ticks(
 
 
 def _prediction_note(trace: Table, motion: MovedByDevice) -> dict[str, str]:
-    """Return the error of the predicted forces as a note; no note without contact or for a slower model."""
+    """Return the error of the predicted forces as a note; no note without contact or for a
+    slower model.
+    """
     predicted = trace.vectors("predicted_force", "N")
     raw = trace.vectors("raw_force", "N")
     ticks = motion.lead_ticks
@@ -220,10 +249,14 @@ def _prediction_note(trace: Table, motion: MovedByDevice) -> dict[str, str]:
         return {}
     known = len(raw) - ceil(ticks)
     later = force_later_N(raw, ticks)
-    missed, held = (100.0 * float(np.linalg.norm((later - force)[:known])) / size for force in (predicted, raw))
+    missed, held = (
+        100.0 * float(np.linalg.norm((later - force)[:known])) / size for force in (predicted, raw)
+    )
     share = 100.0 * float(trace["predicted_by"][np.any(raw != 0.0, axis=1)].mean())
     return {
-        "prediction": f"{ticks:.3g} ms ahead, off by {missed:.2g} % of the force where holding it is off by "
+        "prediction": f"{ticks:.3g} ms ahead, off by {missed:.2g} % of the force where holding "
+        "it is off "
+        "by "
         f"{held:.2g} %; its own force in {share:.3g} % of the ticks in contact"
     }
 
@@ -235,7 +268,8 @@ def tick_count(scene: Scene, motion: Motion) -> int:
         seconds += motion.after_s
     if seconds > LONGEST_S:
         raise InputError(
-            f"duration_s must be given for a motion of more than {LONGEST_S:g} s, got nothing for one of "
+            f"duration_s must be given for a motion of more than {LONGEST_S:g} s, got "
+            "nothing for one of "
             f"{seconds:g} s: give it, or a greater feed"
         )
     return max(round(seconds / TICK_S), 1)

@@ -13,19 +13,30 @@ from numpy.typing import NDArray
 
 from meshes.base.whole_file import claim
 
-__all__ = ["LEAST_LOAD", "NO_LAYER", "TIMING_COLUMNS", "Table", "TraceLayout", "TraceWriter", "load_columns"]
+__all__ = [
+    "LEAST_LOAD",
+    "NO_LAYER",
+    "TIMING_COLUMNS",
+    "Table",
+    "TraceLayout",
+    "TraceWriter",
+    "load_columns",
+]
 
 FLUSH_EVERY_S = 0.1
 """A killed run loses at most this much wall time, plus a tick."""
 NO_LAYER = "none"
 LEAST_LOAD = 1e-12
-"""Forces [N] and torques [N m] of a trace below it are written as 0: what a filter leaves of a contact that is over."""
+"""Forces [N] and torques [N m] of a trace below it are written as 0: what a filter leaves of a
+contact that is over.
+"""
 TIMING_COLUMNS = ("tick_us", "motion_us", "remove_us", "force_us", "record_us", "catch_up_us")
 
 
 @dataclass(eq=False)
 class Table(Mapping[str, NDArray[Any]]):
-    """Columns by name over rows that are only appended. The column ``layer`` holds names, all others numbers.
+    """Columns by name over rows that are only appended. The column ``layer`` holds names, all
+    others numbers.
 
     Parameters
     ----------
@@ -105,7 +116,8 @@ class TraceWriter:
         now = perf_counter()
         if force or now - self._flushed_at > FLUSH_EVERY_S:
             text = self._table.lines(self._written, row_count)
-            self._written, self._flushed_at = row_count, now  # first: Ctrl-C may come when the rows are on disk
+            # first: Ctrl-C may come when the rows are on disk
+            self._written, self._flushed_at = row_count, now
             self._write(text)
 
     def _write(self, text: str) -> None:
@@ -165,7 +177,10 @@ class TraceLayout:
             "velocity": tuple(f"velocity_{c}_mm_s" for c in "xyz"),
             "spin": tuple(f"angular_velocity_{c}_rad_s" for c in "xyz"),
             "commanded": (*(f"force_{c}_N" for c in "xyz"), *(f"torque_{c}_Nm" for c in "xyz")),
-            "wrench": (*(f"model_force_{c}_N" for c in "xyz"), *(f"model_torque_{c}_Nm" for c in "xyz")),
+            "wrench": (
+                *(f"model_force_{c}_N" for c in "xyz"),
+                *(f"model_torque_{c}_Nm" for c in "xyz"),
+            ),
             "removal_rate": "removal_rate_mm3_s",
             "removed": "removed_mm3",
             "removed_by_layer": tuple(f"removed_{name}_mm3" for name in layer_names),
@@ -184,4 +199,6 @@ class TraceLayout:
 
 def load_columns(columns: tuple[str, ...]) -> NDArray[np.intp]:
     """Places of the forces and torques among the columns of a trace."""
-    return np.array([place for place, name in enumerate(columns) if name.endswith(("_N", "_Nm"))], dtype=np.intp)
+    return np.array(
+        [place for place, name in enumerate(columns) if name.endswith(("_N", "_Nm"))], dtype=np.intp
+    )

@@ -1,4 +1,6 @@
-"""The trace as files: written in further formats, each by an existing writer, and read back from CSV."""
+"""The trace as files: written in further formats, each by an existing writer, and read back from
+CSV.
+"""
 
 import csv
 from collections.abc import Callable
@@ -15,7 +17,15 @@ from meshes.base.text_numbers import number_in, require_distinct_columns
 from meshes.base.whole_file import whole_file
 from tissue.simulation.trace import NO_LAYER, Table, TraceLayout
 
-__all__ = ["FORMATS", "RECORDING", "check_format", "read_table", "read_trace", "write_table", "write_trace"]
+__all__ = [
+    "FORMATS",
+    "RECORDING",
+    "check_format",
+    "read_table",
+    "read_trace",
+    "write_table",
+    "write_trace",
+]
 
 Columns = dict[str, NDArray[np.generic]]
 RECORDING = "recording"
@@ -38,7 +48,8 @@ def check_format(kind: str) -> None:
     writer, extra = WRITERS.get(kind, ("", ""))
     if writer and find_spec(writer) is None:
         raise InputError(
-            f"format {kind} must have its writer installed, got no {writer}: pip install 'tissue-sim[{extra}]'"
+            f"format {kind} must have its writer installed, got no {writer}: pip install "
+            f"'tissue-sim[{extra}]'"
         )
 
 
@@ -71,7 +82,9 @@ def write_table(table: Table, path: Path) -> None:
             return
         head = StringIO()
         csv.writer(head, lineterminator="\n").writerow(table.columns)
-        temporary.write_text(head.getvalue() + table.lines(0, len(table.rows)), "utf-8", newline="\n")
+        temporary.write_text(
+            head.getvalue() + table.lines(0, len(table.rows)), "utf-8", newline="\n"
+        )
 
 
 def _npz(columns: Columns, path: Path) -> None:
@@ -81,7 +94,10 @@ def _npz(columns: Columns, path: Path) -> None:
 def _mat(columns: Columns, path: Path) -> None:
     from scipy.io import savemat
 
-    text = {name: values.astype(object) if values.dtype.kind == "U" else values for name, values in columns.items()}
+    text = {
+        name: values.astype(object) if values.dtype.kind == "U" else values
+        for name, values in columns.items()
+    }
     savemat(path, {"trace": text}, do_compression=True, oned_as="column", long_field_names=True)
 
 
@@ -99,7 +115,9 @@ def _h5(columns: Columns, path: Path) -> None:
     image = BytesIO()
     with h5py.File(image, "w") as file:
         for name, values in columns.items():
-            file.create_dataset(name, data=values.astype("S") if values.dtype.kind == "U" else values)
+            file.create_dataset(
+                name, data=values.astype("S") if values.dtype.kind == "U" else values
+            )
     path.write_bytes(image.getbuffer())
 
 
@@ -112,7 +130,8 @@ FORMATS: dict[str, Callable[[Columns, Path], None]] = {
 
 
 def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
-    """Read a CSV written by :class:`TraceWriter`; a last line cut short by a killed run is left out.
+    """Read a CSV written by :class:`TraceWriter`; a last line cut short by a killed run is left
+    out.
 
     Raises
     ------
@@ -127,10 +146,13 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
         whole = list(csv.reader(StringIO(text, newline=""), strict=True))
     except OSError as problem:
         raise InputError(
-            f"{path.name} must be a file that can be read, got {path} ({problem.strerror}): check it"
+            f"{path.name} must be a file that can be read, got {path} ({problem.strerror}): "
+            "check it"
         ) from None
     except (UnicodeDecodeError, csv.Error) as problem:
-        raise InputError(f"{path.name} must be a CSV table, got other data in {path}: run the scene again") from problem
+        raise InputError(
+            f"{path.name} must be a CSV table, got other data in {path}: run the scene again"
+        ) from problem
     columns = tuple(whole[0]) if whole else ()
     require_distinct_columns(columns, path.name, path)
     index = {name: float(i) for i, name in enumerate(layer_names)} | {NO_LAYER: -1.0}
@@ -138,7 +160,9 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
     for number, line in enumerate(whole[1:]):
         where = f"in line {number + 2} of {path}: {again}"
         if len(line) != len(columns):
-            raise InputError(f"{path.name} must hold {len(columns)} values a line, got {len(line)} {where}")
+            raise InputError(
+                f"{path.name} must hold {len(columns)} values a line, got {len(line)} {where}"
+            )
         for place, (name, cell) in enumerate(zip(columns, line, strict=True)):
             try:
                 rows[number, place] = index[cell] if name == "layer" else number_in(cell)
@@ -148,7 +172,9 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
                     f"{path.name} must name a layer of the run ({known}), got {cell[:40]!r} {where}"
                 ) from None
             except ValueError:
-                raise InputError(f"{path.name} must hold numbers, got {cell[:40]!r} for {name} {where}") from None
+                raise InputError(
+                    f"{path.name} must hold numbers, got {cell[:40]!r} for {name} {where}"
+                ) from None
     return Table(columns, rows, layer_names)
 
 
@@ -158,7 +184,8 @@ def read_trace(path: Path, layer_names: tuple[str, ...]) -> Table:
     Raises
     ------
     InputError
-        As `read_table`, or if a column is missing, a number not finite, or the time does not increase.
+        As `read_table`, or if a column is missing, a number not finite, or the time does not
+        increase.
     """
     table = read_table(path, layer_names)
     if not table.columns:
@@ -167,7 +194,8 @@ def read_trace(path: Path, layer_names: tuple[str, ...]) -> Table:
     for name in wanted:
         if table.columns.count(name) != 1:
             raise InputError(
-                f"{path.name} must have the column {name} once, got {path} with {table.columns.count(name)} of it: run "
+                f"{path.name} must have the column {name} once, got {path} with "
+                f"{table.columns.count(name)} of it: run "
                 "the scene again"
             )
     places = [table.columns.index(name) for name in wanted]
@@ -175,13 +203,15 @@ def read_trace(path: Path, layer_names: tuple[str, ...]) -> Table:
     if len(bad):
         line, place = bad[0]
         raise InputError(
-            f"{path.name} must hold finite numbers, got {table.rows[line, places[place]]} for {wanted[place]} in line "
+            f"{path.name} must hold finite numbers, got {table.rows[line, places[place]]} "
+            f"for {wanted[place]} in line "
             f"{line + 2} of {path}: mend that line or run the scene again"
         )
     early = np.flatnonzero(np.diff(table["time_s"]) <= 0.0)
     if len(early):
         raise InputError(
-            f"{path.name} must have increasing time_s, got line {early[0] + 3} of {path} no later than the one before: "
+            f"{path.name} must have increasing time_s, got line {early[0] + 3} of {path} no "
+            "later than the one before: "
             "mend that line or run the scene again"
         )
     return table

@@ -1,8 +1,8 @@
 """Data of VTK moved between the scene's frame and that of the anatomy's file, and written to files.
 
-Coordinates take the file's unit; quantities with a unit in their name keep it. Arrays of three numbers a point are
-vectors and turn along; arrays of cells are not (principal stresses are three numbers, and no vector). A full disk is an
-error where files are written.
+Coordinates take the file's unit; quantities with a unit in their name keep it. Arrays of three
+numbers a point are vectors and turn along; arrays of cells are not (principal stresses are three
+numbers, and no vector). A full disk is an error where files are written.
 """
 
 from collections.abc import Iterable
@@ -23,23 +23,40 @@ if TYPE_CHECKING:
 Mesh = TypeVar("Mesh", bound="pyvista.PointSet")
 
 __all__ = [
-    "image_in_file", "image_in_scene", "mesh_in_file", "mesh_in_scene", "write_collection", "write_vtk",
+    "image_in_file",
+    "image_in_scene",
+    "mesh_in_file",
+    "mesh_in_scene",
+    "write_collection",
+    "write_vtk",
     "write_vtk_xml",
-]  # fmt: skip
+]
 
 
 def mesh_in_file(mesh: Mesh, placement: Placement | None) -> Mesh:
     """A mesh of the scene [mm] in the file's frame and unit; itself where there is no file."""
-    return mesh if placement is None else _moved(mesh, placement.to_file(_points(mesh)), placement.rotation.T)
+    return (
+        mesh
+        if placement is None
+        else _moved(mesh, placement.to_file(_points(mesh)), placement.rotation.T)
+    )
 
 
 def mesh_in_scene(mesh: Any, placement: Placement | None) -> Any:
-    """A mesh in the file's frame and unit as the scene has it [mm]; itself where there is no file."""
-    return mesh if placement is None else _moved(mesh, placement.to_scene(_points(mesh)), placement.rotation)
+    """A mesh in the file's frame and unit as the scene has it [mm]; itself where there is no
+    file.
+    """
+    return (
+        mesh
+        if placement is None
+        else _moved(mesh, placement.to_scene(_points(mesh)), placement.rotation)
+    )
 
 
 def image_in_file(image: "pyvista.ImageData", placement: Placement | None) -> "pyvista.ImageData":
-    """Voxels of the scene [mm] in the file's frame and unit, with a direction matrix; themselves without a file."""
+    """Voxels of the scene [mm] in the file's frame and unit, with a direction matrix; themselves
+    without a file.
+    """
     if placement is None:
         return image
     moved: pyvista.ImageData = image.copy(deep=False)
@@ -81,7 +98,8 @@ def write_vtk(writer: "vtkXMLWriter | vtkSTLWriter", data: "pyvista.DataSet", pa
         failures: list[int] = []
         writer.AddObserver(vtkCommand.ErrorEvent, lambda *_: failures.append(writer.GetErrorCode()))
         shown = vtkObject.GetGlobalWarningDisplay()
-        vtkObject.SetGlobalWarningDisplay(0)  # VTK would print its own account of what is raised below
+        # VTK would print its own account of what is raised below
+        vtkObject.SetGlobalWarningDisplay(0)
         try:
             written = writer.Write()
         finally:
@@ -90,16 +108,21 @@ def write_vtk(writer: "vtkXMLWriter | vtkSTLWriter", data: "pyvista.DataSet", pa
             import errno
             import os
 
-            # VTK reports a full disk as an error of its own; it is the only one left once the file could be opened.
+            # VTK reports a full disk as an error of its own; it is the only one left once the file
+            # could be opened.
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
 
 def write_collection(entries: Iterable[tuple[float, int, str]], path: Path) -> None:
     """Write a .pvd file, which ParaView plays: time [s], part and file of each mesh."""
-    lines = [f'    <DataSet timestep="{time!r}" part="{part}" file="{file}"/>\n' for time, part, file in entries]
+    lines = [
+        f'    <DataSet timestep="{time!r}" part="{part}" file="{file}"/>\n'
+        for time, part, file in entries
+    ]
     with whole_file(path) as temporary:
         temporary.write_text(
-            '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n'
+            '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" '
+            'byte_order="LittleEndian">\n'
             "  <Collection>\n" + "".join(lines) + "  </Collection>\n</VTKFile>\n",
             "utf-8",
         )
@@ -118,5 +141,7 @@ def _moved(mesh: Mesh, points: NDArray[np.float64], turn: NDArray[np.float64]) -
     moved.SetPoints(pyvista.vtk_points(single))  # type: ignore[arg-type]  # moved.points = would change the original
     for name, values in mesh.point_data.items():
         if values.ndim == 2 and values.shape[1] == 3:
-            moved.point_data[name] = (np.asarray(values, dtype=np.float64) @ turn).astype(values.dtype)
+            moved.point_data[name] = (np.asarray(values, dtype=np.float64) @ turn).astype(
+                values.dtype
+            )
     return moved

@@ -1,1 +1,3 @@
-"""Processes of this machine and the files they write: helpers, workers, signals, locks, drawing off screen."""
+"""Processes of this machine and the files they write: helpers, workers, signals, locks, drawing
+off screen.
+"""

@@ -15,7 +15,9 @@ LOWEST = 19
 
 @cache
 def may_return_from_idle() -> bool:
-    """Whether this system lets a thread leave the idle priority again; tried with a thread that then ends."""
+    """Whether this system lets a thread leave the idle priority again; tried with a thread that
+    then ends.
+    """
     if not hasattr(os, "SCHED_IDLE"):
         return False
     returned: list[bool] = []
@@ -33,11 +35,13 @@ def may_return_from_idle() -> bool:
 
 
 class BackgroundPriority:
-    """Puts the main thread of another process of ours behind the ticks, and lets it hurry when it is awaited.
+    """Puts the main thread of another process of ours behind the ticks, and lets it hurry when it
+    is awaited.
 
-    While the ticks go on it runs at idle priority, on the cores that the ticks do not run on. Where a thread may not
-    leave the idle priority again it has the lowest of the ordinary ones instead: on a machine that others keep busy a
-    process that is awaited at idle priority would hardly ever run. What a system refuses or lacks is left out.
+    While the ticks go on it runs at idle priority, on the cores that the ticks do not run on. Where
+    a thread may not leave the idle priority again it has the lowest of the ordinary ones instead:
+    on a machine that others keep busy a process that is awaited at idle priority would hardly ever
+    run. What a system refuses or lacks is left out.
 
     Parameters
     ----------
@@ -58,7 +62,11 @@ class BackgroundPriority:
     def described(self) -> str:
         """What is asked of the system, in words."""
         priority = (
-            "idle priority" if self._idles else f"niceness {LOWEST}" if hasattr(os, "setpriority") else "as usual"
+            "idle priority"
+            if self._idles
+            else f"niceness {LOWEST}"
+            if hasattr(os, "setpriority")
+            else "as usual"
         )
         return priority + (", off the ticks' core" if len(self._allowed) > 1 else "")
 

@@ -1,4 +1,6 @@
-"""Start another Python that finds this checkout's packages, ends with this one, and is not waited for in vain."""
+"""Start another Python that finds this checkout's packages, ends with this one, and is not
+waited for in vain.
+"""
 
 import os
 import runpy
@@ -11,18 +13,28 @@ from time import sleep
 
 from meshes.base.child_process import kill_with_parent, python_command, start_code
 
-__all__ = ["CHECK_S", "ONE_THREAD", "HangDetector", "HelperLostError", "await_ready", "child_command", "end_with"]
+__all__ = [
+    "CHECK_S",
+    "ONE_THREAD",
+    "HangDetector",
+    "HelperLostError",
+    "await_ready",
+    "child_command",
+    "end_with",
+]
 
 START = start_code("tissue.system.child", "_main")
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-"""Environment of a process with one thread for linear algebra: sums are then the same on every machine, and processes
-do not block each other."""
+"""Environment of a process with one thread for linear algebra: sums are then the same on every
+machine, and processes do not block each other."""
 CHECK_S = 1.0
 """Time between two looks at a process that is waited for [s]."""
 IDLE_S = 30.0
 """How long a process that is waited for may do nothing [s]."""
 WORK_S = 0.05
-"""Processor time that counts as having done something [s]; monitoring the parent's end takes less."""
+"""Processor time that counts as having done something [s]; monitoring the parent's end takes
+less.
+"""
 
 
 class HelperLostError(RuntimeError):
@@ -30,7 +42,9 @@ class HelperLostError(RuntimeError):
 
 
 def child_command(module: str, *arguments: str) -> list[str]:
-    """Command that runs ``python -m module arguments`` and ends with this process; empty where none can be started."""
+    """Command that runs ``python -m module arguments`` and ends with this process; empty where
+    none can be started.
+    """
     strictly = threading.current_thread() is threading.main_thread()
     return python_command(START, str(os.getpid()), str(int(strictly)), module, *arguments)
 
@@ -43,8 +57,8 @@ def end_with(parent: int, *, strictly: bool) -> None:
     parent
         Number of the process that started this one.
     strictly
-        Let the system do it, too, where it can (Linux): then it ends though it was stopped. The system goes by the
-        thread that started this process, which must not end before its process.
+        Let the system do it, too, where it can (Linux): then it ends though it was stopped. The
+        system goes by the thread that started this process, which must not end before its process.
     """
     if strictly:
         kill_with_parent()
@@ -66,8 +80,8 @@ def _await_end(parent: int) -> None:
 class HangDetector:
     """Judges whether processes that are waited for still work.
 
-    They are given up when they have done nothing for a while, or at the latest after a given time. Time counts by
-    checks, so that it does not pass while this process itself was stopped.
+    They are given up when they have done nothing for a while, or at the latest after a given time.
+    Time counts by checks, so that it does not pass while this process itself was stopped.
 
     Parameters
     ----------
@@ -80,7 +94,11 @@ class HangDetector:
     """
 
     def __init__(
-        self, processes: Callable[[], Iterable[int]], *, longest_s: float | None = None, idle_s: float | None = None
+        self,
+        processes: Callable[[], Iterable[int]],
+        *,
+        longest_s: float | None = None,
+        idle_s: float | None = None,
     ) -> None:
         self._processes, self._longest_s, self._idle_s = processes, longest_s, idle_s or IDLE_S
         self._waited_s, self._idle_since_s, self._work_s = 0.0, 0.0, -WORK_S
@@ -92,13 +110,18 @@ class HangDetector:
         if abs(work_s - self._work_s) >= WORK_S:
             self._work_s, self._idle_since_s = work_s, self._waited_s
         if self._waited_s - self._idle_since_s >= self._idle_s:
-            return f"{'was stopped' if stopped else 'hangs'} and has done nothing for {self._idle_s:g} s"
+            return (
+                f"{'was stopped' if stopped else 'hangs'} and has done nothing for "
+                f"{self._idle_s:g} s"
+            )
         if self._longest_s is not None and self._waited_s >= self._longest_s:
             return f"took longer than {self._longest_s:g} s"
         return None
 
 
-def await_ready(child: "subprocess.Popen[str]", *, longest_s: float, closes_s: float) -> tuple[str, str | None]:
+def await_ready(
+    child: "subprocess.Popen[str]", *, longest_s: float, closes_s: float
+) -> tuple[str, str | None]:
     """Wait until a process prints a line with the word ready first.
 
     Parameters
@@ -111,9 +134,8 @@ def await_ready(child: "subprocess.Popen[str]", *, longest_s: float, closes_s: f
         How long one that printed something else may take to end [s].
 
     Returns
-    -------
-    What stands behind the word, and None; or nothing and why it is not ready, in half a sentence, which is empty where
-    it has ended.
+    ------- What stands behind the word, and None; or nothing and why it is not ready, in half a
+    sentence, which is empty where it has ended.
     """
     stdout, first = child.stdout, SimpleQueue[str]()
     detector = HangDetector(lambda: [child.pid], longest_s=longest_s)
@@ -135,7 +157,9 @@ def await_ready(child: "subprocess.Popen[str]", *, longest_s: float, closes_s: f
 
 
 def _work_of(processes: Iterable[int]) -> tuple[float, bool]:
-    """Processor time of processes and all that they started [s], and whether one of them is stopped."""
+    """Processor time of processes and all that they started [s], and whether one of them is
+    stopped.
+    """
     import psutil
 
     work_s, stopped = 0.0, False
@@ -152,7 +176,9 @@ def _work_of(processes: Iterable[int]) -> tuple[float, bool]:
 
 
 def _main() -> None:
-    """Run the module that the command line names, as long as the process that asked for it is there."""
+    """Run the module that the command line names, as long as the process that asked for it is
+    there.
+    """
     parent, strictly, module = (sys.argv.pop(1) for _ in range(3))
     end_with(int(parent), strictly=strictly == "1")
     runpy.run_module(module, run_name="__main__")

@@ -22,10 +22,12 @@ Job = Callable[[], None]
 
 
 class Helper:
-    """Another Python that takes pickled messages on its standard input and answers on its standard output.
+    """Another Python that takes pickled messages on its standard input and answers on its standard
+    output.
 
-    It ends with this process and has one thread for linear algebra. Sending never blocks: a thread does it, and the
-    same thread reads while an answer is awaited, so that nothing takes the interpreter from what runs in between.
+    It ends with this process and has one thread for linear algebra. Sending never blocks: a thread
+    does it, and the same thread reads while an answer is awaited, so that nothing takes the
+    interpreter from what runs in between.
 
     Parameters
     ----------
@@ -42,10 +44,14 @@ class Helper:
 
     def __init__(self, module: str, *, does: str) -> None:
         pipe = subprocess.PIPE
-        # In a group of its own Ctrl-C does not reach it; in a session of its own its priority would not count against
-        # this process, since Linux may share the processor among sessions first.
+        # In a group of its own Ctrl-C does not reach it; in a session of its own its priority would
+        # not count against this process, since Linux may share the processor among sessions first.
         self._process = subprocess.Popen(
-            child_command(module), stdin=pipe, stdout=pipe, process_group=0, env=os.environ | ONE_THREAD
+            child_command(module),
+            stdin=pipe,
+            stdout=pipe,
+            process_group=0,
+            env=os.environ | ONE_THREAD,
         )
         self.priority = BackgroundPriority(self._process.pid)
         self._does = does
@@ -78,12 +84,15 @@ class Helper:
         Raises
         ------
         HelperLostError
-            If the process has ended, does nothing any more, or works for more than ``longest_s``; it is ended then.
+            If the process has ended, does nothing any more, or works for more than ``longest_s``;
+            it is ended then.
         """
         stream, answers = self._process.stdout, self._answers
         assert stream is not None
         if not self.kill.alive:
-            raise HelperLostError(f"the process that {self._does} {_how_ended(self._process.returncode)}")
+            raise HelperLostError(
+                f"the process that {self._does} {_how_ended(self._process.returncode)}"
+            )
 
         def read() -> None:
             try:
@@ -102,14 +111,17 @@ class Helper:
                 if why is not None:
                     self.kill()
                     raise HelperLostError(f"the process that {self._does} {why}") from None
-            except BaseException:  # such as Ctrl-C: the answer would be taken for that to the next message
+            except BaseException:
+                # such as Ctrl-C: the answer would be taken for that to the next message
                 self.kill()
                 raise
         if isinstance(answer, _Ended):
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(ENDS_S)
             self.kill()
-            raise HelperLostError(f"the process that {self._does} {_how_ended(self._process.returncode)}")
+            raise HelperLostError(
+                f"the process that {self._does} {_how_ended(self._process.returncode)}"
+            )
         if isinstance(answer, BaseException):
             self.end()
             raise answer

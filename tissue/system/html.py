@@ -8,30 +8,40 @@ from html import escape
 __all__ = ["html_page", "html_picture", "script_element"]
 
 STYLE = """
-:root { color-scheme: light dark; --ink: #1b1b1b; --paper: #fdfdfb; --soft: #666; --line: #ccc; --box: #f3f3ef; }
+:root { color-scheme: light dark; --ink: #1b1b1b; --paper: #fdfdfb; --soft: #666;
+  --line: #ccc; --box: #f3f3ef; }
 @media (prefers-color-scheme: dark) {
   :root { --ink: #e8e6e1; --paper: #181a1b; --soft: #a5a29b; --line: #444; --box: #222526; }
 }
-body { font: 16px/1.5 system-ui, sans-serif; color: var(--ink); background: var(--paper); max-width: 62rem;
-  margin: 0 auto; padding: 1.5rem; }
-h1 { font-size: 1.7rem; } h2 { font-size: 1.25rem; margin: 3rem 0 .3rem; border-top: 1px solid var(--line);
+body { font: 16px/1.5 system-ui, sans-serif; color: var(--ink); background: var(--paper);
+  max-width: 62rem; margin: 0 auto; padding: 1.5rem; }
+h1 { font-size: 1.7rem; }
+h2 { font-size: 1.25rem; margin: 3rem 0 .3rem; border-top: 1px solid var(--line);
   padding-top: 1.2rem; }
 img { width: 100%; height: auto; background: white; border: 1px solid var(--line); }
-table { border-collapse: collapse; width: 100%; font-size: .92rem; } th { text-align: left; color: var(--soft); }
+table { border-collapse: collapse; width: 100%; font-size: .92rem; }
+th { text-align: left; color: var(--soft); }
 td, th { padding: .3rem .6rem .3rem 0; vertical-align: top; border-bottom: 1px solid var(--line); }
-td { overflow-wrap: anywhere; } .what { white-space: nowrap; font-weight: 600; } a { color: inherit; }
+td { overflow-wrap: anywhere; } .what { white-space: nowrap; font-weight: 600; }
+a { color: inherit; }
 .verdict { background: var(--box); padding: .6rem .9rem; border-left: .3rem solid #009E73; }
 .open { border-left-color: #D55E00; } .soft { color: var(--soft); font-size: .9rem; }
 """
 
 
 def html_page(
-    title: str, body: str, *, style: str = "", scripts: Sequence[str] = (), modules: Sequence[str] = ()
+    title: str,
+    body: str,
+    *,
+    style: str = "",
+    scripts: Sequence[str] = (),
+    modules: Sequence[str] = (),
 ) -> str:
     """Return a self-contained HTML file.
 
-    The page carries a content security policy that names its own style and scripts by their hashes. A browser
-    therefore runs no other script, even where markup of a user's text got into the body, and asks no host.
+    The page carries a content security policy that names its own style and scripts by their hashes.
+    A browser therefore runs no other script, even where markup of a user's text got into the body,
+    and asks no host.
 
     Parameters
     ----------
@@ -45,7 +55,10 @@ def html_page(
         Classic scripts and module scripts, in the order in which they run, at the end of the body.
     """
     style = _plain_lines(STYLE + style)
-    programs = [*(script_element(text) for text in scripts), *(script_element(text, module=True) for text in modules)]
+    programs = [
+        *(script_element(text) for text in scripts),
+        *(script_element(text, module=True) for text in modules),
+    ]
     allowed = " ".join(_hash(_plain_lines(text)) for text in (*scripts, *modules)) or "'none'"
     policy = (
         f"default-src 'none'; script-src {allowed}; style-src {_hash(style)}; img-src data: blob:; "
@@ -54,7 +67,8 @@ def html_page(
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1"><link rel="icon" href="data:,">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1"><link '
+        'rel="icon" href="data:,">'
         f"<title>{escape(title)}</title><style>{style}</style></head><body>\n<h1>{escape(title)}</h1>\n{body}\n"
         + "\n".join(programs)
         + "\n</body></html>\n"
@@ -68,7 +82,9 @@ def script_element(text: str, *, module: bool = False) -> str:
 
 
 def _plain_lines(text: str) -> str:
-    """Return a text with line feeds alone, because a browser normalises them before it computes a hash."""
+    """Return a text with line feeds alone, because a browser normalises them before it computes
+    a hash.
+    """
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -79,4 +95,7 @@ def _hash(text: str) -> str:
 
 def html_picture(title: str, png: bytes) -> str:
     """A picture within the file."""
-    return f'<img alt="{escape(title)}" src="data:image/png;base64,{b64encode(png).decode("ascii")}">\n'
+    return (
+        f'<img alt="{escape(title)}" '
+        f'src="data:image/png;base64,{b64encode(png).decode("ascii")}">\n'
+    )

@@ -7,7 +7,9 @@ from time import perf_counter
 __all__ = ["LEAST_GAP_S", "MachineGaps", "spin"]
 
 LEAST_GAP_S = 2e-4
-"""Time between two looks at the clock from which the machine did something else [s]; a look takes 0.1 us."""
+"""Time between two looks at the clock from which the machine did something else [s]; a look
+takes 0.1 us.
+"""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,6 @@
-"""Draw in 3D without a display, in a process of its own: VTK ends the process where a graphics library is missing."""
+"""Draw in 3D without a display, in a process of its own: VTK ends the process where a graphics
+library is missing.
+"""
 
 import ctypes
 import os
@@ -17,9 +19,19 @@ from typing import IO
 from meshes.base.errors import InputError
 from tissue.system.child import CHECK_S, HangDetector, child_command
 
-__all__ = ["REMEDY", "await_display", "display_problem", "draw_apart", "drawing_environments", "end_drawing"]
+__all__ = [
+    "REMEDY",
+    "await_display",
+    "display_problem",
+    "draw_apart",
+    "drawing_environments",
+    "end_drawing",
+]
 
-REMEDY = "install libegl1 and libgl1-mesa-dri (Debian, Ubuntu) or mesa-libEGL and mesa-dri-drivers (Fedora)"
+REMEDY = (
+    "install libegl1 and libgl1-mesa-dri (Debian, Ubuntu) or mesa-libEGL and mesa-dri-drivers "
+    "(Fedora)"
+)
 """What gives a bare Linux machine OpenGL in software."""
 LONGEST_S = 120.0
 DISPLAY_S, ANSWERS_S = 30.0, 5.0
@@ -34,15 +46,16 @@ def draw_apart(
     longest_s: float = LONGEST_S,
     drawn: Callable[[float], None] | None = None,
 ) -> str | None:
-    """Run ``python -m module arguments`` where it may draw, and return half a sentence on why it could not.
+    """Run ``python -m module arguments`` where it may draw, and return half a sentence on why it
+    could not.
 
     Parameters
     ----------
     module, arguments
         What to run.
     prepare
-        Called once while the process starts, for what it reads from its standard input. In a file a patient's anatomy
-        would stay behind if both processes were killed.
+        Called once while the process starts, for what it reads from its standard input. In a file a
+        patient's anatomy would stay behind if both processes were killed.
     longest_s
         How long it may draw [s].
     drawn
@@ -67,7 +80,9 @@ def draw_apart(
         with (
             TemporaryDirectory(prefix="tissue-") as folder,
             (printed := Path(folder) / "printed").open("wb") as out,
-            subprocess.Popen(command, env=environment, stdin=pipe, stdout=out, stderr=pipe) as process,
+            subprocess.Popen(
+                command, env=environment, stdin=pipe, stdout=out, stderr=pipe
+            ) as process,
         ):
             _drawing.add(process)
             try:
@@ -92,7 +107,11 @@ def draw_apart(
             raise InputError(" ".join(sentence.split()))
         if process.returncode == 1 and "Error" in output:
             reason = f"drawing in 3D failed ({output.strip().splitlines()[-1][:200]})"
-    return f"{reason}: {REMEDY}" if sys.platform.startswith("linux") else f"{reason}: update the graphics driver"
+    return (
+        f"{reason}: {REMEDY}"
+        if sys.platform.startswith("linux")
+        else f"{reason}: update the graphics driver"
+    )
 
 
 def end_drawing() -> None:
@@ -117,7 +136,9 @@ def _last_share(printed: Path) -> float:
 def _awaited(
     process: "subprocess.Popen[bytes]", sent: bytes, longest_s: float, poll: Callable[[], object]
 ) -> tuple[str, str | None]:
-    """Let a process draw: its output, and why it was ended, or None; ``poll`` is called meanwhile."""
+    """Let a process draw: its output, and why it was ended, or None; ``poll`` is called
+    meanwhile.
+    """
     detector = HangDetector(lambda: [process.pid], longest_s=longest_s)
     # In a thread, since `communicate` forgets the rest of what is sent once it has timed out.
     stream, process.stdin = process.stdin, None
@@ -141,7 +162,9 @@ def _send(stream: IO[bytes] | None, sent: bytes) -> None:
 
 
 def display_problem() -> str | None:
-    """Why no window can be opened here, or None; asks before VTK does, which would end the process."""
+    """Why no window can be opened here, or None; asks before VTK does, which would end the
+    process.
+    """
     if not sys.platform.startswith("linux"):
         return None
     name = os.environ.get("DISPLAY", "")
@@ -169,7 +192,8 @@ def await_display(*, longest_s: float = DISPLAY_S) -> str | None:
     while (problem := display_problem()) is not None and problem.endswith("does not answer"):
         if monotonic() >= until:
             raise InputError(
-                f"DISPLAY must name a display that answers, got {os.environ['DISPLAY']}, which did not within "
+                f"DISPLAY must name a display that answers, got {os.environ['DISPLAY']}, "
+                "which did not within "
                 f"{longest_s:g} s: start it, or unset DISPLAY to go without a window"
             )
         sleep(0.2)
@@ -177,7 +201,9 @@ def await_display(*, longest_s: float = DISPLAY_S) -> str | None:
 
 
 def _answers(library: ctypes.CDLL, name: str) -> bool:
-    """Whether a display can be opened; one that takes the call and does not answer would keep it for ever."""
+    """Whether a display can be opened; one that takes the call and does not answer would keep it
+    for ever.
+    """
     output: SimpleQueue[bool] = SimpleQueue()
     library.XOpenDisplay.restype = ctypes.c_void_p
     library.XCloseDisplay.argtypes = [ctypes.c_void_p]
@@ -196,7 +222,9 @@ def _answers(library: ctypes.CDLL, name: str) -> bool:
 
 
 def drawing_environments() -> Iterator[dict[str, str]]:
-    """What to change in the environment of a process that draws off screen; the next is for where the last failed."""
+    """What to change in the environment of a process that draws off screen; the next is for
+    where the last failed.
+    """
     for window in _windows():
         yield {"VTK_DEFAULT_OPENGL_WINDOW": window} if window else {}
 

@@ -41,13 +41,18 @@ LONGEST_LOCK = 32
 NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 """Flag of the system that opens no symbolic link."""
 SAME_S = 5.0
-"""Most by which the start of one process may differ between two looks [s]: the clock behind it may be set."""
+"""Most by which the start of one process may differ between two looks [s]: the clock behind it
+may be set.
+"""
 HELD = (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
-"""The system's error for a lock that another has; anything else means that the file system has no locks."""
+"""The system's error for a lock that another has; anything else means that the file system has
+no locks.
+"""
 
 
 def require_new_file(path: Path, *, overwrite: bool, name: str = "out") -> None:
-    """Check that a file can be written where none is, or in place of a regular file that may be replaced.
+    """Check that a file can be written where none is, or in place of a regular file that may be
+    replaced.
 
     Parameters
     ----------
@@ -61,18 +66,27 @@ def require_new_file(path: Path, *, overwrite: bool, name: str = "out") -> None:
     Raises
     ------
     InputError
-        If there is a file that may not be replaced, something else that is no regular file, or no folder to write to.
+        If there is a file that may not be replaced, something else that is no regular file, or no
+        folder to write to.
     """
     other = "another --out" if name == "out" else f"another file for --{name}"
     require_place(path, folder=False, name=name)
     if path.is_symlink():
-        raise InputError(f"{name} must be a regular file, got the symbolic link {path}: choose {other}")
+        raise InputError(
+            f"{name} must be a regular file, got the symbolic link {path}: choose {other}"
+        )
     if path.exists() and not path.is_file():
-        raise InputError(f"{name} must be a regular file, got the device or pipe {path}: choose {other}")
+        raise InputError(
+            f"{name} must be a regular file, got the device or pipe {path}: choose {other}"
+        )
     if path.exists() and not overwrite:
-        raise InputError(f"{name} must not exist yet, got {path}: pass --overwrite or choose {other}")
+        raise InputError(
+            f"{name} must not exist yet, got {path}: pass --overwrite or choose {other}"
+        )
     if not path.absolute().parent.is_dir():
-        raise InputError(f"{name} must lie in a folder that exists, got {path}: create {path.parent}")
+        raise InputError(
+            f"{name} must lie in a folder that exists, got {path}: create {path.parent}"
+        )
 
 
 def require_place(path: Path, *, folder: bool, name: str = "out") -> None:
@@ -96,15 +110,22 @@ def require_place(path: Path, *, folder: bool, name: str = "out") -> None:
     place = path.absolute()
     existing = next(each for each in (place, *place.parents) if os.path.lexists(each))
     if existing.is_symlink() and not existing.exists():
-        raise InputError(f"{name} must not use a symbolic link that leads nowhere, got {existing}: choose {other}")
+        raise InputError(
+            f"{name} must not use a symbolic link that leads nowhere, got {existing}: choose "
+            f"{other}"
+        )
     if existing == place and not folder:
         existing = place.parent
     if not existing.is_dir() and existing == place:
         raise InputError(f"{name} must be a folder, got the file {path}: choose {other}")
     if not existing.is_dir():
-        raise InputError(f"{name} must lie in a folder, got {path} under the file {existing}: choose {other}")
+        raise InputError(
+            f"{name} must lie in a folder, got {path} under the file {existing}: choose {other}"
+        )
     if not os.access(existing, os.W_OK | os.X_OK):
-        raise InputError(f"{name} must be writable, got permission denied at {existing}: choose {other}")
+        raise InputError(
+            f"{name} must be writable, got permission denied at {existing}: choose {other}"
+        )
 
 
 def write_columns(path: Path, columns: Mapping[str, ArrayLike]) -> None:
@@ -116,19 +137,22 @@ def write_columns(path: Path, columns: Mapping[str, ArrayLike]) -> None:
 
 
 class OutputLock:
-    """Hold a folder or a file against every other writer until `release`, or until the process ends for any reason.
+    """Hold a folder or a file against every other writer until `release`, or until the process ends
+    for any reason.
 
     Parameters
     ----------
     out
         Folder or file that is going to be written.
     folder
-        Whether it is a folder, which is made where there is none; an empty one that was made so goes with the lock.
+        Whether it is a folder, which is made where there is none; an empty one that was made so
+        goes with the lock.
 
     Raises
     ------
     InputError
-        If another process, or another writer in this one, holds it, or it cannot be a folder or lie in one.
+        If another process, or another writer in this one, holds it, or it cannot be a folder or lie
+        in one.
     """
 
     def __init__(self, out: Path, *, folder: bool) -> None:
@@ -160,7 +184,8 @@ def _taken(path: Path, out: Path) -> TextIO:
             owner = file.read().strip()
             file.close()
             raise InputError(
-                f"out must have one writer at a time, got {out}, which process {owner or 'of unknown number'} is "
+                f"out must have one writer at a time, got {out}, which process "
+                f"{owner or 'of unknown number'} is "
                 "writing: wait for it, end it, or choose another --out"
             )
         with suppress(FileNotFoundError):
@@ -177,12 +202,17 @@ def _opened(path: Path) -> TextIO:
     """Open the lock's file, and refuse a file of the user that has its name."""
     plain = not path.is_symlink() and (path.is_file() or not path.exists())
     if plain:
-        file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | NO_LINK, 0o666), "a+", encoding="utf-8")
+        file = os.fdopen(
+            os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | NO_LINK, 0o666),
+            "a+",
+            encoding="utf-8",
+        )
         if _is_lock(file):
             return file
         file.close()
     raise InputError(
-        f"out must hold no file {path.name} of other origin, got one in {path.parent}: move it or choose another --out"
+        f"out must hold no file {path.name} of other origin, got one in {path.parent}: move "
+        "it or choose another --out"
     )
 
 
@@ -212,7 +242,9 @@ def _lock(file: TextIO) -> bool:
 
 
 def _let_go(file: TextIO, path: Path, made: list[Path]) -> None:
-    """Take the lock's file away while nobody else can have it, then let go; folders that stayed empty go, too."""
+    """Take the lock's file away while nobody else can have it, then let go; folders that stayed
+    empty go, too.
+    """
     if sys.platform == "win32":
         file.close()  # an open file cannot be taken away there, another's neither
     with suppress(OSError):
@@ -228,11 +260,17 @@ def identity() -> dict[str, int | float | str]:
     """Number and start [s since 1970] of this process, and the machine it runs on."""
     import psutil
 
-    return {"id": os.getpid(), "started_s": psutil.Process().create_time(), "machine": platform.node()}
+    return {
+        "id": os.getpid(),
+        "started_s": psutil.Process().create_time(),
+        "machine": platform.node(),
+    }
 
 
 def is_alive(process: object) -> bool:
-    """Whether a process of that `identity` still runs; one of another machine cannot be looked up, so counts."""
+    """Whether a process of that `identity` still runs; one of another machine cannot be looked
+    up, so counts.
+    """
     import psutil
 
     if not isinstance(process, dict) or "id" not in process:

@@ -39,8 +39,9 @@ Files = dict[str, set[str]]
 class OwnedFolder:
     """An output folder that one command holds against other processes and fills.
 
-    The marker lists each file before it is written. Only files that the marker lists are replaced or removed. While
-    the folder is held, `whole_file` claims each file in it, so that no writer can replace a file of the user.
+    The marker lists each file before it is written. Only files that the marker lists are replaced
+    or removed. While the folder is held, `whole_file` claims each file in it, so that no writer can
+    replace a file of the user.
 
     Parameters
     ----------
@@ -49,7 +50,8 @@ class OwnedFolder:
     kind
         Kind of output, such as ``run``; it stands in the marker and in messages.
     names
-        Names of the files that may be written, relative to the folder, with ``*`` and ``[0-9]`` as in `Path.glob`.
+        Names of the files that may be written, relative to the folder, with ``*`` and ``[0-9]`` as
+        in `Path.glob`.
     overwrite
         Remove the files of an earlier output of this kind.
     shared
@@ -60,7 +62,8 @@ class OwnedFolder:
     Raises
     ------
     InputError
-        If the folder holds another output, or foreign files under these names, or another process writes to it.
+        If the folder holds another output, or foreign files under these names, or another process
+        writes to it.
     """
 
     def __init__(
@@ -98,7 +101,9 @@ class OwnedFolder:
 
     def depth(self, path: Path) -> int:
         """Return how many parts the folder's path has if it holds ``path``, else 0."""
-        return len(self._place.parts) if Path(os.path.abspath(path)).is_relative_to(self._place) else 0
+        return (
+            len(self._place.parts) if Path(os.path.abspath(path)).is_relative_to(self._place) else 0
+        )
 
     def claim(self, path: Path) -> None:
         """List a file of this folder in the marker before it is written.
@@ -124,7 +129,8 @@ class OwnedFolder:
     def release(self) -> None:
         """Let go of the folder; a second call does nothing."""
         if self in OWNERS and not any(self._files.values()):
-            (self._path / MARKER).unlink(missing_ok=True)  # nothing was written: the folder is as it was
+            # nothing was written: the folder is as it was
+            (self._path / MARKER).unlink(missing_ok=True)
         OWNERS.discard(self)
         self._lock.release()
 
@@ -178,7 +184,8 @@ def require_folder(
     shared: Iterable[str] = (),
     adopted: Collection[str] = (),
 ) -> set[str]:
-    """Check that a folder can take an output, and change nothing; see `OwnedFolder` for the parameters.
+    """Check that a folder can take an output, and change nothing; see `OwnedFolder` for the
+    parameters.
 
     Returns
     -------
@@ -198,7 +205,8 @@ def require_folder(
             raise _foreign(path, name, files)
     if there and not overwrite:
         raise InputError(
-            f"out must not hold another {kind}, got {path}: pass --overwrite to replace it or choose another --out"
+            f"out must not hold another {kind}, got {path}: pass --overwrite to replace it "
+            "or choose another --out"
         )
     return there
 
@@ -232,14 +240,21 @@ def listed_files(path: Path) -> Files:
         if marker.is_symlink() or not marker.is_file() or marker.stat().st_size > LONGEST_MARKER:
             raise ValueError(marker)
         held = read_json(marker.read_text("utf-8"))
-        if held["format"] != FORMAT or held["version"] != VERSION or not isinstance(held["tissue"], str):
+        if (
+            held["format"] != FORMAT
+            or held["version"] != VERSION
+            or not isinstance(held["tissue"], str)
+        ):
             raise ValueError(marker)
-        files = {kind: set(names) for kind, names in held["files"].items() if isinstance(names, list)}
+        files = {
+            kind: set(names) for kind, names in held["files"].items() if isinstance(names, list)
+        }
         if not all(_is_inside(name) for names in files.values() for name in names):
             raise ValueError(marker)
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         raise InputError(
-            f"out must hold no {MARKER} of other origin or version, got one in {path}: choose another --out"
+            f"out must hold no {MARKER} of other origin or version, got one in {path}: "
+            "choose another --out"
         ) from None
     return files
 
@@ -253,7 +268,9 @@ def _is_inside(name: object) -> bool:
 
 
 def _present(path: Path, names: Iterable[str]) -> set[str]:
-    """Return the entries of a folder that carry one of these names; a link counts whether it leads somewhere or not."""
+    """Return the entries of a folder that carry one of these names; a link counts whether it
+    leads somewhere or not.
+    """
     found = set()
     for name in names:
         if "*" in name or "[0-9]" in name:
@@ -267,8 +284,13 @@ def _present(path: Path, names: Iterable[str]) -> set[str]:
 
 def _has_foreign_parent(path: Path, name: str) -> bool:
     """Return whether a part of a name before the last one is there and is no plain folder."""
-    parents = [path.joinpath(*PurePosixPath(name).parts[:count]) for count in range(1, len(PurePosixPath(name).parts))]
-    return any(os.path.lexists(each) and (each.is_symlink() or not each.is_dir()) for each in parents)
+    parents = [
+        path.joinpath(*PurePosixPath(name).parts[:count])
+        for count in range(1, len(PurePosixPath(name).parts))
+    ]
+    return any(
+        os.path.lexists(each) and (each.is_symlink() or not each.is_dir()) for each in parents
+    )
 
 
 def _is_foreign(path: Path, name: str) -> bool:
@@ -280,6 +302,16 @@ def _is_foreign(path: Path, name: str) -> bool:
 
 def _foreign(path: Path, name: str, files: Mapping[str, set[str]]) -> InputError:
     """Return the refusal of a folder with a file that is not of this kind of output."""
-    owner = next((f", which belongs to another kind of output ({kind})" for kind in files if name in files[kind]), "")
+    owner = next(
+        (
+            f", which belongs to another kind of output ({kind})"
+            for kind in files
+            if name in files[kind]
+        ),
+        "",
+    )
     owner = "" if _is_foreign(path, name) else owner
-    return InputError(f"out must not hold files of other origin, got {path} with {name}{owner}: choose another --out")
+    return InputError(
+        f"out must not hold files of other origin, got {path} with {name}{owner}: choose "
+        "another --out"
+    )

@@ -1,4 +1,6 @@
-"""Where work of many processes runs: on this machine, or on those of a Dask scheduler, behind one standard executor."""
+"""Where work of many processes runs: on this machine, or on those of a Dask scheduler, behind
+one standard executor.
+"""
 
 import asyncio
 import logging
@@ -16,12 +18,16 @@ __all__ = ["LOST", "executor"]
 SCHEMES = {"tcp": "tcp", "tls": "tls", "dask": "tcp"}
 """Kinds of address, and as what Dask knows them."""
 CERTIFICATES = ("ca-file", "client.cert", "client.key")
-"""Files that Dask's configuration must name for a client of a scheduler with TLS, below ``distributed.comm.tls``."""
+"""Files that Dask's configuration must name for a client of a scheduler with TLS, below
+``distributed.comm.tls``.
+"""
 LOST = (BrokenExecutor, CancelledError, ConnectionError, TimeoutError)
 """Errors that mean that workers are gone, and not that the work is wrong."""
 
 
-def executor(workers: int, scheduler: str | None, *, patience_s: float) -> AbstractContextManager[Executor]:
+def executor(
+    workers: int, scheduler: str | None, *, patience_s: float
+) -> AbstractContextManager[Executor]:
     """Own processes, or those of a Dask scheduler.
 
     Parameters
@@ -29,16 +35,17 @@ def executor(workers: int, scheduler: str | None, *, patience_s: float) -> Abstr
     workers
         Own processes.
     scheduler
-        Address of a Dask scheduler as it prints it, ``tcp://HOST:PORT`` or ``tls://HOST:PORT`` (``dask://`` stands
-        for ``tcp://``), or None. Certificates for the latter are those of Dask's own configuration.
+        Address of a Dask scheduler as it prints it, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``
+        (``dask://`` stands for ``tcp://``), or None. Certificates for the latter are those of
+        Dask's own configuration.
     patience_s
         How long a scheduler may take to answer [s].
 
     Raises
     ------
     InputError
-        If the scheduler's address cannot be read, Dask is not installed, certificates are missing, or its workers have
-        another version.
+        If the scheduler's address cannot be read, Dask is not installed, certificates are missing,
+        or its workers have another version.
     ConnectionError
         If no scheduler answers.
     """
@@ -51,7 +58,8 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
     kind, _, place = scheduler.partition("://")
     if kind not in SCHEMES or not place:
         raise InputError(
-            f"scheduler must be the address that Dask prints, tcp://HOST:PORT or tls://HOST:PORT, got {scheduler}: use "
+            "scheduler must be the address that Dask prints, tcp://HOST:PORT or "
+            f"tls://HOST:PORT, got {scheduler}: use "
             "for example tcp://node1:8786"
         )
     address = f"{SCHEMES[kind]}://{place}"
@@ -60,11 +68,13 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
         from distributed.comm.core import CommClosedError
     except ImportError:
         raise InputError(
-            "scheduler must have dask.distributed, got none installed: pip install 'tissue-sim[cluster]'"
+            "scheduler must have dask.distributed, got none installed: pip install "
+            "'tissue-sim[cluster]'"
         ) from None
     if SCHEMES[kind] == "tls":
         _require_certificates(scheduler)
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # losses are reported by who hands out the work
+    # losses are reported by who hands out the work
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
     try:
         client = Client(address, timeout=f"{patience_s:g}s", set_as_default=False)
     except OSError as error:
@@ -77,15 +87,21 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
         for worker, version in versions.items():
             # A worker that is lost while it is asked is no reason to stop.
             if version != package_version() and not isinstance(version, OSError):
-                raise InputError(f"workers must have version {package_version()}, got {version} at {worker}: update it")
+                raise InputError(
+                    f"workers must have version {package_version()}, got {version} at "
+                    f"{worker}: update it"
+                )
         try:
             yield client.get_executor(pure=False)
-        except (asyncio.CancelledError, CommClosedError) as error:  # not of the kinds that executors raise
+        except (asyncio.CancelledError, CommClosedError) as error:
+            # not of the kinds that executors raise
             raise ConnectionError(f"the Dask scheduler at {address} was lost") from error
 
 
 def _require_certificates(scheduler: str) -> None:
-    """Refuse an address with TLS where Dask's configuration names no files for it, or files that are not there."""
+    """Refuse an address with TLS where Dask's configuration names no files for it, or files that
+    are not there.
+    """
     import dask.config
 
     for entry in CERTIFICATES:
@@ -95,6 +111,7 @@ def _require_certificates(scheduler: str) -> None:
             variable = "DASK_" + name.upper().replace(".", "__").replace("-", "_")
             got = "none" if file is None else f"{file}, which is no file"
             raise InputError(
-                f"{variable} must name a file of certificates for the scheduler {scheduler}, got {got}: set it, or "
+                f"{variable} must name a file of certificates for the scheduler {scheduler}, "
+                f"got {got}: set it, or "
                 f"{name} in Dask's configuration"
             )

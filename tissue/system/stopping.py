@@ -10,9 +10,13 @@ from types import FrameType
 
 __all__ = ["STOPS", "Terminated", "interrupt_is_free", "signals_handled", "terminated_as_exception"]
 
-STOPS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK") if hasattr(signal, name))
-"""What asks a process to end, as far as the system has it: SIGHUP comes from a terminal that was closed or lost,
-SIGQUIT and SIGBREAK from a key."""
+STOPS = tuple(
+    getattr(signal, name)
+    for name in ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK")
+    if hasattr(signal, name)
+)
+"""What asks a process to end, as far as the system has it: SIGHUP comes from a terminal that was
+closed or lost, SIGQUIT and SIGBREAK from a key."""
 
 AGAIN_S = 0.01
 """When a stop that Python dropped comes once more [s]."""
@@ -35,16 +39,19 @@ class Terminated(KeyboardInterrupt):
 
 @contextmanager
 def terminated_as_exception() -> Iterator[None]:
-    """Raise `Terminated` in the main thread on one of `STOPS` while the block runs; elsewhere nothing changes.
+    """Raise `Terminated` in the main thread on one of `STOPS` while the block runs; elsewhere
+    nothing changes.
 
-    Native code that a signal meets may make an error of its own of what is raised, as pydantic's does: after a stop,
-    Ctrl-C included, any error that leaves the block leaves it as that stop. And Python drops what is raised within a
-    callback, such as that of a weak reference: the stop then comes once more, a moment later.
+    Native code that a signal meets may make an error of its own of what is raised, as pydantic's
+    does: after a stop, Ctrl-C included, any error that leaves the block leaves it as that stop. And
+    Python drops what is raised within a callback, such as that of a weak reference: the stop then
+    comes once more, a moment later.
     """
     received: list[KeyboardInterrupt] = []
 
     def stop(number: int, frame: FrameType | None) -> None:
-        if number == getattr(signal, "SIGHUP", None):  # a shell that ends sends it again, amid what is put in order
+        # a shell that ends sends it again, amid what is put in order
+        if number == getattr(signal, "SIGHUP", None):
             signal.signal(number, signal.SIG_IGN)
         received.append(KeyboardInterrupt() if number == signal.SIGINT else Terminated(number))
         raise received[-1]
@@ -73,16 +80,21 @@ def terminated_as_exception() -> Iterator[None]:
 
 
 def interrupt_is_free() -> bool:
-    """Whether Ctrl-C raises KeyboardInterrupt, by Python's own handler or by `terminated_as_exception`."""
+    """Whether Ctrl-C raises KeyboardInterrupt, by Python's own handler or by
+    `terminated_as_exception`.
+    """
     handler = signal.getsignal(signal.SIGINT)
     return handler is signal.default_int_handler or getattr(handler, "__module__", None) == __name__
 
 
 @contextmanager
-def signals_handled(numbers: tuple[int, ...], handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+def signals_handled(
+    numbers: tuple[int, ...], handler: Callable[[int, FrameType | None], None]
+) -> Iterator[None]:
     """Call a handler on these signals while the block runs, in the main thread alone.
 
-    A signal that is ignored stays so, as under ``nohup``; and so does one that is handled outside Python.
+    A signal that is ignored stays so, as under ``nohup``; and so does one that is handled outside
+    Python.
     """
     before: dict[int, Callable[[int, FrameType | None], object] | int] = {}
     if threading.current_thread() is threading.main_thread():

@@ -1,4 +1,6 @@
-"""Priority of the thread that runs ticks against the wall clock: raised where the system grants it, and put back."""
+"""Priority of the thread that runs ticks against the wall clock: raised where the system grants
+it, and put back.
+"""
 
 import os
 import sys
@@ -8,7 +10,9 @@ from contextlib import suppress
 __all__ = ["TickPriority"]
 
 REALTIME = 20
-"""Priority among real-time threads of Linux, 1 to 99; threads of the kernel that serve devices have 50."""
+"""Priority among real-time threads of Linux, 1 to 99; threads of the kernel that serve devices
+have 50.
+"""
 NICE = -10
 """Niceness that is asked for where no real-time priority is granted."""
 USER_INTERACTIVE, DEFAULT = 0x21, 0x15
@@ -19,12 +23,14 @@ USUAL = "ordinary priority"
 
 
 class TickPriority:
-    """Raises the priority of the calling thread, as far as the system lets this person, and puts it back.
+    """Raises the priority of the calling thread, as far as the system lets this person, and puts it
+    back.
 
-    Linux: real-time (SCHED_FIFO), which its user may be granted as ``rtprio`` in /etc/security/limits.conf, else a
-    niceness below 0; of the thread alone, and neither threads nor processes that it starts inherit the first. Windows:
-    the process is of high priority. macOS: the thread is of the class of what a person interacts with. What is not
-    granted is noted in `granted` and never ends a run.
+    Linux: real-time (SCHED_FIFO), which its user may be granted as ``rtprio`` in
+    /etc/security/limits.conf, else a niceness below 0; of the thread alone, and neither threads nor
+    processes that it starts inherit the first. Windows: the process is of high priority. macOS: the
+    thread is of the class of what a person interacts with. What is not granted is noted in
+    `granted` and never ends a run.
 
     Attributes
     ----------
@@ -71,7 +77,10 @@ class TickPriority:
             self.granted = f"{USUAL}: this system offers no other"
             return
         try:
-            before = os.sched_getscheduler(self._thread), os.sched_getparam(self._thread).sched_priority
+            before = (
+                os.sched_getscheduler(self._thread),
+                os.sched_getparam(self._thread).sched_priority,
+            )
             flag = os.SCHED_RESET_ON_FORK  # what the thread starts does not inherit it
             os.sched_setscheduler(self._thread, os.SCHED_FIFO | flag, os.sched_param(REALTIME))
             self._before = ("policy", *before)
@@ -83,9 +92,14 @@ class TickPriority:
             niceness = os.getpriority(os.PRIO_PROCESS, self._thread)
             os.setpriority(os.PRIO_PROCESS, self._thread, NICE)
             self._before = ("niceness", niceness, 0)
-            self.granted = f"niceness {NICE}: no real-time priority is granted, see rtprio in /etc/security/limits.conf"
+            self.granted = (
+                f"niceness {NICE}: no real-time priority is granted, see rtprio in "
+                "/etc/security/limits.conf"
+            )
         except OSError:
-            self.granted = f"{USUAL}: no other is granted, see rtprio and nice in /etc/security/limits.conf"
+            self.granted = (
+                f"{USUAL}: no other is granted, see rtprio and nice in /etc/security/limits.conf"
+            )
 
     def _begin_windows(self) -> None:
         import psutil
@@ -106,8 +120,8 @@ class TickPriority:
 
 
 def _schedule(thread: int, policy: int, priority: int) -> None:
-    """Put a thread's policy back; who may not clear the mark that nothing inherits it keeps the mark, which does no
-    harm."""
+    """Put a thread's policy back; who may not clear the mark that nothing inherits it keeps the
+    mark, which does no harm."""
     try:
         os.sched_setscheduler(thread, policy, os.sched_param(priority))
     except PermissionError:

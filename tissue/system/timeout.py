@@ -8,7 +8,9 @@ __all__ = ["returned_within"]
 
 
 def returned_within(seconds: float, call: Callable[[], object]) -> bool:
-    """Whether a call, made in a thread of its own that is left behind if it blocks, returned in time without error."""
+    """Whether a call, made in a thread of its own that is left behind if it blocks, returned in
+    time without error.
+    """
     returned = threading.Event()
 
     def work() -> None:

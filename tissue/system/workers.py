@@ -38,20 +38,25 @@ def worker_pool(workers: int) -> Iterator[Executor]:
     finally:
         for child in set(multiprocessing.active_children()) - others:
             child.kill()  # one that was stopped would not take a request to end
-        pool.shutdown(cancel_futures=True)  # its thread takes leave of them: two that do would miss each other
+        # its thread takes leave of them: two that do would miss each other
+        pool.shutdown(cancel_futures=True)
         for name, value in kept.items():
             os.environ.pop(name)
             if value is not None:
                 os.environ[name] = value
 
 
-def first_done(pool: Executor, futures: Collection["Future[Result]"], report: Progress) -> "set[Future[Result]]":
-    """Await work until some of it is done; workers that have stopped working are ended, and what they did is lost.
+def first_done(
+    pool: Executor, futures: Collection["Future[Result]"], report: Progress
+) -> "set[Future[Result]]":
+    """Await work until some of it is done; workers that have stopped working are ended, and what
+    they did is lost.
 
     Parameters
     ----------
     pool, futures
-        Who works, and at what; of processes elsewhere their scheduler knows whether they still work.
+        Who works, and at what; of processes elsewhere their scheduler knows whether they still
+        work.
     report
         Called with why workers were ended.
 
@@ -59,7 +64,9 @@ def first_done(pool: Executor, futures: Collection["Future[Result]"], report: Pr
     -------
     What is done; its results raise `concurrent.futures.BrokenExecutor` where the workers are gone.
     """
-    detector = HangDetector(lambda: [number for child in multiprocessing.active_children() if (number := child.pid)])
+    detector = HangDetector(
+        lambda: [number for child in multiprocessing.active_children() if (number := child.pid)]
+    )
     while True:
         done = wait(futures, timeout=CHECK_S, return_when=FIRST_COMPLETED).done
         if done:
@@ -73,7 +80,9 @@ def first_done(pool: Executor, futures: Collection["Future[Result]"], report: Pr
 
 @contextmanager
 def _interrupted_later() -> Iterator[None]:
-    """Hold Ctrl-C back while processes start, which inherit that and would print it before they can ignore it."""
+    """Hold Ctrl-C back while processes start, which inherit that and would print it before they
+    can ignore it.
+    """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -85,6 +94,8 @@ def _interrupted_later() -> Iterator[None]:
 
 
 def _begin_worker(parent: int, strictly: bool) -> None:
-    """Leave Ctrl-C to the process that began this one, and end when it ends: killed, it could not ask for it."""
+    """Leave Ctrl-C to the process that began this one, and end when it ends: killed, it could
+    not ask for it.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with(parent, strictly=strictly)

@@ -20,22 +20,34 @@ def test_the_foam_is_drilled_by_the_pen_under_the_guard():
     motion = run.parts.motion
     assert type(motion.device).__name__ == "ToyPen" and isinstance(motion.predictor, Guarded)
     assert run.trace["removed_mm3"][-1] > 1.0
-    assert run.parts.notes["specific cutting energy"] == "rigid-foam 0.015 (0.005-0.03) J/mm3, confidence L"
+    assert (
+        run.parts.notes["specific cutting energy"]
+        == "rigid-foam 0.015 (0.005-0.03) J/mm3, confidence L"
+    )
     assert not motion.device.force_N.any()  # whatever ends a run, its last command is zero
 
 
 def test_a_step_drill_removes_less_than_a_straight_one():
     changes = {"voxels.spacing_mm": 0.4, "device": "none", "duration_s": 0.6}
     stepped = simulate(load_scene("toy-drilling", changes)).trace["removed_mm3"][-1]
-    cylinder = {"tool.kind": "cylinder", "tool.diameter_mm": 4.0, "tool.length_mm": 9.0, "tool.spin_rpm": 3000.0}
+    cylinder = {
+        "tool.kind": "cylinder",
+        "tool.diameter_mm": 4.0,
+        "tool.length_mm": 9.0,
+        "tool.spin_rpm": 3000.0,
+    }
     straight = simulate(load_scene("toy-drilling", changes | cylinder))
-    assert 0.2 * straight.trace["removed_mm3"][-1] < stepped < 0.8 * straight.trace["removed_mm3"][-1]
+    assert (
+        0.2 * straight.trace["removed_mm3"][-1] < stepped < 0.8 * straight.trace["removed_mm3"][-1]
+    )
 
 
 def test_the_cushion_hardens():
     trace = simulate(load_scene("toy-cushion")).trace
     depth_m = 1e-3 * trace["depth_mm"]
-    np.testing.assert_allclose(trace["model_force_z_N"], 100.0 * depth_m * (1.0 + depth_m / 0.01), atol=1e-9)
+    np.testing.assert_allclose(
+        trace["model_force_z_N"], 100.0 * depth_m * (1.0 + depth_m / 0.01), atol=1e-9
+    )
     assert trace["model_force_z_N"].max() == pytest.approx(2.0, rel=0.02)
 
 
@@ -43,6 +55,7 @@ def test_the_pens_loop_is_judged():
     found = scene_stability(load_scene("wall", {"device": "toy-pen", "prediction": "damped-line"}))
     assert found.verdict.stable and found.verdict.critical_N_m > 100.0
     with pytest.raises(
-        InputError, match=r"^coupling.stiffness_N_m must be below \d+ to be stable with device = toy-pen"
+        InputError,
+        match=r"^coupling.stiffness_N_m must be below \d+ to be stable with device = toy-pen",
     ):
         simulate(load_scene("wall", {"device": "toy-pen", "coupling.stiffness_N_m": 1e5}))

@@ -45,7 +45,9 @@ class CushionModel(WallModel):
 
 
 def greatest_force_N(scene: Any) -> float:
-    """Force at the deepest point of the scripted motion, from which the scale of forces at a device is chosen."""
+    """Force at the deepest point of the scripted motion, from which the scale of forces at a
+    device is chosen.
+    """
     depth_m = max(-1e-3 * min(point[2] for point in scene.motion.points_mm), 0.0)
     cushion = scene.anatomy
     return float(cushion.stiffness_N_m * depth_m * (1.0 + 1e3 * depth_m / cushion.hardening_mm))
@@ -63,9 +65,14 @@ def draw(run: Any, path: Path) -> None:
     save(chart, path)
 
 
-@register.tissue("cushion", Cushion, tool=Probe, force_N=greatest_force_N, pictures={"cushion.png": draw})
+@register.tissue(
+    "cushion", Cushion, tool=Probe, force_N=greatest_force_N, pictures={"cushion.png": draw}
+)
 def build(scene: Any, motion: Motion, **settings: Any) -> Parts:
     """The parts of a run in which a ball presses it."""
     model = CushionModel(scene.anatomy, radius_m=0.5e-3 * scene.tool.diameter_mm)
-    stated = f"{scene.anatomy.stiffness_N_m:g} N/m at its face, twice that {scene.anatomy.hardening_mm:g} mm deep"
+    stated = (
+        f"{scene.anatomy.stiffness_N_m:g} N/m at its face, twice that "
+        f"{scene.anatomy.hardening_mm:g} mm deep"
+    )
     return Parts(motion, model, notes={"cushion": stated})

@@ -25,7 +25,8 @@ SINK_M_S, DEPTH_M = 0.05, 0.03
 
 @register.device("toy-pen", PEN)
 class ToyPen(ComputedDevice):
-    """A mass on a spring whose other end sinks; it is pushed back by the force that it is commanded.
+    """A mass on a spring whose other end sinks; it is pushed back by the force that it is
+    commanded.
 
     Parameters
     ----------
@@ -35,14 +36,23 @@ class ToyPen(ComputedDevice):
 
     def __init__(self, start_m: tuple[float, float, float]) -> None:
         self.start_m = np.array(start_m)
-        self.position_m, self.velocity_m_s, self.force_N = np.array(start_m), np.zeros(3), np.zeros(3)
+        self.position_m, self.velocity_m_s, self.force_N = (
+            np.array(start_m),
+            np.zeros(3),
+            np.zeros(3),
+        )
         self.time_s = 0.0
 
     def read(self, time_s: float) -> Sample:
-        """Move it up to a time, by half-implicit Euler steps; its pose then, in the steps of its encoders."""
+        """Move it up to a time, by half-implicit Euler steps; its pose then, in the steps of its
+        encoders.
+        """
         step_s, self.time_s = time_s - self.time_s, time_s
         aim_m = self.start_m - np.array([0.0, 0.0, min(SINK_M_S * time_s, DEPTH_M)])
-        pull_N = SPRING_N_M * (aim_m - self.position_m) - (DAMPER_N_S_M + PEN.damping_N_s_m) * self.velocity_m_s
+        pull_N = (
+            SPRING_N_M * (aim_m - self.position_m)
+            - (DAMPER_N_S_M + PEN.damping_N_s_m) * self.velocity_m_s
+        )
         self.velocity_m_s += step_s / PEN.mass_kg * (pull_N + self.force_N)
         self.position_m += step_s * self.velocity_m_s
         seen_m = PEN.encoder_step_m * np.round(self.position_m / PEN.encoder_step_m)
@@ -51,5 +61,7 @@ class ToyPen(ComputedDevice):
         return Sample(time_s, (x, y, z), (u, v, w))
 
     def command(self, force_N: NDArray[np.float64], torque_Nm: NDArray[np.float64]) -> None:
-        """Take the force that it pushes the pen with until the next command; it has no motors for torque."""
+        """Take the force that it pushes the pen with until the next command; it has no motors
+        for torque.
+        """
         self.force_N = np.array(force_N)

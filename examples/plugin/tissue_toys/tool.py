@@ -8,8 +8,17 @@ from tissue.cutters.profile import Line, Profile
 
 @register.tool("step-drill", keys=("length_mm",))
 def step_drill(diameter_m: float, length_m: float) -> Profile:
-    """A drill with a pilot of half its diameter and a third of its length; a scene gives both in mm."""
+    """A drill with a pilot of half its diameter and a third of its length; a scene gives both in
+    mm.
+    """
     wide, narrow, step = 0.5 * diameter_m, 0.25 * diameter_m, length_m / 3.0
-    corners = [(0.0, 0.0), (narrow, 0.0), (narrow, step), (wide, step), (wide, length_m), (0.0, length_m)]
+    corners = [
+        (0.0, 0.0),
+        (narrow, 0.0),
+        (narrow, step),
+        (wide, step),
+        (wide, length_m),
+        (0.0, length_m),
+    ]
     pieces = [Line(start, end, cutting=end != corners[-1]) for start, end in pairwise(corners)]
     return Profile(tuple(pieces), convex=False)

@@ -55,7 +55,9 @@ def stiffness() -> None:
     trace = made["K"].diagonal().sum()
     print_result("tissue", "stiffness again", size, times, PACKAGES, value=trace, unit="N/m, trace")
     times = timed(lambda _: made.update(K=assemble(space_of(CUBE_CELLS), material)), count=5)
-    print_result("tissue", "stiffness of a mesh", size, times, PACKAGES, value=trace, unit="N/m, trace")
+    print_result(
+        "tissue", "stiffness of a mesh", size, times, PACKAGES, value=trace, unit="N/m, trace"
+    )
 
     space = space_of(CLAMPED_CELLS)
     held, top = space.nodes_m[:, 2] < 1e-9, space.nodes_m[:, 2] > 1.0 - 1e-9
@@ -63,15 +65,28 @@ def stiffness() -> None:
     load[top, 2] = -1.0 / top.sum()
 
     def solve(_: int) -> None:
-        made["u"] = DirectSolver(HeldBody(matrix, space.nodes_m, held_nodes(held))).solve(load).displacement_m
+        made["u"] = (
+            DirectSolver(HeldBody(matrix, space.nodes_m, held_nodes(held)))
+            .solve(load)
+            .displacement_m
+        )
 
     times = timed(solve, count=3)
-    print_result("tissue", "factorise and solve", f"{3 * len(held)} unknowns", times, PACKAGES,
-        value=1e3 * made["u"][top, 2].mean(), unit="mm, mean of the top")  # fmt: skip
+    print_result(
+        "tissue",
+        "factorise and solve",
+        f"{3 * len(held)} unknowns",
+        times,
+        PACKAGES,
+        value=1e3 * made["u"][top, 2].mean(),
+        unit="mm, mean of the top",
+    )
 
 
 def soft() -> None:
-    """Beside MuJoCo and Newton: contact with friction, quasi-static, on the compliance of the slab's top."""
+    """Beside MuJoCo and Newton: contact with friction, quasi-static, on the compliance of the
+    slab's top.
+    """
     from meshes.tets.tetrahedra import TetMesh
     from tissue.fem.assembly import assemble
     from tissue.fem.solvers.condensed import surface_compliance_m_N
@@ -84,24 +99,40 @@ def soft() -> None:
     for cells in SLABS:
         mesh = TetMesh(*bricks_in_tetrahedra(SLAB_M, cells))
         space = Space(mesh, 1)
-        body = HeldBody(assemble(space, lame(YOUNG_PA, POISSON)), space.nodes_m, held_nodes(space.nodes_m[:, 2] < 1e-9))
+        body = HeldBody(
+            assemble(space, lame(YOUNG_PA, POISSON)),
+            space.nodes_m,
+            held_nodes(space.nodes_m[:, 2] < 1e-9),
+        )
         touchable = np.flatnonzero(space.nodes_m[:, 2] > SLAB_M[2] - 1e-9)
         compliance = surface_compliance_m_N(body, touchable)
         number = np.full(len(space.nodes_m), -1)
         number[touchable] = np.arange(len(touchable))
         faces = number[mesh.surface]
         contact = SurfaceContact(
-            space.nodes_m[touchable].copy(), faces[(faces >= 0).all(axis=1)], compliance, SphereProbe(BALL_M)
+            space.nodes_m[touchable].copy(),
+            faces[(faces >= 0).all(axis=1)],
+            compliance,
+            SphereProbe(BALL_M),
         )
         contact.place(ball_tip(0, SLAB_M[2] + 1e-3), np.eye(3))
         pressed = []
 
-        def tick(index: int, contact: SurfaceContact = contact, pressed: list[float] = pressed) -> None:
+        def tick(
+            index: int, contact: SurfaceContact = contact, pressed: list[float] = pressed
+        ) -> None:
             pressed.append(float(contact.solve(ball_tip(index), np.eye(3)).force_N[2]))
 
         times = timed(tick, count=1000, warm_up=210)
-        print_result("tissue", f"soft step, {prod(cells)} bricks", f"{len(mesh.cells)} tetrahedra", times, PACKAGES,
-            value=float(np.median(np.abs(pressed[250:510]))), unit="N, press")  # fmt: skip
+        print_result(
+            "tissue",
+            f"soft step, {prod(cells)} bricks",
+            f"{len(mesh.cells)} tetrahedra",
+            times,
+            PACKAGES,
+            value=float(np.median(np.abs(pressed[250:510]))),
+            unit="N, press",
+        )
 
 
 def prediction() -> None:
@@ -125,10 +156,23 @@ def prediction() -> None:
     each = timed(predict_ahead, count=1900, warm_up=50)
     error = float(np.sqrt(np.mean(np.square(far[50:]))))
     observables = f"{6 * (DELAYS + 1)} observables"
-    print_result("tissue", "fit a predictor", f"{10 * len(unseen)} samples, {observables}", fits, PACKAGES, value=error,
-        unit="N, RMS error 10 ms ahead")  # fmt: skip
     print_result(
-        "tissue", "predict 10 ms ahead", observables, each, PACKAGES, value=error, unit="N, RMS error 10 ms ahead"
+        "tissue",
+        "fit a predictor",
+        f"{10 * len(unseen)} samples, {observables}",
+        fits,
+        PACKAGES,
+        value=error,
+        unit="N, RMS error 10 ms ahead",
+    )
+    print_result(
+        "tissue",
+        "predict 10 ms ahead",
+        observables,
+        each,
+        PACKAGES,
+        value=error,
+        unit="N, RMS error 10 ms ahead",
     )
 
 
@@ -137,15 +181,24 @@ def threshold() -> None:
     from tissue.perception.adaptive import AdaptiveThreshold, ThresholdPrior
 
     steps, rng = steps_N(), np.random.default_rng(0)
-    found = AdaptiveThreshold(ThresholdPrior(cells=60, offset_cells=8, lapse_cells=5), (np.ones(len(steps)), steps))
+    found = AdaptiveThreshold(
+        ThresholdPrior(cells=60, offset_cells=8, lapse_cells=5), (np.ones(len(steps)), steps)
+    )
 
     def trial(_: int) -> None:
         asked = found.propose()
         found.answer(asked, rng.random(1) < right_share(float(found.step_N[asked][0])))
 
     times = timed(trial, count=60, warm_up=10)
-    print_result("tissue", "trial of a threshold", f"{len(steps)} x {len(found.posterior)}", times, PACKAGES,
-        value=float(found.threshold_N(1.0)[0][0]), unit="N, threshold after 70 trials")  # fmt: skip
+    print_result(
+        "tissue",
+        "trial of a threshold",
+        f"{len(steps)} x {len(found.posterior)}",
+        times,
+        PACKAGES,
+        value=float(found.threshold_N(1.0)[0][0]),
+        unit="N, threshold after 70 trials",
+    )
 
 
 def milling() -> None:
@@ -180,8 +233,12 @@ def milling() -> None:
     both = timed(tick, count=1000, warm_up=50)
     gone = 1e9 * (removed[-1] - removed[49]) / 1000
     size = f"6 mm ball, {1e3 * SPACING_M:g} mm"
-    print_result("tissue", "mill, carve alone", size, carving[50:], PACKAGES, value=gone, unit="mm3 a tick")
-    print_result("tissue", "mill, carve and force", size, both, PACKAGES, value=gone, unit="mm3 a tick")
+    print_result(
+        "tissue", "mill, carve alone", size, carving[50:], PACKAGES, value=gone, unit="mm3 a tick"
+    )
+    print_result(
+        "tissue", "mill, carve and force", size, both, PACKAGES, value=gone, unit="mm3 a tick"
+    )
 
 
 WORKS = {

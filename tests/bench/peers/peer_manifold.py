@@ -1,4 +1,6 @@
-"""manifold3d: the burr's ball taken from a block tick by tick, by exact booleans of triangle meshes."""
+"""manifold3d: the burr's ball taken from a block tick by tick, by exact booleans of triangle
+meshes.
+"""
 
 import numpy as np
 from manifold3d import Manifold
@@ -21,11 +23,25 @@ def main() -> None:
 
     times = timed(tick, count=TICKS)
     gone = (left["first"] - left["it"].volume()) / (TICKS - 1)
-    print_result("manifold3d", "mill, carve alone", f"6 mm ball, {SEGMENTS} segments", times[1:], "manifold3d numpy",
-        value=gone, unit="mm3 a tick")  # fmt: skip
+    print_result(
+        "manifold3d",
+        "mill, carve alone",
+        f"6 mm ball, {SEGMENTS} segments",
+        times[1:],
+        "manifold3d numpy",
+        value=gone,
+        unit="mm3 a tick",
+    )
     growth = np.median(times[-15:]) / np.median(times[5:20])
-    print_result("manifold3d", "mill, growth of a tick over 60", f"6 mm ball, {SEGMENTS} segments", times[-15:], "manifold3d numpy",
-        value=float(growth), unit="times the first ones")  # fmt: skip
+    print_result(
+        "manifold3d",
+        "mill, growth of a tick over 60",
+        f"6 mm ball, {SEGMENTS} segments",
+        times[-15:],
+        "manifold3d numpy",
+        value=float(growth),
+        unit="times the first ones",
+    )
 
 
 if __name__ == "__main__":

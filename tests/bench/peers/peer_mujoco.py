@@ -8,13 +8,17 @@ import numpy as np
 from works import BALL_M, POISSON, SLAB_M, SLABS, STEP_S, YOUNG_PA, ball_centre, print_result, timed
 
 KINDS = {"Euler": 0.0, "discrete": 0.01}
-"""Integrators and the damping [s] with which they are stable here at 1 ms: explicit elasticity without, implicit with."""
+"""Integrators and the damping [s] with which they are stable here at 1 ms: explicit elasticity
+without, implicit with.
+"""
 
 
 def model_of(cells: tuple[int, ...], integrator: str) -> mujoco.MjModel:
     counts = [cell + 1 for cell in cells]
     spacing = [size / cell for size, cell in zip(SLAB_M, cells, strict=True)]
-    nodes = np.stack(np.meshgrid(*[np.arange(n) for n in counts], indexing="ij"), axis=-1).reshape(-1, 3)
+    nodes = np.stack(np.meshgrid(*[np.arange(n) for n in counts], indexing="ij"), axis=-1).reshape(
+        -1, 3
+    )
     held = " ".join(str(i) for i in np.flatnonzero(nodes[:, 2] == 0))
     middle = " ".join(f"{0.5 * size}" for size in SLAB_M)
     x, y, z = (str(v) for v in ball_centre(0) + 1e-3 * np.array([0.0, 0.0, 1.0]))
@@ -52,8 +56,15 @@ def main() -> None:
             pressed.append(total)
 
         times = timed(step, count=300, warm_up=210)
-        print_result(f"MuJoCo flex, {integrator}", f"soft step, {prod(cells)} bricks", f"{model.flex_elemnum[0]} tetrahedra", times, "mujoco numpy",
-            value=float(np.median(pressed[250:])), unit="N, press")  # fmt: skip
+        print_result(
+            f"MuJoCo flex, {integrator}",
+            f"soft step, {prod(cells)} bricks",
+            f"{model.flex_elemnum[0]} tetrahedra",
+            times,
+            "mujoco numpy",
+            value=float(np.median(pressed[250:])),
+            unit="N, press",
+        )
 
 
 if __name__ == "__main__":

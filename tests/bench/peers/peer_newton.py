@@ -14,11 +14,21 @@ def built(cells: tuple[int, ...]) -> tuple[newton.Model, int]:
     builder = newton.ModelBuilder(gravity=wp.vec3(0.0, 0.0, 0.0))
     spacing = [size / cell for size, cell in zip(SLAB_M, cells, strict=True)]
     builder.add_soft_grid(
-        pos=wp.vec3(0.0, 0.0, 0.0), rot=wp.quat_identity(), vel=wp.vec3(0.0, 0.0, 0.0),
-        dim_x=cells[0], dim_y=cells[1], dim_z=cells[2], cell_x=spacing[0], cell_y=spacing[1], cell_z=spacing[2],
-        density=DENSITY, k_mu=YOUNG_PA / 2 / (1 + POISSON),
-        k_lambda=YOUNG_PA * POISSON / (1 + POISSON) / (1 - 2 * POISSON), k_damp=0.1, particle_radius=1e-3,
-    )  # fmt: skip
+        pos=wp.vec3(0.0, 0.0, 0.0),
+        rot=wp.quat_identity(),
+        vel=wp.vec3(0.0, 0.0, 0.0),
+        dim_x=cells[0],
+        dim_y=cells[1],
+        dim_z=cells[2],
+        cell_x=spacing[0],
+        cell_y=spacing[1],
+        cell_z=spacing[2],
+        density=DENSITY,
+        k_mu=YOUNG_PA / 2 / (1 + POISSON),
+        k_lambda=YOUNG_PA * POISSON / (1 + POISSON) / (1 - 2 * POISSON),
+        k_damp=0.1,
+        particle_radius=1e-3,
+    )
     # The lowest layer of nodes is held, as in the others.
     for index, at in enumerate(builder.particle_q):
         if at[2] < 1e-6:
@@ -54,8 +64,15 @@ def run(cells: tuple[int, ...], kind: str, iterations: int) -> None:
 
     times = timed(step, count=200, warm_up=210)
     sunk = SLAB_M[2] - float(now.particle_q.numpy()[tops, 2].min())
-    print_result(f"Newton {kind}, {iterations} iterations", f"soft step, {prod(cells)} bricks", f"{len(model.tet_indices)} tetrahedra", times,
-        "newton warp-lang numpy", value=1e3 * sunk, unit="mm, deepest node")  # fmt: skip
+    print_result(
+        f"Newton {kind}, {iterations} iterations",
+        f"soft step, {prod(cells)} bricks",
+        f"{len(model.tet_indices)} tetrahedra",
+        times,
+        "newton warp-lang numpy",
+        value=1e3 * sunk,
+        unit="mm, deepest node",
+    )
 
 
 if __name__ == "__main__":

@@ -16,7 +16,9 @@ def main() -> None:
         at = burr_centre(index) / SPACING_M + cells / 2
         low = np.floor(at - BOX / 2).astype(int)
         offset = (at - low).astype(np.float32)
-        distance = np.sqrt(((grid - offset[:, None, None, None]) ** 2).sum(axis=0)) - np.float32(BURR_M / SPACING_M)
+        distance = np.sqrt(((grid - offset[:, None, None, None]) ** 2).sum(axis=0)) - np.float32(
+            BURR_M / SPACING_M
+        )
         left = (65535 * (1 - np.clip(0.5 - distance, 0, 1))).astype(np.uint16)
         part = remaining[tuple(slice(a, a + BOX) for a in low)]
         new = np.minimum(part, left)
@@ -25,7 +27,15 @@ def main() -> None:
 
     times = timed(tick, count=40, warm_up=3)
     gone = np.mean(counted[3:]) / 65535 * (1e3 * SPACING_M) ** 3
-    print_result("NumPy", "mill, carve alone", "6 mm ball, 0.1 mm", times, "numpy", value=gone, unit="mm3 a tick")
+    print_result(
+        "NumPy",
+        "mill, carve alone",
+        "6 mm ball, 0.1 mm",
+        times,
+        "numpy",
+        value=gone,
+        unit="mm3 a tick",
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""questplus: a trial on 50 stimuli and 2,400 parameters. It is under the GPL: for comparison only."""
+"""questplus: a trial on 50 stimuli and 2,400 parameters. It is under the GPL: for comparison
+only.
+"""
 
 import numpy as np
 from questplus import QuestPlus
@@ -29,8 +31,15 @@ def main() -> None:
 
     times = timed(trial, count=60, warm_up=10)
     threshold = 10.0 ** asked.param_estimate["threshold"]
-    print_result("questplus", "trial of a threshold", "50 x 2400", times, "questplus numpy xarray",
-        value=float(threshold), unit="N, threshold after 70 trials (another slope model)")  # fmt: skip
+    print_result(
+        "questplus",
+        "trial of a threshold",
+        "50 x 2400",
+        times,
+        "questplus numpy xarray",
+        value=float(threshold),
+        unit="N, threshold after 70 trials (another slope model)",
+    )
 
 
 if __name__ == "__main__":

@@ -3,7 +3,15 @@
 import numpy as np
 import skfem
 from skfem.models.elasticity import lame_parameters, linear_elasticity
-from works import CLAMPED_CELLS, CUBE_CELLS, POISSON, YOUNG_PA, bricks_in_tetrahedra, print_result, timed
+from works import (
+    CLAMPED_CELLS,
+    CUBE_CELLS,
+    POISSON,
+    YOUNG_PA,
+    bricks_in_tetrahedra,
+    print_result,
+    timed,
+)
 
 FORM = linear_elasticity(*lame_parameters(YOUNG_PA, POISSON))
 
@@ -20,11 +28,23 @@ def main() -> None:
     times = timed(lambda _: made.update(K=FORM.assemble(basis)), count=4, warm_up=1)
     packages = "scikit-fem numpy scipy"
     print_result(
-        "scikit-fem", "stiffness again", size, times, packages, value=made["K"].diagonal().sum(), unit="N/m, trace"
+        "scikit-fem",
+        "stiffness again",
+        size,
+        times,
+        packages,
+        value=made["K"].diagonal().sum(),
+        unit="N/m, trace",
     )
     times = timed(lambda _: made.update(K=FORM.assemble(basis_of(CUBE_CELLS))), count=3)
     print_result(
-        "scikit-fem", "stiffness of a mesh", size, times, packages, value=made["K"].diagonal().sum(), unit="N/m, trace"
+        "scikit-fem",
+        "stiffness of a mesh",
+        size,
+        times,
+        packages,
+        value=made["K"].diagonal().sum(),
+        unit="N/m, trace",
     )
 
     basis = basis_of(CLAMPED_CELLS)
@@ -39,8 +59,15 @@ def main() -> None:
         made["u"] = skfem.solve(*skfem.condense(matrix, load, D=held))
 
     times = timed(solve, count=2)
-    print_result("scikit-fem", "factorise and solve", f"{basis.N} unknowns", times, packages,
-        value=1e3 * made["u"][down].mean(), unit="mm, mean of the top")  # fmt: skip
+    print_result(
+        "scikit-fem",
+        "factorise and solve",
+        f"{basis.N} unknowns",
+        times,
+        packages,
+        value=1e3 * made["u"][down].mean(),
+        unit="mm, mean of the top",
+    )
 
 
 if __name__ == "__main__":

@@ -13,14 +13,23 @@ def main() -> None:
     def tick(index: int) -> None:
         here = ball.copy()
         here.apply_translation(1e3 * burr_centre(index))
-        left["it"] = trimesh.boolean.difference([left["it"], here], engine="manifold", check_volume=False)
+        left["it"] = trimesh.boolean.difference(
+            [left["it"], here], engine="manifold", check_volume=False
+        )
         if index == 0:
             left["first"] = left["it"].volume
 
     times = timed(tick, count=TICKS)
     gone = (left["first"] - left["it"].volume) / (TICKS - 1)
-    print_result("trimesh", "mill, carve alone", f"6 mm ball, {len(ball.faces)} triangles", times[1:], "trimesh manifold3d numpy",
-        value=gone, unit="mm3 a tick")  # fmt: skip
+    print_result(
+        "trimesh",
+        "mill, carve alone",
+        f"6 mm ball, {len(ball.faces)} triangles",
+        times[1:],
+        "trimesh manifold3d numpy",
+        value=gone,
+        unit="mm3 a tick",
+    )
 
 
 if __name__ == "__main__":

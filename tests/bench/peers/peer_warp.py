@@ -12,7 +12,10 @@ def main() -> None:
     wp.config.quiet = True
     cells = round(BLOCK_M / SPACING_M)
     remaining = wp.full((cells,) * 3, 65535, dtype=wp.uint16, device="cpu")
-    centre, low = wp.zeros(1, dtype=wp.vec3, device="cpu"), wp.zeros(1, dtype=wp.vec3i, device="cpu")
+    centre, low = (
+        wp.zeros(1, dtype=wp.vec3, device="cpu"),
+        wp.zeros(1, dtype=wp.vec3i, device="cpu"),
+    )
     removed = wp.zeros(1, dtype=wp.int64, device="cpu")
     inputs = [centre, low, BURR_M / SPACING_M, remaining, removed]
     command = wp.launch(carve, dim=(BOX,) * 3, inputs=inputs, device="cpu", record_cmd=True)
@@ -28,8 +31,15 @@ def main() -> None:
     times = timed(tick, count=300, warm_up=50)
     counted[1] = int(removed.numpy()[0])
     gone = (counted[1] - counted[0]) / 65535 * (1e3 * SPACING_M) ** 3 / 300
-    print_result("brute-force Warp", "mill, carve alone", "6 mm ball, 0.1 mm", times, "warp-lang numpy", value=gone,
-        unit="mm3 a tick")  # fmt: skip
+    print_result(
+        "brute-force Warp",
+        "mill, carve alone",
+        "6 mm ball, 0.1 mm",
+        times,
+        "warp-lang numpy",
+        value=gone,
+        unit="mm3 a tick",
+    )
 
 
 if __name__ == "__main__":

@@ -1,8 +1,10 @@
-"""The same work by other packages, each in an environment of its own, beside ours: `python tests/bench/peers/run.py`.
+"""The same work by other packages, each in an environment of its own, beside ours: `python
+tests/bench/peers/run.py`.
 
-`python tests/bench/peers/run.py [NAME ...] [--venvs DIR] [--out DIR] [--rounds N]` makes the environments that are
-missing, runs ours and the peer in turn, N times each, and keeps the fastest round of each. `peers.csv` and `peers.md`
-under --out hold times, ratios and what came out of the work, so that one can see that it was the same.
+`python tests/bench/peers/run.py [NAME ...] [--venvs DIR] [--out DIR] [--rounds N]` makes the
+environments that are missing, runs ours and the peer in turn, N times each, and keeps the fastest
+round of each. `peers.csv` and `peers.md` under --out hold times, ratios and what came out of the
+work, so that one can see that it was the same.
 """
 
 import argparse
@@ -33,17 +35,31 @@ PEERS = {
     "warp": ("warp-lang", "numpy"),
     "numpy": ("numpy",),
 }
-"""What each environment holds. questplus is under the GPL: it stays in there and is never imported by ours."""
+"""What each environment holds. questplus is under the GPL: it stays in there and is never
+imported by ours.
+"""
 ALONE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 """One thread of BLAS for all: on a machine that is not idle more of them wait for each other."""
 DIFFERS = {
-    "scikit-fem": "same matrix, same solution; its solver is SuperLU as scipy has it, ours a multifrontal Cholesky factor",
-    "mujoco": "it steps masses and rings or is damped, its press is half of ours (why is not known; a static frictionless scikit-fem solve on the same meshes presses 1.11 and 0.53 N, ours without friction 1.08 and 0.51), and it makes the whole body anew each step; ours is "
+    "scikit-fem": (
+        "same matrix, same solution; its solver is SuperLU as scipy has it, ours a multifrontal "
+        "Cholesky factor"
+    ),
+    "mujoco": "it steps masses and rings or is damped, its press is half of ours (why is not known; a "
+    "static frictionless scikit-fem solve on the same meshes presses 1.11 and 0.53 N, ours "
+    "without friction 1.08 and 0.51), and it makes the whole body anew each step; ours is "
     "quasi-static on the compliance of the top, prepared beforehand",
-    "newton": "it steps masses by penalties and gives no press; the step ends after its iterations, converged or not; cells of five tetrahedra instead of six",
-    "pykoop": "same delays, same data, same ridge; ours also caps the spectrum and fits an offset, and has the ten steps as "
+    "newton": (
+        "it steps masses by penalties and gives no press; the step ends after its iterations, "
+        "converged or not; cells of five tetrahedra instead of six"
+    ),
+    "pykoop": "same delays, same data, same ridge; ours also caps the spectrum and fits an offset, and "
+    "has the ten steps as "
     "one matrix ready",
-    "questplus": "same size of grid and the same people; its psychometric function is a Weibull, ours follows Weber's law",
+    "questplus": (
+        "same size of grid and the same people; its psychometric function is a Weibull, ours "
+        "follows Weber's law"
+    ),
     "manifold": "it keeps exact triangles and has no force; each cut leaves more of them",
     "trimesh": "as manifold3d, which it calls",
     "warp": "no force, no layers, no accounting but the sum",
@@ -60,7 +76,10 @@ def environment(name: str, folder: Path) -> Path:
     wanted = "\n".join(PEERS[name])
     if not done.is_file() or done.read_text("utf-8") != wanted:
         venv.create(home, with_pip=True)
-        subprocess.run([python, "-m", "pip", "install", "-q", "--disable-pip-version-check", *PEERS[name]], check=True)
+        subprocess.run(
+            [python, "-m", "pip", "install", "-q", "--disable-pip-version-check", *PEERS[name]],
+            check=True,
+        )
         done.write_text(wanted, "utf-8")
     return python
 
@@ -131,32 +150,52 @@ def in_words(us: float) -> str:
 def markdown(rows: list[dict[str, Any]], missing: dict[str, str], rounds: int) -> str:
     """The table for people."""
     text = [
-        f"{date.today().isoformat()}, {machine()}; the faster of {rounds} rounds each, ours and theirs in turn, one thread of BLAS, processor time.",
+        (
+            f"{date.today().isoformat()}, {machine()}; the faster of {rounds} rounds each, ours "
+            "and theirs in turn, one thread of BLAS, processor time."
+        ),
         "",
-        "| work | peer | its median (99 %) | ours (99 %) | ours is faster by | came out: theirs, ours |",
+        (
+            "| work | peer | its median (99 %) | ours (99 %) | ours is faster by | came out: "
+            "theirs, ours |"
+        ),
         "|---|---|---|---|---|---|",
     ]
     for row in rows:
-        ratio = f"{row['ratio']:.2g}" if row["ratio"] > 1.0 else f"**{row['ratio']:.2g}: {row['peer']} wins**"
+        ratio = (
+            f"{row['ratio']:.2g}"
+            if row["ratio"] > 1.0
+            else f"**{row['ratio']:.2g}: {row['peer']} wins**"
+        )
         same = row["unit"] == row["our_unit"]
-        came = f"{row['peer_value']:.4g}{'' if same else ' ' + row['unit']}, {row['our_value']:.4g} {row['our_unit']}"
+        came = (
+            f"{row['peer_value']:.4g}{'' if same else ' ' + row['unit']}, {row['our_value']:.4g} "
+            f"{row['our_unit']}"
+        )
         text.append(
-            f"| {row['work']}, {row['size']} | {row['peer']} | {in_words(row['peer_us'])} ({in_words(row['peer_p99_us'])}) "
+            f"| {row['work']}, {row['size']} | {row['peer']} | {in_words(row['peer_us'])} "
+            f"({in_words(row['peer_p99_us'])}) "
             f"| {in_words(row['our_us'])} ({in_words(row['our_p99_us'])}) | {ratio} "
             f"| {came} |"
         )
     text += ["", "Where the work is not the same:"]
     for differs in dict.fromkeys(row["differs"] for row in rows):
-        peers = dict.fromkeys(row["peer"].split(",")[0] for row in rows if row["differs"] == differs)
+        peers = dict.fromkeys(
+            row["peer"].split(",")[0] for row in rows if row["differs"] == differs
+        )
         text.append(f"- {', '.join(peers)}: {differs}.")
     text += [f"- {name} is missing: {why}" for name, why in missing.items()]
     return "\n".join(text) + "\n"
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("names", nargs="*", choices=[*PEERS, []], help="peers; default all")
-    parser.add_argument("--venvs", type=Path, default=cache_folder() / "peers", help="folder of their environments")
+    parser.add_argument(
+        "--venvs", type=Path, default=cache_folder() / "peers", help="folder of their environments"
+    )
     parser.add_argument("--out", type=Path, default=Path("peers"), help="folder of the tables")
     parser.add_argument("--rounds", type=int, default=2)
     given = parser.parse_args()

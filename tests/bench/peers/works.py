@@ -52,7 +52,8 @@ DELAYS, HORIZON = 10, 10
 
 
 def timed(call: Callable[[int], object], *, count: int, warm_up: int = 0) -> list[float]:
-    """Seconds of the processor that ``call(i)`` takes; the first ``warm_up`` calls are made but not counted.
+    """Seconds of the processor that ``call(i)`` takes; the first ``warm_up`` calls are made but not
+    counted.
 
     Time on the wall would charge long calls, and only these, with what else the machine does.
     """
@@ -94,7 +95,9 @@ def print_result(
     print(json.dumps(line), flush=True)
 
 
-def bricks_in_tetrahedra(size_m: tuple[float, ...], cells: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+def bricks_in_tetrahedra(
+    size_m: tuple[float, ...], cells: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray]:
     """Nodes [m] and tetrahedra of a box, six a brick (Kuhn 1960)."""
     axes = [np.linspace(0.0, size, count + 1) for size, count in zip(size_m, cells, strict=True)]
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -106,7 +109,9 @@ def bricks_in_tetrahedra(size_m: tuple[float, ...], cells: tuple[int, ...]) -> t
         for axis in (None, *order):
             if axis is not None:
                 at[axis] += 1
-            corners.append(number[tuple(slice(a, a + n) for a, n in zip(at, cells, strict=True))].ravel())
+            corners.append(
+                number[tuple(slice(a, a + n) for a, n in zip(at, cells, strict=True))].ravel()
+            )
         if odd:
             corners[2], corners[3] = corners[3], corners[2]
         found.append(np.stack(corners, axis=1))
@@ -116,7 +121,9 @@ def bricks_in_tetrahedra(size_m: tuple[float, ...], cells: tuple[int, ...]) -> t
 def ball_tip(tick: int, top_m: float = SLAB_M[2]) -> np.ndarray:
     """Lowest point of the ball: down to its depth in 200 ticks, then along at 20 mm/s."""
     travel = max(0, tick - 200) * 20e-3 * STEP_S
-    return np.array([0.5 * SLAB_M[0] + travel, 0.5 * SLAB_M[1], top_m - DEPTH_M * min(1.0, tick / 200)])
+    return np.array(
+        [0.5 * SLAB_M[0] + travel, 0.5 * SLAB_M[1], top_m - DEPTH_M * min(1.0, tick / 200)]
+    )
 
 
 def ball_centre(tick: int) -> np.ndarray:
@@ -135,10 +142,15 @@ def burr_tip(tick: int) -> np.ndarray:
 
 
 def contacts(seed: int, seconds: float = 2.0) -> np.ndarray:
-    """Position [m] and force [N] of a tool that strokes a wall and leaves it again and again, a row a tick, (n, 6)."""
+    """Position [m] and force [N] of a tool that strokes a wall and leaves it again and again, a
+    row a tick, (n, 6).
+    """
     rng = np.random.default_rng(seed)
     time_s = np.arange(round(seconds / STEP_S)) * STEP_S
-    rates_Hz, phases = rng.uniform((0.5, 1.5, 4.0), (1.0, 3.0, 8.0), (3, 3)), rng.uniform(0.0, 6.0, (3, 3))
+    rates_Hz, phases = (
+        rng.uniform((0.5, 1.5, 4.0), (1.0, 3.0, 8.0), (3, 3)),
+        rng.uniform(0.0, 6.0, (3, 3)),
+    )
     waves = np.sin(2.0 * np.pi * rates_Hz[:, :, None] * time_s + phases[:, :, None])
     at = 1e-3 * np.einsum("w,cwt->tc", (1.5, 0.6, 0.2), waves)
     speed = np.gradient(at, STEP_S, axis=0)
@@ -154,6 +166,8 @@ def steps_N() -> np.ndarray:
 
 
 def right_share(step_N: float) -> float:
-    """Share of right answers of a person with a Weber fraction of 7 %, 0.2 N of offset and 2 % lapses, two intervals."""
+    """Share of right answers of a person with a Weber fraction of 7 %, 0.2 N of offset and 2 %
+    lapses, two intervals.
+    """
     distance = 0.954 * step_N / (0.07 * 1.2)
     return 0.01 + 0.98 * 0.5 * (1.0 + erf(0.5 * distance))

@@ -1,4 +1,6 @@
-"""Parsers in a process of their own: what they find comes back, and what they do wrong stays there."""
+"""Parsers in a process of their own: what they find comes back, and what they do wrong stays
+there.
+"""
 
 import os
 import signal
@@ -63,7 +65,11 @@ def parse(tmp_path, monkeypatch):
 
     def run(parser, **options):
         return parse_isolated(
-            f"parsers_of_the_test:{parser}", file, what="ABC surface", remedy="export it again", **options
+            f"parsers_of_the_test:{parser}",
+            file,
+            what="ABC surface",
+            remedy="export it again",
+            **options,
         )
 
     return run
@@ -90,7 +96,9 @@ def test_what_a_parser_finds_comes_back(parse):
 def test_a_parser_that_fails_is_refused(parse, parser, reason):
     with pytest.raises(InputError) as refused:
         parse(parser, longest_s=1.0 if parser == "hangs" else None)
-    assert str(refused.value).startswith(f"file must be a readable ABC surface, got bone.abc ({reason}")
+    assert str(refused.value).startswith(
+        f"file must be a readable ABC surface, got bone.abc ({reason}"
+    )
     assert str(refused.value).endswith("): export it again")
 
 
@@ -106,11 +114,14 @@ def test_a_parser_that_takes_too_much_memory_is_ended(parse, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere it ends at its own time limit")
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="elsewhere it ends at its own time limit"
+)
 def test_a_parser_ends_with_the_process_that_started_it(parse, tmp_path):
     code = (
         "from pathlib import Path; from meshes.base.isolated_parser import parse_isolated; "
-        f"parse_isolated('parsers_of_the_test:hangs', Path({str(tmp_path / 'bone.abc')!r}), what='', remedy='')"
+        f"parse_isolated('parsers_of_the_test:hangs', Path({str(tmp_path / 'bone.abc')!r}), "
+        "what='', remedy='')"
     )
     with subprocess.Popen([sys.executable, "-c", code], cwd=ROOT) as parent:
         children = []

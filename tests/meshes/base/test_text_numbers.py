@@ -34,7 +34,9 @@ def travelled(path):
 
 
 def rows_of(header):
-    """Sixty rows of a table: the time, then the place of each column; the last one is a unit quaternion's or a force."""
+    """Sixty rows of a table: the time, then the place of each column; the last one is a unit
+    quaternion's or a force.
+    """
     count = header.count(",")
     return [[f"{0.01 * row:.2f}", *["0"] * (count - 1), "1"] for row in range(60)]
 

@@ -31,7 +31,9 @@ def sphere(radius_mm, *, inward=False, centre_mm=CENTRE_MM):
 def closed(*parts):
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     vertices = np.concatenate([vertices for vertices, _ in parts])
-    faces = np.concatenate([faces + start for (_, faces), start in zip(parts, starts, strict=False)])
+    faces = np.concatenate(
+        [faces + start for (_, faces), start in zip(parts, starts, strict=False)]
+    )
     return surface_from_triangles(vertices, faces, scale_mm=1.0)
 
 
@@ -55,9 +57,13 @@ def test_layers_follow_from_density_and_depth(imaged, turn):
     surface, density = imaged
     normal = np.array([0.0, 0.0, 1.0] if turn is None else turn)
     site = place_site(
-        surface, centre_mm=(CENTRE_MM + RADIUS_MM * normal / np.linalg.norm(normal)).tolist(), normal=normal
+        surface,
+        centre_mm=(CENTRE_MM + RADIUS_MM * normal / np.linalg.norm(normal)).tolist(),
+        normal=normal,
     )
-    anatomy = imaged_anatomy(surface, site, density, cortical_above_kg_m3=HALF_KG_M3, articular_radius_mm=6.0)
+    anatomy = imaged_anatomy(
+        surface, site, density, cortical_above_kg_m3=HALF_KG_M3, articular_radius_mm=6.0
+    )
     volume = voxelise(anatomy, spacing_m=0.5e-3)
     found = layers_of(volume)
     shell = ball_mm3(RADIUS_MM) - ball_mm3(RADIUS_MM - SHELL_MM)
@@ -82,10 +88,18 @@ def test_a_density_of_another_bone_or_unit_is_refused(imaged):
 
 @pytest.mark.parametrize("off_mm", [-1e-4, 1e-4])
 def test_a_bone_that_the_edge_cuts_off_is_covered_up_to_there(off_mm):
-    """Its face lies on the edge itself, half a voxel beyond the first centre, give or take rounding."""
+    """Its face lies on the edge itself, half a voxel beyond the first centre, give or take
+    rounding.
+    """
     box = trimesh.creation.box((6.0, 6.0, 6.0)).subdivide().subdivide()
     surface = closed((box.vertices + np.array([5.0, 5.0, 3.0 + off_mm]), np.asarray(box.faces)))
-    density = Image(np.full((10, 10, 10), 1400, np.uint16), (1.0, 1.0, 1.0), "box", (), origin_mm=(0.5, 0.5, 0.5))
+    density = Image(
+        np.full((10, 10, 10), 1400, np.uint16),
+        (1.0, 1.0, 1.0),
+        "box",
+        (),
+        origin_mm=(0.5, 0.5, 0.5),
+    )
     site = place_site(surface, centre_mm=(5.0, 5.0, 6.0))
     found = layers_of(voxelise(imaged_anatomy(surface, site, density), spacing_m=0.5e-3))
     assert found["cortical"] == pytest.approx(216.0, rel=0.01)
@@ -94,7 +108,11 @@ def test_a_bone_that_the_edge_cuts_off_is_covered_up_to_there(off_mm):
 @pytest.mark.parametrize("hollow", [False, True])
 def test_a_pair_of_surfaces_is_cortical_around_trabecular(hollow):
     inner = RADIUS_MM - SHELL_MM
-    outer = closed(sphere(RADIUS_MM), sphere(inner, inward=True)) if hollow else closed(sphere(RADIUS_MM))
+    outer = (
+        closed(sphere(RADIUS_MM), sphere(inner, inward=True))
+        if hollow
+        else closed(sphere(RADIUS_MM))
+    )
     core = closed(sphere(inner))
     site = place_site(outer, centre_mm=TOP.tolist(), normal=(0.0, 0.0, 1.0))
     found = layers_of(voxelise(cored_anatomy(outer, core, site), spacing_m=0.5e-3))

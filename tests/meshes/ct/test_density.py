@@ -1,4 +1,6 @@
-"""Attenuation against published tables, laws of density and their bands, and calibration by tissues of the tables."""
+"""Attenuation against published tables, laws of density and their bands, and calibration by
+tissues of the tables.
+"""
 
 import json
 
@@ -22,7 +24,9 @@ PUBLISHED = {
     "adipose": {60.0: 0.1974, 80.0: 0.1800, 100.0: 0.1688},
     "air": {60.0: 0.1875, 80.0: 0.1662},
 }
-"""cm2/g, Table 4 of NIST Standard Reference Database 126; the elements' sum is rounded to its last digit."""
+"""cm2/g, Table 4 of NIST Standard Reference Database 126; the elements' sum is rounded to its
+last digit.
+"""
 
 
 def value_of(tissue, energy):
@@ -40,7 +44,9 @@ def test_sums_over_elements_are_the_published_compounds(material):
 
 
 def test_between_energies_the_curve_is_that_of_finer_tables():
-    """Cortical bone at 70 keV by xraydb 4.5.8 (Elam 2002), which has energies between those of the table."""
+    """Cortical bone at 70 keV by xraydb 4.5.8 (Elam 2002), which has energies between those of
+    the table.
+    """
     assert 10.0 * mass_attenuation("cortex", 70.0) == pytest.approx(0.25705, rel=2e-3)
 
 
@@ -101,14 +107,18 @@ def test_the_band_of_a_scanner_law_holds_bone_of_other_scanners(name, energy):
     marrow = 0.6 * value_of("adipose", energy) + 0.4 * value_of("muscle", energy)
     for density in (300.0, 600.0, 1000.0, 1500.0):
         share = density / 1920.0
-        low, high = law.band(np.array([share * value_of("cortex", energy) + (1.0 - share) * marrow]))
+        low, high = law.band(
+            np.array([share * value_of("cortex", energy) + (1.0 - share) * marrow])
+        )
         assert low[0] < density < high[0]
 
 
 def test_a_line_is_of_apparent_density_or_of_what_it_names():
     assert density_law("line:1.2, -15", ANY)(HU) == pytest.approx(np.maximum(1.2 * HU - 15.0, 50.0))
     ash = density_law("line:0.887,63.3,ash", ANY)
-    assert ash(HU) == pytest.approx(CT_DENSITY(HU)) and ash(HU) == pytest.approx((0.887 * HU + 63.3) / ASH_SHARE)
+    assert ash(HU) == pytest.approx(CT_DENSITY(HU)) and ash(HU) == pytest.approx(
+        (0.887 * HU + 63.3) / ASH_SHARE
+    )
     salt = density_law("line:0.8,-5,K2HPO4", ANY)
     assert salt(HU)[1:] == pytest.approx((1.06 * (0.8 * HU[1:] - 5.0) + 38.9) / ASH_SHARE)
     mineral = density_law("line:0.8,-5,ha", ANY)
@@ -117,7 +127,10 @@ def test_a_line_is_of_apparent_density_or_of_what_it_names():
 
 @pytest.mark.parametrize(
     ("text", "argument"),
-    [(text, "density") for text in ("", "phantom", "line:1", "line:a,b", "line:1,2,3,4", "line:nan,0", "1,2")]
+    [
+        (text, "density")
+        for text in ("", "phantom", "line:1", "line:a,b", "line:1,2,3,4", "line:nan,0", "1,2")
+    ]
     + [("line:-1,0", "slope"), ("line:1,0,lead", "equivalent")],
 )
 def test_other_text_is_refused(text, argument):
@@ -126,7 +139,9 @@ def test_other_text_is_refused(text, argument):
 
 
 def test_rods_give_back_their_line_and_its_error():
-    """Known rods read with known errors: 90 % of the bands hold the true line (400 fits, standard error 1.5 %)."""
+    """Known rods read with known errors: 90 % of the bands hold the true line (400 fits,
+    standard error 1.5 %).
+    """
     rng = np.random.default_rng(1)
     density = np.array([0.0, 100.0, 200.0, 400.0, 800.0])
     exact = rods_law(density, density / 0.8 + 5.0, equivalent="apparent")
@@ -134,7 +149,9 @@ def test_rods_give_back_their_line_and_its_error():
     assert exact.sd(HU) == pytest.approx(0.0, abs=1e-3)
     held = 0
     for _ in range(400):
-        law = rods_law(density, density / 0.8 + 5.0 + rng.normal(0.0, 4.0, 5), equivalent="apparent")
+        law = rods_law(
+            density, density / 0.8 + 5.0 + rng.normal(0.0, 4.0, 5), equivalent="apparent"
+        )
         low, high = law.band(np.array([400.0]))
         held += bool(low[0] < 316.0 < high[0])
     assert held / 400 > 0.86
@@ -142,7 +159,9 @@ def test_rods_give_back_their_line_and_its_error():
 
 def test_rods_are_weighted_by_their_errors():
     hu = np.array([0.0, 250.0, 500.0, 1200.0])
-    law = rods_law([0.0, 200.0, 400.0, 800.0], hu, equivalent="apparent", sd_HU=[1.0, 1.0, 1.0, 1000.0])
+    law = rods_law(
+        [0.0, 200.0, 400.0, 800.0], hu, equivalent="apparent", sd_HU=[1.0, 1.0, 1.0, 1000.0]
+    )
     assert law.slope_kg_m3 == pytest.approx(0.8, rel=1e-4)
 
 
@@ -164,7 +183,12 @@ def test_tissues_of_the_tables_give_their_energy_and_the_density_of_dense_bone(e
 def test_a_missing_tissue_widens_the_band():
     at = np.array([600.0])
     widths = []
-    for tissues in (ALL, ("air", "muscle", "cortex"), ("muscle", "cortex"), ("air", "adipose", "muscle")):
+    for tissues in (
+        ALL,
+        ("air", "muscle", "cortex"),
+        ("muscle", "cortex"),
+        ("air", "adipose", "muscle"),
+    ):
         low, high = fit_regions(tables(68.0, tissues), source="part").law.band(at)
         assert low[0] < fit_regions(tables(68.0), source="all").law(at)[0] < high[0]
         widths.append(float(high[0] - low[0]))
@@ -173,7 +197,9 @@ def test_a_missing_tissue_widens_the_band():
 
 @pytest.mark.parametrize("tissues", [(), ("air",), ("air", "cortex"), ("adipose",)])
 def test_too_few_tissues_are_refused(tissues):
-    with pytest.raises(InputError, match="internal calibration must find fat or muscle and a second tissue"):
+    with pytest.raises(
+        InputError, match="internal calibration must find fat or muscle and a second tissue"
+    ):
         fit_regions(tables(70.0, tissues), source="few")
 
 
@@ -195,17 +221,25 @@ def test_the_band_covers_tissues_that_differ_between_persons():
 
     for _ in range(400):
         energy = rng.uniform(60.0, 100.0)
-        drawn = dict(zip(("air", "adipose", "muscle", "blood", "cortex"), rng.normal(size=5), strict=True))
+        drawn = dict(
+            zip(("air", "adipose", "muscle", "blood", "cortex"), rng.normal(size=5), strict=True)
+        )
         scanner = (energy, 1.0 + 0.01 * rng.normal(), 4.0 * rng.normal())
         regions = {
             tissue: Region(
-                read(linear_attenuation(tissue, energy) * (1.0 + spread[tissue] * drawn[tissue]), *scanner), 1.0
+                read(
+                    linear_attenuation(tissue, energy) * (1.0 + spread[tissue] * drawn[tissue]),
+                    *scanner,
+                ),
+                1.0,
             )
             for tissue in ALL
         }
         law = fit_regions(regions, source="person").law
         fat = np.clip(rng.normal(0.6, 0.25), 0.0, 1.0)
-        marrow = fat * linear_attenuation("adipose", energy) + (1.0 - fat) * linear_attenuation("muscle", energy)
+        marrow = fat * linear_attenuation("adipose", energy) + (1.0 - fat) * linear_attenuation(
+            "muscle", energy
+        )
         for density in (300.0, 800.0, 1400.0):
             part = density * (1.0 + 0.03 * rng.normal()) / 1920.0
             attenuation = part * linear_attenuation("cortex", energy) + (1.0 - part) * marrow

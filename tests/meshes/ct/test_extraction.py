@@ -46,12 +46,17 @@ def test_density_holds_up_to_the_surface(spacing_mm, labelled):
     image = ball(spacing_mm, noise_hu=20.0)
     bone = by_label(image, ball_mask(image)) if labelled else by_threshold(image, 475.0)
     density = bone.density(law)
-    axes = [o + s * np.arange(n) for o, s, n in zip(density.origin_mm, spacing_mm, density.values.shape, strict=True)]
+    axes = [
+        o + s * np.arange(n)
+        for o, s, n in zip(density.origin_mm, spacing_mm, density.values.shape, strict=True)
+    ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     radius = np.linalg.norm(grid - CENTRE_MM, axis=-1)
     outer = (radius > RADIUS_MM - 1.0) & (radius < RADIUS_MM)
     inner = radius < RADIUS_MM - SHELL_MM - max(spacing_mm)
-    assert density.values[outer].mean() == pytest.approx(law(DENSE_HU), rel=0.03 if labelled else 0.01)
+    assert density.values[outer].mean() == pytest.approx(
+        law(DENSE_HU), rel=0.03 if labelled else 0.01
+    )
     assert density.values[inner].mean() == pytest.approx(law(SPARSE_HU), rel=0.005)
     beyond = (radius > RADIUS_MM) & (radius < RADIUS_MM + max(spacing_mm))
     assert (density.values[beyond] > 0).mean() > 0.98
@@ -76,8 +81,14 @@ def test_marrow_is_part_of_the_bone_even_where_the_image_cuts_it():
 
 def test_what_an_image_holds_is_found():
     found = inspect(ball(noise_hu=20.0))
-    assert found.is_hounsfield and found.noise == pytest.approx(20.0, rel=0.05) and found.metal_mm is None
-    assert found.low_mm == pytest.approx((-24.0,) * 3) and found.high_mm == pytest.approx((24.0,) * 3)
+    assert (
+        found.is_hounsfield
+        and found.noise == pytest.approx(20.0, rel=0.05)
+        and found.metal_mm is None
+    )
+    assert found.low_mm == pytest.approx((-24.0,) * 3) and found.high_mm == pytest.approx(
+        (24.0,) * 3
+    )
     image = ball()
     image.values[20:24, 20:24, 20:24] = 3500
     metal = inspect(image)
@@ -95,10 +106,14 @@ def test_a_threshold_is_suggested_between_soft_tissue_and_bone():
 
 
 def test_a_threshold_lies_in_the_middle_of_the_gap_between_two_values():
-    """Every value in the gap parts the image alike, and the surface between voxels depends on which one is taken."""
+    """Every value in the gap parts the image alike, and the surface between voxels depends on
+    which one is taken.
+    """
     counts = np.zeros(1501, dtype=np.int64)
     counts[0], counts[1500] = 60_000, 40_000
-    assert suggest_threshold(Histogram(0, counts), is_hounsfield=False)[0] == pytest.approx(750.0, abs=1)
+    assert suggest_threshold(Histogram(0, counts), is_hounsfield=False)[0] == pytest.approx(
+        750.0, abs=1
+    )
 
 
 @pytest.mark.parametrize("scale", [1.0, 4.0, -1.0])
@@ -107,7 +122,9 @@ def test_a_threshold_follows_the_scale_and_sign_of_the_values(scale):
     samples = np.concatenate([rng.normal(100, 10, 20_000), rng.normal(300, 20, 10_000)]).round()
     whole = (scale * samples).astype(np.int64)
     first = int(whole.min())
-    threshold, _ = suggest_threshold(Histogram(first, np.bincount(whole - first)), is_hounsfield=False)
+    threshold, _ = suggest_threshold(
+        Histogram(first, np.bincount(whole - first)), is_hounsfield=False
+    )
     # Otsu's threshold of two parts is near the mean of their means (Otsu 1979).
     assert threshold / scale == pytest.approx(200.0, abs=25.0)
 

@@ -25,7 +25,9 @@ def distance_mm(mask, points_mm):
 @pytest.mark.parametrize("small_mm", [4.0, 0.9])
 def test_the_smaller_of_two_pieces_is_where_it_is(small_mm):
     near, far = np.array([-18.0, 0.0, 0.0]), np.array([15.0, 0.0, 0.0])
-    mask = ball_mask(EMPTY, centre_mm=far, radius_mm=10.0) | ball_mask(EMPTY, centre_mm=near, radius_mm=small_mm)
+    mask = ball_mask(EMPTY, centre_mm=far, radius_mm=10.0) | ball_mask(
+        EMPTY, centre_mm=near, radius_mm=small_mm
+    )
     points = near + np.array([[-9.0, 0.0, 0.0], [0.0, 9.0, 0.0], [0.0, 0.0, 9.0], [5.0, 5.0, 5.0]])
     exact = np.linalg.norm(points - near, axis=1) - small_mm
     assert np.abs(distance_mm(mask, points) - exact).max() < 0.5 * min(SPACING_MM)
@@ -48,11 +50,15 @@ def test_what_the_edge_cuts_off_is_reported():
 
 
 def test_nothing_is_refused():
-    with pytest.raises(InputError, match="keep_clear must be a label within the image and its crop, got canal"):
+    with pytest.raises(
+        InputError, match="keep_clear must be a label within the image and its crop, got canal"
+    ):
         kept_label(EMPTY, np.zeros(EMPTY.values.shape, dtype=bool), "canal")
 
 
 def test_labels_of_one_name_are_one():
     values = np.arange(8, dtype=np.uint8).reshape(2, 2, 2) % 4
     labels = Labels(Image(values, SPACING_MM, "labels", ()), {1: "nerve", 2: "bone", 3: "nerve"})
-    assert np.array_equal(labels.mask("nerve"), values % 2 == 1) and np.array_equal(labels.mask("2"), values == 2)
+    assert np.array_equal(labels.mask("nerve"), values % 2 == 1) and np.array_equal(
+        labels.mask("2"), values == 2
+    )

@@ -33,14 +33,17 @@ def write_nifti(path, values, affine=None, extension=None):
 
 
 def test_a_slicer_segmentation_names_its_segments(tmp_path):
-    labels = read_labels(write_named_labels(tmp_path / "a.seg.nrrd", volume(), {2: "femur", 7: "canal"}))
+    labels = read_labels(
+        write_named_labels(tmp_path / "a.seg.nrrd", volume(), {2: "femur", 7: "canal"})
+    )
     assert labels.names == {2: "femur", 7: "canal"}
     assert labels.mask("femur").sum() == 12 and labels.mask("canal").sum() == 1
 
 
 def test_a_table_in_a_nifti_header_names_the_labels(tmp_path):
     table = (
-        b'<LabelTable><Label Key="2" Red="0"><![CDATA[liver]]></Label><Label Key="9"><![CDATA[x]]></Label></LabelTable>'
+        b'<LabelTable><Label Key="2" Red="0"><![CDATA[liver]]></Label><Label '
+        b'Key="9"><![CDATA[x]]></Label></LabelTable>'
     )
     labels = read_labels(write_nifti(tmp_path / "a.nii.gz", volume(), extension=table))
     assert labels.names == {2: "liver", 7: "label 7"}
@@ -95,9 +98,14 @@ def test_labels_of_another_grid_go_to_the_nearest_voxels(tmp_path):
     coarse_affine = np.diag([-2.0, -1.0, 1.5, 1.0])
     coarse_affine[:3, 3] = affine[:3, :3] @ [0.5, 0.5, 0.5]
     labels = read_labels(write_nifti(tmp_path / "fine.nii.gz", fine, affine))
-    image = read_image(write_nifti(tmp_path / "ct.nii.gz", volume().astype(np.int16), coarse_affine))
+    image = read_image(
+        write_nifti(tmp_path / "ct.nii.gz", volume().astype(np.int16), coarse_affine)
+    )
     placed = on_grid_of(labels, image)
-    assert np.array_equal(placed.image.values, image.values) and "nearest label" in placed.image.notes[-1]
+    assert (
+        np.array_equal(placed.image.values, image.values)
+        and "nearest label" in placed.image.notes[-1]
+    )
     assert on_grid_of(placed, image) is placed
     with pytest.raises(InputError, match="outside"):
         on_grid_of(labels, replace(image, origin_mm=(500.0, 0.0, 0.0)))
@@ -105,16 +113,22 @@ def test_labels_of_another_grid_go_to_the_nearest_voxels(tmp_path):
 
 @pytest.mark.parametrize(
     ("values", "part"),
-    [(np.full((3, 3, 3), 0.5, np.float32), "whole numbers"), (np.full((3, 3, 3), -4, np.int16), "whole numbers"),
-     (np.full((3, 3, 3), 900, np.int16), "whole numbers"), (np.zeros((3, 3, 3), np.uint8), "mark something")],
-)  # fmt: skip
+    [
+        (np.full((3, 3, 3), 0.5, np.float32), "whole numbers"),
+        (np.full((3, 3, 3), -4, np.int16), "whole numbers"),
+        (np.full((3, 3, 3), 900, np.int16), "whole numbers"),
+        (np.zeros((3, 3, 3), np.uint8), "mark something"),
+    ],
+)
 def test_what_is_no_segmentation_is_refused(tmp_path, values, part):
     with pytest.raises(InputError, match=part):
         read_labels(write_nifti(tmp_path / "a.nii.gz", values))
 
 
 def test_an_unknown_name_lists_those_that_are_near(tmp_path):
-    labels = read_labels(write_named_labels(tmp_path / "a.seg.nrrd", volume(), {2: "femur_left", 7: "canal"}))
+    labels = read_labels(
+        write_named_labels(tmp_path / "a.seg.nrrd", volume(), {2: "femur_left", 7: "canal"})
+    )
     with pytest.raises(InputError, match=r"got femur: use one of femur_left$"):
         labels.mask("femur")
     with pytest.raises(InputError, match=r"use one of femur_left, canal$"):
@@ -124,5 +138,7 @@ def test_an_unknown_name_lists_those_that_are_near(tmp_path):
 @needs_anatomy
 def test_the_names_in_a_file_of_totalsegmentator_are_those_of_its_set():
     labels = read_labels(ANATOMY / "example_seg.nii.gz")
-    assert labels.names == {number: label_sets()["totalsegmentator"][number - 1] for number in labels.names}
+    assert labels.names == {
+        number: label_sets()["totalsegmentator"][number - 1] for number in labels.names
+    }
     assert labels.mask("liver").sum() == 38634

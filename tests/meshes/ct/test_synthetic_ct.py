@@ -1,4 +1,6 @@
-"""The synthetic CT: its values are those of its materials, the same from every format, axis order and tilt."""
+"""The synthetic CT: its values are those of its materials, the same from every format, axis
+order and tilt.
+"""
 
 import numpy as np
 import pytest
@@ -34,7 +36,9 @@ def quiet():
 
 def holds_rods(law, phantom):
     """Whether the band of a law holds the density of each rod."""
-    bands = [(density, *law.band(np.array([mean]))) for density, mean in phantom.rod_means().items()]
+    bands = [
+        (density, *law.band(np.array([mean]))) for density, mean in phantom.rod_means().items()
+    ]
     return [bool(low[0] < density < high[0]) for density, low, high in bands]
 
 
@@ -109,7 +113,8 @@ def test_a_real_ct_has_the_effective_energy_of_a_clinical_one(anatomy):
 
 @pytest.mark.slow
 def test_the_band_of_images_of_many_persons_holds_nine_of_ten_rods():
-    """40 persons with other tissues, marrow, energies of 60 to 100 keV and noise of 20 HU; some without air.
+    """40 persons with other tissues, marrow, energies of 60 to 100 keV and noise of 20 HU; some
+    without air.
 
     Rods of one image share its law, so that 40 images make the standard error of the share 5 %.
     """
@@ -118,21 +123,31 @@ def test_the_band_of_images_of_many_persons_holds_nine_of_ten_rods():
     refused = 0
     for k in range(40):
         person = Person(
-            {tissue: 1.0 + sd * rng.normal() for tissue, sd in (("adipose", 0.02), ("muscle", 0.01), ("cortex", 0.04))},
+            {
+                tissue: 1.0 + sd * rng.normal()
+                for tissue, sd in (("adipose", 0.02), ("muscle", 0.01), ("cortex", 0.04))
+            },
             mineral=1.0 + 0.03 * rng.normal(),
             marrow_fat=float(np.clip(rng.normal(0.6, 0.25), 0.0, 1.0)),
             water_HU=4.0 * rng.normal(),
             scale=1.0 + 0.01 * rng.normal(),
         )
-        seen = ct_phantom(rng, energy_keV=rng.uniform(60.0, 100.0), spacing_mm=COARSE, person=person)
+        seen = ct_phantom(
+            rng, energy_keV=rng.uniform(60.0, 100.0), spacing_mm=COARSE, person=person
+        )
         image = seen.image()  # without the pad, whose densest rods would pass for cortex
         body = (slice(24, -24), slice(40, 80)) if k % 4 == 1 else (slice(None), slice(0, 114))
         try:
             found = calibrate(Image(image.values[body], image.spacing_mm, "body", ()))
-        except InputError:  # muscle of one in 300 persons lies outside its range, fat is not in the crop
+        except InputError:
+            # muscle of one in 300 persons lies outside its range, fat is not in the crop
             refused += 1
             continue
         held.append(holds_rods(found.law, seen))
-    print("share held by rod:", dict(zip(RODS_KG_M3, np.mean(held, axis=0).round(2), strict=True)), np.mean(held))
+    print(
+        "share held by rod:",
+        dict(zip(RODS_KG_M3, np.mean(held, axis=0).round(2), strict=True)),
+        np.mean(held),
+    )
     assert refused <= 2
     assert 0.8 <= np.mean(held) <= 0.99

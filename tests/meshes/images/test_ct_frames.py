@@ -1,6 +1,8 @@
-"""The same CT as DICOM, NIfTI, NRRD and MetaImage, stored in other orders, shifted and oblique: the same bone in place.
+"""The same CT as DICOM, NIfTI, NRRD and MetaImage, stored in other orders, shifted and oblique: the
+same bone in place.
 
-The truth is read without the readers under test: positions as text in the DICOM files, pixels by Pillow's JPEG 2000.
+The truth is read without the readers under test: positions as text in the DICOM files, pixels by
+Pillow's JPEG 2000.
 """
 
 import io
@@ -49,12 +51,16 @@ def whole(anatomy):
     slices = []
     for file in (anatomy / "ct" / "dicom").iterdir():
         data = file.read_bytes()
-        assert element(data, b"\x28\0\x52\x10", b"DS") == [-1024.0] and element(data, b"\x28\0\x53\x10", b"DS") == [1.0]
+        assert element(data, b"\x28\0\x52\x10", b"DS") == [-1024.0] and element(
+            data, b"\x28\0\x53\x10", b"DS"
+        ) == [1.0]
         assert element(data, b"\x20\0\x37\0", b"DS").tolist() == [1, 0, 0, 0, 1, 0]
         pixels = np.array(Image.open(io.BytesIO(data[data.index(b"\xff\x4f\xff\x51") :])))
         assert not (pixels & 15).any()  # Pillow fills 16 bits with the file's 12
         spacing = element(data, b"\x28\0\x30\0", b"DS")
-        slices.append((element(data, b"\x20\0\x32\0", b"DS"), pixels.T.astype(np.int32) // 16 - 1024, spacing))
+        slices.append(
+            (element(data, b"\x20\0\x32\0", b"DS"), pixels.T.astype(np.int32) // 16 - 1024, spacing)
+        )
     slices.sort(key=lambda one: one[0][2])
     places = np.array([one[0] for one in slices])
     steps = np.diff(places, axis=0)
@@ -72,7 +78,9 @@ def part(whole):
 
 @pytest.fixture(scope="module")
 def bone(part):
-    """Surface of the bone in the window [mm], from the truth by marching cubes and the affine written out."""
+    """Surface of the bone in the window [mm], from the truth by marching cubes and the affine
+    written out.
+    """
     return surface(part.values, part.spacing, part.origin)
 
 
@@ -80,7 +88,9 @@ def surface(values, spacing, origin):
     """Vertices [mm] and triangles around the bone."""
     from skimage.measure import marching_cubes
 
-    vertices, faces, _, _ = marching_cubes(np.pad(values.astype(np.float32), 1, constant_values=-1024.0), BONE_HU)
+    vertices, faces, _, _ = marching_cubes(
+        np.pad(values.astype(np.float32), 1, constant_values=-1024.0), BONE_HU
+    )
     return (vertices - 1.0) * spacing + origin, faces
 
 
@@ -88,10 +98,19 @@ def save(folder, kind, values, axes, origin):
     path = folder / f"ct{kind}"
     if kind == "dicom":
         write.write_dicom(path, (values.astype(np.int32) + 1024).astype(np.uint16), axes, origin)
-    elif kind.startswith(".nii"):  # raw numbers as many scanners' exports hold them, HU by the intercept
-        write.write_nifti(path, (values.astype(np.int32) + 1024).astype(np.uint16), axes, origin, intercept=-1024.0)
+    elif kind.startswith(".nii"):
+        # raw numbers as many scanners' exports hold them, HU by the intercept
+        write.write_nifti(
+            path,
+            (values.astype(np.int32) + 1024).astype(np.uint16),
+            axes,
+            origin,
+            intercept=-1024.0,
+        )
     elif kind == ".nrrd":
-        write.write_nrrd(path, values, axes, origin, space="right-anterior-superior", encoding="gzip")
+        write.write_nrrd(
+            path, values, axes, origin, space="right-anterior-superior", encoding="gzip"
+        )
     else:
         write.write_meta(path, values, axes, origin)
     return path
@@ -117,9 +136,13 @@ def test_jpeg_2000_dicom_is_read_where_it_lies(anatomy, whole):
 
 
 def test_labels_of_the_ct_lie_on_it(anatomy, whole):
-    """The label file, stored along other axes than the DICOM series, marks its vertebrae (32, 33) on bone."""
+    """The label file, stored along other axes than the DICOM series, marks its vertebrae (32,
+    33) on bone.
+    """
     labels = read_image(anatomy / "ct" / "example_seg_dicom.nii.gz", labels=True)
-    assert labels.values.shape == whole.values.shape and labels.origin_mm == pytest.approx(whole.origin, abs=1e-4)
+    assert labels.values.shape == whole.values.shape and labels.origin_mm == pytest.approx(
+        whole.origin, abs=1e-4
+    )
     vertebrae = np.isin(labels.values, (32, 33))
     assert vertebrae.sum() > 1000
     assert whole.values[vertebrae].mean() > whole.values[vertebrae[::-1]].mean() + 100.0
@@ -128,7 +151,9 @@ def test_labels_of_the_ct_lie_on_it(anatomy, whole):
 
 @pytest.mark.parametrize("kind", ["dicom", ".nii", ".nii.gz", ".nrrd", ".mhd"])
 def test_other_headers_leave_the_bone_where_it_is(tmp_path, part, kind):
-    """Exactly: only the order in the file differs. 1e-4 mm: NIfTI holds its place in single precision."""
+    """Exactly: only the order in the file differs. 1e-4 mm: NIfTI holds its place in single
+    precision.
+    """
     for number, turn in enumerate(STORED.values()):
         for shift in (np.zeros(3), SHIFT):
             folder = tmp_path / f"{number}{bool(shift.any())}"
@@ -141,7 +166,9 @@ def test_other_headers_leave_the_bone_where_it_is(tmp_path, part, kind):
 
 
 def inside(part, points):
-    """Points 3 mm or more inside the window: at its faces bone is cut off, and ends as each program likes."""
+    """Points 3 mm or more inside the window: at its faces bone is cut off, and ends as each
+    program likes.
+    """
     last = part.origin + part.spacing * (np.array(part.values.shape) - 1)
     return ((points > part.origin + 3.0) & (points < last - 3.0)).all(axis=1)
 
@@ -152,16 +179,22 @@ def away(points, vertices, faces):
 
 
 def near_thick(part, points, mask):
-    """Whether the voxel of a kind that is nearest to each point [mm] lies in a block of 2 x 2 x 2 of its kind."""
+    """Whether the voxel of a kind that is nearest to each point [mm] lies in a block of 2 x 2 x
+    2 of its kind.
+    """
     voxels = np.argwhere(mask)
     _, nearest = cKDTree(voxels * part.spacing + part.origin).query(points)
     return binary_opening(mask, np.ones((2, 2, 2)))[tuple(voxels[nearest].T)]
 
 
 def test_bone_surface_is_that_of_the_truth(tmp_path, part, bone):
-    """The whole path to a surface. Single precision in mm 800 mm from the origin; merging moves by a millionth."""
+    """The whole path to a surface. Single precision in mm 800 mm from the origin; merging moves
+    by a millionth.
+    """
     values, axes, origin = stored(part, STORED["permuted and mirrored"])
-    found = image_surface(read_image(save(tmp_path, ".nrrd", values, axes, origin)), threshold=BONE_HU)
+    found = image_surface(
+        read_image(save(tmp_path, ".nrrd", values, axes, origin)), threshold=BONE_HU
+    )
     points = 1e3 * found.vertices_m
     apart, _ = cKDTree(bone[0]).query(points[inside(part, points)])
     assert len(apart) > 10_000 and np.quantile(apart, 0.99) < 1e-3
@@ -171,10 +204,12 @@ def test_bone_surface_is_that_of_the_truth(tmp_path, part, bone):
 @pytest.mark.parametrize("kind", ["dicom", ".nii.gz", ".nrrd", ".mhd"])
 @pytest.mark.parametrize("order", ["as it is", "permuted and mirrored"])
 def test_oblique_ct_gives_the_same_bone_within_half_a_voxel(tmp_path, part, bone, kind, order):
-    """The patient lies turned by 17 and 9 degrees: the same voxels, other directions, so the truth is turned bone.
+    """The patient lies turned by 17 and 9 degrees: the same voxels, other directions, so the truth
+    is turned bone.
 
-    Where the bone and what lies beside it are two voxels thick every point of the surface is found within half a voxel,
-    of 2 mm along z. Farther off are points of thinner bone alone, which falls between the new voxels: 24 of 14,568.
+    Where the bone and what lies beside it are two voxels thick every point of the surface is found
+    within half a voxel, of 2 mm along z. Farther off are points of thinner bone alone, which falls
+    between the new voxels: 24 of 14,568.
     """
     a, b = np.radians(17.0), np.radians(9.0)
     about_z = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
@@ -188,7 +223,9 @@ def test_oblique_ct_gives_the_same_bone_within_half_a_voxel(tmp_path, part, bone
     truth = bone[0][inside(part, bone[0])]
     missed, apart = away(truth, points, triangles), away(points[inside(part, points)], *bone)
     half = 0.5 * part.spacing.max()
-    thick = near_thick(part, truth, part.values > BONE_HU) & near_thick(part, truth, part.values <= BONE_HU)
+    thick = near_thick(part, truth, part.values > BONE_HU) & near_thick(
+        part, truth, part.values <= BONE_HU
+    )
     assert thick.mean() > 0.4 and missed[thick].max() < half
     assert np.mean(missed > half) < 0.005 and np.mean(apart > half) < 0.002
     _, nearest = cKDTree(truth).query(points[inside(part, points)])

@@ -39,7 +39,8 @@ def test_tiff_slices_as_folder_and_pattern(slices):
         found = read_image(path, spacing_mm=0.02)
         assert np.array_equal(found.values, values) and found.spacing_mm == (0.02,) * 3
     assert refusal_of(lambda: read_image(folder)) == (
-        f"anatomy.spacing_mm must be given for TIFF slices, which do not hold it, got none for {folder.name}: use the "
+        "anatomy.spacing_mm must be given for TIFF slices, which do not hold it, got none "
+        f"for {folder.name}: use the "
         "scanner's value, for example 0.0195"
     )
 
@@ -50,7 +51,8 @@ def test_slices_of_other_sizes_are_refused(slices):
     folder, _ = slices
     imsave(folder / "s_04.tif", np.zeros((6, 9), np.uint8), check_contrast=False)
     assert refusal_of(lambda: read_image(folder, spacing_mm=1)) == (
-        "slices must all have the same size, got 9 x 6 in s_04.tif after 7 x 5: keep other images out of the folder"
+        "slices must all have the same size, got 9 x 6 in s_04.tif after 7 x 5: keep other "
+        "images out of the folder"
     )
 
 
@@ -71,7 +73,9 @@ def test_point_images_keep_values_and_spacing(tmp_path, suffix):
             "ElementType = MET_SHORT\nElementDataFile = ct.raw\n"
         )
     found = read_image(path)
-    assert np.array_equal(found.values, values) and found.spacing_mm == pytest.approx((0.5, 0.5, 0.75))
+    assert np.array_equal(found.values, values) and found.spacing_mm == pytest.approx(
+        (0.5, 0.5, 0.75)
+    )
 
 
 def test_an_image_of_cells_is_read_at_their_middles(tmp_path):
@@ -82,7 +86,9 @@ def test_an_image_of_cells_is_read_at_their_middles(tmp_path):
     grid.cell_data["fraction"] = values.ravel(order="F")
     grid.save(tmp_path / "bone.vti")
     found = read_image(tmp_path / "bone.vti")
-    assert np.array_equal(found.values, values) and found.origin_mm == pytest.approx((1.1, 2.1, 3.1))
+    assert np.array_equal(found.values, values) and found.origin_mm == pytest.approx(
+        (1.1, 2.1, 3.1)
+    )
 
 
 def test_placeholder_spacing_is_reported(tmp_path):
@@ -94,7 +100,10 @@ def test_placeholder_spacing_is_reported(tmp_path):
     remarks = []
     image_volume(read_image(tmp_path / "one.vti"), threshold=5, remark=remarks.append)
     assert remarks == [
-        "The spacing in one.vti is exactly 1 mm, often a placeholder: set anatomy.spacing_mm to be sure."
+        (
+            "The spacing in one.vti is exactly 1 mm, often a placeholder: set anatomy.spacing_mm "
+            "to be sure."
+        )
     ]
     remarks.clear()
     given = read_image(tmp_path / "one.vti", spacing_mm=0.03)
@@ -110,7 +119,9 @@ def test_threshold():
 
 def test_density_law():
     values = np.array([-500.0, 0.0, 500.0, 1000.0, 3000.0]).reshape(1, 1, 5)
-    volume = image_volume(image(values), threshold=-1000, density_kg_m3=DensityLaw(1.0, 100.0, 50.0, 2000.0))
+    volume = image_volume(
+        image(values), threshold=-1000, density_kg_m3=DensityLaw(1.0, 100.0, 50.0, 2000.0)
+    )
     assert volume.density_kg_m3.ravel().tolist() == [50, 100, 600, 1100, 2000]
     assert CT_DENSITY(np.array([0.0, 1000.0])) == pytest.approx([105.85, 1589.13], abs=0.1)
 
@@ -119,17 +130,25 @@ def test_density_law():
 def test_coarser_voxels_keep_bone_and_mass(ratio):
     values = np.random.default_rng(3).integers(0, 255, (30, 30, 30))
     fine = image_volume(image(values), threshold=128, density_kg_m3=DensityLaw(5.0, 300.0))
-    coarse = image_volume(image(values), threshold=128, density_kg_m3=DensityLaw(5.0, 300.0), resample_mm=0.1 * ratio)
+    coarse = image_volume(
+        image(values), threshold=128, density_kg_m3=DensityLaw(5.0, 300.0), resample_mm=0.1 * ratio
+    )
     assert coarse.shape == (int(30 / ratio),) * 3
-    assert coarse.volume_m3() == pytest.approx(fine.volume_m3(), rel=2e-3)  # fractions rounded to 1/255
-    masses = [(v.fraction.astype(float) * v.density_kg_m3).sum() * v.voxel_volume_m3 for v in (fine, coarse)]
+    # fractions rounded to 1/255
+    assert coarse.volume_m3() == pytest.approx(fine.volume_m3(), rel=2e-3)
+    masses = [
+        (v.fraction.astype(float) * v.density_kg_m3).sum() * v.voxel_volume_m3
+        for v in (fine, coarse)
+    ]
     assert masses[1] == pytest.approx(masses[0], rel=2e-3)
     assert coarse.density_kg_m3.max() <= 1575
 
 
 def test_finer_voxels_interpolate_grey_and_make_cubes():
     x = np.linspace(-1, 1, 21)
-    ball = 100 * (0.8 - np.sqrt(x[:, None, None] ** 2 + x[None, :, None] ** 2 + x[None, None, ::2] ** 2))
+    ball = 100 * (
+        0.8 - np.sqrt(x[:, None, None] ** 2 + x[None, :, None] ** 2 + x[None, None, ::2] ** 2)
+    )
     remarks = []
     volume = image_volume(image(ball, (0.1, 0.1, 0.2)), threshold=0, remark=remarks.append)
     assert volume.spacing_m == pytest.approx(1e-4) and volume.shape == (21, 21, 22)
@@ -139,7 +158,9 @@ def test_finer_voxels_interpolate_grey_and_make_cubes():
 
 @pytest.mark.parametrize("resample_mm", [None, 0.05, 0.3])
 def test_placement_leads_back_to_the_image(resample_mm):
-    """A ball of bone lies where its image has it, resampled or not, and the block's top at z = 0."""
+    """A ball of bone lies where its image has it, resampled or not, and the block's top at z =
+    0.
+    """
     x, y, z = np.meshgrid(*[np.arange(n) for n in (30, 34, 38)], indexing="ij")
     centre, first = np.array([12.0, 17.0, 21.0]), np.array([-40.0, 7.0, 90.0])
     ball = 100.0 * (8.0 - np.linalg.norm(np.stack([x, y, z], axis=-1) - centre, axis=-1))
@@ -147,8 +168,12 @@ def test_placement_leads_back_to_the_image(resample_mm):
     volume = image_volume(whole, threshold=0.0, resample_mm=resample_mm)
     filled = np.argwhere(volume.fraction > 0)
     weights = volume.fraction[tuple(filled.T)].astype(float)
-    middle_m = volume.origin_m + volume.spacing_m * (np.average(filled, axis=0, weights=weights) + 0.5)
-    assert volume.placement.to_file(1e3 * middle_m[None])[0] == pytest.approx(first + 0.1 * centre, abs=2e-3)
+    middle_m = volume.origin_m + volume.spacing_m * (
+        np.average(filled, axis=0, weights=weights) + 0.5
+    )
+    assert volume.placement.to_file(1e3 * middle_m[None])[0] == pytest.approx(
+        first + 0.1 * centre, abs=2e-3
+    )
     assert np.array_equal(volume.placement.rotation, np.eye(3))
     assert volume.bounds_m[1][2] == pytest.approx(0.0, abs=1e-15)
 
@@ -194,7 +219,9 @@ def test_dicom_folder(tmp_path):
     assert volume.volume_m3() == pytest.approx(4 * 5 * 5 * 5e-4**3)
 
 
-@pytest.mark.parametrize("name", ["gone.nii.gz", "gone*.tif", "empty.vti", "noise.vti", "broken.tif", "surface.vtp"])
+@pytest.mark.parametrize(
+    "name", ["gone.nii.gz", "gone*.tif", "empty.vti", "noise.vti", "broken.tif", "surface.vtp"]
+)
 def test_refused_files(tmp_path, name):
     (tmp_path / "empty.vti").touch()
     for noise in ("noise.vti", "broken.tif", "surface.vtp"):
@@ -221,22 +248,38 @@ CUBE = np.arange(27.0).reshape(3, 3, 3)
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"threshold": 30}, "anatomy.threshold must leave bone, got 30 where test holds 0 to 26: use a value between"),
+        (
+            {"threshold": 30},
+            (
+                "anatomy.threshold must leave bone, got 30 where test holds 0 to 26: use a value "
+                "between"
+            ),
+        ),
         (
             {"threshold": math.nan},
-            "anatomy.threshold must be in [-1e+09, 1e+09], got nan: use 63 for 8-bit micro-CT, about 200 for CT",
+            (
+                "anatomy.threshold must be in [-1e+09, 1e+09], got nan: use 63 for 8-bit "
+                "micro-CT, about 200 for CT"
+            ),
         ),
-        ({"threshold": 5, "resample_mm": 0.0}, "resample_mm must be positive and finite, got 0.0: use 0.1"),
+        (
+            {"threshold": 5, "resample_mm": 0.0},
+            "resample_mm must be positive and finite, got 0.0: use 0.1",
+        ),
         (
             {"threshold": 5, "resample_mm": 9},
             "resample_mm must leave a voxel along every axis, got 90 voxels of 3: use a finer one",
         ),
         (
             {"threshold": 5, "resample_mm": 1e-4},
-            "resample_mm must leave at most 5e+08 voxels, got 0.0001 which makes 2.7e+10: crop the image, or use 0.00038 or "
+            "resample_mm must leave at most 5e+08 voxels, got 0.0001 which makes 2.7e+10: "
+            "crop the image, or use 0.00038 or "
             "more",
         ),
-        ({"threshold": 5, "density_kg_m3": -1}, "density_kg_m3 must be in [50, 20000], got -1: use 1800"),
+        (
+            {"threshold": 5, "density_kg_m3": -1},
+            "density_kg_m3 must be in [50, 20000], got -1: use 1800",
+        ),
     ],
 )
 def test_refused_options(options, message):
@@ -249,7 +292,8 @@ def test_microct_block(anatomy):
     assert volume.shape == (200, 200, 200)
     assert volume.fraction.mean() / 255 == pytest.approx(0.2278, abs=1e-4)  # the data's README
     coarse = image_volume(image, threshold=63, resample_mm=0.05)
-    assert coarse.fraction.mean() / 255 == pytest.approx(0.2278, abs=2e-3)  # the last 0 to 50 µm are dropped
+    # the last 0 to 50 µm are dropped
+    assert coarse.fraction.mean() / 255 == pytest.approx(0.2278, abs=2e-3)
 
 
 def test_ct_from_nifti(anatomy):

@@ -1,6 +1,8 @@
-"""Where images lie: every format, order and direction of axes gives the same values at the same place in LPS [mm].
+"""Where images lie: every format, order and direction of axes gives the same values at the same
+place in LPS [mm].
 
-The files are written byte by byte by `image_writers`, and what they must hold is plain arithmetic here.
+The files are written byte by byte by `image_writers`, and what they must hold is plain arithmetic
+here.
 """
 
 from itertools import permutations, product
@@ -16,7 +18,9 @@ from meshes.images.reading import read_image
 SHAPE, SPACING, ORIGIN = (5, 4, 3), np.array([0.5, 0.75, 2.0]), np.array([-30.0, 12.0, 101.0])
 VALUES = np.arange(60, dtype=np.int16).reshape(SHAPE) + 100
 TURNS = list(product(permutations(range(3)), product((1, -1), repeat=3)))
-"""The 48 orientations of an image stored along LPS: which axis of LPS each axis of the array is, and its direction."""
+"""The 48 orientations of an image stored along LPS: which axis of LPS each axis of the array is,
+and its direction.
+"""
 FORMATS = (".nii", ".nii.gz", ".nrrd", "ras.nrrd", "gzip.nrrd", ".mhd", ".mha", "dicom")
 VTK = pytest.param(".vti", marks=pytest.mark.slow)  # a process is started for each
 
@@ -29,7 +33,9 @@ def write(folder, kind, values, axes, origin):
     elif kind == "ras.nrrd":
         image_writers.write_nrrd(path, values, axes, origin, space="right-anterior-superior")
     elif kind.endswith(".nrrd"):
-        image_writers.write_nrrd(path, values, axes, origin, encoding="gzip" if "gzip" in kind else "raw")
+        image_writers.write_nrrd(
+            path, values, axes, origin, encoding="gzip" if "gzip" in kind else "raw"
+        )
     elif kind in (".mhd", ".mha"):
         image_writers.write_meta(path, values, axes, origin)
     elif kind == ".vti":
@@ -64,7 +70,9 @@ def test_all_48_orientations_of_a_stored_image_are_one(tmp_path, kind):
         folder.mkdir()
         found = read_image(write(folder, kind, *stored(turn)))
         assert np.array_equal(found.values, VALUES)
-        assert found.spacing_mm == pytest.approx(SPACING) and found.origin_mm == pytest.approx(ORIGIN)
+        assert found.spacing_mm == pytest.approx(SPACING) and found.origin_mm == pytest.approx(
+            ORIGIN
+        )
         assert not any("oblique" in note for note in found.notes)
 
 
@@ -82,13 +90,20 @@ def test_cells_of_a_vtk_image_lie_between_its_points(tmp_path):
     grid.cell_data["grey"] = VALUES.ravel(order="F")
     grid.save(tmp_path / "cells.vti")
     found = read_image(tmp_path / "cells.vti")
-    assert np.array_equal(found.values, VALUES) and found.origin_mm == pytest.approx(ORIGIN + 0.5 * SPACING)
+    assert np.array_equal(found.values, VALUES) and found.origin_mm == pytest.approx(
+        ORIGIN + 0.5 * SPACING
+    )
 
 
 def test_nifti_counts_right_and_front(tmp_path):
-    """By hand: 10 mm right, 20 mm front and 30 mm up in RAS is (-10, -20, 30) in LPS; a step of +x is to the right."""
+    """By hand: 10 mm right, 20 mm front and 30 mm up in RAS is (-10, -20, 30) in LPS; a step of
+    +x is to the right.
+    """
     data = image_writers.nifti_bytes(
-        VALUES, np.diag(SPACING), ORIGIN, sform=np.array([[0.5, 0, 0, 10], [0, 0.75, 0, 20], [0, 0, 2.0, 30]])
+        VALUES,
+        np.diag(SPACING),
+        ORIGIN,
+        sform=np.array([[0.5, 0, 0, 10], [0, 0.75, 0, 20], [0, 0, 2.0, 30]]),
     )
     (tmp_path / "hand.nii").write_bytes(data)
     found = read_image(tmp_path / "hand.nii")
@@ -97,7 +112,9 @@ def test_nifti_counts_right_and_front(tmp_path):
 
 
 def phantom(axes, origin, shape):
-    """An L of two blocks in LPS [mm], on a grid: x 0 to 6, y 0 to 3, z 0 to 2, and x 0 to 2, y 3 to 8, z 0 to 2."""
+    """An L of two blocks in LPS [mm], on a grid: x 0 to 6, y 0 to 3, z 0 to 2, and x 0 to 2, y 3
+    to 8, z 0 to 2.
+    """
     index = np.stack(np.meshgrid(*[np.arange(n) for n in shape], indexing="ij"), axis=-1)
     x, y, z = np.moveaxis(index @ axes.T + origin, -1, 0)
     flat = (z >= 0) & (z <= 2)
@@ -107,30 +124,42 @@ def phantom(axes, origin, shape):
 
 @pytest.mark.parametrize("kind", [*FORMATS, VTK])
 def test_corners_of_an_l_lie_where_they_were_put(tmp_path, kind):
-    """A voxel's centre lies inside or not, so the surface at half the height lies half a voxel outside the last."""
-    axes = np.array([[0.0, -0.5, 0.0], [0.0, 0.0, -0.5], [0.5, 0.0, 0.0]])  # up, right, front: a coronal-like stack
+    """A voxel's centre lies inside or not, so the surface at half the height lies half a voxel
+    outside the last.
+    """
+    # up, right, front: a coronal-like stack
+    axes = np.array([[0.0, -0.5, 0.0], [0.0, 0.0, -0.5], [0.5, 0.0, 0.0]])
     origin = np.array([9.75, 10.75, -2.75])
     values = phantom(axes, origin, (16, 28, 30))
-    surface = image_surface(read_image(write(tmp_path, kind, values, axes, origin)), threshold=500.0)
+    surface = image_surface(
+        read_image(write(tmp_path, kind, values, axes, origin)), threshold=500.0
+    )
     points = 1e3 * surface.vertices_m
     assert points.min(axis=0) == pytest.approx([0.0, 0.0, 0.0], abs=1e-4)
     assert points.max(axis=0) == pytest.approx([6.0, 8.0, 2.0], abs=1e-4)
     leg = points[points[:, 1] > 3.6]
     assert leg[:, 0].max() == pytest.approx(2.0, abs=1e-4)  # the leg of the L, not its mirror image
-    assert surface.report.volume_mm3 == pytest.approx(2.0 * (6 * 3 + 2 * 5), rel=0.06)  # corners are cut
+    # corners are cut
+    assert surface.report.volume_mm3 == pytest.approx(2.0 * (6 * 3 + 2 * 5), rel=0.06)
 
 
 ROUNDED = 0.5 * 1.55**3
-"""Values are stored in whole numbers; cubic splines raise an error by at most 1.55 along each axis (de Boor)."""
+"""Values are stored in whole numbers; cubic splines raise an error by at most 1.55 along each
+axis (de Boor).
+"""
 FACES = 3.0
-"""Voxels from a face at which what the face does to splines, 0.27 of it a voxel farther in, is below the rounding."""
+"""Voxels from a face at which what the face does to splines, 0.27 of it a voxel farther in, is
+below the rounding.
+"""
 TURN = np.linalg.qr(np.array([[0.9, 0.3, -0.2], [-0.25, 0.92, 0.3], [0.28, -0.2, 0.93]]))[0]
 TURN = TURN * np.sign(np.diag(TURN))  # columns near x, y, z
 
 
 @pytest.mark.parametrize("kind", [*FORMATS, VTK])
 def test_oblique_images_are_resampled_where_they_lie(tmp_path, kind):
-    """Splines are exact on a linear field away from its faces, where they go on as in a mirror; see `ROUNDED`."""
+    """Splines are exact on a linear field away from its faces, where they go on as in a mirror;
+    see `ROUNDED`.
+    """
     axes, origin, shape = TURN * (0.8, 0.6, 1.5), np.array([5.0, -7.0, 40.0]), (24, 22, 12)
     index = np.stack(np.meshgrid(*[np.arange(n) for n in shape], indexing="ij"), axis=-1)
     places = index @ axes.T + origin
@@ -139,8 +168,13 @@ def test_oblique_images_are_resampled_where_they_lie(tmp_path, kind):
         return 500.0 + 20.0 * p[..., 0] - 13.0 * p[..., 1] + 7.0 * p[..., 2]
 
     found = read_image(write(tmp_path, kind, np.rint(field(places)).astype(np.int16), axes, origin))
-    assert len(found.notes) >= 1 and "are oblique: resampled by cubic splines along LPS" in found.notes[-1]
-    grid = np.stack(np.meshgrid(*[np.arange(n) for n in found.values.shape], indexing="ij"), axis=-1)
+    assert (
+        len(found.notes) >= 1
+        and "are oblique: resampled by cubic splines along LPS" in found.notes[-1]
+    )
+    grid = np.stack(
+        np.meshgrid(*[np.arange(n) for n in found.values.shape], indexing="ij"), axis=-1
+    )
     at = grid * found.spacing_mm + found.origin_mm
     back = (at - origin) @ np.linalg.inv(axes).T
     inside = ((back > FACES) & (back < np.array(shape) - 1 - FACES)).all(axis=-1)
@@ -183,12 +217,19 @@ def test_a_tilted_gantry_is_undone(tmp_path):
     """Slices pushed along y by tan(15 degrees) of their distance, the stack straight along z."""
     tilt = np.radians(15.0)
     axes = np.array([[0.5, 0.0, 0.0], [0.0, 0.5, 2.0 * np.tan(tilt)], [0.0, 0.0, 2.0]])
-    index = np.stack(np.meshgrid(np.arange(20), np.arange(20), np.arange(12), indexing="ij"), axis=-1)
+    index = np.stack(
+        np.meshgrid(np.arange(20), np.arange(20), np.arange(12), indexing="ij"), axis=-1
+    )
     values = np.rint((index @ axes.T) @ (30.0, 40.0, 50.0)).astype(np.uint16)
     image_writers.write_dicom(tmp_path / "ct", values, axes, (0, 0, 0), tilt=15.0, intercept=0.0)
     found = read_image(tmp_path / "ct")
-    assert found.notes[0] == "The slices of ct are sheared by 15 degrees, as a tilted gantry leaves them."
-    grid = np.stack(np.meshgrid(*[np.arange(n) for n in found.values.shape], indexing="ij"), axis=-1)
+    assert (
+        found.notes[0]
+        == "The slices of ct are sheared by 15 degrees, as a tilted gantry leaves them."
+    )
+    grid = np.stack(
+        np.meshgrid(*[np.arange(n) for n in found.values.shape], indexing="ij"), axis=-1
+    )
     at = grid * found.spacing_mm + found.origin_mm
     back = at @ np.linalg.inv(axes).T
     inside = ((back > FACES) & (back < np.array([19, 19, 11]) - FACES)).all(axis=-1)
@@ -206,8 +247,14 @@ def test_a_tilted_gantry_is_undone(tmp_path):
     ],
 )
 def test_nifti_by_its_quaternion(tmp_path, quaternion, factor, columns):
-    """Steps and offset in RAS, from the standard's formula by hand; LPS turns the signs of x and y."""
-    data = bytearray(image_writers.nifti_bytes(VALUES, np.diag(SPACING), ORIGIN, code=0, pixdim=(factor, *SPACING)))
+    """Steps and offset in RAS, from the standard's formula by hand; LPS turns the signs of x and
+    y.
+    """
+    data = bytearray(
+        image_writers.nifti_bytes(
+            VALUES, np.diag(SPACING), ORIGIN, code=0, pixdim=(factor, *SPACING)
+        )
+    )
     image_writers.set_qform(data, quaternion, (10.0, 20.0, 30.0))
     (tmp_path / "q.nii").write_bytes(data)
     found = read_image(tmp_path / "q.nii")
@@ -221,7 +268,9 @@ def test_nifti_by_its_quaternion(tmp_path, quaternion, factor, columns):
 
 def test_nifti_slope_intercept_and_units(tmp_path):
     axes = np.diag(SPACING)
-    image_writers.write_nifti(tmp_path / "s.nii", VALUES, axes, ORIGIN, slope=2.0, intercept=-1024.0)
+    image_writers.write_nifti(
+        tmp_path / "s.nii", VALUES, axes, ORIGIN, slope=2.0, intercept=-1024.0
+    )
     assert np.array_equal(read_image(tmp_path / "s.nii").values, 2.0 * VALUES - 1024.0)
     image_writers.write_nifti(tmp_path / "m.nii", VALUES, 1e-3 * axes, 1e-3 * ORIGIN, units=1)
     found = read_image(tmp_path / "m.nii")
@@ -242,8 +291,12 @@ def test_other_scales_and_units(tmp_path):
         DistanceUnits="um",
     )
     found = read_image(tmp_path / "s.mha")
-    assert np.array_equal(found.values, 2.0 * VALUES - 1024.0) and found.spacing_mm == pytest.approx(1e-3 * SPACING)
-    image_writers.write_nrrd(tmp_path / "m.nrrd", VALUES, axes, ORIGIN, space_units='"cm" "cm" "cm"')
+    assert np.array_equal(
+        found.values, 2.0 * VALUES - 1024.0
+    ) and found.spacing_mm == pytest.approx(1e-3 * SPACING)
+    image_writers.write_nrrd(
+        tmp_path / "m.nrrd", VALUES, axes, ORIGIN, space_units='"cm" "cm" "cm"'
+    )
     assert read_image(tmp_path / "m.nrrd").origin_mm == pytest.approx(10.0 * ORIGIN)
 
 
@@ -253,14 +306,20 @@ def test_metaimage_voxels_compressed_and_in_either_byte_order(tmp_path, suffix):
     image_writers.write_meta(path, VALUES, np.diag(SPACING), ORIGIN, compressed=True)
     assert np.array_equal(read_image(path).values, VALUES)
     swapped = VALUES.byteswap()
-    image_writers.write_meta(path, swapped, np.diag(SPACING), ORIGIN, BinaryDataByteOrderMSB="True", HeaderSize="-1")
+    image_writers.write_meta(
+        path, swapped, np.diag(SPACING), ORIGIN, BinaryDataByteOrderMSB="True", HeaderSize="-1"
+    )
     assert np.array_equal(read_image(path).values, VALUES)
 
 
 def test_each_dicom_slice_has_its_own_scale(tmp_path):
     values = np.abs(VALUES).astype(np.uint16)
     image_writers.write_dicom(
-        tmp_path / "ct", values, np.diag(SPACING), ORIGIN, each=lambda k: {"slope": 1.0 + k, "intercept": -10.0 * k}
+        tmp_path / "ct",
+        values,
+        np.diag(SPACING),
+        ORIGIN,
+        each=lambda k: {"slope": 1.0 + k, "intercept": -10.0 * k},
     )
     expected = values * np.array([1.0, 2.0, 3.0]) - np.array([0.0, 10.0, 20.0])
     assert np.array_equal(read_image(tmp_path / "ct").values, expected)
@@ -272,14 +331,19 @@ def test_padding_of_dicom_is_no_bone(tmp_path):
     image_writers.write_dicom(tmp_path / "ct", values, np.diag(SPACING), ORIGIN, padding=63536)
     found = read_image(tmp_path / "ct")
     assert found.values.max() == 59 and found.values[0, 0, 0] == found.values[:, :, 0].min() == 3
-    assert found.notes == ("3 voxels of ct are padding: they take the lowest value of their slice.",)
+    assert found.notes == (
+        "3 voxels of ct are padding: they take the lowest value of their slice.",
+    )
 
 
 def test_a_given_spacing_keeps_directions_and_origin(tmp_path):
     array, axes, origin = stored(TURNS[13])
     spacing = np.linalg.norm(axes, axis=0)
     image_writers.write_nrrd(tmp_path / "i.nrrd", array, axes / spacing * 1.8e19, origin)
-    with pytest.raises(InputError, match=r"spacing must be in \[1e-05, 10000\] mm, got 1.8e\+19 x 1.8e\+19 x 1.8e\+19"):
+    with pytest.raises(
+        InputError,
+        match=r"spacing must be in \[1e-05, 10000\] mm, got 1.8e\+19 x 1.8e\+19 x 1.8e\+19",
+    ):
         read_image(tmp_path / "i.nrrd")
     found = read_image(tmp_path / "i.nrrd", spacing_mm=0.25)
     assert found.spacing_mm == (0.25, 0.25, 0.25) and np.array_equal(found.values, VALUES)

@@ -1,4 +1,6 @@
-"""Slices in folders: their order, what does not belong to them, colours, and inverted grey values."""
+"""Slices in folders: their order, what does not belong to them, colours, and inverted grey
+values.
+"""
 
 import numpy as np
 import pytest
@@ -13,7 +15,9 @@ BONE, AIR_HU, BONE_HU = 1500, -1000, 700
 
 
 def steps(count=COUNT):
-    """Planes, shape (count, rows, columns), plane k with k + 1 voxels of bone: the order can be read off."""
+    """Planes, shape (count, rows, columns), plane k with k + 1 voxels of bone: the order can be
+    read off.
+    """
     planes = np.zeros((count, SIDE, SIDE), dtype=np.uint16)
     for k in range(count):
         planes[k].flat[: k + 1] = BONE
@@ -42,20 +46,39 @@ def test_slices_follow_the_numbers_in_their_names(tmp_path, name, pattern):
 def test_every_second_number_is_a_whole_stack(tmp_path):
     for k, plane in enumerate(steps()):
         tifffile.imwrite(tmp_path / f"s{2 * k + 5}.tif", plane)
-    assert (read_image(tmp_path, spacing_mm=1.0).values > 0).sum(axis=(0, 1)).tolist() == list(range(1, COUNT + 1))
+    assert (read_image(tmp_path, spacing_mm=1.0).values > 0).sum(axis=(0, 1)).tolist() == list(
+        range(1, COUNT + 1)
+    )
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda f: [(f / f"slice_{k}.tif").unlink() for k in (5, 6)], "slice_7.tif after slice_4.tif .*, 2 missing"),
-        (lambda f: (f / "slice_3.tif").rename(f / "thumbnail.tif"), "named alike, got thumbnail.tif among"),
-        (lambda f: tifffile.imwrite(f / "slice_12.tif", np.zeros((4, 5), np.uint16)), "same size, got 5 x 4 in slice"),
-        (lambda f: tifffile.imwrite(f / "slice_012.tif", steps()[0]) or (f / "slice_12.tif").write_bytes(
-            (f / "slice_012.tif").read_bytes()), "numbers that differ, got that of slice_12.tif twice"),
-        (lambda f: tifffile.imwrite(f / "slice_12.tif", steps()[0].astype(np.uint8)), "same type of values"),
+        (
+            lambda f: [(f / f"slice_{k}.tif").unlink() for k in (5, 6)],
+            "slice_7.tif after slice_4.tif .*, 2 missing",
+        ),
+        (
+            lambda f: (f / "slice_3.tif").rename(f / "thumbnail.tif"),
+            "named alike, got thumbnail.tif among",
+        ),
+        (
+            lambda f: tifffile.imwrite(f / "slice_12.tif", np.zeros((4, 5), np.uint16)),
+            "same size, got 5 x 4 in slice",
+        ),
+        (
+            lambda f: (
+                tifffile.imwrite(f / "slice_012.tif", steps()[0])
+                or (f / "slice_12.tif").write_bytes((f / "slice_012.tif").read_bytes())
+            ),
+            "numbers that differ, got that of slice_12.tif twice",
+        ),
+        (
+            lambda f: tifffile.imwrite(f / "slice_12.tif", steps()[0].astype(np.uint8)),
+            "same type of values",
+        ),
     ],
-)  # fmt: skip
+)
 def test_missing_and_foreign_slices_are_refused(tmp_path, change, message):
     change(written(tmp_path, steps()))
     refused(tmp_path, message)
@@ -66,7 +89,10 @@ def test_missing_and_foreign_slices_are_refused(tmp_path, change, message):
     [
         ((SIDE, SIDE, 3), {"photometric": "rgb"}),
         ((SIDE, SIDE, 4), {"photometric": "rgb", "extrasamples": ["unassalpha"]}),
-        ((SIDE, SIDE, 2), {"photometric": "minisblack", "extrasamples": ["unassalpha"], "planarconfig": "contig"}),
+        (
+            (SIDE, SIDE, 2),
+            {"photometric": "minisblack", "extrasamples": ["unassalpha"], "planarconfig": "contig"},
+        ),
         ((3, SIDE, SIDE), {"photometric": "rgb", "planarconfig": "separate"}),
         ((3, SIDE, SIDE), {"imagej": True, "metadata": {"axes": "CYX"}}),
     ],
@@ -86,7 +112,10 @@ def test_inverted_grey_values_are_inverted_back(tmp_path, dtype):
     assert np.array_equal(found.values, (planes.astype(int) * (1 if dtype is bool else 100)).T)
     assert "inverted back" in found.notes[0]
     labels = read_image(tmp_path, spacing_mm=SPACING_MM, labels=True)
-    assert np.array_equal(labels.values, stored.T.astype(int)) and "as they are stored" in labels.notes[0]
+    assert (
+        np.array_equal(labels.values, stored.T.astype(int))
+        and "as they are stored" in labels.notes[0]
+    )
 
 
 def test_a_reduced_picture_in_a_file_is_left_out(tmp_path):
@@ -107,14 +136,29 @@ def ball_HU():
 @pytest.mark.parametrize(
     ("stored", "fields", "note"),
     [  # the modality LUT inverts; it does not; there is none
-        (lambda hu: 3071 - hu, {"slope": -1.0, "intercept": 3071.0}, "rescale leads to grey values"),
+        (
+            lambda hu: 3071 - hu,
+            {"slope": -1.0, "intercept": 3071.0},
+            "rescale leads to grey values",
+        ),
         (lambda hu: 65535 - (hu + 1024), {"slope": 1.0, "intercept": -1024.0}, "inverted back"),
-        (lambda hu: hu + 1024, {"slope": 1.0, "intercept": -1024.0}, "rescale leads to grey values"),
+        (
+            lambda hu: hu + 1024,
+            {"slope": 1.0, "intercept": -1024.0},
+            "rescale leads to grey values",
+        ),
     ],
 )
 def test_monochrome1_of_a_ct_has_bone_above_air(tmp_path, stored, fields, note):
     values = stored(ball_HU()).astype(np.uint16)
-    write_dicom(tmp_path / "s", values, np.diag([0.8, 0.8, 2.0]), (0.0, 0.0, 0.0), photometric="MONOCHROME1", **fields)
+    write_dicom(
+        tmp_path / "s",
+        values,
+        np.diag([0.8, 0.8, 2.0]),
+        (0.0, 0.0, 0.0),
+        photometric="MONOCHROME1",
+        **fields,
+    )
     found = read_image(tmp_path / "s")
     assert np.array_equal(found.values, ball_HU())
     assert any(note in sentence for sentence in found.notes)
@@ -131,11 +175,15 @@ def test_monochrome1_without_a_rescale_is_inverted_back(tmp_path):
 def test_a_bone_is_made_of_slices_at_their_spacing(tmp_path):
     import tissue
 
-    bone = tissue.Bone.from_image(written(tmp_path, steps()), threshold=500.0, spacing_mm=SPACING_MM)
+    bone = tissue.Bone.from_image(
+        written(tmp_path, steps()), threshold=500.0, spacing_mm=SPACING_MM
+    )
     volume = bone._source.voxels()
     assert 1e9 * volume.volume_m3() == pytest.approx(sum(range(1, COUNT + 1)) * SPACING_MM**3)
     assert bone.spacing_mm == SPACING_MM
     with pytest.raises(InputError, match="max_memory_GB must be positive"):
         tissue.Bone.from_image(tmp_path, threshold=500.0, spacing_mm=SPACING_MM, max_memory_GB=-1.0)
-    with pytest.raises(InputError, match=r"file must fit 1e-06 GB of memory \(as given\), got 16 x 16 x 12 voxels"):
+    with pytest.raises(
+        InputError, match=r"file must fit 1e-06 GB of memory \(as given\), got 16 x 16 x 12 voxels"
+    ):
         tissue.Bone.from_image(tmp_path, threshold=500.0, spacing_mm=SPACING_MM, max_memory_GB=1e-6)

@@ -20,7 +20,10 @@ EDGE_MM = 7.0
 
 
 def volumes_ml(mesh):
-    return {name: 1e6 * float(mesh.volumes_m3[mesh.part == k].sum()) for k, name in enumerate(mesh.part_names)}
+    return {
+        name: 1e6 * float(mesh.volumes_m3[mesh.part == k].sum())
+        for k, name in enumerate(mesh.part_names)
+    }
 
 
 def ball_ml(radius_mm):
@@ -30,12 +33,16 @@ def ball_ml(radius_mm):
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("spacing", SPACINGS)
 def test_the_surface_has_no_steps_and_is_not_shrunk(spacing, seed):
-    """Steps of the voxels are half a voxel; the volume is that of the voxels, whose own scatter is the rest.
+    """Steps of the voxels are half a voxel; the volume is that of the voxels, whose own scatter is
+    the rest.
 
-    Of the longest side: 0.1 rms, and 99 % of the vertices within 0.4; 0.2 and a half of slices of 5 mm, 9 in all.
+    Of the longest side: 0.1 rms, and 99 % of the vertices within 0.4; 0.2 and a half of slices of 5
+    mm, 9 in all.
     """
     labels, turn = organ_labels(spacing, seed)
-    vertices, triangles = label_triangles(labels.image.values > 0, LabelGrid(spacing, labels.image.origin_mm))
+    vertices, triangles = label_triangles(
+        labels.image.values > 0, LabelGrid(spacing, labels.image.origin_mm)
+    )
     off = off_ellipsoid(vertices, turn) / max(spacing)
     rms, most = (0.1, 0.4) if max(spacing) < 4 else (0.2, 0.5)
     assert np.sqrt((off**2).mean()) < rms and np.quantile(np.abs(off), 0.99) < most
@@ -48,9 +55,13 @@ def test_the_surface_has_no_steps_and_is_not_shrunk(spacing, seed):
 @pytest.mark.parametrize("radius", [2.6, 4.0, 8.0])
 def test_a_small_ball_keeps_its_volume(radius):
     labels, _ = organ_labels((1.0, 1.0, 1.0), 1, radii_mm=(radius,) * 3)
-    vertices, triangles = label_triangles(labels.image.values > 0, LabelGrid((1.0,) * 3, labels.image.origin_mm))
+    vertices, triangles = label_triangles(
+        labels.image.values > 0, LabelGrid((1.0,) * 3, labels.image.origin_mm)
+    )
     voxels = np.count_nonzero(labels.image.values)
-    assert 1e9 * enclosed_volume(vertices, triangles) == pytest.approx(voxels, rel=0.03 if radius < 4 else 2e-3)
+    assert 1e9 * enclosed_volume(vertices, triangles) == pytest.approx(
+        voxels, rel=0.03 if radius < 4 else 2e-3
+    )
 
 
 @pytest.mark.slow
@@ -60,11 +71,19 @@ def test_tetrahedra_have_the_volume_of_the_voxels_and_a_ball_its_own(spacing):
     mesh, notes = organ_mesh(labels, "organ", ["tumour"], EDGE_MM)
     found, voxel = volumes_ml(mesh), 1e-3 * np.prod(spacing)
     assert mesh.part_names == ("organ", "tumour")
-    assert sum(found.values()) == pytest.approx(voxel * np.count_nonzero(labels.image.values), rel=2e-3)
-    assert found["tumour"] == pytest.approx(voxel * np.count_nonzero(labels.image.values == 2), rel=0.011)
+    assert sum(found.values()) == pytest.approx(
+        voxel * np.count_nonzero(labels.image.values), rel=2e-3
+    )
+    assert found["tumour"] == pytest.approx(
+        voxel * np.count_nonzero(labels.image.values == 2), rel=0.011
+    )
     inner = TetMesh(mesh.nodes_m, mesh.cells[mesh.part == 1])
-    away = np.linalg.norm(1e3 * mesh.nodes_m[inner.surface_nodes] @ turn - (10.0, 4.0, 3.0), axis=1) - 9.0
-    assert np.abs(away).max() < 0.6 * max(spacing) + 0.3  # chords of 6 mm on a ball of 9 mm lie 0.5 mm deep
+    away = (
+        np.linalg.norm(1e3 * mesh.nodes_m[inner.surface_nodes] @ turn - (10.0, 4.0, 3.0), axis=1)
+        - 9.0
+    )
+    # chords of 6 mm on a ball of 9 mm lie 0.5 mm deep
+    assert np.abs(away).max() < 0.6 * max(spacing) + 0.3
     quality = mean_ratio(mesh.nodes_m, mesh.cells)
     assert quality.min() > 0.1  # 0.155 to 0.28 over six seeds; slivers begin at 0.1
     assert np.quantile(quality, 0.01) > 0.3  # 0.41 to 0.49
@@ -74,15 +93,22 @@ def test_tetrahedra_have_the_volume_of_the_voxels_and_a_ball_its_own(spacing):
 @pytest.mark.slow
 def test_parts_may_touch_lie_in_each_other_and_reach_the_surface(tmp_path):
     balls = {
-        "cyst": ((-6.0, 0.0, 0.0), 7.0), "tumour": ((7.0, 0.0, 0.0), 7.5), "core": ((8.0, 0.0, 0.0), 4.5),
+        "cyst": ((-6.0, 0.0, 0.0), 7.0),
+        "tumour": ((7.0, 0.0, 0.0), 7.5),
+        "core": ((8.0, 0.0, 0.0), 4.5),
         "vessel": ((0.0, 0.0, 21.0), 6.0),
-    }  # fmt: skip
+    }
     labels, _ = organ_labels((1.0, 1.0, 1.5), 3, balls)
     mesh, notes = organ_mesh(labels, "organ", list(balls), EDGE_MM)
     found = volumes_ml(mesh)
     for number, name in enumerate(balls, start=2):
-        assert found[name] == pytest.approx(1.5e-3 * np.count_nonzero(labels.image.values == number), rel=0.04), name
-    assert "of its surface is that of organ: crop" in notes["vessel"] and "of its surface" not in notes["cyst"]
+        assert found[name] == pytest.approx(
+            1.5e-3 * np.count_nonzero(labels.image.values == number), rel=0.04
+        ), name
+    assert (
+        "of its surface is that of organ: crop" in notes["vessel"]
+        and "of its surface" not in notes["cyst"]
+    )
     touching = set(mesh.cells[mesh.part == mesh.part_names.index("core")].ravel())
     assert touching & set(mesh.cells[mesh.part == mesh.part_names.index("tumour")].ravel())
     write_organ(mesh, tmp_path / "organ.vtu")
@@ -109,29 +135,52 @@ def test_what_is_loose_hollow_or_cut_off_is_reported():
 
 
 def test_labels_that_end_before_the_image_does_are_reported():
-    """As of a segmentation of fewer slices than the image; slices of 5 mm end an ellipsoid round."""
+    """As of a segmentation of fewer slices than the image; slices of 5 mm end an ellipsoid
+    round.
+    """
     for spacing in SPACINGS:
         labels, _ = organ_labels(spacing)
         assert "ends flat" not in labelled_organ(labels, "organ").notes["organ"]
     labels.image.values[:, :, 9:] = 0
     assert re.search(
-        r"It ends flat at z = .* mm, with \d+\.\d cm2: the labels may", labelled_organ(labels, "organ").notes["organ"]
+        r"It ends flat at z = .* mm, with \d+\.\d cm2: the labels may",
+        labelled_organ(labels, "organ").notes["organ"],
     )
 
 
 @pytest.mark.parametrize(
     ("organ", "parts", "sentence"),
     [
-        ("kidney", [], "label must be one that phantom holds, got kidney: use one of organ, tumour, far"),
+        (
+            "kidney",
+            [],
+            "label must be one that phantom holds, got kidney: use one of organ, tumour, far",
+        ),
         ("organ", ["cyst"], "label must be one that phantom holds, got cyst"),
-        ("organ", ["organ"], "parts must name other labels than the organ, each once, got organ: remove it"),
-        ("organ", ["tumour", "tumour"], "parts must name other labels than the organ, each once, got tumour"),
+        (
+            "organ",
+            ["organ"],
+            "parts must name other labels than the organ, each once, got organ: remove it",
+        ),
+        (
+            "organ",
+            ["tumour", "tumour"],
+            "parts must name other labels than the organ, each once, got tumour",
+        ),
         ("organ", ["far"], "far must lie in organ or touch it, got it apart: leave it out"),
-        ("organ", ["speck"], "speck must have at least 64 voxels in a piece to have a surface, got 34: leave it out"),
+        (
+            "organ",
+            ["speck"],
+            "speck must have at least 64 voxels in a piece to have a surface, got 34: leave it out",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused_before_it_is_meshed(organ, parts, sentence):
-    balls = {"tumour": ((10.0, 0.0, 0.0), 8.0), "far": ((0.0, 0.0, 31.0), 4.0), "speck": ((-10.0, 0.0, 0.0), 2.0)}
+    balls = {
+        "tumour": ((10.0, 0.0, 0.0), 8.0),
+        "far": ((0.0, 0.0, 31.0), 4.0),
+        "speck": ((-10.0, 0.0, 0.0), 2.0),
+    }
     labels, _ = organ_labels((1.0, 1.0, 1.0), 0, balls)
     with pytest.raises(InputError) as refused:
         labelled_organ(labels, organ, parts)

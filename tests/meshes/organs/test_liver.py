@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from meshes.organs.liver import LIVER_REGIONS, Nodule, liver, liver_region, liver_shape, slab, slab_base
+from meshes.organs.liver import (
+    LIVER_REGIONS,
+    Nodule,
+    liver,
+    liver_region,
+    liver_shape,
+    slab,
+    slab_base,
+)
 from meshes.tets.checks import mean_ratio, pieces, pinched_edges
 from meshes.tets.tetrahedra import TetMesh
 
@@ -38,14 +46,17 @@ def test_the_origin_is_on_top_of_the_right_lobe(organ: TetMesh) -> None:
     shape = liver_shape()
     assert abs(shape.distance(np.zeros((1, 3)))[0]) < 1e-9
     step = 1e-5
-    slope = np.array([shape.distance(step * e[None])[0] - shape.distance(-step * e[None])[0] for e in np.eye(3)])
+    slope = np.array(
+        [shape.distance(step * e[None])[0] - shape.distance(-step * e[None])[0] for e in np.eye(3)]
+    )
     # The surface there is level within a few degrees, so a tool along z presses it squarely.
     assert slope[2] / np.linalg.norm(slope) > np.cos(np.radians(5.0))
     assert organ.nodes_m[:, 2].max() < 0.002
 
 
 def test_the_surface_nodes_lie_on_the_shape(organ: TetMesh) -> None:
-    # The value never exceeds the distance; a hundredth of the lattice side is far below what the chords miss.
+    # The value never exceeds the distance; a hundredth of the lattice side is far below what the
+    # chords miss.
     assert np.abs(liver_shape().distance(organ.nodes_m[organ.surface_nodes])).max() < 0.01 * 8.4e-3
 
 
@@ -84,12 +95,20 @@ def test_a_slab_is_a_block_finer_at_the_top() -> None:
     assert (mesh.nodes_m[base, 2] == mesh.nodes_m[:, 2].min()).all()
 
 
-@pytest.mark.parametrize(("radius", "spacing"), [(0.005, 4.2e-3), (0.006, 4.2e-3), (0.008, 4.2e-3), (0.009, 8e-3)])
+@pytest.mark.parametrize(
+    ("radius", "spacing"), [(0.005, 4.2e-3), (0.006, 4.2e-3), (0.008, 4.2e-3), (0.009, 8e-3)]
+)
 def test_a_slab_takes_a_nodule(radius: float, spacing: float) -> None:
-    """The volume of the nodule and the height of its top, by which it is felt, however long the bricks are."""
+    """The volume of the nodule and the height of its top, by which it is felt, however long the
+    bricks are.
+    """
     mesh = slab(spacing_m=spacing, nodule=Nodule(radius, (0.01, 0.0, -0.018)))
-    assert mesh.volumes_m3[mesh.part == 1].sum() == pytest.approx(4.0 / 3.0 * np.pi * radius**3, rel=1e-3)
-    assert mesh.nodes_m[mesh.cells[mesh.part == 1], 2].max() == pytest.approx(radius - 0.018, abs=0.03 * radius)
+    assert mesh.volumes_m3[mesh.part == 1].sum() == pytest.approx(
+        4.0 / 3.0 * np.pi * radius**3, rel=1e-3
+    )
+    assert mesh.nodes_m[mesh.cells[mesh.part == 1], 2].max() == pytest.approx(
+        radius - 0.018, abs=0.03 * radius
+    )
     assert mesh.volumes_m3.sum() == pytest.approx(4e-4, rel=1e-9)
     assert mean_ratio(mesh.nodes_m, mesh.cells).min() > 0.1
 
@@ -97,14 +116,26 @@ def test_a_slab_takes_a_nodule(radius: float, spacing: float) -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: liver(nodule=Nodule(0.005, (0.0, 0.0, -0.03))), "nodule.radius_m must give a ball of at least"),
-        (lambda: liver(nodule=Nodule(0.012, (0.0, 0.0, -0.01))), "nodule.centre_m must lie at least"),
+        (
+            lambda: liver(nodule=Nodule(0.005, (0.0, 0.0, -0.03))),
+            "nodule.radius_m must give a ball of at least",
+        ),
+        (
+            lambda: liver(nodule=Nodule(0.012, (0.0, 0.0, -0.01))),
+            "nodule.centre_m must lie at least",
+        ),
         (lambda: liver(nodule=Nodule(0.012, (0.0, 0.0, 0.3))), "nodule.centre_m must lie at least"),
-        (lambda: liver(nodule=Nodule(0.012, (0.0, 0.0, float("nan")))), "nodule.centre_m must lie at least"),
+        (
+            lambda: liver(nodule=Nodule(0.012, (0.0, 0.0, float("nan")))),
+            "nodule.centre_m must lie at least",
+        ),
         (lambda: liver(spacing_m=1.0), "spacing_m must be below the size"),
         (lambda: slab(size_m=(0.1, 0.1, 0.0)), "size_m must be positive and finite, got 0 mm"),
         (lambda: slab(spacing_m=0.05), "spacing_m must be positive and at most 40 mm, got 50 mm"),
-        (lambda: slab(nodule=Nodule(0.01, (0.045, 0.0, -0.02))), "nodule.centre_m must lie at least"),
+        (
+            lambda: slab(nodule=Nodule(0.01, (0.045, 0.0, -0.02))),
+            "nodule.centre_m must lie at least",
+        ),
     ],
 )
 def test_what_makes_no_tissue_is_refused(make: object, message: str) -> None:

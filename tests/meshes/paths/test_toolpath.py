@@ -1,4 +1,6 @@
-"""Toolpaths: the same from CSV, markups and G-code in either frame, timed, and as deep as a sphere and a box state."""
+"""Toolpaths: the same from CSV, markups and G-code in either frame, timed, and as deep as a
+sphere and a box state.
+"""
 
 import json
 
@@ -31,7 +33,10 @@ def as_csv(places):
 @pytest.mark.parametrize("frame", FLIP)
 def test_a_path_is_the_same_from_every_format_and_frame(tmp_path, frame):
     places = PLACES * FLIP[frame]
-    moves = "\n".join(f"N{10 * n} X{x:.4f} Y{y:.4f} Z{z:.4f} ; move" for n, (x, y, z) in enumerate(places.tolist()))
+    moves = "\n".join(
+        f"N{10 * n} X{x:.4f} Y{y:.4f} Z{z:.4f} ; move"
+        for n, (x, y, z) in enumerate(places.tolist())
+    )
     curve = {
         "type": "Curve",
         "coordinateSystem": frame,
@@ -58,7 +63,9 @@ def test_gcode_keeps_modes_units_and_feeds(tmp_path):
     path = read_toolpath(written(tmp_path, "a.ngc", lines), "LPS")
     expected = [[25.4, 0, 0], [25.4, 0, -2.54], [27.4, 0, -2.54], [27.4, 0, -3.54], [27.4, 0, 20]]
     assert path.points_mm == pytest.approx(np.array(expected))
-    assert path.feeds_mm_s == pytest.approx(np.array([np.nan, 2.54, 2.54, 1.0, np.nan]), nan_ok=True)
+    assert path.feeds_mm_s == pytest.approx(
+        np.array([np.nan, 2.54, 2.54, 1.0, np.nan]), nan_ok=True
+    )
 
 
 @pytest.mark.parametrize(
@@ -81,8 +88,16 @@ def test_gcode_keeps_modes_units_and_feeds(tmp_path):
         ("a.csv", "x_mm,y_mm,z_mm\n1,2,3\n1,2,", "got nothing for z_mm in line 3"),
         ("a.csv", "x_mm,y_mm,z_mm\n1,2,3\n1,inf,3", "got inf for y_mm in line 3"),
         ("a.csv", "x_mm,y_mm,z_mm\n1,2,3", "at least two points, got 1"),
-        ("a.csv", "x_mm,y_mm,z_mm,feed_mm_s\n1,2,3,1\n1,2,4,0", "feed_mm_s must be positive, got 0 at point 2"),
-        ("a.csv", "x_mm,y_mm,z_mm,axis_x,axis_y,axis_z\n1,2,3,0,0,1\n1,2,4,0,0,0", "axis must not be zero, .* point 2"),
+        (
+            "a.csv",
+            "x_mm,y_mm,z_mm,feed_mm_s\n1,2,3,1\n1,2,4,0",
+            "feed_mm_s must be positive, got 0 at point 2",
+        ),
+        (
+            "a.csv",
+            "x_mm,y_mm,z_mm,axis_x,axis_y,axis_z\n1,2,3,0,0,1\n1,2,4,0,0,0",
+            "axis must not be zero, .* point 2",
+        ),
         ("a.stl", "solid", "path must be a .csv"),
     ],
 )
@@ -112,7 +127,9 @@ def test_a_replay_goes_at_the_feed_in_the_frame_of_the_site(tmp_path):
 
 def test_a_replay_turns_the_tool_to_its_axes():
     axes = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.0, 0.0, -1.0]])
-    path = Toolpath(np.array([[0.0, 0, 0], [0, 0, 0], [0, 0, 10]]), np.array([1.0, 1.0, np.nan]), axes)
+    path = Toolpath(
+        np.array([[0.0, 0, 0], [0, 0, 0], [0, 0, 10]]), np.array([1.0, 1.0, np.nan]), axes
+    )
     table = to_replay(path, AT_ORIGIN, feed_mm_s=1.0, rapid_mm_s=1.0)
     from scipy.spatial.transform import Rotation
 
@@ -138,10 +155,13 @@ def test_impossible_replays_are_refused(options, sentence):
 
 def test_depth_below_a_sphere_and_a_box():
     ball = trimesh.creation.icosphere(subdivisions=5, radius=20.0)
-    surface = surface_from_triangles(np.add(ball.vertices, (100, 0, 0)), np.array(ball.faces), scale_mm=1)
+    surface = surface_from_triangles(
+        np.add(ball.vertices, (100, 0, 0)), np.array(ball.faces), scale_mm=1
+    )
     found = depth_along(Toolpath(np.array([[100.0, 0, 30], [100, 0, 0], [112, 0, 0]])), surface)
     exact = 20.0 - np.linalg.norm(found.points_mm - [100, 0, 0], axis=1)
-    assert np.abs(found.depth_mm - exact).max() < 0.01  # the facets' sagitta: (0.7 mm)^2 / (8 x 20 mm) is 0.003 mm
+    # the facets' sagitta: (0.7 mm)^2 / (8 x 20 mm) is 0.003 mm
+    assert np.abs(found.depth_mm - exact).max() < 0.01
     assert found.deepest_mm == pytest.approx(20.0, abs=0.01)
     assert np.linalg.norm(np.diff(found.points_mm, axis=0), axis=1).max() <= 0.5 + 1e-9
     box = trimesh.creation.box((40, 30, 20))

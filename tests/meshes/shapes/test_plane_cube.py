@@ -19,12 +19,15 @@ FORMULA = 3e-5  # components below 1e-5 are raised to it: less than 2e-5 of a vo
         (0.6, (0, 0, 1), 0.0),
         (-0.6, (0, 0, 1), 1.0),
         (0.25 * math.sqrt(2), (math.sqrt(0.5), math.sqrt(0.5), 0), 0.125),  # prism of legs 1/2
-        (math.sqrt(3) / 6, (3**-0.5, 3**-0.5, 3**-0.5), 1 / 6),  # plane through three corners: a tetrahedron
+        # plane through three corners: a tetrahedron
+        (math.sqrt(3) / 6, (3**-0.5, 3**-0.5, 3**-0.5), 1 / 6),
         (math.sqrt(3) / 3, (3**-0.5, 3**-0.5, -(3**-0.5)), 1 / 48),  # tetrahedron of legs 1/2
     ],
 )
 def test_closed_cases(distance, normal, fraction):
-    assert cube_fraction(np.array([distance]), np.array([normal]))[0] == pytest.approx(fraction, abs=FORMULA)
+    assert cube_fraction(np.array([distance]), np.array([normal]))[0] == pytest.approx(
+        fraction, abs=FORMULA
+    )
 
 
 def test_monte_carlo():

@@ -17,7 +17,9 @@ def test_arc_lengths_are_sums_of_lengths():
     [(0.0, (0, 0, 0)), (2.5, (1.5, 2, 0)), (6.0, (3, 4, -1)), (-1.0, (0, 0, 0)), (9.0, (3, 4, -2))],
 )
 def test_points_lie_on_the_legs_and_at_the_ends_beyond(length, point):
-    assert points_along(CORNERS, [length])[0] == pytest.approx(np.array(point, dtype=float), abs=1e-15)
+    assert points_along(CORNERS, [length])[0] == pytest.approx(
+        np.array(point, dtype=float), abs=1e-15
+    )
 
 
 def test_corners_on_a_straight_leg_are_left_out():

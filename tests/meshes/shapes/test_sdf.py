@@ -1,4 +1,6 @@
-"""Laws of signed distances: the Lipschitz bound, set algebra, unit slope, frames, dtypes and refusals."""
+"""Laws of signed distances: the Lipschitz bound, set algebra, unit slope, frames, dtypes and
+refusals.
+"""
 
 import math
 
@@ -20,7 +22,9 @@ SHAPES = {
     "intersection": sdf.sphere(3e-3) & sdf.box((8e-3, 4e-3, 2e-3)),
     "difference": sdf.box((6e-3, 6e-3, 6e-3)) - sdf.cylinder(1e-3, (0, 0, -1e-2), (0, 0, 1e-2)),
     "blended union": sdf.union(sdf.sphere(3e-3), sdf.box((8e-3, 2e-3, 2e-3)), blend_m=1e-3),
-    "blended difference": sdf.difference(sdf.box((6e-3,) * 3), sdf.sphere(2e-3, (3e-3, 0, 0)), blend_m=1e-3),
+    "blended difference": sdf.difference(
+        sdf.box((6e-3,) * 3), sdf.sphere(2e-3, (3e-3, 0, 0)), blend_m=1e-3
+    ),
     "moved": sdf.box((8e-3, 6e-3, 4e-3)).translate((1e-3, -2e-3, 0)),
 }
 EXACT = ["sphere", "rounded box", "cylinder", "capsule", "half space"]
@@ -45,8 +49,12 @@ def test_exact_distances_have_unit_slope_outside(name):
     shape, step = SHAPES[name], 1e-7
     p = points(3)
     p = p[shape.distance(p) > 1e-4]
-    slope = np.stack([(shape.distance(p + e) - shape.distance(p - e)) / (2 * step) for e in step * np.eye(3)], axis=1)
-    assert np.abs(np.linalg.norm(slope, axis=1) - 1.0).max() < 1e-3  # second-order in step / distance 1e-4
+    slope = np.stack(
+        [(shape.distance(p + e) - shape.distance(p - e)) / (2 * step) for e in step * np.eye(3)],
+        axis=1,
+    )
+    # second-order in step / distance 1e-4
+    assert np.abs(np.linalg.norm(slope, axis=1) - 1.0).max() < 1e-3
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -61,7 +69,11 @@ def test_dtype_is_kept_and_float32_agrees(name):
 def test_bounding_box_holds_the_solid(name):
     p = points(5, 20000)
     inside = p[SHAPES[name].distance(p) < 0.0]
-    assert len(inside) and (inside >= SHAPES[name].lower_m).all() and (inside <= SHAPES[name].upper_m).all()
+    assert (
+        len(inside)
+        and (inside >= SHAPES[name].lower_m).all()
+        and (inside <= SHAPES[name].upper_m).all()
+    )
 
 
 def test_operators_are_set_algebra():
@@ -88,23 +100,36 @@ def test_moving_the_shape_is_moving_the_points_back():
 
 
 def test_known_distances():
-    assert sdf.box((2e-3, 2e-3, 2e-3)).distance(np.array([[2e-3, 2e-3, 1e-3]]))[0] == pytest.approx(math.sqrt(2) * 1e-3)
+    assert sdf.box((2e-3, 2e-3, 2e-3)).distance(np.array([[2e-3, 2e-3, 1e-3]]))[0] == pytest.approx(
+        math.sqrt(2) * 1e-3
+    )
     cylinder = sdf.cylinder(1e-3, (0, 0, 0), (0, 0, 2e-3))
-    assert cylinder.distance(np.array([[2e-3, 0, 3e-3], [0, 0, 1e-3]])) == pytest.approx([math.sqrt(2) * 1e-3, -1e-3])
+    assert cylinder.distance(np.array([[2e-3, 0, 3e-3], [0, 0, 1e-3]])) == pytest.approx(
+        [math.sqrt(2) * 1e-3, -1e-3]
+    )
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: sdf.sphere(-1.0), "radius_m must be positive and finite, got -1.0: use about 5e-3 (5 mm)"),
-        (lambda: sdf.sphere(math.nan), "radius_m must be positive and finite, got nan: use about 5e-3 (5 mm)"),
+        (
+            lambda: sdf.sphere(-1.0),
+            "radius_m must be positive and finite, got -1.0: use about 5e-3 (5 mm)",
+        ),
+        (
+            lambda: sdf.sphere(math.nan),
+            "radius_m must be positive and finite, got nan: use about 5e-3 (5 mm)",
+        ),
         (
             lambda: sdf.sphere(1.0, (0, 0)),
             "centre_m must be three finite numbers, got (0, 0): use for example (0, 0, 1)",
         ),
         (
             lambda: sdf.box((1, 0, 1)),
-            "size_m must be positive in every direction, got (1, 0, 1): use about (0.02, 0.012, 0.008)",
+            (
+                "size_m must be positive in every direction, got (1, 0, 1): use about (0.02, "
+                "0.012, 0.008)"
+            ),
         ),
         (
             lambda: sdf.box((1, 1, 1), rounding_m=0.6),
@@ -116,9 +141,15 @@ def test_known_distances():
         ),
         (
             lambda: sdf.ellipsoid((1, -1, 1)),
-            "radii_m must be positive in every direction, got (1, -1, 1): use about (0.02, 0.01, 0.01)",
+            (
+                "radii_m must be positive in every direction, got (1, -1, 1): use about (0.02, "
+                "0.01, 0.01)"
+            ),
         ),
-        (lambda: sdf.half_space((0, 0, 0)), "normal must not be zero, got (0, 0, 0): use for example (0, 0, 1)"),
+        (
+            lambda: sdf.half_space((0, 0, 0)),
+            "normal must not be zero, got (0, 0, 0): use for example (0, 0, 1)",
+        ),
     ],
 )
 def test_refusals(make, message):

@@ -1,4 +1,6 @@
-"""A surface of many triangles gives the bone that a plain computation over all of its triangles gives."""
+"""A surface of many triangles gives the bone that a plain computation over all of its triangles
+gives.
+"""
 
 import numpy as np
 import pytest
@@ -29,11 +31,15 @@ def ball():
 def voxels(vertices, faces):
     surface = surface_from_triangles(vertices, faces, scale_mm=1)
     site = place_site(surface, centre_mm=(0, 0, 30), normal=(0, 0, 1), along=(1, 0, 0))
-    return voxelise(surface_anatomy(surface, site, cortical_thickness_mm=1.0), spacing_m=2e-4, region_m=REGION_M)
+    return voxelise(
+        surface_anatomy(surface, site, cortical_thickness_mm=1.0), spacing_m=2e-4, region_m=REGION_M
+    )
 
 
 def test_voxels_do_not_depend_on_how_fine_the_triangles_of_a_body_are():
-    """Flat triangles divided by four, three times: the same body. Of 1 in 255: lines through edges, rounding."""
+    """Flat triangles divided by four, three times: the same body. Of 1 in 255: lines through
+    edges, rounding.
+    """
     coarse = trimesh.creation.icosphere(subdivisions=3, radius=30.0)
     few, many = voxels(*soup(coarse)), voxels(*soup(coarse.subdivide().subdivide().subdivide()))
     assert np.abs(few.fraction.astype(int) - many.fraction).max() <= 1
@@ -77,7 +83,10 @@ def test_vertices_are_merged_as_a_plain_sort_does(ball, stretch):
     np.testing.assert_array_equal(merged, vertices[first])
     np.testing.assert_array_equal(kept, where.reshape(-1)[faces])
     assert (
-        manifold and is_manifold(kept) and not is_manifold(kept[1:]) and not is_manifold(kept[[*range(len(kept)), 0]])
+        manifold
+        and is_manifold(kept)
+        and not is_manifold(kept[1:])
+        and not is_manifold(kept[[*range(len(kept)), 0]])
     )
 
 
@@ -85,16 +94,24 @@ def test_vertices_are_merged_as_a_plain_sort_does(ball, stretch):
 def test_two_bodies_next_to_each_other_stay_two(ball, inward):
     vertices, faces = soup(ball)
     second = faces[:, ::-1] if inward else faces
-    both = np.concatenate([vertices, vertices - [0.0, 0.0, 61.0]]), np.concatenate([faces, second + len(vertices)])
+    both = (
+        np.concatenate([vertices, vertices - [0.0, 0.0, 61.0]]),
+        np.concatenate([faces, second + len(vertices)]),
+    )
     report = surface_from_triangles(*both, scale_mm=1).report
-    assert report.volume_mm3 == pytest.approx(2 * ball.volume, rel=1e-9) and bool(report.turned) == inward
+    assert (
+        report.volume_mm3 == pytest.approx(2 * ball.volume, rel=1e-9)
+        and bool(report.turned) == inward
+    )
 
 
 @pytest.mark.parametrize("height", [12.0, 30.0])
 def test_a_large_hole_of_many_triangles_is_found_where_it_is(ball, height):
     vertices, faces = soup(ball)
     opened = faces[
-        vertices[faces][:, :, 2].mean(axis=1) < 12.0 if height == 12.0 else ball.triangles_center[:, 2] > -12.0
+        vertices[faces][:, :, 2].mean(axis=1) < 12.0
+        if height == 12.0
+        else ball.triangles_center[:, 2] > -12.0
     ]
     surface = surface_from_triangles(vertices, opened, scale_mm=1, cut_off=True)
     site = place_site(surface, centre_mm=(0, 0, height), normal=(0, 0, 1), along=(1, 0, 0))

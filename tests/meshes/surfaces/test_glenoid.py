@@ -1,4 +1,6 @@
-"""The procedural glenoid against its own parameters and published ranges, measured on the voxels."""
+"""The procedural glenoid against its own parameters and published ranges, measured on the
+voxels.
+"""
 
 import math
 
@@ -16,7 +18,9 @@ LAYERS = {"subchondral": 0, "cortical": 1, "trabecular": 2}
 
 @pytest.fixture(scope="module")
 def face():
-    return voxelise(glenoid(), spacing_m=SPACING, region_m=((-17e-3, -21e-3, -8e-3), (17e-3, 21e-3, 7e-3)))
+    return voxelise(
+        glenoid(), spacing_m=SPACING, region_m=((-17e-3, -21e-3, -8e-3), (17e-3, 21e-3, 7e-3))
+    )
 
 
 def extent(volume, axis):
@@ -76,12 +80,19 @@ def test_layers_and_densities(face):
     assert face.layer_names == tuple(LAYERS)
     for name, value in LAYERS.items():
         density = face.density_kg_m3[present & (face.layer == value)]
-        low, high = {"subchondral": (1100, 1500), "cortical": (1800, 1800), "trabecular": (250, 500)}[name]
+        low, high = {
+            "subchondral": (1100, 1500),
+            "cortical": (1800, 1800),
+            "trabecular": (250, 500),
+        }[name]
         assert len(density) and low <= density.min() and density.max() <= high
     middle = (face.shape[0] // 2, face.shape[1] // 2)
-    column = np.where(face.layer[middle] == 2, face.density_kg_m3[middle], 0)[face.fraction[middle] == 255]
+    column = np.where(face.layer[middle] == 2, face.density_kg_m3[middle], 0)[
+        face.fraction[middle] == 255
+    ]
     column = column[column > 0]
-    assert (np.diff(column.astype(int)) >= 0).all() and column[-1] > column[0] + 50  # densest below the plate
+    # densest below the plate
+    assert (np.diff(column.astype(int)) >= 0).all() and column[-1] > column[0] + 50
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,6 @@
-"""Markups of 3D Slicer: the same points from LPS and RAS, planes with their normals, bad files refused."""
+"""Markups of 3D Slicer: the same points from LPS and RAS, planes with their normals, bad files
+refused.
+"""
 
 import json
 from pathlib import Path
@@ -9,7 +11,13 @@ import pytest
 from meshes.base.errors import InputError
 from meshes.surfaces.markups import read_curve, read_markups, read_site
 
-LANDMARKS = Path(__file__).resolve().parents[4] / "shared" / "anatomy" / "scapula" / "glenoid_landmark_points.fcsv"
+LANDMARKS = (
+    Path(__file__).resolve().parents[4]
+    / "shared"
+    / "anatomy"
+    / "scapula"
+    / "glenoid_landmark_points.fcsv"
+)
 POINT = [10.0, -20.0, 30.0]
 FCSV = """# Markups fiducial file version = 4.11
 # CoordinateSystem = {frame}
@@ -40,7 +48,9 @@ def points(*places, kind="Fiducial", frame="LPS", **others):
 
 def written(folder, *markups):
     path = folder / "site.mrk.json"
-    path.write_text(json.dumps({"@schema": "markups-schema-v1.0.3.json#", "markups": list(markups)}), "utf-8")
+    path.write_text(
+        json.dumps({"@schema": "markups-schema-v1.0.3.json#", "markups": list(markups)}), "utf-8"
+    )
     return path
 
 
@@ -58,7 +68,10 @@ def test_a_plane_has_its_origin_and_normal(tmp_path, frame, stated):
     turn = np.linalg.qr(np.array([[1.0, 2.0, 0.3], [0.1, -1.0, 2.0], [0.7, 0.2, 1.0]]))[0]
     turn *= np.sign(np.linalg.det(turn))
     inside = flip[:, None] * turn  # axes as the file writes them
-    places = [(flip * (np.array(POINT) + offset)).tolist() for offset in (np.zeros(3), 5 * turn[:, 0], 5 * turn[:, 1])]
+    places = [
+        (flip * (np.array(POINT) + offset)).tolist()
+        for offset in (np.zeros(3), 5 * turn[:, 0], 5 * turn[:, 1])
+    ]
     given = {
         "normal": {"normal": inside[:, 2].tolist(), "center": places[0]},
         "orientation": {"orientation": inside.reshape(-1).tolist(), "origin": places[0]},
@@ -85,7 +98,10 @@ def test_a_line_leads_from_the_site_inward(tmp_path):
 def test_curves_keep_their_order_and_closed_ones_come_back(tmp_path):
     places = [[0, 0, 0], [1, 0, 0], [1, 1, 0]]
     assert read_curve(written(tmp_path, points(*places, kind="Curve"))).tolist() == places
-    assert read_curve(written(tmp_path, points(*places, kind="ClosedCurve"))).tolist() == [*places, places[0]]
+    assert read_curve(written(tmp_path, points(*places, kind="ClosedCurve"))).tolist() == [
+        *places,
+        places[0],
+    ]
     assert read_curve(written(tmp_path, points(*places))).tolist() == places
 
 
@@ -116,17 +132,30 @@ def test_landmarks_of_a_real_glenoid():
         ({"coordinateSystem": None}, "coordinateSystem must be LPS or RAS, got none in"),
         ({"coordinateUnits": "m"}, "coordinateUnits must be mm, got m in"),
         (
-            {"controlPoints": [{"label": "A", "position": [0, 0, 0], "positionStatus": "undefined"}]},
+            {
+                "controlPoints": [
+                    {"label": "A", "position": [0, 0, 0], "positionStatus": "undefined"}
+                ]
+            },
             "got undefined for A",
         ),
-        ({"controlPoints": [{"label": "A", "position": [0, 0]}]}, "three finite numbers, got .* for A"),
-        ({"controlPoints": [{"label": "A", "position": [0, 0, float("nan")]}]}, "three finite numbers, got .* for A"),
+        (
+            {"controlPoints": [{"label": "A", "position": [0, 0]}]},
+            "three finite numbers, got .* for A",
+        ),
+        (
+            {"controlPoints": [{"label": "A", "position": [0, 0, float("nan")]}]},
+            "three finite numbers, got .* for A",
+        ),
         ({"controlPoints": []}, "one plane, one line from the site inward, or one point, got none"),
         ({"controlPoints": 5}, "got other JSON"),
         ({"type": "Plane", "controlPoints": []}, "a plane must have an origin"),
         ({"type": "Plane"}, "a plane must have a normal"),
         ({"type": "Plane", "normal": [0, 0, 0]}, "normal must not be zero"),
-        ({"type": "Line", "controlPoints": [{"position": [0, 0, 1]}, {"position": [0, 0, 1]}]}, "must have a length"),
+        (
+            {"type": "Line", "controlPoints": [{"position": [0, 0, 1]}, {"position": [0, 0, 1]}]},
+            "must have a length",
+        ),
         ({"type": "ROI"}, "got none"),
     ],
 )

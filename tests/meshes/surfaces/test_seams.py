@@ -8,10 +8,15 @@ from meshes.surfaces.holes import close_seams, open_loops
 
 def half_ball(upward, sections):
     """Half of a ball of radius 1 without its cut face, a gap of 0.02 wide left at the equator."""
-    polar, around = np.linspace(0.02, 0.5 * np.pi, 24), np.arange(sections) * (2.0 * np.pi / sections)
+    polar, around = (
+        np.linspace(0.02, 0.5 * np.pi, 24),
+        np.arange(sections) * (2.0 * np.pi / sections),
+    )
     height, radius = np.sin(polar), np.cos(polar)
-    rings = [np.column_stack([r * np.cos(around), r * np.sin(around), np.full(sections, z)]) for r, z in
-             zip(radius[:-1], height[:-1], strict=True)]  # fmt: skip
+    rings = [
+        np.column_stack([r * np.cos(around), r * np.sin(around), np.full(sections, z)])
+        for r, z in zip(radius[:-1], height[:-1], strict=True)
+    ]
     points = np.concatenate([*rings, [[0.0, 0.0, 1.0]]])
     faces = []
     for ring in range(len(rings) - 1):

@@ -37,10 +37,12 @@ def test_volume_and_depth_under_triangles(turn):
     mesh = trimesh.creation.icosphere(subdivisions=4, radius=5e-3)
     mesh.apply_transform(trimesh.transformations.rotation_matrix(turn, (1, 2, 3)))
     fraction, depth = sampled(mesh, 2e-4, 32)
-    assert fraction.sum() * 2e-4**3 == pytest.approx(mesh.volume, rel=1e-4)  # nine lines a voxel over 2000 columns
+    # nine lines a voxel over 2000 columns
+    assert fraction.sum() * 2e-4**3 == pytest.approx(mesh.volume, rel=1e-4)
     exact = 5e-3 - np.linalg.norm((np.indices(fraction.shape) - 31.5) * 2e-4, axis=0)
     shell = (fraction > 0.5) & (exact < 2.5e-3)
-    assert np.abs(depth - exact)[shell].max() < 3e-5  # (0.4 mm)^2/4 over a radius of 2.5 mm, and the facets' sagitta
+    # (0.4 mm)^2/4 over a radius of 2.5 mm, and the facets' sagitta
+    assert np.abs(depth - exact)[shell].max() < 3e-5
 
 
 def test_box_on_the_lattice_is_exact_though_lines_meet_edges():
@@ -65,7 +67,8 @@ def test_mesh_agrees_with_the_shape_it_came_from():
     found = voxelise(surface_anatomy(surface, AT_ORIGIN), spacing_m=4e-4, region_m=region)
     exact = voxelise(anatomy, spacing_m=4e-4, region_m=region)
     assert found.volume_m3() == pytest.approx(exact.volume_m3(), rel=2e-3)
-    assert np.abs(found.fraction.astype(int) - exact.fraction).max() < 80  # a third of a voxel, by marching cubes
+    # a third of a voxel, by marching cubes
+    assert np.abs(found.fraction.astype(int) - exact.fraction).max() < 80
 
 
 def test_mesh_voxels_do_not_depend_on_the_region_and_take_a_hole():
@@ -82,7 +85,9 @@ def test_mesh_voxels_do_not_depend_on_the_region_and_take_a_hole():
     hole = sdf.cylinder(2e-3, (0, 0, -6e-3), (0, 0, 6e-3))
     box = np.array([2.4e-3, 2.4e-3, 6.8e-3])  # solid before it is drilled
     drilled = voxelise(anatomy, spacing_m=4e-4, region_m=(-box, box), minus=hole)
-    assert np.prod(2.0 * box) - drilled.volume_m3() == pytest.approx(math.pi * 4e-6 * 12e-3, rel=5e-3)
+    assert np.prod(2.0 * box) - drilled.volume_m3() == pytest.approx(
+        math.pi * 4e-6 * 12e-3, rel=5e-3
+    )
     core = 4 / 3 * math.pi * 10e-3**3
     assert whole.volume_m3("trabecular") == pytest.approx(core, rel=0.03)
 
@@ -106,9 +111,12 @@ def test_glenoid_is_found_where_it_was_put():
     surface, turn, move = synthetic_scapula()
     site = find_glenoid(surface)
     assert np.linalg.norm(site.centre_m - move) < 2.5e-3
-    assert math.degrees(math.acos(site.rotation[:, 2] @ turn[:, 2])) < 5.0  # rings of 1 mm at 14 mm: 4.1
+    # rings of 1 mm at 14 mm: 4.1
+    assert math.degrees(math.acos(site.rotation[:, 2] @ turn[:, 2])) < 5.0
     assert site.rotation[:, 1] @ turn[:, 1] > 0.9
-    assert np.allclose(site.rotation.T @ site.rotation, np.eye(3)) and np.linalg.det(site.rotation) == pytest.approx(1)
+    assert np.allclose(site.rotation.T @ site.rotation, np.eye(3)) and np.linalg.det(
+        site.rotation
+    ) == pytest.approx(1)
     assert site.confidence.startswith("found by search: face 2") and "concave" in site.confidence
 
 
@@ -124,17 +132,25 @@ def test_without_a_normal_it_is_that_of_the_surface_and_x_lies_along_the_directi
     surface = as_surface(trimesh.creation.icosphere(subdivisions=4, radius=30.0))
     out, along = np.array([2.0, -1.0, 2.0]) / 3.0, np.array([0.3, 0.9, 0.1])
     site = place_site(surface, centre_mm=29e0 * out, along=5.0 * along)
-    assert site.rotation[:, 2] @ out > math.cos(math.radians(1.5))  # facets of 2.6 mm lean by 2.5 degrees
+    # facets of 2.6 mm lean by 2.5 degrees
+    assert site.rotation[:, 2] @ out > math.cos(math.radians(1.5))
     across = along - (along @ site.rotation[:, 2]) * site.rotation[:, 2]
     assert site.rotation[:, 0] == pytest.approx(across / np.linalg.norm(across))
     assert np.linalg.det(site.rotation) == pytest.approx(1.0)
-    assert site.confidence == "centre as given, normal of the surface around it, x along the direction given"
+    assert (
+        site.confidence
+        == "centre as given, normal of the surface around it, x along the direction given"
+    )
     placed = site.placement(1.0)
     corner = placed.to_scene(1e3 * (site.centre_m + 2e-3 * site.rotation[:, 0])[None])[0]
     assert corner == pytest.approx([2, 0, 0], abs=1e-12)
-    assert placed.to_file(corner[None])[0] == pytest.approx(1e3 * site.centre_m + 2 * site.rotation[:, 0])
+    assert placed.to_file(corner[None])[0] == pytest.approx(
+        1e3 * site.centre_m + 2 * site.rotation[:, 0]
+    )
     again = Placement.from_record(placed.to_record())
-    assert again.origin_mm == pytest.approx(placed.origin_mm) and again.rotation == pytest.approx(placed.rotation)
+    assert again.origin_mm == pytest.approx(placed.origin_mm) and again.rotation == pytest.approx(
+        placed.rotation
+    )
 
 
 @pytest.mark.parametrize(
@@ -198,6 +214,9 @@ def test_real_scapulae(anatomy, name, scale_mm, centre_mm, axis):
     assert np.linalg.norm(site.centre_m * 1e3 - centre_mm) < 3.0
     axis = np.array(axis) / np.linalg.norm(axis)
     assert site.rotation[:, 2] @ axis > math.cos(math.radians(15))
-    volume = voxelise(surface_anatomy(surface, site), spacing_m=4e-4, region_m=((-8e-3,) * 3, (8e-3,) * 3))
+    volume = voxelise(
+        surface_anatomy(surface, site), spacing_m=4e-4, region_m=((-8e-3,) * 3, (8e-3,) * 3)
+    )
     middle = volume.fraction[20, 20]
-    assert (middle[:15] == 255).all() and (middle[25:] == 0).all()  # solid 2 mm below the face, free 2 mm above
+    # solid 2 mm below the face, free 2 mm above
+    assert (middle[:15] == 255).all() and (middle[25:] == 0).all()

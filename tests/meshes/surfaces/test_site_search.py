@@ -1,4 +1,6 @@
-"""Sites searched for: the same on a moved, turned, mirrored, coarser bone; refused where there is none."""
+"""Sites searched for: the same on a moved, turned, mirrored, coarser bone; refused where there
+is none.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -47,7 +49,8 @@ def head(request):
 def test_axis_and_centre_of_a_head(head):
     kind, bone = head
     found = find_site(kind, as_surface(bone))
-    assert angle_deg(found.site.rotation[:, 2], NECK) < 1.0  # a voxel of the neck's or the rim's 15 mm is 4
+    # a voxel of the neck's or the rim's 15 mm is 4
+    assert angle_deg(found.site.rotation[:, 2], NECK) < 1.0
     assert np.linalg.norm(1e3 * found.site.centre_m - 23.0 * NECK) < 0.4
     assert found.score > 0.8
     assert found.second_score == 0.0
@@ -58,7 +61,11 @@ def test_axis_and_centre_of_a_head(head):
     ("kind", "move"),
     [
         pytest.param(
-            kind, move, marks=() if (kind == "femoral-head") == (move in ("moved", "mirrored")) else pytest.mark.slow
+            kind,
+            move,
+            marks=()
+            if (kind == "femoral-head") == (move in ("moved", "mirrored"))
+            else pytest.mark.slow,
         )
         for kind in BONES
         for move in MOVES
@@ -70,7 +77,9 @@ def test_a_head_does_not_depend_on_where_the_bone_lies(kind, move):
     shift = np.array([40.0, -500.0, 7.0])
     vertices = (np.array(bone.vertices) @ turn.T + shift) * unit
     faces = np.array(bone.faces) if np.linalg.det(turn) > 0.0 else np.array(bone.faces)[:, ::-1]
-    found = find_site(kind, as_surface(trimesh.Trimesh(vertices, faces, process=False), scale=1.0 / unit))
+    found = find_site(
+        kind, as_surface(trimesh.Trimesh(vertices, faces, process=False), scale=1.0 / unit)
+    )
     assert angle_deg(found.site.rotation[:, 2], turn @ NECK) < 1.0
     assert np.linalg.norm(1e3 * found.site.centre_m - (23.0 * turn @ NECK + shift)) < 0.5
 
@@ -94,7 +103,9 @@ NO_BONES = {
 @pytest.mark.parametrize(
     ("kind", "shape"),
     [
-        pytest.param(kind, shape, marks=() if (number - place) % len(NO_BONES) == 0 else pytest.mark.slow)
+        pytest.param(
+            kind, shape, marks=() if (number - place) % len(NO_BONES) == 0 else pytest.mark.slow
+        )
         for number, kind in enumerate(SITE_KINDS)
         for place, shape in enumerate(NO_BONES)
     ],
@@ -127,19 +138,25 @@ def spine():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("move", "side"), [("turned", "left"), ("mirrored", "left"), ("in metres", "right")])
+@pytest.mark.parametrize(
+    ("move", "side"), [("turned", "left"), ("mirrored", "left"), ("in metres", "right")]
+)
 def test_pedicles_of_a_vertebra_wherever_it_lies(spine, side, move):
     turn, unit = MOVES[move]
     shift = np.array([40.0, -500.0, 7.0])
     mirrored = np.linalg.det(turn) < 0.0
     faces = np.array(spine.faces)[:, ::-1] if mirrored else np.array(spine.faces)
-    moved = trimesh.Trimesh((np.array(spine.vertices) @ turn.T + shift) * unit, faces, process=False)
+    moved = trimesh.Trimesh(
+        (np.array(spine.vertices) @ turn.T + shift) * unit, faces, process=False
+    )
     found = find_site(f"vertebra:{side}", as_surface(moved, scale=1.0 / unit)).site
     was = side if not mirrored else {"left": "right", "right": "left"}[side]
     outside = np.array([1.0 if was == "left" else -1.0, 1.0, 1.0])
-    assert angle_deg(found.rotation[:, 2], turn @ (outside * PEDICLE)) < 9.0  # 1.5 mm at each end of 18 is 9
+    # 1.5 mm at each end of 18 is 9
+    assert angle_deg(found.rotation[:, 2], turn @ (outside * PEDICLE)) < 9.0
     away = np.linalg.solve(turn, 1e3 * found.centre_m - shift) - outside * [14.0, 8.0, 6.0]
-    assert np.linalg.norm(away - (away @ (outside * PEDICLE)) * (outside * PEDICLE)) < 2.3  # 9 degrees over 14 mm
+    # 9 degrees over 14 mm
+    assert np.linalg.norm(away - (away @ (outside * PEDICLE)) * (outside * PEDICLE)) < 2.3
     assert angle_deg(found.rotation[:, 1], turn @ [0, 0, 1]) < 10.0
     assert side in found.confidence
 
@@ -155,7 +172,9 @@ def test_the_other_pedicle_is_the_second_best_place(spine):
 @pytest.mark.slow
 @pytest.mark.parametrize(("label", "whole"), [(30, False), (31, True), (32, True)])
 def test_vertebrae_of_a_ct(label, whole):
-    """Labels of TotalSegmentator in voxels of 3 mm, LPS: +x is the left, +z up; the edge of the image cuts one off."""
+    """Labels of TotalSegmentator in voxels of 3 mm, LPS: +x is the left, +z up; the edge of the
+    image cuts one off.
+    """
     path = ANATOMY / "ct" / "example_seg.nii.gz"
     if not path.is_file():
         pytest.skip("no CT in shared/anatomy")
@@ -184,13 +203,17 @@ def test_a_ring_is_no_vertebra():
 
 
 def test_an_unknown_site_lists_the_known_ones():
-    with pytest.raises(InputError, match=r"site must be one of glenoid, femoral-head, humeral-head.*, got knee"):
+    with pytest.raises(
+        InputError, match=r"site must be one of glenoid, femoral-head, humeral-head.*, got knee"
+    ):
         find_site("knee", as_surface(trimesh.creation.icosphere(2, 24.0)))
 
 
 @pytest.mark.parametrize("name", FEMURS)
 def test_heads_of_real_femurs(name):
-    """The origin of the OpenSim femur is the centre of its head; necks lean 120 to 140 degrees from the shaft."""
+    """The origin of the OpenSim femur is the centre of its head; necks lean 120 to 140 degrees
+    from the shaft.
+    """
     path = ANATOMY / "bone" / name
     if not path.is_file():
         pytest.skip("no bones in shared/anatomy")
@@ -207,7 +230,8 @@ def test_heads_of_real_femurs(name):
 
 
 @pytest.mark.parametrize(
-    "name", ["myosim_scapula.stl", pytest.param("openforge_scapula_left.stl", marks=pytest.mark.slow)]
+    "name",
+    ["myosim_scapula.stl", pytest.param("openforge_scapula_left.stl", marks=pytest.mark.slow)],
 )
 def test_the_glenoid_comes_with_its_second_best_place(name):
     path = ANATOMY / "scapula" / name
@@ -218,7 +242,10 @@ def test_the_glenoid_comes_with_its_second_best_place(name):
     assert found.second_score < found.score
     assert found.second_centre_mm is not None
     assert np.linalg.norm(found.second_centre_mm - 1e3 * found.site.centre_m) > 20.0
-    print(f"{name}: score {found.score:.2f}, second {found.second_score:.2f} at {found.second_centre_mm.round(1)}")
+    print(
+        f"{name}: score {found.score:.2f}, second {found.second_score:.2f} at "
+        f"{found.second_centre_mm.round(1)}"
+    )
     for kind in ("femoral-head", "humeral-head"):
         with pytest.raises(InputError, match="got"):
             find_site(kind, surface)

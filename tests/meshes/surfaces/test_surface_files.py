@@ -52,7 +52,8 @@ def test_formats(write, suffix):
         (
             (12, 10, 9),
             1.0,
-            "millimetres, since the longest side 12 would be 12 mm (in centimetres it would be 120 mm, in "
+            "millimetres, since the longest side 12 would be 12 mm (in centimetres it would "
+            "be 120 mm, in "
             "inches 305 mm: set anatomy.scale_mm to be sure)",
         ),
     ],
@@ -72,14 +73,18 @@ def test_inward_winding_is_turned():
     vertices, faces = parts(bone())
     surface = surface_from_triangles(vertices, faces[:, ::-1])
     assert surface.report.repairs == ("Turned the surface outward: it was wound inward.",)
-    assert trimesh.Trimesh(surface.vertices_m, surface.faces).volume * 1e9 == pytest.approx(bone().volume, rel=1e-9)
+    assert trimesh.Trimesh(surface.vertices_m, surface.faces).volume * 1e9 == pytest.approx(
+        bone().volume, rel=1e-9
+    )
 
 
 def test_mixed_winding_is_made_one():
     vertices, faces = parts(bone())
     faces[::7] = faces[::7, ::-1]
     surface = surface_from_triangles(vertices, faces)
-    assert surface.report.repairs == (f"Turned {len(faces[::7])} of 1280 triangles to agree with their neighbours.",)
+    assert surface.report.repairs == (
+        f"Turned {len(faces[::7])} of 1280 triangles to agree with their neighbours.",
+    )
     assert surface.report.volume_mm3 == pytest.approx(bone().volume, rel=1e-9)
 
 
@@ -106,7 +111,9 @@ def test_two_bodies_stay_and_a_cavity_stays_a_cavity():
 def test_small_holes_are_closed():
     vertices, faces = parts(bone())
     surface = surface_from_triangles(vertices, np.delete(faces, [5, 600, 601], axis=0))
-    assert surface.report.repairs[-1].startswith("Closed 3 holes along 9 open and 0 non-manifold edges, ")
+    assert surface.report.repairs[-1].startswith(
+        "Closed 3 holes along 9 open and 0 non-manifold edges, "
+    )
     assert surface.report.volume_mm3 == pytest.approx(bone().volume, rel=2e-3)
     edges = np.sort(trimesh.Trimesh(surface.vertices_m, surface.faces, process=False).edges, axis=1)
     assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
@@ -118,14 +125,17 @@ def test_doubled_and_cancelling_triangles_leave_a_closed_surface():
     vertices, faces = parts(bone())
     flap = np.array([[0, 1, 2], [2, 1, 0]])
     merged, kept, _ = merge_vertices(vertices, np.concatenate([faces, faces[:9], flap]), 1e-6)
-    assert len(kept) == len(faces) and trimesh.Trimesh(merged, kept, process=False).volume == pytest.approx(
-        bone().volume, rel=1e-9
-    )
+    assert len(kept) == len(faces) and trimesh.Trimesh(
+        merged, kept, process=False
+    ).volume == pytest.approx(bone().volume, rel=1e-9)
 
 
 def test_bodies_that_share_an_edge_are_closed():
     cubes = trimesh.util.concatenate(
-        [trimesh.creation.box((10, 10, 10)), trimesh.creation.box((10, 10, 10)).apply_translation((10, 10, 0))]
+        [
+            trimesh.creation.box((10, 10, 10)),
+            trimesh.creation.box((10, 10, 10)).apply_translation((10, 10, 0)),
+        ]
     )
     surface = surface_from_triangles(*parts(cubes))
     assert surface.report.volume_mm3 == pytest.approx(2000)
@@ -135,7 +145,9 @@ def test_repair_is_idempotent():
     vertices, faces = parts(bone())
     once = surface_from_triangles(vertices, np.delete(faces, [5, 600], axis=0))
     again = surface_from_triangles(once.vertices_m * 1e3, once.faces)
-    assert again.report.repairs == () and again.report.volume_mm3 == pytest.approx(once.report.volume_mm3)
+    assert again.report.repairs == () and again.report.volume_mm3 == pytest.approx(
+        once.report.volume_mm3
+    )
     turned, count, bodies, _ = orient(again.vertices_m, again.faces)
     assert (count, bodies) == (0, 0) and np.array_equal(turned, again.faces)
     assert fill_holes(again.vertices_m, again.faces, 0.03)[1].filled == 0
@@ -163,19 +175,28 @@ def fins():
         (
             open_box(),
             {},
-            ("surface", "4 open and 0 non-manifold edges in bone.stl, the largest hole 2.5e+03 mm2"),
+            (
+                "surface",
+                "4 open and 0 non-manifold edges in bone.stl, the largest hole 2.5e+03 mm2",
+            ),
         ),
         (
             fins(),
             {},
-            ("surface", "6 open and 1 non-manifold edges in bone.stl, the largest hole 1.25e+03 mm2"),
+            (
+                "surface",
+                "6 open and 1 non-manifold edges in bone.stl, the largest hole 1.25e+03 mm2",
+            ),
         ),
         (
             bone((2.8, 2.3, 1.2)),
             {},
             (
                 "anatomy.scale_mm",
-                "none for bone.stl, whose longest side 2.8 would be 2.8 mm in millimetres and 2.8 m in metres",
+                (
+                    "none for bone.stl, whose longest side 2.8 would be 2.8 mm in millimetres "
+                    "and 2.8 m in metres"
+                ),
             ),
         ),
         (
@@ -207,7 +228,9 @@ def test_refused_surfaces(write, mesh, options, message):
 
 
 @pytest.mark.parametrize("suffix", [".stl", ".ply", ".obj", ".vtk", ".vtp"])
-@pytest.mark.parametrize("content", [None, b"", b"not a mesh at all\n" * 20, b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"])
+@pytest.mark.parametrize(
+    "content", [None, b"", b"not a mesh at all\n" * 20, b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"]
+)
 def test_refused_files(tmp_path, suffix, content):
     file = tmp_path / f"bone{suffix}"
     if content is not None:
@@ -222,7 +245,10 @@ def test_vertices_that_are_not_numbers():
     vertices[3, 1] = np.nan
     with pytest.raises(InputError) as refusal:
         surface_from_triangles(vertices, faces, source="bone.ply")
-    assert str(refusal.value) == "vertices must be finite, got 1 of 642 that are not in bone.ply: export it again"
+    assert (
+        str(refusal.value)
+        == "vertices must be finite, got 1 of 642 that are not in bone.ply: export it again"
+    )
 
 
 def test_real_liver_is_turned_and_cleaned(anatomy):
@@ -247,7 +273,16 @@ def test_a_ply_that_names_a_missing_texture_is_read_quietly(tmp_path, capfd, cap
     lines = ["ply", "format ascii 1.0", "comment TextureFile skin of bone.jpg", "element vertex 4"]
     lines += [f"property float {name}" for name in ("x", "y", "z", "s", "t")]
     lines += ["element face 4", "property list uchar int vertex_indices", "end_header"]
-    lines += ["0 0 0 0 0", "30 0 0 1 0", "0 30 0 0 1", "0 0 30 1 1", "3 0 2 1", "3 0 1 3", "3 1 2 3", "3 0 3 2"]
+    lines += [
+        "0 0 0 0 0",
+        "30 0 0 1 0",
+        "0 30 0 0 1",
+        "0 0 30 1 1",
+        "3 0 2 1",
+        "3 0 1 3",
+        "3 1 2 3",
+        "3 0 3 2",
+    ]
     (tmp_path / "bone.ply").write_text("\n".join(lines) + "\n")
     assert read_surface(tmp_path / "bone.ply").report.volume_mm3 == pytest.approx(30.0**3 / 6.0)
     assert capfd.readouterr().err == "" and not caplog.records

@@ -17,19 +17,28 @@ from meshes.tets.tetrahedra import TetMesh
 def longest_over_height(mesh: TetMesh) -> float:
     """Longest edge of a cell over its smallest height, the worst of all cells."""
     corners = mesh.nodes_m[mesh.cells]
-    edge = np.max([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i in range(4) for j in range(i)], axis=0)
+    edge = np.max(
+        [np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i in range(4) for j in range(i)],
+        axis=0,
+    )
     faces = corners[:, FACES]
-    area = 0.5 * np.linalg.norm(np.cross(faces[:, :, 1] - faces[:, :, 0], faces[:, :, 2] - faces[:, :, 0]), axis=2)
+    area = 0.5 * np.linalg.norm(
+        np.cross(faces[:, :, 1] - faces[:, :, 0], faces[:, :, 2] - faces[:, :, 0]), axis=2
+    )
     return float((edge * area.max(axis=1) / (3.0 * mesh.volumes_m3)).max())
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_shaken_box_refined_about_a_point(seed):
-    """Volume and surface area stay to rounding, every face is shared by two cells or lies outside, edges obey."""
+    """Volume and surface area stay to rounding, every face is shared by two cells or lies
+    outside, edges obey.
+    """
     random = np.random.default_rng(seed)
     coarse = box((1.0, 1.0, 0.5), (4, 4, 2))
     inside = (coarse.nodes_m > 0.01).all(axis=1) & (coarse.nodes_m < [0.99, 0.99, 0.49]).all(axis=1)
-    nodes = coarse.nodes_m + 0.05 * random.uniform(-1.0, 1.0, coarse.nodes_m.shape) * inside[:, None]
+    nodes = (
+        coarse.nodes_m + 0.05 * random.uniform(-1.0, 1.0, coarse.nodes_m.shape) * inside[:, None]
+    )
     coarse = TetMesh(nodes, coarse.cells, (coarse.cells[:, 0] % 2).astype(np.uint8), ("one", "two"))
     centre = random.uniform(0.2, 0.8, 3) * [1.0, 1.0, 0.5]
 
@@ -39,27 +48,38 @@ def test_a_shaken_box_refined_about_a_point(seed):
     fine = bisected(coarse, size)
     assert fine.volumes_m3.sum() == pytest.approx(0.5, rel=1e-12)
     for part in (0, 1):
-        old, new = coarse.volumes_m3[coarse.part == part].sum(), fine.volumes_m3[fine.part == part].sum()
+        old, new = (
+            coarse.volumes_m3[coarse.part == part].sum(),
+            fine.volumes_m3[fine.part == part].sum(),
+        )
         assert new == pytest.approx(old, rel=1e-12)
     faces = np.sort(fine.cells[:, FACES].reshape(-1, 3), axis=1)
     _, count = np.unique(faces, axis=0, return_counts=True)
     assert count.max() == 2
     a, b, c = (fine.nodes_m[fine.surface[:, i]] for i in range(3))
-    assert 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() == pytest.approx(4.0, rel=1e-12)
+    assert 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() == pytest.approx(
+        4.0, rel=1e-12
+    )
     np.testing.assert_array_equal(fine.nodes_m[: len(coarse.nodes_m)], coarse.nodes_m)
     pairs = np.unique(
-        np.sort(fine.cells[:, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]].reshape(-1, 2), axis=1), axis=0
+        np.sort(
+            fine.cells[:, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]].reshape(-1, 2), axis=1
+        ),
+        axis=0,
     )
     length = np.linalg.norm(fine.nodes_m[pairs[:, 0]] - fine.nodes_m[pairs[:, 1]], axis=1)
     assert (length <= size(fine.nodes_m[pairs].mean(axis=1))).all()
-    # Longest-edge halving creates few shapes; cells grow at most some times flatter than the first ones.
+    # Longest-edge halving creates few shapes; cells grow at most some times flatter than the first
+    # ones.
     assert longest_over_height(fine) < 4.0 * longest_over_height(coarse)
 
 
 def test_a_mesh_that_is_fine_enough_stays():
     """Nothing to do."""
     mesh = box((1.0, 1.0, 1.0), (2, 2, 2))
-    np.testing.assert_array_equal(bisected(mesh, lambda at: np.full(len(at), 1.0)).cells, mesh.cells)
+    np.testing.assert_array_equal(
+        bisected(mesh, lambda at: np.full(len(at), 1.0)).cells, mesh.cells
+    )
 
 
 def test_bad_sizes(monkeypatch):
@@ -73,9 +93,13 @@ def test_bad_sizes(monkeypatch):
         bisected(mesh, lambda at: np.full(len(at), 1e-3))
 
 
-@pytest.mark.parametrize("edges", [(0.4, 0.2), pytest.param((0.4, 0.2, 0.1), marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "edges", [(0.4, 0.2), pytest.param((0.4, 0.2, 0.1), marks=pytest.mark.slow)]
+)
 def test_surface_nodes_go_onto_the_surface_that_the_mesh_stands_for(edges):
-    """A ball of flat triangles: divided, it keeps its missing volume; onto its sphere, that falls with the square of edges."""
+    """A ball of flat triangles: divided, it keeps its missing volume; onto its sphere, that
+    falls with the square of edges.
+    """
 
     def onto(points):
         return points / np.linalg.norm(points, axis=1)[:, None]
@@ -86,7 +110,9 @@ def test_surface_nodes_go_onto_the_surface_that_the_mesh_stands_for(edges):
         flat = bisected(coarse, lambda at, edge=edge: np.full(len(at), edge))
         assert flat.volumes_m3.sum() == pytest.approx(coarse.volumes_m3.sum(), rel=1e-9)
         round_ = bisected(coarse, lambda at, edge=edge: np.full(len(at), edge), onto=onto)
-        assert np.linalg.norm(round_.nodes_m[round_.surface_nodes], axis=1) == pytest.approx(1.0, abs=1e-9)
+        assert np.linalg.norm(round_.nodes_m[round_.surface_nodes], axis=1) == pytest.approx(
+            1.0, abs=1e-9
+        )
         assert (round_.volumes_m3 > 0.0).all()
         missing.append(1.0 - round_.volumes_m3.sum() / whole)
     assert missing[-1] < edges[-1] * (1.0 - coarse.volumes_m3.sum() / whole)

@@ -1,4 +1,6 @@
-"""Tetrahedral meshes from files: the real livers, other formats, parts, units, and files that cannot be used."""
+"""Tetrahedral meshes from files: the real livers, other formats, parts, units, and files that
+cannot be used.
+"""
 
 from pathlib import Path
 
@@ -24,9 +26,14 @@ def grid_of(size_m: tuple[float, float, float] = (0.1, 0.1, 0.1)) -> pyvista.Uns
 
 
 def test_the_coarse_liver_is_read_with_a_given_unit(anatomy: Path) -> None:
-    # Counts, volume and box as measured on the file: 181 nodes, 596 tetrahedra, 36.5609 cubed units, all positive.
+    # Counts, volume and box as measured on the file: 181 nodes, 596 tetrahedra, 36.5609 cubed
+    # units, all positive.
     found = read_tets(anatomy / "liver" / "liver.v22.msh", unit_mm=34.3)
-    assert (len(found.mesh.nodes_m), len(found.mesh.cells), len(found.mesh.surface)) == (181, 596, 276)
+    assert (len(found.mesh.nodes_m), len(found.mesh.cells), len(found.mesh.surface)) == (
+        181,
+        596,
+        276,
+    )
     assert found.mesh.volumes_m3.sum() == pytest.approx(36.5609 * 0.0343**3, rel=1e-5)
     assert found.mesh.volumes_m3.min() == pytest.approx(0.00321 * 0.0343**3, rel=0.01)
     assert "34.3 mm per unit, as given: 222 x 169 x 152 mm" in found.sentences[0]
@@ -35,19 +42,28 @@ def test_the_coarse_liver_is_read_with_a_given_unit(anatomy: Path) -> None:
 
 def test_the_finer_liver_keeps_its_tetrahedra_only_and_reports_the_smallest(anatomy: Path) -> None:
     found = read_tets(anatomy / "liver" / "liver2.v22.msh", unit_mm=100.0)
-    assert (len(found.mesh.nodes_m), len(found.mesh.cells), len(found.mesh.surface)) == (507, 1493, 860)
+    assert (len(found.mesh.nodes_m), len(found.mesh.cells), len(found.mesh.surface)) == (
+        507,
+        1493,
+        860,
+    )
     assert found.mesh.volumes_m3.sum() == pytest.approx(1.12509e-3, rel=1e-5)
-    # 71 lines and 860 triangles; smallest over largest volume 3.55e-6 / 6.28e-3. Its cells are small, not flat.
+    # 71 lines and 860 triangles; smallest over largest volume 3.55e-6 / 6.28e-3. Its cells are
+    # small, not flat.
     assert "Left out 931 elements that are not tetrahedra." in found.sentences
     smallest = found.mesh.cells[int(found.mesh.volumes_m3.argmin())]
     at = ", ".join(f"{x:.3g}" for x in 1e3 * found.mesh.nodes_m[smallest].mean(axis=0))
-    assert any(f"at ({at}) mm, has 1/1769 of the volume" in sentence for sentence in found.sentences)
+    assert any(
+        f"at ({at}) mm, has 1/1769 of the volume" in sentence for sentence in found.sentences
+    )
     assert any("lowest mean ratio 0.34" in sentence for sentence in found.sentences)
 
 
 @pytest.mark.parametrize("name", ["liver", "liver2"])
 def test_both_versions_of_a_gmsh_file_hold_one_mesh(anatomy: Path, name: str) -> None:
-    one, two = (read_tets(anatomy / "liver" / f"{name}{v}.msh", unit_mm=50.0).mesh for v in ("", ".v22"))
+    one, two = (
+        read_tets(anatomy / "liver" / f"{name}{v}.msh", unit_mm=50.0).mesh for v in ("", ".v22")
+    )
     assert np.array_equal(one.cells, two.cells)
     assert np.allclose(one.nodes_m, two.nodes_m, rtol=0.0, atol=1e-12)
 
@@ -64,13 +80,16 @@ def test_a_pinched_mesh_of_slivers_is_kept_and_reported(anatomy: Path) -> None:
 @pytest.mark.parametrize("name", ["liver.v22.msh", "liver2.v22.msh"])
 def test_a_file_whose_unit_is_not_plain_is_refused_with_its_box(anatomy: Path, name: str) -> None:
     with pytest.raises(
-        InputError, match=r"scale_mm must be given .* whose box of [\d.]+ x .* would make it 200 mm long"
+        InputError,
+        match=r"scale_mm must be given .* whose box of [\d.]+ x .* would make it 200 mm long",
     ):
         read_tets(anatomy / "liver" / name)
 
 
 @pytest.mark.parametrize(("suffix", "factor"), [(".vtu", 1.0), (".vtk", 1.0), (".vtu", 1e-3)])
-def test_vtk_files_are_read_in_millimetres_or_metres(tmp_path: Path, suffix: str, factor: float) -> None:
+def test_vtk_files_are_read_in_millimetres_or_metres(
+    tmp_path: Path, suffix: str, factor: float
+) -> None:
     grid = grid_of()
     grid.points *= factor
     grid.save(tmp_path / f"organ{suffix}")
@@ -118,7 +137,10 @@ def test_hexahedra_among_tetrahedra_are_left_out_and_reported(tmp_path: Path) ->
     [
         ("", "the empty file"),
         ("nonsense", "Gmsh text of version 1 or 2, got neither"),
-        (FORM.replace("2.2", "4.1"), "got version 4.1 0 in organ.msh: save it with gmsh -format msh22"),
+        (
+            FORM.replace("2.2", "4.1"),
+            "got version 4.1 0 in organ.msh: save it with gmsh -format msh22",
+        ),
         (FORM.replace("2.2 0", "2.2 1"), "got version 2.2 1"),
         (FORM + NODES, "whole sections"),
         (FORM + NODES.replace("4\n1 0", "400\n1 0") + CELL, "whole sections"),
@@ -128,7 +150,9 @@ def test_hexahedra_among_tetrahedra_are_left_out_and_reported(tmp_path: Path) ->
         (FORM + NODES.replace("0 0 100", "100 100 0") + CELL, "cells must have volume, got 1 flat"),
     ],
 )
-def test_a_gmsh_file_that_cannot_be_used_is_refused_in_a_sentence(tmp_path: Path, text: str, message: str) -> None:
+def test_a_gmsh_file_that_cannot_be_used_is_refused_in_a_sentence(
+    tmp_path: Path, text: str, message: str
+) -> None:
     file = tmp_path / "organ.msh"
     file.write_text(text)
     with pytest.raises(InputError, match=message) as refused:
@@ -137,7 +161,9 @@ def test_a_gmsh_file_that_cannot_be_used_is_refused_in_a_sentence(tmp_path: Path
 
 
 @pytest.mark.parametrize("name", ["organ.vtu", "organ.vtk", "organ.stl", "organ.xyzzy"])
-def test_a_file_of_garbage_is_refused(tmp_path: Path, name: str, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_file_of_garbage_is_refused(
+    tmp_path: Path, name: str, capfd: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / name).write_bytes(b"this is no mesh at all" * 20)
     with pytest.raises(InputError, match="file must"):
         read_tets(tmp_path / name)

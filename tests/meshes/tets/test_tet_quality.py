@@ -24,7 +24,9 @@ def test_mean_ratio_of_known_tetrahedra() -> None:
     assert sign * mean_ratio(REGULAR, cell)[0] == pytest.approx(1.0, rel=1e-14)
     # Corner of a cube: volume 1/6, squared edges 1, 1, 1, 2, 2, 2.
     corner = np.vstack([np.zeros(3), np.eye(3)])
-    assert mean_ratio(corner, np.array([[0, 1, 2, 3]]))[0] == pytest.approx(12.0 * 0.5 ** (2 / 3) / 9.0, rel=1e-14)
+    assert mean_ratio(corner, np.array([[0, 1, 2, 3]]))[0] == pytest.approx(
+        12.0 * 0.5 ** (2 / 3) / 9.0, rel=1e-14
+    )
     assert mean_ratio(corner, np.array([[0, 2, 1, 3]]))[0] < 0.0
     assert flatness(REGULAR, cell)[0] == pytest.approx(np.sqrt(0.5), rel=1e-14)
 
@@ -83,10 +85,19 @@ def test_a_flat_cell_inside_gets_volume_by_moving_its_nodes() -> None:
 
 
 def test_a_flat_cell_that_nothing_mends_is_refused() -> None:
-    # Two solid cells about a flat one whose nodes all lie on the surface: without it the mesh falls apart.
-    nodes = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.2, 1], [0.5, 0.8, -1.0]], dtype=float) * 0.1
+    # Two solid cells about a flat one whose nodes all lie on the surface: without it the mesh falls
+    # apart.
+    nodes = (
+        np.array(
+            [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.2, 1], [0.5, 0.8, -1.0]],
+            dtype=float,
+        )
+        * 0.1
+    )
     cells = np.array([[0, 1, 2, 3], [0, 1, 2, 4], [0, 1, 3, 5]])
-    with pytest.raises(InputError, match=r"got 1 flat tetrahedra of 3 that neither dropping nor moving"):
+    with pytest.raises(
+        InputError, match=r"got 1 flat tetrahedra of 3 that neither dropping nor moving"
+    ):
         repair_tets(nodes, cells)
 
 
@@ -110,7 +121,9 @@ def test_a_sliver_on_the_surface_is_kept_and_reported() -> None:
     corner[3] *= 0.01
     _, report = repair_tets(corner, np.array([[0, 1, 2, 3]]))
     assert (report.slivers, report.slivers_left, report.nodes_moved) == (1, 1, 0)
-    assert any("Found 1 slivers" in sentence and "left 1" in sentence for sentence in report.sentences())
+    assert any(
+        "Found 1 slivers" in sentence and "left 1" in sentence for sentence in report.sentences()
+    )
 
 
 def test_debris_is_dropped_with_its_volume(cube: TetMesh) -> None:
@@ -145,7 +158,8 @@ def test_a_pinched_edge_is_reported() -> None:
     mesh, report = repair_tets(nodes, np.vstack([one.cells, one.cells + 8]))
     assert len(pinched_edges(mesh.surface)) == 1
     assert any(
-        "Kept 1 surface edges" in sentence and "(100, 100, 50) mm" in sentence for sentence in report.sentences()
+        "Kept 1 surface edges" in sentence and "(100, 100, 50) mm" in sentence
+        for sentence in report.sentences()
     )
     assert any("2 bodies" in sentence for sentence in report.sentences())
 
@@ -153,11 +167,17 @@ def test_a_pinched_edge_is_reported() -> None:
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda n, c: (np.where(np.arange(len(n))[:, None] == 3, np.nan, n), c), "nodes must be finite, got 1 of 125"),
+        (
+            lambda n, c: (np.where(np.arange(len(n))[:, None] == 3, np.nan, n), c),
+            "nodes must be finite, got 1 of 125",
+        ),
         (lambda n, c: (n, c + 1), "cells must name nodes 0 to 124"),
         (lambda n, c: (n, c[:0]), "cells must be tetrahedra"),
         (
-            lambda n, c: (np.vstack([n, [[0.05, 0.05, 0.5]]]), np.vstack([c, np.append(_middle(n, c)[:3], 125)])),
+            lambda n, c: (
+                np.vstack([n, [[0.05, 0.05, 0.5]]]),
+                np.vstack([c, np.append(_middle(n, c)[:3], 125)]),
+            ),
             "two at a face",
         ),
     ],
@@ -177,7 +197,12 @@ def test_triangles_that_cross_are_found_and_others_are_not() -> None:
     brute = [
         k
         for k, face in enumerate(faces)
-        if any(_crosses(both[face], both[[f[i], f[i - 1]]]) for f in faces for i in range(3) if not set(f) & set(face))
+        if any(
+            _crosses(both[face], both[[f[i], f[i - 1]]])
+            for f in faces
+            for i in range(3)
+            if not set(f) & set(face)
+        )
     ]
     assert len(found) > 0
     assert found.tolist() == brute

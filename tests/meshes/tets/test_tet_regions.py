@@ -23,7 +23,9 @@ def test_a_plane_chooses_the_nodes_behind_it() -> None:
     assert len(base) == 36
     assert (MESH.nodes_m[base, 2] == 0.0).all()
     # Two planes of nodes: the bottom and the rim of the next.
-    assert len(nodes_behind_plane(MESH, point_m=(0.0, 0.0, 0.02), normal=(0.0, 0.0, 1.0))) == 36 + 20
+    assert (
+        len(nodes_behind_plane(MESH, point_m=(0.0, 0.0, 0.02), normal=(0.0, 0.0, 1.0))) == 36 + 20
+    )
 
 
 def test_faces_of_a_flat_bottom_cover_it() -> None:
@@ -39,7 +41,8 @@ def test_a_direction_chooses_the_side_that_faces_it() -> None:
     top = nodes_facing(shell, direction=(0.0, 0.0, 1.0), within_deg=30.0)
     unit = shell.nodes_m[top] / np.linalg.norm(shell.nodes_m[top], axis=1, keepdims=True)
     outer = np.linalg.norm(shell.nodes_m[top], axis=1) > 0.03
-    # A triangle at 30 degrees reaches one cell of 7.5 degrees further; the inner sphere faces the opposite direction.
+    # A triangle at 30 degrees reaches one cell of 7.5 degrees further; the inner sphere faces the
+    # opposite direction.
     assert unit[outer, 2].min() > np.cos(np.radians(38.0))
     assert unit[~outer, 2].max() < -np.cos(np.radians(38.0))
     assert np.linalg.norm(surface_normals(shell), axis=1) == pytest.approx(1.0)
@@ -69,7 +72,10 @@ def test_a_support_that_touches_nothing_reports_the_nearest_node() -> None:
             lambda: nodes_behind_plane(MESH, point_m=(0, 0, float("nan")), normal=(0, 0, 1)),
             "point_m must be three finite",
         ),
-        (lambda: nodes_behind_plane(MESH, point_m=(0, 0, 0), normal=(0, 0, 0)), "normal must not be zero"),
+        (
+            lambda: nodes_behind_plane(MESH, point_m=(0, 0, 0), normal=(0, 0, 0)),
+            "normal must not be zero",
+        ),
         (lambda: nodes_facing(MESH, direction=(0, 0, 1), within_deg=0.0), "within_deg must be in"),
     ],
 )

@@ -17,13 +17,17 @@ def area(mesh: TetMesh) -> float:
 
 
 def closed_and_conforming(mesh: TetMesh) -> None:
-    """Every face has one cell or two on opposite sides; the surface encloses the volume and has no odd edge."""
+    """Every face has one cell or two on opposite sides; the surface encloses the volume and has
+    no odd edge.
+    """
     _, _, shared = cell_faces(mesh.cells)
     assert shared.max() == 2
     assert len(pinched_edges(mesh.surface)) == 0
     assert pieces(mesh.cells).max() == 0
     a, b, c = (mesh.nodes_m[mesh.surface[:, k]] for k in range(3))
-    assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0 == pytest.approx(mesh.volumes_m3.sum(), rel=1e-12)
+    assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0 == pytest.approx(
+        mesh.volumes_m3.sum(), rel=1e-12
+    )
 
 
 def test_a_box_is_filled_exactly_by_six_tetrahedra_a_brick() -> None:
@@ -46,7 +50,9 @@ def test_an_affine_map_scales_the_volume_by_its_determinant_and_may_mirror() -> 
 
 
 @pytest.mark.parametrize(("octants", "share"), [(1, 0.125), (8, 1.0)])
-def test_a_hollow_sphere_comes_to_its_volume_with_the_square_of_the_cell_size(octants: int, share: float) -> None:
+def test_a_hollow_sphere_comes_to_its_volume_with_the_square_of_the_cell_size(
+    octants: int, share: float
+) -> None:
     exact = share * 4.0 / 3.0 * np.pi * (2.0**3 - 1.0)
     error = []
     for n in (4, 8):
@@ -57,7 +63,8 @@ def test_a_hollow_sphere_comes_to_its_volume_with_the_square_of_the_cell_size(oc
             # Nothing but the two spheres bounds a whole shell: patches and images conform.
             assert np.minimum(np.abs(radius - 1.0), np.abs(radius - 2.0)).max() < 1e-12
         error.append(abs(mesh.volumes_m3.sum() / exact - 1.0))
-    # Chords of angle h miss the sphere by h^2 / 8: order 2, with 0.1 for what is not asymptotic yet.
+    # Chords of angle h miss the sphere by h^2 / 8: order 2, with 0.1 for what is not asymptotic
+    # yet.
     assert np.log2(error[0] / error[1]) == pytest.approx(2.0, abs=0.1)
     assert error[1] < 0.005
 
@@ -87,7 +94,10 @@ def test_meshes_that_meet_node_on_node_become_one() -> None:
         (lambda: box((0.1, 0.1, 0.1), (1, 0, 1)), "cells must be three numbers"),
         (lambda: grid([0.0, 1.0], [0.0, 0.0], [0.0, 1.0]), "y_m must hold at least two rising"),
         (lambda: grid([0.0, np.nan], [0.0, 1.0], [0.0, 1.0]), "x_m must hold at least two rising"),
-        (lambda: mapped((1, 1, 1), lambda p: p * [1.0, 1.0, 0.0]), "cells must have positive volume"),
+        (
+            lambda: mapped((1, 1, 1), lambda p: p * [1.0, 1.0, 0.0]),
+            "cells must have positive volume",
+        ),
         (lambda: graded(0.0, 1.0, 2.0, 1.2), "first_m must be in"),
         (lambda: graded(0.0, 1.0, 0.1, 0.9), "growth must be at least 1"),
     ],

@@ -82,7 +82,10 @@ def test_two_parts_do_not_take_from_each_other() -> None:
         (lambda: stuffed(sphere(0.05), -1.0), "spacing_m must be positive"),
         (lambda: stuffed(sphere(0.05), 1e-4), "spacing_m must leave at most"),
         (lambda: stuffed(sphere(0.05), float("nan")), "spacing_m must be positive"),
-        (lambda: with_part(stuffed(sphere(0.05), 0.02), sphere(0.01, (1.0, 0.0, 0.0)), "nodule"), "nodule must hold"),
+        (
+            lambda: with_part(stuffed(sphere(0.05), 0.02), sphere(0.01, (1.0, 0.0, 0.0)), "nodule"),
+            "nodule must hold",
+        ),
     ],
 )
 def test_what_cannot_be_filled_is_refused(make: object, message: str) -> None:

@@ -1,4 +1,6 @@
-"""Surfaces filled with tetrahedra: a ball, the real liver, the cache, and the reports on bad surfaces."""
+"""Surfaces filled with tetrahedra: a ball, the real liver, the cache, and the reports on bad
+surfaces.
+"""
 
 from pathlib import Path
 
@@ -16,7 +18,9 @@ from meshes.tets.tetrahedralise import tetrahedralise
 
 
 @pytest.fixture(autouse=True)
-def private_cache(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def private_cache(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     # The liver takes half a minute to fill: once for all slow tests, from the machine's own cache.
     if request.node.get_closest_marker("slow") is None:
         monkeypatch.setenv("TISSUE_CACHE", str(tmp_path / "cache"))
@@ -26,7 +30,9 @@ def ball(*, flipped: bool = False) -> Surface:
     """Ball of 50 mm radius."""
     sphere = pyvista.Icosphere(radius=50.0, nsub=2)
     faces = np.asarray(sphere.faces).reshape(-1, 4)[:, 1:]
-    return surface_from_triangles(np.asarray(sphere.points), faces[:, ::-1] if flipped else faces, scale_mm=1.0)
+    return surface_from_triangles(
+        np.asarray(sphere.points), faces[:, ::-1] if flipped else faces, scale_mm=1.0
+    )
 
 
 def test_a_ball_is_filled_quietly_once_and_comes_from_the_cache_after(
@@ -34,7 +40,9 @@ def test_a_ball_is_filled_quietly_once_and_comes_from_the_cache_after(
 ) -> None:
     calls: list[tuple[str, float]] = []
     surface = ball()
-    mesh, message = tetrahedralise(surface, edge_m=0.02, report=lambda doing, share: calls.append((doing, share)))
+    mesh, message = tetrahedralise(
+        surface, edge_m=0.02, report=lambda doing, share: calls.append((doing, share))
+    )
     assert capfd.readouterr() == ("", "")
     assert calls[0][1] == 0.0
     assert calls[-1][1] == 1.0
@@ -72,7 +80,9 @@ def test_a_surface_that_crosses_itself_is_filled_as_a_union_and_reported() -> No
     # Two balls of radius r whose centres are d apart overlap in pi (4 r + d) (2 r - d)^2 / 12.
     distance = float(np.linalg.norm([0.06, 0.003, 0.001]))
     overlap = np.pi * (0.2 + distance) * (0.1 - distance) ** 2 / 12.0
-    assert mesh.volumes_m3.sum() == pytest.approx(2.0 * one.report.volume_mm3 * 1e-9 - overlap, rel=0.05)
+    assert mesh.volumes_m3.sum() == pytest.approx(
+        2.0 * one.report.volume_mm3 * 1e-9 - overlap, rel=0.05
+    )
     assert any("of volume against the surface" in sentence for sentence in message)
 
 
@@ -83,7 +93,8 @@ def test_an_edge_that_does_not_suit_is_refused(edge: float) -> None:
 
 
 def _polydata(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> pyvista.PolyData:
-    return pyvista.PolyData.from_regular_faces(points, triangles).clean()  # what it does not use misleads the search
+    # what it does not use misleads the search
+    return pyvista.PolyData.from_regular_faces(points, triangles).clean()
 
 
 @pytest.mark.slow
@@ -96,7 +107,10 @@ def test_the_liver_surface_is_repaired_and_filled(anatomy: Path) -> None:
     # 1477.2 ml as measured on the file.
     assert found.mesh.volumes_m3.sum() == pytest.approx(1.4772e-3, rel=1e-4)
     scanned = read_surface(anatomy / "liver" / "liver.vtk", scale_mm=1.0)
-    given, made = _polydata(scanned.vertices_m, scanned.faces), _polydata(found.mesh.nodes_m, found.mesh.surface)
+    given, made = (
+        _polydata(scanned.vertices_m, scanned.faces),
+        _polydata(found.mesh.nodes_m, found.mesh.surface),
+    )
     for one, other in ((given, made), (made, given)):
         away = one.subdivide(2).compute_implicit_distance(other)["implicit_distance"]
         assert np.abs(away).max() < 0.5e-3

@@ -1,4 +1,6 @@
-"""The surface and layers between labels: where a plane's and a ball's lie, and that no grid moves them."""
+"""The surface and layers between labels: where a plane's and a ball's lie, and that no grid
+moves them.
+"""
 
 import numpy as np
 import pytest
@@ -16,7 +18,9 @@ BOX = np.array([[-0.4e-3] * 3, [0.4e-3] * 3])
 
 
 def layer_of(points):
-    """Enamel over dentin with a ball of decay in it, in a tooth that ends at a slanted plane and at a ball beside it."""
+    """Enamel over dentin with a ball of decay in it, in a tooth that ends at a slanted plane and
+    at a ball beside it.
+    """
     layer = np.where(points[:, 0] - 0.3 * points[:, 1] > 0.0, ENAMEL, DENTIN).astype(np.uint8)
     layer[np.linalg.norm(points - DECAY, axis=1) < 1.7e-4] = CARIES
     layer[surface(points) > 0.0] = 255
@@ -43,26 +47,39 @@ def tooth(voxel_m=VOXEL_M, shift=(0.0, 0.0, 0.0)):
 
 
 def centres(volume):
-    return np.stack(np.meshgrid(*(volume.centres_m(k) for k in range(3)), indexing="ij"), axis=-1).reshape(-1, 3)
+    return np.stack(
+        np.meshgrid(*(volume.centres_m(k) for k in range(3)), indexing="ij"), axis=-1
+    ).reshape(-1, 3)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_distances_are_those_of_the_surface_that_was_labelled(seed):
-    """At most 0.1 label voxels rms off and 0.03 on average, at engine voxels of twice, once and half the labels'."""
+    """At most 0.1 label voxels rms off and 0.03 on average, at engine voxels of twice, once and
+    half the labels'.
+    """
     labelled = tooth(shift=np.random.default_rng(seed).uniform(-0.5, 0.5, 3))
     for ratio in (2.0, 1.0, 0.5):
         volume = labelled.volume(resample_mm=1e3 * ratio * VOXEL_M, region_m=tuple(BOX))
         exact = surface(centres(volume)) / VOXEL_M
-        found = ratio * (volume.surface_distance.ravel().astype(float) - SURFACE_ZERO) / SURFACE_STEPS
+        found = (
+            ratio * (volume.surface_distance.ravel().astype(float) - SURFACE_ZERO) / SURFACE_STEPS
+        )
         inner = (np.abs(centres(volume)) < 0.4e-3 - 3.0 * ratio * VOXEL_M).all(axis=1)
         off = (found - exact)[inner & (np.abs(exact) < 0.5 * ratio)]
-        print(f"\nvoxels {ratio:g} labels: {len(off)}, mean {off.mean():+.3f}, rms {np.sqrt((off**2).mean()):.3f}")
+        print(
+            f"\nvoxels {ratio:g} labels: {len(off)}, mean {off.mean():+.3f}, rms "
+            f"{np.sqrt((off**2).mean()):.3f}"
+        )
         assert np.sqrt((off**2).mean()) < 0.1 and abs(off.mean()) < 0.03
 
 
 def test_the_surface_does_not_depend_on_the_voxels():
-    """Volumes of the layers with voxels of a third of the labels' and of 1.5 labels agree to 0.2 %."""
-    coarse, fine = (tooth().volume(resample_mm=1e3 * r * VOXEL_M, region_m=tuple(BOX)) for r in (1.5, 1.0 / 3.0))
+    """Volumes of the layers with voxels of a third of the labels' and of 1.5 labels agree to 0.2
+    %.
+    """
+    coarse, fine = (
+        tooth().volume(resample_mm=1e3 * r * VOXEL_M, region_m=tuple(BOX)) for r in (1.5, 1.0 / 3.0)
+    )
     low = coarse.origin_m
     high = low + coarse.spacing_m * np.array(coarse.shape)
     inside = ((centres(fine) > low) & (centres(fine) < high)).all(axis=1)
@@ -86,10 +103,14 @@ def test_a_voxel_does_not_depend_on_the_region():
 
 
 def test_layers_change_where_they_were_labelled():
-    """Points nearer than a twentieth of a voxel to a change apart, 98 % of points have the layer that was labelled."""
+    """Points nearer than a twentieth of a voxel to a change apart, 98 % of points have the layer
+    that was labelled.
+    """
     placed = tooth().placed
     labels, start, turn = placed.around(BOX, REACH)
-    shares = LabelShares.of(labels, (CARIES, ENAMEL, DENTIN), voxel_m=placed.spacing, start=start, turn=turn)
+    shares = LabelShares.of(
+        labels, (CARIES, ENAMEL, DENTIN), voxel_m=placed.spacing, start=start, turn=turn
+    )
     points = np.random.default_rng(1).uniform(*BOX, (20_000, 3))
     points = points[surface(points) < 0.0]
     change = np.abs(points[:, 0] - 0.3 * points[:, 1]) / np.hypot(1.0, 0.3)

@@ -1,4 +1,6 @@
-"""A tooth from a label image: volumes, place, islands, cavity, refusals, and the real carious teeth."""
+"""A tooth from a label image: volumes, place, islands, cavity, refusals, and the real carious
+teeth.
+"""
 
 import math
 
@@ -14,9 +16,11 @@ SPACING_MM = 0.1
 
 
 def tooth_labels():
-    """A tooth 12 mm long that lies along the first axis, crown at its low end: 1 decay, 2 enamel, 3 dentin.
+    """A tooth 12 mm long that lies along the first axis, crown at its low end: 1 decay, 2 enamel, 3
+    dentin.
 
-    Dentin 5 x 4 mm across with a cavity of 1 x 1 x 4 mm, 3 mm of enamel over it, a cube of decay of 1 mm between them.
+    Dentin 5 x 4 mm across with a cavity of 1 x 1 x 4 mm, 3 mm of enamel over it, a cube of decay of
+    1 mm between them.
     """
     values = np.zeros((140, 70, 60), dtype=np.int16)
     values[10:40, 10:60, 10:50] = 2
@@ -36,14 +40,20 @@ EXACT_MM3 = {"enamel": 60.0 - 0.5, "dentin": 180.0 - 0.5, "caries": 1.0}
 
 @pytest.mark.parametrize(("resample_mm", "rel"), [(0.1, 0.1), (0.2, 0.35)])
 def test_layers_keep_their_volumes(resample_mm, rel):
-    """0.5 % of the whole and of the large layers; of a lesion five voxels wide, whether its faces are half voxels."""
+    """0.5 % of the whole and of the large layers; of a lesion five voxels wide, whether its
+    faces are half voxels.
+    """
     values = tooth_labels()
     values[60:100, 30:40, 25:35] = 3
     volume = labelled_tooth(image(values)).volume(resample_mm=resample_mm)
-    assert volume.layer_names == TOOTH_LAYERS and volume.spacing_m == pytest.approx(1e-3 * resample_mm)
+    assert volume.layer_names == TOOTH_LAYERS and volume.spacing_m == pytest.approx(
+        1e-3 * resample_mm
+    )
     assert 1e9 * volume.volume_m3() == pytest.approx(sum(EXACT_MM3.values()), rel=5e-3)
     for name, value in EXACT_MM3.items():
-        assert 1e9 * volume.volume_m3(name) == pytest.approx(value, rel=5e-3 if value > 10.0 else rel), name
+        assert 1e9 * volume.volume_m3(name) == pytest.approx(
+            value, rel=5e-3 if value > 10.0 else rel
+        ), name
 
 
 def test_crown_comes_up_and_the_origin_lies_on_it():
@@ -65,7 +75,10 @@ def test_islands_are_dropped_and_reported():
     values[135, 65, 55] = 2
     volume = labelled_tooth(image(values)).volume(resample_mm=0.2, remark=remarks.append)
     assert "Dropped 2 loose pieces of 9 voxels, 0.009 mm3 in all." in remarks
-    assert volume.volume_m3() == labelled_tooth(image(tooth_labels())).volume(resample_mm=0.2).volume_m3()
+    assert (
+        volume.volume_m3()
+        == labelled_tooth(image(tooth_labels())).volume(resample_mm=0.2).volume_m3()
+    )
 
 
 def test_cavity_becomes_pulp_by_default():
@@ -104,20 +117,39 @@ def edited(**values):
             {},
             "labels must be whole numbers from 0 to 255, got others from 0 to 3 in test",
         ),
-        (lambda: image(np.zeros((9, 9, 9))), {}, "labels must mark a tooth, got nothing but 0 in test: check the file"),
+        (
+            lambda: image(np.zeros((9, 9, 9))),
+            {},
+            "labels must mark a tooth, got nothing but 0 in test: check the file",
+        ),
         (
             lambda: edited(),
             {"labels": {1: "caries", 2: "cement", 3: "dentin"}},
-            "labels must name layers of enamel, dentin, pulp, caries, ligament, bone, got cement: rename it",
+            (
+                "labels must name layers of enamel, dentin, pulp, caries, ligament, bone, got "
+                "cement: rename it"
+            ),
         ),
         (
             lambda: image(np.where(tooth_labels() == 2, 3, tooth_labels())),
             {},
             "labels must give enamel and dentin, got dentin, caries: add the enamel",
         ),
-        (lambda: edited(), {"resample_mm": math.nan}, "resample_mm must be positive and finite, got nan: use 0.1"),
-        (lambda: edited(), {"resample_mm": 3}, "resample_mm must leave eight voxels across the tooth, got 3 for "),
-        (lambda: edited(), {"resample_mm": 1e-4}, "resample_mm must leave at most 4e+08 voxels, got 0.0001 which "),
+        (
+            lambda: edited(),
+            {"resample_mm": math.nan},
+            "resample_mm must be positive and finite, got nan: use 0.1",
+        ),
+        (
+            lambda: edited(),
+            {"resample_mm": 3},
+            "resample_mm must leave eight voxels across the tooth, got 3 for ",
+        ),
+        (
+            lambda: edited(),
+            {"resample_mm": 1e-4},
+            "resample_mm must leave at most 4e+08 voxels, got 0.0001 which ",
+        ),
         (
             lambda: image(tooth_labels(), (0.01, 0.01, 0.01)),
             {},
@@ -135,17 +167,30 @@ def test_refusals(make, options, message):
 @pytest.mark.parametrize(
     ("number", "islands", "counts"),
     [
-        pytest.param(2, 147, {"caries": 163638, "enamel": 4794143, "dentin": 13024153}, marks=pytest.mark.slow),
-        pytest.param(4, 1405, {"caries": 19993, "enamel": 5448491, "dentin": 18636124}, marks=pytest.mark.slow),
+        pytest.param(
+            2,
+            147,
+            {"caries": 163638, "enamel": 4794143, "dentin": 13024153},
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            4,
+            1405,
+            {"caries": 19993, "enamel": 5448491, "dentin": 18636124},
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_real_carious_teeth(anatomy, number, islands, counts):
-    """Voxel counts and islands are those of the data's README; the islands hold less than 0.2 mm3."""
+    """Voxel counts and islands are those of the data's README; the islands hold less than 0.2
+    mm3.
+    """
     remarks = []
     path = anatomy / "tooth" / f"caries_tooth_{number}.nii.gz"
     tooth = labelled_tooth(read_image(path, spacing_mm=0.034, labels=True))
     volume = tooth.volume(resample_mm=0.1, remark=remarks.append)
-    assert any(f"Dropped {islands - 1} loose pieces" in sentence for sentence in remarks)  # the tooth is one of them
+    # the tooth is one of them
+    assert any(f"Dropped {islands - 1} loose pieces" in sentence for sentence in remarks)
     for name, count in counts.items():
         expected = count * 0.034**3
         rel = 2e-3 if name != "caries" else 0.15  # decay in sheets thinner than 0.1 mm is outvoted
@@ -163,7 +208,8 @@ def test_a_site_over_the_caries_leads_straight_in_from_the_nearest_surface():
     assert middle == pytest.approx([0.0, 0.0, -1.0], abs=0.15)
     assert volume.placement.rotation[:, 2] == pytest.approx([0.0, 0.0, -1.0], abs=0.02)
     assert 1e9 * volume.volume_m3() == pytest.approx(240.0, rel=5e-3)
-    at = volume.placement.to_file(middle[None])[0]  # back where the labels are: voxels 35-44, 30-39, 15-24
+    # back where the labels are: voxels 35-44, 30-39, 15-24
+    at = volume.placement.to_file(middle[None])[0]
     assert at == pytest.approx([3.95, 3.45, 1.95], abs=0.1)
 
 
@@ -194,11 +240,14 @@ def solid():
 @pytest.mark.parametrize(
     ("where", "gone_mm3"),
     [
-        ((slice(0, 35), slice(10, 60), slice(27, 33)), 2.5 * 5.0 * 0.6),  # a fissure across the crown, open at its ends
-        ((slice(0, 70), slice(20, 50), slice(27, 33)), 6.0 * 3.0 * 0.6),  # a deep one within the crown and the dentin
+        # a fissure across the crown, open at its ends
+        ((slice(0, 35), slice(10, 60), slice(27, 33)), 2.5 * 5.0 * 0.6),
+        # a deep one within the crown and the dentin
+        ((slice(0, 70), slice(20, 50), slice(27, 33)), 6.0 * 3.0 * 0.6),
         ((slice(0, 60), slice(32, 38), slice(27, 33)), 5.0 * 0.6 * 0.6),  # a pit
         ((slice(60, 120), slice(0, 30), slice(27, 33)), 6.0 * 2.0 * 0.6),  # a groove along a root
-        ((slice(0, 120), slice(32, 38), slice(27, 33)), 11.0 * 0.6 * 0.6),  # a hole from the crown far into a root
+        # a hole from the crown far into a root
+        ((slice(0, 120), slice(32, 38), slice(27, 33)), 11.0 * 0.6 * 0.6),
         ((slice(70, 78), slice(30, 38), slice(25, 33)), 0.8**3),  # a pore: no pulp is as small
         ((slice(18, 30), slice(25, 40), slice(25, 35)), 1.2 * 1.5 * 1.0),  # a hollow in the enamel
     ],

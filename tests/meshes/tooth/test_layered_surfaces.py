@@ -1,4 +1,6 @@
-"""A tooth from surfaces: exact volumes of nested bodies, overlaps and gaps, its place, and the real molar."""
+"""A tooth from surfaces: exact volumes of nested bodies, overlaps and gaps, its place, and the
+real molar.
+"""
 
 import math
 
@@ -58,7 +60,9 @@ def lens_mm3(one, other, apart):
 
 
 def blocks(gap=0.0, lift=0.0):
-    """Dentin 8 x 6 x 12 mm, hollow for a pulp of 2 x 2 x 6, under an enamel of 8 x 6 x 3 that stands off by `gap`."""
+    """Dentin 8 x 6 x 12 mm, hollow for a pulp of 2 x 2 x 6, under an enamel of 8 x 6 x 3 that
+    stands off by `gap`.
+    """
     return {
         "enamel": surface(block((8, 6, 3), 12 + gap + lift)),
         "dentin": surface(block((8, 6, 12), 0.0), block((2, 2, 6), 4.0, hollow=True)),
@@ -76,10 +80,18 @@ def test_balls_have_their_volumes_and_the_overlap_goes_by_priority(hollow):
     """0.2 %: facets of the icospheres, and nine lines a voxel."""
     lens = lens_mm3(5.0, 3.0, 7.0)
     dentin = [ball(5.0), ball(2.0, hollow=True)] if hollow else [ball(5.0)]
-    surfaces = {"dentin": surface(*dentin), "pulp": surface(ball(2.0)), "enamel": surface(ball(3.0, (0, 0, 7.0)))}
+    surfaces = {
+        "dentin": surface(*dentin),
+        "pulp": surface(ball(2.0)),
+        "enamel": surface(ball(3.0, (0, 0, 7.0))),
+    }
     anatomy = layered_anatomy(surfaces)
     found = volumes_mm3(voxelise(anatomy, spacing_m=SPACING))
-    expected = {"enamel": ball_mm3(3.0), "dentin": ball_mm3(5.0) - ball_mm3(2.0), "pulp": ball_mm3(2.0)}
+    expected = {
+        "enamel": ball_mm3(3.0),
+        "dentin": ball_mm3(5.0) - ball_mm3(2.0),
+        "pulp": ball_mm3(2.0),
+    }
     expected["dentin"] -= lens
     for name, value in expected.items():
         assert found[name] == pytest.approx(value, rel=2e-3), name
@@ -95,13 +107,17 @@ def test_gap_is_reported_and_filled():
     assert anatomy.notes["gaps"].startswith("enamel and dentin ")
     assert float(anatomy.notes["gaps"].split()[-2]) == pytest.approx(8 * 6 * 0.2, rel=0.03)
     assert 1e9 * volume.volume_m3() == pytest.approx(8 * 6 * 15.2, rel=3e-3)
-    assert volumes_mm3(volume)["enamel"] == pytest.approx(8 * 6 * 3.2, rel=0.01)  # enamel comes before dentin
+    # enamel comes before dentin
+    assert volumes_mm3(volume)["enamel"] == pytest.approx(8 * 6 * 3.2, rel=0.01)
 
 
 def test_layers_that_fit_have_neither_gap_nor_overlap():
     anatomy = layered_anatomy(blocks())
     found = volumes_mm3(voxelise(anatomy, spacing_m=SPACING))
-    assert anatomy.notes["gaps"] == anatomy.notes["overlaps"] == "none" and "voids" not in anatomy.notes
+    assert (
+        anatomy.notes["gaps"] == anatomy.notes["overlaps"] == "none"
+        and "voids" not in anatomy.notes
+    )
     for name, value in (("enamel", 144.0), ("dentin", 576.0 - 24.0), ("pulp", 24.0)):
         assert found[name] == pytest.approx(value, rel=2e-3), name
 
@@ -112,7 +128,9 @@ def test_cavity_without_a_pulp_is_reported_and_left_empty():
     anatomy = layered_anatomy(surfaces)
     assert float(anatomy.notes["voids"].split()[0]) == pytest.approx(24.0, rel=0.03)
     assert "are unknown" in anatomy.notes["pulp"] and "no support" in anatomy.notes["ligament"]
-    assert 1e9 * voxelise(anatomy, spacing_m=2e-4).volume_m3() == pytest.approx(720.0 - 24.0, rel=3e-3)
+    assert 1e9 * voxelise(anatomy, spacing_m=2e-4).volume_m3() == pytest.approx(
+        720.0 - 24.0, rel=3e-3
+    )
 
 
 def test_tooth_is_placed_wherever_it_lay():
@@ -124,7 +142,9 @@ def test_tooth_is_placed_wherever_it_lay():
         turned[name] = surface_from_triangles(points, part.faces, scale_mm=1)
     volume = voxelise(layered_anatomy(turned), spacing_m=2e-4)
     filled = np.argwhere(volume.fraction)
-    low, high = (volume.origin_m + 2e-4 * corner for corner in (filled.min(axis=0), filled.max(axis=0) + 1))
+    low, high = (
+        volume.origin_m + 2e-4 * corner for corner in (filled.min(axis=0), filled.max(axis=0) + 1)
+    )
     assert high[2] == pytest.approx(0.0, abs=2.1e-4)
     assert low[2] == pytest.approx(-15e-3, abs=3e-4)
     assert np.abs(high[:2] - [4e-3, 3e-3]).max() < 3e-4
@@ -143,14 +163,18 @@ def test_inside_of_scattered_points():
 
 
 def test_scattered_points_are_sorted_as_those_of_a_lattice():
-    """The lattice's lines and the columns of single points cross the same triangles, lines on edges and corners too."""
+    """The lattice's lines and the columns of single points cross the same triangles, lines on
+    edges and corners too.
+    """
     sphere = surface(ball(5.0))
     axis = 1e-3 * np.linspace(-5.5, 5.5, 23)  # lines through vertices of the ball among them
     points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
     order = np.random.default_rng(6).permutation(len(points))
     lattice = inside_lattice(sphere.vertices_m, sphere.faces, (axis, axis, axis)).ravel()
     assert 0.2 < lattice.mean() < 0.6
-    assert (inside_scattered(sphere.vertices_m, sphere.faces, points[order]) == lattice[order]).all()
+    assert (
+        inside_scattered(sphere.vertices_m, sphere.faces, points[order]) == lattice[order]
+    ).all()
     opened = sphere.faces[1:]  # the line through a hole has no inside
     assert not (inside_scattered(sphere.vertices_m, opened, points) & ~lattice).any()
     assert not inside_scattered(sphere.vertices_m, sphere.faces, points[:0]).any()
@@ -161,7 +185,10 @@ def test_size_of_no_tooth(tmp_path):
     for name, part in blocks().items():
         trimesh.Trimesh(part.vertices_m * 1e3, part.faces).export(tmp_path / f"{name}.stl")
     paths = {name: tmp_path / f"{name}.stl" for name in blocks()}
-    with pytest.raises(InputError, match="scale_mm must make the tooth 5 to 40 mm long, got 10, which makes it 150 mm"):
+    with pytest.raises(
+        InputError,
+        match="scale_mm must make the tooth 5 to 40 mm long, got 10, which makes it 150 mm",
+    ):
         layered_surfaces(paths, scale_mm=10)
     with pytest.raises(InputError, match="file must exist"):
         layered_surfaces({**paths, "ligament": tmp_path / "gone.stl"})
@@ -178,11 +205,16 @@ def test_real_molar_keeps_the_volume_of_every_layer(real):
     anatomy = layered_surfaces(real)
     volume = voxelise(anatomy, spacing_m=SPACING)
     for name, value in MOLAR_MM3.items():
-        assert 1e9 * volume.volume_m3(name) == pytest.approx(value, rel=2e-3), name  # 1 % was asked for
+        # 1 % was asked for
+        assert 1e9 * volume.volume_m3(name) == pytest.approx(value, rel=2e-3), name
     assert anatomy.notes["overlaps"] == "none"
-    assert volume.bounds_m[1][2] < 3.5e-3 and volume.bounds_m[0][2] == pytest.approx(-20e-3, abs=1e-3)
+    assert volume.bounds_m[1][2] < 3.5e-3 and volume.bounds_m[0][2] == pytest.approx(
+        -20e-3, abs=1e-3
+    )
     top = volume.fraction[int(-volume.origin_m[0] / SPACING), int(-volume.origin_m[1] / SPACING)]
-    assert volume.origin_m[2] + SPACING * (np.flatnonzero(top)[-1] + 1) == pytest.approx(0.0, abs=1.1 * SPACING)
+    assert volume.origin_m[2] + SPACING * (np.flatnonzero(top)[-1] + 1) == pytest.approx(
+        0.0, abs=1.1 * SPACING
+    )
 
 
 @pytest.mark.slow
@@ -210,7 +242,11 @@ def test_real_molar_in_a_socket(real):
             {},
             "enamel surface must touch the others .* got one 4 mm from dentin",
         ),
-        ({"pulp": surface(block((2, 2, 6), 4.0, aside=5.0))}, {}, "pulp must lie within the dentin"),
+        (
+            {"pulp": surface(block((2, 2, 6), 4.0, aside=5.0))},
+            {},
+            "pulp must lie within the dentin",
+        ),
         ({}, {"socket_mm": 2.0}, "socket_mm must be 0 without a ligament"),
         ({}, {"socket_mm": math.inf}, "socket_mm must be in"),
     ],

@@ -7,7 +7,16 @@ import pytest
 from scipy import ndimage
 
 from meshes.base.errors import InputError
-from meshes.tooth.layers import CARIES, DENTIN, ENAMEL, LIGAMENT, PULP, TOOTH_LAYERS, caries_density, caries_softness
+from meshes.tooth.layers import (
+    CARIES,
+    DENTIN,
+    ENAMEL,
+    LIGAMENT,
+    PULP,
+    TOOTH_LAYERS,
+    caries_density,
+    caries_softness,
+)
 from meshes.tooth.molar import molar
 from meshes.voxels.voxelise import voxelise
 
@@ -32,7 +41,9 @@ def extent(volume, flags, axis):
 
 
 def along(volume, x, y):
-    """Layers met on the path down at (x, y) [m], and the height of each one's top and bottom [m]."""
+    """Layers met on the path down at (x, y) [m], and the height of each one's top and bottom
+    [m].
+    """
     i, j = (int((value - volume.origin_m[k]) / volume.spacing_m) for k, value in enumerate((x, y)))
     column = labels(volume)[i, j]
     met = []
@@ -61,7 +72,11 @@ def within(whole, part):
 def test_size_is_the_size_asked_for(width, length, height, root, cusp):
     """Within two voxels of 0.15 mm: the widest section is flat, and tips and apices are round."""
     anatomy = molar(
-        crown_width_mm=width, crown_length_mm=length, crown_height_mm=height, root_length_mm=root, cusp_height_mm=cusp
+        crown_width_mm=width,
+        crown_length_mm=length,
+        crown_height_mm=height,
+        root_length_mm=root,
+        cusp_height_mm=cusp,
     )
     volume = voxelise(anatomy, spacing_m=0.15 * MM)
     layer = labels(volume)
@@ -69,7 +84,9 @@ def test_size_is_the_size_asked_for(width, length, height, root, cusp):
         assert np.ptp(extent(volume, layer == ENAMEL, axis)) / MM == pytest.approx(size, abs=0.3)
     top = extent(volume, layer == ENAMEL, 2)[1] / MM
     assert top == pytest.approx(cusp, abs=0.3)
-    assert extent(volume, layer == DENTIN, 2)[0] / MM == pytest.approx(cusp - height - root, abs=0.3)
+    assert extent(volume, layer == DENTIN, 2)[0] / MM == pytest.approx(
+        cusp - height - root, abs=0.3
+    )
 
 
 def test_origin_lies_on_the_enamel(tooth):
@@ -79,9 +96,18 @@ def test_origin_lies_on_the_enamel(tooth):
 
 
 def test_layers_down_through_the_fossa(tooth):
-    """Enamel 1 to 2 mm in the fossa, 3 to 5 mm of dentin over the pulp (M, see `meshes.tooth.molar`)."""
+    """Enamel 1 to 2 mm in the fossa, 3 to 5 mm of dentin over the pulp (M, see
+    `meshes.tooth.molar`).
+    """
     met = along(tooth, 1e-6, 1e-6)
-    assert [name for name, _, _ in met] == ["enamel", "dentin", "pulp", "dentin", "ligament", "bone"]
+    assert [name for name, _, _ in met] == [
+        "enamel",
+        "dentin",
+        "pulp",
+        "dentin",
+        "ligament",
+        "bone",
+    ]
     thickness = {name: (top - bottom) / MM for name, top, bottom in met[:3]}
     assert thickness["enamel"] == pytest.approx(0.62 * 2.2, abs=0.11)
     assert 3.0 < thickness["dentin"] < 5.0 and 1.5 < thickness["pulp"] < 2.5
@@ -109,24 +135,32 @@ def test_five_cusps_two_roots_three_canals(tooth):
 
 def test_each_layer_is_one_piece(tooth):
     for name in ("enamel", "dentin", "pulp", "ligament", "bone"):
-        assert ndimage.label(labels(tooth) == TOOTH_LAYERS.index(name), np.ones((3, 3, 3)))[1] == 1, name
+        assert (
+            ndimage.label(labels(tooth) == TOOTH_LAYERS.index(name), np.ones((3, 3, 3)))[1] == 1
+        ), name
 
 
 def test_ligament_has_its_thickness():
     """Distances from dentin to bone through the ligament, on voxels of a sixth of it."""
     thickness, spacing = 0.30 * MM, 0.05 * MM
     anatomy = molar(ligament_thickness_mm=0.30)
-    volume = voxelise(anatomy, spacing_m=spacing, region_m=((-7e-3, -6e-3, -14e-3), (0.0, 6e-3, -12e-3)))
+    volume = voxelise(
+        anatomy, spacing_m=spacing, region_m=((-7e-3, -6e-3, -14e-3), (0.0, 6e-3, -12e-3))
+    )
     layer = labels(volume)
     outward = ndimage.distance_transform_edt((layer != DENTIN) & (layer != PULP)) * spacing
     bone = layer == TOOTH_LAYERS.index("bone")
     neighbours = bone & ndimage.binary_dilation(layer == LIGAMENT)
-    assert np.median(outward[neighbours]) - 0.5 * spacing == pytest.approx(thickness, abs=0.5 * spacing)
+    assert np.median(outward[neighbours]) - 0.5 * spacing == pytest.approx(
+        thickness, abs=0.5 * spacing
+    )
     assert outward[layer == LIGAMENT].max() < thickness + 2.5 * spacing
 
 
 def test_pulp_lies_within_the_dentin(tooth):
-    """The canals end in the apices; up to 14 mm below the fossa, 0.7 mm of dentin or more cover the pulp."""
+    """The canals end in the apices; up to 14 mm below the fossa, 0.7 mm of dentin or more cover
+    the pulp.
+    """
     layer = labels(tooth)
     away = ndimage.distance_transform_edt(layer != PULP) * SPACING / MM
     assert away[layer == ENAMEL].min() > 1.5
@@ -136,22 +170,29 @@ def test_pulp_lies_within_the_dentin(tooth):
 
 def test_layers_make_the_whole(tooth):
     assert tooth.layer_names == TOOTH_LAYERS
-    assert sum(tooth.volume_m3(name) for name in TOOTH_LAYERS) == pytest.approx(tooth.volume_m3(), rel=1e-12)
+    assert sum(tooth.volume_m3(name) for name in TOOTH_LAYERS) == pytest.approx(
+        tooth.volume_m3(), rel=1e-12
+    )
     assert tooth.volume_m3("caries") == 0.0
-    assert 200e-9 < tooth.volume_m3("enamel") < 320e-9  # 222 mm3 in the real molar of ../shared/anatomy
+    # 222 mm3 in the real molar of ../shared/anatomy
+    assert 200e-9 < tooth.volume_m3("enamel") < 320e-9
     assert 550e-9 < tooth.volume_m3("dentin") < 800e-9  # 648 there
     assert 25e-9 < tooth.volume_m3("pulp") < 60e-9  # 34 there
 
 
 def test_volumes_converge(tooth):
-    """The whole to 0.05 %; each layer to 3 % at 0.2 mm, as wide as the ligament, judged by voxels of 0.1 mm."""
+    """The whole to 0.05 %; each layer to 3 % at 0.2 mm, as wide as the ligament, judged by
+    voxels of 0.1 mm.
+    """
     coarse, fine = (voxelise(molar(), spacing_m=s) for s in (4e-4, 2e-4))
     finest = tooth
     assert coarse.volume_m3() == pytest.approx(finest.volume_m3(), rel=5e-4)
     assert fine.volume_m3() == pytest.approx(finest.volume_m3(), rel=1e-4)
     for name in TOOTH_LAYERS:
         error, before = (abs(v.volume_m3(name) - finest.volume_m3(name)) for v in (fine, coarse))
-        assert error <= 0.03 * finest.volume_m3(name) and error <= max(before, 1e-3 * finest.volume_m3(name)), name
+        assert error <= 0.03 * finest.volume_m3(name) and error <= max(
+            before, 1e-3 * finest.volume_m3(name)
+        ), name
 
 
 @pytest.mark.parametrize(
@@ -161,7 +202,11 @@ def test_volumes_converge(tooth):
 def test_distance_is_a_bound(width, length, height, cusp):
     """No steeper than 1 for the extreme crowns either: sampling by blocks rests on it."""
     shape = molar(
-        crown_width_mm=width, crown_length_mm=length, crown_height_mm=height, cusp_height_mm=cusp, pulp_roof_mm=4.5
+        crown_width_mm=width,
+        crown_length_mm=length,
+        crown_height_mm=height,
+        cusp_height_mm=cusp,
+        pulp_roof_mm=4.5,
     ).shape
     random = np.random.default_rng(3)
     p = random.uniform((-9e-3, -9e-3, -25e-3), (9e-3, 9e-3, 5e-3), (200_000, 3))
@@ -173,17 +218,24 @@ def test_distance_is_a_bound(width, length, height, cusp):
 def test_lesion_has_its_size_and_softens_toward_its_middle(tooth):
     depth, diameter = 3.5 * MM, 3.0 * MM
     volume = voxelise(
-        molar(caries_depth_mm=3.5), spacing_m=SPACING, region_m=((-3e-3, -3e-3, -5e-3), (3e-3, 3e-3, 1e-3))
+        molar(caries_depth_mm=3.5),
+        spacing_m=SPACING,
+        region_m=((-3e-3, -3e-3, -5e-3), (3e-3, 3e-3, 1e-3)),
     )
     carious = labels(volume) == CARIES
     assert extent(volume, carious, 2)[0] == pytest.approx(-depth, abs=1.1 * SPACING)
     assert np.ptp(extent(volume, carious, 0)) == pytest.approx(diameter, abs=2.1 * SPACING)
-    assert volume.volume_m3("caries") == pytest.approx(math.pi / 6.0 * diameter**2 * depth, rel=0.01)
+    assert volume.volume_m3("caries") == pytest.approx(
+        math.pi / 6.0 * diameter**2 * depth, rel=0.01
+    )
     index = np.argwhere(carious)
     x, y, z = (volume.centres_m(k)[index[:, k]] for k in range(3))
-    radius_squared = (x**2 + y**2) / (0.5 * diameter) ** 2 + ((z + 0.5 * depth) / (0.5 * depth)) ** 2
+    radius_squared = (x**2 + y**2) / (0.5 * diameter) ** 2 + (
+        (z + 0.5 * depth) / (0.5 * depth)
+    ) ** 2
     softness = caries_softness(volume.density_kg_m3[carious])
-    assert np.abs(softness - np.maximum(1.0 - radius_squared, 0.0) ** 2).max() < 1e-3  # density in whole kg/m3 of 800
+    # density in whole kg/m3 of 800
+    assert np.abs(softness - np.maximum(1.0 - radius_squared, 0.0) ** 2).max() < 1e-3
     assert int(volume.density_kg_m3[carious].min()) == pytest.approx(1300, abs=10)
     assert volume.density_kg_m3[carious].max() <= 2100
     window = within(tooth, volume)
@@ -195,28 +247,47 @@ def test_lesion_has_its_size_and_softens_toward_its_middle(tooth):
 def test_softness_and_density_are_one_law():
     softness = np.linspace(0.0, 1.0, 11)
     assert caries_softness(caries_density(softness)) == pytest.approx(softness)
-    assert caries_softness(np.array([2900, 2100, 1700, 1300, 1000])).tolist() == [0.0, 0.0, 0.5, 1.0, 1.0]
+    assert caries_softness(np.array([2900, 2100, 1700, 1300, 1000])).tolist() == [
+        0.0,
+        0.0,
+        0.5,
+        1.0,
+        1.0,
+    ]
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"crown_width_mm": 20}, "crown_width_mm must be in [9, 13], got 20: use 11"),
-        ({"enamel_thickness_mm": math.nan}, "enamel_thickness_mm must be in [1, 3], got nan: use 2.2"),
-        ({"ligament_thickness_mm": 0}, "ligament_thickness_mm must be in [0.1, 0.5], got 0: use 0.22"),
+        (
+            {"enamel_thickness_mm": math.nan},
+            "enamel_thickness_mm must be in [1, 3], got nan: use 2.2",
+        ),
+        (
+            {"ligament_thickness_mm": 0},
+            "ligament_thickness_mm must be in [0.1, 0.5], got 0: use 0.22",
+        ),
         (
             {"caries_depth_mm": 1e-300},
             "caries_depth_mm must be 0 or at least 0.1, got 1e-300: use 0 for none, or about 3",
         ),
-        ({"caries_depth_mm": -1}, "caries_depth_mm must be in [0, 6.2], got -1: use 0 for none, or about 3"),
+        (
+            {"caries_depth_mm": -1},
+            "caries_depth_mm must be in [0, 6.2], got -1: use 0 for none, or about 3",
+        ),
         ({"socket_mm": "wide"}, "socket_mm must be a number, got 'wide': use 2.5"),
         (
             {"caries_depth_mm": 4.9},
-            "caries_depth_mm must leave 0.3 mm over the pulp, got 4.9 with the chamber's roof at 5: use at most 4.7",
+            (
+                "caries_depth_mm must leave 0.3 mm over the pulp, got 4.9 with the chamber's "
+                "roof at 5: use at most 4.7"
+            ),
         ),
         (
             {"pulp_roof_mm": 6.4, "crown_height_mm": 6, "cusp_height_mm": 2},
-            "pulp_roof_mm must lie above the root trunk, got 6.4 with a cervical line 4 below the fossa: use at "
+            "pulp_roof_mm must lie above the root trunk, got 6.4 with a cervical line 4 "
+            "below the fossa: use at "
             "most 4.8",
         ),
     ],

@@ -1,4 +1,6 @@
-"""The procedural lumbar vertebra: its dimensions are those that it was asked for, its canal is free."""
+"""The procedural lumbar vertebra: its dimensions are those that it was asked for, its canal is
+free.
+"""
 
 from itertools import pairwise
 
@@ -14,7 +16,9 @@ AXIS = np.deg2rad(17.7)
 
 
 def run_inside(shape, start, direction, *, reach_m=60e-3):
-    """Length [m] of the stretch inside a shape through a point, along a direction and against it."""
+    """Length [m] of the stretch inside a shape through a point, along a direction and against
+    it.
+    """
     direction = np.asarray(direction) / np.linalg.norm(direction)
     at = np.linspace(-reach_m, reach_m, 24001)
     inside = shape.distance(np.asarray(start) + at[:, None] * direction) < 0.0
@@ -29,12 +33,18 @@ def test_the_canal_is_the_ellipse_that_was_asked_for():
     rng = np.random.default_rng(0)
     points = rng.uniform(-40e-3, 40e-3, (40, 3))
     found = canal.distance(points)
-    # Back into the frame of the body, by what the middle of the canal is: its distance is least there.
-    grid = np.stack(np.meshgrid(*[np.linspace(-50e-3, 50e-3, 401)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+    # Back into the frame of the body, by what the middle of the canal is: its distance is least
+    # there.
+    grid = np.stack(
+        np.meshgrid(*[np.linspace(-50e-3, 50e-3, 401)] * 2, indexing="ij"), axis=-1
+    ).reshape(-1, 2)
     flat = np.column_stack([grid[:, 0], np.zeros(len(grid)), grid[:, 1]])
     inside = flat[canal.distance(flat) < 0.0]
     centre = inside.mean(axis=0)
-    left, back = np.array([-np.cos(AXIS), 0.0, np.sin(AXIS)]), np.array([np.sin(AXIS), 0.0, np.cos(AXIS)])
+    left, back = (
+        np.array([-np.cos(AXIS), 0.0, np.sin(AXIS)]),
+        np.array([np.sin(AXIS), 0.0, np.cos(AXIS)]),
+    )
     assert run_inside(canal, centre, left) == pytest.approx(25.4e-3, abs=0.1e-3)
     assert run_inside(canal, centre, back) == pytest.approx(18.6e-3, abs=0.1e-3)
     for point, distance in zip(points, found, strict=True):
@@ -48,16 +58,22 @@ def test_the_canal_is_the_ellipse_that_was_asked_for():
             minimize_scalar(away, bounds=pair, method="bounded", options={"xatol": 1e-9}).fun
             for pair in pairwise(starts)
         )
-        assert abs(distance) == pytest.approx(nearest, abs=0.1e-3)  # the centre is that of a grid of 0.25 mm
+        # the centre is that of a grid of 0.25 mm
+        assert abs(distance) == pytest.approx(nearest, abs=0.1e-3)
 
 
 def test_pedicle_has_its_width_and_height():
     """At its isthmus, which lies beside the canal, 15 mm before the entry's plane or so."""
     whole = lumbar_vertebra(pedicle_width_mm=10.0, pedicle_height_mm=14.0).shape
-    widths = [run_inside(whole, (0.0, 0.0, -depth), (1, 0, 0)) for depth in np.arange(8e-3, 24e-3, 1e-3)]
-    heights = [run_inside(whole, (0.0, 0.0, -depth), (0, 1, 0)) for depth in np.arange(8e-3, 24e-3, 1e-3)]
+    widths = [
+        run_inside(whole, (0.0, 0.0, -depth), (1, 0, 0)) for depth in np.arange(8e-3, 24e-3, 1e-3)
+    ]
+    heights = [
+        run_inside(whole, (0.0, 0.0, -depth), (0, 1, 0)) for depth in np.arange(8e-3, 24e-3, 1e-3)
+    ]
     assert min(heights) == pytest.approx(14e-3, abs=0.1e-3)
-    assert min(widths) == pytest.approx(10e-3, abs=1.5e-3)  # blends with body and arch fill its medial corners
+    # blends with body and arch fill its medial corners
+    assert min(widths) == pytest.approx(10e-3, abs=1.5e-3)
 
 
 def test_the_origin_lies_on_the_bone_and_z_points_out():
@@ -74,7 +90,9 @@ def test_distances_never_exceed_the_true_ones():
     nearby = points + rng.normal(size=points.shape) * 1e-4
     anatomy = lumbar_vertebra()
     for shape in (anatomy.shape, anatomy.structures["canal"]):
-        steps = np.abs(shape.distance(points) - shape.distance(nearby)) / np.linalg.norm(points - nearby, axis=1)
+        steps = np.abs(shape.distance(points) - shape.distance(nearby)) / np.linalg.norm(
+            points - nearby, axis=1
+        )
         assert steps.max() < 1.001
 
 
@@ -93,7 +111,10 @@ def test_no_bone_in_the_canal_and_layers_by_depth():
     ("change", "sentence"),
     [
         ({"pedicle_width_mm": 30.0}, "pedicle_width_mm must be"),
-        ({"pedicle_width_mm": 5.0, "pedicle_cortex_mm": 2.0}, "pedicle_cortex_mm must be less than a third"),
+        (
+            {"pedicle_width_mm": 5.0, "pedicle_cortex_mm": 2.0},
+            "pedicle_cortex_mm must be less than a third",
+        ),
         ({"canal_depth_mm": float("nan")}, "canal_depth_mm"),
     ],
 )

@@ -32,7 +32,9 @@ def directions(count, seed=0):
 def fractions(distance, normal):
     """Filled part of every voxel behind a plane, 255 = full."""
     normals = np.broadcast_to(normal, (distance.size, 3))
-    return np.rint(255 * cube_fraction(distance.ravel(), normals).reshape(distance.shape)).astype(np.uint8)
+    return np.rint(255 * cube_fraction(distance.ravel(), normals).reshape(distance.shape)).astype(
+        np.uint8
+    )
 
 
 def voxels_off(stored, distance, reach):
@@ -43,13 +45,22 @@ def voxels_off(stored, distance, reach):
 
 def test_steps_are_held_within_two_voxels():
     found = surface_steps(np.array([-9.0, -2.0, -1.0, 0.0, 1.0, 2.0, 9.0]))
-    assert found.tolist() == [INSIDE, INSIDE, SURFACE_ZERO - 63, SURFACE_ZERO, SURFACE_ZERO + 63, OUTSIDE, OUTSIDE]
+    assert found.tolist() == [
+        INSIDE,
+        INSIDE,
+        SURFACE_ZERO - 63,
+        SURFACE_ZERO,
+        SURFACE_ZERO + 63,
+        OUTSIDE,
+        OUTSIDE,
+    ]
 
 
 def test_planes_come_back_from_their_fractions():
     """At 40 angles and offsets: no bias, 97 % within 0.03 of a voxel and all within 0.05.
 
-    Rounding to steps alone is 0.008 off, a fraction of 1/255 leaves 0.01, directions from 27 fractions the rest.
+    Rounding to steps alone is 0.008 off, a fraction of 1/255 leaves 0.01, directions from 27
+    fractions the rest.
     """
     random, all_off = np.random.default_rng(1), []
     for normal in directions(40):
@@ -64,7 +75,8 @@ def test_planes_come_back_from_their_fractions():
 
 @pytest.mark.parametrize("radius", [4.0, 8.0])
 def test_the_interpolated_surface_of_a_ball_lies_closer_than_exact_distances_put_it(radius):
-    """At points on a ball, trilinear between stored distances, against exact distances so interpolated.
+    """At points on a ball, trilinear between stored distances, against exact distances so
+    interpolated.
 
     Of those the mean is a twelfth of the principal curvatures' sum: a quarter of that is left.
     """
@@ -74,14 +86,17 @@ def test_the_interpolated_surface_of_a_ball_lies_closer_than_exact_distances_put
         arm = CENTRES - middle
         length = np.linalg.norm(arm, axis=-1)
         part = cube_fraction(
-            (length - radius).ravel() + 1.0 / (12.0 * radius), (arm / length[..., None]).reshape(-1, 3)
+            (length - radius).ravel() + 1.0 / (12.0 * radius),
+            (arm / length[..., None]).reshape(-1, 3),
         )
         stored = surface_of_fractions(np.rint(255 * part).astype(np.uint8).reshape(SHAPE))
         outward = random.normal(size=(4000, 3))
         points = 12.0 + middle + radius * outward / np.linalg.norm(outward, axis=1)[:, None]
         off.append(between((stored.astype(float) - SURFACE_ZERO) / 63.0, points).mean())
         exact.append(between(length - radius, points).mean())
-    print(f"\nradius {radius:g}: {np.mean(off):+.4f} voxel, of exact distances {np.mean(exact):+.4f}")
+    print(
+        f"\nradius {radius:g}: {np.mean(off):+.4f} voxel, of exact distances {np.mean(exact):+.4f}"
+    )
     assert np.mean(exact) == pytest.approx(2.0 / radius / 12.0, rel=0.05)
     assert abs(np.mean(off)) < 0.3 * np.mean(exact)
 
@@ -91,7 +106,9 @@ def between(values, points):
     low = np.floor(points - 0.5).astype(int)
     share, found = points - 0.5 - low, np.zeros(len(points))
     for corner in np.ndindex(2, 2, 2):
-        found += np.prod(np.where(corner, share, 1.0 - share), axis=1) * values[tuple((low + corner).T)]
+        found += (
+            np.prod(np.where(corner, share, 1.0 - share), axis=1) * values[tuple((low + corner).T)]
+        )
     return found
 
 
@@ -99,7 +116,8 @@ def test_a_grid_that_is_full_to_its_edge_has_its_face_there():
     stored = surface_of_fractions(np.full((6, 6, 6), 255, np.uint8))
     middle = stored[3, 3]
     off = (middle[[0, -1, 1, -2]].astype(float) - SURFACE_ZERO) / 63.0 - [-0.5, -0.5, -1.5, -1.5]
-    assert np.abs(off).max() < 0.2 and np.abs(off[:2]).max() < 0.03  # what is full bounds the face; it is not crossed
+    # what is full bounds the face; it is not crossed
+    assert np.abs(off).max() < 0.2 and np.abs(off[:2]).max() < 0.03
     assert (stored[2:-2, 2:-2, 2:-2] == INSIDE).all()
 
 
@@ -109,7 +127,9 @@ def test_layers_go_on_as_far_as_the_surface_is_known():
     layer = np.where(CENTRES[..., 0] > 0, 1, 2).astype(np.uint8) * (fraction > 0)
     density = np.where(CENTRES[..., 0] > 0, 700, 1500).astype(np.uint16) * (fraction > 0)
     carried, kg_m3, known = carried_beyond(fraction, surface, layer, density)
-    assert (known == (surface < OUTSIDE) | (fraction > 0)).all() and known.sum() > (fraction > 0).sum()
+    assert (known == (surface < OUTSIDE) | (fraction > 0)).all() and known.sum() > (
+        fraction > 0
+    ).sum()
     assert (carried[known] == np.where(CENTRES[..., 0] > 0, 1, 2)[known]).all()
     assert (kg_m3[known] == np.where(CENTRES[..., 0] > 0, 700, 1500)[known]).all()
 
@@ -127,10 +147,15 @@ def slanted(plate_m=6e-4):
 
 def test_a_shape_is_stored_with_its_distances():
     anatomy, normal = slanted()
-    volume = voxelise(anatomy, spacing_m=1e-4, region_m=((-1e-3, -1e-3, -1.4e-3), (1e-3, 1e-3, 6e-4)))
-    centres = np.stack(np.meshgrid(*(volume.centres_m(axis) for axis in range(3)), indexing="ij"), axis=-1)
+    volume = voxelise(
+        anatomy, spacing_m=1e-4, region_m=((-1e-3, -1e-3, -1.4e-3), (1e-3, 1e-3, 6e-4))
+    )
+    centres = np.stack(
+        np.meshgrid(*(volume.centres_m(axis) for axis in range(3)), indexing="ij"), axis=-1
+    )
     distance = centres @ normal / 1e-4
-    assert (volume.surface_distance == surface_steps(distance)).mean() > 0.99  # float32 rounds some to the next step
+    # float32 rounds some to the next step
+    assert (volume.surface_distance == surface_steps(distance)).mean() > 0.99
     assert np.abs(volume.surface_distance.astype(int) - surface_steps(distance)).max() <= 1
     known = volume.surface_distance < OUTSIDE
     assert (volume.layer[known] == (distance < -6.0)[known]).all()
@@ -146,15 +171,26 @@ def test_a_shape_is_stored_with_its_distances():
 
 def test_a_volume_without_distances_has_them_from_fractions_and_layers():
     anatomy, _ = slanted()
-    given = voxelise(anatomy, spacing_m=1e-4, region_m=((-1e-3, -1e-3, -1.4e-3), (1e-3, 1e-3, 6e-4)))
+    given = voxelise(
+        anatomy, spacing_m=1e-4, region_m=((-1e-3, -1e-3, -1.4e-3), (1e-3, 1e-3, 6e-4))
+    )
     filled = given.fraction > 0
     bare = VoxelVolume(
-        given.origin_m, 1e-4, given.fraction, given.layer * filled, given.density_kg_m3 * filled, given.layer_names
+        given.origin_m,
+        1e-4,
+        given.fraction,
+        given.layer * filled,
+        given.density_kg_m3 * filled,
+        given.layer_names,
     )
     surface, layer, _, boundary = near_the_surface(bare)
     inner = (slice(4, -4), slice(4, -4), slice(4, -4))
     near = np.abs(given.surface_distance[inner].astype(int) - SURFACE_ZERO) < 55
-    assert np.abs(surface[inner].astype(int) - given.surface_distance[inner].astype(int))[near].max() <= 2  # 0.03 voxel
+    # 0.03 voxel
+    assert (
+        np.abs(surface[inner].astype(int) - given.surface_distance[inner].astype(int))[near].max()
+        <= 2
+    )
     assert (layer[inner][near] == given.layer[inner][near]).all()
     close = given.layer_distance[inner] < 127
     off = boundary[inner].astype(float) - given.layer_distance[inner]
@@ -162,11 +198,18 @@ def test_a_volume_without_distances_has_them_from_fractions_and_layers():
 
 
 def test_what_is_taken_out_has_its_surface():
-    """A ball out of a block: the signed distance is the larger of both, and layers stay as they were."""
+    """A ball out of a block: the signed distance is the larger of both, and layers stay as they
+    were.
+    """
     anatomy, normal = slanted()
     hole = sphere(4e-4, (0.0, 0.0, -5e-4))
     region = ((-1e-3, -1e-3, -1.4e-3), (1e-3, 1e-3, 6e-4))
     volume = voxelise(anatomy, spacing_m=1e-4, region_m=region, minus=hole)
-    centres = np.stack(np.meshgrid(*(volume.centres_m(axis) for axis in range(3)), indexing="ij"), axis=-1)
-    distance = np.maximum(centres @ normal, 4e-4 - np.linalg.norm(centres - [0.0, 0.0, -5e-4], axis=-1)) / 1e-4
+    centres = np.stack(
+        np.meshgrid(*(volume.centres_m(axis) for axis in range(3)), indexing="ij"), axis=-1
+    )
+    distance = (
+        np.maximum(centres @ normal, 4e-4 - np.linalg.norm(centres - [0.0, 0.0, -5e-4], axis=-1))
+        / 1e-4
+    )
     assert np.abs(volume.surface_distance.astype(int) - surface_steps(distance)).max() <= 1

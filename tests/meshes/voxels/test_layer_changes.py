@@ -21,30 +21,43 @@ def directions(count, seed=0):
 
 @pytest.mark.parametrize("kind", ["plane", "ball"])
 def test_a_change_of_layer_is_found_to_a_thirtieth_of_a_voxel(kind):
-    """Of those within a voxel of it 90 %; the rest look in a direction that voxels give to ten degrees."""
+    """Of those within a voxel of it 90 %; the rest look in a direction that voxels give to ten
+    degrees.
+    """
     random, off = np.random.default_rng(2), []
     for normal in directions(12, seed=3):
         shift = random.uniform(-0.5, 0.5)
 
         def change(points, normal=normal, shift=shift):
             points = np.asarray(points, dtype=float)
-            return points @ normal - shift if kind == "plane" else np.linalg.norm(points - shift, axis=-1) - 7.0
+            return (
+                points @ normal - shift
+                if kind == "plane"
+                else np.linalg.norm(points - shift, axis=-1) - 7.0
+            )
 
         stored = layer_boundary(
-            (change(CENTRES) > 0).astype(np.uint8), KNOWN, lambda at: (change(at - 12.0) > 0).astype(np.uint8)
+            (change(CENTRES) > 0).astype(np.uint8),
+            KNOWN,
+            lambda at: (change(at - 12.0) > 0).astype(np.uint8),
         )
         distance = np.abs(change(CENTRES))
         near = distance[INNER] < 1.0
         off.append(stored[INNER][near] / 127.0 - distance[INNER][near])
         assert (stored[INNER][distance[INNER] > 2.5] == FAR).all()
     off = np.concatenate(off)
-    print(f"\n{kind}: mean {off.mean():+.4f}, 90 % {np.percentile(np.abs(off), 90):.4f}, max {np.abs(off).max():.4f}")
+    print(
+        f"\n{kind}: mean {off.mean():+.4f}, 90 % {np.percentile(np.abs(off), 90):.4f}, max "
+        f"{np.abs(off).max():.4f}"
+    )
     assert np.percentile(np.abs(off), 90) < 1 / 30
     assert off.min() > -1 / 30  # along no direction is a change nearer than it is
 
 
 def test_a_change_of_layer_from_layers_alone_is_unbiased():
-    """Mean over random offsets of what is off, each side of it; at an angle as along the lattice."""
+    """Mean over random offsets of what is off, each side of it; at an angle as along the
+    lattice.
+    """
     random = np.random.default_rng(4)
     for normal in directions(6, seed=5):
         below, above, slant = [], [], []
@@ -59,7 +72,8 @@ def test_a_change_of_layer_from_layers_alone_is_unbiased():
         bias = 0.5 * (np.mean(below) - np.mean(above))  # a shift of the boundary
         spread = 0.5 * (np.std(below) + np.std(above)) / np.sqrt(24)
         assert abs(bias) < 3.0 * spread + 0.01, normal
-        assert np.max(slant) < 0.55, normal  # half a voxel is what layers alone leave along the lattice
+        # half a voxel is what layers alone leave along the lattice
+        assert np.max(slant) < 0.55, normal
 
 
 def corners_of_mixed_cells(layer):
@@ -70,7 +84,9 @@ def corners_of_mixed_cells(layer):
 
 
 def test_voxels_that_no_cell_asks_are_far():
-    """A point between eight centres of one layer asks for no distance: voxels of such cells alone are not searched."""
+    """A point between eight centres of one layer asks for no distance: voxels of such cells
+    alone are not searched.
+    """
     asked = []
     for normal in directions(5, seed=8):
 
@@ -91,7 +107,9 @@ def test_voxels_that_no_cell_asks_are_far():
 
 
 def crossings(stored, layer):
-    """Places [voxel] on the grid's edges where two layers' stored distances change over, shape (n, 3)."""
+    """Places [voxel] on the grid's edges where two layers' stored distances change over, shape
+    (n, 3).
+    """
     distance, found = np.where(layer == 1, 1.0, -1.0) * stored, []
     for axis in range(3):
         a, b = (np.moveaxis(distance, axis, 0)[part] for part in (slice(0, -1), slice(1, None)))
@@ -117,10 +135,15 @@ def distance_to_block(points, turn, shift):
 
 @pytest.mark.parametrize(
     ("distance", "root_mean_square", "mean"),
-    [(distance_to_plane, 0.07, 0.01), (distance_to_ball, 0.09, 0.02), (distance_to_block, 0.2, 0.08)],
+    [
+        (distance_to_plane, 0.07, 0.01),
+        (distance_to_ball, 0.09, 0.02),
+        (distance_to_block, 0.2, 0.08),
+    ],
 )
 def test_a_boundary_from_layers_alone_lies_where_it_is(distance, root_mean_square, mean):
-    """Over eight rotations and places: steps of the labels leave 0.05 of a voxel, a block's edges are rounded.
+    """Over eight rotations and places: steps of the labels leave 0.05 of a voxel, a block's edges
+    are rounded.
 
     A voxel's share of a cube taken as a plane's is 0.24 off on this ball, all of it inward.
     """
@@ -133,7 +156,10 @@ def test_a_boundary_from_layers_alone_lies_where_it_is(distance, root_mean_squar
         off.append(distance(crossings(stored, layer), turn, shift))
     off = np.concatenate(off)
     rms = np.sqrt(np.mean(off**2))
-    print(f"\n{distance.__name__}: mean {off.mean():+.4f}, rms {rms:.4f}, max {np.abs(off).max():.3f} voxel")
+    print(
+        f"\n{distance.__name__}: mean {off.mean():+.4f}, rms {rms:.4f}, max "
+        f"{np.abs(off).max():.3f} voxel"
+    )
     assert rms < root_mean_square
     assert abs(off.mean()) < mean
 
@@ -141,9 +167,11 @@ def test_a_boundary_from_layers_alone_lies_where_it_is(distance, root_mean_squar
 @pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.3, 0.2, 1.0), (1.0, 1.0, 1.0)])
 @pytest.mark.parametrize("thickness", [1.0, 2.0])
 def test_a_thin_layer_keeps_its_place(normal, thickness):
-    """A sheet a voxel or two thick is at least 0.4 of that on a line across it, and at most two voxels more.
+    """A sheet a voxel or two thick is at least 0.4 of that on a line across it, and at most two
+    voxels more.
 
-    No boundary leaves the edge between two centres of different layers, so that each side moves by half a voxel at most.
+    No boundary leaves the edge between two centres of different layers, so that each side moves by
+    half a voxel at most.
     """
     normal = np.array(normal) / np.linalg.norm(normal)
     layer = (np.abs(CENTRES @ normal - 0.5 * normal[2]) <= 0.5 * thickness).astype(np.uint8)
@@ -161,5 +189,7 @@ def test_a_thin_layer_keeps_its_place(normal, thickness):
 
 
 def cells(values):
-    """The eight values around each cell, shape (nx - 1, ny - 1, nz - 1, 2, 2, 2), away from the array's faces."""
+    """The eight values around each cell, shape (nx - 1, ny - 1, nz - 1, 2, 2, 2), away from the
+    array's faces.
+    """
     return np.lib.stride_tricks.sliding_window_view(values, (2, 2, 2))

@@ -21,7 +21,15 @@ def arrays(shape=(2, 3, 4)):
 
 
 def volume(**changes):
-    return VoxelVolume(**{"origin_m": np.zeros(3), "spacing_m": 1e-3, "layer_names": ("a", "b"), **arrays(), **changes})
+    return VoxelVolume(
+        **{
+            "origin_m": np.zeros(3),
+            "spacing_m": 1e-3,
+            "layer_names": ("a", "b"),
+            **arrays(),
+            **changes,
+        }
+    )
 
 
 def test_books():
@@ -31,7 +39,9 @@ def test_books():
     fraction[0, 0, 0] = 51
     one = volume(layer=layer, fraction=fraction)
     assert one.shape == (2, 3, 4) and one.voxel_volume_m3 == pytest.approx(1e-9)
-    assert one.volume_m3("a") == pytest.approx(12e-9) and one.volume_m3("b") == pytest.approx(11.2e-9)
+    assert one.volume_m3("a") == pytest.approx(12e-9) and one.volume_m3("b") == pytest.approx(
+        11.2e-9
+    )
     assert one.volume_m3() == pytest.approx(23.2e-9)
     assert one.centres_m(2) == pytest.approx([5e-4, 1.5e-3, 2.5e-3, 3.5e-3])
 
@@ -43,10 +53,14 @@ def test_books():
             lambda: volume(origin_m=np.array([0, math.nan, 0])),
             "origin_m must be three finite numbers, got [ 0. nan  0.]: use for example (0, 0, 1)",
         ),
-        (lambda: volume(spacing_m=-1), "spacing_m must be positive and finite, got -1: use about 1e-4 (0.1 mm)"),
+        (
+            lambda: volume(spacing_m=-1),
+            "spacing_m must be positive and finite, got -1: use about 1e-4 (0.1 mm)",
+        ),
         (
             lambda: volume(layer=np.zeros((2, 3, 5), np.uint8)),
-            "layer must have the shape (nx, ny, nz) of fraction with no zero, got (2, 3, 5): give all three arrays the same "
+            "layer must have the shape (nx, ny, nz) of fraction with no zero, got (2, 3, 5): "
+            "give all three arrays the same "
             "shape",
         ),
         (
@@ -58,7 +72,10 @@ def test_books():
             lambda: volume(layer=np.full((2, 3, 4), 2, np.uint8)),
             "layer must index layer_names, got 2 with 2 names: name every layer",
         ),
-        (lambda: volume().volume_m3("c"), "layer must be one of a, b, got c: use one of these names"),
+        (
+            lambda: volume().volume_m3("c"),
+            "layer must be one of a, b, got c: use one of these names",
+        ),
     ],
 )
 def test_refusals(make, message):
@@ -69,7 +86,8 @@ def test_refusals(make, message):
 
 def test_import_is_light_and_names_are_public():
     code = (
-        "import sys, meshes; heavy = {'pyvista', 'vtk', 'trimesh', 'skimage', 'warp', 'scipy.ndimage'} "
+        "import sys, meshes; heavy = {'pyvista', 'vtk', 'trimesh', 'skimage', 'warp', "
+        "'scipy.ndimage'} "
         "& set(sys.modules); print(sorted(heavy))"
     )
     out = subprocess.run(

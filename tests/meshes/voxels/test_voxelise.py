@@ -1,4 +1,6 @@
-"""Voxelising shapes: order of convergence, agreement with brute force, independence of the region, refusals."""
+"""Voxelising shapes: order of convergence, agreement with brute force, independence of the
+region, refusals.
+"""
 
 import math
 
@@ -12,7 +14,8 @@ from meshes.surfaces.glenoid import glenoid
 from meshes.voxels.block_sampling import voxel_fraction
 from meshes.voxels.voxelise import voxelise
 
-ROUNDING = 1  # stored fractions are integers of 255: evaluations in another order may round differently
+# stored fractions are integers of 255: evaluations in another order may round differently
+ROUNDING = 1
 
 
 def uniform(shape: sdf.Shape) -> Anatomy:
@@ -35,7 +38,10 @@ def test_sphere_volume_converges_at_second_order():
     errors = []
     for spacing in spacings:
         off_lattice = [(0.13 * k * spacing, 0.37 * spacing, 0.29 * k * spacing) for k in range(3)]
-        volumes = [voxelise(uniform(sdf.sphere(radius, c)), spacing_m=spacing).volume_m3() for c in off_lattice]
+        volumes = [
+            voxelise(uniform(sdf.sphere(radius, c)), spacing_m=spacing).volume_m3()
+            for c in off_lattice
+        ]
         errors.append(abs(np.mean(volumes) / exact - 1))
     slope = np.polyfit(np.log(spacings), np.log(errors), 1)[0]
     assert slope > 1.8
@@ -59,19 +65,27 @@ def test_coarse_to_fine_is_brute_force(anatomy):
 
 def test_glenoid_coarse_to_fine_is_brute_force():
     anatomy = glenoid()
-    volume = voxelise(anatomy, spacing_m=1e-4, region_m=((4e-3, 10e-3, -6e-3), (14e-3, 20e-3, 6e-3)))
+    volume = voxelise(
+        anatomy, spacing_m=1e-4, region_m=((4e-3, 10e-3, -6e-3), (14e-3, 20e-3, 6e-3))
+    )
     fraction, layer, density, _ = brute_force(anatomy, volume)
     assert np.abs(volume.fraction - fraction * 255.0).max() <= ROUNDING
     present = volume.fraction > 0
-    assert (volume.layer == layer)[present].mean() > 0.99999  # single precision on a layer's boundary
+    # single precision on a layer's boundary
+    assert (volume.layer == layer)[present].mean() > 0.99999
     same = present & (volume.layer == layer)
-    assert np.abs(volume.density_kg_m3[same] - density[same]).max() < 2.0  # interpolated over 0.8 mm, decay length 5 mm
+    # interpolated over 0.8 mm, decay length 5 mm
+    assert np.abs(volume.density_kg_m3[same] - density[same]).max() < 2.0
 
 
 def test_a_voxel_does_not_depend_on_the_region():
     anatomy, spacing = glenoid(), 1e-4
-    whole = voxelise(anatomy, spacing_m=spacing, region_m=((-5e-3, -4e-3, -4e-3), (5e-3, 4e-3, 1e-3)))
-    part = voxelise(anatomy, spacing_m=spacing, region_m=((-3.1e-3, -0.57e-3, -2.33e-3), (1.2e-3, 3e-3, 0.5e-3)))
+    whole = voxelise(
+        anatomy, spacing_m=spacing, region_m=((-5e-3, -4e-3, -4e-3), (5e-3, 4e-3, 1e-3))
+    )
+    part = voxelise(
+        anatomy, spacing_m=spacing, region_m=((-3.1e-3, -0.57e-3, -2.33e-3), (1.2e-3, 3e-3, 0.5e-3))
+    )
     first = np.rint((part.origin_m - whole.origin_m) / spacing).astype(int)
     window = tuple(slice(a, a + n) for a, n in zip(first, part.shape, strict=True))
     for name in ("fraction", "layer", "density_kg_m3"):
@@ -83,7 +97,9 @@ def test_block_on_the_lattice_is_exact():
     volume = voxelise(cortical_block(size_mm=(20, 12, 8)), spacing_m=1e-4)
     assert volume.shape == (204, 124, 84)  # two voxels of air around it
     bone = (slice(2, -2),) * 3
-    assert (volume.fraction[bone] == 255).all() and np.count_nonzero(volume.fraction) == 200 * 120 * 80
+    assert (volume.fraction[bone] == 255).all() and np.count_nonzero(
+        volume.fraction
+    ) == 200 * 120 * 80
     assert volume.volume_m3() == pytest.approx(20 * 12 * 8 * 1e-9, rel=1e-12)
     assert volume.bounds_m[1][2] == pytest.approx(2e-4, abs=1e-15)
     assert (volume.density_kg_m3[bone] == 1800).all() and volume.layer_names == ("cortical",)
@@ -91,7 +107,8 @@ def test_block_on_the_lattice_is_exact():
 
 def test_block_off_the_lattice_keeps_its_volume():
     volume = voxelise(cortical_block(size_mm=(5.03, 4.07, 3.05)), spacing_m=1e-4)
-    assert volume.volume_m3() == pytest.approx(5.03 * 4.07 * 3.05 * 1e-9, rel=5e-4)  # rounding to 1/255 on each face
+    # rounding to 1/255 on each face
+    assert volume.volume_m3() == pytest.approx(5.03 * 4.07 * 3.05 * 1e-9, rel=5e-4)
 
 
 def test_pilot_hole_is_subtracted_within_voxels():
@@ -123,12 +140,16 @@ def test_progress_ends_at_one():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"spacing_m": math.nan}, "spacing_m must be positive and finite, got nan: use about 1e-4 (0.1 mm)"),
+        (
+            {"spacing_m": math.nan},
+            "spacing_m must be positive and finite, got nan: use about 1e-4 (0.1 mm)",
+        ),
         ({"spacing_m": 0}, "spacing_m must be positive and finite, got 0: use about 1e-4 (0.1 mm)"),
         ({"spacing_m": "fine"}, "spacing_m must be a number, got 'fine': use about 1e-4 (0.1 mm)"),
         (
             {"spacing_m": 1e-3, "region_m": ((0, 0, 0), (1, 1, 0))},
-            "region_m must be two finite corners, the first below the second in x, y and z, got ((0, 0, 0), (1, 1, 0)): "
+            "region_m must be two finite corners, the first below the second in x, y and z, "
+            "got ((0, 0, 0), (1, 1, 0)): "
             "use for example ((-0.01, -0.01, -0.008), (0.01, 0.01, 0.001))",
         ),
     ],
@@ -143,7 +164,12 @@ def test_endless_shape_needs_a_region():
     with pytest.raises(InputError) as refusal:
         voxelise(uniform(sdf.half_space((0, 0, 1))), spacing_m=1e-3)
     assert str(refusal.value) == (
-        "region_m must be given for an anatomy without end, got None: use the box that the tool reaches"
+        "region_m must be given for an anatomy without end, got None: use the box that the "
+        "tool reaches"
     )
-    volume = voxelise(uniform(sdf.half_space((0, 0, 1))), spacing_m=1e-3, region_m=((0, 0, -2e-3), (1e-3, 1e-3, 2e-3)))
+    volume = voxelise(
+        uniform(sdf.half_space((0, 0, 1))),
+        spacing_m=1e-3,
+        region_m=((0, 0, -2e-3), (1e-3, 1e-3, 2e-3)),
+    )
     assert volume.volume_m3() == pytest.approx(2e-9)

@@ -21,7 +21,16 @@ CUBE_FACES = (
     (3, 0, 4),
     (3, 4, 7),
 )
-CUBE_CORNERS = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
+CUBE_CORNERS = (
+    (0, 0, 0),
+    (1, 0, 0),
+    (1, 1, 0),
+    (0, 1, 0),
+    (0, 0, 1),
+    (1, 0, 1),
+    (1, 1, 1),
+    (0, 1, 1),
+)
 
 
 def write_stl(path, corners, faces):
@@ -71,7 +80,9 @@ MESHES = {
     "tiny": (CUBE * 1e-9, CUBE_FACES, ("anatomy.scale_mm", "3e-05 µm", "4.7e+09")),
     "huge": (CUBE * 1e6, CUBE_FACES, ("anatomy.scale_mm", "30 km", "4.7e-06")),
 }
-"""Corners [file unit] and faces of surfaces that enclose no usable solid, and what their messages name."""
+"""Corners [file unit] and faces of surfaces that enclose no usable solid, and what their
+messages name.
+"""
 
 
 @pytest.mark.parametrize("name", MESHES)
@@ -83,12 +94,16 @@ def test_a_surface_that_encloses_no_bone_is_refused(refused, here, name):
     elif corners is not None:
         write_stl(path, corners, faces)
     message = refused("run", "glenoid", "--set", f"anatomy.file={path}")
-    assert message.startswith(f"{words[0]} ") and all(word in message for word in (*words, path.name))
+    assert message.startswith(f"{words[0]} ") and all(
+        word in message for word in (*words, path.name)
+    )
 
 
 def test_a_surface_of_absurd_scale_is_refused(refused, here):
     write_stl(here / "bone.stl", CUBE, CUBE_FACES)
-    message = refused("run", "glenoid", "--set", "anatomy.file=bone.stl", "--set", "anatomy.scale_mm=1000")
+    message = refused(
+        "run", "glenoid", "--set", "anatomy.file=bone.stl", "--set", "anatomy.scale_mm=1000"
+    )
     assert message.startswith("anatomy.scale_mm ") and "bone.stl 30 m long" in message
 
 
@@ -120,18 +135,41 @@ POSES = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,tool_qx,tool_qy,tool_qz,tool_qw\n"
         (POSES + "0,0,0,1,0,0,0,0\n1,0,0,0,0,0,0,1\n", ("quaternions", "length 0 at 0 s")),
         (b"\xff\xfe\x00", ("CSV",)),
     ],
-    ids=["missing", "columns", "nan", "text", "gap", "order", "one", "none", "long", "quaternion", "binary"],
+    ids=[
+        "missing",
+        "columns",
+        "nan",
+        "text",
+        "gap",
+        "order",
+        "one",
+        "none",
+        "long",
+        "quaternion",
+        "binary",
+    ],
 )
 def test_a_bad_pose_table_is_refused(refused, here, table, words):
     path = here / "poses.csv"
     if table is not None:
         path.write_bytes(table if isinstance(table, bytes) else table.encode())
-    message = refused("run", "milling", *COARSE, "--set", "motion.kind=replay", "--set", "motion.file=poses.csv")
-    assert message.startswith("motion.file ") and all(word.format(path=path) in message for word in words)
+    message = refused(
+        "run", "milling", *COARSE, "--set", "motion.kind=replay", "--set", "motion.file=poses.csv"
+    )
+    assert message.startswith("motion.file ") and all(
+        word.format(path=path) in message for word in words
+    )
     assert str(path) in message
 
 
 def test_a_thrust_that_starts_below_its_end_is_refused(refused, here):
-    thrust = ("--set", "motion.kind=thrust", "--set", "motion.thrust_N=40", "--set", "motion.start_mm=[0,0,-3]")
+    thrust = (
+        "--set",
+        "motion.kind=thrust",
+        "--set",
+        "motion.thrust_N=40",
+        "--set",
+        "motion.start_mm=[0,0,-3]",
+    )
     message = refused("run", "milling", *COARSE, *thrust)
     assert message.startswith("motion.depth_mm ") and "(3)" in message and "got 2" in message

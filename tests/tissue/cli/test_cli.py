@@ -1,4 +1,6 @@
-"""The `tissue` command: what it prints, and one sentence and exit code 2 for a command line that it cannot use."""
+"""The `tissue` command: what it prints, and one sentence and exit code 2 for a command line that
+it cannot use.
+"""
 
 import json
 import sys
@@ -17,31 +19,49 @@ from tissue.scene.load import scene_names
     [
         (
             ("run", "gleniod"),
-            "scene must be a built-in name (caries, glenoid, liver-press, milling, molar, needle, palpation, pedicle, wall) or a TOML file, got gleniod (did "
+            "scene must be a built-in name (caries, glenoid, liver-press, milling, molar, "
+            "needle, palpation, pedicle, wall) or a TOML file, got gleniod (did "
             "you mean "
             "glenoid?): list them with `tissue scenes`",
         ),
         (
             ("scenes", "mill"),
-            "scene must be a built-in name (caries, glenoid, liver-press, milling, molar, needle, palpation, pedicle, wall) or a TOML file, got mill (did you mean "
+            "scene must be a built-in name (caries, glenoid, liver-press, milling, molar, "
+            "needle, palpation, pedicle, wall) or a TOML file, got mill (did you mean "
             "milling?): list them with `tissue scenes`",
         ),
-        (("run", "x.toml"), "scene must be an existing file, got x.toml: check the path or list `tissue scenes`"),
+        (
+            ("run", "x.toml"),
+            "scene must be an existing file, got x.toml: check the path or list `tissue scenes`",
+        ),
         (("run",), "scene must be given, got nothing: see `tissue run --help`"),
-        (("run", "milling", "glenoid"), "tissue run must be given nothing more, got glenoid: see `tissue run --help`"),
+        (
+            ("run", "milling", "glenoid"),
+            "tissue run must be given nothing more, got glenoid: see `tissue run --help`",
+        ),
         (
             ("ruin", "milling"),
-            "command must be one of run, import, scenes, view, report, fit, sweep, compare, stability, devices, calibrate, assess, train, chart, study, schema, got ruin (did you mean run?): see `tissue --help`",
+            (
+                "command must be one of run, import, scenes, view, report, fit, sweep, compare, "
+                "stability, devices, calibrate, assess, train, chart, study, schema, got ruin "
+                "(did you mean run?): see `tissue --help`"
+            ),
         ),
         (
             ("run", "milling", "--overwite"),
-            "option must be one of --out, --format, --pictures, --no-pictures, --seed, --duration-s, --set, "
-            "--fidelity, --compute, --cores, --max-memory-GB, --overwrite, --allow-unstable, --band, --workers, "
-            "--scheduler, --each-run, --live, --web, --slicer, --slicer-port, --slicer-drives, --ros2, "
+            "option must be one of --out, --format, --pictures, --no-pictures, --seed, "
+            "--duration-s, --set, "
+            "--fidelity, --compute, --cores, --max-memory-GB, --overwrite, --allow-unstable, "
+            "--band, --workers, "
+            "--scheduler, --each-run, --live, --web, --slicer, --slicer-port, "
+            "--slicer-drives, --ros2, "
             "got --overwite (did you mean --overwrite?): see "
             "`tissue run --help`",
         ),
-        (("run", "milling", "--duration-s"), "--duration-s must be given, got nothing: see `tissue run --help`"),
+        (
+            ("run", "milling", "--duration-s"),
+            "--duration-s must be given, got nothing: see `tissue run --help`",
+        ),
         (
             ("run", "milling", "--duration-s", "long"),
             "--duration-s must be a number, got long: see `tissue run --help`",
@@ -54,11 +74,20 @@ from tissue.scene.load import scene_names
             ("run", "milling", "--duration-s", "nan"),
             "duration_s must be at least 0.001 and at most 3600, got nan: use 5",
         ),
-        (("run", "milling", "--seed", "1.5"), "--seed must be a whole number, got 1.5: see `tissue run --help`"),
-        (("run", "milling", "--cores", "0"), "cores must be from 1 to 4096, got 0: leave it out to use all"),
+        (
+            ("run", "milling", "--seed", "1.5"),
+            "--seed must be a whole number, got 1.5: see `tissue run --help`",
+        ),
+        (
+            ("run", "milling", "--cores", "0"),
+            "cores must be from 1 to 4096, got 0: leave it out to use all",
+        ),
         (
             ("run", "milling", "--format", "xlsx"),
-            "format must be one of parquet, npz, mat, h5, recording, got xlsx: csv is always written",
+            (
+                "format must be one of parquet, npz, mat, h5, recording, got xlsx: csv is always "
+                "written"
+            ),
         ),
         (
             ("run", "milling", "--pictures", "jpeg"),
@@ -71,17 +100,24 @@ from tissue.scene.load import scene_names
         ),
         (
             ("calibrate", "--observer", "simulated:x"),
-            "observer must be simulated:SEED or simulated:GROUP:SEED with novice, intermediate, expert, got "
+            "observer must be simulated:SEED or simulated:GROUP:SEED with novice, "
+            "intermediate, expert, got "
             "simulated:x: use simulated:1",
         ),
-        (("view", "runs"), "run must be a folder that `tissue run` wrote, got runs: give for example runs/glenoid"),
+        (
+            ("view", "runs"),
+            "run must be a folder that `tissue run` wrote, got runs: give for example runs/glenoid",
+        ),
     ],
 )
 def test_a_bad_command_line_is_refused_in_one_sentence(refused, here, arguments, sentence):
     if sentence is None:
         import warp as wp
 
-        sentence = f"compute must be one of {', '.join(map(str, wp.get_devices()))}, got cuda:99: use cpu here"
+        sentence = (
+            f"compute must be one of {', '.join(map(str, wp.get_devices()))}, got cuda:99: use "
+            "cpu here"
+        )
     assert refused(*arguments) == sentence
     assert not list(here.iterdir())
 
@@ -90,7 +126,8 @@ def test_a_bad_command_line_is_refused_in_one_sentence(refused, here, arguments,
 def test_a_format_without_its_extra_names_what_to_install(refused, here, monkeypatch, kind, writer):
     monkeypatch.setitem(sys.modules, writer, None)
     assert refused("run", "milling", "--format", kind) == (
-        f"format {kind} must have its writer installed, got no {writer}: pip install 'tissue-sim[{kind}]'"
+        f"format {kind} must have its writer installed, got no {writer}: pip install "
+        f"'tissue-sim[{kind}]'"
     )
 
 
@@ -119,7 +156,9 @@ def test_scenes_are_listed_and_printed(command, here):
 
 
 def test_the_version_is_that_of_the_project(command):
-    project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text("utf-8"))["project"]
+    project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text("utf-8"))[
+        "project"
+    ]
     assert command("--version") == (0, f"{project['version']}\n", "")
     assert tissue.__version__ == project["version"]
 
@@ -146,7 +185,9 @@ def test_help_lists_every_option(command):
 def test_a_seed_is_that_of_a_band_where_nothing_else_is_drawn(refused, command, tmp_path):
     """Without a device a scene draws nothing at random, so that it refuses a seed of its own."""
     small = ["milling", "--set", "voxels.spacing_mm=0.8", "--duration-s", "0.2", "--no-pictures"]
-    assert "seed must be left out" in refused("run", *small, "--seed", "1", "--out", str(tmp_path / "alone"))
+    assert "seed must be left out" in refused(
+        "run", *small, "--seed", "1", "--out", str(tmp_path / "alone")
+    )
     peaks = []
     for name in ("0", "1"):
         out = tmp_path / name

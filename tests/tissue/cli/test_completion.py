@@ -7,7 +7,10 @@ import sys
 
 import pytest
 
-PLACES = {"bash": ".local/share/bash-completion/completions/tissue", "fish": ".config/fish/completions/tissue.fish"}
+PLACES = {
+    "bash": ".local/share/bash-completion/completions/tissue",
+    "fish": ".config/fish/completions/tissue.fish",
+}
 
 
 @pytest.fixture
@@ -45,9 +48,16 @@ def test_bash_completes_commands_and_options(command, home):
     """
     path = os.pathsep.join((os.path.dirname(sys.executable), os.environ["PATH"]))
     ended = subprocess.run(
-        ["bash", "-c", code], capture_output=True, text=True, check=False, env=os.environ | {"PATH": path}
+        ["bash", "-c", code],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"PATH": path},
     )
-    assert (ended.returncode, ended.stdout.split("\n")[:2]) == (0, ["schema", "--out --overwrite"]), ended.stderr
+    assert (ended.returncode, ended.stdout.split("\n")[:2]) == (
+        0,
+        ["schema", "--out --overwrite"],
+    ), ended.stderr
 
 
 def test_a_shell_that_is_none_is_refused(refused, home):
@@ -65,6 +75,7 @@ def test_a_shell_that_cannot_be_recognised_is_asked_for(refused, home, monkeypat
 
     monkeypatch.setattr(detect, "detect_shell", lost)
     assert refused("--install-completion") == (
-        "--shell must be one of bash, zsh, fish, got one that is not recognised: choose one of these"
+        "--shell must be one of bash, zsh, fish, got one that is not recognised: choose one "
+        "of these"
     )
     assert not list(home.iterdir())

@@ -1,4 +1,6 @@
-"""``tissue devices``: what it lists without any device, and the test of one that is a client of the network protocol."""
+"""``tissue devices``: what it lists without any device, and the test of one that is a client of
+the network protocol.
+"""
 
 import socket
 import sys
@@ -41,8 +43,17 @@ def test_without_devices_each_kind_has_a_sentence(command, alone):
     code, out, _ = command("devices")
     lines = out.splitlines()
     assert code == 0 and lines[0] == "no device is found"
-    assert [line.split()[0] for line in lines[1:]] == ["haply", "forcedimension", "openhaptics", "network", "recorded"]
-    assert "pip install 'tissue-sim[forcedimension]'" in out and "pip install 'tissue-sim[openhaptics]'" in out
+    assert [line.split()[0] for line in lines[1:]] == [
+        "haply",
+        "forcedimension",
+        "openhaptics",
+        "network",
+        "recorded",
+    ]
+    assert (
+        "pip install 'tissue-sim[forcedimension]'" in out
+        and "pip install 'tissue-sim[openhaptics]'" in out
+    )
     assert all(": " in line and ", got " in line for line in lines[1:])
 
 
@@ -51,9 +62,13 @@ def test_found_devices_come_first_with_their_limits(command, alone, monkeypatch)
     OpenHaptics().install(monkeypatch)
     code, out, _ = command("devices")
     assert code == 0 and out.startswith(
-        "forcedimension  7  omega.6\n                at most 12 N, no torque; workspace 110 x 160 x 160 mm; 1000 Hz"
+        "forcedimension  7  omega.6\n                at most 12 N, no torque; workspace 110 "
+        "x 160 x 160 mm; 1000 Hz"
     )
-    assert "openhaptics     Default Device  3D Systems Touch\n" in out and "no device is found" not in out
+    assert (
+        "openhaptics     Default Device  3D Systems Touch\n" in out
+        and "no device is found" not in out
+    )
 
 
 def test_the_call_lists_the_same(alone, monkeypatch):
@@ -106,7 +121,16 @@ class Device:
 def test_a_device_is_tested_pushed_and_its_numbers_written(command, tmp_path):
     out_file = tmp_path / "measured.toml"
     with Device() as device:
-        arguments = ("devices", "--test", "network", "--address", device.address, "--seconds", "0.3", "--yes")
+        arguments = (
+            "devices",
+            "--test",
+            "network",
+            "--address",
+            device.address,
+            "--seconds",
+            "0.3",
+            "--yes",
+        )
         code, out, error = command(*arguments, "--out", str(out_file))
     assert code == 0, error
     names = [line.split("  ")[0] for line in out.splitlines()]
@@ -121,20 +145,28 @@ def test_a_device_is_tested_pushed_and_its_numbers_written(command, tmp_path):
     assert "not shown" not in out and "0.5 N along the device's z" in out
     assert 0.4 < max(device.forces) <= 0.5 and device.forces[-1] == 0.0
     entries = tomllib.loads(out_file.read_text("utf-8"))["devices"]["network"]
-    assert 10.0 <= entries["rate_Hz"]["value"] <= 1000.0 and 0.0 < entries["transport_delay_s"]["value"] <= 0.2
+    assert (
+        10.0 <= entries["rate_Hz"]["value"] <= 1000.0
+        and 0.0 < entries["transport_delay_s"]["value"] <= 0.2
+    )
     code, _, error = command(*arguments, "--out", str(out_file))
     assert code == 2 and "--overwrite" in error
 
 
 @pytest.mark.parametrize(
-    ("answer", "pushes"), [("push\n", True), (" PUSH \n", True), ("y\n", False), ("\n", False), ("", False)]
+    ("answer", "pushes"),
+    [("push\n", True), (" PUSH \n", True), ("y\n", False), ("\n", False), ("", False)],
 )
-def test_the_push_is_made_only_after_the_word_is_typed(command, monkeypatch, tmp_path, answer, pushes):
+def test_the_push_is_made_only_after_the_word_is_typed(
+    command, monkeypatch, tmp_path, answer, pushes
+):
     import io
 
     monkeypatch.setattr(sys, "stdin", io.StringIO(answer))
     with Device() as device:
-        code, out, _ = command("devices", "--test", "network", "--address", device.address, "--seconds", "0.1")
+        code, out, _ = command(
+            "devices", "--test", "network", "--address", device.address, "--seconds", "0.1"
+        )
     assert code == 0 and "Type push and Enter to feel it" in out
     assert ("not confirmed: left out" in out) is not pushes
     assert (max(device.forces) > 0.4) is pushes
@@ -144,15 +176,39 @@ def test_the_push_is_made_only_after_the_word_is_typed(command, monkeypatch, tmp
     ("arguments", "sentence"),
     [
         (("--yes",), "--yes must be left out without --test, got it: name a device by --test"),
-        (("--out", "x.toml"), "--out must be left out without --test, got x.toml: name a device by --test"),
-        (("--test", "network", "--overwrite"), "--overwrite must be left out without --out, got it: remove it"),
-        (("--test", "touch"), "--test must be one of haply, forcedimension, sigma-7, openhaptics, network, recorded, got touch"),
-        (("--test", "recorded"), "hardware.address must be a file of poses with device = recorded, got nothing"),
-        (("--test", "network", "--address", "x"), "hardware.address must be udp://HOST:PORT or ws://HOST:PORT"),
-        (("--test", "network", "--out", "no/such/x.toml"), "out must lie in a folder that exists, got no/such/x.toml"),
-        (("--test", "network", "--address", "udp://127.0.0.1:0", "--seconds", "0"), "seconds must be in [0.1, 600], got 0"),
+        (
+            ("--out", "x.toml"),
+            "--out must be left out without --test, got x.toml: name a device by --test",
+        ),
+        (
+            ("--test", "network", "--overwrite"),
+            "--overwrite must be left out without --out, got it: remove it",
+        ),
+        (
+            ("--test", "touch"),
+            (
+                "--test must be one of haply, forcedimension, sigma-7, openhaptics, network, "
+                "recorded, got touch"
+            ),
+        ),
+        (
+            ("--test", "recorded"),
+            "hardware.address must be a file of poses with device = recorded, got nothing",
+        ),
+        (
+            ("--test", "network", "--address", "x"),
+            "hardware.address must be udp://HOST:PORT or ws://HOST:PORT",
+        ),
+        (
+            ("--test", "network", "--out", "no/such/x.toml"),
+            "out must lie in a folder that exists, got no/such/x.toml",
+        ),
+        (
+            ("--test", "network", "--address", "udp://127.0.0.1:0", "--seconds", "0"),
+            "seconds must be in [0.1, 600], got 0",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_meant_is_refused(command, arguments, sentence):
     code, _, error = command("devices", *arguments)
     assert code == 2 and sentence in error
@@ -160,5 +216,11 @@ def test_what_cannot_be_meant_is_refused(command, arguments, sentence):
 
 def test_a_device_that_is_silent_cannot_be_tested(command, monkeypatch):
     monkeypatch.setattr("tissue.haptics.real.self_test.START_S", 0.05)
-    code, _, error = command("devices", "--test", "network", "--address", "udp://127.0.0.1:0", "--yes")
-    assert code == 2 and "a device must give samples for its test, got 0: check that it is on, and move it" in error
+    code, _, error = command(
+        "devices", "--test", "network", "--address", "udp://127.0.0.1:0", "--yes"
+    )
+    assert (
+        code == 2
+        and "a device must give samples for its test, got 0: check that it is on, and move it"
+        in error
+    )

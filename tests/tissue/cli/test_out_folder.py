@@ -1,4 +1,6 @@
-"""Where `tissue run` writes: what is there is kept, and a folder or disk that takes nothing is refused."""
+"""Where `tissue run` writes: what is there is kept, and a folder or disk that takes nothing is
+refused.
+"""
 
 import errno
 import os
@@ -19,10 +21,16 @@ def test_a_folder_with_another_run_is_kept_without_force(refused, command, here)
     (here / "first" / "trace.txt").write_text("notes of a person")
     before = {path: path.read_bytes() for path in (here / "first").rglob("*") if path.is_file()}
     assert refused(*quick, "--out", "first") == (
-        "out must not hold another run, got first: pass --overwrite to replace it or choose another --out"
+        "out must not hold another run, got first: pass --overwrite to replace it or choose "
+        "another --out"
     )
-    assert {path: path.read_bytes() for path in (here / "first").rglob("*") if path.is_file()} == before
-    assert command("run", "milling", *COARSE, "--duration-s", 0.03, "--out", "first", "--overwrite")[0] == 0
+    assert {
+        path: path.read_bytes() for path in (here / "first").rglob("*") if path.is_file()
+    } == before
+    assert (
+        command("run", "milling", *COARSE, "--duration-s", 0.03, "--out", "first", "--overwrite")[0]
+        == 0
+    )
     after = {path: path.read_bytes() for path in (here / "first").rglob("*") if path.is_file()}
     assert set(before) - set(after) == {here / "first" / "trace.npz"}
     assert after[here / "first" / "trace.txt"] == b"notes of a person"
@@ -46,13 +54,16 @@ def test_a_file_in_the_place_of_the_folder_is_refused(refused, here):
         "out must be a folder, got the file taken: choose another --out"
     )
     assert refused("run", "milling", "--out", "taken/below/it") == (
-        f"out must lie in a folder, got taken/below/it under the file {here / 'taken'}: choose another --out"
+        f"out must lie in a folder, got taken/below/it under the file {here / 'taken'}: "
+        "choose another --out"
     )
 
 
 def test_a_folder_that_cannot_be_written_is_refused(refused, here, monkeypatch):
     (here / "shut").mkdir()
-    monkeypatch.setattr("tissue.system.outputs.os.access", lambda path, mode: Path(path) != here / "shut")
+    monkeypatch.setattr(
+        "tissue.system.outputs.os.access", lambda path, mode: Path(path) != here / "shut"
+    )
     assert refused("run", "milling", "--out", "shut/run") == (
         f"out must be writable, got permission denied at {here / 'shut'}: choose another --out"
     )
@@ -63,7 +74,8 @@ def test_a_folder_that_cannot_be_written_is_refused(refused, here, monkeypatch):
 
     monkeypatch.setattr(Path, "mkdir", read_only)
     assert refused("run", "milling", *COARSE, "--out", "shut/run") == (
-        f"out must be writable, got read-only file system at {here / 'shut' / 'run'}: choose another --out"
+        f"out must be writable, got read-only file system at {here / 'shut' / 'run'}: choose "
+        "another --out"
     )
 
 
@@ -86,7 +98,8 @@ def test_a_full_disk_is_refused_and_the_run_is_incomplete(refused, here, monkeyp
 
     monkeypatch.setattr(TraceWriter, "__init__", full)
     assert refused("run", "milling", *COARSE, "--duration-s", 0.1) == (
-        "out must have space, got no space left on device at runs/milling/trace.csv: free some space or choose another "
+        "out must have space, got no space left on device at runs/milling/trace.csv: free "
+        "some space or choose another "
         "--out"
     )
     saved = SavedRun("runs/milling")
@@ -100,7 +113,9 @@ def tiny_disk(tmp_path):
     place.mkdir()
     mounted = (
         subprocess.run(
-            ["mount", "-t", "tmpfs", "-o", "size=100k", "tmpfs", str(place)], capture_output=True, check=False
+            ["mount", "-t", "tmpfs", "-o", "size=100k", "tmpfs", str(place)],
+            capture_output=True,
+            check=False,
         )
         if sys.platform == "linux" and os.geteuid() == 0
         else None
@@ -121,7 +136,8 @@ def test_a_truly_full_disk_is_refused(tiny_disk):
     )
     assert ended.returncode == 2
     assert ended.stderr in {  # whichever of the two is flushed when the space ends
-        f"error: out must have space, got no space left on device at {tiny_disk / 'run' / name}.csv: free some space "
+        "error: out must have space, got no space left on device at "
+        f"{tiny_disk / 'run' / name}.csv: free some space "
         "or choose another --out\n"
         for name in ("trace", "timing")
     }

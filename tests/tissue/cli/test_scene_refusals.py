@@ -72,7 +72,10 @@ def test_a_motion_without_end_is_refused(refused, here):
 @pytest.mark.parametrize(
     ("points", "places"),
     [
-        ("[[100,0,-1],[110,0,-1]]", ("(94, -5.995, -4) to (116, 5.998, 8)", "(-10, -6, -6) and (10, 6, 0)")),
+        (
+            "[[100,0,-1],[110,0,-1]]",
+            ("(94, -5.995, -4) to (116, 5.998, 8)", "(-10, -6, -6) and (10, 6, 0)"),
+        ),
         ("[[-2,0,1],[2,0,1]]", ("(-9.6, -6, -3.2) and (9.6, 6, 0)",)),
     ],
     ids=["beside", "above"],
@@ -83,20 +86,34 @@ def test_a_tool_that_never_touches_is_refused(refused, here, points, places):
     assert not (here / "runs").exists()
 
 
-def test_voxels_that_do_not_fit_the_memory_are_refused_with_what_would_fit(refused, command, here, monkeypatch):
+def test_voxels_that_do_not_fit_the_memory_are_refused_with_what_would_fit(
+    refused, command, here, monkeypatch
+):
     monkeypatch.setattr("psutil.virtual_memory", lambda: SimpleNamespace(available=1e9))
     message = refused("run", "milling", "--set", "voxels.spacing_mm=0.02", "--no-pictures")
-    assert all(word in message for word in ("voxels.spacing_mm", "1.0 GB", "0.02", "2.0 GB", "use 0.03"))
+    assert all(
+        word in message for word in ("voxels.spacing_mm", "1.0 GB", "0.02", "2.0 GB", "use 0.03")
+    )
     monkeypatch.setattr("psutil.virtual_memory", lambda: SimpleNamespace(available=2e6))
-    fits = refused("run", "milling", "--set", "voxels.spacing_mm=0.1", "--no-pictures").rsplit(" ", 1)[1]
+    fits = refused("run", "milling", "--set", "voxels.spacing_mm=0.1", "--no-pictures").rsplit(
+        " ", 1
+    )[1]
     code, _, error = command(
-        "run", "milling", "--set", f"voxels.spacing_mm={fits}", "--no-pictures", "--duration-s", 0.01
+        "run",
+        "milling",
+        "--set",
+        f"voxels.spacing_mm={fits}",
+        "--no-pictures",
+        "--duration-s",
+        0.01,
     )
     assert (code, error) == (0, "")
 
 
 def test_a_peg_that_fits_neither_tool_nor_hole_is_refused(refused):
     loose = refused("run", "glenoid", "--set", "tool.peg_diameter_mm=12")
-    wide = refused("run", "glenoid", "--set", "tool.peg_diameter_mm=12", "--set", "tool.diameter_mm=10")
+    wide = refused(
+        "run", "glenoid", "--set", "tool.peg_diameter_mm=12", "--set", "tool.diameter_mm=10"
+    )
     assert wide.startswith("tool.peg_diameter_mm ") and "(10)" in wide
     assert loose.startswith("tool.peg_diameter_mm ") and "anatomy.guide_hole_diameter_mm" in loose

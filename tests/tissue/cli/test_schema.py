@@ -15,7 +15,11 @@ def part_of(entry, table, defs):
     """The part of the schema that an entry leads to; of several the one of the table's kind."""
     if "properties" in entry:
         return entry
-    links = [each["$ref"] for each in (entry, *entry.get("anyOf", ()), *entry.get("oneOf", ())) if "$ref" in each]
+    links = [
+        each["$ref"]
+        for each in (entry, *entry.get("anyOf", ()), *entry.get("oneOf", ()))
+        if "$ref" in each
+    ]
     parts = [defs[link.split("/")[-1]] for link in links]
     kinds = [part["properties"].get("kind", {}) for part in parts]
     fitting = [
@@ -34,7 +38,9 @@ def is_free(entry):
 
 
 def stated(table, entry, defs, where):
-    """Check that all entries of a table are in its part of the schema, described, and no others may."""
+    """Check that all entries of a table are in its part of the schema, described, and no others
+    may.
+    """
     part = part_of(entry, table, defs)
     assert part["additionalProperties"] is False and part["description"], where
     for name, value in table.items():
@@ -68,7 +74,9 @@ def test_the_ranges_of_the_schema_are_those_that_scenes_are_held_to(command):
     assert set(schema["$defs"]["Device"]["properties"]["kind"]["enum"]) >= {"haply", "touch"}
 
 
-def test_the_schema_is_written_to_a_file_and_kept_unless_it_may_be_replaced(command, refused, tmp_path):
+def test_the_schema_is_written_to_a_file_and_kept_unless_it_may_be_replaced(
+    command, refused, tmp_path
+):
     path = tmp_path / "scene.json"
     assert command("schema", "--out", path) == (0, f"wrote {path}\n", "")
     assert path.read_text("utf-8") == command("schema")[1]
@@ -93,7 +101,9 @@ def test_bad_use_of_the_schema_is_refused(refused, tmp_path):
 
 
 @pytest.mark.parametrize("name", scene_names())
-def test_a_printed_scene_names_a_schema_that_is_there_and_loads_unchanged(command, monkeypatch, tmp_path, name):
+def test_a_printed_scene_names_a_schema_that_is_there_and_loads_unchanged(
+    command, monkeypatch, tmp_path, name
+):
     cache = tmp_path / "a cache, with ü"
     monkeypatch.setenv("TISSUE_CACHE", str(cache))
     _, output, _ = command("scenes", name)
@@ -114,7 +124,9 @@ def test_an_outdated_schema_in_the_cache_is_written_again(command, monkeypatch, 
     assert json.loads((tmp_path / "scene.schema.json").read_text("utf-8"))["title"] == "Scene"
 
 
-def test_a_scene_is_printed_without_the_line_where_the_cache_cannot_be_written(command, monkeypatch, tmp_path):
+def test_a_scene_is_printed_without_the_line_where_the_cache_cannot_be_written(
+    command, monkeypatch, tmp_path
+):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("TISSUE_CACHE", str(tmp_path / "file"))
     assert command("scenes", "milling") == (0, scene_text("milling"), "")

@@ -19,11 +19,17 @@ from tissue.materials.constants import cutting_coefficients
 TOP = tuple((CENTRE_MM + np.array([0.0, 0.0, RADIUS_MM])).tolist())
 LINE = "line:1.0,500.0"
 HALF_HU = 0.5 * (DENSE_HU + SOFT_HU)
-COARSE = {"voxels.spacing_mm": 0.4, "motion.points_mm": [[0, 0, 1], [0, 0, -1]], "motion.feed_mm_s": 10.0}
+COARSE = {
+    "voxels.spacing_mm": 0.4,
+    "motion.points_mm": [[0, 0, 1], [0, 0, -1]],
+    "motion.feed_mm_s": 10.0,
+}
 
 
 def axes_of(image, order=(0, 1, 2), flips=()):
-    """Values, axes and origin of an image with its array stored along other axes in other directions."""
+    """Values, axes and origin of an image with its array stored along other axes in other
+    directions.
+    """
     values = np.transpose(image.values, order)
     axes = np.diag(image.spacing_mm)[:, order]
     origin = np.array(image.origin_mm)
@@ -36,7 +42,9 @@ def axes_of(image, order=(0, 1, 2), flips=()):
 
 def imported(source, out, **options):
     given = {"density": LINE, "site": TOP, "pictures": False} | options
-    return tissue.import_ct(source, out, **({} if "region" in options else {"threshold": HALF_HU}) | given)
+    return tissue.import_ct(
+        source, out, **({} if "region" in options else {"threshold": HALF_HU}) | given
+    )
 
 
 def force_N(made):
@@ -55,15 +63,22 @@ def reference(tmp_path_factory):
 def test_a_scene_is_ready_to_run(reference):
     made, force = reference
     assert made.has_site and sorted(each.name for each in made.folder.iterdir()) == [
-        ".tissue.json", "bone.ply", "density.nrrd", "import.json", "scene.toml",
-    ]  # fmt: skip
+        ".tissue.json",
+        "bone.ply",
+        "density.nrrd",
+        "import.json",
+        "scene.toml",
+    ]
     scene = tissue.load_scene(made.scene)
     assert scene.anatomy.kind == "bone" and scene.name == "out"
     assert np.allclose(scene.anatomy.centre_mm, TOP, atol=0.15)
     assert np.allclose(scene.anatomy.normal, (0.0, 0.0, 1.0), atol=0.02)
     assert force.max() > 1.0
     notes = tissue.simulate(tissue.load_scene(made.scene, COARSE)).summary["notes"]
-    assert notes["density law"].startswith("line:1,500,apparent: median ") and "90 % between" in notes["density law"]
+    assert (
+        notes["density law"].startswith("line:1,500,apparent: median ")
+        and "90 % between" in notes["density law"]
+    )
 
 
 def test_the_density_reaches_the_cutting_force(reference, tmp_path):
@@ -103,7 +118,9 @@ def test_every_format_and_orientation_gives_the_same_force(reference, tmp_path, 
 def test_a_site_may_be_given_in_ras(reference, tmp_path):
     made, _ = reference
     x, y, z = TOP
-    other = imported(made.folder.parent / "ct.nrrd", tmp_path / "out", site=(-x, -y, z), coordinates="RAS")
+    other = imported(
+        made.folder.parent / "ct.nrrd", tmp_path / "out", site=(-x, -y, z), coordinates="RAS"
+    )
     assert (other.folder / "scene.toml").read_text() == (made.folder / "scene.toml").read_text()
 
 
@@ -126,9 +143,18 @@ def test_a_label_is_the_bone_and_its_names_are_kept(tmp_path):
 def test_a_folder_of_several_series_is_listed_and_one_taken(tmp_path):
     folder, image = tmp_path / "dicom", ball()
     write_dicom(folder, *axes_of(image), intercept=0.0, series="1.2.3", series_number=3)
-    write_dicom(folder, *axes_of(image), intercept=0.0, series="1.2.4", series_number=4, name="other{:03d}.dcm")
+    write_dicom(
+        folder,
+        *axes_of(image),
+        intercept=0.0,
+        series="1.2.4",
+        series_number=4,
+        name="other{:03d}.dcm",
+    )
     count = image.values.shape[2]
-    with pytest.raises(InputError, match=rf"number 3 of {count} slices, number 4 of {count} slices"):
+    with pytest.raises(
+        InputError, match=rf"number 3 of {count} slices, number 4 of {count} slices"
+    ):
         imported(folder, tmp_path / "out")
     assert imported(folder, tmp_path / "out", series=4).has_site
     with pytest.raises(InputError, match="series must be one that dicom holds, got 7"):
@@ -152,9 +178,14 @@ def test_an_import_is_not_overwritten_unasked(reference):
 
 def test_without_a_site_the_scene_asks_for_one(reference, tmp_path):
     made, _ = reference
-    other = tissue.import_ct(made.folder.parent / "ct.nrrd", tmp_path / "My bone 2", density=LINE, pictures=False)
+    other = tissue.import_ct(
+        made.folder.parent / "ct.nrrd", tmp_path / "My bone 2", density=LINE, pictures=False
+    )
     assert not other.has_site and "pick one" in other.sentences[-1]
-    assert other.scene.read_text().startswith("# No site yet") and scene_name(tmp_path / "My bone 2") == "my-bone-2"
+    assert (
+        other.scene.read_text().startswith("# No site yet")
+        and scene_name(tmp_path / "My bone 2") == "my-bone-2"
+    )
     with pytest.raises(InputError, match=r"anatomy\.centre_mm must be given"):
         tissue.simulate(tissue.load_scene(other.scene))
 
@@ -166,10 +197,19 @@ def test_without_a_site_the_scene_asks_for_one(reference, tmp_path):
         ({"site": "glenoyd"}, r"did you mean glenoid\?"),
         ({"site": (0.0, 0.0, 500.0)}, "site must lie within 10 mm"),
         ({"site": (0.0, float("nan"), 0.0)}, "site must be of three finite numbers"),
-        ({"coordinates": "RAS", "site": None}, "coordinates must be left out unless crop, a site or a path"),
-        ({"coordinates": "RAS", "site": "glenoid"}, "coordinates must be left out unless crop, a site or a path"),
+        (
+            {"coordinates": "RAS", "site": None},
+            "coordinates must be left out unless crop, a site or a path",
+        ),
+        (
+            {"coordinates": "RAS", "site": "glenoid"},
+            "coordinates must be left out unless crop, a site or a path",
+        ),
         ({"coordinates": "ras"}, "coordinates must be LPS or RAS, got ras"),
-        ({"normal": (0.0, 0.0, 1.0), "site": None}, "normal must be left out unless site is a point"),
+        (
+            {"normal": (0.0, 0.0, 1.0), "site": None},
+            "normal must be left out unless site is a point",
+        ),
         ({"threshold": 9000.0}, "threshold must leave bone"),
         ({"crop_mm": ((5.0, 0.0, 0.0), (1.0, 2.0, 3.0))}, "crop must have its lowest corner first"),
         ({"crop_mm": ((500.0, 0.0, 0.0), (600.0, 2.0, 3.0))}, "crop must leave two voxels"),
@@ -190,7 +230,9 @@ def test_an_image_of_other_units_gets_a_shell(tmp_path):
     image = ball()
     values, axes, origin = axes_of(image)
     write_nrrd(tmp_path / "ct.nrrd", (100 + values // 20).astype(np.int16), axes, origin)
-    made = tissue.import_ct(tmp_path / "ct.nrrd", tmp_path / "out", threshold=125.0, site=TOP, pictures=False)
+    made = tissue.import_ct(
+        tmp_path / "ct.nrrd", tmp_path / "out", threshold=125.0, site=TOP, pictures=False
+    )
     assert not (made.folder / "density.nrrd").exists() and "unknown" in " ".join(made.sentences)
     assert tissue.load_scene(made.scene).anatomy.density_file is None
 
@@ -198,6 +240,8 @@ def test_an_image_of_other_units_gets_a_shell(tmp_path):
 @pytest.mark.slow
 def test_pictures_are_drawn(reference, tmp_path):
     made, _ = reference
-    other = tissue.import_ct(made.folder.parent / "ct.nrrd", tmp_path / "out", density=LINE, site=TOP)
+    other = tissue.import_ct(
+        made.folder.parent / "ct.nrrd", tmp_path / "out", density=LINE, site=TOP
+    )
     for name in ("slices.png", "histogram.png", "bone.png"):
         assert (other.folder / name).stat().st_size > 10_000, Path(name)

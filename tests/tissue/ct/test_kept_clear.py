@@ -13,7 +13,18 @@ from tissue.ct.placing import kept_clear, plain_names
 from tissue.ct.request import ImportRequest
 from tissue.scene.keep_clear import KeepClear
 
-NAMES = ("Canal!", "canal", "canal_2", "Kanal größe", "神経", "___", "CANAL", "2", "é" * 300, "a b  c")
+NAMES = (
+    "Canal!",
+    "canal",
+    "canal_2",
+    "Kanal größe",
+    "神経",
+    "___",
+    "CANAL",
+    "2",
+    "é" * 300,
+    "a b  c",
+)
 
 
 def cubes(names):
@@ -25,24 +36,38 @@ def cubes(names):
 
 
 def wanted(tmp_path, *names):
-    return ImportRequest(tmp_path / "ct.nrrd", tmp_path / "labels.nrrd", region="bone", keep_clear=names)
+    return ImportRequest(
+        tmp_path / "ct.nrrd", tmp_path / "labels.nrrd", region="bone", keep_clear=names
+    )
 
 
 def test_every_name_is_one_that_a_scene_takes():
     found = plain_names(NAMES)
-    assert found[:7] == ["canal", "canal_2", "canal_2_2", "kanal_grosse", "structure", "structure_2", "canal_3"]
+    assert found[:7] == [
+        "canal",
+        "canal_2",
+        "canal_2_2",
+        "kanal_grosse",
+        "structure",
+        "structure_2",
+        "canal_3",
+    ]
     assert len(set(found)) == len(found) and max(map(len, found)) < 80
     scene = KeepClear(files={name: f"keep_clear_{name}.ply" for name in found})
     assert all(re.fullmatch("[a-z0-9][a-z0-9_]*", name) for name in scene.files)
 
 
 def test_another_name_is_reported(tmp_path):
-    surfaces, sentences = kept_clear(wanted(tmp_path, "Canal!", "canal"), cubes(("Canal!", "canal")), silent)
+    surfaces, sentences = kept_clear(
+        wanted(tmp_path, "Canal!", "canal"), cubes(("Canal!", "canal")), silent
+    )
     assert sentences == [
         "keep clear: Canal!, called canal in the scene",
         "keep clear: canal, called canal_2 in the scene",
     ]
-    assert surfaces["canal"].vertices_m[:, 0].max() < 8e-3 < surfaces["canal_2"].vertices_m[:, 0].min()
+    assert (
+        surfaces["canal"].vertices_m[:, 0].max() < 8e-3 < surfaces["canal_2"].vertices_m[:, 0].min()
+    )
 
 
 @pytest.mark.parametrize("names", [("nerve", "nerve"), ("nerve", "1")])

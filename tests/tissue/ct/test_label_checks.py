@@ -1,4 +1,6 @@
-"""Labels against the image under them, names that are shared, laws without Hounsfield units, and volumes that are kept."""
+"""Labels against the image under them, names that are shared, laws without Hounsfield units, and
+volumes that are kept.
+"""
 
 import re
 
@@ -33,13 +35,16 @@ def test_the_share_of_bone_is_that_of_two_balls(ct, distance_mm):
         assert note == ""
         return
     stated = float(re.search(r"(\d+)% of its voxels above 150 HU", note)[1])
-    assert stated == pytest.approx(100.0 * share, abs=5.0)  # voxels that hold an eighth of bone are above 150 HU
+    # voxels that hold an eighth of bone are above 150 HU
+    assert stated == pytest.approx(100.0 * share, abs=5.0)
 
 
 def test_a_soft_organ_lies_on_soft_tissue(ct):
     around = ball_mask(ct, radius_mm=17.0) & ~ball_mask(ct, radius_mm=14.0)
     assert soft_label_note(ct, around, "liver") == ""
-    assert "median is 900 HU" in soft_label_note(ct, ball_mask(ct) & ~ball_mask(ct, radius_mm=10.0), "liver")
+    assert "median is 900 HU" in soft_label_note(
+        ct, ball_mask(ct) & ~ball_mask(ct, radius_mm=10.0), "liver"
+    )
     assert "median is -1000 HU" in soft_label_note(ct, ~ball_mask(ct, radius_mm=20.0), "liver")
 
 
@@ -54,7 +59,10 @@ def files(folder, image, mask):
 def test_a_moved_label_is_reported_by_the_import(ct, tmp_path):
     source, options = files(tmp_path, ct, moved(ct, 12.0))
     made = tissue.import_ct(source, tmp_path / "out", density="line:1.0,500.0", **options)
-    assert any(sentence.startswith("warning: most of label humerus is not bone") for sentence in made.sentences)
+    assert any(
+        sentence.startswith("warning: most of label humerus is not bone")
+        for sentence in made.sentences
+    )
     source, options = files(tmp_path, ct, moved(ct, 20.0))
     with pytest.raises(InputError, match="region must be a label on bone"):
         tissue.import_ct(source, tmp_path / "other", density="line:1.0,500.0", **options)
@@ -64,11 +72,17 @@ def test_a_moved_label_is_reported_by_the_import(ct, tmp_path):
 def test_a_named_law_needs_hounsfield_units(ct, tmp_path, law):
     micro = (100 + ct.values // 20).astype(np.int16)
     write_nrrd(tmp_path / "ct.nrrd", micro, np.diag(ct.spacing_mm), ct.origin_mm)
-    with pytest.raises(InputError, match="density must be line:SLOPE,OFFSET for an image that is not in Hounsfield"):
-        tissue.import_ct(tmp_path / "ct.nrrd", tmp_path / "out", threshold=125.0, density=law, pictures=False)
+    with pytest.raises(
+        InputError, match="density must be line:SLOPE,OFFSET for an image that is not in Hounsfield"
+    ):
+        tissue.import_ct(
+            tmp_path / "ct.nrrd", tmp_path / "out", threshold=125.0, density=law, pictures=False
+        )
 
 
-@pytest.mark.parametrize(("spacing_mm", "is_kept"), [((0.6, 0.6, 0.6), True), ((1.0, 1.0, 6.0), False)])
+@pytest.mark.parametrize(
+    ("spacing_mm", "is_kept"), [((0.6, 0.6, 0.6), True), ((1.0, 1.0, 6.0), False)]
+)
 def test_the_volume_is_called_kept_only_where_it_is(tmp_path, spacing_mm, is_kept):
     image = ball(spacing_mm, half_mm=21.0)
     mask = ball_mask(image)
@@ -78,5 +92,8 @@ def test_the_volume_is_called_kept_only_where_it_is(tmp_path, spacing_mm, is_kep
     change = trimesh.load(made.folder / "bone.ply").volume / label_mm3 - 1.0
     sentence = next(each for each in made.sentences if each.startswith("bone: label humerus"))
     assert (abs(change) <= 0.01) == is_kept == ("kept to 1%" in sentence)
-    assert is_kept or f"{abs(change):.1%} {'more' if change > 0 else 'less'} than the label's" in sentence
+    assert (
+        is_kept
+        or f"{abs(change):.1%} {'more' if change > 0 else 'less'} than the label's" in sentence
+    )
     assert any("are coarse" in each for each in made.sentences) == (not is_kept)

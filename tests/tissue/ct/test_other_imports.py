@@ -17,14 +17,17 @@ BONE = {"density": "line:1.0,500.0", "site": TOP, "pictures": False}
 
 @pytest.fixture(scope="module")
 def ct(tmp_path_factory):
-    """A CT of a ball of bone and its labels: the bone, and a canal beside where the tool goes, of two pieces."""
+    """A CT of a ball of bone and its labels: the bone, and a canal beside where the tool goes,
+    of two pieces.
+    """
     folder, image = tmp_path_factory.mktemp("ct"), ball()
     write_nrrd(folder / "ct.nrrd", image.values, np.diag(image.spacing_mm), image.origin_mm)
     values = np.zeros(image.values.shape)
     values[ball_mask(image)] = 1
     canal = ball_mask(image, centre_mm=CENTRE_MM + np.array([5.0, 0.0, 8.0]), radius_mm=3.0)
     values[canal] = 2
-    values[ball_mask(image, centre_mm=CENTRE_MM - np.array([0.0, 0.0, 18.0]), radius_mm=4.0)] = 2  # larger, far away
+    # larger, far away
+    values[ball_mask(image, centre_mm=CENTRE_MM - np.array([0.0, 0.0, 18.0]), radius_mm=4.0)] = 2
     place = {"spacing_mm": image.spacing_mm, "origin_mm": image.origin_mm}
     write_named_labels(folder / "a.seg.nrrd", values, {1: "bone", 2: "facial nerve"}, **place)
     return folder
@@ -32,19 +35,34 @@ def ct(tmp_path_factory):
 
 def test_a_label_to_keep_clear_of_is_measured_on_the_run(ct, tmp_path):
     made = tissue.import_ct(
-        ct / "ct.nrrd", tmp_path / "out", labels=ct / "a.seg.nrrd", region="bone", keep_clear=["facial nerve"], **BONE
+        ct / "ct.nrrd",
+        tmp_path / "out",
+        labels=ct / "a.seg.nrrd",
+        region="bone",
+        keep_clear=["facial nerve"],
+        **BONE,
     )
-    coarse = {"voxels.spacing_mm": 0.4, "motion.points_mm": [[0, 0, 1], [0, 0, -2]], "motion.feed_mm_s": 20.0}
+    coarse = {
+        "voxels.spacing_mm": 0.4,
+        "motion.points_mm": [[0, 0, 1], [0, 0, -2]],
+        "motion.feed_mm_s": 20.0,
+    }
     assert "facial nerve: 2 pieces of 0.269, 0.116 ml, all of them kept clear of" in made.sentences
     run = tissue.simulate(tissue.load_scene(made.scene, coarse))
     tip = run.trace.vectors("tool", "mm")[-1]
-    # The burr's ball has a radius of 2 mm; the nerve's, of 3 mm, lies 5 mm aside and 4 mm under the top.
+    # The burr's ball has a radius of 2 mm; the nerve's, of 3 mm, lies 5 mm aside and 4 mm under the
+    # top.
     middle = run.parts.placement.to_scene((CENTRE_MM + np.array([5.0, 0.0, 8.0]))[None])[0]
     exact = np.linalg.norm(tip + np.array([0.0, 0.0, 2.0]) - middle) - 5.0
     assert run.trace["distance_facial_nerve_mm"][-1] == pytest.approx(exact, abs=0.3)
     with pytest.raises(InputError, match="got nerv: use one of facial nerve"):
         tissue.import_ct(
-            ct / "ct.nrrd", tmp_path / "b", labels=ct / "a.seg.nrrd", region="bone", keep_clear=["nerv"], **BONE
+            ct / "ct.nrrd",
+            tmp_path / "b",
+            labels=ct / "a.seg.nrrd",
+            region="bone",
+            keep_clear=["nerv"],
+            **BONE,
         )
 
 
@@ -53,7 +71,9 @@ def test_a_path_is_followed_on_the_bone(ct, tmp_path):
     file = tmp_path / "path.csv"
     file.write_text(f"x_mm,y_mm,z_mm\n{x},{y},{z + 2}\n{x},{y},{z - 1}\n{x + 3},{y},{z - 1}\n")
     threshold = 0.5 * (DENSE_HU + SOFT_HU)
-    made = tissue.import_ct(ct / "ct.nrrd", tmp_path / "out", threshold=threshold, path=file, feed_mm_s=20.0, **BONE)
+    made = tissue.import_ct(
+        ct / "ct.nrrd", tmp_path / "out", threshold=threshold, path=file, feed_mm_s=20.0, **BONE
+    )
     assert "at most" in next(each for each in made.sentences if each.startswith("path:"))
     scene = tissue.load_scene(made.scene, {"voxels.spacing_mm": 0.4})
     assert scene.motion.kind == "replay"
@@ -82,15 +102,29 @@ def test_another_import_takes_away_what_the_one_before_wrote_and_nothing_else(ct
     tissue.import_ct(ct / "ct.nrrd", out, path=file, **labelled, **BONE)
     wrote = {each.name for each in out.iterdir()} - {".tissue.json"}
     record = json.loads((out / "import.json").read_text())
-    assert set(record["files"]) == wrote >= {"path.csv", "keep_clear_facial_nerve.ply", "labels.seg.nrrd"}
+    assert (
+        set(record["files"])
+        == wrote
+        >= {"path.csv", "keep_clear_facial_nerve.ply", "labels.seg.nrrd"}
+    )
     mine = {"notes.txt": "mine", "keep_clear_mine.ply": "mine", "../outside.csv": "mine"}
     for name, text in mine.items():
         (out / name).write_text(text)
     (out / "import.json").write_text(
         json.dumps(record | {"files": [*record["files"], "notes.txt", "../outside.csv", 3]})
     )
-    made = tissue.import_ct(ct / "ct.nrrd", out, threshold=0.5 * (DENSE_HU + SOFT_HU), overwrite=True, **BONE)
-    left = {".tissue.json", "scene.toml", "import.json", "bone.ply", "density.nrrd", "notes.txt", "keep_clear_mine.ply"}
+    made = tissue.import_ct(
+        ct / "ct.nrrd", out, threshold=0.5 * (DENSE_HU + SOFT_HU), overwrite=True, **BONE
+    )
+    left = {
+        ".tissue.json",
+        "scene.toml",
+        "import.json",
+        "bone.ply",
+        "density.nrrd",
+        "notes.txt",
+        "keep_clear_mine.ply",
+    }
     assert {each.name for each in made.folder.iterdir()} == left
     assert all((out / name).read_text() == text for name, text in mine.items())
 
@@ -113,7 +147,9 @@ def test_a_tooth_of_labels_is_drilled_over_its_largest_lesion(tmp_path):
     file = tooth(tmp_path)
     made = tissue.import_ct(file, tmp_path / "out", labels=file, site="tooth:lesion")
     assert "12.5 mm3; the second has 2.0% of it" in " ".join(made.sentences)
-    scene = tissue.load_scene(made.scene, {"voxels.spacing_mm": 0.25, "motion.feed_mm_s": 20.0, "duration_s": 0.15})
+    scene = tissue.load_scene(
+        made.scene, {"voxels.spacing_mm": 0.25, "motion.feed_mm_s": 20.0, "duration_s": 0.15}
+    )
     assert scene.anatomy.kind == "molar" and scene.anatomy.site == "caries"
     run = tissue.simulate(scene)
     assert run.summary["removed_mm3"]["caries"] > 0.05 and run.summary["start_mm3"]["pulp"] >= 0.0
@@ -129,9 +165,18 @@ def test_a_tooth_of_labels_is_drilled_over_its_largest_lesion(tmp_path):
     ("options", "part"),
     [
         ({"site": "tooth:lesion"}, "labels must be given for site tooth:lesion"),
-        ({"site": "tooth:lesion", "labels": True, "region": "enamel"}, "region must be left out for a tooth"),
-        ({"site": "tooth:lesion", "labels": True, "threshold": 3.0}, "threshold must be left out for a tooth"),
-        ({"site": "tooth", "labels": True, "series": 2}, "series must be left out where the labels are the source"),
+        (
+            {"site": "tooth:lesion", "labels": True, "region": "enamel"},
+            "region must be left out for a tooth",
+        ),
+        (
+            {"site": "tooth:lesion", "labels": True, "threshold": 3.0},
+            "threshold must be left out for a tooth",
+        ),
+        (
+            {"site": "tooth", "labels": True, "series": 2},
+            "series must be left out where the labels are the source",
+        ),
         ({"site": "tooth", "labels": True, "coordinates": "RAS"}, "coordinates must be left out"),
     ],
 )
@@ -156,9 +201,18 @@ def organ(folder):
     values[(x / 30) ** 2 + (y / 24) ** 2 + (z / 20) ** 2 < 1.0] = 5
     values[x**2 + (y + 12) ** 2 + z**2 < 36.0] = 7
     assert 8.0 * np.count_nonzero(values == 7) == TUMOUR_MM3
-    write_nrrd(folder / "ct.nrrd", np.where(values > 0, 60, -100).astype(np.int16), np.diag(spacing), origin)
+    write_nrrd(
+        folder / "ct.nrrd",
+        np.where(values > 0, 60, -100).astype(np.int16),
+        np.diag(spacing),
+        origin,
+    )
     return write_named_labels(
-        folder / "a.seg.nrrd", values, {5: "liver", 7: "tumour"}, spacing_mm=spacing, origin_mm=origin
+        folder / "a.seg.nrrd",
+        values,
+        {5: "liver", 7: "tumour"},
+        spacing_mm=spacing,
+        origin_mm=origin,
     )
 
 
@@ -166,7 +220,9 @@ def organ(folder):
 def test_a_soft_organ_is_meshed_with_its_parts_and_pressed(tmp_path):
     file = organ(tmp_path)
     options = {"labels": file, "region": "liver", "site": (0.0, -24.0, 0.0)}
-    made = tissue.import_ct(tmp_path / "ct.nrrd", tmp_path / "out", parts={"tumour": 60.0}, **options)
+    made = tissue.import_ct(
+        tmp_path / "ct.nrrd", tmp_path / "out", parts={"tumour": 60.0}, **options
+    )
     coarse = {"organ.order": 1, "motion.feed_mm_s": 40.0, "anatomy.touch_edge_mm": 5.0}
     scene = tissue.load_scene(made.scene, coarse)
     assert scene.anatomy.kind == "liver" and dict(scene.organ.parts) == {"tumour": 60.0}
@@ -190,4 +246,6 @@ def test_a_soft_organ_is_meshed_with_its_parts_and_pressed(tmp_path):
 def test_what_has_no_effect_on_an_organ_is_refused(tmp_path, options, part):
     file = organ(tmp_path)
     with pytest.raises(InputError, match=part):
-        tissue.import_ct(tmp_path / "ct.nrrd", tmp_path / "out", labels=file, region="liver", **options)
+        tissue.import_ct(
+            tmp_path / "ct.nrrd", tmp_path / "out", labels=file, region="liver", **options
+        )

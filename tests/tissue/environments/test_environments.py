@@ -19,7 +19,9 @@ from tissue.materials.constants import constants
 ROOT = Path(__file__).resolve().parents[3]
 NAMES = ["tissue/Drilling-v0", "tissue/Milling-v0", "tissue/Palpation-v0"]
 LEAST = {"tissue/Drilling-v0": 0.85, "tissue/Milling-v0": 0.9, "tissue/Palpation-v0": 0.7}
-"""What an expert scores at least: the mean of ten seeds, less what single seeds fall short of it."""
+"""What an expert scores at least: the mean of ten seeds, less what single seeds fall short of
+it.
+"""
 
 
 def episode(env, policy, seed):
@@ -27,7 +29,9 @@ def episode(env, policy, seed):
     seen, info = env.reset(seed=seed)
     observations, rewards, over = [seen], [], False
     while not over:
-        seen, reward, terminated, truncated, info = env.step(np.asarray(policy(seen), dtype=np.float32))
+        seen, reward, terminated, truncated, info = env.step(
+            np.asarray(policy(seen), dtype=np.float32)
+        )
         observations.append(seen)
         rewards.append(reward)
         over = terminated or truncated
@@ -67,7 +71,9 @@ def test_a_reward_is_the_sum_of_its_terms_and_doing_nothing_scores_what_is_docum
     terms = {}
     over = False
     while not over:
-        _, reward, terminated, truncated, info = env.step(np.zeros(env.action_space.shape, dtype=np.float32))
+        _, reward, terminated, truncated, info = env.step(
+            np.zeros(env.action_space.shape, dtype=np.float32)
+        )
         assert reward == pytest.approx(sum(info["reward_terms"].values()), abs=1e-12)
         terms = {name: terms.get(name, 0.0) + value for name, value in info["reward_terms"].items()}
         over = terminated or truncated
@@ -77,7 +83,10 @@ def test_a_reward_is_the_sum_of_its_terms_and_doing_nothing_scores_what_is_docum
 
 def test_an_option_fixes_what_would_be_drawn_and_leaves_the_rest(env):
     name, (low, high) = next(iter(env.unwrapped.ranges.items()))
-    free, fixed = (env.reset(seed=1, options=options)[1]["drawn"] for options in (None, {name: 0.5 * (low + high)}))
+    free, fixed = (
+        env.reset(seed=1, options=options)[1]["drawn"]
+        for options in (None, {name: 0.5 * (low + high)})
+    )
     assert fixed == free | {name: 0.5 * (low + high)}
     for options, word in (({"nothing": 1.0}, "nothing"), ({name: high + 1.0}, name)):
         with pytest.raises(InputError, match=word):
@@ -94,7 +103,9 @@ def test_a_picture_shows_the_episode(env):
     env.reset(seed=0)
     before = env.render()
     for _ in range(20):
-        env.step(-env.action_space.high if env.spec.id != "tissue/Drilling-v0" else env.action_space.high)
+        env.step(
+            -env.action_space.high if env.spec.id != "tissue/Drilling-v0" else env.action_space.high
+        )
     after = env.render()
     assert before.dtype == np.uint8 and before.shape == (360, 640, 3) and (before != after).any()
 
@@ -102,8 +113,14 @@ def test_a_picture_shows_the_episode(env):
 def test_constants_of_a_file_hold_in_an_environment_and_others_are_refused(tmp_path):
     """Forces are proportional to the coefficients."""
     file, cited = tmp_path / "fitted.toml", constants("cutting", "bone")
-    twice = {f"cutting.bone.{name}": 2.0 * one.value for name, one in cited.items() if "chip" in name or "edge" in name}
-    entries = [FittedEntry(name, value, value, value, "a test", "L") for name, value in twice.items()]
+    twice = {
+        f"cutting.bone.{name}": 2.0 * one.value
+        for name, one in cited.items()
+        if "chip" in name or "edge" in name
+    }
+    entries = [
+        FittedEntry(name, value, value, value, "a test", "L") for name, value in twice.items()
+    ]
     write_fitted(file, entries, np.eye(len(entries)), remark=())
     forces = []
     for given in (None, file):
@@ -114,7 +131,12 @@ def test_constants_of_a_file_hold_in_an_environment_and_others_are_refused(tmp_p
         forces.append(made.mean_force_N)
     assert np.linalg.norm(forces[0]) > 1.0
     np.testing.assert_allclose(forces[1], 2.0 * forces[0], rtol=1e-6)
-    write_fitted(file, [FittedEntry("soft.liver.modulus_kPa", 5.0, 5.0, 5.0, "a test", "L")], np.eye(1), remark=())
+    write_fitted(
+        file,
+        [FittedEntry("soft.liver.modulus_kPa", 5.0, 5.0, 5.0, "a test", "L")],
+        np.eye(1),
+        remark=(),
+    )
     with pytest.raises(InputError, match="must hold a constant that the environment rests on"):
         tissue.environments.Drilling(materials=file).reset(seed=0)
     with pytest.raises(TypeError, match="materials"):
@@ -155,7 +177,9 @@ def test_a_bur_that_comes_back_into_its_cut_meets_nothing():
 
 
 def test_a_pushed_bur_balances_thrust_inertia_damping_and_the_force_of_the_same_tick():
-    """0.1 kg, 3 N and a damping that lets 3 N move it at 10 mm/s: m (v - v_before) / dt + 300 v + F = 3 N going down."""
+    """0.1 kg, 3 N and a damping that lets 3 N move it at 10 mm/s: m (v - v_before) / dt + 300 v
+    + F = 3 N going down.
+    """
     env = gymnasium.make("tissue/Drilling-v0").unwrapped
     env.reset(seed=3)
     off, forces = [], []
@@ -180,7 +204,8 @@ def test_a_palpated_slab_answers_in_proportion_to_its_modulus_however_it_is_turn
         forces[modulus, turn] = env.mean_force_N
     assert forces[3.0, 0.0][2] > 0.01
     assert forces[6.0, 0.0] == pytest.approx(2.0 * forces[3.0, 0.0], rel=1e-9)
-    assert forces[3.0, 180.0][2] == pytest.approx(forces[3.0, 0.0][2], rel=0.1)  # the mesh is not symmetric
+    # the mesh is not symmetric
+    assert forces[3.0, 180.0][2] == pytest.approx(forces[3.0, 0.0][2], rel=0.1)
 
 
 def test_environments_refuse_what_they_cannot_use():
@@ -224,6 +249,11 @@ def test_a_vector_of_environments_steps_as_each_alone(name, mode):
 @pytest.mark.parametrize("first", ["", "import tissue.environments; "])
 def test_an_environment_is_made_by_its_name(first):
     name = NAMES[0] if first else f"tissue.environments:{NAMES[0]}"
-    code = f"{first}import gymnasium; print(gymnasium.make({name!r}).spec.id, sorted(set({NAMES}) - set(gymnasium.registry)))"
-    ended = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    code = (
+        f"{first}import gymnasium; print(gymnasium.make({name!r}).spec.id, sorted(set({NAMES}) - "
+        "set(gymnasium.registry)))"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
+    )
     assert (ended.stdout, ended.returncode) == (f"{NAMES[0]} []\n", 0), ended.stderr

@@ -16,17 +16,23 @@ from tissue.simulation.trace import Table, TraceLayout, TraceWriter
 COLUMNS = TraceLayout.of(()).columns
 TICK_S = 1e-3
 GRID_MM = 0.02
-"""Paths of 2 s are aligned over 800 samples, 2.5 ticks apart; 20 mm/s passes 0.05 mm in that time, the refinement less."""
+"""Paths of 2 s are aligned over 800 samples, 2.5 ticks apart; 20 mm/s passes 0.05 mm in that
+time, the refinement less.
+"""
 
 
 def reach(duration_s, *, pause_s=0.0, deeper_mm=0.0, aside_mm=0.0):
-    """Down 10 mm, along 20 mm, up again; the tool's axis is z and it meets the tissue below zero."""
+    """Down 10 mm, along 20 mm, up again; the tool's axis is z and it meets the tissue below
+    zero.
+    """
     count = round(duration_s / TICK_S)
     s = np.linspace(0.0, 4.0, count)
     pause = np.full(round(pause_s / TICK_S), 2.0)
     s = np.concatenate([s[s < 2.0], pause, s[s >= 2.0]])
     x = np.interp(s, [0, 1, 3, 4], [0, 0, 20, 20])
-    depth = np.interp(s, [0, 1, 3, 4], [-2, 5, 5, -2]) + deeper_mm * np.exp(-0.5 * ((s - 1.5) / 0.05) ** 2)
+    depth = np.interp(s, [0, 1, 3, 4], [-2, 5, 5, -2]) + deeper_mm * np.exp(
+        -0.5 * ((s - 1.5) / 0.05) ** 2
+    )
     y = aside_mm * np.exp(-0.5 * ((s - 2.5) / 0.1) ** 2)
     return np.column_stack([x, y, -depth])
 
@@ -47,7 +53,13 @@ def saved(folder, path, *, scene="block", force_scale=1.0, events=(), status="co
     writer = TraceWriter(folder / "trace.csv", Table(COLUMNS, rows))
     writer.flush(len(rows), force=True)
     writer.close()
-    summary = {"format": 1, "status": status, "scene": scene, "layers": [], "simulated_s": len(rows) * TICK_S}
+    summary = {
+        "format": 1,
+        "status": status,
+        "scene": scene,
+        "layers": [],
+        "simulated_s": len(rows) * TICK_S,
+    }
     summary |= {"force_N": {"peak": 2.0 * force_scale * depth.max()}, "torque_Nm": {"peak": 0.0}}
     summary["events"] = [{"time_s": at_s, "what": what} for at_s, what in events]
     (folder / "summary.json").write_text(json.dumps(summary))
@@ -67,14 +79,16 @@ def test_a_slower_run_with_a_pause_is_no_deviation(tmp_path):
 
 
 def test_a_run_that_ends_early_deviates_nowhere(tmp_path):
-    """Its path lies on that of the reference as far as it goes; that it is not complete is a note."""
+    """Its path lies on that of the reference as far as it goes; that it is not complete is a
+    note.
+    """
     whole = reach(2.0)
     rows = aligned_rows(whole[:400], whole)
     assert deviation_mm(whole[:400], whole, rows).max() < GRID_MM
     np.testing.assert_allclose(rows, np.arange(400), atol=4)
-    assert deviation_mm(whole, whole[:400], aligned_rows(whole, whole[:400])).max() == pytest.approx(
-        np.linalg.norm(whole[-1] - whole[399]), rel=0.01
-    )
+    assert deviation_mm(
+        whole, whole[:400], aligned_rows(whole, whole[:400])
+    ).max() == pytest.approx(np.linalg.norm(whole[-1] - whole[399]), rel=0.01)
 
 
 def test_alignment_never_goes_back_and_keeps_crossings_apart():
@@ -86,7 +100,10 @@ def test_alignment_never_goes_back_and_keeps_crossings_apart():
     np.testing.assert_allclose(rows, np.arange(0, 1000, 2), atol=4)
     turned = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
     line = np.column_stack([path, 0.3 * path, 0.0 * path])
-    off, other = deviation_mm(line[::2], line, rows), deviation_mm(line[::2] @ turned + 7.0, line @ turned + 7.0, rows)
+    off, other = (
+        deviation_mm(line[::2], line, rows),
+        deviation_mm(line[::2] @ turned + 7.0, line @ turned + 7.0, rows),
+    )
     np.testing.assert_allclose(off, other, atol=1e-9)
 
 
@@ -105,10 +122,16 @@ def test_breaches_are_found_where_they_were_planted(tmp_path):
     assert set(by_what) == {"force", "distance from the path", "depth"}
     depth, aside, force = by_what["depth"], by_what["distance from the path"], by_what["force"]
     # s = 1.5 is at 0.75 s, s = 2.5 at 1.25 s of 2 s.
-    assert depth.worst_at_s == pytest.approx(0.75, abs=0.002) and depth.worst == pytest.approx(6.5, abs=0.01)
-    assert aside.worst_at_s == pytest.approx(1.25, abs=0.01) and aside.worst == pytest.approx(1.8, abs=GRID_MM)
+    assert depth.worst_at_s == pytest.approx(0.75, abs=0.002) and depth.worst == pytest.approx(
+        6.5, abs=0.01
+    )
+    assert aside.worst_at_s == pytest.approx(1.25, abs=0.01) and aside.worst == pytest.approx(
+        1.8, abs=GRID_MM
+    )
     # Deeper than 0.5 mm beyond the plan while exp(-x^2 / 2) > 1/3.
-    assert depth.end_s - depth.start_s == pytest.approx(2.0 * np.sqrt(2.0 * np.log(3.0)) * 0.05 / 2.0, abs=0.003)
+    assert depth.end_s - depth.start_s == pytest.approx(
+        2.0 * np.sqrt(2.0 * np.log(3.0)) * 0.05 / 2.0, abs=0.003
+    )
     assert force.limit == 12.0 and force.worst == pytest.approx(13.0, abs=0.01)
     assert found.figures["overshoot_mm"] == pytest.approx(1.5, abs=0.01)
     lines = assessment_lines(found)
@@ -121,7 +144,10 @@ def test_the_limit_of_force_follows_the_reference(tmp_path):
     assert found.force.limit == pytest.approx(12.5)
     assert [each.what for each in found.breaches] == ["force"]
     assert found.figures["force_error"] == pytest.approx(0.3, abs=0.01)
-    assert found.figures["peak_force_N"] == {"trainee": pytest.approx(13.0), "reference": pytest.approx(10.0)}
+    assert found.figures["peak_force_N"] == {
+        "trainee": pytest.approx(13.0),
+        "reference": pytest.approx(10.0),
+    }
 
 
 def test_figures_and_picture_are_written_once(tmp_path):
@@ -130,7 +156,10 @@ def test_figures_and_picture_are_written_once(tmp_path):
     assert found.figures["deviation_mm"]["worst"] < 1e-9 and found.figures["force_error"] == 0.0
     png = write_assessment(found, tmp_path / "out", overwrite=False)[1]
     assert png.stat().st_size > 20_000
-    assert json.loads((tmp_path / "out" / "assessment.json").read_text())["limits"]["deviation_mm"] == 1.0
+    assert (
+        json.loads((tmp_path / "out" / "assessment.json").read_text())["limits"]["deviation_mm"]
+        == 1.0
+    )
     with pytest.raises(InputError, match="out must not hold another assessment"):
         write_assessment(found, tmp_path / "out", overwrite=False)
     with pytest.raises(InputError, match="out must be a folder"):
@@ -138,7 +167,10 @@ def test_figures_and_picture_are_written_once(tmp_path):
 
 
 def test_what_cannot_be_assessed_is_refused(tmp_path):
-    reference, other = saved(tmp_path / "r", reach(1.0)), saved(tmp_path / "o", reach(1.0), scene="wall")
+    reference, other = (
+        saved(tmp_path / "r", reach(1.0)),
+        saved(tmp_path / "o", reach(1.0), scene="wall"),
+    )
     above = saved(tmp_path / "a", reach(1.0) + np.array([0.0, 0.0, 50.0]))
     with pytest.raises(InputError, match="must be of one scene, got wall and block"):
         assess(other, reference)
@@ -162,7 +194,12 @@ def run_command(monkeypatch, *words):
 def test_the_command_prints_and_refuses(tmp_path, capsys, monkeypatch):
     saved(tmp_path / "r", reach(1.0))
     saved(tmp_path / "t", reach(1.2, aside_mm=3.0))
-    assert run_command(monkeypatch, tmp_path / "t", "--against", tmp_path / "r", "--out", tmp_path / "out") == 0
+    assert (
+        run_command(
+            monkeypatch, tmp_path / "t", "--against", tmp_path / "r", "--out", tmp_path / "out"
+        )
+        == 0
+    )
     message = capsys.readouterr().out
     assert "breach: distance from the path above 1 mm" in message and "assessment.png" in message
     assert run_command(monkeypatch, tmp_path / "none", "--against", tmp_path / "r") == 2
@@ -171,7 +208,9 @@ def test_the_command_prints_and_refuses(tmp_path, capsys, monkeypatch):
 
 def of_scene(run, **changes):
     """A run as one of the built-in scene of milling with some changes."""
-    run.scene = load_scene("milling", {name.replace("__", "."): value for name, value in changes.items()})
+    run.scene = load_scene(
+        "milling", {name.replace("__", "."): value for name, value in changes.items()}
+    )
     return run
 
 
@@ -185,24 +224,36 @@ def of_scene(run, **changes):
     ],
 )
 def test_runs_of_two_tasks_are_not_assessed(tmp_path, change):
-    """With another tool, tissue or material another force is right, so that no breach means anything."""
+    """With another tool, tissue or material another force is right, so that no breach means
+    anything.
+    """
     if "materials" in change:
-        constants = "radial_chip_N_mm2 = { value = 40.0, range = [30.0, 50.0], source = 'x', confidence = 'L' }"
+        constants = (
+            "radial_chip_N_mm2 = { value = 40.0, range = [30.0, 50.0], source = 'x', confidence "
+            "= 'L' }"
+        )
         (tmp_path / "m.toml").write_text(f"[cutting.bone]\n{constants}\n")
         change = {"materials": str(tmp_path / "m.toml")}
     reference = of_scene(saved(tmp_path / "r", reach(1.0)))
     with pytest.raises(InputError, match=r"run and reference must be of one (task|material), got"):
         assess(of_scene(saved(tmp_path / "t", reach(1.0)), **change), reference)
-    found = assess(of_scene(saved(tmp_path / "o", reach(1.0)), hand="novice", device="touch", seed=3), reference)
+    found = assess(
+        of_scene(saved(tmp_path / "o", reach(1.0)), hand="novice", device="touch", seed=3),
+        reference,
+    )
     assert found.notes == ()
 
 
 def test_what_limits_an_assessment_is_noted(tmp_path):
     reference, trainee = (of_scene(saved(tmp_path / name, reach(1.0))) for name in "rt")
     trainee.scene = load_scene("milling", {"duration_s": 1.0, "voxels.spacing_mm": 0.4})
-    trainee.summary["notes"] = {"path": "not finished: the run ends at 1 s, the motion at 8 s; set duration_s = 8"}
+    trainee.summary["notes"] = {
+        "path": "not finished: the run ends at 1 s, the motion at 8 s; set duration_s = 8"
+    }
     notes = assess(trainee, reference).notes
-    assert len(notes) == 3 and notes[-1].startswith("the path of the trainee is not finished: the run ends at 1 s")
+    assert len(notes) == 3 and notes[-1].startswith(
+        "the path of the trainee is not finished: the run ends at 1 s"
+    )
     assert any("duration_s: trainee 1, reference" in each for each in notes)
     assert any("voxels.spacing_mm: trainee 0.4, reference" in each for each in notes)
     lines = assessment_lines(assess(trainee, reference))

@@ -45,7 +45,10 @@ def test_a_session_ends_with_observer_trials_and_picture(command, here):
     code, _, error = command("calibrate", "--observer", "simulated:4", "--out", "sub/one.json")
     assert code == 2 and "out must not exist yet" in error
     before = (here / "sub" / "one.json").read_bytes()
-    assert command("calibrate", "--observer", "simulated:4", "--out", "sub/one.json", "--overwrite")[0] == 0
+    assert (
+        command("calibrate", "--observer", "simulated:4", "--out", "sub/one.json", "--overwrite")[0]
+        == 0
+    )
     assert (here / "sub" / "one.json").read_bytes() == before
     for name in ("one.json", "one.png"):  # as if stopped before they were written
         (here / "sub" / name).unlink()
@@ -62,7 +65,10 @@ def test_a_picture_that_is_there_is_kept(refused, here):
 
 def test_a_session_goes_on_at_any_trial(tmp_path, log):
     """Cut after every line, and within one, the session ends with the same bits."""
-    answers, whole = questioner("simulated:1", "mouse", seed=0, read=input, show=print)[0], log.read_bytes()
+    answers, whole = (
+        questioner("simulated:1", "mouse", seed=0, read=input, show=print)[0],
+        log.read_bytes(),
+    )
     _, straight = read_log(log)
     lines = whole.splitlines(keepends=True)
     for kept in range(len(lines) + 1):
@@ -83,11 +89,26 @@ def test_a_session_goes_on_at_any_trial(tmp_path, log):
 @pytest.mark.parametrize("name", ["SIGINT", "SIGKILL"], ids=["ctrl-c", "kill"])
 def test_a_stopped_command_goes_on(tmp_path, name):
     def run(out, **options):
-        arguments = ["calibrate", "--observer", "simulated:2", "--trials", "600", "--numbers", "4", "--out", str(out)]
+        arguments = [
+            "calibrate",
+            "--observer",
+            "simulated:2",
+            "--trials",
+            "600",
+            "--numbers",
+            "4",
+            "--out",
+            str(out),
+        ]
         code = "from tissue.cli.main import main; main()"
         return subprocess.Popen(
-            [sys.executable, "-c", code, *arguments], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
-        )  # fmt: skip
+            [sys.executable, "-c", code, *arguments],
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            **options,
+        )
 
     out, path = tmp_path / "stopped.json", tmp_path / "stopped.trials.jsonl"
     first = run(out)
@@ -104,7 +125,8 @@ def test_a_stopped_command_goes_on(tmp_path, name):
     _, message = second.communicate(timeout=120)
     assert second.returncode == 0 and f"going on at trial {done + 1}" in message
     session = answered(
-        Plan(trials=600, numbers=4), questioner("simulated:2", "mouse", seed=0, read=input, show=print)[0]
+        Plan(trials=600, numbers=4),
+        questioner("simulated:2", "mouse", seed=0, read=input, show=print)[0],
     )
     _, restored = read_log(path)
     assert restored.asked == session.asked and restored.given == session.given
@@ -139,15 +161,36 @@ def test_a_log_that_is_no_text_is_refused_without_the_words_of_a_decoder(tmp_pat
         (lambda lines: [*lines[:4], *lines[3:]], "trial must be 3, got 2"),
         (lambda lines: [*lines[:3], "x", *lines[4:]], "in line 4 of"),
         (lambda lines: [*lines[:3], "[]", *lines[4:]], "in line 4 of"),
-        (lambda lines: change(lines, 0, version=9), "log must be of format 1 or older, got 9, written by tissue"),
+        (
+            lambda lines: change(lines, 0, version=9),
+            "log must be of format 1 or older, got 9, written by tissue",
+        ),
         (lambda lines: change(lines, 0, format="other"), "which is something else"),
         (lambda lines: change(lines, 0, plan={}), "log must begin with a plan"),
-        (lambda lines: change(lines, 0, observer="other"), "got observer other instead of somebody"),
+        (
+            lambda lines: change(lines, 0, observer="other"),
+            "got observer other instead of somebody",
+        ),
         (lambda lines: ["time,force", "0,1"], "which is something else"),
     ],
-    ids=["three", "word", "true", "negative", "foreign", "force", "gap", "twice", "text", "list", "version", "format", "plan",
-         "observer", "table"],
-)  # fmt: skip
+    ids=[
+        "three",
+        "word",
+        "true",
+        "negative",
+        "foreign",
+        "force",
+        "gap",
+        "twice",
+        "text",
+        "list",
+        "version",
+        "format",
+        "plan",
+        "observer",
+        "table",
+    ],
+)
 def test_a_log_that_cannot_be_gone_on_with_is_refused_and_kept(log, mend, message):
     log.write_text("\n".join(mend(log.read_text().splitlines())) + "\n")
     before = log.read_bytes()
@@ -166,16 +209,25 @@ def test_another_plan_is_another_session(log):
     ("arguments", "sentence"),
     [
         ((), "one of --observer, --ask and --population must be given"),
-        (("--observer", "simulated:1", "--ask"), "one of --observer, --ask and --population must be given"),
+        (
+            ("--observer", "simulated:1", "--ask"),
+            "one of --observer, --ask and --population must be given",
+        ),
         (("--observer", "me"), "observer must be simulated:SEED"),
         (("--observer", "simulated:master:1"), "observer must be simulated:SEED"),
         (("--observer", "simulated:-1"), "observer must be simulated:SEED"),
         (("--observer", "simulated:1", "--trials", "-1"), "trials must be in [0, 100000], got -1"),
         (("--observer", "simulated:1", "--seed", "-1"), "seed must be in"),
-        (("--observer", "simulated:1", "--trials", "0", "--numbers", "0"), "trials and numbers must not both be 0"),
+        (
+            ("--observer", "simulated:1", "--trials", "0", "--numbers", "0"),
+            "trials and numbers must not both be 0",
+        ),
         (
             ("--ask", "--device", "phantom"),
-            "device must be one of mouse, touch, omni, six-dof, haply, forcedimension, sigma-7, openhaptics, network, recorded, got phantom",
+            (
+                "device must be one of mouse, touch, omni, six-dof, haply, forcedimension, "
+                "sigma-7, openhaptics, network, recorded, got phantom"
+            ),
         ),
         (("--population", "nowhere"), "population must be a folder of sessions, got nowhere"),
         (("--population", "."), "population must hold three sessions or more"),
@@ -184,7 +236,10 @@ def test_another_plan_is_another_session(log):
             ("--observer", "simulated:1", "--out", "a.png"),
             "out must be the name of a file that ends in .json, got a.png",
         ),
-        (("--population", ".", "--out", "a"), "out must be the name of a file that ends in .json, got a"),
+        (
+            ("--population", ".", "--out", "a"),
+            "out must be the name of a file that ends in .json, got a",
+        ),
     ],
 )
 def test_what_cannot_be_calibrated_is_refused(refused, here, arguments, sentence):

@@ -29,20 +29,27 @@ def people(count, **given):
         "lapse": 0.0,
         "sigma": 0.2,
     }
-    return SimulatedObservers(**{name: np.full(count, given.get(name, value)) for name, value in usual.items()})
+    return SimulatedObservers(
+        **{name: np.full(count, given.get(name, value)) for name, value in usual.items()}
+    )
 
 
 @pytest.mark.parametrize("group", GROUPS)
 def test_identical_stimuli_are_never_discriminated_better(group):
-    """Half of the answers count, with and without calibration; four standard errors of 10,000 answers."""
+    """Half of the answers count, with and without calibration; four standard errors of 10,000
+    answers.
+    """
     rng = np.random.default_rng(0)
     crowd, same = draw_observers(group, 100, rng), Stimulus(1.0, 0.1)
     for commands in (None, calibrated_commands(crowd, rng)):
-        assert share_right(crowd, same, same, seed=1, commands=commands).mean() == pytest.approx(0.5, abs=0.02)
+        assert share_right(crowd, same, same, seed=1, commands=commands).mean() == pytest.approx(
+            0.5, abs=0.02
+        )
 
 
 def test_no_false_gain_on_null_data():
-    """Of 100 groups with identical stimuli, two to three in a hundred intervals lie above zero, and as many below.
+    """Of 100 groups with identical stimuli, two to three in a hundred intervals lie above zero, and
+    as many below.
 
     More than 9 of 100 on either side have a probability below 1e-3 at 2.5 %.
     """
@@ -58,28 +65,42 @@ def test_no_false_gain_on_null_data():
 
 
 def test_an_observer_like_the_reference_gains_nothing():
-    """Known exactly, not one answer changes; calibrated by numbers, the interval of the change holds zero."""
+    """Known exactly, not one answer changes; calibrated by numbers, the interval of the change
+    holds zero.
+    """
     rng, crowd = np.random.default_rng(2), people(100)
     stimuli = Stimulus(1.0, 0.05), Stimulus(1.1, 0.05)
     plain = share_right(crowd, *stimuli, seed=1)
-    assert (share_right(crowd, *stimuli, seed=1, commands=calibrated_commands(crowd, rng, numbers=0)) == plain).all()
-    gain = gain_of(plain, share_right(crowd, *stimuli, seed=1, commands=calibrated_commands(crowd, rng)), rng)
+    assert (
+        share_right(crowd, *stimuli, seed=1, commands=calibrated_commands(crowd, rng, numbers=0))
+        == plain
+    ).all()
+    gain = gain_of(
+        plain, share_right(crowd, *stimuli, seed=1, commands=calibrated_commands(crowd, rng)), rng
+    )
     assert gain.low < 0.0 < gain.high and abs(gain.value) < 1.0
 
 
 def test_shares_follow_from_the_distance():
-    """Without scatter Phi(d'/sqrt 2); with scatter e before the mapping the same at d' / sqrt(1 + e^2); 40,000 answers."""
+    """Without scatter Phi(d'/sqrt 2); with scatter e before the mapping the same at d' / sqrt(1
+    + e^2); 40,000 answers.
+    """
     crowd, threshold = people(400), 0.07 * 1.2
     for scatter in (0.0, 0.1):
         share = share_right(crowd, Stimulus(1.0, scatter), Stimulus(1.1, scatter), seed=1).mean()
         distance = D_PRIME_75 * 0.1 / threshold
         felt_scatter = D_PRIME_75 * scatter / threshold
-        # thresholds are taken at the smaller force, so that scatter counts a little more than to first order
-        assert share == pytest.approx(float(correct_of_d_prime(distance / np.hypot(1.0, felt_scatter))), abs=0.02)
+        # thresholds are taken at the smaller force, so that scatter counts a little more than to
+        # first order
+        assert share == pytest.approx(
+            float(correct_of_d_prime(distance / np.hypot(1.0, felt_scatter))), abs=0.02
+        )
 
 
 def test_a_mapping_cannot_help_against_scatter():
-    """Where scatter of the force decides, no exponent changes the answers; where the person's noise does, all do."""
+    """Where scatter of the force decides, no exponent changes the answers; where the person's
+    noise does, all do.
+    """
     rng = np.random.default_rng(3)
     for beta, sign in ((1.1, 1.0), (2.3, -1.0)):
         crowd = people(100, beta=beta)
@@ -87,7 +108,10 @@ def test_a_mapping_cannot_help_against_scatter():
         changes = []
         for scatter in (0.0, 0.5):
             stimuli = Stimulus(1.0, scatter), Stimulus(1.0 + 0.1 + scatter, scatter)
-            before, after = (share_right(crowd, *stimuli, seed=4, commands=each).mean() for each in (None, commands))
+            before, after = (
+                share_right(crowd, *stimuli, seed=4, commands=each).mean()
+                for each in (None, commands)
+            )
             changes.append(after - before)
         assert sign * changes[0] > 0.02 and abs(changes[1]) < 0.3 * abs(changes[0])
 
@@ -95,19 +119,30 @@ def test_a_mapping_cannot_help_against_scatter():
 def test_a_device_at_its_limit_makes_forces_alike():
     crowd = people(100)
     strong, weak = (Stimulus(8.0), Stimulus(6.0)), (Stimulus(0.8), Stimulus(0.6))
-    assert share_right(crowd, *strong, seed=1).mean() < 0.6 < 0.9 < share_right(crowd, *weak, seed=1).mean()
+    assert (
+        share_right(crowd, *strong, seed=1).mean()
+        < 0.6
+        < 0.9
+        < share_right(crowd, *weak, seed=1).mean()
+    )
     wide = ForceRange(limit_N=100.0)
     assert share_right(crowd, *strong, seed=1, limits=wide).mean() > 0.9
 
 
 def test_texture_is_a_second_cue():
     crowd, stimuli = people(200), (Stimulus(0.05), Stimulus(0.06))
-    alone, both = (share_right(crowd, *stimuli, seed=1, texture_share=share).mean() for share in (0.0, 0.1))
+    alone, both = (
+        share_right(crowd, *stimuli, seed=1, texture_share=share).mean() for share in (0.0, 0.1)
+    )
     force, vibration = 0.01 / (0.07 * 0.25), 0.001 / (0.15 * (0.005 + 0.005))
-    assert both == pytest.approx(float(correct_of_d_prime(D_PRIME_75 * np.hypot(force, vibration))), abs=0.02)
+    assert both == pytest.approx(
+        float(correct_of_d_prime(D_PRIME_75 * np.hypot(force, vibration))), abs=0.02
+    )
     assert both > alone
     same = Stimulus(0.05)
-    assert share_right(crowd, same, same, seed=1, texture_share=0.1).mean() == pytest.approx(0.5, abs=0.02)
+    assert share_right(crowd, same, same, seed=1, texture_share=0.1).mean() == pytest.approx(
+        0.5, abs=0.02
+    )
 
 
 def test_a_wrong_noise_model_changes_shares_not_signs():
@@ -116,5 +151,9 @@ def test_a_wrong_noise_model_changes_shares_not_signs():
     commands = calibrated_commands(crowd, rng)
     stimuli = Stimulus(1.0), Stimulus(1.1)
     for each in (crowd, replace(crowd, freedom=3.0)):
-        gain = gain_of(share_right(each, *stimuli, seed=1), share_right(each, *stimuli, seed=1, commands=commands), rng)
+        gain = gain_of(
+            share_right(each, *stimuli, seed=1),
+            share_right(each, *stimuli, seed=1, commands=commands),
+            rng,
+        )
         assert abs(gain.value) < 3.0

@@ -1,4 +1,6 @@
-"""What a calibration reports of a session: its posterior, and notes on answers and priors that do not fit."""
+"""What a calibration reports of a session: its posterior, and notes on answers and priors that
+do not fit.
+"""
 
 import os
 
@@ -25,31 +27,44 @@ def answer_with(share):
     """Answers of which a share is right whatever is asked; a number in proportion to the force."""
     rng = np.random.default_rng(1)
     return lambda asked, _: (
-        asked.force_N if isinstance(asked, Magnitude) else asked.greater if rng.random() < share else 3 - asked.greater
+        asked.force_N
+        if isinstance(asked, Magnitude)
+        else asked.greater
+        if rng.random() < share
+        else 3 - asked.greater
     )
 
 
 def test_all_right_only_bounds_the_threshold():
     session = answered(Plan(trials=60, numbers=2), answer_with(1.0))
-    assert any("all 60 comparisons were right" in note and "from above alone" in note for note in session.notes())
+    assert any(
+        "all 60 comparisons were right" in note and "from above alone" in note
+        for note in session.notes()
+    )
     assert any("lies at the prior's lowest Weber fraction" in note for note in session.notes())
     assert session.observer("x").kappa > 0.0
 
 
 def test_guesses_and_mixed_up_answers_are_reported():
-    assert any("no more than by guessing" in note for note in answered(Plan(trials=60), answer_with(0.5)).notes())
+    assert any(
+        "no more than by guessing" in note
+        for note in answered(Plan(trials=60), answer_with(0.5)).notes()
+    )
     mixed = answered(Plan(trials=60), answer_with(0.0)).notes()
     assert any("were 1 and 2 mixed up" in note for note in mixed)
     assert any("the prior excludes the data" in note for note in mixed)
 
 
-@pytest.mark.parametrize(("lowest", "highest", "side"), [(0.3, 0.6, "lowest"), (0.005, 0.02, "highest")])
+@pytest.mark.parametrize(
+    ("lowest", "highest", "side"), [(0.3, 0.6, "lowest"), (0.005, 0.02, "highest")]
+)
 def test_a_prior_that_excludes_the_truth_is_reported(lowest, highest, side):
     from tissue.perception.adaptive import ThresholdPrior
 
     prior = ThresholdPrior(lowest=lowest, highest=highest)
     assert any(
-        f"the prior's {side} Weber fraction" in note for note in simulated(1, prior, trials=200, numbers=6).notes()
+        f"the prior's {side} Weber fraction" in note
+        for note in simulated(1, prior, trials=200, numbers=6).notes()
     )
 
 

@@ -38,7 +38,12 @@ def person(words, device=None):
             raise EOFError from None
 
     return Person(
-        device or Recorder(), read=read, show=shown.append, bars_N=3.3, clock=lambda: now[0], wait=wait
+        device or Recorder(),
+        read=read,
+        show=shown.append,
+        bars_N=3.3,
+        clock=lambda: now[0],
+        wait=wait,
     ), shown
 
 
@@ -69,7 +74,9 @@ def test_a_simulated_device_plays_in_its_own_time():
     def wait(seconds):
         now[0] += seconds
 
-    who = Person(device, read=lambda: next(words), show=lambda _: None, clock=lambda: now[0], wait=wait)
+    who = Person(
+        device, read=lambda: next(words), show=lambda _: None, clock=lambda: now[0], wait=wait
+    )
     assert who.answer(Comparison(1.0, 0.5, greater=2)) == 1
     assert device.read(3.0).time_s < 4.0 and device.translation.position[2] < 0.0
 
@@ -87,7 +94,9 @@ def test_an_interrupted_interval_leaves_no_force():
 
 
 def test_a_person_at_the_keyboard_may_stop_and_go_on(command, here, monkeypatch):
-    """Answers from standard input; the end of it stops the session, and the same command goes on."""
+    """Answers from standard input; the end of it stops the session, and the same command goes
+    on.
+    """
     monkeypatch.setitem(play.__kwdefaults__, "length_s", 0.01)
     monkeypatch.setattr("tissue.evaluation.calibration.answers.PAUSE_S", 0.0)
 

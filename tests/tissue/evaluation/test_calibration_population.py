@@ -1,4 +1,6 @@
-"""A population from many sessions: the hierarchy, the check of its convergence, and what is refused."""
+"""A population from many sessions: the hierarchy, the check of its convergence, and what is
+refused.
+"""
 
 import sys
 
@@ -20,7 +22,9 @@ def sessions(folder, count, **plan):
     """Logs of simulated people."""
     found = []
     for seed in range(count):
-        log = TrialLog(folder / f"{seed}.trials.jsonl", f"simulated:{seed}", Plan(seed=seed, **plan))
+        log = TrialLog(
+            folder / f"{seed}.trials.jsonl", f"simulated:{seed}", Plan(seed=seed, **plan)
+        )
         answer = simulated_answers(simulated_observer(f"simulated:{seed}")[0], seed)
         while not log.session.complete:
             asked = log.session.ask()
@@ -33,10 +37,21 @@ def sessions(folder, count, **plan):
 def a_fit(**changes):
     """Draws of a population that is known."""
     rng, shape = np.random.default_rng(0), (2, 500)
-    middle = {"log_alpha": 0.0, "beta": 1.7, "variance": 0.04, "log_kappa": np.log(0.08), "log_offset": np.log(0.2)}
+    middle = {
+        "log_alpha": 0.0,
+        "beta": 1.7,
+        "variance": 0.04,
+        "log_kappa": np.log(0.08),
+        "log_offset": np.log(0.2),
+    }
     draws = {name: middle.get(name, 0.2) + 0.01 * rng.standard_normal(shape) for name in HYPER}
     draws["lapse"] = rng.uniform(0.01, 0.03, (*shape, 4))
-    given = {"draws": draws, "r_hat": dict.fromkeys(HYPER, 1.0), "ess": dict.fromkeys(HYPER, 900.0), "divergences": 0}
+    given = {
+        "draws": draws,
+        "r_hat": dict.fromkeys(HYPER, 1.0),
+        "ess": dict.fromkeys(HYPER, 900.0),
+        "divergences": 0,
+    }
     return PopulationFit(**(given | changes))
 
 
@@ -45,15 +60,26 @@ def test_sessions_are_laid_end_to_end(tmp_path):
     assert trials.observers == 3 and np.bincount(trials.who_compared).tolist() == [8, 8, 8]
     assert np.bincount(trials.who_rated).tolist() == [6, 6, 6]
     who, base, step, asked, right = trials.counts()
-    assert asked.sum() == 24 and right.sum() == trials.right.sum() and len(who) == len(base) == len(step) <= 24
+    assert (
+        asked.sum() == 24
+        and right.sum() == trials.right.sum()
+        and len(who) == len(base) == len(step) <= 24
+    )
 
 
 def test_a_fit_that_did_not_converge_is_reported():
     assert a_fit().problems() == []
-    assert "R-hat of beta is 1.100" in a_fit(r_hat=dict.fromkeys(HYPER, 1.0) | {"beta": 1.1}).problems()[0]
-    assert "R-hat of beta is nan" in a_fit(r_hat=dict.fromkeys(HYPER, 1.0) | {"beta": np.nan}).problems()[0]
     assert (
-        "effective sample size of beta is 12" in a_fit(ess=dict.fromkeys(HYPER, 900.0) | {"beta": 12.0}).problems()[0]
+        "R-hat of beta is 1.100"
+        in a_fit(r_hat=dict.fromkeys(HYPER, 1.0) | {"beta": 1.1}).problems()[0]
+    )
+    assert (
+        "R-hat of beta is nan"
+        in a_fit(r_hat=dict.fromkeys(HYPER, 1.0) | {"beta": np.nan}).problems()[0]
+    )
+    assert (
+        "effective sample size of beta is 12"
+        in a_fit(ess=dict.fromkeys(HYPER, 900.0) | {"beta": 12.0}).problems()[0]
     )
     assert "3 transitions diverged" in a_fit(divergences=3).problems()[0]
 
@@ -84,7 +110,9 @@ def test_a_folder_that_holds_no_population_is_refused(tmp_path, held):
 
 @pytest.mark.slow
 def test_a_population_is_recovered(tmp_path):
-    """Eight people of 60 comparisons and 12 numbers: the truth lies in the 99.8 % intervals of the population's means."""
+    """Eight people of 60 comparisons and 12 numbers: the truth lies in the 99.8 % intervals of
+    the population's means.
+    """
     pytest.importorskip("numpyro", reason="the extra perception is not installed")
     rng, count = np.random.default_rng(0), 8
     crowd = draw_observers("intermediate", count, rng)
@@ -95,11 +123,18 @@ def test_a_population_is_recovered(tmp_path):
     everyone = np.arange(count)
     fit = fit_hierarchy(
         PopulationTrials(
-            count, np.tile(everyone, 60), np.repeat(base, count), np.repeat(step, count), right.ravel(),
-            np.tile(everyone, 12), np.repeat(forces, count), numbers.ravel(),
+            count,
+            np.tile(everyone, 60),
+            np.repeat(base, count),
+            np.repeat(step, count),
+            right.ravel(),
+            np.tile(everyone, 12),
+            np.repeat(forces, count),
+            numbers.ravel(),
         ),
-        warm_up=200, draws=200,
-    )  # fmt: skip
+        warm_up=200,
+        draws=200,
+    )
     truth = {
         "beta": crowd.beta.mean(),
         "log_alpha": np.log(crowd.alpha).mean(),
@@ -124,7 +159,11 @@ def test_the_command_writes_a_population(command, here, monkeypatch):
     assert code == 0 and "4 observers" in out and "R-hat at most 1.000" in out
     assert "2 divergences" in out and "note: 2 transitions diverged" in out
     assert read_observer(here / "all.json").trials == 4 * 16
-    assert (here / "all.table.csv").read_text().startswith("parameter,low_95,median,high_95,r_hat,ess\nlog_alpha,")
+    assert (
+        (here / "all.table.csv")
+        .read_text()
+        .startswith("parameter,low_95,median,high_95,r_hat,ess\nlog_alpha,")
+    )
     code, _, error = command("calibrate", "--population", "people", "--out", "all.json")
     assert code == 2 and "out must not exist yet" in error
 

@@ -11,10 +11,15 @@ def test_a_change_of_any_file_of_the_code_makes_measurements_anew(tmp_path, monk
     for package in keys.PACKAGES:
         (tmp_path / package / "inner").mkdir(parents=True)
     monkeypatch.setattr(keys, "files", lambda package: tmp_path / package)
-    monkeypatch.setattr(keys, "own_sources", keys.own_sources.__wrapped__)  # not kept from one call to the next
+    # not kept from one call to the next
+    monkeypatch.setattr(keys, "own_sources", keys.own_sources.__wrapped__)
     (tmp_path / "kernels" / "__pycache__").mkdir()
     found = [setting_key(scene, setting, quick=True)]
-    for place, text in (("tissue/inner/a.py", "a = 1"), ("tissue/inner/a.py", "a = 2"), ("kernels/b.toml", "b = 1")):
+    for place, text in (
+        ("tissue/inner/a.py", "a = 1"),
+        ("tissue/inner/a.py", "a = 2"),
+        ("kernels/b.toml", "b = 1"),
+    ):
         (tmp_path / place).write_text(text)
         found.append(setting_key(scene, setting, quick=True))
     assert len(set(found)) == len(found)

@@ -1,4 +1,6 @@
-"""What charts hold forces to: the exact geometry, or the finest of three grids with its grid-convergence index."""
+"""What charts hold forces to: the exact geometry, or the finest of three grids with its
+grid-convergence index.
+"""
 
 import numpy as np
 import pytest
@@ -21,7 +23,11 @@ PRESSED = {
     ("name", "changes", "words"),
     [
         ("milling", {}, "the exact geometry (known to 1 %)"),
-        ("milling", {"device": "touch"}, "a prompt loop with the finest grid (1 % off the exact geometry)"),
+        (
+            "milling",
+            {"device": "touch"},
+            "a prompt loop with the finest grid (1 % off the exact geometry)",
+        ),
         (
             "glenoid",
             {"anatomy.file": "scapula.stl"},
@@ -45,18 +51,28 @@ def test_the_grids_of_an_index_change_every_length_alike(quick):
             0.64 if quick else 0.5,
         ),
     ):
-        lengths = np.array([[each[key] for key in keys] for each in grids(load_scene(name), quick=quick)])
+        lengths = np.array(
+            [[each[key] for key in keys] for each in grids(load_scene(name), quick=quick)]
+        )
         assert lengths[0] == pytest.approx(lengths[2] / last)
         assert np.ptp(lengths / lengths[0], axis=1) == pytest.approx(0.0, abs=1e-12)
-    assert grids(load_scene("needle"), quick=quick) == [] and finest(load_scene("wall"), quick=quick) == {}
+    assert (
+        grids(load_scene("needle"), quick=quick) == []
+        and finest(load_scene("wall"), quick=quick) == {}
+    )
 
 
 @pytest.mark.slow
 def test_where_no_geometry_is_exact_the_reference_is_known_by_the_index(tmp_path, monkeypatch):
-    """A slab of tetrahedra: the finest grid's index is that of the three forces, and each is computed once."""
+    """A slab of tetrahedra: the finest grid's index is that of the three forces, and each is
+    computed once.
+    """
     monkeypatch.setenv("TISSUE_CACHE", str(tmp_path))
     scene = load_scene("palpation", PRESSED)
     gap = reference_gap(scene, quick=True)
     forces = [grid_force_N(scene, each) for each in grids(scene, quick=True)]
     assert len(set(tmp_path.glob("grid-force-*"))) == 3
-    assert gap == grid_index(forces, shares(scene, quick=True)).over_ticks.index[-1] and 0.0 < gap < 1.0
+    assert (
+        gap == grid_index(forces, shares(scene, quick=True)).over_ticks.index[-1]
+        and 0.0 < gap < 1.0
+    )

@@ -10,7 +10,13 @@ from meshes.base.errors import InputError
 from meshes.tets.structured import box
 from tissue.evaluation.charts import frontier as module
 from tissue.evaluation.charts.fidelity import SAFETY, _in_words, choose, with_fidelity
-from tissue.evaluation.charts.frontier import Frontier, frontier_of, measured_of, undominated, write_measured
+from tissue.evaluation.charts.frontier import (
+    Frontier,
+    frontier_of,
+    measured_of,
+    undominated,
+    write_measured,
+)
 from tissue.evaluation.charts.keys import setting_key
 from tissue.evaluation.charts.law import LawError
 from tissue.evaluation.charts.measure import Measured, excerpt, measure, short_of
@@ -28,27 +34,64 @@ from tissue.scene.load import changed, load_scene, scene_names
 COARSE = {"voxels.spacing_mm": 0.2, "anatomy.size_mm": [12, 10, 4], "motion.feed_mm_s": 20.0}
 
 
-def point(name="a", *, error=0.1, median=100.0, p99=200.0, elements=100, area=10.0, step=0.1, family="voxels", lost=""):
+def point(
+    name="a",
+    *,
+    error=0.1,
+    median=100.0,
+    p99=200.0,
+    elements=100,
+    area=10.0,
+    step=0.1,
+    family="voxels",
+    lost="",
+):
     return Measured(
-        key=name, scene="block", setting=name, family=family, leaves_out=lost, force_error=error,
-        error_50_ms=0.7 * error, median_us=median, p99_us=p99, far_us=5.0, engaged_mm2=area, elements=elements,
-        step_mm=step, met=area / step**2, built_s=1.0, machine="here",
-    )  # fmt: skip
+        key=name,
+        scene="block",
+        setting=name,
+        family=family,
+        leaves_out=lost,
+        force_error=error,
+        error_50_ms=0.7 * error,
+        median_us=median,
+        p99_us=p99,
+        far_us=5.0,
+        engaged_mm2=area,
+        elements=elements,
+        step_mm=step,
+        met=area / step**2,
+        built_s=1.0,
+        machine="here",
+    )
 
 
 def test_the_frontier_is_what_nothing_beats():
     rng = np.random.default_rng(0)
-    points = [point(str(i), error=e, median=m) for i, (e, m) in enumerate(rng.uniform(0.01, 1.0, (200, 2)))]
+    points = [
+        point(str(i), error=e, median=m)
+        for i, (e, m) in enumerate(rng.uniform(0.01, 1.0, (200, 2)))
+    ]
     best = undominated(points)
     assert 2 < len(best) < 50
     for one in best:
-        assert not any(other.median_us < one.median_us and other.force_error < one.force_error for other in points)
+        assert not any(
+            other.median_us < one.median_us and other.force_error < one.force_error
+            for other in points
+        )
     for other in set(points) - set(best):
-        assert any(one.median_us <= other.median_us and one.force_error <= other.force_error for one in best)
+        assert any(
+            one.median_us <= other.median_us and one.force_error <= other.force_error
+            for one in best
+        )
 
 
 def test_the_cheapest_that_is_good_enough_is_chosen():
-    points = [point("coarse", error=0.2, median=10), point("middle", error=0.03, median=50), point("fine", error=0.01)]
+    points = [
+        point("coarse", error=0.2, median=10),
+        point("middle", error=0.03, median=50),
+        point("fine", error=0.01),
+    ]
     assert choose(points, Fidelity(force_error=0.2 * SAFETY)).setting == "coarse"
     assert choose(points, Fidelity(force_error=0.031 * SAFETY)).setting == "middle"
     assert choose(points, Fidelity(tick_ms=0.5)).setting == "fine"
@@ -82,18 +125,24 @@ def test_a_row_without_settings_is_in_the_table_and_is_never_chosen(tmp_path):
 
 
 def test_the_error_of_the_linear_law_in_a_column_that_cannot_widen():
-    """A column between smooth walls, pressed by a ball so flat that its strain e is even: with s = 1 - e both laws are
-    closed, (lambda + 2 mu) e and mu (1/s - s) - lambda ln(s)/s a unit of area; they part in proportion to e where e is small.
+    """A column between smooth walls, pressed by a ball so flat that its strain e is even: with s =
+    1 - e both laws are closed, (lambda + 2 mu) e and mu (1/s - s) - lambda ln(s)/s a unit of area;
+    they part in proportion to e where e is small.
 
-    The ball's rim comes 10 um later than its middle, of 0.5 mm and more: forces to 2 %, their ratio to 0.5 %.
+    The ball's rim comes 10 um later than its middle, of 0.5 mm and more: forces to 2 %, their ratio
+    to 0.5 %.
     """
     side, height, first_Pa, shear_Pa = 2e-3, 10e-3, *lame(5e3, 0.45)
     space = Space(box((side, side, height), (2, 2, 4)), 2)
     x, y, z = space.nodes_m.T
-    held = np.column_stack([(x < 1e-9) | (x > side - 1e-9), (y < 1e-9) | (y > side - 1e-9), z < 1e-9])
+    held = np.column_stack(
+        [(x < 1e-9) | (x > side - 1e-9), (y < 1e-9) | (y > side - 1e-9), z < 1e-9]
+    )
     force, strains = {}, np.array([0.05, 0.1, 0.2])
     for law in (Law.LINEAR, Law.NEO_HOOKEAN):
-        solver = NewtonSolver(NonlinearBody(space, (first_Pa, shear_Pa), law=law), held, tolerance=1e-6)
+        solver = NewtonSolver(
+            NonlinearBody(space, (first_Pa, shear_Pa), law=law), held, tolerance=1e-6
+        )
         tips = [np.array([0.5 * side, 0.5 * side, height - e * height]) for e in strains]
         found = [press_at(solver, tip, np.array([0.0, 0.0, -1.0]), radius_m=0.05) for tip in tips]
         assert [depth for *_, depth in found] == pytest.approx(strains * height, rel=1e-9)
@@ -109,7 +158,10 @@ def test_the_error_of_the_linear_law_in_a_column_that_cannot_widen():
 
 
 def test_a_table_of_measurements_reads_back_bit_for_bit(tmp_path):
-    points = [point("a", error=0.1 + 1e-17), point("b", lost="displacement, and stress", median=1 / 3)]
+    points = [
+        point("a", error=0.1 + 1e-17),
+        point("b", lost="displacement, and stress", median=1 / 3),
+    ]
     write_measured(tmp_path / "deep" / "a.csv", points)
     assert measured_of((tmp_path / "deep" / "a.csv").read_text("utf-8")) == points
     cut = (tmp_path / "deep" / "a.csv").read_text("utf-8").rstrip()[:-9].rsplit(",", 1)[0]
@@ -147,7 +199,9 @@ def test_an_interrupted_chart_goes_on_and_a_finished_one_is_not_measured_again(b
         Setting("0.2 mm", "voxels"),
     ]
     monkeypatch.setattr("tissue.evaluation.charts.measure.EXCERPT_S", {True: 0.4})
-    monkeypatch.setattr("tissue.evaluation.charts.frontier.settings_of", lambda scene, quick: settings)
+    monkeypatch.setattr(
+        "tissue.evaluation.charts.frontier.settings_of", lambda scene, quick: settings
+    )
     real, ran = module.measure, []
 
     def stops(scene, setting, *, quick):
@@ -169,7 +223,9 @@ def test_an_interrupted_chart_goes_on_and_a_finished_one_is_not_measured_again(b
     wanted = changed(block, {"fidelity": {"force_error": 1.01 * SAFETY * coarse.force_error}})
     chosen, message = with_fidelity(wanted)
     assert (
-        chosen.fidelity is None and chosen.voxels.spacing_mm in (0.2, 0.4) and "the cheapest of 2 settings" in message
+        chosen.fidelity is None
+        and chosen.voxels.spacing_mm in (0.2, 0.4)
+        and "the cheapest of 2 settings" in message
     )
     run = tissue.simulate(wanted.model_copy(update={"duration_s": 0.01}))
     assert run.parts.notes["fidelity"] and run.scene.fidelity is None
@@ -180,7 +236,9 @@ def test_an_excerpt_ends_a_while_after_the_first_contact(block):
     short = excerpt(block, {"voxels.spacing_mm": 0.4}, quick=True)
     run = tissue.simulate(short)
     touching = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
-    assert (0 < touching[0] < 100 and len(run.trace.rows) == touching[0] + 1200) or short.duration_s < 1.2
+    assert (
+        0 < touching[0] < 100 and len(run.trace.rows) == touching[0] + 1200
+    ) or short.duration_s < 1.2
     assert len(short.motion.points_mm) <= len(block.motion.points_mm)
 
 
@@ -190,18 +248,22 @@ def test_a_scene_that_cuts_is_charted_by_script_alone(name):
     cuts = getattr(scene.tool, "spin_rpm", 0.0) != 0.0
     devices = [each.device and each.device.kind for each in charted(scene)]
     assert devices == ([None] if cuts else ["touch"] if name == "wall" else [None, "touch"])
-    assert [each.device and each.device.kind for each in charted(changed(scene, {"device": "touch"}))] == (
-        [None] if cuts else ["touch"]
-    )
+    assert [
+        each.device and each.device.kind for each in charted(changed(scene, {"device": "touch"}))
+    ] == ([None] if cuts else ["touch"])
 
 
 def test_a_loop_is_described_in_plain_words():
     scene = by_hand(load_scene("milling"))
     settings = settings_of(scene, quick=True)
-    message = {each.name: _in_words(changed(scene, each.changes), each, settings) for each in settings}
+    message = {
+        each.name: _in_words(changed(scene, each.changes), each, settings) for each in settings
+    }
     assert "koopman predictor" in message["koopman"] and "1000 Hz" in message["koopman"]
     held = message["100 Hz, hold"]
-    assert "last force held" in held and "rather than proxy; kalman; koopman; 100 Hz, koopman" in held
+    assert (
+        "last force held" in held and "rather than proxy; kalman; koopman; 100 Hz, koopman" in held
+    )
 
 
 def test_places_keep_a_peg_in_its_hole_and_leave_hands_alone(block):
@@ -210,18 +272,26 @@ def test_places_keep_a_peg_in_its_hole_and_leave_hands_alone(block):
     for scene in placed(glenoid)[1:]:
         away = np.array(scene.motion.points_mm) - given_mm
         assert 0.0 < np.abs(away[:, :2]).max() <= 0.5 * glenoid.voxels.spacing_mm
-        assert scene.motion.points_mm[-1][2] != given_mm[-1, 2] and scene.motion.points_mm[0][2] == given_mm[0, 2]
+        assert (
+            scene.motion.points_mm[-1][2] != given_mm[-1, 2]
+            and scene.motion.points_mm[0][2] == given_mm[0, 2]
+        )
     assert placed(block)[0] is block and len({scene.motion for scene in placed(block)}) == 3
 
 
 @pytest.mark.parametrize(("fine_us", "offered"), [(700.0, 3), (900.0, 2)])
 def test_finer_settings_are_offered_while_ticks_are_in_time(block, monkeypatch, fine_us, offered):
-    settings = [Setting("as it is", "voxels"), *(Setting(name, "voxels", finer=True) for name in ("fine", "finer"))]
+    settings = [
+        Setting("as it is", "voxels"),
+        *(Setting(name, "voxels", finer=True) for name in ("fine", "finer")),
+    ]
     monkeypatch.setattr(module, "settings_of", lambda scene, quick: settings)
     monkeypatch.setattr(module, "setting_key", lambda scene, setting, *, quick: setting.name)
     monkeypatch.setattr(module, "short_of", lambda scene, quick: scene)
     monkeypatch.setattr(module, "_gap", lambda scene, path, *, quick: 0.0)
-    monkeypatch.setattr(module, "measure", lambda scene, setting, *, quick: point(setting.name, p99=fine_us))
+    monkeypatch.setattr(
+        module, "measure", lambda scene, setting, *, quick: point(setting.name, p99=fine_us)
+    )
     found = frontier_of(block)
     assert [each.setting for each in found.points] == [each.name for each in found.settings]
     assert len(found.points) == offered
@@ -243,9 +313,18 @@ def test_what_is_made_ready_is_found(block, tmp_path, monkeypatch):
     made = set(tmp_path.glob("reference-force-*"))
     assert len(made) == len(placed(block))  # the exact geometry at every place
     short = short_of(block, True)
-    assert 0.0 < reference_gap(short, quick=True) < 2e-3 < reference_gap(short, quick=True, by_hand=True) < 0.05
+    assert (
+        0.0
+        < reference_gap(short, quick=True)
+        < 2e-3
+        < reference_gap(short, quick=True, by_hand=True)
+        < 0.05
+    )
     found = measure(short, Setting("0.4 mm", "voxels", {"voxels.spacing_mm": 0.4}), quick=True)
-    assert found.force_error > found.error_50_ms > 0.0 and set(tmp_path.glob("reference-force-*")) == made
+    assert (
+        found.force_error > found.error_50_ms > 0.0
+        and set(tmp_path.glob("reference-force-*")) == made
+    )
 
 
 def test_a_chart_is_not_overwritten(tmp_path):

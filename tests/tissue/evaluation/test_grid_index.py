@@ -75,12 +75,18 @@ def test_differences_that_grow_have_a_negative_order():
 
 
 def test_an_order_that_is_too_good_is_not_used():
-    """Order 4 of a method of order 2 is an accident: the index is that of order 2 with the larger safety factor."""
+    """Order 4 of a method of order 2 is an accident: the index is that of order 2 with the
+    larger safety factor.
+    """
     exact, shape = truth(), error_shape()
     forces = [exact + shape * h**4 for h in SPACINGS]
     found = grid_index(forces, SPACINGS).over_ticks
     assert not found.asymptotic and found.order == pytest.approx(4.0, abs=1e-6)
-    left = size(forces[1] - forces[2]) / size(forces[2]) / ((SPACINGS[1] / SPACINGS[2]) ** FORMAL_ORDER - 1.0)
+    left = (
+        size(forces[1] - forces[2])
+        / size(forces[2])
+        / ((SPACINGS[1] / SPACINGS[2]) ** FORMAL_ORDER - 1.0)
+    )
     assert found.index[2] == pytest.approx(3.0 * left, rel=1e-9)
 
 

@@ -8,11 +8,20 @@ from tissue.scene.coupling import Fidelity
 from tissue.scene.load import changed, load_scene
 
 PRESS = {
-    "anatomy.size_mm": [50, 50, 30], "anatomy.edge_mm": 10.0, "anatomy.touch_edge_mm": 6.0,
-    "anatomy.nodule_diameter_mm": 0.0, "organ.parts": None, "organ.young_kPa": 5.0, "organ.young_end_kPa": None,
-    "organ.poisson_ratio": 0.45, "organ.interval_ms": 0.0, "organ.order": 1, "tool.diameter_mm": 16.0,
-    "motion.points_mm": [[0, 0, 0.2], [0, 0, -4.6]], "motion.feed_mm_s": 20.0,
-}  # fmt: skip
+    "anatomy.size_mm": [50, 50, 30],
+    "anatomy.edge_mm": 10.0,
+    "anatomy.touch_edge_mm": 6.0,
+    "anatomy.nodule_diameter_mm": 0.0,
+    "organ.parts": None,
+    "organ.young_kPa": 5.0,
+    "organ.young_end_kPa": None,
+    "organ.poisson_ratio": 0.45,
+    "organ.interval_ms": 0.0,
+    "organ.order": 1,
+    "tool.diameter_mm": 16.0,
+    "motion.points_mm": [[0, 0, 0.2], [0, 0, -4.6]],
+    "motion.feed_mm_s": 20.0,
+}
 """0.57 of the ball's radius deep: 10 % by the chart."""
 
 
@@ -32,7 +41,9 @@ def test_a_law_is_taken_where_the_linear_one_is_too_far_off(scene):
     same, why = with_law(scene, Fidelity(force_error=0.12))
     assert same.organ.law == "linear" and "linear law, 10 % off" in why
     other, why = with_law(scene, Fidelity(force_error=0.05))
-    assert other.organ.law == "neo-hookean" and "for the linear one is 10 % off 0.57 radii deep" in why
+    assert (
+        other.organ.law == "neo-hookean" and "for the linear one is 10 % off 0.57 radii deep" in why
+    )
     assert with_law(scene, Fidelity(tick_ms=0.5)) == (scene, "")
 
 
@@ -45,7 +56,9 @@ def test_what_keeps_the_linear_law_is_named(scene):
 
 
 def test_ticks_that_the_law_does_not_keep_are_refused(scene):
-    with pytest.raises(InputError, match=r"fidelity must be met by a law of palpation on this machine"):
+    with pytest.raises(
+        InputError, match=r"fidelity must be met by a law of palpation on this machine"
+    ):
         with_law(scene, Fidelity(force_error=0.05, tick_ms=1e-3))
     _, why = with_law(scene, Fidelity(force_error=0.05, tick_ms=100.0))
     assert "with which 99 % of the ticks take" in why

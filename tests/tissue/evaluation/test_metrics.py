@@ -38,7 +38,12 @@ def wander(rng, count, *, slow=60):
     """A force that varies over tens of milliseconds."""
     noise = rng.normal(size=(count + 4 * slow, 3))
     window = np.hanning(2 * slow)
-    return np.stack([np.convolve(column, window / window.sum(), "same")[2 * slow : -2 * slow] for column in noise.T]).T
+    return np.stack(
+        [
+            np.convolve(column, window / window.sum(), "same")[2 * slow : -2 * slow]
+            for column in noise.T
+        ]
+    ).T
 
 
 @pytest.mark.parametrize("scale", [0.0, 0.5, 0.97, 1.0, 1.3])
@@ -68,14 +73,17 @@ def test_errors_do_not_turn_with_the_frame():
     force = ideal + 0.1 * rng.normal(size=ideal.shape)
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     for metric in (force_error, force_mae_N, force_rms_N):
-        assert metric(force @ turn.T, ideal @ turn.T) == pytest.approx(metric(force, ideal), rel=1e-12)
+        assert metric(force @ turn.T, ideal @ turn.T) == pytest.approx(
+            metric(force, ideal), rel=1e-12
+        )
 
 
 @pytest.mark.parametrize("ticks", [-7, 0, 1, 4, 33])
 def test_latency_of_a_shifted_force(ticks):
     wide = wander(np.random.default_rng(3), 2100)
     ideal, force = wide[50:2050], wide[50 - ticks : 2050 - ticks]
-    # A parabola through three samples of a correlation this broad misses its peak by less than a hundredth of a tick.
+    # A parabola through three samples of a correlation this broad misses its peak by less than a
+    # hundredth of a tick.
     assert latency_ms(force, ideal, tick_s=TICK_S) == pytest.approx(float(ticks), abs=0.01)
 
 
@@ -87,34 +95,52 @@ def test_latency_between_ticks_and_of_a_low_pass():
     # A first-order low-pass lags a sine by atan(w tau) / w, 5 ms less a hundredth at 3 Hz.
     tau = 5e-3
     filtered = np.sin(slow * time - np.arctan(slow * tau))
-    assert latency_ms(filtered, ideal, tick_s=TICK_S) == pytest.approx(1e3 * np.arctan(slow * tau) / slow, abs=0.05)
+    assert latency_ms(filtered, ideal, tick_s=TICK_S) == pytest.approx(
+        1e3 * np.arctan(slow * tau) / slow, abs=0.05
+    )
 
 
 def test_the_printed_smoothness_is_jerk_times_tick():
     time = np.arange(1000) * TICK_S
     velocity = np.outer(0.5 * 2000.0 * time**2, [0.6, 0.0, 0.8])  # a jerk of 2 m/s^3
-    assert acceleration_change_m_s2(velocity, tick_s=TICK_S) == pytest.approx(2.0 * TICK_S, rel=1e-9)
+    assert acceleration_change_m_s2(velocity, tick_s=TICK_S) == pytest.approx(
+        2.0 * TICK_S, rel=1e-9
+    )
     even = np.outer(3.0 * time, [1.0, 0.0, 0.0])
     assert acceleration_change_m_s2(even, tick_s=TICK_S) < 1e-9
 
 
 def test_the_printed_smoothness_is_lower_for_the_smoother():
-    """E13: a trembling hand scores higher by the formula, while the published table has higher for better."""
+    """E13: a trembling hand scores higher by the formula, while the published table has higher
+    for better.
+    """
     smooth = reach(1.0)
     time = np.arange(len(smooth)) * TICK_S
     trembling = smooth + 20.0 * (1.0 + np.sin(2.0 * np.pi * 9.0 * time)) * (smooth > 0.0)
-    assert acceleration_change_m_s2(trembling, tick_s=TICK_S) > 3.0 * acceleration_change_m_s2(smooth, tick_s=TICK_S)
-    assert spectral_arc_length(trembling, tick_s=TICK_S) < spectral_arc_length(smooth, tick_s=TICK_S) - 0.05
-    # No speed profile of the study's length gives 0.92 by the formula unless it shakes: 100 mm in 1 s gives 0.003.
+    assert acceleration_change_m_s2(trembling, tick_s=TICK_S) > 3.0 * acceleration_change_m_s2(
+        smooth, tick_s=TICK_S
+    )
+    assert (
+        spectral_arc_length(trembling, tick_s=TICK_S)
+        < spectral_arc_length(smooth, tick_s=TICK_S) - 0.05
+    )
+    # No speed profile of the study's length gives 0.92 by the formula unless it shakes: 100 mm in 1
+    # s gives 0.003.
     assert acceleration_change_m_s2(smooth, tick_s=TICK_S) < 0.01
 
 
 def test_spectral_arc_length_of_a_bell():
-    """The spectrum of a Gaussian bell is a Gaussian: its arc by quadrature, over frequency as a share of the range."""
+    """The spectrum of a Gaussian bell is a Gaussian: its arc by quadrature, over frequency as a
+    share of the range.
+    """
     width = 0.1
     time = np.arange(-2.0, 2.0, TICK_S)
     edge = np.sqrt(-2.0 * np.log(0.05)) / (2.0 * np.pi * width)
-    slope = lambda x: -((2.0 * np.pi * width * edge) ** 2) * x * np.exp(-0.5 * (2.0 * np.pi * width * edge * x) ** 2)  # noqa: E731
+
+    def slope(x):
+        decay = 2.0 * np.pi * width * edge
+        return -(decay**2) * x * np.exp(-0.5 * (decay * x) ** 2)
+
     exact = -quad(lambda x: np.hypot(1.0, slope(x)), 0.0, 1.0)[0]
     found = spectral_arc_length(np.exp(-0.5 * (time / width) ** 2), tick_s=TICK_S)
     # The last frequency above the threshold lies up to one step of 1/65 Hz short of the edge.
@@ -123,15 +149,23 @@ def test_spectral_arc_length_of_a_bell():
 
 def test_spectral_arc_length_ignores_size_duration_and_rest():
     once = spectral_arc_length(reach(1.0, pad_s=0.5), tick_s=TICK_S)
-    assert spectral_arc_length(reach(1.0, size_mm=7.0, pad_s=0.5), tick_s=TICK_S) == pytest.approx(once, rel=1e-12)
+    assert spectral_arc_length(reach(1.0, size_mm=7.0, pad_s=0.5), tick_s=TICK_S) == pytest.approx(
+        once, rel=1e-12
+    )
     # The spectrum is sampled more or less finely about the threshold.
-    assert spectral_arc_length(reach(2.0, pad_s=0.5), tick_s=TICK_S) == pytest.approx(once, abs=0.01)
-    assert spectral_arc_length(reach(1.0, pad_s=1.5), tick_s=TICK_S) == pytest.approx(once, abs=0.01)
+    assert spectral_arc_length(reach(2.0, pad_s=0.5), tick_s=TICK_S) == pytest.approx(
+        once, abs=0.01
+    )
+    assert spectral_arc_length(reach(1.0, pad_s=1.5), tick_s=TICK_S) == pytest.approx(
+        once, abs=0.01
+    )
 
 
 def test_spectral_arc_length_falls_with_every_stop():
     pieces = [
-        spectral_arc_length(np.concatenate([np.r_[reach(0.6), np.zeros(300)]] * count), tick_s=TICK_S)
+        spectral_arc_length(
+            np.concatenate([np.r_[reach(0.6), np.zeros(300)]] * count), tick_s=TICK_S
+        )
         for count in (1, 2, 3, 4)
     ]
     assert all(later < earlier - 0.3 for earlier, later in pairwise(pieces))
@@ -150,18 +184,29 @@ FORCE = np.ones((200, 3))
 REFUSED = {
     "zero ideal": (lambda: force_error(FORCE, 0.0 * FORCE), "ideal_N must not be zero throughout"),
     "shapes": (lambda: force_error(FORCE, FORCE[:-1]), "force_N must have the shape of ideal_N"),
-    "not a number": (lambda: force_rms_N(FORCE * np.nan, FORCE), "force_N must be finite, got .* at tick 0"),
+    "not a number": (
+        lambda: force_rms_N(FORCE * np.nan, FORCE),
+        "force_N must be finite, got .* at tick 0",
+    ),
     "empty": (lambda: force_mae_N([], []), "force_N must have shape"),
     "constant": (lambda: latency_ms(FORCE, FORCE, tick_s=TICK_S), "force_N must vary"),
     "short": (lambda: latency_ms(FORCE[:60], FORCE[:60], tick_s=TICK_S), "longest_ms must span"),
     "late": (
-        lambda: latency_ms(np.arange(400) > 250, np.arange(400) > 200, tick_s=TICK_S, longest_ms=20),
+        lambda: latency_ms(
+            np.arange(400) > 250, np.arange(400) > 200, tick_s=TICK_S, longest_ms=20
+        ),
         "longest_ms must exceed the lag",
     ),
     "tick": (lambda: acceleration_change_m_s2(FORCE, tick_s=0.0), "tick_s must be positive"),
-    "at rest": (lambda: spectral_arc_length(np.zeros(100), tick_s=TICK_S), "speed_mm_s must be non-negative and not zero"),
-    "signed speed": (lambda: spectral_arc_length(-np.ones(100), tick_s=TICK_S), "speed_mm_s must be non-negative"),
-}  # fmt: skip
+    "at rest": (
+        lambda: spectral_arc_length(np.zeros(100), tick_s=TICK_S),
+        "speed_mm_s must be non-negative and not zero",
+    ),
+    "signed speed": (
+        lambda: spectral_arc_length(-np.ones(100), tick_s=TICK_S),
+        "speed_mm_s must be non-negative",
+    ),
+}
 
 
 @pytest.mark.parametrize("case", REFUSED)

@@ -1,4 +1,6 @@
-"""Predictors scored at the motor on a recorded run: a perfect one, one that holds, and the same run in closed loop."""
+"""Predictors scored at the motor on a recorded run: a perfect one, one that holds, and the same
+run in closed loop.
+"""
 
 import numpy as np
 import pytest
@@ -50,7 +52,9 @@ def test_who_holds_the_force_is_late_by_the_path(wall):
 
 
 def test_it_is_the_score_of_the_loop_that_made_the_run(wall):
-    """Nothing was predicted while it was recorded, which is holding; low-pass and latency were the loop's own."""
+    """Nothing was predicted while it was recorded, which is holding; low-pass and latency were
+    the loop's own.
+    """
     scene, run, ideal = wall
     closed, count = simulate(scene), len(ideal) - 1  # a run goes on for as long as the hand is late
     again = ideal_force_N(closed)

@@ -1,4 +1,6 @@
-"""Excess travel after a puncture: the metric, a release in closed form, and the same push by its equations alone."""
+"""Excess travel after a puncture: the metric, a release in closed form, and the same push by its
+equations alone.
+"""
 
 from dataclasses import replace
 
@@ -28,22 +30,36 @@ SCENE = {
 STEADY = {**HANDS["intermediate"], "endpoint_noise": 0.0, "force_noise": 0.0, "tremor_m": 0.0}
 EXACT = {"mass_kg": 0.045, "damping_N_s_m": 0.2}
 NO_FRICTION = ShaftFriction(
-    sliding_in_N_m=0.0, sliding_out_N_m=0.0, viscous_in_N_s_m2=0.0, viscous_out_N_s_m2=0.0, static_in_N_m=0.0,
-    static_out_N_m=0.0, stick_band_m_s=1e-4,
-)  # fmt: skip
+    sliding_in_N_m=0.0,
+    sliding_out_N_m=0.0,
+    viscous_in_N_s_m2=0.0,
+    viscous_out_N_s_m2=0.0,
+    static_in_N_m=0.0,
+    static_out_N_m=0.0,
+    stick_band_m_s=1e-4,
+)
 WHOLE = Membrane(name="capsule", depth_m=0.0, puncture_N=1.5, hold_N=0.0)
 FREE = replace(
-    needle_tissue(), linear_N_m=150.0, quadratic_N_m2=0.0, cutting_N=0.0, friction=NO_FRICTION, membranes=(WHOLE,)
+    needle_tissue(),
+    linear_N_m=150.0,
+    quadratic_N_m2=0.0,
+    cutting_N=0.0,
+    friction=NO_FRICTION,
+    membranes=(WHOLE,),
 )
 """A spring that breaks at 1.5 N and leaves the needle free."""
 
 LIVER = needle_tissue()
-DRY = replace(LIVER, friction=replace(LIVER.friction, viscous_in_N_s_m2=0.0, viscous_out_N_s_m2=0.0))
+DRY = replace(
+    LIVER, friction=replace(LIVER.friction, viscous_in_N_s_m2=0.0, viscous_out_N_s_m2=0.0)
+)
 
 
 @pytest.fixture(scope="module", autouse=True)
 def parts():
-    """A device without friction, steps and lag; hands without noise, with a reflex and without; a needle in a spring."""
+    """A device without friction, steps and lag; hands without noise, with a reflex and without;
+    a needle in a spring.
+    """
     added = (
         (DEVICES, "exact", DeviceEntry(EXACT)),
         (HANDS, "steady", STEADY),
@@ -59,46 +75,85 @@ def parts():
 
 def run(notice="force", *, kappa=0.07, cue=False, **changes):
     given = {key.replace("__", "."): value for key, value in changes.items()}
-    return pierce(load_scene("needle", SCENE | given), kappa=kappa, offset_N=0.2, notice=notice, cue=cue)
+    return pierce(
+        load_scene("needle", SCENE | given), kappa=kappa, offset_N=0.2, notice=notice, cue=cue
+    )
 
 
 def by_equations(notice, *, viscous=0.0):
     organ = Organ(
-        a1=48.0, a2=5200.0, puncture_N=2.3, resists_N=0.65 + 0.94, sliding=10.57, static=18.45, viscous=viscous
+        a1=48.0,
+        a2=5200.0,
+        puncture_N=2.3,
+        resists_N=0.65 + 0.94,
+        sliding=10.57,
+        static=18.45,
+        viscous=viscous,
     )
     return push(
-        organ, mass=0.145, k=300.0, hand_damping=4.0, device_damping=0.2, coupling=300.0, share=0.2, reflex_s=0.035,
-        reaction_s=0.2, window_s=0.1, rate=1.0, start=-5e-5, submovement_s=0.4, notice=notice, kappa=0.07, offset=0.2,
+        organ,
+        mass=0.145,
+        k=300.0,
+        hand_damping=4.0,
+        device_damping=0.2,
+        coupling=300.0,
+        share=0.2,
+        reflex_s=0.035,
+        reaction_s=0.2,
+        window_s=0.1,
+        rate=1.0,
+        start=-5e-5,
+        submovement_s=0.4,
+        notice=notice,
+        kappa=0.07,
+        offset=0.2,
         lag_s=1.5e-3,
-    )  # fmt: skip
+    )
 
 
 def test_the_metric_knows_a_perfect_stop_from_a_wrong_one():
     before = np.linspace(0.0, 16.9, 100)
     for after, excess in (
-        (np.full(50, 16.9), 0.0), (np.linspace(16.9, 9.0, 50), 0.0), (np.linspace(16.9, 21.9, 50), 5.0),
+        (np.full(50, 16.9), 0.0),
+        (np.linspace(16.9, 9.0, 50), 0.0),
+        (np.linspace(16.9, 21.9, 50), 5.0),
         (np.r_[np.linspace(16.9, 18.4, 20), np.linspace(18.4, 3.0, 30)], 1.5),
-    ):  # fmt: skip
-        assert excess_travel_mm(np.r_[before, after], puncture_tick=99) == pytest.approx(excess, abs=1e-12)
-    assert excess_travel_mm([30.0, 10.0, 11.0], puncture_tick=1) == 1.0  # what came before the puncture is no excess
-    with pytest.raises(InputError, match="puncture_tick must be one of 3 ticks, got 3: pass its row"):
+    ):
+        assert excess_travel_mm(np.r_[before, after], puncture_tick=99) == pytest.approx(
+            excess, abs=1e-12
+        )
+    # what came before the puncture is no excess
+    assert excess_travel_mm([30.0, 10.0, 11.0], puncture_tick=1) == 1.0
+    with pytest.raises(
+        InputError, match="puncture_tick must be one of 3 ticks, got 3: pass its row"
+    ):
         excess_travel_mm([0.0, 1.0, 2.0], puncture_tick=3)
 
 
 def test_a_release_without_friction_is_that_of_a_mass_on_a_spring():
-    """M s'' + (b + c) s' + k s = k a(t) + b a', a linear in t, from the state at the puncture; the tip loses its stretch."""
+    """M s'' + (b + c) s' + k s = k a(t) + b a', a linear in t, from the state at the puncture;
+    the tip loses its stretch.
+    """
     found = run("sight", tool__kind="free", hand="stiff")
     at, device = round(found.puncture_s / 1e-3), -found.run.trace["device_z_mm"]
     mass, k, damping = 0.145, 300.0, 4.2
-    aim, lead = found.aim_mm - 0.05, np.polyfit(np.arange(200.0) * 1e-3, found.aim_mm[at : at + 200], 1)[0]
+    aim, lead = (
+        found.aim_mm - 0.05,
+        np.polyfit(np.arange(200.0) * 1e-3, found.aim_mm[at : at + 200], 1)[0],
+    )
     advance, speed = device[at], (device[at] - device[at - 10]) / 1e-2
     settled = aim[at] - 0.2 * lead / k  # what the device's damping keeps it behind the aim
     rate, free = damping / (2.0 * mass), np.sqrt(k / mass - (damping / (2.0 * mass)) ** 2)
     t = np.arange(round((found.stop_s - found.puncture_s) / 1e-3)) * 1e-3
     first = advance - settled
     second = (speed - lead + rate * first) / free
-    law = settled + lead * t + np.exp(-rate * t) * (first * np.cos(free * t) + second * np.sin(free * t))
-    # The force is gone 1 ms after the puncture, in which F / M moves the device by 1.5 / 0.145 / 2 um at 10 mm/s.
+    law = (
+        settled
+        + lead * t
+        + np.exp(-rate * t) * (first * np.cos(free * t) + second * np.sin(free * t))
+    )
+    # The force is gone 1 ms after the puncture, in which F / M moves the device by 1.5 / 0.145 / 2
+    # um at 10 mm/s.
     np.testing.assert_allclose(device[at + 1 : at + len(t)], law[:-1], atol=0.15)
     assert law.max() - advance > 5.0
     freed = 1e3 * 1.5 / 300.0
@@ -109,12 +164,17 @@ def test_a_release_without_friction_is_that_of_a_mass_on_a_spring():
 @pytest.mark.parametrize(("needle", "viscous"), [("dry", 0.0), ("needle", 212.0)])
 @pytest.mark.parametrize("notice", ["at once", "force"])
 def test_a_push_through_a_liver_is_that_of_its_equations(notice, needle, viscous):
-    """Times to some ticks; the excess to 2 %: the tip's balance is found a tick late, and its drag from a mean speed."""
+    """Times to some ticks; the excess to 2 %: the tip's balance is found a tick late, and its
+    drag from a mean speed.
+    """
     found = run(notice, tool__kind=needle)
     punctured, noticed, _, tips, excess = by_equations(notice, viscous=viscous)
     assert found.puncture_s == pytest.approx(punctured, abs=0.01)
     assert found.noticed_s - found.puncture_s == pytest.approx(noticed - punctured, abs=0.003)
-    depth, law = -found.run.trace["tool_z_mm"][round(found.puncture_s / 1e-3) :], 1e3 * np.array(tips)
+    depth, law = (
+        -found.run.trace["tool_z_mm"][round(found.puncture_s / 1e-3) :],
+        1e3 * np.array(tips),
+    )
     np.testing.assert_allclose(depth[10:260] - depth[0], law[10:260], atol=0.3)
     assert found.excess_mm == pytest.approx(1e3 * excess, rel=0.02)
 
@@ -146,7 +206,9 @@ def test_the_same_seed_gives_the_same_push_and_another_one_another():
 
 
 def test_a_step_is_noticed_when_its_mean_has_passed_the_threshold():
-    """The mean of the last 100 ticks falls by dF n / 100; noticed at the first n beyond 2 kappa (F + F0)."""
+    """The mean of the last 100 ticks falls by dF n / 100; noticed at the first n beyond 2 kappa
+    (F + F0).
+    """
     for step, when in ((0.7, 51), (0.4, 88), (0.35, None)):
         felt = FeltDrop(0.07, 0.2, 0.1)
         assert not any(felt.feel(2.3) for _ in range(300))
@@ -156,11 +218,19 @@ def test_a_step_is_noticed_when_its_mean_has_passed_the_threshold():
 
 def test_on_a_spring_the_force_rises_at_its_rate_and_falls_at_a_stop():
     """The device held by a spring of 150 N/m, without mass: s = K a / (K + 150)."""
-    person, stiff = replace(hand_parameters("steady"), damping_N_s_m=0.0, reflex_share=0.0), 300.0 / 450.0
+    person, stiff = (
+        replace(hand_parameters("steady"), damping_N_s_m=0.0, reflex_share=0.0),
+        300.0 / 450.0,
+    )
     hand = PushingHand(
-        person, start_m=np.zeros(3), direction=np.array([0.0, 0.0, -1.0]), rate_N_s=1.0, felt=None, integration_s=0.1,
+        person,
+        start_m=np.zeros(3),
+        direction=np.array([0.0, 0.0, -1.0]),
+        rate_N_s=1.0,
+        felt=None,
+        integration_s=0.1,
         rng=np.random.default_rng(0),
-    )  # fmt: skip
+    )
     advance, forces = 0.0, []
     for tick in range(8000):
         if tick == 4000:
@@ -174,4 +244,6 @@ def test_on_a_spring_the_force_rises_at_its_rate_and_falls_at_a_stop():
     assert rates[3500:3900].mean() == pytest.approx(1.0, rel=0.01)
     assert rates[4105:4190].mean() == pytest.approx(EASED, rel=0.02)
     # The aim ends where the device was, two thirds of where it was itself.
-    assert rates[5900:6190].min() > 0.0 and forces[6700] == pytest.approx(2.0 / 3.0 * forces[6199], rel=1e-3)
+    assert rates[5900:6190].min() > 0.0 and forces[6700] == pytest.approx(
+        2.0 / 3.0 * forces[6199], rel=1e-3
+    )

@@ -1,4 +1,6 @@
-"""The reference of the cutting force against closed forms: caps, slots, layers, old cuts, turned frames."""
+"""The reference of the cutting force against closed forms: caps, slots, layers, old cuts, turned
+frames.
+"""
 
 from itertools import pairwise
 from math import acos, cos, pi, sin, sqrt
@@ -33,7 +35,9 @@ PROFILES = {
     "pear": pear_bur(diameter_m=2 * R, length_m=5e-3),
     "hemisphere": hemispherical_reamer(diameter_m=2 * R),
     "pegged": hemispherical_reamer(diameter_m=2 * R, peg_diameter_m=0.8e-3, peg_length_m=1e-3),
-    "pegged disc": flat_reamer(diameter_m=2 * R, length_m=1e-3, peg_diameter_m=0.8e-3, peg_length_m=1e-3),
+    "pegged disc": flat_reamer(
+        diameter_m=2 * R, length_m=1e-3, peg_diameter_m=0.8e-3, peg_length_m=1e-3
+    ),
 }
 
 
@@ -49,7 +53,10 @@ def block(frame=None, plate_m=np.inf, below_kg_m3=400.0):
         deep = -(points @ normal) > plate_m
         return deep.astype(np.uint8), np.where(deep, below_kg_m3, 1800.0)
 
-    return Solid(Anatomy("block", half_space(normal), ("plate", "core"), classify), (cutting_coefficients("bone"),) * 2)
+    return Solid(
+        Anatomy("block", half_space(normal), ("plate", "core"), classify),
+        (cutting_coefficients("bone"),) * 2,
+    )
 
 
 def path(*corners_mm, frame=None):
@@ -64,7 +71,9 @@ def path(*corners_mm, frame=None):
     velocities = np.concatenate([velocities[0][:1], *velocities])
     rotations = np.broadcast_to(frame.as_matrix(), (len(velocities), 3, 3))
     turn = frame.apply
-    return ToolPath(turn(np.concatenate(tips)), rotations, turn(velocities), np.zeros_like(velocities), 2 * R)
+    return ToolPath(
+        turn(np.concatenate(tips)), rotations, turn(velocities), np.zeros_like(velocities), 2 * R
+    )
 
 
 def bone():
@@ -74,7 +83,9 @@ def bone():
 
 
 def cap_force(cutter, first, last):
-    """Thrust [N] and axial torque [N m] of a plunging ball between two angles from its tip, integrated by hand."""
+    """Thrust [N] and axial torque [N m] of a plunging ball between two angles from its tip,
+    integrated by hand.
+    """
     ktc, krc, kte, kre = bone()
     chip, n = FEED * cutter.chip_per_speed_s, cutter.flute_count
     thrust = lambda a: krc * chip * (a / 2 + sin(2 * a) / 4) + kre * sin(a)  # noqa: E731
@@ -85,7 +96,9 @@ def cap_force(cutter, first, last):
 
 
 def slot_force(cutter, depth, feed=FEED):
-    """Force [N] on a ball that goes along x in solid bone under a face, cut to a depth, integrated by hand."""
+    """Force [N] on a ball that goes along x in solid bone under a face, cut to a depth,
+    integrated by hand.
+    """
     ktc, krc, kte, kre = bone()
     a, chip = acos(1 - depth / R), feed * cutter.chip_per_speed_s
     scale, sense = cutter.flute_count * R / (2 * pi), np.sign(cutter.spin_rad_s)
@@ -113,12 +126,19 @@ def test_layers_have_their_own_strength():
     cutter, route, tick, plate = burr(), path([0, 0, 0.2], [0, 0, -1.2]), 250, 0.5e-3
     depth = -route.tips_m[tick, 2]
     rim, change = acos(1 - depth / R), acos(1 - (depth - plate) / R)
-    thrust = cap_force(cutter, change, rim)[0] + (400 / 1800) ** 1.5 * cap_force(cutter, 0.0, change)[0]
-    assert relative(wrench_at(tick, route, cutter, block(plate_m=plate))[:3], [0.0, 0.0, thrust]) < CLOSE
+    thrust = (
+        cap_force(cutter, change, rim)[0] + (400 / 1800) ** 1.5 * cap_force(cutter, 0.0, change)[0]
+    )
+    assert (
+        relative(wrench_at(tick, route, cutter, block(plate_m=plate))[:3], [0.0, 0.0, thrust])
+        < CLOSE
+    )
 
 
 @pytest.mark.parametrize("spin", [-500.0, 900.0])
-@pytest.mark.parametrize("frame", [Rotation.identity(), *Rotation.random(2, random_state=3)], ids="ABC")
+@pytest.mark.parametrize(
+    "frame", [Rotation.identity(), *Rotation.random(2, random_state=3)], ids="ABC"
+)
 def test_a_slot_half_engages_the_ball_in_any_frame(frame, spin):
     cutter, route = burr(spin=spin), path([-4, 0, 0.2], [-4, 0, -0.4], [1, 0, -0.4], frame=frame)
     force = frame.inv().apply(wrench_at(1300, route, cutter, block(frame))[:3])
@@ -128,28 +148,48 @@ def test_a_slot_half_engages_the_ball_in_any_frame(frame, spin):
 @pytest.mark.parametrize("profile", PROFILES)
 def test_a_second_pass_over_an_old_cut_meets_nothing(profile):
     frame = Rotation.random(random_state=5)
-    once = [[-4, 0, 0.2], [-4, 0, -0.4], [1, 0, -0.4], [1, 0, 0.2], [-4, 0, 0.2], [-4, 0, -0.4], [0, 0, -0.4]]
+    once = [
+        [-4, 0, 0.2],
+        [-4, 0, -0.4],
+        [1, 0, -0.4],
+        [1, 0, 0.2],
+        [-4, 0, 0.2],
+        [-4, 0, -0.4],
+        [0, 0, -0.4],
+    ]
     route, cutter = path(*once, frame=frame), burr(profile)
-    assert np.abs(wrench_at(1300, route, cutter, block(frame), resolution=Resolution(8, 2))[:3]).max() > 1.0
+    assert (
+        np.abs(wrench_at(1300, route, cutter, block(frame), resolution=Resolution(8, 2))[:3]).max()
+        > 1.0
+    )
     late = len(route.tips_m) - 101
-    assert np.abs(wrench_at(late, route, cutter, block(frame), resolution=Resolution(8, 2))).max() < 1e-9
+    assert (
+        np.abs(wrench_at(late, route, cutter, block(frame), resolution=Resolution(8, 2))).max()
+        < 1e-9
+    )
 
 
 @pytest.mark.slow
 def test_a_deeper_pass_meets_what_the_old_one_left():
-    """Against a plain sum over four million points: the old slot is a cylinder along x, 0.1 mm higher."""
+    """Against a plain sum over four million points: the old slot is a cylinder along x, 0.1 mm
+    higher.
+    """
     old, new = -0.3, -0.4
     route = path([-4, 0, old], [3, 0, old], [3, 0, 0.4], [-4, 0, 0.4], [-4, 0, new], [1, 0, new])
     cutter = burr()
     ktc, krc, kte, kre = bone()
     polar, turn = np.meshgrid(
-        (np.arange(2000) + 0.5) / 2000 * (pi / 2), (np.arange(2000) + 0.5) / 2000 * pi - pi / 2, indexing="ij"
+        (np.arange(2000) + 0.5) / 2000 * (pi / 2),
+        (np.arange(2000) + 0.5) / 2000 * pi - pi / 2,
+        indexing="ij",
     )
     normal = np.stack([np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), -np.cos(polar)])
     y, z = R * normal[1], R * normal[2] + R + 1e-3 * new
     engaged = (z < 0) & (np.hypot(y, z - R - 1e-3 * old) > R)
     chip = FEED * cutter.chip_per_speed_s * normal[0]
-    around = np.sign(cutter.spin_rad_s) * np.stack([-np.sin(turn), np.cos(turn), np.zeros_like(turn)])
+    around = np.sign(cutter.spin_rad_s) * np.stack(
+        [-np.sin(turn), np.cos(turn), np.zeros_like(turn)]
+    )
     density = (ktc * chip + kte) * around + (krc * chip + kre) * normal
     length = cutter.flute_count / (2 * pi) * R * (pi / 2 / 2000) * (pi / 2000)
     wanted = -length * (density * engaged).sum(axis=(1, 2))
@@ -164,26 +204,39 @@ def test_the_end_of_a_cylinder_cuts_and_its_side_does_not():
 
 
 def test_a_turning_ball_cuts_as_its_centre_moves():
-    """Turned about its centre it moves no surface along a normal; about its tip it is a ball that goes along x."""
+    """Turned about its centre it moves no surface along a normal; about its tip it is a ball
+    that goes along x.
+    """
     cutter, count, rate = burr(), 11, 4.0
     tilt = Rotation.from_rotvec(np.outer(np.linspace(-0.02, 0.02, count), [0.0, 1.0, 0.0]))
     turning, place = np.tile([0.0, rate, 0.0], (count, 1)), np.array([0.0, 0.0, -DEPTH])
     tips = place - R * tilt.as_matrix()[:, :, 2]
     about_centre = ToolPath(tips, tilt.as_matrix(), np.cross(turning, tips - place), turning, 2 * R)
     assert np.abs(wrench_at(5, about_centre, cutter, block())).max() < 1e-9
-    about_tip = ToolPath(np.tile(place, (count, 1)), tilt.as_matrix(), np.zeros((count, 3)), turning, 2 * R)
-    assert relative(wrench_at(5, about_tip, cutter, block())[:3], slot_force(cutter, DEPTH, rate * R)) < CLOSE
+    about_tip = ToolPath(
+        np.tile(place, (count, 1)), tilt.as_matrix(), np.zeros((count, 3)), turning, 2 * R
+    )
+    assert (
+        relative(wrench_at(5, about_tip, cutter, block())[:3], slot_force(cutter, DEPTH, rate * R))
+        < CLOSE
+    )
 
 
 def test_the_error_falls_with_the_size_of_the_cells():
     cutter, route = burr(), path([-4, 0, 0.2], [-4, 0, -0.4], [1, 0, -0.4])
     wanted, errors = slot_force(cutter, DEPTH), []
     for divisions in (1, 3, 5):
-        shifts = [relative(wrench_at(k, route, cutter, block(), resolution=Resolution(c, divisions))[:3], wanted)
-                  for k, c in ((1300, 8), (1300, 9), (1300, 10), (1300, 11))]  # fmt: skip
+        shifts = [
+            relative(
+                wrench_at(k, route, cutter, block(), resolution=Resolution(c, divisions))[:3],
+                wanted,
+            )
+            for k, c in ((1300, 8), (1300, 9), (1300, 10), (1300, 11))
+        ]
         errors.append(sqrt(np.mean(np.square(shifts))))
     order = np.log(errors[0] / errors[2]) / np.log(16.0)
-    assert order > 1.2 and errors[2] < 1e-3, errors  # 1.5 is expected of points that fall at random along a boundary
+    # 1.5 is expected of points that fall at random along a boundary
+    assert order > 1.2 and errors[2] < 1e-3, errors
 
 
 @pytest.mark.parametrize("profile", PROFILES)
@@ -195,7 +248,8 @@ def test_parts_have_the_distance_of_the_profile(profile):
     section = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
     wanted = PROFILES[profile].distance(section)[0]
     outside = wanted > 0
-    assert np.abs(found - wanted)[outside].max() < 1e-5 * R  # the outline is a polygon; a union is exact outside
+    # the outline is a polygon; a union is exact outside
+    assert np.abs(found - wanted)[outside].max() < 1e-5 * R
     assert (found[~outside] < 1e-5 * R).all()
 
 
@@ -211,7 +265,9 @@ def test_the_least_distance_on_a_path_is_that_of_its_nearest_place(profile):
         step = np.linalg.norm(end - start, axis=1) / 2000
         assert (found <= wanted + 1e-9).all() and (found > wanted - step).all()
         bound = part.least_on_path(start, end, within=np.zeros(300))
-        assert (bound <= found + 1e-9).all() and np.allclose(bound[found < 0], found[found < 0], atol=1e-12)
+        assert (bound <= found + 1e-9).all() and np.allclose(
+            bound[found < 0], found[found < 0], atol=1e-12
+        )
 
 
 def test_legs_end_where_a_path_turns_and_not_before():
@@ -225,12 +281,16 @@ def test_legs_end_where_a_path_turns_and_not_before():
 
 
 def test_a_feed_that_changes_smoothly_is_interpolated():
-    """As under a given thrust: no two ticks have the same velocity, and few need to be evaluated."""
+    """As under a given thrust: no two ticks have the same velocity, and few need to be
+    evaluated.
+    """
     time = np.arange(401) * 1e-3
     depth = FEED * (time + np.sin(8 * time) / 16)
     tips, velocities = np.zeros((2, 401, 3))
     tips[:, 2], velocities[:, 2] = 0.2e-3 - depth, -FEED * (1 + np.cos(8 * time) / 2)
-    route = ToolPath(tips, np.broadcast_to(np.eye(3), (401, 3, 3)), velocities, np.zeros((401, 3)), 2 * R)
+    route = ToolPath(
+        tips, np.broadcast_to(np.eye(3), (401, 3, 3)), velocities, np.zeros((401, 3)), 2 * R
+    )
     found = force_on_path(route, burr(), block(), resolution=Resolution(8, 3))
     exact = [wrench_at(k, route, burr(), block())[:3] for k in range(60, 400, 31)]
     assert found.evaluations < 200 and found.uncertainty < 3e-3

@@ -1,4 +1,6 @@
-"""The reference over a run: its error measure, its interpolation over ticks, its cache, and the engine against it."""
+"""The reference over a run: its error measure, its interpolation over ticks, its cache, and the
+engine against it.
+"""
 
 import numpy as np
 import pytest
@@ -74,13 +76,20 @@ def test_what_is_interpolated_meets_what_would_be_evaluated(run, reference):
 
 
 def test_a_reference_is_computed_once(run, reference, monkeypatch):
-    monkeypatch.setattr(history, "wrench_at", lambda *arguments, **options: pytest.fail("computed again"))
+    monkeypatch.setattr(
+        history, "wrench_at", lambda *arguments, **options: pytest.fail("computed again")
+    )
     again = reference_force(run.scene, run.trace)
-    assert np.array_equal(again.wrench, reference.wrench) and again.uncertainty == reference.uncertainty
+    assert (
+        np.array_equal(again.wrench, reference.wrench)
+        and again.uncertainty == reference.uncertainty
+    )
 
 
 def test_the_engine_is_near_the_reference(run, reference):
-    """Within 0.5 % over 50 ms in coarse voxels, what is left being that of the cutter's elements."""
+    """Within 0.5 % over 50 ms in coarse voxels, what is left being that of the cutter's
+    elements.
+    """
     error = error_of_force(run.trace.vectors("model_force", "N"), reference)
     assert 0.0 < error.over_50_ms <= error.over_ticks < 0.01
     assert error.over_50_ms < 0.005 and abs(error.bias) < 0.003

@@ -1,4 +1,6 @@
-"""`tissue stability`: the verdict on a scene's loop, its map as picture and data, and what it refuses."""
+"""`tissue stability`: the verdict on a scene's loop, its map as picture and data, and what it
+refuses.
+"""
 
 import numpy as np
 import pytest
@@ -23,12 +25,18 @@ def test_a_map_is_printed_and_kept(command, here):
     [
         (
             ("glenoid",),
-            "device must be one of touch, omni, six-dof, haply, forcedimension, sigma-7, openhaptics, network, recorded for a stability map, got none",
+            (
+                "device must be one of touch, omni, six-dof, haply, forcedimension, sigma-7, "
+                "openhaptics, network, recorded for a stability map, got none"
+            ),
         ),
         (("nowhere",), "scene must be a built-in name"),
         (
             ("wall", "--set", "device=phantom"),
-            "device must be one of none, touch, omni, six-dof, haply, forcedimension, sigma-7, openhaptics, network, recorded, got phantom",
+            (
+                "device must be one of none, touch, omni, six-dof, haply, forcedimension, "
+                "sigma-7, openhaptics, network, recorded, got phantom"
+            ),
         ),
     ],
 )

@@ -1,4 +1,6 @@
-"""A study: its plan, its folder, and runs that are stopped, resumed and broken, with trials that cost nothing."""
+"""A study: its plan, its folder, and runs that are stopped, resumed and broken, with trials that
+cost nothing.
+"""
 
 import json
 from concurrent.futures import BrokenExecutor, Executor, Future
@@ -22,7 +24,10 @@ def cheap(plan, key):
     """A trial of the right shape whose numbers follow from its seed."""
     seed = trial_seed(plan, key)
     rng = np.random.default_rng(seed)
-    rows = [{"method": each, "force_error": rng.random(), "position_error_mm": rng.random()} for each in plan.methods]
+    rows = [
+        {"method": each, "force_error": rng.random(), "position_error_mm": rng.random()}
+        for each in plan.methods
+    ]
     return Trial(key, seed, tuple(rows), 0.0)
 
 
@@ -80,7 +85,9 @@ def test_seeds_belong_to_trials_and_to_nothing_else():
     base = [key for key in many.all_trials() if not key.variant]
     assert len({trial_seed(many, key) for key in base}) == len(base)
     assert trial_seed(many, replace(key, variant="pace-fast")) == trial_seed(many, key)
-    people = [many.person(TrialKey(task, "novice", trial)).random() for task in TASKS for trial in (3, 13)]
+    people = [
+        many.person(TrialKey(task, "novice", trial)).random() for task in TASKS for trial in (3, 13)
+    ]
     assert len(set(people)) == 1
 
 
@@ -88,9 +95,15 @@ def test_seeds_belong_to_trials_and_to_nothing_else():
     ("given", "message"),
     [
         ({"trials": 0}, r"trials must be in \[1, 10000\], got 0: use 100"),
-        ({"tasks": ("T9",)}, "tasks must each be one of T1, T2, T3, needle, reaming, drilling, got T9"),
+        (
+            {"tasks": ("T9",)},
+            "tasks must each be one of T1, T2, T3, needle, reaming, drilling, got T9",
+        ),
         ({"groups": ()}, "groups must each be one of novice, intermediate, expert, got nothing"),
-        ({"methods": ("penalty", "penalty")}, "methods must each be .* got penalty,penalty: choose among these, once"),
+        (
+            {"methods": ("penalty", "penalty")},
+            "methods must each be .* got penalty,penalty: choose among these, once",
+        ),
     ],
 )
 def test_a_plan_that_makes_no_sense_is_refused(given, message):
@@ -98,14 +111,18 @@ def test_a_plan_that_makes_no_sense_is_refused(given, message):
         Plan(**given)
 
 
-@pytest.mark.parametrize("name", ["T1", "T1-novice", "T1-novice-x", "T9-novice-0001", "T1-novice-0001-nothing"])
+@pytest.mark.parametrize(
+    "name", ["T1", "T1-novice", "T1-novice-x", "T9-novice-0001", "T1-novice-0001-nothing"]
+)
 def test_a_trial_has_a_name(name):
     with pytest.raises(InputError, match=f"trial must be named as its file is, got {name}"):
         TrialKey.named(name)
 
 
 def test_a_study_that_is_stopped_goes_on(tmp_path, pool):
-    """Stopped after every trial in turn, it runs each once and gives the table of an unbroken study."""
+    """Stopped after every trial in turn, it runs each once and gives the table of an unbroken
+    study.
+    """
     run_study(SMALL, tmp_path / "whole", workers=2)
     whole = len(pool.calls)
     pool.calls.clear()
@@ -120,7 +137,9 @@ def test_a_study_that_is_stopped_goes_on(tmp_path, pool):
     for done in range(1, total + 1):
         with pytest.raises(StopError):
             run_study(SMALL, out, workers=1, report=stop)
-        assert len(list((out / "trials").glob("*.json"))) == min(3 * done, total) or done * 3 > total
+        assert (
+            len(list((out / "trials").glob("*.json"))) == min(3 * done, total) or done * 3 > total
+        )
         if len(list((out / "trials").glob("*.json"))) == total:
             break
     run_study(SMALL, out, workers=1)
@@ -132,7 +151,9 @@ def test_a_lost_worker_loses_no_trial(tmp_path, pool):
     run_study(SMALL, tmp_path / "whole")
     rng, reported = np.random.default_rng(0), []
     pool._lose = lambda key: rng.random() < 0.1
-    run_study(SMALL, tmp_path / "lossy", workers=3, report=lambda doing, share: reported.append(doing))
+    run_study(
+        SMALL, tmp_path / "lossy", workers=3, report=lambda doing, share: reported.append(doing)
+    )
     assert any("workers were lost" in each for each in reported)
     assert table(tmp_path / "lossy") == table(tmp_path / "whole")
 
@@ -179,7 +200,9 @@ def test_a_study_may_grow_but_not_change(tmp_path, pool):
     run_study(replace(SMALL, trials=4), out)
     assert len(pool.calls) == 6 and {key.trial for key in pool.calls} == {3}
     for other, named in ((replace(SMALL, seed=5, trials=4), "seed 0"), (SMALL, "trials 4")):
-        with pytest.raises(InputError, match=f"out must hold a part of the same study, got one with {named}"):
+        with pytest.raises(
+            InputError, match=f"out must hold a part of the same study, got one with {named}"
+        ):
             run_study(other, out)
 
 
@@ -189,7 +212,9 @@ def test_folders_of_another_kind_are_refused(tmp_path, pool):
     held = json.loads((out / "study.json").read_text())
     for key, value in (("format", 99), ("tissue", "0.0.1")):
         (out / "study.json").write_text(json.dumps(held | {key: value}))
-        with pytest.raises(InputError, match=f"study must be of (format 2 or older|tissue .*), got {value}"):
+        with pytest.raises(
+            InputError, match=f"study must be of (format 2 or older|tissue .*), got {value}"
+        ):
             run_study(SMALL, out)
     (out / "study.json").write_text("{")
     with pytest.raises(InputError, match="study must be a folder that `tissue study run` wrote"):
@@ -218,7 +243,11 @@ def test_a_number_of_workers_out_of_range_is_refused(tmp_path, workers):
 @pytest.mark.parametrize("address", ["node:8786", "ssh://node", "tcp://", "dask://"])
 def test_a_scheduler_has_an_address(tmp_path, address):
     with pytest.raises(
-        InputError, match="scheduler must be the address that Dask prints, tcp://HOST:PORT or tls://HOST:PORT, got "
+        InputError,
+        match=(
+            "scheduler must be the address that Dask prints, tcp://HOST:PORT or tls://HOST:PORT, "
+            "got "
+        ),
     ):
         run_study(SMALL, tmp_path / "study", scheduler=address)
 
@@ -227,10 +256,14 @@ def test_a_scheduler_has_an_address(tmp_path, address):
 def test_a_trial_alone_is_the_trial_of_its_study_and_fails_alone(monkeypatch):
     """One method on the quickest task, twice bit for bit; then one whose method cannot be run."""
     plan, key = Plan(methods=("koopman-perception",)), TrialKey("drilling", "novice", 2)
-    one, other = (run_trial(each, key) for each in (plan, replace(plan, trials=7, groups=("novice",))))
+    one, other = (
+        run_trial(each, key) for each in (plan, replace(plan, trials=7, groups=("novice",)))
+    )
     assert one.rows == other.rows and "failure" not in one.rows[0]
     assert one.rows[0]["force_error"] > 0.0 and one.seed == trial_seed(plan, key)
     broken = {"penalty": {"renderer": "nothing"}, "koopman": METHODS["koopman"]}
     monkeypatch.setattr("tissue.evaluation.study.trial.METHODS", dict(METHODS) | broken)
     failed = run_trial(replace(plan, methods=("penalty", "koopman")), key)
-    assert all(row["failure"].startswith("InputError: renderer must be one of") for row in failed.rows)
+    assert all(
+        row["failure"].startswith("InputError: renderer must be one of") for row in failed.rows
+    )

@@ -1,9 +1,17 @@
-"""Discrimination at the skin and ratios of intensity: perfect and wrong answers, null and planted changes, their rates."""
+"""Discrimination at the skin and ratios of intensity: perfect and wrong answers, null and
+planted changes, their rates.
+"""
 
 import numpy as np
 import pytest
 
-from tissue.evaluation.calibration.observers import Stimulus, chance_right, draw_observers, sensitivity, share_right
+from tissue.evaluation.calibration.observers import (
+    Stimulus,
+    chance_right,
+    draw_observers,
+    sensitivity,
+    share_right,
+)
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.discrimination import Felt, FeltPair, changes_of, sides, specimens
 from tissue.evaluation.study.trial import intensity_ratios
@@ -12,13 +20,17 @@ from tissue.perception.observer import Observer, reference_observer
 
 WIDE = ForceRange(limit_N=1e4)
 PAIRS = [
-    (Stimulus(1.0), Stimulus(1.1)), (Stimulus(0.3, 0.02), Stimulus(0.36, 0.03)), (Stimulus(2.0, 0.2), Stimulus(2.0)),
-]  # fmt: skip
+    (Stimulus(1.0), Stimulus(1.1)),
+    (Stimulus(0.3, 0.02), Stimulus(0.36, 0.03)),
+    (Stimulus(2.0, 0.2), Stimulus(2.0)),
+]
 
 
 @pytest.mark.parametrize("pair", PAIRS)
 def test_the_chance_is_the_share_of_answers_that_people_give(pair):
-    """A simulation of 300 answers each; the threshold's own scatter with the force is what the closed form leaves out."""
+    """A simulation of 300 answers each; the threshold's own scatter with the force is what the
+    closed form leaves out.
+    """
     people = draw_observers("novice", 300, np.random.default_rng(0))
     answered = share_right(people, *pair, seed=1, trials=300, limits=WIDE)
     assert chance_right(people, *pair).mean() == pytest.approx(answered.mean(), abs=0.01)
@@ -31,7 +43,9 @@ def test_sensitivity_is_webers_and_three_quarters_are_right_at_the_threshold():
         pair = Stimulus(1.0), Stimulus(1.0 + step[who])
         assert sensitivity(people, *pair)[who] == pytest.approx(0.954, abs=1e-3)
         right = chance_right(people, *pair)[who]
-        assert right == pytest.approx(people.lapse[who] + (1.0 - 2.0 * people.lapse[who]) * 0.75, abs=1e-4)
+        assert right == pytest.approx(
+            people.lapse[who] + (1.0 - 2.0 * people.lapse[who]) * 0.75, abs=1e-4
+        )
 
 
 PEOPLE, TRIALS = 12, 6
@@ -52,8 +66,12 @@ def pair_of(first, second, scatter, rng):
 
 
 def scaled(pair, factor):
-    return FeltPair(*(Felt(factor * each.means_N, factor**2 * each.squares_N2, each.free)
-                      for each in (pair.less, pair.more)))  # fmt: skip
+    return FeltPair(
+        *(
+            Felt(factor * each.means_N, factor**2 * each.squares_N2, each.free)
+            for each in (pair.less, pair.more)
+        )
+    )
 
 
 def doubled(pair):
@@ -61,7 +79,9 @@ def doubled(pair):
 
 
 def test_the_same_forces_change_nothing_and_a_planted_gain_is_found():
-    """Everything doubled behind the person's noise: by hand, d' grows by 2 (F + o) / (2 F + o) without scatter."""
+    """Everything doubled behind the person's noise: by hand, d' grows by 2 (F + o) / (2 F + o)
+    without scatter.
+    """
     rng = np.random.default_rng(0)
     people = draw_observers("novice", 100, rng)
     pair = pair_of(0.1, 0.11, 0.0, rng)
@@ -86,28 +106,45 @@ def test_a_gain_helps_less_where_the_scatter_grows_with_it():
 
 
 def test_who_goes_by_force_is_wrong_where_the_stiffer_one_is_felt_as_weaker():
-    """Two that change places have the opposite d' and the other answers; one that does is no gain."""
+    """Two that change places have the opposite d' and the other answers; one that does is no
+    gain.
+    """
     rng = np.random.default_rng(3)
     people = draw_observers("expert", 60, rng)
     pair = pair_of(0.5, 0.6, 0.02, rng)
-    (d, right), (turned, wrong) = pair.felt_by(people), FeltPair(pair.more, pair.less).felt_by(people)
+    (d, right), (turned, wrong) = (
+        pair.felt_by(people),
+        FeltPair(pair.more, pair.less).felt_by(people),
+    )
     assert turned == pytest.approx(-d) and wrong == pytest.approx(1.0 - right) and (d > 0.0).all()
     assert changes_of(people, pair, FeltPair(pair.more, pair.less))[0, 2] < 0.0
 
 
-def trials(per_person, *, scatter=0.02, nested=False, people=10, seed=0, difference=0.1, differ=0.0):
-    """Trials of people whose forces differ by up to three times, on three specimens in turn, in steps that differ."""
+def trials(
+    per_person, *, scatter=0.02, nested=False, people=10, seed=0, difference=0.1, differ=0.0
+):
+    """Trials of people whose forces differ by up to three times, on three specimens in turn, in
+    steps that differ.
+    """
     rng, rows = np.random.default_rng(seed), []
     for user in range(people):
         usual, step = 0.3 * 3.0 ** (user / people), difference * (1.0 + differ * (-1) ** user)
         for trial in range(per_person):
             specimen = float((user if nested else user + trial) % 3)
-            rows.append({
-                "task": "T1", "group": "novice", "user": f"{user:02d}", "trial": trial, "seed": 0, "method": "koopman",
-                "specimen": specimen, "skin_N": usual + step * specimen + scatter * rng.standard_normal(),
-                "capsule_N": usual + 0.4 + scatter * rng.standard_normal(),
-                "parenchyma_N": usual + scatter * rng.standard_normal(),
-            })  # fmt: skip
+            rows.append(
+                {
+                    "task": "T1",
+                    "group": "novice",
+                    "user": f"{user:02d}",
+                    "trial": trial,
+                    "seed": 0,
+                    "method": "koopman",
+                    "specimen": specimen,
+                    "skin_N": usual + step * specimen + scatter * rng.standard_normal(),
+                    "capsule_N": usual + 0.4 + scatter * rng.standard_normal(),
+                    "parenchyma_N": usual + scatter * rng.standard_normal(),
+                }
+            )
     return TrialTable.from_rows(rows)
 
 
@@ -121,7 +158,9 @@ def test_what_people_differ_by_is_no_scatter(differ):
     assert pair.more.stimulus.level_N - pair.less.stimulus.level_N == pytest.approx(0.4, abs=0.01)
 
 
-@pytest.mark.parametrize(("find", "count"), [(specimens, 4), (specimens, 9), (sides, 2), (sides, 4)])
+@pytest.mark.parametrize(
+    ("find", "count"), [(specimens, 4), (specimens, 9), (sides, 2), (sides, 4)]
+)
 def test_the_scatter_that_is_stated_is_on_the_average_the_planted_one(find, count):
     found = [find(trials(count, seed=seed)) for seed in range(200)]
     squares = [each.stimulus.scatter_N**2 for pair in found for each in (pair.less, pair.more)]
@@ -136,17 +175,38 @@ def test_people_who_met_one_specimen_each_compare_nothing():
 def test_people_who_met_one_specimen_alone_are_left_out():
     table = trials(9)
     alone = TrialTable.from_rows(
-        [{"task": "T1", "group": "expert", "user": "00", "trial": at, "seed": 0, "method": "koopman", "specimen": 1.0,
-          "skin_N": 9.0, "capsule_N": 9.0, "parenchyma_N": 9.0} for at in range(3)]
-        + [{name: getattr(table, name)[at] for name in ("task", "group", "user", "trial", "seed", "method")}
-           | {name: values[at] for name, values in table.metrics.items()} for at in range(len(table))]
-    )  # fmt: skip
+        [
+            {
+                "task": "T1",
+                "group": "expert",
+                "user": "00",
+                "trial": at,
+                "seed": 0,
+                "method": "koopman",
+                "specimen": 1.0,
+                "skin_N": 9.0,
+                "capsule_N": 9.0,
+                "parenchyma_N": 9.0,
+            }
+            for at in range(3)
+        ]
+        + [
+            {
+                name: getattr(table, name)[at]
+                for name in ("task", "group", "user", "trial", "seed", "method")
+            }
+            | {name: values[at] for name, values in table.metrics.items()}
+            for at in range(len(table))
+        ]
+    )
     assert specimens(alone).more.stimulus == specimens(table).more.stimulus
 
 
 @pytest.mark.slow
 def test_null_changes_are_called_at_their_nominal_rate():
-    """Two methods with scatters of their own and nothing between them: 5 % of intervals leave out zero, here 3 to 8."""
+    """Two methods with scatters of their own and nothing between them: 5 % of intervals leave
+    out zero, here 3 to 8.
+    """
     called, studies = 0, 600
     for seed in range(studies):
         rng = np.random.default_rng(seed)
@@ -158,7 +218,9 @@ def test_null_changes_are_called_at_their_nominal_rate():
 
 
 def person(beta):
-    return Observer.known("someone", alpha=1.7, beta=beta, kappa=0.07, offset_N=0.2, lapse=0.01, sigma=0.2)
+    return Observer.known(
+        "someone", alpha=1.7, beta=beta, kappa=0.07, offset_N=0.2, lapse=0.01, sigma=0.2
+    )
 
 
 def forces(ticks=3000):
@@ -182,7 +244,9 @@ def test_a_person_of_another_exponent_is_wrong_by_the_spread_of_the_force_and_ri
     )
     held = np.repeat(size, 100)[:, None] * [0.0, 0.0, 1.0]
     mapped = np.repeat(size ** (beta / other.beta), 100)[:, None] * [0.0, 0.0, 1.0]
-    assert intensity_ratios(mapped, held, held, other)["ratio_error"] == pytest.approx(0.0, abs=1e-12)
+    assert intensity_ratios(mapped, held, held, other)["ratio_error"] == pytest.approx(
+        0.0, abs=1e-12
+    )
 
 
 def test_errors_of_ratios_stand_between_a_perfect_force_and_one_that_never_changes():
@@ -190,13 +254,21 @@ def test_errors_of_ratios_stand_between_a_perfect_force_and_one_that_never_chang
     other, silent = person(beta + 0.3), np.full_like(ideal, 0.2)
     size = np.log([part.mean() for part in np.array_split(ideal[:, 2], 30)])
     found = intensity_ratios(silent, ideal, ideal, other)
-    assert found["ratio_error"] == pytest.approx(found["ratio_silent"]) == pytest.approx(beta * size.std())
+    assert (
+        found["ratio_error"]
+        == pytest.approx(found["ratio_silent"])
+        == pytest.approx(beta * size.std())
+    )
     assert found["ratio_unscaled"] == pytest.approx(0.3 * size.std())
-    assert intensity_ratios(ideal, ideal, ideal, other)["ratio_error"] == pytest.approx(found["ratio_unscaled"])
+    assert intensity_ratios(ideal, ideal, ideal, other)["ratio_error"] == pytest.approx(
+        found["ratio_unscaled"]
+    )
 
 
 def test_windows_that_are_half_in_contact_take_no_part_in_ratios():
-    """A force at the skin that is wrong in free motion alone, as friction is, has perfect ratios."""
+    """A force at the skin that is wrong in free motion alone, as friction is, has perfect
+    ratios.
+    """
     ideal = forces()
     ideal[:1050] = ideal[2950:] = 0.0
     skin = ideal + np.where((ideal == 0.0).all(axis=1), 0.2, 0.0)[:, None] * [1.0, 0.0, 0.0]

@@ -1,4 +1,6 @@
-"""Measures of a trial on arrays: a perfect force scores perfect, and none depends on where the axes lie."""
+"""Measures of a trial on arrays: a perfect force scores perfect, and none depends on where the
+axes lie.
+"""
 
 from types import SimpleNamespace
 
@@ -59,7 +61,14 @@ def score(monkeypatch):
 def test_a_perfect_force_scores_perfect_and_a_wrong_one_does_not(score):
     of, ideal, _ = score
     perfect = of(ideal)
-    for name in ("force_error", "least_error", "excess_error", "force_mae_N", "force_rms_N", "ratio_floor"):
+    for name in (
+        "force_error",
+        "least_error",
+        "excess_error",
+        "force_mae_N",
+        "force_rms_N",
+        "ratio_floor",
+    ):
         assert perfect[name] == pytest.approx(0.0, abs=1e-12), name
     assert perfect["latency_ms"] == pytest.approx(0.0, abs=0.05)
     late = of(np.vstack([np.repeat(ideal[:1], 12, axis=0), ideal[:-12]]))

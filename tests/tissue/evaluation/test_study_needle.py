@@ -1,4 +1,6 @@
-"""Travel after a puncture of people of whom some never notice it: nobody is left out for having missed it."""
+"""Travel after a puncture of people of whom some never notice it: nobody is left out for having
+missed it.
+"""
 
 from math import inf
 
@@ -12,15 +14,35 @@ METHODS = ("penalty", "koopman")
 
 
 def row(user, trial, method, travel_mm, *, noticed=True, **other):
-    made = {"excess_mm": travel_mm, "noticed": float(noticed), "capsule_N": 2.1 + 0.01 * user, "parenchyma_N": 1.6}
-    key = {"task": "needle", "group": "novice", "user": f"{user:02d}", "trial": trial, "seed": 1, "method": method}
+    made = {
+        "excess_mm": travel_mm,
+        "noticed": float(noticed),
+        "capsule_N": 2.1 + 0.01 * user,
+        "parenchyma_N": 1.6,
+    }
+    key = {
+        "task": "needle",
+        "group": "novice",
+        "user": f"{user:02d}",
+        "trial": trial,
+        "seed": 1,
+        "method": method,
+    }
     return key | made | other
 
 
 def study(unnoticed=0, people=9):
-    """Nine people with two trials each; under penalty some never notice, under Koopman all do, 1 mm earlier."""
+    """Nine people with two trials each; under penalty some never notice, under Koopman all do, 1
+    mm earlier.
+    """
     return TrialTable.from_rows(
-        row(user, trial, method, 40.0 if missed else 5.0 + user - (method == "koopman"), noticed=not missed)
+        row(
+            user,
+            trial,
+            method,
+            40.0 if missed else 5.0 + user - (method == "koopman"),
+            noticed=not missed,
+        )
         for user in range(people)
         for trial in range(2)
         for method in METHODS
@@ -31,7 +53,8 @@ def study(unnoticed=0, people=9):
 def test_people_who_notice_nothing_count_as_the_longest():
     whole, missed = study(), study(unnoticed=3)
     assert sorted(travel_by_people(whole, "penalty")) == [5.0 + user for user in range(9)]
-    # The three shortest travels become the longest: the median goes up by three places and stays finite.
+    # The three shortest travels become the longest: the median goes up by three places and stays
+    # finite.
     assert median_interval(travel_by_people(whole, "penalty"))[0] == 9.0
     middle, low, high = median_interval(travel_by_people(missed, "penalty"))
     assert (middle, low, high) == (12.0, 9.0, inf)
@@ -39,7 +62,9 @@ def test_people_who_notice_nothing_count_as_the_longest():
 
 
 def test_a_method_is_not_better_for_losing_those_who_miss_it():
-    """Means of those who notice fall as people are lost, here below the other method's: medians of all do not."""
+    """Means of those who notice fall as people are lost, here below the other method's: medians
+    of all do not.
+    """
     table = TrialTable.from_rows(
         row(user, 0, method, 40.0 if missed else 5.0 + user, noticed=not missed)
         for user in range(9)
@@ -48,7 +73,9 @@ def test_a_method_is_not_better_for_losing_those_who_miss_it():
     )
     section = needle_section(table, seed=0)
     rows = {each[1]: each for each in section.rows}
-    assert rows["penalty"][2:5] == ("5 of 9", "9.00 mm", "7.00 ± 1.58") and rows["koopman"][2:5][::2] == (
+    assert rows["penalty"][2:5] == ("5 of 9", "9.00 mm", "7.00 ± 1.58") and rows["koopman"][2:5][
+        ::2
+    ] == (
         "9 of 9",
         "9.00 ± 2.74",
     )
@@ -74,9 +101,13 @@ def test_few_people_have_no_interval():
 
 
 def test_methods_are_compared_on_the_same_trials():
-    """A trial that failed under one method is left out under all, so that rows of two methods belong together."""
+    """A trial that failed under one method is left out under all, so that rows of two methods
+    belong together.
+    """
     rows = [row(user, 0, method, 5.0 + user) for user in range(4) for method in METHODS]
-    rows[2] = {name: rows[2][name] for name in ("task", "group", "user", "trial", "seed", "method")} | {"failure": "x"}
+    rows[2] = {
+        name: rows[2][name] for name in ("task", "group", "user", "trial", "seed", "method")
+    } | {"failure": "x"}
     shared = TrialTable.from_rows(rows).shared()
     for method in METHODS:
         assert shared.where(method=method).user.tolist() == ["00", "02", "03"]
@@ -84,4 +115,8 @@ def test_methods_are_compared_on_the_same_trials():
 
 def test_where_no_trial_is_whole_it_is_stated():
     rows = [row(0, 0, "penalty", 5.0), row(1, 0, "koopman", 5.0)]
-    assert needle_section(TrialTable.from_rows(rows), 0).sentences[1].startswith("There is no trial in which")
+    assert (
+        needle_section(TrialTable.from_rows(rows), 0)
+        .sentences[1]
+        .startswith("There is no trial in which")
+    )

@@ -1,4 +1,6 @@
-"""A registered plan: its power against simulation, its hash, and what a report finds that differs from it."""
+"""A registered plan: its power against simulation, its hash, and what a report finds that
+differs from it.
+"""
 
 import json
 import tomllib
@@ -13,12 +15,22 @@ from tissue.evaluation.statistics.power import rejection_rates
 from tissue.evaluation.study import tested
 from tissue.evaluation.study.folder import StudyFolder
 from tissue.evaluation.study.plan import Plan, TrialKey
-from tissue.evaluation.study.registration import content_sha256, plan_text, planned_power, planned_tests
+from tissue.evaluation.study.registration import (
+    content_sha256,
+    plan_text,
+    planned_power,
+    planned_tests,
+)
 from tissue.evaluation.study.report import registration_section
 from tissue.evaluation.study.section import Section
 from tissue.evaluation.study.trial import Trial, trial_seed
 
-PLAN = Plan(trials=4, tasks=("T1", "T2"), methods=("penalty", "koopman", "koopman-perception"), sensitivity=False)
+PLAN = Plan(
+    trials=4,
+    tasks=("T1", "T2"),
+    methods=("penalty", "koopman", "koopman-perception"),
+    sensitivity=False,
+)
 
 
 def trial(plan, key):
@@ -26,7 +38,9 @@ def trial(plan, key):
     seed = trial_seed(plan, key)
     rng = np.random.default_rng(seed)
     names = ("force_error", "ratio_error", "position_error_mm")
-    rows = tuple({"method": each} | {name: 0.1 + rng.random() for name in names} for each in plan.methods)
+    rows = tuple(
+        {"method": each} | {name: 0.1 + rng.random() for name in names} for each in plan.methods
+    )
     return Trial(key, seed, rows, 0.5)
 
 
@@ -49,7 +63,11 @@ def as_planned(plan):
     """A section that holds all planned tests."""
     return [
         Section(
-            "tests", "Tests", (), ("task", "question"), tuple(tuple(each.split(" ", 1)) for each in planned_tests(plan))
+            "tests",
+            "Tests",
+            (),
+            ("task", "question"),
+            tuple(tuple(each.split(" ", 1)) for each in planned_tests(plan)),
         )
     ]
 
@@ -60,46 +78,66 @@ def differences(folder, tests=None):
 
 
 def test_power_is_that_of_simulated_populations():
-    """20,000 populations of three groups of six people under four methods, to three standard errors of a share."""
+    """20,000 populations of three groups of six people under four methods, to three standard
+    errors of a share.
+    """
     rng, people, groups, methods, count = np.random.default_rng(0), 6, 3, 4, 20_000
     labels = np.repeat(np.arange(groups), people)
     null = rng.standard_normal((count, groups * people, methods))
     expected = planned_power(people, groups, methods, alpha=0.05)
-    # One standard deviation of differences is sqrt(2) of a value's; that of a person's mean is sqrt(1 / methods).
+    # One standard deviation of differences is sqrt(2) of a value's; that of a person's mean is
+    # sqrt(1 / methods).
     planted = {name: np.zeros((groups * people, methods)) for name in expected}
     planted["method"][:, 1] = 2**0.5
     planted["group"][labels == 1] = methods**-0.5
     planted["group x method"][labels == 1, 1] = 2**0.5
     assert set(expected) == {"method", "group", "group x method"}
     for name, effect in planted.items():
-        found = next(each for each in rejection_rates(null, null + effect, labels) if each.test == name)
+        found = next(
+            each for each in rejection_rates(null, null + effect, labels) if each.test == name
+        )
         error = (expected[name] * (1 - expected[name]) / count) ** 0.5
         assert found.hits.value == pytest.approx(expected[name], abs=3.0 * error), name
 
 
 def test_power_of_two_methods_is_that_of_the_paired_t_test():
     """d = 0.5 with 34 pairs has a power of 80.8 % (G*Power; Faul et al. 2007)."""
-    assert planned_power(34, 1, 2, alpha=0.05, effect=0.5) == {"method": pytest.approx(0.808, abs=5e-4)}
+    assert planned_power(34, 1, 2, alpha=0.05, effect=0.5) == {
+        "method": pytest.approx(0.808, abs=5e-4)
+    }
     assert planned_power(1, 3, 4, alpha=0.05) == {}
-    assert planned_power(10, 3, 4, alpha=0.05, effect=0.01)["group"] == pytest.approx(0.05, abs=1e-3)
+    assert planned_power(10, 3, 4, alpha=0.05, effect=0.01)["group"] == pytest.approx(
+        0.05, abs=1e-3
+    )
 
 
 def test_a_plan_states_what_will_be_done():
     held = tomllib.loads(plan_text(PLAN))
     assert held["design"]["trials_in_all"] == 24 and held["seeds"]["seed"] == 0
     assert held["tests"]["alpha_of_one_test"] == pytest.approx(0.05 / len(planned_tests(PLAN)))
-    assert held["tests"]["correction"] == "Bonferroni over all 43 tests"  # 2 tasks of 11, 3 metrics of 7
-    assert [each["name"] for each in held["measures"]["primary"]] == ["force_error", "ratio_error", "position_error_mm"]
+    # 2 tasks of 11, 3 metrics of 7
+    assert held["tests"]["correction"] == "Bonferroni over all 43 tests"
+    assert [each["name"] for each in held["measures"]["primary"]] == [
+        "force_error",
+        "ratio_error",
+        "position_error_mm",
+    ]
     assert {"corrected", "uncorrected"} < set(held["power"]) and len(held["exclusions"]) == 4
     assert plan_text(PLAN) == plan_text(replace(PLAN)) != plan_text(replace(PLAN, seed=1))
     one = tomllib.loads(plan_text(replace(PLAN, methods=("penalty",), groups=("novice",))))
-    assert one["tests"]["planned"][0].endswith("force_error: task") and one["power"]["corrected"] == {}
+    assert (
+        one["tests"]["planned"][0].endswith("force_error: task") and one["power"]["corrected"] == {}
+    )
 
 
 def test_a_study_that_keeps_to_its_plan_differs_in_nothing(study):
     held = json.loads((study.path / "study.json").read_text())["registrations"]
     assert held == [
-        {"file": "plan.toml", "sha256": sha256((study.path / "plan.toml").read_bytes()).hexdigest(), "trials_before": 0}
+        {
+            "file": "plan.toml",
+            "sha256": sha256((study.path / "plan.toml").read_bytes()).hexdigest(),
+            "trials_before": 0,
+        }
     ]
     section = registration_section(study, as_planned(PLAN))
     assert "registered before the first trial" in section.sentences[0] and not section.rows
@@ -133,19 +171,25 @@ def test_a_plan_that_grows_is_registered_anew(study):
     assert (study.path / "plan-1.toml").read_bytes() == first
     assert [each["trials_before"] for each in study.registrations()] == [0, 24]
     found = differences(study)
-    assert found["plan after the first trial"].startswith("plan.toml: registered when 24 trials were there")
+    assert found["plan after the first trial"].startswith(
+        "plan.toml: registered when 24 trials were there"
+    )
     assert found["trials missing"].endswith("T2-novice-0004, T2-intermediate-0004, T2-expert-0004")
     assert "registered after 24 trials" in registration_section(study, []).sentences[0]
 
 
 def test_doctored_trials_are_found(study):
-    """A figure, then the seed, the plan's hash and the code's, each with a hash of the content that fits again."""
+    """A figure, then the seed, the plan's hash and the code's, each with a hash of the content
+    that fits again.
+    """
     path = study.path / "trials" / "T1-novice-0001.json"
     held = json.loads(path.read_text("utf-8"))
     doctored = json.loads(path.read_text("utf-8"))
     doctored["rows"][1]["force_error"] *= 0.5
     path.write_text(json.dumps(doctored), "utf-8")
-    assert differences(study) == {"trials changed after they were written": "SHA-256 in their files: 1: T1-novice-0001"}
+    assert differences(study) == {
+        "trials changed after they were written": "SHA-256 in their files: 1: T1-novice-0001"
+    }
     for name, value, kind in (
         ("seed", 5, "trials of another seed"),
         ("plan_sha256", "0" * 64, "trials of no registered plan"),
@@ -161,11 +205,21 @@ def test_missing_failed_and_unplanned_trials_are_listed(study):
         path.unlink()
     key = TrialKey("T2", "novice", 2)
     rows = trial(PLAN, key).rows
-    study.write(Trial(key, trial_seed(PLAN, key), (*rows[:1], {"method": "koopman", "failure": "ValueError: x"}), 0.1))
+    study.write(
+        Trial(
+            key,
+            trial_seed(PLAN, key),
+            (*rows[:1], {"method": "koopman", "failure": "ValueError: x"}),
+            0.1,
+        )
+    )
     (study.path / "trials" / "T1-novice-0099.json").write_text("{}")
     found = differences(study)
     assert found["group missing"] == "expert: no trial of it"
-    assert found["trials missing"] == "T2: 4: T2-expert-0000, T2-expert-0001, T2-expert-0002, T2-expert-0003"
+    assert (
+        found["trials missing"]
+        == "T2: 4: T2-expert-0000, T2-expert-0001, T2-expert-0002, T2-expert-0003"
+    )
     assert found["trials failed and left out"] == "koopman: ValueError: x: 1: T2-novice-0002"
     assert found["method missing"] == "koopman-perception: 1: T2-novice-0002"
     assert found["trials not planned"] == "files that the report leaves out: 1: T1-novice-0099"
@@ -175,9 +229,13 @@ def test_tests_that_are_not_those_of_the_plan_are_listed_with_the_reason(study):
     rows = as_planned(PLAN)[0].rows
     kept = tuple(row for row in rows if row[0] != "T1" or not row[1].startswith("ratio_error"))
     sentences = ("T1 ratio_error; T1 force could not be tested: it is constant.",)
-    section = Section("tests", "Tests", sentences, ("task", "question"), (*kept, ("T2", "time_s: method")))
+    section = Section(
+        "tests", "Tests", sentences, ("task", "question"), (*kept, ("T2", "time_s: method"))
+    )
     found = differences(study, [section])
-    assert found["tests planned and not made"].startswith(f"{sentences[0]}: 3: T1 ratio_error: group; ")
+    assert found["tests planned and not made"].startswith(
+        f"{sentences[0]}: 3: T1 ratio_error: group; "
+    )
     assert found["tests made and not planned"] == ": 1: T2 time_s: method"
     refused = Section("tests", "Tests", ("Nothing could be tested: there are too few people.",))
     assert "too few people.: 43: " in differences(study, [refused])["tests planned and not made"]
@@ -186,7 +244,9 @@ def test_tests_that_are_not_those_of_the_plan_are_listed_with_the_reason(study):
 @pytest.mark.parametrize("held", [None, [3], "x"])
 def test_a_study_without_a_registered_plan_is_refused(study, held):
     path = study.path / "study.json"
-    path.write_text(json.dumps(json.loads(path.read_text("utf-8")) | {"registrations": held}), "utf-8")
+    path.write_text(
+        json.dumps(json.loads(path.read_text("utf-8")) | {"registrations": held}), "utf-8"
+    )
     with pytest.raises(InputError, match="study must be a folder"):
         study.registrations()
 

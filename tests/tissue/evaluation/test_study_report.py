@@ -1,4 +1,6 @@
-"""The report of a study: tables beside the paper's, sentences that follow from the data, whatever is missing."""
+"""The report of a study: tables beside the paper's, sentences that follow from the data,
+whatever is missing.
+"""
 
 import csv
 from dataclasses import replace
@@ -52,7 +54,12 @@ def planted(key, rng):
     doubled = 2.0 if key.variant == "pace-fast" else 1.0
     rows = []
     for method, left in LEFT.items():
-        made = left * (doubled if left < 1.0 else 1.0) * error * (1.0 if left == 1.0 else np.exp(0.05 * rng.normal()))
+        made = (
+            left
+            * (doubled if left < 1.0 else 1.0)
+            * error
+            * (1.0 if left == 1.0 else np.exp(0.05 * rng.normal()))
+        )
         latency = 4.3 * left + 0.01 * rng.random() * (left < 1.0)
         felt = {
             "force_error": made,
@@ -84,9 +91,13 @@ def test_the_report_finds_what_was_planted(study):
     page, message = write_report(study.path)
     text = page.read_text("utf-8")
     assert text.count("<section") >= 14 and text.count("data:image/png;base64,") == 5
-    assert "People have too few trials on two specimens each." in text  # each has one, and no pictures come of that
+    # each has one, and no pictures come of that
+    assert "People have too few trials on two specimens each." in text
     assert "http" not in text.replace("http-equiv", "") and "<script" not in text
-    assert any("1 failed, koopman: InputError: it was too late (T1-expert-0003)" in each for each in message)
+    assert any(
+        "1 failed, koopman: InputError: it was too late (T1-expert-0003)" in each
+        for each in message
+    )
     assert "Prediction leaves of the force error: T1 0.4" in message[0]
     assert any("koopman lets 100 % notice, travel 0.50 mm" in each for each in message)
     assert text.index('<section id="found"') < text.index('<section id="overview"')
@@ -96,17 +107,27 @@ def test_the_report_finds_what_was_planted(study):
     assert tests["T2", "ratio_error: group"]["shows"] == "none shown"
     # Tests that rest on less are given with a model over all tasks as with each.
     assert tests["all", "position_error_mm: group"]["on less"].startswith("analysis of strata p")
-    sources = {(row["of"], row["parameter"]): row["source"] for row in rows_of(page.parent / "parameters.csv")}
-    assert "chai3d" in sources["devices, touch", "force_limit_N"] and ("method koopman", "prediction") in sources
+    sources = {
+        (row["of"], row["parameter"]): row["source"]
+        for row in rows_of(page.parent / "parameters.csv")
+    }
+    assert (
+        "chai3d" in sources["devices, touch", "force_limit_N"]
+        and ("method koopman", "prediction") in sources
+    )
     means = [row for row in rows_of(page.parent / "index.csv") if row["what"] == "mean"]
     assert max(means, key=lambda row: float(row["value"]))["name"].startswith("koopman")
 
 
 @pytest.mark.slow
 def test_discrimination_is_reported_where_people_met_both_specimens_twice(tmp_path):
-    """A gain of two between specimens under one method, the same forces under the others; drilling and needle beside."""
+    """A gain of two between specimens under one method, the same forces under the others;
+    drilling and needle beside.
+    """
     folder = StudyFolder(tmp_path / "study")
-    plan = Plan(trials=60, tasks=("T1", "needle", "drilling"), groups=("novice",), sensitivity=False)
+    plan = Plan(
+        trials=60, tasks=("T1", "needle", "drilling"), groups=("novice",), sensitivity=False
+    )
     folder.begin(plan)
     for number, key in enumerate(plan.all_trials()):
         rng = np.random.default_rng(number)
@@ -118,10 +139,22 @@ def test_discrimination_is_reported_where_people_met_both_specimens_twice(tmp_pa
         folder.write(Trial(key, number, tuple(rows), 1.5))
     section = next(each for each in sections_of(folder) if each.name == "discrimination")
     found = {(row[0], row[2]): row for row in section.rows if row[1] == "novice"}
-    assert {what for what, _ in found} == {"T1: softer or usual", "capsule or parenchyma", "carious or sound"}
-    plain, steep, same = (found["T1: softer or usual", f"koopman{each}"] for each in ("", "-perception", "-look-ahead"))
-    assert float(steep[5]) == pytest.approx(2.0 * float(plain[5]), rel=0.05) and plain[7:] == ("", "", "")
-    assert float(steep[8].split()[0]) == pytest.approx(100.0, abs=8.0)  # both share what trials scatter
+    assert {what for what, _ in found} == {
+        "T1: softer or usual",
+        "capsule or parenchyma",
+        "carious or sound",
+    }
+    plain, steep, same = (
+        found["T1: softer or usual", f"koopman{each}"]
+        for each in ("", "-perception", "-look-ahead")
+    )
+    assert float(steep[5]) == pytest.approx(2.0 * float(plain[5]), rel=0.05) and plain[7:] == (
+        "",
+        "",
+        "",
+    )
+    # both share what trials scatter
+    assert float(steep[8].split()[0]) == pytest.approx(100.0, abs=8.0)
     assert same[7].endswith("0.00 [+0.00, +0.00]") and section.picture.startswith(b"\x89PNG")
 
 
@@ -143,14 +176,18 @@ def test_forces_that_come_early_on_one_task_are_named(study):
     table = study.table("T1", "T2").complete()
     assert latency_section(table).sentences[0].endswith("comes early; none does.")
     shift = np.where((table.task == "T2") & (table.method == "koopman"), 3.0, 0.0)
-    early = replace(table, metrics=dict(table.metrics) | {"latency_ms": table.values("latency_ms") - shift})
+    early = replace(
+        table, metrics=dict(table.metrics) | {"latency_ms": table.values("latency_ms") - shift}
+    )
     assert latency_section(early).sentences[0].endswith("comes early (T2 koopman).")
 
 
 def test_the_first_section_counts_the_figures_that_agree_with_the_paper():
     header = ("task", "method", "force error / %", "paper %", "against paper")
     rows = tuple(("T1", "penalty", "", "", each) for each in ("agrees", "", "0.50 of it"))
-    found = found_section([Section("force", "Force", (), header, rows, headline="So it is."), Section("x", "X", ())])
+    found = found_section(
+        [Section("force", "Force", (), header, rows, headline="So it is."), Section("x", "X", ())]
+    )
     assert found.sentences[0] == "So it is." and len(found.sentences) == 2
     assert "2 figures" in found.sentences[1] and "force T1 penalty 0.50 of it" in found.sentences[1]
 
@@ -163,7 +200,11 @@ def test_agreement_is_within_the_spread_of_the_difference():
     ours = np.array([1.0, 2.0, 3.0])  # 2 ± 1
     assert agreement(ours, Figure(3.0, 0.1)) == "agrees" == agreement(ours, Figure(3.4, 1.0))
     assert agreement(ours, Figure(4.0, 1.0)) == "0.50 of it"
-    assert agreement(np.full(3, 4.2), Figure(4.3)) == "agrees" != agreement(np.full(3, 4.0), Figure(4.3))
+    assert (
+        agreement(np.full(3, 4.2), Figure(4.3))
+        == "agrees"
+        != agreement(np.full(3, 4.0), Figure(4.3))
+    )
 
 
 def test_the_sensitivity_names_what_moves_the_headline(study):
@@ -196,9 +237,16 @@ def test_distances_from_a_path():
 
 
 def test_a_failure_at_another_time_is_the_same():
-    words = "InputError: capsule must be punctured, got a hand that stopped at {} s: see its threshold"
+    words = (
+        "InputError: capsule must be punctured, got a hand that stopped at {} s: see its threshold"
+    )
     trials = [
-        Trial(TrialKey("needle", "novice", at), 1, ({"method": "energy", "failure": words.format(time)},), 1.0)
+        Trial(
+            TrialKey("needle", "novice", at),
+            1,
+            ({"method": "energy", "failure": words.format(time)},),
+            1.0,
+        )
         for at, time in enumerate(("0.386", "12", "inf", "1e-05"))
     ]
     assert failures_of(trials) == {

@@ -25,7 +25,16 @@ pytestmark = [
 ROOT = Path(__file__).resolve().parents[3]
 PLAN = Plan(trials=3, tasks=("drilling", "T2"), methods=("penalty",), sensitivity=False)
 COMMAND = (
-    *(sys.executable, "-c", "from tissue.cli.main import main; main()", "study", "run", "--trials", "3", "--tasks"),
+    *(
+        sys.executable,
+        "-c",
+        "from tissue.cli.main import main; main()",
+        "study",
+        "run",
+        "--trials",
+        "3",
+        "--tasks",
+    ),
     *("drilling,T2", "--methods", "penalty", "--no-sensitivity", "--workers", "2", "--out"),
 )
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}
@@ -55,9 +64,13 @@ def test_the_table_does_not_depend_on_the_workers(tmp_path, alone, workers):
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGKILL"])
 def test_a_killed_study_goes_on(tmp_path, alone, name):
-    """Killed at its third trial: its workers go with it, what it had is kept, and nothing is done twice."""
+    """Killed at its third trial: its workers go with it, what it had is kept, and nothing is
+    done twice.
+    """
     out, blow = tmp_path / "study", getattr(signal, name)
-    with subprocess.Popen((*COMMAND, str(out)), env=ENVIRONMENT, stderr=subprocess.PIPE, text=True) as study:
+    with subprocess.Popen(
+        (*COMMAND, str(out)), env=ENVIRONMENT, stderr=subprocess.PIPE, text=True
+    ) as study:
         wait_for(lambda: len(kept(out)) >= 3)
         workers = children(study.pid)
         study.send_signal(blow)
@@ -67,7 +80,12 @@ def test_a_killed_study_goes_on(tmp_path, alone, name):
     wait_for(lambda: not any(psutil.pid_exists(each) for each in workers))
     had = {each.name: each.stat().st_mtime_ns for each in kept(out)}
     assert 3 <= len(had) < len(list(PLAN.all_trials()))
-    assert subprocess.run((*COMMAND, str(out)), env=ENVIRONMENT, capture_output=True, check=False).returncode == 0
+    assert (
+        subprocess.run(
+            (*COMMAND, str(out)), env=ENVIRONMENT, capture_output=True, check=False
+        ).returncode
+        == 0
+    )
     assert {name: (out / "trials" / name).stat().st_mtime_ns for name in had} == had
     assert tables(out) == tables(alone)
 
@@ -86,8 +104,12 @@ def test_a_killed_worker_is_replaced(tmp_path, alone):
 
 
 def test_dask_gives_the_same_table(tmp_path, alone):
-    """One of three workers is killed in mid-study, then the scheduler, which comes back with new workers."""
-    pytest.importorskip("distributed", reason="distributed is not installed: pip install 'tissue-sim[cluster]'")
+    """One of three workers is killed in mid-study, then the scheduler, which comes back with new
+    workers.
+    """
+    pytest.importorskip(
+        "distributed", reason="distributed is not installed: pip install 'tissue-sim[cluster]'"
+    )
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -96,7 +118,11 @@ def test_dask_gives_the_same_table(tmp_path, alone):
     def study():
         try:
             run_study(
-                PLAN, out, workers=2, scheduler=f"dask://127.0.0.1:{port}", report=lambda *given: reported.append(given)
+                PLAN,
+                out,
+                workers=2,
+                scheduler=f"dask://127.0.0.1:{port}",
+                report=lambda *given: reported.append(given),
             )
         except BaseException as error:
             failed.append(error)
@@ -124,7 +150,12 @@ def test_dask_gives_the_same_table(tmp_path, alone):
 def cluster(port, folder):
     """A Dask scheduler and three workers, each a process of its own."""
     folder.mkdir()
-    common = {"env": ENVIRONMENT, "cwd": folder, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    common = {
+        "env": ENVIRONMENT,
+        "cwd": folder,
+        "stdout": subprocess.DEVNULL,
+        "stderr": subprocess.DEVNULL,
+    }
     dask = (sys.executable, "-m", "dask")
     options = ("--no-dashboard", "--host", "127.0.0.1")
     scheduler = subprocess.Popen((*dask, "scheduler", *options, "--port", str(port)), **common)

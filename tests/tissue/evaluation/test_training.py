@@ -24,11 +24,15 @@ SCENES = ("caries", "glenoid", "liver-press", "milling", "molar", "needle", "pal
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_a_shipped_predictor_is_sound(scene):
-    """It is stable, small, was better than holding on runs held out, and falls back on what it knows."""
+    """It is stable, small, was better than holding on runs held out, and falls back on what it
+    knows.
+    """
     path = shipped_file(scene)
     trained = Trained.read(path, scene=scene)
     assert path.stat().st_size < 150_000
-    assert isinstance(trained.operator, Operator) and abs(trained.operator.eigenvalues[0]) < 1.0 + 1e-6
+    assert (
+        isinstance(trained.operator, Operator) and abs(trained.operator.eigenvalues[0]) < 1.0 + 1e-6
+    )
     checked = trained.facts["validation"]
     at = checked["horizons_ms"].index(4)
     assert checked["errors"]["koopman"][at] < checked["errors"]["hold"][at]
@@ -37,7 +41,9 @@ def test_a_shipped_predictor_is_sound(scene):
 
 def test_fallbacks_are_compared_at_the_lead_of_four_milliseconds():
     for name in SCENES:
-        assert round(lead_ticks(loop_settings(trial(load_scene(name), 0, delay_ms=4)))) == VALIDATED_AT
+        assert (
+            round(lead_ticks(loop_settings(trial(load_scene(name), 0, delay_ms=4)))) == VALIDATED_AT
+        )
 
 
 def test_trials_differ_in_hand_seed_and_latency():
@@ -46,7 +52,9 @@ def test_trials_differ_in_hand_seed_and_latency():
     assert [each.held.hand for each in scenes[:3]] == ["novice", "intermediate", "expert"]
     assert [each.held.coupling.delay_ms for each in scenes] == [0, 0, 0, 4, 4, 4, 8, 8, 8]
     assert len({each.seed for each in scenes}) == 9 and all(each.stress is None for each in scenes)
-    assert trial(scene, 3, share=0.7).held.coupling.force_scale == pytest.approx(0.7 * chosen_scale(scene)[0])
+    assert trial(scene, 3, share=0.7).held.coupling.force_scale == pytest.approx(
+        0.7 * chosen_scale(scene)[0]
+    )
 
 
 @pytest.mark.parametrize("name", ["milling", "glenoid", "palpation"])
@@ -58,11 +66,23 @@ def test_a_trial_has_the_scale_of_forces_that_its_scene_has_on_a_device(name):
 
 
 def motor_error(prediction, **changes):
-    """||F - F_ideal|| / ||F_ideal|| at the motor of a run on the wall with 4 ms of latency, the least one, its trace."""
-    entries = {"hand": "novice", "seed": 500, "coupling.delay_ms": 4, "prediction": prediction, **changes}
+    """||F - F_ideal|| / ||F_ideal|| at the motor of a run on the wall with 4 ms of latency, the
+    least one, its trace.
+    """
+    entries = {
+        "hand": "novice",
+        "seed": 500,
+        "coupling.delay_ms": 4,
+        "prediction": prediction,
+        **changes,
+    }
     run = simulate(load_scene("wall", entries))
     forces = motor_forces(run, ideal_force_N(run))
-    return force_error(forces.played, forces.ideal), force_error(forces.nearest, forces.ideal), run.trace
+    return (
+        force_error(forces.played, forces.ideal),
+        force_error(forces.nearest, forces.ideal),
+        run.trace,
+    )
 
 
 def test_runs_without_a_touch_set_no_figure():
@@ -70,8 +90,12 @@ def test_runs_without_a_touch_set_no_figure():
     trained = Trained.read(shipped_file("wall"), scene="wall")
     run = Recorder().record(trial(load_scene("wall", {"duration_s": 0.7}), 3))
     free = replace(run, force_N=np.zeros_like(run.force_N))
-    found, alone = (validated(with_fallback(trained, runs, 3.3), runs, 3.3) for runs in ([free, run], [run]))
-    assert found.fallback == alone.fallback and found.facts["validation"] == alone.facts["validation"]
+    found, alone = (
+        validated(with_fallback(trained, runs, 3.3), runs, 3.3) for runs in ([free, run], [run])
+    )
+    assert (
+        found.fallback == alone.fallback and found.facts["validation"] == alone.facts["validation"]
+    )
     with pytest.raises(InputError, match="trials must leave a run that touches"):
         validated(trained, [free], 3.3)
 
@@ -84,8 +108,9 @@ def test_runs_without_a_touch_set_no_figure():
 def test_latency_is_hidden_on_the_wall(kind, share, primary):
     """At the motor measured 3.55 % without, 1.31 % and 0.84 % with; encoder steps alone are 0.33 %.
 
-    Look-ahead by the operator predicts in every tick of contact. The operator alone, which knows no surface, does so in
-    three quarters of them: the guard gives the rest to look-ahead, which on a wall has the exact law.
+    Look-ahead by the operator predicts in every tick of contact. The operator alone, which knows no
+    surface, does so in three quarters of them: the guard gives the rest to look-ahead, which on a
+    wall has the exact law.
     """
     late, least, _ = motor_error("none")
     assert late > 0.03 and least < 0.005
@@ -105,7 +130,9 @@ def test_train_writes_what_a_run_can_use(command, refused, here):
     assert refused("train", "wall", "--out", "mine.npz") == (
         "out must not exist yet, got mine.npz: pass --overwrite or choose another --out"
     )
-    assert refused("train", "wall", "--trials", "3") == "trials must be from 6 to 10000, got 3: use 12"
+    assert (
+        refused("train", "wall", "--trials", "3") == "trials must be from 6 to 10000, got 3: use 12"
+    )
     assert "trials must be from 6 to 10000" in refused("train", "wall", "--trials", "9" * 400)
     assert refused("train", "wall", "--out", "no/where.npz") == (
         "out must lie in a folder that exists, got no/where.npz: create no"
@@ -118,7 +145,9 @@ def test_training_again_gives_the_shipped_predictor(command, here):
     assert code == 0
     again, shipped = Trained.read(here / "wall.npz"), Trained.read(shipped_file("wall"))
     assert again.facts["dictionary"] == shipped.facts["dictionary"]
-    ours, theirs = (np.array(each.facts["validation"]["errors"]["koopman"]) for each in (again, shipped))
+    ours, theirs = (
+        np.array(each.facts["validation"]["errors"]["koopman"]) for each in (again, shipped)
+    )
     np.testing.assert_allclose(ours, theirs, rtol=0.05)  # another processor rounds otherwise
 
 
@@ -130,6 +159,13 @@ def test_a_chart_of_predictors(command, refused, here):
     assert {"prediction_wall.png", "prediction_tasks.png", "errors.csv", "slow_model.csv"} <= names
     rows = (here / "chart" / "errors.csv").read_text().splitlines()
     assert len(rows) == 1 + len(PREDICTORS) * 7
-    assert "out must not hold another chart" in refused("chart", "prediction", "wall", "--out", "chart")
-    assert refused("chart", "prediction", "wall", "--trials", "1") == "trials must be from 2 to 10000, got 1: use 30"
-    assert "trials must be from 2 to 10000" in refused("chart", "prediction", "wall", "--trials", "9" * 400)
+    assert "out must not hold another chart" in refused(
+        "chart", "prediction", "wall", "--out", "chart"
+    )
+    assert (
+        refused("chart", "prediction", "wall", "--trials", "1")
+        == "trials must be from 2 to 10000, got 1: use 30"
+    )
+    assert "trials must be from 2 to 10000" in refused(
+        "chart", "prediction", "wall", "--trials", "9" * 400
+    )

@@ -20,7 +20,9 @@ def turned_cube(order):
 
 
 def plane_stress_J(space, faces, thickness_m, gradient):
-    """Sum over faces of A h E / (2 (1 - nu^2)) ((1 - nu) e : e + nu (tr e)^2), e the strain within the face."""
+    """Sum over faces of A h E / (2 (1 - nu^2)) ((1 - nu) e : e + nu (tr e)^2), e the strain
+    within the face.
+    """
     total = 0.0
     for nodes, thickness in zip(faces, thickness_m, strict=True):
         a, b, c = space.nodes_m[nodes[:3]]
@@ -42,7 +44,9 @@ def test_a_uniform_strain_has_the_energy_of_plane_stress(order, some):
     faces = space.faces[::3] if some else space.faces
     thickness = rng.uniform(0.5, 2.0, len(faces)) * 1e-4
     options = {"faces": faces} if some else {}
-    matrix = capsule_stiffness(space, thickness_m=thickness, young_Pa=YOUNG, poisson_ratio=POISSON, **options)
+    matrix = capsule_stiffness(
+        space, thickness_m=thickness, young_Pa=YOUNG, poisson_ratio=POISSON, **options
+    )
     for _ in range(3):
         gradient = rng.normal(size=(3, 3))
         moved = (space.nodes_m @ gradient.T + rng.normal(size=3)).ravel()

@@ -1,4 +1,6 @@
-"""The compliance of touchable nodes: whole, column by column on demand, and cut to a basis of modes."""
+"""The compliance of touchable nodes: whole, column by column on demand, and cut to a basis of
+modes.
+"""
 
 import threading
 import time
@@ -37,7 +39,9 @@ def test_the_compliance_is_found_once_symmetric_and_positive(monkeypatch):
 
 
 def test_the_compliance_read_off_a_factor_is_that_of_back_substitutions(monkeypatch, tmp_path):
-    """Held nodes among the touchable ones give nothing; rounding of two factors in different orders."""
+    """Held nodes among the touchable ones give nothing; rounding of two factors in different
+    orders.
+    """
     body = body_of()
     shares = []
     read = surface_compliance_m_N(body, SURFACE)
@@ -54,7 +58,9 @@ def test_a_compliance_that_would_not_fit_is_refused_beforehand():
     body = body_of()
     needed = compliance_bytes(len(SURFACE))
     assert surface_compliance_m_N(body, SURFACE, limit_bytes=needed).nbytes == needed
-    with pytest.raises(InputError, match=r"must fit in .* GB, got 98 nodes that need .*LazyCompliance"):
+    with pytest.raises(
+        InputError, match=r"must fit in .* GB, got 98 nodes that need .*LazyCompliance"
+    ):
         surface_compliance_m_N(body, SURFACE, limit_bytes=needed - 1)
 
 
@@ -78,7 +84,9 @@ def test_multigrid_finds_columns_too_to_its_tolerance():
     rows = (3 * SURFACE[:, None] + np.arange(3)).ravel()
     found = MultigridSolver(body).columns(unknowns)[rows]
     assert np.abs(found - exact[:, 150:159]).max() < 1e-7 * np.abs(exact).max()
-    with pytest.raises(InputError, match="stiffness must have columns by multigrid, got NOT_CONVERGED"):
+    with pytest.raises(
+        InputError, match="stiffness must have columns by multigrid, got NOT_CONVERGED"
+    ):
         MultigridSolver(body, limit=1).columns(unknowns)
 
 
@@ -92,7 +100,9 @@ def ready(there, nodes):
 
 
 def test_a_node_asked_for_again_while_it_is_found_is_kept_once():
-    """The thread has taken it off the list and is at work when the next tick asks for the same nodes."""
+    """The thread has taken it off the list and is at work when the next tick asks for the same
+    nodes.
+    """
     there = lazy(SURFACE)
     there.want(np.arange(len(SURFACE)))
     node = there._next()
@@ -134,7 +144,9 @@ def test_the_least_recently_used_node_is_evicted():
     there.want(np.array([0, 2, 4]))
     there.fill()
     assert ready(there, np.array([0, 2, 4]))  # what is wanted stays whatever its age
-    with pytest.raises(InputError, match="nodes must be at most the 3 that the buffer holds, got 4"):
+    with pytest.raises(
+        InputError, match="nodes must be at most the 3 that the buffer holds, got 4"
+    ):
         there.want(np.arange(4))
     with pytest.raises(InputError, match="capacity_bytes must hold one node"):
         lazy(SURFACE, capacity_bytes=each - 1)
@@ -194,7 +206,9 @@ def test_more_modes_leave_out_less_and_the_reported_error_is_the_error():
     for size in (5, 20, 60, 200):
         found = ReducedSolver(factor, free, size=size).solve(load)
         reported_errors.append(found.residual)
-        assert found.residual == pytest.approx(energy_error(body, found.displacement_m, exact), rel=1e-6)
+        assert found.residual == pytest.approx(
+            energy_error(body, found.displacement_m, exact), rel=1e-6
+        )
         assert found.converged is (found.residual <= 0.1)
     assert reported_errors == sorted(reported_errors, reverse=True)
     assert reported_errors[0] > 0.1 > reported_errors[-1]
@@ -215,7 +229,8 @@ def test_residual_blocks_make_a_single_node_as_soft_as_it_is():
         part = slice(3 * node, 3 * node + 3)
         assert np.abs(reduced[part, part] - whole[part, part]).max() < 1e-12 * np.abs(whole).max()
     assert np.array_equal(reduced, reduced.T)
-    assert np.linalg.eigvalsh(reduced)[0] > 0.0  # the blocks of what is left out are positive definite
+    # the blocks of what is left out are positive definite
+    assert np.linalg.eigvalsh(reduced)[0] > 0.0
 
 
 def test_a_load_outside_the_basis_is_reported():
@@ -225,7 +240,9 @@ def test_a_load_outside_the_basis_is_reported():
     assert solver.solve(load_on(inside)).outcome is SolverOutcome.OUTSIDE_BASIS
 
 
-@pytest.mark.parametrize(("options", "message"), [({"size": 0}, "size must be in"), ({"size": 9999}, "size must be in")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("options", "message"), [({"size": 0}, "size must be in"), ({"size": 9999}, "size must be in")]
+)
 def test_a_basis_that_makes_no_sense_is_refused(options, message):
     with pytest.raises(InputError, match=message):
         ReducedSolver(DirectSolver(body_of()), SURFACE, **options)

@@ -31,29 +31,35 @@ def test_pressure_all_around_has_neither_force_nor_moment(order):
 
 @ORDERS
 def test_loads_do_the_work_of_a_linear_field(order):
-    """Pressure: -p times the change of volume. Gravity and traction: what they do at the middle of a block."""
+    """Pressure: -p times the change of volume. Gravity and traction: what they do at the middle
+    of a block.
+    """
     space = Space(distorted(3), order)
     moved = space.nodes_m @ FIELD.T
     assert (pressure(space, 7.0) * moved).sum() == pytest.approx(-7.0 * np.trace(FIELD))
     pull = np.array([1.0, 2.0, -3.0])
     middle = np.full(3, 0.5)
-    assert (gravity(space, density_kg_m3=1060.0, acceleration_m_s2=pull) * moved).sum() == pytest.approx(
-        1060.0 * pull @ FIELD @ middle
-    )
+    assert (
+        gravity(space, density_kg_m3=1060.0, acceleration_m_s2=pull) * moved
+    ).sum() == pytest.approx(1060.0 * pull @ FIELD @ middle)
     top = faces_where(space, lambda x: x[:, 2] > 1.0 - 1e-9)
     found = (traction(space, pull, faces=top) * moved).sum()
     assert found == pytest.approx(pull @ FIELD @ [0.5, 0.5, 1.0])
 
 
 def test_quadratic_loads_do_the_work_of_a_quadratic_field():
-    """Traction (0, 0, 1) on the top of the unit cube times u_z = x^2, and weight times the same: 1/3 each."""
+    """Traction (0, 0, 1) on the top of the unit cube times u_z = x^2, and weight times the same:
+    1/3 each.
+    """
     space = Space(distorted(3), 2)
     moved = np.column_stack([0 * space.nodes_m[:, 0]] * 2 + [space.nodes_m[:, 0] ** 2])
     top = faces_where(space, lambda x: x[:, 2] > 1.0 - 1e-9)
-    assert (traction(space, (0.0, 0.0, 1.0), faces=top) * moved).sum() == pytest.approx(1.0 / 3.0, rel=1e-12)
-    assert (gravity(space, density_kg_m3=1.0, acceleration_m_s2=(0, 0, 1)) * moved).sum() == pytest.approx(
+    assert (traction(space, (0.0, 0.0, 1.0), faces=top) * moved).sum() == pytest.approx(
         1.0 / 3.0, rel=1e-12
     )
+    assert (
+        gravity(space, density_kg_m3=1.0, acceleration_m_s2=(0, 0, 1)) * moved
+    ).sum() == pytest.approx(1.0 / 3.0, rel=1e-12)
 
 
 @ORDERS
@@ -69,7 +75,9 @@ def refusals():
     nothing = np.zeros((space.node_count, 3))
     return {
         "order must be 1 or 2": lambda: Space(space.mesh, 3),
-        "acceleration_m_s2 must be finite": lambda: gravity(space, density_kg_m3=1.0, acceleration_m_s2=(0, np.nan, 0)),
+        "acceleration_m_s2 must be finite": lambda: gravity(
+            space, density_kg_m3=1.0, acceleration_m_s2=(0, np.nan, 0)
+        ),
         "traction_Pa must be finite": lambda: traction(space, (0.0, 1.0)),
         "thickness_m must be positive": lambda: capsule_stiffness(
             space, thickness_m=0.0, young_Pa=1e6, poisson_ratio=0.4
@@ -77,9 +85,15 @@ def refusals():
         "young_Pa must be positive": lambda: capsule_stiffness(
             space, thickness_m=1e-4, young_Pa=0.0, poisson_ratio=0.4
         ),
-        "poisson_ratio must be in": lambda: capsule_stiffness(space, thickness_m=1e-4, young_Pa=1e6, poisson_ratio=0.5),
-        "one for each of 48 cells, got 2": lambda: assemble(space, np.stack([isotropic(5e3, 0.4)] * 2)),
-        "displacement_m must be finite": lambda: cell_stress(space, nothing * np.nan, lame(5e3, 0.4)),
+        "poisson_ratio must be in": lambda: capsule_stiffness(
+            space, thickness_m=1e-4, young_Pa=1e6, poisson_ratio=0.5
+        ),
+        "one for each of 48 cells, got 2": lambda: assemble(
+            space, np.stack([isotropic(5e3, 0.4)] * 2)
+        ),
+        "displacement_m must be finite": lambda: cell_stress(
+            space, nothing * np.nan, lame(5e3, 0.4)
+        ),
     }
 
 
@@ -90,9 +104,12 @@ def test_what_cannot_be_used_is_refused(message):
 
 
 def test_a_body_far_from_the_origin_has_the_same_matrix():
-    """Gradients come from differences of positions: 1 m away from a body of 1 m costs rounding alone."""
+    """Gradients come from differences of positions: 1 m away from a body of 1 m costs rounding
+    alone.
+    """
     mesh = distorted(3)
     near, far = (
-        assemble(Space(TetMesh(mesh.nodes_m + shift, mesh.cells), 2), lame(5e3, 0.45)).data for shift in (0.0, 1.0)
+        assemble(Space(TetMesh(mesh.nodes_m + shift, mesh.cells), 2), lame(5e3, 0.45)).data
+        for shift in (0.0, 1.0)
     )
     assert np.abs(near - far).max() <= 1e-13 * np.abs(near).max()

@@ -1,4 +1,6 @@
-"""Equilibria under nodal forces that change, against uniaxial closed forms and against forces that are balanced."""
+"""Equilibria under nodal forces that change, against uniaxial closed forms and against forces
+that are balanced.
+"""
 
 import numpy as np
 import pytest
@@ -19,7 +21,9 @@ from tissue.models.organ.fields import cauchy_stress
 
 SIDE_M = 0.03
 LAME = lame(5e3, 0.45)
-LAW = Hyperelastic.yeoh(0.5 * LAME[1], 0.1 * LAME[1], 0.02 * LAME[1], bulk_Pa=LAME[0] + 2.0 / 3.0 * LAME[1])
+LAW = Hyperelastic.yeoh(
+    0.5 * LAME[1], 0.1 * LAME[1], 0.02 * LAME[1], bulk_Pa=LAME[0] + 2.0 / 3.0 * LAME[1]
+)
 
 
 def cube(order: int) -> tuple[Space, HeldBody, QuasiNewton]:
@@ -33,7 +37,9 @@ def cube(order: int) -> tuple[Space, HeldBody, QuasiNewton]:
     return (
         space,
         body,
-        QuasiNewton(NonlinearBody(space, None, law=LAW), body.fixed, solver_of(body.stiffness), solver_of),
+        QuasiNewton(
+            NonlinearBody(space, None, law=LAW), body.fixed, solver_of(body.stiffness), solver_of
+        ),
     )
 
 
@@ -41,14 +47,20 @@ def pulled(space: Space, force_N: float) -> np.ndarray:
     """A force along x, spread evenly over the face at the greatest x."""
     face = np.isclose(space.nodes_m[space.faces], SIDE_M, atol=1e-12)[:, :, 0].all(axis=1)
     load = np.zeros((space.node_count, 3))
-    share = np.full(3, 1.0 / 3.0) if space.order == 1 else np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0]) / 3.0
+    share = (
+        np.full(3, 1.0 / 3.0)
+        if space.order == 1
+        else np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0]) / 3.0
+    )
     each = np.tile(force_N / face.sum() * share, face.sum())
     load[:, 0] = np.bincount(space.faces[face].ravel(), weights=each, minlength=space.node_count)
     return load
 
 
 SOFTENING = Hyperelastic.yeoh(0.5 * LAME[1], -0.04 * LAME[1], 0.0, bulk_Pa=LAW.bulk_Pa)
-"""Its force along a bar is greatest at a stretch of 2.0 and falls from there: no load alone holds it beyond."""
+"""Its force along a bar is greatest at a stretch of 2.0 and falls from there: no load alone
+holds it beyond.
+"""
 
 
 def softening_bar() -> tuple[Space, HeldBody, QuasiNewton, NonlinearBody]:
@@ -58,7 +70,9 @@ def softening_bar() -> tuple[Space, HeldBody, QuasiNewton, NonlinearBody]:
     nodes = np.arange(27)
 
     def solver_of(stiffness):
-        return DirectSolver(HeldBody(stiffness, space.nodes_m, held.fixed), last=nodes, definite=True)
+        return DirectSolver(
+            HeldBody(stiffness, space.nodes_m, held.fixed), last=nodes, definite=True
+        )
 
     body = NonlinearBody(space, None, law=SOFTENING)
     return space, held, QuasiNewton(body, held.fixed, solver_of(held.stiffness), solver_of), body
@@ -66,17 +80,29 @@ def softening_bar() -> tuple[Space, HeldBody, QuasiNewton, NonlinearBody]:
 
 def softening_N(along: float) -> tuple[float, np.ndarray]:
     """Force along that bar [N] and its stretches, by the law's own derivatives."""
-    side = brentq(lambda side: SOFTENING.stress(np.diag([along, side, side]))[1, 1], 0.3, 3.0, xtol=1e-14)
-    return SOFTENING.stress(np.diag([along, side, side]))[0, 0] * SIDE_M**2, np.array([along, side, side])
+    side = brentq(
+        lambda side: SOFTENING.stress(np.diag([along, side, side]))[1, 1], 0.3, 3.0, xtol=1e-14
+    )
+    return SOFTENING.stress(np.diag([along, side, side]))[0, 0] * SIDE_M**2, np.array(
+        [along, side, side]
+    )
 
 
 def stretched(force_N: float) -> tuple[float, float]:
-    """Stretch along and across a bar under a nominal stress along it, by the law's own derivatives."""
+    """Stretch along and across a bar under a nominal stress along it, by the law's own
+    derivatives.
+    """
 
     def across(along):
-        return brentq(lambda side: LAW.stress(np.diag([along, side, side]))[1, 1], 0.3, 3.0, xtol=1e-14)
+        return brentq(
+            lambda side: LAW.stress(np.diag([along, side, side]))[1, 1], 0.3, 3.0, xtol=1e-14
+        )
 
-    along = brentq(lambda s: LAW.stress(np.diag([s, across(s), across(s)]))[0, 0] - force_N / SIDE_M**2, 0.4, 3.0)
+    along = brentq(
+        lambda s: LAW.stress(np.diag([s, across(s), across(s)]))[0, 0] - force_N / SIDE_M**2,
+        0.4,
+        3.0,
+    )
     return along, across(along)
 
 
@@ -104,7 +130,9 @@ def test_taken_off_the_load_leaves_nothing():
 
 
 def test_springs_hold_a_bar_beyond_the_load_that_it_can_bear():
-    """Force and shape on the falling branch are those of the closed form, though the tangent is indefinite there."""
+    """Force and shape on the falling branch are those of the closed form, though the tangent is
+    indefinite there.
+    """
     space, held, follower, body = softening_bar()
     face = np.flatnonzero(np.isclose(space.nodes_m[:, 0], SIDE_M))
     shares = csr_array(eye_array(space.node_count, format="csr")[face])
@@ -113,27 +141,38 @@ def test_springs_hold_a_bar_beyond_the_load_that_it_can_bear():
         force_N, stretches = softening_N(along)
         moved_m = space.nodes_m * (stretches - 1.0)
         springs = Springs.holding(shares, np.full(len(face), 2e-3), moved_m[face])
-        # The springs are set off, so that they are not at rest in the equilibrium that is asked for.
+        # The springs are set off, so that they are not at rest in the equilibrium that is asked
+        # for.
         off_N = np.zeros((space.node_count, 3))
         off_N[face, 0] = 0.02 / len(face)
-        springs = Springs(springs.points, springs.stiffness_N_m, springs.target_m + 2e-3 * off_N[face].ravel())
-        found = follower.follow(pulled(space, force_N) - off_N, tolerance=1e-9, step_limit=100, springs=springs)
+        springs = Springs(
+            springs.points, springs.stiffness_N_m, springs.target_m + 2e-3 * off_N[face].ravel()
+        )
+        found = follower.follow(
+            pulled(space, force_N) - off_N, tolerance=1e-9, step_limit=100, springs=springs
+        )
         assert found.residual <= 1e-9
         assert found.displacement_m == pytest.approx(moved_m, abs=1e-9)
         assert found.load_N[:, 0].sum() == pytest.approx(force_N, rel=1e-8)
         forces_N.append(force_N)
         free = held.free
-        least = np.linalg.eigvalsh(body.stiffness(found.displacement_m).toarray()[np.ix_(free, free)])[0]
+        least = np.linalg.eigvalsh(
+            body.stiffness(found.displacement_m).toarray()[np.ix_(free, free)]
+        )[0]
         assert (least < 0.0) == (along >= 2.0)
         follower.take_stiffness()
         compliance = follower.factor.compliance_between(np.arange(space.node_count))
-        assert np.linalg.eigvalsh(compliance[np.ix_(free, free)])[0] > 0.0, "what a contact takes is definite"
+        assert np.linalg.eigvalsh(compliance[np.ix_(free, free)])[0] > 0.0, (
+            "what a contact takes is definite"
+        )
     assert forces_N[-1] < max(forces_N), "the last stretches lie on the falling branch"
     assert follower.indefinite >= 7
 
 
 def test_a_load_that_nothing_balances_leaves_the_last_equilibrium():
-    """A softening bar has no equilibrium under three times its greatest force; the follower goes on from where it was."""
+    """A softening bar has no equilibrium under three times its greatest force; the follower goes
+    on from where it was.
+    """
     space, _, follower, _ = softening_bar()
     for along, factor in ((1.5, 1.0), (1.5, 4.0), (1.6, 1.0)):
         force_N, stretches = softening_N(along)
@@ -143,7 +182,9 @@ def test_a_load_that_nothing_balances_leaves_the_last_equilibrium():
             assert np.isfinite(found.displacement_m).all()
         else:
             assert found.residual <= 1e-9
-            assert found.displacement_m == pytest.approx(space.nodes_m * (stretches - 1.0), abs=1e-9)
+            assert found.displacement_m == pytest.approx(
+                space.nodes_m * (stretches - 1.0), abs=1e-9
+            )
 
 
 def test_a_solve_of_no_steps_reports_what_is_left():

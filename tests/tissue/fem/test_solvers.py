@@ -67,7 +67,9 @@ def test_the_answer_is_lapacks_to_the_stated_tolerance(path, held):
 
 
 def test_a_solve_is_linear_reciprocal_and_stores_energy(path):
-    """Betti (1872): the work of one load along another's displacement is the same in either order."""
+    """Betti (1872): the work of one load along another's displacement is the same in either
+    order.
+    """
     body = body_of()
     solver = path(body)
     free = SURFACE[~BOTTOM[SURFACE]]
@@ -98,7 +100,9 @@ def test_forces_on_held_nodes_go_into_the_support(path):
 def test_a_load_that_is_no_number_is_refused(path, bad):
     load = load_on(SURFACE)
     load[SURFACE[4], 1] = bad
-    with pytest.raises(InputError, match=f"load_N must be finite, got .* at node {SURFACE[4]}: check"):
+    with pytest.raises(
+        InputError, match=f"load_N must be finite, got .* at node {SURFACE[4]}: check"
+    ):
         path(body_of()).solve(load)
 
 
@@ -115,17 +119,33 @@ def test_direct_and_multigrid_agree_on_linear_and_quadratic_cells(order, ratio):
     exact = DirectSolver(body).solve(load)
     found = MultigridSolver(body).solve(load)
     assert exact.residual < 1e-11  # rounding times the condition number
-    assert found.converged and energy_error(body, found.displacement_m, exact.displacement_m) <= 1e-8
+    assert (
+        found.converged and energy_error(body, found.displacement_m, exact.displacement_m) <= 1e-8
+    )
 
 
 FREE = {
-    "one node": ([0], "xyz", {"rotation about x through (0.5, 0, 0) m", "rotation about y through (0, 0.5, 0) m",
-                              "rotation about z through (0, 0, 0.5) m"}),
+    "one node": (
+        [0],
+        "xyz",
+        {
+            "rotation about x through (0.5, 0, 0) m",
+            "rotation about y through (0, 0.5, 0) m",
+            "rotation about z through (0, 0, 0.5) m",
+        },
+    ),
     "an edge along z": ([0, 1, 2, 3, 4], "xyz", {"rotation about z through (0, 0, 0.5) m"}),
-    "a plane that slides": (np.flatnonzero(BOTTOM), "z", {"translation along x", "translation along y",
-                                                          "rotation about z through (0.5, 0.5, 0.5) m"}),
+    "a plane that slides": (
+        np.flatnonzero(BOTTOM),
+        "z",
+        {
+            "translation along x",
+            "translation along y",
+            "rotation about z through (0.5, 0.5, 0.5) m",
+        },
+    ),
     "a rail along x": (np.flatnonzero(BOTTOM), "yz", {"translation along x"}),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", FREE)
@@ -136,7 +156,9 @@ def test_free_motions_are_named(case):
         fixed[nodes, "xyz".index(axis)] = True
     regular = box((1.0, 1.0, 1.0), (4, 4, 4)).nodes_m
     assert set(free_modes(regular, fixed)) == expected
-    with pytest.raises(InputError, match=r"supports must leave no rigid motion free, got the body \(125 nodes\)"):
+    with pytest.raises(
+        InputError, match=r"supports must leave no rigid motion free, got the body \(125 nodes\)"
+    ):
         body_of(fixed=(fixed))
 
 
@@ -165,12 +187,16 @@ def test_named_motions_are_those_without_energy():
 
 def test_supports_that_hold_nothing_are_refused():
     none = np.zeros(MESH.nodes_m.shape, dtype=bool)
-    with pytest.raises(InputError, match="supports must hold something, got none: all six rigid motions are free"):
+    with pytest.raises(
+        InputError, match="supports must hold something, got none: all six rigid motions are free"
+    ):
         body_of(fixed=(none))
     loose = TetMesh(np.concatenate([MESH.nodes_m, [[2.0, 0.0, 0.0]]]), MESH.cells)
     fixed = np.zeros(len(loose.nodes_m), dtype=bool)
     fixed[-1] = True
-    with pytest.raises(InputError, match="supports must touch the body, got 1 nodes that no cell uses"):
+    with pytest.raises(
+        InputError, match="supports must touch the body, got 1 nodes that no cell uses"
+    ):
         body_of(loose, held_nodes(fixed))
 
 
@@ -205,12 +231,16 @@ def test_a_stiffness_that_is_not_finite_or_of_another_size_is_refused():
 
 @pytest.mark.parametrize("solver", [DirectSolver, MultigridSolver])
 def test_an_indefinite_stiffness_is_reported(solver):
-    """Shifted by more than its lowest eigenvalue, K keeps a positive diagonal and has one direction of negative energy."""
+    """Shifted by more than its lowest eigenvalue, K keeps a positive diagonal and has one
+    direction of negative energy.
+    """
     body = body_of()
     free = body.free
     values, vectors = np.linalg.eigh(body.stiffness.toarray()[np.ix_(free, free)])
     lowest = vectors[:, 0]
-    shifted = bsr_array((body.stiffness - 1.5 * values[0] * eye_array(body.stiffness.shape[0])).tobsr((3, 3)))
+    shifted = bsr_array(
+        (body.stiffness - 1.5 * values[0] * eye_array(body.stiffness.shape[0])).tobsr((3, 3))
+    )
     assert shifted.diagonal().min() > 0.0
     found = solver(HeldBody(shifted, MESH.nodes_m, body.fixed)).solve(body.whole(lowest))
     assert found.outcome is SolverOutcome.INDEFINITE and not found.converged
@@ -219,8 +249,12 @@ def test_an_indefinite_stiffness_is_reported(solver):
 def test_a_matrix_without_a_factor_is_refused():
     """A cell of no stiffness hung on by nothing else leaves empty rows behind its diagonal."""
     body = body_of()
-    ones = bsr_array((np.ones_like(body.stiffness.data), body.stiffness.indices, body.stiffness.indptr))
-    with pytest.raises(InputError, match="stiffness must be positive definite, got one without a factor"):
+    ones = bsr_array(
+        (np.ones_like(body.stiffness.data), body.stiffness.indices, body.stiffness.indptr)
+    )
+    with pytest.raises(
+        InputError, match="stiffness must be positive definite, got one without a factor"
+    ):
         DirectSolver(HeldBody(ones, MESH.nodes_m, body.fixed))
 
 
@@ -252,7 +286,9 @@ def test_multigrid_refuses_a_tolerance_below_rounding():
 
 
 def test_dissection_orders_every_node_once_and_parts_what_it_separates():
-    """With the last nodes taken out, a box falls apart into halves; elimination in that order fills less than plainly."""
+    """With the last nodes taken out, a box falls apart into halves; elimination in that order
+    fills less than plainly.
+    """
     mesh = box((1.0, 0.5, 0.5), (16, 6, 6))
     body = body_of(mesh)
     graph = pointwise_graph(body.stiffness)
@@ -267,7 +303,12 @@ def test_dissection_orders_every_node_once_and_parts_what_it_separates():
     free = np.isin(unknowns, body.free)
     mixed = np.random.default_rng(0).permutation(body.free)
     fills = [
-        splu(rows[o][:, o].tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}).nnz
+        splu(
+            rows[o][:, o].tocsc(),
+            permc_spec="NATURAL",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        ).nnz
         for o in (unknowns[free], mixed)
     ]
     assert fills[0] < 0.5 * fills[1]

@@ -12,7 +12,11 @@ from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 from tissue.simulation.simulate import simulate
 
-USUAL = [f"{kind}_{part}" for part in ("chip_N_mm2", "edge_N_mm") for kind in ("tangential", "radial", "axial")]
+USUAL = [
+    f"{kind}_{part}"
+    for part in ("chip_N_mm2", "edge_N_mm")
+    for kind in ("tangential", "radial", "axial")
+]
 SLANT = [[-1, 0, 0.2], [-1, 0, -0.8], [1, 0, -1.0]]
 
 
@@ -22,23 +26,32 @@ def values(forward):
 
 def test_loads_of_a_log_are_those_of_a_run_along_it():
     forward = forward_along([[-1, 0, 0.2], [1, 0, -0.8]], [2.0, 2.1])
-    assert [each.name for each in forward.parameters] == [f"cutting.cortical.{name}" for name in USUAL] + [
-        "density.cortical"
-    ]
+    assert [each.name for each in forward.parameters] == [
+        f"cutting.cortical.{name}" for name in USUAL
+    ] + ["density.cortical"]
     cited = constants("cutting", "bone")
     assert values(forward)[:6].tolist() == [cited[name].value for name in USUAL]
     x = np.array([97.0, 31.0, 4.0, 2.9, 3.3, 0.2, 1.0])
-    motion = {"kind": "path", "points_mm": [[-1, 0, 0.2], [1, 0, -0.8]], "feed_mm_s": float(np.sqrt(500.0))}
+    motion = {
+        "kind": "path",
+        "points_mm": [[-1, 0, 0.2], [1, 0, -0.8]],
+        "feed_mm_s": float(np.sqrt(500.0)),
+    }
     run = Scene(**(BLOCK | {"motion": motion, "duration_s": 0.1}))
-    run = changed(run, {f"cutting.{name}": value for name, value in zip(USUAL, x.tolist(), strict=False)})
+    run = changed(
+        run, {f"cutting.{name}": value for name, value in zip(USUAL, x.tolist(), strict=False)}
+    )
     trace = simulate(run, cores=1).trace
     want = np.hstack([trace.vectors("model_force", "N"), trace.vectors("model_torque", "Nm")])
-    # One step of the path is rounded otherwise in a replay: elements at the edge of a voxel change sides.
+    # One step of the path is rounded otherwise in a replay: elements at the edge of a voxel change
+    # sides.
     assert forward.loads(x)[1:] == pytest.approx(want[1:], abs=1e-3 * np.abs(want[:, :3]).max())
     assert forward.times_s[[0, -1]] == pytest.approx([2.0, 2.099])
     exponent = constants("cutting", "bone")["density_exponent"].value
     denser = np.append(x[:6], 1.1)
-    assert forward.loads(denser) == pytest.approx(1.1**exponent * forward.loads(x), rel=1e-9, abs=1e-12)
+    assert forward.loads(denser) == pytest.approx(
+        1.1**exponent * forward.loads(x), rel=1e-9, abs=1e-12
+    )
 
 
 def test_derivatives_by_the_parameters():
@@ -62,8 +75,12 @@ def test_a_cut_averaged_as_a_log_has_the_loads_averaged():
     assert len(averaged.times_s) == -(-len(forward.times_s) // 3) and plain.within_s == (0.0,)
     for delay in (0.0, 0.0031):
         middle = slice(2, -2)
-        exact = (shift_operators(forward.times_s, log.times_s, delay, log.within_s)[0] @ loads)[middle]
-        kept = (shift_operators(averaged.times_s, log.times_s, delay)[0] @ averaged.loads(x))[middle]
+        exact = (shift_operators(forward.times_s, log.times_s, delay, log.within_s)[0] @ loads)[
+            middle
+        ]
+        kept = (shift_operators(averaged.times_s, log.times_s, delay)[0] @ averaged.loads(x))[
+            middle
+        ]
         assert kept == pytest.approx(exact, abs=0.05 * np.abs(loads[:, :3]).max())
         assert np.sqrt(np.mean((kept - exact) ** 2)) < 2e-3 * np.abs(loads[:, :3]).max()
 
@@ -74,7 +91,10 @@ def test_a_cut_averaged_as_a_log_has_the_loads_averaged():
         (("cutting.edge",), ["tangential_edge_N_mm", "radial_edge_N_mm", "axial_edge_N_mm"]),
         (("cutting.cortical.radial",), ["radial_chip_N_mm2", "radial_edge_N_mm"]),
         (("cutting.bone.axial_chip_N_mm2",), ["axial_chip_N_mm2"]),
-        (("cutting.density_exponent", "cutting.chip.radial"), ["radial_chip_N_mm2", "density_exponent"]),
+        (
+            ("cutting.density_exponent", "cutting.chip.radial"),
+            ["radial_chip_N_mm2", "density_exponent"],
+        ),
         (("density.cortical",), []),
     ],
 )
@@ -96,7 +116,9 @@ def test_a_stated_constant_is_fixed_unless_it_is_named():
 
 
 def test_names_that_fit_nothing_list_what_there_is_and_air_is_refused():
-    with pytest.raises(InputError, match=r"got cutting.enamel: choose among cutting.cortical.tangential_chip_N_mm2"):
+    with pytest.raises(
+        InputError, match=r"got cutting.enamel: choose among cutting.cortical.tangential_chip_N_mm2"
+    ):
         forward_along(SLANT, [0.0, 0.05, 0.1], free=("cutting.enamel",))
     with pytest.raises(InputError, match="must bring the tool to the bone"):
         forward_along([[0, 0, 1.0], [0, 0, 2.0]], [0.0, 0.1])
@@ -109,7 +131,8 @@ def test_bone_at_the_first_pose_is_taken_away_without_a_force():
 
 def test_chip_and_edge_of_one_feed_are_in_one_ratio():
     forward = plunging_cylinder()
-    slopes = forward.jacobian(values(forward)).reshape(-1, 7)[:, [0, 1, 3, 4]]  # tangential, radial; chip, edge
+    # tangential, radial; chip, edge
+    slopes = forward.jacobian(values(forward)).reshape(-1, 7)[:, [0, 1, 3, 4]]
     scaled = slopes / np.linalg.norm(slopes, axis=0)
     assert scaled[:, 0] == pytest.approx(scaled[:, 2], abs=1e-6)
     assert scaled[:, 1] == pytest.approx(scaled[:, 3], abs=1e-6)
@@ -117,7 +140,9 @@ def test_chip_and_edge_of_one_feed_are_in_one_ratio():
 
 @pytest.mark.slow
 def test_candidate_slots_of_a_cylinder_against_closed_forms():
-    """Half of its side a deep meets bone, N a / (2 pi) dphi of edge: N a / pi of edge and N a / 4 h of chip."""
+    """Half of its side a deep meets bone, N a / (2 pi) dphi of edge: N a / pi of edge and N a /
+    4 h of chip.
+    """
     forward = forward_along([[0, 0, 0.2], [0, 0, -0.8]], [0.0, 0.1], free=("cutting",))
     found = cutting_candidates(forward)
     assert len(found) == 2 * 3 * 9
@@ -135,8 +160,11 @@ def test_candidate_slots_of_a_cylinder_against_closed_forms():
         ("axial_chip_N_mm2", 4 * 0.5 / np.pi, chip_mm),
     ):
         want = np.zeros(3)
-        # clockwise from above, at +x of a tool that moves along +x the edge goes to -y and the bone pushes it to +y
-        axis, sign = {"radial": (0, -1.0), "tangential": (1, 1.0), "axial": (2, -1.0)}[kind.split("_")[0]]
+        # clockwise from above, at +x of a tool that moves along +x the edge goes to -y and the bone
+        # pushes it to +y
+        axis, sign = {"radial": (0, -1.0), "tangential": (1, 1.0), "axial": (2, -1.0)}[
+            kind.split("_")[0]
+        ]
         want[axis] = sign * size * (chip or 1.0)
         got = slopes[:3, names.index(kind)]
         assert got == pytest.approx(want, abs=0.02 * np.abs(want).max())

@@ -1,4 +1,6 @@
-"""Values and clocks that contradict their priors are stated everywhere, and nothing found with them is determined."""
+"""Values and clocks that contradict their priors are stated everywhere, and nothing found with
+them is determined.
+"""
 
 import json
 import tomllib
@@ -23,9 +25,18 @@ def coarse_slot():
 
 
 def fitted(folder, *, forward=None, factor=1.0, offset_s=0.0):
-    """A fit to a log of median constants, its loads scaled as by a wrong unit, with clocks that differ."""
+    """A fit to a log of median constants, its loads scaled as by a wrong unit, with clocks that
+    differ.
+    """
     forward = forward or coarse_slot()
-    log, _ = planted(forward, np.random.default_rng(5), z=np.zeros(4), offset_s=offset_s, bias=np.zeros(3), scale=0.02)
+    log, _ = planted(
+        forward,
+        np.random.default_rng(5),
+        z=np.zeros(4),
+        offset_s=offset_s,
+        bias=np.zeros(3),
+        scale=0.02,
+    )
     posterior = maximum_posterior(forward, replace(log, values=factor * log.values))
     path = folder / "log.csv"
     path.write_text("time_s\n", "utf-8")
@@ -50,11 +61,17 @@ def test_constants_a_thousand_times_too_small_are_doubtful(tmp_path):
     for name in NAMES:
         assert found[name].state == "doubtful" and found[name].value < found[name].prior.low / 5.0
     write_fit(fit, tmp_path / "fit", overwrite=False)
-    stated = [each for each in verdicts(fit) if each.startswith("doubtful: ") and "tangential_chip" in each]
+    stated = [
+        each
+        for each in verdicts(fit)
+        if each.startswith("doubtful: ") and "tangential_chip" in each
+    ]
     assert len(stated) == 1 and "below its range of 50 to 300" in stated[0]
     numbers = json.loads((tmp_path / "fit" / "fit.json").read_text("utf-8"))
     assert any("tangential_chip" in each for each in numbers["doubts"])
-    entry = tomllib.loads((tmp_path / "fit" / "fitted.toml").read_text("utf-8"))["cutting"]["bone"][NAMES[0]]
+    entry = tomllib.loads((tmp_path / "fit" / "fitted.toml").read_text("utf-8"))["cutting"]["bone"][
+        NAMES[0]
+    ]
     assert entry["confidence"] == "L" and "doubtful" in entry["source"]
     assert "below its range" in (tmp_path / "fit" / "report.html").read_text("utf-8")
 
@@ -68,7 +85,9 @@ def test_clocks_that_contradict_their_prior_determine_nothing(tmp_path):
 
 def test_a_fit_of_scene_keys_alone_is_written(tmp_path):
     forward = coarse_slot()
-    parameters = tuple(replace(each, name=f"organ.parts.part_{at}") for at, each in enumerate(forward.parameters))
+    parameters = tuple(
+        replace(each, name=f"organ.parts.part_{at}") for at, each in enumerate(forward.parameters)
+    )
     fit = fitted(tmp_path, forward=replace(forward, parameters=parameters))
     assert fit.of_material == () and len(fit.scene_keys) == 4
     write_fit(fit, tmp_path / "fit", overwrite=False)

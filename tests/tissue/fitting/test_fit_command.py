@@ -1,4 +1,6 @@
-"""`tissue fit` from a run's own trace with other coefficients: what was planted comes back, into a file for scenes."""
+"""`tissue fit` from a run's own trace with other coefficients: what was planted comes back, into
+a file for scenes.
+"""
 
 import json
 
@@ -20,11 +22,15 @@ PLANTED = {
 def log(tmp_path_factory):
     """A run with planted coefficients as a log, with noise, a bias and a delay of 6 ms."""
     folder = tmp_path_factory.mktemp("log")
-    scene = tissue.load_scene("milling", SCENE | {f"cutting.{name}": value for name, value in PLANTED.items()})
+    scene = tissue.load_scene(
+        "milling", SCENE | {f"cutting.{name}": value for name, value in PLANTED.items()}
+    )
     table = tissue.simulate(scene).to_pandas()
     rng = np.random.default_rng(1)
     times = table["time_s"].to_numpy()
-    kept = table[["time_s", *(f"tool_{c}_mm" for c in "xyz"), *(f"tool_q{c}" for c in "xyzw")]].copy()
+    kept = table[
+        ["time_s", *(f"tool_{c}_mm" for c in "xyz"), *(f"tool_q{c}" for c in "xyzw")]
+    ].copy()
     for c in "xyz":
         force = np.interp(times - 0.006, times, table[f"model_force_{c}_N"])
         kept[f"force_{c}_N"] = force + 0.5 + 0.05 * rng.standard_t(4, size=len(times))
@@ -38,7 +44,9 @@ def log(tmp_path_factory):
 @pytest.mark.slow
 def test_planted_coefficients_come_back_as_a_file_for_scenes(log, tmp_path, command):
     options = [f"--set={name}={value}" for name, value in SCENE.items()]
-    code, text, problem = command("fit", "milling", *options, "--measured", log, "--out", tmp_path / "fit")
+    code, text, problem = command(
+        "fit", "milling", *options, "--measured", log, "--out", tmp_path / "fit"
+    )
     assert code == 0, problem
     assert "not narrowed by this log" in text and "to measure next" in text
     found = json.loads((tmp_path / "fit" / "fit.json").read_text("utf-8"))
@@ -52,7 +60,9 @@ def test_planted_coefficients_come_back_as_a_file_for_scenes(log, tmp_path, comm
         assert abs(each["p50"] - planted) < 4.0 * spread, each
     report = (tmp_path / "fit" / "report.html").read_text("utf-8")
     assert "http" not in report.replace("http-equiv", "") and report.count("<img") == 3
-    code, _, message = command("fit", "milling", *options, "--measured", log, "--out", tmp_path / "fit")
+    code, _, message = command(
+        "fit", "milling", *options, "--measured", log, "--out", tmp_path / "fit"
+    )
     assert code == 2 and "--overwrite" in message
 
 
@@ -65,7 +75,9 @@ def test_a_torque_of_reversed_sign_is_named(log, tmp_path, refused):
     assert "--column torque_z_Nm=-COLUMN" in message
     assert not (tmp_path / "fit" / "fitted.toml").exists()
     scene = tissue.load_scene("milling", SCENE)
-    fit = tissue.fit(scene, log.parent / "reversed_torque.csv", columns={"torque_z_Nm": "-torque_z_Nm"})
+    fit = tissue.fit(
+        scene, log.parent / "reversed_torque.csv", columns={"torque_z_Nm": "-torque_z_Nm"}
+    )
     row = fit.to_pandas().loc["cutting.cortical.tangential_chip_N_mm2"]
     assert row["p05"] < PLANTED["tangential_chip_N_mm2"] < row["p95"]
 

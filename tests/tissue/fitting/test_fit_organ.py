@@ -1,4 +1,6 @@
-"""`tissue fit` of an organ: modulus and friction of a slab come back from a run with noise, bias and delay."""
+"""`tissue fit` of an organ: modulus and friction of a slab come back from a run with noise, bias
+and delay.
+"""
 
 import numpy as np
 import pytest
@@ -12,11 +14,18 @@ from tissue.materials.prior import Z_95
 from tissue.scene.load import changed
 
 SCENE = {
-    "anatomy.size_mm": [50, 40, 20], "anatomy.nodule_diameter_mm": None, "anatomy.edge_mm": 8.0,
-    "anatomy.touch_edge_mm": 5.0, "organ.young_kPa": None, "organ.young_end_kPa": None, "organ.parts": None,
-    "organ.interval_ms": 0.0, "organ.friction": 0.3, "organ.poisson_ratio": 0.48,
+    "anatomy.size_mm": [50, 40, 20],
+    "anatomy.nodule_diameter_mm": None,
+    "anatomy.edge_mm": 8.0,
+    "anatomy.touch_edge_mm": 5.0,
+    "organ.young_kPa": None,
+    "organ.young_end_kPa": None,
+    "organ.parts": None,
+    "organ.interval_ms": 0.0,
+    "organ.friction": 0.3,
+    "organ.poisson_ratio": 0.48,
     "motion.points_mm": [[-8, 0, 1], [-8, 0, -2], [8, 0, -2], [8, 0, 1]],
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +57,9 @@ def test_modulus_and_friction_come_back(log, tmp_path):
         assert abs(row["p50"] - planted) < 4.0 * (row["p95"] - row["p05"]) / 3.29
     assert posterior.nuisances.bias == pytest.approx([0.02] * 3, abs=0.01)
     friction = table.loc["organ.friction", "p50"]
-    assert f"not in fitted.toml: --set organ.friction={friction:.4g}" in " ".join(fit.fitted.sentences)
+    assert f"not in fitted.toml: --set organ.friction={friction:.4g}" in " ".join(
+        fit.fitted.sentences
+    )
     fit.save(tmp_path / "fit")
     text = (tmp_path / "fit" / "fitted.toml").read_text("utf-8")
     assert "modulus_kPa" in text and "friction" not in text
@@ -64,7 +75,9 @@ def runs_of(fit):
     """Runs along the log of a fit, as it takes them."""
     log = read_log(fit.fitted.path)
     scene = tissue.load_scene("palpation", SCENE)
-    return OrganRuns(scene, Poses(log.times_s, log.tips_m, log.quaternions_of(scene)), log.channels, every=EVERY)
+    return OrganRuns(
+        scene, Poses(log.times_s, log.tips_m, log.quaternions_of(scene)), log.channels, every=EVERY
+    )
 
 
 def test_a_log_that_never_touches_is_refused(tmp_path):
@@ -78,18 +91,26 @@ def test_a_log_that_never_touches_is_refused(tmp_path):
 
 def write_log(path, times, tips, forces):
     head = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,force_x_N,force_y_N,force_z_N"
-    np.savetxt(path, np.column_stack([times, tips, forces]), delimiter=",", header=head, comments="")
+    np.savetxt(
+        path, np.column_stack([times, tips, forces]), delimiter=",", header=head, comments=""
+    )
 
 
 def pressed(path, changes, corners_mm, times_s, planted, *, noise_N, seed):
-    """The scene of a slab with changes, and the log of a ball along a path in it with planted constants."""
+    """The scene of a slab with changes, and the log of a ball along a path in it with planted
+    constants.
+    """
     scene = tissue.load_scene("palpation", SCENE | changes)
     upright = np.tile([0.0, 0.0, 0.0, 1.0], (len(times_s), 1))
     poses = Poses(np.array(times_s), 1e-3 * np.array(corners_mm), upright)
     (loads,) = OrganRuns(scene, poses, CHANNELS[:3])([planted])
     times = 1e-3 * np.arange(len(loads))
-    tips = np.column_stack([np.interp(times, times_s, each) for each in np.array(corners_mm, dtype=float).T])
-    write_log(path, times, tips, loads + noise_N * np.random.default_rng(seed).standard_t(4, loads.shape))
+    tips = np.column_stack(
+        [np.interp(times, times_s, each) for each in np.array(corners_mm, dtype=float).T]
+    )
+    write_log(
+        path, times, tips, loads + noise_N * np.random.default_rng(seed).standard_t(4, loads.shape)
+    )
     return scene
 
 
@@ -110,14 +131,24 @@ PRONY = {"prony_g1": 0.27, "prony_tau1_s": 0.045, "prony_g2": 0.3, "prony_tau2_s
 def test_a_prony_series_comes_back_from_a_held_press(tmp_path):
     planted = {f"soft.liver.{name}": value for name, value in PRONY.items()}
     corners = [[0, 0, 0.5], [0, 0, -3], [0, 0, -3], [0, 0, -1], [0, 0, -1]]
-    scene = pressed(tmp_path / "log.csv", VISCOUS, corners, [0.0, 0.03, 1.5, 1.53, 2.5], planted, noise_N=5e-4, seed=4)
+    scene = pressed(
+        tmp_path / "log.csv",
+        VISCOUS,
+        corners,
+        [0.0, 0.03, 1.5, 1.53, 2.5],
+        planted,
+        noise_N=5e-4,
+        seed=4,
+    )
     fit = tissue.fit(scene, tmp_path / "log.csv", free=["soft.prony"], cores=1)
     assert_found(fit.to_pandas(), planted)
 
 
 @pytest.mark.slow
 def test_a_log_too_short_for_relaxation_leaves_its_constants_at_their_range(tmp_path):
-    """A slow press without a hold: the force grows, and what relaxes meanwhile looks like a softer organ."""
+    """A slow press without a hold: the force grows, and what relaxes meanwhile looks like a
+    softer organ.
+    """
     corners = [[0, 0, 0.2], [0, 0, -0.5]]
     scene = pressed(tmp_path / "log.csv", VISCOUS, corners, [0.0, 0.6], {}, noise_N=2e-3, seed=5)
     fit = tissue.fit(scene, tmp_path / "log.csv", free=["soft.modulus_kPa", "soft.prony"], cores=1)
@@ -132,20 +163,32 @@ def test_a_log_too_short_for_relaxation_leaves_its_constants_at_their_range(tmp_
 @pytest.mark.slow
 def test_the_modulus_of_a_part_comes_back_from_a_slide_over_it(tmp_path):
     changes = {
-        "anatomy.size_mm": [50, 40, 30], "anatomy.edge_mm": 6.0, "anatomy.nodule_diameter_mm": 14.0,
-        "anatomy.nodule_centre_mm": [8, 0, -14], "organ.young_kPa": 5.0, "organ.order": 1,
-        "organ.parts": {"nodule": 60.0}, "organ.viscous": False, "organ.friction": 0.0,
-    }  # fmt: skip
+        "anatomy.size_mm": [50, 40, 30],
+        "anatomy.edge_mm": 6.0,
+        "anatomy.nodule_diameter_mm": 14.0,
+        "anatomy.nodule_centre_mm": [8, 0, -14],
+        "organ.young_kPa": 5.0,
+        "organ.order": 1,
+        "organ.parts": {"nodule": 60.0},
+        "organ.viscous": False,
+        "organ.friction": 0.0,
+    }
     corners = [[-12, 0, 0.5], [-12, 0, -2], [12, 0, -2]]
     planted = {"organ.young_kPa": 6.5, "organ.parts.nodule": 40.0}
-    scene = pressed(tmp_path / "log.csv", changes, corners, [0.0, 0.1, 1.0], planted, noise_N=5e-4, seed=6)
+    scene = pressed(
+        tmp_path / "log.csv", changes, corners, [0.0, 0.1, 1.0], planted, noise_N=5e-4, seed=6
+    )
     assert_found(tissue.fit(scene, tmp_path / "log.csv", cores=1).to_pandas(), planted)
 
 
 STIFFENING = {
-    "organ.law": "ogden", "organ.exponent": 12.0, "organ.friction": 0.0, "organ.order": 1, "organ.young_kPa": 8.0,
+    "organ.law": "ogden",
+    "organ.exponent": 12.0,
+    "organ.friction": 0.0,
+    "organ.order": 1,
+    "organ.young_kPa": 8.0,
     "organ.poisson_ratio": 0.45,
-}  # fmt: skip
+}
 
 
 @pytest.mark.slow
@@ -159,20 +202,27 @@ def test_modulus_and_exponent_of_a_hyperelastic_law_come_back_from_a_deep_press(
 
 def test_what_gives_a_law_its_shape_is_free_where_it_has_one():
     def names(**organ):
-        scene = tissue.load_scene("palpation", SCENE | {f"organ.{name}": value for name, value in organ.items()})
+        scene = tissue.load_scene(
+            "palpation", SCENE | {f"organ.{name}": value for name, value in organ.items()}
+        )
         parameters, moduli = organ_parameters(scene, ())
         return [each.name for each in parameters], [parameters[at].name for at in moduli]
 
     modulus = ["soft.liver.modulus_kPa"]
     assert names(law="neo-hookean") == ([*modulus, "organ.friction"], modulus)
-    assert names(law="yeoh", square_ratio=0.2) == ([*modulus, "organ.friction", "organ.square_ratio"], modulus)
+    assert names(law="yeoh", square_ratio=0.2) == (
+        [*modulus, "organ.friction", "organ.square_ratio"],
+        modulus,
+    )
     assert names(law="yeoh", square_ratio=-0.2, cube_ratio=1.0)[0][-1] == "organ.cube_ratio"
     assert names(law="mooney-rivlin", second_share=0.3)[0][-1] == "organ.second_share"
 
 
 @pytest.mark.parametrize("value", [0.1, 0.3, 0.5, 0.9, 0.99])
 def test_every_run_of_a_fit_has_a_share_that_a_scene_may_have(value):
-    scene = tissue.load_scene("palpation", SCENE | {"organ.law": "mooney-rivlin", "organ.second_share": value})
+    scene = tissue.load_scene(
+        "palpation", SCENE | {"organ.law": "mooney-rivlin", "organ.second_share": value}
+    )
     parameters, _ = organ_parameters(scene, ["organ.second_share"])
     prior = parameters[0].prior
     assert float(prior.x(0.0)) == pytest.approx(value, rel=1e-12)

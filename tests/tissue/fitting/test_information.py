@@ -1,4 +1,6 @@
-"""Information of a log and of one that is not measured yet, against the noise's covariance as one dense matrix."""
+"""Information of a log and of one that is not measured yet, against the noise's covariance as
+one dense matrix.
+"""
 
 import numpy as np
 import pytest
@@ -7,7 +9,14 @@ from tissue.fitting.forward import LinearForward, Parameter
 from tissue.fitting.identifiability import expected_information, identified
 from tissue.fitting.measured import MeasuredLoads
 from tissue.fitting.posterior import Posterior
-from tissue.fitting.target import BIAS_SHARE, CORRELATION_SPREAD, FREEDOM, MOST_CORRELATED, OFFSET_S, Target
+from tissue.fitting.target import (
+    BIAS_SHARE,
+    CORRELATION_SPREAD,
+    FREEDOM,
+    MOST_CORRELATED,
+    OFFSET_S,
+    Target,
+)
 from tissue.materials.prior import Prior
 
 TIMES_S = np.arange(0.0, 2.0, 0.01)
@@ -16,11 +25,15 @@ PHI = 0.7
 
 
 def cut(frequency):
-    """Two constants, one of them an oscillating load that begins and ends smoothly, the other its square."""
+    """Two constants, one of them an oscillating load that begins and ends smoothly, the other
+    its square.
+    """
     envelope = np.sin(np.pi * TIMES_S / TIMES_S[-1]) ** 2
     wave = envelope * np.sin(2.0 * np.pi * frequency * TIMES_S)
     parameters = tuple(Parameter(f"cutting.bone.k{at}_N", prior) for at, prior in enumerate(PRIORS))
-    return LinearForward(parameters, ("force_z_N",), TIMES_S, np.stack([wave, wave**2], axis=1)[:, None])
+    return LinearForward(
+        parameters, ("force_z_N",), TIMES_S, np.stack([wave, wave**2], axis=1)[:, None]
+    )
 
 
 @pytest.fixture
@@ -28,7 +41,9 @@ def posterior():
     """At z = (0.3, -0.2) with a correlation of 0.7, whose normal law is any covariance."""
     rng = np.random.default_rng(0)
     forward = cut(1.0)
-    log = MeasuredLoads(TIMES_S, forward.loads(np.array([6.0, 3.0])) + rng.standard_normal((200, 1)), ("force_z_N",))
+    log = MeasuredLoads(
+        TIMES_S, forward.loads(np.array([6.0, 3.0])) + rng.standard_normal((200, 1)), ("force_z_N",)
+    )
     target = Target(forward, log)
     u = np.zeros(target.size)
     u[:2] = (0.3, -0.2)
@@ -66,13 +81,19 @@ def test_expected_information_of_a_candidate(posterior):
     after = np.linalg.inv(np.linalg.inv(now) + matrix)
     widest = int(np.argmax(np.diag(now)))
     (gain,) = expected_information(posterior, [("faster", cut(3.0))])
-    assert gain.nats == pytest.approx(0.5 * np.log(np.linalg.det(now) / np.linalg.det(after)), rel=1e-6)
+    assert gain.nats == pytest.approx(
+        0.5 * np.log(np.linalg.det(now) / np.linalg.det(after)), rel=1e-6
+    )
     assert gain.widest == posterior.names[widest]
-    assert gain.shrinks_to == pytest.approx(np.sqrt(after[widest, widest] / now[widest, widest]), rel=1e-6)
+    assert gain.shrinks_to == pytest.approx(
+        np.sqrt(after[widest, widest] / now[widest, widest]), rel=1e-6
+    )
 
 
 def test_a_combination_that_is_known_for_certain_gains_nothing(posterior):
-    """As of a log without noise, with a variance that rounding makes negative: what is left is one number."""
+    """As of a log without noise, with a variance that rounding makes negative: what is left is
+    one number.
+    """
     known = np.array([3.0, -4.0]) / 5.0
     free = np.array([4.0, 3.0]) / 5.0
     covariance = np.eye(posterior.target.size)
@@ -86,6 +107,10 @@ def test_a_combination_that_is_known_for_certain_gains_nothing(posterior):
 
 
 def test_information_of_the_log(posterior):
-    """With offset and bias free; the slope of the load by the offset from differences, 1e-3 of it."""
-    expected = np.linalg.eigvalsh(left(dense(posterior, by_z(posterior, posterior.target.forward))))[::-1]
+    """With offset and bias free; the slope of the load by the offset from differences, 1e-3 of
+    it.
+    """
+    expected = np.linalg.eigvalsh(
+        left(dense(posterior, by_z(posterior, posterior.target.forward)))
+    )[::-1]
     assert identified(posterior).eigenvalues == pytest.approx(expected, rel=1e-3)

@@ -56,7 +56,9 @@ def test_a_recording_of_volumetric_drilling_has_two_clocks(tmp_path):
         wrench["wrench"] = np.tile(np.arange(6.0), (100, 1))
     log = read_log(tmp_path / "log.hdf5")
     assert len(log.times_s) == 2000 and len(log.load_times_s) == 100
-    assert log.tips_m[0] == pytest.approx([0.1, 0.2, 0.3]) and log.loads[5].tolist() == list(range(6))
+    assert log.tips_m[0] == pytest.approx([0.1, 0.2, 0.3]) and log.loads[5].tolist() == list(
+        range(6)
+    )
 
 
 @pytest.mark.parametrize(
@@ -92,7 +94,9 @@ def test_blank_lines_are_skipped_counted_and_lines_keep_their_numbers(table, tmp
     (tmp_path / "log.csv").write_text("\n".join([*lines[:21], "", " ", *lines[21:], ""]))
     log = read_log(tmp_path / "log.csv")
     assert len(log.times_s) == len(TIMES_S) and "2 blank lines between the rows" in log.notes
-    (tmp_path / "log.csv").write_text("\n".join([*lines[:21], "", *lines[21:30], lines[30][:-3] + "x", *lines[31:]]))
+    (tmp_path / "log.csv").write_text(
+        "\n".join([*lines[:21], "", *lines[21:30], lines[30][:-3] + "x", *lines[31:]])
+    )
     with pytest.raises(InputError, match="in line 32"):
         read_log(tmp_path / "log.csv")
 
@@ -109,7 +113,9 @@ def test_matlab_7_3_has_structs(table, tmp_path):
 
 
 def test_a_saturated_sensor_is_noted_and_its_samples_left_out(tmp_path):
-    """Clipped at 5 N; a peak in steps that is as flat for a moment is not, nor a smooth load that rests."""
+    """Clipped at 5 N; a peak in steps that is as flat for a moment is not, nor a smooth load
+    that rests.
+    """
     times_s = np.arange(0.0, 2.0, 1e-3)
     rng = np.random.default_rng(0)
     smooth = 6.0 * np.sin(np.pi * times_s)
@@ -121,7 +127,10 @@ def test_a_saturated_sensor_is_noted_and_its_samples_left_out(tmp_path):
     write_table(Table(NAMES, rows), tmp_path / "log.npz")
     log = read_log(tmp_path / "log.npz")
     assert np.array_equal(np.isnan(log.loads), np.column_stack([full, 0 * full, 0 * full]))
-    assert f"{full.sum()} samples of force_x_N" in log.notes[0] and "force_y_N comes in steps of 0.4 N" in log.notes[1]
+    assert (
+        f"{full.sum()} samples of force_x_N" in log.notes[0]
+        and "force_y_N comes in steps of 0.4 N" in log.notes[1]
+    )
     assert len(log.notes) == 2
 
 
@@ -132,15 +141,21 @@ def test_slow_poses_and_noisy_ones_are_noted(tmp_path):
     slow = np.repeat(x[::20], 20)
     noisy = x + 0.05 * rng.standard_normal(len(x))
     for moved, noted in ((slow, ["every 20 ms"]), (noisy, ["poses have noise of 0.0"]), (x, [])):
-        rows = np.column_stack([times_s, moved, 0.0 * x, 0.0 * x, *rng.standard_normal((3, len(times_s)))])
+        rows = np.column_stack(
+            [times_s, moved, 0.0 * x, 0.0 * x, *rng.standard_normal((3, len(times_s)))]
+        )
         write_table(Table(NAMES, rows), tmp_path / "log.npz")
         notes = read_log(tmp_path / "log.npz").notes
-        assert len(notes) == len(noted) and all(part in note for part, note in zip(noted, notes, strict=True))
+        assert len(notes) == len(noted) and all(
+            part in note for part, note in zip(noted, notes, strict=True)
+        )
 
 
 def test_means_over_blocks_keep_the_mean_and_fold_no_tone():
     times_s = np.arange(0.0, 2.0, 1e-3)
     tone = np.cos(2.0 * np.pi * 400.0 * times_s)  # two periods a block of 5 ms
-    found = block_averages(times_s, np.column_stack([3.0 + tone, times_s]), ("force_x_N", "force_y_N"), 5)
+    found = block_averages(
+        times_s, np.column_stack([3.0 + tone, times_s]), ("force_x_N", "force_y_N"), 5
+    )
     assert found.values[:, 0] == pytest.approx(3.0, abs=1e-12)
     assert found.values[:, 1] == pytest.approx(found.times_s, abs=1e-12)

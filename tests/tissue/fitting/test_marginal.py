@@ -1,4 +1,6 @@
-"""The law of one constant against the density summed over a grid, where a normal law of its number is far off."""
+"""The law of one constant against the density summed over a grid, where a normal law of its
+number is far off.
+"""
 
 import numpy as np
 import pytest
@@ -17,12 +19,18 @@ WIDE = Prior(0.01, 0.0, 0.1)
 
 @pytest.fixture(
     scope="module",
-    params=[pytest.param(0.02, marks=pytest.mark.slow), pytest.param(0.05, marks=pytest.mark.slow), 0.15],
+    params=[
+        pytest.param(0.02, marks=pytest.mark.slow),
+        pytest.param(0.05, marks=pytest.mark.slow),
+        0.15,
+    ],
 )
 def posterior(request):
     """An oscillating load of a constant whose range spans decades, below 0.02 hidden by noise."""
     basis = np.sin(9.0 * TIMES_S)[:, None, None]
-    forward = LinearForward((Parameter("cutting.bone.k_N_mm", WIDE),), ("force_z_N",), TIMES_S, basis)
+    forward = LinearForward(
+        (Parameter("cutting.bone.k_N_mm", WIDE),), ("force_z_N",), TIMES_S, basis
+    )
     noise = 0.3 * np.random.default_rng(5).standard_normal((len(TIMES_S), 1))
     noise -= basis[:, :, 0] * (basis[:, 0, 0] @ noise) / (basis[:, 0, 0] @ basis[:, 0, 0])
     values = request.param * basis[:, :, 0] + noise
@@ -31,7 +39,9 @@ def posterior(request):
 
 @pytest.fixture(scope="module")
 def summed(posterior):
-    """Quantiles and spread of the number, offset and bias summed over by Gauss-Hermite points as well."""
+    """Quantiles and spread of the number, offset and bias summed over by Gauss-Hermite points as
+    well.
+    """
     target = posterior.target
     u = posterior.maximum
     places = np.linspace(-5.0, 5.0, 101)
@@ -41,7 +51,9 @@ def summed(posterior):
     for i, z in enumerate(places):
         for j, a in enumerate(points):
             for k, b in enumerate(points):
-                moved = u + np.concatenate([[z - u[0], a * offset_spread, b * bias_spread], np.zeros(len(u) - 3)])
+                moved = u + np.concatenate(
+                    [[z - u[0], a * offset_spread, b * bias_spread], np.zeros(len(u) - 3)]
+                )
                 logs[i, j, k] = target.value(moved) + 0.5 * (a * a + b * b)
     density = (np.exp(logs - logs.max()) * np.multiply.outer(weights, weights)).sum(axis=(1, 2))
     density /= density.sum()
@@ -69,14 +81,21 @@ def test_a_normal_law_would_call_a_hidden_constant_known(posterior, summed):
 
 
 def test_constants_known_only_by_their_sum():
-    """What is left of two ranges that span decades is the product of their laws along the line of the sum."""
+    """What is left of two ranges that span decades is the product of their laws along the line
+    of the sum.
+    """
     priors = (Prior(0.01, 0.0, 0.1), Prior(0.03, 0.005, 0.2))
     total = 0.06
     basis = np.sin(9.0 * TIMES_S)[:, None, None]
-    names = [Parameter(f"cutting.bone.{name}_N_mm", prior) for name, prior in zip("ab", priors, strict=True)]
+    names = [
+        Parameter(f"cutting.bone.{name}_N_mm", prior)
+        for name, prior in zip("ab", priors, strict=True)
+    ]
     forward = LinearForward(tuple(names), ("force_z_N",), TIMES_S, np.repeat(basis, 2, axis=2))
     noise = 2e-4 * np.random.default_rng(3).standard_normal((len(TIMES_S), 1))
-    posterior = maximum_posterior(forward, MeasuredLoads(TIMES_S, total * basis[:, :, 0] + noise, ("force_z_N",)))
+    posterior = maximum_posterior(
+        forward, MeasuredLoads(TIMES_S, total * basis[:, :, 0] + noise, ("force_z_N",))
+    )
     z = np.linspace(-8.0, 8.0, 200_001)
     first = priors[0].x(z)
     z = z[first < total]
@@ -91,10 +110,14 @@ def test_constants_known_only_by_their_sum():
 @pytest.mark.slow
 def test_the_density_of_a_constant_of_a_cut_does_not_depend_on_the_start():
     """Where others follow a constant along a curve, straight ahead is far from it."""
-    forward = forward_along([[-1, 0, 0.2], [-1, 0, -0.3], [1, 0, -0.8], [1, 1, -0.8]], [0.0, 0.1, 0.4, 0.5])
+    forward = forward_along(
+        [[-1, 0, 0.2], [-1, 0, -0.3], [1, 0, -0.8], [1, 1, -0.8]], [0.0, 0.1, 0.4, 0.5]
+    )
     loads = forward.loads(np.array([each.prior.value for each in forward.parameters]))[:, :3]
     loads += 0.002 * np.abs(loads).max() * np.random.default_rng(1).standard_t(4, loads.shape)
-    forward, log = forward.averaged_as(block_averages(forward.times_s, loads, forward.channels[:3], 5))
+    forward, log = forward.averaged_as(
+        block_averages(forward.times_s, loads, forward.channels[:3], 5)
+    )
     posterior = maximum_posterior(forward, log)
     target = posterior.target
     maximum = posterior.maximum
@@ -104,19 +127,29 @@ def test_the_density_of_a_constant_of_a_cut_does_not_depend_on_the_start():
         top = log_density_at(target, maximum, at)[0]
         spread = covariance[at, at] ** 0.5
         for step in (-2.0 * spread, 2.0 * spread):
-            along = log_density_at(target, maximum + step * covariance[:, at] / covariance[at, at], at)[0] - top
+            along = (
+                log_density_at(target, maximum + step * covariance[:, at] / covariance[at, at], at)[
+                    0
+                ]
+                - top
+            )
             straight = log_density_at(target, maximum + step * np.eye(target.size)[at], at)[0] - top
             if along > -NEGLIGIBLE:
-                assert straight == pytest.approx(along, rel=0.03, abs=0.1)  # far down the density matters little
+                # far down the density matters little
+                assert straight == pytest.approx(along, rel=0.03, abs=0.1)
                 compared += 1
     assert compared >= 10
 
 
 def test_an_offset_that_leaves_a_jump_between_two_samples_is_not_known_within_them():
-    """Poses at 1 kHz, loads read each 20 ms: a load that jumps 8 ms after a sample jumps anywhere in those 20 ms."""
+    """Poses at 1 kHz, loads read each 20 ms: a load that jumps 8 ms after a sample jumps
+    anywhere in those 20 ms.
+    """
     times = 1e-3 * np.arange(2000)
     basis = np.where(times > 1.008, 1.0, 0.0)[:, None, None]
-    forward = LinearForward((Parameter("cutting.bone.k_N_mm", Prior(5.0, 1.0, 25.0)),), ("force_z_N",), times, basis)
+    forward = LinearForward(
+        (Parameter("cutting.bone.k_N_mm", Prior(5.0, 1.0, 25.0)),), ("force_z_N",), times, basis
+    )
     rng = np.random.default_rng(4)
     values = 6.0 * basis[::20, :, 0] + 0.05 * rng.standard_normal((100, 1))
     found = maximum_posterior(forward, MeasuredLoads(times[::20], values, ("force_z_N",)))

@@ -6,7 +6,9 @@ import pytest
 from tissue.fitting.measured import block_averages, block_ticks, shift_operators
 
 
-@pytest.mark.parametrize(("rate_Hz", "ticks"), [(1000.0, 5), (200.0, 5), (150.0, 7), (100.0, 10), (30.0, 34)])
+@pytest.mark.parametrize(
+    ("rate_Hz", "ticks"), [(1000.0, 5), (200.0, 5), (150.0, 7), (100.0, 10), (30.0, 34)]
+)
 def test_no_block_of_a_slow_log_is_empty(rate_Hz, ticks):
     times = 3.0 + np.arange(round(4.0 * rate_Hz)) / rate_Hz
     assert block_ticks(float(times[-1] - times[0]), 1.0 / rate_Hz) == ticks
@@ -44,5 +46,7 @@ def test_a_line_is_exact_on_uneven_times_and_constant_outside():
     wanted = np.array([-1.0, times[0] + 0.003, times[30] - 1e-4, times[30], times[-1] - 1e-3, 9.0])
     values, rates = shift_operators(times, wanted, 0.0)
     line = 2.0 * times + 1.0
-    np.testing.assert_allclose(values @ line, 2.0 * np.clip(wanted, times[0], times[-1]) + 1.0, rtol=1e-12)
+    np.testing.assert_allclose(
+        values @ line, 2.0 * np.clip(wanted, times[0], times[-1]) + 1.0, rtol=1e-12
+    )
     np.testing.assert_allclose(rates @ line, [0.0, -2.0, -2.0, -2.0, -2.0, 0.0], atol=1e-9)

@@ -1,4 +1,6 @@
-"""The law of residuals against SciPy's densities, its gradient against differences, and gaps that restart the chain."""
+"""The law of residuals against SciPy's densities, its gradient against differences, and gaps
+that restart the chain.
+"""
 
 import numpy as np
 import pytest
@@ -23,7 +25,9 @@ def residuals():
 
 def test_without_correlation_it_is_students_law(residuals):
     expected = np.nansum(student.logpdf(residuals, FREEDOM, scale=SCALE))
-    assert noise_terms(residuals, SCALE, np.zeros(2), FREEDOM).log_density == pytest.approx(expected, rel=1e-12)
+    assert noise_terms(residuals, SCALE, np.zeros(2), FREEDOM).log_density == pytest.approx(
+        expected, rel=1e-12
+    )
 
 
 def test_a_chain_is_a_product_of_conditional_densities_that_starts_anew_after_a_gap(residuals):
@@ -33,10 +37,14 @@ def test_a_chain_is_a_product_of_conditional_densities_that_starts_anew_after_a_
         for value in residuals[:, channel]:
             if np.isfinite(value):
                 started = np.isfinite(last)
-                centre, width = (phi * last, scale) if started else (0.0, scale / np.sqrt(1.0 - phi**2))
+                centre, width = (
+                    (phi * last, scale) if started else (0.0, scale / np.sqrt(1.0 - phi**2))
+                )
                 expected += student.logpdf(value, freedom, centre, width)
             last = value
-    assert noise_terms(residuals, SCALE, PHI, FREEDOM).log_density == pytest.approx(expected, rel=1e-12)
+    assert noise_terms(residuals, SCALE, PHI, FREEDOM).log_density == pytest.approx(
+        expected, rel=1e-12
+    )
 
 
 def test_the_gradient_is_that_of_the_density(residuals):
@@ -46,7 +54,10 @@ def test_the_gradient_is_that_of_the_density(residuals):
     def slope(residuals_by=0.0, scale_by=0.0, phi_by=0.0, freedom_by=0.0):
         up, down = (
             noise_terms(
-                residuals + h * residuals_by, SCALE * np.exp(h * scale_by), PHI + h * phi_by, FREEDOM + h * freedom_by
+                residuals + h * residuals_by,
+                SCALE * np.exp(h * scale_by),
+                PHI + h * phi_by,
+                FREEDOM + h * freedom_by,
             ).log_density
             for h in (step, -step)
         )
@@ -59,7 +70,9 @@ def test_the_gradient_is_that_of_the_density(residuals):
     for row, channel in ((0, 1), (1, 0), (7, 0), (11, 1), (15, 1), (39, 0)):
         bump = np.zeros_like(residuals)
         bump[row, channel] = 1.0
-        assert terms.by_residuals[row, channel] == pytest.approx(slope(residuals_by=bump), rel=1e-6, abs=1e-8)
+        assert terms.by_residuals[row, channel] == pytest.approx(
+            slope(residuals_by=bump), rel=1e-6, abs=1e-8
+        )
     assert not terms.by_residuals[12:15, 1].any()
 
 
@@ -77,15 +90,25 @@ def test_information_is_the_mean_of_products_of_scores(freedom):
 
     def score(e, by):
         h = 1e-4
-        up, down = (student.logpdf(e, *(np.array([freedom, 0.0, 1.0]) + sign * h * by)) for sign in (1.0, -1.0))
+        up, down = (
+            student.logpdf(e, *(np.array([freedom, 0.0, 1.0]) + sign * h * by))
+            for sign in (1.0, -1.0)
+        )
         return (up - down) / (2.0 * h)
 
     def mean(left, right):
-        whole = quad(lambda e: student.pdf(e, freedom) * score(e, left) * score(e, right), -np.inf, np.inf, limit=200)
+        whole = quad(
+            lambda e: student.pdf(e, freedom) * score(e, left) * score(e, right),
+            -np.inf,
+            np.inf,
+            limit=200,
+        )
         return whole[0]
 
     by_freedom, by_place, by_scale = np.eye(3)
     of_freedom, crossed = freedom_information(np.array([freedom]))
-    assert place_information(np.array([freedom]))[0] == pytest.approx(mean(by_place, by_place), rel=1e-4)
+    assert place_information(np.array([freedom]))[0] == pytest.approx(
+        mean(by_place, by_place), rel=1e-4
+    )
     assert of_freedom[0] == pytest.approx(mean(by_freedom, by_freedom), rel=1e-3)
     assert crossed[0] == pytest.approx(mean(by_freedom, by_scale), rel=1e-3)

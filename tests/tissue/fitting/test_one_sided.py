@@ -1,4 +1,6 @@
-"""Constants whose cited value is an end of their range, against integrals over the prior that is cut off there."""
+"""Constants whose cited value is an end of their range, against integrals over the prior that is
+cut off there.
+"""
 
 import numpy as np
 import pytest
@@ -35,13 +37,17 @@ def test_a_value_at_the_upper_end_is_mirrored_on_the_scale_of_its_prior():
 
 @pytest.mark.parametrize("mean", [[0.4], [-2.0], [0.5, -0.7], [1.2, 0.1]])
 def test_the_factor_is_the_integral_over_the_cut_off_prior(mean):
-    """By the trapezoid over each number below and above 0: its likelihood below 0 is the one at 0."""
+    """By the trapezoid over each number below and above 0: its likelihood below 0 is the one at
+    0.
+    """
     k = len(mean)
     covariance = np.array([[0.5, -0.3], [-0.3, 0.4]])[:k, :k]
     axis = np.linspace(-8.0, 8.0, 321)
     grid = np.stack(np.meshgrid(*[axis] * k, indexing="ij"), axis=-1)
     at = np.maximum(grid, 0.0)
-    likelihood = multivariate_normal(mean, covariance).pdf(at).reshape(grid.shape[:-1]) / np.prod(norm.pdf(at), axis=-1)
+    likelihood = multivariate_normal(mean, covariance).pdf(at).reshape(grid.shape[:-1]) / np.prod(
+        norm.pdf(at), axis=-1
+    )
     value = likelihood * np.prod(norm.pdf(grid), axis=-1)
     for _ in range(k):
         value = np.trapezoid(value, axis, axis=0)
@@ -52,26 +58,35 @@ TIMES_S = np.arange(0.0, 1.2, 0.01)
 
 
 def confounded(planted, seed):
-    """A radial constant and an axial one with nearly the same loads, and a log of them on two channels."""
+    """A radial constant and an axial one with nearly the same loads, and a log of them on two
+    channels.
+    """
     wave = np.sin(2.0 * np.pi * TIMES_S / 0.6)
     basis = np.zeros((len(TIMES_S), 2, 2))
     basis[:, 0, 0] = wave
     basis[:, 0, 1] = 0.9 * wave
     basis[:, 1, 0] = 0.2 * wave
-    parameters = (Parameter("cutting.bone.radial", Prior(10.0, 4.0, 25.0)), Parameter.of("cutting.bone.axial", CITED))
+    parameters = (
+        Parameter("cutting.bone.radial", Prior(10.0, 4.0, 25.0)),
+        Parameter.of("cutting.bone.axial", CITED),
+    )
     forward = LinearForward(parameters, ("force_x_N", "force_y_N"), TIMES_S, basis)
     noise = 0.8 * np.random.default_rng(seed).standard_normal((len(TIMES_S), 2))
     return forward, MeasuredLoads(TIMES_S, basis @ np.array(planted) + noise, forward.channels)
 
 
 def student(residuals, noise):
-    """Log density of residuals, shape (..., m, c), for the noise that a fit found, written out anew."""
+    """Log density of residuals, shape (..., m, c), for the noise that a fit found, written out
+    anew.
+    """
     nu = noise.freedom
     scale = noise.scale
     phi = noise.correlation
     first = np.sqrt(1.0 - phi**2) * residuals[..., :1, :]
     e = np.concatenate([first, residuals[..., 1:, :] - phi * residuals[..., :-1, :]], axis=-2)
-    constant = gammaln(0.5 * (nu + 1.0)) - gammaln(0.5 * nu) - 0.5 * np.log(nu * np.pi) - np.log(scale)
+    constant = (
+        gammaln(0.5 * (nu + 1.0)) - gammaln(0.5 * nu) - 0.5 * np.log(nu * np.pi) - np.log(scale)
+    )
     return (constant - 0.5 * (nu + 1.0) * np.log1p(e**2 / (nu * scale**2))).sum(axis=(-1, -2))
 
 
@@ -84,9 +99,14 @@ def test_intervals_of_confounded_constants_are_those_of_a_sum_over_a_grid(plante
     radial = forward.parameters[0].prior.x(z)
     axial = np.linspace(0.0, 10.0, 121)
     # Bias and offset are known well and do not move the loads' shape: they are kept at the maximum.
-    shifted = np.stack([np.interp(TIMES_S - noise.offset_s, TIMES_S, each) for each in forward.basis[:, 0].T], axis=-1)
+    shifted = np.stack(
+        [np.interp(TIMES_S - noise.offset_s, TIMES_S, each) for each in forward.basis[:, 0].T],
+        axis=-1,
+    )
     basis = np.stack([shifted, 0.2 * shifted * [1.0, 0.0]], axis=1)
-    loads = np.einsum("tcp,rap->ratc", basis, np.stack(np.meshgrid(radial, axial, indexing="ij"), axis=-1))
+    loads = np.einsum(
+        "tcp,rap->ratc", basis, np.stack(np.meshgrid(radial, axial, indexing="ij"), axis=-1)
+    )
     likelihood = student(log.values - loads - noise.bias, noise)
     density = np.exp(likelihood - likelihood.max()) * norm.pdf(z)[:, None]
     spread = 6.0 / 1.6448536

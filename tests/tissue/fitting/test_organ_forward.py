@@ -1,4 +1,6 @@
-"""Loads of an organ by its constants: proportional to all moduli together, against closed forms and runs."""
+"""Loads of an organ by its constants: proportional to all moduli together, against closed forms
+and runs.
+"""
 
 import numpy as np
 import pytest
@@ -13,16 +15,25 @@ FIRST = 5.0
 SECOND = 50.0
 FRICTION = 0.3
 SLAB = {
-    "anatomy.size_mm": [40, 30, 15], "anatomy.nodule_diameter_mm": None, "anatomy.edge_mm": 10.0,
-    "anatomy.touch_edge_mm": 6.0, "organ.parts": None, "organ.interval_ms": 0.0, "motion.points_mm": [[0, 0, 1], [0, 0, -1]],
-}  # fmt: skip
+    "anatomy.size_mm": [40, 30, 15],
+    "anatomy.nodule_diameter_mm": None,
+    "anatomy.edge_mm": 10.0,
+    "anatomy.touch_edge_mm": 6.0,
+    "organ.parts": None,
+    "organ.interval_ms": 0.0,
+    "motion.points_mm": [[0, 0, 1], [0, 0, -1]],
+}
 POSES = Poses(
-    np.array([0.0, 0.1, 0.3]), 1e-3 * np.array([[-4, 0, 0.5], [-4, 0, -2], [4, 0, -2]]), np.tile([0.0, 0, 0, 1], (3, 1))
+    np.array([0.0, 0.1, 0.3]),
+    1e-3 * np.array([[-4, 0, 0.5], [-4, 0, -2], [4, 0, -2]]),
+    np.tile([0.0, 0, 0, 1], (3, 1)),
 )
 
 
 def closed(x):
-    """Loads of springs in parallel with friction, which multiplies them, and the logarithm of a time, also together."""
+    """Loads of springs in parallel with friction, which multiplies them, and the logarithm of a
+    time, also together.
+    """
     base = np.arange(1.0, 7.0).reshape(3, 2)
     friction = x[2]
     late = np.log(x[3])
@@ -35,7 +46,8 @@ def forward(moduli):
     names = ("organ.young_kPa", "organ.young_end_kPa", "organ.friction", "soft.liver.prony_tau1_s")
     at = np.array([FIRST, SECOND, FRICTION, 0.5])
     parameters = tuple(
-        Parameter(name, Prior(value, 0.5 * value, 2.0 * value)) for name, value in zip(names, at, strict=True)
+        Parameter(name, Prior(value, 0.5 * value, 2.0 * value))
+        for name, value in zip(names, at, strict=True)
     )
     base = np.arange(1.0, 7.0).reshape(3, 2)
     of_first = np.zeros_like(base) if moduli else (closed(at) - base**2 * SECOND) / FIRST
@@ -53,7 +65,9 @@ def forward(moduli):
 def test_loads_that_are_proportional_to_all_moduli_need_no_slope_by_the_first():
     x = np.array([11.0, 20.0, 0.7, 0.2])
     np.testing.assert_allclose(forward((0, 1)).loads(x), closed(x), rtol=1e-12)
-    assert np.abs(forward(()).loads(x) - closed(x)).max() > 10.0, "friction times modulus is not linear"
+    assert np.abs(forward(()).loads(x) - closed(x)).max() > 10.0, (
+        "friction times modulus is not linear"
+    )
 
 
 def test_jacobian_against_differences():
@@ -87,7 +101,9 @@ def test_slopes_move_with_the_run_along_parabolas():
 def test_the_force_is_proportional_to_all_moduli_of_a_run(viscous):
     scene = load_scene("palpation", SLAB | {"organ.viscous": viscous})
     runs = OrganRuns(scene, POSES, ("force_x_N", "force_z_N"), every=2)
-    once, thrice = runs([{"organ.young_kPa": k * 5.0, "organ.young_end_kPa": k * 50.0} for k in (1.0, 3.0)])
+    once, thrice = runs(
+        [{"organ.young_kPa": k * 5.0, "organ.young_end_kPa": k * 50.0} for k in (1.0, 3.0)]
+    )
     assert once.shape == (150, 2) and once[-1, 1] > 0.05 and runs.count == 2
     np.testing.assert_allclose(thrice, 3.0 * once, atol=1e-9 * thrice.max())
 
@@ -96,11 +112,20 @@ def test_stated_moduli_are_free_and_scale_together_where_nothing_else_is_stiff()
     palpation = load_scene("palpation")
     parameters, moduli = organ_parameters(palpation, ())
     names = [each.name for each in parameters]
-    assert [names[at] for at in moduli] == ["organ.young_kPa", "organ.young_end_kPa", "organ.parts.nodule"]
+    assert [names[at] for at in moduli] == [
+        "organ.young_kPa",
+        "organ.young_end_kPa",
+        "organ.parts.nodule",
+    ]
     assert "organ.friction" in names and "soft.liver.modulus_kPa" not in names
     _, moduli = organ_parameters(palpation, ["organ.young_kPa", "organ.friction"])
     assert moduli == (), "the nodule keeps its modulus"
     _, moduli = organ_parameters(load_scene("liver-press", {"organ.gravity": True}), ())
     assert moduli == (), "the weight does not scale"
-    parameters, moduli = organ_parameters(load_scene("liver-press", {"anatomy.nodule_diameter_mm": 40.0}), ())
-    assert [parameters[at].name for at in moduli] == ["soft.liver.modulus_kPa", "organ.parts.nodule"]
+    parameters, moduli = organ_parameters(
+        load_scene("liver-press", {"anatomy.nodule_diameter_mm": 40.0}), ()
+    )
+    assert [parameters[at].name for at in moduli] == [
+        "soft.liver.modulus_kPa",
+        "organ.parts.nodule",
+    ]

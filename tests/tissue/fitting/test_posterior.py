@@ -15,7 +15,9 @@ from tissue.materials.prior import Prior
 
 @pytest.mark.parametrize("restricted", [False, True])
 def test_gradient_by_differences(restricted):
-    """That of the restricted likelihood by the noise alone, its sensitivities being those of one place."""
+    """That of the restricted likelihood by the noise alone, its sensitivities being those of one
+    place.
+    """
     rng = np.random.default_rng(1)
     log, _ = plant(slot(), rng)
     log.values[100:120, 1] = np.nan
@@ -39,7 +41,9 @@ def test_restricted_information_is_that_of_the_whitened_sensitivities():
     columns = target.whitened(target.linearised(u)[1], target.unpacked(u))
     expected = np.linalg.slogdet(columns.T @ columns + np.eye(columns.shape[1]))[1]
     restricted = Restricted(target, u)
-    assert 2.0 * (target.value(u) - restricted.value_and_gradient(u)[0]) == pytest.approx(expected, rel=1e-9)
+    assert 2.0 * (target.value(u) - restricted.value_and_gradient(u)[0]) == pytest.approx(
+        expected, rel=1e-9
+    )
 
 
 def test_planted_constants_bias_and_offset_come_back():
@@ -59,14 +63,15 @@ def test_planted_constants_bias_and_offset_come_back():
 
 
 def test_normal_law_of_a_linear_problem_is_exact():
-    """With linear priors and known noise the covariance is that of ridge regression: (J' W J + I)^-1, within the share
-    that the estimation of noise, bias and offset adds."""
+    """With linear priors and known noise the covariance is that of ridge regression: (J' W J +
+    I)^-1, within the share that the estimation of noise, bias and offset adds."""
     rng = np.random.default_rng(3)
     log, _ = plant(slot(), rng, scale=0.05)
     found = maximum_posterior(slot(), log)
     gain = expected_information(found, [("again", slot())])[0]
     values = np.linalg.eigvalsh(found.covariance_z)
-    assert gain.nats == pytest.approx(0.5 * len(values) * np.log(2.0), rel=0.05)  # the same log again halves variances
+    # the same log again halves variances
+    assert gain.nats == pytest.approx(0.5 * len(values) * np.log(2.0), rel=0.05)
     assert gain.shrinks_to == pytest.approx(np.sqrt(0.5), rel=0.02)
 
 
@@ -77,9 +82,12 @@ def test_outliers_do_not_move_the_estimate():
     hit = rng.random(spoilt.shape) < 0.01
     spoilt[hit] += 50 * 0.14 * rng.choice([-1.0, 1.0], hit.sum())
     before, after = (
-        maximum_posterior(slot(), MeasuredLoads(log.times_s, each, log.channels)) for each in (log.values, spoilt)
+        maximum_posterior(slot(), MeasuredLoads(log.times_s, each, log.channels))
+        for each in (log.values, spoilt)
     )
-    assert np.all(np.abs(after.mean_z - before.mean_z) < 1.6 * np.sqrt(np.diag(before.covariance_z)))
+    assert np.all(
+        np.abs(after.mean_z - before.mean_z) < 1.6 * np.sqrt(np.diag(before.covariance_z))
+    )
 
 
 def test_one_feed_gives_combinations_and_no_single_constant():
@@ -102,7 +110,9 @@ def test_one_feed_gives_combinations_and_no_single_constant():
 
 
 def test_density_and_coefficient_are_one_number():
-    """A factor on the density, to the power of 1.5, and a coefficient: their product is known, neither of them is."""
+    """A factor on the density, to the power of 1.5, and a coefficient: their product is known,
+    neither of them is.
+    """
     forward = slot()
 
     class Denser(LinearForward):
@@ -119,7 +129,8 @@ def test_density_and_coefficient_are_one_number():
     denser = Denser(parameters, forward.channels, forward.times_s, forward.basis)
     log, _ = plant(denser, np.random.default_rng(6), z=[0.5, -0.3, 0.2, 0.4, 1.0], scale=0.02)
     found = maximum_posterior(denser, log)
-    # The products are known, so that the density of the factor is that of its number times those of the coefficients.
+    # The products are known, so that the density of the factor is that of its number times those of
+    # the coefficients.
     products = found.target.x(found.mean_z)[:4] * found.target.x(found.mean_z)[4] ** 1.5
     z = np.linspace(-5.0, 5.0, 1001)
     factor = found.priors[4].x(z)
@@ -135,7 +146,9 @@ def test_density_and_coefficient_are_one_number():
 
 def test_a_log_without_load_determines_nothing():
     forward = slot()
-    still = LinearForward(forward.parameters, forward.channels, forward.times_s, 0.0 * forward.basis)
+    still = LinearForward(
+        forward.parameters, forward.channels, forward.times_s, 0.0 * forward.basis
+    )
     log, _ = plant(still, np.random.default_rng(7))
     result = identified(maximum_posterior(still, log))
     assert result.is_empty and result.at_prior == NAMES

@@ -34,7 +34,10 @@ def test_a_puncture_comes_at_least_a_tenth_of_a_second_after_the_touch():
 
 
 def played(amplitude_N=0.3, force=(0.0, 0.0, 1.0), limit_N=3.3, slew_N=10.0):
-    cues, response = Cues(amplitude_N, limit_N=limit_N, slew_N=slew_N, tick_s=TICK), Response.empty(2)
+    cues, response = (
+        Cues(amplitude_N, limit_N=limit_N, slew_N=slew_N, tick_s=TICK),
+        Response.empty(2),
+    )
     response.engaged_m2[:] = SOFT
     return np.array([cues.step(np.array(force), response) for _ in range(100)])
 
@@ -71,7 +74,9 @@ def test_it_waits_for_a_force_and_ends_without_samples():
 
 @pytest.mark.parametrize(("name", "count"), [("needle", 4), ("wall", 1)])
 def test_a_run_plays_one_for_each_event(name, count):
-    """The needle touches, goes through the capsule, meets the vessel wall and goes through it; the wall is touched."""
+    """The needle touches, goes through the capsule, meets the vessel wall and goes through it;
+    the wall is touched.
+    """
     trace = simulate(load_scene(name, {"device": "touch", "output.cue_N": 0.3})).trace
     cue = trace.vectors("cue", "N")
     there = np.linalg.norm(cue, axis=1) > 0.0

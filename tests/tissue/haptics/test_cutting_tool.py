@@ -1,4 +1,6 @@
-"""The balance of a tool that cuts, along its feed and across it: closed forms, energy, stability over decades."""
+"""The balance of a tool that cuts, along its feed and across it: closed forms, energy, stability
+over decades.
+"""
 
 from itertools import product
 
@@ -23,7 +25,9 @@ def fixed(edge_N, drag_N_s_m):
     def law(tip_m, heading, speed_m_s):
         response = Response.empty(1)
         response.edge[:3], response.resistance[:3] = -np.asarray(edge_N), -np.asarray(drag_N_s_m)
-        response.wrench[:3] = (response.edge[:3] if speed_m_s > 0.0 else 0.0) + speed_m_s * response.resistance[:3]
+        response.wrench[:3] = (
+            response.edge[:3] if speed_m_s > 0.0 else 0.0
+        ) + speed_m_s * response.resistance[:3]
         return response
 
     return law
@@ -42,31 +46,43 @@ def against(edge_N, drag_N_s_m):
 @pytest.mark.parametrize("drag_N_s_m", [0.0, 30.0, 3e3, 1e5])
 @pytest.mark.parametrize("velocity_m_s", [(3e-3, 0, -4e-3), (1e-3, -2e-3, 2e-3)])
 def test_a_tool_trails_its_device_by_edge_and_resistance_as_vectors(drag_N_s_m, velocity_m_s):
-    """Constant E and C, a device at V in any direction: it goes at V and k (x_device - x) = E + C |V| in the end."""
+    """Constant E and C, a device at V in any direction: it goes at V and k (x_device - x) = E +
+    C |V| in the end.
+    """
     speed = np.linalg.norm(velocity_m_s)
     direction = np.asarray(velocity_m_s) / speed
     edge, across = 5.0 * direction, np.cross(direction, (0.0, 0.0, 1.0))
     edge, drag = edge + 9.0 * across, drag_N_s_m * (direction + 0.3 * across)
-    tip, pull, _ = lead(CuttingTool(max(1e4, drag_N_s_m), np.zeros(3)), fixed(edge, drag), ramp(velocity_m_s, 20.0))
+    tip, pull, _ = lead(
+        CuttingTool(max(1e4, drag_N_s_m), np.zeros(3)), fixed(edge, drag), ramp(velocity_m_s, 20.0)
+    )
     np.testing.assert_allclose(pull[-1], edge + speed * drag, rtol=2e-2, atol=0.1)
     np.testing.assert_allclose((tip[-1] - tip[-501]) / 0.5, velocity_m_s, atol=0.02 * speed)
 
 
 @pytest.mark.parametrize("drag_N_s_m", [0.0, 3e3, 1e5])
 def test_an_oblique_pull_turns_the_tool_into_its_direction(drag_N_s_m):
-    """Resistance alike in all directions, E + C v along the motion: the device turns by 60 degrees, and so does it."""
+    """Resistance alike in all directions, E + C v along the motion: the device turns by 60
+    degrees, and so does it.
+    """
     there = ramp((5e-3, 0.0, 0.0), 6.0)
     back = there[-1] + ramp((2.5e-3, 4.33e-3, 0.0), 8.0)
     tool = CuttingTool(max(1e4, drag_N_s_m), np.zeros(3))
     _, pull, cut = lead(tool, against(6.0, drag_N_s_m), np.concatenate([there, back]))
-    np.testing.assert_allclose(pull[5900], [6.0 + 5e-3 * drag_N_s_m, 0.0, 0.0], rtol=1e-2, atol=0.05)
-    np.testing.assert_allclose(pull[-1], (6.0 + 5e-3 * drag_N_s_m) * np.array([0.5, 0.866, 0.0]), rtol=1e-2, atol=0.1)
+    np.testing.assert_allclose(
+        pull[5900], [6.0 + 5e-3 * drag_N_s_m, 0.0, 0.0], rtol=1e-2, atol=0.05
+    )
+    np.testing.assert_allclose(
+        pull[-1], (6.0 + 5e-3 * drag_N_s_m) * np.array([0.5, 0.866, 0.0]), rtol=1e-2, atol=0.1
+    )
     np.testing.assert_allclose(pull[-1], cut[-1], rtol=1e-2, atol=0.1)
 
 
 @pytest.mark.parametrize("damping_N_s_m", [0.0, 100.0])
 def test_a_damper_to_the_device_adds_no_force_at_its_pace(damping_N_s_m):
-    """Edge force across the motion, as of a burr that spins: k (x_device - x) = E + C |V| with the damper or without."""
+    """Edge force across the motion, as of a burr that spins: k (x_device - x) = E + C |V| with
+    the damper or without.
+    """
     edge, drag = np.array([1.0, -3.0, -4.0]), np.array([50.0, 0.0, -20.0])
     tool = CuttingTool(1e4, np.zeros(3), damping_N_s_m=damping_N_s_m)
     tip, pull, _ = lead(tool, fixed(edge, drag), ramp((5e-3, 0.0, 0.0), 8.0))
@@ -78,11 +94,17 @@ def test_a_damper_to_the_device_adds_no_force_at_its_pace(damping_N_s_m):
 @pytest.mark.parametrize("step_s", [1e-4, 1e-3, 1e-2])
 @pytest.mark.parametrize("drag_N_s_m", [0.0, 1.0, 1e3, 1e5, 1e7])
 @pytest.mark.parametrize("edge_N", [0.0, 0.01, 10.0, 1e3])
-def test_it_is_stable_over_decades_of_spring_edge_resistance_and_step(stiffness_N_m, step_s, drag_N_s_m, edge_N):
-    """A device that stops: every step shortens the spring, and the tool comes to rest within the edge force."""
+def test_it_is_stable_over_decades_of_spring_edge_resistance_and_step(
+    stiffness_N_m, step_s, drag_N_s_m, edge_N
+):
+    """A device that stops: every step shortens the spring, and the tool comes to rest within the
+    edge force.
+    """
     rng = np.random.default_rng(0)
     tool, device = CuttingTool(stiffness_N_m, np.zeros(3)), np.array([2e-3, -1e-3, 1.5e-3])
-    law = fixed(edge_N * (DOWN + rng.normal(size=3)), drag_N_s_m * (DOWN + 0.5 * rng.normal(size=3)))
+    law = fixed(
+        edge_N * (DOWN + rng.normal(size=3)), drag_N_s_m * (DOWN + 0.5 * rng.normal(size=3))
+    )
     tip, pull, _ = lead(tool, law, np.tile(device, (300, 1)), step_s=step_s)
     lengths = np.linalg.norm(device - tip, axis=1)
     assert (np.diff(lengths) <= 1e-15).all()
@@ -90,15 +112,21 @@ def test_it_is_stable_over_decades_of_spring_edge_resistance_and_step(stiffness_
 
 
 def test_the_spring_never_takes_energy_from_a_tool_that_cuts():
-    """Over a closed motion of the device, whatever the cutter's spin would push: work of the device >= 0 at its end.
+    """Over a closed motion of the device, whatever the cutter's spin would push: work of the device
+    >= 0 at its end.
 
-    k (x_device - x') . (x' - x) >= 0 in every tick, so that what the spring holds falls by at least k |x' - x|^2 / 2.
+    k (x_device - x') . (x' - x) >= 0 in every tick, so that what the spring holds falls by at least
+    k |x' - x|^2 / 2.
     """
     turn = np.linspace(0.0, 4.0 * np.pi, 3000)
-    round_and_back = 1e-3 * np.column_stack([np.sin(turn), 1.0 - np.cos(turn), -0.5 * np.sin(0.5 * turn) ** 2])
+    round_and_back = 1e-3 * np.column_stack(
+        [np.sin(turn), 1.0 - np.cos(turn), -0.5 * np.sin(0.5 * turn) ** 2]
+    )
     laws = BallOnBlock().force, BallOnBlock(spin=0.0).force, against(5.0, 2e3)
     for law, damping in product(laws, (0.0, 100.0)):
-        tip, pull, _ = lead(CuttingTool(1e4, np.zeros(3), damping_N_s_m=damping), law, round_and_back)
+        tip, pull, _ = lead(
+            CuttingTool(1e4, np.zeros(3), damping_N_s_m=damping), law, round_and_back
+        )
         given = (pull[1:] * np.diff(tip, axis=0)).sum(axis=1)
         assert (given >= -1e-12).all()
         device = (0.5 * (pull[1:] + pull[:-1]) * np.diff(round_and_back, axis=0)).sum()
@@ -107,25 +135,35 @@ def test_the_spring_never_takes_energy_from_a_tool_that_cuts():
 
 
 def test_a_ball_that_slides_lies_as_deep_as_its_spring_presses():
-    """The spring's force in steady sliding is the law's for that depth and heading, also across the path."""
+    """The spring's force in steady sliding is the law's for that depth and heading, also across
+    the path.
+    """
     law, tool = BallOnBlock(spin=0.0), CuttingTool(1e4, np.zeros(3))
     down = ramp((0.0, 0.0, -4e-3), 0.3)
-    tip, pull, cut = lead(tool, law.force, np.concatenate([down, down[-1] + ramp((5e-3, 0.0, 0.0), 1.5)]))
+    tip, pull, cut = lead(
+        tool, law.force, np.concatenate([down, down[-1] + ramp((5e-3, 0.0, 0.0), 1.5)])
+    )
     late = slice(-300, None)
-    np.testing.assert_allclose(pull[late].mean(axis=0), cut[late].mean(axis=0), rtol=0.01, atol=0.02)
+    np.testing.assert_allclose(
+        pull[late].mean(axis=0), cut[late].mean(axis=0), rtol=0.01, atol=0.02
+    )
     expected = -law.force(tip[-1], np.array([1.0, 0.0, 0.0]), 5e-3).wrench[:3]
     np.testing.assert_allclose(pull[-1], expected, rtol=0.05, atol=0.2)
     assert np.ptp(pull[late], axis=0).max() < 0.05  # nothing chatters
 
 
 def test_a_spinning_ball_is_held_across_its_path_without_chatter():
-    """Tangential forces push it aside by more than what it takes to feed it, and encoder steps of 55 um do not shake it."""
+    """Tangential forces push it aside by more than what it takes to feed it, and encoder steps
+    of 55 um do not shake it.
+    """
     law, tool, step = BallOnBlock(), CuttingTool(1e4, np.zeros(3)), 55e-6
     down = ramp((0.0, 0.0, -4e-3), 0.3)
     devices = np.concatenate([down, down[-1] + ramp((5e-3, 0.0, 0.0), 2.5)])
     _, pull, cut = lead(tool, law.force, step * np.round(devices / step))
     late = slice(-1500, None)
-    np.testing.assert_allclose(pull[late].mean(axis=0), cut[late].mean(axis=0), atol=0.1 * np.linalg.norm(pull[-1]))
+    np.testing.assert_allclose(
+        pull[late].mean(axis=0), cut[late].mean(axis=0), atol=0.1 * np.linalg.norm(pull[-1])
+    )
     assert np.linalg.norm(cut[late], axis=1).max() < 3.0 * np.linalg.norm(pull[late], axis=1).mean()
     assert np.abs(np.diff(pull[late], axis=0)).max() < 2.0 * 1e4 * step
 
@@ -136,7 +174,9 @@ def test_what_is_straight_back_is_free_within_the_tick():
     def face(tip_m, heading, speed_m_s):
         return fixed((0.0, 0.0, -8.0 * (heading[2] < 0.0)), np.zeros(3))(tip_m, heading, speed_m_s)
 
-    tip, pull, _ = lead(tool, face, np.concatenate([ramp((0.0, 0.0, -5e-3), 0.3), [[0.0, 0.0, 1e-3]]]))
+    tip, pull, _ = lead(
+        tool, face, np.concatenate([ramp((0.0, 0.0, -5e-3), 0.3), [[0.0, 0.0, 1e-3]]])
+    )
     assert pull[-2][2] == pytest.approx(-8.0, rel=0.01)
     np.testing.assert_allclose(tip[-1], [0.0, 0.0, 1e-3], atol=1e-12)
 
@@ -147,17 +187,23 @@ def test_along_the_heading_spring_edge_and_resistance_balance_in_every_step():
     tool, response = CuttingTool(stiffness, np.zeros(3)), Response.empty(1)
     response.resistance[2], response.edge[2] = drag, edge
     tip = tool.follow(2e-3 * DOWN, UPRIGHT, response, DOWN, STEP_S)
-    np.testing.assert_allclose(-tip[2], (stiffness * 2e-3 - edge) / (stiffness + drag / STEP_S), rtol=1e-12)
+    np.testing.assert_allclose(
+        -tip[2], (stiffness * 2e-3 - edge) / (stiffness + drag / STEP_S), rtol=1e-12
+    )
 
 
 def test_a_damper_is_part_of_the_balance_in_every_step():
-    """k (d - s) + b (V - s / T) = E + C s / T in closed form; of the first step the smoothed velocity V has 1 in 200."""
+    """k (d - s) + b (V - s / T) = E + C s / T in closed form; of the first step the smoothed
+    velocity V has 1 in 200.
+    """
     stiffness, drag, edge, damping = 1e4, 5e3, 8.0, 100.0
     tool, response = CuttingTool(stiffness, np.zeros(3), damping_N_s_m=damping), Response.empty(1)
     response.resistance[2], response.edge[2] = drag, edge
     gone = pace = 0.0
     for _ in range(3):
-        step = (stiffness * (2e-3 - gone) + damping * pace - edge) / (stiffness + (drag + damping) / STEP_S)
+        step = (stiffness * (2e-3 - gone) + damping * pace - edge) / (
+            stiffness + (drag + damping) / STEP_S
+        )
         gone, pace = gone + step, pace + (step / STEP_S - pace) / 200.0
         tip = tool.follow(2e-3 * DOWN, UPRIGHT, response, DOWN, STEP_S)
         np.testing.assert_allclose(-tip[2], gone, rtol=1e-12)
@@ -167,9 +213,13 @@ def test_what_a_tool_has_felt_fades_and_then_it_is_free():
     tool, response, nothing = CuttingTool(1e4, np.zeros(3)), Response.empty(1), Response.empty(1)
     response.resistance[2] = 1e5
     tool.follow(1e-3 * DOWN, UPRIGHT, response, DOWN, STEP_S)
-    steps = -np.diff([tool.follow(1e-3 * DOWN, UPRIGHT, nothing, DOWN, STEP_S)[2] for _ in range(150)])
+    steps = -np.diff(
+        [tool.follow(1e-3 * DOWN, UPRIGHT, nothing, DOWN, STEP_S)[2] for _ in range(150)]
+    )
     assert steps[0] < 2e-6 and (steps >= 0.0).all() and not tool.driven
-    np.testing.assert_array_equal(tool.follow(2e-3 * DOWN, UPRIGHT, nothing, DOWN, STEP_S), 2e-3 * DOWN)
+    np.testing.assert_array_equal(
+        tool.follow(2e-3 * DOWN, UPRIGHT, nothing, DOWN, STEP_S), 2e-3 * DOWN
+    )
 
 
 def test_a_resting_tool_passes_the_pull_on():

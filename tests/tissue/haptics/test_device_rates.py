@@ -21,7 +21,9 @@ SLEW_N_MS = 0.2
 
 
 class Sampled:
-    """A device on a given path z(t) [m]: `dated` by its own clock, or repeated with the time of the tick."""
+    """A device on a given path z(t) [m]: `dated` by its own clock, or repeated with the time of
+    the tick.
+    """
 
     in_process = True
 
@@ -43,9 +45,14 @@ def at_rate(tmp_path):
 
     def changes(rate_Hz, **more):
         path = tmp_path / f"{rate_Hz}.toml"
-        entry = f'value = {rate_Hz}\nrange = [{rate_Hz}, {rate_Hz}]\nsource = "test"\nconfidence = "M"\n'
+        entry = (
+            f'value = {rate_Hz}\nrange = [{rate_Hz}, {rate_Hz}]\nsource = "test"\nconfidence = '
+            '"M"\n'
+        )
         slew = entry.replace(str(rate_Hz), str(SLEW_N_MS))
-        path.write_text(f"[devices.touch.rate_Hz]\n{entry}[devices.touch.force_slew_N_ms]\n{slew}", "utf-8")
+        path.write_text(
+            f"[devices.touch.rate_Hz]\n{entry}[devices.touch.force_slew_N_ms]\n{slew}", "utf-8"
+        )
         return {"device": "touch", "materials": str(path), "coupling__stiffness_N_m": 100.0} | more
 
     return changes
@@ -68,7 +75,9 @@ class Watched:
 @pytest.mark.parametrize("dated", [True, False])
 @pytest.mark.parametrize("rate_Hz", [*RATES_HZ, 700])
 def test_the_velocity_of_a_ramp_is_its_slope(at_rate, rate_Hz, dated):
-    """The law gets the velocities of device and tool in every tick, and the tool moves at that speed in the mean."""
+    """The law gets the velocities of device and tool in every tick, and the tool moves at that
+    speed in the mean.
+    """
     slope = -0.08
     motion = held(**at_rate(rate_Hz))
     motion.device = Sampled(lambda time_s: 0.1 + slope * time_s, rate_Hz, dated=dated)
@@ -87,10 +96,14 @@ def test_the_velocity_of_a_ramp_is_its_slope(at_rate, rate_Hz, dated):
 
 @pytest.mark.parametrize("rate_Hz", RATES_HZ)
 def test_the_force_rises_by_no_more_than_the_stated_newtons_a_second(at_rate, rate_Hz):
-    """A device that stands 20 mm in the wall from the first contact on wants its whole force at once."""
+    """A device that stands 20 mm in the wall from the first contact on wants its whole force at
+    once.
+    """
     motion = held(**at_rate(rate_Hz, output__low_pass_ms=0.0))
     device = Sampled(
-        lambda time_s: 5e-3 if time_s < 0.05 else -20e-3 * min((time_s - 0.05) / 0.005, 1.0), rate_Hz, dated=True
+        lambda time_s: 5e-3 if time_s < 0.05 else -20e-3 * min((time_s - 0.05) / 0.005, 1.0),
+        rate_Hz,
+        dated=True,
     )
     motion.device = device
     meet(motion, WallModel(1e4, radius_m=5e-3), 0.1)
@@ -103,7 +116,9 @@ def test_the_force_rises_by_no_more_than_the_stated_newtons_a_second(at_rate, ra
 
 @pytest.mark.parametrize("rate_Hz", RATES_HZ)
 def test_the_low_pass_has_its_time_constant_in_seconds(at_rate, rate_Hz):
-    """The raw force is held while the device rests in the wall, and 1 - exp(-t / tau) of it has come after t."""
+    """The raw force is held while the device rests in the wall, and 1 - exp(-t / tau) of it has
+    come after t.
+    """
     tau_s = 0.02
     motion = held(**at_rate(rate_Hz, output__low_pass_ms=1e3 * tau_s))
     motion.device = Sampled(lambda time_s: 1e-3 if time_s < 0.05 else -2e-3, rate_Hz, dated=True)
@@ -115,9 +130,14 @@ def test_the_low_pass_has_its_time_constant_in_seconds(at_rate, rate_Hz):
     np.testing.assert_allclose(filtered[first:], expected, rtol=1e-5)
 
 
-@pytest.mark.parametrize(("rate_Hz", "hold_s"), [(250, 4e-3), (500, 2e-3), (1000, 1e-3), (2000, 1e-3)])
+@pytest.mark.parametrize(
+    ("rate_Hz", "hold_s"), [(250, 4e-3), (500, 2e-3), (1000, 1e-3), (2000, 1e-3)]
+)
 def test_a_loop_is_judged_by_the_time_for_which_the_device_holds_a_force(at_rate, rate_Hz, hold_s):
-    changes = {name.replace("__", "."): value for name, value in at_rate(rate_Hz, coupling__model_ms=4).items()}
+    changes = {
+        name.replace("__", "."): value
+        for name, value in at_rate(rate_Hz, coupling__model_ms=4).items()
+    }
     loop = judged_loop(loop_settings(load_scene("wall", changes)), step_s=STEP_S)
     assert loop.tick_s == pytest.approx(hold_s)
     assert loop.model_ticks * loop.tick_s == pytest.approx(4e-3)
@@ -144,19 +164,32 @@ def test_what_needs_a_sample_in_every_tick_is_refused_for_a_slow_device(at_rate)
 def test_a_device_that_states_a_slower_rate_than_its_constants_is_refused():
     limits = replace(device_parameters("touch"), rate_Hz=500.0)
     scene = load_scene("wall", {"device": "touch", "duration_s": 0.05})
-    with pytest.raises(InputError, match="must give the 1000 samples a second of its constants, got 500"):
+    with pytest.raises(
+        InputError, match="must give the 1000 samples a second of its constants, got 500"
+    ):
         tissue.simulate(scene, device=SimulatedDevice(limits, position_m=(0.0, 0.0, 0.02)))
     bone = tissue.Bone.block((12, 8, 5), spacing_mm=0.5)
-    with pytest.raises(InputError, match="must give the 1000 samples a second of its constants, got 500"):
+    with pytest.raises(
+        InputError, match="must give the 1000 samples a second of its constants, got 500"
+    ):
         tissue.Loop(bone, device=SimulatedDevice(limits))
     assert tissue.Loop(bone, device=SimulatedDevice(limits), limits=limits).run(0.02).ticks == 20
 
 
-@pytest.mark.parametrize(("rate_Hz", "later_ms"), [(250, 1.5), (500, 0.5), (1000, 0.0), (2000, 0.0)])
+@pytest.mark.parametrize(
+    ("rate_Hz", "later_ms"), [(250, 1.5), (500, 0.5), (1000, 0.0), (2000, 0.0)]
+)
 def test_a_slow_device_holds_a_force_longer_on_its_path_to_the_motor(at_rate, rate_Hz, later_ms):
     """In the mean by half of what its hold lasts longer than a tick, at any low-pass."""
-    changes = {name.replace("__", "."): value for name, value in at_rate(rate_Hz, output__low_pass_ms=3.0).items()}
+    changes = {
+        name.replace("__", "."): value
+        for name, value in at_rate(rate_Hz, output__low_pass_ms=3.0).items()
+    }
     usual = motor_lag_ticks(
-        motor_path(loop_settings(load_scene("wall", {"device": "touch", "output.low_pass_ms": 3.0})))
+        motor_path(
+            loop_settings(load_scene("wall", {"device": "touch", "output.low_pass_ms": 3.0}))
+        )
     )
-    assert motor_lag_ticks(motor_path(loop_settings(load_scene("wall", changes)))) == pytest.approx(usual + later_ms)
+    assert motor_lag_ticks(motor_path(loop_settings(load_scene("wall", changes)))) == pytest.approx(
+        usual + later_ms
+    )

@@ -1,4 +1,6 @@
-"""Devices and their plant: closed forms, friction, encoders, delay, limits; and the laws that every device keeps."""
+"""Devices and their plant: closed forms, friction, encoders, delay, limits; and the laws that
+every device keeps.
+"""
 
 from math import exp, inf, pi, sqrt
 
@@ -37,7 +39,11 @@ def test_a_pushed_mass_with_damping_and_amplifier_follows_the_closed_form():
     for _ in range(37):
         plant.advance(1.3e-3, command=(force, 0.0, -force), external=(0.0, 0.0, 0.0))
     time, slow, fast = 37 * 1.3e-3, damping / mass, 2 * pi * bandwidth
-    speed = force / damping * (1 - (fast * exp(-slow * time) - slow * exp(-fast * time)) / (fast - slow))
+    speed = (
+        force
+        / damping
+        * (1 - (fast * exp(-slow * time) - slow * exp(-fast * time)) / (fast - slow))
+    )
     assert plant.velocity == pytest.approx((speed, 0.0, -speed), rel=1e-11)
     assert plant.motor_force[0] == pytest.approx(force * (1 - exp(-fast * time)), rel=1e-12)
 
@@ -48,7 +54,9 @@ def test_a_held_mass_swings_as_it_should_and_its_energy_is_booked():
     plant.advance(0.05, command=(0.5, 0.0, 0.0), external=(0.0, 2.0, 0.0), substeps=1)
     rate, decay = sqrt(300.0 / 0.2 - (1.0 / 0.4) ** 2), 1.0 / 0.4
     swing = 1.0 - exp(-decay * 0.05) * (np.cos(rate * 0.05) + decay / rate * np.sin(rate * 0.05))
-    assert plant.position[:2] == pytest.approx((0.5 / 300.0 * swing, 2.0 / 300.0 * swing), rel=1e-11)
+    assert plant.position[:2] == pytest.approx(
+        (0.5 / 300.0 * swing, 2.0 / 300.0 * swing), rel=1e-11
+    )
     assert plant.motor_work_J == pytest.approx(0.5 * plant.position[0], rel=1e-12)
 
 
@@ -65,10 +73,13 @@ def slide(substeps):
 
 def test_friction_stops_a_slide_where_the_closed_form_does():
     mass, damping, friction, speed = 0.045, 0.35, 0.26, 0.5
-    exact = mass * speed / damping - mass * friction / damping**2 * np.log(1 + damping * speed / friction)
+    exact = mass * speed / damping - mass * friction / damping**2 * np.log(
+        1 + damping * speed / friction
+    )
     errors = [abs(slide(substeps) / exact - 1.0) for substeps in (1, 2, 4, 8, 16)]
     assert errors[-1] < 1e-3
-    assert np.polyfit(np.log([1, 2, 4, 8, 16]), np.log(errors), 1)[0] < -0.8  # first order in the substep
+    # first order in the substep
+    assert np.polyfit(np.log([1, 2, 4, 8, 16]), np.log(errors), 1)[0] < -0.8
 
 
 @pytest.mark.parametrize("amplifier", [inf, 300.0])
@@ -93,29 +104,44 @@ def test_friction_only_takes_energy():
     energies = []
     for _ in range(1500):
         plant.advance(1e-3, command=(0.0, 0.0, 0.0), external=(0.0, 0.0, 0.0), substeps=3)
-        energies.append(sum(0.025 * v * v + 100.0 * x * x for x, v in zip(plant.position, plant.velocity, strict=True)))
+        energies.append(
+            sum(
+                0.025 * v * v + 100.0 * x * x
+                for x, v in zip(plant.position, plant.velocity, strict=True)
+            )
+        )
     assert (np.diff(energies) <= 1e-18).all()
     assert 200.0 * np.linalg.norm(plant.position) <= 0.1 and plant.velocity == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.25e-3, 1e-3, 2.6e-3])
 def test_a_command_arrives_after_the_delay_exactly(delay):
-    device = SimulatedDevice(DeviceParameters(mass_kg=0.05, damping_N_s_m=0.0, transport_delay_s=delay), substeps=1)
+    device = SimulatedDevice(
+        DeviceParameters(mass_kg=0.05, damping_N_s_m=0.0, transport_delay_s=delay), substeps=1
+    )
     device.read(3 * TICK)
     device.command(np.array([0.0, 1.0, 0.0]), NOTHING)
     acted = 10 * TICK - 3 * TICK - delay
-    assert device.read(10 * TICK).position_m[1] == pytest.approx(0.5 * 1.0 / 0.05 * acted**2, rel=1e-9)
+    assert device.read(10 * TICK).position_m[1] == pytest.approx(
+        0.5 * 1.0 / 0.05 * acted**2, rel=1e-9
+    )
     assert device.translation.velocity[1] == pytest.approx(acted / 0.05, rel=1e-12)
 
 
 def test_encoders_step_and_speed_is_their_difference():
-    device = SimulatedDevice(DeviceParameters(mass_kg=0.05, damping_N_s_m=0.0, encoder_step_m=5.5e-5), substeps=1)
+    device = SimulatedDevice(
+        DeviceParameters(mass_kg=0.05, damping_N_s_m=0.0, encoder_step_m=5.5e-5), substeps=1
+    )
     device.translation.velocity = (0.013, 0.0, 0.0)
     before = device.read(0.0)
     for tick in range(1, 50):
         sample = device.read(tick * TICK)
-        assert sample.position_m[0] == pytest.approx(5.5e-5 * round(0.013 * tick * TICK / 5.5e-5), abs=1e-18)
-        assert sample.velocity_m_s[0] == pytest.approx((sample.position_m[0] - before.position_m[0]) / TICK, abs=1e-12)
+        assert sample.position_m[0] == pytest.approx(
+            5.5e-5 * round(0.013 * tick * TICK / 5.5e-5), abs=1e-18
+        )
+        assert sample.velocity_m_s[0] == pytest.approx(
+            (sample.position_m[0] - before.position_m[0]) / TICK, abs=1e-12
+        )
         before = sample
     assert device.read(49.4 * TICK) is before and before.time_s == pytest.approx(49 * TICK)
 
@@ -125,7 +151,9 @@ def test_commands_beyond_the_device_are_limited_and_counted():
     device.command(np.array([30.0, 0.0, 40.0]), np.array([0.0, 1.0, 0.0]))
     device.read(0.1)
     assert device.saturated_ticks == 2
-    assert np.array(device.translation.motor_force) == pytest.approx([0.6 * 8.5, 0.0, 0.8 * 8.5], rel=1e-6)
+    assert np.array(device.translation.motor_force) == pytest.approx(
+        [0.6 * 8.5, 0.0, 0.8 * 8.5], rel=1e-6
+    )
     assert np.array(device.rotation.motor_force) == pytest.approx([0.0, 0.188, 0.0], rel=1e-6)
     for wrong in (np.nan, np.inf):
         device.command(np.array([0.0, wrong, 0.0]), NOTHING)
@@ -135,7 +163,9 @@ def test_commands_beyond_the_device_are_limited_and_counted():
 
 def test_a_torque_turns_the_handle_about_its_axis_through_more_than_a_turn():
     """On the group: alpha = torque / inertia about a slanted axis, to four times pi."""
-    parameters = DeviceParameters(mass_kg=0.05, damping_N_s_m=0.0, damping_Nm_s_rad=0.0, torque_limit_Nm=1.0)
+    parameters = DeviceParameters(
+        mass_kg=0.05, damping_N_s_m=0.0, damping_Nm_s_rad=0.0, torque_limit_Nm=1.0
+    )
     device, axis, torque = SimulatedDevice(parameters, substeps=1), np.array([0.6, 0.0, 0.8]), 4e-3
     device.command(NOTHING, torque * axis)
     ticks = 600
@@ -143,8 +173,12 @@ def test_a_torque_turns_the_handle_about_its_axis_through_more_than_a_turn():
     assert angle > 4 * pi
     sample = device.read(ticks * TICK)
     turned = exponential(tuple(angle * axis))
-    assert logarithm(product(sample.quaternion, conjugate(turned))) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
-    assert np.array(sample.spin_rad_s) == pytest.approx(axis * torque / 5e-5 * (ticks - 0.5) * TICK, rel=1e-9)
+    assert logarithm(product(sample.quaternion, conjugate(turned))) == pytest.approx(
+        (0.0, 0.0, 0.0), abs=1e-9
+    )
+    assert np.array(sample.spin_rad_s) == pytest.approx(
+        axis * torque / 5e-5 * (ticks - 0.5) * TICK, rel=1e-9
+    )
 
 
 def test_a_hand_turns_the_device_to_where_it_aims():
@@ -154,7 +188,9 @@ def test_a_hand_turns_the_device_to_where_it_aims():
     seen = device.read(1.0)
     left = logarithm(product(device.orientation, conjugate(aim)))
     assert sqrt(sum(a * a for a in left)) <= 1e-3 / 0.6 + 1e-9  # friction over stiffness
-    assert logarithm(product(seen.quaternion, conjugate(device.orientation))) == pytest.approx((0, 0, 0), abs=2.3e-4)
+    assert logarithm(product(seen.quaternion, conjugate(device.orientation))) == pytest.approx(
+        (0, 0, 0), abs=2.3e-4
+    )
     three = SimulatedDevice(device_parameters("omni"), Steady(aim_quaternion=aim, grip=grip))
     assert not three.six_dof and three.read(0.01).quaternion == aim
     three.command(NOTHING, np.ones(3))
@@ -166,7 +202,9 @@ def test_all_axes_are_alike():
     turn = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
     push, found = np.array([0.5, -0.2, 0.4]), []
     for frame in (np.eye(3), turn):
-        device = SimulatedDevice(DeviceParameters(mass_kg=0.05, damping_N_s_m=0.3, friction_N=0.2, amplifier_Hz=200.0))
+        device = SimulatedDevice(
+            DeviceParameters(mass_kg=0.05, damping_N_s_m=0.3, friction_N=0.2, amplifier_Hz=200.0)
+        )
         for tick in range(300):
             device.read(tick * TICK)
             device.command(frame @ push * (1.0 if tick < 100 else 0.0), NOTHING)
@@ -186,7 +224,8 @@ def a_mouse():
 def a_hand():
     path = lambda time_s: np.array([0.01 * time_s, 0.0, 0.0])  # noqa: E731
     return SimulatedDevice(
-        device_parameters("omni"), Hand(hand_parameters("novice"), path, rng=np.random.default_rng(1))
+        device_parameters("omni"),
+        Hand(hand_parameters("novice"), path, rng=np.random.default_rng(1)),
     )
 
 
@@ -223,13 +262,19 @@ def test_a_record_is_replayed_and_ends():
     turned = np.array([exponential((0.0, 0.0, angle)) for angle in (0.0, 0.2, 0.2)])
     device = RecordedDevice(*RECORD, turned)
     at = device.read(0.05)
-    assert at.position_m == pytest.approx((0.005, 0.0, 0.0)) and at.velocity_m_s == pytest.approx((0.1, 0.0, 0.0))
-    assert logarithm(at.quaternion) == pytest.approx((0.0, 0.0, 0.1)) and at.spin_rad_s == pytest.approx(
-        (0.0, 0.0, 2.0)
+    assert at.position_m == pytest.approx((0.005, 0.0, 0.0)) and at.velocity_m_s == pytest.approx(
+        (0.1, 0.0, 0.0)
     )
+    assert logarithm(at.quaternion) == pytest.approx(
+        (0.0, 0.0, 0.1)
+    ) and at.spin_rad_s == pytest.approx((0.0, 0.0, 2.0))
     assert device.read(0.2).velocity_m_s == pytest.approx((0.0, 0.2, 0.0))
     assert device.read(0.301) is None and device.read(-0.01) is None
-    for wrong in (([0.0, 0.0, 1.0], RECORD[1]), (RECORD[0], np.full((3, 3), np.nan)), (RECORD[0], np.zeros((2, 3)))):
+    for wrong in (
+        ([0.0, 0.0, 1.0], RECORD[1]),
+        (RECORD[0], np.full((3, 3), np.nan)),
+        (RECORD[0], np.zeros((2, 3))),
+    ):
         with pytest.raises(InputError):
             RecordedDevice(*wrong)
     with pytest.raises(InputError, match="quaternions must be finite and not zero"):
@@ -252,13 +297,19 @@ def test_a_mouse_is_followed_smoothly_and_alike_at_any_rate():
 def test_a_mouse_turns_as_smoothly_as_it_goes_and_by_the_shorter_side():
     found, share = [], 1.0 - (1.0 + 0.07 / 0.03) * exp(-0.07 / 0.03)
     wanted = exponential((0.0, 0.6, -0.8))
-    for quaternion, step in ((wanted, 1e-3), (wanted, 7e-3), (tuple(-part for part in wanted), 1e-3)):
+    for quaternion, step in (
+        (wanted, 1e-3),
+        (wanted, 7e-3),
+        (tuple(-part for part in wanted), 1e-3),
+    ):
         mouse = MouseDevice(response_s=0.03)
         mouse.push((0.0, 0.0, 0.0), quaternion)
         for tick in range(1, round(0.07 / step) + 1):
             sample = mouse.read(tick * step)
         found.append((*logarithm(sample.quaternion), *sample.spin_rad_s))
-    assert found[0] == pytest.approx(found[1], rel=1e-9) and found[0] == pytest.approx(found[2], rel=1e-9)
+    assert found[0] == pytest.approx(found[1], rel=1e-9) and found[0] == pytest.approx(
+        found[2], rel=1e-9
+    )
     assert found[0][:3] == pytest.approx((0.0, 0.6 * share, -0.8 * share), rel=1e-9, abs=1e-12)
     for tick in range(71, 1000):
         sample = mouse.read(tick * TICK)
@@ -269,12 +320,22 @@ def test_a_mouse_turns_as_smoothly_as_it_goes_and_by_the_shorter_side():
 def test_published_devices_are_complete_and_cited(name):
     device = device_parameters(name)
     for key, entry in constants("devices", name).items():
-        assert entry.low <= entry.value <= entry.high and entry.confidence in "HML" and len(entry.source) > 10, key
+        assert (
+            entry.low <= entry.value <= entry.high
+            and entry.confidence in "HML"
+            and len(entry.source) > 10
+        ), key
     limits = {
-        "touch": (400.0, 3.3), "omni": (700.0, 3.3), "six-dof": (800.0, 8.5), "haply": (1000.0, 10.0),
-        "forcedimension": (5000.0, 12.0), "sigma-7": (4000.0, 12.0), "openhaptics": (400.0, 3.3),
-        "network": (1000.0, 3.0), "recorded": (400.0, 3.3),
-    }  # fmt: skip
+        "touch": (400.0, 3.3),
+        "omni": (700.0, 3.3),
+        "six-dof": (800.0, 8.5),
+        "haply": (1000.0, 10.0),
+        "forcedimension": (5000.0, 12.0),
+        "sigma-7": (4000.0, 12.0),
+        "openhaptics": (400.0, 3.3),
+        "network": (1000.0, 3.0),
+        "recorded": (400.0, 3.3),
+    }
     assert (device.stiffness_limit_N_m, device.force_limit_N) == limits[name]
     assert (device.torque_limit_Nm > 0.0) == (name in ("six-dof", "sigma-7"))
     loop = device.turning_loop(0.3) if name in ("six-dof", "sigma-7") else device.loop(300.0)
@@ -284,7 +345,10 @@ def test_published_devices_are_complete_and_cited(name):
 def test_unusable_devices_are_refused():
     with pytest.raises(
         InputError,
-        match="device must be one of touch, omni, six-dof, haply, forcedimension, sigma-7, openhaptics, network, recorded, got falcon",
+        match=(
+            "device must be one of touch, omni, six-dof, haply, forcedimension, sigma-7, "
+            "openhaptics, network, recorded, got falcon"
+        ),
     ):
         device_parameters("falcon")
     with pytest.raises(InputError, match="mass_kg must be positive"):

@@ -1,4 +1,6 @@
-"""Prediction in the judge of stability: eigenvalues with a linearised predictor beside runs with the predictor itself."""
+"""Prediction in the judge of stability: eigenvalues with a linearised predictor beside runs with
+the predictor itself.
+"""
 
 from copy import deepcopy
 from dataclasses import replace
@@ -25,7 +27,9 @@ from tissue.simulation.builders.prediction import maker_of
 TICK = 1e-3
 PULL = np.hstack([-40.0 * np.eye(3), -0.2 * np.eye(3)])
 CONTROL = LinearControl(SimpleNamespace(A=0.9 * np.eye(3), B=PULL, offset=np.zeros(3), step_s=TICK))
-"""A force that forgets a tenth of itself every tick and follows a spring of 400 N/m with some damping."""
+"""A force that forgets a tenth of itself every tick and follows a spring of 400 N/m with some
+damping.
+"""
 
 
 def bare(kind):
@@ -35,35 +39,48 @@ def bare(kind):
 
 
 def loop_with(kind="none", *, delay_ticks=3, model_ticks=1, gain=1.0, lead=None, stiffness=400.0):
-    """A Touch in an expert's hand with latency and low-pass, its forecast, and the predictor that it came from."""
+    """A Touch in an expert's hand with latency and low-pass, its forecast, and the predictor
+    that it came from.
+    """
     device = device_parameters("touch")
     loop = in_hands(
-        device.loop(stiffness, filter_s=1e-3, model_ticks=model_ticks), [hand_parameters("expert").grip[:3]]
+        device.loop(stiffness, filter_s=1e-3, model_ticks=model_ticks),
+        [hand_parameters("expert").grip[:3]],
     )[0]
     loop = replace(loop, delay_s=loop.delay_s + delay_ticks * TICK)
     if kind == "none":
         return loop, None, 0
     lead = delay_ticks + 2 if lead is None else lead
     predictor = CONTROL if kind == "control" else bare(kind)
-    forecast = forecast_of(predictor, lead_ticks=lead, stiffness_N_m=stiffness, model_ticks=model_ticks, gain=gain)
+    forecast = forecast_of(
+        predictor, lead_ticks=lead, stiffness_N_m=stiffness, model_ticks=model_ticks, gain=gain
+    )
     return replace(loop, forecast=forecast), predictor, lead
 
 
 def grows(loop, stiffness, predictor, lead, *, ticks=2500):
-    """Whether the contact grows with the predictor in the loop as it is: sampled, shown, asked, filtered, held back."""
+    """Whether the contact grows with the predictor in the loop as it is: sampled, shown, asked,
+    filtered, held back.
+    """
     predictor = deepcopy(predictor)
     whole = int(loop.delay_s / TICK + 1e-9)
     late = loop.delay_s - whole * TICK
     mass, damping = loop.mass_kg + loop.hand_mass_kg, loop.damping_N_s_m + loop.hand_damping_N_s_m
     steps = [
-        (np.array(plant_step(mass, damping, loop.hand_stiffness_N_m, loop.amplifier_Hz, length))[:, :4], back)
+        (
+            np.array(plant_step(mass, damping, loop.hand_stiffness_N_m, loop.amplifier_Hz, length))[
+                :, :4
+            ],
+            back,
+        )
         for length, back in ((late, whole + 1), (TICK - late, whole))
         if length > 0.0
     ]
     gain, filtered, raw = low_pass_gain(loop.filter_s, TICK), 0.0, 0.0
     plant, queue, before = np.array([0.0, 1e-3, 0.0, 0.0]), [0.0] * (whole + 2), 0.0
     sizes = np.zeros(ticks)
-    # About a contact 1 mm deep, whose force is that of the rest: what is shown is the whole of both.
+    # About a contact 1 mm deep, whose force is that of the rest: what is shown is the whole of
+    # both.
     rest, force, up = -1e-3, 1e-3 * stiffness, np.array([0.0, 0.0, 1.0])
     for tick in range(-300, ticks):
         is_model_tick = tick % loop.model_ticks == 0
@@ -75,7 +92,9 @@ def grows(loop, stiffness, predictor, lead, *, ticks=2500):
         if loop.forecast.stiffness_N_m is not None:
             rigid = 1e6 * stiffness * np.outer(up, up)
             predictor.meet(Contact(stiffness, np.zeros(3), (force + raw) * up, rigid, normal=up))
-        predictor.observe((rest + place) * up, speed * up, (force + raw) * up if is_model_tick else None)
+        predictor.observe(
+            (rest + place) * up, speed * up, (force + raw) * up if is_model_tick else None
+        )
         predicted = float(predictor.predict(lead) @ up) - force
         if tick < 0:
             continue
@@ -109,7 +128,9 @@ def grows(loop, stiffness, predictor, lead, *, ticks=2500):
         ("koopman-look-ahead", {"delay_ticks": 1, "gain": 0.5}),
     ],
 )
-def test_the_judged_stiffness_is_where_the_loop_with_the_predictor_itself_starts_to_grow(kind, options):
+def test_the_judged_stiffness_is_where_the_loop_with_the_predictor_itself_starts_to_grow(
+    kind, options
+):
     """The eigenvalues' value within 2 % of bisection between 4 % below and above it."""
     loop, predictor, lead = loop_with(kind, **options)
     critical = critical_stiffness_N_m(loop)
@@ -123,7 +144,9 @@ def test_hold_and_no_gain_change_nothing():
     held, _, _ = loop_with("hold")
     none, _, _ = loop_with("linear", gain=0.0)
     for loop in (held, none):
-        assert critical_stiffness_N_m(loop) == pytest.approx(critical_stiffness_N_m(plain), rel=1e-9)
+        assert critical_stiffness_N_m(loop) == pytest.approx(
+            critical_stiffness_N_m(plain), rel=1e-9
+        )
 
 
 def test_a_probed_predictor_has_the_taps_of_its_closed_form():
@@ -138,9 +161,12 @@ def test_a_probed_predictor_has_the_taps_of_its_closed_form():
     count = min(probed.taps.shape[1], stated.taps.shape[1])
     np.testing.assert_allclose(probed.taps[:, :count], stated.taps[:, :count], atol=1e-6)
     plain, _, _ = loop_with()
-    # A one-pole average is a low-pass of its own: the same loop with both poles in its filter is the closed form here.
+    # A one-pole average is a low-pass of its own: the same loop with both poles in its filter is
+    # the closed form here.
     found = [critical_stiffness_N_m(replace(plain, forecast=each)) for each in (probed, stated)]
-    assert found[0] == pytest.approx(found[1], rel=1e-3) and found[0] < critical_stiffness_N_m(plain)
+    assert found[0] == pytest.approx(found[1], rel=1e-3) and found[0] < critical_stiffness_N_m(
+        plain
+    )
 
 
 @pytest.mark.slow
@@ -183,7 +209,11 @@ def test_a_loop_with_another_copy_of_the_same_predictor_is_not_judged_again(monk
 
     monkeypatch.setattr(forecast, "_forecasts", Kept(0))
     one, other = (loop_with("control")[0] for _ in range(2))
-    assert one.forecast is not other.forecast and one.forecast == other.forecast and hash(one) == hash(other)
+    assert (
+        one.forecast is not other.forecast
+        and one.forecast == other.forecast
+        and hash(one) == hash(other)
+    )
     _critical_N_m.cache_clear()
     assert critical_stiffness_N_m(one) == critical_stiffness_N_m(other)
     assert _critical_N_m.cache_info().misses == 1

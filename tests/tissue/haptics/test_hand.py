@@ -1,4 +1,6 @@
-"""Hands: minimum jerk, corrections, tremor, noise, reflex, groups; deterministic by their generator."""
+"""Hands: minimum jerk, corrections, tremor, noise, reflex, groups; deterministic by their
+generator.
+"""
 
 from dataclasses import replace
 
@@ -22,7 +24,12 @@ def to(point):
 
 
 def aim(path, **changed):
-    given = {"reaction_s": 0.2, "submovement_s": 0.4, "correction_s": 0.2, "endpoint_noise": 0.0} | changed
+    given = {
+        "reaction_s": 0.2,
+        "submovement_s": 0.4,
+        "correction_s": 0.2,
+        "endpoint_noise": 0.0,
+    } | changed
     return Aim(path, rng=np.random.default_rng(3), **given)
 
 
@@ -32,7 +39,8 @@ def test_minimum_jerk_is_at_rest_at_both_ends_and_its_speed_is_its_slope():
     assert minimum_jerk(0.5) == (0.5, 1.875)  # Flash and Hogan's peak
     assert np.abs(np.gradient(share, shares) - speed).max() < 1e-4
     assert share[shares <= 0.0].max() == 0.0 and share[shares >= 1.0].min() == 1.0
-    assert np.abs(np.diff(speed)).max() < 6.0 * (shares[1] - shares[0])  # no step in speed: |s''| < 5.8
+    # no step in speed: |s''| < 5.8
+    assert np.abs(np.diff(speed)).max() < 6.0 * (shares[1] - shares[0])
 
 
 def test_one_reach_is_one_minimum_jerk_after_the_reaction_time():
@@ -46,13 +54,19 @@ def test_one_reach_is_one_minimum_jerk_after_the_reaction_time():
 
 
 def test_errors_are_corrected_a_reaction_time_later():
-    """With scatter the first end misses; what is left shrinks by the scatter with every correction."""
+    """With scatter the first end misses; what is left shrinks by the scatter with every
+    correction.
+    """
     ends = []
     for seed in range(200):
         reach = Aim(
-            to([0.1, 0.0, 0.0]), reaction_s=0.2, submovement_s=0.4, correction_s=0.5, endpoint_noise=0.1,
+            to([0.1, 0.0, 0.0]),
+            reaction_s=0.2,
+            submovement_s=0.4,
+            correction_s=0.5,
+            endpoint_noise=0.1,
             rng=np.random.default_rng(seed),
-        )  # fmt: skip
+        )
         at = [reach.at(tick * TICK)[0][0] - 0.1 for tick in range(2500)]
         ends.append((at[600], at[1100], at[2400]))
     scatter = np.std(ends, axis=0)
@@ -76,23 +90,36 @@ def held(hand, seconds, *, device=None):
     simulated = SimulatedDevice(
         device or replace(device_parameters("six-dof"), friction_N=0.0, encoder_step_m=0.0), hand
     )
-    return np.array([simulated.read(tick * TICK).position_m for tick in range(round(seconds / TICK))])
+    return np.array(
+        [simulated.read(tick * TICK).position_m for tick in range(round(seconds / TICK))]
+    )
 
 
 def test_a_push_meets_grip_and_reflex():
-    """At rest the deviation is the push over stiffness and reflex together; before the reflex, over stiffness alone."""
+    """At rest the deviation is the push over stiffness and reflex together; before the reflex,
+    over stiffness alone.
+    """
     push = np.array([1.0, -0.5, 0.0])
     given = parameters()
-    moved = held(Hand(given, to([0.0, 0.0, 0.0]), rng=np.random.default_rng(0), push=lambda t: push), 3.0)
+    moved = held(
+        Hand(given, to([0.0, 0.0, 0.0]), rng=np.random.default_rng(0), push=lambda t: push), 3.0
+    )
     stiffness = given.stiffness_N_m * (1.0 + given.reflex_share)
     assert moved[-1] == pytest.approx(push / stiffness, rel=1e-6)
     slow = held(
-        Hand(replace(given, reflex_share=0.0), to([0, 0, 0]), rng=np.random.default_rng(0), push=lambda t: push), 3.0
+        Hand(
+            replace(given, reflex_share=0.0),
+            to([0, 0, 0]),
+            rng=np.random.default_rng(0),
+            push=lambda t: push,
+        ),
+        3.0,
     )
     assert slow[-1] == pytest.approx(push / given.stiffness_N_m, rel=1e-6)
     reflex = round(given.reflex_s / TICK)
     assert (
-        moved[:reflex] == pytest.approx(slow[:reflex], abs=1e-12) and np.abs(moved - slow)[: reflex + 20].max() > 1e-6
+        moved[:reflex] == pytest.approx(slow[:reflex], abs=1e-12)
+        and np.abs(moved - slow)[: reflex + 20].max() > 1e-6
     )
 
 
@@ -100,7 +127,8 @@ def test_tremor_lies_within_8_to_12_hz_and_has_its_size():
     given = parameters(tremor_m=1e-4)
     hand = Hand(given, to([0.0, 0.0, 0.0]), rng=np.random.default_rng(6))
     shaken = np.array([hand.act(tick * TICK, (0.0, 0.0, 0.0)).aim_m for tick in range(60_000)])
-    assert shaken.std(axis=0) == pytest.approx(1e-4 * np.ones(3), rel=0.15)  # 2 Hz for 60 s: 120 looks, 9 % of scatter
+    # 2 Hz for 60 s: 120 looks, 9 % of scatter
+    assert shaken.std(axis=0) == pytest.approx(1e-4 * np.ones(3), rel=0.15)
     power = (np.abs(np.fft.rfft(shaken, axis=0)) ** 2).sum(axis=1)
     frequency = np.fft.rfftfreq(len(shaken), TICK)
     band = (frequency > 8.0) & (frequency < 12.0)
@@ -111,16 +139,29 @@ def test_tremor_lies_within_8_to_12_hz_and_has_its_size():
 def test_noise_grows_with_the_force():
     spread = []
     for force in (0.0, 1.0, 4.0):
-        hand = Hand(parameters(force_noise=0.05), to([0, 0, 0]), rng=np.random.default_rng(2),
-                    push=lambda t, force=force: np.array([force, 0.0, 0.0]))  # fmt: skip
-        spread.append(np.std([hand.act(tick * TICK, (0.0, 0.0, 0.0)).push_N for tick in range(30_000)], axis=0).mean())
+        hand = Hand(
+            parameters(force_noise=0.05),
+            to([0, 0, 0]),
+            rng=np.random.default_rng(2),
+            push=lambda t, force=force: np.array([force, 0.0, 0.0]),
+        )
+        spread.append(
+            np.std(
+                [hand.act(tick * TICK, (0.0, 0.0, 0.0)).push_N for tick in range(30_000)], axis=0
+            ).mean()
+        )
     assert spread[0] == 0.0
-    assert spread[1] == pytest.approx(0.05, rel=0.1) and spread[2] == pytest.approx(4.0 * spread[1], rel=1e-9)
+    assert spread[1] == pytest.approx(0.05, rel=0.1) and spread[2] == pytest.approx(
+        4.0 * spread[1], rel=1e-9
+    )
 
 
 def test_the_same_generator_gives_the_same_movement_and_another_another():
     path = waypoints([0.0, 0.5, 2.0], [[0, 0, 0], [0.03, 0, 0], [0.03, 0.02, 0.01]])
-    runs = [held(Hand(hand_parameters("novice"), path, rng=np.random.default_rng(seed)), 1.5) for seed in (1, 1, 2)]
+    runs = [
+        held(Hand(hand_parameters("novice"), path, rng=np.random.default_rng(seed)), 1.5)
+        for seed in (1, 1, 2)
+    ]
     assert np.array_equal(runs[0], runs[1])
     assert np.abs(runs[0] - runs[2]).max() > 1e-4
 
@@ -133,7 +174,9 @@ def test_experts_are_steadier_than_novices(name):
         errors = []
         for seed in range(4):
             moved = held(
-                Hand(hand_parameters(group), path, rng=np.random.default_rng(seed)), 2.9, device=device_parameters(name)
+                Hand(hand_parameters(group), path, rng=np.random.default_rng(seed)),
+                2.9,
+                device=device_parameters(name),
             )
             wanted = np.array([path(tick * TICK) for tick in range(len(moved))])
             errors.append(np.sqrt(((moved - wanted)[600:] ** 2).sum(axis=1).mean()))
@@ -143,7 +186,9 @@ def test_experts_are_steadier_than_novices(name):
 
 
 def test_an_open_hand_does_nothing():
-    hand = Hand(hand_parameters("novice"), to([0.1, 0, 0]), rng=np.random.default_rng(0), let_go_s=0.5)
+    hand = Hand(
+        hand_parameters("novice"), to([0.1, 0, 0]), rng=np.random.default_rng(0), let_go_s=0.5
+    )
     assert hand.act(0.499, (0.0, 0.0, 0.0)).grip.stiffness_N_m > 0.0
     gone = hand.act(0.5, (0.0, 0.0, 0.0))
     assert set(gone.grip) == {0.0} and set(gone.push_N) == {0.0}
@@ -158,7 +203,9 @@ def test_groups_are_complete_cited_and_ordered():
     for name in ("endpoint_noise", "force_noise", "tremor_m", "submovement_s"):
         assert getattr(novice, name) > getattr(expert, name)
     assert 8.0 <= novice.tremor_Hz <= 12.0
-    with pytest.raises(InputError, match="hand must be one of novice, intermediate, expert, got master"):
+    with pytest.raises(
+        InputError, match="hand must be one of novice, intermediate, expert, got master"
+    ):
         hand_parameters("master")
     with pytest.raises(InputError, match="tremor_m must be in"):
         parameters(tremor_m=float("nan"))

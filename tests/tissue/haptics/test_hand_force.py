@@ -1,4 +1,6 @@
-"""The force that a hand feels of a device: by the device's own balance, at rest, behind friction, and in a run."""
+"""The force that a hand feels of a device: by the device's own balance, at rest, behind
+friction, and in a run.
+"""
 
 import numpy as np
 import pytest
@@ -24,7 +26,9 @@ class Moving:
 
 
 def felt(device, force_N, ticks, first=1):
-    """Force at the hand in each tick under a constant command [N], shape (ticks, 3), and velocity after it."""
+    """Force at the hand in each tick under a constant command [N], shape (ticks, 3), and
+    velocity after it.
+    """
     forces, velocities = [], []
     device.command(np.array(force_N), np.zeros(3))
     for tick in range(first, first + ticks):
@@ -48,7 +52,8 @@ def test_in_motion_it_is_the_motors_less_what_the_device_takes():
         velocities.append(device.translation.velocity)
         forces.append(device.hand_force_N)
     went, change = np.diff(places, axis=0) / TICK, np.diff(velocities, axis=0) / TICK
-    played = np.vstack([np.zeros(3), np.tile(motor, (58, 1))])  # a command is played from the next tick on
+    # a command is played from the next tick on
+    played = np.vstack([np.zeros(3), np.tile(motor, (58, 1))])
     balance = played - damping * went - mass * change
     lag = np.abs(np.array(forces) - balance).max(axis=1)
     assert lag[2:].max() < 2e-4 and min(lag[0], lag[1]) < 2e-4
@@ -63,14 +68,19 @@ def test_at_rest_all_of_the_motors_force_reaches_the_hand():
 @pytest.mark.parametrize("force", [0.1, 0.2, 0.6])
 def test_friction_keeps_a_weak_force_from_a_resting_hand(force):
     friction = 0.26
-    device = SimulatedDevice(DeviceParameters(mass_kg=0.045, damping_N_s_m=0.35, friction_N=friction), Moving())
+    device = SimulatedDevice(
+        DeviceParameters(mass_kg=0.045, damping_N_s_m=0.35, friction_N=friction), Moving()
+    )
     forces, velocities = felt(device, [0.0, 0.0, force], 1500)
     assert velocities[-1] == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
     reached = forces[-1, 2]
     if force < friction:
         assert reached == pytest.approx(0.0, abs=1e-12)
     else:  # it came to rest somewhere within the friction about what the motor gives
-        assert force - friction - 1e-9 < reached < force + friction + 1e-9 and reached != pytest.approx(force)
+        assert (
+            force - friction - 1e-9 < reached < force + friction + 1e-9
+            and reached != pytest.approx(force)
+        )
 
 
 def test_a_run_records_it_and_a_push_against_a_wall_is_felt():
@@ -81,4 +91,5 @@ def test_a_run_records_it_and_a_push_against_a_wall_is_felt():
     pressed = np.linalg.norm(played, axis=1) > 0.5
     assert pressed.sum() > 50
     gap = np.linalg.norm((skin - played)[pressed], axis=1)
-    assert np.median(gap) < friction + 0.05  # latency, own mass and ripple apart, friction is what is lost
+    # latency, own mass and ripple apart, friction is what is lost
+    assert np.median(gap) < friction + 0.05

@@ -20,7 +20,9 @@ from tissue.simulation.builders.registry import build
 UP = np.array([0.0, 0.0, 1.0])
 
 
-@pytest.mark.parametrize(("name", "law"), [("wall", "proxy"), ("wall", "penalty"), ("milling", "passivity")])
+@pytest.mark.parametrize(
+    ("name", "law"), [("wall", "proxy"), ("wall", "penalty"), ("milling", "passivity")]
+)
 def test_in_free_space_the_tool_is_where_the_device_is_and_nothing_is_played(name, law):
     tips, measures, _ = meet(held(name, device="touch", renderer=law), FreeSpace(), 1.0)
     np.testing.assert_array_equal(1e3 * tips, measures[:, :3])
@@ -30,14 +32,18 @@ def test_in_free_space_the_tool_is_where_the_device_is_and_nothing_is_played(nam
 
 @pytest.mark.parametrize(("share", "settles"), [(0.95, True), (1.05, False)])
 def test_the_whole_loop_is_stable_up_to_the_stiffness_that_is_judged(share, settles):
-    """Device, tool on the wall, renderer, low-pass, delay: 5 % on either side of the eigenvalues' critical stiffness.
+    """Device, tool on the wall, renderer, low-pass, delay: 5 % on either side of the eigenvalues'
+    critical stiffness.
 
-    Without what the judge leaves out: friction, encoders, noise and reflex. Coupling and wall are springs in series.
+    Without what the judge leaves out: friction, encoders, noise and reflex. Coupling and wall are
+    springs in series.
     """
     wall = 2e4
     critical = judge(LIMITS.loop(1.0, filter_s=1e-3), [PERSON.grip[:3]]).critical_N_m
     loop = LIMITS.loop(1.0 / (1.0 / (share * critical) - 1.0 / wall), filter_s=1e-3)
-    _, measures, _ = meet(quiet_press(loop, margin=1.0 - share), WallModel(wall, radius_m=5e-3), 2.0)
+    _, measures, _ = meet(
+        quiet_press(loop, margin=1.0 - share), WallModel(wall, radius_m=5e-3), 2.0
+    )
     check_ripple(measures, settles=settles)
 
 
@@ -50,11 +56,15 @@ def test_samples_that_are_no_numbers_end_in_no_force():
     assert played[699] > 0.3 and not played[725:].any()
     assert (np.diff(played[699:725]) <= 1e-12).all()
     assert (tips[725:] == tips[700]).all()
-    assert [what for _, what in motion.happened()] == ["a sample that is not finite: the force fades"]
+    assert [what for _, what in motion.happened()] == [
+        "a sample that is not finite: the force fades"
+    ]
 
 
 def test_a_delay_holds_the_force_back_by_whole_ticks():
-    tips, measures, _ = meet(held(coupling__delay_ms=7, output__low_pass_ms=0.0), WallModel(1e4, radius_m=5e-3), 0.8)
+    tips, measures, _ = meet(
+        held(coupling__delay_ms=7, output__low_pass_ms=0.0), WallModel(1e4, radius_m=5e-3), 0.8
+    )
     stretch, filtered = 1e3 * tips[:, 2] - measures[:, 2], measures[:, 15]
     touched, answered = np.flatnonzero(stretch > 0.0)[0], np.flatnonzero(filtered)[0]
     assert answered == touched + 7
@@ -67,14 +77,18 @@ def test_a_wall_is_for_a_ball_outside_it():
     parts = build(scene, step_s=STEP_S, compute="cpu", cores=None, report=silent)
     tool = ToolMotion()
     parts.motion.begin(tool)
-    with pytest.raises(InputError, match="motion must start outside the wall, got a ball 1 mm inside"):
+    with pytest.raises(
+        InputError, match="motion must start outside the wall, got a ball 1 mm inside"
+    ):
         parts.tissue.place(tool)
 
 
 @pytest.mark.parametrize("speed_m_s", [0.1, 0.2, 0.5])
 @pytest.mark.parametrize("wall_N_m", [1e3, 1e4, 4e4])
 def test_the_first_contact_is_answered_in_its_tick_and_without_a_spike(speed_m_s, wall_N_m):
-    """Spring and wall in series from the first tick on: F = depth of the device / (1 / k_c + 1 / k_w)."""
+    """Spring and wall in series from the first tick on: F = depth of the device / (1 / k_c + 1 /
+    k_w).
+    """
     motion = held(motion__feed_mm_s=1e3 * speed_m_s)
     times = np.array([0.0, 0.3])
     down = np.array([[0.0, 0.0, 0.02], [0.0, 0.0, 0.02 - 0.3 * speed_m_s]])
@@ -82,13 +96,17 @@ def test_the_first_contact_is_answered_in_its_tick_and_without_a_spike(speed_m_s
     _, measures, forces = meet(motion, WallModel(wall_N_m, radius_m=5e-3), 0.3)
     depth = np.maximum(-1e-3 * measures[:, 2], 0.0)
     assert (depth > 0.0).sum() > 50
-    np.testing.assert_allclose(forces[:, 2], depth / (1.0 / 400.0 + 1.0 / wall_N_m), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        forces[:, 2], depth / (1.0 / 400.0 + 1.0 / wall_N_m), rtol=1e-9, atol=1e-12
+    )
     np.testing.assert_allclose(measures[:, 21], forces[:, 2], rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("speed_m_s", [0.05, 0.2])
 def test_a_cutter_that_meets_bone_is_slowed_in_the_same_tick(speed_m_s):
-    """A cut that would take v c at the device's speed takes what the spring pulls, and no more, from its first tick."""
+    """A cut that would take v c at the device's speed takes what the spring pulls, and no more,
+    from its first tick.
+    """
     drag, edge, stiffness = 2e4, 5.0, 400.0 / 0.03
 
     class Cut(FreeSpace):
@@ -96,12 +114,19 @@ def test_a_cutter_that_meets_bone_is_slowed_in_the_same_tick(speed_m_s):
 
         def respond(self, motion):
             deep, speed = motion.tip_m[2] < 0.0, motion.speed_m_s
-            self._response.resistance[:3], self._response.edge[:3] = deep * drag * UP, deep * edge * UP
-            self._response.wrench[2] = deep * (drag * speed + edge) if speed > 0.0 else -motion.push[2] * deep
+            self._response.resistance[:3], self._response.edge[:3] = (
+                deep * drag * UP,
+                deep * edge * UP,
+            )
+            self._response.wrench[2] = (
+                deep * (drag * speed + edge) if speed > 0.0 else -motion.push[2] * deep
+            )
             return self._response
 
     motion = held("glenoid", device="touch", coupling__force_scale=0.03)
-    motion.device = RecordedDevice(np.array([0.0, 0.1]), np.array([[0, 0, 1e-3], [0, 0, 1e-3 - 0.1 * speed_m_s]]))
+    motion.device = RecordedDevice(
+        np.array([0.0, 0.1]), np.array([[0, 0, 1e-3], [0, 0, 1e-3 - 0.1 * speed_m_s]])
+    )
     tips, measures, forces = meet(motion, Cut(), 0.1)
     stretch = tips[:, 2] - 1e-3 * measures[:, 2]
     assert drag * speed_m_s > 500.0 and stretch.max() > 1e-3
@@ -109,7 +134,9 @@ def test_a_cutter_that_meets_bone_is_slowed_in_the_same_tick(speed_m_s):
 
 
 def test_torque_turns_the_tool_until_the_spring_balances_it_and_is_played():
-    """A ball rolled aside of its tip on the wall: arm x F of the wall = k_r theta, at the device scaled by f / m."""
+    """A ball rolled aside of its tip on the wall: arm x F of the wall = k_r theta, at the device
+    scaled by f / m.
+    """
     tilt, scale, motion_factor = 0.3, 0.5, 2.0
     changes = {
         "coupling__stiffness_Nm_rad": 0.2,
@@ -117,7 +144,9 @@ def test_torque_turns_the_tool_until_the_spring_balances_it_and_is_played():
         "coupling__motion_scale": motion_factor,
     }
     motion = held(device="six-dof", motion__axis=[np.sin(tilt), 0, np.cos(tilt)], **changes)
-    motion.device = RecordedDevice(np.array([0.0, 0.5, 1.5]), np.array([[0, 0, 20e-3], [0, 0, 7e-3], [0, 0, 7e-3]]))
+    motion.device = RecordedDevice(
+        np.array([0.0, 0.5, 1.5]), np.array([[0, 0, 20e-3], [0, 0, 7e-3], [0, 0, 7e-3]])
+    )
     tool, response, wall = ToolMotion(), Response.empty(1), WallModel(1e4, radius_m=5e-3)
     motion.begin(tool)
     for index in range(1500):
@@ -128,21 +157,31 @@ def test_torque_turns_the_tool_until_the_spring_balances_it_and_is_played():
         motion.play(response)
     theta = np.array(logarithm(motion.tool.quaternion))
     assert abs(response.wrench[4]) > 5e-3
-    np.testing.assert_allclose(0.2 * theta, scale / motion_factor * response.wrench[3:], rtol=1e-3, atol=1e-9)
+    np.testing.assert_allclose(
+        0.2 * theta, scale / motion_factor * response.wrench[3:], rtol=1e-3, atol=1e-9
+    )
     np.testing.assert_allclose(
         motion.measures[10:13], scale / motion_factor * response.wrench[3:], rtol=1e-2, atol=1e-9
     )
-    np.testing.assert_allclose(motion.measures[7:10], scale * response.wrench[:3], rtol=1e-3, atol=1e-9)
+    np.testing.assert_allclose(
+        motion.measures[7:10], scale * response.wrench[:3], rtol=1e-3, atol=1e-9
+    )
 
 
 def test_every_measure_lies_at_its_place():
     columns = MEASURES + PREDICTED + PERCEIVED
     for place, start in (
-        (at.POSITION, "device_x_mm"), (at.QUATERNION, "device_qx"), (at.PLAYED_FORCE, "device_force_x_N"),
-        (at.PLAYED_TORQUE, "device_torque_x_Nm"), (at.FILTERED_FORCE, "filtered_force_x_N"), (at.RAW_FORCE, "raw_force_x_N"),
+        (at.POSITION, "device_x_mm"),
+        (at.QUATERNION, "device_qx"),
+        (at.PLAYED_FORCE, "device_force_x_N"),
+        (at.PLAYED_TORQUE, "device_torque_x_Nm"),
+        (at.FILTERED_FORCE, "filtered_force_x_N"),
+        (at.RAW_FORCE, "raw_force_x_N"),
         (at.PREDICTED_FORCE, "predicted_force_x_N"),
-    ):  # fmt: skip
-        assert columns[place][0] == start and len({name.split("_")[0] for name in columns[place]}) == 1
+    ):
+        assert (
+            columns[place][0] == start and len({name.split("_")[0] for name in columns[place]}) == 1
+        )
     single = {
         at.SATURATED: "saturated",
         at.ENERGY: "passivity_J",

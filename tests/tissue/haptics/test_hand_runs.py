@@ -1,4 +1,6 @@
-"""Runs of scenes by a hand on a device: balances in closed form, and the force within its bounds."""
+"""Runs of scenes by a hand on a device: balances in closed form, and the force within its
+bounds.
+"""
 
 import numpy as np
 import pytest
@@ -24,7 +26,10 @@ def on_the_wall():
 
 def test_on_the_wall_spring_and_wall_balance(on_the_wall):
     """k_c (z_tool - z_device) = k_w depth, from the first tick of a contact on."""
-    trace, stiffness = on_the_wall.trace, judged_loop(loop_settings(on_the_wall.scene), step_s=STEP_S).stiffness_N_m
+    trace, stiffness = (
+        on_the_wall.trace,
+        judged_loop(loop_settings(on_the_wall.scene), step_s=STEP_S).stiffness_N_m,
+    )
     settled = trace["depth_mm"] > 0.0
     assert settled.sum() > 500
     force, stretch = trace["model_force_z_N"], 1e-3 * (trace["tool_z_mm"] - trace["device_z_mm"])
@@ -36,7 +41,8 @@ def test_on_the_wall_the_played_force_settles_and_is_bounded(on_the_wall):
     trace, force = on_the_wall.trace, played_N(on_the_wall)
     late = (trace["time_s"] > 0.6) & (trace["time_s"] < 1.0)
     assert 0.3 < force[late].mean() < 3.3
-    # 1 ms of low-pass behind a force that a hand changes in tenths of a second: within a few per cent.
+    # 1 ms of low-pass behind a force that a hand changes in tenths of a second: within a few per
+    # cent.
     np.testing.assert_allclose(force[late], trace["model_force_z_N"][late], rtol=0.1)
     assert force.max() <= device_parameters("touch").force_limit_N
     assert trace["passivity_J"].min() > -1e-3
@@ -46,8 +52,18 @@ def test_on_the_wall_the_played_force_settles_and_is_bounded(on_the_wall):
 def test_a_scene_without_a_device_has_no_trace_of_one():
     plain = run_of("wall", device="none", duration_s=0.3)
     assert not set(MEASURES) & set(plain.trace.columns)
-    with pytest.raises(InputError, match=r"coupling\.delay_ms and hand and renderer must be left out without a device"):
-        run_of("wall", device="none", duration_s=0.3, hand="novice", renderer="penalty", coupling__delay_ms=5)
+    with pytest.raises(
+        InputError,
+        match=r"coupling\.delay_ms and hand and renderer must be left out without a device",
+    ):
+        run_of(
+            "wall",
+            device="none",
+            duration_s=0.3,
+            hand="novice",
+            renderer="penalty",
+            coupling__delay_ms=5,
+        )
     assert plain.trace["model_force_z_N"][250] == pytest.approx(1e4 * 5e-3, rel=1e-9)
 
 
@@ -61,14 +77,19 @@ def test_the_same_seed_gives_the_same_run_and_another_hand_or_seed_another(on_th
 @pytest.mark.parametrize("device", ["touch", "omni", "six-dof"])
 @pytest.mark.parametrize("law", ["penalty", "passivity", "proxy"])
 def test_every_device_and_renderer_stays_within_its_limits(device, law):
-    run, limits = run_of("wall", device=device, renderer=law, duration_s=0.8), device_parameters(device)
+    run, limits = (
+        run_of("wall", device=device, renderer=law, duration_s=0.8),
+        device_parameters(device),
+    )
     assert 0.0 < played_N(run).max() <= limits.force_limit_N
     assert np.abs(run.trace.vectors("device_torque", "Nm")).max() <= limits.torque_limit_Nm
     assert run.trace["margin"][0] > 0.5
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("changes", [{}, {"motion__kind": "thrust", "motion__thrust_N": 60.0}], ids=["path", "thrust"])
+@pytest.mark.parametrize(
+    "changes", [{}, {"motion__kind": "thrust", "motion__thrust_N": 60.0}], ids=["path", "thrust"]
+)
 def test_a_hand_reams_a_glenoid_within_the_device_s_range(changes):
     run = run_of("glenoid", device="touch", voxels__spacing_mm=0.4, duration_s=4.0, **changes)
     assert run.summary["removed_mm3"]["subchondral"] > 10.0
@@ -76,12 +97,17 @@ def test_a_hand_reams_a_glenoid_within_the_device_s_range(changes):
     assert 0.3 < force.max() <= device_parameters("touch").force_limit_N
     # What the device plays is the tissue's force by the scene's scale.
     late = run.trace["time_s"] > 3.5
-    np.testing.assert_allclose(force[late].mean(), chosen_scale(run.scene)[0] * model[late].mean(), rtol=0.1)
+    np.testing.assert_allclose(
+        force[late].mean(), chosen_scale(run.scene)[0] * model[late].mean(), rtol=0.1
+    )
 
 
 def test_a_hand_presses_a_liver():
     run = run_of(
-        "liver-press", device="touch", duration_s=1.6, **{k.replace(".", "__"): v for k, v in COARSE_LIVER.items()}
+        "liver-press",
+        device="touch",
+        duration_s=1.6,
+        **{k.replace(".", "__"): v for k, v in COARSE_LIVER.items()},
     )
     trace = run.trace
     late = (trace["time_s"] > 0.9) & (trace["time_s"] < 1.4)
@@ -97,7 +123,9 @@ def test_the_energy_of_the_trace_is_that_of_the_motors(delay_ms):
     for law, most in (("proxy", 1e-3), ("passivity", 3e-4)):
         run = run_of("wall", device="six-dof", renderer=law, coupling__delay_ms=delay_ms)
         energy = run.trace["passivity_J"]
-        assert energy[-1] == pytest.approx(-run.parts.motion.device.translation.motor_work_J, abs=6e-5)
+        assert energy[-1] == pytest.approx(
+            -run.parts.motion.device.translation.motor_work_J, abs=6e-5
+        )
         assert -most < energy.min() < 0.0
 
 
@@ -105,19 +133,27 @@ def test_a_recorded_motion_by_a_hand_turns_with_it(tmp_path):
     path = tmp_path / "poses.csv"
     half = np.linspace(0.0, 0.2, 5)
     rows = [
-        f"{t:g},0,0,20,0,0,{np.sin(h):.9f},{np.cos(h):.9f}" for t, h in zip(np.linspace(0, 0.8, 5), half, strict=True)
+        f"{t:g},0,0,20,0,0,{np.sin(h):.9f},{np.cos(h):.9f}"
+        for t, h in zip(np.linspace(0, 0.8, 5), half, strict=True)
     ]
-    path.write_text("time_s,tool_x_mm,tool_y_mm,tool_z_mm,tool_qx,tool_qy,tool_qz,tool_qw\n" + "\n".join(rows))
+    path.write_text(
+        "time_s,tool_x_mm,tool_y_mm,tool_z_mm,tool_qx,tool_qy,tool_qz,tool_qw\n" + "\n".join(rows)
+    )
     run = run_of("wall", motion__kind="replay", motion__file=str(path), duration_s=0.9)
     np.testing.assert_allclose(run.trace["tool_qz"][-1], np.sin(0.2), atol=1e-6)
     np.testing.assert_allclose(run.trace["tool_qz"][400], np.sin(0.1), atol=1e-3)
 
 
 def test_paths_and_forces_are_scaled_by_a_stated_law():
-    """The hand goes 1 / m of the path; a tool of K is felt as m f K; the energy is that at the device."""
+    """The hand goes 1 / m of the path; a tool of K is felt as m f K; the energy is that at the
+    device.
+    """
     run = run_of("wall", coupling__motion_scale=2.5, coupling__force_scale=0.4)
     trace = run.trace
-    away = 1e-3 * (trace.vectors("tool", "mm") - [0, 0, 20]), 1e-3 * (trace.vectors("device", "mm") - [0, 0, 20])
+    away = (
+        1e-3 * (trace.vectors("tool", "mm") - [0, 0, 20]),
+        1e-3 * (trace.vectors("device", "mm") - [0, 0, 20]),
+    )
     free = trace["depth_mm"] == 0.0
     np.testing.assert_allclose(away[0][free], 2.5 * away[1][free], atol=1e-12)
     stretch = away[0][:, 2] / 2.5 - away[1][:, 2]
@@ -125,8 +161,9 @@ def test_paths_and_forces_are_scaled_by_a_stated_law():
     np.testing.assert_allclose(trace["raw_force_z_N"], 0.4 * trace["model_force_z_N"], atol=1e-9)
     moved = np.diff(trace.vectors("device", "mm"), axis=0)
     assert abs(trace["passivity_J"][-1]) < 1e-3 * played_N(run).max() * np.abs(moved).sum()
-    assert "2.5 m at the tool for each metre at the device: a stiffness at the tool is felt as 1 of it" in str(
-        run.parts.notes["coupling"]
+    assert (
+        "2.5 m at the tool for each metre at the device: a stiffness at the tool is felt as 1 of it"
+        in str(run.parts.notes["coupling"])
     )
 
 
@@ -141,12 +178,19 @@ def test_a_run_of_the_whole_motion_waits_for_the_hand_and_a_short_one_does_not(o
 
 @pytest.mark.parametrize("device", ["touch", "six-dof"])
 def test_a_tool_that_does_not_turn_feels_the_bone_and_cuts_nothing(device):
-    deep = {"motion__points_mm": [[0, 0, 0.5], [0, 0, -8]], "motion__feed_mm_s": 5.0, "duration_s": 2.0}
+    deep = {
+        "motion__points_mm": [[0, 0, 0.5], [0, 0, -8]],
+        "motion__feed_mm_s": 5.0,
+        "duration_s": 2.0,
+    }
     run = run_of("glenoid", device=device, tool__spin_rpm=0.0, voxels__spacing_mm=0.4, **deep)
     trace, limits = run.trace, device_parameters(device)
     touching = trace["contacts"] > 0.0
-    assert touching.sum() > 500 and trace["removed_mm3"].max() == 0.0 and trace["behind"].mean() < 0.01
-    assert trace["tool_z_mm"].min() > -0.5 and trace["device_z_mm"].min() < -1.2  # nothing pops through the face
+    assert (
+        touching.sum() > 500 and trace["removed_mm3"].max() == 0.0 and trace["behind"].mean() < 0.01
+    )
+    # nothing pops through the face
+    assert trace["tool_z_mm"].min() > -0.5 and trace["device_z_mm"].min() < -1.2
     k = judged_loop(loop_settings(run.scene), step_s=STEP_S).stiffness_N_m
     stretch = 1e-3 * (trace.vectors("tool", "mm") - trace.vectors("device", "mm"))
     model = chosen_scale(run.scene)[0] * trace.vectors("model_force", "N")
@@ -157,23 +201,37 @@ def test_a_tool_that_does_not_turn_feels_the_bone_and_cuts_nothing(device):
 
 @pytest.mark.slow
 def test_what_a_controller_adds_is_not_extrapolated():
-    """Its one-tick pulses passed through a predictor were spikes of 0.9 N; what is left is a force that is let go of."""
+    """Its one-tick pulses passed through a predictor were spikes of 0.9 N; what is left is a
+    force that is let go of.
+    """
     late = {"coupling__delay_ms": 4, "prediction": "koopman"}
-    supervised, bare = run_of("wall", renderer="passivity", **late), run_of("wall", renderer="proxy", **late)
-    steps = [np.abs(np.diff(run.trace.vectors("device_force", "N"), axis=0)).max() for run in (supervised, bare)]
+    supervised, bare = (
+        run_of("wall", renderer="passivity", **late),
+        run_of("wall", renderer="proxy", **late),
+    )
+    steps = [
+        np.abs(np.diff(run.trace.vectors("device_force", "N"), axis=0)).max()
+        for run in (supervised, bare)
+    ]
     assert steps[0] < 0.2 and steps[1] < 0.1
     assert "6.11 ms ahead" in bare.parts.notes["prediction"]
 
 
 def test_the_wall_s_hand_comes_as_deep_as_its_springs_let_it(on_the_wall):
-    """Grip (250 N/m and a fifth by reflex) against coupling and wall in series: 5 mm x 300 / (300 + 385) = 2.2 mm.
+    """Grip (250 N/m and a fifth by reflex) against coupling and wall in series: 5 mm x 300 / (300 +
+    385) = 2.2 mm.
 
     Friction of 0.26 N stops it up to 0.4 mm before or behind that.
     """
     trace, person = on_the_wall.trace, hand_parameters("expert")
-    grip, coupled = (1.0 + person.reflex_share) * person.stiffness_N_m, 1.0 / (1.0 / 400.0 + 1.0 / 1e4)
+    grip, coupled = (
+        (1.0 + person.reflex_share) * person.stiffness_N_m,
+        1.0 / (1.0 / 400.0 + 1.0 / 1e4),
+    )
     late = (trace["time_s"] > 0.75) & (trace["time_s"] < 1.05)
-    assert -trace["device_z_mm"][late].mean() == pytest.approx(5.0 * grip / (grip + coupled), abs=0.4)
+    assert -trace["device_z_mm"][late].mean() == pytest.approx(
+        5.0 * grip / (grip + coupled), abs=0.4
+    )
 
 
 @pytest.mark.slow
@@ -181,11 +239,19 @@ def test_the_wall_s_hand_comes_as_deep_as_its_springs_let_it(on_the_wall):
     ("name", "changes"),
     [
         ("glenoid", {"voxels__spacing_mm": 0.4, "duration_s": 3.5}),
-        ("liver-press", {**{k.replace(".", "__"): v for k, v in COARSE_LIVER.items()}, "motion__axis": [0.3, 0, 1]}),
+        (
+            "liver-press",
+            {
+                **{k.replace(".", "__"): v for k, v in COARSE_LIVER.items()},
+                "motion__axis": [0.3, 0, 1],
+            },
+        ),
     ],
 )
 def test_a_device_that_plays_torque_is_given_that_of_its_spring(name, changes):
-    """The spring of rotation balances the tissue's torque, which is played by the scene's scale: within 10 % late on."""
+    """The spring of rotation balances the tissue's torque, which is played by the scene's scale:
+    within 10 % late on.
+    """
     run = run_of(name, device="six-dof", **{"duration_s": 1.2, **changes})
     trace, scale = run.trace, chosen_scale(run.scene)[0]
     late = slice(-300, None)
@@ -193,13 +259,19 @@ def test_a_device_that_plays_torque_is_given_that_of_its_spring(name, changes):
     tissue = scale * trace.vectors("model_torque", "Nm")[late].mean(axis=0)
     assert np.linalg.norm(tissue) > 2e-4
     np.testing.assert_allclose(played, tissue, atol=0.1 * np.linalg.norm(tissue))
-    turned = trace["device_qz"] - trace["tool_qz"] if name == "glenoid" else trace["device_qy"] - trace["tool_qy"]
+    turned = (
+        trace["device_qz"] - trace["tool_qz"]
+        if name == "glenoid"
+        else trace["device_qy"] - trace["tool_qy"]
+    )
     assert np.abs(turned[late]).max() > 1e-4
 
 
 @pytest.mark.slow
 def test_a_device_on_rails_that_tracks_the_path_feels_the_scripted_force():
-    """The device goes where the path and the spring's stretch under the scripted force are: 2 to 7 mm along a slot."""
+    """The device goes where the path and the spring's stretch under the scripted force are: 2 to
+    7 mm along a slot.
+    """
     changes = {"duration_s": 1.6, "voxels.spacing_mm": 0.1}
     scripted = simulate(load_scene("milling", changes)).trace
     scene = load_scene("milling", changes | {"device": "touch"})
@@ -211,4 +283,6 @@ def test_a_device_on_rails_that_tracks_the_path_feels_the_scripted_force():
     felt = simulate(scene, device=rails).trace.vectors("raw_force", "N") / chosen_scale(scene)[0]
     expected = force[late].mean(axis=0)
     assert np.linalg.norm(expected[1:]) > 8.0 * abs(expected[0])  # it acts across the path
-    np.testing.assert_allclose(felt[late].mean(axis=0), expected, atol=0.1 * np.linalg.norm(expected))
+    np.testing.assert_allclose(
+        felt[late].mean(axis=0), expected, atol=0.1 * np.linalg.norm(expected)
+    )

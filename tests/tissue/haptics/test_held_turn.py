@@ -1,4 +1,6 @@
-"""A tool that hangs on a device by a spring of rotation, and one that feels rigid bone with its surface."""
+"""A tool that hangs on a device by a spring of rotation, and one that feels rigid bone with its
+surface.
+"""
 
 from math import inf
 
@@ -29,7 +31,9 @@ def apart(tool, device):
 
 @pytest.mark.parametrize("tissue_Nm_rad", [0.0, 0.02, 0.3, 3.0, 30.0])
 def test_spring_and_tissue_balance_also_a_hundred_times_stiffer(tissue_Nm_rad):
-    """Tissue T = T0 - k_t phi on the tool turned by phi in the world: theta = (T0 - k_t phi_d) / (k + k_t)."""
+    """Tissue T = T0 - k_t phi on the tool turned by phi in the world: theta = (T0 - k_t phi_d) /
+    (k + k_t).
+    """
     spring, device = 0.3, exponential((0.2, -0.1, 0.05))
     steady, turn = np.array([0.01, 0.02, -0.03]), HeldTurn(spring)
     torque = steady
@@ -37,7 +41,9 @@ def test_spring_and_tissue_balance_also_a_hundred_times_stiffer(tissue_Nm_rad):
         tool = turn.follow(device, torque)
         torque = steady - tissue_Nm_rad * apart(tool, device)
     np.testing.assert_allclose(apart(tool, device), steady / (spring + tissue_Nm_rad), rtol=1e-2)
-    np.testing.assert_allclose(spring * apart(tool, device), torque, atol=1e-2 * np.linalg.norm(steady))
+    np.testing.assert_allclose(
+        spring * apart(tool, device), torque, atol=1e-2 * np.linalg.norm(steady)
+    )
 
 
 def test_without_torque_or_with_a_rigid_spring_the_tool_is_as_the_device():
@@ -110,16 +116,23 @@ def down(start, end, steps=120):
 def test_a_stopped_burr_on_bone_pushes_with_stiffness_times_stretch(depth_m):
     held, bone, motion = probe(ball_burr(diameter_m=6e-3), start=(0, 0, 1e-3))
     response = press(held, bone, motion, down((0, 0, 1e-3), (0, 0, -depth_m)))
-    assert abs(motion.tip_m[2]) < 0.6 * SPACING  # half a voxel, and what the shell's points miss of the tip
-    np.testing.assert_allclose(response.wrench[:3], 2e3 * (motion.tip_m - depth_m * DOWN), atol=2e3 * 1e-3 * SPACING)
+    # half a voxel, and what the shell's points miss of the tip
+    assert abs(motion.tip_m[2]) < 0.6 * SPACING
+    np.testing.assert_allclose(
+        response.wrench[:3], 2e3 * (motion.tip_m - depth_m * DOWN), atol=2e3 * 1e-3 * SPACING
+    )
     np.testing.assert_allclose(response.wrench[2], 2e3 * depth_m, rtol=0.15)
-    assert response.measures[0] >= 1 and response.measures[1] == 0.0 and response.engaged_m2[0] > 0.0
+    assert (
+        response.measures[0] >= 1 and response.measures[1] == 0.0 and response.engaged_m2[0] > 0.0
+    )
     assert bone.removed_m3.sum() == 0.0
     np.testing.assert_allclose(bone.start_m3, 12e-3 * 12e-3 * 2e-3, rtol=1e-6)
 
 
 def test_a_stopped_tool_sticks_inside_the_cone_and_slides_beyond_it():
-    """The device goes aside by s at depth d: the contact holds while s < mu d, then pulls with mu times the normal."""
+    """The device goes aside by s at depth d: the contact holds while s < mu d, then pulls with
+    mu times the normal.
+    """
     held, bone, motion = probe(ball_burr(diameter_m=6e-3), start=(0, 0, 1e-3))
     press(held, bone, motion, down((0, 0, 1e-3), (0, 0, -2e-3)))
     at = motion.tip_m.copy()
@@ -132,12 +145,19 @@ def test_a_stopped_tool_sticks_inside_the_cone_and_slides_beyond_it():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("spring_Nm_rad", "turned_rad"), [(0.1, 0.1), (0.5, 8.0 * 3e-3 / 0.5)], ids=["flat", "on its rim"]
+    ("spring_Nm_rad", "turned_rad"),
+    [(0.1, 0.1), (0.5, 8.0 * 3e-3 / 0.5)],
+    ids=["flat", "on its rim"],
 )
 def test_a_flat_tool_that_is_tilted_on_bone_is_turned_back_by_its_spring(spring_Nm_rad, turned_rad):
-    """8 N on the rim of a cylinder 6 mm wide turn it by F r / k_r, until it lies flat, by the whole tilt of 0.1."""
+    """8 N on the rim of a cylinder 6 mm wide turn it by F r / k_r, until it lies flat, by the
+    whole tilt of 0.1.
+    """
     held, bone, motion = probe(
-        cylinder(diameter_m=6e-3, length_m=4e-3), start=(0, 0, 1.5e-3), turn=HeldTurn(spring_Nm_rad), friction=0.0
+        cylinder(diameter_m=6e-3, length_m=4e-3),
+        start=(0, 0, 1.5e-3),
+        turn=HeldTurn(spring_Nm_rad),
+        friction=0.0,
     )
     device = exponential((0.1, 0.0, 0.0))
     for share in np.linspace(0.0, 1.0, 60):
@@ -145,7 +165,8 @@ def test_a_flat_tool_that_is_tilted_on_bone_is_turned_back_by_its_spring(spring_
     response = press(held, bone, motion, down((0, 0, 1.5e-3), (0, 0, -4e-3), 200), device)
     turned = apart(held.quaternion, device)
     np.testing.assert_allclose(response.wrench[3:], spring_Nm_rad * turned, atol=1e-3)
-    assert -turned[0] == pytest.approx(turned_rad, abs=0.5 * SPACING / 6e-3)  # half a voxel across the face
+    # half a voxel across the face
+    assert -turned[0] == pytest.approx(turned_rad, abs=0.5 * SPACING / 6e-3)
     assert response.wrench[2] == pytest.approx(8.0, rel=0.05)
 
 

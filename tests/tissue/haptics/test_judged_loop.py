@@ -1,4 +1,6 @@
-"""The loop by which a scene's coupling is judged: what counts, what is refused, and the nearest that is not."""
+"""The loop by which a scene's coupling is judged: what counts, what is refused, and the nearest
+that is not.
+"""
 
 from dataclasses import replace
 
@@ -25,15 +27,27 @@ def test_an_unstable_stiffness_is_refused_with_margin_and_the_nearest_stable_one
     with pytest.raises(InputError, match="must be below") as refused:
         run_of("wall", coupling__stiffness_N_m=3000.0)
     sentence = str(refused.value)
-    assert sentence.startswith("coupling.stiffness_N_m must be below 20") and "got 3000 (margin -4" in sentence
+    assert (
+        sentence.startswith("coupling.stiffness_N_m must be below 20")
+        and "got 3000 (margin -4" in sentence
+    )
     nearest = float(sentence.split(": use ")[1].split(",")[0])
     assert run_of("wall", coupling__stiffness_N_m=nearest, duration_s=0.01).trace["margin"][0] > 0.0
 
 
 def test_the_command_refuses_and_allows(command, refused, here):
-    rigid = ("run", "wall", "--duration-s", 0.02, "--no-pictures", "--set", "coupling.stiffness_N_m=3000")
+    rigid = (
+        "run",
+        "wall",
+        "--duration-s",
+        0.02,
+        "--no-pictures",
+        "--set",
+        "coupling.stiffness_N_m=3000",
+    )
     assert refused(*rigid) == (
-        "coupling.stiffness_N_m must be below 2036 to be stable with device = touch in the hand of an expert, got 3000 "
+        "coupling.stiffness_N_m must be below 2036 to be stable with device = touch in the "
+        "hand of an expert, got 3000 "
         "(margin -47.4 %): use 2030, or pass --allow-unstable"
     )
     code, output, error = command(*rigid, "--allow-unstable")
@@ -42,7 +56,8 @@ def test_the_command_refuses_and_allows(command, refused, here):
 
 def test_too_much_damping_is_refused():
     with pytest.raises(
-        InputError, match=r"coupling\.damping_N_s_m must leave some stiffness stable, got 500: lower it"
+        InputError,
+        match=r"coupling\.damping_N_s_m must leave some stiffness stable, got 500: lower it",
     ):
         run_of("wall", coupling__damping_N_s_m=500.0)
 
@@ -58,9 +73,12 @@ def test_an_unstable_stiffness_that_is_allowed_runs_and_is_bounded():
 def test_what_is_judged_counts_the_delay_that_is_there():
     """Latency, the low-pass, and a tick for an organ whose balance is found a tick later."""
     wall, late = (
-        judged_loop(loop_settings(load_scene("wall", o)), step_s=STEP_S) for o in ({}, {"coupling.delay_ms": 3})
+        judged_loop(loop_settings(load_scene("wall", o)), step_s=STEP_S)
+        for o in ({}, {"coupling.delay_ms": 3})
     )
-    liver = judged_loop(loop_settings(load_scene("liver-press", {"device": "touch"})), step_s=STEP_S)
+    liver = judged_loop(
+        loop_settings(load_scene("liver-press", {"device": "touch"})), step_s=STEP_S
+    )
     bone = judged_loop(loop_settings(load_scene("milling", {"device": "touch"})), step_s=STEP_S)
     assert late.delay_s == pytest.approx(wall.delay_s + 3e-3)
     assert liver.delay_s == pytest.approx(wall.delay_s + 1e-3)
@@ -69,7 +87,9 @@ def test_what_is_judged_counts_the_delay_that_is_there():
 
 
 def test_an_unstable_spring_of_rotation_is_refused_with_the_nearest_stable_one():
-    with pytest.raises(InputError, match=r"coupling\.stiffness_Nm_rad must be below .* got 20 ") as refused:
+    with pytest.raises(
+        InputError, match=r"coupling\.stiffness_Nm_rad must be below .* got 20 "
+    ) as refused:
         run_of("wall", device="six-dof", coupling__stiffness_Nm_rad=20.0)
     nearest = float(str(refused.value).split(": use ")[1].split(",")[0])
     run = run_of("wall", device="six-dof", coupling__stiffness_Nm_rad=nearest, duration_s=0.01)
@@ -78,12 +98,15 @@ def test_an_unstable_spring_of_rotation_is_refused_with_the_nearest_stable_one()
 
 @pytest.mark.parametrize(("share", "settles"), [(0.95, True), (1.05, False)])
 def test_the_turning_loop_is_stable_up_to_the_stiffness_that_is_judged(share, settles):
-    """A six-dof device whose tool a tissue holds fast in rotation, 5 % on either side of the critical value.
+    """A six-dof device whose tool a tissue holds fast in rotation, 5 % on either side of the
+    critical value.
 
-    A tool that is held fast is where it was, so that the spring answers the tick's own turn; a soft tissue answers a
-    tick later, which is what a scene's judge counts with.
+    A tool that is held fast is where it was, so that the spring answers the tick's own turn; a soft
+    tissue answers a tick later, which is what a scene's judge counts with.
     """
-    limits = replace(device_parameters("six-dof"), friction_Nm=0.0, encoder_step_rad=0.0, torque_limit_Nm=1e3)
+    limits = replace(
+        device_parameters("six-dof"), friction_Nm=0.0, encoder_step_rad=0.0, torque_limit_Nm=1e3
+    )
     still = dict.fromkeys(("endpoint_noise", "force_noise", "tremor_m", "reflex_share"), 0.0)
     person = replace(hand_parameters("expert"), **still)
     loop = limits.turning_loop(1.0, filter_s=1e-3)
@@ -108,10 +131,16 @@ def test_the_turning_loop_is_stable_up_to_the_stiffness_that_is_judged(share, se
 def test_a_motion_that_leaves_the_workspace_is_refused_with_the_scale_that_fits():
     far = [[0, 0, 20], [0, 0, -5], [300, 0, -5]]
     with pytest.raises(
-        InputError, match=r"must be at least 1\.88 for a motion of 300 x 25 x 0 mm in the workspace of to"
+        InputError,
+        match=r"must be at least 1\.88 for a motion of 300 x 25 x 0 mm in the workspace of to",
     ):
         run_of("wall", motion__points_mm=far)
-    assert run_of("wall", motion__points_mm=far, coupling__motion_scale=1.88, duration_s=0.01).trace.rows.shape[0] == 10
+    assert (
+        run_of(
+            "wall", motion__points_mm=far, coupling__motion_scale=1.88, duration_s=0.01
+        ).trace.rows.shape[0]
+        == 10
+    )
 
 
 def test_without_a_hand_a_tool_that_does_not_turn_is_refused():
@@ -121,7 +150,8 @@ def test_without_a_hand_a_tool_that_does_not_turn_is_refused():
 
 @pytest.mark.slow
 def test_prediction_is_part_of_what_is_judged():
-    """4 ms of latency: simple predictions bear what none bears; an operator more, and less where it is played twice over.
+    """4 ms of latency: simple predictions bear what none bears; an operator more, and less where it
+    is played twice over.
 
     Measured margins at 200 N/m: 0.72 of holding, 0.79 of the operators, 0.66 of twice their step.
     """
@@ -133,19 +163,24 @@ def test_prediction_is_part_of_what_is_judged():
     held = run_of("wall", prediction="hold", **soft).trace["margin"][0]
     for kind in ("koopman", "koopman-look-ahead"):
         once, twice = (
-            run_of("wall", prediction=kind, coupling__prediction_gain=gain, **soft).trace["margin"][0]
+            run_of("wall", prediction=kind, coupling__prediction_gain=gain, **soft).trace["margin"][
+                0
+            ]
             for gain in (1.0, 2.0)
         )
         assert once > held + 0.03 and twice < held - 0.03, kind
 
 
 def test_the_coupling_names_what_stops_a_ringing():
-    note = simulate(load_scene("wall", {"duration_s": 0.01, "renderer": "passivity"})).parts.notes["coupling"]
+    note = simulate(load_scene("wall", {"duration_s": 0.01, "renderer": "passivity"})).parts.notes[
+        "coupling"
+    ]
     assert "nothing but friction and the passivity controller stops its ringing" in note
 
 
 def test_a_predictor_file_that_nothing_reads_is_refused():
     with pytest.raises(
-        InputError, match=r"coupling\.predictor_file must be left out unless a trained prediction is used"
+        InputError,
+        match=r"coupling\.predictor_file must be left out unless a trained prediction is used",
     ):
         load_scene("wall", {"coupling.predictor_file": "mine.npz"})

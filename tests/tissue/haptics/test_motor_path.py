@@ -1,4 +1,6 @@
-"""The path from a rendered force to the motor: its delay in closed form, and its force against a simulated device."""
+"""The path from a rendered force to the motor: its delay in closed form, and its force against a
+simulated device.
+"""
 
 from dataclasses import replace
 from math import inf
@@ -9,7 +11,12 @@ import pytest
 from tissue.evaluation.statistics.metrics import excess_error, force_error, latency_ms
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.loop.filters import DelayLine, LowPass
-from tissue.haptics.loop.motor_path import force_later_N, mean_over_ticks_N, motor_force_N, motor_lag_ticks
+from tissue.haptics.loop.motor_path import (
+    force_later_N,
+    mean_over_ticks_N,
+    motor_force_N,
+    motor_lag_ticks,
+)
 from tissue.haptics.loop.plant import Plant
 
 TICK = 1e-3
@@ -27,7 +34,12 @@ def wander(seed, count, slow=40):
     noise = np.random.default_rng(seed).normal(size=(count + 4 * slow, 3))
     noise[: 3 * slow] = 0.0
     window = np.hanning(2 * slow)
-    return np.stack([np.convolve(column, window / window.sum(), "same")[2 * slow : -2 * slow] for column in noise.T]).T
+    return np.stack(
+        [
+            np.convolve(column, window / window.sum(), "same")[2 * slow : -2 * slow]
+            for column in noise.T
+        ]
+    ).T
 
 
 @pytest.mark.parametrize("loop", PATHS)
@@ -35,12 +47,16 @@ def test_a_ramp_comes_later_by_the_stated_delay(loop):
     """After all has settled the mean over tick n of what was n is n + 1/2 less the delay."""
     ticks = np.arange(400.0)
     played = motor_force_N(loop, np.outer(ticks, [1.0, -2.0, 0.5]))
-    np.testing.assert_allclose(played[200:, 0], ticks[200:] + 0.5 - motor_lag_ticks(loop), atol=1e-9)
+    np.testing.assert_allclose(
+        played[200:, 0], ticks[200:] + 0.5 - motor_lag_ticks(loop), atol=1e-9
+    )
     np.testing.assert_allclose(played[200:, 1:], np.outer(played[200:, 0], [-2.0, 0.5]), atol=1e-9)
 
 
 def test_four_milliseconds_of_latency_are_six_of_a_touch():
-    """e^-1 / (1 - e^-1) = 0.582 of the low-pass, 4 of latency, 0.5 of transport, 0.5 of the hold, 1000 / (600 pi)."""
+    """e^-1 / (1 - e^-1) = 0.582 of the low-pass, 4 of latency, 0.5 of transport, 0.5 of the
+    hold, 1000 / (600 pi).
+    """
     loop = TOUCH.loop(1.0, filter_s=1e-3)
     late = replace(loop, delay_s=loop.delay_s + 4e-3)
     assert motor_lag_ticks(late) == pytest.approx(0.58198 + 4.0 + 0.5 + 0.5 + 0.53052, abs=1e-4)
@@ -48,7 +64,9 @@ def test_four_milliseconds_of_latency_are_six_of_a_touch():
 
 @pytest.mark.parametrize("loop", PATHS)
 def test_the_force_is_that_of_a_plant_stepped_through_it(loop):
-    """Low-pass, whole ticks and the rest of the delay as the loop makes them; the amplifier in 200 parts of a tick."""
+    """Low-pass, whole ticks and the rest of the delay as the loop makes them; the amplifier in
+    200 parts of a tick.
+    """
     force, parts = wander(3, 120), 200
     low_pass, line = LowPass(loop.filter_s, step_s=TICK), DelayLine(int(loop.delay_s / TICK + 1e-9))
     commands = [np.zeros(3), *(line.step(low_pass.step(each)) for each in force)]
@@ -83,5 +101,6 @@ def test_excess_of_a_perfect_and_a_wrong_answer():
     rng, ideal = np.random.default_rng(0), wander(7, 4000)
     noise = 0.1 * rng.standard_normal(ideal.shape)
     least, wrong = force_error(ideal + noise, ideal), force_error(1.3 * ideal + noise, ideal)
-    # Errors that have nothing to do with each other add in squares; 4000 samples leave 1 / sqrt(4000) of their product.
+    # Errors that have nothing to do with each other add in squares; 4000 samples leave 1 /
+    # sqrt(4000) of their product.
     assert excess_error(wrong, least) == pytest.approx(0.3, abs=0.03)

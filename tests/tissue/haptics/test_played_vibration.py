@@ -1,4 +1,6 @@
-"""The vibration that a device plays: where it lies, how great it is, and what it does to the loop."""
+"""The vibration that a device plays: where it lies, how great it is, and what it does to the
+loop.
+"""
 
 from dataclasses import replace
 from itertools import product
@@ -32,7 +34,9 @@ def spectrum(force):
 
 @pytest.mark.parametrize(("passing_Hz", "at_Hz"), [(40_000.0, 250), (1000.0, 250), (60.0, 60)])
 def test_a_steady_force_vibrates_at_one_frequency_below_the_band_s_limit(passing_Hz, at_Hz):
-    vibration = PlayedVibration(Vibration(passing_Hz, share=SHARE, step_s=STEP_S), limit_N=3.3, step_s=STEP_S)
+    vibration = PlayedVibration(
+        Vibration(passing_Hz, share=SHARE, step_s=STEP_S), limit_N=3.3, step_s=STEP_S
+    )
     force = np.array([0.6, 0.0, 0.8])
     added = np.array([vibration.step(force) for _ in range(2000)])[1000:]
     along = added @ force
@@ -42,7 +46,9 @@ def test_a_steady_force_vibrates_at_one_frequency_below_the_band_s_limit(passing
 
 
 def test_it_leaves_the_sum_within_the_device_s_limit_and_begins_anew_after_a_pause():
-    vibration = PlayedVibration(Vibration(1000.0, share=1.0, step_s=STEP_S), limit_N=1.0, step_s=STEP_S)
+    vibration = PlayedVibration(
+        Vibration(1000.0, share=1.0, step_s=STEP_S), limit_N=1.0, step_s=STEP_S
+    )
     force = np.array([0.0, 0.0, 0.9])
     sums = np.array([force + vibration.step(force) for _ in range(500)])
     assert np.abs(sums).max() <= 1.0 + 1e-12 and sums[-50:].max() == pytest.approx(1.0)
@@ -51,7 +57,9 @@ def test_it_leaves_the_sum_within_the_device_s_limit_and_begins_anew_after_a_pau
 
 
 def test_only_the_device_s_force_holds_it():
-    """A wall, the device held at a depth: the played force less the vibration's columns is the force without it."""
+    """A wall, the device held at a depth: the played force less the vibration's columns is the
+    force without it.
+    """
     runs = []
     for share in (0.0, SHARE):
         motion = held(coupling__force_scale=1.0)
@@ -68,11 +76,16 @@ def test_only_the_device_s_force_holds_it():
     np.testing.assert_allclose(shaken[300:, RAW_FORCE], still[300:, RAW_FORCE], atol=1e-12)
     added = shaken[300:, first : first + 3]
     assert np.abs(added).max() == pytest.approx(SHARE * still[-1, PLAYED_FORCE][2], rel=0.02)
-    np.testing.assert_allclose(shaken[300:, PLAYED_FORCE] - added, still[300:, PLAYED_FORCE], atol=1e-9)
+    np.testing.assert_allclose(
+        shaken[300:, PLAYED_FORCE] - added, still[300:, PLAYED_FORCE], atol=1e-9
+    )
 
 
 HELD = replace(
-    in_hands(device_parameters("touch").loop(1.0, filter_s=1e-3), [hand_parameters("intermediate").grip[:3]])[0],
+    in_hands(
+        device_parameters("touch").loop(1.0, filter_s=1e-3),
+        [hand_parameters("intermediate").grip[:3]],
+    )[0],
     velocity_memory=0.85,
 )
 LOOPS = {
@@ -89,11 +102,18 @@ def test_a_share_of_nothing_leaves_the_judged_loop_as_it_is(loop):
         for stiffness in (10.0, 100.0, 1000.0, 5000.0):
             radii = [spectral_radius(each.with_stiffness(stiffness)) for each in (still, loop)]
             assert radii[0] == pytest.approx(radii[1], abs=1e-12)
-        assert critical_stiffness_N_m(still) == pytest.approx(critical_stiffness_N_m(loop), rel=1e-9)
+        assert critical_stiffness_N_m(still) == pytest.approx(
+            critical_stiffness_N_m(loop), rel=1e-9
+        )
 
 
 CASES = list(product(LOOPS, (250.0, 40.0, 100.0 / 3.0, 20.0, 8.0), (0.1, 0.5, 2.0)))
-QUICK = {("held", 250.0, 0.1), ("held", 40.0, 2.0), ("let go", 8.0, 0.5), ("late and slow", 100.0 / 3.0, 0.5)}
+QUICK = {
+    ("held", 250.0, 0.1),
+    ("held", 40.0, 2.0),
+    ("let go", 8.0, 0.5),
+    ("late and slow", 100.0 / 3.0, 0.5),
+}
 
 
 @pytest.mark.slow
@@ -104,15 +124,22 @@ QUICK = {("held", 250.0, 0.1), ("held", 40.0, 2.0), ("let go", 8.0, 0.5), ("late
 def test_a_run_with_it_fades_below_the_judged_stiffness_and_grows_above(name, frequency_Hz, share):
     loop = replace(LOOPS[name], vibration=Vibration(frequency_Hz, share=share, step_s=STEP_S))
     critical = critical_stiffness_N_m(loop)
-    below, above = (growth_while_running([loop], np.array([by * critical]), ticks=8000)[0] for by in (0.97, 1.03))
+    below, above = (
+        growth_while_running([loop], np.array([by * critical]), ticks=8000)[0]
+        for by in (0.97, 1.03)
+    )
     assert below < 1.0 < above
 
 
 def test_where_the_loop_rings_at_half_of_its_frequency_it_takes_stiffness():
-    """Parametric resonance: held, the loop rings at 19 Hz at its critical stiffness; far from 38 Hz little changes."""
+    """Parametric resonance: held, the loop rings at 19 Hz at its critical stiffness; far from 38
+    Hz little changes.
+    """
     critical = critical_stiffness_N_m(HELD)
     with_it = {
-        frequency: critical_stiffness_N_m(replace(HELD, vibration=Vibration(frequency, share=1.0, step_s=STEP_S)))
+        frequency: critical_stiffness_N_m(
+            replace(HELD, vibration=Vibration(frequency, share=1.0, step_s=STEP_S))
+        )
         for frequency in (250.0, 100.0, 40.0, 37.5)
     }
     assert all(with_it[far] == pytest.approx(critical, rel=1e-3) for far in (250.0, 100.0))
@@ -121,11 +148,14 @@ def test_where_the_loop_rings_at_half_of_its_frequency_it_takes_stiffness():
 
 
 @pytest.mark.parametrize(
-    "share", [0.2, pytest.param(0.5, marks=pytest.mark.slow), pytest.param(1.0, marks=pytest.mark.slow)]
+    "share",
+    [0.2, pytest.param(0.5, marks=pytest.mark.slow), pytest.param(1.0, marks=pytest.mark.slow)],
 )
 def test_no_window_below_the_judged_stiffness_grows_by_more_than_a_part_in_5000_a_tick(share):
     """Of windows of parametric resonance, which the search in steps may miss."""
-    for loop, frequency in product((LOOPS["held"], LOOPS["let go"]), np.geomspace(5.1, 60.0, 40 if share > 0.2 else 6)):
+    for loop, frequency in product(
+        (LOOPS["held"], LOOPS["let go"]), np.geomspace(5.1, 60.0, 40 if share > 0.2 else 6)
+    ):
         shaken = replace(loop, vibration=Vibration(frequency, share=share, step_s=STEP_S))
         critical = critical_stiffness_N_m(shaken)
         finer = np.geomspace(1.0, critical, int(64 * np.log10(critical)))[:-1]
@@ -134,37 +164,55 @@ def test_no_window_below_the_judged_stiffness_grows_by_more_than_a_part_in_5000_
 
 
 @pytest.mark.parametrize(
-    ("frequency_Hz", "ticks", "judged_Hz"), [(250.0, 4, 250.0), (37.31, 134, 5e3 / 134), (3.0, 200, 5.0)]
+    ("frequency_Hz", "ticks", "judged_Hz"),
+    [(250.0, 4, 250.0), (37.31, 134, 5e3 / 134), (3.0, 200, 5.0)],
 )
 def test_a_long_period_is_judged_by_the_nearest_short_one(frequency_Hz, ticks, judged_Hz):
     factors = Vibration(frequency_Hz, share=SHARE, step_s=STEP_S).period()
     assert factors.shape == (1, ticks)
     np.testing.assert_allclose(
-        factors[0], [Vibration(judged_Hz, share=SHARE, step_s=STEP_S).factor(tick) for tick in range(ticks)], atol=1e-12
+        factors[0],
+        [Vibration(judged_Hz, share=SHARE, step_s=STEP_S).factor(tick) for tick in range(ticks)],
+        atol=1e-12,
     )
 
 
 def test_it_is_judged_with_a_scene_that_plays_it_in_either_sense_of_spin():
     shared = {"device": "touch", "output.vibration_share": 0.5}
     loops = [
-        judged_loop(loop_settings(load_scene("glenoid", shared | {"tool.spin_rpm": spin})), step_s=STEP_S)
+        judged_loop(
+            loop_settings(load_scene("glenoid", shared | {"tool.spin_rpm": spin})), step_s=STEP_S
+        )
         for spin in (600.0, -600.0)
     ]
     for loop in loops:
         assert loop.vibration.frequency_Hz == 40.0 and loop.vibration.share == 0.5
-    assert judged_loop(loop_settings(load_scene("glenoid", {"device": "touch"})), step_s=STEP_S).vibration is None
+    assert (
+        judged_loop(
+            loop_settings(load_scene("glenoid", {"device": "touch"})), step_s=STEP_S
+        ).vibration
+        is None
+    )
 
 
 def test_at_its_greatest_it_does_not_destabilise_a_loop_at_95_per_cent_of_the_critical_stiffness():
-    """A small gain of the change that comes back: share / sqrt(1 + (2 pi f tau)^2) at 250 Hz, where the hand's mass
-    yields a thousandth of what it does at its ringing; the ripple below 100 Hz settles as it does without."""
+    """A small gain of the change that comes back: share / sqrt(1 + (2 pi f tau)^2) at 250 Hz, where
+    the hand's mass yields a thousandth of what it does at its ringing; the ripple below 100 Hz
+    settles as it does without.
+    """
     critical = judge(LIMITS.loop(1.0, filter_s=1e-3), [PERSON.grip[:3]]).critical_N_m
     stiffness = 1.0 / (1.0 / (0.95 * critical) - 1.0 / 2e4)
     loop, settled = LIMITS.loop(stiffness, filter_s=1e-3), []
     for share in (0.0, 1.0):
-        teeth = PlayedVibration(Vibration(1000.0, share=share, step_s=STEP_S), limit_N=3.3, slew_N=0.66, step_s=STEP_S)
+        teeth = PlayedVibration(
+            Vibration(1000.0, share=share, step_s=STEP_S), limit_N=3.3, slew_N=0.66, step_s=STEP_S
+        )
         motion = quiet_press(loop, margin=0.05, vibration=teeth)
         _, measures, _ = meet(motion, WallModel(2e4, radius_m=5e-3), 2.4)
-        slow = [spectrum(measures[at : at + 400, RAW_FORCE][:, 2])[:40].max() for at in (1000, 1900)]
+        slow = [
+            spectrum(measures[at : at + 400, RAW_FORCE][:, 2])[:40].max() for at in (1000, 1900)
+        ]
         settled.append(slow[1] / slow[0])
-    assert settled[0] < 0.7 and settled[1] < 0.7 and settled[1] == pytest.approx(settled[0], rel=0.05)
+    assert (
+        settled[0] < 0.7 and settled[1] < 0.7 and settled[1] == pytest.approx(settled[0], rel=0.05)
+    )

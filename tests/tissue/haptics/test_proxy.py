@@ -1,4 +1,6 @@
-"""Laws of the proxy over random scenes of solids, and its refusals: three and six degrees of freedom."""
+"""Laws of the proxy over random scenes of solids, and its refusals: three and six degrees of
+freedom.
+"""
 
 import numpy as np
 import pytest
@@ -12,7 +14,9 @@ from tissue.haptics.proxy.voxmap import Ball, Box, ContactField, HalfSpace
 from tissue.motion.quaternion import turn_between
 
 SOLID_TOLERANCE_M = 2.5e-5
-"""How deep a step beside solids may end before it is taken back: a tenth of 0.25 mm; a settled proxy keeps 1e-9."""
+"""How deep a step beside solids may end before it is taken back: a tenth of 0.25 mm; a settled
+proxy keeps 1e-9.
+"""
 
 
 def solids_scene(seed):
@@ -32,7 +36,9 @@ def solids_scene(seed):
 def test_never_inside_solids(seed, friction):
     field = solids_scene(seed)
     half = np.array([1e-3, 0.7e-3, 0.5e-3])
-    corners = half * np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z])
+    corners = half * np.array(
+        [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z]
+    )
     shell = ToolShell(corners, np.zeros_like(corners), 0.2e-3)
     proxy = Proxy(shell, field, lever_m=3e-3, friction=friction)
     proxy.place(np.array([0.0, 0.0, 8e-3]))
@@ -63,7 +69,9 @@ def test_in_free_space_the_proxy_is_the_device():
         for lever in (None, 0.01):
             proxy = Proxy(BURR, field, lever_m=lever)
             proxy.place(np.array([0.0, 0.0, 8e-3]))
-            for position, turn in wander(1, ticks=200, low=(0, 0, 6.6e-3), high=(8e-3, 8e-3, 2e-2), start=(0, 0, 8e-3)):
+            for position, turn in wander(
+                1, ticks=200, low=(0, 0, 6.6e-3), high=(8e-3, 8e-3, 2e-2), start=(0, 0, 8e-3)
+            ):
                 result = proxy.advance(position, turn)
                 if result.outcome is ProxyOutcome.FREE:
                     assert (result.position_m == position).all()
@@ -93,9 +101,13 @@ def test_turning_everything_turns_the_proxy():
     plain.place(start)
     moved.place(turn.apply(start) + shift, turn.as_quat())
     touched = 0
-    for position, pose in wander(5, ticks=1500, low=(-3e-3, -3e-3, -1e-3), high=(3e-3, 3e-3, 4e-3), start=start):
+    for position, pose in wander(
+        5, ticks=1500, low=(-3e-3, -3e-3, -1e-3), high=(3e-3, 3e-3, 4e-3), start=start
+    ):
         one = plain.advance(position, pose)
-        two = moved.advance(turn.apply(position) + shift, (turn * Rotation.from_quat(pose)).as_quat())
+        two = moved.advance(
+            turn.apply(position) + shift, (turn * Rotation.from_quat(pose)).as_quat()
+        )
         if ProxyOutcome.BEHIND in (one.outcome, two.outcome):
             break
         assert turn.apply(one.position_m) + shift == pytest.approx(two.position_m, abs=1e-7)
@@ -137,7 +149,9 @@ def test_not_a_number_is_refused_and_changes_nothing():
     with pytest.raises(InputError, match="finite"):
         proxy.advance(np.zeros(3), np.array([0.0, 0.0, np.inf, 1.0]))
     assert (proxy.result.position_m == [0.0, 0.0, 1e-3]).all()
-    with pytest.raises(InputError, match=r"outside everything, got .* where it lies about 1 mm deep"):
+    with pytest.raises(
+        InputError, match=r"outside everything, got .* where it lies about 1 mm deep"
+    ):
         proxy.place(np.array([0.0, 0.0, -1e-3]))
 
 

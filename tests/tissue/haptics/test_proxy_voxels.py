@@ -22,11 +22,17 @@ VOXEL_TOLERANCE_M = 0.05 * SPACING
 def slab_store(normal, offset, thickness=1.0):
     """A wall of so many voxels across the middle of a cube of 64 voxels."""
     count = 64
-    centres = np.stack(np.meshgrid(*[np.arange(count) + 0.5] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    centres = np.stack(np.meshgrid(*[np.arange(count) + 0.5] * 3, indexing="ij"), axis=-1).reshape(
+        -1, 3
+    )
     height = (centres - 0.5 * count) @ normal - offset
     normals = np.broadcast_to(normal, centres.shape)
-    part = cube_fraction(height - 0.5 * thickness, normals) - cube_fraction(height + 0.5 * thickness, normals)
-    return BrickStore.from_volume(volume_of(np.rint(255 * part).astype(np.uint8).reshape((count,) * 3)), device="cpu")
+    part = cube_fraction(height - 0.5 * thickness, normals) - cube_fraction(
+        height + 0.5 * thickness, normals
+    )
+    return BrickStore.from_volume(
+        volume_of(np.rint(255 * part).astype(np.uint8).reshape((count,) * 3)), device="cpu"
+    )
 
 
 @pytest.mark.parametrize("lever", [None, 2e-3])
@@ -46,13 +52,14 @@ def test_never_inside_voxels_and_pushed_out_of_them(seed, lever):
             settled += 1
             if seed == 0:
                 assert result.push_m @ (result.position_m - position) > 0.0
-                assert result.push_m[2] > -1e-4  # out of a block that lies below, but for its steepest bumps
+                # out of a block that lies below, but for its steepest bumps
+                assert result.push_m[2] > -1e-4
     assert settled > 200
 
 
 def push_through(normal, offset, shell, speed_m_s, random):
-    """Send the device 5 mm through a wall one voxel thick: the shell's lowest height over the wall's middle [m], and
-    whether the proxy ends against the wall, or has gone around its rim."""
+    """Send the device 5 mm through a wall one voxel thick: the shell's lowest height over the
+    wall's middle [m], and whether the proxy ends against the wall, or has gone around its rim."""
     centre, normal = np.full(3, 32 * SPACING), normal / np.linalg.norm(normal)
     proxy = Proxy(shell, ContactField(store=slab_store(tuple(normal), offset)))
     device = centre + (1.2e-3 + shell.reach_m) * normal
@@ -71,11 +78,17 @@ def push_through(normal, offset, shell, speed_m_s, random):
 
 @pytest.mark.parametrize("speed_m_s", [0.05, 0.5, 2.0])
 def test_no_path_through_a_wall_one_voxel_thick(speed_m_s):
-    """Random walls, the worst place between voxels among them, and random paths; a point and a burr."""
+    """Random walls, the worst place between voxels among them, and random paths; a point and a
+    burr.
+    """
     random = np.random.default_rng(7)
-    for number, normal in enumerate([np.eye(3)[2], np.array([0.0, 0.6, 0.8]), *random.normal(size=(6, 3))]):
+    for number, normal in enumerate(
+        [np.eye(3)[2], np.array([0.0, 0.6, 0.8]), *random.normal(size=(6, 3))]
+    ):
         for shell in (ToolShell.ball(), BURR):
-            lowest, stopped = push_through(normal, (0.0, 0.5, 0.25)[number % 3], shell, speed_m_s, random)
+            lowest, stopped = push_through(
+                normal, (0.0, 0.5, 0.25)[number % 3], shell, speed_m_s, random
+            )
             assert lowest > -SPACING and stopped
 
 
@@ -91,7 +104,9 @@ def test_no_path_through_many_walls():
 
 @pytest.mark.slow
 def test_burr_rests_on_a_plane_of_voxels_within_half_a_voxel():
-    """Planes at random angles; case 23 asks for sqrt(3)/2 voxel, the level's own error is -0.02 to 0.27."""
+    """Planes at random angles; case 23 asks for sqrt(3)/2 voxel, the level's own error is -0.02
+    to 0.27.
+    """
     random = np.random.default_rng(9)
     radius, errors = 1e-3, []
     for normal in [np.eye(3)[2], *random.normal(size=(12, 3))]:
@@ -110,13 +125,19 @@ def test_burr_rests_on_a_plane_of_voxels_within_half_a_voxel():
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_pushing_in_and_out_slowly_gains_no_energy(friction):
-    """Work on the device along closed paths in a bumpy block; the trapezoid rule leaves 1e-3 of the work put in."""
+    """Work on the device along closed paths in a bumpy block; the trapezoid rule leaves 1e-3 of
+    the work put in.
+    """
     for seed in range(4):
         proxy = Proxy(BURR, ContactField(store=bumpy_store(seed)), friction=friction)
         random = np.random.default_rng(seed)
         start = np.array([4e-3, 4e-3, 6.5e-3])
         proxy.place(start)
-        corners = [start, *(random.uniform((2.5e-3, 2.5e-3, 2.5e-3), (5.5e-3, 5.5e-3, 4.5e-3), (4, 3))), start]
+        corners = [
+            start,
+            *(random.uniform((2.5e-3, 2.5e-3, 2.5e-3), (5.5e-3, 5.5e-3, 4.5e-3), (4, 3))),
+            start,
+        ]
         gained = put_in = 0.0
         last, force = start, np.zeros(3)
         for a, b in pairwise(corners):
@@ -155,7 +176,10 @@ def test_inner_corner_of_voxels():
     """Two walls of voxels: the proxy rests in the corner within half a voxel and does not swing."""
     fraction = np.zeros((40, 40, 40), np.uint8)
     fraction[:20], fraction[:, :, :20] = 255, 255
-    proxy = Proxy(ToolShell.ball(), ContactField(store=BrickStore.from_volume(volume_of(fraction), device="cpu")))
+    proxy = Proxy(
+        ToolShell.ball(),
+        ContactField(store=BrickStore.from_volume(volume_of(fraction), device="cpu")),
+    )
     proxy.place(np.array([6e-3, 4e-3, 6e-3]))
     rest = []
     for share in np.linspace(0.0, 1.0, 400):

@@ -29,7 +29,9 @@ def test_a_free_device_feels_nothing(law):
 
 def test_a_resting_device_feels_the_spring(law):
     gap = np.array([1e-3, -2e-3, 5e-4])
-    assert law.render(-gap, NOTHING, NOTHING, NOTHING, TICK) == pytest.approx(800.0 * gap, rel=1e-12)
+    assert law.render(-gap, NOTHING, NOTHING, NOTHING, TICK) == pytest.approx(
+        800.0 * gap, rel=1e-12
+    )
 
 
 def test_a_contact_only_brakes_along_the_gap(law):
@@ -46,7 +48,9 @@ def test_the_laws_turn_with_the_world(kind):
         law, rng = renderer(kind, WALL), np.random.default_rng(1)
         forces = []
         for _ in range(30):
-            at, speed, foot, slide = (frame @ rng.normal(size=3) * size for size in (1e-3, 0.1, 1e-3, 0.1))
+            at, speed, foot, slide = (
+                frame @ rng.normal(size=3) * size for size in (1e-3, 0.1, 1e-3, 0.1)
+            )
             forces.append(frame.T @ law.render(at, speed, foot, slide, TICK))
         found.append(forces)
     assert np.allclose(*found, rtol=1e-9, atol=1e-12)
@@ -65,14 +69,18 @@ def test_penalty_never_pulls_into_the_surface_and_the_supervised_one_may_brake()
 
 
 def test_a_turn_is_rendered_on_the_group():
-    """The torque follows the shortest rotation vector, across half a turn's sign and whatever the quaternion's."""
+    """The torque follows the shortest rotation vector, across half a turn's sign and whatever
+    the quaternion's.
+    """
     law = TurningRenderer(PenaltyRenderer(0.3))
     gap = np.array([0.3, -0.5, 0.2])
     device = unit((0.3, 0.2, -0.5, 0.7))
     proxy = product(exponential(tuple(gap)), device)
     for sign in (1.0, -1.0):
         other = tuple(sign * part for part in proxy)
-        assert law.render(device, NOTHING, other, NOTHING, TICK) == pytest.approx(0.3 * gap, rel=1e-12)
+        assert law.render(device, NOTHING, other, NOTHING, TICK) == pytest.approx(
+            0.3 * gap, rel=1e-12
+        )
     far = law.render(device, NOTHING, product(exponential((0.0, 0.0, 3.5)), device), NOTHING, TICK)
     assert far == pytest.approx([0.0, 0.0, 0.3 * (3.5 - 2 * np.pi)], rel=1e-12)
 
@@ -81,16 +89,23 @@ class Turning:
     """A loose grip that aims half a radian into the wall of a rotation."""
 
     def act(self, time_s, position_m):
-        return HandAction(aim_quaternion=exponential((0.0, 0.0, -0.3)), grip=Grip(300.0, 4.0, 0.1, 0.6, 2e-4, 5e-5))
+        return HandAction(
+            aim_quaternion=exponential((0.0, 0.0, -0.3)),
+            grip=Grip(300.0, 4.0, 0.1, 0.6, 2e-4, 5e-5),
+        )
 
 
 @pytest.mark.parametrize("supervised", [False, True])
 def test_a_stop_for_a_rotation_creates_energy_unless_it_is_supervised(supervised):
-    """A stop at angle 0 about z of 1.5 N m/rad, three times what the vendor allows for, in a hand with little damping."""
+    """A stop at angle 0 about z of 1.5 N m/rad, three times what the vendor allows for, in a
+    hand with little damping.
+    """
     device = SimulatedDevice(device_parameters("six-dof"), Turning())
     inner = PenaltyRenderer(1.5)
     lag = 0.5 + 0.53  # ticks of delay and amplifier
-    law = TurningRenderer(PassivityRenderer(inner, damping_limit_N_s_m=0.02, delay_ticks=lag) if supervised else inner)
+    law = TurningRenderer(
+        PassivityRenderer(inner, damping_limit_N_s_m=0.02, delay_ticks=lag) if supervised else inner
+    )
     given = []
     for tick in range(1500):
         sample = device.read(tick * TICK)
@@ -119,7 +134,9 @@ def test_rotation_vectors_and_quaternions_agree():
 
 
 def test_unknown_renderers_are_refused():
-    with pytest.raises(InputError, match="renderer must be one of penalty, passivity, proxy, got springy"):
+    with pytest.raises(
+        InputError, match="renderer must be one of penalty, passivity, proxy, got springy"
+    ):
         renderer("springy", WALL)
     with pytest.raises(InputError, match="stiffness_N_m must be positive"):
         renderer("proxy", device_parameters("omni").loop(0.0))

@@ -1,4 +1,6 @@
-"""Velocity from encoder steps: the filter in closed form, and its delay in the judge of stability."""
+"""Velocity from encoder steps: the filter in closed form, and its delay in the judge of
+stability.
+"""
 
 from dataclasses import replace
 
@@ -10,7 +12,11 @@ from quiet_press import LIMITS, PERSON, check_ripple, quiet_press
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands, judge
-from tissue.haptics.loop.filters import VELOCITY_MEMORY, ConstantAcceleration, constant_acceleration_map
+from tissue.haptics.loop.filters import (
+    VELOCITY_MEMORY,
+    ConstantAcceleration,
+    constant_acceleration_map,
+)
 from tissue.haptics.loop.forecast import Forecast
 from tissue.haptics.loop.sampled_loop import ForecastMemory, SampledVelocity
 from tissue.haptics.loop.stability_map import measured_critical_N_m
@@ -22,13 +28,19 @@ FORECAST = Forecast(taps=0.5 ** np.arange(6.0)[None, :, None] * [[[-60.0, -0.3, 
 
 @pytest.mark.parametrize("memory", [0.0, 0.5, 0.85, 0.95])
 def test_its_poles_are_its_memory(memory):
-    """(z - m)^3 = z^3 - 3 m z^2 + 3 m^2 z - m^3; the polynomial, since a triple eigenvalue rounds to 1e-5."""
+    """(z - m)^3 = z^3 - 3 m z^2 + 3 m^2 z - m^3; the polynomial, since a triple eigenvalue
+    rounds to 1e-5.
+    """
     onward, _ = constant_acceleration_map(memory)
-    np.testing.assert_allclose(np.poly(onward), [1.0, -3.0 * memory, 3.0 * memory**2, -(memory**3)], atol=1e-12)
+    np.testing.assert_allclose(
+        np.poly(onward), [1.0, -3.0 * memory, 3.0 * memory**2, -(memory**3)], atol=1e-12
+    )
 
 
 def test_it_is_the_parabola_through_all_samples_by_least_squares():
-    """Weights 0.85 to the power of the age, over 400 samples of noise: the older ones weigh 1e-28."""
+    """Weights 0.85 to the power of the age, over 400 samples of noise: the older ones weigh
+    1e-28.
+    """
     places = np.random.default_rng(0).standard_normal((400, 2))
     estimate = ConstantAcceleration(0.85, step_s=TICK)
     for place in places:
@@ -57,11 +69,17 @@ def test_a_constant_acceleration_has_no_delay_and_a_pause_forgets():
         pytest.param(FORECAST, 4, marks=pytest.mark.slow),
     ],
 )
-def test_the_judge_s_eigenvalues_are_where_the_loop_with_the_filter_starts_to_grow(forecast, model_ticks):
-    """Bisection of running loops to 0.05 %, of which a slow growth over 4000 ticks takes up to 1 %."""
+def test_the_judge_s_eigenvalues_are_where_the_loop_with_the_filter_starts_to_grow(
+    forecast, model_ticks
+):
+    """Bisection of running loops to 0.05 %, of which a slow growth over 4000 ticks takes up to 1
+    %.
+    """
     if forecast is not None:
         forecast = replace(forecast, taps=np.repeat(forecast.taps, model_ticks, axis=0))
-    loop = device_parameters("touch").loop(400.0, filter_s=1e-3, wall_damping_N_s_m=0.6, model_ticks=model_ticks)
+    loop = device_parameters("touch").loop(
+        400.0, filter_s=1e-3, wall_damping_N_s_m=0.6, model_ticks=model_ticks
+    )
     loop = in_hands(replace(loop, forecast=forecast), [hand_parameters("expert").grip[:3]])[0]
     raw, filtered = (replace(loop, velocity_memory=memory) for memory in (None, VELOCITY_MEMORY))
     exact = [critical_stiffness_N_m(each) for each in (raw, filtered)]
@@ -72,8 +90,12 @@ def test_the_judge_s_eigenvalues_are_where_the_loop_with_the_filter_starts_to_gr
 
 @pytest.mark.parametrize(("share", "settles"), [(0.95, True), (1.05, False)])
 def test_the_whole_loop_with_a_damper_is_stable_up_to_the_stiffness_that_is_judged(share, settles):
-    """As in test_hand_motion, with a damper on the filtered velocity; the wall is 1 / 250 as compliant as the spring."""
-    free = replace(LIMITS.loop(1.0, filter_s=1e-3, wall_damping_N_s_m=0.6), velocity_memory=VELOCITY_MEMORY)
+    """As in test_hand_motion, with a damper on the filtered velocity; the wall is 1 / 250 as
+    compliant as the spring.
+    """
+    free = replace(
+        LIMITS.loop(1.0, filter_s=1e-3, wall_damping_N_s_m=0.6), velocity_memory=VELOCITY_MEMORY
+    )
     loop = free.with_stiffness(share * judge(free, [PERSON.grip[:3]]).critical_N_m)
     _, measures, _ = meet(quiet_press(loop, margin=1.0 - share), WallModel(1e6, radius_m=5e-3), 2.0)
     check_ripple(measures, settles=settles)
@@ -82,19 +104,27 @@ def test_the_whole_loop_with_a_damper_is_stable_up_to_the_stiffness_that_is_judg
 def test_the_loop_s_filter_is_that_of_one_device_for_several_places_at_once():
     """Two places a tick, by the filter of one: the same velocity in m/s."""
     loop = replace(device_parameters("touch").loop(400.0), velocity_memory=0.9)
-    sampled, single = SampledVelocity(loop, np.zeros((3, 2))), ConstantAcceleration(0.9, step_s=TICK)
+    sampled, single = (
+        SampledVelocity(loop, np.zeros((3, 2))),
+        ConstantAcceleration(0.9, step_s=TICK),
+    )
     places = np.random.default_rng(1).normal(size=(30, 2)) * 1e-3
     for place in places:
         found, wanted = sampled.step(place - places[0]), single.step(place)
     np.testing.assert_allclose(found, wanted, rtol=1e-9)
-    assert SampledVelocity(replace(loop, velocity_memory=None), np.zeros((0, 2))).step(places[0]) is None
+    assert (
+        SampledVelocity(replace(loop, velocity_memory=None), np.zeros((0, 2))).step(places[0])
+        is None
+    )
 
 
 @pytest.mark.parametrize("filtered", [False, True])
 def test_a_forecast_is_the_sum_of_its_taps_over_what_was_seen(filtered):
-    """F + C (sum of taps (x, v, F) at each age - F), with answers to place and speed scaled by the coupling's stiffness.
+    """F + C (sum of taps (x, v, F) at each age - F), with answers to place and speed scaled by the
+    coupling's stiffness.
 
-    Two loops side by side, a model every second tick: a tick without a force of the model adds none.
+    Two loops side by side, a model every second tick: a tick without a force of the model adds
+    none.
     """
     rng = np.random.default_rng(2)
     taps = rng.normal(size=(2, 3, 3))
@@ -103,7 +133,11 @@ def test_a_forecast_is_the_sum_of_its_taps_over_what_was_seen(filtered):
         forecast=Forecast(taps=taps, gain=0.7, stiffness_N_m=250.0),
         velocity_memory=0.9 if filtered else None,
     )
-    positions, forces, speeds = rng.normal(size=(4, 2)), rng.normal(size=(3, 2)), rng.normal(size=(3, 2))
+    positions, forces, speeds = (
+        rng.normal(size=(4, 2)),
+        rng.normal(size=(3, 2)),
+        rng.normal(size=(3, 2)),
+    )
     if not filtered:
         speeds = (positions[:-1] - positions[1:]) / TICK
     for tick in (0, 1):

@@ -1,4 +1,6 @@
-"""OpenIGTLink messages against the published vectors, byte for byte, and what is refused of others' bytes."""
+"""OpenIGTLink messages against the published vectors, byte for byte, and what is refused of
+others' bytes.
+"""
 
 import json
 from pathlib import Path
@@ -13,7 +15,8 @@ from tissue.links.igtl_messages import IgtlError
 
 HELD = json.loads((Path(__file__).parents[2] / "fixtures" / "igtl_vectors.json").read_text("utf-8"))
 VECTORS, REFUSED = (
-    {name: bytes.fromhex(text) for name, text in HELD[kind].items()} for kind in ("messages", "refused")
+    {name: bytes.fromhex(text) for name, text in HELD[kind].items()}
+    for kind in ("messages", "refused")
 )
 SENT = {"name": "DeviceName", "time_s": 0x499602D4 / 2**32}
 POSE = np.array(
@@ -42,7 +45,12 @@ def parsed(message):
     ("vector", "kind", "body", "more"),
     [
         ("transform", "TRANSFORM", igtl.transform_body(POSE), {}),
-        ("transformFormat2", "TRANSFORM", igtl.transform_body(POSE), {"metadata": AGES, "number": 1}),
+        (
+            "transformFormat2",
+            "TRANSFORM",
+            igtl.transform_body(POSE),
+            {"metadata": AGES, "number": 1},
+        ),
         (
             "status",
             "STATUS",
@@ -53,11 +61,19 @@ def parsed(message):
         (
             "sensor",
             "SENSOR",
-            igtl.sensor_body([123456.78, 12345.678, 1234.5678, 123.45678, 12.345678, 1.2345678], 0x00443E0000000000),
+            igtl.sensor_body(
+                [123456.78, 12345.678, 1234.5678, 123.45678, 12.345678, 1.2345678],
+                0x00443E0000000000,
+            ),
             {},
         ),
         ("ndarray", "NDARRAY", igtl.ndarray_body(np.arange(60.0).reshape(5, 4, 3)), {}),
-        ("polydata", "POLYDATA", igtl.polydata_body(CUBE, SIDES, scalars={"attr": np.arange(8.0)}), {}),
+        (
+            "polydata",
+            "POLYDATA",
+            igtl.polydata_body(CUBE, SIDES, scalars={"attr": np.arange(8.0)}),
+            {},
+        ),
         ("image", "IMAGE", igtl.image_body(PIXELS, FIRST), {}),
     ],
 )
@@ -70,7 +86,9 @@ def test_headers_of_both_versions_are_read():
         header, content = parsed(VECTORS[name])
         assert (header.version, header.kind, header.name) == (version, "TRANSFORM", "DeviceName")
         assert header.time_s == SENT["time_s"]
-        np.testing.assert_array_equal(igtl.parse_transform(content)[:3], POSE[:3].astype(np.float32))
+        np.testing.assert_array_equal(
+            igtl.parse_transform(content)[:3], POSE[:3].astype(np.float32)
+        )
 
 
 def test_the_fraction_of_a_second_is_that_of_two_to_the_32():
@@ -148,10 +166,22 @@ def test_units_are_powers_of_coded_units():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: igtl.packed("STRING", "a" * 21, b"", time_s=0.0), "must have at most 20 characters"),
-        (lambda: igtl.image_body(np.zeros((2, 2)), np.eye(4)), r"three axes of at most 65535, got shape \(2, 2\)"),
-        (lambda: igtl.image_body(np.zeros((70000, 1, 1), "u1"), np.eye(4)), "three axes of at most 65535"),
-        (lambda: igtl.ndarray_body(np.zeros(3, dtype=complex)), "a type that OpenIGTLink has, got complex128"),
+        (
+            lambda: igtl.packed("STRING", "a" * 21, b"", time_s=0.0),
+            "must have at most 20 characters",
+        ),
+        (
+            lambda: igtl.image_body(np.zeros((2, 2)), np.eye(4)),
+            r"three axes of at most 65535, got shape \(2, 2\)",
+        ),
+        (
+            lambda: igtl.image_body(np.zeros((70000, 1, 1), "u1"), np.eye(4)),
+            "three axes of at most 65535",
+        ),
+        (
+            lambda: igtl.ndarray_body(np.zeros(3, dtype=complex)),
+            "a type that OpenIGTLink has, got complex128",
+        ),
     ],
 )
 def test_what_no_message_can_hold_is_refused(call, message):
@@ -160,11 +190,15 @@ def test_what_no_message_can_hold_is_refused(call, message):
 
 
 def test_an_image_lies_with_its_middle_where_its_matrix_puts_it():
-    matrix = np.array([[0.0, 2.0, 0.0, 5.0], [-1.0, 0.0, 0.0, 7.0], [0.0, 0.0, 3.0, -4.0], [0.0, 0.0, 0.0, 1.0]])
+    matrix = np.array(
+        [[0.0, 2.0, 0.0, 5.0], [-1.0, 0.0, 0.0, 7.0], [0.0, 0.0, 3.0, -4.0], [0.0, 0.0, 0.0, 1.0]]
+    )
     voxels = np.arange(24, dtype=np.uint16).reshape(2, 3, 4)
     body = igtl.image_body(voxels, matrix)
     placed = np.frombuffer(body[12:60], ">f4").reshape(4, 3)
     np.testing.assert_allclose(placed[:3].T, matrix[:3, :3])
     np.testing.assert_allclose(placed[3], matrix[:3] @ [0.5, 1.0, 1.5, 1.0])
     # The first index is fastest: pixel (1, 0, 0) comes second.
-    np.testing.assert_array_equal(np.frombuffer(body[72:], "<u2")[:2], [voxels[0, 0, 0], voxels[1, 0, 0]])
+    np.testing.assert_array_equal(
+        np.frombuffer(body[72:], "<u2")[:2], [voxels[0, 0, 0], voxels[1, 0, 0]]
+    )

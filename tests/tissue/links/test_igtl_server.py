@@ -1,4 +1,6 @@
-"""The server of OpenIGTLink: several clients, one that leaves, one that takes nothing, and bytes that are no messages."""
+"""The server of OpenIGTLink: several clients, one that leaves, one that takes nothing, and bytes
+that are no messages.
+"""
 
 import json
 import socket
@@ -94,7 +96,10 @@ def huge():
 @pytest.mark.parametrize(
     ("garbage", "problem"),
     [
-        (b"GET / HTTP/1.1\r\nHost: localhost\r\nAccept: everything that there is\r\n\r\n", "a header of version 18245"),
+        (
+            b"GET / HTTP/1.1\r\nHost: localhost\r\nAccept: everything that there is\r\n\r\n",
+            "a header of version 18245",
+        ),
         (crc_wrong(), "a message with another checksum than its body has"),
         (huge(), "a body of 4611686018427387904 bytes"),
     ],
@@ -135,14 +140,18 @@ def test_random_bytes_raise_nothing(server, seed):
 
 def test_a_large_message_is_left_out_and_the_next_one_read(server):
     (one,) = connect(server)
-    image = igtl.packed("IMAGE", "ct", igtl.image_body(np.zeros((64, 64, 64), np.uint8), np.eye(4)), time_s=0.0)
+    image = igtl.packed(
+        "IMAGE", "ct", igtl.image_body(np.zeros((64, 64, 64), np.uint8), np.eye(4)), time_s=0.0
+    )
     with one:
         one.sendall(image + TRANSFORM)
         found = until(server, lambda found: found)
         assert [each.header.kind for each in found] == ["TRANSFORM"]
 
 
-def test_a_client_that_takes_nothing_misses_the_stream_and_is_then_disconnected(server, monkeypatch):
+def test_a_client_that_takes_nothing_misses_the_stream_and_is_then_disconnected(
+    server, monkeypatch
+):
     slow, quick = connect(server, 2)
     with slow, quick:
         held = server.clients[0]
@@ -155,7 +164,10 @@ def test_a_client_that_takes_nothing_misses_the_stream_and_is_then_disconnected(
         assert read(quick, len(TRANSFORM)) == TRANSFORM
         monkeypatch.setattr(igtl_server, "STALLED_S", 0.05)
         until(server, lambda _: len(server.clients) == 1)
-        assert server.happened[-1].endswith("was disconnected: it took nothing for 0.05 s") and server.refused == 1
+        assert (
+            server.happened[-1].endswith("was disconnected: it took nothing for 0.05 s")
+            and server.refused == 1
+        )
 
 
 def test_more_clients_than_there_is_place_for_are_refused(server, monkeypatch):
@@ -163,12 +175,16 @@ def test_more_clients_than_there_is_place_for_are_refused(server, monkeypatch):
     (one,) = connect(server)
     with one, socket.create_connection(server.address) as two:
         until(server, lambda _: server.refused == 1)
-        assert read_end(two) and server.happened[-1].endswith("was refused: 1 clients are connected")
+        assert read_end(two) and server.happened[-1].endswith(
+            "was refused: 1 clients are connected"
+        )
 
 
 def test_a_port_that_is_taken_is_refused_in_a_sentence(server):
     port = server.address[1]
-    with pytest.raises(InputError, match=rf"port must be a free port of 127\.0\.0\.1, got {port} \(.*\): end"):
+    with pytest.raises(
+        InputError, match=rf"port must be a free port of 127\.0\.0\.1, got {port} \(.*\): end"
+    ):
         IgtlServer(port)
     with pytest.raises(InputError, match=r"got 70000 \(no port\)"):
         IgtlServer(70000)

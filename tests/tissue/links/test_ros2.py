@@ -1,4 +1,6 @@
-"""A live run on topics of ROS 2, whose packages are a stand-in on the path of both processes: nothing else knows of it."""
+"""A live run on topics of ROS 2, whose packages are a stand-in on the path of both processes:
+nothing else knows of it.
+"""
 
 import json
 import os
@@ -25,10 +27,14 @@ def no_display(monkeypatch):
 
 
 def install(tmp_path, monkeypatch, **options):
-    """Put the stand-in on the path here and of processes that are started; the file that takes what is published."""
+    """Put the stand-in on the path here and of processes that are started; the file that takes
+    what is published.
+    """
     folder = write_packages(tmp_path / "packages", **options)
     monkeypatch.syspath_prepend(folder)
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
+    monkeypatch.setenv(
+        "PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])
+    )
     monkeypatch.setenv(LOG, str(tmp_path / "log"))
     (tmp_path / "log").touch()
     return tmp_path / "log"
@@ -52,7 +58,13 @@ def published(log):
 
 def values(entry):
     """Numbers of a message but those of its header, in their order."""
-    return [x for name, part in entry.items() if name != "header" for each in part.values() for x in each.values()]
+    return [
+        x
+        for name, part in entry.items()
+        if name != "header"
+        for each in part.values()
+        for x in each.values()
+    ]
 
 
 def test_a_run_is_on_the_topics_tick_for_tick_in_si(tmp_path, monkeypatch, no_display):
@@ -62,23 +74,34 @@ def test_a_run_is_on_the_topics_tick_for_tick_in_si(tmp_path, monkeypatch, no_di
     np.testing.assert_array_equal(trace.rows, simulate(load_scene("wall", SCENE)).trace.rows)
     shown = trace.rows[::8]
     columns = list(trace.columns)
-    scales = {"measured_cp": ["tool_x_mm", "tool_qw"], "measured_cv": ["velocity_x_mm_s", "angular_velocity_z_rad_s"],
-              "measured_cf": ["model_force_x_N", "model_torque_z_Nm"]}  # fmt: skip
+    scales = {
+        "measured_cp": ["tool_x_mm", "tool_qw"],
+        "measured_cv": ["velocity_x_mm_s", "angular_velocity_z_rad_s"],
+        "measured_cf": ["model_force_x_N", "model_torque_z_Nm"],
+    }
     for topic, (first, last) in scales.items():
         rows = shown[:, columns.index(first) : columns.index(last) + 1].copy()
         if topic != "measured_cf":
             rows[:, :3] *= 1e-3
         entries = found[f"/tissue/{topic}"]
         assert len(entries) > 5
-        places = [np.flatnonzero((np.abs(rows - values(entry)) < 1e-15).all(axis=1)) for entry in entries]
+        places = [
+            np.flatnonzero((np.abs(rows - values(entry)) < 1e-15).all(axis=1)) for entry in entries
+        ]
         assert all(len(place) for place in places), f"{topic} gave what no tick had"
         assert all(entry["header"]["frame_id"] == "tissue_scene" for entry in entries)
-        stamps = [1e9 * entry["header"]["stamp"]["sec"] + entry["header"]["stamp"]["nanosec"] for entry in entries]
+        stamps = [
+            1e9 * entry["header"]["stamp"]["sec"] + entry["header"]["stamp"]["nanosec"]
+            for entry in entries
+        ]
         assert np.all(np.diff(stamps) > 0.0)
     states = [entry["state"] for entry in found["/tissue/operating_state"]]
     assert states[0] == "ENABLED" and states[-1] == "DISABLED" and len(found["shutdown"]) == 1
     count = len(found["/tissue/measured_cp"])
-    assert run.parts.notes["ros2"] == f"published {count} times as {', '.join(TOPICS)}, /tissue/operating_state"
+    assert (
+        run.parts.notes["ros2"]
+        == f"published {count} times as {', '.join(TOPICS)}, /tissue/operating_state"
+    )
 
 
 def test_without_messages_of_crtk_there_are_three_topics(tmp_path, monkeypatch, no_display):
@@ -88,13 +111,16 @@ def test_without_messages_of_crtk_there_are_three_topics(tmp_path, monkeypatch, 
     assert run.parts.notes["ros2"].endswith(", ".join(TOPICS))
 
 
-def test_a_middleware_that_does_not_start_is_refused_in_a_sentence(tmp_path, monkeypatch, no_display):
+def test_a_middleware_that_does_not_start_is_refused_in_a_sentence(
+    tmp_path, monkeypatch, no_display
+):
     install(tmp_path, monkeypatch)
     monkeypatch.setenv("TISSUE_TEST_ROS2", "broken")
     with pytest.raises(InputError) as caught:
         run_live(load_scene("wall", SCENE), LiveSettings(ros2=True))
     assert str(caught.value) == (
-        "--live must publish the run for ROS 2, but RuntimeError: the middleware does not start: mend that, or run "
+        "--live must publish the run for ROS 2, but RuntimeError: the middleware does not "
+        "start: mend that, or run "
         "without --ros2"
     )
 
@@ -116,7 +142,10 @@ def test_a_run_without_ticks_is_paused(tmp_path, monkeypatch):
     columns = [*ros2.POSE, *ros2.TWIST, *ros2.WRENCH]
     arrays = SharedArrays(
         tmp_path,
-        {"row": ("float64", (19,)), **dict.fromkeys(("row_turn", "ended", "frames"), ("int64", (1,)))},
+        {
+            "row": ("float64", (19,)),
+            **dict.fromkeys(("row_turn", "ended", "frames"), ("int64", (1,))),
+        },
     )
     (tmp_path / "columns.json").write_text(json.dumps(columns))
     publisher = ros2.Ros2Publisher(tmp_path)
@@ -128,7 +157,11 @@ def test_a_run_without_ticks_is_paused(tmp_path, monkeypatch):
     publisher.step()
     publisher.end()
     found = published(log)
-    assert [entry["state"] for entry in found["/tissue/operating_state"]] == ["ENABLED", "PAUSED", "DISABLED"]
+    assert [entry["state"] for entry in found["/tissue/operating_state"]] == [
+        "ENABLED",
+        "PAUSED",
+        "DISABLED",
+    ]
     assert [values(entry) for entry in found["/tissue/measured_cv"]] == [
         pytest.approx([7e-3, 8e-3, 9e-3, 10.0, 11.0, 12.0])
     ]
@@ -144,4 +177,6 @@ def test_without_ros_2_the_command_names_where_to_get_it(command, no_display, mo
         in " ".join(problems.split())
     )
     code, _, problems = command("run", "wall", "--ros2")
-    assert code == 2 and "--ros2 must be left out without --live, got it: give --live" in " ".join(problems.split())
+    assert code == 2 and "--ros2 must be left out without --live, got it: give --live" in " ".join(
+        problems.split()
+    )

@@ -1,4 +1,6 @@
-"""Live runs that are published for 3D Slicer: by two clients, one of them pyigtl, and a pose that drives the tool."""
+"""Live runs that are published for 3D Slicer: by two clients, one of them pyigtl, and a pose
+that drives the tool.
+"""
 
 import socket
 import time
@@ -58,13 +60,22 @@ def test_a_client_sees_a_run_from_its_first_row_to_its_end_and_the_rows_are_thos
     np.testing.assert_array_equal(run.trace.rows, simulate(scene).trace.rows)
     poses = [each.held["matrix"] for each in messages if each.name == "tissue-tool"]
     assert poses
-    rows = run.trace.rows[:, [run.trace.columns.index(f"tool_{c}_mm") for c in "xyz"]] @ LPS_TO_RAS[:3, :3]
+    rows = (
+        run.trace.rows[:, [run.trace.columns.index(f"tool_{c}_mm") for c in "xyz"]]
+        @ LPS_TO_RAS[:3, :3]
+    )
     away = [np.abs(rows - pose[:3, 3]).max(axis=1).min() for pose in poses]
     assert max(away) < 1e-4, "each pose is that of a tick"
     assert messages[-1].held["code"] == 19
-    assert {each.name for each in messages} >= {"tissue-tool-shape", "tissue-wall", "tissue-force-text"}
+    assert {each.name for each in messages} >= {
+        "tissue-tool-shape",
+        "tissue-wall",
+        "tissue-force-text",
+    }
     note = run.summary["notes"]["slicer"]
-    assert note == f"published at {greeted_address(run)} by OpenIGTLink: {len(messages)} messages to 1 clients"
+    assert note == (
+        f"published at {greeted_address(run)} by OpenIGTLink: {len(messages)} messages to 1 clients"
+    )
 
 
 def greeted_address(run):
@@ -107,10 +118,15 @@ def test_pyigtl_reads_what_is_sent():
     density = np.rint(volume.density_kg_m3 * (volume.fraction / 255.0))
     np.testing.assert_array_equal(image.image, density.transpose(2, 1, 0))
     first = 1e3 * (volume.origin_m + 0.5 * volume.spacing_m)
-    np.testing.assert_allclose(image.ijk_to_world_matrix[:3, 3], LPS_TO_RAS[:3, :3] @ first, atol=1e-4)
+    np.testing.assert_allclose(
+        image.ijk_to_world_matrix[:3, 3], LPS_TO_RAS[:3, :3] @ first, atol=1e-4
+    )
     assert image.world_coordinate_system == "ras"
     pose = held["tissue-tool"].matrix
-    tips = run.trace.rows[:, [run.trace.columns.index(f"tool_{c}_mm") for c in "xyz"]] @ LPS_TO_RAS[:3, :3]
+    tips = (
+        run.trace.rows[:, [run.trace.columns.index(f"tool_{c}_mm") for c in "xyz"]]
+        @ LPS_TO_RAS[:3, :3]
+    )
     assert np.abs(tips - pose[:3, 3]).max(axis=1).min() < 1e-4
     assert held["tissue-force-text"].string.split(" s: force ")[1].endswith("mN m")
 
@@ -125,17 +141,26 @@ def test_a_pose_of_a_client_moves_the_tool_on_the_devices_spring():
     turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.8, -0.6], [0.0, 0.6, 0.8]])
     first = load_scene("wall", {"anatomy.stiffness_kN_m": 40.0})
     greeted = Greeted(target((0.0, 0.0, -2.0), turn))
-    run = live(first, LiveSettings(slicer=SlicerLink(port=0, drives=True, opened=greeted), duration_s=0.8))
+    run = live(
+        first, LiveSettings(slicer=SlicerLink(port=0, drives=True, opened=greeted), duration_s=0.8)
+    )
     greeted.all()
     assert run.scene.held.kind == "touch" and len(run.trace.rows) == 800
     assert run.trace["device_z_mm"][-1] == pytest.approx(-2.0, abs=0.01)
-    # 400 N/m in series with the wall; turned about its tip a ball of 5 mm radius is 5 mm x (1 - 0.8) deeper than that.
+    # 400 N/m in series with the wall; turned about its tip a ball of 5 mm radius is 5 mm x (1 -
+    # 0.8) deeper than that.
     deep_m = 2e-3 + 5e-3 * (1.0 - 0.8)
-    assert run.trace["model_force_z_N"][-1] == pytest.approx(deep_m / (1.0 / 400.0 + 1.0 / 4e4), rel=0.01)
+    assert run.trace["model_force_z_N"][-1] == pytest.approx(
+        deep_m / (1.0 / 400.0 + 1.0 / 4e4), rel=0.01
+    )
     quaternion = [run.trace[f"tool_q{c}"][-1] for c in "xyzw"]
     np.testing.assert_allclose(quaternion, [np.sqrt(0.1), 0.0, 0.0, np.sqrt(0.9)], atol=1e-3)
-    assert run.parts.notes["live"].startswith("the transform tissue-target of 3D Slicer moves the tool")
-    assert run.parts.notes["coupling"].startswith("a pose from 3D Slicer in place of the touch and its hand")
+    assert run.parts.notes["live"].startswith(
+        "the transform tissue-target of 3D Slicer moves the tool"
+    )
+    assert run.parts.notes["coupling"].startswith(
+        "a pose from 3D Slicer in place of the touch and its hand"
+    )
 
 
 class Fake:
@@ -169,13 +194,20 @@ class Fake:
 def test_a_run_goes_on_without_a_link_that_failed_unless_it_moves_the_tool(monkeypatch, drives):
     made = []
     monkeypatch.setattr(
-        "tissue.simulation.live.slicer.SlicerProcess", lambda *a, **k: made.append(Fake(*a, **k)) or made[-1]
+        "tissue.simulation.live.slicer.SlicerProcess",
+        lambda *a, **k: made.append(Fake(*a, **k)) or made[-1],
     )
     scene = load_scene("wall", {} if drives else {"duration_s": 0.7})
-    run = live(scene, LiveSettings(slicer=SlicerLink(port=0, drives=drives), duration_s=0.7 if drives else None))
+    run = live(
+        scene,
+        LiveSettings(slicer=SlicerLink(port=0, drives=drives), duration_s=0.7 if drives else None),
+    )
     assert len(run.trace.rows) == (401 if drives else 700)
     (what,) = [what for _, what in run.events if "3D Slicer" in what]
-    assert what == f"the link to 3D Slicer ended by itself{', and the run with it' if drives else ''}: MemoryError"
+    assert what == (
+        f"the link to 3D Slicer ended by itself{', and the run with it' if drives else ''}: "
+        "MemoryError"
+    )
     assert made[0].ended == 1
 
 
@@ -190,12 +222,16 @@ def test_what_the_tissue_reports_is_published_as_it_happens(monkeypatch):
     made = []
     monkeypatch.setattr(Fake, "failed", lambda self: None)
     monkeypatch.setattr(
-        "tissue.simulation.live.slicer.SlicerProcess", lambda *a, **k: made.append(Fake(*a, **k)) or made[-1]
+        "tissue.simulation.live.slicer.SlicerProcess",
+        lambda *a, **k: made.append(Fake(*a, **k)) or made[-1],
     )
     scene = load_scene("needle", {"duration_s": 1.2})
     box = lambda parts: (np.full(3, -1.0), np.full(3, 1.0))  # noqa: E731
     run = simulate(
-        scene, observer=Observers(LiveObserver(scene, None, Unpaced(1e-3)), SlicerPublisher(scene, SlicerLink(), box))
+        scene,
+        observer=Observers(
+            LiveObserver(scene, None, Unpaced(1e-3)), SlicerPublisher(scene, SlicerLink(), box)
+        ),
     )
     assert "the capsule is punctured" in made[0].reported[0]
     assert made[0].reported == [f"{time_s:.3f} s: {what}" for time_s, what in run.events]
@@ -209,14 +245,16 @@ def test_a_process_that_cannot_publish_ends_the_run_before_its_first_tick(monkey
         with pytest.raises(InputError) as refused:
             live(load_scene("wall"), LiveSettings(slicer=SlicerLink(port=port)))
     assert str(refused.value).startswith(
-        f"--live must publish the run for 3D Slicer, but port must be a free port of 127.0.0.1, got {port} ("
+        "--live must publish the run for 3D Slicer, but port must be a free port of "
+        f"127.0.0.1, got {port} ("
     )
 
 
 def test_an_observer_that_fails_to_begin_ends_the_process(monkeypatch):
     made = []
     monkeypatch.setattr(
-        "tissue.simulation.live.slicer.SlicerProcess", lambda *a, **k: made.append(Fake(*a, **k)) or made[-1]
+        "tissue.simulation.live.slicer.SlicerProcess",
+        lambda *a, **k: made.append(Fake(*a, **k)) or made[-1],
     )
 
     def fails(address):
@@ -231,14 +269,21 @@ def test_a_second_mover_and_a_port_that_is_taken_are_refused_before_anything_is_
     scene = load_scene("wall")
     link = SlicerLink(drives=True)
     assert link.port == PORT == 18944
-    with pytest.raises(InputError, match=r"--slicer-drives must be left out where .* got --web: leave one of both out"):
+    with pytest.raises(
+        InputError,
+        match=r"--slicer-drives must be left out where .* got --web: leave one of both out",
+    ):
         require_link(link, scene, web=True)
     monkeypatch.setattr("tissue.simulation.live.slicer.opens_device", lambda scene: True)
-    with pytest.raises(InputError, match=r"--slicer-drives must be left out where .* got touch: leave one"):
+    with pytest.raises(
+        InputError, match=r"--slicer-drives must be left out where .* got touch: leave one"
+    ):
         require_link(link, scene, web=False)
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
-        with pytest.raises(InputError, match=rf"--slicer-port must be a free port of 127\.0\.0\.1, got {port} \("):
+        with pytest.raises(
+            InputError, match=rf"--slicer-port must be a free port of 127\.0\.0\.1, got {port} \("
+        ):
             require_link(SlicerLink(port=port), scene, web=True)
     assert LiveSettings(slicer=link).mover(scene)[0]
 
@@ -246,13 +291,19 @@ def test_a_second_mover_and_a_port_that_is_taken_are_refused_before_anything_is_
 def test_the_command_publishes_and_prints_where(command, here):
     with socket.create_server(("127.0.0.1", 0)) as other:
         taken = str(other.getsockname()[1])
-        code, _, error = command("run", "wall", "--live", "--slicer", "--slicer-port", taken, "--out", "run")
-        assert code == 2 and error.startswith(f"error: --slicer-port must be a free port of 127.0.0.1, got {taken} (")
+        code, _, error = command(
+            "run", "wall", "--live", "--slicer", "--slicer-port", taken, "--out", "run"
+        )
+        assert code == 2 and error.startswith(
+            f"error: --slicer-port must be a free port of 127.0.0.1, got {taken} ("
+        )
     arguments = ("--duration-s", "0.1", "--no-pictures", "--out", "run")
     code, output, _ = command("run", "wall", "--live", "--slicer", "--slicer-port", "0", *arguments)
     assert code == 0
     line = output.splitlines()[1]
-    assert line.startswith("3D Slicer: connect a client to 127.0.0.1:") and line.split(":")[-1] != "0"
+    assert (
+        line.startswith("3D Slicer: connect a client to 127.0.0.1:") and line.split(":")[-1] != "0"
+    )
 
 
 TURN = trimesh.transformations.rotation_matrix(1.1, (1, -2, 0.7))
@@ -260,7 +311,9 @@ TURN[:3, 3] = 30.0, 60.0, -20.0
 
 
 def sent(path, motion):
-    """Mill a block that is stored moved by a matrix [mm], at the same site; pose, force and anatomy's image in RAS."""
+    """Mill a block that is stored moved by a matrix [mm], at the same site; pose, force and
+    anatomy's image in RAS.
+    """
     block = trimesh.creation.box((20.0, 16.0, 8.0))
     block.apply_transform(motion)
     block.export(path)
@@ -279,17 +332,25 @@ def sent(path, motion):
     run = simulate(load_scene("milling", scene))
     frame_ras = SlicerFrame(run.parts.placement)
     volume = run.volume
-    start = {"density_kg_m3": volume.density_kg_m3, "origin_m": volume.origin_m, "spacing_m": volume.spacing_m}
+    start = {
+        "density_kg_m3": volume.density_kg_m3,
+        "origin_m": volume.origin_m,
+        "spacing_m": volume.spacing_m,
+    }
     content = SlicerContent(run.scene, (*run.trace.columns, *CLOCK), frame_ras, start)
     loads = np.linalg.norm(run.trace.vectors("model_force", "N"), axis=1)
     row = np.concatenate([run.trace.rows[loads.argmax()], np.zeros(len(CLOCK))])
     pose = igtl.parse_transform(content.pose_message(row)[igtl.HEADER_BYTES :])
-    force = np.frombuffer(content.force_messages(row, "NDARRAY")[0][igtl.HEADER_BYTES + 12 + 4 :], ">f8", 6)
+    force = np.frombuffer(
+        content.force_messages(row, "NDARRAY")[0][igtl.HEADER_BYTES + 12 + 4 :], ">f8", 6
+    )
     return pose, force, frame_ras.matrix, row, run.trace.columns, run.parts.placement
 
 
 def test_what_is_sent_moves_with_the_file_of_the_anatomy(tmp_path):
-    """A block that is stored elsewhere: its pose, force and torque in RAS are the same ones, moved like the file."""
+    """A block that is stored elsewhere: its pose, force and torque in RAS are the same ones,
+    moved like the file.
+    """
     pose, load, placed, row, columns, placement = sent(tmp_path / "block.stl", np.eye(4))
     pose_moved, load_moved, placed_moved, *_ = sent(tmp_path / "moved.stl", TURN)
     assert np.linalg.norm(load[:3]) > 0.1
@@ -299,6 +360,9 @@ def test_what_is_sent_moves_with_the_file_of_the_anatomy(tmp_path):
     # STL holds single precision, see STORED of test_file_frame.
     turned = np.concatenate([moved[:3, :3] @ load[:3], moved[:3, :3] @ load[3:]])
     np.testing.assert_allclose(load_moved, turned, atol=5e-3 * np.linalg.norm(load[:3]))
-    # The file's frame is LPS: the tip that a person reads off the file is the one that is sent, with x and y reversed.
+    # The file's frame is LPS: the tip that a person reads off the file is the one that is sent,
+    # with x and y reversed.
     tip_mm = np.array([row[columns.index(f"tool_{c}_mm")] for c in "xyz"])
-    np.testing.assert_allclose(pose[:3, 3] * [-1.0, -1.0, 1.0], placement.to_file(tip_mm[None])[0], atol=1e-4)
+    np.testing.assert_allclose(
+        pose[:3, 3] * [-1.0, -1.0, 1.0], placement.to_file(tip_mm[None])[0], atol=1e-4
+    )

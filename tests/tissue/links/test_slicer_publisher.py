@@ -1,4 +1,6 @@
-"""What a publisher sends to whom and when: by a client that takes messages apart apart from the package's code."""
+"""What a publisher sends to whom and when: by a client that takes messages apart apart from the
+package's code.
+"""
 
 import json
 
@@ -18,7 +20,9 @@ from tissue.simulation.live.window import CLOCK
 
 pytest.importorskip("pyvista")
 
-PLACEMENT = Placement(np.array([10.0, -20.0, 30.0]), np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
+PLACEMENT = Placement(
+    np.array([10.0, -20.0, 30.0]), np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+)
 LPS_TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
@@ -28,11 +32,16 @@ class Stage:
     def __init__(self, folder, run, shared, *, drives=True, placement=None):
         self.columns, self.shared = run.trace.columns, shared
         layout = {
-            "row": ("float64", (len(self.columns) + len(CLOCK),)), "row_turn": ("int64", (1,)),
-            "ended": ("int64", (1,)), "frames": ("int64", (1,)), "target": ("float64", (7,)),
-            "target_turn": ("int64", (1,)), "events": ("uint8", (4, 64)), "events_count": ("int64", (1,)),
+            "row": ("float64", (len(self.columns) + len(CLOCK),)),
+            "row_turn": ("int64", (1,)),
+            "ended": ("int64", (1,)),
+            "frames": ("int64", (1,)),
+            "target": ("float64", (7,)),
+            "target_turn": ("int64", (1,)),
+            "events": ("uint8", (4, 64)),
+            "events_count": ("int64", (1,)),
             "counts": ("int64", (4,)),
-        }  # fmt: skip
+        }
         self.arrays = SharedArrays(folder, layout | shared.layout)
         start = {"port": 0, "start_turn": np.eye(3), "drives": drives, **shared.start}
         start |= {"low_m": np.array([-9e-3, -9e-3, -4e-3]), "high_m": np.array([9e-3, 9e-3, 20e-3])}
@@ -88,7 +97,11 @@ def stage(tmp_path):
 
     def make(run, shared=None, **options):
         if shared is None:
-            shared = SharedTissue() if run.parts.volume is None else BoneShared(run.parts.tissue, run.volume)
+            shared = (
+                SharedTissue()
+                if run.parts.volume is None
+                else BoneShared(run.parts.tissue, run.volume)
+            )
         made.append(Stage(tmp_path, run, shared, **options))
         return made[-1]
 
@@ -103,15 +116,24 @@ def test_a_bone_its_voxels_and_the_tool_are_sent_once_and_lie_in_ras(stage, mill
     shown = stage(milled, placement=PLACEMENT)
     client = shown.client()
     client.until(lambda: client.of("tissue-anatomy"), poll=shown.publisher.step)
-    (image,), (shape,), (bone,) = (client.of(name) for name in ("tissue-image", "tissue-tool-shape", "tissue-anatomy"))
+    (image,), (shape,), (bone,) = (
+        client.of(name) for name in ("tissue-image", "tissue-tool-shape", "tissue-anatomy")
+    )
     volume, to_file = milled.volume, np.linalg.inv(PLACEMENT.file_to_scene_mm)
     assert image["coordinates"] == 1
     np.testing.assert_array_equal(image["values"], volume.density_kg_m3)
-    np.testing.assert_allclose(image["axes"], 1e3 * volume.spacing_m * (LPS_TO_RAS @ to_file)[:3, :3], atol=1e-6)
+    np.testing.assert_allclose(
+        image["axes"], 1e3 * volume.spacing_m * (LPS_TO_RAS @ to_file)[:3, :3], atol=1e-6
+    )
     middle = 1e3 * (volume.origin_m + 0.5 * volume.spacing_m * np.array(volume.shape))
-    np.testing.assert_allclose(image["middle"], (LPS_TO_RAS @ to_file @ [*middle, 1.0])[:3], atol=1e-4)
+    np.testing.assert_allclose(
+        image["middle"], (LPS_TO_RAS @ to_file @ [*middle, 1.0])[:3], atol=1e-4
+    )
     # The bone's surface fills the voxels' box up to its blocks of 0.8 mm, in RAS.
-    corners = np.array([(*corner, 1.0) for corner in 1e3 * np.array(volume.bounds_m)]) @ (LPS_TO_RAS @ to_file).T
+    corners = (
+        np.array([(*corner, 1.0) for corner in 1e3 * np.array(volume.bounds_m)])
+        @ (LPS_TO_RAS @ to_file).T
+    )
     low, high = corners.min(axis=0)[:3], corners.max(axis=0)[:3]
     assert (bone["points"] > low - 0.8).all() and (bone["points"] < high + 0.8).all()
     assert np.ptp(bone["points"], axis=0).min() > 0.5 * (high - low).min()
@@ -127,14 +149,25 @@ def test_a_pose_is_that_of_the_row_in_ras_and_an_old_row_is_not_sent_again(stage
     shown = stage(pressed, placement=PLACEMENT)
     client = shown.client()
     shown.show(
-        tool_x_mm=1.0, tool_y_mm=2.0, tool_z_mm=3.0, tool_qx=0.0, tool_qy=0.0, tool_qz=np.sin(0.2), tool_qw=np.cos(0.2)
+        tool_x_mm=1.0,
+        tool_y_mm=2.0,
+        tool_z_mm=3.0,
+        tool_qx=0.0,
+        tool_qy=0.0,
+        tool_qz=np.sin(0.2),
+        tool_qw=np.cos(0.2),
     )
     client.until(lambda: client.of("tissue-force-text"), poll=shown.publisher.step)
     for _ in range(20):
         shown.publisher.step()
     (pose,) = client.of("tissue-tool")
     turn = np.array(
-        [[np.cos(0.4), -np.sin(0.4), 0, 1.0], [np.sin(0.4), np.cos(0.4), 0, 2.0], [0, 0, 1, 3.0], [0, 0, 0, 1]]
+        [
+            [np.cos(0.4), -np.sin(0.4), 0, 1.0],
+            [np.sin(0.4), np.cos(0.4), 0, 2.0],
+            [0, 0, 1, 3.0],
+            [0, 0, 0, 1],
+        ]
     )
     expected = LPS_TO_RAS @ np.linalg.inv(PLACEMENT.file_to_scene_mm) @ turn
     np.testing.assert_allclose(pose["matrix"], expected, atol=1e-5)
@@ -153,13 +186,22 @@ def test_force_and_torque_are_sent_to_who_asks_for_them(stage, pressed, monkeypa
     monkeypatch.setattr(slicer_process, "FRAME_S", 0.0)
     shown = stage(pressed, placement=PLACEMENT)
     asks, looks = shown.client(), shown.client()
-    shown.show(time_s=1.25, model_force_x_N=1.0, model_force_y_N=2.0, model_force_z_N=3.0, model_torque_x_Nm=0.1)
+    shown.show(
+        time_s=1.25,
+        model_force_x_N=1.0,
+        model_force_y_N=2.0,
+        model_force_z_N=3.0,
+        model_torque_x_Nm=0.1,
+    )
     asks.until(lambda: asks.of("tissue-tool"), poll=shown.publisher.step)
     asks.send(igtl.packed("GET_SENSOR", "", b"", time_s=0.0))
     asks.until(lambda: asks.of("tissue-torque"), poll=shown.publisher.step)
     turn = LPS_TO_RAS[:3, :3] @ PLACEMENT.rotation
     (force,), (torque,) = asks.of("tissue-force", "SENSOR"), asks.of("tissue-torque", "SENSOR")
-    assert force["unit"] == 0x0B << 54 | 1 << 50 and torque["unit"] == force["unit"] | 0x01 << 44 | 1 << 40
+    assert (
+        force["unit"] == 0x0B << 54 | 1 << 50
+        and torque["unit"] == force["unit"] | 0x01 << 44 | 1 << 40
+    )
     np.testing.assert_allclose(force["values"], turn @ [1.0, 2.0, 3.0])
     np.testing.assert_allclose(torque["values"], turn @ [0.1, 0.0, 0.0])
     (sent,) = [each for each in asks.messages if each.name == "tissue-force"]
@@ -168,7 +210,9 @@ def test_force_and_torque_are_sent_to_who_asks_for_them(stage, pressed, monkeypa
     asks.until(lambda: asks.of("", "RTS_NDARRAY"), poll=shown.publisher.step)
     for number in range(3):
         shown.show()
-        asks.until(lambda count=number: len(asks.of("tissue-wrench")) > count, poll=shown.publisher.step)
+        asks.until(
+            lambda count=number: len(asks.of("tissue-wrench")) > count, poll=shown.publisher.step
+        )
     np.testing.assert_allclose(
         asks.of("tissue-wrench")[0]["values"], [*turn @ [1.0, 2.0, 3.0], *turn @ [0.1, 0.0, 0.0]]
     )
@@ -182,14 +226,18 @@ def test_force_and_torque_are_sent_to_who_asks_for_them(stage, pressed, monkeypa
     words = looks.of("tissue-force-text")[0]["text"]
     x, y, z = turn @ [1.0, 2.0, 3.0]
     assert words == (
-        f"1.25 s: force 3.74 N, to the right {x:.2f}, to the front {y:.2f}, up {z:.2f} N; torque 100.0 mN m"
+        f"1.25 s: force 3.74 N, to the right {x:.2f}, to the front {y:.2f}, up {z:.2f} N; "
+        "torque 100.0 mN m"
     )
 
 
 def test_a_question_before_the_first_row_is_left(stage, pressed):
     shown = stage(pressed)
     client = shown.client()
-    client.send(igtl.packed("GET_SENSOR", "", b"", time_s=0.0) + igtl.packed("STT_NDARRAY", "", b"", time_s=0.0))
+    client.send(
+        igtl.packed("GET_SENSOR", "", b"", time_s=0.0)
+        + igtl.packed("STT_NDARRAY", "", b"", time_s=0.0)
+    )
     client.until(lambda: client.of("", "RTS_NDARRAY"), poll=shown.publisher.step)
     assert not client.of("tissue-force")
 
@@ -201,7 +249,14 @@ def test_events_are_sent_in_order_and_the_last_ones_kept(stage, pressed):
     client.until(lambda: len(client.of("tissue-events")) == 2, poll=shown.publisher.step)
     shown.report(*map(str, range(6)))
     client.until(lambda: len(client.of("tissue-events")) == 6, poll=shown.publisher.step)
-    assert [each["text"] for each in client.of("tissue-events")] == ["one", "two µ", "2", "3", "4", "5"]
+    assert [each["text"] for each in client.of("tissue-events")] == [
+        "one",
+        "two µ",
+        "2",
+        "3",
+        "4",
+        "5",
+    ]
 
 
 def test_a_surface_is_sent_when_it_has_changed_and_to_late_clients(stage, milled, monkeypatch):
@@ -217,8 +272,12 @@ def test_a_surface_is_sent_when_it_has_changed_and_to_late_clients(stage, milled
     client.until(lambda: len(client.of("tissue-anatomy")) == 2, poll=shown.publisher.step)
     late = shown.client()
     late.until(lambda: late.of("tissue-anatomy"), poll=shown.publisher.step)
-    np.testing.assert_array_equal(late.of("tissue-anatomy")[0]["points"], client.of("tissue-anatomy")[1]["points"])
-    assert len(late.of("tissue-anatomy")[0]["points"]) < len(client.of("tissue-anatomy")[0]["points"])
+    np.testing.assert_array_equal(
+        late.of("tissue-anatomy")[0]["points"], client.of("tissue-anatomy")[1]["points"]
+    )
+    assert len(late.of("tissue-anatomy")[0]["points"]) < len(
+        client.of("tissue-anatomy")[0]["points"]
+    )
     left[:] = 0
     client.until(lambda: len(client.of("tissue-anatomy")) == 3, poll=shown.publisher.step)
     assert not len(client.of("tissue-anatomy")[2]["triangles"])
@@ -254,16 +313,26 @@ def test_an_organs_surface_moves(stage, pressed, monkeypatch):
 def test_the_end_of_a_run_is_sent_with_what_came_before_it(stage, pressed):
     shown = stage(pressed)
     client = shown.client()
-    assert client.of("tissue")[0] | {"text": ""} == {"code": 1, "subcode": 0, "name": "OK", "text": ""}
+    assert client.of("tissue")[0] | {"text": ""} == {
+        "code": 1,
+        "subcode": 0,
+        "name": "OK",
+        "text": "",
+    }
     shown.show()
     shown.report("last")
     shown.publisher.end()
     client.until(lambda: client.ended)
     assert client.of("tissue-events")[-1]["text"] == "last" and client.of("tissue-tool")
     assert client.of("tissue")[-1] == {
-        "code": 19, "subcode": 0, "name": "SHUT_DOWN", "text": "wall: the run has ended",
-    }  # fmt: skip
-    assert shown.arrays["counts"].tolist()[1:] == [1, 0, 0] and shown.arrays["counts"][0] == len(client.messages)
+        "code": 19,
+        "subcode": 0,
+        "name": "SHUT_DOWN",
+        "text": "wall: the run has ended",
+    }
+    assert shown.arrays["counts"].tolist()[1:] == [1, 0, 0] and shown.arrays["counts"][0] == len(
+        client.messages
+    )
 
 
 def moved(shown):
@@ -300,17 +369,26 @@ def test_a_pose_of_a_client_comes_to_the_ticks_in_their_frame_and_within_the_box
     client = shown.client()
     frame = SlicerFrame(PLACEMENT)
     half = 0.3
-    turn = np.array([[1.0, 0, 0], [0, np.cos(half), -np.sin(half)], [0, np.sin(half), np.cos(half)]])
+    turn = np.array(
+        [[1.0, 0, 0], [0, np.cos(half), -np.sin(half)], [0, np.sin(half), np.cos(half)]]
+    )
     client.send(target(frame.pose([1.0, -2.0, 3.0], turn)))
     pose = until_asked(shown, 1)
-    np.testing.assert_allclose(pose, [1.0, -2.0, 3.0, np.sin(half / 2), 0.0, 0.0, np.cos(half / 2)], atol=1e-5)
+    np.testing.assert_allclose(
+        pose, [1.0, -2.0, 3.0, np.sin(half / 2), 0.0, 0.0, np.cos(half / 2)], atol=1e-5
+    )
     client.send(target(frame.pose([100.0, -2.0, -100.0], turn)))
     np.testing.assert_allclose(until_asked(shown, 2)[:3], [9.0, -2.0, -4.0], atol=1e-5)
 
 
 @pytest.mark.parametrize(
     "matrix",
-    [np.full((4, 4), np.nan), np.diag([2.0, 1.0, 1.0, 1.0]), np.diag([-1.0, 1.0, 1.0, 1.0]), np.zeros((4, 4))],
+    [
+        np.full((4, 4), np.nan),
+        np.diag([2.0, 1.0, 1.0, 1.0]),
+        np.diag([-1.0, 1.0, 1.0, 1.0]),
+        np.zeros((4, 4)),
+    ],
     ids=["nan", "scaled", "mirrored", "zero"],
 )
 def test_a_transform_that_is_no_pose_is_ignored_and_counted(stage, pressed, matrix):
@@ -318,7 +396,10 @@ def test_a_transform_that_is_no_pose_is_ignored_and_counted(stage, pressed, matr
     client = shown.client()
     client.send(target(matrix))
     until_ignored(shown, 1)
-    client.send(igtl.packed("TRANSFORM", "another", igtl.transform_body(np.eye(4)), time_s=0.0) + target(np.eye(4)))
+    client.send(
+        igtl.packed("TRANSFORM", "another", igtl.transform_body(np.eye(4)), time_s=0.0)
+        + target(np.eye(4))
+    )
     until_asked(shown, 1)
     assert shown.arrays["counts"][3] == 1
 
@@ -360,4 +441,6 @@ def test_a_pose_goes_to_ras_and_back():
     np.testing.assert_allclose(tip, [1.0, 2.0, 3.0], atol=1e-12)
     np.testing.assert_allclose(rotation, turn, atol=1e-12)
     file = np.linalg.inv(PLACEMENT.file_to_scene_mm) @ [1.0, 2.0, 3.0, 1.0]
-    np.testing.assert_allclose(frame.points([[1.0, 2.0, 3.0]])[0], (LPS_TO_RAS @ file)[:3], atol=1e-12)
+    np.testing.assert_allclose(
+        frame.points([[1.0, 2.0, 3.0]])[0], (LPS_TO_RAS @ file)[:3], atol=1e-12
+    )

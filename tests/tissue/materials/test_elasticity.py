@@ -40,7 +40,13 @@ def turn(seed):
 
 def tensor_of(strain):
     """Tensor of engineering strains in the order xx, yy, zz, yz, xz, xy."""
-    return np.array([[strain[0], strain[5] / 2, strain[4] / 2], [strain[5] / 2, strain[1], strain[3] / 2], [strain[4] / 2, strain[3] / 2, strain[2]]])  # fmt: skip
+    return np.array(
+        [
+            [strain[0], strain[5] / 2, strain[4] / 2],
+            [strain[5] / 2, strain[1], strain[3] / 2],
+            [strain[4] / 2, strain[3] / 2, strain[2]],
+        ]
+    )
 
 
 def test_isotropic_constants_by_their_meaning():
@@ -55,10 +61,13 @@ def test_orthotropic_constants_by_their_meaning():
     compliance = np.linalg.inv(orthotropic(**FEMUR))
     assert np.allclose(1.0 / np.diag(compliance), [12e9, 13.4e9, 20e9, 6.23e9, 5.61e9, 4.53e9])
     assert -compliance[1, 0] * 12e9 == pytest.approx(0.376)
-    # the ratios printed inverted, nu31 = nu13 E3 / E1 and so on, which agree within 1 % (Ashman 1984)
-    assert [-compliance[0, 1] * 13.4e9, -compliance[0, 2] * 20e9, -compliance[1, 2] * 20e9] == pytest.approx(
-        [0.422, 0.371, 0.350], rel=0.01
-    )
+    # the ratios printed inverted, nu31 = nu13 E3 / E1 and so on, which agree within 1 % (Ashman
+    # 1984)
+    assert [
+        -compliance[0, 1] * 13.4e9,
+        -compliance[0, 2] * 20e9,
+        -compliance[1, 2] * 20e9,
+    ] == pytest.approx([0.422, 0.371, 0.350], rel=0.01)
 
 
 def test_transversely_isotropic_is_alike_across_its_fibre_and_holds_isotropy():
@@ -66,9 +75,18 @@ def test_transversely_isotropic_is_alike_across_its_fibre_and_holds_isotropy():
     compliance = np.linalg.inv(matrix)
     assert np.allclose(compliance[:3, 2] * 2e6, [-0.4, -0.4, 1.0])
     c, s = np.cos(0.7), np.sin(0.7)
-    assert np.allclose(rotated(matrix, [[[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]])[0], matrix, rtol=1e-12, atol=1.0)
+    assert np.allclose(
+        rotated(matrix, [[[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]])[0],
+        matrix,
+        rtol=1e-12,
+        atol=1.0,
+    )
     alike = transversely_isotropic(
-        young_fibre_Pa=5e3, young_across_Pa=5e3, shear_fibre_Pa=5e3 / 2.8, poisson_fibre=0.4, poisson_across=0.4
+        young_fibre_Pa=5e3,
+        young_across_Pa=5e3,
+        shear_fibre_Pa=5e3 / 2.8,
+        poisson_fibre=0.4,
+        poisson_across=0.4,
     )
     assert np.allclose(alike, isotropic(5e3, 0.4), rtol=1e-12, atol=1e-9)
 
@@ -79,7 +97,9 @@ def test_turned_material_has_the_energy_of_the_strain_turned_back(seed):
     random, rotation, matrix = np.random.default_rng(seed), turn(seed), orthotropic(**FEMUR)
     strain = random.normal(size=6)
     back = rotation.T @ tensor_of(strain) @ rotation
-    seen = np.array([back[0, 0], back[1, 1], back[2, 2], 2 * back[1, 2], 2 * back[0, 2], 2 * back[0, 1]])
+    seen = np.array(
+        [back[0, 0], back[1, 1], back[2, 2], 2 * back[1, 2], 2 * back[0, 2], 2 * back[0, 1]]
+    )
     turned = rotated(matrix, rotation[None])[0]
     assert strain @ turned @ strain == pytest.approx(seen @ matrix @ seen, rel=1e-12)
     assert np.array_equal(turned, turned.T)
@@ -87,7 +107,9 @@ def test_turned_material_has_the_energy_of_the_strain_turned_back(seed):
 
 
 def fibrous_compliance(poisson, ratio):
-    """Compliance of tissue of 1 Pa across fibres along z, normal strains alone, shape (3, 3), written out by hand."""
+    """Compliance of tissue of 1 Pa across fibres along z, normal strains alone, shape (3, 3),
+    written out by hand.
+    """
     across = volume_preserving_ratio(poisson_ratio=poisson, modulus_ratio=ratio)
     along = -poisson / ratio
     return np.array([[1.0, -across, along], [-across, 1.0, along], [along, along, 1.0 / ratio]])
@@ -95,14 +117,19 @@ def fibrous_compliance(poisson, ratio):
 
 @pytest.mark.parametrize("poisson", [-0.5, 0.0, 0.3, 0.45, 0.49, 0.499])
 def test_fibres_leave_the_bulk_modulus_as_it_is(poisson):
-    """Over the whole range the volume under a pressure is that of the isotropic tissue, in any frame."""
+    """Over the whole range the volume under a pressure is that of the isotropic tissue, in any
+    frame.
+    """
     low, high = fibre_ratio_range(poisson)
     isotropic_bulk = 1.0 / (3.0 * (1.0 - 2.0 * poisson))
     for ratio in np.geomspace(1.01 * low, min(0.99 * high, 10.0), 9):
         unit = transversely_isotropic(
-            young_fibre_Pa=ratio, young_across_Pa=1.0, shear_fibre_Pa=0.3, poisson_fibre=poisson,
+            young_fibre_Pa=ratio,
+            young_across_Pa=1.0,
+            shear_fibre_Pa=0.3,
+            poisson_fibre=poisson,
             poisson_across=volume_preserving_ratio(poisson_ratio=poisson, modulus_ratio=ratio),
-        )  # fmt: skip
+        )
         assert np.linalg.eigvalsh(unit)[0] > 0.0
         turned = rotated(unit, np.random.default_rng(3).normal(size=(1, 3)))[0]
         shrinks = np.linalg.solve(turned, -np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]))[:3].sum()
@@ -120,7 +147,9 @@ def test_the_range_of_fibres_is_that_of_stable_tissue(poisson):
 
 def test_a_ratio_of_one_is_no_fibre():
     assert volume_preserving_ratio(poisson_ratio=0.37, modulus_ratio=1.0) == pytest.approx(0.37)
-    assert volume_preserving_ratio(poisson_ratio=0.49, modulus_ratio=4.0) == pytest.approx(0.97 - 0.48 / 4.0)
+    assert volume_preserving_ratio(poisson_ratio=0.49, modulus_ratio=4.0) == pytest.approx(
+        0.97 - 0.48 / 4.0
+    )
 
 
 def test_fibres_of_any_length_turn_the_third_axis():
@@ -128,9 +157,20 @@ def test_fibres_of_any_length_turn_the_third_axis():
     fibre = np.array([[0.0, 0.0, 2.0], [3.0, 0.0, 0.0], [1.0, 2.0, -2.0], [0.0, -1e-3, 0.0]])
     turned = rotated(matrix, fibre)
     assert np.allclose(turned[0], matrix, rtol=1e-12, atol=1e-6)
-    assert turned[1][0, 0] == pytest.approx(matrix[2, 2]) and turned[3][1, 1] == pytest.approx(matrix[2, 2])
+    assert turned[1][0, 0] == pytest.approx(matrix[2, 2]) and turned[3][1, 1] == pytest.approx(
+        matrix[2, 2]
+    )
     along = fibre[2] / 3.0
-    pull = np.array([along[0] ** 2, along[1] ** 2, along[2] ** 2, along[1] * along[2], along[0] * along[2], along[0] * along[1]])  # fmt: skip
+    pull = np.array(
+        [
+            along[0] ** 2,
+            along[1] ** 2,
+            along[2] ** 2,
+            along[1] * along[2],
+            along[0] * along[2],
+            along[0] * along[1],
+        ]
+    )
     strain = np.linalg.solve(turned[2], pull)
     assert along @ tensor_of(strain) @ along == pytest.approx(1.0 / 2e6)
 
@@ -144,21 +184,39 @@ def test_fibres_of_any_length_turn_the_third_axis():
         (lambda: lame(-5.0, 0.3), "young_Pa must be positive and finite"),
         (lambda: lame([5e3, np.nan], 0.3), "young_Pa must be positive and finite"),
         (lambda: orthotropic(**{**FEMUR, "poisson_ratio": (0.9, 0.9, 0.9)}), "positive definite"),
-        (lambda: orthotropic(**{**FEMUR, "poisson_ratio": (0.3, np.nan, 0.3)}), "poisson_ratio must hold"),
-        (lambda: orthotropic(**{**FEMUR, "shear_Pa": (1e9, 0.0, 1e9)}), "shear_Pa must be 3 numbers, positive"),
-        (lambda: transversely_isotropic(**{**FIBROUS, "poisson_across": 1.0}), "poisson_across must be in"),
+        (
+            lambda: orthotropic(**{**FEMUR, "poisson_ratio": (0.3, np.nan, 0.3)}),
+            "poisson_ratio must hold",
+        ),
+        (
+            lambda: orthotropic(**{**FEMUR, "shear_Pa": (1e9, 0.0, 1e9)}),
+            "shear_Pa must be 3 numbers, positive",
+        ),
+        (
+            lambda: transversely_isotropic(**{**FIBROUS, "poisson_across": 1.0}),
+            "poisson_across must be in",
+        ),
         (lambda: checked_stiffness(np.triu(isotropic(1e3, 0.3))), "stiffness_Pa must be symmetric"),
         (lambda: checked_stiffness(np.full((6, 6), np.nan)), "stiffness_Pa must be finite"),
         (lambda: checked_stiffness(-isotropic(1e3, 0.3)), "stiffness_Pa must be positive definite"),
         (lambda: checked_stiffness(np.eye(3)), "stiffness_Pa must have shape"),
-        (lambda: rotated(orthotropic(**FEMUR), [[1.0, 0.0, 0.0]]), "axes must be three directions a cell"),
+        (
+            lambda: rotated(orthotropic(**FEMUR), [[1.0, 0.0, 0.0]]),
+            "axes must be three directions a cell",
+        ),
         (lambda: rotated(isotropic(1e3, 0.3), [[0.0, 0.0, 0.0]]), "axes must be directions"),
         (lambda: rotated(isotropic(1e3, 0.3), [np.eye(3) * 1.1]), "axes must be rotations"),
-        (lambda: rotated(isotropic(1e3, 0.3), [np.diag([1.0, 1.0, -1.0])]), "axes must be rotations"),
+        (
+            lambda: rotated(isotropic(1e3, 0.3), [np.diag([1.0, 1.0, -1.0])]),
+            "axes must be rotations",
+        ),
         (lambda: elasticity_rows([-1.0, 1.0], 4), "elasticity must be positive definite"),
-        (lambda: elasticity_rows(np.tile(lame(1e3, 0.3), (3, 1)), 4), "one for each of 4 cells, got 3"),
+        (
+            lambda: elasticity_rows(np.tile(lame(1e3, 0.3), (3, 1)), 4),
+            "one for each of 4 cells, got 3",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_elastic_material_is_refused(make, message):
     with pytest.raises(InputError, match=message):
         make()

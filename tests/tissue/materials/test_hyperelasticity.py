@@ -1,4 +1,6 @@
-"""Hyperelastic laws against closed forms, differences, rotations, work along a path and the linear law."""
+"""Hyperelastic laws against closed forms, differences, rotations, work along a path and the
+linear law.
+"""
 
 import numpy as np
 import pytest
@@ -42,7 +44,9 @@ def random_gradients(seed: int, count: int = 20) -> np.ndarray:
 @LAW
 @pytest.mark.parametrize("a", STRETCHES)
 def test_uniaxial_and_equibiaxial_tension_are_the_closed_forms(name, a):
-    """The difference of two Cauchy stresses at constant volume has no pressure in it (Ogden 1984, chapter 7)."""
+    """The difference of two Cauchy stresses at constant volume has no pressure in it (Ogden
+    1984, chapter 7).
+    """
     for first, third in ((a, a**-0.5), (a, a**-2.0)):
         stretch = (first, third, third) if third == a**-0.5 else (first, first, third)
         stress = cauchy(LAWS[name], np.diag(stretch))
@@ -115,7 +119,9 @@ def test_small_strains_are_those_of_the_linear_law(name):
     law, unit = LAWS[name], np.eye(3)
     lam = BULK - 2.0 / 3.0 * law.shear_Pa
     linear = lam * np.einsum("ij,kl", unit, unit)
-    linear = linear + law.shear_Pa * (np.einsum("ik,jl", unit, unit) + np.einsum("il,jk", unit, unit))
+    linear = linear + law.shear_Pa * (
+        np.einsum("ik,jl", unit, unit) + np.einsum("il,jk", unit, unit)
+    )
     assert law.tangent(unit) == pytest.approx(linear, abs=1e-10 * BULK)
     assert law.stress(unit) == pytest.approx(np.zeros((3, 3)), abs=1e-10 * BULK)
 

@@ -1,4 +1,6 @@
-"""Priors of cited constants: quantiles, inverse and slope against what defines them, over every constant there is."""
+"""Priors of cited constants: quantiles, inverse and slope against what defines them, over every
+constant there is.
+"""
 
 import numpy as np
 import pytest
@@ -17,19 +19,29 @@ CITED = {
 }
 Z = np.linspace(-4.0, 4.0, 161)
 Z_95 = norm.ppf(0.95)
-FREE = {name: Prior.of(constant, name) for name, constant in CITED.items() if constant.low < constant.high}
+FREE = {
+    name: Prior.of(constant, name)
+    for name, constant in CITED.items()
+    if constant.low < constant.high
+}
 
 
 def test_value_and_range_are_the_quantiles():
     for name, prior in FREE.items():
         if prior.low < prior.value < prior.high:
             low, value, high = prior.x([-Z_95, 0.0, Z_95])
-            np.testing.assert_allclose([value, high], [prior.value, prior.high], rtol=1e-12, err_msg=name)
+            np.testing.assert_allclose(
+                [value, high], [prior.value, prior.high], rtol=1e-12, err_msg=name
+            )
             # a range from zero cannot reach zero and stay positive: within 4 % of the value
-            np.testing.assert_allclose(low, prior.low, rtol=1e-12, atol=0.04 * prior.value * (prior.low == 0.0))
+            np.testing.assert_allclose(
+                low, prior.low, rtol=1e-12, atol=0.04 * prior.value * (prior.low == 0.0)
+            )
 
 
-@pytest.mark.parametrize("free", [(1.0, 2.0, 8.0), (2.0, 4.0, 5.0)], ids=["long above", "long below"])
+@pytest.mark.parametrize(
+    "free", [(1.0, 2.0, 8.0), (2.0, 4.0, 5.0)], ids=["long above", "long below"]
+)
 def test_a_skewed_range_is_log_normal_about_its_end(free):
     low, value, high = np.log(free)
     ratio = (high - value) / (value - low)
@@ -49,14 +61,17 @@ def test_a_value_at_an_end_of_its_range_is_half_normal(value):
     prior = Prior(0.0, 0.0, 6.0) if value == 0.0 else Prior(0.0, -6.0, 0.0)
     share = norm.cdf(Z)
     scale = 6.0 / halfnorm.ppf(0.95)
-    expected = halfnorm.ppf(share, scale=scale) if value == 0.0 else -halfnorm.isf(share, scale=scale)
+    expected = (
+        halfnorm.ppf(share, scale=scale) if value == 0.0 else -halfnorm.isf(share, scale=scale)
+    )
     np.testing.assert_allclose(prior.x(Z), expected, rtol=1e-9)
 
 
 def test_every_constant_rises_strictly_and_stays_where_a_scene_accepts_it():
     for name, prior in FREE.items():
         x = prior.x(Z)
-        assert (np.diff(x[np.abs(Z) < 3.0]) > 0.0).all() and (np.diff(x) >= 0.0).all(), name  # to rounding at a bound
+        # to rounding at a bound
+        assert (np.diff(x[np.abs(Z) < 3.0]) > 0.0).all() and (np.diff(x) >= 0.0).all(), name
         assert prior.low < 0.0 or (x > 0.0).all(), name
         if name.endswith("poisson_ratio"):
             assert (prior.x([-40.0, 40.0]) < 0.5).all(), name
@@ -69,7 +84,9 @@ def test_the_inverse_gives_back_z():
     for name, prior in FREE.items():
         x, slope = prior.x(z), prior.slope(z)
         # rounding of x to 16 digits is an error of z of that over the slope
-        np.testing.assert_allclose(prior.z(x), z, atol=1e-9 + 1e-14 * float(np.max(np.abs(x) / slope)), err_msg=name)
+        np.testing.assert_allclose(
+            prior.z(x), z, atol=1e-9 + 1e-14 * float(np.max(np.abs(x) / slope)), err_msg=name
+        )
 
 
 def test_the_slope_is_the_derivative():
@@ -89,7 +106,11 @@ def test_outside_the_support_z_is_infinite():
 def test_a_single_number_is_fixed():
     prior = Prior(2.0, 2.0, 2.0)
     assert prior.fixed
-    assert (prior.x(Z) == 2.0).all() and (prior.slope(Z) == 0.0).all() and (prior.z(prior.x(Z)) == 0.0).all()
+    assert (
+        (prior.x(Z) == 2.0).all()
+        and (prior.slope(Z) == 0.0).all()
+        and (prior.z(prior.x(Z)) == 0.0).all()
+    )
 
 
 @pytest.mark.parametrize("numbers", [(5.0, 1.0, 4.0), (2.0, np.nan, 4.0), (2.0, 1.0, np.inf)])

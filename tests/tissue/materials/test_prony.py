@@ -1,4 +1,6 @@
-"""Prony series against closed forms, and the exponential step against the integral it stands for."""
+"""Prony series against closed forms, and the exponential step against the integral it stands
+for.
+"""
 
 import numpy as np
 import pytest
@@ -45,11 +47,14 @@ def test_dynamic_moduli_from_the_stepped_integral():
     stress = respond(relaxation_of(SERIES), np.sin(omega * time), step)[-2000:]
     turn = omega * time[-2000:]
     found = 2.0 * np.mean(stress * np.sin(turn)), 2.0 * np.mean(stress * np.cos(turn))
-    np.testing.assert_allclose(found, (0.757030, 0.149703), atol=2e-6)  # second order: step^2 / 12 is 1e-6
+    # second order: step^2 / 12 is 1e-6
+    np.testing.assert_allclose(found, (0.757030, 0.149703), atol=2e-6)
 
 
 def test_second_order_in_time():
-    """A smooth strain against quadrature of the hereditary integral: slope 2, small at the finest."""
+    """A smooth strain against quadrature of the hereditary integral: slope 2, small at the
+    finest.
+    """
     end = 1.0
     rate = lambda t: 2.0 * np.pi * np.cos(2.0 * np.pi * t)  # noqa: E731
     exact = quad(lambda t: modulus_of(SERIES, end - t) * rate(t), 0.0, end, epsabs=1e-13)[0]
@@ -57,7 +62,9 @@ def test_second_order_in_time():
     errors = []
     for count in steps:
         time = end / count * np.arange(1, count + 1)
-        errors.append(abs(respond(relaxation_of(SERIES), np.sin(2.0 * np.pi * time), end / count)[-1] - exact))
+        errors.append(
+            abs(respond(relaxation_of(SERIES), np.sin(2.0 * np.pi * time), end / count)[-1] - exact)
+        )
     slope = np.polyfit(np.log(1.0 / steps), np.log(errors), 1)[0]
     assert slope == pytest.approx(2.0, abs=0.05)
     assert errors[-1] < 1e-4
@@ -65,7 +72,9 @@ def test_second_order_in_time():
 
 @pytest.mark.parametrize("seed", range(8))
 def test_creep_is_the_inverse_of_relaxation(seed):
-    """Random series over six decades: amplitudes, interlaced times, and the product of the transforms."""
+    """Random series over six decades: amplitudes, interlaced times, and the product of the
+    transforms.
+    """
     random = np.random.default_rng(seed)
     count = int(random.integers(1, 6))
     share = random.dirichlet(np.ones(count + 1))[:-1]

@@ -18,7 +18,9 @@ SMALL = {"duration_s": 0.8}
 def entry(full, value, low=None, high=None):
     """One constant as a file has it."""
     low, high = (value if low is None else low), (value if high is None else high)
-    return f'[{full}]\nvalue = {value}\nrange = [{low}, {high}]\nsource = "a test"\nconfidence = "L"\n'
+    return (
+        f'[{full}]\nvalue = {value}\nrange = [{low}, {high}]\nsource = "a test"\nconfidence = "L"\n'
+    )
 
 
 def written(folder, *texts):
@@ -31,7 +33,9 @@ def written(folder, *texts):
 def cited_again(table, material):
     """A material's constants as they are cited, as a file."""
     found = constants(table, material).items()
-    return "\n".join(entry(f"{table}.{material}.{name}", one.value, one.low, one.high) for name, one in found)
+    return "\n".join(
+        entry(f"{table}.{material}.{name}", one.value, one.low, one.high) for name, one in found
+    )
 
 
 def forces(scene):
@@ -39,7 +43,9 @@ def forces(scene):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "of"), [("milling", ("cutting", "bone")), ("needle", ("needle", "liver"))])
+@pytest.mark.parametrize(
+    ("name", "of"), [("milling", ("cutting", "bone")), ("needle", ("needle", "liver"))]
+)
 def test_a_file_that_repeats_the_cited_values_changes_nothing(name, of, tmp_path):
     changes = SMALL
     file = written(tmp_path, cited_again(*of))
@@ -61,20 +67,29 @@ def test_a_value_of_a_file_does_what_the_key_of_a_scene_does(tmp_path):
 
 
 def test_a_layer_comes_before_its_material(tmp_path):
-    given = Materials.read(written(tmp_path, entry(RADIAL, 20.0), entry("cutting.trabecular.radial_chip_N_mm2", 7.0)))
+    given = Materials.read(
+        written(tmp_path, entry(RADIAL, 20.0), entry("cutting.trabecular.radial_chip_N_mm2", 7.0))
+    )
     plate, vault = given.coefficients(("subchondral", "trabecular"), {})
     assert (plate.radial_chip_Pa, vault.radial_chip_Pa) == (20e6, 7e6)
     scene = load_scene("glenoid", {"materials": given.file})
-    used = {one.full: one.cited.value for one in used_constants(scene, ("subchondral", "trabecular"))}
+    used = {
+        one.full: one.cited.value for one in used_constants(scene, ("subchondral", "trabecular"))
+    }
     assert (used[RADIAL], used["cutting.trabecular.radial_chip_N_mm2"]) == (20.0, 7.0)
     assert RADIAL not in {one.full for one in used_constants(scene, ("trabecular",))}
 
 
 def test_other_tables_take_their_place(tmp_path):
-    path = written(tmp_path, entry("soft.liver.modulus_kPa", 9.0), entry("devices.touch.mass_kg", 0.05))
+    path = written(
+        tmp_path, entry("soft.liver.modulus_kPa", 9.0), entry("devices.touch.mass_kg", 0.05)
+    )
     given = Materials.read(path)
     assert given.constants("soft", "liver")["modulus_kPa"].value == 9.0
-    assert given.constants("soft", "liver")["poisson_ratio"] == constants("soft", "liver")["poisson_ratio"]
+    assert (
+        given.constants("soft", "liver")["poisson_ratio"]
+        == constants("soft", "liver")["poisson_ratio"]
+    )
     assert given.numbers("devices", {"mass_kg": 0.04, "rate_Hz": 1000.0}, "touch") == {
         "mass_kg": 0.05,
         "rate_Hz": 1000.0,
@@ -92,7 +107,10 @@ def test_a_correlation_is_that_of_the_file_and_zero_elsewhere(tmp_path):
 def test_a_saved_scene_finds_its_file(tmp_path):
     written(tmp_path, entry(RADIAL, 20.0))
     scene = tmp_path / "mine.toml"
-    scene.write_text('materials = "own.toml"\n' + saved_text(load_scene("glenoid")).replace('materials = ""\n', ""))
+    scene.write_text(
+        'materials = "own.toml"\n'
+        + saved_text(load_scene("glenoid")).replace('materials = ""\n', "")
+    )
     kept = tmp_path / "elsewhere" / "scene.toml"
     kept.parent.mkdir()
     kept.write_text(saved_text(load_scene(scene)), "utf-8")
@@ -116,11 +134,19 @@ PAIR = f'[correlation]\nnames = ["{RADIAL}", "cutting.bone.radial_edge_N_mm"]\n'
         (entry(RADIAL, 50.0) + "range = [", "valid TOML"),
         ("cutting = 3", "must be a table"),
         ("", "got none"),
-        (entry(RADIAL, 5.0) + entry("cutting.bone.radial_edge_N_mm", 3.0) + PAIR + "matrix = [[1.0, 2.0], [2.0, 1.0]]",
-         "positive definite"),
-        (entry(RADIAL, 5.0) + PAIR + "matrix = [[1.0, 0.0], [0.0, 1.0]]", "constants of the file in correlation"),
+        (
+            entry(RADIAL, 5.0)
+            + entry("cutting.bone.radial_edge_N_mm", 3.0)
+            + PAIR
+            + "matrix = [[1.0, 2.0], [2.0, 1.0]]",
+            "positive definite",
+        ),
+        (
+            entry(RADIAL, 5.0) + PAIR + "matrix = [[1.0, 0.0], [0.0, 1.0]]",
+            "constants of the file in correlation",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_bad_file_is_refused_in_a_sentence(text, words, tmp_path):
     with pytest.raises(InputError, match=words):
         Materials.read(written(tmp_path, text))
@@ -129,8 +155,16 @@ def test_a_bad_file_is_refused_in_a_sentence(text, words, tmp_path):
 @pytest.mark.parametrize(
     ("texts", "changes", "words"),
     [
-        ([entry("soft.liver.modulus_kPa", 5.0)], {}, "must hold a constant that the scene rests on"),
-        ([entry(RADIAL, 5.0)], {"cutting.radial_chip_N_mm2": 9.0}, "cutting.radial_chip_N_mm2 must be left out"),
+        (
+            [entry("soft.liver.modulus_kPa", 5.0)],
+            {},
+            "must hold a constant that the scene rests on",
+        ),
+        (
+            [entry(RADIAL, 5.0)],
+            {"cutting.radial_chip_N_mm2": 9.0},
+            "cutting.radial_chip_N_mm2 must be left out",
+        ),
         ([entry("cutting.trabeclar.radial_chip_N_mm2", 5.0)], {}, "did you mean trabecular"),
     ],
 )

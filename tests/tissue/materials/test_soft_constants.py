@@ -1,4 +1,6 @@
-"""Constants of soft tissue and of needles: every entry complete, and the published relations between them."""
+"""Constants of soft tissue and of needles: every entry complete, and the published relations
+between them.
+"""
 
 import tomllib
 from importlib.resources import files
@@ -14,8 +16,12 @@ TABLES = {
 }
 MATERIALS = [(table, material) for table, listed in TABLES.items() for material in listed]
 UNITS = {
-    "poisson_ratio": 1, "modulus_kPa": 1e8, "density_kg_m3": 2e3, "toughness_J_m2": 1e4, "thickness_um": 1e4,
-}  # fmt: skip
+    "poisson_ratio": 1,
+    "modulus_kPa": 1e8,
+    "density_kg_m3": 2e3,
+    "toughness_J_m2": 1e4,
+    "thickness_um": 1e4,
+}
 
 
 @pytest.mark.parametrize(("table", "material"), MATERIALS, ids=[f"{t} {m}" for t, m in MATERIALS])
@@ -39,5 +45,8 @@ def test_every_soft_material_can_be_solved(material):
 
 
 def test_an_unlisted_material_is_refused_with_the_list():
-    with pytest.raises(InputError, match=r"material must be one of liver, .*skin.*, got spleen: choose a listed one"):
+    with pytest.raises(
+        InputError,
+        match=r"material must be one of liver, .*skin.*, got spleen: choose a listed one",
+    ):
         constants("soft", "spleen")

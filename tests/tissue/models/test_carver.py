@@ -1,4 +1,6 @@
-"""A moving tool's carving: volumes that a ball sweeps in closed form, and how far the carving lags the tool."""
+"""A moving tool's carving: volumes that a ball sweeps in closed form, and how far the carving
+lags the tool.
+"""
 
 import numpy as np
 import pytest
@@ -21,9 +23,13 @@ def solid_bone(radius_m, half_m):
     count = 2 * round(half_m / SPACING_M)
     shape = (count,) * 3
     volume = VoxelVolume(
-        np.full(3, -0.5 * count * SPACING_M), SPACING_M, np.full(shape, 255, np.uint8), np.zeros(shape, np.uint8),
-        np.full(shape, 1800, np.uint16), ("bone",),
-    )  # fmt: skip
+        np.full(3, -0.5 * count * SPACING_M),
+        SPACING_M,
+        np.full(shape, 255, np.uint8),
+        np.zeros(shape, np.uint8),
+        np.full(shape, 1800, np.uint16),
+        ("bone",),
+    )
     cutter = Cutter(ball_burr(diameter_m=2.0 * radius_m), 4, 500.0)
     return BoneModel(volume, cutter, (cutting_coefficients("bone"),))
 
@@ -33,7 +39,9 @@ def removed_m3(bone):
 
 
 def turn_about_tip(bone, tip_m, angles_rad):
-    """Turn the tool about the x axis through its tip; return the volume removed at every angle after the first."""
+    """Turn the tool about the x axis through its tip; return the volume removed at every angle
+    after the first.
+    """
     motion = ToolMotion(speed_m_s=1e-3)
     motion.tip_m[:] = tip_m
     motion.heading[1] = (1.0, 0.0, 0.0)
@@ -64,7 +72,9 @@ def slide(bone, start_m, along, travels_m):
 
 
 def test_a_slow_tool_is_carved_a_tenth_of_a_voxel_late_on_average():
-    """A brick waits for 0 to 20 um of travel, so a ball's front lags by half of that: pi R^2 times 10 um are missing."""
+    """A brick waits for 0 to 20 um of travel, so a ball's front lags by half of that: pi R^2
+    times 10 um are missing.
+    """
     radius = 1e-3
     along = np.array([0.8, 0.0, -0.6])
     travels = np.arange(1, 601) * 5e-7
@@ -72,14 +82,17 @@ def test_a_slow_tool_is_carved_a_tenth_of_a_voxel_late_on_average():
     removed = slide(bone, np.array([-1e-4, 1e-5, -1e-3]), along, travels)
     swept = np.pi * radius**2 * travels
     lag = (swept - removed)[100:] / (np.pi * radius**2)
-    assert lag.mean() == pytest.approx(0.5 * LAG_M, abs=0.03 * LAG_M)  # the groups' turns are 1.25 um apart
+    # the groups' turns are 1.25 um apart
+    assert lag.mean() == pytest.approx(0.5 * LAG_M, abs=0.03 * LAG_M)
     bone.finish()
     everything = np.pi * radius**2 * (travels[-1] + 4.0 / 3.0 * radius)
     assert removed_m3(bone) == pytest.approx(everything, rel=1e-3)
 
 
 def test_a_tool_that_only_turns_is_carved_as_far_as_its_far_end_moves():
-    """Pappus: a ball turned about its tip by a sweeps pi R^2 times R a; its far end, 2 R away, sets the lag."""
+    """Pappus: a ball turned about its tip by a sweeps pi R^2 times R a; its far end, 2 R away,
+    sets the lag.
+    """
     radius = 1e-3
     step = 2.5e-4
     angles = np.arange(401) * step
@@ -93,7 +106,9 @@ def test_a_tool_that_only_turns_is_carved_as_far_as_its_far_end_moves():
 
 
 def test_a_tool_that_turns_far_in_one_tick_leaves_no_gap():
-    """0.5 rad moves the far end by 10 voxels; steps of half a voxel leave scallops of 0.1 % at most."""
+    """0.5 rad moves the far end by 10 voxels; steps of half a voxel leave scallops of 0.1 % at
+    most.
+    """
     radius = 1e-3
     bone = solid_bone(radius, 2.4e-3)
     removed = turn_about_tip(bone, [1e-5, 2e-5, -1e-3], [0.0, 0.5])
@@ -112,8 +127,9 @@ def test_a_tool_that_moves_far_in_one_tick_leaves_no_gap():
 def test_the_groove_of_a_small_ball_is_straight_along_its_path(along):
     """A capsule's volume, within 0.005 of a voxel over its surface.
 
-    A ball of 3 voxels curves away from its tangent plane by 1/12 of a voxel over R on average, the groove that it
-    leaves by half of that: taking the ball's curvature for the groove's is wrong by 0.014 of a voxel.
+    A ball of 3 voxels curves away from its tangent plane by 1/12 of a voxel over R on average, the
+    groove that it leaves by half of that: taking the ball's curvature for the groove's is wrong by
+    0.014 of a voxel.
     """
     radius = 3e-4
     along = np.asarray(along)
@@ -153,7 +169,9 @@ def test_every_visit_of_the_bone_is_counted():
 
 
 def test_a_long_step_is_carved_in_parts_of_half_a_voxel_at_most():
-    """The move of a tick from 0.3 to 10 voxels: once for every half voxel that it begins, a short one by its debt."""
+    """The move of a tick from 0.3 to 10 voxels: once for every half voxel that it begins, a
+    short one by its debt.
+    """
     for travel, parts in ((0.55, 2), (1.2, 3), (9.9, 20)):
         bone = solid_bone(3e-4, 1.6e-3)
         motion = ToolMotion(speed_m_s=1e-3)
@@ -165,9 +183,13 @@ def test_a_long_step_is_carved_in_parts_of_half_a_voxel_at_most():
         assert bone.carver.changes - before == parts
 
 
-@pytest.mark.parametrize(("degrees", "turns"), [(5.0, False), (20.0, False), (30.0, True), (90.0, True)])
+@pytest.mark.parametrize(
+    ("degrees", "turns"), [(5.0, False), (20.0, False), (30.0, True), (90.0, True)]
+)
 def test_a_tool_that_turns_first_completes_its_cut_and_keeps_it_as_an_older_one(degrees, turns):
-    """It turns where its direction keeps less than 0.9, that is from 26 degrees on; 10 um before that are owed."""
+    """It turns where its direction keeps less than 0.9, that is from 26 degrees on; 10 um before
+    that are owed.
+    """
     radius = 1e-3
     bone = solid_bone(radius, 2.4e-3)
     down = np.array([0.0, 0.0, -1.0])

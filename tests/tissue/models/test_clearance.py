@@ -1,4 +1,6 @@
-"""Distance between tool and structure, held to closed forms in turned and moved frames, and to a sampled brute force."""
+"""Distance between tool and structure, held to closed forms in turned and moved frames, and to a
+sampled brute force.
+"""
 
 import itertools
 
@@ -25,10 +27,13 @@ DRILL = profile.twist_drill(diameter_m=2e-3, length_m=20e-3, point_angle_rad=2.0
 
 
 def nerve(diameter_m):
-    """A cylinder along z whose facets touch the round one from outside, so that they lie nowhere inside it."""
+    """A cylinder along z whose facets touch the round one from outside, so that they lie nowhere
+    inside it.
+    """
     radius = 0.5 * diameter_m / np.cos(np.pi / SECTIONS)
     made = trimesh.creation.cylinder(radius=1e3 * radius, height=40.0, sections=SECTIONS)
-    made.apply_scale(1e-3)  # made in metres it would have no ends: trimesh drops triangles that small
+    # made in metres it would have no ends: trimesh drops triangles that small
+    made.apply_scale(1e-3)
     assert made.is_watertight
     return made
 
@@ -58,7 +63,9 @@ def require_safe(found_mm, exact_m):
 
 @pytest.mark.parametrize("diameter_mm", [1.0, 0.6, 0.3])
 def test_ball_and_cylinder(diameter_mm):
-    """Distance of the ball's centre from the axis, less both radii, apart and in each other up to the very axis."""
+    """Distance of the ball's centre from the axis, less both radii, apart and in each other up
+    to the very axis.
+    """
     frame = Frame(3, nerve(1e-3 * diameter_mm), BALL)
     rng = np.random.default_rng(1)
     for apart in [0.0, 1e-5, 1.5e-3 + 0.5e-3 * diameter_mm, *rng.uniform(0.0, 4e-3, 60)]:
@@ -75,7 +82,8 @@ def test_end_mill_and_cylinder(diameter_mm):
     """Under the face, next to the side and diagonally off the rim, where the distance is plain."""
     frame = Frame(5, nerve(1e-3 * diameter_mm), MILL)
     radius = 0.5e-3 * diameter_mm
-    upright = Rotation.from_euler("y", 90, degrees=True)  # the mill's axis lies along x, the nerve along z
+    # the mill's axis lies along x, the nerve along z
+    upright = Rotation.from_euler("y", 90, degrees=True)
     for gap in (-0.1e-3, 0.0, 0.02e-3, 1e-3):
         require_safe(frame([radius + gap, 0.0, 2e-3], upright), gap)
         require_safe(frame([-4e-3, -1.5e-3 - radius - gap, 1e-3], upright), gap)
@@ -85,7 +93,9 @@ def test_end_mill_and_cylinder(diameter_mm):
 
 
 def test_edge_of_an_end_mill_in_a_flat_wall():
-    """A rim that dips into a wall breaches it by as much as it dips, though the wall's face lies less deep in the tool."""
+    """A rim that dips into a wall breaches it by as much as it dips, though the wall's face lies
+    less deep in the tool.
+    """
     wall = trimesh.creation.box((30e-3, 30e-3, 10e-3))
     wall.apply_translation([0.0, 0.0, -5e-3])
     frame = Frame(7, wall, MILL)
@@ -95,9 +105,13 @@ def test_edge_of_an_end_mill_in_a_flat_wall():
         require_safe(frame([1e-3, 2e-3, -lowest - depth], turn), -depth)
 
 
-@pytest.mark.parametrize("shape", [REAMER, FLAT, DRILL, MILL, profile.pear_bur(diameter_m=2e-3, length_m=4e-3)])
+@pytest.mark.parametrize(
+    "shape", [REAMER, FLAT, DRILL, MILL, profile.pear_bur(diameter_m=2e-3, length_m=4e-3)]
+)
 def test_any_tool_and_a_small_ball(shape):
-    """Distance of the ball's centre from the half section, less the ball's radius; the section's own search finds it."""
+    """Distance of the ball's centre from the half section, less the ball's radius; the section's
+    own search finds it.
+    """
     radius = 0.15e-3
     rng = np.random.default_rng(2)
     made = trimesh.creation.icosphere(subdivisions=4, radius=radius)
@@ -106,7 +120,9 @@ def test_any_tool_and_a_small_ball(shape):
     frame = Frame(11, made, shape)
     low, high = shape.height_range_m
     for _ in range(60):
-        at = np.array([rng.uniform(0.0, shape.radius_m + 2e-3), rng.uniform(low - 2e-3, high + 2e-3)])
+        at = np.array(
+            [rng.uniform(0.0, shape.radius_m + 2e-3), rng.uniform(low - 2e-3, high + 2e-3)]
+        )
         exact = float(shape.distance(at[None])[0][0]) - radius
         turn = Rotation.random(random_state=rng.integers(1000))
         around = rng.uniform(0.0, 2.0 * np.pi)
@@ -118,7 +134,8 @@ def test_a_tool_that_lies_wholly_in_a_structure():
     """The depth goes on growing after the surfaces part again."""
     frame = Frame(13, trimesh.creation.icosphere(subdivisions=5, radius=8e-3), BALL)
     for aside in (0.0, 2e-3, 5e-3):
-        assert frame([aside, 0.0, -1.5e-3]) == pytest.approx(1e3 * (aside - 9.5e-3), abs=0.03)  # facets 0.02 mm inside
+        # facets 0.02 mm inside
+        assert frame([aside, 0.0, -1.5e-3]) == pytest.approx(1e3 * (aside - 9.5e-3), abs=0.03)
 
 
 def test_a_shape_of_the_anatomy_is_meshed_finely_enough():
@@ -135,16 +152,22 @@ def test_a_shape_of_the_anatomy_is_meshed_finely_enough():
 
 
 def test_a_shape_whose_distance_is_a_lower_bound_is_meshed_where_it_is_nearest():
-    """The formula of a flat ellipsoid gives a tenth of the distance in its plane; its true nearest point is known there."""
+    """The formula of a flat ellipsoid gives a tenth of the distance in its plane; its true
+    nearest point is known there.
+    """
     shape = ellipsoid((0.5e-3, 5e-3, 5e-3))
-    vertices, faces, slack = shape_triangles(shape, np.array([-1e-3, 19e-3, -1e-3]), np.array([1e-3, 21e-3, 1e-3]))
+    vertices, faces, slack = shape_triangles(
+        shape, np.array([-1e-3, 19e-3, -1e-3]), np.array([1e-3, 21e-3, 1e-3])
+    )
     clear = KeepClear(BALL, {"disc": Structure(vertices, faces, slack)})
     clear.measure(ToolMotion(tip_m=np.array([0.0, 20e-3, -1.5e-3])))
     assert 1e3 * (20e-3 - 5e-3 - 1.5e-3) - 0.05 <= float(clear.measures[0]) <= 13.5 + ABOVE_MM
 
 
 def section_distance(corners, boxes):
-    """Signed distance [mm] from a body of revolution: its outline's corners, and (radius, low, high) of its discs."""
+    """Signed distance [mm] from a body of revolution: its outline's corners, and (radius, low,
+    high) of its discs.
+    """
     ends = np.array(corners, dtype=float)
 
     def distance(points):
@@ -154,11 +177,17 @@ def section_distance(corners, boxes):
         for start, end in itertools.pairwise(ends):
             along = end - start
             share = np.clip(
-                ((radius - start[0]) * along[0] + (height - start[1]) * along[1]) / (along @ along), 0.0, 1.0
+                ((radius - start[0]) * along[0] + (height - start[1]) * along[1]) / (along @ along),
+                0.0,
+                1.0,
             )
-            away = np.hypot(radius - start[0] - share * along[0], height - start[1] - share * along[1])
+            away = np.hypot(
+                radius - start[0] - share * along[0], height - start[1] - share * along[1]
+            )
             nearest = np.minimum(nearest, away)
-        inside = np.any([(radius < r) & (height > low) & (height < high) for r, low, high in boxes], axis=0)
+        inside = np.any(
+            [(radius < r) & (height > low) & (height < high) for r, low, high in boxes], axis=0
+        )
         return np.where(inside, -nearest, nearest)
 
     return distance
@@ -173,7 +202,9 @@ def cylinder_distance(points, radius, length):
 
 
 def smallest_sum(total, points, rng):
-    """Smallest value over space: the best of dense points, each moved at random as long as the value falls."""
+    """Smallest value over space: the best of dense points, each moved at random as long as the
+    value falls.
+    """
     values = total(points)
     best = np.argsort(values)[:60]
     points = points[best]
@@ -192,22 +223,36 @@ def smallest_sum(total, points, rng):
 
 
 SMALL_MILL = profile.cylinder(diameter_m=3e-3, length_m=4e-3)
-SMALL_FLAT = profile.flat_reamer(diameter_m=6e-3, length_m=2e-3, peg_diameter_m=1.5e-3, peg_length_m=2e-3)
+SMALL_FLAT = profile.flat_reamer(
+    diameter_m=6e-3, length_m=2e-3, peg_diameter_m=1.5e-3, peg_length_m=2e-3
+)
 MILL_SECTION = section_distance([(0, 0), (1.5, 0), (1.5, 4), (0, 4)], [(1.5, 0, 4)])
-FLAT_SECTION = section_distance([(0, -2), (0.75, -2), (0.75, 0), (3, 0), (3, 2), (0, 2)], [(3, 0, 2), (0.75, -2, 2)])
+FLAT_SECTION = section_distance(
+    [(0, -2), (0.75, -2), (0.75, 0), (3, 0), (3, 2), (0, 2)], [(3, 0, 2), (0.75, -2, 2)]
+)
 
 
 @pytest.mark.parametrize(
     ("shape", "section", "diameter_mm"),
-    [(SMALL_MILL, MILL_SECTION, 1.0), (SMALL_FLAT, FLAT_SECTION, 1.0), (SMALL_FLAT, FLAT_SECTION, 4.0)],
+    [
+        (SMALL_MILL, MILL_SECTION, 1.0),
+        (SMALL_FLAT, FLAT_SECTION, 1.0),
+        (SMALL_FLAT, FLAT_SECTION, 4.0),
+    ],
 )
 def test_depth_is_the_smallest_sum_of_both_signed_distances(shape, section, diameter_mm):
-    """Dense points of the tool, closed forms of both distances; the cylinder's end and rim are among the poses."""
+    """Dense points of the tool, closed forms of both distances; the cylinder's end and rim are
+    among the poses.
+    """
     made = nerve(1e-3 * diameter_mm)
     frame = Frame(17, made, shape)
     low, high = 1e3 * np.array(shape.height_range_m)
     reach = 1e3 * shape.radius_m
-    spans = (np.arange(-reach, reach + 0.1, 0.2), np.arange(-reach, reach + 0.1, 0.2), np.arange(low, high + 0.1, 0.2))
+    spans = (
+        np.arange(-reach, reach + 0.1, 0.2),
+        np.arange(-reach, reach + 0.1, 0.2),
+        np.arange(low, high + 0.1, 0.2),
+    )
     lattice = np.stack(np.meshgrid(*spans, indexing="ij"), axis=-1).reshape(-1, 3)
     for seed in range(4):
         rng = np.random.default_rng(seed)
@@ -217,7 +262,9 @@ def test_depth_is_the_smallest_sum_of_both_signed_distances(shape, section, diam
             tip = rng.uniform(-3.5, 3.5, 3) + np.array([0.0, 0.0, rng.choice([0.0, 20.0])])
 
             def total(points, turn=turn, tip=tip):
-                return cylinder_distance(points, 0.5 * diameter_mm, 40.0) + section(turn.inv().apply(points - tip))
+                return cylinder_distance(points, 0.5 * diameter_mm, 40.0) + section(
+                    turn.inv().apply(points - tip)
+                )
 
             points = turn.apply(lattice) + tip
             if total(points).min() > -0.02:
@@ -228,7 +275,9 @@ def test_depth_is_the_smallest_sum_of_both_signed_distances(shape, section, diam
 
 
 def test_the_rim_of_an_end_mill_in_a_thin_cylinder():
-    """Poses at which the rim, between the axis and the outline's corners, was 0.026 and 0.004 mm deeper than reported."""
+    """Poses at which the rim, between the axis and the outline's corners, was 0.026 and 0.004 mm
+    deeper than reported.
+    """
     frame = Frame(19, nerve(1e-3), SMALL_MILL)
     axis = np.array([0.45, 0.3, 1.0])
     to_nerve = Rotation.from_euler("x", 90, degrees=True)  # the poses have the cylinder along y
@@ -240,7 +289,9 @@ def test_the_rim_of_an_end_mill_in_a_thin_cylinder():
 
 
 def test_a_face_that_lies_flat_in_a_flat_wall():
-    """Every point of the tool's bevel is as deep as every other; a search that cannot separate them has to end."""
+    """Every point of the tool's bevel is as deep as every other; a search that cannot separate
+    them has to end.
+    """
     wall = trimesh.creation.box((20e-3, 20e-3, 8e-3))
     frame = Frame(23, wall, SMALL_MILL)
     for depth in (0.02e-3, 0.2e-3, 0.9e-3):

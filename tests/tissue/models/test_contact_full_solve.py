@@ -11,9 +11,11 @@ from tissue.models.organ.probe import SphereProbe
 
 
 def full_solve(slab, radius, path, friction):
-    """Sphere on nodes, with the whole stiffness: a saddle system in all displacements and contact forces.
+    """Sphere on nodes, with the whole stiffness: a saddle system in all displacements and contact
+    forces.
 
-    Newton on the equations of Alart and Curnier (1991), normals brought up to date between solves until they rest.
+    Newton on the equations of Alart and Curnier (1991), normals brought up to date between solves
+    until they rest.
     """
     count = slab.stiffness.shape[0]
     m = len(slab.top)
@@ -91,8 +93,14 @@ def newton(slab, u, force, gap, normal, where, anchor, friction, scale=1.0):
 def test_contact_on_the_compliance_equals_a_full_solve(slab, friction):
     path = [*away([0.0013, -0.0007, -0.003])[::2], np.array([0.0013, -0.0007, -0.003])]
     expected = full_solve(slab, 0.011, path, friction)
-    result = along(slab.contact(SphereProbe(0.011), friction=friction, spacing_m=1.0, **TIGHT), path)
+    result = along(
+        slab.contact(SphereProbe(0.011), friction=friction, spacing_m=1.0, **TIGHT), path
+    )
     assert result.outcome is ContactOutcome.CONVERGED
-    np.testing.assert_allclose(result.force_N, -expected.sum(axis=0), atol=1e-6 * np.linalg.norm(result.force_N))
-    np.testing.assert_allclose(result.nodal_forces_N, expected, atol=1e-6 * np.linalg.norm(result.force_N))
+    np.testing.assert_allclose(
+        result.force_N, -expected.sum(axis=0), atol=1e-6 * np.linalg.norm(result.force_N)
+    )
+    np.testing.assert_allclose(
+        result.nodal_forces_N, expected, atol=1e-6 * np.linalg.norm(result.force_N)
+    )
     assert expected.any(axis=1).sum() >= 5

@@ -8,7 +8,13 @@ from tissue.models.bone.density_nodes import ERROR, DensityNodes, densities_of
 
 @pytest.mark.parametrize(
     ("densities", "off"),
-    [((1800, 1800), ERROR), ((900, 901), ERROR), ((300, 2000), ERROR), ((20, 4095), ERROR), ((1, 4095), 5e-7)],
+    [
+        ((1800, 1800), ERROR),
+        ((900, 901), ERROR),
+        ((300, 2000), ERROR),
+        ((20, 4095), ERROR),
+        ((1, 4095), 5e-7),
+    ],
 )
 def test_powers_follow_from_the_nodes_for_every_exponent(densities, off):
     """Over three and a half decades the rounding of terms of 1e9 shows."""
@@ -23,7 +29,9 @@ def test_powers_follow_from_the_nodes_for_every_exponent(densities, off):
             * nodes.logarithms(reference_kg_m3=1800.0, factor=1.1)
         )
         # A derivative is off by about the number of nodes times as much as the power itself.
-        assert slope == pytest.approx(want * np.log(1.1 * density / 1800.0), abs=100 * off * want.max())
+        assert slope == pytest.approx(
+            want * np.log(1.1 * density / 1800.0), abs=100 * off * want.max()
+        )
 
 
 def test_the_range_of_a_layer_leaves_out_others_and_voxels_without_density():
@@ -33,7 +41,9 @@ def test_the_range_of_a_layer_leaves_out_others_and_voxels_without_density():
 
 
 def test_densities_beyond_the_table_count_as_its_ends():
-    """The strength table ends at 20000 kg/m3 and starts at 1: a single number beyond is one node there."""
+    """The strength table ends at 20000 kg/m3 and starts at 1: a single number beyond is one node
+    there.
+    """
     assert DensityNodes.of(25000, 30000).densities_kg_m3.tolist() == [20000.0]
     assert DensityNodes.of(0, 0).densities_kg_m3.tolist() == [1.0]
     nodes = DensityNodes.of(900, 30000).densities_kg_m3

@@ -7,7 +7,9 @@ from tissue.models.tooth.field import FirstGuess
 
 
 def system(count=12, seed=0):
-    """A random symmetric positive definite matrix, loads of three components a node, and their solutions."""
+    """A random symmetric positive definite matrix, loads of three components a node, and their
+    solutions.
+    """
     random = np.random.default_rng(seed)
     half = random.normal(size=(3 * count, 3 * count))
     matrix = half @ half.T + np.eye(3 * count)
@@ -17,18 +19,24 @@ def system(count=12, seed=0):
 
 
 def test_a_load_within_the_known_ones_is_solved():
-    """Rounding of sums over a few dozen terms, times the condition of ten random solutions' energies."""
+    """Rounding of sums over a few dozen terms, times the condition of ten random solutions'
+    energies.
+    """
     _, loads, solutions = system()
     guess = FirstGuess(list(zip(solutions[:2], loads[:2], strict=True)), recent=3)
     for moved, load in zip(solutions[2:5], loads[2:5], strict=True):
         guess.add(moved, load)
     shares = np.array([0.3, -1.0, 2.0, 0.5, -0.2])
     found = guess(np.einsum("i,ijk->jk", shares, loads[:5]))
-    assert found == pytest.approx(np.einsum("i,ijk->jk", shares, solutions[:5]), rel=1e-8, abs=1e-10)
+    assert found == pytest.approx(
+        np.einsum("i,ijk->jk", shares, solutions[:5]), rel=1e-8, abs=1e-10
+    )
 
 
 def test_any_other_load_is_projected_in_energy():
-    """The remaining error is orthogonal, in energy, to all that is known; the oldest recent solution is forgotten."""
+    """The remaining error is orthogonal, in energy, to all that is known; the oldest recent
+    solution is forgotten.
+    """
     matrix, loads, solutions = system(seed=1)
     guess = FirstGuess([(solutions[0], loads[0])], recent=3)
     for moved, load in zip(solutions[1:6], loads[1:6], strict=True):

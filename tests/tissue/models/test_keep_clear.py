@@ -22,12 +22,18 @@ SCENE = {
     "keep_clear": {"files": {"canal": "canal.stl"}},
     "voxels": {"spacing_mm": 0.4},
     "tool": {"kind": "ball-burr", "diameter_mm": 2.0 * BURR_MM, "spin_rpm": 10000.0},
-    "motion": {"kind": "path", "points_mm": [[0, ASIDE_MM, 1], [0, ASIDE_MM, -4], [0, ASIDE_MM, 1]], "feed_mm_s": 20.0},
+    "motion": {
+        "kind": "path",
+        "points_mm": [[0, ASIDE_MM, 1], [0, ASIDE_MM, -4], [0, ASIDE_MM, 1]],
+        "feed_mm_s": 20.0,
+    },
 }
 
 
 def canal(scale=1.0):
-    """The canal's surface in the frame of the site, with a far piece of a hundred times its area."""
+    """The canal's surface in the frame of the site, with a far piece of a hundred times its
+    area.
+    """
     made = trimesh.creation.cylinder(radius=RADIUS_MM, height=40.0, sections=256)
     made.apply_transform(trimesh.transformations.rotation_matrix(0.5 * np.pi, [0, 1, 0]))
     made.apply_translation([0.0, 0.0, -DEPTH_MM])
@@ -62,7 +68,9 @@ def test_the_distance_from_a_canal_in_a_block_is_that_of_a_ball_from_a_cylinder(
     found = run.summary["keep_clear"]["canal"]
     assert found["breach_depth_mm"] == pytest.approx(-exact_mm(run).min(), abs=0.01)
     assert found["breach_s"] == pytest.approx(1e-3 * (exact_mm(run) < 0.0).sum(), abs=2e-3)
-    assert found["first_breach_s"] == pytest.approx(run.trace["time_s"][exact_mm(run) < 0.0][0], abs=2e-3)
+    assert found["first_breach_s"] == pytest.approx(
+        run.trace["time_s"][exact_mm(run) < 0.0][0], abs=2e-3
+    )
 
 
 def test_a_breach_is_an_event_with_its_depth(run):
@@ -78,7 +86,9 @@ def test_the_section_shows_where_the_tool_came_nearest(run, tmp_path):
     _, y, z = place.structure_mm
     assert np.hypot(y, z + DEPTH_MM) == pytest.approx(RADIUS_MM, abs=0.01)  # on the canal
     _, y, z = place.tool_mm - [0.0, ASIDE_MM, run.trace["tool_z_mm"].min() + BURR_MM]
-    assert np.linalg.norm(place.tool_mm - place.structure_mm) == pytest.approx(-place.least_mm, abs=0.05)
+    assert np.linalg.norm(place.tool_mm - place.structure_mm) == pytest.approx(
+        -place.least_mm, abs=0.05
+    )
     assert np.hypot(y, z) == pytest.approx(BURR_MM, abs=0.05)  # on the burr
     draw_section(run, tmp_path / "section.png", axis=2, outward=1)
     assert (tmp_path / "section.png").stat().st_size > 10_000
@@ -130,7 +140,10 @@ def test_a_hand_is_watched_too(tmp_path):
 @pytest.mark.parametrize(
     ("change", "part"),
     [
-        ({"names": ["canal"]}, "keep_clear.names must be left out for an anatomy without any, got canal"),
+        (
+            {"names": ["canal"]},
+            "keep_clear.names must be left out for an anatomy without any, got canal",
+        ),
         ({"files": {"canal": "none.stl"}}, r"keep_clear\.files\.canal must exist"),
         ({}, "keep_clear must state names or files"),
         ({"names": ["canal"], "files": {"canal": "canal.stl"}}, "got canal twice"),

@@ -41,7 +41,9 @@ def layered_bone(removal="subvoxel", names=("top", "below")):
     """A block in two layers under a ball burr."""
     plain = voxelise(cortical_block(size_mm=(8.0, 8.0, 4.0)), spacing_m=0.4e-3)
     layer = np.ascontiguousarray(np.indices(plain.shape)[2] < 8, dtype=np.uint8)
-    volume = VoxelVolume(plain.origin_m, plain.spacing_m, plain.fraction, layer, plain.density_kg_m3, names)
+    volume = VoxelVolume(
+        plain.origin_m, plain.spacing_m, plain.fraction, layer, plain.density_kg_m3, names
+    )
     return BoneModel(
         volume,
         Cutter(ball_burr(diameter_m=2.0 * RADIUS_M), 6, -1000.0),
@@ -52,13 +54,19 @@ def layered_bone(removal="subvoxel", names=("top", "below")):
 
 def pressed_slab():
     """A slab of soft tissue under a ball."""
-    ball = {"tool.diameter_mm": 6.0, "anatomy.size_mm": [16, 16, 8], "anatomy.edge_mm": 4.0, "organ.order": 1}
+    ball = {
+        "tool.diameter_mm": 6.0,
+        "anatomy.size_mm": [16, 16, 8],
+        "anatomy.edge_mm": 4.0,
+        "organ.order": 1,
+    }
     wandering = {
         "motion.points_mm": [[-2, -2, 0.6], [2, 2, -1.2], [2, -2, -1.2], [-2, 2, -1.2]],
         "organ.young_end_kPa": None,
     }
     scene = load_scene(
-        "palpation", {**ball, **wandering, "anatomy.nodule_diameter_mm": 0.0, "anatomy.touch_edge_mm": 1.5}
+        "palpation",
+        {**ball, **wandering, "anatomy.nodule_diameter_mm": 0.0, "anatomy.touch_edge_mm": 1.5},
     )
     return build(scene, step_s=STEP_S, compute="cpu", cores=None, report=silent).tissue
 
@@ -80,7 +88,10 @@ def model(request):
     """A model with the tool placed above the tissue."""
     law = request.node.name.partition("[")[0]
     if request.param in ELASTIC and law in ("test_nothing_touched_gives_no_force", RESTING):
-        pytest.skip("does not hold for a tissue that is elastic at rest and reaches as far down as it is long")
+        pytest.skip(
+            "does not hold for a tissue that is elastic at rest and reaches as far down as "
+            "it is long"
+        )
     made = MODELS[request.param]()
     made.place(at((0, 0, 0.6), speed_m_s=0.0))
     return made
@@ -136,15 +147,22 @@ def test_removed_and_remaining_make_up_the_start(model):
         return
     bone = getattr(model, "milling", model)
     assert (bone.removed_steps > 0).any()
-    np.testing.assert_array_equal(bone.removed_steps + bone.store.steps_by_layer(), bone.start_steps)
-    # The voxels hold what remains in 255 steps, to the nearest: a cut one is off by half a step at most.
+    np.testing.assert_array_equal(
+        bone.removed_steps + bone.store.steps_by_layer(), bone.start_steps
+    )
+    # The voxels hold what remains in 255 steps, to the nearest: a cut one is off by half a step at
+    # most.
     volume = bone.store.volume
     from_voxels = (
-        np.array([remaining[volume.layer == k].sum(dtype=np.int64) for k in range(2)]) / 255 * volume.voxel_volume_m3
+        np.array([remaining[volume.layer == k].sum(dtype=np.int64) for k in range(2)])
+        / 255
+        * volume.voxel_volume_m3
     )
     cut = np.count_nonzero(remaining < volume.fraction)
     rounding = 0.5 * cut / 255 * volume.voxel_volume_m3
-    np.testing.assert_allclose(from_voxels, model.start_m3 - model.removed_m3, atol=rounding, rtol=1e-12)
+    np.testing.assert_allclose(
+        from_voxels, model.start_m3 - model.removed_m3, atol=rounding, rtol=1e-12
+    )
 
 
 def test_a_tool_at_rest_changes_nothing_and_feels_nothing(model):
@@ -186,12 +204,16 @@ def test_the_response_is_one_object_whose_arrays_are_used_again(model):
         assert response is first
         assert all(
             getattr(response, name) is array
-            for name, array in zip(("resistance", "edge", "wrench", "engaged_m2"), arrays, strict=True)
+            for name, array in zip(
+                ("resistance", "edge", "wrench", "engaged_m2"), arrays, strict=True
+            )
         )
 
 
 def test_a_tick_leaves_no_memory_behind(model):
-    """What a tick allocates for itself it gives back: 800 further ticks hold less than a kilobyte more."""
+    """What a tick allocates for itself it gives back: 800 further ticks hold less than a
+    kilobyte more.
+    """
     motions = list(cuts(4))
 
     def run():

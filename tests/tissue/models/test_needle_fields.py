@@ -1,4 +1,6 @@
-"""The block that a needle drags along: what it is moved by, what carries it, and that the force does not come from it."""
+"""The block that a needle drags along: what it is moved by, what carries it, and that the force
+does not come from it.
+"""
 
 import numpy as np
 import pytest
@@ -10,7 +12,11 @@ from tissue.models.needle.parameters import needle_tissue
 from tissue.models.tissue_model import ToolMotion
 
 NEEDLE_M = 1.27e-3
-SCENE = {"motion.feed_mm_s": 80.0, "anatomy.interval_ms": 50.0, "motion.points_mm": [[3, -2, 5], [3, -2, -65], [3, -2, 10]]}  # fmt: skip
+SCENE = {
+    "motion.feed_mm_s": 80.0,
+    "anatomy.interval_ms": 50.0,
+    "motion.points_mm": [[3, -2, 5], [3, -2, -65], [3, -2, 10]],
+}
 YOUNG_PA = 5400.0
 POISSON_RATIO = 0.45
 """Cited modulus of liver and the least cited Poisson's ratio."""
@@ -21,7 +27,9 @@ SINGLE = 2e-6
 def track(*, tilt_deg=0.0, entry_mm=(0.0, 0.0, 0.0), deepest_mm=20.0):
     """A track whose axis leans to +x."""
     lean = np.radians(tilt_deg)
-    return Track(1e-3 * np.array(entry_mm), np.array([np.sin(lean), 0.0, np.cos(lean)]), 1e-3 * deepest_mm)
+    return Track(
+        1e-3 * np.array(entry_mm), np.array([np.sin(lean), 0.0, np.cos(lean)]), 1e-3 * deepest_mm
+    )
 
 
 def fields_of(where):
@@ -30,7 +38,9 @@ def fields_of(where):
 
 def along(frame, fields):
     """Displacement of the track's nodes inwards along the needle's axis [m]."""
-    return -1e-3 * frame.points["displacement_mm"][fields.nodes].astype(float) @ fields.track.outward
+    return (
+        -1e-3 * frame.points["displacement_mm"][fields.nodes].astype(float) @ fields.track.outward
+    )
 
 
 @pytest.fixture(scope="module")
@@ -45,10 +55,14 @@ def shallow():
 
 @pytest.fixture(scope="module", params=[0.0, 50.0], ids=["upright", "oblique"])
 def driven(request):
-    """A needle with fields that went in and out, its twin without, and what the organ did at every frame."""
+    """A needle with fields that went in and out, its twin without, and what the organ did at
+    every frame.
+    """
     where = track(tilt_deg=request.param, entry_mm=(4.0, -7.0, 0.0), deepest_mm=25.0)
     fields = fields_of(where)
-    models = [NeedleModel(needle_tissue(), diameter_m=NEEDLE_M, fields=each) for each in (fields, None)]
+    models = [
+        NeedleModel(needle_tissue(), diameter_m=NEEDLE_M, fields=each) for each in (fields, None)
+    ]
     wrenches = []
     states = []
     travel = 1e-3 * np.concatenate([np.arange(-1.0, 25.0, 0.25), np.arange(25.0, -25.0, -0.25)])
@@ -73,7 +87,9 @@ def driven(request):
 
 
 def test_the_track_moves_with_the_organ_and_no_farther(driven):
-    """Down to the tip every node is deflected as in the needle's model, the next one already by less."""
+    """Down to the tip every node is deflected as in the needle's model, the next one already by
+    less.
+    """
     fields, _, states = driven
     frames = fields.series.frames
     assert len(frames) == len(states)
@@ -87,7 +103,8 @@ def test_the_track_moves_with_the_organ_and_no_farther(driven):
             assert (np.abs(moved[~held]) < 0.8 * abs(deflection)).all()
             held_nodes += held.sum() > 3
     assert held_nodes > 5
-    assert min(deflection for deflection, _ in states) < -1e-3  # drawn out, the organ follows outwards
+    # drawn out, the organ follows outwards
+    assert min(deflection for deflection, _ in states) < -1e-3
 
 
 def test_the_force_on_the_needle_does_not_come_from_the_fields(driven):
@@ -97,7 +114,9 @@ def test_the_force_on_the_needle_does_not_come_from_the_fields(driven):
 
 
 def test_the_bottom_carries_what_moves_the_track(driven):
-    """Reactions lie on the bottom alone, and their sum is the opposite of the forces along the needle."""
+    """Reactions lie on the bottom alone, and their sum is the opposite of the forces along the
+    needle.
+    """
     fields, _, states = driven
     series = fields.series
     on_bottom = np.zeros(len(series.nodes_m), dtype=bool)
@@ -127,19 +146,29 @@ def test_nothing_moves_before_the_needle_touches_nor_after_it_left(pierced):
 
 
 def test_a_scene_shows_its_needle_where_it_goes_in(pierced, tmp_path):
-    """Names as of every soft organ; the block's middle line is the needle's; the note compares the forces."""
+    """Names as of every soft organ; the block's middle line is the needle's; the note compares
+    the forces.
+    """
     series = pierced.parts.tissue.fields
     trace = pierced.trace
     assert set(series.frames[0].points) == {"displacement_mm", "reaction_N"}
-    assert set(series.frames[0].cells) == {"von_mises_kPa", "principal_stress_kPa", "strain_percent"}
+    assert set(series.frames[0].cells) == {
+        "von_mises_kPa",
+        "principal_stress_kPa",
+        "strain_percent",
+    }
     nodes = series.node_sets["touchable"]
-    np.testing.assert_allclose(series.nodes_m[nodes, :2], np.broadcast_to((3e-3, -2e-3), (len(nodes), 2)), atol=1e-12)
+    np.testing.assert_allclose(
+        series.nodes_m[nodes, :2], np.broadcast_to((3e-3, -2e-3), (len(nodes), 2)), atol=1e-12
+    )
     for frame in series.frames:
         row = round(1e3 * frame.time_s)
         deflection = trace["deflection_mm"][row]
         inserted = trace["insertion_mm"][row]
         held = nodes[-1e3 * series.nodes_m[nodes, 2] <= inserted + 1e-6]
-        np.testing.assert_allclose(-frame.points["displacement_mm"][held, 2], deflection, rtol=SINGLE, atol=1e-9)
+        np.testing.assert_allclose(
+            -frame.points["displacement_mm"][held, 2], deflection, rtol=SINGLE, atol=1e-9
+        )
     assert "a picture, not a second model of the force" in pierced.parts.notes["fields"]
     assert "the needle's model has 2.30 N" in pierced.parts.notes["fields"]
     pierced.save(tmp_path, pictures=False)
@@ -156,18 +185,24 @@ def test_a_run_repeats_bit_for_bit(pierced):
 
 def test_a_second_track_elsewhere_is_not_shown(shallow):
     shallow.keep(0.0, deflection_m=5e-3, inserted_m=0.0, entry_m=np.full(3, np.nan))
-    shallow.keep(0.1, deflection_m=5e-3, inserted_m=0.0, entry_m=np.array([2.0 * NEEDLE_M, 0.0, 0.0]))
-    shallow.keep(0.2, deflection_m=5e-3, inserted_m=0.0, entry_m=np.array([0.9 * NEEDLE_M, 0.0, 0.0]))
+    shallow.keep(
+        0.1, deflection_m=5e-3, inserted_m=0.0, entry_m=np.array([2.0 * NEEDLE_M, 0.0, 0.0])
+    )
+    shallow.keep(
+        0.2, deflection_m=5e-3, inserted_m=0.0, entry_m=np.array([0.9 * NEEDLE_M, 0.0, 0.0])
+    )
     shallow.compute()
     moved = [frame.points["displacement_mm"].any() for frame in shallow.series.frames[-3:]]
     assert moved == [False, False, True]
 
 
 def test_the_surface_sinks_around_the_entry_as_boussinesq_predicts(monkeypatch):
-    """w = F (1 - nu2) / (pi E r) on a half-space (Boussinesq 1885), as the difference of two radii inside the block.
+    """w = F (1 - nu2) / (pi E r) on a half-space (Boussinesq 1885), as the difference of two radii
+    inside the block.
 
-    The difference leaves out how the block sinks as a whole. Two edges lie between the radii; with edges that grow half
-    as fast the error is less, 9 %, of which the block's free sides and its bottom keep a part.
+    The difference leaves out how the block sinks as a whole. Two edges lie between the radii; with
+    edges that grow half as fast the error is less, 9 %, of which the block's free sides and its
+    bottom keep a part.
     """
     errors = []
     for growth in (GROWTH, 0.5 * GROWTH):
@@ -181,7 +216,9 @@ def test_the_surface_sinks_around_the_entry_as_boussinesq_predicts(monkeypatch):
         near, far = (np.isclose(radius, r) & (nodes_m[:, 2] == 0.0) for r in (10e-3, 20e-3))
         assert near.sum() == far.sum() == 4
         force = fields.forces_N(1e-3, 0.0).sum()
-        expected = force * (1.0 - POISSON_RATIO**2) / (np.pi * YOUNG_PA) * (1.0 / 10e-3 - 1.0 / 20e-3)
+        expected = (
+            force * (1.0 - POISSON_RATIO**2) / (np.pi * YOUNG_PA) * (1.0 / 10e-3 - 1.0 / 20e-3)
+        )
         errors.append(abs((sunk[near].mean() - sunk[far].mean()) / expected - 1.0))
     assert errors[1] < errors[0] < 0.2
     assert errors[1] < 0.12
@@ -190,7 +227,9 @@ def test_the_surface_sinks_around_the_entry_as_boussinesq_predicts(monkeypatch):
 def test_deeper_needles_take_more_force_and_double_deflection_takes_double(shallow):
     sums = [shallow.forces_N(1e-3, depth).sum() for depth in (0.0, 5e-3, 10e-3, 20e-3)]
     assert (np.diff(sums) > 0.0).all() and sums[0] > 0.0
-    np.testing.assert_allclose(shallow.forces_N(2e-3, 10e-3), 2.0 * shallow.forces_N(1e-3, 10e-3), rtol=1e-12)
+    np.testing.assert_allclose(
+        shallow.forces_N(2e-3, 10e-3), 2.0 * shallow.forces_N(1e-3, 10e-3), rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 30.0, 75.0])
@@ -199,7 +238,9 @@ def test_the_block_has_nodes_all_along_the_needle(tilt_deg):
     mesh, nodes, depths = needle_block(where)
     assert mesh.volumes_m3.min() > 0.0
     assert mesh.nodes_m[:, 2].max() == 0.0
-    np.testing.assert_allclose(mesh.nodes_m[nodes], where.entry_m - depths[:, None] * where.outward, atol=1e-9)
+    np.testing.assert_allclose(
+        mesh.nodes_m[nodes], where.entry_m - depths[:, None] * where.outward, atol=1e-9
+    )
     assert depths[0] == 0.0 and (np.diff(depths) > 0.0).all()
     assert np.diff(depths).max() <= 1.01 * FINE_M and where.deepest_m - depths[-1] <= FINE_M
 
@@ -214,13 +255,17 @@ def test_the_first_track_of_a_motion():
     slanted = Track.first_of(tips, leaning, diameter_m=NEEDLE_M)
     np.testing.assert_allclose(slanted.entry_m, [2e-3 + 30e-3 * 0.75, 0.0, 0.0], atol=1e-15)
     assert slanted.deepest_m == pytest.approx(30e-3 / 0.8)
-    assert Track.first_of(tips[[0, 2, 3]], upright[:3], diameter_m=NEEDLE_M) is None  # stays outside
+    # stays outside
+    assert Track.first_of(tips[[0, 2, 3]], upright[:3], diameter_m=NEEDLE_M) is None
     assert Track.first_of(tips[[1, 2]], upright[:2], diameter_m=NEEDLE_M) is None  # starts inside
-    assert Track.first_of(tips, np.tile([1.0, 0.0, 0.0], (5, 1)), diameter_m=NEEDLE_M) is None  # lies flat
+    # lies flat
+    assert Track.first_of(tips, np.tile([1.0, 0.0, 0.0], (5, 1)), diameter_m=NEEDLE_M) is None
 
 
 def test_a_needle_that_stays_outside_shows_nothing():
-    run = simulate(load_scene("needle", {"motion.points_mm": [[0, 0, 5], [0, 0, 2]], "motion.feed_mm_s": 50.0}))
+    run = simulate(
+        load_scene("needle", {"motion.points_mm": [[0, 0, 5], [0, 0, 2]], "motion.feed_mm_s": 50.0})
+    )
     assert run.parts.tissue.fields is None and "fields" not in run.parts.notes
 
 

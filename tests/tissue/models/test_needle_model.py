@@ -1,4 +1,6 @@
-"""The needle as a tissue model: the contract's laws, where it meets the organ, what it reports, which poses it refuses."""
+"""The needle as a tissue model: the contract's laws, where it meets the organ, what it reports,
+which poses it refuses.
+"""
 
 import gc
 import tracemalloc
@@ -73,13 +75,17 @@ def test_a_needle_removes_nothing():
 
 @pytest.mark.parametrize("seed", range(5))
 def test_force_grows_with_speed_as_its_two_parts_predict(seed):
-    """wrench = resistance x speed + edge, for whatever speed, at one pose; and friction always resists."""
+    """wrench = resistance x speed + edge, for whatever speed, at one pose; and friction always
+    resists.
+    """
     model = needle()
     _, motion = go(model, wander(seed))
     for speed in (0.0, 1e-5, 1e-3, 0.1):
         motion.speed_m_s = speed
         response = model.respond(motion)
-        np.testing.assert_allclose(response.wrench, response.resistance * speed + response.edge, rtol=1e-12, atol=1e-15)
+        np.testing.assert_allclose(
+            response.wrench, response.resistance * speed + response.edge, rtol=1e-12, atol=1e-15
+        )
         assert response.wrench[2] == pytest.approx(response.measures[2:].sum(), abs=1e-12)
         assert response.resistance[:3] @ motion.heading[0] <= 0.0
 
@@ -107,7 +113,10 @@ def test_the_response_is_one_object_whose_arrays_are_used_again():
     arrays = [getattr(first, name) for name in (*ARRAYS, "measures")]
     response, _ = go(model, wander(1))
     assert response is first
-    assert all(getattr(response, name) is array for name, array in zip((*ARRAYS, "measures"), arrays, strict=True))
+    assert all(
+        getattr(response, name) is array
+        for name, array in zip((*ARRAYS, "measures"), arrays, strict=True)
+    )
 
 
 def test_a_tick_leaves_no_memory_behind():
@@ -138,7 +147,9 @@ def test_layers_and_the_one_that_the_tip_touches():
         engaged = go(model, [before, depth])[0].engaged_m2
         assert np.flatnonzero(engaged).tolist() == [layer], depth
         assert engaged.sum() == pytest.approx(0.25 * np.pi * NEEDLE_M**2)
-    assert NeedleModel(replace(LIVER, membranes=()), diameter_m=NEEDLE_M).layer_names == ("parenchyma",)
+    assert NeedleModel(replace(LIVER, membranes=()), diameter_m=NEEDLE_M).layer_names == (
+        "parenchyma",
+    )
 
 
 def test_events_are_emitted_once_in_their_order():
@@ -152,9 +163,11 @@ def test_events_are_emitted_once_in_their_order():
 
 
 def test_an_organ_that_clings_to_the_needle_above_its_surface_keeps_its_track():
-    """Drawn up to 2 mm above the surface the organ still holds 6 mm of the shaft; moved aside and down, it still does.
+    """Drawn up to 2 mm above the surface the organ still holds 6 mm of the shaft; moved aside and
+    down, it still does.
 
-    Straight down again the shaft sticks, so the held length stays and the organ is drawn up that much less.
+    Straight down again the shaft sticks, so the held length stays and the organ is drawn up that
+    much less.
     """
     model = needle(LIVER)
     go(model, [-1.0, 30.0])
@@ -168,7 +181,9 @@ def test_an_organ_that_clings_to_the_needle_above_its_surface_keeps_its_track():
 
 
 def test_measures_are_the_insertion_in_millimetres_and_newtons():
-    """Length, deflection, and the elastic, cutting and friction parts; the viscous drag is part of the friction."""
+    """Length, deflection, and the elastic, cutting and friction parts; the viscous drag is part
+    of the friction.
+    """
     model = needle(LIVER)
     response, motion = go(model, [-1.0, 30.0])
     insertion = model.insertion
@@ -176,7 +191,13 @@ def test_measures_are_the_insertion_in_millimetres_and_newtons():
     measures = dict(zip(names, response.measures, strict=True))
     elastic, cutting, friction = insertion.shares_N()
     drag = insertion.drag_N_s_m * motion.speed_m_s
-    wanted = [1e3 * insertion.inserted_m, 1e3 * insertion.deflection_m, elastic, cutting, friction + drag]
+    wanted = [
+        1e3 * insertion.inserted_m,
+        1e3 * insertion.deflection_m,
+        elastic,
+        cutting,
+        friction + drag,
+    ]
     assert list(measures.values()) == pytest.approx(wanted) and min(wanted) > 0.0
     pull = insertion.pull_N + drag
     assert response.wrench[:3] == pytest.approx(pull * motion.rotation[:, 2])
@@ -195,7 +216,9 @@ def test_a_needle_that_goes_in_elsewhere_punctures_again():
 
 @pytest.mark.parametrize("seed", range(6))
 def test_the_place_on_the_surface_does_not_matter(seed):
-    """A needle turned about the normal and moved along the surface has the turned force; depth counts along a tilted needle."""
+    """A needle turned about the normal and moved along the surface has the turned force; depth
+    counts along a tilted needle.
+    """
     random = np.random.default_rng(seed)
     turned = Rotation.from_euler("z", random.uniform(-3.0, 3.0)).as_matrix()
     shift = np.append(random.normal(size=2), 0.0)
@@ -215,7 +238,9 @@ def test_the_place_on_the_surface_does_not_matter(seed):
 
 
 def pushed(thrust_N, ticks=8000, step_s=STEP_S):
-    """A needle pushed by a thrust at no more than 5 mm/s; depth [mm], force [N] and speed [m/s] of every tick."""
+    """A needle pushed by a thrust at no more than 5 mm/s; depth [mm], force [N] and speed [m/s]
+    of every tick.
+    """
     model = needle(LIVER)
     motion = ToolMotion()
     drive = PushAlongAxis(
@@ -239,7 +264,9 @@ def pushed(thrust_N, ticks=8000, step_s=STEP_S):
 
 
 def test_a_thrust_below_the_puncture_comes_to_rest_on_the_capsule():
-    """It rests where the organ pushes back as much; the moving mass carries it v sqrt(m / k) = 0.08 mm farther at most."""
+    """It rests where the organ pushes back as much; the moving mass carries it v sqrt(m / k) =
+    0.08 mm farther at most.
+    """
     mm, force, speed = pushed(2.0)
     assert speed[-1] == 0.0
     rest_mm = 1e3 * LIVER.deflection_m(2.0)
@@ -263,7 +290,9 @@ def test_the_thrust_does_not_make_the_step_matter():
 
 
 def test_a_needle_that_starts_inside_is_refused():
-    with pytest.raises(InputError, match="tip outside the organ, got it 5 mm inside: start above the surface"):
+    with pytest.raises(
+        InputError, match="tip outside the organ, got it 5 mm inside: start above the surface"
+    ):
         NeedleModel(LIVER, diameter_m=NEEDLE_M).place(at(5.0))
 
 
@@ -277,7 +306,8 @@ def test_a_needle_that_lies_flat_is_refused_where_it_touches():
             assert not model.respond(motion).wrench.any()
         else:
             with pytest.raises(
-                InputError, match=r"more than 10 degrees, got a cosine of 0.09 .* point the needle into"
+                InputError,
+                match=r"more than 10 degrees, got a cosine of 0.09 .* point the needle into",
             ):
                 model.advance(motion)
 

@@ -1,4 +1,6 @@
-"""What a needle meets in tissue: numbers that are refused, and an insertion into one that is made up."""
+"""What a needle meets in tissue: numbers that are refused, and an insertion into one that is
+made up.
+"""
 
 from dataclasses import replace
 
@@ -7,7 +9,13 @@ import pytest
 from tissue import InputError
 from tissue.models.needle.insertion import Insertion
 from tissue.models.needle.model import NeedleModel
-from tissue.models.needle.parameters import Membrane, NeedleTissue, ShaftFriction, needle_tissue, vessel_wall
+from tissue.models.needle.parameters import (
+    Membrane,
+    NeedleTissue,
+    ShaftFriction,
+    needle_tissue,
+    vessel_wall,
+)
 
 LIVER = needle_tissue()
 FRICTION = LIVER.friction
@@ -17,27 +25,72 @@ CAPSULE = LIVER.membranes[0]
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda bad: replace(CAPSULE, depth_m=-1e-3), "depth_m of the capsule must be in [0, 1], got -0.001"),
-        (lambda bad: replace(CAPSULE, depth_m=bad), "depth_m of the capsule must be in [0, 1], got nan"),
-        (lambda bad: replace(CAPSULE, puncture_N=0.0), "puncture_N of the capsule must be positive and finite, got 0"),
-        (lambda bad: replace(CAPSULE, puncture_N=bad), "puncture_N of the capsule must be positive and finite, got nan"),
-        (lambda bad: replace(CAPSULE, hold_N=-0.1), "hold_N of the capsule must be in [0, 10000], got -0.1"),
-        (lambda bad: replace(FRICTION, sliding_out_N_m=-11.96), "sliding_out_N_m must be in [0, 1e+06], got -11.96"),
-        (lambda bad: replace(FRICTION, viscous_in_N_s_m2=bad), "viscous_in_N_s_m2 must be in [0, 1e+06], got nan"),
-        (lambda bad: replace(FRICTION, static_in_N_m=5.0), "static_in_N_m must be at least sliding_in_N_m (10.57)"),
-        (lambda bad: replace(LIVER, linear_N_m=bad), "linear_N_m must be positive and finite, got nan"),
-        (lambda bad: replace(LIVER, linear_N_m=18.0), "linear_N_m must be greater than the static friction per length"),
-        (lambda bad: replace(LIVER, quadratic_N_m2=-1.0), "quadratic_N_m2 must be in [0, 1e+09], got -1"),
+        (
+            lambda bad: replace(CAPSULE, depth_m=-1e-3),
+            "depth_m of the capsule must be in [0, 1], got -0.001",
+        ),
+        (
+            lambda bad: replace(CAPSULE, depth_m=bad),
+            "depth_m of the capsule must be in [0, 1], got nan",
+        ),
+        (
+            lambda bad: replace(CAPSULE, puncture_N=0.0),
+            "puncture_N of the capsule must be positive and finite, got 0",
+        ),
+        (
+            lambda bad: replace(CAPSULE, puncture_N=bad),
+            "puncture_N of the capsule must be positive and finite, got nan",
+        ),
+        (
+            lambda bad: replace(CAPSULE, hold_N=-0.1),
+            "hold_N of the capsule must be in [0, 10000], got -0.1",
+        ),
+        (
+            lambda bad: replace(FRICTION, sliding_out_N_m=-11.96),
+            "sliding_out_N_m must be in [0, 1e+06], got -11.96",
+        ),
+        (
+            lambda bad: replace(FRICTION, viscous_in_N_s_m2=bad),
+            "viscous_in_N_s_m2 must be in [0, 1e+06], got nan",
+        ),
+        (
+            lambda bad: replace(FRICTION, static_in_N_m=5.0),
+            "static_in_N_m must be at least sliding_in_N_m (10.57)",
+        ),
+        (
+            lambda bad: replace(LIVER, linear_N_m=bad),
+            "linear_N_m must be positive and finite, got nan",
+        ),
+        (
+            lambda bad: replace(LIVER, linear_N_m=18.0),
+            "linear_N_m must be greater than the static friction per length",
+        ),
+        (
+            lambda bad: replace(LIVER, quadratic_N_m2=-1.0),
+            "quadratic_N_m2 must be in [0, 1e+09], got -1",
+        ),
         (lambda bad: replace(LIVER, cutting_N="much"), "cutting_N must be a number, got 'much'"),
-        (lambda bad: replace(LIVER, membranes=(CAPSULE, CAPSULE)), "membranes must be listed from the surface downwards"),
+        (
+            lambda bad: replace(LIVER, membranes=(CAPSULE, CAPSULE)),
+            "membranes must be listed from the surface downwards",
+        ),
         (
             lambda bad: replace(LIVER, membranes=(CAPSULE, replace(CAPSULE, depth_m=1e-2))),
-            "membranes must have different names and none parenchyma, got capsule, capsule: rename one",
+            (
+                "membranes must have different names and none parenchyma, got capsule, capsule: "
+                "rename one"
+            ),
         ),
-        (lambda bad: needle_tissue(walls=[vessel_wall(0.0)]), "membranes must be listed from the surface downwards"),
-        (lambda bad: NeedleModel(LIVER, diameter_m=bad), "diameter_m must be positive and finite, got nan"),
+        (
+            lambda bad: needle_tissue(walls=[vessel_wall(0.0)]),
+            "membranes must be listed from the surface downwards",
+        ),
+        (
+            lambda bad: NeedleModel(LIVER, diameter_m=bad),
+            "diameter_m must be positive and finite, got nan",
+        ),
     ],
-)  # fmt: skip
+)
 def test_numbers_that_cannot_be_meant_are_refused(make, message):
     with pytest.raises(InputError) as refused:
         make(float("nan"))
@@ -46,7 +99,9 @@ def test_numbers_that_cannot_be_meant_are_refused(make, message):
 
 
 def test_an_insertion_can_be_built_without_the_cited_numbers():
-    """A linear organ with nothing in it but friction: force C L, deflection C L / (a1 + C) of the travel."""
+    """A linear organ with nothing in it but friction: force C L, deflection C L / (a1 + C) of
+    the travel.
+    """
     friction = ShaftFriction(
         sliding_in_N_m=10.0,
         sliding_out_N_m=10.0,
@@ -56,7 +111,9 @@ def test_an_insertion_can_be_built_without_the_cited_numbers():
         static_out_N_m=10.0,
         stick_band_m_s=0.0,
     )
-    insertion = Insertion(NeedleTissue(linear_N_m=90.0, quadratic_N_m2=0.0, cutting_N=0.0, friction=friction))
+    insertion = Insertion(
+        NeedleTissue(linear_N_m=90.0, quadratic_N_m2=0.0, cutting_N=0.0, friction=friction)
+    )
     insertion.advance(50e-3, 1e-3)
     assert insertion.deflection_m == pytest.approx(5e-3, rel=1e-12)
     assert insertion.pull_N == pytest.approx(0.45, rel=1e-12)
@@ -65,4 +122,6 @@ def test_an_insertion_can_be_built_without_the_cited_numbers():
     insertion.advance(53e-3, 1e-3)
     assert (insertion.inserted_m, insertion.pull_N) == (45e-3, pytest.approx(0.72, rel=1e-12))
     insertion.advance(54e-3, 1e-3)
-    assert insertion.punctures == [(pytest.approx(45e-3 + 0.75 / 90.0, rel=1e-12), pytest.approx(0.75, rel=1e-12))]
+    assert insertion.punctures == [
+        (pytest.approx(45e-3 + 0.75 / 90.0, rel=1e-12), pytest.approx(0.75, rel=1e-12))
+    ]

@@ -1,4 +1,6 @@
-"""The compliance of the nodes that a tool may touch, by each of its paths, against NumPy's dense inverse."""
+"""The compliance of the nodes that a tool may touch, by each of its paths, against NumPy's dense
+inverse.
+"""
 
 import numpy as np
 import pytest
@@ -29,17 +31,23 @@ def exact():
 @pytest.mark.parametrize(
     ("path", "basis_size"), [("condensed", 5), ("reduced", 3 * len(TOUCHABLE)), ("reduced", 10**6)]
 )
-def test_a_whole_compliance_is_the_inverse_stiffness_at_the_touchable_nodes(path, basis_size, exact):
+def test_a_whole_compliance_is_the_inverse_stiffness_at_the_touchable_nodes(
+    path, basis_size, exact
+):
     """A basis of all unknowns leaves nothing out, and one larger than that is one of all."""
     body = body_of()
-    found, lazy = compliance_of(body, TOUCHABLE, Factor(body), path=path, basis_size=basis_size, report=silent)
+    found, lazy = compliance_of(
+        body, TOUCHABLE, Factor(body), path=path, basis_size=basis_size, report=silent
+    )
     assert lazy is None
     assert found == pytest.approx(exact, abs=1e-9 * np.abs(exact).max())
 
 
 def test_a_small_basis_keeps_the_largest_eigenvalues_and_each_node_s_own_block(exact):
     body = body_of()
-    found, _ = compliance_of(body, TOUCHABLE, Factor(body), path="reduced", basis_size=6, report=silent)
+    found, _ = compliance_of(
+        body, TOUCHABLE, Factor(body), path="reduced", basis_size=6, report=silent
+    )
     values, vectors = np.linalg.eigh(exact)
     wanted = (vectors[:, -6:] * values[-6:]) @ vectors[:, -6:].T
     for node in range(len(TOUCHABLE)):
@@ -67,4 +75,6 @@ def test_a_factor_solves_loads_one_by_one(exact):
     moved = Factor(body).solve_all(loads)
     full = body.stiffness.toarray()[np.ix_(body.free, body.free)]
     for load, each in zip(loads, moved, strict=True):
-        assert each.ravel()[body.free] == pytest.approx(np.linalg.solve(full, load.ravel()[body.free]), rel=1e-8)
+        assert each.ravel()[body.free] == pytest.approx(
+            np.linalg.solve(full, load.ravel()[body.free]), rel=1e-8
+        )

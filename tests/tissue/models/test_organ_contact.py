@@ -18,7 +18,8 @@ CLOSE = 1e-7
 @pytest.mark.parametrize("seed", range(6))
 def test_friction_cone_and_complementarity_hold_on_random_scenes(slab, seed):
     rng = np.random.default_rng(seed)
-    # A loaded point on a sharp edge slides off it unless friction holds it: cylinders get friction and round edges.
+    # A loaded point on a sharp edge slides off it unless friction holds it: cylinders get friction
+    # and round edges.
     friction = rng.uniform([0.05, 0.4][seed % 2], 0.8)
     radius = rng.uniform(0.004, 0.012)
     rotation = Rotation.from_euler("xy", rng.uniform(-0.4, 0.4, 2)).as_matrix()
@@ -60,11 +61,15 @@ def test_friction_cone_and_complementarity_hold_on_random_scenes(slab, seed):
         assert (direction[sticking] <= CLOSE * deepest).all()
         loaded = press > 1e-3 * largest
         opposed = np.einsum("pj,pj->p", side, slip)[loaded & ~sticking]
-        assert (opposed <= CLOSE * largest * deepest - 0.999 * (size * direction)[loaded & ~sticking]).all()
+        assert (
+            opposed <= CLOSE * largest * deepest - 0.999 * (size * direction)[loaded & ~sticking]
+        ).all()
         seen += [sticking.sum(), (loaded & ~sticking).sum()]
         about = -np.cross(moved - tip, result.nodal_forces_N).sum(axis=0)
         np.testing.assert_allclose(result.torque_Nm, about, atol=1e-12 + 1e-9 * largest * radius)
-        np.testing.assert_allclose(result.force_N, -result.nodal_forces_N.sum(axis=0), atol=1e-12 * largest)
+        np.testing.assert_allclose(
+            result.force_N, -result.nodal_forces_N.sum(axis=0), atol=1e-12 * largest
+        )
     assert (seen > 0).all()
 
 
@@ -79,7 +84,9 @@ def test_turning_everything_turns_the_answer(slab):
     nodal = here.nodal_forces_N.copy()
     count = len(slab.rest)
     turned = np.einsum("ij,ajbk,lk->aibl", turn, slab.compliance.reshape(count, 3, count, 3), turn)
-    contact = SurfaceContact(slab.rest @ turn.T, slab.faces, turned.reshape(3 * count, -1), probe, **options)
+    contact = SurfaceContact(
+        slab.rest @ turn.T, slab.faces, turned.reshape(3 * count, -1), probe, **options
+    )
     there = along(contact, [turn @ tip for tip in path], turn)
     close = 1e-6 * np.linalg.norm(force)
     np.testing.assert_allclose(there.force_N, turn @ force, atol=close)
@@ -99,7 +106,9 @@ def test_a_tool_smaller_than_a_triangle_is_felt_between_nodes(slab):
 
 
 def test_a_shell_of_points_feels_what_its_shape_feels(slab):
-    """A ball by its closed form and by 5,000 points: both touch the same nodes up to the shell's spacing."""
+    """A ball by its closed form and by 5,000 points: both touch the same nodes up to the shell's
+    spacing.
+    """
 
     ball = trimesh.creation.icosphere(4, 0.012)
     ball.apply_translation([0.0, 0.0, 0.012])
@@ -111,7 +120,9 @@ def test_a_shell_of_points_feels_what_its_shape_feels(slab):
     exact = along(slab.contact(SphereProbe(0.012), friction=0.2), path)
     # Points 1 mm apart on triangles of 5 mm: the flat triangles of either side count differently.
     np.testing.assert_allclose(force, exact.force_N, atol=0.06 * np.linalg.norm(exact.force_N))
-    np.testing.assert_allclose(torque, exact.torque_Nm, atol=0.06 * np.linalg.norm(exact.force_N) * 0.012)
+    np.testing.assert_allclose(
+        torque, exact.torque_Nm, atol=0.06 * np.linalg.norm(exact.force_N) * 0.012
+    )
 
 
 def test_a_shell_that_jumps_is_felt_by_all_its_points(slab):
@@ -132,13 +143,17 @@ def test_a_shell_that_jumps_is_felt_by_all_its_points(slab):
 
 
 def test_where_a_shell_s_frame_lies_does_not_matter(slab):
-    """The same ball of points in a frame of its tip, and in one that is upside down 3 cm above it."""
+    """The same ball of points in a frame of its tip, and in one that is upside down 3 cm above
+    it.
+    """
     ball = trimesh.creation.icosphere(3, 0.012)
     ball.apply_translation([0.0, 0.0, 0.012])
     near = ShellProbe.from_mesh(ball, points=400)
     upside_down = np.diag([1.0, -1.0, -1.0])
     above = np.array([0.0, 0.0, 0.03])
-    far = ShellProbe((near.points_m - above) @ upside_down, near.normals @ upside_down, near.areas_m2)
+    far = ShellProbe(
+        (near.points_m - above) @ upside_down, near.normals @ upside_down, near.areas_m2
+    )
     path = away([0.002, 0.001, -0.004])
     wanted = along(slab.contact(near, friction=0.2), path)
     force = wanted.force_N.copy()
@@ -146,7 +161,9 @@ def test_where_a_shell_s_frame_lies_does_not_matter(slab):
     found = along(slab.contact(far, friction=0.2), [tip + above for tip in path], upside_down)
     assert force[2] > 1e-2
     np.testing.assert_allclose(found.force_N, force, atol=1e-6 * np.linalg.norm(force))
-    np.testing.assert_allclose(found.torque_Nm, torque - np.cross(above, force), atol=1e-6 * np.linalg.norm(torque))
+    np.testing.assert_allclose(
+        found.torque_Nm, torque - np.cross(above, force), atol=1e-6 * np.linalg.norm(torque)
+    )
 
 
 def test_a_drag_sticks_first_and_then_slips_at_the_coefficient(slab):
@@ -158,7 +175,8 @@ def test_a_drag_sticks_first_and_then_slips_at_the_coefficient(slab):
         force = contact.solve(np.array([x, 0.0, -0.002]), np.eye(3)).force_N
         shares.append(-force[0] / force[2])
     assert shares[0] < 0.2 and (np.diff(shares[:5]) > 0.0).all()
-    # Normals of the sphere lean by up to a/R = 0.4: the ratio of sums is the coefficient only nearly.
+    # Normals of the sphere lean by up to a/R = 0.4: the ratio of sums is the coefficient only
+    # nearly.
     assert abs(shares[-1] - 0.3) < 0.06
     back = contact.solve(np.array([0.003 - 1e-4, 0.0, -0.002]), np.eye(3)).force_N
     assert -back[0] / back[2] < shares[-1]
@@ -183,20 +201,29 @@ def test_blocks_may_come_in_where_they_are_needed(slab):
 
 def test_outcomes_of_a_solve_are_reported(slab):
     tip = np.array([0.0005, 0.0, -0.003])
-    assert slab.contact(SphereProbe(0.01), sweeps=1).solve(tip, np.eye(3)).outcome is ContactOutcome.NOT_CONVERGED
+    assert (
+        slab.contact(SphereProbe(0.01), sweeps=1).solve(tip, np.eye(3)).outcome
+        is ContactOutcome.NOT_CONVERGED
+    )
     held = SurfaceContact(slab.rest, slab.faces, np.zeros_like(slab.compliance), SphereProbe(0.01))
     result = held.solve(tip, np.eye(3))
     assert result.outcome is ContactOutcome.IMMOVABLE
     assert result.penetration_m > 0.001
     apart = held.solve(np.array([0.0, 0.0, 0.01]), np.eye(3))
-    assert apart.outcome is ContactOutcome.CONVERGED and apart.contacts == 0 and not apart.force_N.any()
+    assert (
+        apart.outcome is ContactOutcome.CONVERGED
+        and apart.contacts == 0
+        and not apart.force_N.any()
+    )
 
 
 def test_a_scaled_compliance_and_shifted_nodes_are_those_of_another_organ(slab):
     path = away([0.002, 0.0, -0.003])
     offset = np.array([3e-4, -2e-4, -5e-4])
     options = {"spacing_m": 1.0, **TIGHT}
-    other = SurfaceContact(slab.rest + offset, slab.faces, 2.5 * slab.compliance, SphereProbe(0.01), **options)
+    other = SurfaceContact(
+        slab.rest + offset, slab.faces, 2.5 * slab.compliance, SphereProbe(0.01), **options
+    )
     expected = along(other, path).force_N.copy()
     contact = slab.contact(SphereProbe(0.01), **options)
     contact.scale_compliance(2.5)
@@ -208,11 +235,15 @@ def test_a_scaled_compliance_and_shifted_nodes_are_those_of_another_organ(slab):
 
 @pytest.mark.parametrize("shifts", [1, 3])
 def test_nodes_that_are_shifted_to_a_tool_that_waits_touch_it(slab, shifts):
-    """A tool 2 cm above, four triangles away, feels a surface that rises by 2.1 cm as an organ that lies so high."""
+    """A tool 2 cm above, four triangles away, feels a surface that rises by 2.1 cm as an organ
+    that lies so high.
+    """
     tip = np.array([0.001, 0.0, 0.02])
     offset = np.array([0.0, 0.0, 0.021])
     options = {"spacing_m": 1.0, "friction": 0.0} | TIGHT
-    other = SurfaceContact(slab.rest + offset, slab.faces, slab.compliance, SphereProbe(0.01), **options)
+    other = SurfaceContact(
+        slab.rest + offset, slab.faces, slab.compliance, SphereProbe(0.01), **options
+    )
     expected = other.solve(tip, np.eye(3)).force_N.copy()
     assert expected[2] > 1e-3
     contact = slab.contact(SphereProbe(0.01), **options)
@@ -225,10 +256,14 @@ def test_nodes_that_are_shifted_to_a_tool_that_waits_touch_it(slab, shifts):
 
 
 def test_another_compliance_with_the_surface_where_it_was_leaves_the_force(slab):
-    """Half as stiff, and shifted by what that would move: nothing changes until the tool goes on."""
+    """Half as stiff, and shifted by what that would move: nothing changes until the tool goes
+    on.
+    """
     options = {"spacing_m": 1.0, "friction": 0.4} | TIGHT
     path = away([0.002, 0.0, -0.003])
-    contact = SurfaceContact(slab.rest, slab.faces, slab.compliance.copy(), SphereProbe(0.01), **options)
+    contact = SurfaceContact(
+        slab.rest, slab.faces, slab.compliance.copy(), SphereProbe(0.01), **options
+    )
     before = along(contact, path)
     force = before.force_N.copy()
     moved = before.displacement_m().copy()
@@ -247,7 +282,11 @@ def test_leaving_drops_all_force(slab):
     contact = slab.contact(SphereProbe(0.01))
     along(contact, away([0.002, 0.0, -0.003]))
     result = contact.solve(np.array([0.0, 0.0, 0.01]), np.eye(3))
-    assert not result.force_N.any() and not result.nodal_forces_N.any() and not result.displacement_m().any()
+    assert (
+        not result.force_N.any()
+        and not result.nodal_forces_N.any()
+        and not result.displacement_m().any()
+    )
 
 
 def test_bad_input_is_refused_where_it_enters(slab):
@@ -261,7 +300,12 @@ def test_bad_input_is_refused_where_it_enters(slab):
     with pytest.raises(InputError, match="compliance_m_N must be float64"):
         SurfaceContact(slab.rest, slab.faces, slab.compliance[:-3], probe)
     with pytest.raises(InputError, match="nodes_m must be finite"):
-        SurfaceContact(np.where(slab.rest == slab.rest.max(), np.nan, slab.rest), slab.faces, slab.compliance, probe)
+        SurfaceContact(
+            np.where(slab.rest == slab.rest.max(), np.nan, slab.rest),
+            slab.faces,
+            slab.compliance,
+            probe,
+        )
     with pytest.raises(InputError, match="faces must name nodes"):
         SurfaceContact(slab.rest, slab.faces + 1, slab.compliance, probe)
     contact = slab.contact(probe)
@@ -274,8 +318,14 @@ def test_bad_input_is_refused_where_it_enters(slab):
     for make, message in (
         (lambda: SphereProbe(0.0), "radius_m"),
         (lambda: CylinderProbe(0.01, 0.02), "edge_m must be below"),
-        (lambda: ShellProbe(np.zeros((2, 3)), np.ones((2, 3)), np.ones(2)), "normals must have length 1"),
-        (lambda: ShellProbe(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)), "points_m must have shape"),
+        (
+            lambda: ShellProbe(np.zeros((2, 3)), np.ones((2, 3)), np.ones(2)),
+            "normals must have length 1",
+        ),
+        (
+            lambda: ShellProbe(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)),
+            "points_m must have shape",
+        ),
     ):
         with pytest.raises(InputError, match=message):
             make()

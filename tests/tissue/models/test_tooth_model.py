@@ -1,4 +1,6 @@
-"""A tooth in a scene: stress beside the ticks leaves the trace alone, and is reported for the state that it belongs to."""
+"""A tooth in a scene: stress beside the ticks leaves the trace alone, and is reported for the
+state that it belongs to.
+"""
 
 import numpy as np
 import pytest
@@ -21,12 +23,18 @@ COLUMN = ("dentin_over_pulp_mm",)
 
 def drill(**changes):
     """A short path into a coarse molar."""
-    return simulate(load_scene("molar", COARSE | {key.replace("__", "."): value for key, value in changes.items()}))
+    return simulate(
+        load_scene(
+            "molar", COARSE | {key.replace("__", "."): value for key, value in changes.items()}
+        )
+    )
 
 
 @pytest.fixture(scope="module")
 def seen():
-    """What each solve was given: time, steps of 1/65535 that the voxels had lost by then, force and point."""
+    """What each solve was given: time, steps of 1/65535 that the voxels had lost by then, force
+    and point.
+    """
     return []
 
 
@@ -54,7 +62,9 @@ def run(seen):
 def test_frames_come_at_multiples_of_the_interval(run):
     frames = run.parts.tissue.fields.frames
     assert [frame.time_s for frame in frames] == pytest.approx(0.05 * np.arange(13), abs=1e-12)
-    assert [record.time_s for record in run.parts.tissue.stress.records] == [frame.time_s for frame in frames]
+    assert [record.time_s for record in run.parts.tissue.stress.records] == [
+        frame.time_s for frame in frames
+    ]
 
 
 @pytest.mark.slow
@@ -75,13 +85,19 @@ def test_a_solve_is_given_the_state_of_its_time(run, seen):
         radius_mm = 0.5 * run.scene.tool.diameter_mm
         size = np.linalg.norm(force[row])
         away = force[row] / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
-        np.testing.assert_allclose(1e3 * point_m, tip[row] + radius_mm * ([0.0, 0.0, 1.0] - away), atol=1e-5)
-        assert lost / 65535 * voxel_mm3 == pytest.approx(run.trace["removed_mm3"][row], rel=1e-9, abs=1e-9)
+        np.testing.assert_allclose(
+            1e3 * point_m, tip[row] + radius_mm * ([0.0, 0.0, 1.0] - away), atol=1e-5
+        )
+        assert lost / 65535 * voxel_mm3 == pytest.approx(
+            run.trace["removed_mm3"][row], rel=1e-9, abs=1e-9
+        )
     assert seen[-1][1] > 0
 
 
 def test_a_frame_balances_the_force_of_its_time(run):
-    """The bed's springs carry what the bur pushes with at the frame's time, to what the solve leaves."""
+    """The bed's springs carry what the bur pushes with at the frame's time, to what the solve
+    leaves.
+    """
     field = run.parts.tissue.stress.field
     force = run.trace.vectors("model_force", "N")
     loaded = 0
@@ -104,7 +120,9 @@ def test_frames_have_the_meshs_shapes_and_stress_where_the_bur_pushes(run):
     principal = [frame.cells[f"principal_{i}_MPa"] for i in (1, 2, 3)]
     there = np.isfinite(frame.cells["von_mises_MPa"])
     assert there.mean() > 0.9
-    assert (principal[0][there] >= principal[1][there]).all() and (principal[1][there] >= principal[2][there]).all()
+    assert (principal[0][there] >= principal[1][there]).all() and (
+        principal[1][there] >= principal[2][there]
+    ).all()
     middle = series.nodes_m[series.cells].mean(axis=1)
     tip = 1e-3 * run.trace.vectors("tool", "mm")[-1]
     top = np.flatnonzero(there)[np.argmax(frame.cells["von_mises_MPa"][there])]
@@ -114,15 +132,18 @@ def test_frames_have_the_meshs_shapes_and_stress_where_the_bur_pushes(run):
 def bits(run):
     """Bytes of the trace and of all frames."""
     frames = [
-        array.tobytes() for frame in run.parts.tissue.fields.frames for array in (*frame.points.values(),
-                                                                                 *frame.cells.values())
-    ]  # fmt: skip
+        array.tobytes()
+        for frame in run.parts.tissue.fields.frames
+        for array in (*frame.points.values(), *frame.cells.values())
+    ]
     return [run.trace.rows.tobytes(), *frames]
 
 
 @pytest.mark.slow
 def test_a_separate_process_gives_the_same_bits(run):
-    """However long its solves take: the run above solved in this process, when the result was due."""
+    """However long its solves take: the run above solved in this process, when the result was
+    due.
+    """
     assert bits(drill()) == bits(run)
 
 
@@ -137,15 +158,21 @@ def test_the_end_of_the_other_process_is_reported_and_only_the_stress_is_lost(ru
 
     monkeypatch.setattr(stress_process.StressProcess, "begin", killed)
     lost = drill()
-    message = [what for _, what in lost.events if "process that solves the stress was ended by" in what]
-    assert len(message) == 1 and message[0].endswith("this run has no stress and no frames, everything else goes on")
+    message = [
+        what for _, what in lost.events if "process that solves the stress was ended by" in what
+    ]
+    assert len(message) == 1 and message[0].endswith(
+        "this run has no stress and no frames, everything else goes on"
+    )
     np.testing.assert_array_equal(lost.trace.rows, run.trace.rows)
     np.testing.assert_array_equal(lost.remaining, run.remaining)
     assert not lost.parts.tissue.fields.frames
 
 
 def test_stress_leaves_the_force_alone(run):
-    """A scene without it builds none, has no columns of it, and gives the same trace in all others."""
+    """A scene without it builds none, has no columns of it, and gives the same trace in all
+    others.
+    """
 
     def never(*_, **__):
         raise AssertionError("a field of stress was built")
@@ -173,11 +200,15 @@ def test_the_tooths_own_columns(run):
 @pytest.mark.slow
 def test_a_pulp_out_of_reach_is_not_measured():
     """Where the voxels hold none there is no column, rather than a number that means nothing."""
-    run = drill(voxels__margin_mm=0.5, **{"motion__points_mm": [[0, 0, 0.2], [0, 0, -0.4]], "duration_s": 0.2})
+    run = drill(
+        voxels__margin_mm=0.5,
+        **{"motion__points_mm": [[0, 0, 0.2], [0, 0, -0.4]], "duration_s": 0.2},
+    )
     assert run.trace["removed_mm3"][-1] > 0.0
     assert run.parts.tissue.measure_names == MOVES
     assert np.isfinite(run.trace.rows).all()
-    assert not any("pulp" in what for _, what in run.events)  # a busy machine may report late stress
+    # a busy machine may report late stress
+    assert not any("pulp" in what for _, what in run.events)
 
 
 @pytest.mark.parametrize(
@@ -186,22 +217,34 @@ def test_a_pulp_out_of_reach_is_not_measured():
         (
             "glenoid",
             ("stress.cell_mm=0.5",),
-            "stress.cell_mm must be left out for a glenoid, got 0.5: set anatomy.kind = molar, or remove it",
+            (
+                "stress.cell_mm must be left out for a glenoid, got 0.5: set anatomy.kind = "
+                "molar, or remove it"
+            ),
         ),
         (
             "milling",
             ("stress={}",),
-            "stress must be left out for a block, got a table: set anatomy.kind = molar, or remove it",
+            (
+                "stress must be left out for a block, got a table: set anatomy.kind = molar, or "
+                "remove it"
+            ),
         ),
         (
             "molar",
             ("stress.cell_mm=0.45",),
-            "stress.cell_mm must be an even multiple of voxels.spacing_mm (0.05), got 0.45: use 0.4",
+            (
+                "stress.cell_mm must be an even multiple of voxels.spacing_mm (0.05), got 0.45: "
+                "use 0.4"
+            ),
         ),
         (
             "molar",
             ("stress.cell_mm=0.2", "voxels.spacing_mm=0.03"),
-            "stress.cell_mm must be an even multiple of voxels.spacing_mm (0.03), got 0.2: use 0.24",
+            (
+                "stress.cell_mm must be an even multiple of voxels.spacing_mm (0.03), got 0.2: "
+                "use 0.24"
+            ),
         ),
         (
             "molar",
@@ -211,9 +254,16 @@ def test_a_pulp_out_of_reach_is_not_measured():
         (
             "molar",
             ("stress.cell_mm=1.5", "voxels.spacing_mm=0.8", "tool.diameter_mm=4"),
-            "stress.cell_mm must be an even multiple of voxels.spacing_mm (0.8), got 1.5: use voxels.spacing_mm = 0.1",
+            (
+                "stress.cell_mm must be an even multiple of voxels.spacing_mm (0.8), got 1.5: "
+                "use voxels.spacing_mm = 0.1"
+            ),
         ),
-        ("molar", ("stress.cell_mm=2",), "stress.cell_mm must be at least 0.2 and at most 1.5, got 2: use 0.5"),
+        (
+            "molar",
+            ("stress.cell_mm=2",),
+            "stress.cell_mm must be at least 0.2 and at most 1.5, got 2: use 0.5",
+        ),
         (
             "molar",
             ("stress.interval_ms=0",),
@@ -222,17 +272,23 @@ def test_a_pulp_out_of_reach_is_not_measured():
         (
             "molar",
             ("stress.cells_mm=0.5",),
-            "stress.cells_mm must be one of cell_mm, interval_ms, got cells_mm (did you mean cell_mm?): rename or "
+            "stress.cells_mm must be one of cell_mm, interval_ms, got cells_mm (did you mean "
+            "cell_mm?): rename or "
             "remove it",
         ),
         (
             "molar",
             ("stress=5",),
-            "stress must be a table with entries such as cell_mm, interval_ms, got 5: see `tissue scenes NAME`",
+            (
+                "stress must be a table with entries such as cell_mm, interval_ms, got 5: see "
+                "`tissue scenes NAME`"
+            ),
         ),
     ],
 )
-def test_a_stress_that_does_not_fit_is_refused_in_one_sentence(refused, here, scene, overrides, sentence):
+def test_a_stress_that_does_not_fit_is_refused_in_one_sentence(
+    refused, here, scene, overrides, sentence
+):
     sets = [part for override in overrides for part in ("--set", override)]
     assert refused("run", scene, *sets) == sentence
     assert not (here / "runs").exists()

@@ -1,4 +1,6 @@
-"""Springs of a tooth to the ground: their forces, and their stiffness against a rigid motion, written out."""
+"""Springs of a tooth to the ground: their forces, and their stiffness against a rigid motion,
+written out.
+"""
 
 import numpy as np
 import pytest
@@ -11,11 +13,15 @@ def springs(count=7):
     rng = np.random.default_rng(0)
     half = rng.normal(size=(count, 3, 3))
     stiffness = 1e4 * half @ half.transpose(0, 2, 1)
-    return PointSprings(rng.uniform(0.1, 2.9, (count, 3)) * 1e-3, 0.5 * (stiffness + stiffness.transpose(0, 2, 1)))
+    return PointSprings(
+        rng.uniform(0.1, 2.9, (count, 3)) * 1e-3, 0.5 * (stiffness + stiffness.transpose(0, 2, 1))
+    )
 
 
 def test_the_restraint_is_the_energy_of_rigid_motions():
-    """u = t + w x (x - c) at each spring: twice the energy is sum u S u; rotations are in units of 1 / length."""
+    """u = t + w x (x - c) at each spring: twice the energy is sum u S u; rotations are in units
+    of 1 / length.
+    """
     given = springs()
     centre = np.array([2e-3, -1e-3, 4e-3])
     length = 5e-3
@@ -43,7 +49,9 @@ def test_forces_are_those_of_the_displacement_at_the_springs():
 
 
 def test_blocks_by_cell_add_up_to_the_same_forces():
-    """The springs of a cell act on its eight nodes: sum over b of N_a N_b S u_b, upper blocks and their transposes."""
+    """The springs of a cell act on its eight nodes: sum over b of N_a N_b S u_b, upper blocks
+    and their transposes.
+    """
     _, grid = block((3, 3, 3), 1e-3)
     given = springs(40)
     nodes = np.random.default_rng(3).normal(size=(4**3, 3))
@@ -70,7 +78,9 @@ def moved_at(given, grid, nodes):
         part = at - low
         value = np.zeros(3)
         for corner in np.ndindex(2, 2, 2):
-            node = np.flatnonzero((np.rint(grid.node_position_m / 1e-3).astype(int) == low + corner).all(axis=1))[0]
+            node = np.flatnonzero(
+                (np.rint(grid.node_position_m / 1e-3).astype(int) == low + corner).all(axis=1)
+            )[0]
             value += np.prod(np.where(corner, part, 1.0 - part)) * nodes[node]
         found.append(value)
     return np.array(found)

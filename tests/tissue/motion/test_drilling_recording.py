@@ -1,4 +1,6 @@
-"""Recordings of volumetric_drilling, made here as its recorder makes them, and what cannot be one."""
+"""Recordings of volumetric_drilling, made here as its recorder makes them, and what cannot be
+one.
+"""
 
 import numpy as np
 import pytest
@@ -12,7 +14,10 @@ from tissue.motion.replay import read_replay
 h5py = pytest.importorskip("h5py")
 EPOCH_S = 1_700_000_000.0
 """Its clock is that of ROS, seconds since 1970."""
-POSES, EVENTS = "physics_data/continuous_data/high_frequency_poses", "physics_data/intermittent_data"
+POSES, EVENTS = (
+    "physics_data/continuous_data/high_frequency_poses",
+    "physics_data/intermittent_data",
+)
 SHAFT = Rotation.from_rotvec([0.0, -0.5 * np.pi, 0.0])
 """A drill that stands upright: its x axis, tip to shank, points up."""
 CAMERA = Rotation.from_rotvec([0.0, 0.0, 0.5 * np.pi])
@@ -21,8 +26,12 @@ RATE_S = 5e-4
 TIMES_S = RATE_S * np.arange(2001)
 
 
-def recorded(path, *, poses=POSES, events=EVENTS, drill="mastoidectomy_drill_pose", burr=(4,), camera=True):
-    """A drill that goes down 10 mm/s for a second under a growing force, each pose heard twice, two of them swapped."""
+def recorded(
+    path, *, poses=POSES, events=EVENTS, drill="mastoidectomy_drill_pose", burr=(4,), camera=True
+):
+    """A drill that goes down 10 mm/s for a second under a growing force, each pose heard twice,
+    two of them swapped.
+    """
     centre = np.column_stack([np.full(2001, 0.1), np.full(2001, -0.2), 0.3 - 0.01 * TIMES_S])
     pose = np.repeat(np.hstack([centre, np.tile(SHAFT.as_quat(), (2001, 1))]), 2, axis=0)
     times = np.repeat(EPOCH_S + TIMES_S, 2)
@@ -33,22 +42,34 @@ def recorded(path, *, poses=POSES, events=EVENTS, drill="mastoidectomy_drill_pos
         held.create_dataset("pose", data=pose, compression="gzip")
         if camera:
             seen = file.create_group(f"{poses}/main_camera_pose")
-            seen["time_stamp"], seen["pose"] = EPOCH_S + TIMES_S[::10], np.tile([0, 0, 0, *CAMERA.as_quat()], (201, 1))
+            seen["time_stamp"], seen["pose"] = (
+                EPOCH_S + TIMES_S[::10],
+                np.tile([0, 0, 0, *CAMERA.as_quat()], (201, 1)),
+            )
         still = file.create_group(f"{poses}/anatomy_object_name_pose")
-        still["time_stamp"], still["pose"] = EPOCH_S + TIMES_S[::10], np.tile([0, 0, 0, 0, 0, 0, 1.0], (201, 1))
+        still["time_stamp"], still["pose"] = (
+            EPOCH_S + TIMES_S[::10],
+            np.tile([0, 0, 0, 0, 0, 0, 1.0], (201, 1)),
+        )
         wrench = np.column_stack([TIMES_S[::20], 0.0 * TIMES_S[::20], 2.0 * TIMES_S[::20]])
         force = file.create_group(f"{events}/drill_force_feedback")
         force["time_stamp"], force["wrench"] = EPOCH_S + TIMES_S[::20], np.hstack([wrench, wrench])
         if burr:
             change = file.create_group(f"{events}/burr_change")
-            change["time_stamp"], change["burr_size"] = EPOCH_S + 0.1 * np.arange(len(burr)), np.array(burr)
+            change["time_stamp"], change["burr_size"] = (
+                EPOCH_S + 0.1 * np.arange(len(burr)),
+                np.array(burr),
+            )
     return path
 
 
 def test_a_file_of_the_recorder_gives_tip_axis_and_force_in_the_world(tmp_path):
-    """Tip 2 mm below the centre of a burr of 4 mm, axis up; a force along the camera's x lies along the world's y."""
+    """Tip 2 mm below the centre of a burr of 4 mm, axis up; a force along the camera's x lies
+    along the world's y.
+    """
     held = read_drilling(recorded(tmp_path / "log.hdf5"), what="motion.file")
-    assert held.times_s == pytest.approx(TIMES_S, abs=1e-6)  # seconds since 1970 are known to 2.4e-7 s
+    # seconds since 1970 are known to 2.4e-7 s
+    assert held.times_s == pytest.approx(TIMES_S, abs=1e-6)
     assert held.tips_m[0] == pytest.approx([0.1, -0.2, 0.298], abs=1e-15)
     assert held.tips_m[-1] == pytest.approx([0.1, -0.2, 0.288], abs=1e-15)
     axes = Rotation.from_quat(held.quaternions).apply([0.0, 0.0, 1.0])
@@ -61,8 +82,11 @@ def test_it_is_replayed_at_its_speed_and_fitted_as_a_log(tmp_path):
     path = recorded(tmp_path / "log.hdf5")
     motion = read_replay(path, step_s=1e-3)
     assert motion.duration_s == pytest.approx(1.0, abs=1e-6)
-    down = np.column_stack([np.full(1001, 0.1), np.full(1001, -0.2), 0.298 - 1e-5 * np.arange(1001)])
-    np.testing.assert_allclose(motion.sweep_m(), down, atol=1e-8)  # 10 mm/s times the clock's 2.4e-7 s
+    down = np.column_stack(
+        [np.full(1001, 0.1), np.full(1001, -0.2), 0.298 - 1e-5 * np.arange(1001)]
+    )
+    # 10 mm/s times the clock's 2.4e-7 s
+    np.testing.assert_allclose(motion.sweep_m(), down, atol=1e-8)
     log = read_log(path)
     assert log.channels == ("force_x_N", "force_y_N", "force_z_N") and len(log.load_times_s) == 101
     assert log.tips_m[:, 2] == pytest.approx(0.298 - 0.01 * TIMES_S, abs=1e-8)
@@ -76,7 +100,9 @@ def test_without_burr_and_camera_the_point_and_the_axes_stay(tmp_path):
 
 
 def test_the_older_layout_is_read(tmp_path):
-    old = recorded(tmp_path / "old.hdf5", poses="high_frequency_poses", events=".", drill="drill_pose")
+    old = recorded(
+        tmp_path / "old.hdf5", poses="high_frequency_poses", events=".", drill="drill_pose"
+    )
     new = recorded(tmp_path / "new.hdf5")
     one, other = (read_drilling(path, what="motion.file") for path in (old, new))
     np.testing.assert_array_equal(one.tips_m, other.tips_m)
@@ -103,10 +129,16 @@ DRILL = f"{POSES}/mastoidectomy_drill_pose"
     ("change", "expected"),
     [
         (spoil(POSES, None), "be a recording of volumetric_drilling, got no physics_data"),
-        (spoil(DRILL, None), "hold the poses of one drill, got anatomy_object_name_pose, main_camera_pose"),
+        (
+            spoil(DRILL, None),
+            "hold the poses of one drill, got anatomy_object_name_pose, main_camera_pose",
+        ),
         (spoil(f"{DRILL}/pose", None), "hold numbers as .*pose, got none"),
         (spoil(f"{DRILL}/pose", [b"a", b"b"]), "hold numbers as .*pose, got none"),
-        (spoil(f"{DRILL}/pose", np.zeros((5, 7))), r"hold 7 values .* got shapes \(5, 7\) and \(4002,\)"),
+        (
+            spoil(f"{DRILL}/pose", np.zeros((5, 7))),
+            r"hold 7 values .* got shapes \(5, 7\) and \(4002,\)",
+        ),
         (spoil(f"{DRILL}/pose", np.zeros((4002, 6))), r"got shapes \(4002, 6\)"),
         (spoil(f"{DRILL}/pose", np.zeros((4002, 7))), "hold unit quaternions, got one of length 0"),
         (spoil(f"{DRILL}/pose", np.full((4002, 7), np.nan)), "hold finite numbers"),
@@ -130,7 +162,9 @@ def test_forces_on_another_clock_are_refused_for_a_fit(tmp_path):
     path = recorded(tmp_path / "log.hdf5")
     spoil(f"{EVENTS}/drill_force_feedback/time_stamp", TIMES_S[::20])(path)
     read_replay(path, step_s=1e-3)  # which needs none
-    with pytest.raises(InputError, match=r"measured must hold forces while the poses last.*to one clock"):
+    with pytest.raises(
+        InputError, match=r"measured must hold forces while the poses last.*to one clock"
+    ):
         read_log(path)
 
 

@@ -7,7 +7,15 @@ from scipy.spatial.transform import Rotation
 from tissue import InputError
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.motion.motion import FollowPath, frame_along, matrix_of, quaternion_of
-from tissue.motion.quaternion import conjugate, exponential, logarithm, of_matrix, product, turn_between, unit
+from tissue.motion.quaternion import (
+    conjugate,
+    exponential,
+    logarithm,
+    of_matrix,
+    product,
+    turn_between,
+    unit,
+)
 from tissue.motion.replay import GivenPoses, ReplayPoses, read_replay
 from tissue.motion.thrust import PushAlongAxis
 
@@ -27,7 +35,9 @@ def ticks(motion, count, response=None):
     return tuple(np.array(column) for column in zip(*poses, strict=True))
 
 
-@pytest.mark.parametrize("axis", [*np.random.default_rng(0).normal(size=(50, 3)), (1, 0, 0), (0, 0, -2)])
+@pytest.mark.parametrize(
+    "axis", [*np.random.default_rng(0).normal(size=(50, 3)), (1, 0, 0), (0, 0, -2)]
+)
 def test_frame_along_is_right_handed_with_its_axis_third(axis):
     frame = frame_along(axis)
     np.testing.assert_allclose(frame.T @ frame, np.eye(3), atol=1e-14)
@@ -43,8 +53,14 @@ def test_a_path_meets_its_corners_exactly_at_its_feed():
     for tick, corner in ((0, 0), (20, 1), (50, 2), (90, 4), (119, 4)):
         np.testing.assert_allclose(tips[tick], corners[corner], atol=1e-15)
     np.testing.assert_array_equal(rotations, np.broadcast_to(np.eye(3), rotations.shape))
-    for ticks_of, heading in ((slice(0, 21), (0, 0, -1)), (slice(21, 51), (1, 0, 0)), (slice(51, 91), (0, 1, 0))):
-        np.testing.assert_allclose(headings[ticks_of, 0], np.broadcast_to(heading, headings[ticks_of, 0].shape))
+    for ticks_of, heading in (
+        (slice(0, 21), (0, 0, -1)),
+        (slice(21, 51), (1, 0, 0)),
+        (slice(51, 91), (0, 1, 0)),
+    ):
+        np.testing.assert_allclose(
+            headings[ticks_of, 0], np.broadcast_to(heading, headings[ticks_of, 0].shape)
+        )
     assert not headings[:, 1].any()
     assert (speeds[:91] == 0.1).all() and (speeds[91:] == 0.0).all()
     np.testing.assert_allclose(np.linalg.norm(np.diff(tips, axis=0), axis=1)[:90], 1e-4, atol=1e-15)
@@ -61,7 +77,13 @@ def test_the_length_of_a_random_path_sets_its_duration():
 
 
 def push(**changes):
-    settings = {"axis": Z, "thrust_N": 2.0, "mass_kg": 0.5, "max_feed_m_s": 0.1, "depth_m": 5e-3} | changes
+    settings = {
+        "axis": Z,
+        "thrust_N": 2.0,
+        "mass_kg": 0.5,
+        "max_feed_m_s": 0.1,
+        "depth_m": 5e-3,
+    } | changes
     return PushAlongAxis(np.array([1e-3, 0.0, 5e-3]), **settings)
 
 
@@ -89,9 +111,15 @@ def test_a_viscous_tissue_sets_the_feed_that_balances_the_thrust():
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_push_never_moves_backward(seed):
-    """Whatever the tissue answers, steps past the stability limit of an explicit step among them."""
+    """Whatever the tissue answers, steps past the stability limit of an explicit step among
+    them.
+    """
     random = np.random.default_rng(seed)
-    motion, response, tool = push(thrust_N=20.0, max_feed_m_s=0.2, depth_m=2e-3), Response.empty(1), ToolMotion()
+    motion, response, tool = (
+        push(thrust_N=20.0, max_feed_m_s=0.2, depth_m=2e-3),
+        Response.empty(1),
+        ToolMotion(),
+    )
     travelled = []
     for index in range(2000):
         response.resistance[:3] = random.normal(size=3) * 10.0 ** random.uniform(0, 6)
@@ -111,7 +139,9 @@ def test_an_edge_force_above_the_thrust_holds_the_tool():
 
 
 def test_a_table_of_constant_rotation_turns_at_that_rate():
-    """Slerp between poses 50 ms apart follows a constant rate exactly, up to rounding of its tick differences."""
+    """Slerp between poses 50 ms apart follows a constant rate exactly, up to rounding of its
+    tick differences.
+    """
     rate, axis = 3.0, np.array([1.0, 2.0, 2.0]) / 3.0
     times = np.arange(0.0, 1.01, 0.05)
     turns = Rotation.from_rotvec(rate * times[:, None] * axis)
@@ -121,9 +151,15 @@ def test_a_table_of_constant_rotation_turns_at_that_rate():
     tips, rotations, headings, speeds = ticks(motion, 1001)
     at = STEP_S * np.arange(1001)
     np.testing.assert_allclose(tips, at[:, None] * velocity, atol=ROUNDING)
-    np.testing.assert_allclose(rotations, Rotation.from_rotvec(rate * at[:, None] * axis).as_matrix(), atol=1e-9)
-    np.testing.assert_allclose(headings[1:, 0] * speeds[1:, None], np.broadcast_to(velocity, (1000, 3)), atol=1e-11)
-    np.testing.assert_allclose(headings[1:, 1] * speeds[1:, None], np.broadcast_to(rate * axis, (1000, 3)), atol=1e-8)
+    np.testing.assert_allclose(
+        rotations, Rotation.from_rotvec(rate * at[:, None] * axis).as_matrix(), atol=1e-9
+    )
+    np.testing.assert_allclose(
+        headings[1:, 0] * speeds[1:, None], np.broadcast_to(velocity, (1000, 3)), atol=1e-11
+    )
+    np.testing.assert_allclose(
+        headings[1:, 1] * speeds[1:, None], np.broadcast_to(rate * axis, (1000, 3)), atol=1e-8
+    )
     assert speeds[0] == 0.0
 
 
@@ -132,7 +168,9 @@ def test_a_table_that_only_turns_has_a_speed_too():
     motion = ReplayPoses(np.array([0.0, 1.0]), np.zeros((2, 3)), turns.as_quat(), step_s=STEP_S)
     _, _, headings, speeds = ticks(motion, 1100)
     np.testing.assert_allclose(
-        headings[1:1000, 1] * speeds[1:1000, None], np.broadcast_to((0, 0, 1.0), (999, 3)), atol=1e-8
+        headings[1:1000, 1] * speeds[1:1000, None],
+        np.broadcast_to((0, 0, 1.0), (999, 3)),
+        atol=1e-8,
     )
     assert (speeds[1001:] == 0.0).all()
 
@@ -153,7 +191,9 @@ def test_a_table_reads_in_its_units_whatever_the_order_of_columns_and_the_first_
     )
     motion = read_replay(tmp_path / "poses.csv", step_s=STEP_S)
     tips, _, _, speeds = ticks(motion, 501)
-    np.testing.assert_allclose(tips[[0, 250, 500]], [[1e-3, 2e-3, 3e-3], [1.5e-3, 2e-3, 3e-3], [2e-3, 2e-3, 3e-3]])
+    np.testing.assert_allclose(
+        tips[[0, 250, 500]], [[1e-3, 2e-3, 3e-3], [1.5e-3, 2e-3, 3e-3], [2e-3, 2e-3, 3e-3]]
+    )
     np.testing.assert_allclose(speeds[1:], 2e-3, rtol=1e-9)
 
 
@@ -163,13 +203,18 @@ def test_a_path_of_one_point_is_refused():
 
 
 def test_matrices_and_quaternions_agree_with_scipy():
-    for rotation in [*Rotation.random(50, random_state=1), *(Rotation.from_rotvec(v) for v in np.pi * np.eye(3))]:
+    for rotation in [
+        *Rotation.random(50, random_state=1),
+        *(Rotation.from_rotvec(v) for v in np.pi * np.eye(3)),
+    ]:
         quaternion = quaternion_of(rotation.as_matrix())
         assert matrix_of(quaternion) == pytest.approx(rotation.as_matrix(), abs=1e-14)
         assert quaternion[3] >= 0.0
         other = Rotation.random(random_state=2)
         expected = (other * rotation.inv()).as_rotvec()
-        assert np.array(turn_between(quaternion, other.as_quat())) == pytest.approx(expected, abs=1e-12)
+        assert np.array(turn_between(quaternion, other.as_quat())) == pytest.approx(
+            expected, abs=1e-12
+        )
 
 
 def test_given_poses_begin_at_rest_at_the_first_one():
@@ -179,7 +224,9 @@ def test_given_poses_begin_at_rest_at_the_first_one():
     given, motion = GivenPoses(np.array([0.0, 1e-3, 2e-3]), tips, turns), ToolMotion()
     motion.heading[:] = 1.0
     given.begin(motion)
-    assert motion.tip_m == pytest.approx(tips[0]) and motion.rotation == pytest.approx(turns[0].as_matrix())
+    assert motion.tip_m == pytest.approx(tips[0]) and motion.rotation == pytest.approx(
+        turns[0].as_matrix()
+    )
     assert not motion.heading.any()
     given.advance(2e-3, 1e-3, Response.empty(1), motion)
     turned = (turns[2] * turns[1].inv()).as_rotvec()
@@ -189,7 +236,13 @@ def test_given_poses_begin_at_rest_at_the_first_one():
     assert motion.speed_m_s == 0.0 and motion.tip_m == pytest.approx(tips[2])
 
 
-EXTREME = [*np.zeros((1, 3)), *(np.pi * np.eye(3)), *(1e-9 * np.eye(3)), *(0.7 * np.eye(3)), *(-3.1 * np.eye(3))]
+EXTREME = [
+    *np.zeros((1, 3)),
+    *(np.pi * np.eye(3)),
+    *(1e-9 * np.eye(3)),
+    *(0.7 * np.eye(3)),
+    *(-3.1 * np.eye(3)),
+]
 """Rotation vectors [rad]: none, half turns about the axes, tiny, plain and nearly full ones."""
 
 
@@ -218,7 +271,9 @@ def test_a_position_in_another_unit_is_refused_before_anything_is_carved(tmp_pat
     columns = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,tool_qx,tool_qy,tool_qz,tool_qw"
     path = tmp_path / "poses.csv"
     path.write_text(f"{columns}\n0,0,0,1,0,0,0,1\n1,0,0,1e9,0,0,0,1\n")
-    with pytest.raises(InputError, match=r"motion\.file must lie within 10 m of each other, got 1e\+06 m"):
+    with pytest.raises(
+        InputError, match=r"motion\.file must lie within 10 m of each other, got 1e\+06 m"
+    ):
         read_replay(path, step_s=STEP_S)
     tips = np.array([[0.0, 0.0, 0.0], [9.0, 9.0, 9.0]])
     assert GivenPoses(np.array([0.0, 1.0]), tips, Rotation.identity(2)).duration_s == 1.0

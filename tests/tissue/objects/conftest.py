@@ -1,4 +1,6 @@
-"""Tables of parts as they were before a test; a short run of a block and one of a wall, simulated and read back."""
+"""Tables of parts as they were before a test; a short run of a block and one of a wall,
+simulated and read back.
+"""
 
 import pytest
 

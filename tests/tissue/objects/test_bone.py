@@ -1,4 +1,6 @@
-"""Bone that one holds: the same forces as a scene's, closed forms, and bricks only where a tool has been."""
+"""Bone that one holds: the same forces as a scene's, closed forms, and bricks only where a tool
+has been.
+"""
 
 import numpy as np
 import pytest
@@ -27,7 +29,9 @@ def block():
 
 
 def test_a_cut_gives_what_a_scene_gives(block):
-    """One engine, two doors: another origin of the voxels moves float32 by some parts in a million."""
+    """One engine, two doors: another origin of the voxels moves float32 by some parts in a
+    million.
+    """
     scene = tissue.load_scene(
         "milling",
         {
@@ -49,31 +53,54 @@ def test_a_cut_gives_what_a_scene_gives(block):
     size = np.linalg.norm(theirs, axis=1).max()
     assert size > 10.0
     turning = np.abs(np.diff(run.trace.vectors("velocity", "mm_s"), axis=0)).any(axis=1)
-    same = ~np.concatenate([[True], turning]) & ~np.concatenate([turning, [True]])  # a corner lies between two ticks
+    # a corner lies between two ticks
+    same = ~np.concatenate([[True], turning]) & ~np.concatenate([turning, [True]])
     assert np.abs(ours - theirs)[same].max() < 2e-3 * size
     assert abs(cut.removed_mm3[-1] / sum(run.parts.tissue.removed_m3 * 1e9) - 1.0) < 1e-3
 
 
 def test_a_file_of_constants_gives_what_its_values_give(tmp_path):
-    """As a scene's key `materials` does; a file that does nothing here is refused, one that does not hold is, too."""
+    """As a scene's key `materials` does; a file that does nothing here is refused, one that does
+    not hold is, too.
+    """
     names = {"radial_chip_N_mm2": 20.0, "radial_edge_N_mm": 3.0}
-    fitted, liver, missing = tmp_path / "fitted.toml", tmp_path / "liver.toml", tmp_path / "none.toml"
-    entries = [FittedEntry(f"cutting.bone.{name}", value, value, value, "a test", "L") for name, value in names.items()]
+    fitted, liver, missing = (
+        tmp_path / "fitted.toml",
+        tmp_path / "liver.toml",
+        tmp_path / "none.toml",
+    )
+    entries = [
+        FittedEntry(f"cutting.bone.{name}", value, value, value, "a test", "L")
+        for name, value in names.items()
+    ]
     write_fitted(fitted, entries, np.eye(2), remark=())
-    write_fitted(liver, [FittedEntry("soft.liver.modulus_kPa", 5.0, 5.0, 5.0, "a test", "L")], np.eye(1), remark=())
+    write_fitted(
+        liver,
+        [FittedEntry("soft.liver.modulus_kPa", 5.0, 5.0, 5.0, "a test", "L")],
+        np.eye(1),
+        remark=(),
+    )
     size = {"size_mm": (12, 8, 5), "spacing_mm": 0.4}
     bone = tissue.Bone.block(**size, materials=fitted)
     found, wanted = slot(bone), slot(tissue.Bone.block(**size, cutting=names))
     assert np.array_equal(found.force_N, wanted.force_N) and np.abs(found.force_N).max() > 1.0
     assert bone.uncut().voxel_bone.coefficients == bone.voxel_bone.coefficients
-    assert bone.notes["materials"].startswith("of fitted.toml: cutting.bone.radial_chip_N_mm2 20 (20-20), a test")
+    assert bone.notes["materials"].startswith(
+        "of fitted.toml: cutting.bone.radial_chip_N_mm2 20 (20-20), a test"
+    )
     scene = tissue.load_scene("milling", {"materials": str(fitted)})
     assert bone.voxel_bone.coefficients == scene.constants.coefficients(bone.layer_names, {})
     refused = [
-        ({"materials": liver}, "must hold a constant that the bone rests on, got soft.liver.modulus_kPa in liver.toml"),
+        (
+            {"materials": liver},
+            "must hold a constant that the bone rests on, got soft.liver.modulus_kPa in liver.toml",
+        ),
         ({"materials": missing}, "must be a TOML file that exists"),
         ({"materials": 3}, "must be the path of a TOML file, got int"),
-        ({"materials": fitted, "cutting": names}, "cutting.radial_chip_N_mm2 must be left out where materials states"),
+        (
+            {"materials": fitted, "cutting": names},
+            "cutting.radial_chip_N_mm2 must be left out where materials states",
+        ),
     ]
     for options, words in refused:
         with pytest.raises(tissue.InputError, match=words):
@@ -81,7 +108,9 @@ def test_a_file_of_constants_gives_what_its_values_give(tmp_path):
 
 
 def test_a_slot_has_the_volume_of_a_swept_ball():
-    """A ball of radius r moved by L at depth d < r: L times its circular segment, and two halves of its cap."""
+    """A ball of radius r moved by L at depth d < r: L times its circular segment, and two halves
+    of its cap.
+    """
     bone, r, d, length = tissue.Bone.block((12, 8, 5), spacing_mm=0.1), 1.5, 0.8, 6.0
     slot(bone, [[-3, 0, -d], [3, 0, -d]])
     segment = r * r * np.arccos(1.0 - d / r) - (r - d) * np.sqrt(2.0 * r * d - d * d)
@@ -92,8 +121,12 @@ def test_a_slot_has_the_volume_of_a_swept_ball():
 
 
 def test_an_array_and_a_block_are_the_same_bone(block):
-    """The array's surface is taken from its fractions, the block's from its formula; only at edges they differ."""
-    bone = tissue.Bone.from_array(np.full((60, 40, 25), 1800.0), spacing_mm=0.2, origin_mm=(-6, -4, -5))
+    """The array's surface is taken from its fractions, the block's from its formula; only at
+    edges they differ.
+    """
+    bone = tissue.Bone.from_array(
+        np.full((60, 40, 25), 1800.0), spacing_mm=0.2, origin_mm=(-6, -4, -5)
+    )
     cut = slot(bone)
     error, size = np.linalg.norm(cut.force_N - block[1].force_N, axis=1), np.abs(cut.force_N).max()
     assert np.sqrt((error**2).mean()) < 5e-3 * size and error.max() < 0.02 * size
@@ -102,8 +135,12 @@ def test_an_array_and_a_block_are_the_same_bone(block):
 
 def test_moving_bone_and_path_changes_nothing(block):
     shift = np.array([31.4, -17.2, 8.8])
-    bone = tissue.Bone.from_array(np.full((60, 40, 25), 1800.0), spacing_mm=0.2, origin_mm=shift - (6, 4, 5))
-    here = tissue.Bone.from_array(np.full((60, 40, 25), 1800.0), spacing_mm=0.2, origin_mm=(-6, -4, -5))
+    bone = tissue.Bone.from_array(
+        np.full((60, 40, 25), 1800.0), spacing_mm=0.2, origin_mm=shift - (6, 4, 5)
+    )
+    here = tissue.Bone.from_array(
+        np.full((60, 40, 25), 1800.0), spacing_mm=0.2, origin_mm=(-6, -4, -5)
+    )
     moved, still = slot(bone, np.array(PATH) + shift), slot(here)
     assert np.abs(moved.force_N - still.force_N).max() < 2e-3 * np.abs(still.force_N).max()
 
@@ -114,12 +151,20 @@ def test_turning_bone_and_path_turns_the_force(block, tmp_path):
     box = trimesh.creation.box((12, 8, 5))
     box.apply_translation((0, 0, -2.5))
     for axis, degrees, tolerance in (((0, 0, 1), 90.0, 0.01), ((1, 2, 0), 35.0, 0.04)):
-        turn = Rotation.from_rotvec(np.radians(degrees) * np.array(axis) / np.linalg.norm(axis)).as_matrix()
+        turn = Rotation.from_rotvec(
+            np.radians(degrees) * np.array(axis) / np.linalg.norm(axis)
+        ).as_matrix()
         turned = box.copy()
-        turned.apply_transform(np.block([[turn, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]]))
+        turned.apply_transform(
+            np.block([[turn, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
+        )
         turned.export(tmp_path / "box.stl")
         bone = tissue.Bone.from_file(
-            tmp_path / "box.stl", spacing_mm=0.2, scale_mm=1.0, cortical_thickness_mm=0.0, trabecular_density_kg_m3=1800
+            tmp_path / "box.stl",
+            spacing_mm=0.2,
+            scale_mm=1.0,
+            cortical_thickness_mm=0.0,
+            trabecular_density_kg_m3=1800,
         )
         tips, times = tissue.feed_along(PATH, feed_mm_s=10.0)
         found = bone.cut(BURR, tips @ turn.T, times, axis=turn[:, 2])
@@ -138,11 +183,15 @@ def test_a_cut_in_two_calls_is_the_same_as_in_one(block):
     size = np.abs(whole.force_N).max()
     assert np.abs(joined - whole.force_N)[:half].max() < 1e-9 * size
     assert np.abs(joined - whole.force_N).max() < 1e-3 * size
-    assert first.removed_mm3[-1] + second.removed_mm3[-1] == pytest.approx(whole.removed_mm3[-1], rel=1e-3)
+    assert first.removed_mm3[-1] + second.removed_mm3[-1] == pytest.approx(
+        whole.removed_mm3[-1], rel=1e-3
+    )
 
 
 def test_a_second_pass_on_the_same_path_meets_nothing():
-    """But where it stops at the very surface that the first has left: there a voxel's rounding counts for a tick."""
+    """But where it stops at the very surface that the first has left: there a voxel's rounding
+    counts for a tick.
+    """
     bone = tissue.Bone.block((12, 8, 5), spacing_mm=0.2)
     first, second = (slot(bone, [[-3, 0, -0.8], [3, 0, -0.8]]) for _ in range(2))
     met, before = (np.linalg.norm(each.force_N, axis=1) for each in (second, first))
@@ -158,10 +207,14 @@ def test_bricks_are_made_only_where_a_tool_has_been(tmp_path):
     bone = tissue.Bone.from_file(tmp_path / "rod.stl", spacing_mm=0.1)
     store = bone.voxel_bone.store
     assert np.prod(store.grid.counts) * 512.0 > 5e8 and len(store.places) == 0
-    cut = bone.cut(BURR, *tissue.feed_along([[-3, 20, 0], [3, 19.2, 0]], feed_mm_s=10.0), axis=(0, 1, 0))
+    cut = bone.cut(
+        BURR, *tissue.feed_along([[-3, 20, 0], [3, 19.2, 0]], feed_mm_s=10.0), axis=(0, 1, 0)
+    )
     first = len(store.places)
     assert cut.removed_mm3[-1] > 1.0 and 0 < first < 2000
-    bone.cut(BURR, *tissue.feed_along([[-3, 20, 100], [3, 19.2, 100]], feed_mm_s=10.0), axis=(0, 1, 0))
+    bone.cut(
+        BURR, *tissue.feed_along([[-3, 20, 100], [3, 19.2, 100]], feed_mm_s=10.0), axis=(0, 1, 0)
+    )
     assert first < len(store.places) < 4000
     surface = bone.surface()
     solid = bone.uncut().surface().volume - bone.removed.volume_mm3
@@ -188,7 +241,9 @@ def test_a_feed_holds_to_the_end():
     tips, times = tissue.feed_along([[0, 0, 0], [10, 0, 0], [10, 7, 0]], 6.0)
     speed = np.linalg.norm(np.diff(tips, axis=0), axis=1) / np.diff(times)
     corner = np.argmax(np.abs(speed - 6.0))
-    assert np.abs(np.delete(speed, corner) - 6.0).max() < 1e-6 and times[-1] == pytest.approx(17 / 6)
+    assert np.abs(np.delete(speed, corner) - 6.0).max() < 1e-6 and times[-1] == pytest.approx(
+        17 / 6
+    )
     np.testing.assert_allclose(tips[-1], [10, 7, 0])
 
 
@@ -210,7 +265,9 @@ def test_two_tools_leave_what_both_have_taken():
     slot(bone, [[-3, 0, -0.8], [3, 0, -0.8]])
     after = bone.cut(drill, *down)
     assert 0.0 < after.removed_mm3[-1] < alone.removed_mm3[-1]
-    assert after.force_N[-1] == pytest.approx(alone.force_N[-1], abs=0.02 * np.abs(alone.force_N).max())
+    assert after.force_N[-1] == pytest.approx(
+        alone.force_N[-1], abs=0.02 * np.abs(alone.force_N).max()
+    )
 
 
 def test_a_cut_exports_what_it_holds(block, tmp_path):
@@ -242,7 +299,9 @@ def test_a_cut_exports_what_it_holds(block, tmp_path):
         (lambda b: b.cut("burr", [[0, 0, 0], [0, 0, 1]], [0, 1]), "tool must be a cutter"),
         (
             lambda b: b.cut(
-                tissue.cutters.ball_burr(diameter_mm=0.5, flutes=6, spin_rpm=1e4), [[0, 0, 0], [0, 0, 1]], [0, 1]
+                tissue.cutters.ball_burr(diameter_mm=0.5, flutes=6, spin_rpm=1e4),
+                [[0, 0, 0], [0, 0, 1]],
+                [0, 1],
             ),
             "four voxels",
         ),
@@ -254,8 +313,14 @@ def test_a_cut_exports_what_it_holds(block, tmp_path):
         (lambda b: tissue.Bone.block(spacing_mm=0.0), "spacing_mm must"),
         (lambda b: tissue.Bone.block(cutting={"hardness": 1.0}), "cutting must set one of"),
         (lambda b: tissue.cutters.ball_burr(diameter_mm=4, flutes=0, spin_rpm=1e4), "flutes must"),
-        (lambda b: tissue.cutters.ball_burr(diameter_mm=4, flutes=4, spin_rpm=0), "spin_rpm must not be 0"),
-        (lambda b: tissue.cutters.pear_bur(diameter_mm=4, length_mm=1, flutes=4, spin_rpm=1e5), "length_mm must"),
+        (
+            lambda b: tissue.cutters.ball_burr(diameter_mm=4, flutes=4, spin_rpm=0),
+            "spin_rpm must not be 0",
+        ),
+        (
+            lambda b: tissue.cutters.pear_bur(diameter_mm=4, length_mm=1, flutes=4, spin_rpm=1e5),
+            "length_mm must",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused_in_a_sentence(call, words):
@@ -265,7 +330,8 @@ def test_what_cannot_be_is_refused_in_a_sentence(call, words):
 
 
 def test_a_cut_bone_is_shaded_by_its_shape_not_by_its_voxels(tmp_path):
-    """Around a slot in a ball normals point away from its middle; of voxels alone 1 % are off by 16 degrees or more.
+    """Around a slot in a ball normals point away from its middle; of voxels alone 1 % are off by 16
+    degrees or more.
 
     Two degrees are half an edge of the ball's triangles, over which the flat ones are as far off.
     """
@@ -274,7 +340,10 @@ def test_a_cut_bone_is_shaded_by_its_shape_not_by_its_voxels(tmp_path):
     slot(bone, [[-2, 0, 5.6], [2, 0, 5.6]])
     surface = bone.surface()
     assert surface.point_data.active_normals_name == "Normals"
-    points, normals = np.asarray(surface.points, float), np.asarray(surface.point_data["Normals"], float)
+    points, normals = (
+        np.asarray(surface.points, float),
+        np.asarray(surface.point_data["Normals"], float),
+    )
     outside = np.linalg.norm(points[:, :2], axis=1) > 4.5  # beside the slot
     away = points[outside] / np.linalg.norm(points[outside], axis=1)[:, None]
     angle = np.degrees(np.arccos(np.clip((away * normals[outside]).sum(axis=1), -1.0, 1.0)))
@@ -285,7 +354,9 @@ def test_a_cut_bone_is_shaded_by_its_shape_not_by_its_voxels(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("offset_mm", [(0.0, 0.0, 0.0), (9000.0, -500.0, 200.0)])
 def test_a_surface_is_watertight_and_has_the_volume_that_is_left(tmp_path, offset_mm):
-    """Start less removed volume, which is booked in integers; also 9 m away, before a cut and of what was removed."""
+    """Start less removed volume, which is booked in integers; also 9 m away, before a cut and of
+    what was removed.
+    """
     whole = trimesh.creation.icosphere(subdivisions=4, radius=6.0)
     whole.apply_transform(trimesh.transformations.scale_matrix(1.5, direction=[0, 0, 1]))
     start_mm3 = whole.volume
@@ -296,16 +367,26 @@ def test_a_surface_is_watertight_and_has_the_volume_that_is_left(tmp_path, offse
     for points in ([[7, 0, 5], [4.5, 0, 5], [4.5, 0, -5]], [[0, 7, 0], [1, 5, 2]]):
         slot(bone, far + points, axis=[1, 0, 0] if points[0][0] else [0, 1, 0])
     surface = bone.surface()
-    assert surface.n_open_edges == 0 and surface.is_manifold and len(surface.cell_data["layer"]) == surface.n_cells
+    assert (
+        surface.n_open_edges == 0
+        and surface.is_manifold
+        and len(surface.cell_data["layer"]) == surface.n_cells
+    )
     assert surface.volume == pytest.approx(start_mm3 - bone.removed.volume_mm3, rel=2e-3)
     assert bone.uncut().surface().n_open_edges == 0
     taken = bone.removed.surface()
-    assert taken.n_open_edges == 0 and taken.volume == pytest.approx(bone.removed.volume_mm3, rel=0.05)
+    assert taken.n_open_edges == 0 and taken.volume == pytest.approx(
+        bone.removed.volume_mm3, rel=0.05
+    )
 
 
 def test_a_surface_of_voxels_is_watertight():
-    for bone in (tissue.Bone.block((6, 5, 3), spacing_mm=0.25), tissue.Bone.from_array(np.full((24, 20, 12), 1800.0),
-                 spacing_mm=0.25, origin_mm=(-3, -2.5, -3))):  # fmt: skip
+    for bone in (
+        tissue.Bone.block((6, 5, 3), spacing_mm=0.25),
+        tissue.Bone.from_array(
+            np.full((24, 20, 12), 1800.0), spacing_mm=0.25, origin_mm=(-3, -2.5, -3)
+        ),
+    ):
         for _ in range(2):
             assert bone.surface().n_open_edges == 0
             slot(bone, [[-5, 0, -0.4], [5, 0, -0.4]], feed_mm_s=40)

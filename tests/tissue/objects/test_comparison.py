@@ -1,4 +1,6 @@
-"""Runs beside each other: figures, what differs in their scenes, and their forces in one picture."""
+"""Runs beside each other: figures, what differs in their scenes, and their forces in one
+picture.
+"""
 
 import csv
 
@@ -15,7 +17,9 @@ from tissue.simulation.trace import Table, TraceLayout
 @pytest.fixture(scope="module")
 def other(run, tmp_path_factory):
     """The same block, cut faster in other voxels."""
-    scene = tissue.load_scene("milling", {"voxels.spacing_mm": 0.5, "duration_s": 0.3, "motion.feed_mm_s": 9.0})
+    scene = tissue.load_scene(
+        "milling", {"voxels.spacing_mm": 0.5, "duration_s": 0.3, "motion.feed_mm_s": 9.0}
+    )
     made = tissue.simulate(scene)
     made.save(tmp_path_factory.mktemp("runs") / "faster", pictures=False)
     return made
@@ -30,8 +34,14 @@ def closed_figures():
 
 def test_figures_and_keys_that_differ(run, other):
     found = tissue.compare(run, other.path)
-    assert list(found.runs) == ["milling", "faster"] and repr(found) == "<comparison of milling, faster: 2 keys differ>"
-    assert found.scene_differences == {"voxels.spacing_mm": (0.4, 0.5), "motion.feed_mm_s": (5.0, 9.0)}
+    assert (
+        list(found.runs) == ["milling", "faster"]
+        and repr(found) == "<comparison of milling, faster: 2 keys differ>"
+    )
+    assert found.scene_differences == {
+        "voxels.spacing_mm": (0.4, 0.5),
+        "motion.feed_mm_s": (5.0, 9.0),
+    }
     table = found.to_pandas()
     peaks = [each.summary["force_N"]["peak"] for each in (run, other)]
     assert table.loc["peak_force_N"].to_list() == pytest.approx(
@@ -40,7 +50,11 @@ def test_figures_and_keys_that_differ(run, other):
     assert list(table.columns) == ["milling", "faster", "faster - milling", "faster / milling - 1"]
     assert table.attrs["scene_differences"] == found.scene_differences
     html = found._repr_html_()
-    assert "peak_force_N" in html and "voxels.spacing_mm" in html and "keys of the scenes that differ" in html
+    assert (
+        "peak_force_N" in html
+        and "voxels.spacing_mm" in html
+        and "keys of the scenes that differ" in html
+    )
 
 
 def test_equal_runs_differ_in_nothing(run, back):
@@ -65,11 +79,14 @@ def test_runs_of_other_kinds_stopped_or_elsewhere_are_named(run, wall, monkeypat
     monkeypatch.setattr(wall, "_compute", "cuda:0")
     found = tissue.compare(run, wall, names=["bone", "wall"])
     assert found.notes == [
-        "the path of bone is not finished: the run ends at 0.3 s, the motion at 8.09 s; set duration_s = 8.09 or leave "
+        "the path of bone is not finished: the run ends at 0.3 s, the motion at 8.09 s; set "
+        "duration_s = 8.09 or leave "
         "it out to see all of it",
-        "the path of wall is not finished: the run ends at 0.2 s, the motion at 1.5 s; set duration_s = 1.5 or leave "
+        "the path of wall is not finished: the run ends at 0.2 s, the motion at 1.5 s; set "
+        "duration_s = 1.5 or leave "
         "it out to see all of it",
-        "simulated time differs, so that peaks, means and volumes are of runs of different lengths: bone 0.3 s, "
+        "simulated time differs, so that peaks, means and volumes are of runs of different "
+        "lengths: bone 0.3 s, "
         "wall 0.2 s",
         "the runs are of different scenes: bone milling, wall wall",
         "compute device differs: bone cpu, wall cuda:0",
@@ -95,15 +112,25 @@ def pressing(force_N, *, speed_mm_s):
 
 
 def test_over_depth_the_pace_does_not_count():
-    """A force in proportion to depth, gone through at two paces, and one that is 1.5 times as great."""
-    slow, fast, hard = pressing(3.0, speed_mm_s=4.0), pressing(3.0, speed_mm_s=6.0), pressing(4.5, speed_mm_s=4.0)
-    apart = [line.get_xydata() for line in overlay({"slow": slow, "fast": fast, "hard": hard}, over="depth")[2].lines]
+    """A force in proportion to depth, gone through at two paces, and one that is 1.5 times as
+    great.
+    """
+    slow, fast, hard = (
+        pressing(3.0, speed_mm_s=4.0),
+        pressing(3.0, speed_mm_s=6.0),
+        pressing(4.5, speed_mm_s=4.0),
+    )
+    apart = [
+        line.get_xydata()
+        for line in overlay({"slow": slow, "fast": fast, "hard": hard}, over="depth")[2].lines
+    ]
     assert apart[0][:, 1].max() < 0.03  # a tick of the depth between the first rows in contact
     place, gap = apart[1].T
     assert gap[-1] == pytest.approx(1.5 * place[-1], rel=0.02) and place[-1] > 1.0
     assert overlay({"slow": slow, "fast": fast})[2].lines[0].get_ydata().max() > 1.0
     with pytest.raises(
-        InputError, match="runs must touch the tissue to be drawn over depth, got above without contact"
+        InputError,
+        match="runs must touch the tissue to be drawn over depth, got above without contact",
     ):
         overlay({"above": pressing(3.0, speed_mm_s=0.1)}, over="depth")
 
@@ -112,9 +139,9 @@ def test_files_are_written_once(run, other, tmp_path):
     found = tissue.compare(run, other)
     table, picture = found.save(tmp_path / "out", over="depth")
     rows = list(csv.DictReader(table.open()))
-    assert float(next(row["faster"] for row in rows if row["figure"] == "removed_mm3")) == pytest.approx(
-        other.summary["removed_mm3"]["cortical"]
-    )
+    assert float(
+        next(row["faster"] for row in rows if row["figure"] == "removed_mm3")
+    ) == pytest.approx(other.summary["removed_mm3"]["cortical"])
     assert picture.stat().st_size > 20_000 and not pyplot.get_fignums()
     with pytest.raises(InputError, match="out must not hold another comparison"):
         found.save(tmp_path / "out")
@@ -122,7 +149,9 @@ def test_files_are_written_once(run, other, tmp_path):
 
 def test_the_command_prints_and_writes(run, other, command, tmp_path):
     code, out, _ = command("compare", run.path, other.path, "--out", tmp_path / "out")
-    assert code == 0 and "peak_force_N" in out and "motion.feed_mm_s: milling 5.0, faster 9.0" in out
+    assert (
+        code == 0 and "peak_force_N" in out and "motion.feed_mm_s: milling 5.0, faster 9.0" in out
+    )
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
         ".tissue.json",
         "compare.csv",

@@ -1,4 +1,6 @@
-"""What a cut measures and refuses: structures to keep clear of, elements fine enough, limits of the cutting law."""
+"""What a cut measures and refuses: structures to keep clear of, elements fine enough, limits of
+the cutting law.
+"""
 
 import inspect
 import warnings
@@ -50,13 +52,17 @@ def test_a_cut_measures_its_distance_from_structures(tmp_path):
 
 
 def test_a_turned_and_moved_cut_measures_the_same():
-    """In a frame 9 m away, at poses 20 ms apart of times of their own, of a surface that pyvista holds."""
+    """In a frame 9 m away, at poses 20 ms apart of times of their own, of a surface that pyvista
+    holds.
+    """
     turn, shift = Rotation.random(random_state=4), np.array([9000.0, -300.0, 40.0])
     vertices = turn.apply(np.asarray(nerve().vertices)) + shift
     surface = pyvista.PolyData.from_regular_faces(vertices, np.asarray(nerve().faces))
     quaternions = np.tile(turn.as_quat(), (len(TIPS), 1))
     poses = np.hstack([turn.apply(TIPS) + shift, quaternions])[::20]
-    bone = tissue.Bone.from_array(np.full((4, 4, 4), 1800.0), spacing_mm=0.5, origin_mm=shift + 50.0)
+    bone = tissue.Bone.from_array(
+        np.full((4, 4, 4), 1800.0), spacing_mm=0.5, origin_mm=shift + 50.0
+    )
     cut = bone.cut(BURR, poses, 7.0 + TIMES[::20], keep_clear={"nerve": surface})
     found, exact = cut.distance_mm("nerve"), EXACT_MM[::20]
     assert (found <= exact + 1e-5).all() and (found >= exact - 0.01).all()
@@ -78,7 +84,9 @@ def test_a_loop_measures_its_distance_from_structures(tmp_path):
     nerve().apply_translation([0.0, 0.0, 6.0]).export(tmp_path / "nerve.stl")
     bone = tissue.Bone.block((12, 8, 6), spacing_mm=0.5)
     start = TIPS[0] + [0.0, 0.0, 6.0]
-    loop = tissue.Loop(bone, BURR, device=Moves(), start_mm=start, keep_clear={"nerve": tmp_path / "nerve.stl"})
+    loop = tissue.Loop(
+        bone, BURR, device=Moves(), start_mm=start, keep_clear={"nerve": tmp_path / "nerve.stl"}
+    )
     loop.run(float(TIMES[-1]))
     tips = np.column_stack([loop.trace[f"tool_{c}_mm"] for c in "xyz"])
     exact = np.hypot(tips[:, 1], tips[:, 2] - 2.5) - 1.5 - NERVE_MM
@@ -103,7 +111,9 @@ def test_what_cannot_be_kept_clear_of_is_refused(keep_clear, words):
 
 
 def test_elements_follow_depth_and_tolerance():
-    fine, coarse = (element_spacing_m(BURR, depth_m=1e-4, tolerance=share) for share in (0.005, 0.02))
+    fine, coarse = (
+        element_spacing_m(BURR, depth_m=1e-4, tolerance=share) for share in (0.005, 0.02)
+    )
     assert coarse / fine == pytest.approx(4.0 ** (2.0 / 3.0))
     bone = tissue.Bone.block((8, 6, 3), spacing_mm=0.2)
     bone.cut(BURR, [[0, 0, 1], [0, 0, 0.9]], [0, 1], depth_mm=0.5, tolerance=0.05)
@@ -120,14 +130,18 @@ def slot(spin_rpm, feed_mm_s, **options):
 
 
 def test_chips_beyond_the_law_are_warned_of_and_absurd_ones_refused():
-    """Feed per tooth by hand: 20 mm/s over 6 x 1000 / 60 teeth a second is 0.2 mm, at 10 rpm 5 mm/s is 5 mm."""
+    """Feed per tooth by hand: 20 mm/s over 6 x 1000 / 60 teeth a second is 0.2 mm, at 10 rpm 5
+    mm/s is 5 mm.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         within = slot(1000, 9.9)
     assert within.notes == {} and within.events == []
     with pytest.warns(UserWarning, match="is 0.2 mm per tooth"):
         beyond = slot(1000, 20)
-    assert "0.2 mm per tooth" in beyond.notes["chips"] and beyond.events[0][1] == beyond.notes["chips"]
+    assert (
+        "0.2 mm per tooth" in beyond.notes["chips"] and beyond.events[0][1] == beyond.notes["chips"]
+    )
     for spin, feed, chip in ((10, 5, "5 mm"), (1, 500, r"5e\+03 mm")):
         with pytest.raises(tissue.InputError, match=f"tool's radius of 1.5 mm, got {chip}"):
             slot(spin, feed)
@@ -138,7 +152,9 @@ def test_a_scene_reports_thick_chips_and_refuses_absurd_ones():
     change = {"voxels.spacing_mm": 0.5, "duration_s": 0.6, "motion.feed_mm_s": 10.0}
     beyond = tissue.simulate(tissue.load_scene("milling", change | {"tool.spin_rpm": 500.0}))
     assert any("mm per tooth" in event["what"] for event in beyond.summary["events"])
-    with pytest.raises(tissue.InputError, match=r"motion\.feed_mm_s must leave a tooth chips thinner"):
+    with pytest.raises(
+        tissue.InputError, match=r"motion\.feed_mm_s must leave a tooth chips thinner"
+    ):
         tissue.simulate(tissue.load_scene("milling", change | {"tool.spin_rpm": 20.0}))
 
 
@@ -160,7 +176,9 @@ def test_a_peg_in_solid_bone_is_warned_of_and_one_in_its_hole_is_not():
         assert drilled.cut(tool, *path).notes == {}
 
 
-@pytest.mark.parametrize("cutting", [{"tangential_chip_N_mm2": -1.0}, {"radial_edge_N_mm": np.nan}, [1.0], {"no": 1}])
+@pytest.mark.parametrize(
+    "cutting", [{"tangential_chip_N_mm2": -1.0}, {"radial_edge_N_mm": np.nan}, [1.0], {"no": 1}]
+)
 def test_impossible_coefficients_are_refused(cutting):
     with pytest.raises(tissue.InputError, match="cutting"):
         tissue.Bone.block((4, 4, 2), spacing_mm=0.5, cutting=cutting)
@@ -169,7 +187,9 @@ def test_impossible_coefficients_are_refused(cutting):
 def test_a_coefficient_written_as_text_counts_as_its_number():
     path = tissue.feed_along([[-1, 0, -0.1], [0, 0, -0.1]], 10)
     as_text, as_number = (
-        tissue.Bone.block((8, 4, 2), spacing_mm=0.5, cutting={"radial_edge_N_mm": value}).cut(BURR, *path).force_N
+        tissue.Bone.block((8, 4, 2), spacing_mm=0.5, cutting={"radial_edge_N_mm": value})
+        .cut(BURR, *path)
+        .force_N
         for value in ("4", 4.0)
     )
     np.testing.assert_array_equal(as_text, as_number)
@@ -177,7 +197,9 @@ def test_a_coefficient_written_as_text_counts_as_its_number():
 
 def test_more_elements_than_memory_holds_are_refused():
     bone = tissue.Bone.block((4, 4, 2), spacing_mm=0.5)
-    with pytest.raises(tissue.InputError, match=r"depth_mm = 0\.001 with tolerance = 0\.001 needs .* elements"):
+    with pytest.raises(
+        tissue.InputError, match=r"depth_mm = 0\.001 with tolerance = 0\.001 needs .* elements"
+    ):
         bone.cut(BURR, [[0, 0, 1.0], [0, 0, 0.9]], [0.0, 0.001], depth_mm=0.001, tolerance=0.001)
 
 
@@ -186,9 +208,13 @@ def test_bone_that_fills_an_array_to_its_edge_is_cut_like_a_block():
     axis = np.array([0.0, 0.8, 0.6])
     tips, times = tissue.feed_along(np.array([[-3, 0, 2.9], [0.3, 0, 2.9]]) - 3.0 * axis, 20)
     burr = tissue.cutters.ball_burr(diameter_mm=6, flutes=6, spin_rpm=10_000)
-    full = tissue.Bone.from_array(np.full((80, 40, 20), 1800.0), spacing_mm=0.1, origin_mm=(-4, -2, -2))
+    full = tissue.Bone.from_array(
+        np.full((80, 40, 20), 1800.0), spacing_mm=0.1, origin_mm=(-4, -2, -2)
+    )
     block = tissue.Bone.block((8, 4, 2), spacing_mm=0.1)
-    forces = [each.cut(burr, tips, times, axis=axis).force_N[-20:].mean(axis=0) for each in (full, block)]
+    forces = [
+        each.cut(burr, tips, times, axis=axis).force_N[-20:].mean(axis=0) for each in (full, block)
+    ]
     assert np.linalg.norm(forces[0] - forces[1]) < 0.01 * np.linalg.norm(forces[1])
 
 
@@ -198,9 +224,14 @@ def test_dense_material_is_cut_as_dense_as_it_is():
 
     def force(density):
         bone = tissue.Bone.from_array(
-            np.full((24, 16, 8), density), spacing_mm=0.25, origin_mm=(-3, -2, -2), cutting={"density_exponent": 1.0}
+            np.full((24, 16, 8), density),
+            spacing_mm=0.25,
+            origin_mm=(-3, -2, -2),
+            cutting={"density_exponent": 1.0},
         )
-        return bone.cut(BURR, *tissue.feed_along([[-5, 0, -0.3], [0, 0, -0.3]], 10)).force_magnitude_N[-1]
+        return bone.cut(
+            BURR, *tissue.feed_along([[-5, 0, -0.3], [0, 0, -0.3]], 10)
+        ).force_magnitude_N[-1]
 
     assert force(15_000.0) / force(3_000.0) == pytest.approx(5.0, rel=1e-3)
 
@@ -213,9 +244,14 @@ def public_callables():
         if inspect.ismodule(value):
             members = {each: getattr(value, each) for each in getattr(value, "__all__", ())}
         elif inspect.isclass(value):
-            members = {each: getattr(value, each) for each in dir(value) if not each.startswith("_")}
+            members = {
+                each: getattr(value, each) for each in dir(value) if not each.startswith("_")
+            }
         for each, member in ({"": value} | members).items():
-            if callable(member) and getattr(member, "__module__", "").split(".")[0] in ("tissue", "meshes"):
+            if callable(member) and getattr(member, "__module__", "").split(".")[0] in (
+                "tissue",
+                "meshes",
+            ):
                 yield f"{name}.{each}".rstrip("."), member
 
 
@@ -224,7 +260,10 @@ def test_no_public_function_swallows_an_unknown_keyword(tmp_path):
     takes_any = {
         name
         for name, function in public_callables()
-        if any(each.kind == each.VAR_KEYWORD for each in inspect.signature(function).parameters.values())
+        if any(
+            each.kind == each.VAR_KEYWORD
+            for each in inspect.signature(function).parameters.values()
+        )
     }
     array, surface = np.full((4, 4, 4), 1800.0), trimesh.creation.icosphere(radius=5.0)
     surface.export(tmp_path / "ball.stl")
@@ -235,11 +274,15 @@ def test_no_public_function_swallows_an_unknown_keyword(tmp_path):
         "Bone.block": lambda **more: tissue.Bone.block((4, 4, 2), spacing_mm=0.5, **more),
         "Bone.from_array": lambda **more: tissue.Bone.from_array(array, spacing_mm=0.5, **more),
         "Bone.from_file": lambda **more: tissue.Bone.from_file(tmp_path / "ball.stl", **more),
-        "Bone.from_image": lambda **more: tissue.Bone.from_image(tmp_path / "none.nii", threshold=1, **more),
+        "Bone.from_image": lambda **more: tissue.Bone.from_image(
+            tmp_path / "none.nii", threshold=1, **more
+        ),
         "Bone.plot": lambda **more: bone.plot(off_screen=True, **more),
         "Organ.plot": lambda **more: organ.plot(off_screen=True, **more),
         "Press.plot": None,  # of the same plotter as Organ.plot
-        "Organ.block": lambda **more: tissue.Organ.block((20, 20, 10), modulus_kPa=5, poisson_ratio=0.45, **more),
+        "Organ.block": lambda **more: tissue.Organ.block(
+            (20, 20, 10), modulus_kPa=5, poisson_ratio=0.45, **more
+        ),
         "Organ.from_labels": lambda **more: tissue.Organ.from_labels(
             tmp_path / "none.nrrd", organ="liver", modulus_kPa=5, poisson_ratio=0.45, **more
         ),

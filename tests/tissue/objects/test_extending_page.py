@@ -20,9 +20,13 @@ def test_the_blocks_of_the_page_run_in_turn(tmp_path):
     blocks = re.findall(r"^```python\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
     assert len(blocks) == 7
     ended = subprocess.run(
-        [sys.executable, "-c", "\n".join(blocks)], cwd=tmp_path, capture_output=True, text=True, check=False,
+        [sys.executable, "-c", "\n".join(blocks)],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
+    )
     assert ended.returncode == 0, ended.stderr
     foreseen, device, removed, names, energy, anatomy, scene, stopped = ended.stdout.splitlines()
     assert "off by" in foreseen and "my-pen is read and played by MyPen [0. 0. 0.]" in device

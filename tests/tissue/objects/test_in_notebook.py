@@ -4,7 +4,10 @@ import pytest
 
 pytestmark = pytest.mark.slow
 CELLS = (
-    "import tissue\nrun = tissue.simulate(tissue.load_scene('milling', {'voxels.spacing_mm': 0.4, 'duration_s': 0.3}))",
+    (
+        "import tissue\nrun = tissue.simulate(tissue.load_scene('milling', {'voxels.spacing_mm': "
+        "0.4, 'duration_s': 0.3}))"
+    ),
     "run",
     "run.scene",
     "run.trace",
@@ -17,7 +20,9 @@ CELLS = (
 @pytest.fixture(scope="module")
 def outputs():
     """Output of each cell."""
-    nbclient = pytest.importorskip("nbclient", reason="nbclient is not installed: pip install -e '.[dev]'")
+    nbclient = pytest.importorskip(
+        "nbclient", reason="nbclient is not installed: pip install -e '.[dev]'"
+    )
     nbformat = pytest.importorskip("nbformat")
     pytest.importorskip("ipykernel")
     book = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in CELLS])
@@ -37,7 +42,12 @@ def test_the_bar_is_gone_after_a_run(outputs):
 
 @pytest.mark.parametrize(
     ("cell", "words"),
-    [("run", "run of milling"), ("run.scene", "voxels.spacing_mm"), ("run.trace", "force z / N"), (CELLS[-1], "PMC")],
+    [
+        ("run", "run of milling"),
+        ("run.scene", "voxels.spacing_mm"),
+        ("run.trace", "force z / N"),
+        (CELLS[-1], "PMC"),
+    ],
 )
 def test_what_is_held_shows_itself(outputs, cell, words):
     assert words in of(outputs, cell)["text/html"]

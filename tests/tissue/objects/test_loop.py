@@ -1,4 +1,6 @@
-"""A device of one's own in the loop: the same figures as a scene's, held safely, bone made where it goes."""
+"""A device of one's own in the loop: the same figures as a scene's, held safely, bone made where
+it goes.
+"""
 
 import numpy as np
 import pytest
@@ -56,22 +58,40 @@ def bone():
 
 def test_a_loop_gives_what_a_scene_gives():
     entries = {
-        "anatomy.size_mm": [12, 8, 5], "voxels.spacing_mm": 0.25, "tool.kind": "ball-burr", "tool.diameter_mm": 3.0,
-        "tool.flutes": 6, "tool.spin_rpm": 20_000, "motion.points_mm": [START_MM.tolist(), [3, 0, -3]],
-        "device": "touch", "coupling.stiffness_N_m": 400.0, "coupling.force_scale": 0.05, "prediction": "kalman",
-        "coupling.delay_ms": 2, "duration_s": 0.6,
-    }  # fmt: skip
+        "anatomy.size_mm": [12, 8, 5],
+        "voxels.spacing_mm": 0.25,
+        "tool.kind": "ball-burr",
+        "tool.diameter_mm": 3.0,
+        "tool.flutes": 6,
+        "tool.spin_rpm": 20_000,
+        "motion.points_mm": [START_MM.tolist(), [3, 0, -3]],
+        "device": "touch",
+        "coupling.stiffness_N_m": 400.0,
+        "coupling.force_scale": 0.05,
+        "prediction": "kalman",
+        "coupling.delay_ms": 2,
+        "duration_s": 0.6,
+    }
     times = 1e-3 * np.arange(601)
     path = np.array([down(time) for time in times])
-    scene = tissue.simulate(tissue.load_scene("milling", entries), device=RecordedDevice(times, path + 1e-3 * START_MM))
+    scene = tissue.simulate(
+        tissue.load_scene("milling", entries), device=RecordedDevice(times, path + 1e-3 * START_MM)
+    )
     loop = tissue.Loop(
-        bone(), BURR, device=RecordedDevice(times, path), start_mm=START_MM, stiffness_N_m=400.0, force_scale=0.05,
-        predictor="kalman", delay_ms=2,
-    ).run(0.6)  # fmt: skip
+        bone(),
+        BURR,
+        device=RecordedDevice(times, path),
+        start_mm=START_MM,
+        stiffness_N_m=400.0,
+        force_scale=0.05,
+        predictor="kalman",
+        delay_ms=2,
+    ).run(0.6)
     played = scene.trace.vectors("device_force", "N")
     assert np.abs(played).max() > 0.3
     error, size = np.abs(loop.trace.vectors("device_force", "N") - played), np.abs(played).max()
-    # Another origin of the voxels moves float32, and with it single ticks of a tool that is in balance with what it cuts.
+    # Another origin of the voxels moves float32, and with it single ticks of a tool that is in
+    # balance with what it cuts.
     assert np.sqrt((error**2).mean()) < 5e-3 * size and error.max() < 0.04 * size
     assert loop.trace["removed_mm3"][-1] == pytest.approx(scene.trace["removed_mm3"][-1], rel=0.02)
 
@@ -81,7 +101,11 @@ def test_steps_and_runs_are_the_same_and_leave_the_device_at_zero():
     with tissue.Loop(stepped, BURR, device=device, start_mm=START_MM) as loop:
         assert device.entered == 1
         rows = [dict(loop.step()) for _ in range(500)]
-    assert device.entered == 0 and not device.commands[-1].any() and np.abs(device.commands).max() > 0.1
+    assert (
+        device.entered == 0
+        and not device.commands[-1].any()
+        and np.abs(device.commands).max() > 0.1
+    )
     ran = tissue.Loop(bone(), BURR, device=Moves(down), start_mm=START_MM).run(0.5)
     wanted = [row["model_force_z_N"] for row in rows]
     np.testing.assert_allclose(ran.trace["model_force_z_N"], wanted, rtol=1e-9, atol=1e-9)
@@ -103,8 +127,12 @@ def test_a_device_that_fails_is_left_without_force():
 
 
 def test_a_predictor_of_ones_own_predicts():
-    loop = tissue.Loop(bone(), BURR, device=Moves(down), start_mm=START_MM, predictor=Line(), delay_ms=2).run(0.5)
-    assert loop.trace["predicted_by"].any() and np.abs(loop.trace["predicted_force_z_N"]).max() > 0.1
+    loop = tissue.Loop(
+        bone(), BURR, device=Moves(down), start_mm=START_MM, predictor=Line(), delay_ms=2
+    ).run(0.5)
+    assert (
+        loop.trace["predicted_by"].any() and np.abs(loop.trace["predicted_force_z_N"]).max() > 0.1
+    )
 
 
 def test_bone_is_made_where_the_tool_goes():
@@ -124,11 +152,16 @@ def test_bone_is_made_where_the_tool_goes():
     loop.run(0.6)
     assert len(long_block.voxel_bone.store.places) > 2 * first
     force = np.abs(loop.trace["model_force_x_N"])
-    assert loop.trace["tool_x_mm"][-1] > -10.0 and force[-50:].mean() > 0.3 * force[200:300].mean() > 0.0
+    assert (
+        loop.trace["tool_x_mm"][-1] > -10.0
+        and force[-50:].mean() > 0.3 * force[200:300].mean() > 0.0
+    )
 
 
 def test_an_organ_pushes_back_as_when_it_is_pressed():
-    """A slow device that ends 2 mm deep: the balance of spring and organ lies on the curve of a press."""
+    """A slow device that ends 2 mm deep: the balance of spring and organ lies on the curve of a
+    press.
+    """
     organ = tissue.Organ.block((40, 40, 20), modulus_kPa=8, poisson_ratio=0.45, edge_mm=4)
     ball = tissue.ball(diameter_mm=10)
     path = lambda time_s: (0.0, 0.0, -0.005 * min(time_s, 0.5))  # noqa: E731
@@ -162,7 +195,10 @@ def test_an_organ_pushes_back_as_when_it_is_pressed():
 )
 def test_what_cannot_be_is_refused_in_a_sentence(options, words):
     with pytest.raises(tissue.InputError, match=words) as refused:
-        tissue.Loop(**{"tissue": bone(), "tool": BURR, "device": Moves(down), "start_mm": START_MM} | options)
+        tissue.Loop(
+            **{"tissue": bone(), "tool": BURR, "device": Moves(down), "start_mm": START_MM}
+            | options
+        )
     assert "\n" not in str(refused.value)
 
 
@@ -176,9 +212,15 @@ def test_a_loop_that_is_not_held_or_full_is_refused():
 
 def test_constants_of_a_file_are_those_of_a_scene_with_it(tmp_path):
     """Device and hand judge the loop: the verdict that follows from them is the scene's."""
-    names = ("cutting.bone.radial_chip_N_mm2", "devices.touch.damping_N_s_m", "hands.expert.stiffness_N_m")
+    names = (
+        "cutting.bone.radial_chip_N_mm2",
+        "devices.touch.damping_N_s_m",
+        "hands.expert.stiffness_N_m",
+    )
     values = dict(zip(names, (70.0, 0.2, 90.0), strict=True))
-    entries = [FittedEntry(name, value, value, value, "a test", "L") for name, value in values.items()]
+    entries = [
+        FittedEntry(name, value, value, value, "a test", "L") for name, value in values.items()
+    ]
     file, only_bone = tmp_path / "fitted.toml", tmp_path / "bone.toml"
     write_fitted(file, entries, np.eye(3), remark=())
     write_fitted(only_bone, entries[:1], np.eye(1), remark=())
@@ -196,7 +238,12 @@ def test_constants_of_a_file_are_those_of_a_scene_with_it(tmp_path):
     verdict = loop.notes["coupling"].partition(";")[0]
     assert verdict in scene.parts.notes["coupling"] and verdict not in plain.notes["coupling"]
     note = loop.notes["materials of device and hand"]
-    assert "devices.touch.damping_N_s_m 0.2" in note and "Not used in this loop: cutting.bone" in note
-    assert "materials of device and hand" not in plain.notes and "radial_chip" in plain.notes["materials"]
+    assert (
+        "devices.touch.damping_N_s_m 0.2" in note and "Not used in this loop: cutting.bone" in note
+    )
+    assert (
+        "materials of device and hand" not in plain.notes
+        and "radial_chip" in plain.notes["materials"]
+    )
     with pytest.raises(tissue.InputError, match="must hold a constant that the loop rests on"):
         tissue.Loop(block, BURR, device=Moves(down), materials=only_bone)

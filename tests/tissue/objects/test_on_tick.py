@@ -10,7 +10,9 @@ SHORT = {"duration_s": 0.05, "motion.feed_mm_s": 400.0}
 
 def test_a_function_sees_every_row_of_the_trace():
     seen = []
-    run = simulate(load_scene("wall", SHORT), on_tick=lambda index, row: seen.append((index, dict(row))))
+    run = simulate(
+        load_scene("wall", SHORT), on_tick=lambda index, row: seen.append((index, dict(row)))
+    )
     assert [index for index, _ in seen] == list(range(50))
     assert list(seen[0][1]) == list(run.trace.columns) and len(seen[0][1]) == len(run.trace.columns)
     for column in ("time_s", "tool_z_mm", "model_force_z_N"):

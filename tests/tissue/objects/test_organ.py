@@ -51,7 +51,15 @@ def test_a_press_gives_force_over_depth_and_the_organ_under_it(press):
 
 def test_a_table_has_units_in_its_names(press):
     table = press.to_pandas()
-    assert list(table) == ["time_s", "depth_mm", "force_x_N", "force_y_N", "force_z_N", "force_N", "area_mm2"]
+    assert list(table) == [
+        "time_s",
+        "depth_mm",
+        "force_x_N",
+        "force_y_N",
+        "force_z_N",
+        "force_N",
+        "area_mm2",
+    ]
     assert len(table) == len(press.depth_mm)
     assert table["force_N"].iloc[-1] == pytest.approx(press.force_magnitude_N)
 
@@ -64,22 +72,34 @@ def test_parts_are_known_by_name_by_number_and_by_array():
     organs = [
         tissue.Organ.from_tetrahedra(grid_of(points, cells, part=labels), parts={7: 80}, **STIFF),
         tissue.Organ.from_tetrahedra(
-            grid_of(points, cells, region=labels), part_names={7: "cyst"}, parts={"cyst": 80}, **STIFF
+            grid_of(points, cells, region=labels),
+            part_names={7: "cyst"},
+            parts={"cyst": 80},
+            **STIFF,
         ),
-        tissue.Organ.from_tetrahedra(grid_of(points, cells, part=names), parts={"cyst": 80}, **STIFF),
+        tissue.Organ.from_tetrahedra(
+            grid_of(points, cells, part=names), parts={"cyst": 80}, **STIFF
+        ),
     ]
     assert organs[1].moduli_kPa == {"part 3": 8.0, "cyst": 80.0}
-    forces = [each.press(BALL, depth_mm=2, at_mm=(0, 0, 0)).force_magnitude_N for each in (soft, *organs)]
+    forces = [
+        each.press(BALL, depth_mm=2, at_mm=(0, 0, 0)).force_magnitude_N for each in (soft, *organs)
+    ]
     assert forces[1] > 1.05 * forces[0]
     assert forces[1:] == pytest.approx([forces[1]] * 3, rel=1e-9)
-    with pytest.raises(InputError, match="parts must name parts of the mesh, got 'tumour': it has cyst, kidney"):
-        tissue.Organ.from_tetrahedra(grid_of(points, cells, part=names), parts={"tumour": 80}, **STIFF)
+    with pytest.raises(
+        InputError, match="parts must name parts of the mesh, got 'tumour': it has cyst, kidney"
+    ):
+        tissue.Organ.from_tetrahedra(
+            grid_of(points, cells, part=names), parts={"tumour": 80}, **STIFF
+        )
 
 
 def test_reprs_are_plain(organ, press):
     assert repr(BALL) == "ball(diameter_mm=12)"
     assert repr(organ) == (
-        "Organ(48 x 48 x 24 mm, 55.3 ml; 864 tetrahedra of order 2; body 8 kPa; Poisson's ratio 0.45; held: the surface "
+        "Organ(48 x 48 x 24 mm, 55.3 ml; 864 tetrahedra of order 2; body 8 kPa; Poisson's "
+        "ratio 0.45; held: the surface "
         "that faces bottom)"
     )
     assert repr(press).startswith("Press(ball(diameter_mm=12) at (0, 0, 0) mm: 0.")
@@ -88,7 +108,9 @@ def test_reprs_are_plain(organ, press):
 
 def test_a_press_reports_what_it_does(organ):
     done = []
-    organ.press(BALL, depth_mm=1.0, at_mm=(2, 0, 0), progress=lambda what, share: done.append((what, share)))
+    organ.press(
+        BALL, depth_mm=1.0, at_mm=(2, 0, 0), progress=lambda what, share: done.append((what, share))
+    )
     shares = [share for what, share in done if what == "pressing"]
     assert len(shares) > 50 and shares == sorted(shares) and shares[0] == 0.0 and shares[-1] < 1.0
 
@@ -100,8 +122,18 @@ TURNS = {
 }
 
 
-def off_middle(place=(6.0, 4.0, 0.0), *, turn=None, moved_mm=(0.0, 0.0, 0.0), unit_mm=1.0, permuted=False, mesh=None):
-    """Force of a slanted press on the block at a place off its middle, in the block's frame, and the press."""
+def off_middle(
+    place=(6.0, 4.0, 0.0),
+    *,
+    turn=None,
+    moved_mm=(0.0, 0.0, 0.0),
+    unit_mm=1.0,
+    permuted=False,
+    mesh=None,
+):
+    """Force of a slanted press on the block at a place off its middle, in the block's frame, and
+    the press.
+    """
     points, cells = cube() if mesh is None else mesh
     bottom = np.flatnonzero(points[:, 2] < -23.9)
     turn = np.eye(3) if turn is None else turn
@@ -113,7 +145,9 @@ def off_middle(place=(6.0, 4.0, 0.0), *, turn=None, moved_mm=(0.0, 0.0, 0.0), un
     organ = tissue.Organ.from_tetrahedra(
         (world / unit_mm, cells), scale_mm=None if unit_mm == 1.0 else unit_mm, held=bottom, **STIFF
     )
-    press = organ.press(BALL, depth_mm=2.0, at_mm=turn @ place + moved_mm, along=turn @ np.array([0.3, 0.2, -1.0]))
+    press = organ.press(
+        BALL, depth_mm=2.0, at_mm=turn @ place + moved_mm, along=turn @ np.array([0.3, 0.2, -1.0])
+    )
     return press.force_N @ turn, press
 
 
@@ -133,7 +167,9 @@ def straight():
     ids=[*TURNS, "moved", "metres", "permuted"],
 )
 def test_a_press_does_not_know_how_its_mesh_lies(straight, changes):
-    """1e-3 is the contact's tolerance: with nodes in another order the sweeps take another order, too."""
+    """1e-3 is the contact's tolerance: with nodes in another order the sweeps take another
+    order, too.
+    """
     force, press = off_middle(**changes)
     np.testing.assert_allclose(force, straight, atol=2e-3 * np.linalg.norm(straight))
     assert press.force_magnitude_N == pytest.approx(np.linalg.norm(force))
@@ -142,7 +178,9 @@ def test_a_press_does_not_know_how_its_mesh_lies(straight, changes):
 def test_a_later_press_needs_no_factor_and_is_the_same(monkeypatch):
     from tissue.fem.solvers import direct
 
-    organ = tissue.Organ.from_tetrahedra(cube(), **STIFF).refined(edge_mm=4, near_mm=[(0, 0, 0), (10, 0, 0)])
+    organ = tissue.Organ.from_tetrahedra(cube(), **STIFF).refined(
+        edge_mm=4, near_mm=[(0, 0, 0), (10, 0, 0)]
+    )
     first = organ.press(BALL, depth_mm=1.5, at_mm=(0, 0, 0))
     monkeypatch.setattr(direct, "factorised", None)
     again, second = (organ.press(BALL, depth_mm=1.5, at_mm=(x, 0, 0)) for x in (0, 10))
@@ -164,12 +202,19 @@ def test_columns_and_what_is_read_off_the_factor_agree():
 def test_steps_do_not_matter(organ, monkeypatch):
     few = organ.press(BALL, depth_mm=2, at_mm=(3, 2, 0)).force_magnitude_N
     monkeypatch.setattr("tissue.models.organ.press.STEPS", 400)
-    assert organ.press(BALL, depth_mm=2, at_mm=(3, 2, 0)).force_magnitude_N == pytest.approx(few, rel=2e-3)
+    assert organ.press(BALL, depth_mm=2, at_mm=(3, 2, 0)).force_magnitude_N == pytest.approx(
+        few, rel=2e-3
+    )
 
 
 def test_what_holds_it_may_be_stated_in_any_form():
     points, cells = cube()
-    forms = ({"held": "bottom"}, {"held": "-z"}, {"held_below_mm": -24.0}, {"held": points[:, 2] < -23.9})
+    forms = (
+        {"held": "bottom"},
+        {"held": "-z"},
+        {"held_below_mm": -24.0},
+        {"held": points[:, 2] < -23.9},
+    )
     forms += ({"held": np.flatnonzero(points[:, 2] < -23.9)},)
     organs = [tissue.Organ.from_tetrahedra((points, cells), **STIFF, **form) for form in forms]
     count = [int(each.mesh["held"].sum()) for each in organs]
@@ -191,9 +236,13 @@ def test_a_surface_is_filled_and_its_inclusion_is_a_part(tmp_path):
     volume = mesh["Volume"][mesh["part"] == 1].sum()
     assert volume == pytest.approx(4.0 / 3.0 * np.pi * 7.0**3, rel=0.03)
     assert both.notes["cyst"].startswith("1.42 ml, in the mesh within ")
-    soft, stiff = (each.press(BALL, depth_mm=2, at_mm=(0, 0, 20)).force_magnitude_N for each in (plain, both))
+    soft, stiff = (
+        each.press(BALL, depth_mm=2, at_mm=(0, 0, 20)).force_magnitude_N for each in (plain, both)
+    )
     assert stiff > 1.05 * soft
-    with pytest.raises(InputError, match="parts must give a modulus of every inclusion, got none of cyst"):
+    with pytest.raises(
+        InputError, match="parts must give a modulus of every inclusion, got none of cyst"
+    ):
         tissue.Organ.from_surface(outer, inclusions={"cyst": inner}, **made)
 
 
@@ -201,18 +250,38 @@ def test_inclusions_that_cannot_be_are_refused_before_the_surface_is_filled(monk
     monkeypatch.setattr("meshes.tets.tetrahedralise._filled", None)
     outer, inner = pyvista.Sphere(radius=20), pyvista.Sphere(radius=7, center=(0, 0, 9))
     for inclusions, parts, sentence in (
-        ({"cyst": pyvista.Sphere(radius=7, center=(90, 0, 0))}, {"cyst": 80},
-         r"inclusions\['cyst'\] must lie inside the surface, got all of it outside: move it"),
-        ({"cyst": pyvista.Sphere(radius=7, center=(0, 0, 17))}, {"cyst": 80},
-         r"inclusions\['cyst'\] must lie inside the surface, got it up to 4 mm outside: move it, or cut it off there"),
-        ({"cyst": inner, "core": pyvista.Sphere(radius=5, center=(0, 0, -1))}, {"cyst": 80, "core": 9},
-         r"inclusions\['core'\] must not reach into inclusions\['cyst'\], got it 2 mm deep: subtract one from the other"),
-        ({"cyst": inner}, {"cyst": 80, "tumour": 9},
-         "parts must name parts of the mesh, got 'tumour': it has body, cyst"),
+        (
+            {"cyst": pyvista.Sphere(radius=7, center=(90, 0, 0))},
+            {"cyst": 80},
+            r"inclusions\['cyst'\] must lie inside the surface, got all of it outside: move it",
+        ),
+        (
+            {"cyst": pyvista.Sphere(radius=7, center=(0, 0, 17))},
+            {"cyst": 80},
+            (
+                r"inclusions\['cyst'\] must lie inside the surface, got it up to 4 mm outside: "
+                r"move it, or cut it off there"
+            ),
+        ),
+        (
+            {"cyst": inner, "core": pyvista.Sphere(radius=5, center=(0, 0, -1))},
+            {"cyst": 80, "core": 9},
+            (
+                r"inclusions\['core'\] must not reach into inclusions\['cyst'\], got it 2 mm "
+                r"deep: subtract one from the other"
+            ),
+        ),
+        (
+            {"cyst": inner},
+            {"cyst": 80, "tumour": 9},
+            "parts must name parts of the mesh, got 'tumour': it has body, cyst",
+        ),
         ({"cyst": inner}, {"cyst": -80}, r"parts\['cyst'\] must be positive"),
-    ):  # fmt: skip
+    ):
         with pytest.raises(InputError, match=sentence):
-            tissue.Organ.from_surface(outer, inclusions=inclusions, parts=parts, edge_mm=7.7, **STIFF)
+            tissue.Organ.from_surface(
+                outer, inclusions=inclusions, parts=parts, edge_mm=7.7, **STIFF
+            )
 
 
 def test_an_organ_that_relaxes_is_held_and_others_are_not(organ):
@@ -223,7 +292,9 @@ def test_an_organ_that_relaxes_is_held_and_others_are_not(organ):
     assert sizes.max() == pytest.approx(quick, rel=0.05)
     assert sizes[-1] == pytest.approx(0.6 * quick, rel=0.02)
     assert press.time_s[-1] == pytest.approx(0.5 + 2 / 500, rel=0.02)
-    with pytest.raises(InputError, match="hold_s must be left out for an organ that does not relax"):
+    with pytest.raises(
+        InputError, match="hold_s must be left out for an organ that does not relax"
+    ):
         organ.press(BALL, depth_mm=2, at_mm=(0, 0, 0), hold_s=1)
 
 
@@ -236,7 +307,11 @@ def test_capsule_weight_and_order_have_their_effect(organ):
         .force_magnitude_N
         for option in options
     ]
-    assert forces[0] > 1.05 * plain and forces[1] > 1.1 * plain and forces[2] == pytest.approx(plain, rel=0.1)
+    assert (
+        forces[0] > 1.05 * plain
+        and forces[1] > 1.1 * plain
+        and forces[2] == pytest.approx(plain, rel=0.1)
+    )
 
 
 def test_a_deep_press_states_from_where_the_linear_law_is_off(organ):
@@ -244,7 +319,9 @@ def test_a_deep_press_states_from_where_the_linear_law_is_off(organ):
         organ.press(tool, depth_mm=depth, at_mm=(0, 0, 0)).notes["linear"]
         for tool, depth in ((BALL, 3.0), (BALL, 2.0), (tissue.flat_punch(diameter_mm=10), 1.0))
     )
-    assert deep == "pressed 3 mm deep: from 2.2 mm on the linear law is more than 5% off a hyperelastic force"
+    assert deep == (
+        "pressed 3 mm deep: from 2.2 mm on the linear law is more than 5% off a hyperelastic force"
+    )
     assert shallow == "the linear law is within 5% of a hyperelastic force to 2.2 mm"
     assert "known of balls alone" in punch
 
@@ -257,11 +334,15 @@ def test_a_coarse_mesh_is_noted_and_a_fine_one_is_not(organ):
 
 def test_a_tool_from_a_file_presses_as_its_shape_does(organ, tmp_path):
     """A capsule's round end, by a few hundred points, within 5 % of a ball of its radius."""
-    finger = pyvista.Capsule(center=(0, 0, 21), direction=(0, 0, 1), radius=6, cylinder_length=30, resolution=60)
+    finger = pyvista.Capsule(
+        center=(0, 0, 21), direction=(0, 0, 1), radius=6, cylinder_length=30, resolution=60
+    )
     finger.triangulate().clean().save(tmp_path / "finger.stl")
     tool = tissue.probe_from_file(tmp_path / "finger.stl")
     fine = organ.refined(edge_mm=3, near_mm=(0, 0, 0))
-    ball, shell = (fine.press(each, depth_mm=2, at_mm=(0, 0, 0)).force_magnitude_N for each in (BALL, tool))
+    ball, shell = (
+        fine.press(each, depth_mm=2, at_mm=(0, 0, 0)).force_magnitude_N for each in (BALL, tool)
+    )
     assert shell == pytest.approx(ball, rel=0.05)
     with pytest.raises(InputError, match=r"file must exist, got nowhere\.stl"):
         tissue.probe_from_file("nowhere.stl")
@@ -279,19 +360,34 @@ def pressing(**changes):
 @pytest.mark.parametrize(
     ("act", "sentence"),
     [
-        (changed(modulus_kPa=-1), "modulus_kPa must be positive and finite, got -1: liver has about 5"),
+        (
+            changed(modulus_kPa=-1),
+            "modulus_kPa must be positive and finite, got -1: liver has about 5",
+        ),
         (changed(poisson_ratio=0.5), "poisson_ratio must be in [-0.999, 0.4999], got 0.5"),
         (changed(parts={"cyst": 40}), "parts must name parts of the mesh, got 'cyst': it has body"),
-        (changed(held="left"), "held must be one of bottom, top, -x, +x, -y, +y, -z, +z, body or points, got 'left'"),
+        (
+            changed(held="left"),
+            "held must be one of bottom, top, -x, +x, -y, +y, -z, +z, body or points, got 'left'",
+        ),
         (changed(held=[]), "held must"),
-        (changed(held=[4000]), "held must be a side, a part, a mask of the 245 points or their numbers, got an array"),
+        (
+            changed(held=[4000]),
+            "held must be a side, a part, a mask of the 245 points or their numbers, got an array",
+        ),
         (changed(held=[0]), "supports must leave no rigid motion free"),
         (changed(held_below_mm=-50), "held_below_mm must touch the body"),
         (changed(relaxation=[(0.4, -1)]), "relaxation"),
         (changed(capsule=(50, 0)), "capsule must be positive"),
-        (pressing(at_mm=(0, 0, 30)), "at_mm must lie on the surface, got (0, 0, 30): the nearest point of the surface"),
+        (
+            pressing(at_mm=(0, 0, 30)),
+            "at_mm must lie on the surface, got (0, 0, 30): the nearest point of the surface",
+        ),
         (pressing(at_mm=(0, 0)), "at_mm must be three finite numbers"),
-        (pressing(along=(0, 0, 1)), "along must lead into the organ, got (0, 0, 1): use (0, 0, -1)"),
+        (
+            pressing(along=(0, 0, 1)),
+            "along must lead into the organ, got (0, 0, 1): use (0, 0, -1)",
+        ),
         (pressing(depth_mm=0), "depth_mm must be positive"),
         (pressing(at_mm=(0, 0, -24)), "at_mm must bring the tool to tissue that can move"),
         (lambda: tissue.ball(diameter_mm=0), "diameter_mm must be in [0.5, 100], got 0"),
@@ -313,15 +409,31 @@ def test_meshes_that_cannot_be_are_refused_in_one_sentence(tmp_path):
     surface = pyvista.Sphere(radius=20)
     surface.save(tmp_path / "sphere.vtk")
     for mesh, sentence in (
-        ((1e-3 * points, cells), "mesh must be in millimetres, got one of 0.048 x 0.048 x 0.024, which looks like metres: "
-         "give scale_mm=1000, or scale_mm=1 if that is its size"),
+        (
+            (1e-3 * points, cells),
+            "mesh must be in millimetres, got one of 0.048 x 0.048 x 0.024, which looks like "
+            "metres: "
+            "give scale_mm=1000, or scale_mm=1 if that is its size",
+        ),
         ((points, cells + len(points)), "mesh must hold finite points for all cells"),
-        ((points, cells[:, :3]), "mesh must be points of shape (n, 3) and cells of shape (m, 4), got (245, 3) and"),
+        (
+            (points, cells[:, :3]),
+            "mesh must be points of shape (n, 3) and cells of shape (m, 4), got (245, 3) and",
+        ),
         (surface, "mesh must"),
-        (tmp_path / "sphere.vtk", "mesh must hold tetrahedra, got none: fill a surface by from_surface"),
+        (
+            tmp_path / "sphere.vtk",
+            "mesh must hold tetrahedra, got none: fill a surface by from_surface",
+        ),
         (tmp_path / "nowhere.vtu", "mesh must exist, got"),
-        (5, "mesh must be a grid of pyvista, a mesh of meshio, points and cells, or a file, got int"),
-    ):  # fmt: skip
+        (
+            5,
+            (
+                "mesh must be a grid of pyvista, a mesh of meshio, points and cells, or a file, "
+                "got int"
+            ),
+        ),
+    ):
         with pytest.raises(InputError) as refused:
             tissue.Organ.from_tetrahedra(mesh, **STIFF)
         assert str(refused.value).startswith(sentence) and "\n" not in str(refused.value)
@@ -336,13 +448,16 @@ def test_a_hole_that_the_tool_does_not_fit_is_refused():
     middle = points[cells].mean(axis=1)
     slot = (np.abs(middle[:, 0]) < 4.0) & (middle[:, 2] > -12.0)
     organ = tissue.Organ.from_tetrahedra((points, cells[~slot]), **STIFF)
-    with pytest.raises(InputError, match=r"at_mm must be the first that the tool touches, .* organ 11\.5 mm"):
+    with pytest.raises(
+        InputError, match=r"at_mm must be the first that the tool touches, .* organ 11\.5 mm"
+    ):
         organ.press(tissue.ball(diameter_mm=30), depth_mm=1, at_mm=(0, 0, -12))
 
 
 def test_a_wrong_option_is_named():
     with pytest.raises(
-        TypeError, match=r"Organ got an unexpected keyword argument 'frction'.*it takes capsule, density"
+        TypeError,
+        match=r"Organ got an unexpected keyword argument 'frction'.*it takes capsule, density",
     ):
         tissue.Organ.block((40, 40, 20), frction=0.1, **STIFF)
 
@@ -353,7 +468,10 @@ def test_meshio_like_blocks_and_quadratic_cells_are_taken():
     points, cells = cube()
     mesh = SimpleNamespace(
         points=points,
-        cells=[SimpleNamespace(type="triangle", data=cells[:5, :3]), SimpleNamespace(type="tetra", data=cells)],
+        cells=[
+            SimpleNamespace(type="triangle", data=cells[:5, :3]),
+            SimpleNamespace(type="tetra", data=cells),
+        ],
         cell_data={"gmsh:physical": [np.ones(5, int), np.where(np.arange(len(cells)) < 9, 2, 1)]},
         field_data={"kidney": np.array([1, 3]), "cyst": np.array([2, 3]), "skin": np.array([1, 2])},
     )
@@ -381,16 +499,26 @@ def test_tables_of_a_notebook_show_the_figures(organ, press):
 
 
 def test_a_press_whose_force_falls_with_depth_is_refused():
-    """Deeper than it is wide the ball passes through what the linear law moves: no figure is better than a wrong one."""
+    """Deeper than it is wide the ball passes through what the linear law moves: no figure is
+    better than a wrong one.
+    """
     organ = tissue.Organ.block((40, 40, 20), modulus_kPa=8, poisson_ratio=0.45, edge_mm=4, order=1)
-    with pytest.raises(InputError, match=r"depth_mm must be one to which the force grows, got 14 .*press less"):
+    with pytest.raises(
+        InputError, match=r"depth_mm must be one to which the force grows, got 14 .*press less"
+    ):
         organ.press(tissue.ball(diameter_mm=12), depth_mm=14, at_mm=(0, 0, 0))
 
 
 def test_a_liver_with_a_file_of_constants_is_that_of_a_scene_with_it(tmp_path):
     file, bone = tmp_path / "fitted.toml", tmp_path / "bone.toml"
-    values = {"soft.liver.modulus_kPa": 7.0, "soft.liver.poisson_ratio": 0.46, "soft.kidney.modulus_kPa": 9.0}
-    entries = [FittedEntry(name, value, value, value, "a test", "L") for name, value in values.items()]
+    values = {
+        "soft.liver.modulus_kPa": 7.0,
+        "soft.liver.poisson_ratio": 0.46,
+        "soft.kidney.modulus_kPa": 9.0,
+    }
+    entries = [
+        FittedEntry(name, value, value, value, "a test", "L") for name, value in values.items()
+    ]
     write_fitted(file, entries, np.eye(3), remark=())
     radial = FittedEntry("cutting.bone.radial_chip_N_mm2", 20.0, 20.0, 20.0, "a test", "L")
     write_fitted(bone, [radial], np.eye(1), remark=())

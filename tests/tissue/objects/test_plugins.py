@@ -1,4 +1,6 @@
-"""Installed packages offer parts by entry points: found when asked for, refused one by one, and all else goes on without them."""
+"""Installed packages offer parts by entry points: found when asked for, refused one by one, and
+all else goes on without them.
+"""
 
 import json
 import subprocess
@@ -11,7 +13,11 @@ from offered_package import PLUGIN, offer, offer_example, searching
 def python(code, *folders):
     """Standard output of code in a process that searches some folders, and its standard error."""
     ended = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False, env=searching(*folders)
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=searching(*folders),
     )
     assert ended.returncode == 0, ended.stderr
     return ended.stdout, ended.stderr
@@ -21,8 +27,12 @@ def tissue(*words, folders, cwd):
     """Exit code, standard output and standard error of the command."""
     ended = subprocess.run(
         [sys.executable, "-m", "tissue", *words],
-        capture_output=True, text=True, check=False, env=searching(*folders), cwd=cwd,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        env=searching(*folders),
+        cwd=cwd,
+    )
     return ended.returncode, ended.stdout, ended.stderr
 
 
@@ -42,25 +52,53 @@ print(json.dumps([found, scene_names(), offered_names(), [name for names in foun
       if f'"{name}"' not in schema]]))
 """
     found, scenes, offered, missing = json.loads(python(listing, *folders)[0])
-    assert {kind: names for kind, names in found.items() if names and kind not in ("probe", "needle")} == {
-        "tool": ["step-drill"], "tissue": ["cushion"], "device": ["toy-pen"], "predictor": ["damped-line"],
-        "material": ["rigid-foam"], "scene": ["toy-cushion", "toy-drilling"],
-    }  # fmt: skip
+    assert {
+        kind: names for kind, names in found.items() if names and kind not in ("probe", "needle")
+    } == {
+        "tool": ["step-drill"],
+        "tissue": ["cushion"],
+        "device": ["toy-pen"],
+        "predictor": ["damped-line"],
+        "material": ["rigid-foam"],
+        "scene": ["toy-cushion", "toy-drilling"],
+    }
     assert {"toy-cushion", "toy-drilling"} <= set(scenes)
     assert missing == ["toy-cushion", "toy-drilling"]  # scenes are no value of a key
     assert offered["predictor"] == ["damped-line"]
     code, output, error = tissue(
-        "run", "toy-drilling", "--set", "voxels.spacing_mm=0.4", "--duration-s", "0.3", "--no-pictures", "--out", "run",
-        folders=folders, cwd=tmp_path,
-    )  # fmt: skip
+        "run",
+        "toy-drilling",
+        "--set",
+        "voxels.spacing_mm=0.4",
+        "--duration-s",
+        "0.3",
+        "--no-pictures",
+        "--out",
+        "run",
+        folders=folders,
+        cwd=tmp_path,
+    )
     assert (code, error) == (0, "") and "toy-pen is read and played by ToyPen" in output
     code, output, error = tissue(
-        "run", "wall", "--set", "prediction=damped-lin", "--set", "device=toy-pen", folders=folders, cwd=tmp_path
+        "run",
+        "wall",
+        "--set",
+        "prediction=damped-lin",
+        "--set",
+        "device=toy-pen",
+        folders=folders,
+        cwd=tmp_path,
     )
     assert code == 2 and "got damped-lin (did you mean damped-line?)" in error
     code, output, error = tissue("run", "--help", folders=folders, cwd=tmp_path)
-    assert (code, error) == (0, "") and "Installed packages add device toy-pen" not in output.splitlines()[0]
-    assert "device toy-pen" in output.splitlines()[-1] and "predictor damped-line" in output.splitlines()[-1]
+    assert (code, error) == (
+        0,
+        "",
+    ) and "Installed packages add device toy-pen" not in output.splitlines()[0]
+    assert (
+        "device toy-pen" in output.splitlines()[-1]
+        and "predictor damped-line" in output.splitlines()[-1]
+    )
 
 
 @pytest.mark.slow
@@ -68,8 +106,12 @@ def test_the_tests_of_the_example_package_pass(tmp_path):
     folders = offer_example(tmp_path / "site")
     ended = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(PLUGIN / "tests")],
-        capture_output=True, text=True, check=False, env=searching(*folders), cwd=tmp_path,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        env=searching(*folders),
+        cwd=tmp_path,
+    )
     assert ended.returncode == 0, ended.stdout
 
 
@@ -96,17 +138,29 @@ def test_nothing_is_imported_before_it_is_asked_for(tmp_path):
     quiet = (
         "import tissue",
         "import sys; sys.argv = ['tissue', '--help']; from tissue.cli.main import main; main()",
-        "import sys; sys.argv = ['tissue', 'run', '--help']; from tissue.cli.main import main; main()",
-        "from tissue import load_scene; load_scene('wall', {'renderer': 'passivity', 'device': 'touch'})",
-        "from tissue import load_scene, simulate; simulate(load_scene('milling', {'voxels.spacing_mm': 0.8, "
+        (
+            "import sys; sys.argv = ['tissue', 'run', '--help']; from tissue.cli.main import "
+            "main; main()"
+        ),
+        (
+            "from tissue import load_scene; load_scene('wall', {'renderer': 'passivity', "
+            "'device': 'touch'})"
+        ),
+        "from tissue import load_scene, simulate; simulate(load_scene('milling', "
+        "{'voxels.spacing_mm': 0.8, "
         "'duration_s': 0.02, 'device': 'none'}))",
-        "from tissue import load_scene, simulate; simulate(load_scene('wall', {'duration_s': 0.02}))",
+        (
+            "from tissue import load_scene, simulate; simulate(load_scene('wall', {'duration_s': "
+            "0.02}))"
+        ),
         "import tissue; from tissue.scene.registry import DEVICES; list(DEVICES)",
     )
     for code in quiet:
         assert python(code, tmp_path)[1] == "", code
-    for code in ("from tissue.scene.registry import RENDERERS; print(*RENDERERS)",
-                 "from tissue import load_scene; print(load_scene('wall', {'renderer': 'loud'}).renderer)"):  # fmt: skip
+    for code in (
+        "from tissue.scene.registry import RENDERERS; print(*RENDERERS)",
+        "from tissue import load_scene; print(load_scene('wall', {'renderer': 'loud'}).renderer)",
+    ):
         output, error = python(code, tmp_path)
         assert output.split()[-1] == "loud" and error == "imported\n"
 
@@ -118,51 +172,93 @@ def test_a_package_that_cannot_be_imported_stops_nothing_but_its_part(tmp_path):
     offer(tmp_path, "broken-parts", {"tissue.renderers": {"mine": "broken:make"}})
     offer(tmp_path, "whole-parts", {"tissue.renderers": {"whole": "whole:make"}})
     sentence = (
-        "renderer mine of the package broken-parts 0.1.0 cannot be used (ModuleNotFoundError: No module named "
+        "renderer mine of the package broken-parts 0.1.0 cannot be used "
+        "(ModuleNotFoundError: No module named "
         "'nothing_of_that_name'): update or uninstall that package"
     )
     short = ("--no-pictures", "--duration-s", "0.02", "--set", "device=touch")
     code, output, error = tissue("run", "wall", *short, folders=[tmp_path], cwd=tmp_path)
     assert (code, error) == (0, "")
-    code, output, error = tissue("run", "wall", "--set", "renderer=mine", *short, folders=[tmp_path], cwd=tmp_path)
+    code, output, error = tissue(
+        "run", "wall", "--set", "renderer=mine", *short, folders=[tmp_path], cwd=tmp_path
+    )
     assert code == 2 and error.splitlines() == [f"warning: {sentence}", f"error: {sentence}"]
-    output, error = python("from tissue.scene.registry import RENDERERS; print(*RENDERERS)", tmp_path)
+    output, error = python(
+        "from tissue.scene.registry import RENDERERS; print(*RENDERERS)", tmp_path
+    )
     assert output.split()[-2:] == ["proxy", "whole"] and f"PluginWarning: {sentence}" in error
 
 
 REFUSED = {
-    "built in": ({"proxy": "parts:make"}, "renderer proxy of", "proxy is the name of a built-in renderer"),
-    "no callable": ({"mine": "parts:number"}, "renderer mine of", "renderer mine must be a class or a function, got 3: give"),
-    "no methods": ({"mine": "parts:Lacking"}, "renderer mine of", "renderer mine must have render and pause, got Lacking w"),
-    "not there": ({"mine": "parts:nothing"}, "renderer mine of", "AttributeError: module 'parts' has no attribute 'nothing'"),
-    "a name": ({"Mine": "parts:make"}, "renderer Mine of", "name must be of lower-case letters, digits, - and _, got Mine"),
+    "built in": (
+        {"proxy": "parts:make"},
+        "renderer proxy of",
+        "proxy is the name of a built-in renderer",
+    ),
+    "no callable": (
+        {"mine": "parts:number"},
+        "renderer mine of",
+        "renderer mine must be a class or a function, got 3: give",
+    ),
+    "no methods": (
+        {"mine": "parts:Lacking"},
+        "renderer mine of",
+        "renderer mine must have render and pause, got Lacking w",
+    ),
+    "not there": (
+        {"mine": "parts:nothing"},
+        "renderer mine of",
+        "AttributeError: module 'parts' has no attribute 'nothing'",
+    ),
+    "a name": (
+        {"Mine": "parts:make"},
+        "renderer Mine of",
+        "name must be of lower-case letters, digits, - and _, got Mine",
+    ),
     "ends": ({"mine": "ends:make"}, "renderer mine of", "SystemExit: 3"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_a_part_that_does_not_fit_is_left_out_with_the_reason(tmp_path, case):
-    (tmp_path / "parts.py").write_text("number = 3\nclass Lacking:\n    pass\ndef make(loop):\n    return loop\n")
+    (tmp_path / "parts.py").write_text(
+        "number = 3\nclass Lacking:\n    pass\ndef make(loop):\n    return loop\n"
+    )
     (tmp_path / "ends.py").write_text("raise SystemExit(3)\n")
     points, start, reason = REFUSED[case]
     offer(tmp_path, "odd-parts", {"tissue.renderers": points})
-    output, error = python("from tissue.scene.registry import RENDERERS; print(*RENDERERS)", tmp_path)
+    output, error = python(
+        "from tissue.scene.registry import RENDERERS; print(*RENDERERS)", tmp_path
+    )
     assert output.split() == ["penalty", "passivity", "proxy"]
     assert f"PluginWarning: {start} the package odd-parts 0.1.0 cannot be used ({reason}" in error
 
 
 def test_of_two_packages_with_one_name_the_second_is_left_out_and_a_call_stays(tmp_path):
-    (tmp_path / "parts.py").write_text("def one(loop):\n    return 1\ndef two(loop):\n    return 2\n")
+    (tmp_path / "parts.py").write_text(
+        "def one(loop):\n    return 1\ndef two(loop):\n    return 2\n"
+    )
     for name in ("first-parts", "second-parts"):
-        offer(tmp_path, name, {"tissue.renderers": {"mine": f"parts:{'one' if name[0] == 'f' else 'two'}"}})
-    output, error = python("from tissue.scene.registry import RENDERERS; print(len(RENDERERS))", tmp_path)
+        offer(
+            tmp_path,
+            name,
+            {"tissue.renderers": {"mine": f"parts:{'one' if name[0] == 'f' else 'two'}"}},
+        )
+    output, error = python(
+        "from tissue.scene.registry import RENDERERS; print(len(RENDERERS))", tmp_path
+    )
     assert (
-        output == "4\n" and error.count("PluginWarning") == 1 and "offers one by that name, too, which is used" in error
+        output == "4\n"
+        and error.count("PluginWarning") == 1
+        and "offers one by that name, too, which is used" in error
     )
     code = (
-        "import tissue; tissue.register.renderer('mine', lambda loop: 3)\nfrom tissue.scene.registry import RENDERERS\n"
+        "import tissue; tissue.register.renderer('mine', lambda loop: 3)\nfrom "
+        "tissue.scene.registry import RENDERERS\n"
     )
-    output, _ = python(f"{code}print(RENDERERS['mine'](None), RENDERERS.names.count('mine'))", tmp_path)
+    output, _ = python(
+        f"{code}print(RENDERERS['mine'](None), RENDERERS.names.count('mine'))", tmp_path
+    )
     assert output == "3 1\n"
 
 
@@ -170,11 +266,14 @@ def test_a_part_that_its_module_does_not_register_is_refused(tmp_path):
     (tmp_path / "parts.py").write_text("from outside_tissue import Jelly\n")
     offer(tmp_path, "odd-parts", {"tissue.motions": {"dip": "parts:Jelly"}})
     _, error = python(
-        "from tissue.scene.registry import MOTIONS; list(MOTIONS)", tmp_path, PLUGIN.parents[1] / "tests/fixtures"
+        "from tissue.scene.registry import MOTIONS; list(MOTIONS)",
+        tmp_path,
+        PLUGIN.parents[1] / "tests/fixtures",
     )
     assert (
-        "motion dip of the package odd-parts 0.1.0 cannot be used (it registers nothing by that name: decorate" in error
-    )
+        "motion dip of the package odd-parts 0.1.0 cannot be used (it registers nothing by "
+        "that name: decorate"
+    ) in error
 
 
 def test_bone_is_made_of_the_material_of_a_package(tmp_path):

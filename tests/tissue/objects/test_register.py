@@ -1,4 +1,6 @@
-"""`tissue.register`: parts of a user's own are named by scenes, listed, judged and charted, or refused in a sentence."""
+"""`tissue.register`: parts of a user's own are named by scenes, listed, judged and charted, or
+refused in a sentence.
+"""
 
 import json
 from typing import Literal
@@ -28,7 +30,11 @@ LIGHT = {"mass_kg": 0.03, "damping_N_s_m": 0.2, "force_limit_N": 1.0}
 def run_of(**changes):
     """A short run of a ball that a hand presses on a wall."""
     given = {"device": "touch", "duration_s": 0.6, "coupling.stiffness_N_m": 300.0}
-    return simulate(load_scene("wall", given | {key.replace("__", "."): value for key, value in changes.items()}))
+    return simulate(
+        load_scene(
+            "wall", given | {key.replace("__", "."): value for key, value in changes.items()}
+        )
+    )
 
 
 class Drift:
@@ -50,16 +56,25 @@ def test_a_predictor_of_two_methods_runs_guarded_is_judged_and_charted(tmp_path)
     run = run_of(prediction="drift", coupling__delay_ms=4)
     predictor = run.parts.motion.predictor
     assert isinstance(predictor, Guarded) and isinstance(predictor.inner.inner, Drift)
-    assert run.trace["prediction_residual_N"].max() > 0.0 and 0.0 < run.trace["predicted_by"].mean() <= 1.0
+    assert (
+        run.trace["prediction_residual_N"].max() > 0.0
+        and 0.0 < run.trace["predicted_by"].mean() <= 1.0
+    )
     assert "prediction" in run.parts.notes
-    errors = {kind: np.linspace(0.1, 0.2, 8)[:, None] * np.ones(len(HORIZONS)) for kind in PREDICTORS}
+    errors = {
+        kind: np.linspace(0.1, 0.2, 8)[:, None] * np.ones(len(HORIZONS)) for kind in PREDICTORS
+    }
     costs, nothing = dict.fromkeys(PREDICTORS, (1.0, 2.0)), Interval(0.0, 0.0, 0.0)
     found = PredictorComparison("wall", errors, costs, np.array([1.0 + 0j]), {1: nothing}, {})
     assert any("drift" in line for line in comparison_lines([found]))
     draw_tasks([found], tmp_path / "tasks.png")
-    with pytest.raises(InputError, match=r"must be one of none, hold, .*, drift, got drif \(did you mean drift\?\)"):
+    with pytest.raises(
+        InputError, match=r"must be one of none, hold, .*, drift, got drif \(did you mean drift\?\)"
+    ):
         load_scene("wall", {"prediction": "drif"})
-    assert "drift" in json.loads(schema_text())["$defs"]["Device"]["properties"]["prediction"]["enum"]
+    assert (
+        "drift" in json.loads(schema_text())["$defs"]["Device"]["properties"]["prediction"]["enum"]
+    )
 
 
 @pytest.mark.slow
@@ -76,7 +91,9 @@ def test_a_predictor_that_over_compensates_is_refused_by_the_judge_of_stability(
         for kind in ("hold", "eager")
     )
     assert eager < 0.5 * calm
-    with pytest.raises(InputError, match=r"^coupling.stiffness_N_m must be below [\d.]+ to be stable"):
+    with pytest.raises(
+        InputError, match=r"^coupling.stiffness_N_m must be below [\d.]+ to be stable"
+    ):
         simulate(load_scene("wall", changes | {"coupling.stiffness_N_m": 0.9 * calm}))
 
 
@@ -91,9 +108,14 @@ def test_a_predictor_that_never_forgets_or_returns_other_shapes_is_refused():
         def predict(self, ticks):
             return 0.0
 
-    with pytest.raises(InputError, match="predictor must forget a change within 512 ticks to be judged"):
+    with pytest.raises(
+        InputError, match="predictor must forget a change within 512 ticks to be judged"
+    ):
         run_of(prediction="sum")
-    with pytest.raises(InputError, match=r"^predict of the predictor flat must return three newtons, got shape \(\)"):
+    with pytest.raises(
+        InputError,
+        match=r"^predict of the predictor flat must return three newtons, got shape \(\)",
+    ):
         run_of(prediction="flat")
 
 
@@ -118,7 +140,8 @@ class Sprung:
 def test_a_device_is_judged_by_its_numbers():
     register.device("sprung", LIGHT)
     mine, touch = (
-        scene_stability(load_scene("wall", {"device": name})).verdict.critical_N_m for name in ("sprung", "touch")
+        scene_stability(load_scene("wall", {"device": name})).verdict.critical_N_m
+        for name in ("sprung", "touch")
     )
     assert mine != touch
 
@@ -133,30 +156,62 @@ def test_a_device_is_opened_where_a_scene_names_it(command, here):
     assert opens(Sprung) is Sprung
     run = run_of(device="sprung", duration_s=0.4)
     device = run.parts.motion.device
-    assert isinstance(device, Sprung) and len(device.commands) >= 400 and not np.any(device.commands[-1])
+    assert (
+        isinstance(device, Sprung)
+        and len(device.commands) >= 400
+        and not np.any(device.commands[-1])
+    )
     assert max(np.abs(force).max() for force in device.commands) > 0.3
     assert "sprung in the hand of" in run.parts.notes["coupling"]
     opened = Sprung.opened
     code, output, error = command(
-        "run", "wall", "--set", "device=sprung", "--duration-s", 0.1, "--no-pictures", "--out", "out"
+        "run",
+        "wall",
+        "--set",
+        "device=sprung",
+        "--duration-s",
+        0.1,
+        "--no-pictures",
+        "--out",
+        "out",
     )
     assert (code, error) == (0, "") and "sprung" in output and Sprung.opened == opened + 1
-    known = "none, touch, omni, six-dof, haply, forcedimension, sigma-7, openhaptics, network, recorded, sprung"
-    with pytest.raises(InputError, match=f"device.kind must be one of {known.removeprefix('none, ')}, got spring"):
+    known = (
+        "none, touch, omni, six-dof, haply, forcedimension, sigma-7, openhaptics, network, "
+        "recorded, sprung"
+    )
+    with pytest.raises(
+        InputError, match=f"device.kind must be one of {known.removeprefix('none, ')}, got spring"
+    ):
         load_scene("wall", {"device": "spring"})
 
 
 def test_a_live_run_holds_the_device_that_its_scene_names(command, here):
     register.device("sprung", LIGHT, Sprung)
     code, output, error = command(
-        "run", "wall", "--set", "device=sprung", "--duration-s", 0.05, "--live", "--no-pictures", "--out", "out"
+        "run",
+        "wall",
+        "--set",
+        "device=sprung",
+        "--duration-s",
+        0.05,
+        "--live",
+        "--no-pictures",
+        "--out",
+        "out",
     )
-    assert (code, error) == (0, "") and "live: the device sprung moves the tool and plays the force" in output
+    assert (code, error) == (
+        0,
+        "",
+    ) and "live: the device sprung moves the tool and plays the force" in output
 
 
 def test_what_a_device_opens_must_be_one():
     register.device("nothing", LIGHT, make=lambda start_m: 3)
-    with pytest.raises(InputError, match=r"^device must have read and command, got int without read and command for n"):
+    with pytest.raises(
+        InputError,
+        match=r"^device must have read and command, got int without read and command for n",
+    ):
         run_of(device="nothing")
 
 
@@ -195,9 +250,20 @@ def test_hand_renderer_and_perception():
 def test_a_tool_mills_what_its_half_section_sweeps():
     @register.tool("cone", keys=("length_mm",))
     def cone(diameter_m, length_m):
-        return Profile([Line((0.0, 0.0), (0.5 * diameter_m, length_m)), Line((0.5 * diameter_m, length_m), (0.0, length_m), False)], convex=True)  # fmt: skip
+        return Profile(
+            [
+                Line((0.0, 0.0), (0.5 * diameter_m, length_m)),
+                Line((0.5 * diameter_m, length_m), (0.0, length_m), False),
+            ],
+            convex=True,
+        )
 
-    changes = {"voxels.spacing_mm": 0.5, "duration_s": 1.0, "tool.diameter_mm": 6.0, "tool.length_mm": 5.0}
+    changes = {
+        "voxels.spacing_mm": 0.5,
+        "duration_s": 1.0,
+        "tool.diameter_mm": 6.0,
+        "tool.length_mm": 5.0,
+    }
     changes["tool.spin_rpm"] = 500.0
     run = simulate(load_scene("milling", changes | {"tool.kind": "cone"}))
     whole = simulate(load_scene("milling", changes | {"tool.kind": "cylinder"}))
@@ -226,7 +292,11 @@ class Dipping(Motion):
         return np.stack([np.eye(3)] * 2)
 
     def begin(self, motion):
-        motion.tip_m[:], motion.rotation[:], motion.heading[0] = self.sweep_m()[0], np.eye(3), (0.0, 0.0, -1.0)
+        motion.tip_m[:], motion.rotation[:], motion.heading[0] = (
+            self.sweep_m()[0],
+            np.eye(3),
+            (0.0, 0.0, -1.0),
+        )
 
     def advance(self, time_s, step_s, response, motion):
         motion.tip_m[2] = 1e-3 - 0.02 * time_s
@@ -238,19 +308,33 @@ def test_motion_and_tissue():
     run = simulate(load_scene("wall", {"device": "none", "motion.kind": "dip", "duration_s": None}))
     np.testing.assert_allclose(run.trace["tool_z_mm"], 1.0 - 20.0 * run.trace["time_s"], atol=1e-12)
     soft = simulate(load_scene("palpation", CHANGES))
-    np.testing.assert_allclose(soft.trace["model_force_z_N"], 0.1 * soft.trace["depth_mm"], atol=1e-12)
+    np.testing.assert_allclose(
+        soft.trace["model_force_z_N"], 0.1 * soft.trace["depth_mm"], atol=1e-12
+    )
     assert '"dip"' in schema_text() and '"jelly"' in schema_text()
 
 
 FOAM = "\n".join(
-    f'[cutting.foam.{name}]\nvalue = {value}\nrange = [0.0, 1000.0]\nsource = "made up"\nconfidence = "L"'
+    (
+        f'[cutting.foam.{name}]\nvalue = {value}\nrange = [0.0, 1000.0]\nsource = "made '
+        'up"\nconfidence = "L"'
+    )
     for name, value in {
-        "tangential_chip_N_mm2": 15.0, "radial_chip_N_mm2": 6.0, "axial_chip_N_mm2": 0.0, "tangential_edge_N_mm": 0.5,
-        "radial_edge_N_mm": 0.4, "axial_edge_N_mm": 0.0, "reference_density_kg_m3": 320.0, "density_exponent": 1.0,
+        "tangential_chip_N_mm2": 15.0,
+        "radial_chip_N_mm2": 6.0,
+        "axial_chip_N_mm2": 0.0,
+        "tangential_edge_N_mm": 0.5,
+        "radial_edge_N_mm": 0.4,
+        "axial_edge_N_mm": 0.0,
+        "reference_density_kg_m3": 320.0,
+        "density_exponent": 1.0,
     }.items()
-)  # fmt: skip
+)
 GEL = "\n".join(
-    f'[soft.gel.{name}]\nvalue = {value}\nrange = [{0.9 * value}, {1.1 * value}]\nsource = "made up"\nconfidence = "L"'
+    (
+        f"[soft.gel.{name}]\nvalue = {value}\nrange = [{0.9 * value}, {1.1 * value}]\nsource = "
+        '"made up"\nconfidence = "L"'
+    )
     for name, value in {"modulus_kPa": 20.0, "poisson_ratio": 0.45, "density_kg_m3": 1000.0}.items()
 )
 
@@ -260,14 +344,27 @@ def test_a_material_is_cut_and_another_is_pressed(tmp_path):
     file.write_text(f"{FOAM}\n{GEL}\n")
     assert register.material(file) == ("foam", "gel")
     changes = {"voxels.spacing_mm": 0.5, "duration_s": 0.5}
-    bone, foam = (simulate(load_scene("milling", changes | {"cutting.material": each})) for each in ("bone", "foam"))
+    bone, foam = (
+        simulate(load_scene("milling", changes | {"cutting.material": each}))
+        for each in ("bone", "foam")
+    )
     peak = lambda run: np.linalg.norm(run.trace.vectors("model_force", "N"), axis=1).max()  # noqa: E731
     assert 0.0 < peak(foam) < 0.9 * peak(bone)
-    assert foam.parts.notes["specific cutting energy"].startswith("foam 0.015 (0-1) J/mm3, confidence L")
+    assert foam.parts.notes["specific cutting energy"].startswith(
+        "foam 0.015 (0-1) J/mm3, confidence L"
+    )
     assert load_scene("palpation", {"organ.material": "gel"}).organ.material == "gel"
     for key, value, refusal in (
-        ("milling", {"cutting.material": "foa"}, r"^cutting.material must be one of bone, .*, foam, got foa \(did you"),
-        ("palpation", {"organ.material": "ge"}, r"^organ.material must be one of liver, kidney, gel, got ge \(did you"),
+        (
+            "milling",
+            {"cutting.material": "foa"},
+            r"^cutting.material must be one of bone, .*, foam, got foa \(did you",
+        ),
+        (
+            "palpation",
+            {"organ.material": "ge"},
+            r"^organ.material must be one of liver, kidney, gel, got ge \(did you",
+        ),
     ):
         with pytest.raises(InputError, match=refusal):
             load_scene(key, value)
@@ -284,7 +381,8 @@ def test_a_scene_is_found_by_its_name(command, here, tmp_path):
     code, _, error = command("run", "my-wall", "--duration-s", 0.05, "--no-pictures")
     assert (code, error) == (0, "") and (here / "runs" / "my-wall" / "trace.csv").is_file()
     with pytest.raises(
-        InputError, match=r"^scene must be a built-in name \(caries, .*, my-wall, .*\(did you mean my-w"
+        InputError,
+        match=r"^scene must be a built-in name \(caries, .*, my-wall, .*\(did you mean my-w",
     ):
         load_scene("my-wal")
 
@@ -303,12 +401,24 @@ REFUSED = {
     "no name": (lambda: register.hand("My Hand", {}), "^name .* My Hand"),
     "no callable": (lambda: register.renderer("mine", 3), "^renderer mine .* 3"),
     "methods": (lambda: register.predictor("mine", Lacking), "^predictor mine .* without predict"),
-    "more methods": (lambda: register.renderer("mine")(Lacking), "^renderer mine .* without render and pause"),
-    "device methods": (lambda: register.device("mine", LIGHT, Lacking), "^device mine .* without read and command"),
+    "more methods": (
+        lambda: register.renderer("mine")(Lacking),
+        "^renderer mine .* without render and pause",
+    ),
+    "device methods": (
+        lambda: register.device("mine", LIGHT, Lacking),
+        "^device mine .* without read and command",
+    ),
     "motion": (lambda: register.motion("dip", Dip, Lacking), "^motion dip .* without sweep_m"),
-    "kind": (lambda: register.motion("drop", Dip, Dipping), r'^Dip.kind .* dip: write kind: Literal\["drop'),
+    "kind": (
+        lambda: register.motion("drop", Dip, Dipping),
+        r'^Dip.kind .* dip: write kind: Literal\["drop',
+    ),
     "no part": (lambda: register.motion("dip", Drift, Dipping), "^parameters of the motion dip "),
-    "number": (lambda: register.device("mine", LIGHT | {"mass": 1.0}), r"got mass \(did you mean mass_kg\?\)"),
+    "number": (
+        lambda: register.device("mine", LIGHT | {"mass": 1.0}),
+        r"got mass \(did you mean mass_kg\?\)",
+    ),
     "numbers": (lambda: register.device("mine", {"mass_kg": 1.0}), "^numbers .* damping_N_s_m"),
     "text": (lambda: register.device("mine", LIGHT | {"mass_kg": "1"}), "^mass_kg .* 1"),
     "range": (lambda: register.device("mine", LIGHT | {"mass_kg": -1.0}), "^mass_kg .* -1"),
@@ -319,7 +429,7 @@ REFUSED = {
     "marker": (lambda: register.predictor("mine", Drift, marker="@"), "^marker .* @"),
     "no file": (lambda: register.material("none.toml"), r"^material .*none.toml"),
     "no scene": (lambda: register.scene("none.toml"), r"^scene .*none.toml"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", REFUSED)
@@ -337,16 +447,30 @@ def test_what_cannot_be_registered_is_refused_in_a_sentence(case):
     [
         ("[bone.foam.a]", "bone in"),
         (FOAM.replace("cutting.foam", "cutting.bone"), "got bone in"),
-        (FOAM.replace("radial_chip_N_mm2", "chip"), "^cutting.foam must have .*, got none for radial_chip_N_mm2 in"),
-        (FOAM.replace("[cutting.foam.density", "[cutting.foam.mean_N_mm2]\n[cutting.foam.density"), "mean_N_mm2"),
+        (
+            FOAM.replace("radial_chip_N_mm2", "chip"),
+            "^cutting.foam must have .*, got none for radial_chip_N_mm2 in",
+        ),
+        (
+            FOAM.replace(
+                "[cutting.foam.density", "[cutting.foam.mean_N_mm2]\n[cutting.foam.density"
+            ),
+            "mean_N_mm2",
+        ),
         (FOAM.replace('"made up"', '""'), "^cutting.foam.tangential_chip_N_mm2.source "),
         (FOAM.replace('"L"', '"sure"'), "^cutting.foam.tangential_chip_N_mm2.confidence .*sure"),
         (FOAM.replace("15.0", "1500.0"), "^cutting.foam.tangential_chip_N_mm2 .* range.* 1500"),
-        (FOAM.replace("value", "mean"), "^cutting.foam.tangential_chip_N_mm2.value .* field required"),
-        (GEL.replace("poisson_ratio", "poisson"), "^soft.gel must have modulus_kPa, .*, got none for poisson_ratio in"),
+        (
+            FOAM.replace("value", "mean"),
+            "^cutting.foam.tangential_chip_N_mm2.value .* field required",
+        ),
+        (
+            GEL.replace("poisson_ratio", "poisson"),
+            "^soft.gel must have modulus_kPa, .*, got none for poisson_ratio in",
+        ),
         ("[cutting", "^material must be a TOML file, got"),
     ],
-)  # fmt: skip
+)
 def test_a_material_file_with_a_fault_is_refused_whole(tmp_path, text, refusal):
     (tmp_path / "mine.toml").write_text(text)
     with pytest.raises(InputError, match=refusal):
@@ -358,7 +482,8 @@ def test_a_material_file_with_a_fault_is_refused_whole(tmp_path, text, refusal):
 def test_a_scene_by_a_name_that_is_taken_is_refused(tmp_path, command):
     (tmp_path / "mine.toml").write_text(command("scenes", "wall")[1])
     with pytest.raises(
-        InputError, match=r"^name must be none of caries, .*, wall, got wall in .*mine.toml: choose anoth"
+        InputError,
+        match=r"^name must be none of caries, .*, wall, got wall in .*mine.toml: choose anoth",
     ):
         register.scene(tmp_path / "mine.toml")
 

@@ -1,4 +1,6 @@
-"""What runs, traces, scenes and materials show of themselves in a notebook, and the pictures they draw."""
+"""What runs, traces, scenes and materials show of themselves in a notebook, and the pictures
+they draw.
+"""
 
 import io
 import re
@@ -25,7 +27,13 @@ def closed_figures():
 def test_a_run_shows_figures_and_its_force(run, back):
     html = run._repr_html_()
     assert html == back._repr_html_()
-    for words in ("run of milling", "removed cortical", "force, peak / mean in contact", "tick, median / 99 %", "<svg"):
+    for words in (
+        "run of milling",
+        "removed cortical",
+        "force, peak / mean in contact",
+        "tick, median / 99 %",
+        "<svg",
+    ):
         assert words in html
 
 
@@ -52,7 +60,10 @@ def test_a_material_shows_value_range_and_source():
     table = found.to_pandas()
     assert table.loc["modulus_GPa", "lowest"] == 70.0 and table.columns.name == "enamel"
     assert {"enamel", "bone", "liver"} <= set(tissue.material_names())
-    with pytest.raises(InputError, match=r"material must be one of .*, got enamle \(did you mean enamel\?\): choose"):
+    with pytest.raises(
+        InputError,
+        match=r"material must be one of .*, got enamle \(did you mean enamel\?\): choose",
+    ):
         tissue.material("enamle")
 
 
@@ -67,7 +78,9 @@ def test_a_plot_has_a_panel_for_each_unit_and_marks_events(run):
     assert alone is panels[0]
     with pytest.raises(InputError, match="ax must take columns of one unit, got N, N m"):
         run.plot(ax=alone)
-    with pytest.raises(InputError, match=r"columns must name .*, got force_w_N \(did you mean force_\w_N\?\)"):
+    with pytest.raises(
+        InputError, match=r"columns must name .*, got force_w_N \(did you mean force_\w_N\?\)"
+    ):
         run.plot(["force_w_N"])
 
 
@@ -85,7 +98,9 @@ def test_the_dataset_shows_bone_and_no_box(run):
     surface = image.extract_surface(algorithm="dataset_surface")
     solid = np.asarray(run.remaining) >= 128
     assert solid.any() and not solid.all()
-    faces = sum(np.count_nonzero(np.diff(np.pad(solid, 1).astype(int), axis=axis)) for axis in range(3))
+    faces = sum(
+        np.count_nonzero(np.diff(np.pad(solid, 1).astype(int), axis=axis)) for axis in range(3)
+    )
     assert surface.n_cells == faces
 
 
@@ -94,7 +109,10 @@ def test_show_draws_a_fresh_run_and_one_read_back(run, back, wall, tmp_path, mon
     monkeypatch.delenv("DISPLAY", raising=False)
     still, other = run.show(0.2), back.show(0.2)
     assert np.array_equal(still.array, other.array) and still.array.std() > 10.0
-    assert still._repr_png_()[0].startswith(b"\x89PNG") and repr(still) == "<picture of 1400 x 950 pixels>"
+    assert (
+        still._repr_png_()[0].startswith(b"\x89PNG")
+        and repr(still) == "<picture of 1400 x 950 pixels>"
+    )
     assert wall.show(screenshot=tmp_path / "wall.png").save(tmp_path / "again.png").is_file()
     assert (tmp_path / "wall.png").read_bytes() == (tmp_path / "again.png").read_bytes()
     with pytest.raises(InputError, match="view must have a display to open a window"):
@@ -130,11 +148,15 @@ def test_a_notebook_has_a_bar_of_html(monkeypatch):
 
     shell = types.SimpleNamespace(kernel=object())
     display = types.SimpleNamespace(HTML=str, display=lambda what, display_id: Handle())
-    monkeypatch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=lambda: shell, display=display))
+    monkeypatch.setitem(
+        sys.modules, "IPython", types.SimpleNamespace(get_ipython=lambda: shell, display=display)
+    )
     with reporting(None) as report:
         report("cutting <bone>", 0.25)
         report("too soon", 0.26)
-    assert re.fullmatch(r'<progress value="0.250"></progress> cutting &lt;bone&gt;, \d+ s', shown[0])
+    assert re.fullmatch(
+        r'<progress value="0.250"></progress> cutting &lt;bone&gt;, \d+ s', shown[0]
+    )
     assert shown[1:] == [""]
     with reporting(False) as report:
         report("cutting", 0.5)

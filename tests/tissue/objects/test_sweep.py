@@ -66,12 +66,21 @@ def test_values_that_are_missing_are_refused(text):
 
 
 def test_folders_are_named_by_the_swept_keys_alone(scene):
-    grid = plan(scene, {"motion.feed_mm_s": [2.0, 4.0], "voxels.margin_mm": [4.0], "tool.spin_rpm": [800, 1200]})
-    assert [each.name for each in grid][:2] == ["feed_mm_s=2,spin_rpm=800", "feed_mm_s=2,spin_rpm=1200"]
+    grid = plan(
+        scene,
+        {"motion.feed_mm_s": [2.0, 4.0], "voxels.margin_mm": [4.0], "tool.spin_rpm": [800, 1200]},
+    )
+    assert [each.name for each in grid][:2] == [
+        "feed_mm_s=2,spin_rpm=800",
+        "feed_mm_s=2,spin_rpm=1200",
+    ]
     assert len(grid) == 4 and all(each.scene.voxels.margin_mm == 4.0 for each in grid)
     assert grid[3].scene.motion.feed_mm_s == 4.0 and grid[3].scene.tool.spin_rpm == 1200.0
     paths = [[[0, 0, 0], [0, 0, -1]], [[0, 0, 0], [1, 0, -1]]]
-    assert [each.name for each in plan(scene, {"motion.points_mm": paths})] == ["points_mm=no1", "points_mm=no2"]
+    assert [each.name for each in plan(scene, {"motion.points_mm": paths})] == [
+        "points_mm=no1",
+        "points_mm=no2",
+    ]
     assert [each.name for each in plan(scene, {"voxels.margin_mm": [4.0]})] == ["milling"]
 
 
@@ -97,12 +106,20 @@ def test_a_sweep_is_gone_on_with_and_lists_what_fails(scene, out, monkeypatch):
         "feed_mm_s=-6": "motion.feed_mm_s must be greater than 0 and at most 1000, got -6.0: use 1"
     }
     assert {path.name for path in out.iterdir()} == {
-        ".tissue.json", "feed_mm_s=3", "feed_mm_s=9", "sweep.json", "sweep.csv", "sweep.png", "compare.png",
-    }  # fmt: skip
+        ".tissue.json",
+        "feed_mm_s=3",
+        "feed_mm_s=9",
+        "sweep.json",
+        "sweep.csv",
+        "sweep.png",
+        "compare.png",
+    }
     rows = list(csv.DictReader((out / "sweep.csv").open()))
     run = tissue.open_run(out / "feed_mm_s=9")
     assert float(rows[2]["removed_mm3"]) == pytest.approx(run.summary["removed_mm3"]["cortical"])
-    assert rows[1]["problem"].startswith("motion.feed_mm_s must be") and rows[1]["peak_force_N"] == ""
+    assert (
+        rows[1]["problem"].startswith("motion.feed_mm_s must be") and rows[1]["peak_force_N"] == ""
+    )
     table = found.to_pandas()
     assert table["removed_mm3"].iloc[2] > table["removed_mm3"].iloc[0]
     assert "got -6" in found._repr_html_()
@@ -112,7 +129,11 @@ def test_a_sweep_is_gone_on_with_and_lists_what_fails(scene, out, monkeypatch):
     )
     ran = []
     simulated = module.simulate
-    monkeypatch.setattr(module, "simulate", lambda scene, **options: ran.append(scene) or simulated(scene, **options))
+    monkeypatch.setattr(
+        module,
+        "simulate",
+        lambda scene, **options: ran.append(scene) or simulated(scene, **options),
+    )
     again = tissue.sweep(scene, {"motion.feed_mm_s": [3.0, 9.0, 12.0]}, out=out)
     assert [each.motion.feed_mm_s for each in ran] == [9.0, 12.0] and len(again.finished) == 3
     tissue.sweep(scene, {"motion.feed_mm_s": [3.0, 9.0]}, out=out, overwrite=True)
@@ -122,7 +143,9 @@ def test_a_sweep_is_gone_on_with_and_lists_what_fails(scene, out, monkeypatch):
 def test_runs_of_other_scenes_are_not_replaced(pressed, out):
     tissue.sweep(pressed, {"seed": [1, 2]}, out=out)
     other = tissue.load_scene("wall", {"duration_s": 0.05, "hand": "novice"})
-    with pytest.raises(InputError, match=r"out must hold runs of this scene, got another one in .*seed=1"):
+    with pytest.raises(
+        InputError, match=r"out must hold runs of this scene, got another one in .*seed=1"
+    ):
         tissue.sweep(other, {"seed": [1, 2]}, out=out)
     foreign = out / "seed=3"
     foreign.mkdir()
@@ -136,8 +159,14 @@ def test_runs_of_other_scenes_are_not_replaced(pressed, out):
 
 
 def test_a_path_that_a_run_does_not_finish_is_noted(command, out):
-    """A path of 10 mm at 10 mm/s lasts 1 s; the run of 0.05 s does not finish it, that of 1.5 s does."""
-    path = {"motion.points_mm": [[0, 0, 20], [0, 0, 10]], "motion.feed_mm_s": 10.0, "hand": "expert"}
+    """A path of 10 mm at 10 mm/s lasts 1 s; the run of 0.05 s does not finish it, that of 1.5 s
+    does.
+    """
+    path = {
+        "motion.points_mm": [[0, 0, 20], [0, 0, 10]],
+        "motion.feed_mm_s": 10.0,
+        "hand": "expert",
+    }
     scene = tissue.load_scene("wall", path)
     found = tissue.sweep(scene, {"duration_s": [0.05, 2.5]}, out=out)
     assert (
@@ -149,7 +178,9 @@ def test_a_path_that_a_run_does_not_finish_is_noted(command, out):
     notes = found.compare().notes
     assert any(note.startswith("the path of duration_s=0.05 is not finished") for note in notes)
     assert any("simulated time differs" in note for note in notes)
-    _, _, error = command("sweep", "wall", "--set", "duration_s=0.05", "--out", out.with_name("other"))
+    _, _, error = command(
+        "sweep", "wall", "--set", "duration_s=0.05", "--out", out.with_name("other")
+    )
     assert "note: wall: the path is not finished" in error
 
 
@@ -172,7 +203,9 @@ def test_a_stop_keeps_what_is_finished(pressed, out, monkeypatch):
 
 def test_a_fault_of_one_run_stops_no_other(pressed, out, monkeypatch):
     simulated = module.simulate
-    monkeypatch.setattr(module, "simulate", lambda scene, **o: 1 / 0 if scene.seed == 1 else simulated(scene, **o))
+    monkeypatch.setattr(
+        module, "simulate", lambda scene, **o: 1 / 0 if scene.seed == 1 else simulated(scene, **o)
+    )
     assert tissue.sweep(pressed, {"seed": [1, 2]}, out=out).failures == {
         "seed=1": "ZeroDivisionError: division by zero"
     }
@@ -180,9 +213,13 @@ def test_a_fault_of_one_run_stops_no_other(pressed, out, monkeypatch):
 
 def test_pictures_have_a_line_for_each_value_of_the_second_key(tmp_path):
     class Run(SweptRun):
-        figures = property(lambda self: {"peak_force_N": self.values["a"] * self.values["b"], "events": 0})
+        figures = property(
+            lambda self: {"peak_force_N": self.values["a"] * self.values["b"], "events": 0}
+        )
 
-    runs = [Run(f"{a},{b}", {"a": a, "b": b}, tmp_path, "") for a in (3.0, 1.0, 2.0) for b in (1, 2)]
+    runs = [
+        Run(f"{a},{b}", {"a": a, "b": b}, tmp_path, "") for a in (3.0, 1.0, 2.0) for b in (1, 2)
+    ]
     (panel,) = module.Sweep(["a", "b"], runs).plot()
     assert [line.get_label() for line in panel.lines] == ["1", "2"]
     assert panel.lines[1].get_xydata().tolist() == [[1.0, 2.0], [2.0, 4.0], [3.0, 6.0]]
@@ -196,7 +233,11 @@ def test_the_command_runs_in_processes_and_names_what_failed(command, out):
     words = ("sweep", "milling", "--set", "motion.feed_mm_s=3,9,-1", "--out", out)
     fixed = [word for key, value in QUICK.items() for word in ("--set", f"{key}={value}")]
     code, printed, err = command(*words, *fixed, "--workers", 2)
-    assert code == 1 and "milling: 2 of 3 runs" in printed and "feed_mm_s=-1: motion.feed_mm_s must be" in err
+    assert (
+        code == 1
+        and "milling: 2 of 3 runs" in printed
+        and "feed_mm_s=-1: motion.feed_mm_s must be" in err
+    )
     assert "sweep.csv" in printed and tissue.open_run(out / "feed_mm_s=9").status == "complete"
     alone = tissue.simulate(tissue.load_scene("milling", QUICK | {"motion.feed_mm_s": 9.0}))
     assert (tissue.open_run(out / "feed_mm_s=9").trace.rows == alone.trace.rows).all()
@@ -205,7 +246,11 @@ def test_the_command_runs_in_processes_and_names_what_failed(command, out):
 def test_a_bad_sweep_is_refused_in_one_sentence(command, out):
     assert command("sweep", "milling", "--set", "motion.fed=1,2", "--out", out)[0] == 2
     code, _, err = command("sweep", "milling", "--set", "seed=1,,2", "--out", out)
-    assert code == 2 and err.startswith("error: --set must be key=value,value, got seed=1,,2") and not out.exists()
+    assert (
+        code == 2
+        and err.startswith("error: --set must be key=value,value, got seed=1,,2")
+        and not out.exists()
+    )
 
 
 SCRIPT = """
@@ -222,18 +267,26 @@ CALL = 'tissue.register.device("sprung", LIGHT)'
 
 @pytest.mark.slow
 def test_processes_know_the_parts_that_a_script_registers_at_its_top(tmp_path):
-    """They import it; what it registers below its last lines is refused in a sentence, and nothing is run."""
+    """They import it; what it registers below its last lines is refused in a sentence, and
+    nothing is run.
+    """
     ended = []
-    for name, calls in (("top", {"top": CALL, "below": "pass"}), ("below", {"top": "", "below": CALL})):
+    for name, calls in (
+        ("top", {"top": CALL, "below": "pass"}),
+        ("below", {"top": "", "below": CALL}),
+    ):
         (tmp_path / name).mkdir()
         file = tmp_path / name / "script.py"
         file.write_text(SCRIPT.format(**calls))
         ended.append(
-            subprocess.run([sys.executable, file], capture_output=True, text=True, check=False, cwd=file.parent)
+            subprocess.run(
+                [sys.executable, file], capture_output=True, text=True, check=False, cwd=file.parent
+            )
         )
     assert (ended[0].returncode, ended[0].stdout) == (0, "['', '']\n")
     assert ended[1].returncode != 0 and ended[1].stderr.splitlines()[-1].endswith(
-        "workers must be 1 for parts that are registered in this process alone, got 2 with the device sprung: register "
+        "workers must be 1 for parts that are registered in this process alone, got 2 with "
+        "the device sprung: register "
         'them above if __name__ == "__main__": in the script, or offer them as a package does'
     )
     assert not list((tmp_path / "below" / "out").glob("*/trace*"))
@@ -242,9 +295,26 @@ def test_processes_know_the_parts_that_a_script_registers_at_its_top(tmp_path):
 @pytest.mark.slow
 def test_processes_know_the_parts_of_installed_packages(tmp_path):
     ended = subprocess.run(
-        [sys.executable, "-m", "tissue", "sweep", "toy-drilling", "--set", "voxels.spacing_mm=0.4,0.5", "--set",
-         "duration_s=0.05", "--workers", "2", "--out", "out"],
-        capture_output=True, text=True, check=False, cwd=tmp_path, env=searching(*offer_example(tmp_path / "site")),
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "tissue",
+            "sweep",
+            "toy-drilling",
+            "--set",
+            "voxels.spacing_mm=0.4,0.5",
+            "--set",
+            "duration_s=0.05",
+            "--workers",
+            "2",
+            "--out",
+            "out",
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+        env=searching(*offer_example(tmp_path / "site")),
+    )
     assert ended.returncode == 0, ended.stderr
     assert len(list((tmp_path / "out").glob("*/summary.json"))) == 2

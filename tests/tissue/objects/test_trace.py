@@ -56,6 +56,7 @@ def test_html_has_units_and_is_short(run):
 def test_a_missing_library_is_named_with_its_line(run, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(
-        InputError, match=r"pandas must be installed for this, got none: pip install 'tissue-sim\[pandas\]'"
+        InputError,
+        match=r"pandas must be installed for this, got none: pip install 'tissue-sim\[pandas\]'",
     ):
         run.trace.to_pandas()

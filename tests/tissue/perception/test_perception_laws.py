@@ -39,7 +39,9 @@ def forces(count=3000, seed=1):
     """Contacts that come, press, tremble, turn and go [N], shape (count, 3)."""
     rng = np.random.default_rng(seed)
     time = TICK * np.arange(count)
-    size = np.maximum(1.2 * np.sin(2.0 * np.pi * 0.7 * time), 0.0) + 0.002 * rng.standard_normal(count)
+    size = np.maximum(1.2 * np.sin(2.0 * np.pi * 0.7 * time), 0.0) + 0.002 * rng.standard_normal(
+        count
+    )
     size[size < 0.0] = 0.0
     turn = 0.8 * np.sin(2.0 * np.pi * 0.3 * time)
     return size[:, None] * np.column_stack([np.sin(turn), 0.2 * np.cos(3.0 * turn), np.cos(turn)])
@@ -73,7 +75,9 @@ def test_unrendered_changes_stay_below_the_threshold_and_no_bias_grows(choice):
     off = np.linalg.norm(commands - wanted, axis=1)
     kappa, least = person.deadband._kappa, person.deadband._least
     assert (off <= (kappa * np.linalg.norm(commands, axis=1) + least) * (1 + 1e-9) + 1e-9).all()
-    assert (np.linalg.norm(np.cumsum(commands - wanted, axis=0), axis=1) / np.arange(1, 3001) < 0.2).all()
+    assert (
+        np.linalg.norm(np.cumsum(commands - wanted, axis=0), axis=1) / np.arange(1, 3001) < 0.2
+    ).all()
     changes = (np.diff(commands, axis=0) != 0.0).any(axis=1)
     assert changes.mean() < 0.25
 
@@ -83,7 +87,10 @@ def test_direction_stays(choice):
     for force in np.random.default_rng(2).standard_normal((50, 3)):
         person.pause()
         command = person.step(force)
-        assert np.cross(command, force) == pytest.approx(np.zeros(3), abs=1e-12) and command @ force > 0.0
+        assert (
+            np.cross(command, force) == pytest.approx(np.zeros(3), abs=1e-12)
+            and command @ force > 0.0
+        )
 
 
 def test_stronger_forces_are_never_weaker_commands(choice):
@@ -96,7 +103,9 @@ def test_stronger_forces_are_never_weaker_commands(choice):
 
 
 def test_what_the_device_plays_uncompressed_is_what_was_commanded(choice):
-    """Forces up to the knee of the device's range are commanded at or below it, so that ratios of intensity survive."""
+    """Forces up to the knee of the device's range are commanded at or below it, so that ratios
+    of intensity survive.
+    """
     person, device = built(choice), ForceRange(limit_N=LIMIT_N)
     for size in (0.3, 1.0, 0.7 * LIMIT_N):
         person.pause()
@@ -122,7 +131,9 @@ def test_a_force_that_is_none_is_refused_and_changes_nothing(choice):
     person.step(np.array([0.0, 0.0, 1.0]))
     before = person.step(np.array([0.0, 0.0, 1.0])).copy()
     for bad in (np.nan, np.inf):
-        with pytest.raises(InputError, match=r"force must be finite, got .*: hold it back with a SampleGuard"):
+        with pytest.raises(
+            InputError, match=r"force must be finite, got .*: hold it back with a SampleGuard"
+        ):
             person.step(np.array([0.0, bad, 1.0]))
     assert np.array_equal(person.step(np.array([0.0, 0.0, 1.0])), before)
 
@@ -151,16 +162,32 @@ def test_the_estimate_follows_the_command(choice):
 
 def test_none_is_none_and_unknown_names_are_refused():
     assert built("none") is None
-    with pytest.raises(InputError, match="perception must be one of none, population, observer:FILE, got expert"):
+    with pytest.raises(
+        InputError, match="perception must be one of none, population, observer:FILE, got expert"
+    ):
         built("expert")
-    with pytest.raises(InputError, match=r"observer must be a file that can be read, got nowhere.json"):
+    with pytest.raises(
+        InputError, match=r"observer must be a file that can be read, got nowhere.json"
+    ):
         built("observer:nowhere.json")
 
 
 def test_observers_who_cannot_be_inverted_are_refused():
-    unsure = Observer.known("unsure", alpha=1.0, beta=0.5, kappa=0.07, offset_N=0.1, lapse=0.02, sigma=0.2,
-                            spread={"beta": 1.5})  # fmt: skip
+    unsure = Observer.known(
+        "unsure",
+        alpha=1.0,
+        beta=0.5,
+        kappa=0.07,
+        offset_N=0.1,
+        lapse=0.02,
+        sigma=0.2,
+        spread={"beta": 1.5},
+    )
     with pytest.raises(InputError, match=r"beta must be known well enough to be inverted, got 0.5"):
         perception_for(unsure, rng=np.random.default_rng(0), force_limit_N=LIMIT_N, tick_s=TICK)
-    with pytest.raises(InputError, match=r"force_limit_N must be positive|limit_N must be positive"):
-        perception_for(reference_observer(), rng=np.random.default_rng(0), force_limit_N=-1.0, tick_s=TICK)
+    with pytest.raises(
+        InputError, match=r"force_limit_N must be positive|limit_N must be positive"
+    ):
+        perception_for(
+            reference_observer(), rng=np.random.default_rng(0), force_limit_N=-1.0, tick_s=TICK
+        )

@@ -55,7 +55,9 @@ def test_a_file_is_never_replaced_unasked(tmp_path):
     path = tmp_path / "ada.json"
     write_observer(observer(), path)
     before = path.read_text("utf-8")
-    with pytest.raises(InputError, match=r"out must not exist yet, got .*ada.json: pass --overwrite"):
+    with pytest.raises(
+        InputError, match=r"out must not exist yet, got .*ada.json: pass --overwrite"
+    ):
         write_observer(observer(beta=1.9), path)
     assert path.read_text("utf-8") == before
     write_observer(observer(beta=1.9), path, overwrite=True)
@@ -75,21 +77,39 @@ def spoil(**changed):
     ("change", "message"),
     [
         (lambda message: "{", "observer must be a JSON file"),
-        (lambda message: "[1, 2]", "observer must be a file of an observer, got .*, which is something else"),
+        (
+            lambda message: "[1, 2]",
+            "observer must be a file of an observer, got .*, which is something else",
+        ),
         (lambda message: '{"format": "tissue run"}', "observer must be a file of an observer"),
         (
             spoil(version=2),
-            "observer must be of format 1 or older, got 2, written by tissue .*: read it with that version",
+            (
+                "observer must be of format 1 or older, got 2, written by tissue .*: read it "
+                "with that version"
+            ),
         ),
-        (spoil(mean="unknown"), "observer must hold name, trials, coordinates, mean and covariance"),
-        (spoil(mean=[0.0] * 5), r"mean and covariance must have shapes \(6,\) and \(6, 6\), got \(5,\)"),
-        (spoil(mean=[0.0, 1.7, float("nan"), -1.6, -3.9, -1.6]), "mean and covariance must be finite"),
+        (
+            spoil(mean="unknown"),
+            "observer must hold name, trials, coordinates, mean and covariance",
+        ),
+        (
+            spoil(mean=[0.0] * 5),
+            r"mean and covariance must have shapes \(6,\) and \(6, 6\), got \(5,\)",
+        ),
+        (
+            spoil(mean=[0.0, 1.7, float("nan"), -1.6, -3.9, -1.6]),
+            "mean and covariance must be finite",
+        ),
         (spoil(mean=[0.0, 17.0, -2.7, -1.6, -3.9, -1.6]), r"beta must be in \[0.05, 5\], got 17"),
         (spoil(mean=[0.0, 1.7, 5.0, -1.6, -3.9, -1.6]), r"kappa must be in \[0.001, 1\]"),
         (spoil(mean=[0.0, 1.7, -2.7, 8.0, -3.9, -1.6]), r"offset_N must be in"),
         (spoil(covariance=(-np.eye(6)).tolist()), "covariance must have no negative eigenvalue"),
         (spoil(covariance=np.triu(np.ones((6, 6))).tolist()), "covariance must be symmetric"),
-        (spoil(covariance=(400.0 * np.eye(6)).tolist()), r"standard deviation must be in \[0, 10\], got 20"),
+        (
+            spoil(covariance=(400.0 * np.eye(6)).tolist()),
+            r"standard deviation must be in \[0, 10\], got 20",
+        ),
         (spoil(trials=-3), "trials must be in"),
     ],
 )
@@ -115,14 +135,20 @@ def test_impossible_people_are_refused():
 def test_constants_are_cited_and_in_their_ranges():
     for table in ("force", "torque", "stiffness", "exponent"):
         for name, entry in constants("perception", table).items():
-            assert entry.low <= entry.value <= entry.high and entry.source and entry.confidence in "HML", name
+            assert (
+                entry.low <= entry.value <= entry.high
+                and entry.source
+                and entry.confidence in "HML"
+            ), name
     assert constants("perception", "exponent")["finger_span"].value == 1.3
     assert reference_observer().beta == population_observer().beta == 1.7
     assert not reference_observer().covariance.any()
 
 
 def test_thresholds_refuse_what_is_no_size():
-    with pytest.raises(InputError, match="quantity must be one of force, torque, stiffness, got heat"):
+    with pytest.raises(
+        InputError, match="quantity must be one of force, torque, stiffness, got heat"
+    ):
         weber("heat")
     with pytest.raises(InputError, match="level must be a size of at least 0, got -1"):
         weber("force").threshold(-1.0)
@@ -133,21 +159,28 @@ def test_thresholds_refuse_what_is_no_size():
 def test_a_deadband_plays_the_wanted_vector_itself_and_nothing_of_noise():
     law = Weber(kappa=0.07, offset=0.2)
     rng = np.random.default_rng(3)
-    noise = rng.uniform(-1.0, 1.0, (5000, 3)) * 0.49 * float(law.threshold(2.0)) / np.sqrt(3.0) / 2.0
+    noise = (
+        rng.uniform(-1.0, 1.0, (5000, 3)) * 0.49 * float(law.threshold(2.0)) / np.sqrt(3.0) / 2.0
+    )
     played, changed = held_back(np.array([0.0, 0.0, 2.0]) + noise, law)
     assert changed.sum() == 1 and (played == played[0]).all()
     ramp = np.column_stack([np.zeros(4000), np.zeros(4000), np.linspace(0.0, 4.0, 4000)])
     played, changed = held_back(ramp, law)
     assert np.array_equal(played[changed], ramp[changed])
-    # every step is one threshold: from F, F + kappa (F + F0), so 4.2 / 0.2 in ln(21) / ln(1.07) = 45 steps
+    # every step is one threshold: from F, F + kappa (F + F0), so 4.2 / 0.2 in ln(21) / ln(1.07) =
+    # 45 steps
     assert abs(changed.sum() - np.log(21.0) / np.log(1.07)) < 3.0
 
 
 def test_a_turn_of_a_force_is_a_change():
-    """Turned by an angle a, |F| moves by 2 F sin(a / 2): at 2 N the threshold is reached after 4.4 degrees."""
+    """Turned by an angle a, |F| moves by 2 F sin(a / 2): at 2 N the threshold is reached after
+    4.4 degrees.
+    """
     law = Weber(kappa=0.07, offset=0.2)
     angles = np.radians(np.linspace(0.0, 30.0, 3001))
-    _, changed = held_back(2.0 * np.column_stack([np.sin(angles), 0.0 * angles, np.cos(angles)]), law)
+    _, changed = held_back(
+        2.0 * np.column_stack([np.sin(angles), 0.0 * angles, np.cos(angles)]), law
+    )
     first = np.degrees(angles[np.flatnonzero(changed)[1]])
     assert first == pytest.approx(2.0 * np.degrees(np.arcsin(0.5 * 0.07 * 2.2 / 2.0)), abs=0.02)
 
@@ -157,6 +190,8 @@ def test_a_contact_that_fades_leaves_exactly_nothing():
     fading = np.exp(-np.arange(4000) / 200.0)[:, None] * np.array([0.3, 0.0, 1.0])
     played, _ = held_back(fading, law)
     assert not played[-1].any()
-    assert (np.linalg.norm(fading - played, axis=1) <= law.threshold(np.linalg.norm(played, axis=1))).all()
+    assert (
+        np.linalg.norm(fading - played, axis=1) <= law.threshold(np.linalg.norm(played, axis=1))
+    ).all()
     deadband = Deadband(law)
     assert deadband.step(0.0, 0.0, 0.0) and not deadband.step(0.0, 0.0, 0.0)

@@ -1,4 +1,6 @@
-"""Perception in whole runs: what the deadband leaves of recorded forces, and what the trace holds."""
+"""Perception in whole runs: what the deadband leaves of recorded forces, and what the trace
+holds.
+"""
 
 import numpy as np
 import pytest
@@ -28,13 +30,17 @@ def by_hand(scene, **changes):
     ],
 )
 def test_one_sample_in_ten_is_enough(scene, changes, least_saved):
-    """Error below the threshold at every tick, no bias, and this share of the samples in contact not needed."""
+    """Error below the threshold at every tick, no bias, and this share of the samples in contact
+    not needed.
+    """
     law, forces = weber("force"), by_hand(scene, **changes).vectors("filtered_force", "N")
     played, changed = held_back(forces, law)
     assert (
-        np.linalg.norm(played - forces, axis=1) <= law.threshold(np.linalg.norm(played, axis=1)) * (1 + 1e-12)
+        np.linalg.norm(played - forces, axis=1)
+        <= law.threshold(np.linalg.norm(played, axis=1)) * (1 + 1e-12)
     ).all()
-    contact = np.linalg.norm(forces, axis=1) > law.kappa * law.offset  # the low-pass leaves a tail that nobody feels
+    # the low-pass leaves a tail that nobody feels
+    contact = np.linalg.norm(forces, axis=1) > law.kappa * law.offset
     assert contact.sum() > 300
     assert 1.0 - changed[contact].mean() > least_saved
     bias = np.linalg.norm((played - forces)[contact].mean(axis=0))
@@ -56,8 +62,12 @@ def test_a_trace_holds_what_was_estimated_perceived_and_changed():
 
 
 def test_an_observer_from_a_file_feels_in_a_run_what_the_reference_would(tmp_path):
-    """At ticks where a force was just rendered, the perceived intensity is the reference's of the force, by the gain."""
-    someone = Observer.known("ada", alpha=1.3, beta=1.5, kappa=0.05, offset_N=0.1, lapse=0.02, sigma=0.2)
+    """At ticks where a force was just rendered, the perceived intensity is the reference's of
+    the force, by the gain.
+    """
+    someone = Observer.known(
+        "ada", alpha=1.3, beta=1.5, kappa=0.05, offset_N=0.1, lapse=0.02, sigma=0.2
+    )
     write_observer(someone, tmp_path / "ada.json")
     trace = by_hand("wall", duration_s=1.0, perception=f"observer:{tmp_path / 'ada.json'}")
     size = np.linalg.norm(trace.vectors("filtered_force", "N"), axis=1)

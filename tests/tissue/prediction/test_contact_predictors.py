@@ -1,4 +1,6 @@
-"""Predictors on a path that is given: the spring, the tissue's law and the surface, written out; lines of forces."""
+"""Predictors on a path that is given: the spring, the tissue's law and the surface, written out;
+lines of forces.
+"""
 
 import numpy as np
 import pytest
@@ -19,7 +21,10 @@ class GivenPath:
     trusted = True
 
     def __init__(self, step_m=(0.0, 0.0, 0.0), stretch_m=(0.0, 0.0, 0.0)):
-        self.step_m, self.stretch = np.asarray(step_m, dtype=float), np.asarray(stretch_m, dtype=float)
+        self.step_m, self.stretch = (
+            np.asarray(step_m, dtype=float),
+            np.asarray(stretch_m, dtype=float),
+        )
 
     def observe(self, position_m, stretch_m):
         self.seen = position_m.copy(), stretch_m.copy()
@@ -35,12 +40,18 @@ class GivenPath:
 
 
 def touched_and_left(share=0.5):
-    """A predictor after a press of 2 mm on a tissue at z = 0 that takes so much of the spring's stiffness."""
+    """A predictor after a press of 2 mm on a tissue at z = 0 that takes so much of the spring's
+    stiffness.
+    """
     koopman = Koopman(GivenPath((0.0, 0.0, -STEP_M)))
     koopman.meet(Contact(SPRING, np.zeros(3), np.zeros(3)))
     down = [2e-4, 1e-4, -1e-9, *(-STEP_M * np.arange(1, 21))]
     for z in [*down, *reversed(down)]:
-        koopman.observe(np.array([0.0, 0.0, z]), np.zeros(3), np.array([0.0, 0.0, share * SPRING * max(-z, 0.0)]))
+        koopman.observe(
+            np.array([0.0, 0.0, z]),
+            np.zeros(3),
+            np.array([0.0, 0.0, share * SPRING * max(-z, 0.0)]),
+        )
     return koopman
 
 
@@ -55,8 +66,12 @@ def test_a_device_that_comes_back_meets_the_surface_where_it_left_it(share):
     koopman = touched_and_left(share)
     free(koopman, RELEASED)
     assert koopman.predict(2.5).tolist() == [0.0, 0.0, 0.0]
-    assert koopman.predict(5.0) == pytest.approx(np.array([0.0, 0.0, share * SPRING * 2e-4]), rel=1e-5)
-    assert koopman.predict(8.0) == pytest.approx(np.array([0.0, 0.0, share * SPRING * 5e-4]), rel=1e-5)
+    assert koopman.predict(5.0) == pytest.approx(
+        np.array([0.0, 0.0, share * SPRING * 2e-4]), rel=1e-5
+    )
+    assert koopman.predict(8.0) == pytest.approx(
+        np.array([0.0, 0.0, share * SPRING * 5e-4]), rel=1e-5
+    )
 
 
 def test_a_gap_shorter_than_a_release_leaves_no_surface():
@@ -85,11 +100,15 @@ def test_a_tissue_that_lets_go_deeper_than_it_was_met_has_been_cut():
 
 
 def test_between_answers_the_contact_is_that_share_of_the_spring():
-    """Pressed to 2 mm with half the spring's stiffness, a further 0.1 mm without an answer adds k / 2 times that."""
+    """Pressed to 2 mm with half the spring's stiffness, a further 0.1 mm without an answer adds
+    k / 2 times that.
+    """
     koopman = Koopman(GivenPath(stretch_m=(0.0, 0.0, 1e-3)))
     koopman.meet(Contact(SPRING, np.zeros(3), np.zeros(3)))
     for z in [1e-4, -1e-9, *(-STEP_M * np.arange(1, 21))]:
-        koopman.observe(np.array([0.0, 0.0, z]), np.zeros(3), np.array([0.0, 0.0, 0.5 * SPRING * max(-z, 0.0)]))
+        koopman.observe(
+            np.array([0.0, 0.0, z]), np.zeros(3), np.array([0.0, 0.0, 0.5 * SPRING * max(-z, 0.0)])
+        )
     assert koopman.residual_N == pytest.approx(abs(0.5 * SPRING * 2e-3 - SPRING * 1e-3), abs=1e-12)
     koopman.observe(np.array([0.0, 0.0, -2.1e-3]), np.zeros(3), None)
     assert koopman.predict(0.0)[2] == pytest.approx(0.5 * SPRING * 2.1e-3, rel=1e-5)
@@ -104,7 +123,9 @@ def law_of(rng):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_contact_is_balanced_at_the_end_of_the_path(seed):
-    """k (x - p) + f - K (p - p0) = 0 solved by NumPy for the tip p; the device then feels k (p - x)."""
+    """k (x - p) + f - K (p - p0) = 0 solved by NumPy for the tip p; the device then feels k (p -
+    x).
+    """
     rng = np.random.default_rng(seed)
     stiffness, step = law_of(rng), rng.normal(size=3) * 2e-5
     tip, force = rng.normal(size=3) * 1e-2, np.array([0.2, -0.1, 1.5])
@@ -114,7 +135,9 @@ def test_a_contact_is_balanced_at_the_end_of_the_path(seed):
     predictor.observe(device, np.zeros(3), force)
     for ticks in (1.0, 4.5):
         there = device + ticks * step
-        moved = np.linalg.solve(SPRING * np.eye(3) + stiffness, SPRING * there + force + stiffness @ tip)
+        moved = np.linalg.solve(
+            SPRING * np.eye(3) + stiffness, SPRING * there + force + stiffness @ tip
+        )
         assert predictor.predict(ticks) == pytest.approx(SPRING * (moved - there), rel=1e-9)
     # What the damper of the coupling adds now, it adds there.
     damper = np.array([0.05, 0.02, -0.04])
@@ -134,13 +157,20 @@ def test_a_tissue_that_would_pull_has_let_go():
 
 @pytest.mark.parametrize("known", [True, False])
 def test_a_free_tool_comes_to_the_surface_by_its_gap(known):
-    """A gap of 0.25 mm, 0.1 mm a tick: stiff as the last contact in series with the spring, or as good as rigid."""
+    """A gap of 0.25 mm, 0.1 mm a tick: stiff as the last contact in series with the spring, or
+    as good as rigid.
+    """
     predictor = LookAhead(GivenPath((0.0, 0.0, -1e-4)))
     ratio = RIGID
     if known:
         ratio = 0.25
         predictor.meet(
-            Contact(SPRING, np.zeros(3), np.array([0.0, 0.0, 1.0]), ratio * SPRING * np.diag([2.0, 3.0, 1.0]))
+            Contact(
+                SPRING,
+                np.zeros(3),
+                np.array([0.0, 0.0, 1.0]),
+                ratio * SPRING * np.diag([2.0, 3.0, 1.0]),
+            )
         )
     normal = np.array([0.0, 0.0, 1.0])
     predictor.meet(Contact(SPRING, np.zeros(3), np.zeros(3), None, 2.5e-4, normal))
@@ -158,12 +188,16 @@ def test_a_tool_that_cuts_is_stretched_as_its_path_foresees():
     assert predictor.predict(3.0) == pytest.approx(SPRING * np.array([0.0, 3e-4, 6e-4]))
     assert predictor.predict(0.0) == pytest.approx(force)
     predictor.observe(np.zeros(3), np.zeros(3), force)
-    assert predictor.residual_N == pytest.approx(np.linalg.norm(force - SPRING * np.array([0.0, 1e-4, 2e-4])))
+    assert predictor.residual_N == pytest.approx(
+        np.linalg.norm(force - SPRING * np.array([0.0, 1e-4, 2e-4]))
+    )
 
 
 @pytest.mark.parametrize(("window", "every"), [(4, 10), (30, 10), (4, 1)])
 def test_a_line_through_forces_that_come_every_few_ticks(window, every):
-    """2 mN a tick, whether the window holds several forces or is shorter than the time between two."""
+    """2 mN a tick, whether the window holds several forces or is shorter than the time between
+    two.
+    """
     line, zero = Linear(window), np.zeros(3)
     for tick in range(201):
         line.observe(zero, zero, np.full(3, 2e-3 * tick) if tick % every == 0 else None)

@@ -6,7 +6,9 @@ import pytest
 from tissue.prediction.look_ahead import ContactSlope
 
 NOISE, DRIFT, UNKNOWN = 1e-6, 50.0, 1.0
-"""As documented: noise [m], variance for each metre, variance of a slope of which nothing is known."""
+"""As documented: noise [m], variance for each metre, variance of a slope of which nothing is
+known.
+"""
 
 
 @pytest.mark.parametrize("step_m", [1e-7, 1e-6, 1e-5])
@@ -23,7 +25,9 @@ def test_the_first_step_counts_by_its_length_over_the_noise(step_m):
 
 
 def test_steps_along_a_line_are_the_scalar_filter():
-    """Along one direction a scalar is filtered: variance P, gain, and 50 more for each metre, bounded in all."""
+    """Along one direction a scalar is filtered: variance P, gain, and 50 more for each metre,
+    bounded in all.
+    """
     rng, along = np.random.default_rng(0), np.array([2.0, -1.0, 2.0]) / 3.0
     slope = ContactSlope()
     tip, force = np.zeros(3), np.full(3, 1e-3)
@@ -52,5 +56,8 @@ def test_what_was_learnt_outlasts_a_pause_and_what_is_between_is_not_taken_in():
     slope.observe(9 * one, np.full(3, 2e-3))
     np.testing.assert_array_equal(slope.matrix, before)
     slope.observe(10 * one, np.full(3, 2e-3) - 0.2 * one)
-    # Nothing is known again but the first guess: 100 / 101 of what it is off is taken in at 10 noises.
-    assert slope.matrix[0, 0] == pytest.approx(before[0, 0] + (0.2 - before[0, 0]) * 100.0 / 101.0, rel=1e-9)
+    # Nothing is known again but the first guess: 100 / 101 of what it is off is taken in at 10
+    # noises.
+    assert slope.matrix[0, 0] == pytest.approx(
+        before[0, 0] + (0.2 - before[0, 0]) * 100.0 / 101.0, rel=1e-9
+    )

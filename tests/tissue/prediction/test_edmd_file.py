@@ -16,7 +16,12 @@ RNG = np.random.default_rng(0)
 EPISODES = record(duffing, RNG.uniform(-1.0, 1.0, (4, 2)), RNG.normal(size=(4, 80)), 0.02)
 FREE = Edmd(Delays(2, Gaussians(((0.1, 0.2),), columns=(0, 1))), ridge=1e-8).fit(EPISODES)
 CLOSED = Edmd(GapProducts((-1.0,), columns=(1,)), ridge=1e-8).fit(EPISODES)
-HEADER = {"horizons_ms": [1, 4, 10], "gain": [[0.1, 0.0]], "error": 1 / 3, "columns": ["x_m", "force_N"]}
+HEADER = {
+    "horizons_ms": [1, 4, 10],
+    "gain": [[0.1, 0.0]],
+    "error": 1 / 3,
+    "columns": ["x_m", "force_N"],
+}
 
 
 def written(folder, **changed):
@@ -26,7 +31,11 @@ def written(folder, **changed):
 
 def test_what_is_written_comes_back(tmp_path):
     found = read_predictor(written(tmp_path), scene="wall")
-    assert (found.scene, found.header, list(found.operators)) == ("wall", HEADER, ["free", "closed"])
+    assert (found.scene, found.header, list(found.operators)) == (
+        "wall",
+        HEADER,
+        ["free", "closed"],
+    )
     assert np.array_equal(found.arrays["residual gain"], np.eye(3))
     for name, operator in (("free", FREE), ("closed", CLOSED)):
         read = found.operators[name]
@@ -37,7 +46,9 @@ def test_what_is_written_comes_back(tmp_path):
         assert read.statistics.samples == operator.statistics.samples
         assert np.array_equal(read.statistics.residual_rms, operator.statistics.residual_rms)
     predicted = found.operators["free"].predict(EPISODES[0].states[:3], EPISODES[0].inputs[2:8], 6)
-    assert np.array_equal(predicted, FREE.predict(EPISODES[0].states[:3], EPISODES[0].inputs[2:8], 6))
+    assert np.array_equal(
+        predicted, FREE.predict(EPISODES[0].states[:3], EPISODES[0].inputs[2:8], 6)
+    )
     assert [each.name for each in tmp_path.iterdir()] == ["wall.npz"]
 
 
@@ -76,9 +87,15 @@ def again(path, **changed):
     [
         (
             {"version": 3},
-            "predictor file must be of format 2 or older, got 3, written by tissue .*: read it with that version",
+            (
+                "predictor file must be of format 2 or older, got 3, written by tissue .*: read "
+                "it with that version"
+            ),
         ),
-        ({"scene": "liver"}, "predictor file must be of scene wall, got liver in .*: train it again"),
+        (
+            {"scene": "liver"},
+            "predictor file must be of scene wall, got liver in .*: train it again",
+        ),
         ({"format": "other"}, "predictor file must be one that 'tissue train' wrote"),
         ({"free__A": np.zeros((2, 2))}, "must be whole, got .* instead of"),
         ({"free__A": np.full_like(FREE.A, np.nan)}, "must be whole, got .*not finite"),
@@ -94,11 +111,14 @@ def test_another_file_is_refused_with_the_remedy(tmp_path, changed, sentence):
         read_predictor(path, scene="wall")
 
 
-@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 and no more", b"\x80\x04K\x01."], ids=["empty", "cut", "pickle"])
+@pytest.mark.parametrize(
+    "content", [b"", b"PK\x03\x04 and no more", b"\x80\x04K\x01."], ids=["empty", "cut", "pickle"]
+)
 def test_a_damaged_file_is_refused(tmp_path, content):
     path = tmp_path / "wall.npz"
     with pytest.raises(
-        InputError, match=r"predictor file must be an existing file, got .*: train it with 'tissue train'"
+        InputError,
+        match=r"predictor file must be an existing file, got .*: train it with 'tissue train'",
     ):
         read_predictor(path)
     path.write_bytes(content)
@@ -121,5 +141,7 @@ def test_a_refusal_holds_no_text_of_the_archive_reader(tmp_path):
     for at in range(40, len(content), 97):
         content[at] ^= 255
     path.write_bytes(content)
-    with pytest.raises(InputError, match=r"must be whole, got [^()]* \(it is damaged\): train it again"):
+    with pytest.raises(
+        InputError, match=r"must be whole, got [^()]* \(it is damaged\): train it again"
+    ):
         read_predictor(path)

@@ -1,4 +1,6 @@
-"""Learning on: recursive least squares against the fit of all data, change, rest, and wild samples."""
+"""Learning on: recursive least squares against the fit of all data, change, rest, and wild
+samples.
+"""
 
 import numpy as np
 import pytest
@@ -19,7 +21,9 @@ def learn(online, episodes, lift):
     errors = []
     for each in episodes:
         lifted = lift(each.states)
-        errors += [online.update(lifted[k], each.inputs[k], lifted[k + 1]) for k in range(len(lifted) - 1)]
+        errors += [
+            online.update(lifted[k], each.inputs[k], lifted[k + 1]) for k in range(len(lifted) - 1)
+        ]
     return np.array(errors)
 
 
@@ -31,7 +35,11 @@ def test_without_forgetting_it_is_the_fit_of_all_data(offset):
     learn(online, episodes[4:], Polynomials(2).lift)
     found, all_of_them = online.operator(cap=None), edmd.fit(episodes)
     # Where it starts from counts as one sample of size 1 / (4 gain_limit²).
-    for one, other in ((found.A, all_of_them.A), (found.B, all_of_them.B), (found.offset, all_of_them.offset)):
+    for one, other in (
+        (found.A, all_of_them.A),
+        (found.B, all_of_them.B),
+        (found.offset, all_of_them.offset),
+    ):
         assert one == pytest.approx(other, abs=1e-8)
 
 
@@ -54,17 +62,24 @@ def test_a_changed_system_is_learnt_within_some_memories():
 
 
 def gain_bound(online):
-    """Largest gain that any next sample could have now: half the root of the covariance's largest eigenvalue."""
+    """Largest gain that any next sample could have now: half the root of the covariance's
+    largest eigenvalue.
+    """
     return 0.5 * float(np.sqrt(np.linalg.eigvalsh(online._covariance)[-1] / online._forgetting))
 
 
 @pytest.mark.parametrize("forgetting", [0.9, 0.99, 0.999])
 @pytest.mark.parametrize("limit", [0.1, 1.0, 10.0])
 def test_the_gain_stays_bounded_at_rest(forgetting, limit):
-    """At rest nothing is excited: plain forgetting would multiply the covariance by 1 / forgetting every sample."""
+    """At rest nothing is excited: plain forgetting would multiply the covariance by 1 /
+    forgetting every sample.
+    """
     rng = np.random.default_rng(2)
     operator = Edmd(Polynomials(2)).fit(swings(rng))
-    online, rest = Online(operator, forgetting=forgetting, gain_limit=limit), operator.dictionary.lift(np.zeros(2))
+    online, rest = (
+        Online(operator, forgetting=forgetting, gain_limit=limit),
+        operator.dictionary.lift(np.zeros(2)),
+    )
     largest = gain_bound(online)
     for tick in range(3000):
         online.update(rest, np.zeros(1), rest)
@@ -72,7 +87,8 @@ def test_the_gain_stays_bounded_at_rest(forgetting, limit):
             largest = max(largest, gain_bound(online))
     assert largest <= limit * (1.0 + 1e-9)
     assert forgetting**-3000 > 20.0
-    # It learnt that rest stays rest, and kept what it knew of the rest: the surprise after it throws nothing away.
+    # It learnt that rest stays rest, and kept what it knew of the rest: the surprise after it
+    # throws nothing away.
     found = online.operator(cap=None)
     assert found.advance(rest, np.zeros(1)) == pytest.approx(rest, abs=1e-3)
 
@@ -85,7 +101,9 @@ def test_the_gain_stays_bounded_under_anything(seed):
     for tick in range(1500):
         burst = 10.0 ** rng.uniform(-6, 2) if rng.random() < 0.1 else 1e-3
         lifted = operator.middle + burst * operator.scale * rng.normal(size=5)
-        online.update(lifted, burst * rng.normal(size=1), operator.middle + 1e-3 * rng.normal(size=5))
+        online.update(
+            lifted, burst * rng.normal(size=1), operator.middle + 1e-3 * rng.normal(size=5)
+        )
         if tick % 50 == 0:
             assert gain_bound(online) <= 0.5 * (1.0 + 1e-9)
 
@@ -118,10 +136,11 @@ def test_bad_options_are_refused():
 
 @pytest.mark.parametrize("forgetting", [0.9, 0.98])
 def test_what_was_known_weighs_as_one_memory_of_samples(forgetting):
-    """Weighted least squares, written out: the fit's own samples count as 1 / (1 - forgetting) of their kind.
+    """Weighted least squares, written out: the fit's own samples count as 1 / (1 - forgetting) of
+    their kind.
 
-    A new sample k steps ago has the weight forgetting^k. In units of the fit's means and deviations, where a gain is not
-    bounded.
+    A new sample k steps ago has the weight forgetting^k. In units of the fit's means and
+    deviations, where a gain is not bounded.
     """
     rng = np.random.default_rng(5)
     known = swings(rng, 6)
@@ -144,7 +163,9 @@ def test_what_was_known_weighs_as_one_memory_of_samples(forgetting):
     new, seen = rows(fresh)
     weights = forgetting ** np.arange(len(new) - 1, -1, -1.0)
     old = forgetting ** len(new) * memory * given.T @ given
-    wanted = np.linalg.solve(old + (new * weights[:, None]).T @ new, old @ before + (new * weights[:, None]).T @ seen)
+    wanted = np.linalg.solve(
+        old + (new * weights[:, None]).T @ new, old @ before + (new * weights[:, None]).T @ seen
+    )
     found = online.operator(cap=None)
     linear = wanted[:-1].T * start.scale[:, None] / scale
     of_states, of_inputs = np.split(linear, [len(start.scale)], axis=1)

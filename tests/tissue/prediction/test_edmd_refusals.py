@@ -47,12 +47,18 @@ BAD = {
     "collinear": (
         Edmd(Identity()),
         [row(np.column_stack([SWING[0].states, SWING[0].states[:, 0] * 3.0 + 1.0]))],
-        "observables and inputs must be independent, got number [02] as a combination of the others",
+        (
+            "observables and inputs must be independent, got number [02] as a combination of the "
+            "others"
+        ),
     ),
     "too short": (
         Edmd(Delays(5)),
         [SWING[0], row(SWING[0].states[:6])],
-        "episode 1 must have at least 7 rows for 5 delays, got 6: leave it out or take fewer delays",
+        (
+            "episode 1 must have at least 7 rows for 5 delays, got 6: leave it out or take fewer "
+            "delays"
+        ),
     ),
     "few": (
         Edmd(Polynomials(4)),
@@ -87,13 +93,22 @@ OTHER_BAD = {
         lambda: Gaussians.from_states(SWING[0].states[:3], 4, np.random.default_rng(0)),
         r"count must be in \[1, 3\], the number of different states, got 4",
     ),
-    "horizon": (lambda: horizon_errors(Edmd(Identity()).fit(SWING), SWING, 60), "longer than 60 rows"),
+    "horizon": (
+        lambda: horizon_errors(Edmd(Identity()).fit(SWING), SWING, 60),
+        "longer than 60 rows",
+    ),
     "not finite": (
         lambda: horizon_errors(Edmd(Identity()).fit(SWING), [row(np.full((9, 2), np.nan))], 1),
         "states of episode 0 must be finite",
     ),
-    "kind": (lambda: from_plain({"kind": "os.system"}), "kind must be one of Identity, Polynomials"),
-    "field": (lambda: from_plain({"kind": "Polynomials", "orders": 2}), "must have the fields of this version"),
+    "kind": (
+        lambda: from_plain({"kind": "os.system"}),
+        "kind must be one of Identity, Polynomials",
+    ),
+    "field": (
+        lambda: from_plain({"kind": "Polynomials", "orders": 2}),
+        "must have the fields of this version",
+    ),
 }
 
 
@@ -111,5 +126,7 @@ def test_no_step_ahead_is_refused():
 
 def test_an_operator_without_a_logarithm_is_refused():
     flips = [row([[(-0.5) ** k * a] for k in range(9)]) for a in (1.0, 2.0)]
-    with pytest.raises(InputError, match="eigenvalues must be neither zero nor negative to have a logarithm"):
+    with pytest.raises(
+        InputError, match="eigenvalues must be neither zero nor negative to have a logarithm"
+    ):
         Edmd(Identity()).fit(flips).generator()

@@ -71,7 +71,9 @@ class Ramp(Fake):
 
 @pytest.mark.parametrize("model_ticks", [1, 5])
 def test_a_prediction_for_a_time_between_ticks_is_judged_by_the_force_between(model_ticks):
-    """Half a tick early or late would be an error of 0.05 N, more than 1.5 times the other's 0.02 N."""
+    """Half a tick early or late would be an error of 0.05 N, more than 1.5 times the other's
+    0.02 N.
+    """
     guarded = Guarded(Ramp(0.0), Ramp(0.02), reach_N=10.0)
     primary = []
     for tick in range(400):
@@ -85,7 +87,9 @@ def test_a_prediction_for_a_time_between_ticks_is_judged_by_the_force_between(mo
 
 
 class Ahead(Fake):
-    """Predicts the force that comes, plus a constant times how it changes until then, or where nothing is touched."""
+    """Predicts the force that comes, plus a constant times how it changes until then, or where
+    nothing is touched.
+    """
 
     clock, waited = 0, 400
 
@@ -97,7 +101,9 @@ class Ahead(Fake):
 
     def predict(self, ticks):
         then = self.force(self.clock + ticks)
-        return then + self.constant * (then - self.force(self.clock)) + self.false_N * (not then.any())
+        return (
+            then + self.constant * (then - self.force(self.clock)) + self.false_N * (not then.any())
+        )
 
     false_N = 0.0
 
@@ -160,12 +166,18 @@ class Off(Fake):
         return (2.0 + np.sin(0.05 * (self.clock + ticks)) + self.wrong_N) * self.direction
 
 
-@pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.6, 0.0, -0.8)])
+@pytest.mark.parametrize(
+    "direction", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.6, 0.0, -0.8)]
+)
 @pytest.mark.parametrize("wrong_N", [-1.0, 1.0])
 def test_errors_count_alike_in_every_direction(direction, wrong_N):
-    """Of errors of 0.014 N and 0.01 N the larger one passes, being below 1.5 times the other; 0.016 N does not."""
+    """Of errors of 0.014 N and 0.01 N the larger one passes, being below 1.5 times the other;
+    0.016 N does not.
+    """
     for inner, stays in ((0.014, True), (0.016, False)):
-        guarded = Guarded(Off(direction, inner * wrong_N), Off(direction, 0.01 * wrong_N), reach_N=10.0)
+        guarded = Guarded(
+            Off(direction, inner * wrong_N), Off(direction, 0.01 * wrong_N), reach_N=10.0
+        )
         primary = []
         for tick in range(400):
             force = (2.0 + np.sin(0.05 * (tick + 1))) * np.asarray(direction)

@@ -1,4 +1,6 @@
-"""Laws of the predictors that know the coupling: what is moved, turned or scaled is predicted moved, turned and scaled."""
+"""Laws of the predictors that know the coupling: what is moved, turned or scaled is predicted
+moved, turned and scaled.
+"""
 
 import numpy as np
 import pytest
@@ -20,9 +22,13 @@ def trained():
 
 @pytest.fixture(scope="module", params=["known stiffness", "learnt stiffness"])
 def motion(request):
-    """Positions, forces and contacts of a device that swings in and out of a soft face that drags along."""
+    """Positions, forces and contacts of a device that swings in and out of a soft face that
+    drags along.
+    """
     time = 1e-3 * np.arange(TICKS)
-    device = 1e-3 * np.column_stack([20.0 * time, 2.0 * np.cos(9.0 * time), 3.0 * np.cos(25.0 * time)])
+    device = 1e-3 * np.column_stack(
+        [20.0 * time, 2.0 * np.cos(9.0 * time), 3.0 * np.cos(25.0 * time)]
+    )
     device = 5.5e-5 * np.round(device / 5.5e-5)
     stiffness = np.diag([0.0, 0.0, 900.0])
     tip, push = device.copy(), np.zeros((TICKS, 3))
@@ -69,13 +75,17 @@ def test_what_is_moved_is_predicted_alike(kind, trained, motion):
 @pytest.mark.parametrize("mirrored", [False, True], ids=["turned", "mirrored"])
 def test_what_is_turned_is_predicted_turned(kind, mirrored, trained, motion):
     device, force, contact = motion
-    turn = Rotation.from_rotvec([0.7, -1.1, 2.0]).as_matrix() @ np.diag([-1.0 if mirrored else 1.0, 1.0, 1.0])
+    turn = Rotation.from_rotvec([0.7, -1.1, 2.0]).as_matrix() @ np.diag(
+        [-1.0 if mirrored else 1.0, 1.0, 1.0]
+    )
     other = contact.copy()
     for part in (PLACES, FORCES, NORMAL):
         other[:, part] = contact[:, part] @ turn.T
     other[:, STIFFNESS] = (turn @ contact[:, STIFFNESS].reshape(-1, 3, 3) @ turn.T).reshape(-1, 9)
     turned = predicted(kind, trained, device @ turn.T, force @ turn.T, other)
-    np.testing.assert_allclose(turned, predicted(kind, trained, device, force, contact) @ turn.T, atol=1e-8)
+    np.testing.assert_allclose(
+        turned, predicted(kind, trained, device, force, contact) @ turn.T, atol=1e-8
+    )
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -86,7 +96,9 @@ def test_scaled_forces_are_predicted_scaled(kind, factor, trained, motion):
     for part in (0, FORCES, STIFFNESS):
         other[:, part] *= factor
     scaled = predicted(kind, trained, device, factor * force, other)
-    np.testing.assert_allclose(scaled, factor * predicted(kind, trained, device, force, contact), atol=1e-8 * factor)
+    np.testing.assert_allclose(
+        scaled, factor * predicted(kind, trained, device, force, contact), atol=1e-8 * factor
+    )
 
 
 def test_a_contact_comes_back_from_its_row(motion):
@@ -97,20 +109,26 @@ def test_a_contact_comes_back_from_its_row(motion):
 
 @pytest.mark.parametrize("kind", ["look-ahead", "koopman-look-ahead"])
 def test_a_tool_that_cuts_is_foreseen_by_its_path(kind, trained, motion):
-    """Without a law that pushes back: the last force, or what the operator gives, as `koopman` does."""
+    """Without a law that pushes back: the last force, or what the operator gives, as `koopman`
+    does.
+    """
     device, force, contact = motion
     cutting = contact.copy()
     cutting[:, -1] = 1.0
     found = predicted(kind, trained, device, force, cutting)
     touching = force.any(axis=1)
-    wanted = force if kind == "look-ahead" else predicted("koopman", trained, device, force, contact)
+    wanted = (
+        force if kind == "look-ahead" else predicted("koopman", trained, device, force, contact)
+    )
     same = touching & (np.einsum("ij,ij->i", found, force) > 0.0)
     assert same.sum() > 200
     np.testing.assert_allclose(found[same], wanted[same], atol=1e-9)
 
 
 def test_the_law_at_a_foreseen_place_is_exact(trained):
-    """A device that moves steadily into a face of 900 N/m on a coupling of 400: the force of both springs in series."""
+    """A device that moves steadily into a face of 900 N/m on a coupling of 400: the force of
+    both springs in series.
+    """
     predictor = trained_predictor("look-ahead", trained, force_limit_N=3.3).inner
     series, stiffness = 900.0 * 400.0 / 1300.0, np.diag([0.0, 0.0, 900.0])
     for tick in range(2000):
@@ -120,7 +138,9 @@ def test_the_law_at_a_foreseen_place_is_exact(trained):
         up = np.array([0.0, 0.0, 1.0])
         law = stiffness if z < 0.0 else np.zeros((3, 3))
         predictor.meet(Contact(400.0, np.array([0.0, 0.0, tip]), push, law, max(z, 0.0), up))
-        predictor.observe(np.array([0.0, 0.0, z]), np.zeros(3), np.array([0.0, 0.0, 400.0 * (tip - z)]))
+        predictor.observe(
+            np.array([0.0, 0.0, z]), np.zeros(3), np.array([0.0, 0.0, 400.0 * (tip - z)])
+        )
         if tick > 1700 or (z < 0.0 and tick % 50 == 0):
             assert predictor.predict(6.0)[2] == pytest.approx(series * (1.2e-5 * 6.0 - z), abs=1e-6)
         elif z > 1e-4:

@@ -3,18 +3,27 @@
 import numpy as np
 import pytest
 
-from tissue.evaluation.charts.prediction import OURS, Interval, PredictorComparison, comparison_lines
+from tissue.evaluation.charts.prediction import (
+    OURS,
+    Interval,
+    PredictorComparison,
+    comparison_lines,
+)
 from tissue.evaluation.training.train import HORIZONS
 from tissue.scene.registry import PREDICTORS
 
 
 def line_of(differences):
-    """The sentence on runs of very different errors, in which ours are these much greater than all others'."""
+    """The sentence on runs of very different errors, in which ours are these much greater than
+    all others'.
+    """
     runs = np.geomspace(0.01, 0.5, len(differences))
     errors = {kind: np.tile(runs[:, None], len(HORIZONS)) for kind in PREDICTORS}
     errors[OURS] = errors[OURS] + np.array(differences)[:, None]
     empty, nothing = np.array([], dtype=complex), Interval(0.0, 0.0, 0.0)
-    found = PredictorComparison("wall", errors, dict.fromkeys(PREDICTORS, (1.0, 2.0)), empty, {1: nothing}, {})
+    found = PredictorComparison(
+        "wall", errors, dict.fromkeys(PREDICTORS, (1.0, 2.0)), empty, {1: nothing}, {}
+    )
     return comparison_lines([found])[-1]
 
 
@@ -32,6 +41,10 @@ def test_one_predictor_is_better_only_where_pairs_of_runs_show_it(differences, v
 
 
 def test_the_interval_of_pairs_is_that_of_student():
-    """Mean -1 %, standard deviation 0.1 %, three runs: 4.3027 is the 97.5 % quantile of t at two degrees of freedom."""
+    """Mean -1 %, standard deviation 0.1 %, three runs: 4.3027 is the 97.5 % quantile of t at two
+    degrees of freedom.
+    """
     half = 4.3027 * 0.1 / np.sqrt(3.0)
-    assert f"-1.00 in pairs ({-1.0 - half:+.2f} to {-1.0 + half:+.2f})" in line_of([-0.009, -0.010, -0.011])
+    assert f"-1.00 in pairs ({-1.0 - half:+.2f} to {-1.0 + half:+.2f})" in line_of(
+        [-0.009, -0.010, -0.011]
+    )

@@ -25,17 +25,23 @@ LIMIT_N = 3.3
 
 
 def spring_run(seed, ticks=1200, stiffness=STIFFNESS_N_M):
-    """A device that swings through the face z = 0 of a spring, read by an encoder: F = k max(0, -z)."""
+    """A device that swings through the face z = 0 of a spring, read by an encoder: F = k max(0,
+    -z).
+    """
     rng = np.random.default_rng(seed)
     time = 1e-3 * np.arange(ticks)
-    waves = [(2.0 + 4.0 * rng.random(), 2e-3 * rng.random() + 1e-3, 6.3 * rng.random()) for _ in range(3)]
+    waves = [
+        (2.0 + 4.0 * rng.random(), 2e-3 * rng.random() + 1e-3, 6.3 * rng.random()) for _ in range(3)
+    ]
     z = sum(size * np.sin(2.0 * np.pi * hertz * time + phase) for hertz, size, phase in waves)
     aside = 1e-3 * np.column_stack([np.sin(5.0 * time + seed), np.cos(7.0 * time + seed)])
     position = ENCODER_M * np.round(np.column_stack([aside, z]) / ENCODER_M)
     velocity = np.diff(position, axis=0, prepend=position[:1]) / 1e-3
     force = np.zeros_like(position)
     force[:, 2] = stiffness * np.maximum(0.0, -position[:, 2])
-    return Recording(position, velocity, force, contacts(position, force, stiffness), "expert", seed)
+    return Recording(
+        position, velocity, force, contacts(position, force, stiffness), "expert", seed
+    )
 
 
 def contacts(position, force, stiffness, face=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0)):
@@ -122,7 +128,9 @@ def test_a_parabola_goes_on_in_the_filter_alone():
 
 @pytest.mark.parametrize("predictor", [Linear(), Kalman()], ids=["line", "parabola"])
 def test_a_line_goes_on_between_ticks(predictor):
-    assert feed(predictor, 2e-3 * np.arange(400)).predict(6.11)[2] == pytest.approx(2e-3 * 405.11, abs=1e-9)
+    assert feed(predictor, 2e-3 * np.arange(400)).predict(6.11)[2] == pytest.approx(
+        2e-3 * 405.11, abs=1e-9
+    )
 
 
 def test_powers_are_joined_by_straight_lines_between_ticks(trained):
@@ -151,14 +159,20 @@ def test_kalman_gains_are_those_that_the_recursion_settles_to():
 
 
 def test_a_linear_model_with_control_is_exact_on_a_linear_model():
-    """F+ = A F + B (x, v) with a device at constant speed: fitted on noise, predicted to rounding."""
+    """F+ = A F + B (x, v) with a device at constant speed: fitted on noise, predicted to
+    rounding.
+    """
     rng = np.random.default_rng(3)
     A, B = np.diag([0.9, 0.8, 0.7]), rng.standard_normal((3, 6)) * np.array([3.0] * 3 + [0.1] * 3)
     inputs, states = rng.standard_normal((400, 6)), np.zeros((400, 3))
     for row in range(399):
         states[row + 1] = A @ states[row] + B @ inputs[row]
     predictor = LinearControl(Edmd(Identity()).fit([(states, inputs, 1e-3)]))
-    position, velocity, force = rng.standard_normal(3), rng.standard_normal(3), rng.standard_normal(3)
+    position, velocity, force = (
+        rng.standard_normal(3),
+        rng.standard_normal(3),
+        rng.standard_normal(3),
+    )
     predictor.observe(position, velocity, force)
     for step in range(6):
         np.testing.assert_allclose(predictor.predict(step), force, atol=1e-9)
@@ -167,13 +181,20 @@ def test_a_linear_model_with_control_is_exact_on_a_linear_model():
 
 @pytest.mark.parametrize("kind", PREDICTORS.names[1:])
 def test_predictions_are_finite_whatever_comes(kind, trained):
-    """NaN, infinity, jumps of metres and of 1e200; hold alone is not guarded: it repeats what it was given."""
+    """NaN, infinity, jumps of metres and of 1e200; hold alone is not guarded: it repeats what it
+    was given.
+    """
     rng = np.random.default_rng(4)
     predictor = made(kind, trained)
     wild = (np.nan, np.inf, -np.inf, 1e200, 1e30, 3.0, 0.0)
     for _ in range(600):
         position, velocity, force = (
-            np.array([rng.choice(wild) if rng.random() < 0.1 else rng.standard_normal() for _ in range(3)])
+            np.array(
+                [
+                    rng.choice(wild) if rng.random() < 0.1 else rng.standard_normal()
+                    for _ in range(3)
+                ]
+            )
             for _ in range(3)
         )
         predictor.observe(position, velocity, force if rng.random() < 0.8 else None)
@@ -188,7 +209,8 @@ def test_after_a_pause_rates_begin_anew(kind, trained):
     predictor = feed(made(kind, trained), 1e-3 * np.arange(200))
     predictor.pause()
     predictor.observe(np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 0.5]))
-    # What is left is the filter's share of the jump; a line or window across the pause would predict 0.5 + 10 * 0.03.
+    # What is left is the filter's share of the jump; a line or window across the pause would
+    # predict 0.5 + 10 * 0.03.
     assert abs(predictor.predict(1)[2] - 0.5) < 0.2
 
 
@@ -207,7 +229,9 @@ def test_the_loop_predicts_as_the_operator_does(trained):
 
 
 def test_contact_is_foreseen_where_lines_cannot(trained):
-    """On an unseen swing into the spring the lifted predictor beats every baseline at 4 and 8 ms."""
+    """On an unseen swing into the spring the lifted predictor beats every baseline at 4 and 8
+    ms.
+    """
     runs = [spring_run(seed) for seed in range(80, 84)]
     errors = {
         kind: forecast_errors(lambda k=kind: made(k, trained), runs, horizons=(4, 8)).mean(axis=0)
@@ -222,25 +246,33 @@ def test_contact_is_foreseen_where_lines_cannot(trained):
 
 @pytest.mark.parametrize("model_ticks", [2, 4, 10])
 def test_a_slow_model_is_bridged(model_ticks, trained):
-    """The force is seen in some ticks, the device in every one: 0.08 to 0.13 of what holding misses, without a guard.
+    """The force is seen in some ticks, the device in every one: 0.08 to 0.13 of what holding
+    misses, without a guard.
 
     Look-ahead is shown the law of the last answer, which on a rigid face is exact.
     """
     runs = [spring_run(seed) for seed in (90, 91, 92, 93)]
     error = {
-        kind: forecast_errors(lambda k=kind: made(k, trained), runs, horizons=(0,), model_ticks=model_ticks).mean()
+        kind: forecast_errors(
+            lambda k=kind: made(k, trained), runs, horizons=(0,), model_ticks=model_ticks
+        ).mean()
         for kind in ("hold", "linear", "koopman", "koopman-look-ahead")
     }
     bare = lambda: made("koopman", trained).inner  # noqa: E731
     alone = forecast_errors(bare, runs, horizons=(0,), model_ticks=model_ticks).mean()
-    assert max(error["koopman"], alone) < 0.15 * error["hold"] and error["koopman"] < error["linear"] < error["hold"]
+    assert (
+        max(error["koopman"], alone) < 0.15 * error["hold"]
+        and error["koopman"] < error["linear"] < error["hold"]
+    )
     assert error["koopman-look-ahead"] < 1e-3 * error["hold"]
 
 
 @pytest.mark.parametrize("kind", ["koopman", "koopman-look-ahead"])
 @pytest.mark.parametrize("why", ["growth", "short", "alone"])
 def test_each_reason_ends_trust(why, kind, trained):
-    """A motion as quick as none in training, a window that is not full, and no contact ever shown."""
+    """A motion as quick as none in training, a window that is not full, and no contact ever
+    shown.
+    """
     run, loop = spring_run(61), made(kind, trained).inner
     for row in range(200):
         if why == "alone":
@@ -261,7 +293,9 @@ def test_each_reason_ends_trust(why, kind, trained):
     assert not loop.trusted
 
 
-@pytest.mark.parametrize("kind", ["hold", "linear", "kalman", "look-ahead", "koopman", "koopman-look-ahead"])
+@pytest.mark.parametrize(
+    "kind", ["hold", "linear", "kalman", "look-ahead", "koopman", "koopman-look-ahead"]
+)
 def test_a_free_device_that_rests_has_no_force(kind, trained):
     loop, above = made(kind, trained), np.array([0.0, 0.0, 4e-3])
     feed(loop, np.zeros(100), np.tile(above, (100, 1)))
@@ -290,7 +324,9 @@ def test_a_file_gives_the_same_predictor(trained, tmp_path):
     # Matrices are kept in single precision: 1e-7 of states whose weights cancel to a hundredth.
     np.testing.assert_allclose(second.predict(6), first.predict(6), atol=1e-4)
     assert again.facts == trained.facts
-    with pytest.raises(InputError, match=r"out must not exist yet, got .*spring.npz: pass --overwrite"):
+    with pytest.raises(
+        InputError, match=r"out must not exist yet, got .*spring.npz: pass --overwrite"
+    ):
         trained.write(path)
     trained.write(path, overwrite=True)
 
@@ -299,17 +335,23 @@ def test_what_cannot_be_used_is_refused(trained, tmp_path):
     path = str(trained.write(tmp_path / "spring.npz"))
     options = {"force_limit_N": LIMIT_N}
     with pytest.raises(
-        InputError, match=r"must be of scene wall, got spring in .*: train it again with 'tissue train wa"
+        InputError,
+        match=r"must be of scene wall, got spring in .*: train it again with 'tissue train wa",
     ):
         maker_of("koopman", scene_name="wall", file=path, **options)()
-    with pytest.raises(InputError, match=r"must be an existing file, got nowhere.npz: train it with"):
+    with pytest.raises(
+        InputError, match=r"must be an existing file, got nowhere.npz: train it with"
+    ):
         maker_of("dmdc", scene_name="wall", file="nowhere.npz", **options)()
-    with pytest.raises(InputError, match=r"prediction must be one of hold, linear, .*, got arima: choose"):
+    with pytest.raises(
+        InputError, match=r"prediction must be one of hold, linear, .*, got arima: choose"
+    ):
         maker_of("arima", scene_name="wall", file="", **options)()
     with pytest.raises(InputError, match="trained must be given for dmdc, got nothing: pass"):
         trained_predictor("dmdc", None, force_limit_N=LIMIT_N)
     with pytest.raises(
-        InputError, match=r"coupling.predictor_file must be given for a scene other than caries, .*wall"
+        InputError,
+        match=r"coupling.predictor_file must be given for a scene other than caries, .*wall",
     ):
         maker_of("koopman", scene_name="mine", file="", **options)()
     with pytest.raises(InputError, match="device must be given for prediction = koopman"):
@@ -317,5 +359,7 @@ def test_what_cannot_be_used_is_refused(trained, tmp_path):
     still = [replace(spring_run(1), force_N=np.zeros((1200, 3)))]
     with pytest.raises(InputError, match="trials must leave at least 3 to learn from, got 1"):
         fit("spring", still)
-    with pytest.raises(InputError, match="scene must have a tool that touches, got no force in any trial"):
+    with pytest.raises(
+        InputError, match="scene must have a tool that touches, got no force in any trial"
+    ):
         fit("spring", still * 3)

@@ -14,7 +14,9 @@ from tissue.scene.load import parse_override, saved_text
 PARTS = [
     part
     for part in vars(tissue.scene.scene).values()
-    if isinstance(part, type) and issubclass(part, BaseModel) and part.__module__.startswith("tissue.scene.scene")
+    if isinstance(part, type)
+    and issubclass(part, BaseModel)
+    and part.__module__.startswith("tissue.scene.scene")
 ]
 
 
@@ -38,19 +40,27 @@ def test_a_built_in_scene_writes_and_reads_back_equal(name, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "caries" else name for name in scene_names()]
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name == "caries" else name
+        for name in scene_names()
+    ],
 )  # the tooth of molar, which takes seconds to build
 def test_a_printed_scene_runs(name, command, here):
     _, printed, _ = command("scenes", name)
     (here / "mine.toml").write_text(printed)
     coarse = COARSE.get(name, "voxels.spacing_mm=0.4")
-    code, _, error = command("run", "mine.toml", "--set", coarse, "--no-pictures", "--duration-s", 0.01, "--out", "out")
+    code, _, error = command(
+        "run", "mine.toml", "--set", coarse, "--no-pictures", "--duration-s", 0.01, "--out", "out"
+    )
     assert (code, error) == (0, "")
 
 
 @pytest.mark.parametrize("part", PARTS, ids=lambda part: part.__name__)
 def test_every_entry_is_described(part):
-    without = [name for name, field in part.model_fields.items() if not (field.description or "").strip()]
+    without = [
+        name for name, field in part.model_fields.items() if not (field.description or "").strip()
+    ]
     assert not without
 
 
@@ -68,7 +78,9 @@ def test_a_scene_is_frozen():
         scene.seed = 1
     with pytest.raises(ValidationError):
         scene.voxels.spacing_mm = 1.0
-    assert isinstance(scene.motion.points_mm, tuple) and isinstance(scene.motion.points_mm[0], tuple)
+    assert isinstance(scene.motion.points_mm, tuple) and isinstance(
+        scene.motion.points_mm[0], tuple
+    )
     assert hash(scene) == hash(load_scene("milling"))
 
 
@@ -98,10 +110,14 @@ def test_the_value_of_an_override_is_toml_or_text(text, expected):
 
 
 def test_an_override_mends_a_scene_file(tmp_path):
-    (tmp_path / "broken.toml").write_text(scene_text("milling").replace("spacing_mm = 0.05\n", "spacing_mm = 7.0\n"))
+    (tmp_path / "broken.toml").write_text(
+        scene_text("milling").replace("spacing_mm = 0.05\n", "spacing_mm = 7.0\n")
+    )
     with pytest.raises(InputError, match=r"voxels\.spacing_mm must be"):
         load_scene(tmp_path / "broken.toml")
-    assert load_scene(tmp_path / "broken.toml", {"voxels.spacing_mm": 0.05}) == load_scene("milling")
+    assert load_scene(tmp_path / "broken.toml", {"voxels.spacing_mm": 0.05}) == load_scene(
+        "milling"
+    )
 
 
 @pytest.mark.parametrize("turned", [False, True], ids=["kind first", "kind last"])
@@ -116,7 +132,9 @@ def test_a_new_kind_starts_its_part_afresh(turned):
     assert load_scene("milling", {"motion.kind": "path"}) == load_scene("milling")
 
 
-def test_files_are_taken_from_the_scene_file_and_overrides_from_the_working_directory(tmp_path, monkeypatch):
+def test_files_are_taken_from_the_scene_file_and_overrides_from_the_working_directory(
+    tmp_path, monkeypatch
+):
     home, work = tmp_path / "home", tmp_path / "work"
     home.mkdir()
     work.mkdir()
@@ -124,8 +142,12 @@ def test_files_are_taken_from_the_scene_file_and_overrides_from_the_working_dire
     text = scene_text("milling").replace("size_mm = [20, 12, 6]", 'file = "../bones/a.stl"')
     (home / "x.toml").write_text(text)
     assert load_scene(home / "x.toml").anatomy.file == str(tmp_path / "bones" / "a.stl")
-    assert load_scene("../home/x.toml", {"duration_s": 3}).anatomy.file == str(tmp_path / "bones" / "a.stl")
-    assert load_scene(home / "x.toml", {"anatomy.file": "b.stl"}).anatomy.file == str(work / "b.stl")
+    assert load_scene("../home/x.toml", {"duration_s": 3}).anatomy.file == str(
+        tmp_path / "bones" / "a.stl"
+    )
+    assert load_scene(home / "x.toml", {"anatomy.file": "b.stl"}).anatomy.file == str(
+        work / "b.stl"
+    )
     assert load_scene("milling", {"anatomy.file": "b.stl"}).anatomy.file == str(work / "b.stl")
     assert load_scene(home / "x.toml", {"anatomy.file": ""}).anatomy.from_file is None
     replay = {"motion.kind": "replay", "motion.file": "t.csv"}
@@ -140,13 +162,20 @@ def test_toml_of_a_scene_holds_every_entry_that_is_set():
     table = tomllib.loads(load_scene("glenoid").to_toml())
     rest = {"stress", "heat", "organ", "fidelity", "seed", "keep_clear"}
     assert set(table) == set(Scene.model_fields) - rest - {"device"}
-    for name, part in (("voxels", tissue.scene.scene.Voxels), ("output", tissue.scene.scene.Output)):
+    for name, part in (
+        ("voxels", tissue.scene.scene.Voxels),
+        ("output", tissue.scene.scene.Output),
+    ):
         assert set(table[name]) == set(part.model_fields) - {"cue_N"}
-    held = tomllib.loads(load_scene("glenoid", {"device": "six-dof", "prediction": "koopman"}).to_toml())
-    assert {"hand", "renderer", "prediction", "perception", "coupling"} <= set(held["device"]) and "cue_N" in held[
-        "output"
-    ]
-    assert "hardware" not in held["device"] and {"prediction_gain", "delay_ms"} <= set(held["device"]["coupling"])
+    held = tomllib.loads(
+        load_scene("glenoid", {"device": "six-dof", "prediction": "koopman"}).to_toml()
+    )
+    assert {"hand", "renderer", "prediction", "perception", "coupling"} <= set(
+        held["device"]
+    ) and "cue_N" in held["output"]
+    assert "hardware" not in held["device"] and {"prediction_gain", "delay_ms"} <= set(
+        held["device"]["coupling"]
+    )
     assert "hardware" in tomllib.loads(load_scene("wall", {"device": "haply"}).to_toml())["device"]
 
 
@@ -190,12 +219,19 @@ def test_a_kept_scene_with_the_default_of_a_removed_key_is_read(tmp_path):
 
 def test_a_file_in_the_form_of_version_02_is_read_with_a_note_and_still_refuses_idle_keys(tmp_path):
     path = tmp_path / "mine.toml"
-    path.write_text('device = "omni"\nhand = "novice"\n' + scene_text("milling") + "\n[coupling]\ndelay_ms = 3\n")
+    path.write_text(
+        'device = "omni"\nhand = "novice"\n'
+        + scene_text("milling")
+        + "\n[coupling]\ndelay_ms = 3\n"
+    )
     with pytest.warns(OldSceneWarning):
         held = load_scene(path).held
     assert (held.kind, held.hand, held.coupling.delay_ms) == ("omni", "novice", 3)
     path.write_text('hand = "expert"\n' + scene_text("milling"))
-    with pytest.warns(OldSceneWarning), pytest.raises(InputError, match="device must be given for hand = expert"):
+    with (
+        pytest.warns(OldSceneWarning),
+        pytest.raises(InputError, match="device must be given for hand = expert"),
+    ):
         load_scene(path)
     later = tmp_path / "later.toml"
     later.write_text("format = 3\n" + scene_text("milling"))

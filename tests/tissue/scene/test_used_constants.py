@@ -1,4 +1,6 @@
-"""The constants on which a scene rests are all that it reads, and those that it lists count: by changing them."""
+"""The constants on which a scene rests are all that it reads, and those that it lists count: by
+changing them.
+"""
 
 import numpy as np
 import pytest
@@ -9,17 +11,34 @@ from tissue.materials.constants import constants, listed
 from tissue.materials.scene_constants import TABLES
 from tissue.scene.used_constants import used_constants
 
-PLAIN = {"organ.young_kPa": None, "organ.young_end_kPa": None, "organ.parts": None, "organ.interval_ms": 0.0}
+PLAIN = {
+    "organ.young_kPa": None,
+    "organ.young_end_kPa": None,
+    "organ.parts": None,
+    "organ.interval_ms": 0.0,
+}
 SCENES = {
     "milling": {"voxels.spacing_mm": 0.4, "duration_s": 0.6},
     "needle": {"anatomy.interval_ms": 0.0},
-    "palpation": {**PLAIN, "duration_s": 0.4, "anatomy.size_mm": [120, 40, 20], "anatomy.nodule_diameter_mm": None},
+    "palpation": {
+        **PLAIN,
+        "duration_s": 0.4,
+        "anatomy.size_mm": [120, 40, 20],
+        "anatomy.nodule_diameter_mm": None,
+    },
     "wall": {"device": "touch", "duration_s": 0.8},
 }
 LIMITS = (
-    "stick_band_mm_s", "force_slew_N_ms", "damping_limit_N_s_m", "workspace_", "turning_", "inertia_kg_m2",
-)  # fmt: skip
-"""Constants that count only where a run comes to a limit, to rest, or turns its tool by hand: none of these does."""
+    "stick_band_mm_s",
+    "force_slew_N_ms",
+    "damping_limit_N_s_m",
+    "workspace_",
+    "turning_",
+    "inertia_kg_m2",
+)
+"""Constants that count only where a run comes to a limit, to rest, or turns its tool by hand:
+none of these does.
+"""
 
 
 def other(one):
@@ -30,12 +49,18 @@ def other(one):
 def figures(name, changes, values, tmp_path):
     """All numbers of a run's trace, with constants changed."""
     if values:
-        entries = [FittedEntry(each, value, value, value, "a test", "L") for each, value in values.items()]
+        entries = [
+            FittedEntry(each, value, value, value, "a test", "L") for each, value in values.items()
+        ]
         write_fitted(tmp_path / "changed.toml", entries, np.eye(len(entries)), remark=())
         changes = changes | {"materials": str(tmp_path / "changed.toml")}
     scene = tissue.load_scene(name, changes)
     run = tissue.simulate(scene)
-    return scene, tuple(run.summary["layers"]), run.to_pandas().select_dtypes("number").to_numpy(float)
+    return (
+        scene,
+        tuple(run.summary["layers"]),
+        run.to_pandas().select_dtypes("number").to_numpy(float),
+    )
 
 
 @pytest.mark.slow
@@ -73,7 +98,9 @@ LARGER = {
     "pedicle": {"voxels.spacing_mm": 0.5, "duration_s": 0.6},
     "liver-press": {"anatomy.edge_mm": 25, "anatomy.touch_edge_mm": 8, "duration_s": 0.5},
 }
-"""Scenes that take long with each constant changed in turn, without stress, which is solved beside the run."""
+"""Scenes that take long with each constant changed in turn, without stress, which is solved
+beside the run.
+"""
 
 
 @pytest.mark.slow
@@ -93,7 +120,9 @@ def test_teeth_list_what_stress_and_heat_read(has_stress, has_heat):
     scene = plain.model_copy(update={"stress": stress if has_stress else None, "heat": has_heat})
     layers = ("enamel", "dentin", "caries", "bone")
     names = {each.full for each in used_constants(scene, layers) if each.full.startswith("tooth.")}
-    elastic = {f"tooth.{layer}.poisson_ratio" for layer in ("enamel", "dentin", "caries", "ligament")}
+    elastic = {
+        f"tooth.{layer}.poisson_ratio" for layer in ("enamel", "dentin", "caries", "ligament")
+    }
     elastic |= {f"tooth.{layer}.modulus_GPa" for layer in ("enamel", "dentin", "ligament")}
     thermal = {f"tooth.{layer}.{name}" for layer in layers for name in constants("tooth", layer)}
     thermal = {name for name in thermal if not name.endswith(("modulus_GPa", "poisson_ratio"))} | {

@@ -11,7 +11,11 @@ DRILL = {
     "anatomy": {"kind": "block", "size_mm": [8.0, 8.0, THICKNESS_MM]},
     "voxels": {"spacing_mm": 0.3},
     "tool": {"kind": "twist-drill", "diameter_mm": 2.0, "length_mm": 10.0, "spin_rpm": 1000.0},
-    "motion": {"kind": "path", "points_mm": [[0, 0, 1], [0, 0, -6.5], [0, 0, 1]], "feed_mm_s": 20.0},
+    "motion": {
+        "kind": "path",
+        "points_mm": [[0, 0, 1], [0, 0, -6.5], [0, 0, 1]],
+        "feed_mm_s": 20.0,
+    },
 }
 
 
@@ -36,13 +40,20 @@ def test_a_tilted_drill_breaks_through_along_its_axis():
     tilt = np.radians(20.0)
     axis = np.array([np.sin(tilt), 0.0, np.cos(tilt)])
     points = [(-(s * axis)).tolist() for s in (-1.0, 6.0)]
-    run = drilled(motion={"kind": "path", "points_mm": points, "feed_mm_s": 20.0, "axis": axis.tolist()})
+    run = drilled(
+        motion={"kind": "path", "points_mm": points, "feed_mm_s": 20.0, "axis": axis.tolist()}
+    )
     (found,) = run.summary["break_through"]
     assert found["plunge_mm"] == pytest.approx(6.0 - THICKNESS_MM / np.cos(tilt), abs=0.1)
 
 
 @pytest.mark.parametrize(
-    "points", [[[0, 0, 1], [0, 0, -3]], [[0, 0, 1], [0, 0, -2], [0, 0, 1]], [[0, 0, 1], [0, 0, -1], [7, 0, -1]]]
+    "points",
+    [
+        [[0, 0, 1], [0, 0, -3]],
+        [[0, 0, 1], [0, 0, -2], [0, 0, 1]],
+        [[0, 0, 1], [0, 0, -1], [7, 0, -1]],
+    ],
 )
 def test_a_drill_that_stays_goes_back_or_leaves_aside_breaks_nothing(points):
     run = drilled(motion={"kind": "path", "points_mm": points, "feed_mm_s": 40.0})
@@ -50,20 +61,32 @@ def test_a_drill_that_stays_goes_back_or_leaves_aside_breaks_nothing(points):
 
 
 def test_a_thrust_without_a_brake_plunges_to_its_stop():
-    push = {"kind": "thrust", "thrust_N": 60.0, "start_mm": [0, 0, 0.5], "depth_mm": 6.0, "max_feed_mm_s": 10.0}
+    push = {
+        "kind": "thrust",
+        "thrust_N": 60.0,
+        "start_mm": [0, 0, 0.5],
+        "depth_mm": 6.0,
+        "max_feed_mm_s": 10.0,
+    }
     run = drilled(motion=push)
     (found,) = run.summary["break_through"]
     assert found["plunge_mm"] == pytest.approx(6.0 - THICKNESS_MM, abs=0.05)
 
 
 def test_pecking_breaks_through_once_a_hole():
-    """Three passes through one hole, the last the deepest, then a hole of its own 3 mm away: two, each with its plunge."""
+    """Three passes through one hole, the last the deepest, then a hole of its own 3 mm away:
+    two, each with its plunge.
+    """
     first = [[0, 0, 1], [0, 0, -4.5], [0, 0, -2], [0, 0, -5], [0, 0, 0.5], [0, 0, -6]]
     second = [[0, 0, 1], [3, 0, 1], [3, 0, -5.5]]
     run = drilled(motion={"kind": "path", "points_mm": first + second, "feed_mm_s": 40.0})
     plunges = [found["plunge_mm"] for found in run.summary["break_through"]]
     assert plunges == pytest.approx([6.0 - THICKNESS_MM, 5.5 - THICKNESS_MM], abs=0.05)
     assert [found["time_s"] for found in run.summary["break_through"]] == pytest.approx(
-        [(1.0 + THICKNESS_MM) / 40.0, (5.5 + 2.5 + 3.0 + 5.5 + 6.5 + 7.0 + 3.0 + 1.0 + THICKNESS_MM) / 40.0], abs=2e-3
+        [
+            (1.0 + THICKNESS_MM) / 40.0,
+            (5.5 + 2.5 + 3.0 + 5.5 + 6.5 + 7.0 + 3.0 + 1.0 + THICKNESS_MM) / 40.0,
+        ],
+        abs=2e-3,
     )
     assert len(break_throughs(run)) == 2

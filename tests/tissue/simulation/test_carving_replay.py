@@ -19,7 +19,10 @@ SCENES = {
     ),
     "fast and swept": ("milling", COARSE | {"motion.feed_mm_s": 400.0}),
     "binary": ("milling", COARSE | DEEP | {"voxels.removal": "binary"}),
-    "thrust": ("milling", COARSE | {"motion": {"kind": "thrust", "thrust_N": 20.0, "start_mm": [0, 0, 0.1]}}),
+    "thrust": (
+        "milling",
+        COARSE | {"motion": {"kind": "thrust", "thrust_N": 20.0, "start_mm": [0, 0, 0.1]}},
+    ),
     "a tooth": ("molar", {"voxels.spacing_mm": 0.2, "motion.feed_mm_s": 9.0, "stress": None}),
     "by a hand": ("milling", COARSE | DEEP | {"device": "touch", "hand": "novice"}),
 }
@@ -45,10 +48,13 @@ def test_the_bone_at_a_tick_is_that_of_a_run_stopped_there(cut):
     assert (run.remaining < run.volume.fraction).any()
     for stop in STOPS:
         stopped = simulate(scene_of(kind, stop))
-        if kind == "by a hand":  # it looks ahead to the end of its motion, and the ticks after it are the hand's delay
+        # it looks ahead to the end of its motion, and the ticks after it are the hand's delay
+        if kind == "by a hand":
             assert len(stopped.trace.rows) >= stop
         np.testing.assert_array_equal(
-            stopped.trace.rows[:stop, 1:8], run.trace.rows[:stop, 1:8], "the runs take the same path"
+            stopped.trace.rows[:stop, 1:8],
+            run.trace.rows[:stop, 1:8],
+            "the runs take the same path",
         )
         np.testing.assert_array_equal(replay.at(len(stopped.trace.rows) - 1), stopped.remaining)
 
@@ -63,7 +69,11 @@ def test_the_last_tick_is_the_run_itself_whatever_was_asked_before(cut):
         np.testing.assert_array_equal(seen.setdefault(tick, bone), bone)
         np.testing.assert_array_equal(replay.fraction, bone)
     np.testing.assert_array_equal(seen[last], run.remaining)
-    assert (seen[150] <= seen[80]).all() and (seen[80] <= seen[10]).all() and (seen[10] <= run.volume.fraction).all()
+    assert (
+        (seen[150] <= seen[80]).all()
+        and (seen[80] <= seen[10]).all()
+        and (seen[10] <= run.volume.fraction).all()
+    )
 
 
 def test_poses_read_back_are_the_same_bits(cut, tmp_path):
@@ -71,19 +81,31 @@ def test_poses_read_back_are_the_same_bits(cut, tmp_path):
     write_poses(tmp_path / "poses.npz", run.poses, run.volume)
     poses, origin_m, spacing_m = read_poses(tmp_path / "poses.npz")
     np.testing.assert_array_equal(poses, run.poses)
-    np.testing.assert_array_equal([*origin_m, spacing_m], [*run.volume.origin_m, run.volume.spacing_m])
-    assert len(run.poses) >= TICKS + 1 and run.poses[0, 0] == -1.0 and run.poses[-1, 0] == len(run.trace.rows) - 1
+    np.testing.assert_array_equal(
+        [*origin_m, spacing_m], [*run.volume.origin_m, run.volume.spacing_m]
+    )
+    assert (
+        len(run.poses) >= TICKS + 1
+        and run.poses[0, 0] == -1.0
+        and run.poses[-1, 0] == len(run.trace.rows) - 1
+    )
 
 
 def test_a_trace_alone_gives_the_bone_within_what_the_tool_goes_between_two_cuts(cut):
     kind, run = cut
     trace = run.trace
     axes = tool_axes(np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"]))
-    velocities = np.hstack([1e-3 * trace.vectors("velocity", "mm_s"), trace.vectors("angular_velocity", "rad_s")])
+    velocities = np.hstack(
+        [1e-3 * trace.vectors("velocity", "mm_s"), trace.vectors("angular_velocity", "rad_s")]
+    )
     again = Run(
-        run.scene, run.parts, trace, run.timing, events=[],
+        run.scene,
+        run.parts,
+        trace,
+        run.timing,
+        events=[],
         poses=poses_of_trace(1e-3 * trace.vectors("tool", "mm"), axes, velocities),
-    )  # fmt: skip
+    )
     bone = again.replay().at(len(trace.rows) - 1)
     # 20 µm of a voxel of 0.5 mm are 10 steps of 255; in a binary voxel it is all or nothing.
     differ = np.abs(bone.astype(int) - run.remaining)
@@ -92,11 +114,16 @@ def test_a_trace_alone_gives_the_bone_within_what_the_tool_goes_between_two_cuts
 
 
 def test_what_was_not_cut_has_no_replay():
-    with pytest.raises(InputError, match="run must have a tool that cuts, got sphere-probe: see its trace and fields"):
+    with pytest.raises(
+        InputError,
+        match="run must have a tool that cuts, got sphere-probe: see its trace and fields",
+    ):
         simulate(load_scene("wall", {"duration_s": 0.05})).replay()
 
 
-@pytest.mark.parametrize("damage", ["cut short", "other", "empty", "columns", "not finite", "version"])
+@pytest.mark.parametrize(
+    "damage", ["cut short", "other", "empty", "columns", "not finite", "version"]
+)
 def test_damaged_poses_are_refused_in_a_sentence(tmp_path, damage):
     path, poses = tmp_path / "poses.npz", np.zeros((40, 13))
     voxels = np.zeros((2, 2, 2), dtype=np.uint8)

@@ -15,7 +15,10 @@ pyvista = pytest.importorskip("pyvista")
 @pytest.fixture(scope="module")
 def run():
     """A slot milled through the middle of a block."""
-    path = {"motion.points_mm": [[-5, 0, 0.05], [-5, 0, -0.8], [5, 0, -0.8]], "motion.feed_mm_s": 30.0}
+    path = {
+        "motion.points_mm": [[-5, 0, 0.05], [-5, 0, -0.8], [5, 0, -0.8]],
+        "motion.feed_mm_s": 30.0,
+    }
     return simulate(load_scene("milling", path | {"voxels.spacing_mm": 0.3, "duration_s": 0.4}))
 
 
@@ -36,16 +39,22 @@ def test_paraview_plays_the_bone_from_whole_to_carved(run, folder):
         reader.set_active_time_value(time)
         cut, rest = reader.read()
         both = cut.append_polydata(rest).clean(tolerance=1e-4, absolute=True)
-        # Both together are closed, and enclose the bone that is left; flying edges take half a voxel's edge off corners.
+        # Both together are closed, and enclose the bone that is left; flying edges take half a
+        # voxel's edge off corners.
         assert both.n_open_edges == 0
         left = replay.at(tick).sum(dtype=np.int64) / 255 * 0.3**3
         assert both.volume == pytest.approx(left, rel=6e-3)
-        assert cut.point_data["removed_depth_mm"].max() >= last and not rest.point_data["removed_depth_mm"].any()
+        assert (
+            cut.point_data["removed_depth_mm"].max() >= last
+            and not rest.point_data["removed_depth_mm"].any()
+        )
         last = cut.point_data["removed_depth_mm"].max()
     # The last is the surface of the run itself, triangle by triangle.
     whole = carved_surface(run)
     assert both.n_cells == whole.n_cells and both.volume == pytest.approx(whole.volume, rel=1e-6)
-    assert last == pytest.approx(whole.point_data["removed_depth_mm"].max()) and last == pytest.approx(0.8, abs=0.05)
+    assert last == pytest.approx(
+        whole.point_data["removed_depth_mm"].max()
+    ) and last == pytest.approx(0.8, abs=0.05)
     poses, origin_m, _ = read_poses(folder / "carving" / "poses.npz")
     np.testing.assert_array_equal(poses, run.poses)
     np.testing.assert_array_equal(origin_m, run.volume.origin_m)
@@ -73,7 +82,11 @@ def test_a_cut_of_many_triangles_is_drawn_in_blocks(run, tmp_path, monkeypatch):
 
 
 def test_nothing_is_written_of_a_run_that_cut_nothing(tmp_path):
-    high = {"motion.points_mm": [[0, 0, 1.0], [0, 0, -0.5]], "voxels.spacing_mm": 0.5, "duration_s": 0.01}
+    high = {
+        "motion.points_mm": [[0, 0, 1.0], [0, 0, -0.5]],
+        "voxels.spacing_mm": 0.5,
+        "duration_s": 0.01,
+    }
     write_carving(simulate(load_scene("milling", high)), tmp_path)
     write_carving(simulate(load_scene("wall", {"duration_s": 0.01})), tmp_path)
     assert not list(tmp_path.iterdir())

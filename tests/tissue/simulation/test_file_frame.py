@@ -1,4 +1,6 @@
-"""Bone from a file: where its outputs lie, and that a run does not depend on where and how the file was stored."""
+"""Bone from a file: where its outputs lie, and that a run does not depend on where and how the
+file was stored.
+"""
 
 import contextlib
 import json
@@ -38,7 +40,9 @@ def lump():
 
 
 def milled(path, mesh, *, motion=None, unit_mm=1.0, mirrored=False):
-    """Write a mesh [mm] moved by a matrix into a file, mill it at the same site, and return the run."""
+    """Write a mesh [mm] moved by a matrix into a file, mill it at the same site, and return the
+    run.
+    """
     moved, motion = mesh.copy(), np.eye(4) if motion is None else motion
     moved.apply_transform(motion)
     moved.apply_scale(1.0 / unit_mm)
@@ -78,8 +82,8 @@ def figures(run):
 
 
 STORED = 2e-3
-"""Part by which figures may differ: STL holds single precision, 2e-5 mm at 400 mm, 1e-4 of the depth cut; a voxel's share
-is kept in 1/255."""
+"""Part by which figures may differ: STL holds single precision, 2e-5 mm at 400 mm, 1e-4 of the
+depth cut; a voxel's share is kept in 1/255."""
 
 
 def test_the_reference_cuts_bone(reference):
@@ -91,7 +95,9 @@ def test_the_reference_cuts_bone(reference):
     ("name", "options"),
     [
         pytest.param(
-            "moved.stl", {"motion": trimesh.transformations.translation_matrix((210, -90, 400))}, marks=pytest.mark.slow
+            "moved.stl",
+            {"motion": trimesh.transformations.translation_matrix((210, -90, 400))},
+            marks=pytest.mark.slow,
         ),
         ("turned.stl", {"motion": TURN}),
         pytest.param("mirrored.stl", {"motion": MIRROR, "mirrored": True}, marks=pytest.mark.slow),
@@ -103,7 +109,9 @@ def test_the_reference_cuts_bone(reference):
 )
 def test_a_run_does_not_depend_on_how_the_file_was_stored(reference, tmp_path, name, options):
     mesh, run = reference
-    assert figures(milled(tmp_path / name, mesh, **options)) == pytest.approx(figures(run), rel=STORED)
+    assert figures(milled(tmp_path / name, mesh, **options)) == pytest.approx(
+        figures(run), rel=STORED
+    )
 
 
 @pytest.mark.slow
@@ -128,7 +136,8 @@ def test_outputs_lie_on_the_file_in_its_unit(reference, tmp_path, unit_mm):
     centres = image.cell_centers().points
     bone = image.cell_data["remaining"] == 255
     assert (
-        unit_mm * pyvista.PolyData(centres[bone]).compute_implicit_distance(file)["implicit_distance"].max()
+        unit_mm
+        * pyvista.PolyData(centres[bone]).compute_implicit_distance(file)["implicit_distance"].max()
         < SPACING_MM
     )
     header = (out / "bone.nrrd").read_bytes().split(b"\n\n")[0].decode()
@@ -169,20 +178,25 @@ def cut_off(mesh, at_mm):
 def test_bone_cut_off_outside_the_reach_is_taken_and_inside_it_is_refused(reference, tmp_path):
     mesh, run = reference
     open_end = cut_off(mesh, 16.5)
-    assert figures(milled(tmp_path / "far.stl", open_end)) == pytest.approx(figures(run), rel=STORED)
+    assert figures(milled(tmp_path / "far.stl", open_end)) == pytest.approx(
+        figures(run), rel=STORED
+    )
     with pytest.raises(
-        InputError, match=r"^anatomy\.file must enclose a solid where the tool goes, got near\.stl with a"
+        InputError,
+        match=r"^anatomy\.file must enclose a solid where the tool goes, got near\.stl with a",
     ):
         milled(tmp_path / "near.stl", cut_off(mesh, 5.0))
 
 
 @pytest.mark.parametrize(("away_mm", "taken"), [(3.0, False), (30.0, True)])
-def test_the_cut_of_a_long_bone_is_refused_within_the_reach_however_small_its_share(tmp_path, away_mm, taken):
+def test_the_cut_of_a_long_bone_is_refused_within_the_reach_however_small_its_share(
+    tmp_path, away_mm, taken
+):
     """A shaft of 230 mm: its open end is 2 % of its surface."""
     shaft = trimesh.creation.cylinder(radius=10.0, height=230.0, sections=14)
-    trimesh.Trimesh(shaft.vertices, shaft.faces[np.ptp(shaft.triangles[:, :, 2], axis=1) > 0]).export(
-        tmp_path / "s.stl"
-    )
+    trimesh.Trimesh(
+        shaft.vertices, shaft.faces[np.ptp(shaft.triangles[:, :, 2], axis=1) > 0]
+    ).export(tmp_path / "s.stl")
     scene = {
         "anatomy.file": str(tmp_path / "s.stl"),
         "anatomy.centre_mm": [10.0, 0.0, 115.0 - away_mm],
@@ -195,7 +209,10 @@ def test_the_cut_of_a_long_bone_is_refused_within_the_reach_however_small_its_sh
     if taken:
         assert "Closed 2 holes" in simulate(load_scene("milling", scene)).parts.notes["repairs"]
         return
-    with pytest.raises(InputError, match=r"^anatomy\.file must enclose a solid where the tool goes, got s\.stl with a"):
+    with pytest.raises(
+        InputError,
+        match=r"^anatomy\.file must enclose a solid where the tool goes, got s\.stl with a",
+    ):
         simulate(load_scene("milling", scene))
 
 
@@ -218,7 +235,9 @@ def test_an_image_as_it_is_keeps_its_place():
     centres = 1e3 * (volume.origin_m + volume.spacing_m * (index + 0.5))
     found = volume.placement.to_file(centres)
     expected = np.argwhere(values > 0) + np.array(image.origin_mm)
-    assert sorted(map(tuple, np.rint(found).astype(int).tolist())) == sorted(map(tuple, expected.astype(int).tolist()))
+    assert sorted(map(tuple, np.rint(found).astype(int).tolist())) == sorted(
+        map(tuple, expected.astype(int).tolist())
+    )
     np.testing.assert_allclose(found, np.rint(found), atol=1e-9)
 
 
@@ -244,5 +263,7 @@ def test_an_image_that_cuts_bone_off_within_the_reach_is_refused(tmp_path):
 
     run = simulate(prepared("far.vti", 6))
     assert "cut off at one place by the edge of the image" in run.parts.notes["image"]
-    with pytest.raises(InputError, match=r"^anatomy\.file must enclose a solid .* cut off by the edge of the image"):
+    with pytest.raises(
+        InputError, match=r"^anatomy\.file must enclose a solid .* cut off by the edge of the image"
+    ):
         simulate(prepared("near.vti", 17))

@@ -38,7 +38,10 @@ def _mat(path):
 
 def _h5(path):
     with pytest.importorskip("h5py").File(path) as file:
-        return {name: file[name].asstr()[:] if file[name].dtype.kind in "SO" else file[name][:] for name in file}
+        return {
+            name: file[name].asstr()[:] if file[name].dtype.kind in "SO" else file[name][:]
+            for name in file
+        }
 
 
 READERS = {"parquet": _parquet, "npz": _npz, "mat": _mat, "h5": _h5}
@@ -56,7 +59,9 @@ def test_a_format_reads_back_equal(trace, tmp_path, kind):
 
 
 def test_an_unknown_format_is_refused():
-    with pytest.raises(InputError, match="format must be one of parquet, npz, mat, h5, recording, got xml"):
+    with pytest.raises(
+        InputError, match="format must be one of parquet, npz, mat, h5, recording, got xml"
+    ):
         check_format("xml")
     for kind in FORMATS:
         check_format(kind)

@@ -1,4 +1,6 @@
-"""Runs against the wall clock: without a display, with a window that is closed, fails or hangs, and by the mouse."""
+"""Runs against the wall clock: without a display, with a window that is closed, fails or hangs,
+and by the mouse.
+"""
 
 import os
 import signal
@@ -46,16 +48,22 @@ def test_without_a_display_the_script_runs_and_gives_the_same_rows(no_display, d
     assert summary["missed_deadlines"] == (late + took > 1000.0).sum()
     assert summary["late_us"]["max"] == late.max() >= 0.0
     assert summary["skipped_ms"] == pytest.approx(1e-3 * run.timing["skipped_us"].sum())
-    mover = "a simulated expert moves it" if device == "touch" else "the scripted motion moves the tool"
+    mover = (
+        "a simulated expert moves it" if device == "touch" else "the scripted motion moves the tool"
+    )
     assert summary["notes"]["live"] == f"no window, for there is no display: {mover}"
     reported = any("the clock skips from here" in what for _, what in run.events)
     assert reported == (summary["skipped_ms"] > 0.0)
 
 
 def test_the_command_runs_live_without_a_display(no_display, command, here):
-    code, output, _ = command("run", "wall", "--live", "--duration-s", "0.3", "--no-pictures", "--out", "run")
+    code, output, _ = command(
+        "run", "wall", "--live", "--duration-s", "0.3", "--no-pictures", "--out", "run"
+    )
     assert code == 0
-    assert output.startswith("live: no window, for there is no display: a simulated expert moves it; Ctrl-C ends it")
+    assert output.startswith(
+        "live: no window, for there is no display: a simulated expert moves it; Ctrl-C ends it"
+    )
     assert "delay of ticks, median / 99 % / max" in output and "wall clock skipped" in output
     saved = SavedRun(here / "run")
     assert saved.complete and len(saved.trace.rows) == 300
@@ -67,14 +75,27 @@ def test_the_command_runs_live_without_a_display(no_display, command, here):
 def test_ctrl_c_ends_a_live_run_that_is_whole(tmp_path):
     """The run ends after its tick, is saved like any other, and exits well."""
     code = "from tissue.cli.main import main; main()"
-    arguments = ["run", "wall", "--live", "--duration-s", "600", "--no-pictures", "--out", str(tmp_path / "run")]
-    environment = {k: v for k, v in os.environ.items() if k != "DISPLAY"} | {"PYTHONPATH": str(ROOT)}
+    arguments = [
+        "run",
+        "wall",
+        "--live",
+        "--duration-s",
+        "600",
+        "--no-pictures",
+        "--out",
+        str(tmp_path / "run"),
+    ]
+    environment = {k: v for k, v in os.environ.items() if k != "DISPLAY"} | {
+        "PYTHONPATH": str(ROOT)
+    }
     trace = tmp_path / "run" / "trace.csv"
     with subprocess.Popen(
         [sys.executable, "-c", code, *arguments], env=environment, stdout=subprocess.PIPE, text=True
     ) as process:
         limit = time.perf_counter() + 100.0
-        while time.perf_counter() < limit and not (trace.is_file() and trace.stat().st_size > 20_000):
+        while time.perf_counter() < limit and not (
+            trace.is_file() and trace.stat().st_size > 20_000
+        ):
             time.sleep(0.02)
         process.send_signal(signal.SIGINT)
         output, _ = process.communicate(timeout=100.0)
@@ -116,15 +137,21 @@ class FakeWindow:
 
 
 @pytest.mark.parametrize("device", ["touch", "none"])
-def test_a_mouse_moves_the_tool_on_the_devices_spring_until_the_window_is_closed(monkeypatch, device):
+def test_a_mouse_moves_the_tool_on_the_devices_spring_until_the_window_is_closed(
+    monkeypatch, device
+):
     monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: None)
     monkeypatch.setattr("tissue.simulation.live.run.WindowProcess", FakeWindow)
     run = run_live(load_scene("wall", {"device": device, "anatomy.stiffness_kN_m": 40.0}))
     assert len(run.trace.rows) == 600 and run.scene.held.kind == "touch"
     assert run.trace["device_z_mm"][-1] == pytest.approx(-2.0, abs=0.01)
     # 400 N/m in series with the wall: 2 mm x (1/400 + 1/40000)^-1.
-    assert run.trace["model_force_z_N"][-1] == pytest.approx(2e-3 / (1.0 / 400.0 + 1.0 / 4e4), rel=0.01)
-    assert run.trace["device_force_z_N"][-1] == pytest.approx(run.trace["model_force_z_N"][-1], rel=0.02)
+    assert run.trace["model_force_z_N"][-1] == pytest.approx(
+        2e-3 / (1.0 / 400.0 + 1.0 / 4e4), rel=0.01
+    )
+    assert run.trace["device_force_z_N"][-1] == pytest.approx(
+        run.trace["model_force_z_N"][-1], rel=0.02
+    )
     assert run.parts.notes["live"].startswith("the mouse moves the tool in a window")
 
 
@@ -138,7 +165,9 @@ def test_a_window_that_fails_ends_the_run_and_is_reported(monkeypatch):
 
 
 def test_what_moves_the_tool_is_reported_before_it_runs(monkeypatch):
-    monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: "libGL is missing (install libgl1)")
+    monkeypatch.setattr(
+        "tissue.simulation.live.run.display_problem", lambda: "libGL is missing (install libgl1)"
+    )
     assert LiveSettings().mover(load_scene("wall", {"hand": "novice"})) == (
         False,
         "no window, for libGL is missing (install libgl1): a simulated novice moves it",
@@ -169,7 +198,9 @@ def test_a_run_waits_for_a_window_that_hangs_and_reports_it(stalled):
     assert what.startswith("the window drew nothing: the run waited ") and not more
     waited_us = 1e6 * float(what.split("waited ")[1].split(" s")[0])
     paused = round(time_s / TICK_S)
-    assert run.timing["skipped_us"][paused : paused + 2].max() < waited_us, "a pause of the run is no lateness"
+    assert run.timing["skipped_us"][paused : paused + 2].max() < waited_us, (
+        "a pause of the run is no lateness"
+    )
 
 
 def test_a_run_ends_when_its_window_hangs_for_ever(stalled, monkeypatch):
@@ -196,7 +227,10 @@ def test_a_pause_is_no_lateness_and_is_reported(monkeypatch):
     run = run_live(load_scene("wall"))
     assert len(run.trace.rows) == 600
     ((time_s, what),) = [event for event in run.events if "paused" in event[1]]
-    assert time_s == 0.3 and float(what.removeprefix("the run was paused for ").removesuffix(" s")) >= 0.4
+    assert (
+        time_s == 0.3
+        and float(what.removeprefix("the run was paused for ").removesuffix(" s")) >= 0.4
+    )
     assert run.timing["skipped_us"][300:302].max() < 4e5
 
 
@@ -234,7 +268,9 @@ def paged(monkeypatch):
     monkeypatch.setattr(FakePage, "made", [])
 
 
-def test_a_page_needs_no_display_and_a_reset_begins_the_scene_again_in_the_same_folder(paged, tmp_path):
+def test_a_page_needs_no_display_and_a_reset_begins_the_scene_again_in_the_same_folder(
+    paged, tmp_path
+):
     pytest.importorskip("aiohttp")
     addresses, out = [], tmp_path / "run"
     run = run_live(load_scene("wall"), LiveSettings(opened=addresses.append), out=out)
@@ -246,11 +282,14 @@ def test_a_page_needs_no_display_and_a_reset_begins_the_scene_again_in_the_same_
     saved = SavedRun(out)
     assert saved.complete and len(saved.trace.rows) == 600
     assert (
-        saved.summary["notes"]["live"] == "the mouse moves the tool in a browser; it feels nothing, the force is shown"
+        saved.summary["notes"]["live"]
+        == "the mouse moves the tool in a browser; it feels nothing, the force is shown"
     )
 
 
-def test_a_run_that_is_reset_is_kept_as_an_interrupted_one_until_the_next_begins(paged, tmp_path, monkeypatch):
+def test_a_run_that_is_reset_is_kept_as_an_interrupted_one_until_the_next_begins(
+    paged, tmp_path, monkeypatch
+):
     pytest.importorskip("aiohttp")
     found = []
     monkeypatch.setattr("tissue.simulation.live.run.simulate", lambda *a, **k: seen(*a, **k))
@@ -269,11 +308,14 @@ def test_a_page_is_refused_for_a_real_device_and_without_its_server(paged, monke
     monkeypatch.setattr("tissue.simulation.live.run.opens_device", lambda scene: True)
     if find_spec("aiohttp") is not None:
         with pytest.raises(
-            InputError, match=r"^--web must be left out with a real device, which runs without any window"
+            InputError,
+            match=r"^--web must be left out with a real device, which runs without any window",
         ):
             run_live(load_scene("wall"), LiveSettings(opened=lambda address: None))
     monkeypatch.setattr("tissue.simulation.live.window.find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"^--web must have aiohttp .* got none: pip install 'tissue-sim\[web\]'$"):
+    with pytest.raises(
+        InputError, match=r"^--web must have aiohttp .* got none: pip install 'tissue-sim\[web\]'$"
+    ):
         run_live(load_scene("wall"), LiveSettings(opened=lambda address: None))
     assert not FakePage.made
 
@@ -288,7 +330,9 @@ def test_a_page_that_cannot_be_served_is_refused_with_its_last_words(monkeypatch
         raise InputError("--live must serve its page, but EGL failed: install it")
 
     monkeypatch.setattr(PageProcess, "__init__", fails)
-    monkeypatch.setattr("tissue.simulation.live.window.drawing_environments", lambda: iter([{"A": "1"}, {"A": "2"}]))
+    monkeypatch.setattr(
+        "tissue.simulation.live.window.drawing_environments", lambda: iter([{"A": "1"}, {"A": "2"}])
+    )
     with pytest.raises(InputError, match="EGL failed"):
         Page(tried.append).show(None, None, (), low_m=np.zeros(3), high_m=np.zeros(3))
     assert tried == [{"A": "1"}, {"A": "2"}]
@@ -302,16 +346,24 @@ def test_a_display_that_comes_late_is_waited_for(monkeypatch):
     problems = ["the display :9 does not answer"] * 3 + [None]
     monkeypatch.setattr("tissue.system.offscreen.display_problem", lambda: problems.pop(0))
     assert await_display(longest_s=60.0) is None and not problems
-    monkeypatch.setattr("tissue.system.offscreen.display_problem", lambda: "the display :9 does not answer")
+    monkeypatch.setattr(
+        "tissue.system.offscreen.display_problem", lambda: "the display :9 does not answer"
+    )
     with pytest.raises(
-        InputError, match=r"got :9, which did not within 0\.3 s: start it, or unset DISPLAY to go without"
+        InputError,
+        match=r"got :9, which did not within 0\.3 s: start it, or unset DISPLAY to go without",
     ):
         await_display(longest_s=0.3)
-    monkeypatch.setattr("tissue.system.offscreen.display_problem", lambda: "there is no display (DISPLAY is not set)")
+    monkeypatch.setattr(
+        "tissue.system.offscreen.display_problem",
+        lambda: "there is no display (DISPLAY is not set)",
+    )
     assert await_display() == "there is no display (DISPLAY is not set)"
 
 
-@pytest.mark.skipif(not Path("/tmp/.X11-unix").is_dir(), reason="no X server keeps its sockets here")
+@pytest.mark.skipif(
+    not Path("/tmp/.X11-unix").is_dir(), reason="no X server keeps its sockets here"
+)
 def test_a_display_that_takes_the_call_and_never_answers_is_no_display(monkeypatch):
     number = 7000 + os.getpid() % 1000
     place = f"/tmp/.X11-unix/X{number}"

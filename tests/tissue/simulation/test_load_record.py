@@ -18,7 +18,9 @@ from tissue.simulation.load_record import record_loads, why_not_linear
 from tissue.simulation.simulate import simulate
 
 EQUAL = 1e-6
-"""Of the run's greatest force or torque: the force kernel adds in single precision, 1e-7 a chunk of elements."""
+"""Of the run's greatest force or torque: the force kernel adds in single precision, 1e-7 a chunk
+of elements.
+"""
 OTHERS = {
     "cutting.tangential_chip_N_mm2": 97.3,
     "cutting.radial_chip_N_mm2": 31.7,
@@ -65,7 +67,9 @@ def greatest_difference(got, want):
 def test_reweighing_equals_rerunning(tables, kind, exponent):
     scene = Scene(**tables[kind])
     record = record_loads(scene, cores=1)
-    other = changed(scene, OTHERS | ({} if exponent is None else {"cutting.density_exponent": exponent}))
+    other = changed(
+        scene, OTHERS | ({} if exponent is None else {"cutting.density_exponent": exponent})
+    )
     trace = simulate(other, cores=1).trace
     loads, want = record.loads(coefficients_in(other, record.layer_names)), wrenches(trace)
     assert greatest_difference(loads, want) < EQUAL
@@ -74,11 +78,15 @@ def test_reweighing_equals_rerunning(tables, kind, exponent):
     assert greatest_difference(record.loads(coefficients_in(scene, record.layer_names)), want) > 0.1
     for name in ("tool_z_mm", "removed_mm3"):
         assert np.array_equal(record.trace[name], trace[name])
-    assert 1e6 * record.engaged_m2.sum(axis=1) == pytest.approx(trace["contact_mm2"], rel=EQUAL, abs=1e-6)
+    assert 1e6 * record.engaged_m2.sum(axis=1) == pytest.approx(
+        trace["contact_mm2"], rel=EQUAL, abs=1e-6
+    )
 
 
 def test_a_density_factor_is_another_reference_density(tables):
-    """Bone s times as dense is cut as bone whose coefficients were measured at a density 1 / s times as high."""
+    """Bone s times as dense is cut as bone whose coefficients were measured at a density 1 / s
+    times as high.
+    """
     scene = Scene(**tables["bone, density"])
     record = record_loads(scene, cores=1)
     given = coefficients_in(scene, record.layer_names)
@@ -87,7 +95,11 @@ def test_a_density_factor_is_another_reference_density(tables):
         replace(each, reference_density_kg_m3=each.reference_density_kg_m3 / factor)
         for each, factor in zip(given, factors, strict=True)
     )
-    volume, cutter, motion = milled_voxels(scene), cutter_of(scene.tool), motion_of(scene, step_s=1e-3)
+    volume, cutter, motion = (
+        milled_voxels(scene),
+        cutter_of(scene.tool),
+        motion_of(scene, step_s=1e-3),
+    )
     model, tool, found = BoneModel(volume, cutter, scaled, cores=1), ToolMotion(), []
     motion.begin(tool)
     model.place(tool)
@@ -109,12 +121,19 @@ def test_derivatives_are_those_of_the_loads(tables):
             step = 1e-4 if name == "density_exponent" else 1e3  # linear in all others
             up, down = (
                 record.loads(
-                    (*given[:at], replace(given[at], **{name: getattr(given[at], name) + d}), *given[at + 1 :]), factors
+                    (
+                        *given[:at],
+                        replace(given[at], **{name: getattr(given[at], name) + d}),
+                        *given[at + 1 :],
+                    ),
+                    factors,
                 )
                 for d in (step, -step)
             )
             central = (up - down) / (2.0 * step)
-            assert slopes[:, :, at, column] == pytest.approx(central, abs=1e-6 * np.abs(central).max())
+            assert slopes[:, :, at, column] == pytest.approx(
+                central, abs=1e-6 * np.abs(central).max()
+            )
         step = 1e-4 * np.eye(len(given))[at]
         central = (record.loads(given, factors + step) - record.loads(given, factors - step)) / 2e-4
         assert slopes[:, :, at, 7] == pytest.approx(central, abs=1e-6 * np.abs(central).max())
@@ -139,5 +158,7 @@ def test_what_does_not_follow_from_one_run_is_stated(tables):
 
 def test_a_record_that_does_not_fit_names_the_ticks_to_leave_out(tables):
     scene = Scene(**(tables["bone, density"] | {"duration_s": 3600.0}))
-    with pytest.raises(InputError, match=r"every must leave the record within 1 GB, got 1 .* use \d"):
+    with pytest.raises(
+        InputError, match=r"every must leave the record within 1 GB, got 1 .* use \d"
+    ):
         record_loads(scene, cores=1)

@@ -1,4 +1,6 @@
-"""A tissue that returns a new response from each call gives the trace of one that fills the same response anew."""
+"""A tissue that returns a new response from each call gives the trace of one that fills the same
+response anew.
+"""
 
 from dataclasses import fields, replace
 
@@ -24,17 +26,23 @@ class NewResponses(WallModel):
     def respond(self, motion):
         found = super().respond(motion)
         values = {each.name: getattr(found, each.name) for each in fields(Response)}
-        return Response(**{name: np.array(v) if isinstance(v, np.ndarray) else v for name, v in values.items()})
+        return Response(
+            **{name: np.array(v) if isinstance(v, np.ndarray) else v for name, v in values.items()}
+        )
 
 
 def parts_with(wall, **changes):
-    """The test wall's scene with that wall: a device taps it ten times a second, at up to 0.25 m/s."""
+    """The test wall's scene with that wall: a device taps it ten times a second, at up to 0.25
+    m/s.
+    """
     changes = {"device": "touch", "prediction": "none", "duration_s": 1e-3 * TICKS} | changes
     scene = load_scene("wall", changes)
     parts = build(scene, step_s=1e-3, compute="cpu", cores=1, report=silent)
     times = 1e-3 * np.arange(TICKS + 1)
     heights = 4e-3 * np.cos(20.0 * np.pi * times)
-    parts.motion.device = RecordedDevice(times, np.column_stack([0.0 * times, 0.0 * times, heights]))
+    parts.motion.device = RecordedDevice(
+        times, np.column_stack([0.0 * times, 0.0 * times, heights])
+    )
     return scene, replace(parts, tissue=wall(1e4, radius_m=5e-3))
 
 

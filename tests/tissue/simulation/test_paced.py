@@ -38,7 +38,10 @@ def test_no_tick_of_a_real_device_comes_before_it_is_due(held):
     assert ticks == list(range(len(run.trace.rows)))
     first = device.read_s[0][1]
     assert all(wall_s - first >= time_s - 2e-3 for time_s, wall_s in device.read_s)
-    assert any(words in run.summary["notes"]["priority"] for words in ("priority", "niceness", "quality of service"))
+    assert any(
+        words in run.summary["notes"]["priority"]
+        for words in ("priority", "niceness", "quality of service")
+    )
 
 
 class Skipping:
@@ -59,7 +62,10 @@ def test_what_the_clock_skipped_is_reported():
     assert paced.on_end() == [
         (
             0.0,
-            "the ticks were 0.25 s behind the wall clock in all, which skipped it: the device was played later than that",
+            (
+                "the ticks were 0.25 s behind the wall clock in all, which skipped it: the "
+                "device was played later than that"
+            ),
         )
     ]
     assert Paced().on_end() == [] and Paced().timing_columns == ()

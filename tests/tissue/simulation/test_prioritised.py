@@ -45,10 +45,14 @@ def test_the_thread_of_the_ticks_has_its_priority_raised_while_they_run():
 
 
 def test_ticks_that_leave_nothing_to_others_lose_their_priority(monkeypatch):
-    """Ticks of any length are over a share of nothing; at 90 % those of a wall, a twentieth of a millisecond, are not."""
+    """Ticks of any length are over a share of nothing; at 90 % those of a wall, a twentieth of a
+    millisecond, are not.
+    """
     priority = FakePriority()
     run, _ = live_by(priority)
-    assert not any("ordinary priority" in what for _, what in run.events) and len(priority.asked) == 2
+    assert (
+        not any("ordinary priority" in what for _, what in run.events) and len(priority.asked) == 2
+    )
     monkeypatch.setattr("tissue.simulation.live.clock.FULL", 0.0)
     run, _ = live_by(priority)
     assert [what for _, what in run.events if "ordinary priority" in what] == [

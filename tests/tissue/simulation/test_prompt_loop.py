@@ -1,4 +1,6 @@
-"""The loop of which nothing is played gives the raw force of a whole run bit for bit, and what is kept changes nothing."""
+"""The loop of which nothing is played gives the raw force of a whole run bit for bit, and what
+is kept changes nothing.
+"""
 
 import numpy as np
 import pytest
@@ -18,17 +20,30 @@ from tissue.simulation.builders import organ_scene, voxels
 from tissue.simulation.reference_force import ideal_force_N, ideal_scene
 
 KEPT = (
-    (cutter, "_tables"), (cutter, "_shells"), (voxels, "_volumes"), (organ_scene, "_meshes"), (soft_organ, "_spaces"),
-    (soft_organ, "_patches"), (forecast, "_forecasts"),
-)  # fmt: skip
+    (cutter, "_tables"),
+    (cutter, "_shells"),
+    (voxels, "_volumes"),
+    (organ_scene, "_meshes"),
+    (soft_organ, "_spaces"),
+    (soft_organ, "_patches"),
+    (forecast, "_forecasts"),
+)
 """What runs of a process share."""
 SECONDS = {"T2": 1.5, "T1": 0.6, "T3": 0.6, "needle": 1.0, "drilling": 1.0, "reaming": 1.5}
 
 
 def by_hand(task):
     """A task's scene in a hand, cut short, with a predictor whose force the hand feels."""
-    entries = {"device": "touch", "hand": "expert", "prediction": "koopman", "coupling.stiffness_N_m": 150.0}
-    return changed(load_scene(TASKS[task].scene), {**TASKS[task].changes, **entries, "duration_s": SECONDS[task]})
+    entries = {
+        "device": "touch",
+        "hand": "expert",
+        "prediction": "koopman",
+        "coupling.stiffness_N_m": 150.0,
+    }
+    return changed(
+        load_scene(TASKS[task].scene),
+        {**TASKS[task].changes, **entries, "duration_s": SECONDS[task]},
+    )
 
 
 class Pausing(RecordedDevice):
@@ -53,7 +68,9 @@ def test_the_raw_force_is_that_of_a_whole_run(monkeypatch, task, device):
     monkeypatch.setattr(reference_force, "RecordedDevice", recorded)
     ideal = ideal_force_N(run, cores=1)
     scene = ideal_scene(run.scene).model_copy(update={"duration_s": 1e-3 * len(run.trace.rows)})
-    whole = simulate(scene, cores=1, allow_unstable=True, device=given[0]).trace.vectors("raw_force", "N")
+    whole = simulate(scene, cores=1, allow_unstable=True, device=given[0]).trace.vectors(
+        "raw_force", "N"
+    )
     assert ideal.tobytes() == whole.tobytes()
     assert np.abs(ideal).max() > 1e-3, "it touched nothing"
 
@@ -61,7 +78,9 @@ def test_the_raw_force_is_that_of_a_whole_run(monkeypatch, task, device):
 @pytest.mark.slow
 @pytest.mark.parametrize("task", ["T1", "T3", "drilling"])
 def test_what_runs_share_changes_no_bit(monkeypatch, task):
-    """The second run of a process, which is given what the first has made, against one that makes all anew."""
+    """The second run of a process, which is given what the first has made, against one that
+    makes all anew.
+    """
     scene = by_hand(task)
     simulate(scene, cores=1, allow_unstable=True)
     shared = simulate(scene, cores=1, allow_unstable=True).trace.rows
@@ -72,7 +91,9 @@ def test_what_runs_share_changes_no_bit(monkeypatch, task):
 
 @pytest.mark.slow
 def test_a_tool_that_rests_meets_what_it_met(monkeypatch):
-    """The force of a tick whose pose, heading and bone are those of the last is not computed again: the same bits."""
+    """The force of a tick whose pose, heading and bone are those of the last is not computed
+    again: the same bits.
+    """
     scene, before = by_hand("drilling"), BoneModel.respond
     asked, run = [], simulate(by_hand("drilling"), cores=1, allow_unstable=True).trace.rows
 

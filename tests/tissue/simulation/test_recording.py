@@ -1,4 +1,6 @@
-"""Runs as recordings in volumetric_drilling's layout: what they hold, and the same path and force when replayed."""
+"""Runs as recordings in volumetric_drilling's layout: what they hold, and the same path and
+force when replayed.
+"""
 
 import numpy as np
 import pytest
@@ -29,7 +31,11 @@ def written(run, tmp_path_factory):
 def test_it_has_the_names_shapes_and_units_of_the_recorder(run, written):
     found = {}
     with h5py.File(written) as file:
-        file.visititems(lambda name, each: found.update({name: each.shape}) if isinstance(each, h5py.Dataset) else None)
+        file.visititems(
+            lambda name, each: (
+                found.update({name: each.shape}) if isinstance(each, h5py.Dataset) else None
+            )
+        )
         assert {"metadata_v3", "vision_data", "physics_data"} == set(file)
         assert all(file[name].dtype == np.float64 for name in found if not name.endswith("README"))
         assert file["metadata_v3/voxel_volume"][()] == pytest.approx(0.125)
@@ -41,9 +47,16 @@ def test_it_has_the_names_shapes_and_units_of_the_recorder(run, written):
     ticks = len(run.trace.rows)
     assert found[f"{DRILL}/pose"] == found[f"{ANATOMY}/pose"] == (ticks, 7)
     assert found[f"{EVENTS}/drill_force_feedback/wrench"] == (ticks, 6)
-    groups, voxels = (found[f"{EVENTS}/voxels_removed/{name}"] for name in ("voxel_time_stamp", "voxel_removed"))
-    assert voxels[1] == 4 and found[f"{EVENTS}/voxels_removed/voxel_color"] == (voxels[0], 5) and groups[0] < voxels[0]
-    # An upright tool: the burr's centre lies half its size above the tip, and the drill's x axis points up.
+    groups, voxels = (
+        found[f"{EVENTS}/voxels_removed/{name}"] for name in ("voxel_time_stamp", "voxel_removed")
+    )
+    assert (
+        voxels[1] == 4
+        and found[f"{EVENTS}/voxels_removed/voxel_color"] == (voxels[0], 5)
+        and groups[0] < voxels[0]
+    )
+    # An upright tool: the burr's centre lies half its size above the tip, and the drill's x axis
+    # points up.
     up = [0.0, 0.0, 0.5 * run.scene.tool.diameter_mm]
     assert 1e3 * pose[:, :3] == pytest.approx(run.trace.vectors("tool", "mm") + up, abs=1e-12)
     axes = Rotation.from_quat(pose[:, 3:]).apply([1.0, 0.0, 0.0])
@@ -56,19 +69,25 @@ def test_it_has_the_names_shapes_and_units_of_the_recorder(run, written):
 def test_voxels_are_those_that_fell_below_half_in_the_order_of_time(run, written):
     with h5py.File(written) as file:
         group = file[f"{EVENTS}/voxels_removed"]
-        times, removed, colour = (group[name][()] for name in ("voxel_time_stamp", "voxel_removed", "voxel_color"))
+        times, removed, colour = (
+            group[name][()] for name in ("voxel_time_stamp", "voxel_removed", "voxel_color")
+        )
     lost = (run.volume.fraction >= 128) & (run.remaining < 128)
     places = removed[:, 1:].astype(int)
     assert len(np.unique(places, axis=0)) == len(places) == lost.sum() > 100
     assert lost[tuple(places.T)].all()
-    assert (np.diff(times) > 0.0).all() and np.array_equal(np.unique(removed[:, 0]), np.arange(len(times)))
+    assert (np.diff(times) > 0.0).all() and np.array_equal(
+        np.unique(removed[:, 0]), np.arange(len(times))
+    )
     np.testing.assert_array_equal(colour[:, 0], removed[:, 0])
     assert colour[:, 1:].min() >= 0.0 and colour[:, 1:].max() <= 255.0
     assert colour[:, 4] == pytest.approx(run.volume.fraction[tuple(places.T)])
 
 
 def test_voxels_fall_when_the_bone_at_that_tick_has_lost_them(run):
-    """The bone at a tick is completed, the removals are booked up to 20 um of path later: here within 2 ticks."""
+    """The bone at a tick is completed, the removals are booked up to 20 um of path later: here
+    within 2 ticks.
+    """
     replay = run.replay()
     places, ticks = replay.removals()
     for tick in (40, 80, 115):
@@ -76,49 +95,69 @@ def test_voxels_fall_when_the_bone_at_that_tick_has_lost_them(run):
         taken, later = np.zeros_like(below), np.zeros_like(below)
         taken[tuple(places[ticks <= tick].T)] = later[tuple(places[ticks <= tick + 2].T)] = True
         assert taken.any() and (below | ~taken).all() and (later | ~below).all()
-    np.testing.assert_array_equal(replay.at(len(run.trace.rows)), run.remaining)  # which removals() leaves whole
+    # which removals() leaves whole
+    np.testing.assert_array_equal(replay.at(len(run.trace.rows)), run.remaining)
 
 
 def test_a_run_replayed_from_its_recording_takes_the_same_path_under_the_same_force(run, written):
-    """Poses lie on the ticks, so that nothing is resampled: what differs are roundings of the turn and of the centre."""
-    again = simulate(load_scene("milling", FAST | {"motion": {"kind": "replay", "file": str(written)}}))
+    """Poses lie on the ticks, so that nothing is resampled: what differs are roundings of the
+    turn and of the centre.
+    """
+    again = simulate(
+        load_scene("milling", FAST | {"motion": {"kind": "replay", "file": str(written)}})
+    )
     assert len(again.trace.rows) == len(run.trace.rows)
-    assert again.trace.vectors("tool", "mm") == pytest.approx(run.trace.vectors("tool", "mm"), abs=1e-12)
+    assert again.trace.vectors("tool", "mm") == pytest.approx(
+        run.trace.vectors("tool", "mm"), abs=1e-12
+    )
     force, other = (each.trace.vectors("model_force", "N") for each in (run, again))
-    # A path turns or stops at once; poses give the direction of the tick before. Nothing else differs.
+    # A path turns or stops at once; poses give the direction of the tick before. Nothing else
+    # differs.
     turned = np.flatnonzero(np.diff(run.trace["velocity_x_mm_s"])) + 1
     np.testing.assert_array_equal(turned, [17, 117])
     peak = np.abs(force).max()
-    assert peak > 50.0 and set(np.flatnonzero(np.abs(other - force).max(axis=1) > 1e-9 * peak)) <= set(turned)
+    assert peak > 50.0 and set(
+        np.flatnonzero(np.abs(other - force).max(axis=1) > 1e-9 * peak)
+    ) <= set(turned)
 
 
 def test_poses_between_ticks_are_resampled_within_a_tick_of_path(run, written, tmp_path):
-    """At 60 mm/s a clock that is a third of a tick off moves the tool by 20 um, and the corner by as much.
+    """At 60 mm/s a clock that is a third of a tick off moves the tool by 20 um, and the corner by
+    as much.
 
-    A force lies between those of the neighbouring ticks, but where the path turns or stops within one.
+    A force lies between those of the neighbouring ticks, but where the path turns or stops within
+    one.
     """
     with h5py.File(written) as held, h5py.File(tmp_path / "late.hdf5", "w") as file:
         held.copy("physics_data", file)
         for group in (DRILL, ANATOMY):
             file[f"{group}/time_stamp"][...] += 1_700_000_000.0
             file[f"{group}/time_stamp"][1:] += 1e-3 / 3.0
-    late = load_scene("milling", FAST | {"motion": {"kind": "replay", "file": str(tmp_path / "late.hdf5")}})
+    late = load_scene(
+        "milling", FAST | {"motion": {"kind": "replay", "file": str(tmp_path / "late.hdf5")}}
+    )
     again = simulate(late)
     ticks = min(len(again.trace.rows), len(run.trace.rows))
     off = (again.trace.vectors("tool", "mm")[:ticks] - run.trace.vectors("tool", "mm")[:ticks])[1:]
     assert 0.015 < np.abs(off).max() < 0.021
     force, other = (each.trace.vectors("model_force", "N")[:ticks] for each in (run, again))
     around = np.stack([force[:-2], force[1:-1], force[2:]])
-    outside = np.maximum(around.min(axis=0) - other[1:-1], other[1:-1] - around.max(axis=0)).max(axis=1)
+    outside = np.maximum(around.min(axis=0) - other[1:-1], other[1:-1] - around.max(axis=0)).max(
+        axis=1
+    )
     assert set(np.flatnonzero(outside > 1e-4 * np.abs(force).max()) + 1) <= {17, 18, 117, 118}
 
 
 def test_a_folder_and_a_run_that_cuts_nothing_write_one_too(run, written, tmp_path):
     run.save(tmp_path / "run", pictures=False)
-    path = open_run(tmp_path / "run").save(tmp_path / "run", formats=["recording"]) / "recording.hdf5"
+    path = (
+        open_run(tmp_path / "run").save(tmp_path / "run", formats=["recording"]) / "recording.hdf5"
+    )
     with h5py.File(path) as file, h5py.File(written) as other:
         for name in (f"{DRILL}/pose", f"{EVENTS}/voxels_removed/voxel_removed"):
             np.testing.assert_array_equal(file[name][()], other[name][()])
-    simulate(load_scene("wall", {"duration_s": 0.05})).save(tmp_path / "wall", formats=["recording"], pictures=False)
+    simulate(load_scene("wall", {"duration_s": 0.05})).save(
+        tmp_path / "wall", formats=["recording"], pictures=False
+    )
     with h5py.File(tmp_path / "wall" / "recording.hdf5") as file:
         assert set(file[EVENTS]) == {"drill_force_feedback"} and len(file[f"{DRILL}/pose"]) == 50

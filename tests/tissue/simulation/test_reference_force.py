@@ -1,4 +1,6 @@
-"""The score of a run at the motor: the ideal force in closed form, a perfect predictor, and wrong ones of known error."""
+"""The score of a run at the motor: the ideal force in closed form, a perfect predictor, and
+wrong ones of known error.
+"""
 
 import numpy as np
 import pytest
@@ -48,12 +50,21 @@ class Oracle(Hold):
 
     def predict(self, ticks):
         at = np.arange(len(self.forces_N))
-        return self.share * np.array([np.interp(self.seen + ticks, at, axis) for axis in self.forces_N.T])
+        return self.share * np.array(
+            [np.interp(self.seen + ticks, at, axis) for axis in self.forces_N.T]
+        )
 
 
 def run_with(monkeypatch, predictor, **changes):
-    entries = {"device": "touch", "coupling.stiffness_N_m": STIFFNESS_N_M, "coupling.delay_ms": 4, "prediction": "hold"}
-    monkeypatch.setattr(device_motion, "Rendering", lambda **named: Rendering(**(named | {"predictor": predictor})))
+    entries = {
+        "device": "touch",
+        "coupling.stiffness_N_m": STIFFNESS_N_M,
+        "coupling.delay_ms": 4,
+        "prediction": "hold",
+    }
+    monkeypatch.setattr(
+        device_motion, "Rendering", lambda **named: Rendering(**(named | {"predictor": predictor}))
+    )
     scene = load_scene("wall", entries | {"duration_s": 1e-3 * TICKS} | changes)
     return simulate(scene, device=Stepped(), allow_unstable=True)
 
@@ -98,24 +109,36 @@ def test_wrong_ones_have_their_known_errors_and_latencies(held, monkeypatch):
 
 @pytest.mark.parametrize("early", [-1.5, 1.5])
 def test_another_lead_is_seen_in_the_score(held, monkeypatch, early):
-    """Asked 1.5 ticks too far ahead the force comes 1.5 ms early, and is further off than at the path's own lead."""
+    """Asked 1.5 ticks too far ahead the force comes 1.5 ms early, and is further off than at the
+    path's own lead.
+    """
     run, ideal = held
     monkeypatch.setattr(device_motion, "lead_ticks", lambda settings: lead_ticks(settings) + early)
     forces = motor_forces(run_with(monkeypatch, Oracle(stretch_force_N(run))), ideal)
     assert latency_ms(forces.played, forces.nearest, tick_s=1e-3) == pytest.approx(-early, abs=0.05)
-    assert force_error(forces.played, forces.ideal) > 1.1 * force_error(forces.nearest, forces.ideal)
+    assert force_error(forces.played, forces.ideal) > 1.1 * force_error(
+        forces.nearest, forces.ideal
+    )
 
 
 def test_a_scale_of_motion_changes_the_stretch_by_itself(monkeypatch):
-    """The wall is felt as so much stiffer; the force is still the stretch of the device's spring."""
+    """The wall is felt as so much stiffer; the force is still the stretch of the device's
+    spring.
+    """
     run = run_with(monkeypatch, Hold(), **{"coupling.motion_scale": 2.5})
     np.testing.assert_allclose(stretch_force_N(run), run.trace.vectors("raw_force", "N"), atol=1e-9)
 
 
 def test_a_device_that_does_not_know_is_scored_at_its_samples():
     truth = Stepped().truth_m
-    entries = {"device": "touch", "coupling.stiffness_N_m": STIFFNESS_N_M, "duration_s": 1e-3 * TICKS}
-    run = simulate(load_scene("wall", entries), device=RecordedDevice(1e-3 * np.arange(TICKS), truth))
+    entries = {
+        "device": "touch",
+        "coupling.stiffness_N_m": STIFFNESS_N_M,
+        "duration_s": 1e-3 * TICKS,
+    }
+    run = simulate(
+        load_scene("wall", entries), device=RecordedDevice(1e-3 * np.arange(TICKS), truth)
+    )
     assert not set(TRUE) & set(run.trace.columns)
     forces = motor_forces(run, ideal_force_N(run))
     np.testing.assert_allclose(ideal_force_N(run), stretch_force_N(run), atol=1e-9)

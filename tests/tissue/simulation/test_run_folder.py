@@ -1,4 +1,6 @@
-"""What a run leaves on disk: its files, that it can be made again from them, and what a killed run leaves."""
+"""What a run leaves on disk: its files, that it can be made again from them, and what a killed
+run leaves.
+"""
 
 import json
 import shutil
@@ -26,7 +28,17 @@ LOST_S = 0.2
 def made(tmp_path_factory):
     """Folder of a coarse glenoid run by the command."""
     out = tmp_path_factory.mktemp("runs") / "glenoid"
-    arguments = ["run", "glenoid", *COARSE, "--set", "motion.feed_mm_s=5", "--duration-s", "0.6", "--out", str(out)]
+    arguments = [
+        "run",
+        "glenoid",
+        *COARSE,
+        "--set",
+        "motion.feed_mm_s=5",
+        "--duration-s",
+        "0.6",
+        "--out",
+        str(out),
+    ]
     subprocess.run([*MAIN, *arguments, "--cores", "1"], check=True, capture_output=True)
     return out
 
@@ -53,14 +65,23 @@ def test_the_folder_holds_every_file(made):
     gaps = summary["machine_gaps"]
     assert gaps["spun_s"] >= 2.0 * spin_time_s(0.6)  # before and after; a gap may end it later
     assert gaps["count"] == 0 or gaps["longest_us"] >= gaps["least_us"]
-    assert (made / "trace.csv").read_text().count("\n") == (made / "timing.csv").read_text().count("\n") == 601
+    assert (
+        (made / "trace.csv").read_text().count("\n")
+        == (made / "timing.csv").read_text().count("\n")
+        == 601
+    )
 
 
 @pytest.mark.parametrize("cores", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_a_run_is_made_again_bit_for_bit_on_any_number_of_cores(made, tmp_path, cores):
-    """Threads are made to share every launch: of the coarse scene's, few are long enough by themselves."""
+    """Threads are made to share every launch: of the coarse scene's, few are long enough by
+    themselves.
+    """
     split = (
-        "import kernels.launcher as l, kernels.split_choice as c; l.SPLIT_ABOVE_S = c.LEAST_GAIN = 0.0; "
+        (
+            "import kernels.launcher as l, kernels.split_choice as c; l.SPLIT_ABOVE_S = "
+            "c.LEAST_GAIN = 0.0; "
+        )
         if cores > 1
         else ""
     )
@@ -91,7 +112,9 @@ def test_a_folder_without_a_run_is_no_run(tmp_path):
         ("x", "something else"),
     ):
         (tmp_path / "summary.json").write_text(text)
-        with pytest.raises(InputError, match=rf"summary.json must be a table in JSON, got {got} in .*: run the"):
+        with pytest.raises(
+            InputError, match=rf"summary.json must be a table in JSON, got {got} in .*: run the"
+        ):
             SavedRun(tmp_path)
 
 
@@ -120,7 +143,8 @@ def test_a_trace_shorter_than_its_run_is_refused(copied, refused, share):
     table.write_text("".join(lines[: round(share * len(lines))]))
     found = max(round(share * len(lines)) - 1, 0)
     assert message(refused) == (
-        f"trace.csv must hold 600 ticks as in summary.json, got {found} in {table}: run the scene again"
+        f"trace.csv must hold 600 ticks as in summary.json, got {found} in {table}: run the "
+        "scene again"
     )
     summary = json.loads((folder / "summary.json").read_text())
     (folder / "summary.json").write_text(json.dumps(summary | {"status": "interrupted"}))
@@ -145,14 +169,21 @@ def test_a_damaged_scene_of_a_run_is_refused(copied, refused, content, sentence)
 
 @pytest.mark.slow
 def test_a_runs_own_trace_replays_it(tmp_path):
-    scene = load_scene("milling", {"voxels.spacing_mm": 0.4, "motion.feed_mm_s": 50.0, "duration_s": 0.809})
+    scene = load_scene(
+        "milling", {"voxels.spacing_mm": 0.4, "motion.feed_mm_s": 50.0, "duration_s": 0.809}
+    )
     first = simulate(scene, out=tmp_path / "first")
     first.save(tmp_path / "first", pictures=False)
     table = str(tmp_path / "first" / "trace.csv")
-    again = simulate(load_scene(tmp_path / "first" / "scene.toml", {"motion.kind": "replay", "motion.file": table}))
+    again = simulate(
+        load_scene(
+            tmp_path / "first" / "scene.toml", {"motion.kind": "replay", "motion.file": table}
+        )
+    )
     assert again.parts.volume.shape == first.parts.volume.shape
-    # Poses go through mm and back: a few roundings of 5 mm. Velocities are differences of poses, 1e-18 m in steps of
-    # 5e-5 m. No element of this cutter lies so close to a voxel's face that such a rounding takes it across.
+    # Poses go through mm and back: a few roundings of 5 mm. Velocities are differences of poses,
+    # 1e-18 m in steps of 5e-5 m. No element of this cutter lies so close to a voxel's face that
+    # such a rounding takes it across.
     for name in ("tool_x_mm", "tool_y_mm", "tool_z_mm"):
         np.testing.assert_allclose(again.trace[name], first.trace[name], atol=1e-14)
     total = sum(first.summary["removed_mm3"].values())
@@ -166,13 +197,17 @@ def test_a_runs_own_trace_replays_it(tmp_path):
 
 @pytest.fixture(scope="module")
 def start():
-    """Start a run in a process of its own, which does not outlive the test; it heeds SIGINT wherever this one runs."""
+    """Start a run in a process of its own, which does not outlive the test; it heeds SIGINT
+    wherever this one runs.
+    """
     started = []
     heeding = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
 
     def begin(*arguments):
         command = [sys.executable, "-c", heeding + MAIN[2], *arguments]
-        started.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
+        started.append(
+            subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        )
         return started[-1]
 
     yield begin
@@ -194,13 +229,24 @@ def wait_for_rows(path, process, least):
 
 @pytest.fixture(scope="module")
 def killed(tmp_path_factory, start):
-    """Folder of a milling run killed in its middle, and the wall time from its last growth to its end [s].
+    """Folder of a milling run killed in its middle, and the wall time from its last growth to its
+    end [s].
 
     Up to three are killed: a machine busy with other work holds a process up between its ticks.
     """
     for attempt in range(3):
         out = tmp_path_factory.mktemp("killed") / f"milling-{attempt}"
-        process = start("run", "milling", "--no-pictures", "--duration-s", "600", "--out", str(out), "--cores", "1")
+        process = start(
+            "run",
+            "milling",
+            "--no-pictures",
+            "--duration-s",
+            "600",
+            "--out",
+            str(out),
+            "--cores",
+            "1",
+        )
         wait_for_rows(out / "trace.csv", process, 500)
         time.sleep(0.35)
         process.kill()
@@ -219,7 +265,11 @@ def test_a_killed_run_loses_less_than_a_fifth_of_a_second(killed):
     assert FLUSH_EVERY_S < LOST_S
     assert -0.05 < lost_s < LOST_S  # clocks of the file system tick every 10 ms or less
     saved = SavedRun(folder)
-    assert not saved.complete and saved.summary["status"] == "running" and saved.status == "interrupted"
+    assert (
+        not saved.complete
+        and saved.summary["status"] == "running"
+        and saved.status == "interrupted"
+    )
     ticks = len(saved.trace.rows)
     assert ticks > 500
     np.testing.assert_allclose(saved.trace["time_s"], 1e-3 * np.arange(ticks), rtol=1e-12)
@@ -231,15 +281,26 @@ def test_a_killed_run_loses_less_than_a_fifth_of_a_second(killed):
 @pytest.mark.slow
 def test_a_killed_run_is_still_a_run(killed, tmp_path, refused, command):
     folder = shutil.copytree(killed[0], tmp_path / "run")
-    before = {entry.relative_to(folder): entry.read_bytes() for entry in folder.rglob("*") if entry.is_file()}
+    before = {
+        entry.relative_to(folder): entry.read_bytes()
+        for entry in folder.rglob("*")
+        if entry.is_file()
+    }
     assert refused("run", "milling", *COARSE, "--out", folder) == (
-        f"out must not hold another run, got {folder}: pass --overwrite to replace it or choose another --out"
+        f"out must not hold another run, got {folder}: pass --overwrite to replace it or "
+        "choose another --out"
     )
-    assert {entry.relative_to(folder): entry.read_bytes() for entry in folder.rglob("*") if entry.is_file()} == before
+    assert {
+        entry.relative_to(folder): entry.read_bytes()
+        for entry in folder.rglob("*")
+        if entry.is_file()
+    } == before
     from tissue.show.viewer.view import _about
 
     assert _about(SavedRun(folder)).startswith("run is incomplete: it was interrupted at ")
-    code, _, error = command("run", "milling", *COARSE, "--duration-s", 0.01, "--out", folder, "--overwrite")
+    code, _, error = command(
+        "run", "milling", *COARSE, "--duration-s", 0.01, "--out", folder, "--overwrite"
+    )
     assert (code, error) == (0, "")
     assert SavedRun(folder).complete
 
@@ -263,7 +324,9 @@ def test_a_run_stopped_before_it_has_begun_is_reported(tmp_path, command, monkey
 
     monkeypatch.setattr("tissue.simulation.simulate.build", stop)
     code, _, message = command("run", "milling", *COARSE, "--out", tmp_path / "out")
-    assert (code, message) == (130, "stopped before anything was written\n") and not (tmp_path / "out").exists()
+    assert (code, message) == (130, "stopped before anything was written\n") and not (
+        tmp_path / "out"
+    ).exists()
 
 
 def test_a_run_killed_before_its_first_row_reads_back(tmp_path):
@@ -284,4 +347,6 @@ def test_saving_twice_or_elsewhere_writes_the_same_files(tmp_path):
         run.save(tmp_path / "one", pictures=False)
     for name in ("trace.csv", "timing.csv", "scene.toml", "bone.stl"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
-    assert (tmp_path / "one" / "trace.npz").is_file() and not (tmp_path / "two" / "trace.npz").exists()
+    assert (tmp_path / "one" / "trace.npz").is_file() and not (
+        tmp_path / "two" / "trace.npz"
+    ).exists()

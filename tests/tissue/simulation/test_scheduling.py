@@ -1,4 +1,6 @@
-"""What was chosen for a run, and how late the machine was, in its summary and in the table a person reads."""
+"""What was chosen for a run, and how late the machine was, in its summary and in the table a
+person reads.
+"""
 
 import io
 from pathlib import Path
@@ -28,7 +30,9 @@ def run():
 
 @pytest.fixture
 def chosen(monkeypatch):
-    """Choices of a run with 40 large launches, 30 of them split, on a machine with five gaps in half a second."""
+    """Choices of a run with 40 large launches, 30 of them split, on a machine with five gaps in
+    half a second.
+    """
     counts = iter([LaunchCounts(7, 5), LaunchCounts(47, 35)])
     monkeypatch.setattr(scheduling, "launch_counts", lambda: next(counts))
     looks = iter([MachineGaps(0.25, (1e-3, 4e-3)), MachineGaps(0.25, (3e-4,) * 3)])
@@ -41,7 +45,12 @@ def chosen(monkeypatch):
 
 def test_the_summary_holds_what_was_chosen_and_the_gaps(chosen):
     summary = chosen.summary(ticks_s=2.0)
-    expected = {"cores": 2, "large_launches": 40, "split_launches": 30, "background": "stress: idle priority"}
+    expected = {
+        "cores": 2,
+        "large_launches": 40,
+        "split_launches": 30,
+        "background": "stress: idle priority",
+    }
     assert summary["scheduling"] == expected
     gaps = summary["machine_gaps"]
     assert (gaps["count"], gaps["spun_s"], gaps["longest_us"]) == (5, 0.5, 4000.0)
@@ -56,9 +65,12 @@ def test_the_table_shows_it_under_the_missed_deadlines(run, chosen, monkeypatch)
     command.print_summary(summary, Path("run"), wall_s=1.0, saving_s=1.0)
     shown = [line for line in text.getvalue().splitlines() if "│" in line]
     assert any(
-        "gaps of the machine over 0.2 ms" in line and "20.0 (5 in 0.5 s, longest 4 ms)" in line for line in shown
+        "gaps of the machine over 0.2 ms" in line and "20.0 (5 in 0.5 s, longest 4 ms)" in line
+        for line in shown
     )
-    assert any("split over cores" in line and "30 of 40 large ones, 2 cores" in line for line in shown)
+    assert any(
+        "split over cores" in line and "30 of 40 large ones, 2 cores" in line for line in shown
+    )
     assert any("stress: idle priority" in line for line in shown)
 
 
@@ -69,6 +81,8 @@ def test_a_run_in_memory_does_not_wait_for_the_clock(run):
     assert "background" not in summary["scheduling"]
 
 
-@pytest.mark.parametrize(("simulated_s", "spun_s"), [(10.0, SPUN_S), (0.1, 0.1 * SPUN_SHARE), (0.0, 0.0)])
+@pytest.mark.parametrize(
+    ("simulated_s", "spun_s"), [(10.0, SPUN_S), (0.1, 0.1 * SPUN_SHARE), (0.0, 0.0)]
+)
 def test_a_short_run_looks_at_the_clock_for_less(simulated_s, spun_s):
     assert spin_time_s(simulated_s) == pytest.approx(spun_s)

@@ -1,4 +1,6 @@
-"""Arrays that a live run shares with its window: whole, whoever writes, and brought up to date in turns."""
+"""Arrays that a live run shares with its window: whole, whoever writes, and brought up to date
+in turns.
+"""
 
 import os
 import subprocess
@@ -15,16 +17,22 @@ ROOT = Path(__file__).parents[3]
 
 
 def test_an_unfinished_write_is_never_read(tmp_path):
-    """Another process writes rows of one number each; whoever reads a mixed one has read a torn one."""
+    """Another process writes rows of one number each; whoever reads a mixed one has read a torn
+    one.
+    """
     layout = {"row": ("float64", (2000,)), "row_turn": ("int64", (1,)), "end": ("int64", (1,))}
     ours = SharedArrays(tmp_path, layout)
     writer = (
-        "import sys, time, numpy as np; from pathlib import Path; from tissue.simulation.live.shared import SharedArrays\n"
+        "import sys, time, numpy as np; from pathlib import Path; from "
+        "tissue.simulation.live.shared import SharedArrays\n"
         "arrays = SharedArrays(Path(sys.argv[1]))\n"
         "number = 0.0\n"
-        "while not arrays['end'][0]:\n    number += 1.0; arrays.write('row', np.full(2000, number)); time.sleep(1e-4)\n"
+        "while not arrays['end'][0]:\n    number += 1.0; arrays.write('row', np.full(2000, "
+        "number)); time.sleep(1e-4)\n"
     )
-    with subprocess.Popen([sys.executable, "-c", writer, str(tmp_path)], env=os.environ | {"PYTHONPATH": str(ROOT)}):
+    with subprocess.Popen(
+        [sys.executable, "-c", writer, str(tmp_path)], env=os.environ | {"PYTHONPATH": str(ROOT)}
+    ):
         seen = set()
         limit = time.perf_counter() + 60.0
         while len(seen) < 50 and time.perf_counter() < limit:

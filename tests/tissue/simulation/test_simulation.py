@@ -21,7 +21,9 @@ CUTTER = Cutter(ball_burr(diameter_m=1e-3), 6, 1000.0)
 
 
 def run_of(name="milling", **changes):
-    return simulate(load_scene(name, COARSE | {key.replace("__", "."): value for key, value in changes.items()}))
+    return simulate(
+        load_scene(name, COARSE | {key.replace("__", "."): value for key, value in changes.items()})
+    )
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +37,9 @@ def test_the_commanded_force_is_the_exact_low_pass_of_the_models(run, name, unit
     model, commanded = run.trace.vectors(f"model_{name}", unit), run.trace.vectors(name, unit)
     keep = np.exp(-TICK_S / 5e-3)
     assert np.abs(model).max() > 0.0
-    np.testing.assert_allclose(commanded, lfilter([1.0 - keep], [1.0, -keep], model, axis=0), rtol=1e-10, atol=1e-15)
+    np.testing.assert_allclose(
+        commanded, lfilter([1.0 - keep], [1.0, -keep], model, axis=0), rtol=1e-10, atol=1e-15
+    )
 
 
 class Push(FreeSpace):
@@ -50,12 +54,18 @@ class Push(FreeSpace):
 @pytest.mark.slow
 @pytest.mark.parametrize("low_pass_ms", [0.3, 1.0, 20.0])
 def test_a_step_of_force_is_answered_by_the_continuous_filters_own_values(monkeypatch, low_pass_ms):
-    """A step at t = 0 gives 1 - exp(-t/a) at the end of every tick, without an error of discretisation."""
+    """A step at t = 0 gives 1 - exp(-t/a) at the end of every tick, without an error of
+    discretisation.
+    """
     path = FollowPath(np.array([[0, 0, 0], [0, 0, 0.01]]), feed_m_s=0.1, axis=(0.0, 0.0, 1.0))
-    monkeypatch.setattr("tissue.simulation.simulate.build", lambda *_, **__: Parts(path, Push(), cutter=CUTTER))
+    monkeypatch.setattr(
+        "tissue.simulation.simulate.build", lambda *_, **__: Parts(path, Push(), cutter=CUTTER)
+    )
     trace = run_of(output__low_pass_ms=low_pass_ms).trace
     ends_s = TICK_S * np.arange(1, len(trace.rows) + 1)
-    np.testing.assert_allclose(trace["force_z_N"], 1.0 - np.exp(-ends_s / (1e-3 * low_pass_ms)), rtol=1e-12)
+    np.testing.assert_allclose(
+        trace["force_z_N"], 1.0 - np.exp(-ends_s / (1e-3 * low_pass_ms)), rtol=1e-12
+    )
     assert not trace["force_x_N"].any() and not trace.vectors("torque", "Nm").any()
 
 
@@ -64,7 +74,9 @@ def test_no_low_pass_hands_the_models_force_on():
     run = run_of(output__low_pass_ms=0.0)
     for name, unit in AXES:
         model = run.trace.vectors(f"model_{name}", unit)
-        np.testing.assert_allclose(run.trace.vectors(name, unit), model, atol=1e-15 * np.abs(model).max(), rtol=1e-15)
+        np.testing.assert_allclose(
+            run.trace.vectors(name, unit), model, atol=1e-15 * np.abs(model).max(), rtol=1e-15
+        )
 
 
 @pytest.mark.parametrize(("duration_s", "ticks"), [(0.001, 1), (0.0123, 12), (0.2, 200)])
@@ -81,7 +93,11 @@ def test_a_row_a_tick(duration_s, ticks):
 def test_without_a_duration_a_run_lasts_as_long_as_its_motion(tmp_path):
     from tissue import scene_text
 
-    text = scene_text("milling").replace("duration_s = 9.0\n", "").replace("spacing_mm = 0.1", "spacing_mm = 0.4")
+    text = (
+        scene_text("milling")
+        .replace("duration_s = 9.0\n", "")
+        .replace("spacing_mm = 0.1", "spacing_mm = 0.4")
+    )
     (tmp_path / "short.toml").write_text(text.replace("feed_mm_s = 5.0", "feed_mm_s = 200.0"))
     run = simulate(load_scene(tmp_path / "short.toml"))
     length_mm = 0.15 + 4 * 10 + 3 * 0.1
@@ -122,10 +138,13 @@ def test_a_run_in_memory_writes_nothing(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_progress_names_what_is_done_and_never_falls_back():
     reported = []
-    scene = load_scene("milling", COARSE | {"duration_s": 3.0, "voxels.margin_mm": 1.37})  # no other test's voxels
+    # no other test's voxels
+    scene = load_scene("milling", COARSE | {"duration_s": 3.0, "voxels.margin_mm": 1.37})
     simulate(scene, progress=lambda doing, share: reported.append((doing, share)))
     names = list(dict.fromkeys(doing for doing, _ in reported))
-    assert names.index("building the anatomy") < names.index("voxelising") < names.index("simulating")
+    assert (
+        names.index("building the anatomy") < names.index("voxelising") < names.index("simulating")
+    )
     assert any("compiling kernels" in name for name in names)
     for name in names:
         shares = [share for doing, share in reported if doing == name]
@@ -134,5 +153,7 @@ def test_progress_names_what_is_done_and_never_falls_back():
 
 @pytest.mark.parametrize("cores", [0, -3])
 def test_fewer_than_one_core_is_refused(cores):
-    with pytest.raises(InputError, match=f"cores must be from 1 to 4096, got {cores}: leave it out to use all"):
+    with pytest.raises(
+        InputError, match=f"cores must be from 1 to 4096, got {cores}: leave it out to use all"
+    ):
         simulate(load_scene("milling", COARSE), cores=cores)

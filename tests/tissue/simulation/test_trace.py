@@ -18,7 +18,9 @@ def filled(row_count):
     """A table of numbers that are hard to print."""
     columns = TraceLayout.of(LAYERS).columns
     random = np.random.default_rng(3)
-    rows = random.normal(size=(row_count, len(columns))) * 10.0 ** random.integers(-300, 300, (row_count, len(columns)))
+    rows = random.normal(size=(row_count, len(columns))) * 10.0 ** random.integers(
+        -300, 300, (row_count, len(columns))
+    )
     rows[:, -1] = random.integers(-1, len(LAYERS), row_count)
     return Table(columns, rows, LAYERS)
 
@@ -73,7 +75,9 @@ def test_a_line_cut_short_is_left_out(tmp_path, kept):
     np.testing.assert_array_equal(read_table(tmp_path / "trace.csv", LAYERS).rows, table.rows[:2])
 
 
-@pytest.mark.parametrize("text", ["", "time_s,tool_x", "time_s,layer\n"], ids=["empty", "half a head", "head"])
+@pytest.mark.parametrize(
+    "text", ["", "time_s,tool_x", "time_s,layer\n"], ids=["empty", "half a head", "head"]
+)
 def test_a_file_without_a_whole_row_has_none(tmp_path, text):
     (tmp_path / "trace.csv").write_text(text)
     assert len(read_table(tmp_path / "trace.csv", LAYERS).rows) == 0

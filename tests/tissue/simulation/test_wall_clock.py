@@ -38,14 +38,16 @@ def paced(costs_s, **options):
 def test_a_paced_run_does_not_drift():
     rng = np.random.default_rng(1)
     starts, late, skipped = paced(rng.uniform(1e-4, 8e-4, 3000))
-    # The last tick begins when it is due: a schedule that added up sleeps would be 3000 times their 60 us late.
-    np.testing.assert_allclose(starts, STEP_S * np.arange(3000), atol=3e-6)  # looks at the clock take 1 us
+    # The last tick begins when it is due: a schedule that added up sleeps would be 3000 times their
+    # 60 us late. looks at the clock take 1 us
+    np.testing.assert_allclose(starts, STEP_S * np.arange(3000), atol=3e-6)
     assert late.max() < 3e-6 and not skipped.any()
 
 
 def test_a_sleep_that_ends_too_late_is_lateness_and_is_made_up():
     starts, late, _ = paced(np.full(100, 1e-4), oversleeps_s=4e-4)
-    assert np.median(late) == pytest.approx(2.5e-4, abs=5e-6)  # 0.4 ms over, less the 0.15 ms before it is due
+    # 0.4 ms over, less the 0.15 ms before it is due
+    assert np.median(late) == pytest.approx(2.5e-4, abs=5e-6)
     assert starts[-1] == pytest.approx(99 * STEP_S, abs=5e-4)
 
 
@@ -61,7 +63,10 @@ def test_one_long_tick_makes_the_next_ones_late_and_then_it_is_on_time_again():
 @pytest.mark.parametrize("cost_s", [1.3e-3, 2.5e-3, 0.05])
 def test_a_run_that_cannot_keep_up_skips_on_the_wall_and_counts_it(cost_s):
     starts, late, skipped = paced(np.full(400, cost_s))
-    # No tick is left out and none is stretched: what the wall has more than the schedule is what was skipped.
+    # No tick is left out and none is stretched: what the wall has more than the schedule is what
+    # was skipped.
     assert starts[-1] == pytest.approx(399 * cost_s, rel=1e-3)
-    assert starts[-1] - 399 * STEP_S == pytest.approx(skipped.sum() + late[-1] * (skipped[-1] == 0.0), abs=1e-4)
+    assert starts[-1] - 399 * STEP_S == pytest.approx(
+        skipped.sum() + late[-1] * (skipped[-1] == 0.0), abs=1e-4
+    )
     assert late.max() < 0.01 + cost_s and (late[skipped > 0.0] > 0.01).all()

@@ -1,4 +1,6 @@
-"""A process beside the ticks steps back, hurries when it is awaited, and does not fail where it cannot."""
+"""A process beside the ticks steps back, hurries when it is awaited, and does not fail where it
+cannot.
+"""
 
 import os
 import subprocess
@@ -11,7 +13,9 @@ from tissue.system import background_priority
 from tissue.system.background_priority import LOWEST, BackgroundPriority, may_return_from_idle
 from tissue.system.helper import Helper
 
-pytestmark = pytest.mark.skipif(not hasattr(os, "SCHED_IDLE"), reason="the system has no idle priority")
+pytestmark = pytest.mark.skipif(
+    not hasattr(os, "SCHED_IDLE"), reason="the system has no idle priority"
+)
 
 
 @pytest.fixture
@@ -62,12 +66,19 @@ def test_on_one_core_it_stays_there(child, monkeypatch):
 @pytest.mark.parametrize(
     ("returns", "asked"),
     [
-        (True, ["sched_setscheduler", "sched_setaffinity", "sched_setscheduler", "sched_setaffinity"]),
+        (
+            True,
+            ["sched_setscheduler", "sched_setaffinity", "sched_setscheduler", "sched_setaffinity"],
+        ),
         (False, ["setpriority", "sched_setaffinity", "sched_setaffinity"]),
     ],
 )
-def test_what_the_system_refuses_for_a_process_that_has_ended_is_left_out(child, monkeypatch, returns, asked):
-    """Every call is made and refused, the later ones in spite of the earlier; none of the refusals is raised."""
+def test_what_the_system_refuses_for_a_process_that_has_ended_is_left_out(
+    child, monkeypatch, returns, asked
+):
+    """Every call is made and refused, the later ones in spite of the earlier; none of the
+    refusals is raised.
+    """
     child.kill()
     child.wait()
     monkeypatch.setattr(background_priority, "allowed_cores", lambda: {0, 1})
@@ -93,8 +104,14 @@ def test_what_the_system_refuses_for_a_process_that_has_ended_is_left_out(child,
 
 def test_a_helper_has_one_thread_for_linear_algebra_and_a_group_of_its_own(tmp_path, monkeypatch):
     """Ctrl-C does not reach its group; in this session its priority counts against this process."""
-    code = "import os, pickle, sys; names = ['OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS']\n"
-    code += "pickle.dump([[os.environ[name] for name in names], os.getpgid(0), os.getsid(0)], sys.stdout.buffer)\n"
+    code = (
+        "import os, pickle, sys; names = ['OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', "
+        "'MKL_NUM_THREADS']\n"
+    )
+    code += (
+        "pickle.dump([[os.environ[name] for name in names], os.getpgid(0), os.getsid(0)], "
+        "sys.stdout.buffer)\n"
+    )
     (tmp_path / "answering.py").write_text(code + "sys.stdout.flush(); input()\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     helper = Helper("answering", does="answers")

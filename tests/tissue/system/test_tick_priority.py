@@ -1,4 +1,6 @@
-"""The priority of ticks against the wall clock: what is asked of each system, what is granted, and that it is put back."""
+"""The priority of ticks against the wall clock: what is asked of each system, what is granted,
+and that it is put back.
+"""
 
 import ctypes
 import os
@@ -11,7 +13,9 @@ import pytest
 
 from tissue.system.tick_priority import REALTIME, TickPriority
 
-linux = pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="Linux alone has these calls")
+linux = pytest.mark.skipif(
+    not hasattr(os, "sched_setscheduler"), reason="Linux alone has these calls"
+)
 
 
 class FakeScheduler:
@@ -20,9 +24,17 @@ class FakeScheduler:
     def __init__(self, monkeypatch, *, realtime, nice, clear=True):
         self.policy, self.niceness, self.calls, self._clear = (0, 0), 0, [], clear
         self._realtime, self._nice = realtime, nice
-        for name in ("sched_setscheduler", "sched_getscheduler", "sched_getparam", "setpriority", "getpriority"):
+        for name in (
+            "sched_setscheduler",
+            "sched_getscheduler",
+            "sched_getparam",
+            "setpriority",
+            "getpriority",
+        ):
             monkeypatch.setattr(os, name, getattr(self, name))
-        monkeypatch.setattr(os, "sched_param", lambda priority: SimpleNamespace(sched_priority=priority))
+        monkeypatch.setattr(
+            os, "sched_param", lambda priority: SimpleNamespace(sched_priority=priority)
+        )
 
     def sched_getscheduler(self, thread):
         return self.policy[0]
@@ -57,12 +69,19 @@ def test_real_time_priority_is_the_threads_own_and_put_back_from_another_thread(
     priority.begin()  # a second call changes nothing
     priority.end()
     priority.end()
-    assert fake.policy == (0, 0) and {call[0] for call in fake.calls} == {number} and len(fake.calls) == 2
+    assert (
+        fake.policy == (0, 0)
+        and {call[0] for call in fake.calls} == {number}
+        and len(fake.calls) == 2
+    )
 
 
 @linux
 def test_who_may_not_clear_the_mark_keeps_it_at_ordinary_priority(monkeypatch):
-    fake, priority = FakeScheduler(monkeypatch, realtime=True, nice=True, clear=False), TickPriority()
+    fake, priority = (
+        FakeScheduler(monkeypatch, realtime=True, nice=True, clear=False),
+        TickPriority(),
+    )
     priority.begin()
     priority.end()
     assert fake.policy == (os.SCHED_RESET_ON_FORK, 0)
@@ -72,7 +91,9 @@ def test_who_may_not_clear_the_mark_keeps_it_at_ordinary_priority(monkeypatch):
 def test_a_niceness_is_what_is_granted_next(monkeypatch):
     fake, priority = FakeScheduler(monkeypatch, realtime=False, nice=True), TickPriority()
     priority.begin()
-    assert fake.niceness == -10 and priority.granted.startswith("niceness -10: no real-time priority is granted")
+    assert fake.niceness == -10 and priority.granted.startswith(
+        "niceness -10: no real-time priority is granted"
+    )
     priority.end()
     assert fake.niceness == 0 and priority.granted == "ordinary priority"
 
@@ -81,7 +102,9 @@ def test_a_niceness_is_what_is_granted_next(monkeypatch):
 def test_nothing_granted_is_noted_and_ends_nothing(monkeypatch):
     fake, priority = FakeScheduler(monkeypatch, realtime=False, nice=False), TickPriority()
     priority.begin()
-    assert priority.granted.startswith("ordinary priority: no other is granted, see rtprio and nice")
+    assert priority.granted.startswith(
+        "ordinary priority: no other is granted, see rtprio and nice"
+    )
     priority.end()
     assert fake.policy == (0, 0) and fake.niceness == 0
 
@@ -96,11 +119,16 @@ def test_the_system_itself_grants_it_or_not_and_a_child_does_not_inherit_it():
         policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
         assert (policy == os.SCHED_FIFO) == priority.granted.startswith("real-time")
         code = "import os; print(os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK)"
-        child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        child = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        )
         assert int(child.stdout) == os.SCHED_OTHER
     finally:
         priority.end()
-    assert (os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK, os.getpriority(os.PRIO_PROCESS, 0)) == before
+    assert (
+        os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK,
+        os.getpriority(os.PRIO_PROCESS, 0),
+    ) == before
 
 
 def test_a_system_without_such_calls_is_left_as_it_is(monkeypatch):
@@ -129,7 +157,9 @@ def test_windows_raises_the_class_of_the_process(monkeypatch, refused):
     monkeypatch.setattr(sys, "platform", "win32")
     priority = TickPriority()
     priority.begin()
-    assert priority.granted.startswith("ordinary priority: a higher one was refused" if refused else "high priority")
+    assert priority.granted.startswith(
+        "ordinary priority: a higher one was refused" if refused else "high priority"
+    )
     priority.end()
     assert classes == ([32] if refused else [32, 128, 32])
 
@@ -137,11 +167,15 @@ def test_windows_raises_the_class_of_the_process(monkeypatch, refused):
 @pytest.mark.parametrize("answer", [0, 1])
 def test_macos_asks_for_the_class_of_what_a_person_interacts_with(monkeypatch, answer):
     asked = []
-    library = SimpleNamespace(pthread_set_qos_class_self_np=lambda kind, rank: asked.append((kind, rank)) or answer)
+    library = SimpleNamespace(
+        pthread_set_qos_class_self_np=lambda kind, rank: asked.append((kind, rank)) or answer
+    )
     monkeypatch.setattr(ctypes, "CDLL", lambda name: library)
     monkeypatch.setattr(sys, "platform", "darwin")
     priority = TickPriority()
     priority.begin()
-    assert priority.granted.startswith("ordinary priority: a higher" if answer else "quality of service")
+    assert priority.granted.startswith(
+        "ordinary priority: a higher" if answer else "quality of service"
+    )
     priority.end()
     assert asked == ([(0x21, 0)] if answer else [(0x21, 0), (0x15, 0)])

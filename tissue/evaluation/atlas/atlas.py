@@ -1,4 +1,6 @@
-"""Stability atlas: run every page, judge it, ask the engine, and write pictures, data and one HTML file."""
+"""Stability atlas: run every page, judge it, ask the engine, and write pictures, data and one
+HTML file.
+"""
 
 import platform
 from collections.abc import Mapping, Sequence
@@ -36,16 +38,28 @@ __all__ = ["PAGES", "chosen_pages", "write_atlas"]
 
 INDEX = "index.html"
 PAGES: tuple[Page, ...] = (
-    wall_map.PAGE, quantisation.PAGE, explicit_cutting.PAGE, thin_walls.PAGE, locking.PAGE, large_rotation.PAGE,
-    bad_tetrahedra.PAGE, cut_cells.PAGE, contrast.PAGE, trained_elsewhere.PAGE, horizon.PAGE, lost_samples.PAGE,
+    wall_map.PAGE,
+    quantisation.PAGE,
+    explicit_cutting.PAGE,
+    thin_walls.PAGE,
+    locking.PAGE,
+    large_rotation.PAGE,
+    bad_tetrahedra.PAGE,
+    cut_cells.PAGE,
+    contrast.PAGE,
+    trained_elsewhere.PAGE,
+    horizon.PAGE,
+    lost_samples.PAGE,
     wild_input.PAGE,
-)  # fmt: skip
+)
 """Pages in the order of the atlas."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A page with its results: verdict, answers, picture as PNG, names of data files, duration [s]."""
+    """A page with its results: verdict, answers, picture as PNG, names of data files, duration
+    [s].
+    """
 
     page: Page
     verdict: Verdict
@@ -56,7 +70,9 @@ class Entry:
 
     @property
     def shown(self) -> bool:
-        """Whether the questioned method failed, the engine held, and no answer was silently wrong."""
+        """Whether the questioned method failed, the engine held, and no answer was silently
+        wrong.
+        """
         silent = any(answer.conduct is Conduct.SILENT for answer in self.answers)
         return self.verdict.fails and self.verdict.holds and not silent
 
@@ -71,14 +87,21 @@ def chosen_pages(only: Sequence[str]) -> tuple[Page, ...]:
     """
     names = [page.name for page in PAGES]
     if unknown := [name for name in only if name not in names]:
-        raise InputError(f"only must be one of {', '.join(names)}, got {unknown[0]}: choose one of these")
+        raise InputError(
+            f"only must be one of {', '.join(names)}, got {unknown[0]}: choose one of these"
+        )
     return tuple(page for page in PAGES if not only or page.name in only)
 
 
 def write_atlas(
-    folder: Path, pages: Sequence[Page] = PAGES, *, overwrite: bool = False, progress: Progress = silent
+    folder: Path,
+    pages: Sequence[Page] = PAGES,
+    *,
+    overwrite: bool = False,
+    progress: Progress = silent,
 ) -> list[Entry]:
-    """Run pages and write ``index.html``, with a picture and the data (CSV) of each page next to it.
+    """Run pages and write ``index.html``, with a picture and the data (CSV) of each page next to
+    it.
 
     Raises
     ------
@@ -116,7 +139,10 @@ def _document(entries: Sequence[Entry]) -> str:
     """Return the whole atlas as HTML."""
     good = sum(entry.shown for entry in entries)
     rows = "".join(
-        f'<tr><td><a href="#{escape(e.page.name)}">{escape(e.page.title)}</a></td><td class="what">{_mark(e)}</td></tr>'
+        (
+            f'<tr><td><a href="#{escape(e.page.name)}">{escape(e.page.title)}</a></td><td '
+            f'class="what">{_mark(e)}</td></tr>'
+        )
         for e in entries
     )
     facts: Mapping[str, str] = {
@@ -128,10 +154,14 @@ def _document(entries: Sequence[Entry]) -> str:
     made = "; ".join(f"{escape(name)} {escape(value)}" for name, value in facts.items())
     return html_page(
         "Stability atlas",
-        "<p>Each page takes a method past its region of failure. Points are measured, lines are theory, and the "
-        "background shows the behaviour of the engine. Verdicts and answers are computed from the runs of this atlas."
-        f"</p>\n<p>{good} of {len(entries)} pages show their boundary, with the engine holding, falling back or "
-        f'refusing.</p>\n<p class="soft">{made}</p>\n<table><tr><th>page</th><th>behaviour of the engine</th></tr>'
+        "<p>Each page takes a method past its region of failure. Points are measured, lines "
+        "are theory, and the "
+        "background shows the behaviour of the engine. Verdicts and answers are computed "
+        "from the runs of this atlas."
+        f"</p>\n<p>{good} of {len(entries)} pages show their boundary, with the engine "
+        "holding, falling back or "
+        f'refusing.</p>\n<p class="soft">{made}</p>\n<table><tr><th>page</th><th>behaviour '
+        "of the engine</th></tr>"
         f"{rows}</table>\n" + "\n".join(map(_section, entries)),
     )
 
@@ -139,19 +169,27 @@ def _document(entries: Sequence[Entry]) -> str:
 def _mark(entry: Entry) -> str:
     """Return the behaviour of the engine on a page, or that the page is open."""
     found = {answer.conduct for answer in entry.answers}
-    return ", ".join(kind.value for kind in Conduct if kind in found) if entry.shown else "open: not as it should be"
+    return (
+        ", ".join(kind.value for kind in Conduct if kind in found)
+        if entry.shown
+        else "open: not as it should be"
+    )
 
 
 def _section(entry: Entry) -> str:
     """Return one page as HTML."""
     page = entry.page
     answers = "".join(
-        f'<tr><td>{escape(a.asked)}</td><td class="what">{escape(a.conduct.value)}</td><td>{escape(a.result)}</td></tr>'
+        (
+            f"<tr><td>{escape(a.asked)}</td><td "
+            f'class="what">{escape(a.conduct.value)}</td><td>{escape(a.result)}</td></tr>'
+        )
         for a in entry.answers
     )
     files = ", ".join(f'<a href="{escape(name)}">{escape(name)}</a>' for name in entry.files)
     return (
-        f'<section id="{escape(page.name)}"><h2>{escape(page.title)}</h2>\n<p>{escape(page.question)}</p>\n'
+        "<section "
+        f'id="{escape(page.name)}"><h2>{escape(page.title)}</h2>\n<p>{escape(page.question)}</p>\n'
         f"{html_picture(page.title, entry.picture)}"
         f'<p class="verdict{"" if entry.shown else " open"}">{escape(entry.verdict.sentence)}</p>\n'
         f"<table><tr><th>request</th><th>the engine</th><th>report</th></tr>{answers}</table>\n"

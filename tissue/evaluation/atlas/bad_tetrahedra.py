@@ -39,7 +39,9 @@ def middle_node(nodes_m: Array) -> int:
 
 
 def squashed(height: float) -> tuple[Array, Ints]:
-    """Return a cube of 4 x 4 x 4 bricks whose middle node is moved down to a fraction of its height."""
+    """Return a cube of 4 x 4 x 4 bricks whose middle node is moved down to a fraction of its
+    height.
+    """
     good = box((SIZE_M,) * 3, (4, 4, 4))
     nodes = good.nodes_m.copy()
     inner = middle_node(nodes)
@@ -83,10 +85,13 @@ def judge(data: Data) -> Verdict:
     quality = float(table["repaired_quality"].min())
     return Verdict(
         -1.15 < slope < -0.85 and table["condition"].max() > 100.0 * table["condition"][0],
-        # Cells just above the sliver limit stay as they are: a tenth of the quality is a tenth of the height.
+        # Cells just above the sliver limit stay as they are: a tenth of the quality is a tenth of
+        # the height.
         worst < 10.0 * table["condition"][0] and quality > SLIVER,
-        f"The condition number grows as the height of the cell to the power {slope:.2f} (theory: −1), from "
-        f"{table['condition'][0]:.0f} to {table['condition'].max():.1e}. After repair it is at most {worst:.0f}, and "
+        f"The condition number grows as the height of the cell to the power {slope:.2f} "
+        "(theory: −1), from "
+        f"{table['condition'][0]:.0f} to {table['condition'].max():.1e}. After repair it is "
+        f"at most {worst:.0f}, and "
         f"the worst quality is {quality:.2f}.",
     )
 
@@ -105,10 +110,18 @@ def ask() -> list[Answer]:
     flat = sliver.slivers > 0 and sliver.slivers_left == 0
     return [
         refused("three inverted cells, as a mesh", lambda: TetMesh(nodes, turned)),
-        shown("three inverted cells, from a file", whole, " ".join(report.sentences()), conduct=Conduct.FALLS_BACK),
+        shown(
+            "three inverted cells, from a file",
+            whole,
+            " ".join(report.sentences()),
+            conduct=Conduct.FALLS_BACK,
+        ),
         refused("a mesh that folds over itself", lambda: repair_tets(folded, cells)),
         shown("a sliver", flat, " ".join(sliver.sentences()), conduct=Conduct.FALLS_BACK),
-        refused("nodes with NaN coordinates", lambda: repair_tets(np.where(nodes > 0.09, np.nan, nodes), cells)),
+        refused(
+            "nodes with NaN coordinates",
+            lambda: repair_tets(np.where(nodes > 0.09, np.nan, nodes), cells),
+        ),
     ]
 
 
@@ -121,22 +134,36 @@ def draw(data: Data, chart: Figure) -> None:
     bad = height[table["quality"] < SLIVER].max()
     conduct = [(Conduct.HOLDS, bad, height[0]), (Conduct.FALLS_BACK, height[-1], bad)]
     limits = (0.3 * table["repaired_condition"].min(), 5.0 * table["condition"].max())
-    panel(left, height, (label, "condition number of the stiffness"), [
-        ("theory: 1 / height", table["condition"][-1] * height[-1] / height, "-", GREY),
-        ("not repaired", table["condition"], "s", RED),
-        ("repaired (engine)", table["repaired_condition"], "o", BLUE),
-    ], conduct=conduct, ylim=limits)  # fmt: skip
-    panel(right, height, (label, "worst mean ratio"), [
-        ("not repaired", table["quality"], "s", RED),
-        ("repaired (engine)", table["repaired_quality"], "o", BLUE),
-        ("sliver: mean ratio below 0.1", SLIVER, ":", GREY),
-    ], conduct=conduct)  # fmt: skip
+    panel(
+        left,
+        height,
+        (label, "condition number of the stiffness"),
+        [
+            ("theory: 1 / height", table["condition"][-1] * height[-1] / height, "-", GREY),
+            ("not repaired", table["condition"], "s", RED),
+            ("repaired (engine)", table["repaired_condition"], "o", BLUE),
+        ],
+        conduct=conduct,
+        ylim=limits,
+    )
+    panel(
+        right,
+        height,
+        (label, "worst mean ratio"),
+        [
+            ("not repaired", table["quality"], "s", RED),
+            ("repaired (engine)", table["repaired_quality"], "o", BLUE),
+            ("sliver: mean ratio below 0.1", SLIVER, ":", GREY),
+        ],
+        conduct=conduct,
+    )
 
 
 PAGE = Page(
     "bad_tetrahedra",
     "Inverted and sliver tetrahedra",
-    "One node of a good mesh is moved towards the opposite face. How does the condition number of the stiffness matrix "
+    "One node of a good mesh is moved towards the opposite face. How does the condition "
+    "number of the stiffness matrix "
     "grow, and how are flat or inverted cells repaired?",
     "Mean ratio of Liu and Joe (1994); rules of the repair in meshes.tets.quality",
     measure,

@@ -20,8 +20,17 @@ from tissue.prediction.paths import OperatorPath
 from tissue.prediction.trained import Trained
 
 __all__ = [
-    "FAULT_S", "OMNI", "SIX_DOF", "STIFFNESS_N_M", "TICK_S", "TURN", "koopman", "pressed", "relative_error", "tapped",
-]  # fmt: skip
+    "FAULT_S",
+    "OMNI",
+    "SIX_DOF",
+    "STIFFNESS_N_M",
+    "TICK_S",
+    "TURN",
+    "koopman",
+    "pressed",
+    "relative_error",
+    "tapped",
+]
 
 OMNI = device_parameters("omni")
 SIX_DOF = device_parameters("six-dof")
@@ -31,11 +40,17 @@ STIFFNESS_N_M = 1500.0
 FAULT_S = 0.15
 """Begin of the faults [s]: the hand has come to rest in the wall."""
 TURN = np.array([[2.0, -2.0, 1.0], [1.0, 2.0, 2.0], [-2.0, -1.0, 2.0]]) / 3.0
-"""Rotation of the tapped wall in the world, so that every component of position and force varies."""
+"""Rotation of the tapped wall in the world, so that every component of position and force
+varies.
+"""
 
 
 def pressed(
-    faults: Sequence[Fault] = (), *, seconds: float, guarded: bool, change: Callable[[Sample], Sample] | None = None
+    faults: Sequence[Fault] = (),
+    *,
+    seconds: float,
+    guarded: bool,
+    change: Callable[[Sample], Sample] | None = None,
 ) -> tuple[WallRun, SampleGuard | None]:
     """Run an expert who leans on a wall, 5 mm deep.
 
@@ -54,8 +69,12 @@ def pressed(
     hand = Hand(hand_parameters("expert"), path, rng=np.random.default_rng(7))
     simulated = SimulatedDevice(OMNI, hand, position_m=(0.0, 0.0, 0.0))
     guard = SampleGuard(force_limit_N=OMNI.force_limit_N) if guarded else None
-    device: Device = FaultyDevice(simulated, faults) if change is None else _Changed(simulated, change)
-    return press_wall(device, renderer("penalty", OMNI.loop(STIFFNESS_N_M)), duration_s=seconds, guard=guard), guard
+    device: Device = (
+        FaultyDevice(simulated, faults) if change is None else _Changed(simulated, change)
+    )
+    return press_wall(
+        device, renderer("penalty", OMNI.loop(STIFFNESS_N_M)), duration_s=seconds, guard=guard
+    ), guard
 
 
 class _Changed:
@@ -71,7 +90,11 @@ class _Changed:
     def read(self, time_s: float) -> Sample | None:
         """Return the sample, changed at `FAULT_S`."""
         sample = self._device.read(time_s)
-        return self._change(sample) if sample is not None and abs(time_s - FAULT_S) < 0.5 * TICK_S else sample
+        return (
+            self._change(sample)
+            if sample is not None and abs(time_s - FAULT_S) < 0.5 * TICK_S
+            else sample
+        )
 
 
 def tapped(stiffness_N_m: float, *, seed: int, seconds: float) -> Recording:
@@ -82,11 +105,18 @@ def tapped(stiffness_N_m: float, *, seed: int, seconds: float) -> Recording:
     points = np.column_stack([2e-3 * np.sin(times), 2e-3 * np.cos(1.3 * times), depths])
     hand = Hand(hand_parameters("novice"), waypoints(times, points), rng=rng)
     simulated = SimulatedDevice(SIX_DOF, hand, position_m=(0.0, 0.0, 4e-3))
-    run = press_wall(simulated, renderer("penalty", SIX_DOF.loop(stiffness_N_m)), duration_s=seconds)
+    run = press_wall(
+        simulated, renderer("penalty", SIX_DOF.loop(stiffness_N_m)), duration_s=seconds
+    )
     position = run.position_m @ TURN.T
     force = run.force_N @ TURN.T
-    seen = [Contact(stiffness_N_m, p + f / stiffness_N_m, f).row() for p, f in zip(position, force, strict=True)]
-    return Recording(position, np.gradient(position, TICK_S, axis=0), force, np.array(seen), "novice", seed)
+    seen = [
+        Contact(stiffness_N_m, p + f / stiffness_N_m, f).row()
+        for p, f in zip(position, force, strict=True)
+    ]
+    return Recording(
+        position, np.gradient(position, TICK_S, axis=0), force, np.array(seen), "novice", seed
+    )
 
 
 def koopman(trained: Trained) -> Koopman:
@@ -95,7 +125,9 @@ def koopman(trained: Trained) -> Koopman:
 
 
 def relative_error(predictions: Array, force: Array, horizon: int) -> float:
-    """Return the error of predictions over the size of the force, without the first 100 ticks; at most 1e6."""
+    """Return the error of predictions over the size of the force, without the first 100 ticks;
+    at most 1e6.
+    """
     later = force[100 + horizon :]
     predicted = predictions[100 : len(predictions) - horizon]
     error = float(np.linalg.norm(predicted - later) / np.linalg.norm(later))

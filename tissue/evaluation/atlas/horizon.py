@@ -4,7 +4,18 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tissue.evaluation.atlas.hands import SIX_DOF, TICK_S, koopman, relative_error, tapped
-from tissue.evaluation.atlas.page import GREEN, GREY, Answer, Conduct, Data, Page, Verdict, panel, refused, shown
+from tissue.evaluation.atlas.page import (
+    GREEN,
+    GREY,
+    Answer,
+    Conduct,
+    Data,
+    Page,
+    Verdict,
+    panel,
+    refused,
+    shown,
+)
 from tissue.evaluation.training.train import fit, forecast
 from tissue.prediction.baselines import Kalman, Linear
 from tissue.prediction.contact import Contact
@@ -40,9 +51,11 @@ def measure(quick: bool) -> Data:
     table = {"ahead_ms": 1e3 * TICK_S * np.array(horizons, dtype=float)}
     for name, each in predictors().items():
         forces, _ = forecast(each, recording, horizons)
-        table[name] = np.array([relative_error(forces[:, row], force, steps) for row, steps in enumerate(horizons)])
-    # For short horizons the error of a held force is the rate of the force times the horizon. The rate is taken over
-    # 4 ms: over 1 ms it is mostly encoder steps.
+        table[name] = np.array(
+            [relative_error(forces[:, row], force, steps) for row, steps in enumerate(horizons)]
+        )
+    # For short horizons the error of a held force is the rate of the force times the horizon. The
+    # rate is taken over 4 ms: over 1 ms it is mostly encoder steps.
     rate = (force[104:] - force[100:-4]) / 4.0
     table["theory_hold"] = np.array(horizons) * np.linalg.norm(rate) / np.linalg.norm(force[100:])
     return {"horizon": table}
@@ -51,26 +64,36 @@ def measure(quick: bool) -> Data:
 def judge(data: Data) -> Verdict:
     """Find the horizon at which each predictor becomes worse than zero-order hold.
 
-    A predictor is useless where its error is a quarter of the force. At 64 ms the Koopman error is 0.34, and 0.29 in
-    the shorter run of the quick page.
+    A predictor is useless where its error is a quarter of the force. At 64 ms the Koopman error is
+    0.34, and 0.29 in the shorter run of the quick page.
     """
     table = data["horizon"]
     horizon = table["ahead_ms"]
     hold = table["hold"]
     worse = {name: horizon[table[name] > hold] for name in ("linear", "kalman", "koopman")}
-    ends = {name: f"beyond {those.min():.0f} ms" if len(those) else "nowhere" for name, those in worse.items()}
+    ends = {
+        name: f"beyond {those.min():.0f} ms" if len(those) else "nowhere"
+        for name, those in worse.items()
+    }
     within = horizon <= LEADS_MS
     gain = float((table["koopman"] / hold)[within].max())
-    best = float(np.min([table[name] / hold for name in ("linear", "kalman")], axis=0)[within].max())
+    best = float(
+        np.min([table[name] / hold for name in ("linear", "kalman")], axis=0)[within].max()
+    )
     at = int(np.argmin(np.abs(horizon - 8.0)))
     return Verdict(
         bool(table["kalman"][-1] > 2.0 * hold[-1] and (table["koopman"][-1] > 0.25)),
         gain < 1.0 and bool((table["koopman"] < 1.1 * hold).all()),
-        f"At {horizon[at]:.0f} ms the error is {100 * hold[at]:.1f} % of the force by zero-order hold, "
-        f"{100 * table['linear'][at]:.1f} % by the straight line, {100 * table['kalman'][at]:.1f} % by the Kalman "
-        f"filter and {100 * table['koopman'][at]:.1f} % by the Koopman predictor. Worse than hold: the line "
-        f"{ends['linear']}, the filter {ends['kalman']}, Koopman {ends['koopman']}. At {horizon[-1]:.0f} ms no "
-        f"predictor is useful: the Koopman error is {100 * table['koopman'][-1]:.0f} %. Up to {LEADS_MS:g} ms it is "
+        f"At {horizon[at]:.0f} ms the error is {100 * hold[at]:.1f} % of the force by "
+        "zero-order hold, "
+        f"{100 * table['linear'][at]:.1f} % by the straight line, "
+        f"{100 * table['kalman'][at]:.1f} % by the Kalman "
+        f"filter and {100 * table['koopman'][at]:.1f} % by the Koopman predictor. Worse than "
+        "hold: the line "
+        f"{ends['linear']}, the filter {ends['kalman']}, Koopman {ends['koopman']}. At "
+        f"{horizon[-1]:.0f} ms no "
+        f"predictor is useful: the Koopman error is {100 * table['koopman'][-1]:.0f} %. Up "
+        f"to {LEADS_MS:g} ms it is "
         f"below {gain:.2f} of hold, that of the simpler predictors below {best:.2f}.",
     )
 
@@ -95,11 +118,18 @@ def ask() -> list[Answer]:
     return [
         refused("a straight line through no time", lambda: Linear(0)),
         refused("a Kalman filter without noise", lambda: Kalman(0.0)),
-        shown("5 ms ahead after a sample that is NaN", before and bool(abs(kept - size) < 0.2 * size),
-              f"the sample is ignored: {kept:.3f} N where the force is {size:.3f} N"),
-        shown("5 ms ahead after 15 samples that are NaN", bool(np.isfinite(guarded.predict(5)).all()),
-              f"the last force is held: {np.linalg.norm(guarded.predict(5)):.3f} N", conduct=Conduct.FALLS_BACK),
-    ]  # fmt: skip
+        shown(
+            "5 ms ahead after a sample that is NaN",
+            before and bool(abs(kept - size) < 0.2 * size),
+            f"the sample is ignored: {kept:.3f} N where the force is {size:.3f} N",
+        ),
+        shown(
+            "5 ms ahead after 15 samples that are NaN",
+            bool(np.isfinite(guarded.predict(5)).all()),
+            f"the last force is held: {np.linalg.norm(guarded.predict(5)):.3f} N",
+            conduct=Conduct.FALLS_BACK,
+        ),
+    ]
 
 
 def draw(data: Data, chart: Figure) -> None:
@@ -107,19 +137,29 @@ def draw(data: Data, chart: Figure) -> None:
     table = data["horizon"]
     horizon_ms = table["ahead_ms"]
     curves = [
-        (label, 100.0 * table[name], PREDICTORS[name].marker, PREDICTORS[name].colour) for name, label in LABELS.items()
+        (label, 100.0 * table[name], PREDICTORS[name].marker, PREDICTORS[name].colour)
+        for name, label in LABELS.items()
     ]
-    panel(chart.subplots(), horizon_ms, ("horizon / ms", "force error / %"), [
-        *curves,
-        ("theory of hold: rate × horizon", 100.0 * table["theory_hold"], "-", GREY),
-        ("error of no force at all", 100.0, ":", GREEN),
-    ], conduct=[(Conduct.HOLDS, horizon_ms[0], LEADS_MS)], ylim=(0.5, 400.0), legend="upper left")  # fmt: skip
+    panel(
+        chart.subplots(),
+        horizon_ms,
+        ("horizon / ms", "force error / %"),
+        [
+            *curves,
+            ("theory of hold: rate × horizon", 100.0 * table["theory_hold"], "-", GREY),
+            ("error of no force at all", 100.0, ":", GREEN),
+        ],
+        conduct=[(Conduct.HOLDS, horizon_ms[0], LEADS_MS)],
+        ylim=(0.5, 400.0),
+        legend="upper left",
+    )
 
 
 PAGE = Page(
     "horizon",
     "Prediction horizon: how far ahead can a force be predicted?",
-    "A novice taps a wall of 800 N/m. How large is the error of forces predicted 1 to 64 ms ahead, and from which "
+    "A novice taps a wall of 800 N/m. How large is the error of forces predicted 1 to 64 ms "
+    "ahead, and from which "
     "horizon on is zero-order hold better?",
     "Trained on three recordings, tested on a fourth; device with six degrees of freedom",
     measure,

@@ -45,7 +45,9 @@ def bar() -> tuple[Space, NDArray[np.bool_]]:
 
 
 def false_stress_Pa(law: Law, angles: Array) -> Array:
-    """Compute the pull on an end over its area with both ends rotated [Pa]; NaN where a solve does not converge."""
+    """Compute the pull on an end over its area with both ends rotated [Pa]; NaN where a solve
+    does not converge.
+    """
     space, held = bar()
     solver = NewtonSolver(NonlinearBody(space, lame(YOUNG_PA, 0.0), law=law), held)
     reached = 0.0
@@ -65,7 +67,11 @@ def false_stress_Pa(law: Law, angles: Array) -> Array:
 
 def measure(quick: bool) -> Data:
     """Sweep the angle for all laws."""
-    angles = np.array([10.0, 45.0]) if quick else np.array([1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.0])
+    angles = (
+        np.array([10.0, 45.0])
+        if quick
+        else np.array([1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.0])
+    )
     stresses = {f"{law.name.lower()}_pa": false_stress_Pa(law, angles) for law in Law}
     theory = YOUNG_PA * (1.0 - np.cos(np.deg2rad(angles)))
     return {"turn": {"angle_deg": angles, **stresses, "theory_pa": theory}}
@@ -81,7 +87,8 @@ def judge(data: Data) -> Verdict:
         off < 1e-3,  # exact for ν = 0 by Betti's theorem, up to the tolerance of the solve
         worst < 1e-4 * YOUNG_PA,
         f"Rotated by {turn['angle_deg'][-1]:.0f}° without strain, the bar has a stress of "
-        f"{100 * turn['linear_pa'][-1] / YOUNG_PA:.0f} % of E by the linear law. It is E(1 − cos θ) to {off:.0e}. By "
+        f"{100 * turn['linear_pa'][-1] / YOUNG_PA:.0f} % of E by the linear law. It is E(1 − "
+        f"cos θ) to {off:.0e}. By "
         f"the corotational and the neo-Hookean law it is at most {worst / YOUNG_PA:.0e} of E.",
     )
 
@@ -89,10 +96,14 @@ def judge(data: Data) -> Verdict:
 def events_of_a_press() -> str:
     """Press a ball into a small slab of linear tissue and return the events of the run."""
     changes = {
-        "anatomy.size_mm": [60, 60, 30], "anatomy.edge_mm": 15, "anatomy.touch_edge_mm": 6,
-        "anatomy.nodule_diameter_mm": 0, "organ.interval_ms": 10_000,
-        "motion.points_mm": [[0, 0, 1], [0, 0, -4]], "motion.feed_mm_s": 50,
-    }  # fmt: skip
+        "anatomy.size_mm": [60, 60, 30],
+        "anatomy.edge_mm": 15,
+        "anatomy.touch_edge_mm": 6,
+        "anatomy.nodule_diameter_mm": 0,
+        "organ.interval_ms": 10_000,
+        "motion.points_mm": [[0, 0, 1], [0, 0, -4]],
+        "motion.feed_mm_s": 50,
+    }
     return "; ".join(event for _, event in simulate(load_scene("palpation", changes)).events)
 
 
@@ -101,16 +112,28 @@ def ask() -> list[Answer]:
     space, held = bar()
     solver = NewtonSolver(NonlinearBody(space, lame(YOUNG_PA, 0.45), law=Law.NEO_HOOKEAN), held)
     turn = Rotation.from_rotvec([0.0, 0.0, np.pi])
-    goal = np.where(space.nodes_m[:, :1] > LENGTH_M - 1e-9, turn.apply(space.nodes_m) - space.nodes_m, 0.0)
+    goal = np.where(
+        space.nodes_m[:, :1] > LENGTH_M - 1e-9, turn.apply(space.nodes_m) - space.nodes_m, 0.0
+    )
     outcome = solver.solve(goal).outcome
     events = events_of_a_press()
     return [
-        refused("displacements that are NaN", lambda: solver.solve(np.full(space.nodes_m.shape, np.nan))),
-        shown("one end rotated by 180° in one step", outcome is not SolverOutcome.CONVERGED,
-              f"{outcome.name}: {outcome.value}", conduct=Conduct.REFUSES),
-        shown("a ball pressed 4 mm into a linear organ", "linear elasticity" in events, f"runs and reports: {events}",
-              conduct=Conduct.FALLS_BACK),
-    ]  # fmt: skip
+        refused(
+            "displacements that are NaN", lambda: solver.solve(np.full(space.nodes_m.shape, np.nan))
+        ),
+        shown(
+            "one end rotated by 180° in one step",
+            outcome is not SolverOutcome.CONVERGED,
+            f"{outcome.name}: {outcome.value}",
+            conduct=Conduct.REFUSES,
+        ),
+        shown(
+            "a ball pressed 4 mm into a linear organ",
+            "linear elasticity" in events,
+            f"runs and reports: {events}",
+            conduct=Conduct.FALLS_BACK,
+        ),
+    ]
 
 
 def draw(data: Data, chart: Figure) -> None:
@@ -120,19 +143,33 @@ def draw(data: Data, chart: Figure) -> None:
     angle = turn["angle_deg"]
     least = 1e-13
     fine = np.geomspace(angle[0], angle[-1], 100)
-    axes.plot(fine, 1.0 - np.cos(np.deg2rad(fine)), color=GREY, label="theory of the linear law: 1 − cos θ")
-    panel(axes, angle, ("rotation θ of both ends / degrees", "false stress / E"), [
-        ("linear", np.maximum(turn["linear_pa"] / YOUNG_PA, least), "s", RED),
-        ("corotational", np.maximum(turn["corotational_pa"] / YOUNG_PA, least), "^", GREEN),
-        ("neo-Hookean", np.maximum(turn["neo_hookean_pa"] / YOUNG_PA, least), "o", BLUE),
-    ], ylim=(least, 10.0))  # fmt: skip
+    axes.plot(
+        fine,
+        1.0 - np.cos(np.deg2rad(fine)),
+        color=GREY,
+        label="theory of the linear law: 1 − cos θ",
+    )
+    panel(
+        axes,
+        angle,
+        ("rotation θ of both ends / degrees", "false stress / E"),
+        [
+            ("linear", np.maximum(turn["linear_pa"] / YOUNG_PA, least), "s", RED),
+            ("corotational", np.maximum(turn["corotational_pa"] / YOUNG_PA, least), "^", GREEN),
+            ("neo-Hookean", np.maximum(turn["neo_hookean_pa"] / YOUNG_PA, least), "o", BLUE),
+        ],
+        ylim=(least, 10.0),
+    )
 
 
 PAGE = Page(
     "large_rotation",
     "Large rotation: linear against corotational",
     "A bar is rotated as a whole, without strain. Which stress do the elastic laws find?",
-    "The small strain of a rotation is cos θ − 1 along both axes of its plane; bar 60 × 15 × 15 mm, ν = 0",
+    (
+        "The small strain of a rotation is cos θ − 1 along both axes of its plane; bar 60 × 15 × "
+        "15 mm, ν = 0"
+    ),
     measure,
     judge,
     ask,

@@ -21,9 +21,29 @@ if TYPE_CHECKING:
     from matplotlib.typing import RcKeyType
 
 __all__ = [
-    "BLUE", "GREEN", "GREY", "ORANGE", "PINK", "RED", "TINTS", "Answer", "Conduct", "Curve", "Data", "Page",
-    "Table", "Verdict", "boundary", "error_of", "log_slope", "panel", "picture", "refused", "shown", "sweep",
-]  # fmt: skip
+    "BLUE",
+    "GREEN",
+    "GREY",
+    "ORANGE",
+    "PINK",
+    "RED",
+    "TINTS",
+    "Answer",
+    "Conduct",
+    "Curve",
+    "Data",
+    "Page",
+    "Table",
+    "Verdict",
+    "boundary",
+    "error_of",
+    "log_slope",
+    "panel",
+    "picture",
+    "refused",
+    "shown",
+    "sweep",
+]
 
 Table = dict[str, Array]
 """Columns of equal length by name, with the unit in the name."""
@@ -120,18 +140,26 @@ def refused(asked: str, call: Callable[[], object]) -> Answer:
 
 
 def shown(asked: str, right: bool, result: str, *, conduct: Conduct = Conduct.HOLDS) -> Answer:
-    """Return an answer whose figures the caller has checked. It is silently wrong if they are not right."""
+    """Return an answer whose figures the caller has checked. It is silently wrong if they are
+    not right.
+    """
     return Answer(asked, conduct if right else Conduct.SILENT, result)
 
 
 def sweep(name: str, values: Array, run: Callable[[float], Mapping[str, float]]) -> Table:
-    """Run a function at every value and return the values with a column for each number of the results."""
+    """Run a function at every value and return the values with a column for each number of the
+    results.
+    """
     rows = [run(value) for value in values.tolist()]
-    return {name: values} | {column: np.array([row[column] for row in rows], dtype=float) for column in rows[0]}
+    return {name: values} | {
+        column: np.array([row[column] for row in rows], dtype=float) for column in rows[0]
+    }
 
 
 def boundary(fails: Callable[[float], bool], low: float, high: float, *, steps: int) -> float:
-    """Find the value between two positive ones above which runs fail, by bisection of the logarithm."""
+    """Find the value between two positive ones above which runs fail, by bisection of the
+    logarithm.
+    """
     for _ in range(steps):
         middle = sqrt(low * high)
         if fails(middle):
@@ -168,7 +196,9 @@ LOOKS: "dict[RcKeyType, float]" = {
     "lines.linewidth": 2.0,
     "lines.markersize": 6.0,
 }
-Place = Literal["best", "upper left", "lower center", "lower right", "center left", "center right", ""]
+Place = Literal[
+    "best", "upper left", "lower center", "lower right", "center left", "center right", ""
+]
 Curve = tuple[str, ArrayLike, str, str]
 """Label, values over the sweep or one for all of it, format of matplotlib's `plot`, and colour."""
 
@@ -220,7 +250,9 @@ def panel(
         known = axes.get_legend_handles_labels()[1]
         label = f"engine {behaviour.value}"
         tint = TINTS[behaviour]
-        axes.axvspan(low, high, color=tint, zorder=0, linewidth=0.0, label=None if label in known else label)
+        axes.axvspan(
+            low, high, color=tint, zorder=0, linewidth=0.0, label=None if label in known else label
+        )
     for name, values, style, colour in curves:
         axes.plot(x, np.broadcast_to(np.asarray(values), x.shape), style, color=colour, label=name)
     axes.set(xlabel=labels[0], ylabel=labels[1], **({"xlim": (x.min(), x.max())} | settings))

@@ -1,4 +1,6 @@
-"""Encoder steps: friction must dissipate the energy that a quantised wall creates, or the device keeps buzzing."""
+"""Encoder steps: friction must dissipate the energy that a quantised wall creates, or the device
+keeps buzzing.
+"""
 
 from dataclasses import replace
 
@@ -41,7 +43,9 @@ SECONDS = 1.0
 BUZZ_STEPS = 0.1
 """Swing that counts as buzzing [encoder steps]. A resting device has none."""
 PUSHES_N = (0.11, 0.37)
-"""Steady pushes onto the wall [N]. They bring the device to rest at different places between two encoder steps."""
+"""Steady pushes onto the wall [N]. They bring the device to rest at different places between two
+encoder steps.
+"""
 
 
 class Push:
@@ -52,11 +56,15 @@ class Push:
 
     def act(self, time_s: float, position_m: tuple[float, float, float]) -> HandAction:
         """Return the push."""
-        return HandAction(push_N=(0.0, 0.0, -self._steady - (2.0 if time_s < 0.5 * TICK_S else 0.0)))
+        return HandAction(
+            push_N=(0.0, 0.0, -self._steady - (2.0 if time_s < 0.5 * TICK_S else 0.0))
+        )
 
 
 def swing_steps(stiffness: float, friction: float) -> float:
-    """Measure the peak-to-peak position in the last third of the worst push [encoder steps]; the wall also pulls."""
+    """Measure the peak-to-peak position in the last third of the worst push [encoder steps]; the
+    wall also pulls.
+    """
     worst = 0.0
     for steady in PUSHES_N:
         device = SimulatedDevice(replace(DEVICE, friction_N=friction), Push(steady), substeps=3)
@@ -79,7 +87,9 @@ def measure(quick: bool) -> Data:
     critical = critical_stiffness_N_m(loop)
 
     def buzzing(friction: float) -> dict[str, float]:
-        """Return the stiffness from which on the device buzzes, that up to which it is quiet, and both bounds."""
+        """Return the stiffness from which on the device buzzes, that up to which it is quiet,
+        and both bounds.
+        """
         buzzes = swings[frictions == friction][0] > BUZZ_STEPS
         first = int(np.argmax(buzzes)) if buzzes.any() else len(ladder)
         rungs = [0.0, *ladder.tolist(), critical]
@@ -101,7 +111,9 @@ def measure(quick: bool) -> Data:
 
 
 def judge(data: Data) -> Verdict:
-    """Check for buzzing below the critical stiffness, and for quiet below the bound of encoder and friction."""
+    """Check for buzzing below the critical stiffness, and for quiet below the bound of encoder
+    and friction.
+    """
     table = data["friction"]
     swing = data["swing"]
     early = float((table["buzzes_from_N_m"] / table["critical_N_m"]).min())
@@ -111,27 +123,39 @@ def judge(data: Data) -> Verdict:
     return Verdict(
         early < 0.5,
         worst <= BUZZ_STEPS,
-        f"With little friction the device buzzes from {100 * early:.0f} % of the critical stiffness of the eigenvalues "
-        f"on ({table['critical_N_m'][0]:.0f} N/m), because these do not include encoder steps. In none of "
-        f"{int(inside.sum())} runs within min(2b/T, 2f_c/Δ) is the swing larger than {worst:.2f} steps. The bound is "
+        f"With little friction the device buzzes from {100 * early:.0f} % of the critical "
+        "stiffness of the eigenvalues "
+        f"on ({table['critical_N_m'][0]:.0f} N/m), because these do not include encoder "
+        "steps. In none of "
+        f"{int(inside.sum())} runs within min(2b/T, 2f_c/Δ) is the swing larger than "
+        f"{worst:.2f} steps. The bound is "
         "safe and, with some friction, far from tight.",
     )
 
 
 def answers_of(name: str) -> list[Answer]:
-    """Run a device beyond the stiffness that its friction allows, and at the limit of its vendor."""
+    """Run a device beyond the stiffness that its friction allows, and at the limit of its
+    vendor.
+    """
     device = device_parameters(name)
     allowed = 2.0 * device.friction_N / device.encoder_step_m
     run, _ = knock(device, hand_parameters("expert"), "proxy", device.stiffness_limit_N_m)
     ripple = run.ripple_N(0.2)
     beyond = {"device": name, "coupling.stiffness_N_m": allowed, "duration_s": 0.3}
     return [
-        refused(f"the scene wall on {name} at {allowed:.0f} N/m, the limit of friction over encoder step",
-                lambda: simulate(load_scene("wall", beyond))),
-        shown(f"{name} at its vendor's limit of {device.stiffness_limit_N_m:g} N/m",
-              device.stiffness_limit_N_m < allowed and ripple < 0.05,
-              f"after a knock the force ripples by {ripple:.3f} N"),
-    ]  # fmt: skip
+        refused(
+            (
+                f"the scene wall on {name} at {allowed:.0f} N/m, the limit of friction over "
+                "encoder step"
+            ),
+            lambda: simulate(load_scene("wall", beyond)),
+        ),
+        shown(
+            f"{name} at its vendor's limit of {device.stiffness_limit_N_m:g} N/m",
+            device.stiffness_limit_N_m < allowed and ripple < 0.05,
+            f"after a knock the force ripples by {ripple:.3f} N",
+        ),
+    ]
 
 
 def ask() -> list[Answer]:
@@ -153,34 +177,71 @@ def draw(data: Data, chart: Figure) -> None:
     critical = table["critical_N_m"]
     top = 6e3
     tint = {"zorder": 0, "linewidth": 0.0}
-    left.fill_between(friction, 20.0, bound, color=TINTS[Conduct.HOLDS], label="engine holds", **tint)
-    left.fill_between(friction, critical, top, color=TINTS[Conduct.REFUSES], label="engine refuses", **tint)
-    left.fill_between(friction, bound, critical, facecolor="none", edgecolor="0.75", hatch="//",
-                      label="may buzz: no device of the engine", **tint)  # fmt: skip
-    panel(left, friction, ("Coulomb friction / N", "stiffness / (N/m)"), [
-        ("eigenvalues: no encoder", critical, "-", GREY),
-        ("min(2b/T, 2f_c/Δ)", bound, "--", GREEN),
-        ("measured: quiet to", table["quiet_to_N_m"], "o", BLUE),
-        ("measured: buzzes from", table["buzzes_from_N_m"], "s", RED),
-    ], conduct=(), legend="lower right", ylim=(20.0, top))  # fmt: skip
+    left.fill_between(
+        friction, 20.0, bound, color=TINTS[Conduct.HOLDS], label="engine holds", **tint
+    )
+    left.fill_between(
+        friction, critical, top, color=TINTS[Conduct.REFUSES], label="engine refuses", **tint
+    )
+    left.fill_between(
+        friction,
+        bound,
+        critical,
+        facecolor="none",
+        edgecolor="0.75",
+        hatch="//",
+        label="may buzz: no device of the engine",
+        **tint,
+    )
+    panel(
+        left,
+        friction,
+        ("Coulomb friction / N", "stiffness / (N/m)"),
+        [
+            ("eigenvalues: no encoder", critical, "-", GREY),
+            ("min(2b/T, 2f_c/Δ)", bound, "--", GREEN),
+            ("measured: quiet to", table["quiet_to_N_m"], "o", BLUE),
+            ("measured: buzzes from", table["buzzes_from_N_m"], "s", RED),
+        ],
+        conduct=(),
+        legend="lower right",
+        ylim=(20.0, top),
+    )
     swing = data["swing"]
     swings = np.maximum(swing["swing_steps"], 1e-3).reshape(len(friction), -1)
     looks = (("s", RED), ("^", ORANGE), ("D", GREEN), ("o", BLUE))
     curves = [
-        (f"friction {1e3 * friction[row]:g} mN: bound {2.0 * friction[row] / ENCODER_M:g} N/m", swings[row], *look)
-        for row, look in zip(range(0, len(friction), max(len(friction) // 3, 1)), looks, strict=False)
+        (
+            f"friction {1e3 * friction[row]:g} mN: bound {2.0 * friction[row] / ENCODER_M:g} N/m",
+            swings[row],
+            *look,
+        )
+        for row, look in zip(
+            range(0, len(friction), max(len(friction) // 3, 1)), looks, strict=False
+        )
     ]
     labels = ("stiffness / (N/m)", "remaining swing / encoder steps")
-    panel(right, np.unique(swing["stiffness_N_m"]), labels, [*curves, ("counts as buzzing", BUZZ_STEPS, ":", GREY)],
-          conduct=(), legend="upper left", ylim=(5e-4, 3e3))  # fmt: skip
+    panel(
+        right,
+        np.unique(swing["stiffness_N_m"]),
+        labels,
+        [*curves, ("counts as buzzing", BUZZ_STEPS, ":", GREY)],
+        conduct=(),
+        legend="upper left",
+        ylim=(5e-4, 3e3),
+    )
 
 
 PAGE = Page(
     "quantisation",
     "Quantisation: encoder steps against friction",
-    "A device with encoder steps of 0.1 mm is knocked onto a stiff wall. Does it come to rest, or does it keep buzzing "
+    "A device with encoder steps of 0.1 mm is knocked onto a stiff wall. Does it come to "
+    "rest, or does it keep buzzing "
     "by some steps?",
-    "Abbott and Okamura (2005), in the plane of Diolaiti et al. (2006); 50 g, 1 N s/m, 1 kHz, two steady pushes",
+    (
+        "Abbott and Okamura (2005), in the plane of Diolaiti et al. (2006); 50 g, 1 N s/m, 1 "
+        "kHz, two steady pushes"
+    ),
     measure,
     judge,
     ask,

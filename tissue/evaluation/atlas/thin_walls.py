@@ -1,4 +1,6 @@
-"""Thin walls and fast tools: a fast tool crosses a penalty wall, but not one that a proxy renders."""
+"""Thin walls and fast tools: a fast tool crosses a penalty wall, but not one that a proxy
+renders.
+"""
 
 from itertools import product
 from math import sqrt
@@ -34,7 +36,9 @@ __all__ = ["PAGE"]
 STIFFNESS_N_M = 1000.0
 MASS_KG = 0.05
 TICK_S = 2.5e-4
-"""Wall and device whose contact lasts 22 ms. At this tick the hold leaks little energy in that time."""
+"""Wall and device whose contact lasts 22 ms. At this tick the hold leaks little energy in that
+time.
+"""
 TICKS = 400
 VOXEL_M = 2e-4
 
@@ -54,9 +58,13 @@ def nearest_free(height_m: float, thickness_m: float) -> float:
 
 
 def end_m(speed_m_s: float, thickness_m: float, proxy: Proxy | None) -> float:
-    """Compute the final height of a device thrown at a wall from just above it [m]; by penalty without a proxy."""
+    """Compute the final height of a device thrown at a wall from just above it [m]; by penalty
+    without a proxy.
+    """
     device = SimulatedDevice(
-        DeviceParameters(mass_kg=MASS_KG, damping_N_s_m=0.0, rate_Hz=1.0 / TICK_S, force_limit_N=1e6),
+        DeviceParameters(
+            mass_kg=MASS_KG, damping_N_s_m=0.0, rate_Hz=1.0 / TICK_S, force_limit_N=1e6
+        ),
         position_m=(0.0, 0.0, 0.5 * thickness_m + 1e-6),
         substeps=1,
     )
@@ -76,13 +84,17 @@ def end_m(speed_m_s: float, thickness_m: float, proxy: Proxy | None) -> float:
 
 
 def measure(quick: bool) -> Data:
-    """Find the crossing speed of the penalty wall over thickness, and throw devices at walls with a proxy."""
+    """Find the crossing speed of the penalty wall over thickness, and throw devices at walls
+    with a proxy.
+    """
     thickness = np.geomspace(1e-4, 2e-2, 3 if quick else 8)
     speeds = [0.1, 2.0] if quick else [0.05, 0.2, 1.0, 5.0]
 
     def penalty(thick: float) -> dict[str, float]:
         """Return the crossing speed: measured, by energy, and by sampling alone."""
-        crossed = boundary(lambda speed: end_m(speed, thick, None) < 0.0, 1e-3, 20.0, steps=9 if quick else 11)
+        crossed = boundary(
+            lambda speed: end_m(speed, thick, None) < 0.0, 1e-3, 20.0, steps=9 if quick else 11
+        )
         return {
             "crossed_from_m_s": crossed,
             "theory_m_s": 0.5 * thick * sqrt(STIFFNESS_N_M / MASS_KG),
@@ -90,7 +102,9 @@ def measure(quick: bool) -> Data:
         }
 
     pairs = np.array(list(product(thickness.tolist(), speeds)))
-    ends = [end_m(speed, thick, point_proxy(thick, start_m=thick)) for thick, speed in pairs.tolist()]
+    ends = [
+        end_m(speed, thick, point_proxy(thick, start_m=thick)) for thick, speed in pairs.tolist()
+    ]
     return {
         "penalty": sweep("thickness_m", thickness, penalty),
         "proxy": {"thickness_m": pairs[:, 0], "speed_m_s": pairs[:, 1], "end_m": np.array(ends)},
@@ -98,28 +112,40 @@ def measure(quick: bool) -> Data:
 
 
 def judge(data: Data) -> Verdict:
-    """Compare the crossing speed with the energy of half a wall, and count devices that a proxy throws back."""
+    """Compare the crossing speed with the energy of half a wall, and count devices that a proxy
+    throws back.
+    """
     penalty = data["penalty"]
     thrown = data["proxy"]
     ratio = penalty["crossed_from_m_s"] / penalty["theory_m_s"]
     kept = int((thrown["end_m"] > 0.0).sum())
     return Verdict(
-        # The sampling moves the crossing speed: a device may enter at a sample and leave before it was pushed much.
+        # The sampling moves the crossing speed: a device may enter at a sample and leave before it
+        # was pushed much.
         bool((np.abs(ratio - 1.0) < 0.25).all()),
         kept == len(thrown["end_m"]),
-        f"Devices cross the penalty wall from {ratio.min():.2f} to {ratio.max():.2f} times the speed (h/2)√(K/m) on: "
-        f"a wall of {1e3 * penalty['thickness_m'][0]:.1f} mm at {1e3 * penalty['crossed_from_m_s'][0]:.0f} mm/s. "
-        f"With the proxy {kept} of {len(thrown['end_m'])} devices come back, up to {thrown['speed_m_s'].max():g} m/s.",
+        f"Devices cross the penalty wall from {ratio.min():.2f} to {ratio.max():.2f} times "
+        "the speed (h/2)√(K/m) on: "
+        f"a wall of {1e3 * penalty['thickness_m'][0]:.1f} mm at "
+        f"{1e3 * penalty['crossed_from_m_s'][0]:.0f} mm/s. "
+        f"With the proxy {kept} of {len(thrown['end_m'])} devices come back, up to "
+        f"{thrown['speed_m_s'].max():g} m/s.",
     )
 
 
 def voxel_wall_m(speed_m_s: float) -> float:
-    """Push a point 5 mm through a wall one voxel thick and return its lowest height over the middle of the wall [m]."""
+    """Push a point 5 mm through a wall one voxel thick and return its lowest height over the
+    middle of the wall [m].
+    """
     fraction = np.zeros((48, 48, 48), dtype=np.uint8)
     fraction[:, :, 24] = 255
     density = np.full(fraction.shape, 1800, np.uint16)
-    volume = VoxelVolume(np.zeros(3), VOXEL_M, fraction, np.zeros_like(fraction), density, ("bone",))
-    proxy = Proxy(ToolShell.ball(), ContactField(store=BrickStore.from_volume(volume, device="cpu")))
+    volume = VoxelVolume(
+        np.zeros(3), VOXEL_M, fraction, np.zeros_like(fraction), density, ("bone",)
+    )
+    proxy = Proxy(
+        ToolShell.ball(), ContactField(store=BrickStore.from_volume(volume, device="cpu"))
+    )
     start = np.array([24.0, 24.0, 36.0]) * VOXEL_M
     proxy.place(start)
     lowest = np.inf
@@ -136,14 +162,26 @@ def ask() -> list[Answer]:
     rest = point_proxy(2e-5, start_m=1e-3).advance(np.array([0.0, 0.0, -5e-2])).position_m[2]
     back = end_m(2.0, 1e-3, point_proxy(1e-3, start_m=1e-3))
     return [
-        shown("a wall of bone one voxel thick, at 0.05 to 2 m/s", above > 0.0,
-              f"the proxy stays {1e3 * above:.2f} mm or more above its middle, voxels of {1e3 * VOXEL_M:g} mm"),
-        shown("a point at 50 m/s onto 20 µm of wall", abs(rest - 1e-5) < 1e-9,
-              f"stops {1e6 * rest:.0f} µm above its middle"),
-        shown("a free device thrown at 1 mm of wall at 2 m/s", back > 0.0,
-              f"it is {1e3 * back:.0f} mm away after 0.1 s"),
+        shown(
+            "a wall of bone one voxel thick, at 0.05 to 2 m/s",
+            above > 0.0,
+            (
+                f"the proxy stays {1e3 * above:.2f} mm or more above its middle, voxels of "
+                f"{1e3 * VOXEL_M:g} mm"
+            ),
+        ),
+        shown(
+            "a point at 50 m/s onto 20 µm of wall",
+            abs(rest - 1e-5) < 1e-9,
+            f"stops {1e6 * rest:.0f} µm above its middle",
+        ),
+        shown(
+            "a free device thrown at 1 mm of wall at 2 m/s",
+            back > 0.0,
+            f"it is {1e3 * back:.0f} mm away after 0.1 s",
+        ),
         refused("a proxy placed inside a wall", lambda: point_proxy(1e-3, start_m=0.0)),
-    ]  # fmt: skip
+    ]
 
 
 def draw(data: Data, chart: Figure) -> None:
@@ -155,20 +193,33 @@ def draw(data: Data, chart: Figure) -> None:
     for chosen, style, label in ((back, "o", "thrown back"), (~back, "x", "crossed")):
         if chosen.any():
             across = 1e3 * thrown["thickness_m"][chosen]
-            axes.plot(across, thrown["speed_m_s"][chosen], style, color=BLUE, label=f"proxy: {label}")
-    panel(axes, 1e3 * penalty["thickness_m"], ("thickness of the wall / mm", "speed of the device / (m/s)"), [
-        ("theory: (h/2)√(K/m)", penalty["theory_m_s"], "-", GREY),
-        ("penalty wall is crossed from here up", penalty["crossed_from_m_s"], "s", RED),
-        ("one tick is longer than the wall", penalty["sampling_m_s"], ":", ORANGE),
-    ], title="device of 50 g, wall of 1 kN/m", ylim=(0.5e-3, 20.0))  # fmt: skip
+            axes.plot(
+                across, thrown["speed_m_s"][chosen], style, color=BLUE, label=f"proxy: {label}"
+            )
+    panel(
+        axes,
+        1e3 * penalty["thickness_m"],
+        ("thickness of the wall / mm", "speed of the device / (m/s)"),
+        [
+            ("theory: (h/2)√(K/m)", penalty["theory_m_s"], "-", GREY),
+            ("penalty wall is crossed from here up", penalty["crossed_from_m_s"], "s", RED),
+            ("one tick is longer than the wall", penalty["sampling_m_s"], ":", ORANGE),
+        ],
+        title="device of 50 g, wall of 1 kN/m",
+        ylim=(0.5e-3, 20.0),
+    )
 
 
 PAGE = Page(
     "thin_walls",
     "Thin walls and fast tools",
-    "A device is thrown at a wall. From which speed on does a penalty that pushes to the nearest face let it through, "
+    "A device is thrown at a wall. From which speed on does a penalty that pushes to the "
+    "nearest face let it through, "
     "and does a proxy hold it?",
-    "Energy of half a wall, ½mv² = ½K(h/2)²; god-object of Zilles and Salisbury (1995); tick 0.25 ms, no hand",
+    (
+        "Energy of half a wall, ½mv² = ½K(h/2)²; god-object of Zilles and Salisbury (1995); tick "
+        "0.25 ms, no hand"
+    ),
     measure,
     judge,
     ask,

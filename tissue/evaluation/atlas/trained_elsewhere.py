@@ -1,4 +1,6 @@
-"""Operators trained on one wall and used on another: on positions and forces, and on displacements and stretches."""
+"""Operators trained on one wall and used on another: on positions and forces, and on
+displacements and stretches.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -56,7 +58,8 @@ def guarded(trained: Trained) -> Guarded:
 
 
 def bound_force_N(learnt: list[Recording], recording: Recording) -> Array:
-    """Predict forces by an operator on positions and forces that has the overlap of the wall among its observables.
+    """Predict forces by an operator on positions and forces that has the overlap of the wall among
+    its observables.
 
     Shape (n, 3); zero until its delays are full.
     """
@@ -74,7 +77,9 @@ def measure(quick: bool) -> Data:
     """Sweep the stiffness of the wall that the operators are used on."""
     learnt = recordings(3.0)
     trained = fit("wall", learnt)
-    stiffnesses = np.array([100.0, 150.0, 200.0, 300.0, 400.0, 600.0, 800.0, 1100.0, 1600.0, 2400.0])
+    stiffnesses = np.array(
+        [100.0, 150.0, 200.0, 300.0, 400.0, 600.0, 800.0, 1100.0, 1600.0, 2400.0]
+    )
     if quick:
         stiffnesses = np.array([100.0, 400.0, 800.0, 2400.0])
 
@@ -90,7 +95,8 @@ def measure(quick: bool) -> Data:
         return found | {"own_share": is_primary.mean()}
 
     table = sweep("stiffness_N_m", stiffnesses, errors)
-    # The operator moves the force towards that of its own wall. The softest wall gives the share of five ticks.
+    # The operator moves the force towards that of its own wall. The softest wall gives the share of
+    # five ticks.
     share = table["bare"][0] / abs(HOME_N_M / stiffnesses[0] - 1.0)
     return {"wall": table | {"theory": share * np.abs(HOME_N_M / stiffnesses - 1.0)}}
 
@@ -105,36 +111,49 @@ def judge(data: Data) -> Verdict:
     return Verdict(
         worst > 5.0 and error_of(table["bare"][far], table["theory"][far]) < 0.6,
         bool((ratio < 1.0).all() and ratio[home] < 0.8 and (table["own_share"] > 0.8).all()),
-        f"Five ticks ahead the error of an operator on positions and forces is {100 * table['bare'][home]:.1f} % on "
-        f"its own wall, where zero-order hold has {100 * table['hold'][home]:.1f} %. On other walls it is up to "
-        f"{worst:.0f} times that of hold, as |K₀/K − 1| predicts. The operator on displacements and stretches of the "
-        f"coupling is trusted in at least {100 * table['own_share'].min():.0f} % of the ticks, and its error is "
+        "Five ticks ahead the error of an operator on positions and forces is "
+        f"{100 * table['bare'][home]:.1f} % on "
+        f"its own wall, where zero-order hold has {100 * table['hold'][home]:.1f} %. On "
+        "other walls it is up to "
+        f"{worst:.0f} times that of hold, as |K₀/K − 1| predicts. The operator on "
+        "displacements and stretches of the "
+        f"coupling is trusted in at least {100 * table['own_share'].min():.0f} % of the "
+        "ticks, and its error is "
         f"{ratio.min():.2f} to {ratio.max():.2f} times that of hold on all walls.",
     )
 
 
 def ask() -> list[Answer]:
-    """Give the engine predictor files of other scenes, damaged files, and a motion outside the training range."""
+    """Give the engine predictor files of other scenes, damaged files, and a motion outside the
+    training range.
+    """
     trained = fit("wall", recordings(2.0))
     with TemporaryDirectory() as folder:
         path = trained.write(Path(folder) / "wall.npz")
         other = refused(
             "the Koopman predictor of another scene",
-            lambda: maker_of("koopman", scene_name="molar", file=str(path), force_limit_N=SIX_DOF.force_limit_N)(),
+            lambda: maker_of(
+                "koopman", scene_name="molar", file=str(path), force_limit_N=SIX_DOF.force_limit_N
+            )(),
         )
         path.write_bytes(path.read_bytes()[:200])
         files = [other, refused("a truncated file", lambda: read_predictor(path))]
     recording = tapped(HOME_N_M, seed=9, seconds=1.0)
-    wild = replace(recording, position_m=recording.position_m + np.cumsum(np.full((1000, 3), 1e-2), axis=0))
+    wild = replace(
+        recording, position_m=recording.position_m + np.cumsum(np.full((1000, 3), 1e-2), axis=0)
+    )
     forces, is_primary = forecast(guarded(trained), wild, [HORIZON_TICKS])
     steps = np.abs(np.diff(np.linalg.norm(forces[:, 0], axis=1))).max()
     falls_back = bool(np.isfinite(forces).all()) and float(is_primary[200:].min()) == 0.0
     return [
         *(replace(each, result=each.result.replace(f"{folder}/", "")) for each in files),
-        shown("a device that moves at 17 m/s", falls_back,
-              f"falls back to zero-order hold; no tick changes the force by more than {steps:.2f} N",
-              conduct=Conduct.FALLS_BACK),
-    ]  # fmt: skip
+        shown(
+            "a device that moves at 17 m/s",
+            falls_back,
+            f"falls back to zero-order hold; no tick changes the force by more than {steps:.2f} N",
+            conduct=Conduct.FALLS_BACK,
+        ),
+    ]
 
 
 def draw(data: Data, chart: Figure) -> None:
@@ -143,24 +162,42 @@ def draw(data: Data, chart: Figure) -> None:
     table = data["wall"]
     label = "stiffness of the wall / (N/m)"
     stiffness = table["stiffness_N_m"]
-    panel(left, stiffness, (label, "force error 5 ms ahead / %"), [
-        ("theory: ∝ |K₀/K − 1|", np.maximum(100.0 * table["theory"], 0.1), "-", GREY),
-        ("operator on positions and forces", 100.0 * table["bare"], "s", RED),
-        ("zero-order hold", 100.0 * table["hold"], "^", ORANGE),
-        ("on displacements and stretches (engine)", 100.0 * table["guarded"], "o", BLUE),
-    ], ylim=(1.0, 500.0))  # fmt: skip
+    panel(
+        left,
+        stiffness,
+        (label, "force error 5 ms ahead / %"),
+        [
+            ("theory: ∝ |K₀/K − 1|", np.maximum(100.0 * table["theory"], 0.1), "-", GREY),
+            ("operator on positions and forces", 100.0 * table["bare"], "s", RED),
+            ("zero-order hold", 100.0 * table["hold"], "^", ORANGE),
+            ("on displacements and stretches (engine)", 100.0 * table["guarded"], "o", BLUE),
+        ],
+        ylim=(1.0, 500.0),
+    )
     right.axvline(HOME_N_M, color=GREY, linestyle=":", label="trained here")
-    panel(right, stiffness, (label, "share of ticks / %"), [
-        ("own prediction trusted (engine)", 100.0 * table["own_share"], "o", BLUE),
-    ], log="x", ylim=(0.0, 105.0), legend="lower center")  # fmt: skip
+    panel(
+        right,
+        stiffness,
+        (label, "share of ticks / %"),
+        [
+            ("own prediction trusted (engine)", 100.0 * table["own_share"], "o", BLUE),
+        ],
+        log="x",
+        ylim=(0.0, 105.0),
+        legend="lower center",
+    )
 
 
 PAGE = Page(
     "trained_elsewhere",
     "Operators trained elsewhere",
-    "A predictor is trained on a wall of 800 N/m and used on walls an eighth to three times as stiff. Which error does "
+    "A predictor is trained on a wall of 800 N/m and used on walls an eighth to three times "
+    "as stiff. Which error does "
     "its force have five milliseconds ahead?",
-    "Displacements over the coupling's stiffness; guard by training range and recent errors, falls back to hold",
+    (
+        "Displacements over the coupling's stiffness; guard by training range and recent errors, "
+        "falls back to hold"
+    ),
     measure,
     judge,
     ask,

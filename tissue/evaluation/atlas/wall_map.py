@@ -1,4 +1,6 @@
-"""Critical stiffness of a wall over damping, delay and rate: measured, by eigenvalues and by simpler bounds."""
+"""Critical stiffness of a wall over damping, delay and rate: measured, by eigenvalues and by
+simpler bounds.
+"""
 
 from dataclasses import replace
 
@@ -76,14 +78,18 @@ def measure(quick: bool) -> Data:
 def judge(data: Data) -> Verdict:
     """Compare every bound with the measured critical stiffness."""
     names = ("measured_N_m", "exact_N_m", "passive_N_m", "first_order_N_m", "pade_N_m")
-    measured, exact, *bounds = (np.concatenate([table[name] for table in data.values()]) for name in names)
+    measured, exact, *bounds = (
+        np.concatenate([table[name] for table in data.values()]) for name in names
+    )
     off = error_of(exact, measured)
     passive, first_order, pade = (float((bound / measured).max()) for bound in bounds)
     return Verdict(
         max(first_order, pade) > 1.05 and measured.max() > 2.0 * measured.min(),
         off < 0.01 and passive <= 1.001,
-        f"The wall rings from {measured.min():.0f} to {measured.max():.0f} N/m on. Eigenvalues predict this to "
-        f"{100 * off:.2f} %. The passive bound never exceeds it. K = (b+B)/(T/2+t) allows up to {first_order:.1f} "
+        f"The wall rings from {measured.min():.0f} to {measured.max():.0f} N/m on. "
+        "Eigenvalues predict this to "
+        f"{100 * off:.2f} %. The passive bound never exceeds it. K = (b+B)/(T/2+t) allows up "
+        f"to {first_order:.1f} "
         f"times, Padé up to {pade:.1f} times the measured stiffness.",
     )
 
@@ -99,11 +105,21 @@ def ask() -> list[Answer]:
     played, compressed = ForceRange(limit_N=limit).play(np.array([0.0, 0.0, 5.0 * limit]))
     return [
         refused("the scene wall at 6 kN/m", lambda: simulate(load_scene("wall", stiff))),
-        shown("the scene wall with its default stiffness", force <= limit and margin > 0.0,
-              f"a stable stiffness is chosen, {100 * margin:.0f} % below the critical one; at most {force:.2f} N"),
-        shown("five times the force limit of the device", compressed and float(played[2]) < limit,
-              f"compressed to {played[2]:.2f} of {limit:g} N, and reported", conduct=Conduct.FALLS_BACK),
-    ]  # fmt: skip
+        shown(
+            "the scene wall with its default stiffness",
+            force <= limit and margin > 0.0,
+            (
+                f"a stable stiffness is chosen, {100 * margin:.0f} % below the critical one; at "
+                f"most {force:.2f} N"
+            ),
+        ),
+        shown(
+            "five times the force limit of the device",
+            compressed and float(played[2]) < limit,
+            f"compressed to {played[2]:.2f} of {limit:g} N, and reported",
+            conduct=Conduct.FALLS_BACK,
+        ),
+    ]
 
 
 def draw(data: Data, chart: Figure) -> None:
@@ -116,22 +132,40 @@ def draw(data: Data, chart: Figure) -> None:
         across = scale * table[along]
         exact = table["exact_N_m"]
         is_first = axes is panels[0]
-        axes.fill_between(across, low, exact, color=TINTS[Conduct.HOLDS], zorder=0, label="engine holds")
-        axes.fill_between(across, exact, high, color=TINTS[Conduct.REFUSES], zorder=0, label="engine refuses")
-        panel(axes, across, (label, "stiffness / (N/m)" if is_first else ""), [
-            ("eigenvalues", exact, "-", GREY),
-            ("passive", np.where(table["passive_N_m"] > 0.0, table["passive_N_m"], np.nan), "--", GREEN),
-            ("first order in delay", table["first_order_N_m"], "-.", ORANGE),
-            ("Padé", table["pade_N_m"], ":", PINK),
-            ("measured", table["measured_N_m"], "o", BLUE),
-        ], conduct=(), log="xy" if along == "rate" else "y", legend="lower right" if is_first else "",
-           ylim=(low, high))  # fmt: skip
+        axes.fill_between(
+            across, low, exact, color=TINTS[Conduct.HOLDS], zorder=0, label="engine holds"
+        )
+        axes.fill_between(
+            across, exact, high, color=TINTS[Conduct.REFUSES], zorder=0, label="engine refuses"
+        )
+        panel(
+            axes,
+            across,
+            (label, "stiffness / (N/m)" if is_first else ""),
+            [
+                ("eigenvalues", exact, "-", GREY),
+                (
+                    "passive",
+                    np.where(table["passive_N_m"] > 0.0, table["passive_N_m"], np.nan),
+                    "--",
+                    GREEN,
+                ),
+                ("first order in delay", table["first_order_N_m"], "-.", ORANGE),
+                ("Padé", table["pade_N_m"], ":", PINK),
+                ("measured", table["measured_N_m"], "o", BLUE),
+            ],
+            conduct=(),
+            log="xy" if along == "rate" else "y",
+            legend="lower right" if is_first else "",
+            ylim=(low, high),
+        )
 
 
 PAGE = Page(
     "wall_map",
     "Stiffness × delay × damping × rate",
-    "A device with six degrees of freedom in an expert's hand touches a virtual wall. From which stiffness on does it "
+    "A device with six degrees of freedom in an expert's hand touches a virtual wall. From "
+    "which stiffness on does it "
     "ring, over damping, delay and rate, and which bound predicts it?",
     "Colgate and Schenkel (1997), Gil et al. (2009); device and hand of the engine's data files",
     measure,

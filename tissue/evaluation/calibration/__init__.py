@@ -1,1 +1,3 @@
-"""Calibrating observers: sessions that survive interruptions, populations, and what calibration is good for."""
+"""Calibrating observers: sessions that survive interruptions, populations, and what calibration
+is good for.
+"""

@@ -1,4 +1,6 @@
-"""Answers of a session: a simulated observer, or a person at the keyboard who feels forces on a device."""
+"""Answers of a session: a simulated observer, or a person at the keyboard who feels forces on a
+device.
+"""
 
 from collections.abc import Callable
 from math import cos, inf, pi
@@ -53,7 +55,8 @@ def play(
     clock: Callable[[], float],
     wait: Callable[[float], None] = sleep,
 ) -> None:
-    """Push with a force for a while, with soft edges; whatever happens, the device is left without force.
+    """Push with a force for a while, with soft edges; whatever happens, the device is left without
+    force.
 
     Parameters
     ----------
@@ -90,11 +93,13 @@ class Person:
     device
         What plays the forces.
     read
-        Gives the next line that the person types, without its end; raises EOFError when there is none.
+        Gives the next line that the person types, without its end; raises EOFError when there is
+        none.
     show
         Shows a line to the person.
     bars_N
-        Greatest force for bars that represent forces, for devices that cannot push; None where they can.
+        Greatest force for bars that represent forces, for devices that cannot push; None where they
+        can.
     clock, wait
         Time that passes [s], from any start, and how to let it pass.
     """
@@ -157,7 +162,11 @@ class Person:
 
     def _present(self, forces_N: tuple[float, ...]) -> None:
         for index, force in enumerate(forces_N, start=1):
-            bar = "" if self._bars_N is None else "  " + "█" * max(round(60.0 * force / self._bars_N), 1)
+            bar = (
+                ""
+                if self._bars_N is None
+                else "  " + "█" * max(round(60.0 * force / self._bars_N), 1)
+            )
             self._show(f"interval {index}{bar}")
             play(self._device, force, clock=self._clock, wait=self._wait)
             self._wait(PAUSE_S)
@@ -172,17 +181,27 @@ def simulated_observer(spec: str) -> tuple[SimulatedObservers, int]:
         If the name is another.
     """
     kind, *parts = spec.split(":")
-    group, seed = (parts[0], parts[1]) if len(parts) == 2 else ("intermediate", parts[0] if parts else "")
-    if kind != "simulated" or len(parts) not in (1, 2) or not seed.isdecimal() or group not in GROUPS:
+    group, seed = (
+        (parts[0], parts[1]) if len(parts) == 2 else ("intermediate", parts[0] if parts else "")
+    )
+    if (
+        kind != "simulated"
+        or len(parts) not in (1, 2)
+        or not seed.isdecimal()
+        or group not in GROUPS
+    ):
         raise InputError(
-            f"observer must be simulated:SEED or simulated:GROUP:SEED with {', '.join(GROUPS)}, got {spec}: "
+            "observer must be simulated:SEED or simulated:GROUP:SEED with "
+            f"{', '.join(GROUPS)}, got {spec}: "
             "use simulated:1"
         )
     return draw_observers(group, 1, np.random.default_rng(int(seed))), int(seed)
 
 
 def simulated_answers(people: SimulatedObservers, seed: int) -> Answer:
-    """Answers of one simulated observer; each trial draws from a generator of its own, so order does not matter."""
+    """Answers of one simulated observer; each trial draws from a generator of its own, so order
+    does not matter.
+    """
 
     def answer(asked: Comparison | Magnitude, trial: int) -> float:
         rng = np.random.default_rng([seed, 2, trial])
@@ -195,9 +214,15 @@ def simulated_answers(people: SimulatedObservers, seed: int) -> Answer:
 
 
 def questioner(
-    observer: str | None, device: str, *, seed: int, read: Callable[[], str], show: Callable[[str], None]
+    observer: str | None,
+    device: str,
+    *,
+    seed: int,
+    read: Callable[[], str],
+    show: Callable[[str], None],
 ) -> tuple[Answer, float]:
-    """Return the answers of a simulated observer or of a person, and the largest force of the device [N].
+    """Return the answers of a simulated observer or of a person, and the largest force of the
+    device [N].
 
     Raises
     ------
@@ -205,7 +230,9 @@ def questioner(
         If observer or device is unknown.
     """
     if device not in ("mouse", *DEVICES):
-        raise InputError(f"device must be one of mouse, {', '.join(DEVICES)}, got {device}: use mouse")
+        raise InputError(
+            f"device must be one of mouse, {', '.join(DEVICES)}, got {device}: use mouse"
+        )
     limits = device_parameters("touch" if device == "mouse" else device)
     if observer is not None:
         people, observer_seed = simulated_observer(observer)
@@ -222,10 +249,13 @@ def begin(out: Path, observer: str, plan: Plan, *, overwrite: bool) -> TrialLog:
     Raises
     ------
     InputError
-        If the observer's file is there already and may not be replaced, or the log is of another session.
+        If the observer's file is there already and may not be replaced, or the log is of another
+        session.
     """
     if out.suffix != ".json":
-        raise InputError(f"out must be the name of a file that ends in .json, got {out}: use observer.json")
+        raise InputError(
+            f"out must be the name of a file that ends in .json, got {out}: use observer.json"
+        )
     path = log_path(out)
     picture = out.with_suffix(".png")
     for each in (out, picture):

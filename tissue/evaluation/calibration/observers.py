@@ -1,11 +1,14 @@
-"""Simulated observers of known truth, and how often they discriminate two forces, with and without a scaled force.
+"""Simulated observers of known truth, and how often they discriminate two forces, with and without
+a scaled force.
 
-A person feels a force with noise of their own, which comes after the mapping; the scatter of the force itself comes
-before it. A mapping that rises with the force adds no information to a noise that went through it: the scatter of
-tissue, hand and device is carried along. What it can change is the part of the difference that survives the person's
-noise: a power above 1 spreads forces and a gain lifts them over the low-force term; a power below 1, or a common factor
-that keeps forces within the device, does the opposite. Calibration brings everyone to the exponent of the reference:
-people whose exponent lies below it gain, those above it lose, and the mean over a population may rise or fall.
+A person feels a force with noise of their own, which comes after the mapping; the scatter of the
+force itself comes before it. A mapping that rises with the force adds no information to a noise
+that went through it: the scatter of tissue, hand and device is carried along. What it can change is
+the part of the difference that survives the person's noise: a power above 1 spreads forces and a
+gain lifts them over the low-force term; a power below 1, or a common factor that keeps forces
+within the device, does the opposite. Calibration brings everyone to the exponent of the reference:
+people whose exponent lies below it gain, those above it lose, and the mean over a population may
+rise or fall.
 """
 
 from collections.abc import Callable, Sequence
@@ -47,9 +50,10 @@ Command = Callable[[Array], Array]
 class SimulatedObservers:
     """People of known truth who answer side by side; arrays of shape (n,).
 
-    Each of two intervals is felt with noise of unit variance on a scale on which the threshold kappa (F + offset) is
-    0.954 long, so that 75 % of the answers there are right. A force is given the number alpha (F / 1 N)^beta, with a
-    noise of its logarithm.
+    Each of two intervals is felt with noise of unit variance on a scale on which the threshold
+    kappa (F + offset) is
+    0.954 long, so that 75 % of the answers there are right. A force is given the number alpha (F /
+    1 N)^beta, with a noise of its logarithm.
 
     Attributes
     ----------
@@ -62,7 +66,8 @@ class SimulatedObservers:
     sigma
         Standard deviation of the logarithm of a number that is given.
     freedom
-        Degrees of freedom of Student's t for all noise, above 2; infinite for a normal one. The variance stays one.
+        Degrees of freedom of Student's t for all noise, above 2; infinite for a normal one. The
+        variance stays one.
     fatigue
         Share by which thresholds have grown after a hundred trials.
     """
@@ -82,7 +87,8 @@ class SimulatedObservers:
     def correct(
         self, base_N: ArrayLike, step_N: ArrayLike, rng: np.random.Generator, *, trial: int = 0
     ) -> NDArray[np.bool_]:
-        """Whether each discriminates `base_N + step_N` from `base_N` [N], shape (n,); a step of 0 has no right answer.
+        """Whether each discriminates `base_N + step_N` from `base_N` [N], shape (n,); a step of 0
+        has no right answer.
 
         Parameters
         ----------
@@ -98,11 +104,15 @@ class SimulatedObservers:
         return self.discriminate(D_PRIME_75 * np.asarray(step_N) / threshold, rng)
 
     def discriminate(self, distance: ArrayLike, rng: np.random.Generator) -> NDArray[np.bool_]:
-        """Return whether each discriminates two intervals that lie a distance d' from each other, shape (n,)."""
+        """Return whether each discriminates two intervals that lie a distance d' from each
+        other, shape (n,).
+        """
         first = self._noise(rng)
         second = self._noise(rng)
         blind, guess = rng.random((2, len(self)))
-        return np.where(blind < 2.0 * self.lapse, guess < 0.5, np.asarray(distance) + second > first)
+        return np.where(
+            blind < 2.0 * self.lapse, guess < 0.5, np.asarray(distance) + second > first
+        )
 
     def number(self, force_N: ArrayLike, rng: np.random.Generator) -> Array:
         """Return the number that each gives to a force [N], shape (n,)."""
@@ -116,16 +126,25 @@ class SimulatedObservers:
 
 
 def draw_observers(
-    group: str, count: int, rng: np.random.Generator, *, freedom: float = np.inf, fatigue: float = 0.0
+    group: str,
+    count: int,
+    rng: np.random.Generator,
+    *,
+    freedom: float = np.inf,
+    fatigue: float = 0.0,
 ) -> SimulatedObservers:
-    """Observers of a group (novice, intermediate, expert), drawn from ``observers.toml`` and ``perception.toml``."""
+    """Observers of a group (novice, intermediate, expert), drawn from ``observers.toml`` and
+    ``perception.toml``.
+    """
     people = replace(population(), kappa=constants("observers", group)["kappa"].value)
     return SimulatedObservers(**people.draws(count, rng), freedom=freedom, fatigue=fatigue)
 
 
 @dataclass(frozen=True)
 class Stimulus:
-    """A force at the device as a person meets it: level, and scatter from one trial to the next [N]."""
+    """A force at the device as a person meets it: level, and scatter from one trial to the next
+    [N].
+    """
 
     level_N: float
     scatter_N: float = 0.0
@@ -138,7 +157,8 @@ def calibrated_commands(
     numbers: int = 24,
     limits: ForceRange | None = None,
 ) -> list[Command]:
-    """The force to command for each person after a calibration by numbers: each is brought to the reference (E5).
+    """The force to command for each person after a calibration by numbers: each is brought to the
+    reference (E5).
 
     Parameters
     ----------
@@ -161,9 +181,13 @@ def calibrated_commands(
         if numbers:
             fit = fit_magnitudes(forces, given[:, who])
             (alpha, both), (_, beta) = fit.covariance.tolist()
-            felt = Intensity(log_alpha=float(fit.mean[0]), beta=float(fit.mean[1]), variances=(alpha, both, beta))
+            felt = Intensity(
+                log_alpha=float(fit.mean[0]), beta=float(fit.mean[1]), variances=(alpha, both, beta)
+            )
         else:
-            felt = Intensity(log_alpha=float(np.log(people.alpha[who])), beta=float(people.beta[who]))
+            felt = Intensity(
+                log_alpha=float(np.log(people.alpha[who])), beta=float(people.beta[who])
+            )
         lowest_N = min(float(people.offset_N[who]), 0.5 * knee_N)
         commands.append(ForceMap(wanted, felt, lowest_N=lowest_N, knee_N=knee_N).command_N)
     return commands
@@ -180,9 +204,11 @@ def share_right(
     limits: ForceRange | None = None,
     texture_share: float = 0.0,
 ) -> Array:
-    """Share of trials in which each person names the stimulus of greater level as the stronger one, shape (n,).
+    """Share of trials in which each person names the stimulus of greater level as the stronger one,
+    shape (n,).
 
-    Equal seeds give the same scatter and the same noise in people, whatever the commands: two calls are paired.
+    Equal seeds give the same scatter and the same noise in people, whatever the commands: two calls
+    are paired.
 
     Parameters
     ----------
@@ -199,9 +225,9 @@ def share_right(
     limits
         Range of the device, default 3.3 N: forces above its knee are compressed.
     texture_share
-        Amplitude of a vibration, as a share of the force, that goes with it (``output.vibration_share`` of a scene). It
-        is a second cue with a noise of its own: distances of cues add up as squares. Its threshold is assumed, see
-        observers.toml.
+        Amplitude of a vibration, as a share of the force, that goes with it
+        (``output.vibration_share`` of a scene). It is a second cue with a noise of its own:
+        distances of cues add up as squares. Its threshold is assumed, see observers.toml.
     """
     if first.level_N > second.level_N:
         first, second = second, first
@@ -212,49 +238,71 @@ def share_right(
     for each in (first, second):
         force = np.maximum(each.level_N + each.scatter_N * scatter.standard_normal(shape), 0.0)
         if commands is not None:
-            force = np.column_stack([command(force[:, who]) for who, command in enumerate(commands)])
+            force = np.column_stack(
+                [command(force[:, who]) for who, command in enumerate(commands)]
+            )
         felt.append(_played(force, device))
     less, more = felt
     threshold = people.kappa * (np.minimum(less, more) + people.offset_N)
     distance = D_PRIME_75 * (more - less) / threshold
     if texture_share > 0.0:
         vibration = {name: entry.value for name, entry in constants("observers", "texture").items()}
-        texture_noise = vibration["kappa"] * (texture_share * np.minimum(less, more) + vibration["offset_N"])
-        distance = np.sign(distance) * np.hypot(distance, D_PRIME_75 * texture_share * (more - less) / texture_noise)
+        texture_noise = vibration["kappa"] * (
+            texture_share * np.minimum(less, more) + vibration["offset_N"]
+        )
+        distance = np.sign(distance) * np.hypot(
+            distance, D_PRIME_75 * texture_share * (more - less) / texture_noise
+        )
     return np.mean([people.discriminate(distance[trial], noise) for trial in range(trials)], axis=0)
 
 
 def sensitivity(people: SimulatedObservers, first: Stimulus, second: Stimulus) -> Array:
-    """Sensitivity d' of each person for two forces at the skin, their scatter from trial to trial counted, shape (n,).
+    """Sensitivity d' of each person for two forces at the skin, their scatter from trial to trial
+    counted, shape (n,).
 
-    With the threshold t = kappa (F + offset) at the weaker force, a difference of mean m and deviation s is a distance
-    of mean 0.954 m / t and deviation 0.954 s / t between two intervals that are felt with a noise of unit variance
-    each; d' is the distance without scatter that is discriminated as often.
+    With the threshold t = kappa (F + offset) at the weaker force, a difference of mean m and
+    deviation s is a distance of mean 0.954 m / t and deviation 0.954 s / t between two intervals
+    that are felt with a noise of unit variance each; d' is the distance without scatter that is
+    discriminated as often.
     """
     weaker = min(first.level_N, second.level_N)
     per_newton = D_PRIME_75 / (people.kappa * (weaker + people.offset_N))
     scatter = per_newton * float(np.hypot(first.scatter_N, second.scatter_N))
-    return np.asarray(per_newton * abs(second.level_N - first.level_N) / np.sqrt(1.0 + 0.5 * scatter**2))
+    return np.asarray(
+        per_newton * abs(second.level_N - first.level_N) / np.sqrt(1.0 + 0.5 * scatter**2)
+    )
 
 
 def chance_right(people: SimulatedObservers, first: Stimulus, second: Stimulus) -> Array:
-    """Chance of each person, with a normal noise, to name the stronger of two forces at the skin, shape (n,)."""
-    return np.asarray(people.lapse + (1.0 - 2.0 * people.lapse) * ndtr(sensitivity(people, first, second) / 2.0**0.5))
+    """Chance of each person, with a normal noise, to name the stronger of two forces at the
+    skin, shape (n,).
+    """
+    return np.asarray(
+        people.lapse
+        + (1.0 - 2.0 * people.lapse) * ndtr(sensitivity(people, first, second) / 2.0**0.5)
+    )
 
 
 def _played(force_N: Array, device: ForceRange) -> Array:
-    """Return the sizes of force as the device plays them [N], any shape: `ForceRange.play` for many."""
+    """Return the sizes of force as the device plays them [N], any shape: `ForceRange.play` for
+    many.
+    """
     knee = device.knee_share * device.limit_N
     above = device.limit_N - knee
-    return np.where(force_N <= knee, force_N, knee - above * np.expm1(-np.maximum(force_N - knee, 0.0) / above))
+    return np.where(
+        force_N <= knee, force_N, knee - above * np.expm1(-np.maximum(force_N - knee, 0.0) / above)
+    )
 
 
 def gain_of(before: Array, after: Array, rng: np.random.Generator) -> Effect:
-    """Return the change of the mean of paired shares of right answers, each of shape (n,), in percent of what it was.
+    """Return the change of the mean of paired shares of right answers, each of shape (n,), in
+    percent of what it was.
 
     The interval of 95 % is by drawing people again.
     """
     drawn = rng.integers(len(before), size=(RESAMPLES, len(before)))
     changes = 100.0 * (after[drawn].mean(axis=1) / before[drawn].mean(axis=1) - 1.0)
     value = 100.0 * float(after.mean() / before.mean() - 1.0)
-    return Effect("change of right answers in percent", value, *np.quantile(changes, [0.025, 0.975]).tolist())
+    return Effect(
+        "change of right answers in percent", value, *np.quantile(changes, [0.025, 0.975]).tolist()
+    )

@@ -25,8 +25,12 @@ __all__ = ["fit_population", "new_person", "pooled_trials"]
 
 def pooled_trials(sessions: list[Session]) -> PopulationTrials:
     """Return the trials of many sessions, end to end."""
-    compared = [(who, asked, answer) for who, each in enumerate(sessions) for asked, answer in each.asked]
-    numbers = [(who, force, number) for who, each in enumerate(sessions) for force, number in each.given]
+    compared = [
+        (who, asked, answer) for who, each in enumerate(sessions) for asked, answer in each.asked
+    ]
+    numbers = [
+        (who, force, number) for who, each in enumerate(sessions) for force, number in each.given
+    ]
     return PopulationTrials(
         observers=len(sessions),
         who_compared=np.array([who for who, _, _ in compared], dtype=int),
@@ -40,7 +44,9 @@ def pooled_trials(sessions: list[Session]) -> PopulationTrials:
 
 
 def new_person(fit: PopulationFit, *, trials: int, rng: np.random.Generator) -> Observer:
-    """Return an observer for a person of the population who was not asked, with the spread between people."""
+    """Return an observer for a person of the population who was not asked, with the spread
+    between people.
+    """
     flat = {name: fit.draws[name].ravel() for name in HYPER}
     count = len(flat["beta"])
 
@@ -54,31 +60,41 @@ def new_person(fit: PopulationFit, *, trials: int, rng: np.random.Generator) -> 
         "beta": person("beta"),
         "kappa": np.exp(person("log_kappa")),
         "offset_N": np.exp(person("log_offset")),
-        "lapse": np.clip(lapses[np.arange(count), rng.integers(lapses.shape[1], size=count)], 1e-6, 0.5),
+        "lapse": np.clip(
+            lapses[np.arange(count), rng.integers(lapses.shape[1], size=count)], 1e-6, 0.5
+        ),
         "sigma": np.sqrt(squared),
     }
     return Observer.from_draws("population", drawn, trials=trials)
 
 
-def fit_population(folder: Path, out: Path, *, seed: int, overwrite: bool, progress: bool = False) -> list[str]:
-    """Fit the hierarchy to all logs in a folder and write the population; gives what was found, in sentences.
+def fit_population(
+    folder: Path, out: Path, *, seed: int, overwrite: bool, progress: bool = False
+) -> list[str]:
+    """Fit the hierarchy to all logs in a folder and write the population; gives what was found, in
+    sentences.
 
-    The file is that of an observer, of whom it is known that it belongs to the population; beside it a table with
-    intervals and diagnostics of every parameter of the population. With ``progress`` every chain shows a bar.
+    The file is that of an observer, of whom it is known that it belongs to the population; beside
+    it a table with intervals and diagnostics of every parameter of the population. With
+    ``progress`` every chain shows a bar.
 
     Raises
     ------
     InputError
-        If the folder holds fewer than three logs with numbers and comparisons, a log cannot be read, or a file is there
-        already and may not be replaced.
+        If the folder holds fewer than three logs with numbers and comparisons, a log cannot be
+        read, or a file is there already and may not be replaced.
     """
     table = out.with_name(out.stem + ".table.csv")
     if out.suffix != ".json":
-        raise InputError(f"out must be the name of a file that ends in .json, got {out}: use population.json")
+        raise InputError(
+            f"out must be the name of a file that ends in .json, got {out}: use population.json"
+        )
     for path in (out, table):
         require_new_file(path, overwrite=overwrite)
     if not folder.is_dir():
-        raise InputError(f"population must be a folder of sessions, got {folder}: calibrate into one first")
+        raise InputError(
+            f"population must be a folder of sessions, got {folder}: calibrate into one first"
+        )
     paths = sorted(folder.glob("*.trials.jsonl"))
     empty = []
     sessions = []
@@ -90,18 +106,31 @@ def fit_population(folder: Path, out: Path, *, seed: int, overwrite: bool, progr
             empty.append(path.name)
     if len(sessions) < 3:
         raise InputError(
-            f"population must hold three sessions or more with comparisons and numbers, got {len(sessions)} in "
+            "population must hold three sessions or more with comparisons and numbers, got "
+            f"{len(sessions)} in "
             f"{folder}: calibrate more people"
         )
     fit = fit_hierarchy(pooled_trials(sessions), seed=seed, progress=progress)
-    person = new_person(fit, trials=sum(each.trial for each in sessions), rng=np.random.default_rng(seed))
+    person = new_person(
+        fit, trials=sum(each.trial for each in sessions), rng=np.random.default_rng(seed)
+    )
     write_observer(person, out, overwrite=overwrite)
     rows = [
-        ",".join([name, *(f"{value:.6g}" for value in (*fit.interval(name), fit.r_hat[name], fit.ess[name]))])
+        ",".join(
+            [
+                name,
+                *(
+                    f"{value:.6g}"
+                    for value in (*fit.interval(name), fit.r_hat[name], fit.ess[name])
+                ),
+            ]
+        )
         for name in HYPER
     ]
     with whole_file(table) as temporary:
-        temporary.write_text("\n".join(["parameter,low_95,median,high_95,r_hat,ess", *rows]) + "\n", "utf-8")
+        temporary.write_text(
+            "\n".join(["parameter,low_95,median,high_95,r_hat,ess", *rows]) + "\n", "utf-8"
+        )
     kappa = fit.interval("log_kappa")
     beta = fit.interval("beta")
     worst = max(fit.r_hat.values())
@@ -110,7 +139,8 @@ def fit_population(folder: Path, out: Path, *, seed: int, overwrite: bool, progr
         f"{len(sessions)} observers: median Weber fraction {100 * np.exp(kappa[1]):.1f} % "
         f"(95 % within {100 * np.exp(kappa[0]):.1f} to {100 * np.exp(kappa[2]):.1f} %), "
         f"mean exponent {beta[1]:.2f} ({beta[0]:.2f} to {beta[2]:.2f})",
-        f"convergence: R-hat at most {worst:.3f} (of {R_HAT}), effective sample size at least {least:.0f} "
+        f"convergence: R-hat at most {worst:.3f} (of {R_HAT}), effective sample size at "
+        f"least {least:.0f} "
         f"(of {ESS:.0f}), {fit.divergences} divergences",
         *(f"note: {each}" for each in fit.problems()),
         *(f"note: {each} was left out: it holds no comparison or no number" for each in empty),

@@ -1,4 +1,6 @@
-"""Display of a session: posterior of the threshold as text while it runs, and as a picture at its end."""
+"""Display of a session: posterior of the threshold as text while it runs, and as a picture at
+its end.
+"""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,7 +30,10 @@ def posterior_panel(session: Session) -> "Panel":
 
     masses = session.threshold.weber_masses()[:, 0]
     eighths = np.rint(8 * HEIGHT * masses / masses.max()).astype(int)
-    rows = ["".join(BLOCKS[np.clip(each - 8 * row, 0, 8)] for each in eighths) for row in reversed(range(HEIGHT))]
+    rows = [
+        "".join(BLOCKS[np.clip(each - 8 * row, 0, 8)] for each in eighths)
+        for row in reversed(range(HEIGHT))
+    ]
     webers = session.plan.prior.webers
     axis = [" "] * len(masses)
     for tick in (0.02, 0.05, 0.1, 0.2, 0.5):
@@ -38,7 +43,11 @@ def posterior_panel(session: Session) -> "Panel":
             axis[at : at + len(word)] = word
     text = "\n".join([*rows, "".join(axis)[: len(masses)] + " %", "", *session.lines()])
     count = session.plan.trials + session.plan.numbers
-    return Panel(text, title=f"posterior of the Weber fraction, trial {session.trial} of {count}", expand=False)
+    return Panel(
+        text,
+        title=f"posterior of the Weber fraction, trial {session.trial} of {count}",
+        expand=False,
+    )
 
 
 def draw_session(session: Session, path: Path) -> None:
@@ -57,27 +66,50 @@ def _posterior(session: Session, axes: "Axes") -> None:
     masses = prior.parameters()[3].reshape(prior.cells, -1).sum(axis=1)
     edges = 100.0 * prior.weber_edges
     axes.stairs(masses, edges, color=GREY, lw=1.5, label="prior")
-    axes.stairs(session.threshold.weber_masses()[:, 0], edges, color=BLUE, fill=True, alpha=0.6, label="posterior")
+    axes.stairs(
+        session.threshold.weber_masses()[:, 0],
+        edges,
+        color=BLUE,
+        fill=True,
+        alpha=0.6,
+        label="posterior",
+    )
     for quantile in session.threshold.weber_quantiles(np.array([0.025, 0.975]))[:, 0]:
         axes.axvline(100.0 * quantile, color=BLUE, ls="--", lw=1.2)
     axes.set_xscale("log")
     ticks = [tick for tick in (2.0, 5.0, 10.0, 20.0, 50.0) if edges[0] <= tick <= edges[-1]]
     _ticks(axes, ticks)
-    axes.set(xlabel="Weber fraction / %", ylabel="mass of a cell", title="Threshold, 95 % between the dashes")
+    axes.set(
+        xlabel="Weber fraction / %",
+        ylabel="mass of a cell",
+        title="Threshold, 95 % between the dashes",
+    )
     axes.legend()
 
 
 def _answers(session: Session, axes: "Axes") -> None:
     """Draw the shares of right answers over the step in thresholds, in bins of equal count."""
-    weber, offset, lapse = (float(get()[0]) for get in (
-        lambda: session.threshold.weber()[0], session.threshold.offset_N, session.threshold.lapse))  # fmt: skip
-    steps = np.array([asked.step_N / (weber * (asked.base_N + offset)) for asked, _ in session.asked])
+    weber, offset, lapse = (
+        float(get()[0])
+        for get in (
+            lambda: session.threshold.weber()[0],
+            session.threshold.offset_N,
+            session.threshold.lapse,
+        )
+    )
+    steps = np.array(
+        [asked.step_N / (weber * (asked.base_N + offset)) for asked, _ in session.asked]
+    )
     right = np.array([answer == asked.greater for asked, answer in session.asked])
     order = np.argsort(steps, kind="stable")
     for bin_ in np.array_split(order, max(min(8, len(order) // 6), 1)):
         if len(bin_):
             axes.semilogx(
-                steps[bin_].mean(), 100.0 * right[bin_].mean(), "o", color=ORANGE, ms=3.0 + np.sqrt(len(bin_))
+                steps[bin_].mean(),
+                100.0 * right[bin_].mean(),
+                "o",
+                color=ORANGE,
+                ms=3.0 + np.sqrt(len(bin_)),
             )
     at = np.geomspace(0.1, max(steps.max(initial=5.0), 5.0), 200)
     share = with_lapse(2.0 * correct_of_d_prime(D_PRIME_75 * at) - 1.0, lapse)
@@ -85,7 +117,10 @@ def _answers(session: Session, axes: "Axes") -> None:
     _ticks(axes, [0.1, 0.3, 1, 3, 10])
     axes.axhline(75.0, color=GREY, lw=1.0, ls=":")
     axes.set(
-        xlabel="step / threshold", ylabel="right answers / %", ylim=(35.0, 103.0), title="Answers and fitted function"
+        xlabel="step / threshold",
+        ylabel="right answers / %",
+        ylim=(35.0, 103.0),
+        title="Answers and fitted function",
     )
 
 
@@ -100,7 +135,9 @@ def _numbers(session: Session, axes: "Axes") -> None:
     axes.loglog(forces, numbers, "o", color=ORANGE, alpha=0.7)
     axes.loglog(at, np.exp(fit.mean[0]) * at ** fit.mean[1], color=BLUE)
     _ticks(axes, [0.3, 0.5, 1, 2, 3])
-    axes.set(xlabel="force / N", ylabel="number given", title=f"Stevens' exponent {fit.mean[1]:.2f}")
+    axes.set(
+        xlabel="force / N", ylabel="number given", title=f"Stevens' exponent {fit.mean[1]:.2f}"
+    )
     axes.grid(alpha=0.3, which="both")
 
 

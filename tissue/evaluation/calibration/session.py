@@ -1,4 +1,6 @@
-"""A calibration session: what is asked next, what the answers so far show, and what they cannot show."""
+"""A calibration session: what is asked next, what the answers so far show, and what they cannot
+show.
+"""
 
 from dataclasses import dataclass, field
 
@@ -34,7 +36,8 @@ class Plan:
     Attributes
     ----------
     seed
-        Decides which interval holds the greater force, and the order of the forces that are given numbers.
+        Decides which interval holds the greater force, and the order of the forces that are given
+        numbers.
     trials
         Comparisons of two intervals.
     numbers
@@ -55,10 +58,18 @@ class Plan:
         require_range("seed", self.seed, 0, 2**32, "use a whole number")
         require_range("trials", self.trials, 0, 100_000, "use 120")
         require_range("numbers", self.numbers, 0, 100_000, "use 24")
-        require_range("force_limit_N", self.force_limit_N, 0.5, 1000.0, "give the device's greatest force")
-        for name, value in (("seed", self.seed), ("trials", self.trials), ("numbers", self.numbers)):
+        require_range(
+            "force_limit_N", self.force_limit_N, 0.5, 1000.0, "give the device's greatest force"
+        )
+        for name, value in (
+            ("seed", self.seed),
+            ("trials", self.trials),
+            ("numbers", self.numbers),
+        ):
             if not isinstance(value, int):
-                raise InputError(f"{name} must be a whole number, got {value}: leave out the decimal point")
+                raise InputError(
+                    f"{name} must be a whole number, got {value}: leave out the decimal point"
+                )
         if self.trials + self.numbers == 0:
             raise InputError("trials and numbers must not both be 0, got 0 and 0: use 120 and 24")
 
@@ -102,13 +113,17 @@ class Session:
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
-        self.threshold = AdaptiveThreshold(plan.prior, comparisons(force_limit_N=plan.force_limit_N))
+        self.threshold = AdaptiveThreshold(
+            plan.prior, comparisons(force_limit_N=plan.force_limit_N)
+        )
         self.asked: list[tuple[Comparison, int]] = []
         self.given: list[tuple[float, float]] = []
         forces = np.array([force for force in MAGNITUDE_FORCES_N if force <= plan.force_limit_N])
         repeats = -(-plan.numbers // len(forces))
         order = np.random.default_rng([plan.seed, 1])
-        self._forces = [float(force) for _ in range(repeats) for force in order.permutation(forces)][: plan.numbers]
+        self._forces = [
+            float(force) for _ in range(repeats) for force in order.permutation(forces)
+        ][: plan.numbers]
 
     @property
     def trial(self) -> int:
@@ -126,7 +141,9 @@ class Session:
             return Magnitude(self._forces[len(self.given)])
         index = int(self.threshold.propose()[0])
         greater = int(np.random.default_rng([self.plan.seed, 0, self.trial]).integers(1, 3))
-        return Comparison(float(self.threshold.base_N[index]), float(self.threshold.step_N[index]), greater)
+        return Comparison(
+            float(self.threshold.base_N[index]), float(self.threshold.step_N[index]), greater
+        )
 
     def take(self, asked: Comparison | Magnitude, answer: float) -> None:
         """Take the answer to a trial.
@@ -134,29 +151,45 @@ class Session:
         Raises
         ------
         InputError
-            If the answer is impossible, or the trial is none of this plan's; the state is as before.
+            If the answer is impossible, or the trial is none of this plan's; the state is as
+            before.
         """
         if isinstance(asked, Magnitude):
             if not 0.0 < answer < np.inf:
-                raise InputError(f"answer must be a number above 0, got {answer:g}: how strong was it?")
-            if self.trial >= self.plan.trials + self.plan.numbers or asked.force_N not in self._forces:
-                raise InputError(f"trial must be one of the plan's, got {asked}: it belongs to another session")
+                raise InputError(
+                    f"answer must be a number above 0, got {answer:g}: how strong was it?"
+                )
+            if (
+                self.trial >= self.plan.trials + self.plan.numbers
+                or asked.force_N not in self._forces
+            ):
+                raise InputError(
+                    f"trial must be one of the plan's, got {asked}: it belongs to another session"
+                )
             self.given.append((asked.force_N, float(answer)))
             return
         if answer not in (1, 2):
-            raise InputError(f"answer must be 1 or 2, got {answer:g}: in which interval was the force greater?")
+            raise InputError(
+                f"answer must be 1 or 2, got {answer:g}: in which interval was the force greater?"
+            )
         stimuli = (self.threshold.base_N == asked.base_N) & (self.threshold.step_N == asked.step_N)
         if not stimuli.any() or asked.greater not in (1, 2) or len(self.asked) == self.plan.trials:
-            raise InputError(f"trial must be one of the plan's, got {asked}: it belongs to another session")
+            raise InputError(
+                f"trial must be one of the plan's, got {asked}: it belongs to another session"
+            )
         self.threshold.answer(np.flatnonzero(stimuli)[:1], np.array([answer == asked.greater]))
         self.asked.append((asked, int(answer)))
 
     def magnitudes(self) -> MagnitudePosterior:
         """Return the posterior of Stevens' factor and exponent."""
-        return fit_magnitudes([force for force, _ in self.given], [number for _, number in self.given])
+        return fit_magnitudes(
+            [force for force, _ in self.given], [number for _, number in self.given]
+        )
 
     def observer(self, name: str) -> Observer:
-        """Return the observer as estimated from the answers so far: mean and covariance of the posteriors."""
+        """Return the observer as estimated from the answers so far: mean and covariance of the
+        posteriors.
+        """
         weber, offset, lapse, _ = self.plan.prior.parameters()
         coordinates = np.array([np.log(weber), np.log(offset), logit(lapse)])
         masses = self.threshold.posterior[:, 0]
@@ -165,17 +198,24 @@ class Session:
         log_sigma, log_sigma_variance = numbers.log_sigma()
         covariance = np.zeros((6, 6))
         covariance[:2, :2] = numbers.covariance
-        covariance[2:5, 2:5] = (coordinates * masses) @ coordinates.T - np.outer(threshold, threshold)
+        covariance[2:5, 2:5] = (coordinates * masses) @ coordinates.T - np.outer(
+            threshold, threshold
+        )
         covariance[5, 5] = log_sigma_variance
         mean = np.array([*numbers.mean, *threshold, log_sigma])
-        return Observer(name=name, mean=mean, covariance=0.5 * (covariance + covariance.T), trials=self.trial)
+        return Observer(
+            name=name, mean=mean, covariance=0.5 * (covariance + covariance.T), trials=self.trial
+        )
 
     def lines(self) -> list[str]:
         """Return the present estimates as sentences."""
-        low, middle, high = (float(q[0]) for q in self.threshold.weber_quantiles(np.array([0.025, 0.5, 0.975])))
+        low, middle, high = (
+            float(q[0]) for q in self.threshold.weber_quantiles(np.array([0.025, 0.5, 0.975]))
+        )
         at, _ = self.threshold.threshold_N(REPORTED_N)
         notes = [
-            f"Weber fraction {100 * middle:.1f} % (95 % within {100 * low:.1f} to {100 * high:.1f} %), "
+            f"Weber fraction {100 * middle:.1f} % (95 % within {100 * low:.1f} to "
+            f"{100 * high:.1f} %), "
             f"threshold at {REPORTED_N:g} N {at[0]:.3f} N, after {len(self.asked)} comparisons"
         ]
         if self.given:
@@ -194,17 +234,20 @@ class Session:
         high = float(self.threshold.weber_quantiles(np.array([0.95]))[0, 0])
         if count >= 10 and right == count:
             found.append(
-                f"all {count} comparisons were right: that bounds the threshold from above alone, the Weber fraction "
+                f"all {count} comparisons were right: that bounds the threshold from above "
+                "alone, the Weber fraction "
                 f"lies below {100 * high:.1f} % with a probability of 95 %; ask more trials"
             )
         if count >= 10 and binom.sf(right - 1, count, 0.5) > 0.05:
             if binom.cdf(right, count, 0.5) < ODD:
                 found.append(
-                    f"only {right} of {count} comparisons were right, fewer than by chance: were 1 and 2 mixed up?"
+                    f"only {right} of {count} comparisons were right, fewer than by chance: "
+                    "were 1 and 2 mixed up?"
                 )
             else:
                 found.append(
-                    f"{right} of {count} comparisons were right, no more than by guessing: the threshold lies above "
+                    f"{right} of {count} comparisons were right, no more than by guessing: "
+                    "the threshold lies above "
                     "what was asked, or nothing was felt"
                 )
         prior = self.plan.prior
@@ -215,23 +258,33 @@ class Session:
         ):
             if mass > EDGE_MASS:
                 found.append(
-                    f"{100 * mass:.0f} % of the posterior lies at the prior's {side} Weber fraction of {100 * bound:g} "
-                    f"%: the threshold may lie {word} it, and the prior decides; calibrate again with a wider one"
+                    f"{100 * mass:.0f} % of the posterior lies at the prior's {side} Weber "
+                    f"fraction of {100 * bound:g} "
+                    f"%: the threshold may lie {word} it, and the prior decides; calibrate "
+                    "again with a wider one"
                 )
         if count >= 10 and (surprise := self._surprise()) < -4.0:
             found.append(
-                f"the answers fit no threshold of the prior ({-surprise:.1f} standard deviations too unlikely): "
+                f"the answers fit no threshold of the prior ({-surprise:.1f} standard "
+                "deviations too unlikely): "
                 "the prior excludes the data; calibrate again with a wider one"
             )
         if len({force for force, _ in self.given}) < 2:
-            found.append("fewer than two forces were given numbers: Stevens' exponent is the prior's")
+            found.append(
+                "fewer than two forces were given numbers: Stevens' exponent is the prior's"
+            )
         return found
 
     def _surprise(self) -> float:
-        """Log-likelihood of the answers at the likeliest point of the grid, in standard deviations from its mean."""
+        """Log-likelihood of the answers at the likeliest point of the grid, in standard
+        deviations from its mean.
+        """
         weber, offset, lapse, _ = self.plan.prior.parameters()
         likeliest = int(np.argmax(self.threshold.posterior[:, 0]))
-        base, step = (np.array([getattr(asked, name) for asked, _ in self.asked]) for name in ("base_N", "step_N"))
+        base, step = (
+            np.array([getattr(asked, name) for asked, _ in self.asked])
+            for name in ("base_N", "step_N")
+        )
         right = two_interval(base, step, weber[likeliest], offset[likeliest], lapse[likeliest])
         was = np.array([answer == asked.greater for asked, answer in self.asked])
         logs = np.log(np.where(was, right, 1.0 - right))

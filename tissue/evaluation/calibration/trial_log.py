@@ -1,4 +1,6 @@
-"""The log of a session's trials: a line each, on disk before the next is asked, from which the session is restored."""
+"""The log of a session's trials: a line each, on disk before the next is asked, from which the
+session is restored.
+"""
 
 import json
 import os
@@ -19,7 +21,9 @@ VERSION = 1
 
 
 def log_path(out: Path) -> Path:
-    """Return the path of the trial log next to an observer's file: observer.json has observer.trials.jsonl."""
+    """Return the path of the trial log next to an observer's file: observer.json has
+    observer.trials.jsonl.
+    """
     return out.with_name(out.stem + ".trials.jsonl")
 
 
@@ -40,16 +44,23 @@ class TrialLog:
     session
         The session, with all trials that the file held.
     mended
-        Whether the file ended within a line, as after a loss of power; that one trial is asked again.
+        Whether the file ended within a line, as after a loss of power; that one trial is asked
+        again.
 
     Raises
     ------
     InputError
-        If the file is of another origin, observer or plan, or holds a line that is no trial; it is left as it is.
+        If the file is of another origin, observer or plan, or holds a line that is no trial; it is
+        left as it is.
     """
 
     def __init__(self, path: Path, observer: str, plan: Plan) -> None:
-        about = {"format": FORMAT, "version": VERSION, "tissue": package_version(), "observer": observer}
+        about = {
+            "format": FORMAT,
+            "version": VERSION,
+            "tissue": package_version(),
+            "observer": observer,
+        }
         head = json.dumps(about | {"plan": asdict(plan)}) + "\n"
         self.path = require_regular(path)
         self.mended = False
@@ -65,7 +76,8 @@ class TrialLog:
                 if who != observer or self.session.plan != plan:
                     difference = _difference(who, self.session.plan, observer, plan)
                     raise InputError(
-                        f"out must go on with the session it began, got {difference} in {path}: use the same again, "
+                        f"out must go on with the session it began, got {difference} in "
+                        f"{path}: use the same again, "
                         "another --out, or --overwrite"
                     )
                 kept = text[: text.rfind(b"\n") + 1]
@@ -78,14 +90,20 @@ class TrialLog:
             self._file = path.open("ab")
         except OSError as problem:
             raise InputError(
-                f"out must be a file that can be written, got {path} ({problem.strerror}): choose another folder"
+                f"out must be a file that can be written, got {path} ({problem.strerror}): "
+                "choose another folder"
             ) from problem
 
     def take(self, asked: Comparison | Magnitude, answer: float) -> None:
         """Take an answer into the session and bring it to disk."""
         trial = self.session.trial
         self.session.take(asked, answer)
-        entry = {"trial": trial, "ask": type(asked).__name__.lower(), **vars(asked), "answer": answer}
+        entry = {
+            "trial": trial,
+            "ask": type(asked).__name__.lower(),
+            **vars(asked),
+            "answer": answer,
+        }
         self._file.write(json.dumps(entry).encode() + b"\n")
         self._file.flush()
         os.fsync(self._file.fileno())
@@ -101,7 +119,8 @@ def read_log(path: Path) -> tuple[str, Session]:
     Raises
     ------
     InputError
-        If the file is none of a session, or a line of it is no trial of the session; the message names it.
+        If the file is none of a session, or a line of it is no trial of the session; the message
+        names it.
     """
     require_regular(path)
     try:
@@ -118,13 +137,18 @@ def read_log(path: Path) -> tuple[str, Session]:
     except (IndexError, ValueError, TypeError, KeyError):
         known = False
     if not known:
-        raise InputError(f"log must be a file of trials, got {path}, which is something else: choose another --out")
+        raise InputError(
+            f"log must be a file of trials, got {path}, which is something else: choose "
+            "another --out"
+        )
     require_version("log", head, VERSION, key="version", where=path, remedy="begin anew")
     try:
         plan = Plan(**(head["plan"] | {"prior": ThresholdPrior(**head["plan"]["prior"])}))
         who = str(head["observer"])
     except (KeyError, TypeError, InputError) as problem:
-        raise InputError(f"log must begin with a plan, got another first line in {path}: begin anew") from problem
+        raise InputError(
+            f"log must begin with a plan, got another first line in {path}: begin anew"
+        ) from problem
     session = Session(plan)
     for number, line in enumerate(lines[1:], start=2):
         try:
@@ -135,7 +159,8 @@ def read_log(path: Path) -> tuple[str, Session]:
         except (ValueError, KeyError, TypeError) as problem:
             wrong = problem if isinstance(problem, InputError) else "something else"
             raise InputError(
-                f"log must hold one trial of its session a line, got {wrong} in line {number} of {path}: mend that "
+                f"log must hold one trial of its session a line, got {wrong} in line "
+                f"{number} of {path}: mend that "
                 "line or choose another --out"
             ) from problem
     return who, session

@@ -16,18 +16,21 @@ from tissue.scene.scene import Scene
 __all__ = ["SAFETY", "choose", "with_fidelity"]
 
 SAFETY = 1.5
-"""Ratio of a demanded error to the error that a setting may have at the measured places, so that it holds elsewhere.
+"""Ratio of a demanded error to the error that a setting may have at the measured places, so that it
+holds elsewhere.
 
-Set on seeds 1-10 of an earlier force law. On five motions that set nothing of each of four scenes and of four imaged
-teeth and scapulae every demand is kept; with 1.25 all but one tooth's are, with 1 a demand of 1 % is kept by two
-motions in five on another (tests/bench/held_out.py).
+Set on seeds 1-10 of an earlier force law. On five motions that set nothing of each of four scenes
+and of four imaged teeth and scapulae every demand is kept; with 1.25 all but one tooth's are, with
+1 a demand of 1 % is kept by two motions in five on another (tests/bench/held_out.py).
 """
 
 
 def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) -> Measured:
-    """Return the cheapest measurement that meets a demand; without a demanded error, the most accurate one.
+    """Return the cheapest measurement that meets a demand; without a demanded error, the most
+    accurate one.
 
-    An error counts as at least `gap`, the uncertainty of the reference. Rows that are no settings are passed over.
+    An error counts as at least `gap`, the uncertainty of the reference. Rows that are no settings
+    are passed over.
 
     Raises
     ------
@@ -52,13 +55,16 @@ def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) ->
         return min(fits, key=lambda point: point.force_error)
     nearest = min(settings, key=excess)
     raise InputError(
-        f"fidelity must be met by a setting of {nearest.scene} on this machine, got {_asked(wanted)}: the nearest is "
-        f"{nearest.setting} with force_error = {error_of(nearest):.2g} and tick_ms = {1e-3 * nearest.p99_us:.2g}"
+        f"fidelity must be met by a setting of {nearest.scene} on this machine, got "
+        f"{_asked(wanted)}: the nearest is "
+        f"{nearest.setting} with force_error = {error_of(nearest):.2g} and tick_ms = "
+        f"{1e-3 * nearest.p99_us:.2g}"
     )
 
 
 def with_fidelity(scene: Scene, *, report: Progress = silent) -> tuple[Scene, str]:
-    """Return a scene at the cheapest setting that meets its `fidelity`, and the reason of the choice.
+    """Return a scene at the cheapest setting that meets its `fidelity`, and the reason of the
+    choice.
 
     Settings that were not measured on this machine are measured first.
 
@@ -77,13 +83,17 @@ def with_fidelity(scene: Scene, *, report: Progress = silent) -> tuple[Scene, st
     at, law = with_law(changed(plain, setting.changes), wanted)
     rank = "the cheapest" if wanted.force_error is not None else "the most accurate"
     sentence = (
-        f"{_in_words(at, setting, found.settings)}: force {100.0 * point.force_error:.2g} % over ticks, "
+        f"{_in_words(at, setting, found.settings)}: force {100.0 * point.force_error:.2g} % "
+        "over ticks, "
         f"{100.0 * point.error_50_ms:.2g} % over 50 ms, from {reference_words(scene, found.gap)}; "
-        f"tick {point.median_us:.0f} µs, 99 % {point.p99_us:.0f} µs, {rank} of {len(found.points)} settings that meets "
+        f"tick {point.median_us:.0f} µs, 99 % {point.p99_us:.0f} µs, {rank} of "
+        f"{len(found.points)} settings that meets "
         f"{_asked(wanted)}{law}"
     )
     leaves_out = [f"{point.leaves_out}, which no force needs"] if point.leaves_out else []
-    late_ms = 0 if at.device is None else at.device.coupling.delay_ms + at.device.coupling.model_ms - 1
+    late_ms = (
+        0 if at.device is None else at.device.coupling.delay_ms + at.device.coupling.model_ms - 1
+    )
     if at.device is not None and at.device.prediction in ("none", "hold") and late_ms > 0:
         leaves_out.append(f"prediction, so that the force comes up to {late_ms} ms late")
     if leaves_out:
@@ -101,10 +111,13 @@ def _in_words(scene: Scene, setting: Setting, among: Sequence[Setting]) -> str:
     if scene.device is None:
         return f"{setting.name}, of {'; '.join(each.name for each in among)}"
     foresight = {"none": "no prediction", "hold": "the tissue's last force held"}
-    predictor = foresight.get(scene.held.prediction, f"forces predicted by the {scene.held.prediction} predictor")
+    predictor = foresight.get(
+        scene.held.prediction, f"forces predicted by the {scene.held.prediction} predictor"
+    )
     others = "; ".join(each.name for each in among if each is not setting)
     rate_Hz = 1e3 / scene.held.coupling.model_ms
     return (
-        f"renderer {scene.held.renderer}, {predictor}, tissue asked at {rate_Hz:g} Hz ({setting.name!r}, rather than "
+        f"renderer {scene.held.renderer}, {predictor}, tissue asked at {rate_Hz:g} Hz "
+        f"({setting.name!r}, rather than "
         f"{others}), the tissue itself as the scene has it"
     )

@@ -21,7 +21,9 @@ from tissue.scene.scene import Scene
 __all__ = ["Frontier", "frontier_of", "measured_of", "undominated", "unmeasured", "write_measured"]
 
 OFFERED_US = 800.0
-"""99th percentile of a tick from which on no finer setting is offered [us]: the loop of the hand takes the rest."""
+"""99th percentile of a tick from which on no finer setting is offered [us]: the loop of the hand
+takes the rest.
+"""
 COLUMNS = tuple(entry.name for entry in fields(Measured))
 
 
@@ -59,11 +61,19 @@ class Frontier:
 
     @property
     def bounds(self) -> tuple[Measured, ...]:
-        """Rows of a table that are no settings: of the law and of rounding, where they were measured."""
+        """Rows of a table that are no settings: of the law and of rounding, where they were
+        measured.
+        """
         law = nan if self.law is None else self.law.error
         errors = {("linear law", "law"): law, ("float32", "rounding"): self.rounding}
         return tuple(
-            Measured(scene=self.scene.name, setting=name, family=family, force_error=error, machine=machine())
+            Measured(
+                scene=self.scene.name,
+                setting=name,
+                family=family,
+                force_error=error,
+                machine=machine(),
+            )
             for (name, family), error in errors.items()
             if not isnan(error)
         )
@@ -140,7 +150,11 @@ def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
 def _store(scene: Scene, *, quick: bool) -> Path:
     """Return the file of a scene's measurements, next to the computed arrays of this machine."""
     text = f"{scene_text(scene)}|{machine()}|{quick}|{sources()}"
-    return cache_folder() / "frontiers" / f"{scene.name}-{blake2b(text.encode(), digest_size=8).hexdigest()}.csv"
+    return (
+        cache_folder()
+        / "frontiers"
+        / f"{scene.name}-{blake2b(text.encode(), digest_size=8).hexdigest()}.csv"
+    )
 
 
 def _kept(path: Path) -> dict[str, Measured]:

@@ -35,13 +35,15 @@ def machine() -> str:
     import psutil
 
     return (
-        f"{platform.machine()} {psutil.cpu_count()} cores {platform.system()}; tissue {version('tissue-sim')}, "
+        f"{platform.machine()} {psutil.cpu_count()} cores {platform.system()}; tissue "
+        f"{version('tissue-sim')}, "
         f"warp {version('warp-lang')}, numpy {version('numpy')}, Python {platform.python_version()}"
     )
 
 
 def sources() -> str:
-    """Checksum of all code and constants: both the time of a tick and its error may change with any of them.
+    """Checksum of all code and constants: both the time of a tick and its error may change with any
+    of them.
 
     Parts from outside count by their names and by the code of the packages that they come from.
     """
@@ -67,7 +69,9 @@ def _code_of(part: Any) -> str:
 
 
 def _package_sum(name: str) -> str:
-    """Checksum of all Python files of a package, or of a module; of what has no file, one that never comes again."""
+    """Checksum of all Python files of a package, or of a module; of what has no file, one that
+    never comes again.
+    """
     file = getattr(sys.modules.get(name), "__file__", None)
     if file is None:
         return f"{os.getpid()} {time_ns()}"

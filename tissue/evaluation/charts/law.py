@@ -1,7 +1,7 @@
 """Error of the linear elastic law of an organ, and the law that a demanded fidelity needs.
 
-`law_error` brings the body to rest under the linear and the neo-Hookean law, at some instants of the motion, on the
-same mesh and without friction, so that the difference is that of the laws alone.
+`law_error` brings the body to rest under the linear and the neo-Hookean law, at some instants of
+the motion, on the same mesh and without friction, so that the difference is that of the laws alone.
 """
 
 from collections.abc import Sequence
@@ -50,11 +50,13 @@ POSES = 400
 COARSER = 1.4
 """Edges of the mesh over those of the scene.
 
-At 1.4 liver-press takes 40 s of one core. A graded slab with a nodule takes minutes: the nodule needs short cells, and
-the gradients more iterations.
+At 1.4 liver-press takes 40 s of one core. A graded slab with a nodule takes minutes: the nodule
+needs short cells, and the gradients more iterations.
 """
 TOLERANCE = 1e-4
-"""Residual of a solve, and distance of a node to the ball over its radius. The laws differ by per cents."""
+"""Residual of a solve, and distance of a node to the ball over its radius. The laws differ by
+per cents.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,9 +92,10 @@ class LawError:
         if not on.any():
             return f"the neo-Hookean law converged at none of {len(on)} instants of this motion"
         return (
-            f"the linear law is {100.0 * self.error:.2g} % off a neo-Hookean one on this motion, whatever the setting: "
-            f"{on.sum()} instants without friction, up to {1e3 * self.depth_m[on].max():.2g} mm deep"
-            + ("" if on.all() else f", {len(on) - on.sum()} more did not converge")
+            f"the linear law is {100.0 * self.error:.2g} % off a neo-Hookean one on this "
+            "motion, whatever the setting: "
+            f"{on.sum()} instants without friction, up to {1e3 * self.depth_m[on].max():.2g} "
+            "mm deep" + ("" if on.all() else f", {len(on) - on.sum()} more did not converge")
         )
 
 
@@ -115,19 +118,27 @@ def law_error(scene: Scene, *, report: Progress = silent) -> LawError | None:
         solvers = _solvers(scene, (Law.LINEAR, Law.NEO_HOOKEAN))
         tips_m, direction = _touching(scene, solvers[0])
         assert isinstance(scene.tool, Probe)
-        press = partial(_pressed, tips_m=tips_m, direction=direction, radius_m=0.5e-3 * scene.tool.size_mm)
+        press = partial(
+            _pressed, tips_m=tips_m, direction=direction, radius_m=0.5e-3 * scene.tool.size_mm
+        )
         linear_N, depth_m = press(solvers[0])
         neo_N, _ = press(solvers[1])
         return {"depth_m": depth_m, "linear_N": linear_N, "neo_N": neo_N}
 
-    kept = cached_arrays("law", (scene_text(scene), INSTANTS, POSES, COARSER, TOLERANCE, sources()), make)
+    kept = cached_arrays(
+        "law", (scene_text(scene), INSTANTS, POSES, COARSER, TOLERANCE, sources()), make
+    )
     return LawError(**{entry.name: kept[entry.name] for entry in fields(LawError)})  # type: ignore[arg-type]
 
 
 def _pressed_by_a_ball(scene: Scene) -> bool:
     """Whether a ball presses an organ."""
     tool = scene.tool
-    return isinstance(scene.anatomy, SoftAnatomy) and isinstance(tool, Probe) and tool.kind == "sphere-probe"
+    return (
+        isinstance(scene.anatomy, SoftAnatomy)
+        and isinstance(tool, Probe)
+        and tool.kind == "sphere-probe"
+    )
 
 
 def _solvers(scene: Scene, laws: "Sequence[Law]") -> "list[NewtonSolver]":
@@ -155,7 +166,9 @@ def _solvers(scene: Scene, laws: "Sequence[Law]") -> "list[NewtonSolver]":
 
 
 def _touching(scene: Scene, solver: "NewtonSolver") -> tuple[Array, Array]:
-    """Return tips of the tool evenly spread over its contact with the undeformed body [m], and its direction."""
+    """Return tips of the tool evenly spread over its contact with the undeformed body [m], and
+    its direction.
+    """
     assert isinstance(scene.tool, Probe)
     motion = motion_of(scene, step_s=TICK_S)
     corners = motion.sweep_m()
@@ -171,22 +184,30 @@ def _touching(scene: Scene, solver: "NewtonSolver") -> tuple[Array, Array]:
     return points_along(corners, chosen), -axis
 
 
-def _pressed(solver: "NewtonSolver", *, tips_m: Array, direction: Array, radius_m: float) -> tuple[Array, Array]:
-    """Solve for the force on the ball at each tip [N], and its depth [m]; NaN where a solve does not converge."""
+def _pressed(
+    solver: "NewtonSolver", *, tips_m: Array, direction: Array, radius_m: float
+) -> tuple[Array, Array]:
+    """Solve for the force on the ball at each tip [N], and its depth [m]; NaN where a solve does
+    not converge.
+    """
     from tissue.fem.newton import press_at
 
     rows = []
     for tip in tips_m:
-        solution, _, depth = press_at(solver, tip, direction, radius_m=radius_m, tolerance=TOLERANCE)
+        solution, _, depth = press_at(
+            solver, tip, direction, radius_m=radius_m, tolerance=TOLERANCE
+        )
         rows.append([*(solution.tool_force_N if solution.converged else np.full(3, np.nan)), depth])
     table = np.array(rows).reshape(-1, 4)
     return table[:, :3], table[:, 3]
 
 
 def linear_error(depth: float) -> float:
-    """Return the error of the linear force on a ball against a neo-Hookean one, by depth over radius.
+    """Return the error of the linear force on a ball against a neo-Hookean one, by depth over
+    radius.
 
-    It is interpolated between the depths of `LINEAR_ERROR`, from zero at rest, and extrapolated beyond the last.
+    It is interpolated between the depths of `LINEAR_ERROR`, from zero at rest, and extrapolated
+    beyond the last.
     """
     depths, errors = np.array([(0.0, 0.0), *LINEAR_ERROR]).T
     beyond = (errors[-1] - errors[-2]) / (depths[-1] - depths[-2]) * max(depth - depths[-1], 0.0)
@@ -194,7 +215,8 @@ def linear_error(depth: float) -> float:
 
 
 def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
-    """Return a scene with the law that its forces need, and the reason in words; empty where the law is kept unasked.
+    """Return a scene with the law that its forces need, and the reason in words; empty where the
+    law is kept unasked.
 
     Parameters
     ----------
@@ -209,7 +231,12 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
         If ticks with the needed law take longer than demanded.
     """
     organ = scene.organ
-    if wanted.force_error is None or scene.device is not None or organ.law != "linear" or not _pressed_by_a_ball(scene):
+    if (
+        wanted.force_error is None
+        or scene.device is not None
+        or organ.law != "linear"
+        or not _pressed_by_a_ball(scene)
+    ):
         return scene, ""
     assert isinstance(scene.tool, Probe)
     depth = _greatest_depth_mm(scene) / (0.5 * scene.tool.size_mm)
@@ -219,16 +246,25 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
     if error <= wanted.force_error:
         return scene, f"; linear law, {off} a neo-Hookean one {deep}"
     if key := hindrance(organ):
-        return scene, f"; the linear law is {off} a neo-Hookean one {deep}, which organ.{key} leaves as it is"
+        return (
+            scene,
+            (
+                f"; the linear law is {off} a neo-Hookean one {deep}, which organ.{key} leaves "
+                "as it is"
+            ),
+        )
     lawful = changed(scene, {"organ.law": LAW})
     why = f"; organ.law = {LAW}, for the linear one is {off} {deep}"
     if wanted.tick_ms is not None:
         run = simulate(lawful)
-        tick_ms = 1e-3 * float(np.percentile(run.timing["tick_us"][run.trace["contact_mm2"] > 0.0], 99))
+        tick_ms = 1e-3 * float(
+            np.percentile(run.timing["tick_us"][run.trace["contact_mm2"] > 0.0], 99)
+        )
         if tick_ms > wanted.tick_ms:
             raise InputError(
                 f"fidelity must be met by a law of {scene.name} on this machine, got force_error = "
-                f"{wanted.force_error:g}, tick_ms = {wanted.tick_ms:g}: the linear law is {off} {deep}, with "
+                f"{wanted.force_error:g}, tick_ms = {wanted.tick_ms:g}: the linear law is "
+                f"{off} {deep}, with "
                 f"organ.law = {LAW} tick_ms = {tick_ms:.2g}"
             )
         why += f", with which 99 % of the ticks take {tick_ms:.2g} ms"
@@ -242,4 +278,6 @@ def _greatest_depth_mm(scene: Scene) -> float:
     def make() -> dict[str, NDArray[np.generic]]:
         return {"depth_mm": simulate(coarse).trace["indentation_mm"].max(keepdims=True)}
 
-    return float(np.asarray(cached_arrays("depth", (scene_text(coarse), sources()), make)["depth_mm"])[0])
+    return float(
+        np.asarray(cached_arrays("depth", (scene_text(coarse), sources()), make)["depth_mm"])[0]
+    )

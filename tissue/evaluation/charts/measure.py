@@ -31,11 +31,15 @@ EXCERPT_S = {True: 1.2, False: 3.0}
 LATE_S = 0.3
 """Additional time of a hand on the path of a script [s]."""
 MARGIN_MM = 0.5
-"""Bone around the reach of a script, the smallest margin of a scene. No force depends on it, but the time to build."""
+"""Bone around the reach of a script, the smallest margin of a scene. No force depends on it, but
+the time to build.
+"""
 STRAY_MM = 1.5
 """Bone around the reach of a hand, which strays from the path."""
 REPEATS = 2
-"""Runs of a setting at a single place, the faster of which counts. A quick chart of a loop takes one."""
+"""Runs of a setting at a single place, the faster of which counts. A quick chart of a loop takes
+one.
+"""
 SETTLED = 20
 """Ticks in contact that are not counted: the first ones load code."""
 
@@ -61,13 +65,14 @@ class Measured:
     engaged_mm2, step_mm
         Mean area in contact, and edge of a voxel or element.
     elements, met
-        Quantities that the time of a tick grows with. Of a cutter: its elements, and voxels over the area in contact.
-        Of an organ: contacts that a tick visits in all its sweeps, and pairs of them.
+        Quantities that the time of a tick grows with. Of a cutter: its elements, and voxels over
+        the area in contact. Of an organ: contacts that a tick visits in all its sweeps, and pairs
+        of them.
     built_s
         Time to build the scene, run it and find its error [s], of one run.
     machine
         Machine of the measurement.
-    """
+    """  # noqa: E501 a table
 
     key: str = ""
     scene: str
@@ -89,7 +94,10 @@ class Measured:
 
     def row(self) -> dict[str, str]:
         """Return the values as text that reads back to the same bits."""
-        return {name: repr(value) if isinstance(value, float) else str(value) for name, value in asdict(self).items()}
+        return {
+            name: repr(value) if isinstance(value, float) else str(value)
+            for name, value in asdict(self).items()
+        }
 
     @classmethod
     def of_row(cls, row: dict[str, str]) -> "Measured":
@@ -108,7 +116,11 @@ def excerpt(scene: Scene, coarse: Changes, *, quick: bool) -> Scene:
     A hand has the same path as a script, so both have the same references, and more time.
     """
     if isinstance(scene.tool, Tool):
-        margin = MARGIN_MM if scene.device is None else max(MARGIN_MM, min(scene.voxels.margin_mm, STRAY_MM))
+        margin = (
+            MARGIN_MM
+            if scene.device is None
+            else max(MARGIN_MM, min(scene.voxels.margin_mm, STRAY_MM))
+        )
         scene = changed(scene, {"voxels.margin_mm": margin})
     span_s = EXCERPT_S[quick]
     short = _until(scene, _first_contact_s(changed(of_model(scene), coarse), span_s) + span_s)
@@ -118,7 +130,9 @@ def excerpt(scene: Scene, coarse: Changes, *, quick: bool) -> Scene:
 
 
 def _first_contact_s(scene: Scene, span_s: float) -> float:
-    """Find the first contact of a script [s] in a run of as little of it as necessary; kept on disk."""
+    """Find the first contact of a script [s] in a run of as little of it as necessary; kept on
+    disk.
+    """
 
     def found() -> dict[str, NDArray[np.generic]]:
         """Run twice as much of the scene until it touches."""
@@ -138,7 +152,10 @@ def _first_contact_s(scene: Scene, span_s: float) -> float:
             run = simulate(scene, allow_unstable=True)
         touching = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
         if not touching.size:
-            raise InputError(f"scene must touch to be charted, got no contact in {scene.name}: move its tool further")
+            raise InputError(
+                f"scene must touch to be charted, got no contact in {scene.name}: move its "
+                "tool further"
+            )
         return {"time_s": TICK_S * touching[:1].astype(float)}
 
     key = (scene_text(scene), span_s, sources())
@@ -153,7 +170,9 @@ def _length_s(scene: Scene) -> float:
 
 
 def _until(scene: Scene, end_s: float) -> Scene:
-    """Return the scene up to a time. A path ends there too, because an organ is prepared along the path."""
+    """Return the scene up to a time. A path ends there too, because an organ is prepared along
+    the path.
+    """
     if 0.0 < _length_s(scene) <= end_s:
         return scene
     changes: dict[str, object] = {"duration_s": round(end_s, 3)}
@@ -233,9 +252,17 @@ def counts(run: Run, counted: NDArray[np.intp]) -> tuple[int, float, float]:
         milling = tissue.milling if isinstance(tissue, ToothModel) else tissue
         assert isinstance(milling, BoneModel)
         step_mm = scene.voxels.spacing_mm
-        return len(milling.shell.areas_m2), float(trace["contact_mm2"][counted].mean()) / step_mm**2, step_mm
+        return (
+            len(milling.shell.areas_m2),
+            float(trace["contact_mm2"][counted].mean()) / step_mm**2,
+            step_mm,
+        )
     if isinstance(scene.anatomy, SoftAnatomy) and isinstance(scene.tool, Probe):
         contacts = trace["contact_points"][counted]
         sweeps = trace["sweeps"][counted]
-        return round(float(np.median(contacts * sweeps))), float(np.median(contacts**2 * sweeps)), edge_mm(scene)
+        return (
+            round(float(np.median(contacts * sweeps))),
+            float(np.median(contacts**2 * sweeps)),
+            edge_mm(scene),
+        )
     return 1, 1.0, 1.0

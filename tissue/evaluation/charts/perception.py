@@ -1,4 +1,6 @@
-"""Pictures of perception: intensity and threshold, the command, and the deadband on a recorded force."""
+"""Pictures of perception: intensity and threshold, the command, and the deadband on a recorded
+force.
+"""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,7 +11,13 @@ from tissue.haptics.device.device import device_parameters
 from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
 from tissue.perception.laws import intensity_of, weber_of
-from tissue.perception.observer import Observer, population, population_observer, read_observer, reference_observer
+from tissue.perception.observer import (
+    Observer,
+    population,
+    population_observer,
+    read_observer,
+    reference_observer,
+)
 from tissue.perception.perceived import held_back
 from tissue.scene.load import load_scene
 from tissue.show.figures.figure import figure, save
@@ -29,8 +37,12 @@ WANTED = "0.25"
 GREY = "0.6"
 DEVICE = "touch"
 SCENE = "wall"
-EXAMPLE = Observer.known("example", alpha=0.7, beta=1.4, kappa=0.09, offset_N=0.25, lapse=0.02, sigma=0.2)
-"""Observer of the pictures where none is given. Its intensity grows less with the force than the reference's."""
+EXAMPLE = Observer.known(
+    "example", alpha=0.7, beta=1.4, kappa=0.09, offset_N=0.25, lapse=0.02, sigma=0.2
+)
+"""Observer of the pictures where none is given. Its intensity grows less with the force than the
+reference's.
+"""
 
 
 def perception_charts(out: Path, observer: Path | None, *, overwrite: bool = False) -> list[Path]:
@@ -65,24 +77,68 @@ def _people(someone: Observer, path: Path) -> None:
     for name, entry in constants("perception", "exponent").items():
         if name != "muscle_force":
             left.plot(forces, forces**entry.value, color=GREY, linewidth=0.8, linestyle=":")
-            left.text(10.3, 10.0**entry.value, name.replace("_", " "), color="0.3", fontsize=9.5, va="center")
+            left.text(
+                10.3,
+                10.0**entry.value,
+                name.replace("_", " "),
+                color="0.3",
+                fontsize=9.5,
+                va="center",
+            )
     drawn = population().draws(4000, np.random.default_rng(0))
     percent = 100.0 * drawn["kappa"] * (1.0 + drawn["offset_N"] / forces[:, None])
     low, high = np.quantile(percent, [0.1, 0.9], axis=1)
-    right.fill_between(forces, low, high, color=POPULATION, alpha=0.18, linewidth=0, label="eight in ten people")
-    right.plot([2.5, 10.0], [7.0, 7.0], color="#009E73", linewidth=5, alpha=0.6, label="Pang et al. 1991")
-    right.fill_between([0.1, 0.5], 10.0, 28.0, color="#E69F00", alpha=0.35, label="published below 0.5 N, uncertain")
-    for who, colour, label in ((population_observer(), POPULATION, "population"), (someone, PERSON, someone.name)):
+    right.fill_between(
+        forces, low, high, color=POPULATION, alpha=0.18, linewidth=0, label="eight in ten people"
+    )
+    right.plot(
+        [2.5, 10.0], [7.0, 7.0], color="#009E73", linewidth=5, alpha=0.6, label="Pang et al. 1991"
+    )
+    right.fill_between(
+        [0.1, 0.5],
+        10.0,
+        28.0,
+        color="#E69F00",
+        alpha=0.35,
+        label="published below 0.5 N, uncertain",
+    )
+    for who, colour, label in (
+        (population_observer(), POPULATION, "population"),
+        (someone, PERSON, someone.name),
+    ):
         law = intensity_of(who)
         mean = law.expected(forces)
         spread = law.spread(forces)
-        left.fill_between(forces, np.maximum(mean - spread, 1e-4), mean + spread, color=colour, alpha=0.18, linewidth=0)
+        left.fill_between(
+            forces,
+            np.maximum(mean - spread, 1e-4),
+            mean + spread,
+            color=colour,
+            alpha=0.18,
+            linewidth=0,
+        )
         left.plot(forces, mean, color=colour, label=f"{label}: mean, ± 1 standard deviation")
-        right.plot(forces, 100.0 * weber_of(who).threshold(forces) / forces, color=colour, label=label)
-    left.plot(forces, intensity_of(reference_observer()).expected(forces), "--", color=WANTED, label="reference")
-    left.set(xscale="log", yscale="log", ylim=(0.01, 200.0), xlim=(0.1, 45.0), title="intensity of a force")
+        right.plot(
+            forces, 100.0 * weber_of(who).threshold(forces) / forces, color=colour, label=label
+        )
+    left.plot(
+        forces,
+        intensity_of(reference_observer()).expected(forces),
+        "--",
+        color=WANTED,
+        label="reference",
+    )
+    left.set(
+        xscale="log",
+        yscale="log",
+        ylim=(0.01, 200.0),
+        xlim=(0.1, 45.0),
+        title="intensity of a force",
+    )
     left.set(xlabel="force / N", ylabel="intensity / reference's at 1 N")
-    right.set(xscale="log", xlabel="force / N", ylabel="threshold / % of the force", ylim=(0.0, 46.0))
+    right.set(
+        xscale="log", xlabel="force / N", ylabel="threshold / % of the force", ylim=(0.0, 46.0)
+    )
     right.set_title("smallest perceived change")
     _finish(chart, (left, right), path)
 
@@ -96,24 +152,43 @@ def _command(someone: Observer, path: Path) -> None:
     knee_N = device.knee_share * limit_N
     right.plot(forces, forces**1.7, "--", color=WANTED, label="wanted: reference, physical force")
     for who, colour in ((population_observer(), POPULATION), (someone, PERSON)):
-        law = perception_for(who, rng=np.random.default_rng(0), force_limit_N=limit_N, tick_s=1e-3).law
+        law = perception_for(
+            who, rng=np.random.default_rng(0), force_limit_N=limit_N, tick_s=1e-3
+        ).law
         commands = law.command_N(forces)
         played = np.array([device.play(np.array([force, 0.0, 0.0]))[0][0] for force in commands])
         left.plot(forces, commands, ":", color=colour)
         left.plot(forces, played, color=colour, label=f"{who.name}, gain {law.gain:.2f}")
         felt = intensity_of(who)
         unit = float(felt.expected(law.command_N(1.0)))
-        right.plot(forces, felt.expected(played) / unit, color=colour, label=f"{who.name}, commanded")
+        right.plot(
+            forces, felt.expected(played) / unit, color=colour, label=f"{who.name}, commanded"
+        )
         plain = felt.expected(forces) / felt.expected(1.0)
-        right.plot(forces, plain, color=colour, linewidth=1.0, linestyle="-.", label=f"{who.name}, physical force")
+        right.plot(
+            forces,
+            plain,
+            color=colour,
+            linewidth=1.0,
+            linestyle="-.",
+            label=f"{who.name}, physical force",
+        )
     left.plot(forces, forces, "--", color=WANTED, label="physical force")
     left.axhline(limit_N, color="0.3", linewidth=0.9)
     left.text(0.055, 1.05 * limit_N, f"limit of {DEVICE}", fontsize=9.5)
     for axes in (left, right):
         axes.axvline(knee_N, color=GREY, linewidth=0.9, linestyle="--")
         axes.set(xscale="log", yscale="log", xlabel="force at the device / N", xlim=(0.05, 10.0))
-    left.set(ylabel="force played / N", ylim=(0.02, 8.0), title="command; dotted before the device's range")
-    right.set(ylabel="intensity / that at 1 N", ylim=(0.005, 60.0), title="ratios are kept up to the dashed knee")
+    left.set(
+        ylabel="force played / N",
+        ylim=(0.02, 8.0),
+        title="command; dotted before the device's range",
+    )
+    right.set(
+        ylabel="intensity / that at 1 N",
+        ylim=(0.005, 60.0),
+        title="ratios are kept up to the dashed knee",
+    )
     _finish(chart, (left, right), path)
 
 
@@ -132,17 +207,35 @@ def _deadband(someone: Observer, path: Path) -> None:
     chart = figure(10.0, 5.2)
     upper, lower = chart.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
     chart.subplots_adjust(left=0.075, right=0.985, top=0.93, bottom=0.1, hspace=0.08)
-    upper.fill_between(time, shown - threshold, shown + threshold, color=POPULATION, alpha=0.18, linewidth=0,
-                       step="post", label="not perceived as a change")  # fmt: skip
+    upper.fill_between(
+        time,
+        shown - threshold,
+        shown + threshold,
+        color=POPULATION,
+        alpha=0.18,
+        linewidth=0,
+        step="post",
+        label="not perceived as a change",
+    )
     upper.plot(time, size, color=WANTED, linewidth=1.0, label="wanted")
     upper.step(time, shown, color=POPULATION, linewidth=1.6, where="post", label="played")
     upper.plot(time[changed], shown[changed], "o", color=PERSON, markersize=3.5, label="changes")
     upper.set(ylabel="force / N", ylim=(0.0, None))
-    upper.set_title(f"{SCENE} by a novice, {someone.name}: {saved:.1f} % of the samples in contact are not needed")
-    lower.plot(time, np.linalg.norm(wanted - played, axis=1) / threshold, color=POPULATION, linewidth=1.0)
+    upper.set_title(
+        f"{SCENE} by a novice, {someone.name}: {saved:.1f} % of the samples in contact are "
+        "not needed"
+    )
+    lower.plot(
+        time, np.linalg.norm(wanted - played, axis=1) / threshold, color=POPULATION, linewidth=1.0
+    )
     lower.axhline(1.0, color="0.3", linestyle="--", linewidth=1.0)
     inside = time[contact]
-    lower.set(xlabel="time / s", ylabel="error / threshold", ylim=(0.0, 1.15), xlim=inside[[0, -1]] + [-0.02, 0.02])
+    lower.set(
+        xlabel="time / s",
+        ylabel="error / threshold",
+        ylim=(0.0, 1.15),
+        xlim=inside[[0, -1]] + [-0.02, 0.02],
+    )
     lower.grid(alpha=0.3)
     _finish(chart, (upper,), path)
 

@@ -59,8 +59,9 @@ LIMIT_US = 20.0
 def draw_frontiers(found: Sequence[Frontier], path: Path) -> None:
     """Draw a panel for each frontier: median tick with its 99th percentile against force error.
 
-    Pareto-optimal settings have numbers, which are named next to the panel. The uncertainty of the reference is shaded.
-    Lines across are errors that no setting reduces: of the linear law, dashed, and of float32, dotted.
+    Pareto-optimal settings have numbers, which are named next to the panel. The uncertainty of the
+    reference is shaded. Lines across are errors that no setting reduces: of the linear law, dashed,
+    and of float32, dotted.
     """
     step = LEFT_IN + PANEL_IN + BESIDE_IN
     wide = step * len(found)
@@ -95,7 +96,13 @@ def draw_overview(found: Sequence[Sequence[Frontier]], path: Path) -> None:
         axes.set_xlabel("tick / µs" if place + columns >= len(found) else "")
     lines = {str(line.get_label()): line for axes in panels for line in axes.lines}
     named = {label: line for label, line in lines.items() if not label.startswith("_")}
-    chart.legend(named.values(), named.keys(), loc="upper center", ncols=min(columns + 1, len(named)), frameon=False)
+    chart.legend(
+        named.values(),
+        named.keys(),
+        loc="upper center",
+        ncols=min(columns + 1, len(named)),
+        frameon=False,
+    )
     save(chart, path)
 
 
@@ -105,17 +112,32 @@ def _draw_frontier(axes: "Axes", found: Frontier) -> None:
     for point in found.points:
         colour, mark, label = FAMILIES[point.family]
         error = _percent(point.force_error)
-        axes.plot([point.median_us, point.p99_us], [error, error], color=colour, linewidth=0.8, alpha=0.5)
-        axes.plot(point.median_us, error, mark, color=colour, label=None if label in labelled else label)
+        axes.plot(
+            [point.median_us, point.p99_us], [error, error], color=colour, linewidth=0.8, alpha=0.5
+        )
+        axes.plot(
+            point.median_us, error, mark, color=colour, label=None if label in labelled else label
+        )
         labelled.add(label)
         if point.error_50_ms > 0.0:
             over = _percent(point.error_50_ms)
             axes.plot([point.median_us] * 2, [error, over], color=colour, linewidth=0.8, alpha=0.5)
-            axes.plot(point.median_us, over, mark, color=colour, markersize=4.0, markerfacecolor="white")
-    axes.plot([], [], "o", color="0.4", markersize=4.0, markerfacecolor="white", label="error over 50 ms")
+            axes.plot(
+                point.median_us, over, mark, color=colour, markersize=4.0, markerfacecolor="white"
+            )
+    axes.plot(
+        [], [], "o", color="0.4", markersize=4.0, markerfacecolor="white", label="error over 50 ms"
+    )
     best = found.best
     errors = [_percent(point.force_error) for point in best]
-    axes.step([p.median_us for p in best], errors, where="post", color="0.15", linewidth=1.4, label="frontier")
+    axes.step(
+        [p.median_us for p in best],
+        errors,
+        where="post",
+        color="0.15",
+        linewidth=1.4,
+        label="frontier",
+    )
     for number, (point, error) in enumerate(zip(best, errors, strict=True), 1):
         colour, mark, _ = FAMILIES[point.family]
         _numbered(axes, (point.median_us, error), number, colour, mark)
@@ -124,7 +146,9 @@ def _draw_frontier(axes: "Axes", found: Frontier) -> None:
     axes.axvline(1e3, color=ORANGE, linestyle="--", linewidth=1.3, label="1 ms")
     low, high = _limits(found)
     if found.gap > 0.0:
-        axes.axhspan(low, 100.0 * found.gap, color="0.9", zorder=0, label="uncertainty of the reference")
+        axes.axhspan(
+            low, 100.0 * found.gap, color="0.9", zorder=0, label="uncertainty of the reference"
+        )
     axes.set_ylim(low, high)  # before the scale: the limits of a single error have no width
     axes.set(
         xscale="log",
@@ -140,7 +164,9 @@ def _draw_frontier(axes: "Axes", found: Frontier) -> None:
     axes.text(left, 1.0, "frontier", transform=axes.transAxes, weight="bold", va="top")
     names = [(point.setting, FAMILIES[point.family][0]) for point in best]
     _write_names(axes, names, left, row=0.165 / (0.79 * HIGH_IN), first=1)
-    axes.legend(loc="lower left", bbox_to_anchor=(left, 0.0), borderaxespad=0.0, fontsize=8, frameon=False)
+    axes.legend(
+        loc="lower left", bbox_to_anchor=(left, 0.0), borderaxespad=0.0, fontsize=8, frameon=False
+    )
 
 
 def _limits(found: Frontier) -> tuple[float, float]:
@@ -156,7 +182,13 @@ def _draw_bound(axes: "Axes", row: Measured) -> None:
     """Draw an error that no setting reduces."""
     error = _percent(row.force_error)
     if row.family == "rounding":
-        axes.axhline(error, color="0.35", linestyle=":", linewidth=1.6, label=f"float32 rounding, {error:.1g} %")
+        axes.axhline(
+            error,
+            color="0.35",
+            linestyle=":",
+            linewidth=1.6,
+            label=f"float32 rounding, {error:.1g} %",
+        )
     else:
         label = f"linear law: {error:.2g} % off neo-Hookean\non this motion"
         axes.axhline(error, color=LAW, linestyle="--", linewidth=1.3, label=label)
@@ -182,7 +214,13 @@ def _draw_both(axes: "Axes", both: Sequence[Frontier]) -> None:
     heights = np.log([error for error, *_ in points])
     low = heights.min() - 0.5
     high = max(heights.max(), heights.min() + 1.0) + 0.4
-    axes.set(xscale="log", yscale="log", xlim=OVERVIEW_TICKS_US, ylim=np.exp([low, high]), title=both[0].scene.name)
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlim=OVERVIEW_TICKS_US,
+        ylim=np.exp([low, high]),
+        title=both[0].scene.name,
+    )
     axes.set_xticks([100.0, 1e3], ["100", "1000"])
     axes.xaxis.set_minor_formatter("")
     _plain_numbers(axes.yaxis)
@@ -199,25 +237,51 @@ def _how(found: Frontier) -> str:
     return "by script" if found.scene.device is None else f"by hand on {found.scene.held.kind}"
 
 
-def _numbered(axes: "Axes", place: tuple[float, float], number: int, colour: str, mark: str) -> None:
+def _numbered(
+    axes: "Axes", place: tuple[float, float], number: int, colour: str, mark: str
+) -> None:
     """Mark a Pareto-optimal setting with its number."""
-    axes.plot(*place, mark, color=colour, markersize=11.5, markeredgecolor="white", markeredgewidth=0.7, zorder=4)
+    axes.plot(
+        *place,
+        mark,
+        color=colour,
+        markersize=11.5,
+        markeredgecolor="white",
+        markeredgewidth=0.7,
+        zorder=4,
+    )
     axes.annotate(
-        f"{number}", place, xytext=(0.0, -0.3), textcoords="offset points", ha="center", va="center", fontsize=7.5,
-        weight="bold", color="white", zorder=5,
-    )  # fmt: skip
+        f"{number}",
+        place,
+        xytext=(0.0, -0.3),
+        textcoords="offset points",
+        ha="center",
+        va="center",
+        fontsize=7.5,
+        weight="bold",
+        color="white",
+        zorder=5,
+    )
 
 
-def _write_names(axes: "Axes", names: Sequence[tuple[str, str]], left: float, *, row: float, first: int) -> None:
-    """Write numbered names in their colours to the right of a panel; rows and ``left`` are shares of the panel."""
+def _write_names(
+    axes: "Axes", names: Sequence[tuple[str, str]], left: float, *, row: float, first: int
+) -> None:
+    """Write numbered names in their colours to the right of a panel; rows and ``left`` are
+    shares of the panel.
+    """
     for number, (name, colour) in enumerate(names, 1):
         height = 1.0 - (number - 1 + first) * row
         label = f"{number}  {name}"
-        axes.text(left, height, label, transform=axes.transAxes, fontsize=8.5, color=colour, va="top")
+        axes.text(
+            left, height, label, transform=axes.transAxes, fontsize=8.5, color=colour, va="top"
+        )
 
 
 def _plain_numbers(axis: "Axis") -> None:
-    """Write numbers instead of powers of ten on a logarithmic axis, few of them over many decades."""
+    """Write numbers instead of powers of ten on a logarithmic axis, few of them over many
+    decades.
+    """
     from matplotlib.ticker import LogLocator
 
     low, high = axis.get_view_interval()
@@ -228,12 +292,19 @@ def _plain_numbers(axis: "Axis") -> None:
 
 
 def draw_scene(found: "PredictorComparison", path: Path) -> None:
-    """Draw error over horizon and over cost, the spectrum, training sizes, a model at 100 Hz, and all runs."""
+    """Draw error over horizon and over cost, the spectrum, training sizes, a model at 100 Hz,
+    and all runs.
+    """
     chart = figure(11.0, 7.8)
     panels = chart.subplots(2, 3)
-    chart.subplots_adjust(left=0.065, right=0.985, top=0.845, bottom=0.075, wspace=0.27, hspace=0.34)
+    chart.subplots_adjust(
+        left=0.065, right=0.985, top=0.845, bottom=0.075, wspace=0.27, hspace=0.34
+    )
     runs = len(found.errors["hold"])
-    title = f"{found.scene}: {runs} runs with other seeds, in tissue 30 % softer and stiffer; bars and bands are 95 %"
+    title = (
+        f"{found.scene}: {runs} runs with other seeds, in tissue 30 % softer and stiffer; bars "
+        "and bands are 95 %"
+    )
     chart.text(0.065, 0.965, title, size=11)
     _over_horizon(panels[0, 0], found)
     _over_cost(panels[0, 1], found)
@@ -249,7 +320,9 @@ def draw_scene(found: "PredictorComparison", path: Path) -> None:
 
 
 def draw_tasks(found: "Sequence[PredictorComparison]", path: Path) -> None:
-    """Draw the error of every predictor at 4 ms on every scene, next to the errors that the paper prints."""
+    """Draw the error of every predictor at 4 ms on every scene, next to the errors that the
+    paper prints.
+    """
     chart = figure(max(1.9 * len(found) + 1.6, 6.0), 4.4)
     axes = chart.subplots()
     chart.subplots_adjust(left=0.11, right=0.98, top=0.86, bottom=0.1)
@@ -265,7 +338,9 @@ def draw_tasks(found: "Sequence[PredictorComparison]", path: Path) -> None:
         task, *printed = PAPER.get(each.scene, ("",))
         for index, value in enumerate(printed, len(PREDICTORS)):
             fill = "none" if index == len(PREDICTORS) else "0.1"
-            axes.plot(left + index * width, value, "*", color="0.1", markerfacecolor=fill, markersize=9)
+            axes.plot(
+                left + index * width, value, "*", color="0.1", markerfacecolor=fill, markersize=9
+            )
         names.append(f"{task} {each.scene}".strip())
     for fill, label in (("none", "paper, raw"), ("0.1", "paper, adjusted")):
         axes.plot([], [], "*", color="0.1", markerfacecolor=fill, markersize=9, label=label)
@@ -275,7 +350,14 @@ def draw_tasks(found: "Sequence[PredictorComparison]", path: Path) -> None:
     axes.grid(axis="y", which="both", alpha=0.3)
     axes.set_axisbelow(True)
     columns = 7 if len(found) > 3 else 5
-    chart.legend(loc="upper center", ncols=columns, frameon=False, fontsize=8.5, columnspacing=1.0, handletextpad=0.4)
+    chart.legend(
+        loc="upper center",
+        ncols=columns,
+        frameon=False,
+        fontsize=8.5,
+        columnspacing=1.0,
+        handletextpad=0.4,
+    )
     save(chart, path)
 
 
@@ -312,7 +394,9 @@ def _spectrum(axes: "Axes", found: "PredictorComparison") -> None:
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
     values = found.eigenvalues
     axes.plot(np.cos(turn), np.sin(turn), color="0.6", linewidth=0.8)
-    axes.plot(values.real, values.imag, "o", color=PREDICTORS["koopman"].colour, markersize=3, alpha=0.7)
+    axes.plot(
+        values.real, values.imag, "o", color=PREDICTORS["koopman"].colour, markersize=3, alpha=0.7
+    )
     axes.set(xlabel="real", ylabel="imaginary", aspect="equal")
     axes.set_title(f"{len(values)} eigenvalues, largest {np.abs(values).max():.5f}", fontsize=9)
 
@@ -321,7 +405,9 @@ def _sizes(axes: "Axes", found: "PredictorComparison") -> None:
     """Draw the error at 4 ms over the number of training runs."""
     mean, low, high = 100 * np.array(list(found.sizes.values())).T
     colour = PREDICTORS["koopman"].colour
-    axes.errorbar(list(found.sizes), mean, (mean - low, high - mean), fmt="-o", color=colour, capsize=3, ms=4)
+    axes.errorbar(
+        list(found.sizes), mean, (mean - low, high - mean), fmt="-o", color=colour, capsize=3, ms=4
+    )
     axes.set(xlabel="training runs", ylabel="error 4 ms ahead / %", ylim=(0, None))
 
 
@@ -330,9 +416,16 @@ def _slow(axes: "Axes", found: "PredictorComparison") -> None:
     for kind, looks in _predictors():
         at, cost_us = found.slow[kind]
         mean, low, high = 100 * np.array(at)
-        axes.errorbar(cost_us, mean, [[mean - low], [high - mean]], fmt=looks.marker, color=looks.colour, ms=6)
+        axes.errorbar(
+            cost_us, mean, [[mean - low], [high - mean]], fmt=looks.marker, color=looks.colour, ms=6
+        )
     axes.plot(found.slow["1 kHz"][1], 0.0, "*", color="0.1", markersize=11, clip_on=False)
-    axes.set(xlabel="model and prediction / µs a tick", ylabel="force error now / %", xscale="log", ylim=(0, None))
+    axes.set(
+        xlabel="model and prediction / µs a tick",
+        ylabel="force error now / %",
+        xscale="log",
+        ylim=(0, None),
+    )
     axes.set_title("model at 100 Hz; star: at 1 kHz", fontsize=9)
     _plain_numbers(axes.xaxis)
 
@@ -341,6 +434,17 @@ def _spread(axes: "Axes", found: "PredictorComparison") -> None:
     """Draw the error at 4 ms of every run, sorted, with the median."""
     for place, (kind, looks) in enumerate(_predictors()):
         values = np.sort(100 * found.errors[kind][:, HORIZONS.index(4)])
-        axes.plot(place + np.linspace(-0.25, 0.25, len(values)), values, ".", color=looks.colour, markersize=4)
+        axes.plot(
+            place + np.linspace(-0.25, 0.25, len(values)),
+            values,
+            ".",
+            color=looks.colour,
+            markersize=4,
+        )
         axes.plot([place - 0.3, place + 0.3], [np.median(values)] * 2, color="0.1", linewidth=1.2)
-    axes.set(xticks=[], xlabel="predictors in the order of the legend", ylabel="error of each run / %", ylim=(0, None))
+    axes.set(
+        xticks=[],
+        xlabel="predictors in the order of the legend",
+        ylabel="error of each run / %",
+        ylim=(0, None),
+    )

@@ -26,7 +26,15 @@ from tissue.scene.scene import Scene
 from tissue.simulation.builders.prediction import trained_predictor
 from tissue.system.owned_folder import owned_folder
 
-__all__ = ["OURS", "Interval", "PredictorComparison", "chart_prediction", "comparison_lines", "interval", "predictable"]
+__all__ = [
+    "OURS",
+    "Interval",
+    "PredictorComparison",
+    "chart_prediction",
+    "comparison_lines",
+    "interval",
+    "predictable",
+]
 
 FIRST_SEED = 10_000
 """First seed of unseen runs. Training uses seeds from 0 on."""
@@ -73,8 +81,9 @@ class PredictorComparison:
     sizes
         Error at 4 ms by number of training runs.
     slow
-        Results with a model at 100 Hz and a predictor between its answers: the error of the force of the present tick
-        and the cost of a tick [us], by predictor; with ``1 kHz`` those of the model in every tick.
+        Results with a model at 100 Hz and a predictor between its answers: the error of the force
+        of the present tick and the cost of a tick [us], by predictor; with ``1 kHz`` those of the
+        model in every tick.
     """
 
     scene: str
@@ -90,17 +99,22 @@ class PredictorComparison:
 
 
 def interval(values: Array) -> Interval:
-    """Return the mean over the first axis of independent runs with its interval; without width for a single run."""
+    """Return the mean over the first axis of independent runs with its interval; without width
+    for a single run.
+    """
     from scipy.stats import t
 
     mean = float(values.mean())
     count = len(values)
-    half = float(t.ppf(0.975, count - 1) * values.std(ddof=1) / np.sqrt(count)) if count > 1 else 0.0
+    half = (
+        float(t.ppf(0.975, count - 1) * values.std(ddof=1) / np.sqrt(count)) if count > 1 else 0.0
+    )
     return Interval(mean, mean - half, mean + half)
 
 
 def _compare(scene: Scene, *, trials: int, report: Progress) -> PredictorComparison:
-    """Measure all predictors on unseen runs of a scene: other seeds, tissue 30 % softer and stiffer, 4 ms of latency.
+    """Measure all predictors on unseen runs of a scene: other seeds, tissue 30 % softer and
+    stiffer, 4 ms of latency.
 
     Raises
     ------
@@ -121,7 +135,9 @@ def _compare(scene: Scene, *, trials: int, report: Progress) -> PredictorCompari
     for index in range(trials):
         step(f"unseen run {index + 1} of {trials}", index)
         share = SHARES[index % len(SHARES)]
-        unseen.append(recorder.record(trial(scene, FIRST_SEED + index, delay_ms=DELAY_MS, share=share)))
+        unseen.append(
+            recorder.record(trial(scene, FIRST_SEED + index, delay_ms=DELAY_MS, share=share))
+        )
     model_us = 1e6 * float(np.median([run.model_s for run in unseen]))
     errors = {}
     cost_us = {}
@@ -143,15 +159,23 @@ def _compare(scene: Scene, *, trials: int, report: Progress) -> PredictorCompari
         fitted = fit(trained.scene, seen[:size])
         smaller = replace(trained, operator=fitted.operator, growth=fitted.growth)
         make = partial(trained_predictor, OURS, smaller, force_limit_N=limit_N)
-        sizes[size] = interval(forecast_errors(make, unseen[:SIZED_RUNS], horizons=(DELAY_MS,))[:, 0])
-    return PredictorComparison(trained.scene, errors, cost_us, trained.operator.eigenvalues, sizes, slow)
+        sizes[size] = interval(
+            forecast_errors(make, unseen[:SIZED_RUNS], horizons=(DELAY_MS,))[:, 0]
+        )
+    return PredictorComparison(
+        trained.scene, errors, cost_us, trained.operator.eigenvalues, sizes, slow
+    )
 
 
 def _cost_us(predictor: Predictor, run: Recording) -> tuple[float, float]:
-    """Measure the median and 99th percentile of observing a tick and predicting the force after the latency [us]."""
+    """Measure the median and 99th percentile of observing a tick and predicting the force after
+    the latency [us].
+    """
     shown = predictor if isinstance(predictor, SeesContact) else None
     times = []
-    for position, velocity, force, row in zip(run.position_m, run.velocity_m_s, run.force_N, run.contact, strict=True):
+    for position, velocity, force, row in zip(
+        run.position_m, run.velocity_m_s, run.force_N, run.contact, strict=True
+    ):
         contact = Contact.of_row(row)
         start = perf_counter()
         if shown is not None:
@@ -172,7 +196,10 @@ def predictable(scenes: Sequence[Scene]) -> tuple[list[Scene], list[str]]:
     """
     able = [scene for scene in scenes if is_trained(scene.name, scene.predictor_file)]
     notes = [
-        f"{scene.name} is left out: no trained predictor. Train one with 'tissue train {scene.name}'."
+        (
+            f"{scene.name} is left out: no trained predictor. Train one with 'tissue train "
+            f"{scene.name}'."
+        )
         for scene in scenes
         if scene not in able
     ]
@@ -182,14 +209,20 @@ def predictable(scenes: Sequence[Scene]) -> tuple[list[Scene], list[str]]:
 
 
 def chart_prediction(
-    scenes: Sequence[Scene], folder: Path, *, trials: int, overwrite: bool, report: Progress = silent
+    scenes: Sequence[Scene],
+    folder: Path,
+    *,
+    trials: int,
+    overwrite: bool,
+    report: Progress = silent,
 ) -> list[PredictorComparison]:
     """Measure and draw some scenes: ``prediction_SCENE.png``, ``prediction_tasks.png`` and tables.
 
     Raises
     ------
     InputError
-        If the folder is a file or holds another chart, there are fewer than two trials, or a scene cannot be used.
+        If the folder is a file or holds another chart, there are fewer than two trials, or a scene
+        cannot be used.
     """
     if not 2 <= trials <= MOST_TRIALS:
         raise InputError(f"trials must be from 2 to {MOST_TRIALS}, got {trials}: use 30")
@@ -199,7 +232,8 @@ def chart_prediction(
         for index, scene in enumerate(scenes):
             onward = lambda doing, share, index=index: report(doing, (index + share) / len(scenes))  # noqa: E731
             found.append(_compare(scene, trials=trials, report=onward))
-            # At once: a chart takes half an hour, and one that is stopped keeps the finished scenes.
+            # At once: a chart takes half an hour, and one that is stopped keeps the finished
+            # scenes.
             draw_scene(found[-1], folder / f"prediction_{scene.name}.png")
             draw_tasks(found, folder / "prediction_tasks.png")
             _write_comparisons(found, folder)
@@ -207,19 +241,24 @@ def chart_prediction(
 
 
 def comparison_lines(found: Sequence[PredictorComparison]) -> list[str]:
-    """Return errors at 4 ms in words, and how ours compares with zero-order hold and with the best other predictor.
+    """Return errors at 4 ms in words, and how ours compares with zero-order hold and with the best
+    other predictor.
 
-    It is called better or worse only where the interval of the paired difference over runs excludes zero.
+    It is called better or worse only where the interval of the paired difference over runs excludes
+    zero.
     """
     lines = ["error at 4 ms on unseen runs, % of the force (mean and 95 % interval)"]
     for each in found:
         at_delay = {kind: each.at(kind, DELAY_MS) for kind in PREDICTORS}
         for kind, at in at_delay.items():
             lines.append(
-                f"{each.scene:>12}  {kind:<18} {100 * at.mean:6.2f} ({100 * at.low:.2f} to {100 * at.high:.2f})"
+                f"{each.scene:>12}  {kind:<18} {100 * at.mean:6.2f} ({100 * at.low:.2f} to "
+                f"{100 * at.high:.2f})"
                 f"   {each.cost_us[kind][0]:5.1f} µs"
             )
-        best = min((kind for kind in PREDICTORS if kind != OURS), key=lambda kind: at_delay[kind].mean)
+        best = min(
+            (kind for kind in PREDICTORS if kind != OURS), key=lambda kind: at_delay[kind].mean
+        )
         apart = interval((each.errors[OURS] - each.errors[best])[:, HORIZONS.index(DELAY_MS)])
         verdict = "not distinct from"
         if apart.high < 0.0:
@@ -227,8 +266,10 @@ def comparison_lines(found: Sequence[PredictorComparison]) -> list[str]:
         elif apart.low > 0.0:
             verdict = "worse than"
         lines.append(
-            f"{each.scene:>12}  {OURS} {at_delay[OURS].mean / at_delay['hold'].mean:.2f} of hold, {verdict} the best "
-            f"other, {best}: {100 * apart.mean:+.2f} in pairs ({100 * apart.low:+.2f} to {100 * apart.high:+.2f})"
+            f"{each.scene:>12}  {OURS} {at_delay[OURS].mean / at_delay['hold'].mean:.2f} of "
+            f"hold, {verdict} the best "
+            f"other, {best}: {100 * apart.mean:+.2f} in pairs ({100 * apart.low:+.2f} to "
+            f"{100 * apart.high:+.2f})"
         )
     return lines
 
@@ -239,11 +280,17 @@ def _write_comparisons(found: Sequence[PredictorComparison], folder: Path) -> No
     for each in found:
         name = each.scene
         for kind, errors in each.errors.items():
-            rows["errors.csv"] += [(name, kind, ms, len(errors), *each.at(kind, ms)) for ms in HORIZONS]
+            rows["errors.csv"] += [
+                (name, kind, ms, len(errors), *each.at(kind, ms)) for ms in HORIZONS
+            ]
         rows["cost.csv"] += [(name, kind, *cost_us) for kind, cost_us in each.cost_us.items()]
-        rows["spectrum.csv"] += [(name, value.real, value.imag, abs(value)) for value in each.eigenvalues.tolist()]
+        rows["spectrum.csv"] += [
+            (name, value.real, value.imag, abs(value)) for value in each.eigenvalues.tolist()
+        ]
         rows["training.csv"] += [(name, size, *at) for size, at in each.sizes.items()]
-        rows["slow_model.csv"] += [(name, kind, *at, cost_us) for kind, (at, cost_us) in each.slow.items()]
+        rows["slow_model.csv"] += [
+            (name, kind, *at, cost_us) for kind, (at, cost_us) in each.slow.items()
+        ]
     for name, head in HEADS.items():
         lines = [head, *(",".join(map(str, row)) for row in rows[name])]
         with whole_file(folder / name) as temporary:

@@ -1,7 +1,8 @@
-"""Reference forces of a scene: by exact geometry where it is known, else by the finest of three grids.
+"""Reference forces of a scene: by exact geometry where it is known, else by the finest of three
+grids.
 
-The exact force has its own uncertainty. That of the finest grid is the grid-convergence index, which bounds the error
-of the discretisation, but no error that all grids share.
+The exact force has its own uncertainty. That of the finest grid is the grid-convergence index,
+which bounds the error of the discretisation, but no error that all grids share.
 """
 
 from importlib.metadata import version
@@ -23,7 +24,14 @@ from tissue.simulation.reference_force import ideal_force_N, played_force_N
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import simulate
 
-__all__ = ["float32_error", "force_and_reference_N", "grid_force_N", "of_model", "reference_gap", "reference_words"]
+__all__ = [
+    "float32_error",
+    "force_and_reference_N",
+    "grid_force_N",
+    "of_model",
+    "reference_gap",
+    "reference_words",
+]
 
 LAST_PLACE_MM = float(np.spacing(np.float32(10.0)))
 """Last place of a float32 at 10 mm, the size of a path: 1 nm."""
@@ -35,7 +43,9 @@ def of_model(scene: Scene) -> Scene:
 
 
 def grid_force_N(scene: Scene, changes: Changes) -> Array:
-    """Compute the force on the tool over time by the model of a scene [N], shape (n, 3); kept on disk."""
+    """Compute the force on the tool over time by the model of a scene [N], shape (n, 3); kept on
+    disk.
+    """
     at = changed(of_model(scene), changes)
     forces = cached_arrays(
         "grid-force",
@@ -61,8 +71,9 @@ def force_and_reference_N(run: Run, scene: Scene, *, quick: bool) -> tuple[Array
 def reference_gap(scene: Scene, *, quick: bool, by_hand: bool = False) -> float:
     """Return the uncertainty of the reference: differences below it are not resolved.
 
-    With an exact geometry it is the uncertainty of its force; by hand, where the finest grid is the reference, the
-    error of that grid. Without an exact geometry it is the grid-convergence index of the finest grid.
+    With an exact geometry it is the uncertainty of its force; by hand, where the finest grid is the
+    reference, the error of that grid. Without an exact geometry it is the grid-convergence index of
+    the finest grid.
     """
     model = of_model(scene)
     if not has_exact_geometry(model):
@@ -87,7 +98,11 @@ def reference_words(scene: Scene, gap: float) -> str:
     if exact and not by_hand:
         return f"the exact geometry (known to {percent})"
     if not grids(model, quick=True):
-        return "a prompt loop with the model, which has no grid" if by_hand else "the model itself, which has no grid"
+        return (
+            "a prompt loop with the model, which has no grid"
+            if by_hand
+            else "the model itself, which has no grid"
+        )
     grid = "a prompt loop with the finest grid" if by_hand else "the finest of three grids"
     if exact:
         return f"{grid} ({percent} off the exact geometry)"
@@ -95,15 +110,20 @@ def reference_words(scene: Scene, gap: float) -> str:
 
 
 def float32_error(scene: Scene) -> float:
-    """Return the change of the force of a cut, over the force, by a path moved aside by the last place of a float32.
+    """Return the change of the force of a cut, over the force, by a path moved aside by the last
+    place of a float32.
 
-    Voxels are cut in float32, which rounds all coordinates to about that. Where a tool only grazes voxels, the rounding
-    decides whether it touches, and the change is much larger than the last place of a force. NaN where a model computes
-    in float64: organs, needles and walls.
+    Voxels are cut in float32, which rounds all coordinates to about that. Where a tool only grazes
+    voxels, the rounding decides whether it touches, and the change is much larger than the last
+    place of a force. NaN where a model computes in float64: organs, needles and walls.
     """
     motion = scene.motion
     if not isinstance(scene.tool, Tool) or not isinstance(motion, PathMotion):
         return nan
-    path = tuple((x + LAST_PLACE_MM, y - LAST_PLACE_MM, z - LAST_PLACE_MM) for x, y, z in motion.points_mm)
+    path = tuple(
+        (x + LAST_PLACE_MM, y - LAST_PLACE_MM, z - LAST_PLACE_MM) for x, y, z in motion.points_mm
+    )
     shifted = scene.model_copy(update={"motion": motion.model_copy(update={"points_mm": path})})
-    return force_error(grid_force_N(shifted, {"stress": None}), grid_force_N(scene, {"stress": None}))
+    return force_error(
+        grid_force_N(shifted, {"stress": None}), grid_force_N(scene, {"stress": None})
+    )

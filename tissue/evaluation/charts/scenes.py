@@ -1,7 +1,7 @@
 """Charts of scenes: frontiers by script and by hand, as pictures and tables.
 
-Before anything is timed, other processes compute references and condensed meshes. Their results go to the cache on
-disk, where measurements find them.
+Before anything is timed, other processes compute references and condensed meshes. Their results go
+to the cache on disk, where measurements find them.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -44,10 +44,12 @@ def chart_scenes(
     pool: Executor | None = None,
     report: Progress = silent,
 ) -> list[list[Frontier]]:
-    """Chart some scenes, or all without names. Each writes NAME.png and NAME.csv, all together frontier.png.
+    """Chart some scenes, or all without names. Each writes NAME.png and NAME.csv, all together
+    frontier.png.
 
-    Settings that were measured on this machine before are not measured again, so that an interrupted chart continues.
-    The processes of ``pool`` prepare references and meshes, and are idle while anything is timed.
+    Settings that were measured on this machine before are not measured again, so that an
+    interrupted chart continues. The processes of ``pool`` prepare references and meshes, and are
+    idle while anything is timed.
 
     Raises
     ------
@@ -56,12 +58,16 @@ def chart_scenes(
     """
     scenes = [load_scene(name) for name in names or scene_names()]
     files = [f"{scene.name}{end}" for scene in scenes for end in (".csv", ".png")]
-    with owned_folder(out, "chart", files, overwrite=overwrite, shared=("frontier.png", "machine.txt")):
+    with owned_folder(
+        out, "chart", files, overwrite=overwrite, shared=("frontier.png", "machine.txt")
+    ):
         begin = 0.0
         if pool is not None:
             begin = READY_SHARE
             kinds = [kind for scene in scenes for kind in charted(scene)]
-            make_ready(kinds, pool, quick=quick, report=lambda doing, share: report(doing, begin * share))
+            make_ready(
+                kinds, pool, quick=quick, report=lambda doing, share: report(doing, begin * share)
+            )
         found = []
         drawn = []
         for index, scene in enumerate(scenes):
@@ -69,7 +75,9 @@ def chart_scenes(
             def report_share(doing: str, share: float, index: int = index) -> None:
                 report(doing, begin + (1.0 - begin) * (index + share) / len(scenes))
 
-            frontiers = [frontier_of(kind, quick=quick, report=report_share) for kind in charted(scene)]
+            frontiers = [
+                frontier_of(kind, quick=quick, report=report_share) for kind in charted(scene)
+            ]
             rows = [row for each in frontiers for row in (*each.points, *each.bounds)]
             found.append(frontiers)
             drawn.append([each for each in frontiers if len(each.points) > 1])
@@ -84,8 +92,9 @@ def chart_scenes(
 def charted(scene: Scene) -> list[Scene]:
     """Return the scenes whose frontiers are charted: a scene by script, by hand or both.
 
-    A wall is touched by a hand alone. A cutting scene is charted by script alone: in a chart's short excerpt the hand
-    presses less than the friction of its device, and its force error would be noise (54 to 200 % in ``milling``).
+    A wall is touched by a hand alone. A cutting scene is charted by script alone: in a chart's
+    short excerpt the hand presses less than the friction of its device, and its force error would
+    be noise (54 to 200 % in ``milling``).
     """
     if isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0:
         return [scene if scene.device is None else of_model(scene)]
@@ -93,7 +102,9 @@ def charted(scene: Scene) -> list[Scene]:
 
 
 def notes_before(names: Sequence[str]) -> list[str]:
-    """Return a note for each scene whose chart leaves out predictors, known before anything is computed."""
+    """Return a note for each scene whose chart leaves out predictors, known before anything is
+    computed.
+    """
     notes = []
     for name in names or scene_names():
         for kind in charted(load_scene(name)):
@@ -113,14 +124,22 @@ def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
         how = "by script" if scene.device is None else f"by hand on {scene.held.kind}"
         lines.append(f"{scene.name} {how}, held to {reference_words(scene, each.gap)}")
         if not isnan(each.rounding):
-            lines.append(f"  float32: a path moved by a last place, 1 nm, changes the force by {each.rounding:.1e}")
+            lines.append(
+                "  float32: a path moved by a last place, 1 nm, changes the force by "
+                f"{each.rounding:.1e}"
+            )
         if scene.device is None and isinstance(scene.anatomy, SoftAnatomy):
-            law = each.law.line() if each.law else "all by the linear law, not compared with a neo-Hookean one"
+            law = (
+                each.law.line()
+                if each.law
+                else "all by the linear law, not compared with a neo-Hookean one"
+            )
             lines.append(f"  {law}")
         for point in each.best:
             lines.append(
                 f"  {point.setting:<28} error {100.0 * point.force_error:6.2g} %, over 50 ms "
-                f"{100.0 * point.error_50_ms:6.2g} %   tick {point.median_us:5.0f} µs, 99 % {point.p99_us:6.0f} µs"
+                f"{100.0 * point.error_50_ms:6.2g} %   tick {point.median_us:5.0f} µs, 99 % "
+                f"{point.p99_us:6.0f} µs"
             )
     return lines
 
@@ -129,13 +148,21 @@ def make_ready(kinds: Sequence[Scene], pool: Executor, *, quick: bool, report: P
     """Compute in other processes what settings need that were not measured on this machine yet."""
     waiting = [kind for kind in kinds if unmeasured(kind, quick=quick)]
     try:
-        for name, done in _done(pool, [(kind.name, partial(short_of, kind, quick)) for kind in waiting], report):
+        for name, done in _done(
+            pool, [(kind.name, partial(short_of, kind, quick)) for kind in waiting], report
+        ):
             report(f"{name}: first contact", 0.2 * done)
         work = [(kind.name, call) for kind in waiting for call in _preparations(kind, quick=quick)]
         for name, done in _done(pool, work, report):
             report(f"{name}: references and meshes", 0.2 + 0.8 * done)
     except BrokenExecutor:
-        report("the processes that make charts ready were lost: what is missing is made where it is measured", 1.0)
+        report(
+            (
+                "the processes that make charts ready were lost: what is missing is made where "
+                "it is measured"
+            ),
+            1.0,
+        )
 
 
 def _preparations(scene: Scene, *, quick: bool) -> list[Callable[[], None]]:

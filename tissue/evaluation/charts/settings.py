@@ -1,4 +1,6 @@
-"""Settings of a scene from coarse to fine, grids of its convergence, and places of its path on a grid."""
+"""Settings of a scene from coarse to fine, grids of its convergence, and places of its path on a
+grid.
+"""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -15,23 +17,37 @@ from tissue.scene.tool import PathMotion, Probe, Tool
 from tissue.simulation.builders.cutting import cutter_of
 
 __all__ = [
-    "PLACES", "Changes", "Setting", "by_hand", "edge_mm", "finest", "grids", "moved", "placed", "refined",
-    "settings_of", "shares", "untrained",
-]  # fmt: skip
+    "PLACES",
+    "Changes",
+    "Setting",
+    "by_hand",
+    "edge_mm",
+    "finest",
+    "grids",
+    "moved",
+    "placed",
+    "refined",
+    "settings_of",
+    "shares",
+    "untrained",
+]
 
 LATENCY_MS = 4
-"""Latency of the compared loops where a scene has none. The mean that the paper reports is 4.3 ms."""
+"""Latency of the compared loops where a scene has none. The mean that the paper reports is 4.3
+ms.
+"""
 LOST = "displacement and stress"
 VOXEL_SHARES = {True: (1.0, 0.5**0.5, 0.5), False: (1.0, 3.0**-0.5, 1.0 / 3.0)}
 """Lengths of the three grids of a grid-convergence index over those of the scene, quick or not."""
 TET_SHARES = {True: (1.0, 0.8, 0.64), False: (1.0, 0.5**0.5, 0.5)}
-"""Lengths of tetrahedra. Half the edge takes seven times the unknowns, 140,000 of a liver. With ratios nearer to 1 the
-scatter of the force from mesh to mesh would hide the order."""
+"""Lengths of tetrahedra. Half the edge takes seven times the unknowns, 140,000 of a liver. With
+ratios nearer to 1 the scatter of the force from mesh to mesh would hide the order."""
 PLACES = ((0.0, 0.0, 1.0), (-0.37, -0.61, 1.07), (0.61, 0.37, 0.93))
 """Shifts along x and y as shares of the coarsest step, and factors of the depth.
 
-The error of a discretisation depends on the place of the tool on the grid or mesh: a path along voxels is cut better
-than one between them. No share is a half, third or quarter, so that the place differs on finer grids as well.
+The error of a discretisation depends on the place of the tool on the grid or mesh: a path along
+voxels is cut better than one between them. No share is a half, third or quarter, so that the place
+differs on finer grids as well.
 """
 COARSEST = 4.0
 """Coarsest voxel of a chart over that of the scene."""
@@ -57,7 +73,8 @@ class Setting:
     compute
         Warp device.
     finer
-        Whether it is finer than the scene. It is offered if the finer settings before it keep the time of a tick.
+        Whether it is finer than the scene. It is offered if the finer settings before it keep the
+        time of a tick.
     """
 
     name: str
@@ -85,7 +102,8 @@ def untrained(scene: Scene) -> tuple[str, ...]:
 
 
 def settings_of(scene: Scene, *, quick: bool) -> list[Setting]:
-    """Return the settings of a scene: without a device those of its model, with one those of its loop.
+    """Return the settings of a scene: without a device those of its model, with one those of its
+    loop.
 
     A fidelity is chosen among the quick settings if nothing has been measured yet.
     """
@@ -105,7 +123,9 @@ def finest(scene: Scene, *, quick: bool) -> Changes:
 
 
 def shares(scene: Scene, *, quick: bool) -> tuple[float, ...]:
-    """Return the lengths of three grids over those of a scene, coarse to fine; none where there is no grid."""
+    """Return the lengths of three grids over those of a scene, coarse to fine; none where there
+    is no grid.
+    """
     if isinstance(scene.tool, Tool):
         return VOXEL_SHARES[quick]
     return TET_SHARES[quick] if isinstance(scene.anatomy, SoftAnatomy) else ()
@@ -120,19 +140,29 @@ def grids(scene: Scene, *, quick: bool) -> list[Changes]:
 
 
 def refined(scene: Scene, share: float) -> dict[str, object]:
-    """Return all lengths of the scene's grid times a share, without fields that no force depends on."""
+    """Return all lengths of the scene's grid times a share, without fields that no force depends
+    on.
+    """
     lengths: dict[str, float] = {}
     if isinstance(scene.tool, Tool):
-        lengths = {"voxels.spacing_mm": scene.voxels.spacing_mm, "tool.shell_spacing_mm": _shell_mm(scene.tool)}
+        lengths = {
+            "voxels.spacing_mm": scene.voxels.spacing_mm,
+            "tool.shell_spacing_mm": _shell_mm(scene.tool),
+        }
     elif isinstance(scene.anatomy, SoftAnatomy):
-        lengths = {"anatomy.touch_edge_mm": edge_mm(scene), "anatomy.edge_mm": scene.anatomy.edge_mm}
+        lengths = {
+            "anatomy.touch_edge_mm": edge_mm(scene),
+            "anatomy.edge_mm": scene.anatomy.edge_mm,
+        }
         # Without it edges away from the tool would hardly shrink.
         lengths["anatomy.edge_growth"] = scene.anatomy.edge_growth
     return _force_only(scene)[0] | {key: share * value for key, value in lengths.items()}
 
 
 def placed(scene: Scene) -> list[Scene]:
-    """Return the scene at three places where a path leads a tool on a grid, else the scene alone."""
+    """Return the scene at three places where a path leads a tool on a grid, else the scene
+    alone.
+    """
     if scene.device is not None or not isinstance(scene.motion, PathMotion):
         return [scene]
     if isinstance(scene.tool, Tool):
@@ -142,11 +172,16 @@ def placed(scene: Scene) -> list[Scene]:
         step_mm = edge_mm(scene)
     else:
         return [scene]
-    return [scene, *(moved(scene, x * step_mm, y * step_mm, depth=depth) for x, y, depth in PLACES[1:])]
+    return [
+        scene,
+        *(moved(scene, x * step_mm, y * step_mm, depth=depth) for x, y, depth in PLACES[1:]),
+    ]
 
 
 def moved(scene: Scene, x_mm: float, y_mm: float, *, depth: float = 1.0) -> Scene:
-    """Return the scene with its path moved aside, and its part below z = 0 made deeper by a factor."""
+    """Return the scene with its path moved aside, and its part below z = 0 made deeper by a
+    factor.
+    """
     assert isinstance(scene.motion, PathMotion)
     points = np.array(scene.motion.points_mm)
     points[:, 2] = np.where(points[:, 2] < 0.0, depth * points[:, 2], points[:, 2])
@@ -163,7 +198,9 @@ def edge_mm(scene: Scene) -> float:
 
 
 def _force_only(scene: Scene) -> tuple[dict[str, object], str]:
-    """Return the changes that leave out all that no force depends on, and the lost results in words."""
+    """Return the changes that leave out all that no force depends on, and the lost results in
+    words.
+    """
     changes: dict[str, object] = {"stress": None} if scene.stress is not None else {}
     if isinstance(scene.anatomy, SoftAnatomy):
         changes = {"organ.interval_ms": 0.0} if scene.organ.interval_ms else {}
@@ -176,7 +213,9 @@ def _shell_mm(tool: Tool) -> float:
     """Return the distance of the cutter's elements [mm]."""
     from tissue.models.bone.model import SHELL_ELEMENTS
 
-    return tool.shell_spacing_mm or 1e3 * float((cutter_of(tool).cutting_area_m2 / SHELL_ELEMENTS) ** 0.5)
+    return tool.shell_spacing_mm or 1e3 * float(
+        (cutter_of(tool).cutting_area_m2 / SHELL_ELEMENTS) ** 0.5
+    )
 
 
 def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
@@ -188,7 +227,9 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
         spacing = round(factor * base, 4)
         if spacing > 0.25 * tool.diameter_mm:
             continue
-        coarse: Changes = {"tool.shell_spacing_mm": round(factor * shell, 4)} if factor > 1.0 else {}
+        coarse: Changes = (
+            {"tool.shell_spacing_mm": round(factor * shell, 4)} if factor > 1.0 else {}
+        )
         for removal in ("subvoxel",) if quick else ("subvoxel", "binary"):
             name = f"{spacing:g} mm" + (" binary" if removal == "binary" else "")
             grid = {"voxels.spacing_mm": spacing, "voxels.removal": removal}
@@ -212,7 +253,9 @@ def _elements(scene: Scene, *, quick: bool) -> Iterator[Setting]:
     """Yield settings of order and edge of tetrahedra, compliance method and cores."""
     plain, lost = _force_only(scene)
     base = edge_mm(scene)
-    linear, quadratic = ((1.0,), (2.0, 1.4, 1.0)) if quick else ((2.0, 1.4, 1.0, 0.8), (2.0, 1.7, 1.4, 1.2, 1.0))
+    linear, quadratic = (
+        ((1.0,), (2.0, 1.4, 1.0)) if quick else ((2.0, 1.4, 1.0, 0.8), (2.0, 1.7, 1.4, 1.2, 1.0))
+    )
     for order, factor in (*product((1,), linear), *product((2,), quadratic)):
         edge = round(factor * base, 3)
         changes = plain | {"organ.order": order, "anatomy.touch_edge_mm": edge}
@@ -223,7 +266,12 @@ def _elements(scene: Scene, *, quick: bool) -> Iterator[Setting]:
     yield Setting(f"P2 {0.8 * base:.3g} mm", "elements", fine, lost, finer=True)
     if scene.organ.law == "linear":
         for size in (100, 300, 1000):
-            yield Setting(f"reduced {size}", "path", plain | {"organ.path": "reduced", "organ.basis_size": size}, lost)
+            yield Setting(
+                f"reduced {size}",
+                "path",
+                plain | {"organ.path": "reduced", "organ.basis_size": size},
+                lost,
+            )
         yield Setting("lazy", "path", plain | {"organ.path": "lazy"}, lost)
     yield from _cores("one core", plain, lost)
 
@@ -251,4 +299,9 @@ def _loops(scene: Scene, *, quick: bool) -> Iterator[Setting]:
             yield Setting(kind, "loop", plain | {"prediction": kind}, lost)
     for kind in PREDICTORS:
         if kind not in missing and (not quick or kind in ("hold", "koopman")):
-            yield Setting(f"100 Hz, {kind}", "loop", plain | {"prediction": kind, "coupling.model_ms": 10}, lost)
+            yield Setting(
+                f"100 Hz, {kind}",
+                "loop",
+                plain | {"prediction": kind, "coupling.model_ms": 10},
+                lost,
+            )

@@ -1,18 +1,23 @@
-"""Cutting force by adaptive quadrature over the cutter's surface: no voxels, no elements fixed to the tool.
+"""Cutting force by adaptive quadrature over the cutter's surface: no voxels, no elements fixed to
+the tool.
 
-The surface is r(s), z(s) turned by the angle phi, s the length along the half section. Averaged over a revolution, N
-edges of a tool that spins at omega put ``N ds dphi / (2 pi)`` = ``N dA / (2 pi r)`` of cutting edge into a part of the
-surface. With v the velocity of the surface point (without the spin) and h = max(0, v . n) 2 pi / (N omega) the chip::
+The surface is r(s), z(s) turned by the angle phi, s the length along the half section. Averaged
+over a revolution, N edges of a tool that spins at omega put ``N ds dphi / (2 pi)`` = ``N dA / (2 pi
+r)`` of cutting edge into a part of the surface. With v the velocity of the surface point (without
+the spin) and h = max(0, v . n) 2 pi / (N omega) the chip::
 
-    F = - (N / 2 pi) integral [(K_tc h + K_te) t + (K_rc h + K_re) n + (K_ac h + K_ae) a] engaged ds dphi
+    F = - (N / 2 pi) integral [(K_tc h + K_te) t + (K_rc h + K_re) n + (K_ac h + K_ae) a] engaged ds
+    dphi
 
-t is the direction in which the spin moves the point, n the outward normal, a the axis from tip to shank. Every K is
-that of the layer at the point, times (density / reference density) ** exponent. A point is engaged where it advances
-(v . n > 0), lies in the solid (signed distance below 0), and in nothing that the tool has swept before.
+t is the direction in which the spin moves the point, n the outward normal, a the axis from tip to
+shank. Every K is that of the layer at the point, times (density / reference density) ** exponent. A
+point is engaged where it advances (v . n > 0), lies in the solid (signed distance below 0), and in
+nothing that the tool has swept before.
 
-Cells in (s, phi) in which all of this is smooth are integrated by two by two Gauss points; cells that a boundary may
-cross are divided into four, down to a finest size, where one point each decides. The distances are 1-Lipschitz, so
-no boundary of the solid or of an old cut is missed; boundaries between layers are found from the cells' corners.
+Cells in (s, phi) in which all of this is smooth are integrated by two by two Gauss points; cells
+that a boundary may cross are divided into four, down to a finest size, where one point each
+decides. The distances are 1-Lipschitz, so no boundary of the solid or of an old cut is missed;
+boundaries between layers are found from the cells' corners.
 """
 
 from dataclasses import dataclass
@@ -57,18 +62,24 @@ class Solid:
     minus: Shape | None = None
 
     def distance(self, points: Array) -> Array:
-        """Bound of the signed distance [m], shape (n,), negative inside, of points [m], shape (n, 3)."""
+        """Bound of the signed distance [m], shape (n,), negative inside, of points [m], shape
+        (n, 3).
+        """
         distance = np.asarray(self.anatomy.shape.distance(points), dtype=np.float64)
-        return distance if self.minus is None else np.maximum(distance, -self.minus.distance(points))
+        return (
+            distance if self.minus is None else np.maximum(distance, -self.minus.distance(points))
+        )
 
     def layer(self, points: Array) -> NDArray[np.uint8]:
         """Layer, shape (n,), of points [m], shape (n, 3)."""
         return self.anatomy.classify(points, -self.anatomy.shape.distance(points))[0]
 
     def strengths(self, points: Array) -> Array:
-        """Chip and edge coefficients, shape (6, n): tangential, radial, axial chip [Pa], then edge [N/m].
+        """Chip and edge coefficients, shape (6, n): tangential, radial, axial chip [Pa], then edge
+        [N/m].
 
-        Each is that of the point's layer times (density / reference density) ** exponent of the layer.
+        Each is that of the point's layer times (density / reference density) ** exponent of the
+        layer.
         """
         layer, density = self.anatomy.classify(points, -self.anatomy.shape.distance(points))
         names = CuttingCoefficients.CHIP + CuttingCoefficients.EDGE
@@ -157,8 +168,11 @@ class _AtTick:
             cells = cells.chosen(~smooth)
             if division < resolution.divisions:
                 cells = cells.divided()
-        # One point each, nowhere at the same place of its cell: a boundary along a row of cells does not meet all.
-        spread = np.arange(1, len(cells.middle) + 1)[:, None] * np.array([0.7548776662466927, 0.5698402909980532])
+        # One point each, nowhere at the same place of its cell: a boundary along a row of cells
+        # does not meet all.
+        spread = np.arange(1, len(cells.middle) + 1)[:, None] * np.array(
+            [0.7548776662466927, 0.5698402909980532]
+        )
         shifted = _Cells(cells.middle + cells.size * (spread % 1.0 - 0.5), cells.size)
         total += self._integral(piece, shifted, np.zeros((1, 2)), tested=True)
         return total
@@ -168,7 +182,9 @@ class _AtTick:
         radius = self.cutter.profile.radius_m
         counts = max(ceil(piece.length_m / radius * coarsest), 4), ceil(2.0 * pi * coarsest)
         size = np.array([piece.length_m / counts[0], 2.0 * pi / counts[1]])
-        numbers = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 2)
+        numbers = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(
+            -1, 2
+        )
         return _Cells((numbers + 0.5) * size, np.broadcast_to(size, (len(numbers), 2)))
 
     def _sorted(self, piece: Piece, cells: _Cells) -> tuple[_Cells, NDArray[np.bool_]]:
@@ -177,8 +193,14 @@ class _AtTick:
         advance = self._advance(points, normals)
         widest = np.hypot(points[:, 0], points[:, 1]) + 0.5 * cells.size[:, 0]
         reach = 0.5 * np.hypot(cells.size[:, 0], widest * cells.size[:, 1])
-        bend = 0.5 * (cells.size[:, 0] / piece.radius if isinstance(piece, Arc) else 0.0) + 0.5 * cells.size[:, 1]
-        speed = float(np.linalg.norm(self.velocity)) + float(np.linalg.norm(self.turning)) * self.path.reach_m
+        bend = (
+            0.5 * (cells.size[:, 0] / piece.radius if isinstance(piece, Arc) else 0.0)
+            + 0.5 * cells.size[:, 1]
+        )
+        speed = (
+            float(np.linalg.norm(self.velocity))
+            + float(np.linalg.norm(self.turning)) * self.path.reach_m
+        )
         change = speed * bend + float(np.linalg.norm(self.turning)) * reach
         kept = np.flatnonzero(advance > -change)
         world = self.path.in_world(self.tick, points[kept])
@@ -205,8 +227,12 @@ class _AtTick:
         """Speed of points along their normals [m/s]."""
         return ((self.velocity + np.cross(self.turning, points)) * normals).sum(axis=1)
 
-    def _integral(self, piece: Piece, cells: _Cells, offsets: Array, *, tested: bool = False) -> Array:
-        """Sum of the law over cells, at points of equal weight; points that are not engaged count as 0 if tested."""
+    def _integral(
+        self, piece: Piece, cells: _Cells, offsets: Array, *, tested: bool = False
+    ) -> Array:
+        """Sum of the law over cells, at points of equal weight; points that are not engaged
+        count as 0 if tested.
+        """
         points, normals, around = _surface(piece, cells.points(offsets))
         weights = np.repeat(cells.size.prod(axis=1) / len(offsets), len(offsets))
         advance = self._advance(points, normals)
@@ -229,13 +255,17 @@ class _AtTick:
         strengths = self.solid.strengths(world)
         length = weights * (self.cutter.flute_count / (2.0 * pi))
         tangential, radial, axial = -length * (strengths[:3] * chip + strengths[3:])
-        force = (np.sign(self.cutter.spin_rad_s) * tangential)[:, None] * around + radial[:, None] * normals
+        force = (np.sign(self.cutter.spin_rad_s) * tangential)[:, None] * around + radial[
+            :, None
+        ] * normals
         force[:, 2] += axial
         return np.concatenate([force.sum(axis=0), np.cross(points, force).sum(axis=0)])
 
 
 def _surface(piece: Piece, at: Array) -> tuple[Array, Array, Array]:
-    """Points [m], outward normals and directions of growing phi, each shape (n, 3), at (s, phi), shape (n, 2)."""
+    """Points [m], outward normals and directions of growing phi, each shape (n, 3), at (s, phi),
+    shape (n, 2).
+    """
     section, outward = piece.at(at[:, 0] / piece.length_m)
     cosine = np.cos(at[:, 1])
     sine = np.sin(at[:, 1])

@@ -1,12 +1,15 @@
-"""Error of a force where no exact geometry is known: Roache's grid-convergence index from three spacings.
+"""Error of a force where no exact geometry is known: Roache's grid-convergence index from three
+spacings.
 
-Roache (1994), J. Fluids Eng. 116, 405-413; ASME V&V 20-2009, section 2-4. With h1 < h2 < h3, the forces f1, f2, f3 and
-the norm over time, the observed order p solves ||f3 - f2|| / ||f2 - f1|| = (h3^p - h2^p) / (h2^p - h1^p), and::
+Roache (1994), J. Fluids Eng. 116, 405-413; ASME V&V 20-2009, section 2-4. With h1 < h2 < h3, the
+forces f1, f2, f3 and the norm over time, the observed order p solves ||f3 - f2|| / ||f2 - f1|| =
+(h3^p - h2^p) / (h2^p - h1^p), and::
 
     index of grid k = F (||fk - f1|| + ||f2 - f1|| / ((h2 / h1)^p - 1)) / ||f1||
 
-For k = 1 this is Roache's index; where all errors are alike in shape, also for the others. Only discretisation is
-bounded: an error that all three share, such as that of a law or of the file's own resolution, is not seen.
+For k = 1 this is Roache's index; where all errors are alike in shape, also for the others. Only
+discretisation is bounded: an error that all three share, such as that of a law or of the file's own
+resolution, is not seen.
 """
 
 from collections.abc import Sequence
@@ -24,8 +27,9 @@ __all__ = ["GridIndex", "Order", "grid_index", "observed_order"]
 FORMAL_ORDER = 2.0
 """Order of the force in the spacing, and the highest that an index is computed with."""
 ASYMPTOTIC = 0.5, 2.2
-"""Observed orders taken as asymptotic: from 0.5 (Eça and Hoekstra 2014, J. Comput. Phys. 262, 104-130) to a tenth above
-the formal one (Oberkampf and Roy 2010, Verification and Validation in Scientific Computing)."""
+"""Observed orders taken as asymptotic: from 0.5 (Eça and Hoekstra 2014, J. Comput. Phys. 262,
+104-130) to a tenth above the formal one (Oberkampf and Roy 2010, Verification and Validation in
+Scientific Computing)."""
 SAFETY = 1.25
 SAFETY_OUTSIDE = 3.0
 """Roache's safety factors, within the asymptotic range and outside it."""
@@ -40,8 +44,8 @@ class Order:
     Attributes
     ----------
     order
-        Observed order; infinite where the finer two agree, negative where they lie farther apart than the coarser two,
-        NaN where all three agree.
+        Observed order; infinite where the finer two agree, negative where they lie farther apart
+        than the coarser two, NaN where all three agree.
     index
         Index of each grid, coarsest first.
     distance
@@ -69,7 +73,8 @@ class GridIndex:
     over_ticks, over_50_ms
         Over all ticks, and over means of 50 ms.
     bias
-        Mean of each force less the finest along the finest, by the mean size of the finest; coarsest first.
+        Mean of each force less the finest along the finest, by the mean size of the finest;
+        coarsest first.
     """
 
     spacings: tuple[float, ...]
@@ -86,27 +91,39 @@ def grid_index(forces_N: Sequence[Array], spacings: Sequence[float]) -> GridInde
     forces_N
         Force at every tick on each grid [N], each shape (n, 3).
     spacings
-        Spacing of each grid, in any unit; every other length of the grid must change by the same factor.
+        Spacing of each grid, in any unit; every other length of the grid must change by the same
+        factor.
 
     Raises
     ------
     InputError
         If there are not three forces of one length at three different spacings.
     """
-    if len(forces_N) != 3 or len(spacings) != 3 or len({np.shape(force) for force in forces_N}) != 1:
+    if (
+        len(forces_N) != 3
+        or len(spacings) != 3
+        or len({np.shape(force) for force in forces_N}) != 1
+    ):
         raise InputError(
-            f"forces_N must hold three forces of one motion with a spacing each, got {len(forces_N)} of shapes "
-            f"{sorted({np.shape(force) for force in forces_N})} and {len(spacings)} spacings: run the same motion on "
+            "forces_N must hold three forces of one motion with a spacing each, got "
+            f"{len(forces_N)} of shapes "
+            f"{sorted({np.shape(force) for force in forces_N})} and {len(spacings)} "
+            "spacings: run the same motion on "
             "three grids"
         )
     order = np.argsort(spacings)[::-1]
     h = tuple(float(spacings[k]) for k in order)
     if not h[0] > h[1] > h[2] > 0.0:
-        raise InputError(f"spacings must be positive and differ, got {tuple(spacings)}: use h, 0.58 h and h / 3")
+        raise InputError(
+            f"spacings must be positive and differ, got {tuple(spacings)}: use h, 0.58 h and h / 3"
+        )
     forces = [np.asarray(forces_N[k], dtype=np.float64) for k in order]
     sizes = np.linalg.norm(forces[2], axis=1)
     unit = forces[2] / np.maximum(sizes, 1e-300)[:, None]
-    bias = [float(((force - forces[2]) * unit).sum()) / max(float(sizes.sum()), 1e-300) for force in forces]
+    bias = [
+        float(((force - forces[2]) * unit).sum()) / max(float(sizes.sum()), 1e-300)
+        for force in forces
+    ]
     windows = [means_over_50_ms(force) for force in forces]
     return GridIndex(h, _convergence(forces, h), _convergence(windows, h), tuple(bias))
 
@@ -125,7 +142,8 @@ def _convergence(forces: Sequence[Array], spacings: tuple[float, ...]) -> Order:
 
 
 def observed_order(coarse: float, fine: float, spacings: Sequence[float]) -> float:
-    """Return the order p at which differences ``coarse`` (h3 to h2) and ``fine`` (h2 to h1) lie with an error C h^p.
+    """Return the order p at which differences ``coarse`` (h3 to h2) and ``fine`` (h2 to h1) lie
+    with an error C h^p.
 
     Parameters
     ----------

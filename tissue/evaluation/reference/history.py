@@ -1,4 +1,6 @@
-"""Reference force of a whole run, interpolated between evaluated ticks and kept on disk, and errors against it."""
+"""Reference force of a whole run, interpolated between evaluated ticks and kept on disk, and
+errors against it.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,17 +24,26 @@ from tissue.simulation.builders.voxels import is_procedural, solid_of
 from tissue.simulation.trace import Table
 
 __all__ = [
-    "ForceError", "ReferenceForce", "error_of_force", "force_on_path", "has_exact_geometry", "means_over_50_ms",
-    "path_of_trace", "reference_force", "solid_of_scene",
-]  # fmt: skip
+    "ForceError",
+    "ReferenceForce",
+    "error_of_force",
+    "force_on_path",
+    "has_exact_geometry",
+    "means_over_50_ms",
+    "path_of_trace",
+    "reference_force",
+    "solid_of_scene",
+]
 
 COARSEST_TICKS = 32
 """Ticks between two evaluations at the most."""
 INTERPOLATION = 2e-3
-"""Where a line between two evaluations misses the tick between them by more than this share of the mean force, both
-halves are evaluated too."""
+"""Where a line between two evaluations misses the tick between them by more than this share of the
+mean force, both halves are evaluated too."""
 JUMP = 0.05
-"""Share of the speed by which the velocity jumps from one tick to the next where the force may jump too."""
+"""Share of the speed by which the velocity jumps from one tick to the next where the force may
+jump too.
+"""
 CHECKED = 32
 """Ticks at which the reference is evaluated anew, twice as fine, for its own uncertainty."""
 WINDOW_TICKS = 50
@@ -46,10 +57,11 @@ class ReferenceForce:
     Attributes
     ----------
     wrench
-        Force on the tool [N] and torque about its tip [N m] in the world at every tick, shape (n, 6).
+        Force on the tool [N] and torque about its tip [N m] in the world at every tick, shape (n,
+        6).
     uncertainty
-        Its own error relative to the force, both as root mean squares over ticks spread over the contact: the
-        difference to an evaluation twice as fine, interpolation included.
+        Its own error relative to the force, both as root mean squares over ticks spread over the
+        contact: the difference to an evaluation twice as fine, interpolation included.
     evaluations
         Ticks at which it was evaluated.
     """
@@ -75,7 +87,8 @@ class ForceError:
     over_50_ms
         Error of means over 50 ms.
     bias
-        Mean over the contact of the error along the reference force, by the mean size of the reference force.
+        Mean over the contact of the error along the reference force, by the mean size of the
+        reference force.
     reference_uncertainty
         Error of the reference itself, as `over_ticks`.
     """
@@ -104,7 +117,9 @@ def has_exact_geometry(scene: Scene) -> bool:
 
 
 def solid_of_scene(scene: Scene) -> Solid:
-    """Return the solid that a scene's tool cuts, as functions of position; refuse an anatomy from a file."""
+    """Return the solid that a scene's tool cuts, as functions of position; refuse an anatomy
+    from a file.
+    """
     anatomy, minus = solid_of(scene, motion_of(scene, step_s=TICK_S))
     changes = scene.cutting.model_dump(exclude={"material"})
     layers = scene.constants.coefficients(anatomy.layer_names, changes, bone=scene.cutting.material)
@@ -112,9 +127,14 @@ def solid_of_scene(scene: Scene) -> Solid:
 
 
 def reference_force(
-    scene: Scene, trace: Table, *, resolution: Resolution | None = None, progress: Progress | None = None
+    scene: Scene,
+    trace: Table,
+    *,
+    resolution: Resolution | None = None,
+    progress: Progress | None = None,
 ) -> ReferenceForce:
-    """Compute the force of the exact geometry on the motion of a run, once for each motion, anatomy and tool.
+    """Compute the force of the exact geometry on the motion of a run, once for each motion, anatomy
+    and tool.
 
     Raises
     ------
@@ -125,8 +145,14 @@ def reference_force(
     cutter = cutter_of(scene.tool)
     path = path_of_trace(trace, cutter)
     solid = solid_of_scene(scene)
-    kept_by = (scene.bone, scene.tool.model_copy(update={"shell_spacing_mm": None}), solid.coefficients)
-    return force_on_path(path, cutter, solid, kept_by=kept_by, resolution=resolution, progress=progress)
+    kept_by = (
+        scene.bone,
+        scene.tool.model_copy(update={"shell_spacing_mm": None}),
+        solid.coefficients,
+    )
+    return force_on_path(
+        path, cutter, solid, kept_by=kept_by, resolution=resolution, progress=progress
+    )
 
 
 def force_on_path(
@@ -143,22 +169,47 @@ def force_on_path(
     Parameters
     ----------
     kept_by
-        Identification of cutter and solid: with the path the key of the cache. Without it nothing is kept.
+        Identification of cutter and solid: with the path the key of the cache. Without it nothing
+        is kept.
     """
     fine = resolution or Resolution()
     report = progress or silent
 
     def make() -> dict[str, NDArray[np.generic]]:
-        """Wrench [N], [N m] at every tick, its relative error at some of them, and how many ticks were evaluated."""
-        wrench, known = _over_ticks(lambda tick: wrench_at(tick, path, cutter, solid, resolution=fine), path, report)
+        """Wrench [N], [N m] at every tick, its relative error at some of them, and how many
+        ticks were evaluated.
+        """
+        wrench, known = _over_ticks(
+            lambda tick: wrench_at(tick, path, cutter, solid, resolution=fine), path, report
+        )
         contact = np.flatnonzero(wrench.any(axis=1))
-        checked = contact[np.unique(np.linspace(0, len(contact) - 1, CHECKED).astype(int))] if len(contact) else contact
-        again = [wrench_at(int(tick), path, cutter, solid, resolution=fine.finer())[:3] for tick in checked]
+        checked = (
+            contact[np.unique(np.linspace(0, len(contact) - 1, CHECKED).astype(int))]
+            if len(contact)
+            else contact
+        )
+        again = [
+            wrench_at(int(tick), path, cutter, solid, resolution=fine.finer())[:3]
+            for tick in checked
+        ]
         off = float(np.linalg.norm(np.array(again) - wrench[checked, :3])) if len(checked) else 0.0
         error = off / max(float(np.linalg.norm(wrench[checked, :3])), 1e-300)
-        return {"wrench": wrench, "uncertainty": np.array(error), "evaluations": np.array(known.sum())}
+        return {
+            "wrench": wrench,
+            "uncertainty": np.array(error),
+            "evaluations": np.array(known.sum()),
+        }
 
-    key = (path.tips_m, path.rotations, path.velocities, path.turnings, *kept_by, fine, INTERPOLATION, COARSEST_TICKS)
+    key = (
+        path.tips_m,
+        path.rotations,
+        path.velocities,
+        path.turnings,
+        *kept_by,
+        fine,
+        INTERPOLATION,
+        COARSEST_TICKS,
+    )
     found = cached_arrays("reference-force", key, make) if kept_by else make()
     return ReferenceForce(
         np.asarray(found["wrench"], dtype=np.float64),
@@ -167,10 +218,14 @@ def force_on_path(
     )
 
 
-def _over_ticks(evaluate: Callable[[int], Array], path: ToolPath, report: Progress) -> tuple[Array, NDArray[np.bool_]]:
-    """Compute the wrench at every tick, shape (n, 6), and whether it was evaluated there, shape (n,).
+def _over_ticks(
+    evaluate: Callable[[int], Array], path: ToolPath, report: Progress
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Compute the wrench at every tick, shape (n, 6), and whether it was evaluated there, shape
+    (n,).
 
-    Every stretch without a jump is halved until lines between the evaluations meet the tick between them.
+    Every stretch without a jump is halved until lines between the evaluations meet the tick between
+    them.
     """
     count = len(path.tips_m)
     wrench = np.zeros((count, 6))
@@ -204,15 +259,22 @@ def _over_ticks(evaluate: Callable[[int], Array], path: ToolPath, report: Progre
         else:
             _fill(wrench, known, first, middle)
             _fill(wrench, known, middle, last)
-        report("computing the reference force", share := max(share, 0.5 + 0.5 * (1.0 - len(waiting) / count)))
+        report(
+            "computing the reference force",
+            share := max(share, 0.5 + 0.5 * (1.0 - len(waiting) / count)),
+        )
     return wrench, known
 
 
 def _stretches(path: ToolPath) -> list[tuple[int, int]]:
-    """Return first and last ticks of the parts of a path without jumps of the velocity, and thus of the force."""
+    """Return first and last ticks of the parts of a path without jumps of the velocity, and thus
+    of the force.
+    """
     motion = np.hstack([path.velocities, path.reach_m * path.turnings])
     speed = np.linalg.norm(motion, axis=1)
-    jumps = np.linalg.norm(np.diff(motion, axis=0), axis=1) > JUMP * np.maximum(speed[1:], speed[:-1])
+    jumps = np.linalg.norm(np.diff(motion, axis=0), axis=1) > JUMP * np.maximum(
+        speed[1:], speed[:-1]
+    )
     begins = [0, *(np.flatnonzero(jumps) + 1).tolist()]
     return list(zip(begins, [*(first - 1 for first in begins[1:]), len(speed) - 1], strict=True))
 

@@ -1,7 +1,9 @@
-"""Path of a tool through a solid: convex parts of the tool, and the distance from what they have swept.
+"""Path of a tool through a solid: convex parts of the tool, and the distance from what they have
+swept.
 
-The distance to a convex body is a convex function, so along a straight path it has one minimum, which golden-section
-search brackets. That of a ball is the distance of its centre to the path, less its radius.
+The distance to a convex body is a convex function, so along a straight path it has one minimum,
+which golden-section search brackets. That of a ball is the distance of its centre to the path, less
+its radius.
 """
 
 from dataclasses import dataclass, field
@@ -44,11 +46,14 @@ class ConvexPart:
         share = np.linspace(0.0, 1.0, 65)
         outline = np.concatenate([piece.at(share)[0] for piece in self.pieces])
         centre = 0.5 * float(outline[:, 1].min() + outline[:, 1].max())
-        slack = 1e-3 * float(np.abs(outline).max())  # what an arc bulges between its samples, and more
+        # what an arc bulges between its samples, and more
+        slack = 1e-3 * float(np.abs(outline).max())
         return centre, float(np.hypot(outline[:, 0], outline[:, 1] - centre).max()) + slack
 
     def distance(self, points: Array) -> Array:
-        """Signed distance [m], shape (n,), negative inside, of points in the tool's frame [m], shape (n, 3)."""
+        """Signed distance [m], shape (n,), negative inside, of points in the tool's frame [m],
+        shape (n, 3).
+        """
         section = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
         seen = [_seen(piece, section) for piece in self.pieces]
         lengths, sides = (np.stack(values) for values in zip(*seen, strict=True))
@@ -58,9 +63,11 @@ class ConvexPart:
         return np.where(outside, least, -least)
 
     def least_on_path(self, start: Array, end: Array, *, within: Array) -> Array:
-        """Least signed distance while points go straight from ``start`` to ``end``, both shape (n, 3) [m].
+        """Least signed distance while points go straight from ``start`` to ``end``, both shape (n,
+        3) [m].
 
-        Values above ``within``, shape (n,) [m], may come out smaller than they are, but never below it.
+        Values above ``within``, shape (n,) [m], may come out smaller than they are, but never below
+        it.
         """
         height, radius = self.bounding_ball
         bound = _to_segment(np.array([0.0, 0.0, height]), start, end) - radius
@@ -74,7 +81,9 @@ class ConvexPart:
         return bound
 
     def _search(self, start: Array, along: Array) -> Array:
-        """Golden-section search for the least distance at ``start + share along``, share in [0, 1]."""
+        """Golden-section search for the least distance at ``start + share along``, share in [0,
+        1].
+        """
         low = np.zeros(len(start))
         high = np.ones(len(start))
         longest = float(np.linalg.norm(along, axis=1).max())
@@ -83,7 +92,9 @@ class ConvexPart:
         right = low + GOLDEN
         at_left = self.distance(start + left[:, None] * along)
         at_right = self.distance(start + right[:, None] * along)
-        for _ in range(max(int(np.log(max(longest, RESOLUTION_M) / RESOLUTION_M) / -np.log(GOLDEN)), 1)):
+        for _ in range(
+            max(int(np.log(max(longest, RESOLUTION_M) / RESOLUTION_M) / -np.log(GOLDEN)), 1)
+        ):
             lower = at_left < at_right
             low = np.where(lower, low, left)
             high = np.where(lower, right, high)
@@ -114,7 +125,9 @@ def convex_parts(profile: Profile) -> tuple[ConvexPart, ...]:
 
 
 def _seen(piece: Piece, points: Array) -> tuple[Array, Array]:
-    """Distance [m] from a piece, and the component along its normal [m] of the line to it from its nearest point."""
+    """Distance [m] from a piece, and the component along its normal [m] of the line to it from
+    its nearest point.
+    """
     if isinstance(piece, Arc):
         out = points - np.asarray(piece.centre)
         middle = 0.5 * (piece.first + piece.last)
@@ -172,10 +185,18 @@ class ToolPath:
 
     @classmethod
     def from_quaternions(
-        cls, tips_m: Array, quaternions: Array, velocities: Array, turnings: Array, *, reach_m: float
+        cls,
+        tips_m: Array,
+        quaternions: Array,
+        velocities: Array,
+        turnings: Array,
+        *,
+        reach_m: float,
     ) -> "ToolPath":
         """Path with orientations (x, y, z, w), shape (n, 4)."""
-        return cls(tips_m, Rotation.from_quat(quaternions).as_matrix(), velocities, turnings, reach_m)
+        return cls(
+            tips_m, Rotation.from_quat(quaternions).as_matrix(), velocities, turnings, reach_m
+        )
 
     def in_tool(self, tick: int, points: Array) -> Array:
         """Points of the world [m], shape (n, 3), in the tool's frame at a tick."""
@@ -185,12 +206,16 @@ class ToolPath:
         """Points of the tool's frame [m], shape (n, 3), in the world at a tick."""
         return self.tips_m[tick] + points @ self.rotations[tick].T
 
-    def swept_distance(self, tick: int, parts: tuple[ConvexPart, ...], points: Array, *, within: Array) -> Array:
-        """Signed distance [m] of points in the world, shape (n, 3), from all that the tool has swept before a tick.
+    def swept_distance(
+        self, tick: int, parts: tuple[ConvexPart, ...], points: Array, *, within: Array
+    ) -> Array:
+        """Signed distance [m] of points in the world, shape (n, 3), from all that the tool has
+        swept before a tick.
 
-        Negative inside. On the leg that the tick belongs to, the first part is left out: of what lies on a convex body
-        that advances on a straight path, nothing lay inside it before. Infinite where nothing was swept; of values
-        above ``within``, shape (n,) [m], only that is right.
+        Negative inside. On the leg that the tick belongs to, the first part is left out: of what
+        lies on a convex body that advances on a straight path, nothing lay inside it before.
+        Infinite where nothing was swept; of values above ``within``, shape (n,) [m], only that is
+        right.
         """
         distance = np.full(len(points), np.inf)
         for start, end in self.legs[self.legs[:, 0] < tick]:
@@ -204,14 +229,17 @@ class ToolPath:
         return distance
 
     def _found_legs(self) -> NDArray[np.intp]:
-        """Ticks joined to legs as long as the paths through the tool's frame are straight and do not turn back."""
+        """Ticks joined to legs as long as the paths through the tool's frame are straight and do
+        not turn back.
+        """
         last = len(self.tips_m) - 1
         legs: list[tuple[int, int]] = []
         start = 0
         while start < last:
             end = start + 1
             step = 1
-            while step:  # the step doubles while the leg stays straight, then halves: few trials for long legs
+            # the step doubles while the leg stays straight, then halves: few trials for long legs
+            while step:
                 if end + step <= last and self._is_straight(start, end + step):
                     end = end + step
                     step = 2 * step
@@ -222,11 +250,17 @@ class ToolPath:
         return np.array(legs, dtype=np.intp).reshape(-1, 2)
 
     def _is_straight(self, start: int, end: int) -> bool:
-        """Whether points about the tool go straight and onward through its frame from one tick to another."""
-        corners = self.reach_m * np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, -1, -1], [0, 0, 0]], dtype=float)
+        """Whether points about the tool go straight and onward through its frame from one tick
+        to another.
+        """
+        corners = self.reach_m * np.array(
+            [[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, -1, -1], [0, 0, 0]], dtype=float
+        )
         world = np.concatenate([self.in_world(start, corners), self.in_world(end, corners)])
         ticks = slice(start, end + 1)
-        seen = np.einsum("tpc,tcd->tpd", world[None] - self.tips_m[ticks, None], self.rotations[ticks])
+        seen = np.einsum(
+            "tpc,tcd->tpd", world[None] - self.tips_m[ticks, None], self.rotations[ticks]
+        )
         chord = seen[-1] - seen[0]
         length = np.linalg.norm(chord, axis=1)
         along = chord / np.maximum(length, 1e-300)[:, None]

@@ -1,1 +1,3 @@
-"""Statistics of a study: metrics of a trial, the table of trials, and tests that state what they rest on."""
+"""Statistics of a study: metrics of a trial, the table of trials, and tests that state what they
+rest on.
+"""

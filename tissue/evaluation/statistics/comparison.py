@@ -1,4 +1,6 @@
-"""Comparison of one metric: tests with checked assumptions, tests with fewer assumptions, and all pairs at once."""
+"""Comparison of one metric: tests with checked assumptions, tests with fewer assumptions, and
+all pairs at once.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -80,7 +82,9 @@ class MetricComparison:
     sizes: tuple[Effect, ...]
 
 
-def compare(table: TrialTable, metric: str, *, task: str, rng: np.random.Generator) -> MetricComparison:
+def compare(
+    table: TrialTable, metric: str, *, task: str, rng: np.random.Generator
+) -> MetricComparison:
     """Compare methods and groups by one metric on one task.
 
     Parameters
@@ -97,17 +101,23 @@ def compare(table: TrialTable, metric: str, *, task: str, rng: np.random.Generat
     Raises
     ------
     InputError
-        If there is nothing to compare, or too little to compare: one user a group, or a constant metric.
+        If there is nothing to compare, or too little to compare: one user a group, or a constant
+        metric.
     """
     require_statsmodels()
     cells = table.where(task=task).cells(metric)
     level_count = cells.values.shape[1]
     group_count = len(cells.group_names)
     if level_count < 2 and group_count < 2:
-        raise InputError("table must hold two methods or two groups, got one of each: there is nothing to compare")
+        raise InputError(
+            "table must hold two methods or two groups, got one of each: there is nothing to "
+            "compare"
+        )
     wanted = [((0,), False)] * (level_count > 1) + [((), True)] * (group_count > 1)
     wanted += [((0,), True)] * (level_count > 1 and group_count > 1)
-    tests = tuple(stratum_test(cells, within, between=between, rng=rng) for within, between in wanted)
+    tests = tuple(
+        stratum_test(cells, within, between=between, rng=rng) for within, between in wanted
+    )
     pairs: tuple[HypothesisTest, ...] = ()
     sizes: tuple[Effect, ...] = ()
     if level_count > 1:
@@ -122,7 +132,8 @@ def compare(table: TrialTable, metric: str, *, task: str, rng: np.random.Generat
 
 
 def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) -> MixedModel:
-    """Fit the mixed model over all tasks, each test with the exact one of its stratum and those that rest on less.
+    """Fit the mixed model over all tasks, each test with the exact one of its stratum and those
+    that rest on less.
 
     A question whose stratum holds no variation keeps the model's test alone.
     """
@@ -142,7 +153,9 @@ def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) ->
     return replace(mixed, tests=tuple(tests))
 
 
-def stratum_test(cells: Cells, within: tuple[int, ...], *, between: bool, rng: np.random.Generator) -> HypothesisTest:
+def stratum_test(
+    cells: Cells, within: tuple[int, ...], *, between: bool, rng: np.random.Generator
+) -> HypothesisTest:
     """Test one effect exactly, with its checks and the tests that rest on less.
 
     Parameters
@@ -159,7 +172,9 @@ def stratum_test(cells: Cells, within: tuple[int, ...], *, between: bool, rng: n
     values = cells.values
     groups = cells.groups
     sizes = cells.sizes
-    name = " x ".join((["group"] if between else []) + [cells.factors[index][0] for index in within])
+    name = " x ".join(
+        (["group"] if between else []) + [cells.factors[index][0] for index in within]
+    )
     question = f"{cells.metric}: {name}"
     found = strata(values, groups, sizes, within, between=between)
     scores = scores_of(values, sizes, within)
@@ -172,13 +187,22 @@ def stratum_test(cells: Cells, within: tuple[int, ...], *, between: bool, rng: n
     assumptions: list[Assumption] = []
     if residuals.size >= 8:
         assumptions.append(normal_residuals(residuals))
-    others = [permutation(values, groups, sizes, within, between=between, question=question, rng=rng)]
+    others = [
+        permutation(values, groups, sizes, within, between=between, question=question, rng=rng)
+    ]
     count = scores.shape[1]
     if count > 1:
         assumptions.append(_sphericity(scores, groups, float(found.epsilon)))
         degrees = tuple(float(found.epsilon) * each for each in found.degrees)
         others.append(
-            HypothesisTest("Greenhouse-Geisser", question, "F", float(found.F), degrees, float(found.corrected_p))
+            HypothesisTest(
+                "Greenhouse-Geisser",
+                question,
+                "F",
+                float(found.F),
+                degrees,
+                float(found.corrected_p),
+            )
         )
     if between and min(np.bincount(groups)) > 2:
         assumptions.append(_equal_variances(scores, groups))
@@ -194,16 +218,32 @@ def stratum_test(cells: Cells, within: tuple[int, ...], *, between: bool, rng: n
             others.append(hotelling(scores, groups, question=question))
         if len(sizes) == 1 and sizes[0] > 2:
             others.append(friedman(values, question=question))
-    notes = [f"{len(cells.dropped)} users without a whole set of trials are left out."] if cells.dropped else []
-    notes += ["Means of users rest on unequal numbers of trials."] if np.ptp(cells.counts) > 0 else []
+    notes = (
+        [f"{len(cells.dropped)} users without a whole set of trials are left out."]
+        if cells.dropped
+        else []
+    )
+    notes += (
+        ["Means of users rest on unequal numbers of trials."] if np.ptp(cells.counts) > 0 else []
+    )
     effect = partial_eta_squared(float(found.F), *found.degrees)
     return HypothesisTest(
-        "analysis of strata", question, "F", float(found.F), found.degrees, float(found.p), effect,
-        tuple(assumptions), tuple(others), " ".join(notes),
-    )  # fmt: skip
+        "analysis of strata",
+        question,
+        "F",
+        float(found.F),
+        found.degrees,
+        float(found.p),
+        effect,
+        tuple(assumptions),
+        tuple(others),
+        " ".join(notes),
+    )
 
 
-def _sizes(samples: Sequence[Array] | Array, names: Sequence[str], *, paired: bool) -> tuple[Effect, ...]:
+def _sizes(
+    samples: Sequence[Array] | Array, names: Sequence[str], *, paired: bool
+) -> tuple[Effect, ...]:
     """Return Cohen's d of every pair of samples."""
     found = []
     for (before, first), (after, second) in combinations(zip(names, samples, strict=True), 2):
@@ -216,18 +256,25 @@ def _sphericity(scores: Array, groups: Ints, epsilon: float) -> Assumption:
     """Run Mauchly's test, with Greenhouse and Geisser's epsilon."""
     p = mauchly(scores, groups)
     # NaN, where users are too few for the test, counts as not shown.
-    return Assumption("sphericity", bool(p >= ALPHA), f"Mauchly {format_p(p)}, epsilon {epsilon:.2f}")
+    return Assumption(
+        "sphericity", bool(p >= ALPHA), f"Mauchly {format_p(p)}, epsilon {epsilon:.2f}"
+    )
 
 
 def _equal_variances(scores: Array, groups: Ints) -> Assumption:
-    """Run Levene's test about medians (Brown and Forsythe 1974): smallest p of the columns, by Bonferroni."""
+    """Run Levene's test about medians (Brown and Forsythe 1974): smallest p of the columns, by
+    Bonferroni.
+    """
     found = levene(*(scores[groups == group] for group in range(groups.max() + 1)), axis=0).pvalue
     p = min(1.0, len(found) * float(found.min()))
     return Assumption("equal variances of groups", p >= ALPHA, f"Brown-Forsythe {format_p(p)}")
 
 
-def tukey_groups(samples: Sequence[ArrayLike], names: Sequence[str], *, metric: str) -> tuple[HypothesisTest, ...]:
-    """Compare every pair of groups by Tukey and Kramer's test, and by Games and Howell's for unequal variances.
+def tukey_groups(
+    samples: Sequence[ArrayLike], names: Sequence[str], *, metric: str
+) -> tuple[HypothesisTest, ...]:
+    """Compare every pair of groups by Tukey and Kramer's test, and by Games and Howell's for
+    unequal variances.
 
     Parameters
     ----------
@@ -241,7 +288,8 @@ def tukey_groups(samples: Sequence[ArrayLike], names: Sequence[str], *, metric: 
     Returns
     -------
     tuple of HypothesisTest
-        In the order of pairs (0, 1), (0, 2), ...; effects are differences of means with simultaneous intervals.
+        In the order of pairs (0, 1), (0, 2), ...; effects are differences of means with
+        simultaneous intervals.
 
     Raises
     ------
@@ -250,7 +298,10 @@ def tukey_groups(samples: Sequence[ArrayLike], names: Sequence[str], *, metric: 
     """
     groups = [np.asarray(each, dtype=float) for each in samples]
     if max(np.ptp(group) for group in groups) == 0.0:
-        raise InputError("groups must vary within, got constants: a difference has then no error to be held against")
+        raise InputError(
+            "groups must vary within, got constants: a difference has then no error to be "
+            "held against"
+        )
     pooled = tukey_hsd(*groups)
     unequal = tukey_hsd(*groups, equal_var=False)
     ends = pooled.confidence_interval(LEVEL)
@@ -260,21 +311,32 @@ def tukey_groups(samples: Sequence[ArrayLike], names: Sequence[str], *, metric: 
         question = f"{metric}: {names[pair[1]]} minus {names[pair[0]]}"
         difference = float(pooled.statistic[at])
         effect = Effect("difference", difference, float(ends.low[at]), float(ends.high[at]))
-        other = HypothesisTest("Games-Howell", question, "difference", difference, (), float(unequal.pvalue[at]))
+        other = HypothesisTest(
+            "Games-Howell", question, "difference", difference, (), float(unequal.pvalue[at])
+        )
         found.append(
             HypothesisTest(
-                "Tukey HSD", question, "difference", difference, (), float(pooled.pvalue[at]), effect,
+                "Tukey HSD",
+                question,
+                "difference",
+                difference,
+                (),
+                float(pooled.pvalue[at]),
+                effect,
                 alternatives=(other,),
             )
-        )  # fmt: skip
+        )
     return tuple(found)
 
 
-def tukey_levels(values: Array, names: Sequence[str], groups: Ints, *, metric: str) -> tuple[HypothesisTest, ...]:
-    """Compare every pair of levels that all users met by Tukey's test, and by paired t tests corrected by Holm.
+def tukey_levels(
+    values: Array, names: Sequence[str], groups: Ints, *, metric: str
+) -> tuple[HypothesisTest, ...]:
+    """Compare every pair of levels that all users met by Tukey's test, and by paired t tests
+    corrected by Holm.
 
-    The error is how differently users take the levels (their interaction), pooled over levels, which needs sphericity;
-    the paired test does not.
+    The error is how differently users take the levels (their interaction), pooled over levels,
+    which needs sphericity; the paired test does not.
 
     Parameters
     ----------
@@ -283,7 +345,8 @@ def tukey_levels(values: Array, names: Sequence[str], groups: Ints, *, metric: s
     names
         Names of the levels.
     groups
-        Group of every user, shape (users,); effects of groups and how they differ with the level leave the error.
+        Group of every user, shape (users,); effects of groups and how they differ with the level
+        leave the error.
     metric
         What is compared, for the sentence.
     """
@@ -304,17 +367,27 @@ def tukey_levels(values: Array, names: Sequence[str], groups: Ints, *, metric: s
         reach = _critical(*degrees) * error
         effect = Effect("difference", difference, difference - reach, difference + reach)
         tukey_p = float(studentized_range.sf(statistic, *degrees))
-        other = HypothesisTest("paired t, Holm", question, "t", float(each.statistic), (float(each.df),), p)
+        other = HypothesisTest(
+            "paired t, Holm", question, "t", float(each.statistic), (float(each.df),), p
+        )
         tests.append(
             HypothesisTest(
-                "Tukey HSD within users", question, "q", statistic, degrees, tukey_p, effect, alternatives=(other,)
+                "Tukey HSD within users",
+                question,
+                "q",
+                statistic,
+                degrees,
+                tukey_p,
+                effect,
+                alternatives=(other,),
             )
         )
     return tuple(tests)
 
 
 def corrected(p_values: Sequence[float], correction: Literal["bonferroni", "holm"]) -> list[float]:
-    """P values of a family of tests, corrected so that one false alarm in the family stays at the nominal chance.
+    """P values of a family of tests, corrected so that one false alarm in the family stays at the
+    nominal chance.
 
     Holm's (1979) correction rests on no more than Bonferroni's and never rejects less.
     """
@@ -327,5 +400,7 @@ def corrected(p_values: Sequence[float], correction: Literal["bonferroni", "holm
 
 @cache
 def _critical(count: int, below: float) -> float:
-    """Return the studentized range that :data:`LEVEL` of families stay below; cached, as it takes 0.3 s."""
+    """Return the studentized range that :data:`LEVEL` of families stay below; cached, as it
+    takes 0.3 s.
+    """
     return float(studentized_range.ppf(LEVEL, count, below))

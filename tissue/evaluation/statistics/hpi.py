@@ -14,7 +14,9 @@ from tissue.evaluation.statistics.trials import TrialTable
 __all__ = ["Index", "composite_index", "weights_of"]
 
 SMALLEST_GAP = 1.25
-"""Ratio of the first two variances below which the first direction is little more than chance (by convention)."""
+"""Ratio of the first two variances below which the first direction is little more than chance
+(by convention).
+"""
 
 
 @dataclass(frozen=True)
@@ -26,13 +28,16 @@ class Index:
     metrics, weights
         Metrics and their weights with intervals over resampled users; weights sum to one.
     loadings
-        Of the oriented metrics on the first component, its sign chosen so that they sum to a positive number.
+        Of the oriented metrics on the first component, its sign chosen so that they sum to a
+        positive number.
     values
-        Index of every row of the table in standard deviations, NaN where a trial failed; higher is better.
+        Index of every row of the table in standard deviations, NaN where a trial failed; higher is
+        better.
     means
         Mean of each method with an interval over resampled users, weights fitted anew in each.
     assumptions
-        That metrics agree in sign, that the first component stands out, and that weights are stable.
+        That metrics agree in sign, that the first component stands out, and that weights are
+        stable.
     """
 
     metrics: tuple[str, ...]
@@ -46,7 +51,10 @@ class Index:
     def sentence(self) -> str:
         """Weights and means in words, with what does not hold."""
         weights_text = ", ".join(f"{each.name} {each.value:.2f}" for each in self.weights)
-        means = ", ".join(f"{each.name} {each.value:+.2f} [{each.low:.2f}, {each.high:.2f}]" for each in self.means)
+        means = ", ".join(
+            f"{each.name} {each.value:+.2f} [{each.low:.2f}, {each.high:.2f}]"
+            for each in self.means
+        )
         failed = "; ".join(each.finding for each in self.assumptions if not each.holds)
         return f"Index by method, in standard deviations: {means}. Weights: {weights_text}." + (
             f" But {failed}." * bool(failed)
@@ -64,7 +72,8 @@ def weights_of(standard: Array) -> tuple[Array, Array, Array]:
     Returns
     -------
     weights, loadings, variances
-        Shape (..., metrics) each; weights sum to one, loadings to a positive number, variances fall.
+        Shape (..., metrics) each; weights sum to one, loadings to a positive number, variances
+        fall.
     """
     variances, vectors = np.linalg.eigh(standard)
     first = vectors[..., -1]
@@ -77,9 +86,9 @@ def composite_index(
 ) -> Index:
     """Compute the composite index with weights from the first principal component.
 
-    Metrics are oriented (higher is better) and standardised within each task, whose scales differ, then weighted by the
-    squared loadings of the first component of their correlation. Published weights from raw metrics have mixed signs
-    and change with the units; these do neither.
+    Metrics are oriented (higher is better) and standardised within each task, whose scales differ,
+    then weighted by the squared loadings of the first component of their correlation. Published
+    weights from raw metrics have mixed signs and change with the units; these do neither.
 
     Parameters
     ----------
@@ -93,10 +102,15 @@ def composite_index(
         Number of resampled populations.
     """
     if len(directions) < 2:
-        raise InputError(f"directions must name at least two metrics, got {len(directions)}: an index combines several")
+        raise InputError(
+            f"directions must name at least two metrics, got {len(directions)}: an index "
+            "combines several"
+        )
     for name, sign in directions.items():
         if sign not in (-1, 1):
-            raise InputError(f"direction of {name} must be 1 or -1, got {sign}: 1 where higher is better")
+            raise InputError(
+                f"direction of {name} must be 1 or -1, got {sign}: 1 where higher is better"
+            )
     names, kept = tuple(directions), table.failure == ""
     raw = np.column_stack([sign * table.values(name) for name, sign in directions.items()])[kept]
     tasks = np.unique(table.task[kept], return_inverse=True)[1]
@@ -107,11 +121,16 @@ def composite_index(
         # Equal numbers leave a rounding error of their size, which is no spread.
         flat = spread <= 1e-12 * np.abs(chosen).max(axis=0)
         if flat.any():
-            raise InputError(f"{names[int(flat.argmax())]} must vary within a task, got a constant: leave it out")
+            raise InputError(
+                f"{names[int(flat.argmax())]} must vary within a task, got a constant: leave it out"
+            )
         scaled[tasks == task] = (chosen - chosen.mean(axis=0)) / spread
     people, person = np.unique(table.people()[kept], return_inverse=True)
     if len(people) < 2:
-        raise InputError(f"users must be at least two, got {len(people)}: weights from one user do not carry over")
+        raise InputError(
+            f"users must be at least two, got {len(people)}: weights from one user do not "
+            "carry over"
+        )
     weights, loadings, variances = weights_of(scaled.T @ scaled / len(scaled))
     _, first_rows = np.unique(person, return_index=True)
     groups = np.unique(table.group[kept][first_rows], return_inverse=True)[1].astype(np.int64)
@@ -120,7 +139,9 @@ def composite_index(
     times = np.stack([np.bincount(each, minlength=len(people)) for each in drawn]).astype(float)
     again, sums = _resampled(scaled, person, method, times, len(methods))
     tail = 100.0 * 0.5 * (1.0 - LEVEL)
-    chosen = np.stack([scaled[method == each].mean(axis=0) for each in range(len(methods))]) @ weights
+    chosen = (
+        np.stack([scaled[method == each].mean(axis=0) for each in range(len(methods))]) @ weights
+    )
     spread = np.percentile(again, [tail, 100.0 - tail], axis=0)
     reach = np.percentile(np.einsum("bmk,bk->bm", sums, again), [tail, 100.0 - tail], axis=0)
     values = np.full(len(table), np.nan)
@@ -135,20 +156,33 @@ def composite_index(
     )
 
 
-def _resampled(scaled: Array, person: Ints, method: Ints, times: Array, method_count: int) -> tuple[Array, Array]:
-    """Weights and means of each method's metrics in populations where user u is drawn times[b, u] times."""
+def _resampled(
+    scaled: Array, person: Ints, method: Ints, times: Array, method_count: int
+) -> tuple[Array, Array]:
+    """Weights and means of each method's metrics in populations where user u is drawn times[b,
+    u] times.
+    """
     people, width = times.shape[1], scaled.shape[1]
     squares = np.stack([np.bincount(person, a * b) for a in scaled.T for b in scaled.T], axis=1)
     total = times @ np.bincount(person)
-    middle = times @ np.stack([np.bincount(person, column) for column in scaled.T], axis=1) / total[:, None]
-    spread = (times @ squares / total[:, None]).reshape(-1, width, width) - middle[:, :, None] * middle[:, None, :]
+    middle = (
+        times
+        @ np.stack([np.bincount(person, column) for column in scaled.T], axis=1)
+        / total[:, None]
+    )
+    spread = (times @ squares / total[:, None]).reshape(-1, width, width) - middle[
+        :, :, None
+    ] * middle[:, None, :]
     size = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
     weights, _, _ = weights_of(spread / size[:, :, None] / size[:, None, :])
     at = person * method_count + method
     shape = (people, method_count)
     counts = np.bincount(at, minlength=people * method_count).reshape(shape).astype(float)
-    sums = np.stack([np.bincount(at, each, people * method_count).reshape(shape) for each in scaled.T], axis=2)
-    # A method that a drawn population does not hold keeps no mean; NaN would spread to every percentile.
+    sums = np.stack(
+        [np.bincount(at, each, people * method_count).reshape(shape) for each in scaled.T], axis=2
+    )
+    # A method that a drawn population does not hold keeps no mean; NaN would spread to every
+    # percentile.
     means = np.einsum("bu,umk->bmk", times, sums) / np.maximum(times @ counts, 1.0)[:, :, None]
     return weights, means
 
@@ -171,10 +205,16 @@ def _checks(loadings: Array, variances: Array, spread: Array) -> tuple[Assumptio
             gap >= SMALLEST_GAP,
             f"the first component has {gap:.2f} times the variance of the second",
         ),
-        Assumption("weights are stable", widest <= 0.5, f"weights move by up to {widest:.2f} with the users drawn"),
+        Assumption(
+            "weights are stable",
+            widest <= 0.5,
+            f"weights move by up to {widest:.2f} with the users drawn",
+        ),
     )
 
 
 def _effects(names: Sequence[str], values: Array, limits: Array) -> tuple[Effect, ...]:
     """Return the values by name with the limits of each, shape (2, values)."""
-    return tuple(Effect(*each) for each in zip(names, values.tolist(), *limits.tolist(), strict=True))
+    return tuple(
+        Effect(*each) for each in zip(names, values.tolist(), *limits.tolist(), strict=True)
+    )

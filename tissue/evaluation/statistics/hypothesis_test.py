@@ -1,4 +1,6 @@
-"""Result of a hypothesis test: effect sizes with exact intervals, assumptions and their checks, alternatives."""
+"""Result of a hypothesis test: effect sizes with exact intervals, assumptions and their checks,
+alternatives.
+"""
 
 from dataclasses import dataclass
 
@@ -43,7 +45,8 @@ class Assumption:
     name
         What is assumed, such as "normal residuals".
     holds
-        Whether the check did not refuse it at :data:`ALPHA`. A check that is passed proves nothing in a small sample.
+        Whether the check did not refuse it at :data:`ALPHA`. A check that is passed proves nothing
+        in a small sample.
     finding
         The check with its figures.
     """
@@ -131,22 +134,25 @@ def require_statsmodels() -> None:
         import statsmodels  # noqa: F401
     except ImportError:
         raise InputError(
-            "statistics of a study must have statsmodels installed, got none: pip install 'tissue-sim[study]'"
+            "statistics of a study must have statsmodels installed, got none: pip install "
+            "'tissue-sim[study]'"
         ) from None
 
 
 def cohens_d(first: ArrayLike, second: ArrayLike, *, paired: bool = False) -> Effect:
-    """Difference of two means in standard deviations (Cohen 1988), interval from the noncentral t distribution.
+    """Difference of two means in standard deviations (Cohen 1988), interval from the noncentral t
+    distribution.
 
     The interval (Steiger and Fouladi 1997) is exact for normal samples of equal variance.
 
     Parameters
     ----------
     first, second
-        Samples, one finite value a user, two or more; for paired ones entry i of both is the same user.
+        Samples, one finite value a user, two or more; for paired ones entry i of both is the same
+        user.
     paired
-        Divide by the standard deviation of the differences ("d of differences"), not by the pooled one of the samples.
-        The two answer different questions and are named apart.
+        Divide by the standard deviation of the differences ("d of differences"), not by the pooled
+        one of the samples. The two answer different questions and are named apart.
 
     Raises
     ------
@@ -164,7 +170,9 @@ def cohens_d(first: ArrayLike, second: ArrayLike, *, paired: bool = False) -> Ef
         spread = float(np.sqrt((one.var() * len(one) + other.var() * len(other)) / degrees))
         scale = (len(one) * len(other) / (len(one) + len(other))) ** 0.5
     if spread == 0.0:
-        raise InputError("samples must vary within, got a spread of 0: a difference has then no standard size")
+        raise InputError(
+            "samples must vary within, got a spread of 0: a difference has then no standard size"
+        )
     value = float(one.mean() - other.mean()) / spread
     low, high = (float(nctdtrinc(degrees, chance, value * scale)) / scale for chance in TAILS)
     return Effect("Cohen's d of differences" if paired else "Cohen's d", value, low, high)
@@ -173,7 +181,8 @@ def cohens_d(first: ArrayLike, second: ArrayLike, *, paired: bool = False) -> Ef
 def partial_eta_squared(statistic: float, above: float, below: float) -> Effect:
     """Return the share of variation that an effect explains beside its error, from F (Cohen 1973).
 
-    The interval (Steiger 2004) is L / (L + above + below + 1) of the noncentralities L of F at its ends.
+    The interval (Steiger 2004) is L / (L + above + below + 1) of the noncentralities L of F at its
+    ends.
 
     Parameters
     ----------
@@ -187,7 +196,9 @@ def partial_eta_squared(statistic: float, above: float, below: float) -> Effect:
 
 
 def _noncentrality(statistic: float, above: float, below: float, chance: float) -> float:
-    """Noncentrality at which an F below the given one has this chance; zero where even that makes it rarer."""
+    """Noncentrality at which an F below the given one has this chance; zero where even that
+    makes it rarer.
+    """
 
     def excess(shift: float) -> float:
         return chance - float(ncf.cdf(statistic, above, below, shift))
@@ -201,12 +212,14 @@ def _noncentrality(statistic: float, above: float, below: float, chance: float) 
 
 
 def normal_residuals(residuals: ArrayLike, *, name: str = "normal residuals") -> Assumption:
-    """Check normality as an assumption: refused where one of two tests refuses it at half the usual chance.
+    """Check normality as an assumption: refused where one of two tests refuses it at half the usual
+    chance.
 
-    The tests are Shapiro and Wilk's (1965), p by Royston (1995), for up to 5,000 values, and Anderson and Darling's
-    (1952) with estimated mean and variance (Stephens 1986), for 8 or more. In a large sample the slightest departure is
-    refused, so skewness and excess kurtosis are reported too: below about 1 and 2 in size they hardly matter to a
-    comparison of means (West et al. 1995 warn from 2 and 7).
+    The tests are Shapiro and Wilk's (1965), p by Royston (1995), for up to 5,000 values, and
+    Anderson and Darling's (1952) with estimated mean and variance (Stephens 1986), for 8 or more.
+    In a large sample the slightest departure is refused, so skewness and excess kurtosis are
+    reported too: below about 1 and 2 in size they hardly matter to a comparison of means (West et
+    al. 1995 warn from 2 and 7).
 
     Raises
     ------
@@ -217,18 +230,27 @@ def normal_residuals(residuals: ArrayLike, *, name: str = "normal residuals") ->
 
     values = np.ravel(residuals)
     if np.ptp(values) == 0.0:
-        raise InputError(f"{name} must vary, got {values[0]:g} throughout: a constant has no distribution to test")
+        raise InputError(
+            f"{name} must vary, got {values[0]:g} throughout: a constant has no distribution "
+            "to test"
+        )
     p_values = {"Shapiro-Wilk": float(shapiro(values).pvalue)} if len(values) <= MOST else {}
     p_values["Anderson-Darling"] = float(normal_ad(values)[1])
     holds = min(p_values.values()) >= ALPHA / len(p_values)
     tests_text = ", ".join(f"{test} {format_p(p)}" for test, p in p_values.items())
     return Assumption(
-        name, holds, f"{tests_text}, skewness {float(skew(values)):.2f}, excess kurtosis {float(kurtosis(values)):.2f}"
+        name,
+        holds,
+        (
+            f"{tests_text}, skewness {float(skew(values)):.2f}, excess kurtosis "
+            f"{float(kurtosis(values)):.2f}"
+        ),
     )
 
 
 def mardia(residuals: ArrayLike) -> Assumption:
-    """Joint normality of several columns by Mardia's (1970, 1974) skewness and kurtosis, each at half the usual chance.
+    """Joint normality of several columns by Mardia's (1970, 1974) skewness and kurtosis, each at
+    half the usual chance.
 
     Parameters
     ----------
@@ -240,8 +262,14 @@ def mardia(residuals: ArrayLike) -> Assumption:
     centred = rows - rows.mean(axis=0)
     distances = centred @ np.linalg.solve(centred.T @ centred / count, centred.T)
     small = (width + 1) * (count + 1) * (count + 3) / (count * ((count + 1) * (width + 1) - 6.0))
-    skewed = chi2.sf(small * count / 6.0 * (distances**3).mean(), width * (width + 1) * (width + 2) / 6)
+    skewed = chi2.sf(
+        small * count / 6.0 * (distances**3).mean(), width * (width + 1) * (width + 2) / 6
+    )
     tails = (np.diag(distances) ** 2).mean() - width * (width + 2)
     tailed = 2.0 * norm.sf(abs(tails) / np.sqrt(8.0 * width * (width + 2) / count))
     holds = bool(min(skewed, tailed) >= 0.5 * ALPHA)
-    return Assumption("joint normality", holds, f"Mardia's skewness {format_p(skewed)}, kurtosis {format_p(tailed)}")
+    return Assumption(
+        "joint normality",
+        holds,
+        f"Mardia's skewness {format_p(skewed)}, kurtosis {format_p(tailed)}",
+    )

@@ -1,4 +1,6 @@
-"""Several metrics at once: multivariate analysis of variance on users, between groups and within users."""
+"""Several metrics at once: multivariate analysis of variance on users, between groups and within
+users.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,7 +17,13 @@ from tissue.evaluation.statistics.hypothesis_test import (
     mardia,
     require_statsmodels,
 )
-from tissue.evaluation.statistics.strata import group_means, pillai, scores_of, shuffled_p, shuffled_users
+from tissue.evaluation.statistics.strata import (
+    group_means,
+    pillai,
+    scores_of,
+    shuffled_p,
+    shuffled_users,
+)
 from tissue.evaluation.statistics.trials import TrialTable
 
 __all__ = ["STATISTICS", "manova", "multivariate"]
@@ -24,12 +32,17 @@ STATISTICS = ("Pillai's trace", "Wilks' lambda", "Hotelling-Lawley trace", "Roy'
 
 
 def manova(
-    table: TrialTable, metrics: Sequence[str], *, factor: Literal["group", "method"], rng: np.random.Generator
+    table: TrialTable,
+    metrics: Sequence[str],
+    *,
+    factor: Literal["group", "method"],
+    rng: np.random.Generator,
 ) -> HypothesisTest:
     """Compare groups or methods on several metrics at once.
 
-    The unit is the user: groups are compared by users' means over their trials, methods by users' differences between
-    methods, so that the rows of the analysis are independent though every user meets every method.
+    The unit is the user: groups are compared by users' means over their trials, methods by users'
+    differences between methods, so that the rows of the analysis are independent though every user
+    meets every method.
 
     Parameters
     ----------
@@ -51,7 +64,9 @@ def manova(
     chosen = (0,) if factor == "method" else ()
     scores = np.concatenate([scores_of(each.values, each.sizes, chosen) for each in cells], axis=-1)
     question = f"{', '.join(metrics)}: {factor}"
-    return multivariate(scores, cells[0].groups, between=factor == "group", question=question, rng=rng)
+    return multivariate(
+        scores, cells[0].groups, between=factor == "group", question=question, rng=rng
+    )
 
 
 def multivariate(
@@ -63,7 +78,8 @@ def multivariate(
     rng: np.random.Generator,
     permutations: int = 1999,
 ) -> HypothesisTest:
-    """Run a multivariate analysis of variance by statsmodels, with its checks and its permutation test.
+    """Run a multivariate analysis of variance by statsmodels, with its checks and its permutation
+    test.
 
     Parameters
     ----------
@@ -72,24 +88,29 @@ def multivariate(
     groups
         Group of every user, 0 to G - 1, shape (users,).
     between
-        Compare groups; if not, test the mean of the columns over groups of equal weight against zero.
+        Compare groups; if not, test the mean of the columns over groups of equal weight against
+        zero.
     question
         What is asked, for the sentence.
 
     Returns
     -------
     HypothesisTest
-        Pillai's trace, the most robust of the four (Olson 1974), with the other three and a permutation test beside it.
+        Pillai's trace, the most robust of the four (Olson 1974), with the other three and a
+        permutation test beside it.
     """
     counts = np.bincount(groups)
     width = scores.shape[1]
     if len(scores) - len(counts) <= width:
         raise InputError(
-            f"users must outnumber groups and columns, got {len(scores)} users, {len(counts)} groups and {width} "
+            f"users must outnumber groups and columns, got {len(scores)} users, "
+            f"{len(counts)} groups and {width} "
             "columns: add users or drop metrics"
         )
     if between and len(counts) < 2:
-        raise InputError("groups must be at least two to be compared, got one: leave the group's test out")
+        raise InputError(
+            "groups must be at least two to be compared, got one: leave the group's test out"
+        )
     require_statsmodels()
     from statsmodels.multivariate.manova import MANOVA
 
@@ -97,7 +118,8 @@ def multivariate(
     residuals = scaled - group_means(scaled, groups)[groups]
     if np.linalg.matrix_rank(residuals, tol=1e-8 * len(scores)) < width:
         raise InputError(
-            f"columns must not be multiples of one another, got {question}: drop a metric that repeats another"
+            f"columns must not be multiples of one another, got {question}: drop a metric "
+            "that repeats another"
         )
     member = np.equal.outer(groups, np.arange(len(counts))).astype(float)
     hypothesis = np.full((1, len(counts)), 1.0)
@@ -106,11 +128,17 @@ def multivariate(
     frame = MANOVA(scaled, member).mv_test([("effect", hypothesis)])["effect"]["stat"]
     first, *others = (
         HypothesisTest(
-            f"MANOVA, {name} {row['Value']:.4g}", question, "F", row["F Value"], (row["Num DF"], row["Den DF"]),
+            f"MANOVA, {name} {row['Value']:.4g}",
+            question,
+            "F",
+            row["F Value"],
+            (row["Num DF"], row["Den DF"]),
             row["Pr > F"],
         )
-        for name, row in zip(STATISTICS, frame.loc[list(STATISTICS)].astype(float).to_dict("records"), strict=True)
-    )  # fmt: skip
+        for name, row in zip(
+            STATISTICS, frame.loc[list(STATISTICS)].astype(float).to_dict("records"), strict=True
+        )
+    )
     # Groups are shuffled among users; differences within users have their signs turned.
     if between:
         shuffled = shuffled_users(scaled, permutations, rng)
@@ -134,7 +162,9 @@ def _equal_covariances(scores: Array, groups: Ints) -> Assumption:
     if counts.min() <= scores.shape[1]:
         return Assumption(name, False, "too few users a group for a test")
     found = test_cov_oneway(
-        [np.cov(scores[groups == group].T) for group in range(len(counts))], [int(each) for each in counts]
+        [np.cov(scores[groups == group].T) for group in range(len(counts))],
+        [int(each) for each in counts],
     )
-    # Box's test is known to refuse too readily without normality and is customarily held to 0.001 (Tabachnick 2013).
+    # Box's test is known to refuse too readily without normality and is customarily held to 0.001
+    # (Tabachnick 2013).
     return Assumption(name, bool(found.pvalue >= 1e-3), f"Box's M {format_p(float(found.pvalue))}")

@@ -1,4 +1,6 @@
-"""Metrics of one trial: force error, latency, smoothness, distance from the target, alignment of two paths."""
+"""Metrics of one trial: force error, latency, smoothness, distance from the target, alignment of
+two paths.
+"""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,7 +24,9 @@ __all__ = [
 ]
 
 SPARC_CUTOFF_HZ = 10.0
-"""Highest frequency of a hand's movement that counts (Balasubramanian et al. 2015; 5 to 20 Hz in use)."""
+"""Highest frequency of a hand's movement that counts (Balasubramanian et al. 2015; 5 to 20 Hz in
+use).
+"""
 SPARC_AMPLITUDE = 0.05
 """Share of the spectrum's peak below which it is noise (Balasubramanian et al. 2015)."""
 SPARC_PADDING = 4
@@ -47,36 +51,45 @@ def force_error(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
     force, ideal = _pair("force_N", force_N, "ideal_N", ideal_N)
     size = float(np.linalg.norm(ideal))
     if size == 0.0:
-        raise InputError("ideal_N must not be zero throughout, got no contact: cut the trial to its contact")
+        raise InputError(
+            "ideal_N must not be zero throughout, got no contact: cut the trial to its contact"
+        )
     return float(np.linalg.norm(force - ideal)) / size
 
 
 def excess_error(error: float, least_error: float) -> float:
-    """Compute the excess over the least error, sqrt(error^2 - least^2); 0 where the error is smaller.
+    """Compute the excess over the least error, sqrt(error^2 - least^2); 0 where the error is
+    smaller.
 
-    The least error is that of a perfect force through the same device. Errors that do not depend on each other add in
-    squares, so this is the part that a better force could save.
+    The least error is that of a perfect force through the same device. Errors that do not depend on
+    each other add in squares, so this is the part that a better force could save.
     """
     return float(np.sqrt(max(error**2 - least_error**2, 0.0)))
 
 
 def force_mae_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
-    """Return the mean over ticks of the size of the force's error [N]; arguments as for :func:`force_error`."""
+    """Return the mean over ticks of the size of the force's error [N]; arguments as for
+    :func:`force_error`.
+    """
     force, ideal = _pair("force_N", force_N, "ideal_N", ideal_N)
     return float(np.linalg.norm(force - ideal, axis=1).mean())
 
 
 def force_rms_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
-    """Root mean square over ticks of the size of the force's error [N]; arguments as for :func:`force_error`."""
+    """Root mean square over ticks of the size of the force's error [N]; arguments as for
+    :func:`force_error`.
+    """
     force, ideal = _pair("force_N", force_N, "ideal_N", ideal_N)
     return float(np.sqrt(((force - ideal) ** 2).sum(axis=1).mean()))
 
 
-def latency_ms(force_N: ArrayLike, ideal_N: ArrayLike, *, tick_s: float, longest_ms: float = 50.0) -> float:
+def latency_ms(
+    force_N: ArrayLike, ideal_N: ArrayLike, *, tick_s: float, longest_ms: float = 50.0
+) -> float:
     """Compute the lag of the played force behind the ideal one [ms]: the shift of best correlation.
 
-    The correlation is taken over the overlap, its peak by a parabola through three shifts. A force that leads, as a
-    predicted one may, gives a negative value.
+    The correlation is taken over the overlap, its peak by a parabola through three shifts. A force
+    that leads, as a predicted one may, gives a negative value.
 
     Parameters
     ----------
@@ -90,19 +103,23 @@ def latency_ms(force_N: ArrayLike, ideal_N: ArrayLike, *, tick_s: float, longest
     Raises
     ------
     InputError
-        If a force is constant, or the best shift lies at the end of the range, where it is not known to be the best.
+        If a force is constant, or the best shift lies at the end of the range, where it is not
+        known to be the best.
     """
     force, ideal = _pair("force_N", force_N, "ideal_N", ideal_N)
     require_positive("tick_s", tick_s, "use 0.001")
     reach = round(1e-3 * require_positive("longest_ms", longest_ms, "use 50") / tick_s)
     if not 1 <= reach < len(force) // 2:
         raise InputError(
-            f"longest_ms must span a tick and less than half of the trial, got {longest_ms:g} for {len(force)} ticks: "
+            "longest_ms must span a tick and less than half of the trial, got "
+            f"{longest_ms:g} for {len(force)} ticks: "
             "use 50 ms and a longer trial"
         )
     for name, signal in (("force_N", force), ("ideal_N", ideal)):
         if np.ptp(signal, axis=0).max() == 0.0:
-            raise InputError(f"{name} must vary, got a constant: a lag shows only where the force changes")
+            raise InputError(
+                f"{name} must vary, got a constant: a lag shows only where the force changes"
+            )
     match = np.array([_correlation(force, ideal, shift) for shift in range(-reach, reach + 1)])
     best = int(match.argmax())
     if best in (0, 2 * reach):
@@ -114,11 +131,12 @@ def latency_ms(force_N: ArrayLike, ideal_N: ArrayLike, *, tick_s: float, longest
 
 
 def acceleration_change_m_s2(velocity_mm_s: ArrayLike, *, tick_s: float) -> float:
-    """Return the mean size of the change of acceleration from tick to tick [m/s^2]; lower is smoother.
+    """Return the mean size of the change of acceleration from tick to tick [m/s^2]; lower is
+    smoother.
 
-    This is the published "smoothness index" as its formula prints it: mean |dv[i+1]/dt - dv[i]/dt|. It is a jerk times
-    the tick, so it is compared only between trials of one tick, and it grows with roughness, though its published
-    table reads as if higher were better.
+    This is the published "smoothness index" as its formula prints it: mean |dv[i+1]/dt - dv[i]/dt|.
+    It is a jerk times the tick, so it is compared only between trials of one tick, and it grows
+    with roughness, though its published table reads as if higher were better.
 
     Parameters
     ----------
@@ -133,11 +151,12 @@ def acceleration_change_m_s2(velocity_mm_s: ArrayLike, *, tick_s: float) -> floa
 
 
 def spectral_arc_length(speed_mm_s: ArrayLike, *, tick_s: float) -> float:
-    """Spectral arc length of a movement (SPARC, Balasubramanian et al. 2012, 2015); nearer to zero is smoother.
+    """Spectral arc length of a movement (SPARC, Balasubramanian et al. 2012, 2015); nearer to zero
+    is smoother.
 
-    Minus the length of the normalised magnitude spectrum of the speed, from its first to its last frequency at or above
-    :data:`SPARC_AMPLITUDE`, up to :data:`SPARC_CUTOFF_HZ`. It has no unit and depends neither on the movement's size
-    nor, below the cutoff, on its duration.
+    Minus the length of the normalised magnitude spectrum of the speed, from its first to its last
+    frequency at or above :data:`SPARC_AMPLITUDE`, up to :data:`SPARC_CUTOFF_HZ`. It has no unit and
+    depends neither on the movement's size nor, below the cutoff, on its duration.
 
     Parameters
     ----------
@@ -149,7 +168,8 @@ def spectral_arc_length(speed_mm_s: ArrayLike, *, tick_s: float) -> float:
     speed = _signal("speed_mm_s", speed_mm_s, at_least=3)[:, 0]
     if speed.min() < 0.0 or speed.max() == 0.0:
         raise InputError(
-            f"speed_mm_s must be non-negative and not zero throughout, got {speed.min():g} to {speed.max():g}: "
+            f"speed_mm_s must be non-negative and not zero throughout, got {speed.min():g} "
+            f"to {speed.max():g}: "
             "pass the size of the velocity while the tool moves"
         )
     count = 2 ** (int(np.ceil(np.log2(len(speed)))) + SPARC_PADDING)
@@ -161,14 +181,16 @@ def spectral_arc_length(speed_mm_s: ArrayLike, *, tick_s: float) -> float:
     span = frequencies[chosen][-1] - frequencies[chosen][0]
     if span == 0.0:
         raise InputError(
-            f"speed_mm_s must hold a movement, got one frequency below {SPARC_CUTOFF_HZ:g} Hz: use a longer one"
+            f"speed_mm_s must hold a movement, got one frequency below {SPARC_CUTOFF_HZ:g} "
+            "Hz: use a longer one"
         )
     steps = np.hypot(np.diff(frequencies[chosen]) / span, np.diff(spectrum[chosen]))
     return -float(steps.sum())
 
 
 def completion_time_s(time_s: ArrayLike, done: ArrayLike) -> float:
-    """Time from the first tick until the task is done and stays done [s]; infinite if it is not done at the end.
+    """Time from the first tick until the task is done and stays done [s]; infinite if it is not
+    done at the end.
 
     Parameters
     ----------
@@ -186,12 +208,15 @@ def completion_time_s(time_s: ArrayLike, done: ArrayLike) -> float:
 
 
 def overshoot_mm(depth_mm: ArrayLike, *, target_mm: float) -> float:
-    """Compute the overshoot of the tip beyond its target depth [mm], at least 0; `depth_mm` has shape (ticks,)."""
+    """Compute the overshoot of the tip beyond its target depth [mm], at least 0; `depth_mm` has
+    shape (ticks,).
+    """
     return max(0.0, float(_signal("depth_mm", depth_mm, at_least=1).max()) - target_mm)
 
 
 def excess_travel_mm(depth_mm: ArrayLike, *, puncture_tick: int) -> float:
-    """Compute the travel of the tip beyond its depth at a puncture [mm]; `depth_mm` has shape (ticks,).
+    """Compute the travel of the tip beyond its depth at a puncture [mm]; `depth_mm` has shape
+    (ticks,).
 
     Raises
     ------
@@ -200,13 +225,19 @@ def excess_travel_mm(depth_mm: ArrayLike, *, puncture_tick: int) -> float:
     """
     depth = _signal("depth_mm", depth_mm, at_least=1)[:, 0]
     if not 0 <= puncture_tick < len(depth):
-        raise InputError(f"puncture_tick must be one of {len(depth)} ticks, got {puncture_tick}: pass its row")
+        raise InputError(
+            f"puncture_tick must be one of {len(depth)} ticks, got {puncture_tick}: pass its row"
+        )
     return float(depth[puncture_tick:].max() - depth[puncture_tick])
 
 
 def _correlation(force: Array, ideal: Array, shift: int) -> float:
     """Return the correlation of force[t + shift] with ideal[t] over the ticks that both have."""
-    late, early = (force[shift:], ideal[: len(ideal) - shift]) if shift >= 0 else (force[:shift], ideal[-shift:])
+    late, early = (
+        (force[shift:], ideal[: len(ideal) - shift])
+        if shift >= 0
+        else (force[:shift], ideal[-shift:])
+    )
     late = late - late.mean(axis=0)
     early = early - early.mean(axis=0)
     sizes = float(np.linalg.norm(late) * np.linalg.norm(early))
@@ -218,33 +249,40 @@ def _signal(name: str, values: ArrayLike, *, at_least: int) -> Array:
     array = np.asarray(values, dtype=float)
     if array.ndim not in (1, 2) or len(array) < at_least:
         raise InputError(
-            f"{name} must have shape (ticks,) or (ticks, components) with at least {at_least} ticks, "
+            f"{name} must have shape (ticks,) or (ticks, components) with at least "
+            f"{at_least} ticks, "
             f"got {array.shape}: pass the columns of a trace"
         )
     if not np.isfinite(array).all():
         bad = int(np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))[0])
-        raise InputError(f"{name} must be finite, got {array[bad]} at tick {bad}: mark the trial as failed")
+        raise InputError(
+            f"{name} must be finite, got {array[bad]} at tick {bad}: mark the trial as failed"
+        )
     return array.reshape(len(array), -1)
 
 
-def _pair(first_name: str, first: ArrayLike, second_name: str, second: ArrayLike) -> tuple[Array, Array]:
+def _pair(
+    first_name: str, first: ArrayLike, second_name: str, second: ArrayLike
+) -> tuple[Array, Array]:
     """Return two signals of one shape."""
     one = _signal(first_name, first, at_least=1)
     other = _signal(second_name, second, at_least=1)
     if one.shape != other.shape:
         raise InputError(
-            f"{first_name} must have the shape of {second_name}, got {one.shape} and {other.shape}: "
+            f"{first_name} must have the shape of {second_name}, got {one.shape} and "
+            f"{other.shape}: "
             "pass both on the same ticks"
         )
     return one, other
 
 
 def aligned_rows(path: Array, model: Array) -> Ints:
-    """Return the row of the model that each row of a path corresponds to, never falling (Sakoe and Chiba 1978).
+    """Return the row of the model that each row of a path corresponds to, never falling (Sakoe and
+    Chiba 1978).
 
-    The sum of distances over pairs is smallest among all orders of passing through both paths without going back. Both
-    start at their first points. The alignment may end before the last point of the model, because a path that is
-    right as far as it goes deviates nowhere.
+    The sum of distances over pairs is smallest among all orders of passing through both paths
+    without going back. Both start at their first points. The alignment may end before the last
+    point of the model, because a path that is right as far as it goes deviates nowhere.
 
     Parameters
     ----------
@@ -261,18 +299,27 @@ def aligned_rows(path: Array, model: Array) -> Ints:
     InputError
         If a path is empty, or they differ in their dimension.
     """
-    if path.ndim != 2 or model.ndim != 2 or not len(path) or not len(model) or path.shape[1] != model.shape[1]:
+    if (
+        path.ndim != 2
+        or model.ndim != 2
+        or not len(path)
+        or not len(model)
+        or path.shape[1] != model.shape[1]
+    ):
         raise InputError(
-            f"path and model must have shapes (n, d) and (m, d), got {path.shape} and {model.shape}: cut both"
+            f"path and model must have shapes (n, d) and (m, d), got {path.shape} and "
+            f"{model.shape}: cut both"
         )
     ours, theirs = (
-        np.unique(np.linspace(0, len(each) - 1, min(POINTS, len(each))).round().astype(int)) for each in (path, model)
+        np.unique(np.linspace(0, len(each) - 1, min(POINTS, len(each))).round().astype(int))
+        for each in (path, model)
     )
     cost = np.linalg.norm(path[ours][:, None] - model[theirs][None], axis=2)
     n, m = cost.shape
     total = np.full((n + 1, m + 1), np.inf)
     total[0, 0] = 0.0
-    for diagonal in range(n + m - 1):  # all cells of one diagonal depend only on those of the two before
+    # all cells of one diagonal depend only on those of the two before
+    for diagonal in range(n + m - 1):
         i = np.arange(max(0, diagonal - m + 1), min(n, diagonal + 1))
         j = diagonal - i
         before = np.minimum(np.minimum(total[i, j + 1], total[i + 1, j]), total[i, j])
@@ -292,7 +339,8 @@ def aligned_rows(path: Array, model: Array) -> Ints:
 
 
 def deviation_mm(path: Array, model: Array, rows: Ints) -> Array:
-    """Return the distance of each point from the model's path near its aligned row [mm], shape (n,).
+    """Return the distance of each point from the model's path near its aligned row [mm], shape
+    (n,).
 
     Parameters
     ----------

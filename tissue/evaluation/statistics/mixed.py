@@ -64,8 +64,8 @@ class MixedModel:
     components
         Variances of users, of users by method, of trials and of the rest.
     coefficients
-        Fixed effects as deviations from the grand mean, with intervals from t with the degrees of freedom of
-        their stratum.
+        Fixed effects as deviations from the grand mean, with intervals from t with the degrees of
+        freedom of their stratum.
     tests
         One of each fixed effect: F with the degrees of freedom of the stratum that it is tested in.
     """
@@ -76,13 +76,15 @@ class MixedModel:
 
 
 def mixed_model(table: TrialTable, metric: str) -> MixedModel:
-    """Fit metric = mean + group x method (x task) + user + user by method + trial + rest by restricted likelihood.
+    """Fit metric = mean + group x method (x task) + user + user by method + trial + rest by
+    restricted likelihood.
 
-    Users who differ in how they take the methods have a term of their own: without it the methods' test would count
-    trials of one user as independent (Barr et al. 2013). Trials that several methods render have one too. Terms that
-    the table cannot separate (one trial a cell) are left out. Wald's statistic is referred to F with the degrees
-    of freedom of its stratum, not to chi squared, which rejects too often with few users; in a complete design this is
-    the exact test of :func:`tissue.evaluation.statistics.strata.strata` wherever no variance is estimated as zero.
+    Users who differ in how they take the methods have a term of their own: without it the methods'
+    test would count trials of one user as independent (Barr et al. 2013). Trials that several
+    methods render have one too. Terms that the table cannot separate (one trial a cell) are left
+    out. Wald's statistic is referred to F with the degrees of freedom of its stratum, not to chi
+    squared, which rejects too often with few users; in a complete design this is the exact test of
+    :func:`tissue.evaluation.statistics.strata.strata` wherever no variance is estimated as zero.
 
     Raises
     ------
@@ -94,7 +96,10 @@ def mixed_model(table: TrialTable, metric: str) -> MixedModel:
     group_count = len(cells.group_names)
     user_count = len(cells.users)
     if not within and group_count < 2:
-        raise InputError("table must hold two groups, tasks or methods, got one of each: there is nothing to compare")
+        raise InputError(
+            "table must hold two groups, tasks or methods, got one of each: there is nothing "
+            "to compare"
+        )
     require_statsmodels()
     import pandas as pd
     from statsmodels.formula.api import mixedlm
@@ -149,19 +154,31 @@ def mixed_model(table: TrialTable, metric: str) -> MixedModel:
     )
 
 
-def _convergence(reported_convergence: bool, found: Components, caught: list[warnings.WarningMessage]) -> Assumption:
-    """Check whether the optimiser is at the maximum, which it has been seen to claim wrongly without a residual."""
+def _convergence(
+    reported_convergence: bool, found: Components, caught: list[warnings.WarningMessage]
+) -> Assumption:
+    """Check whether the optimiser is at the maximum, which it has been seen to claim wrongly
+    without a residual.
+    """
     name = "convergence"
     if not reported_convergence:
         warned = str(caught[-1].message).split("\n")[0] if caught else "no reason given"
-        return Assumption(name, False, f"restricted likelihood not at its maximum in {ITERATIONS} steps: {warned}")
+        return Assumption(
+            name, False, f"restricted likelihood not at its maximum in {ITERATIONS} steps: {warned}"
+        )
     if found.residual < LEAST * sum(vars(found).values()):
-        return Assumption(name, False, "restricted likelihood has no maximum: nothing varies beside users and trials")
+        return Assumption(
+            name,
+            False,
+            "restricted likelihood has no maximum: nothing varies beside users and trials",
+        )
     return Assumption(name, True, "restricted likelihood at its maximum")
 
 
 def _freedom(fitted: "MixedLMResults", name: str, free: int) -> int:
-    """Return the degrees of freedom of the stratum of a term or coefficient: users times what changes within them."""
+    """Return the degrees of freedom of the stratum of a term or coefficient: users times what
+    changes within them.
+    """
     levels = fitted.model.data.frame.nunique()
     for factor in ("task", "method"):
         free *= int(levels[factor]) - 1 if f"C({factor}" in name else 1
@@ -171,9 +188,15 @@ def _freedom(fitted: "MixedLMResults", name: str, free: int) -> int:
 def _coefficients(fitted: "MixedLMResults", scale: float, free: int) -> tuple[Effect, ...]:
     """Return the fixed effects in the metric's unit."""
     found = []
-    for name, value, error in zip(fitted.fe_params.index, fitted.fe_params, fitted.bse_fe, strict=True):
+    for name, value, error in zip(
+        fitted.fe_params.index, fitted.fe_params, fitted.bse_fe, strict=True
+    ):
         half = float(t.ppf(0.5 * (1.0 + LEVEL), _freedom(fitted, name, free))) * error
-        found.append(Effect(_plain(name), *(scale * float(each) for each in (value, value - half, value + half))))
+        found.append(
+            Effect(
+                _plain(name), *(scale * float(each) for each in (value, value - half, value + half))
+            )
+        )
     return tuple(found)
 
 
@@ -204,11 +227,23 @@ def _tests(
 
 
 def _normal_users(fitted: "MixedLMResults") -> list[Assumption]:
-    """Check normality of the estimated effects of users, where there are enough and they are not all zero."""
+    """Check normality of the estimated effects of users, where there are enough and they are not
+    all zero.
+    """
     users = np.array([float(each.iloc[0]) for each in fitted.random_effects.values()])
-    return [normal_residuals(users, name="normal users")] if len(users) >= 8 and np.ptp(users) > 1e-9 else []
+    return (
+        [normal_residuals(users, name="normal users")]
+        if len(users) >= 8 and np.ptp(users) > 1e-9
+        else []
+    )
 
 
 def _plain(name: str) -> str:
     """Return a term of the formula as a person reads it."""
-    return name.replace("C(", "").replace(", Sum)", "").replace("[S.", " ").replace("]", "").replace(":", " x ")
+    return (
+        name.replace("C(", "")
+        .replace(", Sum)", "")
+        .replace("[S.", " ")
+        .replace("]", "")
+        .replace(":", " x ")
+    )

@@ -44,7 +44,8 @@ class Power:
     def sentence(self) -> str:
         """Both error rates in words."""
         return (
-            f"{self.test}: with {self.users_per_group} users a group, false alarms {_percent(self.false_alarms)}, "
+            f"{self.test}: with {self.users_per_group} users a group, false alarms "
+            f"{_percent(self.false_alarms)}, "
             f"power {_percent(self.hits)} in {self.populations} populations."
         )
 
@@ -65,16 +66,20 @@ def drawn_users(groups: Ints, count: int, rng: np.random.Generator) -> Ints:
         Indices of users, shape (count, users).
     """
     members = (np.flatnonzero(groups == group) for group in range(int(groups.max()) + 1))
-    return np.concatenate([each[rng.integers(len(each), size=(count, len(each)))] for each in members], axis=1)
+    return np.concatenate(
+        [each[rng.integers(len(each), size=(count, len(each)))] for each in members], axis=1
+    )
 
 
-def redrawn_power(cells: Cells, *, rng: np.random.Generator, populations: int = POPULATIONS) -> tuple[Power, ...]:
+def redrawn_power(
+    cells: Cells, *, rng: np.random.Generator, populations: int = POPULATIONS
+) -> tuple[Power, ...]:
     """Estimate the error rates with users drawn again from a study, whatever their distribution.
 
-    The null hypothesis is made true by taking the means of each group and method out; what is left of n users is
-    stretched by sqrt(n / (n - 1)), since redrawn users vary by that much less than new ones. Power is that of finding
-    an effect as large as the one measured, which holds the error of the measurement; where the true effect is zero or
-    small it is too high.
+    The null hypothesis is made true by taking the means of each group and method out; what is left
+    of n users is stretched by sqrt(n / (n - 1)), since redrawn users vary by that much less than
+    new ones. Power is that of finding an effect as large as the one measured, which holds the error
+    of the measurement; where the true effect is zero or small it is too high.
 
     Parameters
     ----------

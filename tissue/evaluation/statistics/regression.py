@@ -1,4 +1,6 @@
-"""Bayesian regression of one metric on others with random users, posterior by quadrature instead of chains."""
+"""Bayesian regression of one metric on others with random users, posterior by quadrature instead
+of chains.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,10 +22,12 @@ NODES = 96
 
 
 SLOPE_SPREAD = 10.0
-"""Standard deviation of slopes and intercept in the prior, over that of the rest: almost no information."""
+"""Standard deviation of slopes and intercept in the prior, over that of the rest: almost no
+information.
+"""
 SHAPE = SCALE = 0.01
-"""Of the inverse gamma prior of the variance of the rest, almost no information (Gelman 2006 warns of it for variances
-between groups; those have a uniform correlation here instead)."""
+"""Of the inverse gamma prior of the variance of the rest, almost no information (Gelman 2006 warns
+of it for variances between groups; those have a uniform correlation here instead)."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +37,8 @@ class Posterior:
     Attributes
     ----------
     slopes
-        Change of the response for one unit of each predictor, median and credible interval, in their own units.
+        Change of the response for one unit of each predictor, median and credible interval, in
+        their own units.
     correlation
         Share of the variance about the line that is between users, mean over the posterior.
     chances
@@ -49,10 +54,15 @@ class Posterior:
 
 
 def trial_regression(table: TrialTable, response: str, predictors: Sequence[str]) -> Posterior:
-    """Regress one metric of the trials that did not fail on others, users random; see :func:`regression`."""
+    """Regress one metric of the trials that did not fail on others, users random; see
+    :func:`regression`.
+    """
     kept = table.complete()
     if not len(kept):
-        raise InputError(f"table must hold trials that did not fail, got {len(table)} failures: mend the study first")
+        raise InputError(
+            f"table must hold trials that did not fail, got {len(table)} failures: mend the "
+            "study first"
+        )
     columns = {name: kept.values(name) for name in predictors}
     return regression(kept.values(response), columns, kept.people(), response=response)
 
@@ -67,10 +77,10 @@ def regression(
 ) -> Posterior:
     """Posterior of y = b0 + X b + u(user) + e with e ~ N(0, s^2), u ~ N(0, s^2 r / (1 - r)).
 
-    Given r, the intraclass correlation, the normal-inverse-gamma prior is conjugate (Gelman et al. 2013, chapter 14),
-    so slopes have a t distribution and the evidence a closed form. r has a uniform prior and is integrated by
-    quadrature: the posterior is a mixture of t distributions, exact to the nodes. The same model by chains (NUTS) gives
-    the same intervals.
+    Given r, the intraclass correlation, the normal-inverse-gamma prior is conjugate (Gelman et al.
+    2013, chapter 14), so slopes have a t distribution and the evidence a closed form. r has a
+    uniform prior and is integrated by quadrature: the posterior is a mixture of t distributions,
+    exact to the nodes. The same model by chains (NUTS) gives the same intervals.
 
     Parameters
     ----------
@@ -79,11 +89,13 @@ def regression(
     predictors
         Columns by name, finite, each of shape (rows,).
     users
-        Who each row belongs to, shape (rows,). Without random users their rows would count as independent.
+        Who each row belongs to, shape (rows,). Without random users their rows would count as
+        independent.
     response
         Name of the response.
     slope_spread
-        Standard deviation of slopes and intercept in the prior, over that of the rest, in standardised columns.
+        Standard deviation of slopes and intercept in the prior, over that of the rest, in
+        standardised columns.
 
     Raises
     ------
@@ -95,17 +107,25 @@ def regression(
     names, person = np.unique(np.asarray(users), return_inverse=True)
     for name, column in zip((response, *predictors), (answers, *columns.T), strict=True):
         if np.ptp(column) == 0.0:
-            raise InputError(f"{name} must vary, got {column[0]:g} throughout: leave it out of the regression")
+            raise InputError(
+                f"{name} must vary, got {column[0]:g} throughout: leave it out of the regression"
+            )
     if len(names) < 2:
-        raise InputError(f"users must be at least two, got {len(names)}: users cannot be separated from the line")
+        raise InputError(
+            f"users must be at least two, got {len(names)}: users cannot be separated from the line"
+        )
     spread, size = columns.std(axis=0), float(answers.std())
     design = np.column_stack([np.ones(len(answers)), (columns - columns.mean(axis=0)) / spread])
     if np.linalg.matrix_rank(design, tol=1e-8 * len(design)) < design.shape[1]:
-        raise InputError(f"predictors must not repeat one another, got {', '.join(predictors)}: drop one")
+        raise InputError(
+            f"predictors must not repeat one another, got {', '.join(predictors)}: drop one"
+        )
     standard = (answers - answers.mean()) / size
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     shares = 0.5 * (nodes + 1.0)
-    middles, spreads, evidence = _conjugate(standard, design, person, shares / (1.0 - shares), slope_spread)
+    middles, spreads, evidence = _conjugate(
+        standard, design, person, shares / (1.0 - shares), slope_spread
+    )
     mass = weights * np.exp(evidence - evidence.max())
     mass /= mass.sum()
     degrees = 2.0 * SHAPE + len(answers)
@@ -125,12 +145,16 @@ def regression(
         slopes.append(Effect(f"{response} per {name}", median, low, high))
         chances.append(1.0 - below(0.0))
     slopes_text = "; ".join(
-        f"{each}, {100.0 * max(chance, 1.0 - chance):.1f} % likely {'above' if chance > 0.5 else 'below'} zero"
+        (
+            f"{each}, {100.0 * max(chance, 1.0 - chance):.1f} % likely "
+            f"{'above' if chance > 0.5 else 'below'} zero"
+        )
         for each, chance in zip(slopes, chances, strict=True)
     )
     correlation = float(mass @ shares)
     sentence = (
-        f"{slopes_text}. Of the variance about the line {100.0 * correlation:.0f} % is between {len(names)} users. "
+        f"{slopes_text}. Of the variance about the line {100.0 * correlation:.0f} % is "
+        f"between {len(names)} users. "
         "These are associations over trials, not causes."
     )
     return Posterior(tuple(slopes), correlation, tuple(chances), sentence)
@@ -139,10 +163,11 @@ def regression(
 def _conjugate(
     values: Array, design: Array, person: Ints, ratios: Array, slope_spread: float
 ) -> tuple[Array, Array, Array]:
-    """Centre and width of every coefficient's t distribution, and the log evidence, at each ratio of variances.
+    """Centre and width of every coefficient's t distribution, and the log evidence, at each ratio
+    of variances.
 
-    With counts n, the inverse covariance of one user's rows is I - 11' k, k = ratio / (1 + n ratio), so that only sums
-    over users enter.
+    With counts n, the inverse covariance of one user's rows is I - 11' k, k = ratio / (1 + n
+    ratio), so that only sums over users enter.
     """
     counts = np.bincount(person).astype(float)
     sums = np.stack([np.bincount(person, column) for column in (*design.T, values)], axis=1)
@@ -153,7 +178,11 @@ def _conjugate(
     precision = products[:, :width, :width] + np.eye(width) / slope_spread**2
     middle = np.linalg.solve(precision, products[:, :width, width, None])[..., 0]
     shape = SHAPE + 0.5 * len(values)
-    scale = SCALE + 0.5 * (products[:, width, width] - (middle * products[:, :width, width]).sum(axis=1))
-    spread = np.sqrt(scale[:, None] / shape * np.diagonal(np.linalg.inv(precision), axis1=1, axis2=2))
+    scale = SCALE + 0.5 * (
+        products[:, width, width] - (middle * products[:, :width, width]).sum(axis=1)
+    )
+    spread = np.sqrt(
+        scale[:, None] / shape * np.diagonal(np.linalg.inv(precision), axis1=1, axis2=2)
+    )
     log_size = np.linalg.slogdet(precision)[1] + np.log1p(counts * ratios[:, None]).sum(axis=1)
     return middle, spread, gammaln(shape) - shape * np.log(scale) - 0.5 * log_size

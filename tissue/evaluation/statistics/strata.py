@@ -1,4 +1,6 @@
-"""Tests of a design with groups of users and factors within users: exact ones, and ones with fewer assumptions."""
+"""Tests of a design with groups of users and factors within users: exact ones, and ones with
+fewer assumptions.
+"""
 
 from dataclasses import dataclass
 from functools import reduce
@@ -42,7 +44,8 @@ class Strata:
     degrees
         Degrees of freedom of both.
     epsilon, corrected_p
-        Greenhouse and Geisser's (1959) measure of sphericity, 1 where it holds, and p with degrees scaled by it.
+        Greenhouse and Geisser's (1959) measure of sphericity, 1 where it holds, and p with degrees
+        scaled by it.
     """
 
     F: Array
@@ -54,7 +57,9 @@ class Strata:
 
 
 def group_means(values: Array, groups: Ints) -> Array:
-    """Mean of each group over its users, shape (..., groups, columns), of values of shape (..., users, columns)."""
+    """Mean of each group over its users, shape (..., groups, columns), of values of shape (...,
+    users, columns).
+    """
     member = np.equal.outer(np.arange(groups.max() + 1), groups).astype(float)
     return (member / member.sum(axis=1, keepdims=True)) @ values
 
@@ -65,7 +70,8 @@ def scores_of(values: Array, sizes: tuple[int, ...], chosen: tuple[int, ...]) ->
     Parameters
     ----------
     values
-        Cell means, shape (..., users, levels), levels the product of `sizes`, the last factor fastest.
+        Cell means, shape (..., users, levels), levels the product of `sizes`, the last factor
+        fastest.
     sizes
         Levels of each factor.
     chosen
@@ -76,17 +82,26 @@ def scores_of(values: Array, sizes: tuple[int, ...], chosen: tuple[int, ...]) ->
     Array
         Shape (..., users, contrasts).
     """
-    parts = [helmert(size) if index in chosen else np.full((1, size), size**-0.5) for index, size in enumerate(sizes)]
+    parts = [
+        helmert(size) if index in chosen else np.full((1, size), size**-0.5)
+        for index, size in enumerate(sizes)
+    ]
     return values @ reduce(np.kron, parts).T
 
 
 def strata(
-    values: Array, groups: Ints, sizes: tuple[int, ...], chosen: tuple[int, ...] = (), *, between: bool
+    values: Array,
+    groups: Ints,
+    sizes: tuple[int, ...],
+    chosen: tuple[int, ...] = (),
+    *,
+    between: bool,
 ) -> Strata:
     """Test one effect against the variation between users that it is exposed to.
 
-    In a balanced design with normal effects of users, of users by factor and of trials these are the exact tests that a
-    mixed model approximates; users who differ in how they take the methods are allowed for.
+    In a balanced design with normal effects of users, of users by factor and of trials these are
+    the exact tests that a mixed model approximates; users who differ in how they take the methods
+    are allowed for.
 
     Parameters
     ----------
@@ -99,8 +114,9 @@ def strata(
     chosen
         Factors within users that are in the effect; at least one unless `between`.
     between
-        Whether the effect involves the group: alone where `chosen` is empty, else how the effect differs with it. If
-        not, the mean of the effect over groups of equal weight is tested against zero.
+        Whether the effect involves the group: alone where `chosen` is empty, else how the effect
+        differs with it. If not, the mean of the effect over groups of equal weight is tested
+        against zero.
     """
     scores = scores_of(values, sizes, chosen)
     contrasts = scores.shape[-1]
@@ -133,7 +149,8 @@ def strata(
 
 
 def mauchly(scores: Array, groups: Ints) -> float:
-    """Run Mauchly's (1940) test: chance of so uneven a covariance under sphericity, 1 for one contrast.
+    """Run Mauchly's (1940) test: chance of so uneven a covariance under sphericity, 1 for one
+    contrast.
 
     Parameters
     ----------
@@ -195,7 +212,9 @@ def pillai(scores: Array, groups: Ints, *, between: bool) -> Pillai:
         above = len(counts) - 1
     else:
         middle = means.mean(axis=-2)
-        effect = middle[..., :, None] * middle[..., None, :] * len(counts) ** 2 / (1.0 / counts).sum()
+        effect = (
+            middle[..., :, None] * middle[..., None, :] * len(counts) ** 2 / (1.0 / counts).sum()
+        )
         above = 1
     trace = np.trace(np.linalg.solve(effect + error, effect), axis1=-2, axis2=-1)
     below = groups.size - len(counts)
@@ -203,7 +222,9 @@ def pillai(scores: Array, groups: Ints, *, between: bool) -> Pillai:
     rank = min(width, above)
     degrees = (rank * (abs(width - above) + rank), rank * (below - width + rank))
     statistic = trace / degrees[0] / ((rank - trace) / degrees[1])
-    return Pillai(np.asarray(trace), np.asarray(statistic), np.asarray(f.sf(statistic, *degrees)), degrees)
+    return Pillai(
+        np.asarray(trace), np.asarray(statistic), np.asarray(f.sf(statistic, *degrees)), degrees
+    )
 
 
 def welch(values: Array, groups: Ints, *, question: str) -> HypothesisTest:
@@ -222,10 +243,14 @@ def welch(values: Array, groups: Ints, *, question: str) -> HypothesisTest:
 
     samples = _samples(values, groups)
     if min(np.ptp(each) for each in samples) == 0.0:
-        raise InputError("values must vary in every group, got one that is constant: leave that group out")
+        raise InputError(
+            "values must vary in every group, got one that is constant: leave that group out"
+        )
     found = anova_oneway(samples, use_var="unequal", welch_correction=True)
     degrees = (int(found.df_num), float(found.df_denom))
-    return HypothesisTest("Welch", question, "F", float(found.statistic), degrees, float(found.pvalue))
+    return HypothesisTest(
+        "Welch", question, "F", float(found.statistic), degrees, float(found.pvalue)
+    )
 
 
 def kruskal_wallis(values: Array, groups: Ints, *, question: str) -> HypothesisTest:
@@ -236,13 +261,16 @@ def kruskal_wallis(values: Array, groups: Ints, *, question: str) -> HypothesisT
 
 
 def friedman(values: Array, *, question: str) -> HypothesisTest:
-    """Compare three levels or more within users by ranks (Friedman 1937); `values` has shape (users, levels)."""
+    """Compare three levels or more within users by ranks (Friedman 1937); `values` has shape
+    (users, levels).
+    """
     statistic, p = map(float, friedmanchisquare(*values.T))
     return HypothesisTest("Friedman", question, "chi2", statistic, (values.shape[1] - 1,), p)
 
 
 def hotelling(scores: Array, groups: Ints, *, question: str) -> HypothesisTest:
-    """Test mean scores against zero with no sphericity assumed (Hotelling 1931), groups of equal weight.
+    """Test mean scores against zero with no sphericity assumed (Hotelling 1931), groups of equal
+    weight.
 
     Parameters
     ----------
@@ -262,7 +290,9 @@ def shuffled_users(values: Array, count: int, rng: np.random.Generator) -> Array
 
 
 def shuffled_p(measured: float, shuffled: Array) -> float:
-    """Return the share of shuffled figures, and the measured one, that reach the measured one (Edgington 1995)."""
+    """Return the share of shuffled figures, and the measured one, that reach the measured one
+    (Edgington 1995).
+    """
     return (1 + int((shuffled >= measured * (1.0 - 1e-12)).sum())) / (len(shuffled) + 1)
 
 
@@ -279,12 +309,14 @@ def permutation(
 ) -> HypothesisTest:
     """Compare the F of :func:`strata` with that of shuffled labels.
 
-    An effect of groups shuffles users over groups; an effect within users shuffles the levels of the chosen factors
-    within each user; both are exact where the labels mean nothing (Edgington 1995).
+    An effect of groups shuffles users over groups; an effect within users shuffles the levels of
+    the chosen factors within each user; both are exact where the labels mean nothing (Edgington
+    1995).
     """
     centred = values
     if chosen and between:
-        # Only the effect's own scores are shuffled, so that effects of the group alone do not enter.
+        # Only the effect's own scores are shuffled, so that effects of the group alone do not
+        # enter.
         basis = scores_of(np.eye(int(np.prod(sizes))), sizes, chosen)
         centred = values @ basis @ basis.T
     measured = float(strata(centred, groups, sizes, chosen, between=between).F)
@@ -295,7 +327,9 @@ def permutation(
         moved = np.moveaxis(by_level, [1 + each for each in chosen], range(1, 1 + len(chosen)))
         flat = moved.reshape(len(values), int(np.prod([sizes[each] for each in chosen])), -1)
         order = rng.permuted(np.tile(np.arange(flat.shape[1]), (count, len(values), 1)), axis=2)
-        taken = np.take_along_axis(flat[None], order[..., None], axis=2).reshape(count, *moved.shape)
+        taken = np.take_along_axis(flat[None], order[..., None], axis=2).reshape(
+            count, *moved.shape
+        )
         shuffled = np.moveaxis(taken, range(2, 2 + len(chosen)), [2 + each for each in chosen])
         shuffled = shuffled.reshape(count, *values.shape)
     others = strata(shuffled, groups, sizes, chosen, between=between).F

@@ -1,4 +1,6 @@
-"""The table of a study: one row a trial and method, in an order that does not depend on who finished first."""
+"""The table of a study: one row a trial and method, in an order that does not depend on who
+finished first.
+"""
 
 import csv
 from collections.abc import Iterable, Mapping, Sequence
@@ -24,7 +26,8 @@ KEYS = (*KEY, "seed", "failure")
 
 @dataclass(frozen=True)
 class Cells:
-    """Means of one metric over the trials of each user at each level, the unit that tests of a study compare.
+    """Means of one metric over the trials of each user at each level, the unit that tests of a
+    study compare.
 
     Attributes
     ----------
@@ -39,7 +42,8 @@ class Cells:
     users
         Label of every user.
     factors
-        Names of the crossed factors within users and their levels, the last one changing fastest along `levels`.
+        Names of the crossed factors within users and their levels, the last one changing fastest
+        along `levels`.
     dropped
         Users left out because every trial of theirs at some level failed.
     """
@@ -68,7 +72,8 @@ class TrialTable:
     task, group, user, method
         Labels, shape (rows,). Users of one label in two groups are two users.
     trial, seed
-        Number of the trial within its task, group and user, and the seed that reproduces it, shape (rows,).
+        Number of the trial within its task, group and user, and the seed that reproduces it, shape
+        (rows,).
     failure
         Empty, or why the trial failed; its metrics are then NaN.
     metrics
@@ -77,7 +82,8 @@ class TrialTable:
     Raises
     ------
     InputError
-        If columns differ in length, a trial is given twice, or a metric of a trial that did not fail is not finite.
+        If columns differ in length, a trial is given twice, or a metric of a trial that did not
+        fail is not finite.
     """
 
     task: Text
@@ -90,12 +96,17 @@ class TrialTable:
     metrics: Mapping[str, Array]
 
     def __post_init__(self) -> None:
-        columns: dict[str, NDArray[np.generic]] = {name: np.asarray(getattr(self, name)) for name in KEYS}
+        columns: dict[str, NDArray[np.generic]] = {
+            name: np.asarray(getattr(self, name)) for name in KEYS
+        }
         columns |= {name: np.asarray(values, dtype=float) for name, values in self.metrics.items()}
         count = len(columns["task"])
         for name, values in columns.items():
             if values.shape != (count,):
-                raise InputError(f"{name} must have one entry a row, got {values.shape} for {count} rows: fill it up")
+                raise InputError(
+                    f"{name} must have one entry a row, got {values.shape} for {count} rows: "
+                    "fill it up"
+                )
         for name in ("trial", "seed"):
             columns[name] = columns[name].astype(np.int64)
         order = np.lexsort([columns[name] for name in reversed(KEY)])
@@ -106,7 +117,10 @@ class TrialTable:
         rows = list(zip(*(getattr(self, name).tolist() for name in KEY), strict=True))
         for before, after in pairwise(rows):
             if before == after:
-                raise InputError(f"trial must be given once a method, got {_describe(after)} twice: leave one out")
+                raise InputError(
+                    f"trial must be given once a method, got {_describe(after)} twice: leave "
+                    "one out"
+                )
         for name, values in sorted_metrics.items():
             bad = np.flatnonzero(~np.isfinite(values) & (self.failure == ""))
             if len(bad):
@@ -117,7 +131,8 @@ class TrialTable:
 
     @classmethod
     def from_rows(cls, rows: Iterable[Mapping[str, object]]) -> "TrialTable":
-        """A table of rows that hold the keys and metrics by name; `failure` may be left out, and metrics of a failure.
+        """A table of rows that hold the keys and metrics by name; `failure` may be left out, and
+        metrics of a failure.
 
         Raises
         ------
@@ -127,21 +142,33 @@ class TrialTable:
         listed = list(rows)
         if not listed:
             raise InputError("rows must hold at least one trial, got none: run the study first")
-        missing = [name for name in KEYS if name != "failure" and any(name not in row for row in listed)]
+        missing = [
+            name for name in KEYS if name != "failure" and any(name not in row for row in listed)
+        ]
         if missing:
-            raise InputError(f"rows must each hold {', '.join(KEYS)}, got one without {missing[0]}: add it")
+            raise InputError(
+                f"rows must each hold {', '.join(KEYS)}, got one without {missing[0]}: add it"
+            )
         names = list(dict.fromkeys(name for row in listed for name in row if name not in KEYS))
         labels = {name: np.array([str(row.get(name, "")) for row in listed]) for name in KEYS}
         return cls(
             **labels,  # whole numbers are read from their text
-            metrics={name: np.array([row.get(name, np.nan) for row in listed], dtype=float) for name in names},
+            metrics={
+                name: np.array([row.get(name, np.nan) for row in listed], dtype=float)
+                for name in names
+            },
         )
 
     def write_csv(self, path: Path) -> None:
-        """Write the table; the same trials give the same bytes, from which their bits can be read again."""
+        """Write the table; the same trials give the same bytes, from which their bits can be
+        read again.
+        """
         columns = [getattr(self, name).tolist() for name in KEYS]
         columns += [[repr(value) for value in values.tolist()] for values in self.metrics.values()]
-        with whole_file(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        with (
+            whole_file(path) as temporary,
+            temporary.open("w", encoding="utf-8", newline="") as file,
+        ):
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow([*KEYS, *self.metrics])
             writer.writerows(zip(*columns, strict=True))
@@ -155,7 +182,8 @@ class TrialTable:
         return int((self.failure != "").sum())
 
     def where(self, **chosen: str | Sequence[str]) -> "TrialTable":
-        """Rows whose labels are among those chosen, such as ``where(task="wall", method=["penalty", "koopman"])``.
+        """Rows whose labels are among those chosen, such as ``where(task="wall", method=["penalty",
+        "koopman"])``.
 
         Raises
         ------
@@ -169,14 +197,19 @@ class TrialTable:
             for label in labels:
                 if label not in column:
                     known = ", ".join(np.unique(column).tolist())
-                    raise InputError(f"{name} {label!r} must have trials, got none: choose among {known}")
+                    raise InputError(
+                        f"{name} {label!r} must have trials, got none: choose among {known}"
+                    )
             kept &= np.isin(column, labels)
         return self._rows(kept)
 
     def values(self, metric: str) -> Array:
         """Return one metric over the rows, NaN where a trial failed."""
         if metric not in self.metrics:
-            raise InputError(f"metric must be one of {', '.join(self.metrics)}, got {metric}: choose one of those")
+            raise InputError(
+                f"metric must be one of {', '.join(self.metrics)}, got {metric}: choose one "
+                "of those"
+            )
         return self.metrics[metric]
 
     def people(self) -> Text:
@@ -188,15 +221,21 @@ class TrialTable:
         return self._rows(self.failure == "")
 
     def shared(self) -> "TrialTable":
-        """Rows of trials that failed under none of the table's methods, so that methods are compared on the same."""
-        names = np.array([f"{row}" for row in zip(self.task, self.people(), self.trial, strict=True)], dtype=object)
+        """Rows of trials that failed under none of the table's methods, so that methods are
+        compared on the same.
+        """
+        names = np.array(
+            [f"{row}" for row in zip(self.task, self.people(), self.trial, strict=True)],
+            dtype=object,
+        )
         whole = self.failure == ""
         every, counts = np.unique(names[whole], return_counts=True)
         kept = every[counts == len(np.unique(self.method))]
         return self._rows(whole & np.isin(names, kept))
 
     def cells(self, metric: str, *, within: Sequence[str] = ("method",)) -> Cells:
-        """Return the means of a metric over each user's trials, by the factors that change within a user.
+        """Return the means of a metric over each user's trials, by the factors that change within a
+        user.
 
         Raises
         ------
@@ -224,12 +263,15 @@ class TrialTable:
             count = int((whole & (groups == index)).sum())
             if count < 2:
                 raise InputError(
-                    f"group {group} must keep at least two users with trials of {metric} at every level, got {count}: "
+                    f"group {group} must keep at least two users with trials of {metric} at "
+                    f"every level, got {count}: "
                     "add users or leave the group out"
                 )
         means = sums[whole] / counts[whole]
         if np.ptp(values[kept]) == 0.0:
-            raise InputError(f"{metric} must vary over the trials, got {values[kept][0]:g} in all: leave it out")
+            raise InputError(
+                f"{metric} must vary over the trials, got {values[kept][0]:g} in all: leave it out"
+            )
         return Cells(
             metric,
             means,
@@ -243,7 +285,9 @@ class TrialTable:
 
     def _rows(self, kept: NDArray[np.bool_]) -> "TrialTable":
         columns = {name: getattr(self, name)[kept] for name in KEYS}
-        return TrialTable(**columns, metrics={name: values[kept] for name, values in self.metrics.items()})
+        return TrialTable(
+            **columns, metrics={name: values[kept] for name, values in self.metrics.items()}
+        )
 
 
 def _describe(row: Sequence[object]) -> str:

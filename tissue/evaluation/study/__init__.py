@@ -1,1 +1,3 @@
-"""The whole evaluation by one command: tasks, groups and methods over many trials, and what they show."""
+"""The whole evaluation by one command: tasks, groups and methods over many trials, and what they
+show.
+"""

@@ -9,7 +9,13 @@ import numpy as np
 from meshes.base.arrays import Array
 from tissue.evaluation.calibration.observers import Stimulus, draw_observers, share_right
 from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.study.discrimination import PEOPLE, case_table, right_percent, sides, specimens
+from tissue.evaluation.study.discrimination import (
+    PEOPLE,
+    case_table,
+    right_percent,
+    sides,
+    specimens,
+)
 from tissue.evaluation.study.folder import StudyFolder
 from tissue.evaluation.study.section import (
     CASES,
@@ -42,37 +48,70 @@ def case_sections(folder: StudyFolder, seed: int) -> list[Section]:
 
 
 def _reaming(table: TrialTable, seed: int) -> Section:
-    """Report tracking error in newtons at the reamer, distance from its path, and steps of torque."""
+    """Report tracking error in newtons at the reamer, distance from its path, and steps of
+    torque.
+    """
     rows = []
-    papers = {"tracking_rms_N": CASES["reaming_rms_N"], "position_error_mm": CASES["reaming_position_mm"]}
+    papers = {
+        "tracking_rms_N": CASES["reaming_rms_N"],
+        "position_error_mm": CASES["reaming_position_mm"],
+    }
     for method in methods_of(table):
         row = [method]
         for metric, paper in papers.items():
             part = table.where(method=method).values(metric)
-            row += [spread(part, 3), f"< {paper}", "agrees" if part.max() < paper.mean else "exceeds it"]
+            row += [
+                spread(part, 3),
+                f"< {paper}",
+                "agrees" if part.max() < paper.mean else "exceeds it",
+            ]
         rows.append((*row, str(len(table.where(method=method)))))
-    level, scatter = (float(table.values(name).mean()) for name in ("torque_Nm", "torque_scatter_Nm"))
+    level, scatter = (
+        float(table.values(name).mean()) for name in ("torque_Nm", "torque_scatter_Nm")
+    )
     torque = constants("perception", "torque")
-    scale = float(np.median(table.values("force_rms_N") / table.values("tracking_rms_N")))  # of force at the device
+    # of force at the device
+    scale = float(np.median(table.values("force_rms_N") / table.values("tracking_rms_N")))
     people = draw_observers("expert", PEOPLE, np.random.default_rng(seed))
     kappa = torque["kappa"].value * people.kappa / np.median(people.kappa)
     holders = replace(people, kappa=kappa, offset_N=np.full(PEOPLE, torque["offset_Nm"].value))
     shares = []
-    for where, factor in (("at the tool", 1.0), (f"scaled into the device's range by {scale:.2g}", scale)):
-        pair = [Stimulus(factor * each, factor * scatter) for each in (level, level + TORQUE_STEP_NM)]
+    for where, factor in (
+        ("at the tool", 1.0),
+        (f"scaled into the device's range by {scale:.2g}", scale),
+    ):
+        pair = [
+            Stimulus(factor * each, factor * scatter) for each in (level, level + TORQUE_STEP_NM)
+        ]
         share = share_right(holders, *pair, seed=seed, limits=ForceRange(limit_N=1e3)).mean()
         shares.append(f"{100.0 * share:.0f} % {where}")
     sentences = (
-        f"RMS of the force's tracking error over {rows[0][-1]} trials, in newtons at the reamer, of forces up to "
+        f"RMS of the force's tracking error over {rows[0][-1]} trials, in newtons at the "
+        "reamer, of forces up to "
         f"{float(table.values('peak_force_N').max()) / scale:.1f} N; the paper prints less than "
         f"{papers['tracking_rms_N']} N. The force changes slowly, so that this "
-        "depends little on latency. Bone guides the reamer: its distance from the path depends little on hands.",
-        f"A step of {TORQUE_STEP_NM} N m on {level:.3f} ± {scatter:.3f} N m is discriminated in {', '.join(shares)} of "
+        "depends little on latency. Bone guides the reamer: its distance from the path "
+        "depends little on hands.",
+        f"A step of {TORQUE_STEP_NM} N m on {level:.3f} ± {scatter:.3f} N m is discriminated "
+        f"in {', '.join(shares)} of "
         "the answers, 75 % being the threshold; the paper states that it is felt.",
     )
-    return Section("case-reaming", "Case: reaming of a glenoid", sentences,
-                   ("method", "tracking RMS N", "paper N", "force against paper", "position error mm", "paper mm",
-                    "position against paper", "trials"), tuple(rows))  # fmt: skip
+    return Section(
+        "case-reaming",
+        "Case: reaming of a glenoid",
+        sentences,
+        (
+            "method",
+            "tracking RMS N",
+            "paper N",
+            "force against paper",
+            "position error mm",
+            "paper mm",
+            "position against paper",
+            "trials",
+        ),
+        tuple(rows),
+    )
 
 
 def _drilling(table: TrialTable, seed: int) -> Section:
@@ -86,7 +125,9 @@ def _drilling(table: TrialTable, seed: int) -> Section:
         if chosen.any():
             lag = part.values("latency_ms")[chosen]
             error = 100.0 * part.values("force_error")[chosen]
-            rows.append((method, tooth, spread(lag), f"< {paper}", spread(error), str(chosen.sum())))
+            rows.append(
+                (method, tooth, spread(lag), f"< {paper}", spread(error), str(chosen.sum()))
+            )
     pair = specimens(table.where(method=methods_of(table)[0]))
     text = "there are too few trials to discriminate carious from sound"
     if pair is not None:
@@ -95,7 +136,8 @@ def _drilling(table: TrialTable, seed: int) -> Section:
         sound = pair.more.stimulus.level_N
         text = (
             f"carious ({carious:.3f} N at the skin) and sound ({sound:.3f} N) are discriminated in "
-            f"{min(shares):.0f} to {max(shares):.0f} % of answers; the paper prints {CASES['caries_right_percent']} %"
+            f"{min(shares):.0f} to {max(shares):.0f} % of answers; the paper prints "
+            f"{CASES['caries_right_percent']} %"
         )
     late = [method for method, lag in lags.items() if round(float(lag.mean()), 2) >= paper.mean]
     sentences = (
@@ -108,7 +150,9 @@ def _drilling(table: TrialTable, seed: int) -> Section:
 
 
 def travel_by_people(needle: TrialTable, method: str) -> Array:
-    """Median of each person's travel after the puncture [mm], infinite where they did not notice, shape (people,)."""
+    """Median of each person's travel after the puncture [mm], infinite where they did not
+    notice, shape (people,).
+    """
     part = needle.where(method=method)
     travel = np.where(part.values("noticed") > 0.0, part.values("excess_mm"), inf)
     people = part.people()
@@ -118,10 +162,12 @@ def travel_by_people(needle: TrialTable, method: str) -> Array:
 
 
 def median_interval(values: Array) -> tuple[float, float, float]:
-    """Return the median and its interval of at least 95 %, by ranks, so that values may be infinite.
+    """Return the median and its interval of at least 95 %, by ranks, so that values may be
+    infinite.
 
-    The interval reaches from the k-th smallest value to the k-th largest, k being the greatest for which a binomial
-    count of n at 0.5 lies below k with at most 2.5 %; of fewer than six values there is none, and it is infinite.
+    The interval reaches from the k-th smallest value to the k-th largest, k being the greatest for
+    which a binomial count of n at 0.5 lies below k with at most 2.5 %; of fewer than six values
+    there is none, and it is infinite.
     """
     from scipy.stats import binom
 
@@ -135,7 +181,9 @@ def median_interval(values: Array) -> tuple[float, float, float]:
 def needle_section(table: TrialTable, seed: int) -> Section:
     """Report travel by group and method, who notices the puncture, and capsule or parenchyma."""
     rows = []
-    for method, group in product(methods_of(table), (each for each in GROUPS if each in table.group)):
+    for method, group in product(
+        methods_of(table), (each for each in GROUPS if each in table.group)
+    ):
         part = table.where(method=method, group=group)
         noticed = part.values("noticed") > 0.0
         felt = part.values("excess_mm")[noticed]
@@ -148,25 +196,46 @@ def needle_section(table: TrialTable, seed: int) -> Section:
         wrong = {group: 100.0 - share for group, share in right_percent(pair, seed).items()}
         text = ", ".join(f"{group} {value:.1f} %" for group, value in wrong.items())
         sentences = [
-            f"Capsule ({pair.more.stimulus.level_N:.2f} N at the skin in the tenth of a second before its puncture) "
-            f"and parenchyma ({pair.less.stimulus.level_N:.2f} N after) are confused by {text}; the paper prints less "
-            "than 10 %: " + ("so it is here." if max(wrong.values()) < 10.0 else "here it is more."),
+            f"Capsule ({pair.more.stimulus.level_N:.2f} N at the skin in the tenth of a "
+            "second before its puncture) "
+            f"and parenchyma ({pair.less.stimulus.level_N:.2f} N after) are confused by "
+            f"{text}; the paper prints less "
+            "than 10 %: "
+            + ("so it is here." if max(wrong.values()) < 10.0 else "here it is more."),
         ]
     shared = table.shared()
-    headline = "There is no trial in which the capsule broke before the hand stopped under every method."
+    headline = (
+        "There is no trial in which the capsule broke before the hand stopped under every method."
+    )
     picture = b""
     if len(shared):
         text, picture = _travels(shared)
         count = len(shared.where(method=methods_of(shared)[0]))
-        headline = f"Of {count} trials in which the capsule broke before the hand stopped under every method, {text}."
+        headline = (
+            f"Of {count} trials in which the capsule broke before the hand stopped under every "
+            f"method, {text}."
+        )
     sentences.append(headline)
     sentences.append(
-        "A puncture that nobody notices counts as the longest travel, so that the median is of all; the mean is of "
-        "those who noticed. The hand pushes with a rising force and stops a reaction after it has felt the force fall. "
-        "What the springs of grip and coupling give back at the puncture is part of this travel, whatever the reaction."
+        "A puncture that nobody notices counts as the longest travel, so that the median is "
+        "of all; the mean is of "
+        "those who noticed. The hand pushes with a rising force and stops a reaction after "
+        "it has felt the force fall. "
+        "What the springs of grip and coupling give back at the puncture is part of this "
+        "travel, whatever the reaction."
     )
-    header = ("group", "method", "noticed", "median", "mean of noticed mm", "paper mm", "against paper")
-    return Section("case-needle", "Case: needle", tuple(sentences), header, tuple(rows), picture, headline)
+    header = (
+        "group",
+        "method",
+        "noticed",
+        "median",
+        "mean of noticed mm",
+        "paper mm",
+        "against paper",
+    )
+    return Section(
+        "case-needle", "Case: needle", tuple(sentences), header, tuple(rows), picture, headline
+    )
 
 
 def _travel_text(travel_mm: float) -> str:
@@ -175,7 +244,9 @@ def _travel_text(travel_mm: float) -> str:
 
 
 def _travels(shared: TrialTable) -> tuple[str, bytes]:
-    """Return the median travel over people and the share of noticed punctures by method, as text and as a picture."""
+    """Return the median travel over people and the share of noticed punctures by method, as text
+    and as a picture.
+    """
     found = []
     methods = methods_of(shared)
     figure, (axes,) = drawing(9.0, 0.4 * len(methods) + 1.4)
@@ -183,8 +254,11 @@ def _travels(shared: TrialTable) -> tuple[str, bytes]:
         middle, low, high = median_interval(travel_by_people(shared, method))
         noticed = 100.0 * float(shared.where(method=method).values("noticed").mean())
         bounds = f" [{_travel_text(low)}, {_travel_text(high)}]" if low > -inf else ""
-        found.append(f"{method} lets {noticed:.0f} % notice, travel {_travel_text(middle)}{bounds} in the median "
-                     "over people")  # fmt: skip
+        found.append(
+            f"{method} lets {noticed:.0f} % notice, travel {_travel_text(middle)}{bounds} in "
+            "the median "
+            "over people"
+        )
         finite = [each for each in (low, high) if isfinite(each)]
         axes.plot(finite, [line] * len(finite), color=COLOURS[method], lw=3)
         if isfinite(middle):
@@ -194,7 +268,9 @@ def _travels(shared: TrialTable) -> tuple[str, bytes]:
     axes.set_yticks(range(len(methods)), methods)
     axes.invert_yaxis()
     axes.set_xlim(left=0.0)
-    axes.set_xlabel("travel after the puncture / mm, median over people with its 95 % interval (× paper ± sd)")
+    axes.set_xlabel(
+        "travel after the puncture / mm, median over people with its 95 % interval (× paper ± sd)"
+    )
     return "; ".join(found), image(figure)
 
 

@@ -1,4 +1,6 @@
-"""Discrimination of two forces at the skin: levels over trials, sensitivity d', right answers, and their changes."""
+"""Discrimination of two forces at the skin: levels over trials, sensitivity d', right answers,
+and their changes.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,7 +20,15 @@ from tissue.evaluation.calibration.observers import (
 )
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.folder import StudyFolder
-from tissue.evaluation.study.section import Section, drawing, grouped_bars, image, legend, methods_of, tasks_of
+from tissue.evaluation.study.section import (
+    Section,
+    drawing,
+    grouped_bars,
+    image,
+    legend,
+    methods_of,
+    tasks_of,
+)
 from tissue.scene.registry import GROUPS
 
 __all__ = [
@@ -40,7 +50,9 @@ PLAIN = "koopman"
 WIDEST = 12
 """Letters of a line below a group of bars."""
 LEAST_D = 0.5
-"""Sensitivity under plain scaling below which a change in percent would be a division by almost nothing."""
+"""Sensitivity under plain scaling below which a change in percent would be a division by almost
+nothing.
+"""
 Picked = NDArray[np.int64]
 
 
@@ -64,7 +76,9 @@ class Felt:
 
     @classmethod
     def over(cls, forces_N: Array, person: Picked, count: int) -> "Felt":
-        """Make one of trials, each of a person by number below ``count`` who all have one, shape (n,)."""
+        """Make one of trials, each of a person by number below ``count`` who all have one, shape
+        (n,).
+        """
         trials: Array = np.bincount(person, minlength=count).astype(np.float64)
         means = np.bincount(person, forces_N, count).astype(np.float64) / trials
         squares = np.bincount(person, (forces_N - means[person]) ** 2, count)
@@ -77,12 +91,16 @@ class Felt:
     @property
     def stimulus(self) -> Stimulus:
         """Mean over people, and scatter over one person's trials."""
-        return Stimulus(float(self.means_N.mean()), float(np.sqrt(self.squares_N2.sum() / max(self.free.sum(), 1.0))))
+        return Stimulus(
+            float(self.means_N.mean()),
+            float(np.sqrt(self.squares_N2.sum() / max(self.free.sum(), 1.0))),
+        )
 
 
 @dataclass(frozen=True)
 class FeltPair:
-    """Two forces at the skin that each person compares for themselves: people's own levels are no scatter.
+    """Two forces at the skin that each person compares for themselves: people's own levels are no
+    scatter.
 
     Attributes
     ----------
@@ -100,7 +118,8 @@ class FeltPair:
     def felt_by(self, people: SimulatedObservers) -> tuple[Array, Array]:
         """Return the sensitivity d' and chance of a right answer of each observer, shape (n,) each.
 
-        Where the stiffer one has the smaller force at the skin, people who go by force are wrong: d' is below zero.
+        Where the stiffer one has the smaller force at the skin, people who go by force are wrong:
+        d' is below zero.
         """
         first = self.less.stimulus
         second = self.more.stimulus
@@ -110,28 +129,37 @@ class FeltPair:
 
 
 def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) -> Array:
-    """Change against plain scaling: value, low, high of d', of d' in percent, of right answers in points, shape (3, 3).
+    """Change against plain scaling: value, low, high of d', of d' in percent, of right answers in
+    points, shape (3, 3).
 
-    Of means over observers. Intervals of 95 % are by Student's t of what the change becomes with each of the people of
-    the trials left out in turn, the same under both methods (jackknife, Efron 1982).
+    Of means over observers. Intervals of 95 % are by Student's t of what the change becomes with
+    each of the people of the trials left out in turn, the same under both methods (jackknife, Efron
+    1982).
     """
     from scipy.stats import t
 
     def change(one: FeltPair, two: FeltPair) -> Array:
-        (d, right), (new_d, new_right) = ([each.mean() for each in pair.felt_by(observers)] for pair in (one, two))
-        return np.array([new_d - d, 100.0 * (new_d / d - 1.0) if d else 0.0, 100.0 * (new_right - right)])
+        (d, right), (new_d, new_right) = (
+            [each.mean() for each in pair.felt_by(observers)] for pair in (one, two)
+        )
+        return np.array(
+            [new_d - d, 100.0 * (new_d / d - 1.0) if d else 0.0, 100.0 * (new_right - right)]
+        )
 
     who = np.arange(len(plain.less.means_N))
     value = change(plain, other)
     count = len(who)
-    without = np.array([change(plain.of(kept), other.of(kept)) for kept in (np.delete(who, each) for each in who)])
+    without = np.array(
+        [change(plain.of(kept), other.of(kept)) for kept in (np.delete(who, each) for each in who)]
+    )
     error = np.sqrt((count - 1) / count * ((without - without.mean(axis=0)) ** 2).sum(axis=0))
     reach = float(t.ppf(0.975, max(count - 1, 1))) * error
     return np.column_stack([value, value - reach, value + reach])
 
 
 def specimens(part: TrialTable) -> FeltPair | None:
-    """Return the forces at the skin on the first two specimens of a task, the softer first, of people who met both.
+    """Return the forces at the skin on the first two specimens of a task, the softer first, of
+    people who met both.
 
     None where nobody met both, or nobody met one of them twice.
     """
@@ -146,7 +174,9 @@ def specimens(part: TrialTable) -> FeltPair | None:
 
 
 def sides(needle: TrialTable) -> FeltPair | None:
-    """Return the forces at the skin after and before the capsule's puncture; None where nobody has two trials."""
+    """Return the forces at the skin after and before the capsule's puncture; None where nobody
+    has two trials.
+    """
     people = needle.people()
     return _pair((needle.values("parenchyma_N"), people), (needle.values("capsule_N"), people))
 
@@ -158,15 +188,24 @@ def right_percent(pair: FeltPair, seed: int) -> dict[str, float]:
     return {group: 100.0 * float(pair.felt_by(each)[1].mean()) for group, each in people.items()}
 
 
-def _pair(less: tuple[Array, NDArray[np.str_]], more: tuple[Array, NDArray[np.str_]]) -> FeltPair | None:
-    """Two forces by trial with the people of their trials, the same people in both; None without any scatter."""
+def _pair(
+    less: tuple[Array, NDArray[np.str_]], more: tuple[Array, NDArray[np.str_]]
+) -> FeltPair | None:
+    """Two forces by trial with the people of their trials, the same people in both; None without
+    any scatter.
+    """
     names = np.unique(less[1])
-    first, second = (Felt.over(forces, np.searchsorted(names, people), len(names)) for forces, people in (less, more))
+    first, second = (
+        Felt.over(forces, np.searchsorted(names, people), len(names))
+        for forces, people in (less, more)
+    )
     return FeltPair(first, second) if first.free.sum() > 0.0 and second.free.sum() > 0.0 else None
 
 
 def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) -> Section:
-    """Sensitivity d' and right answers for every pair, group and method, and their change against plain scaling."""
+    """Sensitivity d' and right answers for every pair, group and method, and their change
+    against plain scaling.
+    """
     taken: list[tuple[str, Callable[[TrialTable], FeltPair | None], TrialTable]] = [
         (f"{task}: softer or usual", specimens, table.where(task=task)) for task in tasks_of(table)
     ]
@@ -182,7 +221,9 @@ def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) ->
         pairs = {method: pair_of(part.where(method=method)) for method in methods_of(part)}
         found = {method: pair for method, pair in pairs.items() if pair is not None}
         for group in GROUPS if found else ():
-            people = draw_observers(group, PEOPLE, np.random.default_rng([seed, GROUPS.index(group)]))
+            people = draw_observers(
+                group, PEOPLE, np.random.default_rng([seed, GROUPS.index(group)])
+            )
             plain = found[PLAIN].felt_by(people)[0].mean() if PLAIN in found else 0.0
             for method, pair in found.items():
                 d, right = (float(each.mean()) for each in pair.felt_by(people))
@@ -196,17 +237,35 @@ def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) ->
                         change[1] = np.nan
                     changes[what, group, method] = change
                     row += [
-                        f"{value:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}]" if np.isfinite(value) else ""
+                        f"{value:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}]"
+                        if np.isfinite(value)
+                        else ""
                         for digits, (value, low, high) in zip((2, 1, 1), change, strict=True)
                     ]
                 rows.append((*row, *[""] * (10 - len(row))))
     if not rows:
-        return Section("discrimination", "Discrimination", ("People have too few trials on two specimens each.",))
-    header = ("what", "group", "method", "softer N", "stiffer N", "d′", "right %", "change of d′", "in %",
-              "change of right, points")  # fmt: skip
+        return Section(
+            "discrimination",
+            "Discrimination",
+            ("People have too few trials on two specimens each.",),
+        )
+    header = (
+        "what",
+        "group",
+        "method",
+        "softer N",
+        "stiffer N",
+        "d′",
+        "right %",
+        "change of d′",
+        "in %",
+        "change of right, points",
+    )
     sentences, headline = _sentences(changes)
     picture = _right_answers(shown)
-    return Section("discrimination", "Discrimination", sentences, header, tuple(rows), picture, headline)
+    return Section(
+        "discrimination", "Discrimination", sentences, header, tuple(rows), picture, headline
+    )
 
 
 def case_table(folder: StudyFolder, task: str) -> TrialTable | None:
@@ -219,12 +278,17 @@ def case_table(folder: StudyFolder, task: str) -> TrialTable | None:
 
 
 def _sentences(changes: dict[tuple[str, str, str], Array]) -> tuple[tuple[str, ...], str]:
-    """Return the findings, and the main one, computed from the changes by pair, group and method."""
+    """Return the findings, and the main one, computed from the changes by pair, group and
+    method.
+    """
     short = []
     sentences = [
-        f"Right answers of {PEOPLE} simulated people of each group in two intervals, 50 % being chance. Forces are "
-        "those that reach the hand in the runs of each method: after latency, low-pass, range, amplifier and friction "
-        "of the device. Their scatter is that over a person's trials, and the person's own noise comes after it."
+        f"Right answers of {PEOPLE} simulated people of each group in two intervals, 50 % "
+        "being chance. Forces are "
+        "those that reach the hand in the runs of each method: after latency, low-pass, "
+        "range, amplifier and friction "
+        "of the device. Their scatter is that over a person's trials, and the person's own "
+        "noise comes after it."
     ]
     for method in dict.fromkeys(key[2] for key in changes):
         part = {key: each for key, each in changes.items() if key[2] == method}
@@ -235,30 +299,45 @@ def _sentences(changes: dict[tuple[str, str, str], Array]) -> tuple[tuple[str, .
         shares = f" ({known.min():+.0f} to {known.max():+.0f} %)" if len(known) else ""
         short.append(f"under {method} by {d[:, 0].min():+.2f} to {d[:, 0].max():+.2f}{shares}")
         sentences.append(
-            f"{method} changes d′ by {d[:, 0].min():+.2f} to {d[:, 0].max():+.2f}{shares} against {PLAIN} and right "
-            f"answers by {right[:, 0].min():+.1f} to {right[:, 0].max():+.1f} points; by its interval d′ is greater in "
-            f"{more} and smaller in {fewer} of {len(part)} pairs and groups; the paper prints +18 to +22 %."
+            f"{method} changes d′ by {d[:, 0].min():+.2f} to {d[:, 0].max():+.2f}{shares} "
+            f"against {PLAIN} and right "
+            f"answers by {right[:, 0].min():+.1f} to {right[:, 0].max():+.1f} points; by its "
+            "interval d′ is greater in "
+            f"{more} and smaller in {fewer} of {len(part)} pairs and groups; the paper "
+            "prints +18 to +22 %."
         )
-    if weak := list(dict.fromkeys(key[0] for key, each in changes.items() if not np.isfinite(each[1, 0]))):
+    if weak := list(
+        dict.fromkeys(key[0] for key, each in changes.items() if not np.isfinite(each[1, 0]))
+    ):
         sentences.append(
-            f"No change in percent is given for {', '.join(weak)}: under {PLAIN} d′ is below {LEAST_D} there, so that "
+            f"No change in percent is given for {', '.join(weak)}: under {PLAIN} d′ is below "
+            f"{LEAST_D} there, so that "
             "hardly anybody discriminates the two by force."
         )
     sentences.append(
-        "A map that rises with the force adds no information to the scatter of tissue, hand and device, which goes "
+        "A map that rises with the force adds no information to the scatter of tissue, hand "
+        "and device, which goes "
         "through it. It changes how far a difference lies above the person's own noise."
     )
-    headline = f"Sensitivity d′ at the skin changes against {PLAIN} {', '.join(short)}." if short else ""
+    headline = (
+        f"Sensitivity d′ at the skin changes against {PLAIN} {', '.join(short)}." if short else ""
+    )
     return tuple(sentences), headline
 
 
 def _right_answers(shown: dict[tuple[str, str, str], float]) -> bytes:
-    """Draw right answers by pair, group and method: means over groups, and lines that span the groups."""
+    """Draw right answers by pair, group and method: means over groups, and lines that span the
+    groups.
+    """
     names = list(dict.fromkeys(key[0] for key in shown))
     methods = list(dict.fromkeys(key[2] for key in shown))
 
     def over_groups(index: int, method: str) -> tuple[float, float, float] | None:
-        values = [shown[names[index], group, method] for group in GROUPS if (names[index], group, method) in shown]
+        values = [
+            shown[names[index], group, method]
+            for group in GROUPS
+            if (names[index], group, method) in shown
+        ]
         return (float(np.mean(values)), min(values), max(values)) if values else None
 
     figure, (axes,) = drawing(11.0, 4.4)

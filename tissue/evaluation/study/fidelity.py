@@ -1,4 +1,6 @@
-"""Sections of a report on force errors, latency, task metrics, sensitivity, the reference error and speed."""
+"""Sections of a report on force errors, latency, task metrics, sensitivity, the reference error
+and speed.
+"""
 
 from collections.abc import Iterable, Sequence
 
@@ -44,7 +46,9 @@ RATIOS = {
 }
 """Columns on ratios of intensity."""
 UNRESOLVED = 0.05
-"""Share of rows with a least error above the error, above which the excess is named as no measure."""
+"""Share of rows with a least error above the error, above which the excess is named as no
+measure.
+"""
 APART = 0.24
 """Distance of two tasks' marks on a line, in lines."""
 
@@ -66,39 +70,61 @@ def force_section(table: TrialTable) -> Section:
         rows.append((task, method, spread(error), *paper, *shares, *felt, str(len(part))))
     left = _left_over(table)
     sentences = (
-        "Error of the played force, ||F - F_ideal|| / ||F_ideal|| over all ticks at the motor. F_ideal is the prompt "
-        "force at the device's true position at that time. The least error is that of a perfect force through the same "
-        "encoder steps, low-pass and amplifier; the excess is sqrt(error² - least²). The force is taken before it is "
+        "Error of the played force, ||F - F_ideal|| / ||F_ideal|| over all ticks at the "
+        "motor. F_ideal is the prompt "
+        "force at the device's true position at that time. The least error is that of a "
+        "perfect force through the same "
+        "encoder steps, low-pass and amplifier; the excess is sqrt(error² - least²). The "
+        "force is taken before it is "
         "scaled for a person, in newtons.",
-        "Ratios of intensity show the effect of scaling: the spread, over windows of 0.1 s, of the logarithm of this "
-        "person's intensity of the force at the skin over the reference's intensity of the ideal force. Beside it "
-        "stand the same of a perfect force through the encoder, of the ideal force by this person's exponent, and of a "
-        "force that never changes. That a calibration brings a person to the reference's exponent is a recovery of "
+        "Ratios of intensity show the effect of scaling: the spread, over windows of 0.1 s, "
+        "of the logarithm of this "
+        "person's intensity of the force at the skin over the reference's intensity of the "
+        "ideal force. Beside it "
+        "stand the same of a perfect force through the encoder, of the ideal force by this "
+        "person's exponent, and of a "
+        "force that never changes. That a calibration brings a person to the reference's "
+        "exponent is a recovery of "
         "the parameters by which these people were made, no finding on people.",
         *_unresolved(table),
         *left,
     )
     header = (
-        "task", "method", "force error / %", "paper %", "against paper", "least error %", "excess %",
-        *(name for each, name in RATIOS.items() if each in table.metrics), "trials",
-    )  # fmt: skip
+        "task",
+        "method",
+        "force error / %",
+        "paper %",
+        "against paper",
+        "least error %",
+        "excess %",
+        *(name for each, name in RATIOS.items() if each in table.metrics),
+        "trials",
+    )
     means = ", ".join(f"{task} {method} {text.split()[0]}" for task, method, text, *_ in rows)
     headline = " ".join([f"Force error at the motor in %: {means}.", *left])
-    return Section("force", "Force fidelity", sentences, header, tuple(rows), _force_picture(table), headline)
+    return Section(
+        "force", "Force fidelity", sentences, header, tuple(rows), _force_picture(table), headline
+    )
 
 
 def _unresolved(table: TrialTable) -> list[str]:
-    """Name the tasks in which the least error is no bound, because a tool takes a course of its own."""
+    """Name the tasks in which the least error is no bound, because a tool takes a course of its
+    own.
+    """
     shares = {}
     for task in tasks_of(table):
         part = table.where(task=task)
         shares[task] = float((part.values("least_error") >= part.values("force_error")).mean())
-    above = ", ".join(f"{task} {100.0 * share:.0f} %" for task, share in shares.items() if share > UNRESOLVED)
+    above = ", ".join(
+        f"{task} {100.0 * share:.0f} %" for task, share in shares.items() if share > UNRESOLVED
+    )
     if not above:
         return []
     return [
-        f"The least error is no bound where a tool cuts its own course, which the perfect force's does not share: it "
-        f"exceeds the error in {above} of the rows, so that there the excess, then set to 0, is no measure of methods."
+        "The least error is no bound where a tool cuts its own course, which the perfect "
+        "force's does not share: it "
+        f"exceeds the error in {above} of the rows, so that there the excess, then set to 0, "
+        "is no measure of methods."
     ]
 
 
@@ -108,7 +134,12 @@ def _left_over(table: TrialTable) -> list[str]:
     parts = parts_of(table)
     for metric, first, second, what in (
         ("force_error", "penalty", "koopman", "Prediction leaves of the force error"),
-        ("ratio_error", "koopman", "koopman-perception", "Scaling for the person leaves of the error of ratios"),
+        (
+            "ratio_error",
+            "koopman",
+            "koopman-perception",
+            "Scaling for the person leaves of the error of ratios",
+        ),
     ):
         if {first, second} <= set(methods_of(table)) and metric in table.metrics:
             means = {key: float(part.values(metric).mean()) for key, part in parts.items()}
@@ -120,9 +151,15 @@ def _left_over(table: TrialTable) -> list[str]:
 
 
 def _bars(
-    table: TrialTable, metrics: dict[str, tuple[str, float]], size: tuple[float, float], *, papers: bool = False
+    table: TrialTable,
+    metrics: dict[str, tuple[str, float]],
+    size: tuple[float, float],
+    *,
+    papers: bool = False,
 ) -> bytes:
-    """Draw metrics with 95 % intervals over users, a panel each: name of the metric, its label and factor."""
+    """Draw metrics with 95 % intervals over users, a panel each: name of the metric, its label
+    and factor.
+    """
     tasks = tasks_of(table)
     figure, panels = drawing(*size, len(metrics))
     labels = [f"{task}\n{TASKS[task].scene}" for task in tasks]
@@ -132,10 +169,13 @@ def _bars(
             labels,
             methods_of(table),
             lambda index, method, metric=metric, scale=scale: tuple(  # type: ignore[misc]
-                scale * each for each in interval_by_users(table.where(task=tasks[index]), metric, method)
+                scale * each
+                for each in interval_by_users(table.where(task=tasks[index]), metric, method)
             ),
             lambda index, method, metric=metric: (  # type: ignore[misc]
-                FORCE_ERROR[tasks[index]].get(method) if papers and metric == "force_error" else None
+                FORCE_ERROR[tasks[index]].get(method)
+                if papers and metric == "force_error"
+                else None
             ),
         )
         axes.set_ylabel(label)
@@ -149,21 +189,32 @@ def _force_picture(table: TrialTable) -> bytes:
         "force_error": ("force error % (◆ paper ± sd)", 100.0),
         "ratio_error": ("error of intensity ratios / %", 100.0),
     }
-    return _bars(table, {each: metrics[each] for each in metrics if each in table.metrics}, (11.0, 4.2), papers=True)
+    return _bars(
+        table,
+        {each: metrics[each] for each in metrics if each in table.metrics},
+        (11.0, 4.2),
+        papers=True,
+    )
 
 
 def latency_section(table: TrialTable) -> Section:
-    """Compare how far the played force lags that of a perfect prediction, in trials that did not fail."""
+    """Compare how far the played force lags that of a perfect prediction, in trials that did not
+    fail.
+    """
     lags = {key: part.values("latency_ms") for key, part in parts_of(table).items()}
     rows = tuple((*key, spread(lag), *against(lag, LATENCY)) for key, lag in lags.items())
-    means = {each: table.where(method=each).values("latency_ms").mean() for each in methods_of(table)}
+    means = {
+        each: table.where(method=each).values("latency_ms").mean() for each in methods_of(table)
+    }
     shifts = ", ".join(f"{name} {value:.1f} ms" for name, value in means.items())
     early = ", ".join(" ".join(key) for key, lag in lags.items() if lag.mean() < 0.0)
     sentences = (
-        "Shift at which the force at the motor correlates best with that of a perfect prediction through the same "
-        f"encoder steps, over all tasks: {shifts}. The loop is late by 4 ms and its path to the motor in every trial "
-        f"by construction, the paper's mean being {LATENCY} ms. A value below zero is a force that comes early"
-        + (f" ({early})." if early else "; none does."),
+        "Shift at which the force at the motor correlates best with that of a perfect "
+        "prediction through the same "
+        f"encoder steps, over all tasks: {shifts}. The loop is late by 4 ms and its path to "
+        "the motor in every trial "
+        f"by construction, the paper's mean being {LATENCY} ms. A value below zero is a "
+        "force that comes early" + (f" ({early})." if early else "; none does."),
     )
     header = ("task", "method", "latency ms", "paper ms", "against paper")
     headline = f"Residual latency at the motor: {shifts}; the paper prints {LATENCY} ms."
@@ -171,7 +222,9 @@ def latency_section(table: TrialTable) -> Section:
 
 
 def task_section(table: TrialTable) -> Section:
-    """Compare time, position error and smoothness of trials that did not fail with the published ones."""
+    """Compare time, position error and smoothness of trials that did not fail with the published
+    ones.
+    """
     rows = tuple(
         (
             task,
@@ -195,28 +248,47 @@ def task_section(table: TrialTable) -> Section:
         )
         remarks.append(f"{task}: time {time}, position error {position}")
     sentences = (
-        f"Against the paper, {'; '.join(remarks)}. Our tasks are a few seconds long, so that their time is not the "
+        f"Against the paper, {'; '.join(remarks)}. Our tasks are a few seconds long, so that "
+        "their time is not the "
         "paper's; the position error is the mean distance of the tool from its wanted path.",
-        "The paper's index of smoothness cannot be compared: its formula, a mean change of acceleration [m/s2], is "
-        "lower for smoother motion, its table reads as if higher were better. Both that formula and the spectral arc "
+        "The paper's index of smoothness cannot be compared: its formula, a mean change of "
+        "acceleration [m/s2], is "
+        "lower for smoother motion, its table reads as if higher were better. Both that "
+        "formula and the spectral arc "
         "length (nearer to zero is smoother) are given.",
     )
     header = (
-        "task", "method", "time s", "paper s", "position error mm", "paper mm", "acceleration change m/s2",
-        "spectral arc length", "paper's index", "completed %",
-    )  # fmt: skip
+        "task",
+        "method",
+        "time s",
+        "paper s",
+        "position error mm",
+        "paper mm",
+        "acceleration change m/s2",
+        "spectral arc length",
+        "paper's index",
+        "completed %",
+    )
     metrics = {
         "time_s": ("time / s", 1.0),
         "position_error_mm": ("position error / mm", 1.0),
         "spectral_arc_length": ("spectral arc length", 1.0),
     }
-    return Section("tasks", "Task metrics", sentences, header, rows, _bars(table, metrics, (12.0, 3.6)))
+    return Section(
+        "tasks", "Task metrics", sentences, header, rows, _bars(table, metrics, (12.0, 3.6))
+    )
 
 
 def sensitivity_section(folder: StudyFolder) -> Section | None:
-    """Report the ratio of force errors, Koopman over penalty, with one parameter at another value."""
+    """Report the ratio of force errors, Koopman over penalty, with one parameter at another
+    value.
+    """
     tasks = folder.plan().compared
-    base = [each for each in folder.trials() if each.key.group == MIDDLE and each.key.trial < SENSITIVITY_TRIALS]
+    base = [
+        each
+        for each in folder.trials()
+        if each.key.group == MIDDLE and each.key.trial < SENSITIVITY_TRIALS
+    ]
     usual = _ratios(base, tasks)
     found = {name: _ratios(folder.trials(variant=name), tasks) for name in VARIANTS}
     found = {name: ratios for name, ratios in found.items() if np.isfinite(ratios).any()}
@@ -229,36 +301,52 @@ def sensitivity_section(folder: StudyFolder) -> Section | None:
         for name, ratios in found.items()
     ]
     most = max(moves, key=lambda name: abs(np.log(moves[name])))
-    above = [f"{row[0]}, {row[1]} ({task})" for row in rows for task, value in zip(tasks, row[2:], strict=False)
-             if value and float(value) >= 1.0]  # fmt: skip
+    above = [
+        f"{row[0]}, {row[1]} ({task})"
+        for row in rows
+        for task, value in zip(tasks, row[2:], strict=False)
+        if value and float(value) >= 1.0
+    ]
     count = min(SENSITIVITY_TRIALS, folder.plan().trials)
     sentences = (
-        f"Force error under Koopman over that under penalty, {count} trials each with the seeds of the study. It moves "
+        f"Force error under Koopman over that under penalty, {count} trials each with the "
+        "seeds of the study. It moves "
         f"most with {VARIANTS[most].parameter} ({VARIANTS[most].value}: {percent[most]} on the "
         "average over tasks).",
-        f"Prediction does harm at: {'; '.join(above)}." if above else "Prediction does no harm at any of these values.",
+        f"Prediction does harm at: {'; '.join(above)}."
+        if above
+        else "Prediction does no harm at any of these values.",
     )
     header = ("parameter", "value", *tasks, "change")
     whole = (("as in the study", MIDDLE, *map(_as_text, usual), ""), *rows)
-    return Section("sensitivity", "Sensitivity", sentences, header, whole, _picture(rows, tasks, usual))
+    return Section(
+        "sensitivity", "Sensitivity", sentences, header, whole, _picture(rows, tasks, usual)
+    )
 
 
 def reference_section(folder: StudyFolder) -> Section | None:
     """Report the error of the reference against the finest model on the same motion."""
     errors: dict[str, list[float]] = {}
     for trial in folder.trials(variant=REFERENCE):
-        errors.setdefault(trial.key.task, []).extend(100.0 * each for each in trial.values("reference_error").values())
+        errors.setdefault(trial.key.task, []).extend(
+            100.0 * each for each in trial.values("reference_error").values()
+        )
     found = {task: np.array(errors[task]) for task in folder.plan().compared if errors.get(task)}
     if not found:
         return None
     sentences = (
-        f"F_ideal is the prompt force on the study's own model; against the finest model on the same motion it is off "
-        f"by {', '.join(f'{task} {each.mean():.1f} %' for task, each in found.items())}. That error is the model's, "
-        "common to all methods, and not in their errors above: a method whose error lies below it is better than the "
+        "F_ideal is the prompt force on the study's own model; against the finest model on "
+        "the same motion it is off "
+        f"by {', '.join(f'{task} {each.mean():.1f} %' for task, each in found.items())}. "
+        "That error is the model's, "
+        "common to all methods, and not in their errors above: a method whose error lies "
+        "below it is better than the "
         "model that it renders. Where it is zero there is no finer model.",
     )
     rows = tuple((task, spread(each), str(len(each))) for task, each in found.items())
-    return Section("reference", "The reference's own error", sentences, ("task", "error %", "trials"), rows)
+    return Section(
+        "reference", "The reference's own error", sentences, ("task", "error %", "trials"), rows
+    )
 
 
 def speed_section(folder: StudyFolder) -> Section:
@@ -274,20 +362,27 @@ def speed_section(folder: StudyFolder) -> Section:
     )
     total = sum(float(np.median(times[task])) for task in plan.compared if task in times)
     sentences = (
-        f"Seconds on one worker for a trial under all its methods, with whatever else the machine did. 900 trials of "
+        "Seconds on one worker for a trial under all its methods, with whatever else the "
+        "machine did. 900 trials of "
         f"T1 to T3 on two workers take {300.0 * total / 2.0 / 60.0:.0f} min at these medians.",
     )
-    return Section("speed", "Speed", sentences, ("task", "median s", "longest s", "methods", "trials"), rows)
+    return Section(
+        "speed", "Speed", sentences, ("task", "median s", "longest s", "methods", "trials"), rows
+    )
 
 
 def _ratios(trials: Iterable[Trial], tasks: Sequence[str]) -> Array:
-    """Ratio of mean force errors by task, over trials in which neither method failed; NaN where there is none."""
+    """Ratio of mean force errors by task, over trials in which neither method failed; NaN where
+    there is none.
+    """
     sums = np.zeros((len(tasks), 2))
     for trial in trials:
         errors = trial.values("force_error")
         if trial.key.task in tasks and {"koopman", "penalty"} <= errors.keys():
             sums[tasks.index(trial.key.task)] += errors["koopman"], errors["penalty"]
-    return np.array([koopman / penalty if penalty > 0.0 else np.nan for koopman, penalty in sums.tolist()])
+    return np.array(
+        [koopman / penalty if penalty > 0.0 else np.nan for koopman, penalty in sums.tolist()]
+    )
 
 
 def _mean_over(quotients: Array) -> float:
@@ -303,9 +398,13 @@ def _as_text(ratio: float) -> str:
 def _picture(rows: Sequence[tuple[str, ...]], tasks: Sequence[str], usual: Array) -> bytes:
     """Draw the ratios by variant, one colour a task, the study's own as lines."""
     figure, (axes,) = drawing(9.0, 0.32 * len(rows) + 1.2)
-    for at, (task, colour, mark) in enumerate(zip(tasks, ("#0072B2", "#D55E00", "#009E73"), "os^", strict=False)):
+    for at, (task, colour, mark) in enumerate(
+        zip(tasks, ("#0072B2", "#D55E00", "#009E73"), "os^", strict=False)
+    ):
         places = np.arange(len(rows)) + APART * (at - 0.5 * (len(tasks) - 1))
-        axes.plot([float(row[2 + at] or "nan") for row in rows], places, mark, color=colour, label=task)
+        axes.plot(
+            [float(row[2 + at] or "nan") for row in rows], places, mark, color=colour, label=task
+        )
         if np.isfinite(usual[at]):
             axes.axvline(usual[at], color=colour, lw=1.0, ls=":")
     axes.axvline(1.0, color="black", lw=0.8)

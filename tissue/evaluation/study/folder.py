@@ -48,9 +48,11 @@ class Stamp:
     Attributes
     ----------
     plan_sha256, code_sha256
-        Hashes of the registered plan and of the code that it was run by, empty where it states none.
+        Hashes of the registered plan and of the code that it was run by, empty where it states
+        none.
     whole
-        Whether its content is as it was written; none is shown for a trial that states no hash of it.
+        Whether its content is as it was written; none is shown for a trial that states no hash of
+        it.
     """
 
     plan_sha256: str
@@ -61,8 +63,8 @@ class Stamp:
 class StudyFolder:
     """A study on disk.
 
-    Every trial is a file of its own, written at once and whole, so that a study can be stopped at any moment; a file
-    that is cut short all the same counts as missing.
+    Every trial is a file of its own, written at once and whole, so that a study can be stopped at
+    any moment; a file that is cut short all the same counts as missing.
 
     Parameters
     ----------
@@ -74,15 +76,17 @@ class StudyFolder:
         self.path = path
 
     def begin(self, plan: Plan) -> list[str]:
-        """Make the folder, or go on with one whose trials are all in the plan; sentences on what was found amiss.
+        """Make the folder, or go on with one whose trials are all in the plan; sentences on what
+        was found amiss.
 
-        The plan is registered: ``plan.toml`` is written before ``study.json``, which holds its hash. A wider plan is
-        registered anew beside the earlier one.
+        The plan is registered: ``plan.toml`` is written before ``study.json``, which holds its
+        hash. A wider plan is registered anew beside the earlier one.
 
         Raises
         ------
         InputError
-            If it holds another study, one of another version, a plan that was edited, or other files.
+            If it holds another study, one of another version, a plan that was edited, or other
+            files.
         """
         there = self._require_same(plan)
         registers = not there or plan != self.plan()
@@ -90,7 +94,11 @@ class StudyFolder:
         if registers:
             count = sum(1 for _ in (self.path / "trials").glob("*.json"))
             there = register(self.path, plan, there, trials=count)
-            content = {"format": FORMAT, "tissue": package_version()} | asdict(plan) | {"registrations": there}
+            content = (
+                {"format": FORMAT, "tissue": package_version()}
+                | asdict(plan)
+                | {"registrations": there}
+            )
             _write(self.path / PLAN, content)
         (self.path / "trials").mkdir(exist_ok=True)
         broken = [key for key in plan.all_trials() if self.has(key) and self.read(key) is None]
@@ -100,24 +108,33 @@ class StudyFolder:
 
     @contextmanager
     def held(self, plan: Plan) -> Iterator[list[str]]:
-        """Hold the folder against other processes while the block runs trials; see `begin` for sentences and errors."""
+        """Hold the folder against other processes while the block runs trials; see `begin` for
+        sentences and errors.
+        """
         self._require_same(plan)
         folder = OwnedFolder(self.path, KIND, ())
         try:
             self._require_same(plan)  # another process may have begun a study since
             folder.begin()
-            for name in TABLES:  # listed now, since a report writes them while another process holds the folder
+            # listed now, since a report writes them while another process holds the folder
+            for name in TABLES:
                 claim(self.path / name)
             yield self.begin(plan)
         finally:
             folder.release()
 
     def _require_same(self, plan: Plan) -> list[Registration]:
-        """Refuse a folder that holds another study or other files; return the plans that are registered in it."""
+        """Refuse a folder that holds another study or other files; return the plans that are
+        registered in it.
+        """
         if (self.path / PLAN).is_file():
             held = self.plan()
             if not plan.holds(held):
-                values = {name: value for name, value in asdict(held).items() if value != getattr(plan, name)}
+                values = {
+                    name: value
+                    for name, value in asdict(held).items()
+                    if value != getattr(plan, name)
+                }
                 other = ", ".join(
                     f"{name} {', '.join(map(str, value)) if isinstance(value, tuple) else value}"
                     for name, value in values.items()
@@ -129,8 +146,13 @@ class StudyFolder:
             there = self.registrations()
             require_unchanged(self.path, there)
             return there
-        if self.path.is_dir() and any(each.name not in (LOCK, MARKER, PLAN_FILE) for each in self.path.iterdir()):
-            raise InputError(f"out must be empty or hold this study, got other files in {self.path}: choose another")
+        if self.path.is_dir() and any(
+            each.name not in (LOCK, MARKER, PLAN_FILE) for each in self.path.iterdir()
+        ):
+            raise InputError(
+                f"out must be empty or hold this study, got other files in {self.path}: "
+                "choose another"
+            )
         return []
 
     def plan(self) -> Plan:
@@ -156,17 +178,21 @@ class StudyFolder:
             made = held.get("tissue", "unknown")
             if made != package_version():
                 raise InputError(
-                    f"study must be of tissue {package_version()}, got {str(made)[:40]} in {path}: run it in a new "
+                    f"study must be of tissue {package_version()}, got {str(made)[:40]} in "
+                    f"{path}: run it in a new "
                     "folder, trials of two versions are not put together"
                 )
             fields = {name: tuple(held[name]) for name in ("tasks", "groups", "methods")}
-            plan = Plan(seed=held["seed"], trials=held["trials"], sensitivity=held["sensitivity"], **fields)
+            plan = Plan(
+                seed=held["seed"], trials=held["trials"], sensitivity=held["sensitivity"], **fields
+            )
             return plan, registered(held)
         except InputError:
             raise
         except (OSError, ValueError, TypeError, KeyError, AttributeError):
             raise InputError(
-                f"study must be a folder that `tissue study run` wrote, got {self.path}: choose another"
+                f"study must be a folder that `tissue study run` wrote, got {self.path}: "
+                "choose another"
             ) from None
 
     def stamp(self, key: TrialKey) -> Stamp:
@@ -212,7 +238,9 @@ class StudyFolder:
                 self._file(trial.key).unlink()
 
     def trials(self, *, variant: str | None = "") -> Iterator[Trial]:
-        """Trials that are there, in the plan's order: of the study itself, of one variant, or with None of all."""
+        """Trials that are there, in the plan's order: of the study itself, of one variant, or
+        with None of all.
+        """
         for key in self.plan().all_trials():
             if variant in (None, key.variant) and (trial := self.read(key)) is not None:
                 yield trial
@@ -226,14 +254,23 @@ class StudyFolder:
             If there is none.
         """
         rows = [
-            {"task": key.task, "group": key.group, "user": f"{key.user:02d}", "trial": key.trial, "seed": trial.seed}
+            {
+                "task": key.task,
+                "group": key.group,
+                "user": f"{key.user:02d}",
+                "trial": key.trial,
+                "seed": trial.seed,
+            }
             | row
             for trial in self.trials()
             for row in trial.rows
             if (key := trial.key).task in tasks
         ]
         if not rows:
-            raise InputError(f"study must hold trials of {', '.join(tasks)}, got none in {self.path}: run it first")
+            raise InputError(
+                f"study must hold trials of {', '.join(tasks)}, got none in {self.path}: run "
+                "it first"
+            )
         return TrialTable.from_rows(rows)
 
     def write_tables(self) -> None:

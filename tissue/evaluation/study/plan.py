@@ -79,11 +79,15 @@ class Task:
 
     @property
     def case(self) -> bool:
-        """Whether it is a case study, with a table of its own, and not one of the tasks that are compared."""
+        """Whether it is a case study, with a table of its own, and not one of the tasks that are
+        compared.
+        """
         return not self.extremes
 
 
-def _scaled(nominal: Mapping[str, float], shares: Sequence[float]) -> tuple[Mapping[str, object], ...]:
+def _scaled(
+    nominal: Mapping[str, float], shares: Sequence[float]
+) -> tuple[Mapping[str, object], ...]:
     """Return the specimens with numbers scaled by shares."""
     return tuple({name: share * value for name, value in nominal.items()} for share in shares)
 
@@ -122,8 +126,10 @@ TASKS = {
             "voxels.spacing_mm": 0.1,  # the force is 1 % off that of 0.05 mm voxels and shell
             "tool.shell_spacing_mm": 0.1,
             "device": "touch",
-            "coupling.force_scale": 0.04,  # the one chosen for a path follows its depth, which is the hand's aim here
-            # The hand aims as far below the bone, and before the teeth's pull, as its grip gives way to 10 to 15 N.
+            # the one chosen for a path follows its depth, which is the hand's aim here
+            "coupling.force_scale": 0.04,
+            # The hand aims as far below the bone, and before the teeth's pull, as its grip gives
+            # way to 10 to 15 N.
             "motion.points_mm": [
                 [-3, -0.5, 1],
                 [-3, -0.5, -1.4],
@@ -170,7 +176,8 @@ TASKS = {
             "voxels.margin_mm": 1.0,
             "device": "touch",
             "coupling.force_scale": 0.03,
-            "motion.points_mm": [[0, 0, 0.3], [0, 0, -3.5], [0, 0, 1]],  # presses with some 40 N, 2 mm deep
+            # presses with some 40 N, 2 mm deep
+            "motion.points_mm": [[0, 0, 0.3], [0, 0, -3.5], [0, 0, 1]],
             "motion.feed_mm_s": 3.0,
             "duration_s": None,
         },
@@ -184,8 +191,8 @@ TASKS = {
         specimens=({}, {"anatomy.caries_depth_mm": None, "anatomy.caries_diameter_mm": None}),
     ),
 }
-"""Tasks by name. Specimens differ by 30 % in stiffness, bone by 10 % in density. Reaming stops at 51 trials, the
-published number being 50."""
+"""Tasks by name. Specimens differ by 30 % in stiffness, bone by 10 % in density. Reaming stops at
+51 trials, the published number being 50."""
 METHODS: dict[str, Mapping[str, object]] = {
     "penalty": {"renderer": "penalty"},
     "energy": {"renderer": "passivity"},
@@ -226,8 +233,12 @@ VARIANTS = {
     "latency-high": Variant("latency", "8 ms instead of 4", {"coupling.delay_ms": 8}),
     "hand-novice": Variant("hand", "a novice's instead of an intermediate's", {"hand": "novice"}),
     "hand-expert": Variant("hand", "an expert's instead of an intermediate's", {"hand": "expert"}),
-    "device-omni": Variant("device", "omni (encoder step 55 um) instead of touch (55 um)", {"device": "omni"}),
-    "device-six-dof": Variant("device", "six-dof (encoder step 30 um) instead of touch (55 um)", {"device": "six-dof"}),
+    "device-omni": Variant(
+        "device", "omni (encoder step 55 um) instead of touch (55 um)", {"device": "omni"}
+    ),
+    "device-six-dof": Variant(
+        "device", "six-dof (encoder step 30 um) instead of touch (55 um)", {"device": "six-dof"}
+    ),
     "tissue-soft": Variant("tissue", "half as stiff, bone four fifths as dense", {}, extreme=0),
     "tissue-hard": Variant("tissue", "twice as stiff, bone 10 % denser", {}, extreme=1),
     "pace-slow": Variant("pace", "0.7 of the usual", {}, pace=0.7),
@@ -263,7 +274,9 @@ class TrialKey:
     @property
     def name(self) -> str:
         """Name of its file, and how it is called for alone."""
-        return f"{self.task}-{self.group}-{self.trial:04d}" + f"-{self.variant}" * bool(self.variant)
+        return f"{self.task}-{self.group}-{self.trial:04d}" + f"-{self.variant}" * bool(
+            self.variant
+        )
 
     @classmethod
     def named(cls, name: str) -> "TrialKey":
@@ -277,7 +290,9 @@ class TrialKey:
         task, group, number, variant, *_ = *name.split("-", 3), "", "", ""
         known = task in TASKS and group in GROUPS and variant in ("", REFERENCE, *VARIANTS)
         if not (known and number.isdecimal()):
-            raise InputError(f"trial must be named as its file is, got {name}: use for example T1-novice-0007")
+            raise InputError(
+                f"trial must be named as its file is, got {name}: use for example T1-novice-0007"
+            )
         return cls(task, group, int(number), variant)
 
 
@@ -312,12 +327,19 @@ class Plan:
     def __post_init__(self) -> None:
         require_range("trials", self.trials, 1, 10_000, "use 100")
         require_range("seed", self.seed, 0, 2**63 - 1, "use 0")
-        for name, known in (("tasks", tuple(TASKS)), ("groups", GROUPS), ("methods", tuple(METHODS))):
+        for name, known in (
+            ("tasks", tuple(TASKS)),
+            ("groups", GROUPS),
+            ("methods", tuple(METHODS)),
+        ):
             chosen = getattr(self, name)
             strange = [each for each in chosen if each not in known]
             if strange or not chosen or len(set(chosen)) < len(chosen):
                 got = strange[0] if strange else ",".join(chosen) or "nothing"
-                raise InputError(f"{name} must each be one of {', '.join(known)}, got {got}: choose among these, once")
+                raise InputError(
+                    f"{name} must each be one of {', '.join(known)}, got {got}: choose among "
+                    "these, once"
+                )
 
     @property
     def compared(self) -> tuple[str, ...]:
@@ -325,7 +347,9 @@ class Plan:
         return tuple(task for task in self.tasks if not TASKS[task].case)
 
     def all_trials(self) -> Iterator[TrialKey]:
-        """Return all trials, groups and tasks in turn, so that a study that is stopped is balanced."""
+        """Return all trials, groups and tasks in turn, so that a study that is stopped is
+        balanced.
+        """
         for trial in range(self.trials):
             for task in self.tasks:
                 for group in self.groups:
@@ -333,16 +357,23 @@ class Plan:
                         yield TrialKey(task, group, trial)
         if not self.sensitivity:
             return
-        for variant, most in {REFERENCE: REFERENCE_TRIALS, **dict.fromkeys(VARIANTS, SENSITIVITY_TRIALS)}.items():
+        for variant, most in {
+            REFERENCE: REFERENCE_TRIALS,
+            **dict.fromkeys(VARIANTS, SENSITIVITY_TRIALS),
+        }.items():
             for trial in range(min(self.trials, most)):
                 for task in self.compared:
                     yield TrialKey(task, MIDDLE, trial, variant)
 
     def holds(self, other: "Plan") -> bool:
-        """Return whether every trial of another plan is one of this, so that its folder can be gone on with."""
+        """Return whether every trial of another plan is one of this, so that its folder can be
+        gone on with.
+        """
         same = self.seed == other.seed and self.methods == other.methods
         wider = set(other.tasks) <= set(self.tasks) and set(other.groups) <= set(self.groups)
-        return same and wider and other.trials <= self.trials and other.sensitivity <= self.sensitivity
+        return (
+            same and wider and other.trials <= self.trials and other.sensitivity <= self.sensitivity
+        )
 
     def rng(self, key: TrialKey) -> np.random.Generator:
         """Return the generator of a trial; a variant has that of the trial it varies."""

@@ -1,24 +1,27 @@
 """Excess travel of a needle after a puncture, pushed by force and stopped by reaction.
 
-The needle's tip starts 0.05 mm outside an organ under z = 0 and is pushed along -z by a device in a hand whose force
-rises at ``rate_N_s`` (`tissue.haptics.hand.pushing.PushingHand`): aim a, device s, tip z, all counted along the push.
-Hand and device are one mass, M = m_device + m_hand, between the grip's spring and damper on one side and the motor on
-the other; the tip hangs on the device by the coupling's spring k_c, and the organ pulls it with P(z)::
+The needle's tip starts 0.05 mm outside an organ under z = 0 and is pushed along -z by a device in a
+hand whose force rises at ``rate_N_s`` (`tissue.haptics.hand.pushing.PushingHand`): aim a, device s,
+tip z, all counted along the push. Hand and device are one mass, M = m_device + m_hand, between the
+grip's spring and damper on one side and the motor on the other; the tip hangs on the device by the
+coupling's spring k_c, and the organ pulls it with P(z)::
 
     M s'' = K_0 (a - s) + reflex + b_hand (a' - s') - b_device s' - friction - f,    k_c (s - z) = P(z)
 
-with f the force k_c (s - z) after prediction, low-pass, latency and the device's lag, and as reflex a share of what K_0
-(a - s) was a reflex time ago. P is a1 u + a2 u|u| with u = z until P reaches the puncture force; from then on the
-needle slides and u follows from a1 u + a2 u|u| = hold + cut + friction * (z - u), to which P adds viscous * (z - u) z',
-see `tissue.models.needle.insertion.Insertion`. The stop begins a reaction time after the hand has noticed: by the force
-alone, or by force or sight, whichever is first. By sight it notices in the first video frame that shows the tip
-`VISIBLE_M` beyond the membrane; a frame shows what was a frame earlier. **Excess travel** = greatest z from the
-puncture on - z at the puncture.
+with f the force k_c (s - z) after prediction, low-pass, latency and the device's lag, and as reflex
+a share of what K_0 (a - s) was a reflex time ago. P is a1 u + a2 u|u| with u = z until P reaches
+the puncture force; from then on the needle slides and u follows from a1 u + a2 u|u| = hold + cut +
+friction * (z - u), to which P adds viscous * (z - u) z', see
+`tissue.models.needle.insertion.Insertion`. The stop begins a reaction time after the hand has
+noticed: by the force alone, or by force or sight, whichever is first. By sight it notices in the
+first video frame that shows the tip `VISIBLE_M` beyond the membrane; a frame shows what was a frame
+earlier. **Excess travel** = greatest z from the puncture on - z at the puncture.
 
-It has three parts. What the springs give back, with all delays zero: the tip by dF / k_c, the device by dF / K_0 and
-more by its inertia, where dF is the fall of P; no hand can prevent it. What the aim goes on until the stop, da/dt times
-the delay. And what the aim follows of the device's sudden advance in the part of that time beyond the reaction.
-"""
+It has three parts. What the springs give back, with all delays zero: the tip by dF / k_c, the
+device by dF / K_0 and more by its inertia, where dF is the fall of P; no hand can prevent it. What
+the aim goes on until the stop, da/dt times the delay. And what the aim follows of the device's
+sudden advance in the part of that time beyond the reaction.
+"""  # noqa: E501 a table
 
 from dataclasses import dataclass
 from math import inf, nan
@@ -46,15 +49,21 @@ from tissue.simulation.simulate import TICK_S, simulate
 __all__ = ["NOTICED", "RATE_N_S", "Notice", "Pierced", "pierce"]
 
 Notice = Literal["force", "sight", "at once"]
-"""By what a puncture is noticed: the felt force, that or the sight of the tip, or as no person can, without delay."""
+"""By what a puncture is noticed: the felt force, that or the sight of the tip, or as no person
+can, without delay.
+"""
 RATE_N_S = 1.0
-"""Rise of the pushing force; assumed: a capsule of 2.3 N is through after some seconds, at about 5 mm/s."""
+"""Rise of the pushing force; assumed: a capsule of 2.3 N is through after some seconds, at about
+5 mm/s.
+"""
 FRAME_S = 1.0 / 60.0
 """Time between two video frames."""
 VISIBLE_M = 0.5e-3
 """How far beyond a membrane a tip is seen to be beyond it; assumed: several pixels of a display."""
 CUE_SHARE = 0.85
-"""Share of the puncture force at which a cue is given; assumed: at 1 N/s more than a reaction before the puncture."""
+"""Share of the puncture force at which a cue is given; assumed: at 1 N/s more than a reaction
+before the puncture.
+"""
 AFTER_S = 0.6
 """How long a run goes on after the stop: a submovement and the ringing of the grip."""
 LONGEST_S = 12.0
@@ -72,7 +81,8 @@ class Pierced:
     run
         With the trace.
     puncture_s, noticed_s, stop_s
-        When the membrane broke, when that was noticed and when the hand stopped [s]; infinite for not at all.
+        When the membrane broke, when that was noticed and when the hand stopped [s]; infinite for
+        not at all.
     felt_N
         Force of the hand along the push, by tick [N].
     aim_mm
@@ -96,7 +106,9 @@ class Pierced:
         """Excess travel of the tip [mm]; not a number where the hand stopped early or never."""
         if self.early or self.stop_s == inf:
             return nan
-        return excess_travel_mm(-self.run.trace["tool_z_mm"], puncture_tick=round(self.puncture_s / TICK_S))
+        return excess_travel_mm(
+            -self.run.trace["tool_z_mm"], puncture_tick=round(self.puncture_s / TICK_S)
+        )
 
 
 def pierce(
@@ -113,14 +125,15 @@ def pierce(
     Parameters
     ----------
     scene
-        With a needle on a device. Its path gives the start, the direction and the depth at which a push ends that
-        nothing stops; its hand, device, latency, predictor and seed are used.
+        With a needle on a device. Its path gives the start, the direction and the depth at which a
+        push ends that nothing stops; its hand, device, latency, predictor and seed are used.
     kappa, offset_N
         Threshold of the person for forces, see `FeltDrop`.
     notice
         By what the puncture is noticed.
     cue
-        Whether a cue is given at `CUE_SHARE` of the puncture force; it reaches the hand after the scene's latency.
+        Whether a cue is given at `CUE_SHARE` of the puncture force; it reaches the hand after the
+        scene's latency.
     rate_N_s
         Rise of the force [N/s].
 
@@ -130,7 +143,9 @@ def pierce(
         If the scene has no device or no needle.
     """
     if scene.device is None or not isinstance(scene.motion, PathMotion):
-        raise InputError("scene must have a device and a path to be pushed, got none: set device, such as touch")
+        raise InputError(
+            "scene must have a device and a path to be pushed, got none: set device, such as touch"
+        )
     require_positive("rate_N_s", rate_N_s, f"use {RATE_N_S:g}")
     start, end = 1e-3 * np.array(scene.motion.points_mm[:2])
     limits = device_parameters(scene.held.kind, scene.constants)
@@ -150,7 +165,9 @@ def pierce(
     cue_after_s = 1e-3 * scene.held.coupling.delay_ms if cue else inf
     frame_s = float(frames.uniform(0.0, FRAME_S))
     length_m = float(np.linalg.norm(end - start))
-    bystander = _Bystander(hand, notice, cue_after_s=cue_after_s, frame_s=frame_s, length_m=length_m)
+    bystander = _Bystander(
+        hand, notice, cue_after_s=cue_after_s, frame_s=frame_s, length_m=length_m
+    )
     pushed = changed(scene, {"duration_s": LONGEST_S})
     run = simulate(pushed, cores=1, device=device, observer=bystander, allow_unstable=True)
     felt_N, aim_mm = np.array(bystander.rows).T
@@ -161,7 +178,13 @@ class _Bystander(RunObserver):
     """Observer of a run that shows a hand the tip, gives it its cue, and ends the run."""
 
     def __init__(
-        self, hand: PushingHand, notice: Notice, *, cue_after_s: float, frame_s: float, length_m: float
+        self,
+        hand: PushingHand,
+        notice: Notice,
+        *,
+        cue_after_s: float,
+        frame_s: float,
+        length_m: float,
     ) -> None:
         self._hand = hand
         self._notice = notice
@@ -192,7 +215,10 @@ class _Bystander(RunObserver):
             self._frame += FRAME_S
             if self._notice == "sight" and insertion.punctured and insertion.inserted_m > VISIBLE_M:
                 hand.see(now + FRAME_S)
-        if not self._cued and insertion.pull_N >= CUE_SHARE * self._needle.tissue.membranes[0].puncture_N:
+        if (
+            not self._cued
+            and insertion.pull_N >= CUE_SHARE * self._needle.tissue.membranes[0].puncture_N
+        ):
             self._cued = True
             hand.cue(now + self._cue_after)
         return now < hand.stop_s + AFTER_S and hand.advance_m < self._length

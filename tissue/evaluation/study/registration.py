@@ -1,4 +1,6 @@
-"""Registration of a study's plan: its text with tests and power, its hash, and the hash of the code that runs it."""
+"""Registration of a study's plan: its text with tests and power, its hash, and the hash of the
+code that runs it.
+"""
 
 import json
 from collections.abc import Mapping
@@ -14,7 +16,16 @@ from meshes.base.errors import InputError, require_range
 from meshes.base.file_version import package_version
 from meshes.base.whole_file import claim, whole_file
 from tissue.evaluation.statistics.hypothesis_test import ALPHA
-from tissue.evaluation.study.plan import COMPARED, DIRECTIONS, LATENCY_MS, METHODS, PERSONAL, TASKS, USERS, Plan
+from tissue.evaluation.study.plan import (
+    COMPARED,
+    DIRECTIONS,
+    LATENCY_MS,
+    METHODS,
+    PERSONAL,
+    TASKS,
+    USERS,
+    Plan,
+)
 
 __all__ = [
     "PLAN_FILE",
@@ -34,11 +45,16 @@ PLAN_FILE = "plan.toml"
 SOURCES = (".py", ".toml", ".npz")
 """Endings of the files of code and constants that figures can depend on."""
 Registration = dict[str, str | int]
-"""One registered plan: ``file``, ``sha256`` and ``trials_before``, the number of trials that were there before it."""
+"""One registered plan: ``file``, ``sha256`` and ``trials_before``, the number of trials that
+were there before it.
+"""
 EFFECT = 1.0
-"""Effect of interest: one standard deviation, of the differences within people between two methods, or of people of one
-group. Chosen, range 0.5 to 2: the least that matters here, as the paper's force errors of penalty and Koopman differ by
-2.8 to 2.9 standard deviations (its table of force errors, root mean square of both columns' spreads)."""
+"""Effect of interest: one standard deviation, of the differences within people between two methods,
+or of people of one group. Chosen, range 0.5 to 2: the least that matters here, as the paper's force
+errors of penalty and Koopman differ by
+2.8 to 2.9 standard deviations (its table of force errors, root mean square of both columns'
+spreads).
+"""
 UNITS = {"force_error": "1", "ratio_error": "1", "position_error_mm": "mm"}
 """Units of the measures that are tested; a name that is not here carries its unit at its end."""
 DESCRIBED = (
@@ -46,8 +62,12 @@ DESCRIBED = (
     "latency_ms: residual latency, ms, nearer to zero is better",
     "time_s: time to the end of the task, s, less is better",
     "acceleration_change_m_s2: mean change of acceleration, m/s2, less is smoother",
-    "skin_N: force at the skin, from which discrimination (d' and right answers) follows, more is better",
-    "excess_mm: travel of a needle after its puncture, mm, less is better; a puncture that nobody notices counts as "
+    (
+        "skin_N: force at the skin, from which discrimination (d' and right answers) follows, "
+        "more is better"
+    ),
+    "excess_mm: travel of a needle after its puncture, mm, less is better; a puncture that "
+    "nobody notices counts as "
     "the longest travel, so that medians are compared",
     "noticed: share of punctures that are noticed, 1, more is better",
     "composite index of the metrics by weights from their own spread, more is better",
@@ -55,20 +75,28 @@ DESCRIBED = (
 """Measures that are reported with intervals and not tested."""
 EXCLUSIONS = (
     "no trial that did not fail is excluded, and no value is an outlier",
-    "a trial that failed under a method leaves that method's row out, with the sentence of its failure; a hand that "
+    "a trial that failed under a method leaves that method's row out, with the sentence of "
+    "its failure; a hand that "
     "stops before the capsule breaks is one",
     "a person without a trial under every method that a test compares is left out of that test",
-    "a method that gives another's value of a metric in every trial of a task is left out of that test",
+    (
+        "a method that gives another's value of a metric in every trial of a task is left out of "
+        "that test"
+    ),
 )
 HEAD = """\
-# What this study registered before its first trial, written by tissue. Its SHA-256 stands in study.json and in every
-# trial: to change the plan, write another into a new folder with `tissue study plan`.
+# What this study registered before its first trial, written by tissue. Its SHA-256
+# stands in study.json and in every trial. To change the plan, write another into a new folder
+# with `tissue study plan`.
 
 """
 
 
-def register(folder: Path, plan: Plan, held: list[Registration], *, trials: int) -> list[Registration]:
-    """Write the plan and its hash; an earlier one is kept under a name of its own. All registrations, newest last.
+def register(
+    folder: Path, plan: Plan, held: list[Registration], *, trials: int
+) -> list[Registration]:
+    """Write the plan and its hash; an earlier one is kept under a name of its own. All
+    registrations, newest last.
 
     Parameters
     ----------
@@ -91,7 +119,8 @@ def register(folder: Path, plan: Plan, held: list[Registration], *, trials: int)
     text = plan_text(plan).encode("utf-8")
     if not kept and path.is_file() and path.read_bytes() != text:
         raise InputError(
-            f"out must hold no {PLAN_FILE} of another origin, got one in {folder}: write it with `tissue study plan`"
+            f"out must hold no {PLAN_FILE} of another origin, got one in {folder}: write it "
+            "with `tissue study plan`"
         )
     with whole_file(path) as temporary:
         temporary.write_bytes(text)
@@ -107,7 +136,11 @@ def registered(content: Mapping[str, Any]) -> list[Registration]:
         If it holds something else.
     """
     return [
-        {"file": str(each["file"]), "sha256": str(each["sha256"]), "trials_before": int(each["trials_before"])}
+        {
+            "file": str(each["file"]),
+            "sha256": str(each["sha256"]),
+            "trials_before": int(each["trials_before"]),
+        }
         for each in content["registrations"]
     ]
 
@@ -123,8 +156,10 @@ def require_unchanged(folder: Path, held: list[Registration]) -> None:
     for each in held:
         if (got := file_sha256(folder / str(each["file"]))) != each["sha256"]:
             raise InputError(
-                f"{each['file']} must be as it was registered (SHA-256 {str(each['sha256'])[:12]}), got "
-                f"{got[:12] or 'no such file'} in {folder}: put it back, or run another plan in a new folder"
+                f"{each['file']} must be as it was registered (SHA-256 "
+                f"{str(each['sha256'])[:12]}), got "
+                f"{got[:12] or 'no such file'} in {folder}: put it back, or run another plan "
+                "in a new folder"
             )
 
 
@@ -137,7 +172,9 @@ def file_sha256(path: Path) -> str:
 
 
 def content_sha256(content: Mapping[str, object]) -> str:
-    """Return SHA-256 of a trial's content; it finds a slip of an editor, not a person who computes it anew."""
+    """Return SHA-256 of a trial's content; it finds a slip of an editor, not a person who
+    computes it anew.
+    """
     return sha256(json.dumps(content, sort_keys=True).encode("utf-8")).hexdigest()
 
 
@@ -151,17 +188,20 @@ def code_sha256() -> str:
     found = sha256()
     for package in (kernels, meshes, tissue):
         root = Path(package.__path__[0])
-        for path in sorted(each for each in root.rglob("*") if each.suffix in SOURCES and each.is_file()):
+        for path in sorted(
+            each for each in root.rglob("*") if each.suffix in SOURCES and each.is_file()
+        ):
             name = f"{package.__name__}/{path.relative_to(root).as_posix()}"
             found.update(name.encode("utf-8") + b"\0" + sha256(path.read_bytes()).digest())
     return found.hexdigest()
 
 
 def planned_tests(plan: Plan) -> list[str]:
-    """Return the tests that the report of a plan makes, as task and question, such as ``T1 force_error: method``.
+    """Return the tests that the report of a plan makes, as task and question, such as ``T1
+    force_error: method``.
 
-    Of every compared metric on every task each effect, then metrics together by multivariate analysis, then each metric
-    over all tasks.
+    Of every compared metric on every task each effect, then metrics together by multivariate
+    analysis, then each metric over all tasks.
     """
     methods = len(plan.methods) > 1
     groups = len(plan.groups) > 1
@@ -173,10 +213,17 @@ def planned_tests(plan: Plan) -> list[str]:
             for effect in _effects(["group"] * groups + ["method"] * methods)
         ]
         together = ", ".join(COMPARED)
-        found += [f"{task} {together}: {factor}" for factor in ["method"] * methods + ["group"] * groups]
+        found += [
+            f"{task} {together}: {factor}" for factor in ["method"] * methods + ["group"] * groups
+        ]
     tasks = len(plan.compared) > 1
     factors = ["group"] * groups + ["task"] * tasks + ["method"] * methods
-    found += [f"all {metric}: {effect}" for metric in COMPARED for effect in _effects(factors) if plan.compared]
+    found += [
+        f"all {metric}: {effect}"
+        for metric in COMPARED
+        for effect in _effects(factors)
+        if plan.compared
+    ]
     return found
 
 
@@ -205,20 +252,29 @@ def plan_text(plan: Plan) -> str:
         },
         "seeds": {
             "seed": plan.seed,
-            "rule": "a trial's seed follows from this seed, its task, its group and its number alone, and is written "
+            "rule": "a trial's seed follows from this seed, its task, its group and its number "
+            "alone, and is written "
             "into its file; a trial is the same under every method",
         },
         "measures": {
             "primary": [
-                {"name": name, "unit": UNITS.get(name, name.rsplit("_", 1)[-1]), "better": _better(name)}
+                {
+                    "name": name,
+                    "unit": UNITS.get(name, name.rsplit("_", 1)[-1]),
+                    "better": _better(name),
+                }
                 for name in COMPARED
             ],
             "described": list(DESCRIBED),
         },
         "tests": {
-            "method": "analysis of strata with people as the unit; multivariate analysis of metrics together; a mixed "
+            "method": "analysis of strata with people as the unit; multivariate analysis of "
+            "metrics "
+            "together; a mixed "
             "model over all tasks; tests that rest on less stand beside them and decide nothing",
-            "correction": f"Bonferroni over all {len(tests)} tests" if tests else "none, as nothing is tested",
+            "correction": f"Bonferroni over all {len(tests)} tests"
+            if tests
+            else "none, as nothing is tested",
             "alpha": ALPHA,
             "alpha_of_one_test": alpha,
             "planned": tests,
@@ -226,9 +282,12 @@ def plan_text(plan: Plan) -> str:
         "exclusions": list(EXCLUSIONS),
         "power": {
             "effect_of_interest_sd": EFFECT,
-            "effect": "one method, group, or method in one group differs from the rest, which are equal; in standard "
+            "effect": "one method, group, or method in one group differs from the rest, which are "
+            "equal; in standard "
             "deviations of differences within people, or of people",
-            "method": "noncentral F distribution, Cohen 1988, chapter 8; normal values and sphericity; for one metric "
+            "method": "noncentral F distribution, Cohen 1988, chapter 8; normal values and "
+            "sphericity; "
+            "for one metric "
             "on one task",
             "corrected": _rounded(planned_power(people, *design, alpha=alpha)) if tests else {},
             "uncorrected": _rounded(planned_power(people, *design, alpha=ALPHA)) if tests else {},
@@ -243,19 +302,27 @@ def _better(metric: str) -> str:
 
 def _effects(factors: list[str]) -> list[str]:
     """Return the main effects and interactions of factors."""
-    return [" x ".join(chosen) for count in range(1, len(factors) + 1) for chosen in combinations(factors, count)]
+    return [
+        " x ".join(chosen)
+        for count in range(1, len(factors) + 1)
+        for chosen in combinations(factors, count)
+    ]
 
 
 def _rounded(power: dict[str, float]) -> dict[str, float]:
     return {name: round(value, 3) for name, value in power.items()}
 
 
-def planned_power(people: int, groups: int, methods: int, *, alpha: float, effect: float = EFFECT) -> dict[str, float]:
-    """Chance that each test of one metric on one task finds an effect of interest, by the noncentral F distribution.
+def planned_power(
+    people: int, groups: int, methods: int, *, alpha: float, effect: float = EFFECT
+) -> dict[str, float]:
+    """Chance that each test of one metric on one task finds an effect of interest, by the
+    noncentral F distribution.
 
-    One method, or one group, or one method in one group, differs by ``effect`` from the rest, which are equal. With n
-    people in each of g groups under k methods, normal effects and sphericity, the noncentralities (Cohen 1988, chapter
-    8; of the exact tests in `tissue.evaluation.statistics.strata.strata`) are::
+    One method, or one group, or one method in one group, differs by ``effect`` from the rest, which
+    are equal. With n people in each of g groups under k methods, normal effects and sphericity, the
+    noncentralities (Cohen 1988, chapter 8; of the exact tests in
+    `tissue.evaluation.statistics.strata.strata`) are::
 
         method          2 g n d² (k - 1) / k                    degrees k - 1, (g n - g) (k - 1)
         group           n d² (g - 1) / g                        degrees g - 1, g n - g
@@ -264,7 +331,8 @@ def planned_power(people: int, groups: int, methods: int, *, alpha: float, effec
     Parameters
     ----------
     people
-        People in a group, n. The effect is on means over a person's trials, so that trials do not count beside them.
+        People in a group, n. The effect is on means over a person's trials, so that trials do not
+        count beside them.
     groups, methods
         Numbers of both, g and k.
     alpha
@@ -281,7 +349,7 @@ def planned_power(people: int, groups: int, methods: int, *, alpha: float, effec
     ------
     InputError
         If alpha or the effect is out of range.
-    """
+    """  # noqa: E501 a table
     from scipy.stats import f, ncf
 
     require_range("alpha", alpha, 1e-9, 1.0, "use 0.05")

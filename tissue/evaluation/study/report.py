@@ -27,7 +27,12 @@ from tissue.evaluation.study.folder import StudyFolder
 from tissue.evaluation.study.plan import LATENCY_MS, METHODS, PERSONAL, TASKS, USERS, Plan
 from tissue.evaluation.study.registration import code_sha256, file_sha256
 from tissue.evaluation.study.section import CHOSEN_AFTER, SOURCE, Section
-from tissue.evaluation.study.tested import composite_section, power_section, regression_section, tests_sections
+from tissue.evaluation.study.tested import (
+    composite_section,
+    power_section,
+    regression_section,
+    tests_sections,
+)
 from tissue.evaluation.study.trial import (
     NUMBERS,
     PACE_SPREAD,
@@ -54,9 +59,18 @@ TISSUES = {
     "reaming": (("cutting", "bone"), ("perception", "torque")),
     "drilling": (("cutting", "enamel"), ("cutting", "dentin")),
 }
-"""Cited constants of tissues and senses that a task adds; T1 and T2 have their stiffness in the scene alone."""
+"""Cited constants of tissues and senses that a task adds; T1 and T2 have their stiffness in the
+scene alone.
+"""
 STUDY: tuple[Row, ...] = (
-    ("study", "latency ms", f"{LATENCY_MS}", "2 to 8, see the sensitivity", "M", "near the paper's mean of 4.3 ms"),
+    (
+        "study",
+        "latency ms",
+        f"{LATENCY_MS}",
+        "2 to 8, see the sensitivity",
+        "M",
+        "near the paper's mean of 4.3 ms",
+    ),
     ("study", "people a group", f"{USERS}", "", "", "trials go round among them"),
     ("study", "spread of the logarithm of pace, people", f"{PACE_SPREAD:g}", "", "L", "assumed"),
     ("study", "spread of the logarithm of pace, trials", f"{WITHIN_SPREAD:g}", "", "L", "assumed"),
@@ -66,12 +80,14 @@ STUDY: tuple[Row, ...] = (
 
 
 def write_report(path: Path, *, report: Progress = silent) -> tuple[Path, list[str]]:
-    """Write ``report/index.html`` and its tables into a study's folder; return its path and its first sentences.
+    """Write ``report/index.html`` and its tables into a study's folder; return its path and its
+    first sentences.
 
     Raises
     ------
     InputError
-        If the folder is no study, holds no trial of the tasks that are compared, or another process writes a report.
+        If the folder is no study, holds no trial of the tasks that are compared, or another process
+        writes a report.
     """
     folder = StudyFolder(path)
     out = path / "report"
@@ -79,10 +95,14 @@ def write_report(path: Path, *, report: Progress = silent) -> tuple[Path, list[s
     page = out / "index.html"
     with owned_folder(out, "study report", (), shared=["index.html"]):
         sections = sections_of(folder, report=report)
-        links = " · ".join(f'<a href="#{escape(each.name)}">{escape(each.title)}</a>' for each in sections)
+        links = " · ".join(
+            f'<a href="#{escape(each.name)}">{escape(each.title)}</a>' for each in sections
+        )
         body = "\n".join(_as_html(section, section.write_csv(out)) for section in sections)
         with whole_file(page) as temporary:
-            temporary.write_text(html_page("Study", f'<p class="soft">{links}</p>\n{body}', style=WIDE), "utf-8")
+            temporary.write_text(
+                html_page("Study", f'<p class="soft">{links}</p>\n{body}', style=WIDE), "utf-8"
+            )
     return page, [sentence for section in sections[:3] for sentence in section.sentences]
 
 
@@ -95,7 +115,10 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
         table = folder.table(*plan.compared)
         whole = table.complete()
         if not len(whole):
-            raise InputError(f"study must hold a trial that did not fail, got {table.failed} failures: see trials.csv")
+            raise InputError(
+                f"study must hold a trial that did not fail, got {table.failed} failures: "
+                "see trials.csv"
+            )
         report("force and tasks", 0.1)
         sections += [force_section(whole), latency_section(whole), task_section(whole)]
         report("discrimination", 0.2)
@@ -104,18 +127,33 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
         sections += _tested(table, np.random.default_rng(plan.seed))
     report("case studies", 0.9)
     sections += case_sections(folder, plan.seed)
-    sections += [each for each in (sensitivity_section(folder), reference_section(folder)) if each is not None]
+    sections += [
+        each
+        for each in (sensitivity_section(folder), reference_section(folder))
+        if each is not None
+    ]
     differences = registration_section(folder, [each for each in sections if each.name == "tests"])
     found = found_section([*sections, differences])
-    return [found, _overview(folder), differences, *sections, speed_section(folder), _parameters(plan)]
+    return [
+        found,
+        _overview(folder),
+        differences,
+        *sections,
+        speed_section(folder),
+        _parameters(plan),
+    ]
 
 
 def found_section(sections: Sequence[Section]) -> Section:
-    """Return the first section: the headlines of the others, and how many figures agree with the published ones."""
+    """Return the first section: the headlines of the others, and how many figures agree with the
+    published ones.
+    """
     compared = 0
     apart = []
     for section in sections:
-        for column in (at for at, name in enumerate(section.header) if name.endswith("against paper")):
+        for column in (
+            at for at, name in enumerate(section.header) if name.endswith("against paper")
+        ):
             for row in section.rows:
                 compared += bool(row[column])
                 if row[column] not in ("", "agrees"):
@@ -150,33 +188,58 @@ def _overview(folder: StudyFolder) -> Section:
     kept = list(folder.trials(variant=None))
     counts = Counter((trial.key.task, trial.key.group) for trial in kept if not trial.key.variant)
     rows = tuple(
-        (task, TASKS[task].title, _describe(task), ", ".join(f"{group} {counts[task, group]}" for group in plan.groups))
+        (
+            task,
+            TASKS[task].title,
+            _describe(task),
+            ", ".join(f"{group} {counts[task, group]}" for group in plan.groups),
+        )
         for task in plan.tasks
     )
     empty = [group for group in plan.groups if not any(counts[task, group] for task in plan.tasks)]
     sentences = [
-        f"{len(kept)} of {sum(1 for _ in plan.all_trials())} trials are there, seed {plan.seed}, version "
-        f"{package_version()}; methods {', '.join(plan.methods)}. Every trial has a latency of {LATENCY_MS} ms on the "
+        f"{len(kept)} of {sum(1 for _ in plan.all_trials())} trials are there, seed "
+        f"{plan.seed}, version "
+        f"{package_version()}; methods {', '.join(plan.methods)}. Every trial has a latency "
+        f"of {LATENCY_MS} ms on the "
         "device touch.",
-        f"{USERS} simulated people a group differ in pace, exponent and threshold, groups in hand and threshold. "
-        "No person took part, and nothing here is a measure of physical fidelity: forces are held against the "
+        f"{USERS} simulated people a group differ in pace, exponent and threshold, groups in "
+        "hand and threshold. "
+        "No person took part, and nothing here is a measure of physical fidelity: forces are "
+        "held against the "
         "engine's own ideal, as the paper's are against its own.",
-        f"Figures of the paper: {SOURCE}. Chosen after results had been seen: {'; '.join(CHOSEN_AFTER)}.",
+        (
+            f"Figures of the paper: {SOURCE}. Chosen after results had been seen: "
+            f"{'; '.join(CHOSEN_AFTER)}."
+        ),
     ]
     if empty:
-        sentences.append(f"No trial yet of {', '.join(empty)}: the figures are of the other groups.")
+        sentences.append(
+            f"No trial yet of {', '.join(empty)}: the figures are of the other groups."
+        )
     for what, names in failures_of(kept).items():
         sentences.append(f"{len(names)} failed, {what} ({names[0]}{', ...' * (len(names) > 1)}).")
-    return Section("overview", "What was run", tuple(sentences), ("task", "what", "scene and changes", "trials"), rows)
+    return Section(
+        "overview",
+        "What was run",
+        tuple(sentences),
+        ("task", "what", "scene and changes", "trials"),
+        rows,
+    )
 
 
 def _describe(task: str) -> str:
     """Return the changes of a task's scene as text."""
     changes, *specimens = (
-        ", ".join(map(_entry, each.items())) for each in (TASKS[task].changes, *TASKS[task].specimens)
+        ", ".join(map(_entry, each.items()))
+        for each in (TASKS[task].changes, *TASKS[task].specimens)
     )
     text = f"{TASKS[task].scene}: {changes}"
-    return f"{text}; specimens: {' or '.join(each or 'as it is' for each in specimens)}" if len(specimens) > 1 else text
+    return (
+        f"{text}; specimens: {' or '.join(each or 'as it is' for each in specimens)}"
+        if len(specimens) > 1
+        else text
+    )
 
 
 def _entry(item: tuple[str, object]) -> str:
@@ -199,19 +262,37 @@ def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Secti
     """
     plan = folder.plan()
     kept = list(folder.trials(variant=None))
-    found = [*_plans(folder), *_trials(folder, plan, kept), *_origins(folder, plan, kept), *_tests(folder, tests)]
+    found = [
+        *_plans(folder),
+        *_trials(folder, plan, kept),
+        *_origins(folder, plan, kept),
+        *_tests(folder, tests),
+    ]
     newest = folder.registrations()[-1]
-    when = f"after {newest['trials_before']} trials" if newest["trials_before"] else "before the first trial"
+    when = (
+        f"after {newest['trials_before']} trials"
+        if newest["trials_before"]
+        else "before the first trial"
+    )
     kinds = list(dict.fromkeys(kind for kind, _, _ in found))
-    differs = f"{len(found)} differences from it: {', '.join(kinds)}." if found else "Nothing differs from it."
-    headline = f"{newest['file']} was registered {when} (SHA-256 {str(newest['sha256'])[:16]}). {differs}"
+    differs = (
+        f"{len(found)} differences from it: {', '.join(kinds)}."
+        if found
+        else "Nothing differs from it."
+    )
+    headline = (
+        f"{newest['file']} was registered {when} (SHA-256 {str(newest['sha256'])[:16]}). {differs}"
+    )
     limits = (
-        "Hashes find slips and changes made in passing; they prove nothing against a person who computes them anew, "
+        "Hashes find slips and changes made in passing; they prove nothing against a person "
+        "who computes them anew, "
         "which a copy of the plan in other hands would."
     )
     header = ("kind", "what", "detail") if found else ()
     title = "What differs from the registered plan"
-    return Section("registration", title, (headline, limits), header, tuple(found), headline=headline)
+    return Section(
+        "registration", title, (headline, limits), header, tuple(found), headline=headline
+    )
 
 
 def _plans(folder: StudyFolder) -> Iterator[Difference]:
@@ -222,7 +303,10 @@ def _plans(folder: StudyFolder) -> Iterator[Difference]:
             how = f"its SHA-256 is {got[:16]}" if got else "it is not there"
             yield "plan changed", name, f"registered as {str(each['sha256'])[:16]}, {how}"
         if each["trials_before"]:
-            detail = f"registered when {each['trials_before']} trials were there, whose results could be seen"
+            detail = (
+                f"registered when {each['trials_before']} trials were there, whose results could "
+                "be seen"
+            )
             yield "plan after the first trial", name, detail
 
 
@@ -239,17 +323,24 @@ def _trials(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Diff
     for what, names in failures_of(kept).items():
         yield "trials failed and left out", what, _named(names)
     for method in plan.methods:
-        without = [trial.key.name for trial in kept if not trial.key.variant
-                   and all(row["method"] != method for row in trial.rows)]  # fmt: skip
+        without = [
+            trial.key.name
+            for trial in kept
+            if not trial.key.variant and all(row["method"] != method for row in trial.rows)
+        ]
         if without:
             yield "method missing", method, _named(without)
     planned = {key.name for key in keys}
-    if strange := sorted(each.stem for each in (folder.path / "trials").glob("*.json") if each.stem not in planned):
+    if strange := sorted(
+        each.stem for each in (folder.path / "trials").glob("*.json") if each.stem not in planned
+    ):
         yield "trials not planned", "files that the report leaves out", _named(strange)
 
 
 def _origins(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Difference]:
-    """Yield trials of another seed, plan or code than was registered, or changed since they were written."""
+    """Yield trials of another seed, plan or code than was registered, or changed since they were
+    written.
+    """
     plans = {str(each["sha256"]) for each in folder.registrations()}
     stamps = {trial.key: folder.stamp(trial.key) for trial in kept}
     if names := [key.name for key, stamp in stamps.items() if not stamp.whole]:
@@ -260,23 +351,40 @@ def _origins(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Dif
         yield "trials of another seed", f"plan has {plan.seed}", _named(names)
     codes = sorted({stamp.code_sha256 for stamp in stamps.values()})
     if len(codes) > 1:
-        yield "code changed between trials", f"{len(codes)} versions", ", ".join(each[:12] or "none" for each in codes)
+        yield (
+            "code changed between trials",
+            f"{len(codes)} versions",
+            ", ".join(each[:12] or "none" for each in codes),
+        )
     elif codes and codes != [code_sha256()]:
         detail = f"trials {codes[0][:12] or 'none'}, report {code_sha256()[:12]}"
         yield "code changed before the report", "trials and report", detail
 
 
 def _tests(folder: StudyFolder, tests: Sequence[Section]) -> Iterator[Difference]:
-    """Yield tests that were planned and not made, those that were made and not planned, and methods left out."""
+    """Yield tests that were planned and not made, those that were made and not planned, and
+    methods left out.
+    """
     try:
-        plan = tomllib.loads((folder.path / str(folder.registrations()[-1]["file"])).read_text("utf-8"))
+        plan = tomllib.loads(
+            (folder.path / str(folder.registrations()[-1]["file"])).read_text("utf-8")
+        )
         planned = {_unordered(each): str(each) for each in plan["tests"]["planned"]}
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return  # a spoilt plan is a difference of its own
-    made = {_unordered(test): test for section in tests for row in section.rows if (test := f"{row[0]} {row[1]}")}
+    made = {
+        _unordered(test): test
+        for section in tests
+        for row in section.rows
+        if (test := f"{row[0]} {row[1]}")
+    }
     sentences = [sentence for section in tests for sentence in section.sentences]
     if names := [test for key, test in planned.items() if key not in made]:
-        why = " ".join(each for each in sentences if "could not be tested" in each or "Nothing could be" in each)
+        why = " ".join(
+            each
+            for each in sentences
+            if "could not be tested" in each or "Nothing could be" in each
+        )
         yield "tests planned and not made", why, _named(names, "; ")
     if names := [test for key, test in made.items() if key not in planned]:
         yield "tests made and not planned", "", _named(names, "; ")
@@ -300,20 +408,34 @@ def _parameters(plan: Plan) -> Section:
     """List the parameters with value, range and source; the overview lists those of the scenes."""
     rows = list(STUDY)
     for method in plan.methods:
-        keys = dict(METHODS[method]) | ({"perception": "the person's own"} if method in PERSONAL else {})
-        rows += [(f"method {method}", name, str(value), "", "", "definition") for name, value in keys.items()]
+        keys = dict(METHODS[method]) | (
+            {"perception": "the person's own"} if method in PERSONAL else {}
+        )
+        rows += [
+            (f"method {method}", name, str(value), "", "", "definition")
+            for name, value in keys.items()
+        ]
     tables = [("devices", "touch"), ("hands", "any"), *(("hands", group) for group in plan.groups)]
     tables += [("perception", "force"), *(("observers", group) for group in plan.groups)]
     tables += [each for task in plan.tasks for each in TISSUES.get(task, ())]
     for table, name in dict.fromkeys(tables):
         rows += [
-            (f"{table}, {name}", entry, f"{one.value:g}", f"{one.low:g} to {one.high:g}", one.confidence, one.source)
+            (
+                f"{table}, {name}",
+                entry,
+                f"{one.value:g}",
+                f"{one.low:g} to {one.high:g}",
+                one.confidence,
+                one.source,
+            )
             for entry, one in constants(table, name).items()
         ]
     unsure = sum(row[4] == "L" for row in rows)
     sentences = (
-        f"{len(rows)} parameters; {unsure} of them are of low confidence (L: memory of the literature or assumed), "
-        "most of what distinguishes people and groups among them. None was chosen by a figure of the paper but the "
+        f"{len(rows)} parameters; {unsure} of them are of low confidence (L: memory of the "
+        "literature or assumed), "
+        "most of what distinguishes people and groups among them. None was chosen by a "
+        "figure of the paper but the "
         "latency and the depth that the needle aims at, as its section states.",
     )
     header = ("of", "parameter", "value", "range", "confidence", "source")
@@ -327,7 +449,13 @@ def _as_html(section: Section, file: str) -> str:
     table = ""
     if section.rows:
         head = "".join(f"<th>{escape(each)}</th>" for each in section.header)
-        body = "".join(f"<tr>{''.join(f'<td>{escape(each)}</td>' for each in row)}</tr>" for row in section.rows)
+        body = "".join(
+            f"<tr>{''.join(f'<td>{escape(each)}</td>' for each in row)}</tr>"
+            for row in section.rows
+        )
         table = f'<div class="wide"><table><tr>{head}</tr>{body}</table></div>'
         table += f'<p class="soft">Data: <a href="{escape(file)}">{escape(file)}</a></p>'
-    return f'<section id="{escape(section.name)}"><h2>{escape(section.title)}</h2>\n{text}{picture}{table}</section>'
+    return (
+        "<section "
+        f'id="{escape(section.name)}"><h2>{escape(section.title)}</h2>\n{text}{picture}{table}</section>'
+    )

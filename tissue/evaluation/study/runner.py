@@ -20,9 +20,13 @@ from tissue.system.workers import first_done
 __all__ = ["run_study"]
 
 TRIALS_PER_WORKER = 3
-"""Trials handed out for each worker, so that none waits and memory does not grow with the number of trials."""
+"""Trials handed out for each worker, so that none waits and memory does not grow with the number
+of trials.
+"""
 LOSSES = 3
-"""Losses after which a trial that was under way is run alone, to see whether it is what ends its worker."""
+"""Losses after which a trial that was under way is run alone, to see whether it is what ends its
+worker.
+"""
 BARREN = 20
 """Losses without a trial in between after which a study gives up."""
 PATIENCE_S = 30.0
@@ -40,8 +44,9 @@ def run_study(
 ) -> StudyFolder:
     """Run the trials of a plan that its folder does not hold yet, and write the tables of all.
 
-    The tables are sorted, so that they depend neither on workers and their number nor on interruptions. A worker that
-    is lost is replaced; what it was doing is done again. A trial that ends its worker each time is kept as failed.
+    The tables are sorted, so that they depend neither on workers and their number nor on
+    interruptions. A worker that is lost is replaced; what it was doing is done again. A trial that
+    ends its worker each time is kept as failed.
 
     Parameters
     ----------
@@ -50,9 +55,11 @@ def run_study(
     out
         Folder of the study; one that holds a part of it is gone on with.
     workers
-        Processes; default one a core. A scheduler has its own; the number is then how many trials it is given.
+        Processes; default one a core. A scheduler has its own; the number is then how many trials
+        it is given.
     scheduler
-        Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``, instead of own processes.
+        Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``, instead of own
+        processes.
     retry
         Run trials that failed again.
     report
@@ -61,10 +68,17 @@ def run_study(
     Raises
     ------
     InputError
-        If the folder holds another study, no scheduler answers, or workers are lost again and again.
+        If the folder holds another study, no scheduler answers, or workers are lost again and
+        again.
     """
     count = int(
-        require_range("workers", (os.cpu_count() or 1) if workers is None else workers, 1, 4096, "use one a core")
+        require_range(
+            "workers",
+            (os.cpu_count() or 1) if workers is None else workers,
+            1,
+            4096,
+            "use one a core",
+        )
     )
     folder = StudyFolder(out)
     with folder.held(plan) as sentences:
@@ -77,7 +91,9 @@ def run_study(
     return folder
 
 
-def _run_trials(plan: Plan, folder: StudyFolder, count: int, scheduler: str | None, report: Progress) -> None:
+def _run_trials(
+    plan: Plan, folder: StudyFolder, count: int, scheduler: str | None, report: Progress
+) -> None:
     """Run the trials that the folder does not hold yet, and replace workers that are lost."""
     work = _Work(plan, folder, report)
     barren = 0
@@ -88,21 +104,32 @@ def _run_trials(plan: Plan, folder: StudyFolder, count: int, scheduler: str | No
         try:
             with executor(1 if suspects else count, scheduler, patience_s=PATIENCE_S) as pool:
                 connected = True
-                work.drain(pool, suspects[:1] or list(work.waiting), 1 if suspects else TRIALS_PER_WORKER * count)
+                work.drain(
+                    pool,
+                    suspects[:1] or list(work.waiting),
+                    1 if suspects else TRIALS_PER_WORKER * count,
+                )
         except LOST as error:
             if not connected:
                 raise InputError(
-                    f"scheduler must answer, got {scheduler} ({error}): start it with `dask scheduler`"
+                    f"scheduler must answer, got {scheduler} ({error}): start it with `dask "
+                    "scheduler`"
                 ) from error
             barren = barren + 1 if work.done == before else 1
             if barren > BARREN:
                 raise InputError(
-                    f"workers must stay alive, got {barren} losses with {len(work.waiting)} trials left: look for what "
+                    f"workers must stay alive, got {barren} losses with {len(work.waiting)} "
+                    "trials left: look for what "
                     "kills them, memory for one, and run the study again to go on"
                 ) from error
-            report(f"workers were lost ({type(error).__name__}), {len(work.waiting)} trials go on", work.share)
+            report(
+                f"workers were lost ({type(error).__name__}), {len(work.waiting)} trials go on",
+                work.share,
+            )
             if suspects and work.running:
-                work.give_up(suspects[0], "RuntimeError: the worker was lost each time this trial ran on it")
+                work.give_up(
+                    suspects[0], "RuntimeError: the worker was lost each time this trial ran on it"
+                )
             else:
                 work.losses.update(work.running.values())
             sleep(min(2.0, 0.1 * barren))
@@ -117,7 +144,9 @@ def _in_worker(plan: Plan, key: TrialKey) -> Trial:
 
 @cache
 def _keep_what_stays() -> None:
-    """Spare every further run the search for garbage among modules and kernels, which outlives all trials."""
+    """Spare every further run the search for garbage among modules and kernels, which outlives
+    all trials.
+    """
     gc.collect()
     gc.freeze()
 
@@ -152,17 +181,23 @@ class _Work:
                 self.running[pool.submit(_in_worker, self.plan, key)] = key
             if not self.running:
                 return
-            for future in first_done(pool, self.running, lambda doing, _: self._report(doing, self.share)):
+            for future in first_done(
+                pool, self.running, lambda doing, _: self._report(doing, self.share)
+            ):
                 error = future.exception()
                 if isinstance(error, LOST):
                     raise error
                 key = self.running.pop(future)
-                if isinstance(error, Exception):  # whatever a worker met, such as a trial that ends it each time
+                # whatever a worker met, such as a trial that ends it each time
+                if isinstance(error, Exception):
                     self.give_up(key, error_sentence(error))
                 else:
                     self._keep(future.result())
                     self.done += 1
-            self._report(f"trial {self.total - len(self.waiting)} of {self.total}, {self._left()}", self.share)
+            self._report(
+                f"trial {self.total - len(self.waiting)} of {self.total}, {self._left()}",
+                self.share,
+            )
 
     def give_up(self, key: TrialKey, failure: str) -> None:
         """Keep a trial as failed."""

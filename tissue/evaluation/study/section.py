@@ -40,21 +40,31 @@ __all__ = [
 ]
 
 SOURCE = (
-    "A Koopman-Bayesian Framework for High-Fidelity, Perceptually Optimized Haptic Surgical Simulation, "
+    "A Koopman-Bayesian Framework for High-Fidelity, Perceptually Optimized Haptic Surgical "
+    "Simulation, "
     "N = 900 trials (3 tasks x 3 expertise groups x 100)"
 )
 CHOSEN_AFTER = (
-    "the needle is pushed by a rising force and stopped by a reaction, where a first study turned it round at a depth "
+    "the needle is pushed by a rising force and stopped by a reaction, where a first study "
+    "turned it round at a depth "
     "of its script",
-    "what of a run counts as its error of force acts at the motor, where earlier studies took the force before it",
-    "ratios of intensity are taken in windows that lie in contact whole, where a study of 180 trials took those half "
+    (
+        "what of a run counts as its error of force acts at the motor, where earlier studies "
+        "took the force before it"
+    ),
+    "ratios of intensity are taken in windows that lie in contact whole, where a study of "
+    "180 trials took those half "
     "in contact too",
-    "a puncture that nobody notices counts as the longest travel and a push ends at a depth of 60 mm, where a study of "
+    "a puncture that nobody notices counts as the longest travel and a push ends at a depth "
+    "of 60 mm, where a study of "
     "180 trials left such trials out",
-    "hands aim below the bone in T3 and in reaming, so that they mill and ream it, where those of a study of 180 "
+    "hands aim below the bone in T3 and in reaming, so that they mill and ream it, where "
+    "those of a study of 180 "
     "trials aimed at the wanted depth and skimmed it",
 )
-"""Choices of the study itself that were made with figures of an earlier version in sight; no others are known."""
+"""Choices of the study itself that were made with figures of an earlier version in sight; no
+others are known.
+"""
 
 
 @dataclass(frozen=True)
@@ -69,17 +79,45 @@ class Figure:
 
 
 FORCE_ERROR = {
-    "T1": {"penalty": Figure(8.2, 2.1), "koopman": Figure(3.5, 1.0), "koopman-perception": Figure(2.1, 0.7)},
-    "T2": {"penalty": Figure(7.1, 1.8), "koopman": Figure(3.0, 0.9), "koopman-perception": Figure(1.8, 0.6)},
-    "T3": {"penalty": Figure(9.5, 2.4), "koopman": Figure(4.2, 1.2), "koopman-perception": Figure(2.8, 0.8)},
+    "T1": {
+        "penalty": Figure(8.2, 2.1),
+        "koopman": Figure(3.5, 1.0),
+        "koopman-perception": Figure(2.1, 0.7),
+    },
+    "T2": {
+        "penalty": Figure(7.1, 1.8),
+        "koopman": Figure(3.0, 0.9),
+        "koopman-perception": Figure(1.8, 0.6),
+    },
+    "T3": {
+        "penalty": Figure(9.5, 2.4),
+        "koopman": Figure(4.2, 1.2),
+        "koopman-perception": Figure(2.8, 0.8),
+    },
 }
-"""Normalised L2 error of force [%]; the paper's columns are raw, Koopman-adjusted and perceptual."""
+"""Normalised L2 error of force [%]; the paper's columns are raw, Koopman-adjusted and
+perceptual.
+"""
 TASK_METRICS = {
-    "T1": {"time_s": Figure(14.2, 1.8), "position_error_mm": Figure(0.71, 0.12), "smoothness": Figure(0.92, 0.03)},
-    "T2": {"time_s": Figure(12.5, 1.2), "position_error_mm": Figure(0.63, 0.10), "smoothness": Figure(0.95, 0.02)},
-    "T3": {"time_s": Figure(18.3, 2.1), "position_error_mm": Figure(0.85, 0.15), "smoothness": Figure(0.88, 0.04)},
+    "T1": {
+        "time_s": Figure(14.2, 1.8),
+        "position_error_mm": Figure(0.71, 0.12),
+        "smoothness": Figure(0.92, 0.03),
+    },
+    "T2": {
+        "time_s": Figure(12.5, 1.2),
+        "position_error_mm": Figure(0.63, 0.10),
+        "smoothness": Figure(0.95, 0.02),
+    },
+    "T3": {
+        "time_s": Figure(18.3, 2.1),
+        "position_error_mm": Figure(0.85, 0.15),
+        "smoothness": Figure(0.88, 0.04),
+    },
 }
-"""Completion time [s], position error [mm] and an index of smoothness that is printed as if higher were better."""
+"""Completion time [s], position error [mm] and an index of smoothness that is printed as if
+higher were better.
+"""
 LATENCY = Figure(4.3)
 """Mean latency [ms]."""
 COMPOSITE = {"penalty": Figure(0.72, 0.05), "koopman-perception": Figure(0.91, 0.03)}
@@ -96,7 +134,9 @@ CASES = {
 """Case studies; errors of reaming and the latency are upper bounds."""
 
 ROUNDED = 0.05
-"""Tolerance of a published figure without a spread, as a fraction of the figure (rounding of two digits)."""
+"""Tolerance of a published figure without a spread, as a fraction of the figure (rounding of two
+digits).
+"""
 COLOURS = {
     "penalty": "#999999",
     "energy": "#E69F00",
@@ -140,18 +180,25 @@ class Section:
         if not self.rows:
             return ""
         name = f"{self.name}.csv"
-        with whole_file(folder / name) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        with (
+            whole_file(folder / name) as temporary,
+            temporary.open("w", encoding="utf-8", newline="") as file,
+        ):
             csv.writer(file, lineterminator="\n").writerows([self.header, *self.rows])
         return name
 
 
 def spread(values: Array, digits: int = 2) -> str:
     """Return mean and standard deviation as text."""
-    return f"{values.mean():.{digits}f} ± {values.std(ddof=1) if len(values) > 1 else 0.0:.{digits}f}"
+    return (
+        f"{values.mean():.{digits}f} ± {values.std(ddof=1) if len(values) > 1 else 0.0:.{digits}f}"
+    )
 
 
 def agreement(ours: Array, paper: Figure) -> str:
-    """Return whether two means lie within the standard deviation of their difference, or their ratio."""
+    """Return whether two means lie within the standard deviation of their difference, or their
+    ratio.
+    """
     our_mean = float(ours.mean())
     our_spread = ours.std(ddof=1) if len(ours) > 1 else 0.0
     reach = float(np.hypot(our_spread, paper.spread or ROUNDED * paper.mean))
@@ -161,7 +208,9 @@ def agreement(ours: Array, paper: Figure) -> str:
 
 
 def against(ours: Array, paper: Figure | None) -> tuple[str, str]:
-    """Return the published figure and the agreement with it, both empty without a published figure."""
+    """Return the published figure and the agreement with it, both empty without a published
+    figure.
+    """
     return (str(paper), agreement(ours, paper)) if paper else ("", "")
 
 
@@ -178,11 +227,17 @@ def methods_of(table: TrialTable) -> list[str]:
 def parts_of(table: TrialTable) -> dict[tuple[str, str], TrialTable]:
     """Return the trials by task and method."""
     methods = methods_of(table)
-    return {(task, method): table.where(task=task, method=method) for task in tasks_of(table) for method in methods}
+    return {
+        (task, method): table.where(task=task, method=method)
+        for task in tasks_of(table)
+        for method in methods
+    }
 
 
 def interval_by_users(table: TrialTable, metric: str, method: str) -> tuple[float, float, float]:
-    """Return the mean of users' means of a metric under a method, and its 95 % t interval over users."""
+    """Return the mean of users' means of a metric under a method, and its 95 % t interval over
+    users.
+    """
     from scipy.stats import ttest_1samp
 
     kept = table.where(method=method)
@@ -211,7 +266,8 @@ def grouped_bars(
     value_of: Callable[[int, str], tuple[float, float, float] | None],
     marks: Callable[[int, str], Figure | None] = lambda group, method: None,
 ) -> None:
-    """Draw one bar with an error line for each group and method, and the published figures as diamonds.
+    """Draw one bar with an error line for each group and method, and the published figures as
+    diamonds.
 
     Parameters
     ----------
@@ -237,13 +293,21 @@ def grouped_bars(
                 axes.plot([place, place], [low, high], color="#333333", lw=1.2)
                 label = None
             if (paper := marks(index, method)) is not None:
-                axes.errorbar(place, paper.mean, paper.spread, fmt="D", color="black", ms=4, capsize=2, lw=0.8)
+                axes.errorbar(
+                    place, paper.mean, paper.spread, fmt="D", color="black", ms=4, capsize=2, lw=0.8
+                )
     axes.set_xticks(range(len(groups)), groups)
 
 
 def legend(figure: Drawing, axes: Axes) -> None:
     """Add a legend of some axes above the figure, where it covers nothing."""
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=5, frameon=False, fontsize=9)
+    figure.legend(
+        *axes.get_legend_handles_labels(),
+        loc="outside upper center",
+        ncols=5,
+        frameon=False,
+        fontsize=9,
+    )
 
 
 def image(figure: Drawing) -> bytes:

@@ -1,4 +1,6 @@
-"""Sections of a report on what the statistics of a study hold: tests, sizes of effects, index, regression, power."""
+"""Sections of a report on what the statistics of a study hold: tests, sizes of effects, index,
+regression, power.
+"""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -7,7 +9,12 @@ from contextlib import contextmanager
 import numpy as np
 
 from meshes.base.errors import InputError
-from tissue.evaluation.statistics.comparison import MetricComparison, across_tasks, compare, corrected
+from tissue.evaluation.statistics.comparison import (
+    MetricComparison,
+    across_tasks,
+    compare,
+    corrected,
+)
 from tissue.evaluation.statistics.hpi import composite_index
 from tissue.evaluation.statistics.hypothesis_test import ALPHA, Effect, HypothesisTest, format_p
 from tissue.evaluation.statistics.manova import manova
@@ -27,7 +34,9 @@ Content = tuple[tuple[str, ...], tuple[str, ...], tuple[tuple[str, ...], ...]]
 
 
 def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]:
-    """Test every metric on every task, then metrics together; report sizes of effects with their picture."""
+    """Test every metric on every task, then metrics together; report sizes of effects with their
+    picture.
+    """
     found: list[MetricComparison] = []
     outcomes: list[tuple[str, HypothesisTest]] = []
     same: dict[str, list[str]] = {}
@@ -53,7 +62,8 @@ def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]
             with attempt(f"{task} all metrics by {factor}"):
                 if factor == "method" and len(methods_of(chosen)) < 2:
                     raise InputError(
-                        "methods must differ in every metric, got none that do: compare metrics one by one"
+                        "methods must differ in every metric, got none that do: compare "
+                        "metrics one by one"
                     )
                 outcomes.append((task, manova(chosen, COMPARED, factor=factor, rng=rng)))
     for metric in COMPARED:
@@ -68,13 +78,22 @@ def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]
 
 
 def _distinct(table: TrialTable, metrics: Sequence[str]) -> tuple[TrialTable, list[str]]:
-    """Return a task's trials without methods that give a metric of another's: there is no spread to test the two by."""
+    """Return a task's trials without methods that give a metric of another's: there is no spread
+    to test the two by.
+    """
     kept: list[str] = []
     left_out = []
     for method in methods_of(table):
-        same = [(other, metric) for other in kept for metric in metrics if _equal(table, metric, method, other)]
+        same = [
+            (other, metric)
+            for other in kept
+            for metric in metrics
+            if _equal(table, metric, method, other)
+        ]
         if same:
-            left_out.append(f"{method} has the {same[0][1]} of {same[0][0]} in every trial and is left out")
+            left_out.append(
+                f"{method} has the {same[0][1]} of {same[0][0]} in every trial and is left out"
+            )
         else:
             kept.append(method)
     return table.where(method=kept), left_out
@@ -101,21 +120,42 @@ def _outcomes(outcomes: list[tuple[str, HypothesisTest]], remarks: list[str]) ->
             "yes" if each.sound else "no",
             "; ".join(f"{other.test} {format_p(other.p)}" for other in each.alternatives),
         )
-        for (task, each), p in zip(outcomes, corrected([each.p for _, each in outcomes], "bonferroni"), strict=True)
+        for (task, each), p in zip(
+            outcomes, corrected([each.p for _, each in outcomes], "bonferroni"), strict=True
+        )
     )
     differing = [
-        f"{task} {each.question}" for task, each in outcomes if any(o.found != each.found for o in each.alternatives)
+        f"{task} {each.question}"
+        for task, each in outcomes
+        if any(o.found != each.found for o in each.alternatives)
     ]
     sentences = (
-        f"{sum(row[5] == 'effect' for row in rows)} of {len(rows)} tests show an effect after Bonferroni's correction "
-        f"over all of them. The unit is the person, not the trial: a group has at most {USERS} people, who meet every "
+        f"{sum(row[5] == 'effect' for row in rows)} of {len(rows)} tests show an effect "
+        "after Bonferroni's correction "
+        "over all of them. The unit is the person, not the trial: a group has at most "
+        f"{USERS} people, who meet every "
         "method, so that many trials alone do not make an effect.",
-        f"An assumption is refused in {sum(row[7] == 'no' for row in rows)} of them; the tests in the last column rest "
+        f"An assumption is refused in {sum(row[7] == 'no' for row in rows)} of them; the "
+        "tests in the last column rest "
         "on less."
-        + (f" They do not all agree on {'; '.join(differing)}." if differing else " They all agree with the test."),
+        + (
+            f" They do not all agree on {'; '.join(differing)}."
+            if differing
+            else " They all agree with the test."
+        ),
         *remarks,
     )
-    header = ("task", "question", "test", "figures", "p, Bonferroni", "shows", "size", "assumptions hold", "on less")
+    header = (
+        "task",
+        "question",
+        "test",
+        "figures",
+        "p, Bonferroni",
+        "shows",
+        "size",
+        "assumptions hold",
+        "on less",
+    )
     return Section("tests", "Tests", sentences, header, rows)
 
 
@@ -138,17 +178,28 @@ def _pairs(found: list[MetricComparison]) -> Section:
         if each.metric == "force_error"
         for size in each.sizes
     ]
-    rows += [(name.split()[0], f"force_error: {name.split(' ', 1)[1]}", size.name.split(",")[0], str(size), "")
-             for name, size in sizes]  # fmt: skip
+    rows += [
+        (
+            name.split()[0],
+            f"force_error: {name.split(' ', 1)[1]}",
+            size.name.split(",")[0],
+            str(size),
+            "",
+        )
+        for name, size in sizes
+    ]
     big = [f"{name} {size.value:+.1f}" for name, size in sizes if size.low * size.high > 0.0]
     sentences = (
         "Cohen's d of the force error whose interval leaves out zero: "
         + (", ".join(big) or "none")
-        + ". Simulated people differ less than real ones, which makes a difference of one size look larger in standard "
+        + ". Simulated people differ less than real ones, which makes a difference of one size "
+        "look larger in standard "
         "deviations; the differences in percent above do not depend on that.",
     )
     header = ("task", "pair", "figures", "size", "beside it")
-    return Section("pairs", "Pairs and sizes of effects", sentences, header, tuple(rows), _sizes_picture(sizes))
+    return Section(
+        "pairs", "Pairs and sizes of effects", sentences, header, tuple(rows), _sizes_picture(sizes)
+    )
 
 
 def _sizes_picture(sizes: list[tuple[str, Effect]]) -> bytes:
@@ -181,7 +232,12 @@ def _assumptions(outcomes: list[tuple[str, HypothesisTest]]) -> Section:
     return Section(
         "diagnostics",
         "Diagnostics",
-        (f"Checks that refused an assumption: {failures or 'none was made'}, of {len(rows)} in all.",),
+        (
+            (
+                f"Checks that refused an assumption: {failures or 'none was made'}, of "
+                f"{len(rows)} in all."
+            ),
+        ),
         ("task", "question", "assumption", "holds", "check"),
         rows,
     )
@@ -191,16 +247,24 @@ def composite_section(table: TrialTable, rng: np.random.Generator) -> Content:
     """Report the composite index of each method and its weights."""
     index = composite_index(table, DIRECTIONS, rng=rng)
     rows = tuple(
-        (what, each.name, f"{each.value:.3f}", f"{each.low:.3f}", f"{each.high:.3f}",
-         str(COMPOSITE.get(each.name, "")) if what == "mean" else "")
+        (
+            what,
+            each.name,
+            f"{each.value:.3f}",
+            f"{each.low:.3f}",
+            f"{each.high:.3f}",
+            str(COMPOSITE.get(each.name, "")) if what == "mean" else "",
+        )
         for what, effects in (("weight", index.weights), ("mean", index.means))
         for each in effects
-    )  # fmt: skip
+    )
     order = [each.name for each in sorted(index.means, key=lambda each: -each.value)]
     sentences = (
         index.sentence,
-        f"By this index the order is {', '.join(order)}. The paper's 0.91 and 0.72 lie on a scale that its formula "
-        "does not fix (metrics of mixed signs and units), so that only the order can be compared: there the "
+        f"By this index the order is {', '.join(order)}. The paper's 0.91 and 0.72 lie on a "
+        "scale that its formula "
+        "does not fix (metrics of mixed signs and units), so that only the order can be "
+        "compared: there the "
         "perceptual method is best. "
         + ("So it is here." if order[0] == "koopman-perception" else f"Here it is {order[0]}."),
     )
@@ -212,12 +276,23 @@ def regression_section(table: TrialTable, rng: np.random.Generator) -> Content:
     rows = []
     remarks = []
     for task in tasks_of(table):
-        found = trial_regression(table.where(task=task), "position_error_mm", ("force_error", "latency_ms"))
+        found = trial_regression(
+            table.where(task=task), "position_error_mm", ("force_error", "latency_ms")
+        )
         remarks.append(f"{task}: {found.sentence}")
         for slope, chance in zip(found.slopes, found.chances, strict=True):
-            figures = (f"{slope.value:.4g}", f"{slope.low:.4g}", f"{slope.high:.4g}", f"{chance:.3f}")
+            figures = (
+                f"{slope.value:.4g}",
+                f"{slope.low:.4g}",
+                f"{slope.high:.4g}",
+                f"{chance:.3f}",
+            )
             rows.append((task, slope.name, *figures))
-    return tuple(remarks), ("task", "slope", "median", "low", "high", "chance above zero"), tuple(rows)
+    return (
+        tuple(remarks),
+        ("task", "slope", "median", "low", "high", "chance above zero"),
+        tuple(rows),
+    )
 
 
 def power_section(table: TrialTable, rng: np.random.Generator) -> Content:
@@ -232,11 +307,19 @@ def power_section(table: TrialTable, rng: np.random.Generator) -> Content:
             if each.false_alarms.low > LOOSE:
                 loose.append(f"{task} {each.test}")
             rates = (each.false_alarms.value, each.hits.value, 1.0 - each.hits.value)
-            rows.append((task, each.test, *(f"{100.0 * rate:.1f}" for rate in rates), str(each.populations)))
+            rows.append(
+                (task, each.test, *(f"{100.0 * rate:.1f}" for rate in rates), str(each.populations))
+            )
     if loose:
         remarks.append(
-            f"More false alarms than {100.0 * LOOSE:.0f} % for {', '.join(loose)}: where the spread differs "
-            "between groups or between pairs of methods, the usual F finds too much, and the tests that rest on "
+            f"More false alarms than {100.0 * LOOSE:.0f} % for {', '.join(loose)}: where the "
+            "spread differs "
+            "between groups or between pairs of methods, the usual F finds too much, and the "
+            "tests that rest on "
             "less, in the last column of Tests, are the ones to trust."
         )
-    return tuple(remarks), ("task", "test", "type I %", "power %", "type II %", "populations"), tuple(rows)
+    return (
+        tuple(remarks),
+        ("task", "test", "type I %", "power %", "type II %", "populations"),
+        tuple(rows),
+    )

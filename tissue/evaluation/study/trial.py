@@ -1,4 +1,6 @@
-"""One trial of a study: the same person, specimen and noise under every method, and the metrics of each."""
+"""One trial of a study: the same person, specimen and noise under every method, and the metrics
+of each.
+"""
 
 import re
 import tempfile
@@ -117,12 +119,13 @@ class TrialScene:
     Attributes
     ----------
     scenes
-        The scene under each method. The coupling stiffness is the smallest of those chosen for the methods. It is
-        stable under all methods, so that their forces can be compared.
+        The scene under each method. The coupling stiffness is the smallest of those chosen for the
+        methods. It is stable under all methods, so that their forces can be compared.
     specimen
         Number of the specimen.
     person
-        Who feels, known exactly; the scene with perception has only what their calibration knows of them.
+        Who feels, known exactly; the scene with perception has only what their calibration knows of
+        them.
     pace
         Factor on the speed of a path, or on the rise of a force.
     """
@@ -134,9 +137,11 @@ class TrialScene:
 
 
 def run_trial(plan: Plan, key: TrialKey) -> Trial:
-    """Run a trial under every method of its plan; one that fails leaves its sentence, and the others go on.
+    """Run a trial under every method of its plan; one that fails leaves its sentence, and the
+    others go on.
 
-    Alone it gives what it gives in its study: ``run_trial(Plan(seed=0), TrialKey.named("T1-novice-0007"))``.
+    Alone it gives what it gives in its study: ``run_trial(Plan(seed=0),
+    TrialKey.named("T1-novice-0007"))``.
     """
     started = perf_counter()
     rows: list[Row] = []
@@ -146,13 +151,16 @@ def run_trial(plan: Plan, key: TrialKey) -> Trial:
             try:
                 trial = trial or trial_scene(plan, key, Path(folder) / f"{method}.json")
                 rows.append({"method": method, **_metrics(trial, method, key)})
-            except Exception as error:  # a trial that fails must not take the study with it, whatever the fault
+            except Exception as error:
+                # a trial that fails must not take the study with it, whatever the fault
                 rows.append({"method": method, "failure": error_sentence(error)})
     return Trial(key, trial_seed(plan, key), tuple(rows), perf_counter() - started)
 
 
 def failures_of(trials: Iterable[Trial]) -> dict[str, list[str]]:
-    """Return the names of trials by method and sentence of a failure; one that happened at another time is the same."""
+    """Return the names of trials by method and sentence of a failure; one that happened at
+    another time is the same.
+    """
     found: dict[str, list[str]] = {}
     for trial in trials:
         for row in trial.rows:
@@ -179,7 +187,9 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
     task = TASKS[key.task]
     variant = VARIANTS.get(key.variant, PLAIN)
     seed = int(rng.integers(2**62))
-    pace = variant.pace * float(np.exp(PACE_SPREAD * person.standard_normal() + WITHIN_SPREAD * rng.standard_normal()))
+    pace = variant.pace * float(
+        np.exp(PACE_SPREAD * person.standard_normal() + WITHIN_SPREAD * rng.standard_normal())
+    )
     truth, known = _calibrated(key, person)
     write_observer(known, observer)
     specimen = int(rng.integers(len(task.specimens)))
@@ -191,9 +201,16 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
         "motion.feed_mm_s": round(pace * scene.motion.feed_mm_s, 3),
         "coupling.force_scale": min(map(_force_scale, (scene, *_all_specimens(key.task)))),
     }
-    by_hand = {"device": "touch", "hand": key.group, "coupling.delay_ms": LATENCY_MS, **variant.changes}
+    by_hand = {
+        "device": "touch",
+        "hand": key.group,
+        "coupling.delay_ms": LATENCY_MS,
+        **variant.changes,
+    }
     scene = changed(scene, by_hand)
-    felt = {name: {"perception": f"observer:{observer}"} if name in PERSONAL else {} for name in METHODS}
+    felt = {
+        name: {"perception": f"observer:{observer}"} if name in PERSONAL else {} for name in METHODS
+    }
     scenes = {name: changed(scene, {**method, **felt[name]}) for name, method in METHODS.items()}
     common_N_m = min(floor(_stiffness_N_m(each)) for each in scenes.values())
     for name, scene in scenes.items():
@@ -203,9 +220,11 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
 
 @lru_cache(maxsize=64)
 def _force_scale(scene: Scene) -> float:
-    """Newtons at the device for each newton at the tool that are chosen for a scene on the device of the study.
+    """Newtons at the device for each newton at the tool that are chosen for a scene on the device
+    of the study.
 
-    The least over a task's specimens is taken for all of them: a scale for each would play them all alike.
+    The least over a task's specimens is taken for all of them: a scale for each would play them all
+    alike.
     """
     return chosen_scale(changed(scene, {"device": "touch"}))[0]
 
@@ -218,16 +237,24 @@ def _all_specimens(task: str) -> list[Scene]:
 
 @lru_cache(maxsize=64)
 def _stiffness_N_m(scene: Scene) -> float:
-    """Stiffness that is chosen for a scene [N/m]; neither seed nor pace counts, so that few are ever asked for."""
+    """Stiffness that is chosen for a scene [N/m]; neither seed nor pace counts, so that few are
+    ever asked for.
+    """
     return judged_loop(loop_settings(scene), step_s=TICK_S).stiffness_N_m
 
 
 def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Observer]:
-    """Return a person, and what the map fitted to their numbers; thresholds are known as they are."""
+    """Return a person, and what the map fitted to their numbers; thresholds are known as they
+    are.
+    """
     drawn = draw_observers(key.group, 1, rng)
     name = f"{key.group} {key.user}"
-    alpha, beta, kappa, offset_N, lapse, sigma = (float(getattr(drawn, each)[0]) for each in PARAMETERS)
-    truth = Observer.known(name, alpha=alpha, beta=beta, kappa=kappa, offset_N=offset_N, lapse=lapse, sigma=sigma)
+    alpha, beta, kappa, offset_N, lapse, sigma = (
+        float(getattr(drawn, each)[0]) for each in PARAMETERS
+    )
+    truth = Observer.known(
+        name, alpha=alpha, beta=beta, kappa=kappa, offset_N=offset_N, lapse=lapse, sigma=sigma
+    )
     forces = np.resize(MAGNITUDE_FORCES_N, NUMBERS)
     fit = fit_magnitudes(forces, np.array([drawn.number(force, rng)[0] for force in forces]))
     mean = truth.mean.copy()
@@ -238,7 +265,9 @@ def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Obse
 
 
 def _methods(plan: Plan, key: TrialKey) -> tuple[str, ...]:
-    """Return the methods of a trial; variants are run for the headline alone, the reference under one."""
+    """Return the methods of a trial; variants are run for the headline alone, the reference
+    under one.
+    """
     if not key.variant:
         return plan.methods
     wanted = ("penalty",) if key.variant == REFERENCE else ("penalty", "koopman")
@@ -250,7 +279,9 @@ def _metrics(trial: TrialScene, method: str, key: TrialKey) -> dict[str, float]:
     scene = trial.scenes[method]
     person = trial.person
     if key.task == "needle":
-        run = pierce(scene, kappa=person.kappa, offset_N=person.offset_N, rate_N_s=trial.pace * RATE_N_S).run
+        run = pierce(
+            scene, kappa=person.kappa, offset_N=person.offset_N, rate_N_s=trial.pace * RATE_N_S
+        ).run
     else:
         run = simulate(scene, cores=1)
     if key.variant == REFERENCE:
@@ -307,7 +338,9 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
         "time_s": took if isfinite(took) else float(trace["time_s"][-1]),
         "completed": float(isfinite(took)),
         "acceleration_change_m_s2": metrics.acceleration_change_m_s2(velocity, tick_s=TICK_S),
-        "spectral_arc_length": metrics.spectral_arc_length(np.linalg.norm(velocity, axis=1), tick_s=TICK_S),
+        "spectral_arc_length": metrics.spectral_arc_length(
+            np.linalg.norm(velocity, axis=1), tick_s=TICK_S
+        ),
         "peak_force_N": float(size.max()),
         "level_N": float(size[touching].mean()),
         "skin_N": float(np.linalg.norm(skin, axis=1)[touching].mean()),
@@ -321,16 +354,19 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
 
 
 def _pierced(run: Run) -> dict[str, float]:
-    """Return how far the needle went on after the capsule's puncture, and the force before and after it.
+    """Return how far the needle went on after the capsule's puncture, and the force before and
+    after it.
 
-    A puncture that nobody notices is a result and no failure: ``noticed`` is 0 and the travel is that until the trial's
-    end, the least that it can be. A hand that stops before the puncture pierced nothing that could be measured.
+    A puncture that nobody notices is a result and no failure: ``noticed`` is 0 and the travel is
+    that until the trial's end, the least that it can be. A hand that stops before the puncture
+    pierced nothing that could be measured.
     """
     puncture = next((time for time, what in run.events if "capsule" in what), inf)
     noticed = next((time for time, what in run.events if what == NOTICED), inf)
     if puncture == inf or noticed < puncture:
         raise InputError(
-            f"capsule must be punctured before the hand stops in a trial, got a hand that stopped at {noticed:g} s: "
+            "capsule must be punctured before the hand stops in a trial, got a hand that "
+            f"stopped at {noticed:g} s: "
             "see its threshold"
         )
     at = round(puncture / TICK_S)
@@ -347,29 +383,39 @@ def _pierced(run: Run) -> dict[str, float]:
 def _reamed(run: Run, touching: NDArray[np.bool_]) -> dict[str, float]:
     """Return the torque of a reamer while it cuts."""
     torque = np.abs(run.trace["model_torque_z_Nm"][:-1][touching])
-    windows = [part.mean() for part in np.array_split(torque, max(1, round(len(torque) * TICK_S / WINDOW_S)))]
+    windows = [
+        part.mean()
+        for part in np.array_split(torque, max(1, round(len(torque) * TICK_S / WINDOW_S)))
+    ]
     return {"torque_Nm": float(np.mean(windows)), "torque_scatter_Nm": float(np.std(windows))}
 
 
-def intensity_ratios(skin_N: Array, nearest_N: Array, ideal_N: Array, person: Observer) -> dict[str, float]:
-    """How far ratios of intensity are off, and what a perfect force, an unscaled one and a constant one would score.
+def intensity_ratios(
+    skin_N: Array, nearest_N: Array, ideal_N: Array, person: Observer
+) -> dict[str, float]:
+    """How far ratios of intensity are off, and what a perfect force, an unscaled one and a constant
+    one would score.
 
-    Over windows of a tenth of a second that lie in contact whole, the spread of ln S(F) - ln S_ref(F_ideal), S being
-    Stevens' law: 0.1 are ratios that are off by a tenth, and 0 is perfect. A common factor, which a person's numbers
-    cannot be separated from, takes no part. The exponents are those that the simulated people were made with.
+    Over windows of a tenth of a second that lie in contact whole, the spread of ln S(F) - ln
+    S_ref(F_ideal), S being Stevens' law: 0.1 are ratios that are off by a tenth, and 0 is perfect.
+    A common factor, which a person's numbers cannot be separated from, takes no part. The exponents
+    are those that the simulated people were made with.
 
     Returns
     -------
     dict
-        The spread of the force at the skin, and those of a perfect force through the same encoder steps as the
-        reference feels it, of the ideal force as this person's exponent alone has it, and of a force that never
-        changes.
+        The spread of the force at the skin, and those of a perfect force through the same encoder
+        steps as the reference feels it, of the ideal force as this person's exponent alone has it,
+        and of a force that never changes.
     """
     count = max(len(ideal_N) // round(WINDOW_S / TICK_S), 1)
     sizes = np.linalg.norm(ideal_N, axis=1)
     met = np.array([part.min() for part in np.array_split(sizes, count)]) > TOUCHES * sizes.max()
     if met.sum() < 2:
-        raise InputError("tool must touch for some tenths of a second in a trial, got less: look at the scene's path")
+        raise InputError(
+            "tool must touch for some tenths of a second in a trial, got less: look at the "
+            "scene's path"
+        )
 
     def logarithm(force_N: Array) -> Array:
         """Return the logarithm of the size of the mean force in each window in contact."""

@@ -32,7 +32,9 @@ __all__ = ["DELAYS_MS", "Recorder", "Recording", "trial"]
 DELAYS_MS = (0, 4, 8)
 """Latencies of training runs, in turn: a late force makes a hand move otherwise."""
 DITHER_N = 1e-6
-"""Noise that is added to a force to learn from [N], so that an axis on which nothing acts can be scaled."""
+"""Noise that is added to a force to learn from [N], so that an axis on which nothing acts can be
+scaled.
+"""
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,8 @@ class Recording:
     Attributes
     ----------
     position_m, velocity_m_s
-        Of the device, as its encoders measure it and as the loop's filter estimates it from that, shape (n, 3).
+        Of the device, as its encoders measure it and as the loop's filter estimates it from that,
+        shape (n, 3).
     force_N
         On the device, without delay, shape (n, 3).
     contact
@@ -52,7 +55,8 @@ class Recording:
     model_s
         Median time that the tissue took to answer in a tick [s].
     true_position_m
-        Of the device, which its encoders only step through, shape (n, 3); None where it is not known.
+        Of the device, which its encoders only step through, shape (n, 3); None where it is not
+        known.
     """
 
     position_m: Array
@@ -66,21 +70,31 @@ class Recording:
 
     def dithered_N(self) -> Array:
         """Return the force with a little noise, the same every time."""
-        return self.force_N + DITHER_N * np.random.default_rng(self.seed).standard_normal(self.force_N.shape)
+        return self.force_N + DITHER_N * np.random.default_rng(self.seed).standard_normal(
+            self.force_N.shape
+        )
 
     def episodes(self) -> list[Episode]:
-        """An episode an axis: displacement since the tick before and stretch of the coupling [m], shape (n, STATE)."""
+        """An episode an axis: displacement since the tick before and stretch of the coupling
+        [m], shape (n, STATE).
+        """
         moved = np.diff(self.position_m, axis=0, prepend=self.position_m[:1])
         stretch = self.force_N / self.contact[:, :1]
-        return [Episode(np.column_stack(axis), None, TICK_S) for axis in zip(moved.T, stretch.T, strict=True)]
+        return [
+            Episode(np.column_stack(axis), None, TICK_S)
+            for axis in zip(moved.T, stretch.T, strict=True)
+        ]
 
     def driven_episode(self) -> Episode:
-        """States and inputs of linear dynamic mode decomposition: force, shape (n, 3), by the device, shape (n, 6)."""
+        """States and inputs of linear dynamic mode decomposition: force, shape (n, 3), by the
+        device, shape (n, 6).
+        """
         return Episode(self.dithered_N(), np.hstack((self.position_m, self.velocity_m_s)), TICK_S)
 
 
 def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float = 1.0) -> Scene:
-    """Return the scene of a trial: hands, seeds and latencies in turn, nothing predicted, no stress beside the ticks.
+    """Return the scene of a trial: hands, seeds and latencies in turn, nothing predicted, no stress
+    beside the ticks.
 
     Parameters
     ----------
@@ -91,8 +105,8 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
     delay_ms
         Latency; without it those of `DELAYS_MS` in turn.
     share
-        Force of the tissue at the same motion over that of the scene. In a tissue whose force is linear in its moduli
-        or cutting coefficients this is the same as all of those changed by it.
+        Force of the tissue at the same motion over that of the scene. In a tissue whose force is
+        linear in its moduli or cutting coefficients this is the same as all of those changed by it.
     """
     delay = DELAYS_MS[index // len(GROUPS) % len(DELAYS_MS)] if delay_ms is None else delay_ms
     held = scene if scene.device is not None else changed(scene, {"device": "touch"})
@@ -108,7 +122,10 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
     made = changed(held, entries | ({"stress": None} if scene.stress is not None else {}))
     # A loop whose latency is hidden is as stiff as a prompt one, whatever the latency of the trial.
     prompt = changed(made, {"coupling.delay_ms": 0})
-    return changed(made, {"coupling.stiffness_N_m": judged_loop(loop_settings(prompt), step_s=TICK_S).stiffness_N_m})
+    return changed(
+        made,
+        {"coupling.stiffness_N_m": judged_loop(loop_settings(prompt), step_s=TICK_S).stiffness_N_m},
+    )
 
 
 class Recorder:
@@ -128,9 +145,14 @@ class Recorder:
         """
         motion, tissue = self._parts(scene)
         begin = motion.sweep_m()[0]
-        rows, contact, took = _run(motion, tissue, round((scene.duration_s or motion.duration_s) / TICK_S))
+        rows, contact, took = _run(
+            motion, tissue, round((scene.duration_s or motion.duration_s) / TICK_S)
+        )
         if not np.isfinite(rows).all():
-            raise InputError(f"scene must give finite forces, got others with seed {scene.seed}: use another --trials")
+            raise InputError(
+                f"scene must give finite forces, got others with seed {scene.seed}: use "
+                "another --trials"
+            )
         speed = ConstantAcceleration(VELOCITY_MEMORY, step_s=TICK_S)
         velocity = np.array([speed.step(place) for place in (begin, *rows[:, :3])])[1:]
         return Recording(
@@ -146,11 +168,24 @@ class Recorder:
 
     def _parts(self, scene: Scene) -> tuple[HandMotion, TissueModel]:
         """Return the hand of a scene and what it meets."""
-        organ = isinstance(scene.tool, Probe) and not isinstance(scene.anatomy, WallAnatomy) and not scene.organ.viscous
+        organ = (
+            isinstance(scene.tool, Probe)
+            and not isinstance(scene.anatomy, WallAnatomy)
+            and not scene.organ.viscous
+        )
         if organ and self._organ is not None:
-            motion, _ = hand_motion(scene, motion_of(scene, step_s=TICK_S), step_s=TICK_S, allow_unstable=True)
+            motion, _ = hand_motion(
+                scene, motion_of(scene, step_s=TICK_S), step_s=TICK_S, allow_unstable=True
+            )
             return motion, self._organ
-        parts = build(scene, step_s=TICK_S, compute="cpu", cores=self._cores, report=silent, allow_unstable=True)
+        parts = build(
+            scene,
+            step_s=TICK_S,
+            compute="cpu",
+            cores=self._cores,
+            report=silent,
+            allow_unstable=True,
+        )
         assert isinstance(parts.motion, HandMotion)
         if organ:
             self._organ = parts.tissue
@@ -158,7 +193,9 @@ class Recorder:
 
 
 def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, Array, Array]:
-    """Measured position, force and true position, shape (n, 9); contacts; seconds that the tissue took, shape (n,)."""
+    """Measured position, force and true position, shape (n, 9); contacts; seconds that the
+    tissue took, shape (n,).
+    """
     tool = ToolMotion()
     motion.begin(tool)
     tissue.place(tool)
@@ -166,7 +203,9 @@ def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, Ar
     contact = np.zeros((ticks, CONTACT_WIDTH))
     took = np.zeros(ticks)
     response = Response.empty(len(tissue.layer_names))
-    raw = slice(motion.measure_names.index("raw_force_x_N"), motion.measure_names.index("raw_force_z_N") + 1)
+    raw = slice(
+        motion.measure_names.index("raw_force_x_N"), motion.measure_names.index("raw_force_z_N") + 1
+    )
     knows = TRUE[0] in motion.measure_names
     true = motion.measure_names.index(TRUE[0]) if knows else 0
     for index, row in enumerate(rows):

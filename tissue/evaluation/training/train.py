@@ -1,4 +1,6 @@
-"""Training of a scene's predictors: fit to recorded runs, forecast errors, validation on runs held out."""
+"""Training of a scene's predictors: fit to recorded runs, forecast errors, validation on runs
+held out.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -46,25 +48,33 @@ TRIALS = 12
 LEAST_TRIALS = 6
 """Fewest runs: one of them validates."""
 MOST_TRIALS = 10_000
-"""Most runs: a hundred times what the shipped predictors needed would take days, and is taken for a slip."""
+"""Most runs: a hundred times what the shipped predictors needed would take days, and is taken
+for a slip.
+"""
 HELD_OUT = 4
 """One run in so many validates; the others train."""
 HORIZONS = (1, 2, 3, 4, 6, 8, 10)
 """Ticks ahead at which predictors are compared."""
 LEAST_RUNS = 3
 LAGS = 80
-"""Delays: most of a period of tremor. With fewer the operator takes steps of the encoder at 15 to 40 Hz for motion: of
-the look-ahead's excess error on unseen runs of palpation, in shares of hold's, 50 left 0.39 to 0.49, at 0.6 of the pace
-0.65 to 0.78, and 100 left 0.34 to 0.40 and 0.57 to 0.61, but in files of 0.2 MB; on the wall all leave 0.17 to 0.24. A
-regression of the displacement itself, measured or true, was no better."""
+"""Delays: most of a period of tremor. With fewer the operator takes steps of the encoder at 15 to
+40 Hz for motion: of the look-ahead's excess error on unseen runs of palpation, in shares of hold's,
+50 left 0.39 to 0.49, at 0.6 of the pace
+0.65 to 0.78, and 100 left 0.34 to 0.40 and 0.57 to 0.61, but in files of 0.2 MB; on the wall all
+leave 0.17 to 0.24. A regression of the displacement itself, measured or true, was no better."""
 RIDGE = 1e-6
-"""Share of the variance by which weights of delayed states are held small: they are alike to a step of the encoder."""
+"""Share of the variance by which weights of delayed states are held small: they are alike to a
+step of the encoder.
+"""
 MARGIN = 3.0
 """Times the largest mean square in training at which a window is out of it; a prior."""
 
 
-def train(scene: Scene, *, trials: int = TRIALS, cores: int | None = None, progress: Progress = silent) -> Trained:
-    """Train the predictors of a scene on runs by hands of all groups, and validate them on runs held out.
+def train(
+    scene: Scene, *, trials: int = TRIALS, cores: int | None = None, progress: Progress = silent
+) -> Trained:
+    """Train the predictors of a scene on runs by hands of all groups, and validate them on runs
+    held out.
 
     The scene's own seed is not used: trial i has seed i.
 
@@ -74,7 +84,9 @@ def train(scene: Scene, *, trials: int = TRIALS, cores: int | None = None, progr
         If there are too few trials or the scene cannot be run.
     """
     if not LEAST_TRIALS <= trials <= MOST_TRIALS:
-        raise InputError(f"trials must be from {LEAST_TRIALS} to {MOST_TRIALS}, got {trials}: use {TRIALS}")
+        raise InputError(
+            f"trials must be from {LEAST_TRIALS} to {MOST_TRIALS}, got {trials}: use {TRIALS}"
+        )
     recorder = Recorder(cores=cores)
     runs = []
     for index in range(trials):
@@ -89,10 +101,18 @@ def train(scene: Scene, *, trials: int = TRIALS, cores: int | None = None, progr
 
 
 def with_fallback(trained: Trained, runs: list[Recording], force_limit_N: float) -> Trained:
-    """Choose the fallback with the smallest mean error among the predictors without a lifted operator."""
-    makers = {kind: partial(trained_predictor, kind, trained, force_limit_N=force_limit_N) for kind in FALLBACKS}
+    """Choose the fallback with the smallest mean error among the predictors without a lifted
+    operator.
+    """
+    makers = {
+        kind: partial(trained_predictor, kind, trained, force_limit_N=force_limit_N)
+        for kind in FALLBACKS
+    }
     runs = touching(runs)
-    errors = {kind: forecast_errors(make, runs, horizons=(VALIDATED_AT,)).mean() for kind, make in makers.items()}
+    errors = {
+        kind: forecast_errors(make, runs, horizons=(VALIDATED_AT,)).mean()
+        for kind, make in makers.items()
+    }
     return replace(trained, fallback=min(errors, key=lambda kind: float(errors[kind])))
 
 
@@ -106,10 +126,21 @@ def validated(trained: Trained, held_out: list[Recording], force_limit_N: float)
     """
     held_out = touching(held_out)
     if not held_out:
-        raise InputError("trials must leave a run that touches to validate on, got none: use more, or run longer")
-    makers = {kind: partial(trained_predictor, kind, trained, force_limit_N=force_limit_N) for kind in PREDICTORS}
-    errors = {kind: forecast_errors(make, held_out).mean(axis=0).tolist() for kind, make in makers.items()}
-    validation = {"held_out": [run.seed for run in held_out], "horizons_ms": list(HORIZONS), "errors": errors}
+        raise InputError(
+            "trials must leave a run that touches to validate on, got none: use more, or run longer"
+        )
+    makers = {
+        kind: partial(trained_predictor, kind, trained, force_limit_N=force_limit_N)
+        for kind in PREDICTORS
+    }
+    errors = {
+        kind: forecast_errors(make, held_out).mean(axis=0).tolist() for kind, make in makers.items()
+    }
+    validation = {
+        "held_out": [run.seed for run in held_out],
+        "horizons_ms": list(HORIZONS),
+        "errors": errors,
+    }
     return replace(trained, facts=trained.facts | {"validation": validation})
 
 
@@ -122,9 +153,14 @@ def fit(scene: str, runs: Sequence[Recording], *, lags: int = LAGS) -> Trained:
         If there are too few runs, nothing is touched, or they cannot be learnt from.
     """
     if len(runs) < LEAST_RUNS:
-        raise InputError(f"trials must leave at least {LEAST_RUNS} to learn from, got {len(runs)}: use more")
+        raise InputError(
+            f"trials must leave at least {LEAST_RUNS} to learn from, got {len(runs)}: use more"
+        )
     if not any(run.force_N.any() for run in runs):
-        raise InputError("scene must have a tool that touches, got no force in any trial: run longer, or go deeper")
+        raise InputError(
+            "scene must have a tool that touches, got no force in any trial: run longer, or "
+            "go deeper"
+        )
     episodes = [axis for run in runs for axis in run.episodes()]
     operator = Edmd(Delays(lags), ridge=RIDGE, offset=False).fit(episodes)
     control = Edmd(Identity()).fit([run.driven_episode() for run in runs])
@@ -141,10 +177,15 @@ def fit(scene: str, runs: Sequence[Recording], *, lags: int = LAGS) -> Trained:
 
 
 def growth_of(operator: Operator, runs: Sequence[Recording]) -> float:
-    """Return the mean square of scaled windows, all axes together, beyond which nothing was learnt."""
+    """Return the mean square of scaled windows, all axes together, beyond which nothing was
+    learnt.
+    """
     largest = 0.0
     for run in runs:
-        scaled = [window(axis.states, operator.dictionary.lags) / operator.scale for axis in run.episodes()]
+        scaled = [
+            window(axis.states, operator.dictionary.lags) / operator.scale
+            for axis in run.episodes()
+        ]
         largest = max(largest, float(sum((each**2).mean(axis=1) for each in scaled).max()))
     return MARGIN * largest
 
@@ -152,14 +193,17 @@ def growth_of(operator: Operator, runs: Sequence[Recording]) -> float:
 def forecast(
     predictor: Predictor, run: Recording, horizons: Sequence[float], *, model_ticks: int = 1
 ) -> tuple[Array, Array]:
-    """Compute the forecasts of every tick, shape (n, horizons, 3) [N], and whether each is the primary's, shape (n,).
+    """Compute the forecasts of every tick, shape (n, horizons, 3) [N], and whether each is the
+    primary's, shape (n,).
 
-    It sees the force every `model_ticks`, and until the next one the contact of that tick, as it does in a loop.
+    It sees the force every `model_ticks`, and until the next one the contact of that tick, as it
+    does in a loop.
     """
     predicted = np.empty((len(run.force_N), len(horizons), 3))
     is_primary = np.empty(len(run.force_N))
     shown = predictor if isinstance(predictor, SeesContact) else None
-    with np.errstate(over="ignore", invalid="ignore"):  # a predictor without a guard may grow beyond all bounds
+    # a predictor without a guard may grow beyond all bounds
+    with np.errstate(over="ignore", invalid="ignore"):
         for index, (position, velocity, force) in enumerate(
             zip(run.position_m, run.velocity_m_s, run.force_N, strict=True)
         ):
@@ -198,5 +242,7 @@ def forecast_errors(
 
 
 def touching(runs: Sequence[Recording]) -> list[Recording]:
-    """Return the runs that have a force in ticks that can be predicted: a hand may come too late for a short scene."""
+    """Return the runs that have a force in ticks that can be predicted: a hand may come too late
+    for a short scene.
+    """
     return [run for run in runs if run.force_N[max(HORIZONS) :].any()]

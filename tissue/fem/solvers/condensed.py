@@ -1,11 +1,12 @@
 """Compliance of the nodes that may be touched: ``W = H K^-1 H^T``, found once and kept on disk.
 
-With it a contact solve knows nothing of the inside (Duriez et al. 2006, IEEE Trans. Vis. Comput. Graph. 12:36). It is
-read off one factor, or found by back-substitutions where that factor would be too large to be taken apart.
+With it a contact solve knows nothing of the inside (Duriez et al. 2006, IEEE Trans. Vis. Comput.
+Graph. 12:36). It is read off one factor, or found by back-substitutions where that factor would be
+too large to be taken apart.
 
-One factor: with the touchable unknowns t last, ``K = L L^T`` has the Schur complement ``S = K_tt - K_tr K_rr^-1 K_rt =
-L_tt L_tt^T`` in its last block, and ``W = S^-1``. No back-substitution is made: on 36,000 unknowns, 1,350 of them
-touchable, those took twenty times as long.
+One factor: with the touchable unknowns t last, ``K = L L^T`` has the Schur complement ``S = K_tt -
+K_tr K_rr^-1 K_rt = L_tt L_tt^T`` in its last block, and ``W = S^-1``. No back-substitution is made:
+on 36,000 unknowns, 1,350 of them touchable, those took twenty times as long.
 """
 
 from collections.abc import Callable
@@ -24,7 +25,9 @@ from tissue.fem.solvers.held_body import ColumnSolver, HeldBody
 __all__ = ["LIMIT_BYTES", "SCHUR_UNKNOWNS", "compliance_bytes", "surface_compliance_m_N"]
 
 LIMIT_BYTES = 2_000_000_000
-"""Dense matrices above this are refused; columns are then found where the tool is, by ``LazyCompliance``."""
+"""Dense matrices above this are refused; columns are then found where the tool is, by
+``LazyCompliance``.
+"""
 SCHUR_UNKNOWNS = 100_000
 """Above this the factor is not taken apart: copies of both halves would take more than 4 GB."""
 CHUNK = 8
@@ -44,7 +47,8 @@ def surface_compliance_m_N(
     solver: Callable[[], ColumnSolver] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Array:
-    """W [m/N] from the cache, or found from a factor; symmetric bitwise, shape (3t, 3t), x, y, z node by node.
+    """W [m/N] from the cache, or found from a factor; symmetric bitwise, shape (3t, 3t), x, y, z
+    node by node.
 
     Parameters
     ----------
@@ -62,14 +66,15 @@ def surface_compliance_m_N(
     Raises
     ------
     InputError
-        If there is nothing to touch, a node does not exist, is not in the body or is named twice, the memory exceeds
-        the limit.
+        If there is nothing to touch, a node does not exist, is not in the body or is named twice,
+        the memory exceeds the limit.
     """
     _require_nodes(touchable, body)
     needed = compliance_bytes(len(touchable))
     if needed > limit_bytes:
         raise InputError(
-            f"touchable must fit in {limit_bytes / 1e9:.3g} GB, got {len(touchable)} nodes that need "
+            f"touchable must fit in {limit_bytes / 1e9:.3g} GB, got {len(touchable)} nodes "
+            "that need "
             f"{needed / 1e9:.3g} GB: name fewer, or find columns where the tool is (LazyCompliance)"
         )
     blocks = body.stiffness
@@ -77,7 +82,9 @@ def surface_compliance_m_N(
 
     def make() -> dict[str, NDArray[np.generic]]:
         if len(body.free) > SCHUR_UNKNOWNS:
-            return {"matrix": _found(solver() if solver else DirectSolver(body), touchable, progress)}
+            return {
+                "matrix": _found(solver() if solver else DirectSolver(body), touchable, progress)
+            }
         factor = solver() if solver else None
         if not (isinstance(factor, DirectSolver) and np.isin(touchable, factor.last).all()):
             factor = DirectSolver(body, last=touchable)
@@ -86,7 +93,9 @@ def surface_compliance_m_N(
     return cached_arrays("compliance", key, make)["matrix"].astype(np.float64, copy=False)
 
 
-def _found(solver: ColumnSolver, touchable: Ints, progress: Callable[[float], None] | None) -> Array:
+def _found(
+    solver: ColumnSolver, touchable: Ints, progress: Callable[[float], None] | None
+) -> Array:
     rows = (3 * touchable[:, None] + np.arange(3)).ravel()
     matrix = np.empty((len(rows), len(rows)))
 
@@ -107,12 +116,19 @@ def _require_nodes(nodes: Ints, body: HeldBody) -> None:
     count = len(body.nodes_m)
     unique = len(np.unique(nodes))
     if len(nodes) == 0:
-        raise InputError("touchable must name at least one node, got none: give nodes of the surface")
+        raise InputError(
+            "touchable must name at least one node, got none: give nodes of the surface"
+        )
     if nodes.min() < 0 or nodes.max() >= count:
         raise InputError(
-            f"touchable must name nodes 0 to {count - 1}, got {nodes.min()} to {nodes.max()}: number them so"
+            f"touchable must name nodes 0 to {count - 1}, got {nodes.min()} to "
+            f"{nodes.max()}: number them so"
         )
     if unique != len(nodes):
-        raise InputError(f"touchable must name each node once, got {len(nodes) - unique} twice: drop them")
+        raise InputError(
+            f"touchable must name each node once, got {len(nodes) - unique} twice: drop them"
+        )
     if loose := int((~body.carrying[nodes]).sum()):
-        raise InputError(f"touchable must be nodes of cells, got {loose} that no cell uses: leave them out")
+        raise InputError(
+            f"touchable must be nodes of cells, got {loose} that no cell uses: leave them out"
+        )

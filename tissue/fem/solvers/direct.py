@@ -1,11 +1,12 @@
 """Sparse factorisation: exact to rounding, many right sides for one factor.
 
-Multifrontal Cholesky over nested dissection of the coordinates; at 35,000 unknowns it takes a quarter of the time of
-SuperLU in the same order (`python tests/bench/bench_factor.py`). A stiffness that is not positive definite to rounding
-is left to SuperLU of scipy on diagonal pivots, and its solutions are judged as any other.
+Multifrontal Cholesky over nested dissection of the coordinates; at 35,000 unknowns it takes a
+quarter of the time of SuperLU in the same order (`python tests/bench/bench_factor.py`). A stiffness
+that is not positive definite to rounding is left to SuperLU of scipy on diagonal pivots, and its
+solutions are judged as any other.
 
-The order of elimination is nested dissection by coordinates, which keeps a factor sparse (George 1973, SIAM J. Numer.
-Anal. 10:345).
+The order of elimination is nested dissection by coordinates, which keeps a factor sparse (George
+1973, SIAM J. Numer. Anal. 10:345).
 """
 
 from functools import cached_property
@@ -41,7 +42,9 @@ class SuperLUFactor:
     """
 
     def __init__(self, matrix: csc_array) -> None:
-        self._factor = splu(matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        self._factor = splu(
+            matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
 
     def solve(self, right: Array) -> Array:
         """The solution for one or several right sides, shape (n,) or (n, m)."""
@@ -49,7 +52,9 @@ class SuperLUFactor:
         return found
 
     def inverse_of_last(self, count: int) -> Array:
-        """Rows and columns of the inverse that belong to the last unknowns, shape (count, count)."""
+        """Rows and columns of the inverse that belong to the last unknowns, shape (count,
+        count).
+        """
         upper = self._factor.U[-count:, -count:].toarray()
         # S = U^T D^-1 U with D the diagonal of U: its inverse is V D V^T with V the inverse of U.
         # D has negative entries where the matrix is indefinite.
@@ -73,7 +78,8 @@ def dissection(nodes_m: Array, graph: csr_array) -> Ints:
 def dissected(nodes_m: Array, graph: csr_array, *, leaf: int = LEAF) -> list[Ints]:
     """Sets of nodes in order of elimination: of each cut first both sides, then what parts them.
 
-    A set is cut at the median of its longest extent; the nodes of one side that touch the other come last.
+    A set is cut at the median of its longest extent; the nodes of one side that touch the other
+    come last.
 
     Parameters
     ----------
@@ -89,7 +95,11 @@ def dissected(nodes_m: Array, graph: csr_array, *, leaf: int = LEAF) -> list[Int
     waiting = [_along_curve(nodes_m)]
     while waiting:
         nodes = waiting.pop()
-        along = nodes_m[nodes, int(np.ptp(nodes_m[nodes], axis=0).argmax())] if len(nodes) > leaf else np.zeros(1)
+        along = (
+            nodes_m[nodes, int(np.ptp(nodes_m[nodes], axis=0).argmax())]
+            if len(nodes) > leaf
+            else np.zeros(1)
+        )
         low = along < np.median(along)
         if not low.any():
             last_first.append(nodes)
@@ -118,9 +128,13 @@ def _touches(graph: csr_array, nodes: Ints, marked: NDArray[np.bool_]) -> NDArra
 
 
 def _along_curve(nodes_m: Array) -> Ints:
-    """Nodes along a curve that passes each octant of a box before the next (Morton 1966), shape (n,)."""
+    """Nodes along a curve that passes each octant of a box before the next (Morton 1966), shape
+    (n,).
+    """
     low = nodes_m.min(axis=0)
-    steps = ((nodes_m - low) / max(float(np.ptp(nodes_m, axis=0).max()), 1e-300) * (2**LEVELS - 1)).astype(np.int64)
+    steps = (
+        (nodes_m - low) / max(float(np.ptp(nodes_m, axis=0).max()), 1e-300) * (2**LEVELS - 1)
+    ).astype(np.int64)
     code = np.zeros(len(nodes_m), dtype=np.int64)
     for level in range(LEVELS):
         for axis in range(3):
@@ -139,7 +153,9 @@ class Factor(Protocol):
         """The solution for one or several right sides, shape (n,) or (n, m)."""
 
     def inverse_of_last(self, count: int) -> Array:
-        """Rows and columns of the inverse that belong to the last unknowns, shape (count, count)."""
+        """Rows and columns of the inverse that belong to the last unknowns, shape (count,
+        count).
+        """
 
 
 class DirectSolver:
@@ -150,7 +166,8 @@ class DirectSolver:
     body
         The stiffness and what holds it.
     last
-        Nodes that are eliminated last, so that the compliance between them can be read off the factor.
+        Nodes that are eliminated last, so that the compliance between them can be read off the
+        factor.
     definite
         Refuse a stiffness that is not positive definite, instead of leaving it to SuperLU.
 
@@ -194,7 +211,9 @@ class DirectSolver:
         return Solution(self.body.whole(found[place]), outcome, 0, left)
 
     def columns(self, unknowns: Ints, *, together: int = TOGETHER) -> Array:
-        """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for held ones."""
+        """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for
+        held ones.
+        """
         answers = np.zeros((len(self._position), len(unknowns)))
         for start in range(0, len(unknowns), together):
             at = self._position[unknowns[start : start + together]]
@@ -207,8 +226,8 @@ class DirectSolver:
     def compliance_between(self, nodes: Ints) -> Array:
         """Compute the compliance [m/N] between nodes, x, y, z node by node, shape (3k, 3k).
 
-        Zero for held nodes. For nodes that were eliminated last it is read off the last block of the factor, which is
-        that of their Schur complement. Other nodes take back-substitutions.
+        Zero for held nodes. For nodes that were eliminated last it is read off the last block of
+        the factor, which is that of their Schur complement. Other nodes take back-substitutions.
         """
         if not np.isin(nodes, self.last).all():
             unknowns = (3 * nodes[:, None] + np.arange(3)).ravel()
@@ -227,7 +246,9 @@ class DirectSolver:
         return whole
 
 
-def factorised(body: HeldBody, blocks: list[Ints], *, definite: bool = False) -> tuple[Ints, csc_array, Factor]:
+def factorised(
+    body: HeldBody, blocks: list[Ints], *, definite: bool = False
+) -> tuple[Ints, csc_array, Factor]:
     """The free unknowns in order of elimination, the matrix between them, and its factor.
 
     Parameters
@@ -266,5 +287,6 @@ def factorised(body: HeldBody, blocks: list[Ints], *, definite: bool = False) ->
         return kept, matrix, SuperLUFactor(matrix)
     except RuntimeError as problem:
         raise InputError(
-            f"stiffness must be positive definite, got one without a factor ({problem}): check moduli and sliver cells"
+            f"stiffness must be positive definite, got one without a factor ({problem}): "
+            "check moduli and sliver cells"
         ) from problem

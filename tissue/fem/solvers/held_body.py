@@ -28,7 +28,9 @@ class ColumnSolver(Protocol):
     body: "HeldBody"
 
     def columns(self, unknowns: Ints) -> Array:
-        """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for held ones."""
+        """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for
+        held ones.
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +49,8 @@ class HeldBody:
     Raises
     ------
     InputError
-        If shapes do not fit, K is not finite, nothing is held, what is held belongs to no cell, or a connected part may
-        move as a rigid body: the sentence names the free motions.
+        If shapes do not fit, K is not finite, nothing is held, what is held belongs to no cell, or
+        a connected part may move as a rigid body: the sentence names the free motions.
     """
 
     stiffness: bsr_array
@@ -59,16 +61,22 @@ class HeldBody:
         count = len(self.nodes_m)
         if self.stiffness.shape != (3 * count, 3 * count) or self.fixed.shape != (count, 3):
             raise InputError(
-                f"stiffness and fixed must be for the {count} nodes of nodes_m, got {self.stiffness.shape} and "
+                f"stiffness and fixed must be for the {count} nodes of nodes_m, got "
+                f"{self.stiffness.shape} and "
                 f"{self.fixed.shape}: make them on one space"
             )
         if not np.isfinite(self.stiffness.data).all():
             raise InputError("stiffness must be finite, got NaN or infinity: check the moduli")
         if not self.fixed.any():
-            raise InputError("supports must hold something, got none: all six rigid motions are free, fix some nodes")
+            raise InputError(
+                "supports must hold something, got none: all six rigid motions are free, fix "
+                "some nodes"
+            )
         if not (self.fixed & self.carrying[:, None]).any():
-            raise InputError(f"supports must touch the body, got {int(self.fixed.any(axis=1).sum())} nodes "
-                             "that no cell uses: hold nodes of cells")  # fmt: skip
+            raise InputError(
+                f"supports must touch the body, got {int(self.fixed.any(axis=1).sum())} nodes "
+                "that no cell uses: hold nodes of cells"
+            )
         self._refuse_free_parts()
 
     def _refuse_free_parts(self) -> None:
@@ -87,9 +95,14 @@ class HeldBody:
             return
         size, first, modes = max(free)
         parts = len(np.unique(label[self.carrying]))
-        where = "the body" if parts == 1 else f"{len(free)} of {parts} unconnected parts, the largest with node {first}"
+        where = (
+            "the body"
+            if parts == 1
+            else f"{len(free)} of {parts} unconnected parts, the largest with node {first}"
+        )
         raise InputError(
-            f"supports must leave no rigid motion free, got {where} ({size} nodes) with {'; '.join(modes)} free: "
+            f"supports must leave no rigid motion free, got {where} ({size} nodes) with "
+            f"{'; '.join(modes)} free: "
             "hold more nodes, or leave loose parts out"
         )
 
@@ -113,12 +126,19 @@ class HeldBody:
         """
         load = np.asarray(load_N, dtype=np.float64)
         if load.shape != self.nodes_m.shape:
-            raise InputError(f"load_N must have the shape {self.nodes_m.shape}, got {load.shape}: one force a node")
+            raise InputError(
+                f"load_N must have the shape {self.nodes_m.shape}, got {load.shape}: one "
+                "force a node"
+            )
         if not np.isfinite(load).all():
             node = int(np.flatnonzero(~np.isfinite(load).all(axis=1))[0])
-            raise InputError(f"load_N must be finite, got {load[node]} at node {node}: check where it came from")
+            raise InputError(
+                f"load_N must be finite, got {load[node]} at node {node}: check where it came from"
+            )
         if load[~self.carrying].any():
-            raise InputError("load_N must act on nodes of cells, got forces on others: move them to the body")
+            raise InputError(
+                "load_N must act on nodes of cells, got forces on others: move them to the body"
+            )
         return np.asarray(load.ravel()[self.free])
 
     def whole(self, free_m: Array) -> Array:
@@ -137,4 +157,7 @@ def pointwise_graph(stiffness: bsr_array) -> csr_array:
     """Nodes that share a cell, as a sparse matrix of shape (n, n)."""
     blocks = stiffness.tobsr((3, 3))
     count = blocks.shape[0] // 3
-    return csr_array((np.ones(len(blocks.indices), dtype=np.int8), blocks.indices, blocks.indptr), shape=(count, count))
+    return csr_array(
+        (np.ones(len(blocks.indices), dtype=np.int8), blocks.indices, blocks.indptr),
+        shape=(count, count),
+    )

@@ -15,9 +15,10 @@ __all__ = ["LazyCompliance"]
 class LazyCompliance:
     """Columns of ``W = H K^-1 H^T`` for the nodes that were asked for last.
 
-    Nodes are named by their place among the touchable ones. ``want`` names the nodes near the tool; ``fill`` finds
-    their columns in the caller's thread, before the ticks, and ``start`` has a thread do so in parallel. Nothing but
-    copying happens in ``pour``. The node wanted longest ago is dropped first.
+    Nodes are named by their place among the touchable ones. ``want`` names the nodes near the tool;
+    ``fill`` finds their columns in the caller's thread, before the ticks, and ``start`` has a
+    thread do so in parallel. Nothing but copying happens in ``pour``. The node wanted longest ago
+    is dropped first.
 
     Parameters
     ----------
@@ -34,7 +35,9 @@ class LazyCompliance:
         If the buffer does not hold a single node.
     """
 
-    def __init__(self, solver: ColumnSolver, touchable: Ints, *, capacity_bytes: int = 500_000_000) -> None:
+    def __init__(
+        self, solver: ColumnSolver, touchable: Ints, *, capacity_bytes: int = 500_000_000
+    ) -> None:
         self._solver = solver
         self._touchable = np.asarray(touchable, dtype=np.int64)
         self._rows = (3 * self._touchable[:, None] + np.arange(3)).ravel()
@@ -42,7 +45,9 @@ class LazyCompliance:
         self.capacity = min(capacity_bytes // max(each, 1), len(self._touchable))
         """Nodes that the buffer holds."""
         if self.capacity < 1:
-            raise InputError(f"capacity_bytes must hold one node, {each} bytes, got {capacity_bytes}: allow more")
+            raise InputError(
+                f"capacity_bytes must hold one node, {each} bytes, got {capacity_bytes}: allow more"
+            )
         self._columns = np.empty((self.capacity, len(self._touchable), 3, 3))
         self._slot = np.full(len(self._touchable), -1)
         self._used: OrderedDict[int, None] = OrderedDict()
@@ -56,7 +61,8 @@ class LazyCompliance:
         self._ended = False
 
     def want(self, nodes: Ints) -> None:
-        """Ask for nodes, most urgent first; what was asked for before and is not found yet is dropped.
+        """Ask for nodes, most urgent first; what was asked for before and is not found yet is
+        dropped.
 
         Raises
         ------
@@ -65,7 +71,8 @@ class LazyCompliance:
         """
         if len(nodes) > self.capacity:
             raise InputError(
-                f"nodes must be at most the {self.capacity} that the buffer holds, got {len(nodes)}: "
+                f"nodes must be at most the {self.capacity} that the buffer holds, got "
+                f"{len(nodes)}: "
                 "allow more memory, or ask for fewer"
             )
         with self._changed:
@@ -82,8 +89,8 @@ class LazyCompliance:
     def pour(self, matrix_m_N: Array) -> int:
         """Write one node that is newly there into a matrix of all touchable nodes, shape (3t, 3t).
 
-        Blocks between it and all nodes that are there are written, the same on every visit; others are left. One node
-        a call keeps a tick short.
+        Blocks between it and all nodes that are there are written, the same on every visit; others
+        are left. One node a call keeps a tick short.
 
         Returns
         -------
@@ -99,9 +106,13 @@ class LazyCompliance:
         """
         if self._problem is not None:
             raise RuntimeError("the compliance could not be found") from self._problem
-        if matrix_m_N.shape != (len(self._rows), len(self._rows)) or not matrix_m_N.flags.c_contiguous:
+        if (
+            matrix_m_N.shape != (len(self._rows), len(self._rows))
+            or not matrix_m_N.flags.c_contiguous
+        ):
             raise InputError(
-                f"matrix_m_N must be contiguous of shape {(len(self._rows),) * 2}, got shape {matrix_m_N.shape}: "
+                f"matrix_m_N must be contiguous of shape {(len(self._rows),) * 2}, got shape "
+                f"{matrix_m_N.shape}: "
                 "make it with np.full"
             )
         with self._changed:
@@ -160,7 +171,9 @@ class LazyCompliance:
             return self._waiting.popleft() if self._waiting else None
 
     def _find(self, node: int) -> None:
-        """Columns of one node, three right sides; a factor releases the interpreter lock meanwhile."""
+        """Columns of one node, three right sides; a factor releases the interpreter lock
+        meanwhile.
+        """
         unknowns = 3 * self._touchable[node] + np.arange(3)
         columns = self._solver.columns(unknowns)[self._rows].reshape(-1, 3, 3).transpose(0, 2, 1)
         with self._changed:

@@ -1,8 +1,10 @@
-"""Multifrontal Cholesky factorisation (Duff and Reid 1983, ACM Trans. Math. Softw. 9:302) in dense blocks.
+"""Multifrontal Cholesky factorisation (Duff and Reid 1983, ACM Trans. Math. Softw. 9:302) in dense
+blocks.
 
-Blocks of unknowns are eliminated one after the other, each in a dense front ``[[A, B^T], [B, C]]`` of its unknowns
-and of the later ones that it changes: ``A = L L^T``, ``B L^-T`` is kept, and ``C - B A^-1 B^T`` is added to the front
-that eliminates the first of those. Nearly all of the time is then spent in LAPACK and in BLAS of level 3.
+Blocks of unknowns are eliminated one after the other, each in a dense front ``[[A, B^T], [B, C]]``
+of its unknowns and of the later ones that it changes: ``A = L L^T``, ``B L^-T`` is kept, and ``C -
+B A^-1 B^T`` is added to the front that eliminates the first of those. Nearly all of the time is
+then spent in LAPACK and in BLAS of level 3.
 """
 
 from dataclasses import dataclass
@@ -52,7 +54,9 @@ def fronts_of(lower: csc_array, starts: Ints) -> list[Front]:
     block_of = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
     children: list[list[int]] = [[] for _ in starts[1:]]
     fronts: list[Front] = []
-    for block, (start, stop) in enumerate(zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True)):
+    for block, (start, stop) in enumerate(
+        zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True)
+    ):
         marked[lower.indices[lower.indptr[start] : lower.indptr[stop]]] = True
         for child in children[block]:
             marked[fronts[child].below] = True
@@ -80,7 +84,8 @@ class Multifrontal:
     Parameters
     ----------
     matrix
-        Symmetric and positive definite, in order of elimination, shape (n, n); its lower triangle alone is read.
+        Symmetric and positive definite, in order of elimination, shape (n, n); its lower triangle
+        alone is read.
     starts
         First unknown of each block that is eliminated at once, and n, rising, shape (blocks + 1,).
 
@@ -112,7 +117,9 @@ class Multifrontal:
 
     def solve(self, right: Array) -> Array:
         """The solution for one or several right sides, shape (n,) or (n, m)."""
-        found = np.array(right, dtype=np.float64, order="C").reshape(self._count, int(np.prod(np.shape(right)[1:])))
+        found = np.array(right, dtype=np.float64, order="C").reshape(
+            self._count, int(np.prod(np.shape(right)[1:]))
+        )
         parts = list(zip(self._fronts, self._diagonal, self._under, strict=True))
         for front, diagonal, under in parts:
             values = found[front.start : front.stop]
@@ -129,7 +136,8 @@ class Multifrontal:
         return found.reshape(np.shape(right))
 
     def inverse_of_last(self, count: int) -> Array:
-        """Rows and columns of the inverse that belong to the last unknowns, symmetric bitwise, shape (count, count).
+        """Rows and columns of the inverse that belong to the last unknowns, symmetric bitwise,
+        shape (count, count).
 
         At most the block that is eliminated last is asked for.
         """
@@ -138,7 +146,9 @@ class Multifrontal:
         whole: Array = np.tril(inverse) + np.tril(inverse, -1).T
         return whole
 
-    def _eliminate(self, front: Front, lower: csc_array, changes: dict[int, Array], place: Ints) -> Array:
+    def _eliminate(
+        self, front: Front, lower: csc_array, changes: dict[int, Array], place: Ints
+    ) -> Array:
         count = front.stop - front.start
         after = len(front.below)
         diagonal, under, change = (
@@ -164,7 +174,9 @@ class Multifrontal:
             _add(change, there, there, block[split:, split:])
         diagonal, failed = dpotrf(diagonal, lower=1, overwrite_a=1)
         if failed:
-            raise NotPositiveDefiniteError(f"the matrix is not positive definite at unknown {front.start + failed - 1}")
+            raise NotPositiveDefiniteError(
+                f"the matrix is not positive definite at unknown {front.start + failed - 1}"
+            )
         if after:
             under = dtrsm(1.0, diagonal, under, side=1, lower=1, trans_a=1, overwrite_b=1)
             change = dsyrk(-1.0, under, beta=1.0, c=change, lower=1, overwrite_c=1)
@@ -187,7 +199,8 @@ class _Rows:
 
 
 def _add(target: Array, rows: _Rows, columns: _Rows, block: Array) -> None:
-    """Add a block to some rows and columns of a matrix in place; of a square one at least the lower triangle.
+    """Add a block to some rows and columns of a matrix in place; of a square one at least the lower
+    triangle.
 
     Run by run of rows, which lie together in memory, where runs are long.
     """

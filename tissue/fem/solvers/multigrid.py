@@ -1,8 +1,8 @@
 """Conjugate gradients preconditioned by smoothed aggregation with the six rigid motions.
 
-For large meshes: memory and time of one right side grow linearly. The matrix is scaled by its diagonal, so that cells
-of any size count alike, and kept in blocks of 3x3, so that nodes are aggregated and not components (Vanek, Mandel,
-Brezina 1996, Computing 56:179).
+For large meshes: memory and time of one right side grow linearly. The matrix is scaled by its
+diagonal, so that cells of any size count alike, and kept in blocks of 3x3, so that nodes are
+aggregated and not components (Vanek, Mandel, Brezina 1996, Computing 56:179).
 """
 
 import warnings
@@ -14,7 +14,13 @@ from scipy.sparse import bsr_matrix, diags_array
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_range
-from tissue.fem.conjugate_gradients import LEAST_SHARE, Iterate, IterativeSolution, conjugate_gradients, dot
+from tissue.fem.conjugate_gradients import (
+    LEAST_SHARE,
+    Iterate,
+    IterativeSolution,
+    conjugate_gradients,
+    dot,
+)
 from tissue.fem.free_modes import rigid_modes
 from tissue.fem.solvers.held_body import HeldBody
 
@@ -23,7 +29,9 @@ __all__ = ["MultigridSolver"]
 COARSEST_NODES = 50
 """Levels of at most so many aggregates are solved directly."""
 WEAK = 0.05
-"""Couplings below this share of their nodes' own do not join an aggregate: a third fewer iterations than with all."""
+"""Couplings below this share of their nodes' own do not join an aggregate: a third fewer
+iterations than with all.
+"""
 
 
 class MultigridSolver:
@@ -34,15 +42,17 @@ class MultigridSolver:
     body
         The stiffness and what holds it.
     tolerance
-        Relative error in the energy norm. It is estimated as ``sqrt(r . B r / l)``, r the residual, B a cycle, and l
-        the smallest eigenvalue of B K that the iterations have met (Meurant and Strakos 2006, Acta Numer. 15:471).
+        Relative error in the energy norm. It is estimated as ``sqrt(r . B r / l)``, r the residual,
+        B a cycle, and l the smallest eigenvalue of B K that the iterations have met (Meurant and
+        Strakos 2006, Acta Numer. 15:471).
     limit
         Iterations allowed.
 
     Raises
     ------
     InputError
-        If the tolerance is not in [1e-12, 0.1], or the stiffness has a component that is not positive.
+        If the tolerance is not in [1e-12, 0.1], or the stiffness has a component that is not
+        positive.
     """
 
     def __init__(self, body: HeldBody, *, tolerance: float = 1e-8, limit: int = 500) -> None:
@@ -55,23 +65,32 @@ class MultigridSolver:
         self._free[body.free] = True
         diagonal = body.stiffness.diagonal()
         if not (diagonal[self._free] > 0.0).all():
-            raise InputError("stiffness must be positive definite, got a diagonal that is not: check the moduli")
+            raise InputError(
+                "stiffness must be positive definite, got a diagonal that is not: check the moduli"
+            )
         self._scale = np.where(self._free, 1.0 / np.sqrt(np.where(self._free, diagonal, 1.0)), 0.0)
         self._matrix = self._scaled()
         modes = rigid_modes(body.nodes_m, body.nodes_m.mean(axis=0)).reshape(-1, 6)
         size = np.abs(modes).max(axis=0)
-        near_null = np.divide(modes / size, self._scale[:, None], out=np.zeros_like(modes), where=self._free[:, None])
+        near_null = np.divide(
+            modes / size, self._scale[:, None], out=np.zeros_like(modes), where=self._free[:, None]
+        )
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # small coarse grids bring remarks on their rank
             self._hierarchy = smoothed_aggregation_solver(
-                self._matrix, B=near_null, strength=("symmetric", {"theta": WEAK}), max_coarse=COARSEST_NODES,
+                self._matrix,
+                B=near_null,
+                strength=("symmetric", {"theta": WEAK}),
+                max_coarse=COARSEST_NODES,
                 improve_candidates=None,
-            )  # fmt: skip
+            )
         self._cycle = self._hierarchy.aspreconditioner(cycle="V")
         self._least = 1.0
 
     def _scaled(self) -> bsr_matrix:
-        """D^-1/2 K D^-1/2 with held components cut out to the identity, indices of 32 bits as pyamg wants."""
+        """D^-1/2 K D^-1/2 with held components cut out to the identity, indices of 32 bits as
+        pyamg wants.
+        """
         scale = diags_array(self._scale)
         scaled = (scale @ self.body.stiffness @ scale + diags_array(1.0 - self._free)).tobsr((3, 3))
         indices = scaled.indices.astype(np.int32)
@@ -93,14 +112,19 @@ class MultigridSolver:
         start = None
         if start_m is not None:
             if np.shape(start_m) != body.nodes_m.shape or not np.isfinite(start_m).all():
-                raise InputError(f"start_m must be finite and of shape {body.nodes_m.shape}: leave it out")
+                raise InputError(
+                    f"start_m must be finite and of shape {body.nodes_m.shape}: leave it out"
+                )
             start = np.zeros_like(right)
             start[self._free] = np.asarray(start_m).ravel()[self._free] / self._scale[self._free]
         found = self._iterate(right, start)
-        return replace(found, displacement_m=body.whole((found.displacement_m * self._scale)[body.free]))
+        return replace(
+            found, displacement_m=body.whole((found.displacement_m * self._scale)[body.free])
+        )
 
     def columns(self, unknowns: Ints) -> Array:
-        """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for held ones.
+        """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for held
+        ones.
 
         Raises
         ------
@@ -122,12 +146,19 @@ class MultigridSolver:
     def _iterate(self, right: Array, start: Array | None = None) -> IterativeSolution:
         """Conjugate gradients on the scaled matrix."""
         return conjugate_gradients(
-            lambda u: self._matrix @ u, right, precondition=lambda r: self._cycle @ r,
-            error=lambda now: self._error(now, right), tolerance=self.tolerance, limit=self._limit, start=start,
-        )  # fmt: skip
+            lambda u: self._matrix @ u,
+            right,
+            precondition=lambda r: self._cycle @ r,
+            error=lambda now: self._error(now, right),
+            tolerance=self.tolerance,
+            limit=self._limit,
+            start=start,
+        )
 
     def _error(self, now: Iterate, right: Array) -> float:
-        """Estimated relative error in the energy norm; where it might be the last one, eigenvalues are met anew."""
+        """Estimated relative error in the energy norm; where it might be the last one,
+        eigenvalues are met anew.
+        """
         energy = dot(now.found, right - now.residual)
         slope = now.slopes[-1]
         if energy <= 0.0:
@@ -136,6 +167,8 @@ class MultigridSolver:
             factor = np.array(now.factors)
             length = np.array(now.lengths)
             earlier = np.append(1.0, length[:-1])
-            ritz = eigvalsh_tridiagonal(1.0 / length + factor / earlier, (np.sqrt(factor) / earlier)[1:])
+            ritz = eigvalsh_tridiagonal(
+                1.0 / length + factor / earlier, (np.sqrt(factor) / earlier)[1:]
+            )
             self._least = min(self._least, max(float(ritz[0]), LEAST_SHARE))
         return float(np.sqrt(slope / (self._least * energy)))

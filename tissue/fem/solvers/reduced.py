@@ -1,10 +1,11 @@
 """A reduced basis: the few shapes that a touched surface mostly takes.
 
-Proper orthogonal decomposition in the energy of the answers to all unit forces on the touchable nodes. Their Gram
-matrix is the compliance W itself, so with ``W = V L V^T`` the modes are ``U V L^-1/2``, U the answers: orthonormal in
-K, and the reduced compliance is W cut to its largest eigenvalues, the best of its rank (Eckart and Young 1936,
-Psychometrika 1:211). What is left out gives mostly where it is touched; its blocks at single nodes replace it, as
-residual flexibility does for modes left out (MacNeal 1971, Comput. Struct. 1:581).
+Proper orthogonal decomposition in the energy of the answers to all unit forces on the touchable
+nodes. Their Gram matrix is the compliance W itself, so with ``W = V L V^T`` the modes are ``U V
+L^-1/2``, U the answers: orthonormal in K, and the reduced compliance is W cut to its largest
+eigenvalues, the best of its rank (Eckart and Young 1936, Psychometrika 1:211). What is left out
+gives mostly where it is touched; its blocks at single nodes replace it, as residual flexibility
+does for modes left out (MacNeal 1971, Comput. Struct. 1:581).
 """
 
 import numpy as np
@@ -40,14 +41,21 @@ class ReducedSolver:
         If the size is not in [1, 3t].
     """
 
-    def __init__(self, solver: ColumnSolver, touchable: Ints, *, size: int, tolerance: float = 0.1) -> None:
+    def __init__(
+        self, solver: ColumnSolver, touchable: Ints, *, size: int, tolerance: float = 0.1
+    ) -> None:
         self.body: HeldBody = solver.body
         self.touchable = np.asarray(touchable, dtype=np.int64)
         rows = (3 * self.touchable[:, None] + np.arange(3)).ravel()
         if not 1 <= size <= len(rows):
-            raise InputError(f"size must be in [1, {len(rows)}], got {size}: three modes a touchable node are all")
+            raise InputError(
+                f"size must be in [1, {len(rows)}], got {size}: three modes a touchable node "
+                "are all"
+            )
         self.tolerance = tolerance
-        parts = [solver.columns(rows[start : start + CHUNK]) for start in range(0, len(rows), CHUNK)]
+        parts = [
+            solver.columns(rows[start : start + CHUNK]) for start in range(0, len(rows), CHUNK)
+        ]
         answers = np.concatenate(parts, axis=1)
         self._rows = rows
         whole = answers[rows]
@@ -68,8 +76,8 @@ class ReducedSolver:
     def solve(self, load_N: Array, *, start_m: Array | None = None) -> Solution:
         """Displacement under nodal forces [N], shape (n, 3); ``start_m`` is ignored.
 
-        For loads on touchable nodes the error in the energy norm is known, by W over the modes left out. Every
-        other load is answered OUTSIDE_BASIS, with a share of 1.
+        For loads on touchable nodes the error in the energy norm is known, by W over the modes left
+        out. Every other load is answered OUTSIDE_BASIS, with a share of 1.
         """
         right = self.body.right_side(load_N)
         flat = self.body.whole(right).ravel()
@@ -81,7 +89,9 @@ class ReducedSolver:
             return Solution(displacement, SolverOutcome.OUTSIDE_BASIS, 0, 1.0)
         energies = self.values_m_N * (self._vectors.T @ flat[self._rows]) ** 2
         error = float(np.sqrt(energies[self.size :].sum() / energies.sum()))
-        outcome = SolverOutcome.CONVERGED if error <= self.tolerance else SolverOutcome.OUTSIDE_BASIS
+        outcome = (
+            SolverOutcome.CONVERGED if error <= self.tolerance else SolverOutcome.OUTSIDE_BASIS
+        )
         return Solution(displacement, outcome, 0, error)
 
     def compliance_m_N(self, size: int | None = None) -> Array:

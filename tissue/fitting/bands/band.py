@@ -1,4 +1,6 @@
-"""The band of a run: its loads and figures over the ranges of its constants, and which constant matters."""
+"""The band of a run: its loads and figures over the ranges of its constants, and which constant
+matters.
+"""
 
 from dataclasses import dataclass
 
@@ -8,10 +10,25 @@ from numpy.typing import NDArray
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_range
 from meshes.base.progress import Progress, silent
-from tissue.fitting.bands.figures import GREATEST, LEVELS, LOADS, Figure, intervals, over_time, table_of
+from tissue.fitting.bands.figures import (
+    GREATEST,
+    LEVELS,
+    LOADS,
+    Figure,
+    intervals,
+    over_time,
+    table_of,
+)
 from tissue.fitting.bands.rerun import Workers, reruns
 from tissue.fitting.bands.reweighed import Reweighed, density_prior, with_sizes
-from tissue.fitting.bands.sample import Ranges, normals, ranges_of, rounded, sample_name, sample_text
+from tissue.fitting.bands.sample import (
+    Ranges,
+    normals,
+    ranges_of,
+    rounded,
+    sample_name,
+    sample_text,
+)
 from tissue.fitting.bands.sobol import SobolIndices, sobol_indices, surrogate_indices
 from tissue.scene.scene import Scene
 from tissue.simulation.load_record import record_loads, why_not_linear
@@ -21,13 +38,22 @@ from tissue.simulation.simulate import simulate
 __all__ = ["Band", "band_of", "require_band", "require_same"]
 
 SAME_EVERYWHERE = (
-    "does not vary with the constants: the path is given, so that the run's own figure holds in every sample"
+    "does not vary with the constants: the path is given, so that the run's own figure holds in "
+    "every sample"
 )
-NEEDS_RUNS = "depends on constants, and the loads alone were reweighed: it needs a run of each sample, --each-run"
+NEEDS_RUNS = (
+    "depends on constants, and the loads alone were reweighed: it needs a run of each sample, "
+    "--each-run"
+)
 
 
 def _about(
-    asked: int, seed: int, how: str, ranges: Ranges, indices: SobolIndices, figures: tuple[Figure, ...] = LOADS
+    asked: int,
+    seed: int,
+    how: str,
+    ranges: Ranges,
+    indices: SobolIndices,
+    figures: tuple[Figure, ...] = LOADS,
 ) -> Summary:
     """Entries of ``summary.json`` on how the band was made, its constants and their indices."""
     return {
@@ -76,11 +102,16 @@ def _indices(
     }
 
 
-HOW = "the geometry was recorded once and reweighed, for the force is linear in the coefficients and the path is given"
+HOW = (
+    "the geometry was recorded once and reweighed, for the force is linear in the coefficients "
+    "and the path is given"
+)
 HOW_RERUN = "every sample was run, for the force is not linear in the constants or moves the tool"
 HOW_ASKED = "every sample was run, as was asked for"
 MOST_FAILED = 0.1
-"""Greatest share of samples that may fail: beyond it the ends of a 90 % band would be those of what is left."""
+"""Greatest share of samples that may fail: beyond it the ends of a 90 % band would be those of
+what is left.
+"""
 SAME = 1e-5
 """Of the greatest load: single precision of the kernels, and six digits of a trace in a file."""
 SOBOL_ROWS = 512
@@ -101,12 +132,13 @@ class Band:
     constants, values
         Names of the constants that vary, and their values in each sample, shape (samples, p).
     figure_names, figures
-        Names as `tissue.fitting.bands.figures` has them, and the figures of each sample, shape (samples, figures), NaN
-        where a sample has none, of an event that does not happen for one.
+        Names as `tissue.fitting.bands.figures` has them, and the figures of each sample, shape
+        (samples, figures), NaN where a sample has none, of an event that does not happen for one.
     numbers
         Which of `files` each sample is, shape (samples,).
     files
-        The file of materials of every sample, those that failed among them; none of a band that was read.
+        The file of materials of every sample, those that failed among them; none of a band that was
+        read.
     summary
         What ``summary.json`` holds of it under ``band``.
     """
@@ -124,19 +156,27 @@ class Band:
 
     def __repr__(self) -> str:
         peak = self.summary["force_N"]["peak"]
-        return f"<tissue Band of {len(self.values)} samples, peak force {peak['p05']:.3g} to {peak['p95']:.3g} N>"
+        return (
+            f"<tissue Band of {len(self.values)} samples, peak force {peak['p05']:.3g} to "
+            f"{peak['p95']:.3g} N>"
+        )
 
 
 def require_band(
-    scene: Scene, asked: int, workers: int | None, scheduler: str | None = None, *, each_run: bool = False
+    scene: Scene,
+    asked: int,
+    workers: int | None,
+    scheduler: str | None = None,
+    *,
+    each_run: bool = False,
 ) -> None:
     """Refuse options of a band that cannot be met, before the scene is run.
 
     Raises
     ------
     InputError
-        If the number of samples is none of 16 to 65536, or processes are asked for where nothing is run again, or
-        beside a scheduler, or a run of each sample where that is done anyhow.
+        If the number of samples is none of 16 to 65536, or processes are asked for where nothing is
+        run again, or beside a scheduler, or a run of each sample where that is done anyhow.
     """
     rounded(asked)
     is_linear = not why_not_linear(scene)
@@ -150,11 +190,15 @@ def require_band(
     for name, given in (("workers", workers), ("scheduler", scheduler)):
         if given is not None and is_linear and not each_run:
             raise InputError(
-                f"{name} must be left out where the geometry is recorded once and reweighed, got {given}: remove it, "
+                f"{name} must be left out where the geometry is recorded once and reweighed, "
+                f"got {given}: remove it, "
                 "or ask for a run of each sample (each_run)"
             )
     if workers is not None and scheduler is not None:
-        raise InputError(f"workers must be left out with a scheduler, which has its own, got {workers}: remove it")
+        raise InputError(
+            f"workers must be left out with a scheduler, which has its own, got {workers}: "
+            "remove it"
+        )
 
 
 def band_of(
@@ -182,9 +226,11 @@ def band_of(
     workers
         Processes that run samples beside each other, where each is a run of its own.
     scheduler
-        Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``, instead of own processes.
+        Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``, instead of own
+        processes.
     each_run
-        Whether every sample is run where reweighing would do, for what is not linear: temperature and stress.
+        Whether every sample is run where reweighing would do, for what is not linear: temperature
+        and stress.
     compute, cores, progress
         As for `tissue.simulate`.
 
@@ -209,36 +255,59 @@ def band_of(
     quantiles = reweighed.quantiles(values, tuple(LEVELS.values()))
     nominal = with_sizes(record.loads(reweighed.coefficients(reweighed.nominal())))
     report("computing Sobol indices", 0.5)
-    indices = sobol_indices(lambda free: reweighed.figures(ranges.x(free)), ranges.groups, count=SOBOL_ROWS, seed=seed)
+    indices = sobol_indices(
+        lambda free: reweighed.figures(ranges.x(free)), ranges.groups, count=SOBOL_ROWS, seed=seed
+    )
     files = tuple(sample_text(record.scene.constants, ranges.names, each) for each in values)
     summary = _about(asked, seed, HOW, ranges, indices) | intervals(LOADS, figures)
     summary |= {"samples": len(figures), "failed": 0, "problems": {}, "without": _without(scene)}
     numbers = np.arange(len(files))
-    return Band(record.times_s, nominal, quantiles, ranges.names, values, LOADS, figures, numbers, files, summary)
+    return Band(
+        record.times_s,
+        nominal,
+        quantiles,
+        ranges.names,
+        values,
+        LOADS,
+        figures,
+        numbers,
+        files,
+        summary,
+    )
 
 
-def _rerun(scene: Scene, asked: int, seed: int, *, workers: Workers, cores: int | None, report: Progress) -> Band:
+def _rerun(
+    scene: Scene, asked: int, seed: int, *, workers: Workers, cores: int | None, report: Progress
+) -> Band:
     """A band each of whose samples is a run of its own."""
     run = simulate(scene, compute=workers.compute, cores=cores, progress=report)
     trace = run.trace
     is_linear = not why_not_linear(scene)
     if density_prior(run.parts.notes.get("density law", "")) is not None and is_linear:
         raise InputError(
-            "each_run must be left out where the density of an image varies within its law's band, which a file of "
+            "each_run must be left out where the density of an image varies within its law's "
+            "band, which a file of "
             "materials cannot hold: reweigh the loads, whose density does vary"
         )
-    nominal = with_sizes(np.hstack([trace.vectors("model_force", "N"), trace.vectors("model_torque", "Nm")]))
+    nominal = with_sizes(
+        np.hstack([trace.vectors("model_force", "N"), trace.vectors("model_torque", "Nm")])
+    )
     ranges = ranges_of(scene, trace.layer_names)
     _require_ranges(ranges)
     free = normals(rounded(asked), len(ranges.names), seed=seed)
     values = ranges.x(free)
     files = tuple(sample_text(scene.constants, ranges.names, each) for each in values)
     outcomes = dict(reruns(scene, files, workers=workers, report=report))
-    problems = {sample_name(at, len(files)): each for at, each in sorted(outcomes.items()) if isinstance(each, str)}
+    problems = {
+        sample_name(at, len(files)): each
+        for at, each in sorted(outcomes.items())
+        if isinstance(each, str)
+    }
     if len(problems) > MOST_FAILED * len(files):
         reasons = "; ".join(f"{name}: {why}" for name, why in list(problems.items())[:3])
         raise InputError(
-            f"band must have samples of which at most {MOST_FAILED:.0%} fail, got {len(problems)} of {len(files)} "
+            f"band must have samples of which at most {MOST_FAILED:.0%} fail, got "
+            f"{len(problems)} of {len(files)} "
             f"({reasons}): narrow the ranges in a file of materials"
         )
     kept = np.array([at for at, each in sorted(outcomes.items()) if not isinstance(each, str)])
@@ -246,12 +315,16 @@ def _rerun(scene: Scene, asked: int, seed: int, *, workers: Workers, cores: int 
     times_s = trace["time_s"]
     quantiles, span = over_time([loads for loads, _ in held], times_s)
     names, figures = table_of([each for _, each in held])
-    explaining = [at for at, name in enumerate(names) if name in LOADS or name[0].startswith(GREATEST)]
+    explaining = [
+        at for at, name in enumerate(names) if name in LOADS or name[0].startswith(GREATEST)
+    ]
     explained_names = tuple(names[at] for at in explaining)
-    indices, explained = surrogate_indices(free[kept], figures[:, explaining], ranges.groups, seed=seed)
-    summary = _about(asked, seed, HOW_ASKED if is_linear else HOW_RERUN, ranges, indices, explained_names) | intervals(
-        names, figures
+    indices, explained = surrogate_indices(
+        free[kept], figures[:, explaining], ranges.groups, seed=seed
     )
+    summary = _about(
+        asked, seed, HOW_ASKED if is_linear else HOW_RERUN, ranges, indices, explained_names
+    ) | intervals(names, figures)
     summary |= {"samples": len(kept), "failed": len(problems), "problems": problems, "span": span}
     summary["surrogate_explains"] = {
         ".".join(name): float(share)
@@ -260,13 +333,24 @@ def _rerun(scene: Scene, asked: int, seed: int, *, workers: Workers, cores: int 
     }
     last = quantiles.shape[1]
     return Band(
-        times_s[:last], nominal[:last], quantiles, ranges.names, values[kept], names, figures, kept, files, summary
+        times_s[:last],
+        nominal[:last],
+        quantiles,
+        ranges.names,
+        values[kept],
+        names,
+        figures,
+        kept,
+        files,
+        summary,
     )
 
 
 def _require_ranges(ranges: Ranges) -> None:
     if not ranges.names:
-        raise InputError("band must be of a scene that rests on constants with a range, got none: leave it out")
+        raise InputError(
+            "band must be of a scene that rests on constants with a range, got none: leave it out"
+        )
 
 
 def require_same(band: Band, loads: Array) -> None:
@@ -284,7 +368,8 @@ def require_same(band: Band, loads: Array) -> None:
     """
     if len(loads) < len(band.times_s):
         raise InputError(
-            f"band must be of a whole run, got one that was stopped after {len(loads)} of {len(band.times_s)} ticks: "
+            f"band must be of a whole run, got one that was stopped after {len(loads)} of "
+            f"{len(band.times_s)} ticks: "
             "run the scene again"
         )
     for first, columns in ((0, slice(0, 3)), (4, slice(3, 6))):
@@ -292,5 +377,6 @@ def require_same(band: Band, loads: Array) -> None:
         run = loads[: len(band.times_s), columns]
         if np.abs(nominal - run).max(initial=0.0) > SAME * np.abs(run).max(initial=0.0):
             raise InputError(
-                "band must be of a run whose scene is as it was, got other loads from the same scene: run it again"
+                "band must be of a run whose scene is as it was, got other loads from the "
+                "same scene: run it again"
             )

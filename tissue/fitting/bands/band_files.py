@@ -1,4 +1,6 @@
-"""The files of a band in a run's folder: quantiles over time, samples, pictures, and what the summary holds of it."""
+"""The files of a band in a run's folder: quantiles over time, samples, pictures, and what the
+summary holds of it.
+"""
 
 import csv
 import json
@@ -23,11 +25,14 @@ __all__ = ["read_band", "save_band"]
 OVER_TIME = "band.csv"
 SAMPLES = "band/samples.csv"
 SEPARATOR = "|"
-"""Between the entries of a figure's name in the header of the samples: a layer's name or a sentence may hold a dot."""
+"""Between the entries of a figure's name in the header of the samples: a layer's name or a
+sentence may hold a dot.
+"""
 
 
 def save_band(band: Band, folder: Path, *, kind: str | None) -> None:
-    """Write a band into the folder of its run, in place of one that is there; pictures where `kind` is their format.
+    """Write a band into the folder of its run, in place of one that is there; pictures where `kind`
+    is their format.
 
     Raises
     ------
@@ -53,10 +58,20 @@ def save_band(band: Band, folder: Path, *, kind: str | None) -> None:
         if kind is not None:
             (folder / "pictures").mkdir(exist_ok=True)
             title = str(summary["scene"])
-            draw_band(band.times_s, band.nominal, band.quantiles, folder / "pictures" / f"band.{kind}", title=title)
-            draw_sobol(band.summary["sobol"], folder / "pictures" / f"band_sobol.{kind}", title=title)
+            draw_band(
+                band.times_s,
+                band.nominal,
+                band.quantiles,
+                folder / "pictures" / f"band.{kind}",
+                title=title,
+            )
+            draw_sobol(
+                band.summary["sobol"], folder / "pictures" / f"band_sobol.{kind}", title=title
+            )
         with whole_file(folder / "summary.json") as temporary:
-            temporary.write_text(json.dumps(summary | {"band": band.summary}, indent=2) + "\n", "utf-8")
+            temporary.write_text(
+                json.dumps(summary | {"band": band.summary}, indent=2) + "\n", "utf-8"
+            )
 
 
 def _earlier_samples(folder: Path) -> list[Path]:
@@ -84,12 +99,24 @@ def read_band(folder: Path) -> Band:
     nominal = times[:, 1 : 1 + len(CHANNELS)]
     quantiles = times[:, 1 + len(CHANNELS) :]
     if quantiles.shape[1] != len(CHANNELS) * len(LEVELS) or tuple(header[1:width]) != constants:
-        raise InputError(f"band.csv must be as run.band wrote it, got another one in {folder}: make the band again")
+        raise InputError(
+            f"band.csv must be as run.band wrote it, got another one in {folder}: make the "
+            "band again"
+        )
     over = np.moveaxis(quantiles.reshape(len(times), len(CHANNELS), len(LEVELS)), 2, 0)
     names = tuple(tuple(name.split(SEPARATOR)) for name in header[width:])
     numbers = samples[:, 0].astype(np.int64)
     return Band(
-        times[:, 0], nominal, over, constants, samples[:, 1:width], names, samples[:, width:], numbers, (), held
+        times[:, 0],
+        nominal,
+        over,
+        constants,
+        samples[:, 1:width],
+        names,
+        samples[:, width:],
+        numbers,
+        (),
+        held,
     )
 
 
@@ -106,5 +133,6 @@ def _read(path: Path) -> tuple[list[str], Array]:
             return next(csv.reader(file)), np.loadtxt(file, delimiter=",", ndmin=2)
     except (OSError, ValueError, StopIteration):
         raise InputError(
-            f"{path.name} must be a table of numbers, got another one in {path}: make the band again"
+            f"{path.name} must be a table of numbers, got another one in {path}: make the "
+            "band again"
         ) from None

@@ -1,4 +1,6 @@
-"""The figures of a run that vary with its constants: those of its summary, by names, and their quantiles."""
+"""The figures of a run that vary with its constants: those of its summary, by names, and their
+quantiles.
+"""
 
 import re
 
@@ -9,10 +11,21 @@ from tissue.models.tissue_model import SLOW
 from tissue.simulation.run import Run
 from tissue.simulation.run_summary import Summary
 
-__all__ = ["GREATEST", "LEVELS", "LOADS", "Figure", "figures_of", "intervals", "over_time", "table_of"]
+__all__ = [
+    "GREATEST",
+    "LEVELS",
+    "LOADS",
+    "Figure",
+    "figures_of",
+    "intervals",
+    "over_time",
+    "table_of",
+]
 
 Figure = tuple[str, ...]
-"""Name of a figure: its place in ``summary.json``, entry by entry; of an event ``events``, a sentence, ``time_s``."""
+"""Name of a figure: its place in ``summary.json``, entry by entry; of an event ``events``, a
+sentence, ``time_s``.
+"""
 LEVELS = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
 """Quantiles by their names in files: the ends of the 90 and 50 % bands, and the median."""
 LOADS: tuple[Figure, ...] = tuple(
@@ -20,26 +33,39 @@ LOADS: tuple[Figure, ...] = tuple(
 )
 """Figures that every run has, the first columns of a table; Sobol indices are of these."""
 NUMBER = re.compile(r"-?\d+(\.\d+)?([eE][-+]?\d+)?(?![\d.]*%)")
-"""A measured number in the sentence of an event; a percentage is a threshold, by which two events differ."""
+"""A measured number in the sentence of an event; a percentage is a threshold, by which two
+events differ.
+"""
 PEAKS = "_K"
 STRESS = "von_mises_"
 GREATEST = "greatest_"
-"""Ending of columns of a trace (temperatures), and begin of fields, whose greatest value is a figure; how it begins."""
+"""Ending of columns of a trace (temperatures), and begin of fields, whose greatest value is a
+figure; how it begins.
+"""
 
 
 def figures_of(run: Run) -> dict[Figure, float]:
-    """Figures of a run: loads, volumes, contact, what is kept clear, greatest temperature and stress, and events.
+    """Figures of a run: loads, volumes, contact, what is kept clear, greatest temperature and
+    stress, and events.
 
-    An event is named by its sentence without numbers, and counts the first time that it happens; what the machine was
-    too slow for is none.
+    An event is named by its sentence without numbers, and counts the first time that it happens;
+    what the machine was too slow for is none.
     """
     summary = run.summary
     trace = run.trace
     found: dict[Figure, float] = {name: summary[name[0]][name[1]] for name in LOADS}
-    found |= {("removed_mm3", layer): volume for layer, volume in summary["removed_mm3"].items() if summary["cuts"]}
+    found |= {
+        ("removed_mm3", layer): volume
+        for layer, volume in summary["removed_mm3"].items()
+        if summary["cuts"]
+    }
     found["contact_share",] = float((trace["contact_mm2"] > 0.0).mean())
     for structure, figures in summary.get("keep_clear", {}).items():
-        found |= {("keep_clear", structure, name): value for name, value in figures.items() if value is not None}
+        found |= {
+            ("keep_clear", structure, name): value
+            for name, value in figures.items()
+            if value is not None
+        }
     for name in run.parts.tissue.measure_names:
         if name.endswith(PEAKS):
             found[f"{GREATEST}{name}",] = float(trace[name].max())
@@ -59,13 +85,16 @@ def figures_of(run: Run) -> dict[Figure, float]:
 
 
 def table_of(runs: list[dict[Figure, float]]) -> tuple[tuple[Figure, ...], Array]:
-    """Names of all figures and their values in each run, shape (runs, figures); NaN where a run has none."""
+    """Names of all figures and their values in each run, shape (runs, figures); NaN where a run
+    has none.
+    """
     names = tuple(dict.fromkeys(name for run in runs for name in run))
     return names, np.array([[run.get(name, np.nan) for name in names] for run in runs])
 
 
 def intervals(names: tuple[Figure, ...], values: Array) -> Summary:
-    """Quantiles of figures, nested as a run's summary has them, with the share of runs that have one where not all do.
+    """Quantiles of figures, nested as a run's summary has them, with the share of runs that have
+    one where not all do.
 
     Parameters
     ----------
@@ -92,11 +121,14 @@ def _by_level(values: Array) -> dict[str, float]:
 
 
 REACH = 0.9
-"""Least share of the runs that a quantile over time is of: the 5 and 95 % quantiles of fewer are those of a part."""
+"""Least share of the runs that a quantile over time is of: the 5 and 95 % quantiles of fewer are
+those of a part.
+"""
 
 
 def over_time(loads: list[Array], times_s: Array) -> tuple[Array, Summary]:
-    """Quantiles `LEVELS` of loads at each tick, of the runs that reach it, as long as nine in ten do.
+    """Quantiles `LEVELS` of loads at each tick, of the runs that reach it, as long as nine in ten
+    do.
 
     Parameters
     ----------
@@ -115,9 +147,13 @@ def over_time(loads: list[Array], times_s: Array) -> tuple[Array, Summary]:
     shortest = min(int(lengths[0]), last)
     levels = tuple(LEVELS.values())
     quantiles = np.empty((len(levels), last, loads[0].shape[1]))
-    quantiles[:, :shortest] = np.quantile(np.stack([each[:shortest] for each in loads]), levels, axis=0)
+    quantiles[:, :shortest] = np.quantile(
+        np.stack([each[:shortest] for each in loads]), levels, axis=0
+    )
     for tick in range(shortest, last):
-        quantiles[:, tick] = np.quantile([each[tick] for each in loads if len(each) > tick], levels, axis=0)
+        quantiles[:, tick] = np.quantile(
+            [each[tick] for each in loads if len(each) > tick], levels, axis=0
+        )
     step_s = times_s[0] if len(times_s) == 1 else times_s[1] - times_s[0]
     return quantiles, {
         "ticks": last,

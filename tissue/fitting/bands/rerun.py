@@ -27,7 +27,9 @@ PATIENCE_S = 30.0
 """How long a scheduler may take to answer, as for a study."""
 LOST_WORKER = "the process that ran it was lost"
 BARREN = 5
-"""Losses one after the other, without a sample in between, after which workers are given up, as for a study."""
+"""Losses one after the other, without a sample in between, after which workers are given up, as
+for a study.
+"""
 
 
 @dataclass(frozen=True)
@@ -44,8 +46,8 @@ def reruns(
 ) -> Iterator[tuple[int, Outcome]]:
     """Number and outcome of the run of each file of materials, as each comes to its end.
 
-    Where a worker is lost, the samples that it was given are run again, one at a time: what is lost once more is at
-    fault itself.
+    Where a worker is lost, the samples that it was given are run again, one at a time: what is lost
+    once more is at fault itself.
 
     Raises
     ------
@@ -74,7 +76,9 @@ def reruns(
                 yield number, outcome
         barren = 0 if returned else barren + 1
         if barren > BARREN:
-            raise InputError(f"workers must stay alive, got {barren} losses without a sample: leave workers out")
+            raise InputError(
+                f"workers must stay alive, got {barren} losses without a sample: leave workers out"
+            )
         if alone:
             yield from ((number, LOST_WORKER) for number in given)
         else:
@@ -91,7 +95,9 @@ def _in_pool(
     fresh = iter(numbers)
     running = dict[Future[Outcome], int]()
     try:
-        with executor(min(workers.count, len(numbers)), workers.scheduler, patience_s=PATIENCE_S) as pool:
+        with executor(
+            min(workers.count, len(numbers)), workers.scheduler, patience_s=PATIENCE_S
+        ) as pool:
             connected = True
             while True:
                 while len(running) < most and (number := next(fresh, None)) is not None:
@@ -110,7 +116,8 @@ def _in_pool(
     except LOST as error:
         if not connected:
             raise InputError(
-                f"scheduler must answer, got {workers.scheduler} ({error}): start it with `dask scheduler`"
+                f"scheduler must answer, got {workers.scheduler} ({error}): start it with "
+                "`dask scheduler`"
             ) from error
         report("workers were lost, the other samples go on", 0.0)
 
@@ -124,10 +131,13 @@ def _outcome(scene: Scene, file: str, compute: str) -> Outcome:
             run = simulate(changed(scene, {"materials": str(path)}), compute=compute, cores=1)
         except InputError as refused:
             return str(refused)
-        except Exception as error:  # a solver that breaks down at one sample is no reason to lose the others
+        except Exception as error:
+            # a solver that breaks down at one sample is no reason to lose the others
             return _sentence(error)
     trace = run.trace
-    loads = with_sizes(np.hstack([trace.vectors("model_force", "N"), trace.vectors("model_torque", "Nm")]))
+    loads = with_sizes(
+        np.hstack([trace.vectors("model_force", "N"), trace.vectors("model_torque", "Nm")])
+    )
     if not np.isfinite(loads).all():
         return "its force is not finite"
     return loads, figures_of(run)

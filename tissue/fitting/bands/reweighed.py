@@ -15,7 +15,16 @@ from tissue.simulation.load_record import LoadRecord
 
 __all__ = ["CHANNELS", "DENSITY", "Reweighed", "density_prior"]
 
-CHANNELS = ("force_x_N", "force_y_N", "force_z_N", "force_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm", "torque_Nm")
+CHANNELS = (
+    "force_x_N",
+    "force_y_N",
+    "force_z_N",
+    "force_N",
+    "torque_x_Nm",
+    "torque_y_Nm",
+    "torque_z_Nm",
+    "torque_Nm",
+)
 """Components and sizes of the loads on the tool in the world, as the model gives them."""
 DENSITY = "density.bone"
 BLOCK = 500_000
@@ -36,11 +45,17 @@ class Reweighed:
         self.record = record
         self._contact = record.trace["contact_mm2"] > 0.0
         units = [layer.unit.any(axis=(0, 1, 3)) for layer in record.layers.values()]
-        self._loaded = np.flatnonzero(np.logical_or.reduce(units, axis=0)) if units else np.zeros(0, dtype=np.int64)
+        self._loaded = (
+            np.flatnonzero(np.logical_or.reduce(units, axis=0))
+            if units
+            else np.zeros(0, dtype=np.int64)
+        )
 
     @cached_property
     def ranges(self) -> Ranges:
-        """Constants with a range of the layers that the tool met, but those that the scene sets itself."""
+        """Constants with a range of the layers that the tool met, but those that the scene sets
+        itself.
+        """
         met = [self.record.layer_names[at] for at in sorted(self.record.layers)]
         density = density_prior(self.record.notes.get("density law", ""))
         further = {} if density is None else {DENSITY: density}
@@ -58,13 +73,17 @@ class Reweighed:
         return np.array([prior.value for prior in self.ranges.priors])
 
     def weights(self, x: Array) -> Array:
-        """What all unit loads are multiplied by, shape (samples, units), for values of shape (samples, p)."""
+        """What all unit loads are multiplied by, shape (samples, units), for values of shape
+        (samples, p).
+        """
         layers = len(self.record.layer_names)
         place = self.ranges.names.index(DENSITY) if DENSITY in self.ranges.names else None
         rows = []
         for each in x:
             factors = None if place is None else np.full(layers, each[place])
-            rows.append(np.concatenate(list(self.record.weights(self.coefficients(each), factors).values())))
+            rows.append(
+                np.concatenate(list(self.record.weights(self.coefficients(each), factors).values()))
+            )
         return np.array(rows)
 
     def figures(self, x: Array) -> Array:
@@ -88,12 +107,16 @@ class Reweighed:
         return found
 
     def _blocks(self, weights: Array) -> Iterator[tuple[NDArray[np.int64], Array]]:
-        """Loads of samples a few loaded ticks after the others, and which those are, shape (samples, ticks, 6)."""
+        """Loads of samples a few loaded ticks after the others, and which those are, shape
+        (samples, ticks, 6).
+        """
         step = max(BLOCK // (6 * len(weights)), 1)
         for first in range(0, len(self._loaded), step):
             ticks = self._loaded[first : first + step]
             unit = [layer.unit[:, :, ticks] for layer in self.record.layers.values()]
-            rows = np.concatenate([each.reshape(each.shape[0] * each.shape[1], -1) for each in unit])
+            rows = np.concatenate(
+                [each.reshape(each.shape[0] * each.shape[1], -1) for each in unit]
+            )
             yield ticks, (weights @ rows).reshape(len(weights), -1, 6)
 
 
@@ -106,7 +129,8 @@ def with_sizes(loads: Array) -> Array:
 
 
 def density_prior(law: str) -> Prior | None:
-    """Prior of a factor of the density, from what an image of densities states of their law; None where it is silent.
+    """Prior of a factor of the density, from what an image of densities states of their law; None
+    where it is silent.
 
     The band is that of the density's median; it is taken for the relative one of every voxel.
     """

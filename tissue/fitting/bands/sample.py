@@ -18,7 +18,17 @@ from tissue.materials.scene_constants import Materials
 from tissue.scene.scene import Scene
 from tissue.scene.used_constants import used_constants
 
-__all__ = ["LEAST", "MOST", "Ranges", "normals", "ranges_of", "rounded", "sample_name", "sample_text", "sampled"]
+__all__ = [
+    "LEAST",
+    "MOST",
+    "Ranges",
+    "normals",
+    "ranges_of",
+    "rounded",
+    "sample_name",
+    "sample_text",
+    "sampled",
+]
 
 LEAST = 16
 MOST = 65536
@@ -51,9 +61,14 @@ class Ranges:
 
     @cached_property
     def groups(self) -> tuple[tuple[int, ...], ...]:
-        """Places of the constants that are correlated with each other, directly or through others."""
+        """Places of the constants that are correlated with each other, directly or through
+        others.
+        """
         labels = connected_components(self.correlation != 0.0, directed=False)[1]
-        return tuple(tuple(np.flatnonzero(labels == label).tolist()) for label in range(labels.max(initial=-1) + 1))
+        return tuple(
+            tuple(np.flatnonzero(labels == label).tolist())
+            for label in range(labels.max(initial=-1) + 1)
+        )
 
     @cached_property
     def group_names(self) -> tuple[str, ...]:
@@ -71,7 +86,11 @@ class Ranges:
 
 
 def ranges_of(
-    scene: Scene, layers: Sequence[str], *, table: str = "", further: Mapping[str, Prior] | None = None
+    scene: Scene,
+    layers: Sequence[str],
+    *,
+    table: str = "",
+    further: Mapping[str, Prior] | None = None,
 ) -> Ranges:
     """Return the constants with a range on which a scene rests, except those that it sets itself.
 
@@ -96,7 +115,8 @@ def ranges_of(
 
 
 def rounded(asked: int) -> int:
-    """Samples for a number asked for: the power of two at or above it, for a Sobol sequence is balanced at those alone.
+    """Samples for a number asked for: the power of two at or above it, for a Sobol sequence is
+    balanced at those alone.
 
     Raises
     ------
@@ -108,7 +128,8 @@ def rounded(asked: int) -> int:
 
 
 def normals(count: int, width: int, *, seed: int) -> Array:
-    """Independent standard normal numbers of a scrambled Sobol sequence, shape (count, width); count a power of two.
+    """Independent standard normal numbers of a scrambled Sobol sequence, shape (count, width);
+    count a power of two.
 
     Raises
     ------
@@ -116,7 +137,10 @@ def normals(count: int, width: int, *, seed: int) -> Array:
         If there are more columns than the sequence has.
     """
     if width > qmc.Sobol.MAXDIM:
-        raise InputError(f"constants must be at most {qmc.Sobol.MAXDIM} of a Sobol sequence, got {width}: fix some")
+        raise InputError(
+            f"constants must be at most {qmc.Sobol.MAXDIM} of a Sobol sequence, got {width}: "
+            "fix some"
+        )
     points = qmc.Sobol(width, scramble=True, seed=seed).random(count)
     return np.asarray(ndtri(np.clip(points, 1e-12, 1.0 - 1e-12)))
 
@@ -130,16 +154,25 @@ def sample_name(number: int, count: int) -> str:
 
 
 def sampled(constants: Materials, names: Sequence[str], x: Array) -> Materials:
-    """Constants with those of a sample in place, by their names ``TABLE.MATERIAL.NAME``, values of shape (p,)."""
+    """Constants with those of a sample in place, by their names ``TABLE.MATERIAL.NAME``, values
+    of shape (p,).
+    """
     values = (Constant(value, value, value, SOURCE, "L") for value in map(float, x))
-    drawn = {name: one for name, one in zip(names, values, strict=True) if not name.startswith("density.")}
+    drawn = {
+        name: one
+        for name, one in zip(names, values, strict=True)
+        if not name.startswith("density.")
+    }
     return replace(constants, given={**constants.given, **drawn}, names=(), matrix=())
 
 
 def sample_text(constants: Materials, names: Sequence[str], x: Array) -> str:
     """The TOML file of a sample; a factor of the density, which no scene takes, is a comment."""
-    lines = [f"# {name} = {float(value)!r}, which no file of materials holds" for name, value in
-             zip(names, x, strict=True) if name.startswith("density.")]  # fmt: skip
+    lines = [
+        f"# {name} = {float(value)!r}, which no file of materials holds"
+        for name, value in zip(names, x, strict=True)
+        if name.startswith("density.")
+    ]
     for name, one in sampled(constants, names, x).given.items():
         lines += [
             "",

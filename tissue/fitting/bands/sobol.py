@@ -1,4 +1,6 @@
-"""Sobol indices: how much of the variance of a figure each constant, or group of correlated constants, explains."""
+"""Sobol indices: how much of the variance of a figure each constant, or group of correlated
+constants, explains.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -38,8 +40,9 @@ def sobol_indices(
 ) -> SobolIndices:
     """First-order and total indices of a function of independent standard normal numbers.
 
-    Two samples A and B are taken, and for every group one that is A with the group's columns from B. First-order
-    indices follow Saltelli et al. (2010, Comput. Phys. Commun. 181:259, table 2 b), total ones Jansen (2 f there).
+    Two samples A and B are taken, and for every group one that is A with the group's columns from
+    B. First-order indices follow Saltelli et al. (2010, Comput. Phys. Commun. 181:259, table 2 b),
+    total ones Jansen (2 f there).
 
     Parameters
     ----------
@@ -67,8 +70,11 @@ def sobol_indices(
     c = np.stack(mixed) - middle
     first, total = _indices(a, b, c)
     rng = np.random.default_rng(seed)
-    drawn = [_indices(a[rows], b[rows], c[:, rows]) for rows in rng.integers(0, count, (DRAWS, count))]
-    ends = np.quantile(np.array(drawn), (0.05, 0.95), axis=0)  # shape (2, first or total, groups, figures)
+    drawn = [
+        _indices(a[rows], b[rows], c[:, rows]) for rows in rng.integers(0, count, (DRAWS, count))
+    ]
+    # shape (2, first or total, groups, figures)
+    ends = np.quantile(np.array(drawn), (0.05, 0.95), axis=0)
     return SobolIndices(first, total, ends[:, 0], ends[:, 1])
 
 
@@ -89,10 +95,11 @@ REFITS = 100
 def surrogate_indices(
     free: Array, figures: Array, groups: tuple[tuple[int, ...], ...], *, seed: int
 ) -> tuple[SobolIndices, Array]:
-    """Indices of figures, and the share of the variance of each that is explained in runs left out of the fit.
+    """Indices of figures, and the share of the variance of each that is explained in runs left out
+    of the fit.
 
-    The figures are those of a sum of products of normalised Hermite polynomials up to degree two, its coefficients by
-    ridge regression (Sudret 2008, Reliab. Eng. Syst. Saf. 93:964).
+    The figures are those of a sum of products of normalised Hermite polynomials up to degree two,
+    its coefficients by ridge regression (Sudret 2008, Reliab. Eng. Syst. Saf. 93:964).
 
     Parameters
     ----------
@@ -119,7 +126,9 @@ def surrogate_indices(
         if explained[column] < LEAST_EXPLAINED:
             continue
         rows = [np.arange(len(free)), *rng.integers(0, len(free), (REFITS, len(free)))]
-        drawn = np.array([_shares(_fitted(basis[each], values[each], ridge), alone, members) for each in rows])
+        drawn = np.array(
+            [_shares(_fitted(basis[each], values[each], ridge), alone, members) for each in rows]
+        )
         found[:, 0, :, column] = drawn[0]
         found[:, 1:, :, column] = np.moveaxis(np.quantile(drawn[1:], (0.05, 0.95), axis=0), 0, 1)
     return SobolIndices(found[0, 0], found[1, 0], found[0, 1:], found[1, 1:]), explained
@@ -146,7 +155,9 @@ def _fitted(basis: Array, values: Array, ridge: float) -> Array:
 
 
 def _best(basis: Array, values: Array) -> tuple[float, float]:
-    """Ridge of the least error on runs that the fit has not seen, and the share of the variance that it explains."""
+    """Ridge of the least error on runs that the fit has not seen, and the share of the variance
+    that it explains.
+    """
     errors = np.zeros(len(RIDGES))
     for fold in range(FOLDS):
         seen = np.arange(len(values)) % FOLDS != fold

@@ -1,1 +1,3 @@
-"""Haptic devices: their contract, real limits, simulated, recorded and faulty ones, and safe operation."""
+"""Haptic devices: their contract, real limits, simulated, recorded and faulty ones, and safe
+operation.
+"""

@@ -15,9 +15,15 @@ from tissue.motion.quaternion import Quaternion, Triple
 from tissue.scene.registry import DEVICES
 
 __all__ = [
-    "ComputedDevice", "Device", "DeviceError", "DeviceParameters", "KnowsTruth", "Sample", "StatesPlayed",
+    "ComputedDevice",
+    "Device",
+    "DeviceError",
+    "DeviceParameters",
+    "KnowsTruth",
+    "Sample",
+    "StatesPlayed",
     "device_parameters",
-]  # fmt: skip
+]
 
 
 class Sample(NamedTuple):
@@ -31,17 +37,20 @@ class Sample(NamedTuple):
 
 
 class DeviceError(InputError):
-    """A device that does not do what a device has to: one sentence with the call, what it did and what to check."""
+    """A device that does not do what a device has to: one sentence with the call, what it did
+    and what to check.
+    """
 
 
 class Device(Protocol):
     """A haptic device: position in, force out.
 
-    These two are all that a loop needs; `tissue.haptics.device.safe_device.SafeDevice` is how it holds a device. One
-    that is a context manager is entered before its first read and left after its last command, which is zero: give it
-    to a run without a ``with`` of your own, which would open it twice, or as ``with SafeDevice(device) as held``. A
-    device may have ``close()``, which takes all force off it by other means and may be called from another thread: it
-    is used where ``command`` fails.
+    These two are all that a loop needs; `tissue.haptics.device.safe_device.SafeDevice` is how it
+    holds a device. One that is a context manager is entered before its first read and left after
+    its last command, which is zero: give it to a run without a ``with`` of your own, which would
+    open it twice, or as ``with SafeDevice(device) as held``. A device may have ``close()``, which
+    takes all force off it by other means and may be called from another thread: it is used where
+    ``command`` fails.
     """
 
     def read(self, time_s: float) -> Sample | None:
@@ -53,7 +62,9 @@ class Device(Protocol):
 
 @runtime_checkable
 class KnowsTruth(Protocol):
-    """A device that knows where it is and what the hand feels, as a simulated one does: samples are encoder steps."""
+    """A device that knows where it is and what the hand feels, as a simulated one does: samples
+    are encoder steps.
+    """
 
     @property
     def true_position_m(self) -> Triple:
@@ -62,7 +73,9 @@ class KnowsTruth(Protocol):
 
     @property
     def hand_force_N(self) -> Triple:
-        """Force with which the device pushes the hand, mean over the tick before the last sample [N]."""
+        """Force with which the device pushes the hand, mean over the tick before the last sample
+        [N].
+        """
         ...
 
 
@@ -81,7 +94,9 @@ class StatesPlayed(Protocol):
 
 
 class ComputedDevice:
-    """What the devices that are computed here have in common: they answer at once, and end at zero."""
+    """What the devices that are computed here have in common: they answer at once, and end at
+    zero.
+    """
 
     in_process = True
     """Whether read and command only compute, so that they cannot block."""
@@ -90,7 +105,10 @@ class ComputedDevice:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.command(np.zeros(3), np.zeros(3))
 
@@ -113,15 +131,16 @@ class DeviceParameters:
     force_slew_N_ms
         Greatest change of the force that it is commanded [N/ms].
     rate_Hz
-        Samples and force updates a second. The loop reads a faster device once a tick, and each force is held until the
-        next sample of a slower one.
+        Samples and force updates a second. The loop reads a faster device once a tick, and each
+        force is held until the next sample of a slower one.
     transport_delay_s
         From a sample to the force that answers it, besides the hold [s].
     amplifier_Hz
         Bandwidth of the amplifiers; infinite for none.
-    inertia_kg_m2, damping_Nm_s_rad, friction_Nm, encoder_step_rad, torque_limit_Nm, torque_slew_Nm_ms
-        The same for rotation; a torque limit of 0 makes a device of three degrees of freedom, whose rotation moves
-        freely with the hand.
+    inertia_kg_m2, damping_Nm_s_rad, friction_Nm, encoder_step_rad, torque_limit_Nm,
+    torque_slew_Nm_ms
+        The same for rotation; a torque limit of 0 makes a device of three degrees of freedom, whose
+        rotation moves freely with the hand.
     stiffness_limit_N_m, damping_limit_N_s_m, stiffness_limit_Nm_rad
         What the vendor's software allows for; reported, not enforced.
     workspace_width_m, workspace_height_m, workspace_depth_m
@@ -154,20 +173,38 @@ class DeviceParameters:
         for name in ("mass_kg", "force_limit_N", "inertia_kg_m2"):
             require_positive(name, getattr(self, name), "see devices.toml for what is usual")
         require_range("rate_Hz", self.rate_Hz, 10.0, 1e5, "use 1000")
-        for name in ("damping_N_s_m", "friction_N", "encoder_step_m", "damping_Nm_s_rad", "friction_Nm",
-                     "encoder_step_rad", "torque_limit_Nm"):  # fmt: skip
+        for name in (
+            "damping_N_s_m",
+            "friction_N",
+            "encoder_step_m",
+            "damping_Nm_s_rad",
+            "friction_Nm",
+            "encoder_step_rad",
+            "torque_limit_Nm",
+        ):
             require_range(name, getattr(self, name), 0.0, 1e4, "use 0 for none")
         require_range("transport_delay_s", self.transport_delay_s, 0.0, 0.2, "use 0 for none")
         for name, none in (
-            ("amplifier_Hz", "one without lag"), ("force_slew_N_ms", "no limit"), ("torque_slew_Nm_ms", "no limit"),
-        ):  # fmt: skip
+            ("amplifier_Hz", "one without lag"),
+            ("force_slew_N_ms", "no limit"),
+            ("torque_slew_Nm_ms", "no limit"),
+        ):
             if not getattr(self, name) > 0.0:
-                raise InputError(f"{name} must be positive, got {getattr(self, name)}: use inf for {none}")
+                raise InputError(
+                    f"{name} must be positive, got {getattr(self, name)}: use inf for {none}"
+                )
 
     def loop(
-        self, stiffness_N_m: float, *, wall_damping_N_s_m: float = 0.0, filter_s: float = 0.0, model_ticks: int = 1
+        self,
+        stiffness_N_m: float,
+        *,
+        wall_damping_N_s_m: float = 0.0,
+        filter_s: float = 0.0,
+        model_ticks: int = 1,
     ) -> WallLoop:
-        """Return the loop by which a wall on this device is judged, without friction, encoder and hand."""
+        """Return the loop by which a wall on this device is judged, without friction, encoder
+        and hand.
+        """
         return WallLoop(
             mass_kg=self.mass_kg,
             damping_N_s_m=self.damping_N_s_m,
@@ -198,7 +235,8 @@ class DeviceParameters:
 
 
 def device_parameters(name: str, constants: Materials = Materials.cited) -> DeviceParameters:
-    """Numbers of a device by its name in `DEVICES`, with those of a scene's own constants in their place.
+    """Numbers of a device by its name in `DEVICES`, with those of a scene's own constants in their
+    place.
 
     Raises
     ------

@@ -29,7 +29,9 @@ class Fault:
 
 
 class FaultyDevice:
-    """A device whose samples are dropped, late, repeated, not numbers or wild (1e9 m) at given times."""
+    """A device whose samples are dropped, late, repeated, not numbers or wild (1e9 m) at given
+    times.
+    """
 
     def __init__(self, device: Device, faults: Sequence[Fault]) -> None:
         self._device, self._faults = device, tuple(faults)
@@ -47,7 +49,10 @@ class FaultyDevice:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         if isinstance(self._device, AbstractContextManager):
             self._device.__exit__(kind, error, trace)
@@ -56,7 +61,9 @@ class FaultyDevice:
         """A sample, or what the fault of the time makes of it."""
         sample = self._device.read(time_s)
         self._past.append(sample)
-        kind = next((fault.kind for fault in self._faults if fault.start_s <= time_s < fault.end_s), None)
+        kind = next(
+            (fault.kind for fault in self._faults if fault.start_s <= time_s < fault.end_s), None
+        )
         if kind == "dropped":
             return None
         if kind == "duplicated":

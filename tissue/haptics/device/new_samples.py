@@ -18,8 +18,9 @@ OLDEST = 2.5
 class NewSamples:
     """Recognise the ticks in which a device has a new sample.
 
-    A device with a clock of its own dates its samples. Other devices repeat the last pose with the time of the tick. A
-    pose that has changed is then new, and so is a pose that has stayed for as long as a sample lasts.
+    A device with a clock of its own dates its samples. Other devices repeat the last pose with the
+    time of the tick. A pose that has changed is then new, and so is a pose that has stayed for as
+    long as a sample lasts.
 
     Parameters
     ----------
@@ -32,7 +33,9 @@ class NewSamples:
         self._waited, self._last = 0, Sample(nan, (nan, nan, nan))
 
     def is_new(self, sample: Sample, time_s: float) -> bool:
-        """Return whether the sample of the tick at a time [s] differs from the one of the last tick."""
+        """Return whether the sample of the tick at a time [s] differs from the one of the last
+        tick.
+        """
         if self._ticks <= 1:
             return True
         last, self._last = self._last, sample

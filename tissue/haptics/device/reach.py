@@ -10,8 +10,8 @@ from tissue.motion.quaternion import Triple
 __all__ = ["Reach", "reach_of"]
 
 FURTHER = 3.0
-"""Reach of an arm over the diagonal of its stated workspace: the Touch states 160 x 120 x 70 mm, and its arm moves in
-431 x 348 x 165 mm. Positions in millimetres exceed it after 0.6 mm."""
+"""Reach of an arm over the diagonal of its stated workspace: the Touch states 160 x 120 x 70 mm,
+and its arm moves in 431 x 348 x 165 mm. Positions in millimetres exceed it after 0.6 mm."""
 UNSTATED_M = 3.0
 """Reach of a device without a stated workspace [m]."""
 MOST_WRONG = 20
@@ -44,7 +44,8 @@ class Reach:
         self._first, self._wrong = None, 0
 
     def require(self, position_m: Triple, *, samples: int = MOST_WRONG) -> None:
-        """Take a position [m] and refuse the device once so many samples in a row lie beyond its reach.
+        """Take a position [m] and refuse the device once so many samples in a row lie beyond its
+        reach.
 
         Raises
         ------
@@ -60,10 +61,15 @@ class Reach:
             return
         stated = "no workspace is stated"
         if isfinite(self._edges_m[-1]):
-            stated = f"its workspace is {' x '.join(f'{1e3 * edge:.3g}' for edge in self._edges_m[::-1])} mm"
+            stated = (
+                "its workspace is "
+                f"{' x '.join(f'{1e3 * edge:.3g}' for edge in self._edges_m[::-1])} mm"
+            )
         raise DeviceError(
-            f"the device reports a position {1e3 * away_m:.4g} mm from its first one, but {stated}. If it reports "
-            "millimetres, give metres; if it does reach so far, state workspace_width_m, workspace_height_m and "
+            f"the device reports a position {1e3 * away_m:.4g} mm from its first one, but "
+            f"{stated}. If it reports "
+            "millimetres, give metres; if it does reach so far, state workspace_width_m, "
+            "workspace_height_m and "
             "workspace_depth_m in its constants"
         )
 

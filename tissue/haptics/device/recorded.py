@@ -21,7 +21,8 @@ class RecordedDevice(ComputedDevice):
     Parameters
     ----------
     times_s
-        Increasing times [s], shape (n,). Before the first and after the last one there is no sample.
+        Increasing times [s], shape (n,). Before the first and after the last one there is no
+        sample.
     positions_m
         Positions [m], shape (n, 3).
     quaternions
@@ -36,22 +37,41 @@ class RecordedDevice(ComputedDevice):
     """
 
     def __init__(
-        self, times_s: Array, positions_m: Array, quaternions: Array | None = None, *, rate_Hz: float = 1000.0
+        self,
+        times_s: Array,
+        positions_m: Array,
+        quaternions: Array | None = None,
+        *,
+        rate_Hz: float = 1000.0,
     ) -> None:
         require_positive("rate_Hz", rate_Hz, "use 1000")
         times, positions = np.array(times_s, dtype=float), np.array(positions_m, dtype=float)
-        if len(times) < 2 or positions.shape != (len(times), 3) or not np.isfinite([*times, *positions.ravel()]).all():
+        if (
+            len(times) < 2
+            or positions.shape != (len(times), 3)
+            or not np.isfinite([*times, *positions.ravel()]).all()
+        ):
             raise InputError(
-                f"positions_m must be finite with shape ({len(times)}, 3), got {positions.shape}: mend them"
+                f"positions_m must be finite with shape ({len(times)}, 3), got "
+                f"{positions.shape}: mend them"
             )
         if not (np.diff(times) > 0.0).all():
             raise InputError(f"times_s must increase, got {times_s}: sort them")
-        turned = np.tile((0.0, 0.0, 0.0, 1.0), (len(times), 1)) if quaternions is None else np.array(quaternions, float)
+        turned = (
+            np.tile((0.0, 0.0, 0.0, 1.0), (len(times), 1))
+            if quaternions is None
+            else np.array(quaternions, float)
+        )
         sizes = np.linalg.norm(turned, axis=1)
         if turned.shape != (len(times), 4) or not np.isfinite(sizes).all() or (sizes < 1e-6).any():
-            raise InputError("quaternions must be finite and not zero, one for each time, got others: use 0, 0, 0, 1")
+            raise InputError(
+                "quaternions must be finite and not zero, one for each time, got others: use "
+                "0, 0, 0, 1"
+            )
         self._first, self._last, self._rate = float(times[0]), float(times[-1]), rate_Hz
-        at = np.minimum(times[0] + np.arange(round((times[-1] - times[0]) * rate_Hz) + 1) / rate_Hz, times[-1])
+        at = np.minimum(
+            times[0] + np.arange(round((times[-1] - times[0]) * rate_Hz) + 1) / rate_Hz, times[-1]
+        )
         rotation = Slerp(times, Rotation.from_quat(turned))(at)
         tips = np.column_stack([np.interp(at, times, positions[:, axis]) for axis in range(3)])
         speeds = np.diff(tips, axis=0, prepend=tips[:1]) * rate_Hz
@@ -59,20 +79,26 @@ class RecordedDevice(ComputedDevice):
         spins[1:] = (rotation[1:] * rotation[:-1].inv()).as_rotvec() * rate_Hz
         columns = (column.tolist() for column in (at, tips, speeds, rotation.as_quat(), spins))
         rows = zip(*columns, strict=True)
-        self._samples = [Sample(t, tuple(p), tuple(v), tuple(q), tuple(w)) for t, p, v, q, w in rows]
+        self._samples = [
+            Sample(t, tuple(p), tuple(v), tuple(q), tuple(w)) for t, p, v, q, w in rows
+        ]
 
     def read(self, time_s: float) -> Sample | None:
         """The last recorded sample that is not after a time; None outside the record."""
         if not self._first - 1e-9 <= time_s <= self._last + 1e-9:
             return None
-        return self._samples[min(int((time_s - self._first) * self._rate + 1e-6), len(self._samples) - 1)]
+        return self._samples[
+            min(int((time_s - self._first) * self._rate + 1e-6), len(self._samples) - 1)
+        ]
 
 
 class MouseDevice(ComputedDevice):
-    """Positions that a window pushes in at its own rate, smoothed to a motion that a tissue can be met with.
+    """Positions that a window pushes in at its own rate, smoothed to a motion that a tissue can be
+    met with.
 
-    Between two pushes the pose follows the last one as a critically damped second-order system, exactly for a target
-    that is held, so that position, orientation and their speeds are continuous at any rate of the window.
+    Between two pushes the pose follows the last one as a critically damped second-order system,
+    exactly for a target that is held, so that position, orientation and their speeds are continuous
+    at any rate of the window.
 
     Parameters
     ----------
@@ -91,7 +117,9 @@ class MouseDevice(ComputedDevice):
         self._sample = Sample(0.0, position_m)
 
     def push(self, position_m: Triple, quaternion: Quaternion = NOT_TURNED) -> None:
-        """Where the pointer is now [m], and how it is turned; may be called from a window's thread."""
+        """Where the pointer is now [m], and how it is turned; may be called from a window's
+        thread.
+        """
         self._target, self._turned = position_m, quaternion
 
     def read(self, time_s: float) -> Sample | None:

@@ -18,11 +18,13 @@ Place = tuple[float, float, float, float, float]
 class Roughness:
     """Whether a course of samples is noise, by the acceleration that it would take.
 
-    The middle one of three samples lies off the straight line between its neighbours by a T^2 / 2 for steps of T at
-    the acceleration a, and by no more in between. A sample is rough where that is more than the limit allows; a course
-    is noise once more than half of its last samples (exponential mean over 8 of them) are rough, and is valid again
-    when fewer than a twentieth are. One leap, a lost sample, an encoder's step or a blow are rough for two samples at
-    most. White noise is recognised from a standard deviation of about a quarter of the limit times (1 ms)^2 an axis.
+    The middle one of three samples lies off the straight line between its neighbours by a T^2 / 2
+    for steps of T at the acceleration a, and by no more in between. A sample is rough where that is
+    more than the limit allows; a course is noise once more than half of its last samples
+    (exponential mean over 8 of them) are rough, and is valid again when fewer than a twentieth are.
+    One leap, a lost sample, an encoder's step or a blow are rough for two samples at most. White
+    noise is recognised from a standard deviation of about a quarter of the limit times (1 ms)^2 an
+    axis.
 
     Parameters
     ----------
@@ -46,7 +48,13 @@ class Roughness:
     def observe(self, time_s: float, x: float, y: float, z: float, w: float = 0.0) -> bool:
         """Take a sample with its time [s]; whether the course is noise."""
         first, middle = self._first, self._middle
-        if middle is not None and x == middle[1] and y == middle[2] and z == middle[3] and w == middle[4]:
+        if (
+            middle is not None
+            and x == middle[1]
+            and y == middle[2]
+            and z == middle[3]
+            and w == middle[4]
+        ):
             if self.share > 0.0:
                 self._count(False, STALE / MEMORY)
             return self.noisy

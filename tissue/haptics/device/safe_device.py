@@ -1,4 +1,6 @@
-"""A device as a loop holds it: entered, timed, limited in how fast its force changes, and never left pushing."""
+"""A device as a loop holds it: entered, timed, limited in how fast its force changes, and never
+left pushing.
+"""
 
 import threading
 from collections.abc import Iterator
@@ -37,15 +39,17 @@ IDLE = ("", inf)
 class SafeDevice:
     """Holds a device so that zero force and torque are its last command, whatever ends the block.
 
-    ``with SafeDevice(device) as held:`` enters the device if it is a context manager. The force is ramped to zero in
-    `RAMP_S` at a normal end and after `stop`, and is zero at once after an exception. Where zero cannot be sent, the
-    device is closed, if it has ``close``. An exception of the device becomes a `DeviceError`.
+    ``with SafeDevice(device) as held:`` enters the device if it is a context manager. The force is
+    ramped to zero in `RAMP_S` at a normal end and after `stop`, and is zero at once after an
+    exception. Where zero cannot be sent, the device is closed, if it has ``close``. An exception of
+    the device becomes a `DeviceError`.
 
-    A loop that is given ``held`` in place of the device finds it entered and leaves it so, without force: one block can
-    hold a device for many runs.
+    A loop that is given ``held`` in place of the device finds it entered and leaves it so, without
+    force: one block can hold a device for many runs.
 
-    A device that is not ``in_process`` may block. A thread that calls `stop_if_stuck` often sends zero once no command
-    came for `STALL_S`, and gives the device up once a call has lasted `GIVE_UP_S`, or opening it `OPENING_S`.
+    A device that is not ``in_process`` may block. A thread that calls `stop_if_stuck` often sends
+    zero once no command came for `STALL_S`, and gives the device up once a call has lasted
+    `GIVE_UP_S`, or opening it `OPENING_S`.
 
     Parameters
     ----------
@@ -67,7 +71,11 @@ class SafeDevice:
     """
 
     def __init__(
-        self, device: "Device | SafeDevice", *, limits: DeviceParameters | None = None, tick_s: float = TICK_S
+        self,
+        device: "Device | SafeDevice",
+        *,
+        limits: DeviceParameters | None = None,
+        tick_s: float = TICK_S,
     ) -> None:
         self._holder = device if isinstance(device, SafeDevice) else None
         self.device: Device = device.device if isinstance(device, SafeDevice) else device
@@ -89,14 +97,18 @@ class SafeDevice:
         self._closed = False
 
     def happened(self) -> list[tuple[float, str]]:
-        """Slow reads, limited changes and what the device states so far, time [s] and a sentence each."""
+        """Slow reads, limited changes and what the device states so far, time [s] and a sentence
+        each.
+        """
         found = []
         if self.slow_reads:
             slowest = f"{1e3 * self.slowest_read_s:.3g} ms"
             found.append(f"{self.slow_reads} reads took longer than a tick, the slowest {slowest}")
         if self._releases:
             late = f"no command came for {1e3 * STALL_S:g} ms"
-            found.append(f"the force was taken off and faded in again {self._releases} times, because {late}")
+            found.append(
+                f"the force was taken off and faded in again {self._releases} times, because {late}"
+            )
         if held := max(self._force.limited, self._torque.limited):
             found.append(f"the device's slew held the force back in {held} ticks")
         stated = self._states.happened() if self._states is not None else []
@@ -111,7 +123,10 @@ class SafeDevice:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         problem: DeviceError | None = None
         self.entered = False
@@ -158,7 +173,8 @@ class SafeDevice:
         return sample if took <= 2.5 * self._tick else None
 
     def play(self, force_N: Array, torque_Nm: Array) -> tuple[Array, Array]:
-        """Command a force [N] and a torque [N m], brought within the limits of slew; what is played of it.
+        """Command a force [N] and a torque [N m], brought within the limits of slew; what is played
+        of it.
 
         Raises
         ------
@@ -170,7 +186,8 @@ class SafeDevice:
             if self._lost is not None:
                 raise self._lost
             self._command(force, torque)
-            if self._lost is not None:  # it was given up meanwhile, and has just begun to push again
+            # it was given up meanwhile, and has just begun to push again
+            if self._lost is not None:
                 with suppress(Exception):
                     self.device.command(np.zeros(3), np.zeros(3))
                 raise self._lost
@@ -181,15 +198,20 @@ class SafeDevice:
         self._stop = reason
 
     def stop_if_stuck(self) -> DeviceError | None:
-        """Look after a device whose loop runs in another thread; the error once the device is given up."""
+        """Look after a device whose loop runs in another thread; the error once the device is
+        given up.
+        """
         now = perf_counter()
         if now - self._played > STALL_S:
             self.release()
         name, since = self._call
-        limit, within = (OPENING_S, f"{OPENING_S:g} s") if name == "__enter__" else (GIVE_UP_S, "a tick")
+        limit, within = (
+            (OPENING_S, f"{OPENING_S:g} s") if name == "__enter__" else (GIVE_UP_S, "a tick")
+        )
         if now - since > limit and self._lost is None:
             self._lost = DeviceError(
-                f"device.{name} must return within {within}, got no answer for {limit:g} s: check the device and its "
+                f"device.{name} must return within {within}, got no answer for {limit:g} s: "
+                "check the device and its "
                 f"cable{self._close()}"
             )
         return self._lost
@@ -201,13 +223,16 @@ class SafeDevice:
         if self._lock.acquire(timeout=ANSWER_S):
             try:
                 self._force.value, self._torque.value = np.zeros(3), np.zeros(3)
-                sent = returned_within(ANSWER_S, lambda: self.device.command(np.zeros(3), np.zeros(3)))
+                sent = returned_within(
+                    ANSWER_S, lambda: self.device.command(np.zeros(3), np.zeros(3))
+                )
             finally:
                 self._lock.release()
             if sent:
                 return
         self._lost = DeviceError(
-            f"device.command must play zero once the loop stops, got no answer for {ANSWER_S:g} s: check the "
+            "device.command must play zero once the loop stops, got no answer for "
+            f"{ANSWER_S:g} s: check the "
             f"device and its cable{self._close()}"
         )
 
@@ -230,7 +255,9 @@ class SafeDevice:
             self._call = IDLE
 
     def _ramp(self) -> None:
-        """Take the last force off in a straight line; a device in this process does not wait for the wall clock."""
+        """Take the last force off in a straight line; a device in this process does not wait for
+        the wall clock.
+        """
         force, torque = self._force.value, self._torque.value
         if not (force.any() or torque.any()):
             return
@@ -283,6 +310,8 @@ class SafeDevice:
             return DeviceError(str(error))
         message = " ".join(str(error).split())
         return DeviceError(
-            f"device.{name} must not fail, got {type(error).__name__}{f' ({message})' if message else ''} at "
-            f"{self._time_s:.3f} s: check the device and its cable{OPENED if name == '__enter__' else ''}"
+            f"device.{name} must not fail, got "
+            f"{type(error).__name__}{f' ({message})' if message else ''} at "
+            f"{self._time_s:.3f} s: check the device and its "
+            f"cable{OPENED if name == '__enter__' else ''}"
         )

@@ -1,4 +1,6 @@
-"""Samples that a loop accepts: those that a hand could have made; without them the force fades to nothing."""
+"""Samples that a loop accepts: those that a hand could have made; without them the force fades
+to nothing.
+"""
 
 from dataclasses import dataclass, fields
 from math import dist, isfinite, nan, sqrt
@@ -24,7 +26,8 @@ PLAIN = {float, int, np.float64}
 HALF_TURN = 1e-3
 """How far a component of a quaternion may be from one in a half-turn about its axis."""
 W_FIRST = (
-    "the first orientation is half a turn about x. A quaternion is (x, y, z, w); a device that gives w first starts so"
+    "the first orientation is half a turn about x. A quaternion is (x, y, z, w); a device that "
+    "gives w first starts so"
 )
 
 
@@ -35,13 +38,14 @@ class GuardLimits:
     Attributes
     ----------
     fastest_m_s, fastest_rad_s
-        Greatest speed of a hand [m/s], [rad/s]; a sample with a greater one, or is further away than that from
-        the last good one, is refused.
+        Greatest speed of a hand [m/s], [rad/s]; a sample with a greater one, or is further away
+        than that from the last good one, is refused.
     oldest_s
         Age above which a sample counts as missing, and how far ahead of now it may be dated [s].
     roughest_m_s2, roughest_rad_s2
-        Greatest acceleration of what a hand holds [m/s^2], [rad/s^2]; samples that ask for more again and again are
-        noise. A hand, a contact and a device's motors reach about 200 m/s^2, a blow for a tick or two 1000 m/s^2.
+        Greatest acceleration of what a hand holds [m/s^2], [rad/s^2]; samples that ask for more
+        again and again are noise. A hand, a contact and a device's motors reach about 200 m/s^2, a
+        blow for a tick or two 1000 m/s^2.
     fade_s
         Time in which a force fades to zero once samples are missing, and comes back after them [s].
     """
@@ -61,25 +65,27 @@ class GuardLimits:
 class SampleGuard:
     """Judges every sample and limits the force that follows from it.
 
-    Call `validate_sample` with the device's sample, then `limit_force` with the force that the loop has found for a
-    good sample, or with None after a bad one. A bad sample makes the last good force fade in a straight line, to
-    exactly zero after ``fade_s``; good ones bring the force back as slowly. Forces are bounded always. What is not
-    a sample at all, by its type or its number of entries, is a mistake in the device's class and not a fault of the
-    moment: it is an error.
+    Call `validate_sample` with the device's sample, then `limit_force` with the force that the loop
+    has found for a good sample, or with None after a bad one. A bad sample makes the last good
+    force fade in a straight line, to exactly zero after ``fade_s``; good ones bring the force back
+    as slowly. Forces are bounded always. What is not a sample at all, by its type or its number of
+    entries, is a mistake in the device's class and not a fault of the moment: it is an error.
 
     Parameters
     ----------
     limits
         Which samples are valid.
     force_limit_N, torque_limit_Nm
-        Greatest force and torque that pass, in their own direction; a zero torque limit lets none pass.
+        Greatest force and torque that pass, in their own direction; a zero torque limit lets none
+        pass.
 
     Attributes
     ----------
     share
         Share of the force that is played now, 0 to 1.
     events
-        Time [s] and a sentence for every change between good and bad, and every other kind of fault; the first 200.
+        Time [s] and a sentence for every change between good and bad, and every other kind of
+        fault; the first 200.
     bad_ticks
         Samples that were not valid.
     reach
@@ -87,10 +93,17 @@ class SampleGuard:
     """
 
     def __init__(
-        self, limits: GuardLimits | None = None, *, force_limit_N: float, torque_limit_Nm: float = 0.0
+        self,
+        limits: GuardLimits | None = None,
+        *,
+        force_limit_N: float,
+        torque_limit_Nm: float = 0.0,
     ) -> None:
         self._limits = limits or GuardLimits()
-        self._caps = (require_positive("force_limit_N", force_limit_N, "give the device's"), torque_limit_Nm)
+        self._caps = (
+            require_positive("force_limit_N", force_limit_N, "give the device's"),
+            torque_limit_Nm,
+        )
         self.share = 0.0
         self.events: list[tuple[float, str]] = []
         self.bad_ticks = 0
@@ -100,7 +113,10 @@ class SampleGuard:
         self._wrench = (np.zeros(3), np.zeros(3))
         self._clock: float | None = None
         self._step = 0.0
-        self._places, self._turns = Roughness(self._limits.roughest_m_s2), Roughness(0.5 * self._limits.roughest_rad_s2)
+        self._places, self._turns = (
+            Roughness(self._limits.roughest_m_s2),
+            Roughness(0.5 * self._limits.roughest_rad_s2),
+        )
         self._turned: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
     def validate_sample(self, sample: Sample | None, time_s: float) -> Sample | None:
@@ -109,7 +125,8 @@ class SampleGuard:
         Raises
         ------
         DeviceError
-            If it is no `Sample`, a part of it is not the right number of numbers, or the device leaves its reach.
+            If it is no `Sample`, a part of it is not the right number of numbers, or the device
+            leaves its reach.
         """
         total: float | None = nan
         if sample is not None and (total := _total(sample)) is None:
@@ -117,7 +134,11 @@ class SampleGuard:
             total = _total(sample)
         self._step = 0.0 if self._clock is None else max(time_s - self._clock, 0.0)
         self._clock = time_s
-        turned = unit(sample.quaternion) if sample is not None and total is not None and isfinite(total) else None
+        turned = (
+            unit(sample.quaternion)
+            if sample is not None and total is not None and isfinite(total)
+            else None
+        )
         fault = self._fault_of(sample, turned, time_s)
         if fault != self._fault:
             self._log(time_s, f"{fault}: the force fades" if fault else "samples are good again")
@@ -132,8 +153,12 @@ class SampleGuard:
         self._good = sample._replace(quaternion=turned)
         return self._good
 
-    def limit_force(self, force_N: Array | None, torque_Nm: Array | None = None) -> tuple[Array, Array]:
-        """Force and torque to play now; None or a wrench that is not finite is a fault of this tick."""
+    def limit_force(
+        self, force_N: Array | None, torque_Nm: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Force and torque to play now; None or a wrench that is not finite is a fault of this
+        tick.
+        """
         change = self._step / self._limits.fade_s
         torque = NO_TORQUE if torque_Nm is None else torque_Nm
         if force_N is not None and not isfinite(sum(force_N.tolist()) + sum(torque.tolist())):
@@ -182,18 +207,26 @@ class SampleGuard:
         if max(map(abs, sample.spin_rad_s)) > limits.fastest_rad_s:
             return "a spin that no hand has"
         if good is None:
-            return "" if max(map(abs, sample.position_m)) < 10.0 else "a position that no hand reaches"
+            return (
+                "" if max(map(abs, sample.position_m)) < 10.0 else "a position that no hand reaches"
+            )
         elapsed = max(sample.time_s - good.time_s, 0.0) + limits.oldest_s
         if dist(sample.position_m, good.position_m) > limits.fastest_m_s * elapsed:
             return "a jump that no hand makes"
         if turned == good.quaternion:
             return ""
         i, j, k = turn_between(good.quaternion, turned)
-        return "a turn that no hand makes" if i * i + j * j + k * k > (limits.fastest_rad_s * elapsed) ** 2 else ""
+        return (
+            "a turn that no hand makes"
+            if i * i + j * j + k * k > (limits.fastest_rad_s * elapsed) ** 2
+            else ""
+        )
 
 
 def _total(sample: Sample) -> float | None:
-    """Sum of all numbers of a sample, finite where they all are; None if it is not made of numbers as it should be."""
+    """Sum of all numbers of a sample, finite where they all are; None if it is not made of
+    numbers as it should be.
+    """
     if not isinstance(sample, Sample):
         raise DeviceError(
             f"device.read must return a Sample or None, got {type(sample).__name__}: use "
@@ -215,16 +248,25 @@ def _repaired(sample: Sample) -> Sample:
 
 
 def _numbers(part: str, given: object, count: int) -> tuple[float, ...]:
-    """A number or a vector as a tuple of floats; what looks like a number, such as "1" or True, is none."""
+    """A number or a vector as a tuple of floats; what looks like a number, such as "1" or True,
+    is none.
+    """
     try:
         numbers = np.asarray(given)
         parts: list[object] = [given] if count == 1 else list(given)  # type: ignore[call-overload]
     except (TypeError, ValueError):
         numbers, parts = np.zeros(0), []
-    is_wrong = numbers.dtype.kind not in "iuf" or any(isinstance(each, (bool, np.bool_)) for each in parts)
+    is_wrong = numbers.dtype.kind not in "iuf" or any(
+        isinstance(each, (bool, np.bool_)) for each in parts
+    )
     if is_wrong or numbers.shape != ((count,) if count > 1 else ()):
-        got, wanted = " ".join(repr(given).split())[:60], f"{count} numbers" if count > 1 else "a number"
-        raise DeviceError(f"device.read must return a Sample whose {part} is {wanted}, got {got}: mend its read")
+        got, wanted = (
+            " ".join(repr(given).split())[:60],
+            f"{count} numbers" if count > 1 else "a number",
+        )
+        raise DeviceError(
+            f"device.read must return a Sample whose {part} is {wanted}, got {got}: mend its read"
+        )
     return tuple(map(float, numbers.reshape(count)))
 
 

@@ -9,7 +9,14 @@ from meshes.base.arrays import Array
 from tissue.haptics.device.device import ComputedDevice, DeviceParameters, Sample
 from tissue.haptics.hand.hand import Grip, HandAction, HoldingHand
 from tissue.haptics.loop.plant import Plant
-from tissue.motion.quaternion import Quaternion, Triple, exponential, logarithm, product, turn_between
+from tissue.motion.quaternion import (
+    Quaternion,
+    Triple,
+    exponential,
+    logarithm,
+    product,
+    turn_between,
+)
 
 __all__ = ["SimulatedDevice"]
 
@@ -19,12 +26,13 @@ NOTHING: Triple = (0.0, 0.0, 0.0)
 class SimulatedDevice(ComputedDevice):
     """A device of known physics in a simulated hand.
 
-    It has ticks of its own. At each it is sampled by its encoders and its velocity is the difference to the sample
-    before; the command that was given since then is held and reaches the motors after the transport delay, exactly,
-    also where that is no whole number of ticks. Between ticks the plant is integrated in finer steps.
+    It has ticks of its own. At each it is sampled by its encoders and its velocity is the
+    difference to the sample before; the command that was given since then is held and reaches the
+    motors after the transport delay, exactly, also where that is no whole number of ticks. Between
+    ticks the plant is integrated in finer steps.
 
-    A command beyond the device's greatest force or torque is brought down to it in its own direction, and counted; one
-    that is not finite is played as zero, and counted.
+    A command beyond the device's greatest force or torque is brought down to it in its own
+    direction, and counted; one that is not finite is played as zero, and counted.
 
     Parameters
     ----------
@@ -44,7 +52,8 @@ class SimulatedDevice(ComputedDevice):
     orientation
         The true orientation.
     hand_force_N
-        Force with which the device pushes the hand, mean over the tick before the last sample [N]; zeros for nothing.
+        Force with which the device pushes the hand, mean over the tick before the last sample [N];
+        zeros for nothing.
     saturated_ticks, refused_commands
         How often a command was beyond the device, and how often it was not finite.
     """
@@ -83,7 +92,9 @@ class SimulatedDevice(ComputedDevice):
             if delay > 1e-9 * step
             else ((step, whole, substeps),)
         )
-        self._commands: deque[tuple[Triple, Triple]] = deque([(NOTHING, NOTHING)] * (whole + 2), maxlen=whole + 2)
+        self._commands: deque[tuple[Triple, Triple]] = deque(
+            [(NOTHING, NOTHING)] * (whole + 2), maxlen=whole + 2
+        )
         self._given: tuple[Triple, Triple] = (NOTHING, NOTHING)
         self._tick = 0
         self._grip = Grip()
@@ -130,7 +141,9 @@ class SimulatedDevice(ComputedDevice):
     def _advance(self) -> None:
         """One tick of the device: the hand acts, the plants move, the encoders are read."""
         at = self._tick * self._step
-        action = HandAction() if self._hand is None else self._hand.act(at, self.translation.position)
+        action = (
+            HandAction() if self._hand is None else self._hand.act(at, self.translation.position)
+        )
         if action.grip != self._grip:
             self._hold(action.grip)
         self._commands.append(self._given)
@@ -138,8 +151,10 @@ class SimulatedDevice(ComputedDevice):
         stiffness, damping = self._grip.stiffness_N_m, self._grip.damping_N_s_m
         (ax, ay, az), (u, v, w), (fx, fy, fz) = action.aim_m, action.aim_velocity_m_s, action.push_N
         x, y, z = external = (
-            stiffness * ax + damping * u + fx, stiffness * ay + damping * v + fy, stiffness * az + damping * w + fz
-        )  # fmt: skip
+            stiffness * ax + damping * u + fx,
+            stiffness * ay + damping * v + fy,
+            stiffness * az + damping * w + fz,
+        )
         turned = NOTHING
         if self.six_dof:
             turned = turn_between(action.aim_quaternion, self.orientation)
@@ -147,7 +162,8 @@ class SimulatedDevice(ComputedDevice):
         time, where, went = at, self.translation.position, self.translation.velocity
         for length, back, fine in self._spans:
             force, torque = self._commands[-1 - back]
-            # The aim moves on within the tick; at its middle the spring's mean pull is right to second order.
+            # The aim moves on within the tick; at its middle the spring's mean pull is right to
+            # second order.
             midpoint = stiffness * (time - at + 0.5 * length)
             pull = x + midpoint * u, y + midpoint * v, z + midpoint * w
             self.translation.advance(length, command=force, external=pull, substeps=fine)
@@ -170,24 +186,35 @@ class SimulatedDevice(ComputedDevice):
         velocity = rate * (x - a), rate * (y - b), rate * (z - c)
         self._sample = Sample(self._tick * self._step, position, velocity, orientation, spin)
 
-    def _feel(self, external: Triple, aim_velocity_m_s: Triple, where: Triple, went: Triple) -> None:
-        """What the hand felt in this tick: by the momentum of what moves with it, against its spring and damper."""
+    def _feel(
+        self, external: Triple, aim_velocity_m_s: Triple, where: Triple, went: Triple
+    ) -> None:
+        """What the hand felt in this tick: by the momentum of what moves with it, against its
+        spring and damper.
+        """
         grip, moves, rate = self._grip, self.translation, self.parameters.rate_Hz
         half, (i, j, k), (u, v, w) = 0.5 * self._step, moves.position, moves.velocity
         spring, damper, mass = grip.stiffness_N_m, grip.damping_N_s_m, grip.mass_kg
         (ex, ey, ez), (ax, ay, az), (x, y, z), (p, q, r) = external, aim_velocity_m_s, where, went
         self.hand_force_N = (
-            rate * (damper * (i - x) + mass * (u - p)) - (ex + spring * (half * ax - 0.5 * (x + i))),
-            rate * (damper * (j - y) + mass * (v - q)) - (ey + spring * (half * ay - 0.5 * (y + j))),
-            rate * (damper * (k - z) + mass * (w - r)) - (ez + spring * (half * az - 0.5 * (z + k))),
+            rate * (damper * (i - x) + mass * (u - p))
+            - (ex + spring * (half * ax - 0.5 * (x + i))),
+            rate * (damper * (j - y) + mass * (v - q))
+            - (ey + spring * (half * ay - 0.5 * (y + j))),
+            rate * (damper * (k - z) + mass * (w - r))
+            - (ez + spring * (half * az - 0.5 * (z + k))),
         )
 
     def _hold(self, grip: Grip) -> None:
         """Take the device into a hand, or out of it."""
         self._grip = grip
-        self.translation.hold(stiffness_N_m=grip.stiffness_N_m, damping_N_s_m=grip.damping_N_s_m, mass_kg=grip.mass_kg)
+        self.translation.hold(
+            stiffness_N_m=grip.stiffness_N_m, damping_N_s_m=grip.damping_N_s_m, mass_kg=grip.mass_kg
+        )
         self.rotation.hold(
-            stiffness_N_m=grip.stiffness_Nm_rad, damping_N_s_m=grip.damping_Nm_s_rad, mass_kg=grip.inertia_kg_m2
+            stiffness_N_m=grip.stiffness_Nm_rad,
+            damping_N_s_m=grip.damping_Nm_s_rad,
+            mass_kg=grip.inertia_kg_m2,
         )
 
     def _read_position(self) -> Triple:
@@ -209,4 +236,8 @@ def _stepped(vector: Triple, step: float) -> Triple:
     """The nearest point of a grid."""
     if step == 0.0:
         return vector
-    return step * round(vector[0] / step), step * round(vector[1] / step), step * round(vector[2] / step)
+    return (
+        step * round(vector[0] / step),
+        step * round(vector[1] / step),
+        step * round(vector[2] / step),
+    )

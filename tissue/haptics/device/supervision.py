@@ -18,10 +18,11 @@ POLL_S = 0.01
 def run_held(work: Callable[[], None], held: SafeDevice) -> None:
     """Run ``work``, the loop of a device, and see to it that the device is not left pushing.
 
-    With a device that may block the work runs in a second thread, because nothing can interrupt a call that blocks.
-    This one sends zero where the loop stops, and gives up a device that does not answer: the work is then left
-    behind. Ctrl-C and what asks the process to end, such as SIGTERM and the SIGHUP of a closed terminal, let the
-    loop end after its tick; handlers are as before when this returns.
+    With a device that may block the work runs in a second thread, because nothing can interrupt a
+    call that blocks. This one sends zero where the loop stops, and gives up a device that does not
+    answer: the work is then left behind. Ctrl-C and what asks the process to end, such as SIGTERM
+    and the SIGHUP of a closed terminal, let the loop end after its tick; handlers are as before
+    when this returns.
 
     Raises
     ------
@@ -55,12 +56,15 @@ def _supervise(work: Callable[[], None], held: SafeDevice) -> None:
         finally:
             done.set()
 
-    thread = threading.Thread(target=contextvars.copy_context().run, args=(run,), daemon=True, name="ticks")
+    thread = threading.Thread(
+        target=contextvars.copy_context().run, args=(run,), daemon=True, name="ticks"
+    )
 
     def stop(number: int, frame: FrameType | None) -> None:
         held.stop(Terminated(number) if number in STOPS else KeyboardInterrupt())
 
-    taken = (*STOPS, signal.SIGINT) if interrupt_is_free() else STOPS  # Ctrl-C where nobody else takes it
+    # Ctrl-C where nobody else takes it
+    taken = (*STOPS, signal.SIGINT) if interrupt_is_free() else STOPS
     with signals_handled(taken, stop):
         thread.start()
         while not done.wait(POLL_S):

@@ -26,7 +26,9 @@ UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
 class Grip(NamedTuple):
-    """Linear part of a hand, at the device: translation and rotation; all zeros for a hand that has let go."""
+    """Linear part of a hand, at the device: translation and rotation; all zeros for a hand that
+    has let go.
+    """
 
     stiffness_N_m: float = 0.0
     damping_N_s_m: float = 0.0
@@ -50,7 +52,9 @@ class HoldingHand(Protocol):
     """Whatever holds a device."""
 
     def act(self, time_s: float, position_m: Triple) -> HandAction:
-        """What the hand does from this time on until asked again, the device being at ``position_m``."""
+        """What the hand does from this time on until asked again, the device being at
+        ``position_m``.
+        """
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,16 +66,18 @@ class HandParameters:
     reaction_s, submovement_s, correction_s
         Time until a change is answered, length of a submovement, time between two of them [s].
     endpoint_noise, force_noise, force_noise_s
-        Standard deviation of a submovement's end per distance and of the force per force; correlation time of the
-        latter [s].
+        Standard deviation of a submovement's end per distance and of the force per force;
+        correlation time of the latter [s].
     tremor_m, tremor_Hz, tremor_width_Hz
-        Amplitude of the tremor in every axis (root mean square) [m], its frequency and its width [Hz].
+        Amplitude of the tremor in every axis (root mean square) [m], its frequency and its width
+        [Hz].
     stiffness_N_m, damping_N_s_m, mass_kg
         Grip as the device feels it [N/m], [N s/m], [kg].
     turning_stiffness_Nm_rad, turning_damping_Nm_s_rad, inertia_kg_m2
         The same for rotation.
     reflex_share, reflex_s
-        Share of the grip's stiffness that acts on what was felt a reflex earlier, and that delay [s].
+        Share of the grip's stiffness that acts on what was felt a reflex earlier, and that delay
+        [s].
     """
 
     reaction_s: float
@@ -94,7 +100,9 @@ class HandParameters:
 
     def __post_init__(self) -> None:
         for entry in fields(self):
-            require_range(entry.name, getattr(self, entry.name), 0.0, 1e5, "see hands.toml for what is usual")
+            require_range(
+                entry.name, getattr(self, entry.name), 0.0, 1e5, "see hands.toml for what is usual"
+            )
         require_positive("force_noise_s", self.force_noise_s, "use 0.05")
         require_positive("tremor_width_Hz", self.tremor_width_Hz, "use 2")
 
@@ -112,7 +120,8 @@ class HandParameters:
 
 
 def hand_parameters(name: str, constants: Materials = Materials.cited) -> HandParameters:
-    """Parameters of a hand by its name in `HANDS`, with those of a scene's own constants in their place.
+    """Parameters of a hand by its name in `HANDS`, with those of a scene's own constants in their
+    place.
 
     Raises
     ------
@@ -125,9 +134,10 @@ def hand_parameters(name: str, constants: Materials = Materials.cited) -> HandPa
 class Hand:
     """A hand that follows a path; the same generator state gives the same movement.
 
-    The grip is a spring, damper and mass between the aim and the device and is stepped with the device. Added to it
-    come a reflex on the deviation of a reflex time ago, an intended push, noise in proportion to the force that the
-    hand exerts, and a tremor of the aim: a narrow band of Gaussian noise about its frequency.
+    The grip is a spring, damper and mass between the aim and the device and is stepped with the
+    device. Added to it come a reflex on the deviation of a reflex time ago, an intended push, noise
+    in proportion to the force that the hand exerts, and a tremor of the aim: a narrow band of
+    Gaussian noise about its frequency.
 
     Parameters
     ----------
@@ -161,14 +171,18 @@ class Hand:
         require_positive("step_s", step_s, "use 1e-3 for 1 kHz")
         self.parameters = parameters
         self._rng, self._push, self._turn, self._let_go = rng, push, turn, let_go_s
-        self._aim = path if isinstance(path, Aiming) else Aim(
-            path,
-            reaction_s=parameters.reaction_s,
-            submovement_s=parameters.submovement_s,
-            correction_s=parameters.correction_s,
-            endpoint_noise=parameters.endpoint_noise,
-            rng=rng,
-        )  # fmt: skip
+        self._aim = (
+            path
+            if isinstance(path, Aiming)
+            else Aim(
+                path,
+                reaction_s=parameters.reaction_s,
+                submovement_s=parameters.submovement_s,
+                correction_s=parameters.correction_s,
+                endpoint_noise=parameters.endpoint_noise,
+                rng=rng,
+            )
+        )
         self._grip = parameters.grip
         self._pending = deque([NOTHING] * round(parameters.reflex_s / step_s))
         self._keep = exp(-step_s / parameters.force_noise_s)
@@ -202,12 +216,24 @@ class Hand:
         felt, stiffness = self._pending.popleft(), self.parameters.stiffness_N_m
         reflex = self.parameters.reflex_share * stiffness
         px, py, pz = (0.0, 0.0, 0.0) if self._push is None else self._push(time_s)
-        fx, fy, fz = float(px) + reflex * felt[0], float(py) + reflex * felt[1], float(pz) + reflex * felt[2]
-        exerted = sqrt((fx + stiffness * off[0]) ** 2 + (fy + stiffness * off[1]) ** 2 + (fz + stiffness * off[2]) ** 2)
-        a, b, c = self._noise = [self._keep * n + self._fresh * drawn[k] for k, n in enumerate(self._noise)]
+        fx, fy, fz = (
+            float(px) + reflex * felt[0],
+            float(py) + reflex * felt[1],
+            float(pz) + reflex * felt[2],
+        )
+        exerted = sqrt(
+            (fx + stiffness * off[0]) ** 2
+            + (fy + stiffness * off[1]) ** 2
+            + (fz + stiffness * off[2]) ** 2
+        )
+        a, b, c = self._noise = [
+            self._keep * n + self._fresh * drawn[k] for k, n in enumerate(self._noise)
+        ]
         noise = self.parameters.force_noise * exerted
         turned = UPRIGHT
         if self._turn is not None:
             i, j, k, r = self._turn(time_s)
             turned = float(i), float(j), float(k), float(r)
-        return HandAction(aim, velocity, (fx + noise * a, fy + noise * b, fz + noise * c), turned, self._grip)
+        return HandAction(
+            aim, velocity, (fx + noise * a, fy + noise * b, fz + noise * c), turned, self._grip
+        )

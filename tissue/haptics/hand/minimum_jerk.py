@@ -1,4 +1,6 @@
-"""Where a hand aims: minimum-jerk submovements, one upon the other, each correcting what is seen of the last ones."""
+"""Where a hand aims: minimum-jerk submovements, one upon the other, each correcting what is seen
+of the last ones.
+"""
 
 from collections.abc import Callable
 from math import sqrt
@@ -17,20 +19,25 @@ Path = Callable[[float], Array]
 
 
 def minimum_jerk(share: float) -> tuple[float, float]:
-    """Position and speed of a minimum-jerk movement (Flash and Hogan, 1985) at a share of its duration, from 0 to 1.
+    """Position and speed of a minimum-jerk movement (Flash and Hogan, 1985) at a share of its
+    duration, from 0 to 1.
 
-    Position 10 s^3 - 15 s^4 + 6 s^5, speed its derivative by the share; at rest before 0 and after 1.
+    Position 10 s^3 - 15 s^4 + 6 s^5, speed its derivative by the share; at rest before 0 and after
+    1.
     """
     if share <= 0.0:
         return 0.0, 0.0
     if share >= 1.0:
         return 1.0, 0.0
     square = share * share
-    return square * share * (10.0 + share * (6.0 * share - 15.0)), 30.0 * square * (1.0 - share) ** 2
+    return square * share * (10.0 + share * (6.0 * share - 15.0)), 30.0 * square * (
+        1.0 - share
+    ) ** 2
 
 
 def waypoints(times_s: Array, points_m: Array) -> Path:
-    """A path through points [m], shape (n, 3), at increasing times [s], straight between them and at rest outside.
+    """A path through points [m], shape (n, 3), at increasing times [s], straight between them and
+    at rest outside.
 
     Raises
     ------
@@ -39,7 +46,10 @@ def waypoints(times_s: Array, points_m: Array) -> Path:
     """
     times, points = np.array(times_s, dtype=float), np.array(points_m, dtype=float)
     if times.ndim != 1 or points.shape != (len(times), 3) or not np.isfinite(points).all():
-        raise InputError(f"points_m must be finite with shape ({times.size}, 3), got {points.shape}: give one per time")
+        raise InputError(
+            f"points_m must be finite with shape ({times.size}, 3), got {points.shape}: give "
+            "one per time"
+        )
     if not (np.diff(times) > 0.0).all():
         raise InputError(f"times_s must increase, got {times_s}: sort them")
     return lambda time_s: np.array([np.interp(time_s, times, points[:, axis]) for axis in range(3)])
@@ -57,11 +67,12 @@ class Aiming(Protocol):
 class Aim:
     """Movement of the aim along a path that the person knows ahead.
 
-    Every ``correction_s`` a submovement of ``submovement_s`` begins, towards where the path will be half a correction
-    before it ends; the next one has begun by then, so that a steady movement neither leads nor lags.
-    Submovements add up (Flash and Henis, 1991), so that the aim is smooth to its acceleration. The muscles miss by a
-    share of the distance (signal-dependent noise, Harris and Wolpert, 1998); an error is seen, and corrected, a
-    reaction time later. The first submovement begins a reaction time after the start.
+    Every ``correction_s`` a submovement of ``submovement_s`` begins, towards where the path will be
+    half a correction before it ends; the next one has begun by then, so that a steady movement
+    neither leads nor lags. Submovements add up (Flash and Henis, 1991), so that the aim is smooth
+    to its acceleration. The muscles miss by a share of the distance (signal-dependent noise, Harris
+    and Wolpert, 1998); an error is seen, and corrected, a reaction time later. The first
+    submovement begins a reaction time after the start.
 
     Parameters
     ----------
@@ -115,7 +126,9 @@ class Aim:
         seen = list(self._rest)
         for start, move, missed in self._moves:
             unseen = start > time_s - self._reaction
-            seen = [a + b - (c if unseen else 0.0) for a, b, c in zip(seen, move, missed, strict=True)]
+            seen = [
+                a + b - (c if unseen else 0.0) for a, b, c in zip(seen, move, missed, strict=True)
+            ]
         arrival = time_s + self._duration - 0.5 * self._interval
         wanted = [float(a) - b for a, b in zip(self._path(arrival), seen, strict=True)]
         size = sqrt(sum(a * a for a in wanted))

@@ -1,4 +1,6 @@
-"""A hand that pushes with a rising force, notices that what it pushes on has given in, and stops."""
+"""A hand that pushes with a rising force, notices that what it pushes on has given in, and
+stops.
+"""
 
 from collections import deque
 from dataclasses import dataclass
@@ -16,8 +18,8 @@ from tissue.motion.quaternion import Triple
 __all__ = ["FeltDrop", "PushingHand"]
 
 THRESHOLDS = 2.0
-"""Discrimination thresholds by which the felt force has fallen when a person acts on it; assumed: at one of them an
-answer is right in 75 %, which is too little to end a push that should go on."""
+"""Discrimination thresholds by which the felt force has fallen when a person acts on it; assumed:
+at one of them an answer is right in 75 %, which is too little to end a push that should go on."""
 EASED = 0.2
 """Share of its speed with which an aim goes on after a cue; assumed."""
 
@@ -26,8 +28,8 @@ EASED = 0.2
 class FeltDrop:
     """Notices that a force has fallen below the greatest one that was felt.
 
-    A person feels the mean over ``integration_s`` and notices when it lies `THRESHOLDS` thresholds kappa (F + F0) below
-    the greatest mean F so far.
+    A person feels the mean over ``integration_s`` and notices when it lies `THRESHOLDS` thresholds
+    kappa (F + F0) below the greatest mean F so far.
 
     Attributes
     ----------
@@ -52,7 +54,9 @@ class FeltDrop:
         self._sum = self._greatest = 0.0
 
     def feel(self, force_N: float) -> bool:
-        """Take in the next force [N], positive against the push; whether it is noticed to have fallen."""
+        """Take in the next force [N], positive against the push; whether it is noticed to have
+        fallen.
+        """
         self._last.append(force_N)
         self._sum += force_N - self._last.popleft()
         mean = self._sum / len(self._last)
@@ -63,19 +67,22 @@ class FeltDrop:
 class PushingHand:
     """A hand that raises its push along a line at a rate, until it is to stop.
 
-    The aim a(t) leads the device's advance s(t) along the line. Its grip pushes with K (a - s), K the grip's stiffness
-    with its reflex, so the aim goes with the device, as it was felt to go, and gains on it by rate / K::
+    The aim a(t) leads the device's advance s(t) along the line. Its grip pushes with K (a - s), K
+    the grip's stiffness with its reflex, so the aim goes with the device, as it was felt to go, and
+    gains on it by rate / K::
 
         da/dt = (s(t - r) - s(t - r - w)) / w + rate / K
 
-    with the reaction time r and the time w over which a person averages. On a tissue of steady stiffness the force so
-    rises at ``rate``; what the device does of a sudden is answered by stiffness, damping and mass of the grip at once,
-    by the reflex a reflex time later and by the aim a reaction later. A reaction after something was noticed (the fall
-    of the felt force, or what `see` reports) the hand stops: by one minimum-jerk submovement the aim goes from where it
-    is to where the device is then. A reaction after a cue the aim goes on at `EASED` of its speed. Noise and tremor are
-    those of `tissue.haptics.hand.hand.Hand`.
+    with the reaction time r and the time w over which a person averages. On a tissue of steady
+    stiffness the force so rises at ``rate``; what the device does of a sudden is answered by
+    stiffness, damping and mass of the grip at once, by the reflex a reflex time later and by the
+    aim a reaction later. A reaction after something was noticed (the fall of the felt force, or
+    what `see` reports) the hand stops: by one minimum-jerk submovement the aim goes from where it
+    is to where the device is then. A reaction after a cue the aim goes on at `EASED` of its speed.
+    Noise and tremor are those of `tissue.haptics.hand.hand.Hand`.
 
-    The force that is felt is the one that skin and tendons carry: that of grip, reflex and noise on the device.
+    The force that is felt is the one that skin and tendons carry: that of grip, reflex and noise on
+    the device.
 
     Parameters
     ----------
@@ -103,7 +110,8 @@ class PushingHand:
     aim_m, advance_m
         Advance of the aim and of the device along the push [m].
     noticed_s, stop_s, eased_s
-        When something was noticed, when the hand stops and when a cue slows it [s]; infinite for not yet.
+        When something was noticed, when the hand stops and when a cue slows it [s]; infinite for
+        not yet.
     """
 
     def __init__(
@@ -159,10 +167,17 @@ class PushingHand:
         self.aim_m += self._step * self._speed
         self._lead(time_s)
         action = self._hand.act(time_s, position_m)
-        grip, (a, b, c), (u, v, w), (f, g, h) = action.grip, action.aim_m, action.aim_velocity_m_s, action.push_N
+        grip, (a, b, c), (u, v, w), (f, g, h) = (
+            action.grip,
+            action.aim_m,
+            action.aim_velocity_m_s,
+            action.push_N,
+        )
         off = (a * i + b * j + c * k) - (x * i + y * j + z * k) - self.advance_m
         slips = (u * i + v * j + w * k) - (self.advance_m - before) / self._step
-        self.felt_N = grip.stiffness_N_m * off + grip.damping_N_s_m * slips + (f * i + g * j + h * k)
+        self.felt_N = (
+            grip.stiffness_N_m * off + grip.damping_N_s_m * slips + (f * i + g * j + h * k)
+        )
         if self._felt is not None and self._felt.feel(self.felt_N):
             self.see(time_s)
         return action

@@ -11,10 +11,12 @@ from tissue.models.tissue_model import Response
 __all__ = ["CUE_HZ", "Cues", "TouchEvents"]
 
 CUE_HZ = 125.0
-"""Frequency of a transient [Hz]: within the band of the receptors for vibration, 50 to 500 Hz (Johansson and Flanagan,
-2009), and an eighth of the tick's rate, so that it is played smoothly."""
+"""Frequency of a transient [Hz]: within the band of the receptors for vibration, 50 to 500 Hz
+(Johansson and Flanagan, 2009), and an eighth of the tick's rate, so that it is played smoothly."""
 PERIODS = 5
-"""Periods of a transient under a Hann window: 40 ms, with a bandwidth of 50 Hz at half its height."""
+"""Periods of a transient under a Hann window: 40 ms, with a bandwidth of 50 Hz at half its
+height.
+"""
 APART_S = 0.1
 """Time without contact before a touch counts as the first one, and between two transients [s]."""
 SETTLED_S = 0.01
@@ -22,7 +24,8 @@ SETTLED_S = 0.01
 
 
 class TouchEvents:
-    """Whether something was just touched, or another layer is met: by the areas of layers that the tool meets.
+    """Whether something was just touched, or another layer is met: by the areas of layers that the
+    tool meets.
 
     A puncture is a change of layer, from a membrane to what lies behind it.
 
@@ -56,16 +59,19 @@ class TouchEvents:
 
 
 class Cues:
-    """The transient of each event, added to the force that a device plays along its direction: a burst without a mean.
+    """The transient of each event, added to the force that a device plays along its direction: a
+    burst without a mean.
 
-    It does not depend on the force after it has begun, so that it takes nothing from the loop's stability.
+    It does not depend on the force after it has begun, so that it takes nothing from the loop's
+    stability.
 
     Parameters
     ----------
     amplitude_N
         Greatest force of a transient [N].
     limit_N, slew_N
-        Greatest force of the device and its greatest change in a tick [N]: the transient is made smaller to fit.
+        Greatest force of the device and its greatest change in a tick [N]: the transient is made
+        smaller to fit.
     tick_s
         Time between two steps [s].
     """

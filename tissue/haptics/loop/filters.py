@@ -1,4 +1,6 @@
-"""What a force passes before a device: low-pass, exact delay, relaxation, the device's range and its slew."""
+"""What a force passes before a device: low-pass, exact delay, relaxation, the device's range and
+its slew.
+"""
 
 from collections import deque
 from dataclasses import dataclass
@@ -10,21 +12,35 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
 
 __all__ = [
-    "VELOCITY_MEMORY", "ConstantAcceleration", "DelayLine", "ForceRange", "LowPass", "SlewLimit",
-    "constant_acceleration_map", "cutoff_Hz", "low_pass_gain", "relaxation_bound",
-]  # fmt: skip
+    "VELOCITY_MEMORY",
+    "ConstantAcceleration",
+    "DelayLine",
+    "ForceRange",
+    "LowPass",
+    "SlewLimit",
+    "constant_acceleration_map",
+    "cutoff_Hz",
+    "low_pass_gain",
+    "relaxation_bound",
+]
 
 VELOCITY_MEMORY = 0.85
-"""Of the filter for a device's velocity: over the hands of all scenes the least error among those that are no more than
-4 ms late, 41 % of the velocity where the raw difference is off by 212 %; see tests/bench/bench_velocity.py."""
+"""Of the filter for a device's velocity: over the hands of all scenes the least error among those
+that are no more than 4 ms late, 41 % of the velocity where the raw difference is off by 212 %; see
+tests/bench/bench_velocity.py.
+"""
 
 
 def low_pass_gain(time_constant_s: float, step_s: float) -> float:
-    """Share of the gap that 1 / (1 + a s) closes in a step: 1 - exp(-T / a), and 1 without a filter (a = 0).
+    """Share of the gap that 1 / (1 + a s) closes in a step: 1 - exp(-T / a), and 1 without a filter
+    (a = 0).
 
-    The time constant is in seconds; the frequency at which the amplitude has fallen to 1 / sqrt(2) is `cutoff_Hz`.
+    The time constant is in seconds; the frequency at which the amplitude has fallen to 1 / sqrt(2)
+    is `cutoff_Hz`.
     """
-    require_range("time_constant_s", time_constant_s, 0.0, 10.0, "use 0 for no filter, or 1e-3 for 159 Hz")
+    require_range(
+        "time_constant_s", time_constant_s, 0.0, 10.0, "use 0 for no filter, or 1e-3 for 159 Hz"
+    )
     require_positive("step_s", step_s, "use 1e-3 for 1 kHz")
     return -expm1(-step_s / time_constant_s) if time_constant_s > 0.0 else 1.0
 
@@ -35,16 +51,20 @@ def cutoff_Hz(time_constant_s: float) -> float:
 
 
 def relaxation_bound(delay_samples: int) -> float:
-    """Gain below which F <- F + gain (F_wanted - F delayed by d samples) settles: 2 sin(pi / (2 (2 d + 1))).
+    """Gain below which F <- F + gain (F_wanted - F delayed by d samples) settles: 2 sin(pi / (2 (2
+    d + 1))).
 
-    Without delay it is 2, with one sample 1, and it falls as 1 / d from there (Levin and May, 1976).
+    Without delay it is 2, with one sample 1, and it falls as 1 / d from there (Levin and May,
+    1976).
     """
     require_range("delay_samples", delay_samples, 0, 1e6, "count whole samples")
     return 2.0 * sin(pi / (2.0 * (2 * delay_samples + 1)))
 
 
 class LowPass:
-    """First-order low-pass of a vector, exact for an input that is held over a step: y += (1 - exp(-T / a)) (u - y)."""
+    """First-order low-pass of a vector, exact for an input that is held over a step: y += (1 -
+    exp(-T / a)) (u - y).
+    """
 
     def __init__(self, time_constant_s: float, *, step_s: float, size: int = 3) -> None:
         self.gain = low_pass_gain(time_constant_s, step_s)
@@ -57,10 +77,12 @@ class LowPass:
 
 
 def constant_acceleration_map(memory: float) -> tuple[Array, Array]:
-    """Matrix M (3, 3) and gains g (3,) of s+ = M s + g x: place, its change a tick and that one's, after a position x.
+    """Matrix M (3, 3) and gains g (3,) of s+ = M s + g x: place, its change a tick and that one's,
+    after a position x.
 
-    The filter of Morrison (1969) that fits a parabola to all samples so far, each weighed by `memory` to the power of
-    its age: an alpha-beta-gamma filter with all three poles at the memory, without delay for a constant acceleration.
+    The filter of Morrison (1969) that fits a parabola to all samples so far, each weighed by
+    `memory` to the power of its age: an alpha-beta-gamma filter with all three poles at the memory,
+    without delay for a constant acceleration.
     """
     require_range("memory", memory, 0.0, 0.99, "use 0.85")
     fresh = 1.0 - memory
@@ -100,7 +122,9 @@ class ConstantAcceleration:
 
 
 class DelayLine:
-    """A vector delayed by a whole number of samples, exactly; zeros come out before the first one has passed."""
+    """A vector delayed by a whole number of samples, exactly; zeros come out before the first
+    one has passed.
+    """
 
     def __init__(self, samples: int, *, size: int = 3) -> None:
         require_range("samples", samples, 0, 1e6, "count whole samples")
@@ -149,8 +173,9 @@ class SlewLimit:
 class ForceRange:
     """The stated law by which a force is brought into what a device can play.
 
-    The direction stays. The size F' = scale F passes unchanged up to a knee; above it the rest is compressed, so that a
-    greater force stays a greater one and the limit is approached but not passed::
+    The direction stays. The size F' = scale F passes unchanged up to a knee; above it the rest is
+    compressed, so that a greater force stays a greater one and the limit is approached but not
+    passed::
 
         F'                                                              F' <= knee
         knee + (limit - knee) (1 - exp(-(F' - knee) / (limit - knee)))  otherwise

@@ -1,4 +1,6 @@
-"""A predictor near a contact at rest, as the linear map that the judge of stability puts into its loop."""
+"""A predictor near a contact at rest, as the linear map that the judge of stability puts into
+its loop.
+"""
 
 import pickle
 from copy import deepcopy
@@ -32,18 +34,20 @@ SETTLING = 300
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Forecast:
-    """How the predicted force answers what was seen: F(t) = sum over ages a of taps . (x, v, F)(t - a).
+    """How the predicted force answers what was seen: F(t) = sum over ages a of taps . (x, v, F)(t -
+    a).
 
     Attributes
     ----------
     taps
-        Answers, shape (phases, ages, 3), to position [N/m], velocity [N s/m] and force [N/N]; the phase is that of the
-        tick in which it was seen, counted from the last one in which the model gave its force; later phases see none.
+        Answers, shape (phases, ages, 3), to position [N/m], velocity [N s/m] and force [N/N]; the
+        phase is that of the tick in which it was seen, counted from the last one in which the model
+        gave its force; later phases see none.
     gain
         C of F + C (F_ahead - F): 0 plays the force as it is, 1 the one that is ahead.
     stiffness_N_m
-        Of the coupling that the predictor was shown, with which its answers to place and speed grow; None for one that
-        is shown none.
+        Of the coupling that the predictor was shown, with which its answers to place and speed
+        grow; None for one that is shown none.
     """
 
     taps: Array
@@ -51,7 +55,9 @@ class Forecast:
     stiffness_N_m: float | None = None
 
     def __eq__(self, other: object) -> bool:
-        """By value, so that a loop that was judged with another copy of the same predictor is not judged again."""
+        """By value, so that a loop that was judged with another copy of the same predictor is
+        not judged again.
+        """
         return isinstance(other, Forecast) and self._value == other._value
 
     def __hash__(self) -> int:
@@ -84,8 +90,8 @@ def forecast_of(
 ) -> Forecast:
     """Linearise a predictor about a contact at rest, by small changes of what it is shown.
 
-    What was found for a predictor with the same contents is kept: a scene is judged again and again, by its stiffness,
-    for its run and for its reference.
+    What was found for a predictor with the same contents is kept: a scene is judged again and
+    again, by its stiffness, for its run and for its reference.
 
     Parameters
     ----------
@@ -118,7 +124,8 @@ def forecast_of(
         return _linearised(predictor, lead_ticks, stiffness_N_m, model_ticks, depth_m, out, gain)
     key = contents, lead_ticks, stiffness_N_m, model_ticks, depth_m, out.tobytes(), gain
     return _forecasts.of(
-        key, lambda: _linearised(predictor, lead_ticks, stiffness_N_m, model_ticks, depth_m, out, gain)
+        key,
+        lambda: _linearised(predictor, lead_ticks, stiffness_N_m, model_ticks, depth_m, out, gain),
     )
 
 
@@ -136,7 +143,9 @@ def _linearised(
     settled = deepcopy(predictor)
     contact = None
     if isinstance(settled, SeesContact):
-        contact = Contact(stiffness_N_m, rest, force, RIGID * stiffness_N_m * np.outer(out, out), normal=out)
+        contact = Contact(
+            stiffness_N_m, rest, force, RIGID * stiffness_N_m * np.outer(out, out), normal=out
+        )
     ticks = -(-SETTLING // model_ticks) * model_ticks
     for tick in range(ticks):
         if contact is not None:
@@ -149,9 +158,23 @@ def _linearised(
     for phase in range(model_ticks):
         for channel in range(3 if phase == 0 else 2):
             change = PROBES[channel] * out
-            changed = _answers(deepcopy(settled), contact, seen, change, channel, phase, lead_ticks, model_ticks, out)
-            taps[phase, :, channel] = (changed - quiet)[phase : phase + LONGEST + 1] / PROBES[channel]
-    return Forecast(taps=_faded(taps), gain=gain, stiffness_N_m=None if contact is None else stiffness_N_m)
+            changed = _answers(
+                deepcopy(settled),
+                contact,
+                seen,
+                change,
+                channel,
+                phase,
+                lead_ticks,
+                model_ticks,
+                out,
+            )
+            taps[phase, :, channel] = (changed - quiet)[phase : phase + LONGEST + 1] / PROBES[
+                channel
+            ]
+    return Forecast(
+        taps=_faded(taps), gain=gain, stiffness_N_m=None if contact is None else stiffness_N_m
+    )
 
 
 def _answers(
@@ -165,10 +188,15 @@ def _answers(
     model_ticks: int,
     out: Array,
 ) -> Array:
-    """Forces predicted along the axis from a settled state on, one of what is seen being changed in one tick [N]."""
+    """Forces predicted along the axis from a settled state on, one of what is seen being changed
+    in one tick [N].
+    """
     forces = np.zeros(LONGEST + 1 + model_ticks)
     for tick in range(len(forces)):
-        shown = [array + change if tick == at and index == channel else array for index, array in enumerate(seen)]
+        shown = [
+            array + change if tick == at and index == channel else array
+            for index, array in enumerate(seen)
+        ]
         if contact is not None:
             predictor.meet(contact)  # type: ignore[attr-defined]
         predictor.observe(shown[0], shown[1], shown[2] if tick % model_ticks == 0 else None)
@@ -182,7 +210,8 @@ def _faded(taps: Array) -> Array:
     ages = sizes.max(axis=(0, 2))
     if not np.isfinite(ages).all() or ages[-1] > FADED:
         raise InputError(
-            f"predictor must forget a change within {LONGEST} ticks to be judged, got one that does not: train it with "
+            f"predictor must forget a change within {LONGEST} ticks to be judged, got one "
+            "that does not: train it with "
             "capped eigenvalues, or use another"
         )
     return taps[:, : int(np.flatnonzero(ages > 0.1 * FADED)[-1]) + 1]

@@ -1,4 +1,6 @@
-"""The path of a force to the motor, through low-pass, latency, transport, hold and amplifier: delay and force."""
+"""The path of a force to the motor, through low-pass, latency, transport, hold and amplifier:
+delay and force.
+"""
 
 from math import exp, inf, pi
 
@@ -13,20 +15,22 @@ __all__ = ["force_later_N", "mean_over_ticks_N", "motor_force_N", "motor_lag_tic
 
 
 def motor_lag_ticks(loop: WallLoop) -> float:
-    """Delay of a force from its sample to the motor [ticks], that of a force which rises along a straight line.
+    """Delay of a force from its sample to the motor [ticks], that of a force which rises along a
+    straight line.
 
-    The low-pass y += (1 - p) (u - y) delays by p / (1 - p) ticks, the loop by its delay, the hold by half a tick and
-    the amplifier of bandwidth f by 1 / (2 pi f) seconds.
+    The low-pass y += (1 - p) (u - y) delays by p / (1 - p) ticks, the loop by its delay, the hold
+    by half a tick and the amplifier of bandwidth f by 1 / (2 pi f) seconds.
     """
     gain = low_pass_gain(loop.filter_s, loop.tick_s)
     return (1.0 - gain) / gain + loop.delay_s / loop.tick_s + 0.5 + _amplifier_ticks(loop)
 
 
 def motor_force_N(loop: WallLoop, force_N: Array) -> Array:
-    """Mean force of the motor over every tick [N], shape (n, 3): the impulse that a hand receives, over the tick.
+    """Mean force of the motor over every tick [N], shape (n, 3): the impulse that a hand receives,
+    over the tick.
 
-    Exact, also where the delay is no whole number of ticks: each force is filtered, held for a tick from its delay on,
-    and followed by the amplifier.
+    Exact, also where the delay is no whole number of ticks: each force is filtered, held for a tick
+    from its delay on, and followed by the amplifier.
 
     Parameters
     ----------
@@ -43,7 +47,8 @@ def motor_force_N(loop: WallLoop, force_N: Array) -> Array:
     amplifier = _amplifier_ticks(loop)
     if amplifier == 0.0:
         return part * older + (1.0 - part) * newer
-    # From m the motor goes to u + (m - u) exp(-s / a) in s ticks; first towards the older command, then the newer one.
+    # From m the motor goes to u + (m - u) exp(-s / a) in s ticks; first towards the older command,
+    # then the newer one.
     first, second = exp(-part / amplifier), exp(-(1.0 - part) / amplifier)
     driven = second * (1.0 - first) * older + (1.0 - second) * newer
     starts = _held_back(lfilter([1.0], [1.0, -first * second], driven, axis=0), 1)
@@ -53,12 +58,16 @@ def motor_force_N(loop: WallLoop, force_N: Array) -> Array:
 
 
 def mean_over_ticks_N(force_N: Array) -> Array:
-    """Mean over every tick of a force that is known at its ends and straight between them [N], shape (n - 1, 3)."""
+    """Mean over every tick of a force that is known at its ends and straight between them [N],
+    shape (n - 1, 3).
+    """
     return 0.5 * (force_N[:-1] + force_N[1:])
 
 
 def force_later_N(force_N: Array, ticks: float) -> Array:
-    """The force so many ticks later [N], shape (n, 3): straight between ticks, the last one beyond the end."""
+    """The force so many ticks later [N], shape (n, 3): straight between ticks, the last one
+    beyond the end.
+    """
     at = np.arange(len(force_N))
     return np.column_stack([np.interp(at + ticks, at, axis) for axis in force_N.T])
 
@@ -70,4 +79,6 @@ def _amplifier_ticks(loop: WallLoop) -> float:
 
 def _held_back(force_N: Array, ticks: int) -> Array:
     """The force so many ticks before, none at first [N]."""
-    return np.concatenate([np.zeros((min(ticks, len(force_N)), 3)), force_N[: max(len(force_N) - ticks, 0)]])
+    return np.concatenate(
+        [np.zeros((min(ticks, len(force_N)), 3)), force_N[: max(len(force_N) - ticks, 0)]]
+    )

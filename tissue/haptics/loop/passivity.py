@@ -13,8 +13,9 @@ __all__ = ["RELEASE_RAD_S", "PassivityControl", "PassivityObserver"]
 SPEED_TICKS = 3
 """Ticks over which the speed is taken."""
 RELEASE_M_S, RELEASE_RAD_S = (0.03, 0.1), (1.2, 4.0)
-"""Outward speeds from which a force without energy begins to be taken off, and is taken off whole: far above those of
-an encoder's steps, and of a hand that rests on a wall. In radians for a handle of 25 mm."""
+"""Outward speeds from which a force without energy begins to be taken off, and is taken off whole:
+far above those of an encoder's steps, and of a hand that rests on a wall. In radians for a handle
+of 25 mm."""
 LEAST_N = 1e-6
 """Force that counts as none [N], such as the end of a low-pass."""
 STILL = 1e-6
@@ -22,12 +23,14 @@ STILL = 1e-6
 
 
 class PassivityObserver:
-    """Books the energy that a sampled environment has taken from the device, exactly for a force that is held.
+    """Books the energy that a sampled environment has taken from the device, exactly for a force
+    that is held.
 
-    A force F on the device that is held while the device moves by dx takes -F . dx from it. With the force of the last
-    tick and the displacement since then the sum is exact, and shows what the hold leaks: a spring K that is entered and
-    left at speed v gives back K (v T)^2 more for every sample of depth than it took, half in and half out. A force
-    that acts later works on a later displacement; with a known delay that is booked exactly, too.
+    A force F on the device that is held while the device moves by dx takes -F . dx from it. With
+    the force of the last tick and the displacement since then the sum is exact, and shows what the
+    hold leaks: a spring K that is entered and left at speed v gives back K (v T)^2 more for every
+    sample of depth than it took, half in and half out. A force that acts later works on a later
+    displacement; with a known delay that is booked exactly, too.
 
     Parameters
     ----------
@@ -62,12 +65,16 @@ class PassivityObserver:
         self._forces.append(np.array(force_N))
 
     def pause(self) -> None:
-        """Samples are missing: what happens until the next one is not booked, and no force is pending then."""
+        """Samples are missing: what happens until the next one is not booked, and no force is
+        pending then.
+        """
         self._position = None
         self._forces.extend([np.zeros(3)] * len(self._forces))
 
     def waiting_N(self) -> Array:
-        """Forces that were sent out and have not acted yet, each by its share of a tick, oldest first, shape (n, 3)."""
+        """Forces that were sent out and have not acted yet, each by its share of a tick, oldest
+        first, shape (n, 3).
+        """
         waiting = np.array(self._forces)[1:]
         waiting[0] *= self._delay
         return waiting
@@ -76,16 +83,18 @@ class PassivityObserver:
 class PassivityControl:
     """Holds back what an environment is about to create, and pays back what it has created.
 
-    A force acts when the pending ones have acted. Until then they go on pushing the device, so its speed along the
-    force is predicted as v + sum F T / m with the device's own mass, which overstates what a held device does. The work
-    that the pending forces and the new one would do at those speeds, as far as they drive the device out, must not
-    exceed the energy E in the observer's ledger. What exceeds it is taken off the new force: where the device will move
-    out fast, as far as to nothing; and a damper -d v is added, which also pays a debt while going in. d has an upper
-    bound, because damping is sampled, too: beyond m / T it would itself be unstable. Near rest nothing can be paid and
-    the debt waits. v is the mean speed over the last ticks, for encoders step.
+    A force acts when the pending ones have acted. Until then they go on pushing the device, so its
+    speed along the force is predicted as v + sum F T / m with the device's own mass, which
+    overstates what a held device does. The work that the pending forces and the new one would do at
+    those speeds, as far as they drive the device out, must not exceed the energy E in the
+    observer's ledger. What exceeds it is taken off the new force: where the device will move out
+    fast, as far as to nothing; and a damper -d v is added, which also pays a debt while going in. d
+    has an upper bound, because damping is sampled, too: beyond m / T it would itself be unstable.
+    Near rest nothing can be paid and the debt waits. v is the mean speed over the last ticks, for
+    encoders step.
 
-    An environment that exerts no force stores nothing, so what was taken until then has been dissipated: it is struck
-    off, lest a later contact should live on it. A debt stays.
+    An environment that exerts no force stores nothing, so what was taken until then has been
+    dissipated: it is struck off, lest a later contact should live on it. A debt stays.
 
     Parameters
     ----------
@@ -108,8 +117,12 @@ class PassivityControl:
         Outward speeds between which the force may be taken off whole.
     """
 
-    def __init__(self, damping_limit_N_s_m: float, *, delay_ticks: float = 0.0, mass_kg: float = inf) -> None:
-        self._limit = require_positive("damping_limit_N_s_m", damping_limit_N_s_m, "use a half of m / T")
+    def __init__(
+        self, damping_limit_N_s_m: float, *, delay_ticks: float = 0.0, mass_kg: float = inf
+    ) -> None:
+        self._limit = require_positive(
+            "damping_limit_N_s_m", damping_limit_N_s_m, "use a half of m / T"
+        )
         self._mass = mass_kg
         self.observer = PassivityObserver(delay_ticks=delay_ticks)
         self.damping_N_s_m = self.dissipated_J = 0.0
@@ -152,8 +165,8 @@ class PassivityControl:
     def pause(self) -> None:
         """Samples are missing: nothing is known of the motion until the next one.
 
-        The force fades then and comes back slowly, so that less is taken while going in than is booked: what was taken
-        until now is struck off, lest going out should spend it.
+        The force fades then and comes back slowly, so that less is taken while going in than is
+        booked: what was taken until now is struck off, lest going out should spend it.
         """
         self.observer.pause()
         self.observer.energy_J = min(self.observer.energy_J, 0.0)

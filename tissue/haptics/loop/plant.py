@@ -1,4 +1,6 @@
-"""The moving part of a device in a hand: three equal axes, stepped exactly, with friction that does not chatter."""
+"""The moving part of a device in a hand: three equal axes, stepped exactly, with friction that
+does not chatter.
+"""
 
 from math import inf, sqrt
 
@@ -10,15 +12,17 @@ __all__ = ["Plant"]
 
 
 class Plant:
-    """A mass with viscous and Coulomb friction behind an amplifier, held by a spring and a damper: x, y and z alike.
+    """A mass with viscous and Coulomb friction behind an amplifier, held by a spring and a damper:
+    x, y and z alike.
 
-    Between changes of its inputs the linear part is stepped with the matrix exponential. Coulomb friction is one force
-    against the velocity vector, no more than ``friction_N``; it is found implicitly, as the force which, acting over
-    the substep, either stops the mass or has its full size against the velocity the mass would have without it. A mass
-    at rest stays exactly where it is until the other forces exceed the friction.
+    Between changes of its inputs the linear part is stepped with the matrix exponential. Coulomb
+    friction is one force against the velocity vector, no more than ``friction_N``; it is found
+    implicitly, as the force which, acting over the substep, either stops the mass or has its full
+    size against the velocity the mass would have without it. A mass at rest stays exactly where it
+    is until the other forces exceed the friction.
 
-    For a rotation read rotation vector [rad], kg m2, N m s/rad and N m. Plain floats, because for three axes they are
-    several times quicker than arrays.
+    For a rotation read rotation vector [rad], kg m2, N m s/rad and N m. Plain floats, because for
+    three axes they are several times quicker than arrays.
 
     Parameters
     ----------
@@ -36,7 +40,12 @@ class Plant:
     """
 
     def __init__(
-        self, *, mass_kg: float, damping_N_s_m: float, friction_N: float = 0.0, amplifier_Hz: float = inf
+        self,
+        *,
+        mass_kg: float,
+        damping_N_s_m: float,
+        friction_N: float = 0.0,
+        amplifier_Hz: float = inf,
     ) -> None:
         self._mass = require_positive("mass_kg", mass_kg, "give the device's apparent mass")
         self._damping = require_range("damping_N_s_m", damping_N_s_m, 0.0, 1e6, "use 0 for none")
@@ -49,16 +58,24 @@ class Plant:
         self._hand: Triple = (0.0, 0.0, 0.0)
 
     def hold(self, *, stiffness_N_m: float, damping_N_s_m: float, mass_kg: float) -> None:
-        """Put the plant into a linear hand; zeros let it go. The hand's aim enters as an external force."""
+        """Put the plant into a linear hand; zeros let it go. The hand's aim enters as an
+        external force.
+        """
         self._hand = (stiffness_N_m, damping_N_s_m, mass_kg)
 
-    def advance(self, step_s: float, *, command: Triple, external: Triple, substeps: int = 1) -> None:
+    def advance(
+        self, step_s: float, *, command: Triple, external: Triple, substeps: int = 1
+    ) -> None:
         """Go a step on with both forces held [N]; the friction is found anew in every substep."""
         if self._amplifier == inf:
             self.motor_force = command
         stiffness, damping, mass = self._hand
         (xx, xv, xf, xu, xw), (vx, vv, vf, vu, vw), (_, _, ff, fu, _) = plant_step(
-            self._mass + mass, self._damping + damping, stiffness, self._amplifier, step_s / substeps
+            self._mass + mass,
+            self._damping + damping,
+            stiffness,
+            self._amplifier,
+            step_s / substeps,
         )
         u0, u1, u2 = command
         w0, w1, w2 = external
@@ -78,7 +95,8 @@ class Plant:
                 p0, p1, p2 = p0 - ratio * q0, p1 - ratio * q1, p2 - ratio * q2
                 q0, q1, q2 = (1.0 - share) * q0, (1.0 - share) * q1, (1.0 - share) * q2
                 if share == 1.0 and v0 == v1 == v2 == 0.0:
-                    p0, p1, p2 = x0, x1, x2  # friction follows a motor force that changes within the substep
+                    # friction follows a motor force that changes within the substep
+                    p0, p1, p2 = x0, x1, x2
             g0, g1, g2 = ff * f0 + fu * u0, ff * f1 + fu * u1, ff * f2 + fu * u2
             work += 0.5 * ((f0 + g0) * (p0 - x0) + (f1 + g1) * (p1 - x1) + (f2 + g2) * (p2 - x2))
             x0, x1, x2, v0, v1, v2, f0, f1, f2 = p0, p1, p2, q0, q1, q2, g0, g1, g2

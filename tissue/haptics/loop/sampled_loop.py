@@ -1,4 +1,6 @@
-"""The loop that holds a device against a virtual wall, as one linear map from model step to model step."""
+"""The loop that holds a device against a virtual wall, as one linear map from model step to
+model step.
+"""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
@@ -27,12 +29,15 @@ __all__ = [
 ]
 
 MOST_TICKS = 400
-"""Longest delay and longest model step that are judged [ticks]: the map has one state for every tick of delay."""
+"""Longest delay and longest model step that are judged [ticks]: the map has one state for every
+tick of delay.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WallLoop:
-    """A mass on a virtual wall, one degree of freedom; for a rotation read kg m2, N m s/rad and N m/rad.
+    """A mass on a virtual wall, one degree of freedom; for a rotation read kg m2, N m s/rad and N
+    m/rad.
 
     Attributes
     ----------
@@ -41,14 +46,16 @@ class WallLoop:
     stiffness_N_m, wall_damping_N_s_m
         The wall, F = -K x - B v [N/m], [N s/m].
     velocity_memory
-        Of the filter that gives v, see `constant_acceleration_map`; None for the difference of positions between model
-        steps, and between ticks for a forecast.
+        Of the filter that gives v, see `constant_acceleration_map`; None for the difference of
+        positions between model steps, and between ticks for a forecast.
     tick_s
-        Time between two forces at the device [s]: for a device that is slower than the loop, between its samples.
+        Time between two forces at the device [s]: for a device that is slower than the loop,
+        between its samples.
     delay_s
         From the sample to the force, besides the hold [s]; any real number of ticks.
     model_ticks
-        Ticks for which one force of the model is held: 1, or 10 for a model at 100 Hz in a loop at 1 kHz.
+        Ticks for which one force of the model is held: 1, or 10 for a model at 100 Hz in a loop at
+        1 kHz.
     filter_s
         Time constant of the low-pass after the model [s]; 0 for none.
     amplifier_Hz
@@ -56,10 +63,11 @@ class WallLoop:
     hand_stiffness_N_m, hand_damping_N_s_m, hand_mass_kg
         A linear hand that holds the device [N/m], [N s/m], [kg]; zeros for a hand that has let go.
     forecast
-        What a predictor makes of what was seen, before the low-pass; None for none. Its phases are those of
-        `model_ticks`.
+        What a predictor makes of what was seen, before the low-pass; None for none. Its phases are
+        those of `model_ticks`.
     vibration
-        What is played of a cutter's teeth besides, in proportion to the force, after the low-pass; None for none.
+        What is played of a cutter's teeth besides, in proportion to the force, after the low-pass;
+        None for none.
     """
 
     mass_kg: float
@@ -81,21 +89,46 @@ class WallLoop:
     def __post_init__(self) -> None:
         require_positive("mass_kg", self.mass_kg, "give the device's apparent mass, such as 0.045")
         require_positive("tick_s", self.tick_s, "use 1e-3 for 1 kHz")
-        for name in ("damping_N_s_m", "stiffness_N_m", "hand_stiffness_N_m", "hand_damping_N_s_m", "hand_mass_kg"):
+        for name in (
+            "damping_N_s_m",
+            "stiffness_N_m",
+            "hand_stiffness_N_m",
+            "hand_damping_N_s_m",
+            "hand_mass_kg",
+        ):
             require_range(name, getattr(self, name), 0.0, 1e9, "use 0 for none")
         require_range("wall_damping_N_s_m", self.wall_damping_N_s_m, -1e9, 1e9, "use 0 for none")
-        require_range("model_ticks", self.model_ticks, 1, MOST_TICKS, "use 1 for a model that answers every tick")
-        require_range("delay_s", self.delay_s, 0.0, MOST_TICKS * self.tick_s, f"use at most {MOST_TICKS} ticks")
+        require_range(
+            "model_ticks",
+            self.model_ticks,
+            1,
+            MOST_TICKS,
+            "use 1 for a model that answers every tick",
+        )
+        require_range(
+            "delay_s",
+            self.delay_s,
+            0.0,
+            MOST_TICKS * self.tick_s,
+            f"use at most {MOST_TICKS} ticks",
+        )
         low_pass_gain(self.filter_s, self.tick_s)
         if not self.amplifier_Hz > 0.0:
             raise InputError(
-                f"amplifier_Hz must be positive, got {self.amplifier_Hz}: use inf for an amplifier without lag"
+                f"amplifier_Hz must be positive, got {self.amplifier_Hz}: use inf for an "
+                "amplifier without lag"
             )
 
     @property
     def vibration_factors(self) -> Array:
-        """What the envelope of the force is multiplied by, for ticks of the model and its steps, (model_ticks, n)."""
-        return np.zeros((self.model_ticks, 1)) if self.vibration is None else self.vibration.period(self.model_ticks)
+        """What the envelope of the force is multiplied by, for ticks of the model and its steps,
+        (model_ticks, n).
+        """
+        return (
+            np.zeros((self.model_ticks, 1))
+            if self.vibration is None
+            else self.vibration.period(self.model_ticks)
+        )
 
     def with_stiffness(self, stiffness_N_m: float) -> "WallLoop":
         """The same loop on another wall."""
@@ -106,10 +139,12 @@ class WallLoop:
 def plant_step(
     mass_kg: float, damping_N_s_m: float, stiffness_N_m: float, amplifier_Hz: float, step_s: float
 ) -> tuple[tuple[float, ...], ...]:
-    """Exact step of a mass, spring and damper behind an amplifier, for inputs that are held over it.
+    """Exact step of a mass, spring and damper behind an amplifier, for inputs that are held over
+    it.
 
-    Rows give position, velocity and motor force after the step; columns take position, velocity, motor force, commanded
-    force and external force before it. Shape (3, 5), as tuples. Without lag the motor force is the command.
+    Rows give position, velocity and motor force after the step; columns take position, velocity,
+    motor force, commanded force and external force before it. Shape (3, 5), as tuples. Without lag
+    the motor force is the command.
     """
     generator = np.zeros((5, 5))
     generator[0, 1] = 1.0
@@ -124,19 +159,28 @@ def plant_step(
 
 
 def loop_matrix(loop: WallLoop) -> Array:
-    """Map of the loop's whole state over one step of the model, or over all of a period of its vibration, square.
+    """Map of the loop's whole state over one step of the model, or over all of a period of its
+    vibration, square.
 
-    The state holds position, velocity and motor force, the position at the last model step, the filtered force, the
-    forces that are still pending, the velocity's filter and, with a forecast, the positions, velocities and forces that
-    it has seen, with a vibration also the force's envelope. The map is what the loop does to the columns of a unit
-    matrix, tick by tick; over a period, the product of its steps' maps, whose eigenvalues decide (Floquet).
+    The state holds position, velocity and motor force, the position at the last model step, the
+    filtered force, the forces that are still pending, the velocity's filter and, with a forecast,
+    the positions, velocities and forces that it has seen, with a vibration also the force's
+    envelope. The map is what the loop does to the columns of a unit matrix, tick by tick; over a
+    period, the product of its steps' maps, whose eigenvalues decide (Floquet).
     """
     whole = int(loop.delay_s / loop.tick_s + 1e-9)
     delay = max(loop.delay_s - whole * loop.tick_s, 0.0)
-    parts = [(delay, whole + 1), (loop.tick_s - delay, whole)] if delay > 1e-9 * loop.tick_s else [(loop.tick_s, whole)]
+    parts = (
+        [(delay, whole + 1), (loop.tick_s - delay, whole)]
+        if delay > 1e-9 * loop.tick_s
+        else [(loop.tick_s, whole)]
+    )
     spring = loop.hand_stiffness_N_m
     mass, damping = loop.mass_kg + loop.hand_mass_kg, loop.damping_N_s_m + loop.hand_damping_N_s_m
-    steps = [(np.array(plant_step(mass, damping, spring, loop.amplifier_Hz, s))[:, :4], back) for s, back in parts]
+    steps = [
+        (np.array(plant_step(mass, damping, spring, loop.amplifier_Hz, s))[:, :4], back)
+        for s, back in parts
+    ]
     queued = ceil(loop.delay_s / loop.tick_s - 1e-9)
     places, ages = (0, 0) if loop.forecast is None else loop.forecast.memory
     estimated, speeds = (0, 0) if loop.velocity_memory is None else (3, places)
@@ -148,13 +192,18 @@ def loop_matrix(loop: WallLoop) -> Array:
     envelope, waiting, estimate, *known = (state[first:last] for first, last in pairwise(ends))
     queue, velocity = list(waiting), SampledVelocity(loop, estimate)
     seen = ForecastMemory(loop, *map(list, known))
-    gain, follows = low_pass_gain(loop.filter_s, loop.tick_s), low_pass_gain(ENVELOPE_S, loop.tick_s)
+    gain, follows = (
+        low_pass_gain(loop.filter_s, loop.tick_s),
+        low_pass_gain(ENVELOPE_S, loop.tick_s),
+    )
     model = np.zeros(state.shape[1])
     for tick in range(loop.model_ticks):
         speed = velocity.step(plant[0])
         if tick == 0:
             moved = (plant[0] - before) / (loop.tick_s * loop.model_ticks)
-            model = -loop.stiffness_N_m * plant[0] - loop.wall_damping_N_s_m * (moved if speed is None else speed)
+            model = -loop.stiffness_N_m * plant[0] - loop.wall_damping_N_s_m * (
+                moved if speed is None else speed
+            )
             before = plant[0]
         filtered = filtered + gain * (seen.predict(plant[0], speed, model, tick) - filtered)
         envelope = envelope + follows * (filtered - envelope)
@@ -181,7 +230,11 @@ class SampledVelocity:
 
     def __init__(self, loop: WallLoop, state: Array) -> None:
         self._rate, self.state = 1.0 / loop.tick_s, state
-        self._filter = None if loop.velocity_memory is None else constant_acceleration_map(loop.velocity_memory)
+        self._filter = (
+            None
+            if loop.velocity_memory is None
+            else constant_acceleration_map(loop.velocity_memory)
+        )
 
     def step(self, position: Array) -> Array | None:
         """Velocity after a tick's positions, shape (n,) both; None without a filter."""
@@ -193,21 +246,27 @@ class SampledVelocity:
 
 
 class ForecastMemory:
-    """What a loop's forecast has seen, newest first: one value, or one row or column of them, a tick.
+    """What a loop's forecast has seen, newest first: one value, or one row or column of them, a
+    tick.
 
     Parameters
     ----------
     loop
         With or without a forecast.
     positions, speeds, forces
-        What was seen before, as many as the forecast remembers [m], [m/s], [N]; speeds of a loop that filters them.
+        What was seen before, as many as the forecast remembers [m], [m/s], [N]; speeds of a loop
+        that filters them.
     """
 
-    def __init__(self, loop: WallLoop, positions: list[Array], speeds: list[Array], forces: list[Array]) -> None:
+    def __init__(
+        self, loop: WallLoop, positions: list[Array], speeds: list[Array], forces: list[Array]
+    ) -> None:
         self._loop, self.positions, self.speeds, self.forces = loop, positions, speeds, forces
 
     def predict(self, position: Array, speed: Array | None, model: Array, tick: int) -> Array:
-        """Force to be played, from position, filtered speed and the model's force at a tick of the model's step."""
+        """Force to be played, from position, filtered speed and the model's force at a tick of
+        the model's step.
+        """
         forecast = self._loop.forecast
         if forecast is None:
             return model
@@ -231,10 +290,11 @@ class ForecastMemory:
 
 
 def largest_eigenvalue(loop: WallLoop) -> float:
-    """Growth of the slowest mode over one step of the model: the largest eigenvalue of `loop_matrix`.
+    """Growth of the slowest mode over one step of the model: the largest eigenvalue of
+    `loop_matrix`.
 
-    One thread is at work: a second one gains nothing on so few states, and on a machine with other work both wait for
-    each other, ten times as long and more.
+    One thread is at work: a second one gains nothing on so few states, and on a machine with other
+    work both wait for each other, ten times as long and more.
     """
     with _thread_pools().limit(limits=1, user_api="blas"):
         largest = float(np.abs(np.linalg.eigvals(loop_matrix(loop))).max())

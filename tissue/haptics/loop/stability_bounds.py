@@ -1,7 +1,7 @@
 """Lines that theory draws into a stability map: simple bounds on the stiffness of a virtual wall.
 
-None of them judges a run; the eigenvalues in `tissue.haptics.loop.critical_stiffness` do. Each takes the same
-`WallLoop`; a hand adds its damping to the device's where the bound has damping.
+None of them judges a run; the eigenvalues in `tissue.haptics.loop.critical_stiffness` do. Each
+takes the same `WallLoop`; a hand adds its damping to the device's where the bound has damping.
 """
 
 from math import ceil, inf, pi
@@ -16,13 +16,15 @@ __all__ = ["delay_bound_N_m", "pade_bound_N_m", "passive_bound_N_m", "quantised_
 
 
 def passive_bound_N_m(loop: WallLoop) -> float:
-    """Stiffness up to which the wall is passive and so stable in any passive hand (Colgate and Schenkel, 1997) [N/m].
+    """Stiffness up to which the wall is passive and so stable in any passive hand (Colgate and
+    Schenkel, 1997) [N/m].
 
-    Their condition b > T / 2 Re{(1 - exp(-j w T)) H} / (1 - cos w T), solved for K on a grid of w, where H holds wall,
-    filter and a delay of whole steps: a fraction counts as a whole one, and the amplifier's lag as delay. Only the
-    device's own damping counts. Without delay and filter it is 2 (b - |B|) / T for either sign of B; T is the time for
-    which a force is held, so a slow model counts with its own step, and with one more of delay if a filter moves the
-    held force within it. 0 where B, delay and filter leave nothing.
+    Their condition b > T / 2 Re{(1 - exp(-j w T)) H} / (1 - cos w T), solved for K on a grid of w,
+    where H holds wall, filter and a delay of whole steps: a fraction counts as a whole one, and the
+    amplifier's lag as delay. Only the device's own damping counts. Without delay and filter it is 2
+    (b - |B|) / T for either sign of B; T is the time for which a force is held, so a slow model
+    counts with its own step, and with one more of delay if a filter moves the held force within it.
+    0 where B, delay and filter leave nothing.
     """
     step = loop.tick_s * loop.model_ticks
     lag = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
@@ -30,7 +32,9 @@ def passive_bound_N_m(loop: WallLoop) -> float:
     back = np.exp(-1j * turn)
     gain = low_pass_gain(loop.filter_s, step)
     passed = (
-        gain / (1.0 - (1.0 - gain) * back) * back ** (ceil(lag / step - 1e-9) + (gain < 1.0 and loop.model_ticks > 1))
+        gain
+        / (1.0 - (1.0 - gain) * back)
+        * back ** (ceil(lag / step - 1e-9) + (gain < 1.0 and loop.model_ticks > 1))
     )
     paid = 2.0 * loop.damping_N_s_m / step * (1.0 - np.cos(turn))
     owed_to_damping = ((1.0 - back) ** 2 * passed).real * loop.wall_damping_N_s_m / step
@@ -43,23 +47,33 @@ def passive_bound_N_m(loop: WallLoop) -> float:
 
 
 def delay_bound_N_m(loop: WallLoop) -> float:
-    """K = (b + B) / (T / 2 + t_d) (Gil et al., 2009), a first-order guide with delay [N/m]; it can be unsafe."""
+    """K = (b + B) / (T / 2 + t_d) (Gil et al., 2009), a first-order guide with delay [N/m]; it
+    can be unsafe.
+    """
     damping = loop.damping_N_s_m + loop.hand_damping_N_s_m + loop.wall_damping_N_s_m
     return max(damping / (0.5 * loop.tick_s * loop.model_ticks + loop.delay_s), 0.0)
 
 
 def quantised_bound_N_m(loop: WallLoop, *, friction_N: float, encoder_m: float) -> float:
-    """K = min(2 b / T, 2 f_c / D) (Abbott and Okamura, 2005) for Coulomb friction f_c and encoder step D [N/m]."""
-    require_range("friction_N", friction_N, 0.0, 1e3, "give the device's Coulomb friction, 0 for none")
+    """K = min(2 b / T, 2 f_c / D) (Abbott and Okamura, 2005) for Coulomb friction f_c and
+    encoder step D [N/m].
+    """
+    require_range(
+        "friction_N", friction_N, 0.0, 1e3, "give the device's Coulomb friction, 0 for none"
+    )
     require_positive("encoder_m", encoder_m, "give the device's encoder step, such as 5.5e-5")
-    return min(2.0 * loop.damping_N_s_m / (loop.tick_s * loop.model_ticks), 2.0 * friction_N / encoder_m)
+    return min(
+        2.0 * loop.damping_N_s_m / (loop.tick_s * loop.model_ticks), 2.0 * friction_N / encoder_m
+    )
 
 
 def pade_bound_N_m(loop: WallLoop, *, hold: bool = True) -> float:
-    """Critical stiffness if hold and delay are read as one delay t and that as (1 - t s / 2) / (1 + t s / 2) [N/m].
+    """Critical stiffness if hold and delay are read as one delay t and that as (1 - t s / 2) / (1 +
+    t s / 2) [N/m].
 
-    From Routh's criterion on the third-order polynomial. With ``hold`` the delay is t_d + T / 2, without it t_d alone,
-    as in a continuous model of the loop; infinite where neither is left. Hand stiffness is left out.
+    From Routh's criterion on the third-order polynomial. With ``hold`` the delay is t_d + T / 2,
+    without it t_d alone, as in a continuous model of the loop; infinite where neither is left. Hand
+    stiffness is left out.
     """
     delay = loop.delay_s + (0.5 * loop.tick_s * loop.model_ticks if hold else 0.0)
     if delay == 0.0:

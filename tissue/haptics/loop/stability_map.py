@@ -1,4 +1,6 @@
-"""Where a wall stops being stable, measured by letting it run, against the eigenvalues and the lines of theory."""
+"""Where a wall stops being stable, measured by letting it run, against the eigenvalues and the
+lines of theory.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,11 +11,23 @@ import numpy as np
 from meshes.base.arrays import Array
 from tissue.haptics.loop.critical_stiffness import Verdict, critical_stiffness_N_m, judge
 from tissue.haptics.loop.filters import low_pass_gain
-from tissue.haptics.loop.sampled_loop import ForecastMemory, SampledVelocity, WallLoop, plant_step, spectral_radius
+from tissue.haptics.loop.sampled_loop import (
+    ForecastMemory,
+    SampledVelocity,
+    WallLoop,
+    plant_step,
+    spectral_radius,
+)
 from tissue.haptics.loop.stability_bounds import delay_bound_N_m, pade_bound_N_m, passive_bound_N_m
 from tissue.haptics.loop.vibration import ENVELOPE_S
 
-__all__ = ["StabilityChart", "StabilityMap", "growth_while_running", "measured_critical_N_m", "stability_map"]
+__all__ = [
+    "StabilityChart",
+    "StabilityMap",
+    "growth_while_running",
+    "measured_critical_N_m",
+    "stability_map",
+]
 
 SOFTEST_N_M, STIFFEST_N_M = 0.1, 1e6
 BISECTIONS = 15
@@ -59,12 +73,15 @@ class StabilityMap:
     over_delay: StabilityChart
 
 
-def growth_while_running(loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, ticks: int = 4000) -> Array:
-    """Growth of the amplitude between two windows of a run from a push, for several loops at once, shape (n,).
+def growth_while_running(
+    loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, ticks: int = 4000
+) -> Array:
+    """Growth of the amplitude between two windows of a run from a push, for several loops at once,
+    shape (n,).
 
-    The loops share tick, model ticks, velocity, forecast and vibration, and run as they would on a device: sample,
-    velocity, force, filter, delay, hold. Amplitude is the root of kinetic and stored energy, weighed by windows around
-    45 and 85 % of the run. Infinite where it overflows.
+    The loops share tick, model ticks, velocity, forecast and vibration, and run as they would on a
+    device: sample, velocity, force, filter, delay, hold. Amplitude is the root of kinetic and
+    stored energy, weighed by windows around 45 and 85 % of the run. Infinite where it overflows.
     """
     first = loops[0]
     tick, count = first.tick_s, len(loops)
@@ -73,10 +90,15 @@ def growth_while_running(loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, t
     steps = []
     for part in (delay, [tick - each for each in delay]):
         rows = [
-            plant_step(e.mass_kg + e.hand_mass_kg, e.damping_N_s_m + e.hand_damping_N_s_m, e.hand_stiffness_N_m,
-                       e.amplifier_Hz, max(length, 1e-12))
+            plant_step(
+                e.mass_kg + e.hand_mass_kg,
+                e.damping_N_s_m + e.hand_damping_N_s_m,
+                e.hand_stiffness_N_m,
+                e.amplifier_Hz,
+                max(length, 1e-12),
+            )
             for e, length in zip(loops, part, strict=True)
-        ]  # fmt: skip
+        ]
         steps.append(np.moveaxis(np.array(rows)[:, :, :4], 0, -1))
     length = max(whole) + 2
     back = np.array(whole)
@@ -95,7 +117,10 @@ def growth_while_running(loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, t
     before, force, filtered, envelope = (np.zeros(count) for _ in range(4))
     follows = low_pass_gain(ENVELOPE_S, tick)
     share = np.arange(ticks) / ticks
-    windows = [np.where(abs(share - at) < 0.15, np.cos((share - at) * np.pi / 0.3) ** 2, 0.0) for at in (0.45, 0.85)]
+    windows = [
+        np.where(abs(share - at) < 0.15, np.cos((share - at) * np.pi / 0.3) ** 2, 0.0)
+        for at in (0.45, 0.85)
+    ]
     sums = np.zeros((2, count))
     with np.errstate(over="ignore", invalid="ignore"):
         for n in range(ticks):
@@ -107,7 +132,9 @@ def growth_while_running(loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, t
             predicted = seen.predict(plant[0].copy(), speed, force, n % first.model_ticks)
             filtered = filtered + gain * (predicted - filtered)
             envelope = envelope + follows * (filtered - envelope)
-            queue[n % length] = filtered + (first.vibration.factor(n) if first.vibration else 0.0) * envelope
+            queue[n % length] = (
+                filtered + (first.vibration.factor(n) if first.vibration else 0.0) * envelope
+            )
             for matrix, behind in zip(steps, (back + 1, back), strict=True):
                 plant[3] = queue[(n - behind) % length, columns]
                 plant[:3] = np.einsum("ijn,jn->in", matrix, plant)
@@ -119,7 +146,8 @@ def growth_while_running(loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, t
 
 
 def measured_critical_N_m(loops: Sequence[WallLoop], *, ticks: int = 4000) -> Array:
-    """Stiffness above which a run grows instead of fading, by bisection for all loops at once [N/m], shape (n,).
+    """Stiffness above which a run grows instead of fading, by bisection for all loops at once
+    [N/m], shape (n,).
 
     Zero where the softest wall (0.1 N/m) grows already.
     """
@@ -142,17 +170,24 @@ def stability_map(
 ) -> StabilityMap:
     """Stiffness against the wall's damping and against delay, around a chosen loop.
 
-    By default the damping goes from none to what stops the mass within a step and the delay, well past the best one;
-    the delay goes to eight ticks. The chart's rows reach from a twentieth of the lowest to three times the
-    highest critical stiffness.
+    By default the damping goes from none to what stops the mass within a step and the delay, well
+    past the best one; the delay goes to eight ticks. The chart's rows reach from a twentieth of the
+    lowest to three times the highest critical stiffness.
     """
-    most = (chosen.mass_kg + chosen.hand_mass_kg) / (chosen.tick_s * chosen.model_ticks + chosen.delay_s)
+    most = (chosen.mass_kg + chosen.hand_mass_kg) / (
+        chosen.tick_s * chosen.model_ticks + chosen.delay_s
+    )
     dampings = np.linspace(0.0, most, 25) if dampings_N_s_m is None else np.asarray(dampings_N_s_m)
     delays = np.linspace(0.0, 8.0 * chosen.tick_s, 25) if delays_s is None else np.asarray(delays_s)
     return StabilityMap(
         chosen,
         judge(chosen),
-        _chart("wall_damping_N_s_m", [replace(chosen, wall_damping_N_s_m=float(b)) for b in dampings], rows, ticks),
+        _chart(
+            "wall_damping_N_s_m",
+            [replace(chosen, wall_damping_N_s_m=float(b)) for b in dampings],
+            rows,
+            ticks,
+        ),
         _chart("delay_s", [replace(chosen, delay_s=float(d)) for d in delays], rows, ticks),
     )
 
@@ -173,5 +208,10 @@ def _chart(along: str, loops: list[WallLoop], rows: int, ticks: int) -> Stabilit
             "Pade": np.array([pade_bound_N_m(each) for each in loops]),
         },
         stiffnesses,
-        np.array([[spectral_radius(each.with_stiffness(k)) for each in loops] for k in stiffnesses.tolist()]),
+        np.array(
+            [
+                [spectral_radius(each.with_stiffness(k)) for each in loops]
+                for k in stiffnesses.tolist()
+            ]
+        ),
     )

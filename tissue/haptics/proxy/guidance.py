@@ -1,4 +1,6 @@
-"""Where a person leads a tool that resists: farther than it shall go, by what is seen and by what is meant to push."""
+"""Where a person leads a tool that resists: farther than it shall go, by what is seen and by
+what is meant to push.
+"""
 
 from dataclasses import dataclass, field
 from math import sqrt
@@ -12,20 +14,22 @@ from tissue.haptics.proxy.held_tool import HeldTool
 __all__ = ["CompensatedPath", "Thrust"]
 
 SHARE = 0.35
-"""Share of what is seen missing that is added in every correction, where the tool goes as far as the hand; assumed. At
+"""Share of what is seen missing that is added in every correction, where the tool goes as far as
+the hand; assumed. At
 0.5 one that mills overshoots: it is pushed aside by as much as it is to press."""
 LEAST_YIELD = 0.6
-"""Least motion of a tool for each of the hand that a person reckons with; assumed. Of 1 to 0.2 it is where reaming is
-nearly finished (0.2 mm are missing instead of 0.5) before milling overshoots."""
+"""Least motion of a tool for each of the hand that a person reckons with; assumed. Of 1 to 0.2 it
+is where reaming is nearly finished (0.2 mm are missing instead of 0.5) before milling
+overshoots."""
 
 
 @dataclass
 class CompensatedPath:
     """A path on which the tool, not the hand, is brought to where it shall be.
 
-    A hand that only went where the tool shall be would stop where spring and resistance balance. At every correction
-    this one goes farther by a share of what the tool is seen to lack, and by the more the less of its last motions the
-    tool has made.
+    A hand that only went where the tool shall be would stop where spring and resistance balance. At
+    every correction this one goes farther by a share of what the tool is seen to lack, and by the
+    more the less of its last motions the tool has made.
 
     Attributes
     ----------
@@ -52,7 +56,9 @@ class CompensatedPath:
         """Where to aim at a time [s]; each call is a correction."""
         if time_s > self.lead_s:
             self._learn()
-            self.beyond_m += SHARE / self._yields * (self.path(time_s - self.lead_s) - self.tool.tip_m)
+            self.beyond_m += (
+                SHARE / self._yields * (self.path(time_s - self.lead_s) - self.tool.tip_m)
+            )
             size = sqrt(self.beyond_m @ self.beyond_m)
             self.beyond_m *= min(self.furthest_m / size, 1.0) if size > 0.0 else 1.0
         aim = self.path(time_s) + self.beyond_m
@@ -60,17 +66,22 @@ class CompensatedPath:
         return aim
 
     def _learn(self) -> None:
-        """Take the tool's last motion for each of the hand's, which was aimed at two corrections ago."""
+        """Take the tool's last motion for each of the hand's, which was aimed at two corrections
+        ago.
+        """
         if len(self._aims_m) == 3:
             went, aimed = self.tool.tip_m - self._tip_m, self._aims_m[1] - self._aims_m[0]
             square = float(aimed @ aimed)
             if square > 0.0:
-                self._yields += 0.5 * (min(max(float(went @ aimed) / square, LEAST_YIELD), 1.0) - self._yields)
+                self._yields += 0.5 * (
+                    min(max(float(went @ aimed) / square, LEAST_YIELD), 1.0) - self._yields
+                )
 
 
 @dataclass
 class Thrust:
-    """A push of given size along a line until the tool has gone its path; the hand goes with the tool.
+    """A push of given size along a line until the tool has gone its path; the hand goes with the
+    tool.
 
     Attributes
     ----------
@@ -93,7 +104,9 @@ class Thrust:
     @property
     def share(self) -> float:
         """Share of the path that the tool has gone, 0 to 1."""
-        gone = float((self.tool.tip_m - self.start_m) @ self.path_m) / float(self.path_m @ self.path_m)
+        gone = float((self.tool.tip_m - self.start_m) @ self.path_m) / float(
+            self.path_m @ self.path_m
+        )
         return min(max(gone, 0.0), 1.0)
 
     def path(self, time_s: float) -> Array:
@@ -101,7 +114,11 @@ class Thrust:
         share = self.share
         if time_s <= 0.0 or share == 1.0:
             return self.start_m + share * self.path_m
-        return self.start_m + share * self.path_m + self.stretch_m * self.path_m / sqrt(self.path_m @ self.path_m)
+        return (
+            self.start_m
+            + share * self.path_m
+            + self.stretch_m * self.path_m / sqrt(self.path_m @ self.path_m)
+        )
 
     def push(self, time_s: float) -> Array:
         """Intended force at a time [N]."""

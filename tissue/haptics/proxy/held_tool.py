@@ -1,4 +1,6 @@
-"""Where a tool is that hangs on a device by a spring: in balance with what it cuts, or with what pushes it back."""
+"""Where a tool is that hangs on a device by a spring: in balance with what it cuts, or with what
+pushes it back.
+"""
 
 from abc import ABC, abstractmethod
 
@@ -20,9 +22,11 @@ LEAST_M = 2e-6
 
 
 class HeldTool(ABC):
-    """A law for the pose of a tool; the spring's pull is the stiffness times the distance to the device.
+    """A law for the pose of a tool; the spring's pull is the stiffness times the distance to the
+    device.
 
-    The device is where it would have the tool: its position in the tool's metres, its turn from its first orientation.
+    The device is where it would have the tool: its position in the tool's metres, its turn from its
+    first orientation.
 
     Parameters
     ----------
@@ -38,16 +42,20 @@ class HeldTool(ABC):
     tip_m
         Where the tip is [m], shape (3,).
     push
-        Force [N] and torque [N m] on a driven tool that rests, but those of the tissue, shape (6,); else zero.
+        Force [N] and torque [N m] on a driven tool that rests, but those of the tissue, shape (6,);
+        else zero.
     driven
-        Whether its last motion was made against resistance, and so at a speed and with a heading of its own.
+        Whether its last motion was made against resistance, and so at a speed and with a heading of
+        its own.
     heading
         Where it goes, or would go, when it is driven: a unit vector, shape (3,).
     """
 
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
         self._turn = turn or HeldTurn()
-        self.stiffness_N_m = require_positive("stiffness_N_m", stiffness_N_m, "use 1e3 on an organ, 1e4 on bone")
+        self.stiffness_N_m = require_positive(
+            "stiffness_N_m", stiffness_N_m, "use 1e3 on an organ, 1e4 on bone"
+        )
         self.tip_m = np.array(tip_m, dtype=float)
         self.driven, self.heading = False, np.zeros(3)
         self.push = np.zeros(6)
@@ -58,22 +66,29 @@ class HeldTool(ABC):
         return self._turn.quaternion
 
     @abstractmethod
-    def follow(self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float) -> Array:
-        """Go a step towards the device [m], given the last response and the unit heading it was given for; the tip."""
+    def follow(
+        self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float
+    ) -> Array:
+        """Go a step towards the device [m], given the last response and the unit heading it was
+        given for; the tip.
+        """
 
     @abstractmethod
     def lands(self, response: Response, heading: Array) -> bool:
-        """Whether this answer to its new place shows that it has met more than it knew of, so that it follows anew."""
+        """Whether this answer to its new place shows that it has met more than it knew of, so
+        that it follows anew.
+        """
 
 
 class PressingTool(HeldTool):
     """A tool on a tissue that pushes it back, such as an organ or a wall.
 
-    The tip is where spring and tissue balance, k (x_device - x) + F(x) = 0, by one Newton step a tick from the force F
-    and stiffness K of the last one: x' = x + (k + K)^-1 (k (x_device - x) + F). A tissue that does not know its K is
-    taken as alike in all directions, as stiff as its force has changed along the tip's last motions; a greater value
-    counts at once, a smaller one gradually. A balance in which the tissue would pull where it has pushed is none: the
-    tip is where the device is, and so it is where nothing touches.
+    The tip is where spring and tissue balance, k (x_device - x) + F(x) = 0, by one Newton step a
+    tick from the force F and stiffness K of the last one: x' = x + (k + K)^-1 (k (x_device - x) +
+    F). A tissue that does not know its K is taken as alike in all directions, as stiff as its force
+    has changed along the tip's last motions; a greater value counts at once, a smaller one
+    gradually. A balance in which the tissue would pull where it has pushed is none: the tip is
+    where the device is, and so it is where nothing touches.
     """
 
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
@@ -82,7 +97,9 @@ class PressingTool(HeldTool):
         self._learnt, self._free = 0.0, True
         self._before_m, self._before_N = self.tip_m.copy(), np.zeros(3)
 
-    def follow(self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float) -> Array:
+    def follow(
+        self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float
+    ) -> Array:
         """Make a Newton step of the balance."""
         self._turn.follow(device, response.wrench[3:])
         force, tip, spring = response.wrench[:3], self.tip_m, self.stiffness_N_m

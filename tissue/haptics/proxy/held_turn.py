@@ -1,4 +1,6 @@
-"""How a tool is turned that hangs on a device by a spring of rotation: in balance with the torque of what it meets."""
+"""How a tool is turned that hangs on a device by a spring of rotation: in balance with the
+torque of what it meets.
+"""
 
 from math import inf, sqrt
 
@@ -22,15 +24,17 @@ FURTHEST_RAD = 2.5
 class HeldTurn:
     """The tool's turn from its first orientation, as a unit quaternion next to the device's.
 
-    Spring and tissue balance, k theta + T = 0, with theta the rotation vector from tool to device and T the torque on
-    the tool about its tip, by one Newton step a tick from the torque of the last one. The tissue is taken as alike
-    about all axes, as stiff as its torque has changed along the tool's last turns; a greater value counts at once, a
-    smaller one gradually. Where nothing turns the tool it is as the device is.
+    Spring and tissue balance, k theta + T = 0, with theta the rotation vector from tool to device
+    and T the torque on the tool about its tip, by one Newton step a tick from the torque of the
+    last one. The tissue is taken as alike about all axes, as stiff as its torque has changed along
+    the tool's last turns; a greater value counts at once, a smaller one gradually. Where nothing
+    turns the tool it is as the device is.
 
     Parameters
     ----------
     stiffness_Nm_rad
-        Of the spring, in the tissue's newton metres [N m/rad]; infinite for a tool that turns as its device does.
+        Of the spring, in the tissue's newton metres [N m/rad]; infinite for a tool that turns as
+        its device does.
     """
 
     def __init__(self, stiffness_Nm_rad: float = inf) -> None:
@@ -42,7 +46,9 @@ class HeldTurn:
         self._before, self._torque = UPRIGHT, np.zeros(3)
 
     def follow(self, device: Quaternion, torque_Nm: Array) -> Quaternion:
-        """Make a Newton step of the balance with the torque on the tool [N m], shape (3,); the tool's turn."""
+        """Make a Newton step of the balance with the torque on the tool [N m], shape (3,); the
+        tool's turn.
+        """
         spring = self.stiffness_Nm_rad
         if spring == inf or not any(torque_Nm.tolist()):
             self.quaternion = device
@@ -64,5 +70,7 @@ class HeldTurn:
         turned = np.array(turn_between(self._before, self.quaternion))
         square = float(turned.dot(turned))
         if square > LEAST_RAD**2:
-            self._learnt = max(-float(turned.dot(torque_Nm - self._torque)) / square, FADE * self._learnt)
+            self._learnt = max(
+                -float(turned.dot(torque_Nm - self._torque)) / square, FADE * self._learnt
+            )
             self._before, self._torque = self.quaternion, np.array(torque_Nm)

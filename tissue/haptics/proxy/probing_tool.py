@@ -1,4 +1,6 @@
-"""A tool that does not turn: it cuts nothing, and the hand feels the rigid bone with its surface."""
+"""A tool that does not turn: it cuts nothing, and the hand feels the rigid bone with its
+surface.
+"""
 
 from math import inf, sqrt
 
@@ -20,29 +22,42 @@ from tissue.motion.quaternion import Quaternion
 __all__ = ["ProbedBone", "ProbingTool"]
 
 FRICTION = 0.3
-"""Coulomb's coefficient of smooth metal on bone, 0.2 to 0.6 (Shirazi-Adl et al., 1993, from memory: confidence L)."""
+"""Coulomb's coefficient of smooth metal on bone, 0.2 to 0.6 (Shirazi-Adl et al., 1993, from
+memory: confidence L).
+"""
 RIGID_LEVER_M = 10.0
-"""Lever of the spring of rotation for a device that imposes its turn [m]: a hundred times what any tool has."""
+"""Lever of the spring of rotation for a device that imposes its turn [m]: a hundred times what
+any tool has.
+"""
 
 
 class ProbingTool(HeldTool):
     """The god-object of a tool of any shape: where it would be if nothing could be pushed into.
 
-    Contacts of the shell's points with the bone balance the springs of translation and rotation, see
-    :class:`tissue.haptics.proxy.proxy.Proxy`; the bone is read in place, in voxels that others may carve.
+    Contacts of the shell's points with the bone balance the springs of translation and rotation,
+    see :class:`tissue.haptics.proxy.proxy.Proxy`; the bone is read in place, in voxels that others
+    may carve.
     """
 
     def __init__(
-        self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None, *, friction: float = FRICTION
+        self,
+        stiffness_N_m: float,
+        tip_m: Array,
+        turn: HeldTurn | None = None,
+        *,
+        friction: float = FRICTION,
     ) -> None:
         super().__init__(stiffness_N_m, tip_m, turn)
         self.friction = friction
         stiffness_Nm_rad = self._turn.stiffness_Nm_rad
-        self.lever_m = RIGID_LEVER_M if stiffness_Nm_rad == inf else sqrt(stiffness_Nm_rad / stiffness_N_m)
+        self.lever_m = (
+            RIGID_LEVER_M if stiffness_Nm_rad == inf else sqrt(stiffness_Nm_rad / stiffness_N_m)
+        )
         self.proxy: Proxy | None = None
 
     def meet(self, shell: ToolShell, field: ContactField) -> Proxy:
-        """Begin where the tool starts, before what it may touch; the shell is in the world's axes there.
+        """Begin where the tool starts, before what it may touch; the shell is in the world's axes
+        there.
 
         Raises
         ------
@@ -53,7 +68,9 @@ class ProbingTool(HeldTool):
         self.proxy.place(self.tip_m, np.array(self.quaternion))
         return self.proxy
 
-    def follow(self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float) -> Array:
+    def follow(
+        self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float
+    ) -> Array:
         """Go as near to the device as the contacts allow; the tip."""
         assert self.proxy is not None, "a probing tool must meet something first"
         result = self.proxy.advance(device_m, np.array(device))
@@ -70,9 +87,9 @@ class ProbingTool(HeldTool):
 class ProbedBone(FreeSpace):
     """Voxels under a tool that does not cut: rigid, and as they were.
 
-    Its measures are the number of contacts that press, and whether the god-object ran out of steps before it settled.
-    ``engaged_m2`` is a shell point's share of the surface for every contact, booked to the layer at their centre of
-    pressure.
+    Its measures are the number of contacts that press, and whether the god-object ran out of steps
+    before it settled. ``engaged_m2`` is a shell point's share of the surface for every contact,
+    booked to the layer at their centre of pressure.
 
     Parameters
     ----------
@@ -91,7 +108,13 @@ class ProbedBone(FreeSpace):
     measure_names = ("contacts", "behind")
 
     def __init__(
-        self, volume: VoxelVolume, shell: ToolShell, *, area_m2: float, tool: ProbingTool, device: str = "cpu"
+        self,
+        volume: VoxelVolume,
+        shell: ToolShell,
+        *,
+        area_m2: float,
+        tool: ProbingTool,
+        device: str = "cpu",
     ) -> None:
         super().__init__()
         self.layer_names = volume.layer_names
@@ -115,7 +138,9 @@ class ProbedBone(FreeSpace):
         try:
             self._tool.meet(shell, self._field)
         except InputError as error:
-            raise InputError(f"motion must start outside the bone, got a tool in it: start higher ({error})") from error
+            raise InputError(
+                f"motion must start outside the bone, got a tool in it: start higher ({error})"
+            ) from error
 
     def respond(self, motion: ToolMotion) -> Response:
         """What the contacts push, and its torque about the tip."""

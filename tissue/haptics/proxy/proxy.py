@@ -1,9 +1,11 @@
-"""The god-object: where a tool would be if nothing could be pushed into, in three or six degrees of freedom.
+"""The god-object: where a tool would be if nothing could be pushed into, in three or six degrees of
+freedom.
 
-The device goes where the hand moves it, through walls if it must; the proxy follows as far as it can and stays outside.
-What holds them together, see `tissue.haptics.renderer.ProxyRenderer`, is the force that the hand feels. The proxy is
-the tool's static equilibrium between the coupling's springs and the contacts, reached by local descent from the last
-proxy: a search for the nearest free point would come out on the far side of a thin wall.
+The device goes where the hand moves it, through walls if it must; the proxy follows as far as it
+can and stays outside. What holds them together, see `tissue.haptics.renderer.ProxyRenderer`, is the
+force that the hand feels. The proxy is the tool's static equilibrium between the coupling's springs
+and the contacts, reached by local descent from the last proxy: a search for the nearest free point
+would come out on the far side of a thin wall.
 """
 
 from dataclasses import dataclass
@@ -44,7 +46,9 @@ STEP_M = 2.5e-4
 STEP_VOXELS = 0.5
 """Longest step near voxels [voxel]."""
 TOLERANCE_M, TOLERANCE_VOXELS = 1e-12, 1e-3
-"""Step below which the proxy has settled: rounding near exact solids, a thousandth voxel near voxels."""
+"""Step below which the proxy has settled: rounding near exact solids, a thousandth voxel near
+voxels.
+"""
 _POSITION = slice(POSITION, POSITION + 3)
 _ROTATION = slice(ROTATION, ROTATION + 4)
 _FORCE = slice(FORCE, FORCE + 3)
@@ -58,7 +62,10 @@ class ProxyOutcome(Enum):
 
     FREE = "the proxy is where the device is: nothing to do"
     CONTACT = "the proxy rests against something: render the coupling's force"
-    BEHIND = "the steps ran out before the proxy settled: it goes on in the next tick, or allow more steps"
+    BEHIND = (
+        "the steps ran out before the proxy settled: it goes on in the next tick, or allow more "
+        "steps"
+    )
 
 
 @dataclass
@@ -76,8 +83,9 @@ class ProxyResult:
     contacts
         Contacts that press.
     push_m, push_moment_m2
-        Sum of the contact forces on the tool and of their moments about its origin, both over the coupling's stiffness
-        k: times k they are N and N m. They balance the coupling's springs once the proxy has settled.
+        Sum of the contact forces on the tool and of their moments about its origin, both over the
+        coupling's stiffness k: times k they are N and N m. They balance the coupling's springs once
+        the proxy has settled.
     arm_m
         Centre of pressure from the tool's origin, in the world's axes [m], shape (3,).
     steps, solves
@@ -105,8 +113,8 @@ class Proxy:
     field
         What it may touch.
     lever_m
-        Square root of the coupling's rotational stiffness over its stiffness [m]; None for three degrees of freedom, in
-        which the tool keeps the orientation it was placed with.
+        Square root of the coupling's rotational stiffness over its stiffness [m]; None for three
+        degrees of freedom, in which the tool keeps the orientation it was placed with.
     friction
         Coulomb's coefficient.
     step_limit, solve_limit
@@ -128,19 +136,28 @@ class Proxy:
         step_limit: int = 64,
         solve_limit: int = 150,
     ) -> None:
-        require_range("friction", friction, 0.0, 10.0, "use 0 for none, about 0.3 for bone on steel")
-        compliance = 0.0 if lever_m is None else require_positive("lever_m", lever_m, "use about 0.02 (20 mm)") ** -2
+        require_range(
+            "friction", friction, 0.0, 10.0, "use 0 for none, about 0.3 for bone on steel"
+        )
+        compliance = (
+            0.0
+            if lever_m is None
+            else require_positive("lever_m", lever_m, "use about 0.02 (20 mm)") ** -2
+        )
         step, tolerance = STEP_M, TOLERANCE_M
         if field.spacing_m > 0.0:
             if shell.radius_m > 0.0:
                 raise InputError(
-                    f"radius_m of the shell must be 0 on voxels, got {shell.radius_m:g}: give points with normals"
+                    f"radius_m of the shell must be 0 on voxels, got {shell.radius_m:g}: "
+                    "give points with normals"
                 )
             step, tolerance = STEP_VOXELS * field.spacing_m, TOLERANCE_VOXELS * field.spacing_m
         device = field.device
         self._contacts = _contacts(len(shell.points_m), field, device=device)
         tool = Shell()
-        tool.point = wp.array(shell.points_m - field.sink_m * shell.normals, dtype=wp.vec3d, device=device)
+        tool.point = wp.array(
+            shell.points_m - field.sink_m * shell.normals, dtype=wp.vec3d, device=device
+        )
         tool.radius, tool.reach = map(wp.float64, (shell.radius_m, shell.reach_m))
         settings = DescentSettings()
         numbers = map(wp.float64, (compliance, friction, step, tolerance))
@@ -159,7 +176,9 @@ class Proxy:
             device=device,
             record_cmd=True,
         )
-        self.result = ProxyResult(np.zeros(3), _IDENTITY.copy(), np.zeros(3), np.zeros(3), np.zeros(3))
+        self.result = ProxyResult(
+            np.zeros(3), _IDENTITY.copy(), np.zeros(3), np.zeros(3), np.zeros(3)
+        )
 
     def place(self, position_m: Array, quaternion: Array = _IDENTITY) -> ProxyResult:
         """Put the proxy at a pose, which must be free, and forget all contacts.
@@ -181,13 +200,15 @@ class Proxy:
         if self.result.contacts > 0:
             out_m = float(np.linalg.norm(self.result.position_m - position_m))
             raise InputError(
-                f"position_m must leave the tool outside everything, got {position_m} where it lies about "
+                f"position_m must leave the tool outside everything, got {position_m} where "
+                "it lies about "
                 f"{1e3 * out_m:.3g} mm deep: start farther off"
             )
         return self.result
 
     def advance(self, position_m: Array, quaternion: Array = _IDENTITY) -> ProxyResult:
-        """Follow the device to its pose [m], (x, y, z, w); the returned object is overwritten by the next call.
+        """Follow the device to its pose [m], (x, y, z, w); the returned object is overwritten by
+        the next call.
 
         Raises
         ------
@@ -202,7 +223,8 @@ class Proxy:
         """Take the device's pose as the goal."""
         if not isfinite(float(position_m.sum()) + float(quaternion.sum())):
             raise InputError(
-                f"the device's pose must be finite, got {position_m} m, {quaternion}: hold the last pose and ramp the "
+                f"the device's pose must be finite, got {position_m} m, {quaternion}: hold "
+                "the last pose and ramp the "
                 "force to zero"
             )
         self._goal.host[_POSITION] = position_m

@@ -12,7 +12,8 @@ __all__ = ["ToolShell"]
 
 @dataclass(frozen=True, eq=False)
 class ToolShell:
-    """Points of a tool's surface in the tool's frame: origin at the tip, z from the tip to the shank.
+    """Points of a tool's surface in the tool's frame: origin at the tip, z from the tip to the
+    shank.
 
     Attributes
     ----------
@@ -21,8 +22,8 @@ class ToolShell:
     normals
         Outward unit normals, shape (n, 3); zero where a point has none.
     radius_m
-        Radius of a ball around every point [m]. Several balls are a tool that is exact on solids; on voxels only points
-        are felt.
+        Radius of a ball around every point [m]. Several balls are a tool that is exact on solids;
+        on voxels only points are felt.
     """
 
     points_m: Array
@@ -30,8 +31,12 @@ class ToolShell:
     radius_m: float = 0.0
 
     @classmethod
-    def ball(cls, radius_m: float = 0.0, *, centre_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> "ToolShell":
-        """One exact ball of ``radius_m`` [m], or with radius 0 the point of the classical god-object."""
+    def ball(
+        cls, radius_m: float = 0.0, *, centre_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ) -> "ToolShell":
+        """One exact ball of ``radius_m`` [m], or with radius 0 the point of the classical
+        god-object.
+        """
         return cls(np.array([centre_m], dtype=np.float64), np.zeros((1, 3)), radius_m)
 
     @classmethod

@@ -1,8 +1,9 @@
 """What a rigid tool may touch: bone in voxels, and exact half-spaces, boxes and balls.
 
-The voxels are read in place, in the store that a cutter carves: nothing is copied and nothing has to be brought
-up to date, see :mod:`kernels.voxmap`. A deformable organ does not belong here: its contact moves the surface as well as
-the tool and is solved where the organ's compliance is known, so there the tool itself is the proxy.
+The voxels are read in place, in the store that a cutter carves: nothing is copied and nothing has
+to be brought up to date, see :mod:`kernels.voxmap`. A deformable organ does not belong here: its
+contact moves the surface as well as the tool and is solved where the organ's compliance is known,
+so there the tool itself is the proxy.
 """
 
 from dataclasses import dataclass, field
@@ -78,20 +79,25 @@ class ContactField:
     *solids
         Exact convex solids. A concave thing is several of them: an inner corner is two half-spaces.
     store
-        Bone that may be carved while it is touched. Its surface is where the trilinear fraction is 1/4, about a quarter
-        of a voxel outside the true one, which a tool with normals makes up for; see :mod:`kernels.voxmap`.
+        Bone that may be carved while it is touched. Its surface is where the trilinear fraction is
+        1/4, about a quarter of a voxel outside the true one, which a tool with normals makes up
+        for; see :mod:`kernels.voxmap`.
     device
         Warp device name; a store's own device takes its place.
     """
 
-    def __init__(self, *solids: Solid, store: BrickStore | None = None, device: str = "cpu") -> None:
+    def __init__(
+        self, *solids: Solid, store: BrickStore | None = None, device: str = "cpu"
+    ) -> None:
         self.device = str(store.remaining.device) if store is not None else device
         self.spacing_m = store.grid.spacing_m if store is not None else 0.0
         self.sink_m = (0.5 - SURFACE) * self.spacing_m
         """How far shell points are sunk into the tool [m]."""
         self.solid_count = len(solids)
         arrays = Field()
-        kinds, centres, turns, sizes = zip(*map(_solid, solids), strict=True) if solids else ((), (), (), ())
+        kinds, centres, turns, sizes = (
+            zip(*map(_solid, solids), strict=True) if solids else ((), (), (), ())
+        )
         arrays.kind = wp.array(kinds, dtype=wp.int32, device=self.device)
         arrays.centre = wp.array(np.reshape(centres, (-1, 3)), dtype=wp.vec3d, device=self.device)
         arrays.turn = wp.array(np.reshape(turns, (-1, 3, 3)), dtype=wp.mat33d, device=self.device)
@@ -106,17 +112,22 @@ class ContactField:
         self.arrays = arrays
 
     def distance(self, points_m: Array) -> tuple[Array, Array]:
-        """Distance [m] to the nearest solid, shape (n,), and the direction out, shape (n, 3), at points, shape (n, 3).
+        """Distance [m] to the nearest solid, shape (n,), and the direction out, shape (n, 3), at
+        points, shape (n, 3).
 
-        Exact for solids. For voxels the distance to where their surface is felt, first order in it within half a voxel;
-        farther off a lower bound and the direction (0, 0, 0).
+        Exact for solids. For voxels the distance to where their surface is felt, first order in it
+        within half a voxel; farther off a lower bound and the direction (0, 0, 0).
         """
         points = np.ascontiguousarray(points_m, dtype=np.float64)
         distance = wp.zeros(len(points), dtype=wp.float64, device=self.device)
         normal = wp.zeros(len(points), dtype=wp.vec3d, device=self.device)
         at: wp.array[object] = wp.array(points, dtype=wp.vec3d, device=self.device)
         wp.launch(
-            field_distance, dim=len(points), inputs=[at, self.arrays], outputs=[distance, normal], device=self.device
+            field_distance,
+            dim=len(points),
+            inputs=[at, self.arrays],
+            outputs=[distance, normal],
+            device=self.device,
         )
         return distance.numpy(), normal.numpy()
 
@@ -137,9 +148,13 @@ def _solid(solid: Solid) -> tuple[int, Array, Array, Array]:
 
 
 def _clearance(holds: NDArray[np.bool_], spacing_m: float) -> NDArray[np.float32]:
-    """Lower bound of the distance [m] from anywhere in each cell of voxels to where bone is felt."""
+    """Lower bound of the distance [m] from anywhere in each cell of voxels to where bone is
+    felt.
+    """
     counts = [ceil(n / CELL) for n in holds.shape]
-    padded = np.pad(holds, [(0, CELL * count - n) for count, n in zip(counts, holds.shape, strict=True)])
+    padded = np.pad(
+        holds, [(0, CELL * count - n) for count, n in zip(counts, holds.shape, strict=True)]
+    )
     x, y, z = counts
     full = padded.reshape(x, CELL, y, CELL, z, CELL).any(axis=(1, 3, 5))
     if not full.any():

@@ -25,8 +25,8 @@ class HardwareSample(NamedTuple):
 class HardwareAdapter(Protocol):
     """A real device in its own frame; a `MappedDevice` makes a `Device` of it.
 
-    Entering opens it; leaving takes all force off it and closes it. ``close`` takes all force off it by other means
-    than ``push`` and may be called from another thread.
+    Entering opens it; leaving takes all force off it and closes it. ``close`` takes all force off
+    it by other means than ``push`` and may be called from another thread.
 
     Attributes
     ----------
@@ -39,7 +39,10 @@ class HardwareAdapter(Protocol):
     def __enter__(self) -> Self: ...
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None: ...
 
     def poll(self) -> HardwareSample | None:

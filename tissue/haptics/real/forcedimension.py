@@ -1,7 +1,8 @@
 """Force Dimension's devices by forcedimension-core, which loads the vendor's library at run time.
 
-Read in forcedimension-core 1.0.0: every call takes the device's number, returns -1 for an error, and fills a buffer.
-Positions are in m, matrices hold the axes of the handle as columns; x points to the hand, y to its right, z up.
+Read in forcedimension-core 1.0.0: every call takes the device's number, returns -1 for an error,
+and fills a buffer. Positions are in m, matrices hold the axes of the handle as columns; x points to
+the hand, y to its right, z up.
 """
 
 from collections import Counter
@@ -21,12 +22,15 @@ if TYPE_CHECKING:
 __all__ = ["ForceDimensionAdapter", "SigmaAdapter"]
 
 FAILED, UNCHANGED = -1, 1
-"""What a call returns: an error, or that the device was not asked again so soon after the last call (TIMEGUARD)."""
+"""What a call returns: an error, or that the device was not asked again so soon after the last
+call (TIMEGUARD).
+"""
 MOST_FAILURES = 100
 """Failed calls one after the other after which the device is lost."""
 FIRST = -1
 MISSING = (
-    "must be installed for a device of Force Dimension, got none: pip install 'tissue-sim[forcedimension]' with Python "
+    "must be installed for a device of Force Dimension, got none: pip install "
+    "'tissue-sim[forcedimension]' with Python "
     "3.11 or 3.12, and the SDK of forcedimension.com"
 )
 
@@ -38,8 +42,8 @@ _OPEN: Counter[int] = Counter()
 class ForceDimensionAdapter:
     """A device of Force Dimension whose wrist, if any, has no motors, such as the omega.6.
 
-    Each call asks the device by USB and returns within a fraction of a millisecond, so that the loop's thread makes
-    them; a wrist without motors is read.
+    Each call asks the device by USB and returns within a fraction of a millisecond, so that the
+    loop's thread makes them; a wrist without motors is read.
 
     Parameters
     ----------
@@ -60,7 +64,8 @@ class ForceDimensionAdapter:
         address = hardware.address if hardware else ""
         if address and not (address.isascii() and address.isdigit()):
             raise InputError(
-                f"hardware.address must be a serial number, got {address}: leave it out for the first device"
+                f"hardware.address must be a serial number, got {address}: leave it out for "
+                "the first device"
             )
         self._serial = int(address) if address else FIRST
         self.limits: DeviceParameters = device_parameters(self.name)
@@ -73,7 +78,9 @@ class ForceDimensionAdapter:
 
     @classmethod
     def find(cls, address: str = "") -> list[FoundDevice]:
-        """Devices of this kind that are connected, or why there are none; each is opened for a moment."""
+        """Devices of this kind that are connected, or why there are none; each is opened for a
+        moment.
+        """
         try:
             dhd = _library()
         except InputError as error:
@@ -81,19 +88,36 @@ class ForceDimensionAdapter:
         found = []
         for index in range(max(dhd.getDeviceCount(), 0)):
             if (number := dhd.openID(index)) == FAILED:
-                found.append(FoundDevice(name=cls.name, where=f"device {index}", problem=_refused(dhd)))
+                found.append(
+                    FoundDevice(name=cls.name, where=f"device {index}", problem=_refused(dhd))
+                )
                 continue
             try:
                 if bool(dhd.hasActiveWrist(number)) != cls.has_motors:
                     continue
-                serial, model = str(dhd.getSerialNumber(number)), dhd.getSystemName(number) or "unknown model"
+                serial, model = (
+                    str(dhd.getSerialNumber(number)),
+                    dhd.getSystemName(number) or "unknown model",
+                )
             finally:
                 if not _OPEN[number]:  # it would end the run of the adapter that has it open
                     dhd.close(number)
             if address in ("", serial):
-                found.append(FoundDevice(name=cls.name, where=serial, detail=model, limits=device_parameters(cls.name)))
+                found.append(
+                    FoundDevice(
+                        name=cls.name,
+                        where=serial,
+                        detail=model,
+                        limits=device_parameters(cls.name),
+                    )
+                )
         if not found and not cls.has_motors:
-            found = [FoundDevice(name=cls.name, problem="a device must be connected, got none: check power and cable")]
+            found = [
+                FoundDevice(
+                    name=cls.name,
+                    problem="a device must be connected, got none: check power and cable",
+                )
+            ]
         return found
 
     def __enter__(self) -> Self:
@@ -107,7 +131,8 @@ class ForceDimensionAdapter:
             if bool(dhd.hasActiveWrist(number)) != self.has_motors:
                 other = "forcedimension" if self.has_motors else "sigma-7"
                 raise InputError(
-                    f"device must be {other} for this hardware, got {self.name} for {dhd.getSystemName(number)}: set "
+                    f"device must be {other} for this hardware, got {self.name} for "
+                    f"{dhd.getSystemName(number)}: set "
                     f"device = {other}"
                 )
             self._has_wrist = bool(dhd.hasWrist(number))
@@ -122,7 +147,10 @@ class ForceDimensionAdapter:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close()
 
@@ -142,7 +170,8 @@ class ForceDimensionAdapter:
         self._count(answer)
         if answer in (FAILED, UNCHANGED):
             return None
-        # Both need two positions within their window and fail before: the device then counts as resting.
+        # Both need two positions within their window and fail before: the device then counts as
+        # resting.
         moves = dhd.getLinearVelocity(self._velocity, number) != FAILED
         turns = self._has_wrist and dhd.getAngularVelocityRad(self._spin, number) != FAILED
         (x, y, z), (vx, vy, vz), (wx, wy, wz) = self._position, self._velocity, self._spin
@@ -155,7 +184,8 @@ class ForceDimensionAdapter:
         )
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Play a force and, with motors in the wrist, a torque; the device holds them until the next ones.
+        """Play a force and, with motors in the wrist, a torque; the device holds them until the
+        next ones.
 
         Raises
         ------
@@ -166,7 +196,9 @@ class ForceDimensionAdapter:
         self._count(self._dhd.setForceAndTorque(force_N.tolist(), torque, self._id))
 
     def close(self) -> None:
-        """Take all force off by switching the motors off, and close the device, unless another adapter uses it."""
+        """Take all force off by switching the motors off, and close the device, unless another
+        adapter uses it.
+        """
         dhd, self._dhd = self._dhd, None
         if dhd is None:
             return
@@ -195,12 +227,20 @@ def _library() -> Any:
     """The functions of the vendor's library by which one device is used."""
     try:
         from forcedimension_core import dhd
-    except Exception as error:  # it raises ImportError without the vendor's library, and others for one that is damaged
-        what = "forcedimension-core" if isinstance(error, ModuleNotFoundError) else "the SDK of forcedimension.com"
+    except Exception as error:
+        # it raises ImportError without the vendor's library, and others for one that is damaged
+        what = (
+            "forcedimension-core"
+            if isinstance(error, ModuleNotFoundError)
+            else "the SDK of forcedimension.com"
+        )
         raise InputError(f"{what} {MISSING}") from None
     return dhd
 
 
 def _refused(dhd: Any) -> str:
     """The last error of the library as a sentence."""
-    return f"the device must answer, got {dhd.errorGetLastStr()}: check power, cable and that no other program uses it"
+    return (
+        f"the device must answer, got {dhd.errorGetLastStr()}: check power, cable and that no "
+        "other program uses it"
+    )

@@ -1,6 +1,8 @@
-"""Haply's Inverse3 by its Inverse Service: three degrees of freedom with force, orientation and buttons by the handle.
+"""Haply's Inverse3 by its Inverse Service: three degrees of freedom with force, orientation and
+buttons by the handle.
 
-Not for clinical use. Tested against a stand-in that speaks the documented protocol, not against the device.
+Not for clinical use. Tested against a stand-in that speaks the documented protocol, not against the
+device.
 """
 
 from types import TracebackType
@@ -23,13 +25,15 @@ NAME = "haply"
 class HaplyAdapter:
     """An Inverse3 in its own frame: x to the right, y forward, z up.
 
-    `poll` and `push` only exchange numbers with the thread of a `HaplyLink`, so that they never wait. A torque is not
-    played. Whatever ends the block, zero is the last force that the service is sent.
+    `poll` and `push` only exchange numbers with the thread of a `HaplyLink`, so that they never
+    wait. A torque is not played. Whatever ends the block, zero is the last force that the service
+    is sent.
 
     Parameters
     ----------
     hardware
-        Its ``address`` is that of the service, ``ws://HOST:PORT``, with ``#DEVICE`` for one of several devices.
+        Its ``address`` is that of the service, ``ws://HOST:PORT``, with ``#DEVICE`` for one of
+        several devices.
     """
 
     def __init__(self, hardware: Hardware | None = None) -> None:
@@ -44,7 +48,10 @@ class HaplyAdapter:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._link.end()
 
@@ -59,7 +66,9 @@ class HaplyAdapter:
         return self._link.newest()
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Let a force be sent, at once and again every millisecond for as long as it is pushed again."""
+        """Let a force be sent, at once and again every millisecond for as long as it is pushed
+        again.
+        """
         x, y, z = force_N.tolist()
         force: Triple = (x, y, z)
         self._link.play(force)

@@ -1,8 +1,9 @@
 """The frames of Haply's Inverse Service: what it sends merged and read, and what it is sent.
 
-Facts: the vendor's pages websocket-protocol, control-commands, json-conventions and http of the Inverse SDK 3.5, read.
-Metres, m/s and newtons in a right-handed frame with x to the right, y forward and z up. The first frame holds all of
-every device; later ones may hold less of it. Quaternions come as w, x, y, z by name.
+Facts: the vendor's pages websocket-protocol, control-commands, json-conventions and http of the
+Inverse SDK 3.5, read. Metres, m/s and newtons in a right-handed frame with x to the right, y
+forward and z up. The first frame holds all of every device; later ones may hold less of it.
+Quaternions come as w, x, y, z by name.
 """
 
 import json
@@ -19,7 +20,9 @@ __all__ = ["ServiceState", "force_frame", "opening_frame", "spelling_of", "versi
 GRIPS = ("wireless_verse_grip", "verse_grip", "custom_verse_grip")
 """Handles that give orientation and buttons, in the order in which they are looked for."""
 VECTOR_SINCE = (3, 5)
-"""Version of the service from which a force is called ``vector``; before it is called ``values``."""
+"""Version of the service from which a force is called ``vector``; before it is called
+``values``.
+"""
 MOST = 1e6
 """A number of this size or more is none that a device states."""
 PROFILE = "tissue:simulation"
@@ -27,7 +30,8 @@ PROFILE = "tissue:simulation"
 
 
 class ServiceState:
-    """What is known of the devices of a service: the first frame, and what later frames have changed of it.
+    """What is known of the devices of a service: the first frame, and what later frames have
+    changed of it.
 
     Attributes
     ----------
@@ -40,7 +44,8 @@ class ServiceState:
         self._known: dict[str, dict[str, dict[str, Any]]] = {}
 
     def take(self, text: str | bytes) -> bool:
-        """Merge a frame; whether it holds something of the device's state, so that it gives a new sample.
+        """Merge a frame; whether it holds something of the device's state, so that it gives a new
+        sample.
 
         What is no JSON, or not built as a frame is, changes nothing.
         """
@@ -56,7 +61,9 @@ class ServiceState:
                 _merge(device, entry)
         if not self.device_id:
             self.device_id = next(iter(self._known.get("inverse3", {})), "")
-        mine = [each for each in _listed(frame.get("inverse3")) if each["device_id"] == self.device_id]
+        mine = [
+            each for each in _listed(frame.get("inverse3")) if each["device_id"] == self.device_id
+        ]
         return any(isinstance(each.get("state"), dict) for each in mine)
 
     @property
@@ -74,10 +81,15 @@ class ServiceState:
         return _part(self.device, "status").get(name)
 
     def sample(self) -> HardwareSample | None:
-        """The device's sample with orientation and buttons of the handle; None where a number is missing or none."""
+        """The device's sample with orientation and buttons of the handle; None where a number is
+        missing or none.
+        """
         state, grip = _part(self.device, "state"), self._grip()
         held = _part(grip, "state")
-        position, velocity = _triple(state.get("cursor_position")), _triple(state.get("cursor_velocity"))
+        position, velocity = (
+            _triple(state.get("cursor_position")),
+            _triple(state.get("cursor_velocity")),
+        )
         if position is None:
             return None
         turned = _quaternion(held.get("orientation"))
@@ -103,12 +115,18 @@ class ServiceState:
 
 
 def spelling_of(version: tuple[int, int] | None, *, has_session: bool) -> str:
-    """Name of the force in a command, ``vector`` or ``values``: by the version; where it is unknown, by a session."""
-    return "vector" if (version >= VECTOR_SINCE if version is not None else has_session) else "values"
+    """Name of the force in a command, ``vector`` or ``values``: by the version; where it is
+    unknown, by a session.
+    """
+    return (
+        "vector" if (version >= VECTOR_SINCE if version is not None else has_session) else "values"
+    )
 
 
 def version_in(text: str | bytes) -> tuple[int, int] | None:
-    """Major and minor version in what the service answers to ``/version``; None where there is none."""
+    """Major and minor version in what the service answers to ``/version``; None where there is
+    none.
+    """
     try:
         answer = read_json(text)
     except ValueError:
@@ -122,7 +140,9 @@ def version_in(text: str | bytes) -> tuple[int, int] | None:
 
 
 def force_frame(device_id: str, force_N: Triple, spelling: str) -> str:
-    """The command of a force in the device's frame, which the service forgets unless it is sent again."""
+    """The command of a force in the device's frame, which the service forgets unless it is sent
+    again.
+    """
     x, y, z = force_N
     vector = f'{{"x":{x:.6f},"y":{y:.6f},"z":{z:.6f}}}'
     return (
@@ -140,7 +160,11 @@ def opening_frame(device_id: str, spelling: str) -> str:
 def _listed(group: object) -> list[dict[str, Any]]:
     """The devices of a group that are built as devices are."""
     devices = group if isinstance(group, list) else []
-    return [each for each in devices if isinstance(each, dict) and isinstance(each.get("device_id"), str)]
+    return [
+        each
+        for each in devices
+        if isinstance(each, dict) and isinstance(each.get("device_id"), str)
+    ]
 
 
 def _merge(known: dict[str, Any], news: Mapping[str, Any]) -> None:
@@ -161,7 +185,10 @@ def _part(whole: object, name: str) -> dict[str, Any]:
 def _numbers(table: object, names: str) -> list[float] | None:
     """Finite numbers of a table by their names; None where one is missing or none."""
     found = [table.get(name) for name in names] if isinstance(table, dict) else [None]
-    if not all(isinstance(each, int | float) and not isinstance(each, bool) and abs(each) < MOST for each in found):
+    if not all(
+        isinstance(each, int | float) and not isinstance(each, bool) and abs(each) < MOST
+        for each in found
+    ):
         return None
     return [float(each) for each in found]  # type: ignore[arg-type]
 
@@ -173,11 +200,19 @@ def _triple(table: object) -> Triple | None:
 
 def _quaternion(table: object) -> Quaternion:
     numbers = _numbers(table, "xyzw")
-    return (0.0, 0.0, 0.0, 1.0) if numbers is None else (numbers[0], numbers[1], numbers[2], numbers[3])
+    return (
+        (0.0, 0.0, 0.0, 1.0)
+        if numbers is None
+        else (numbers[0], numbers[1], numbers[2], numbers[3])
+    )
 
 
 def _buttons(state: Mapping[str, Any]) -> int:
     """Bit i for the i-th button by name; a handle with one alone calls it ``button``."""
     buttons = state.get("buttons")
-    held = [buttons[name] for name in sorted(buttons)] if isinstance(buttons, dict) else [state.get("button", False)]
+    held = (
+        [buttons[name] for name in sorted(buttons)]
+        if isinstance(buttons, dict)
+        else [state.get("button", False)]
+    )
     return sum(1 << place for place, each in enumerate(held) if each is True)

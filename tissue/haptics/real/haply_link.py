@@ -1,9 +1,11 @@
-"""The exchange of frames with Haply's Inverse Service in a thread of its own: newest force out, newest state in.
+"""The exchange of frames with Haply's Inverse Service in a thread of its own: newest force out,
+newest state in.
 
-The service answers every frame that it is sent with one state, and plays a force for as long as it is sent again. So at
-most one frame waits for its answer, which belongs to the force before it, and a sample is no older than its exchange. A
-late answer ends that, because no frame states what it answers: zero is sent, and nothing more until as many answers
-have come as were asked for, or are given up.
+The service answers every frame that it is sent with one state, and plays a force for as long as it
+is sent again. So at most one frame waits for its answer, which belongs to the force before it, and
+a sample is no older than its exchange. A late answer ends that, because no frame states what it
+answers: zero is sent, and nothing more until as many answers have come as were asked for, or are
+given up.
 """
 
 import socket
@@ -56,7 +58,8 @@ class HaplyLink:
     Parameters
     ----------
     address
-        Address of the service, with the device's identity behind a #; empty for the usual one and the first device.
+        Address of the service, with the device's identity behind a #; empty for the usual one and
+        the first device.
 
     Attributes
     ----------
@@ -108,20 +111,28 @@ class HaplyLink:
             from websockets.sync.client import connect
         except ModuleNotFoundError:
             raise InputError(
-                "websockets must be installed for device = haply, got none: pip install 'tissue-sim[haply]'"
+                "websockets must be installed for device = haply, got none: pip install "
+                "'tissue-sim[haply]'"
             ) from None
         self.state = ServiceState(self._device_id)
         try:
             self._socket = self._stack.enter_context(
                 connect(
-                    self.url, compression=None, proxy=None, open_timeout=OPEN_S, close_timeout=0.1, ping_interval=None
+                    self.url,
+                    compression=None,
+                    proxy=None,
+                    open_timeout=OPEN_S,
+                    close_timeout=0.1,
+                    ping_interval=None,
                 )
             )
             first = self._socket.recv(timeout=OPEN_S)
         except (OSError, WebSocketException) as error:
             self._disconnect()
             words = " ".join(str(error).split()) or type(error).__name__
-            raise InputError(f"haply must be reached at {self.url}, got {words}: {START_IT}") from None
+            raise InputError(
+                f"haply must be reached at {self.url}, got {words}: {START_IT}"
+            ) from None
         self.state.take(first)
         self.version = asked_version(self._host, self._port)
         self._spelling = spelling_of(self.version, has_session=b"session_id" in _bytes(first))
@@ -138,7 +149,10 @@ class HaplyLink:
             self._disconnect()
             raise InputError(problem)
         if self.state.status("in_use") is True:
-            self._log("another program uses the device: the service adds the forces of both, close the other")
+            self._log(
+                "another program uses the device: the service adds the forces of both, close "
+                "the other"
+            )
         self._sample, self._sampled_s = None, perf_counter()
         self._thread = threading.Thread(target=self._run, daemon=True, name="haply")
         self._thread.start()
@@ -157,9 +171,14 @@ class HaplyLink:
         sample, self._sample = self._sample, None
         if self._problem:
             raise DeviceError(self._problem)
-        if sample is None and perf_counter() - self._sampled_s > GIVE_UP_S and not self._ended.is_set():
+        if (
+            sample is None
+            and perf_counter() - self._sampled_s > GIVE_UP_S
+            and not self._ended.is_set()
+        ):
             raise DeviceError(
-                f"haply must answer, got no state of {self.state.device_id} for {GIVE_UP_S:g} s: check the device's "
+                f"haply must answer, got no state of {self.state.device_id} for "
+                f"{GIVE_UP_S:g} s: check the device's "
                 "cable and power, and restart the Inverse Service"
             )
         return sample
@@ -170,7 +189,9 @@ class HaplyLink:
         self._wake.set()
 
     def end(self) -> None:
-        """Send zero as the last force and leave the service; may be called from any thread, and again."""
+        """Send zero as the last force and leave the service; may be called from any thread, and
+        again.
+        """
         self._force = NO_FORCE
         self._ended.set()
         self._wake.set()
@@ -179,7 +200,8 @@ class HaplyLink:
         zero = force_frame(self.state.device_id, NO_FORCE, self._spelling)
         is_read = self._thread is None
         if self._thread is not None and self._sending.acquire(timeout=0.05):
-            # On a busy machine the thread may not have come to it; a service that reads no more would block it.
+            # On a busy machine the thread may not have come to it; a service that reads no more
+            # would block it.
             is_read = returned_within(0.1, lambda: self._open_socket.send(zero))
             self._sending.release()
         self._disconnect(cut=not is_read)
@@ -193,9 +215,15 @@ class HaplyLink:
             try:
                 self._exchange()
             except (OSError, WebSocketException) as error:
-                goes_on = not self._ended.is_set() and self._reached_again(" ".join(str(error).split()))
-            except Exception as error:  # nothing may leave the loop waiting for a thread that is gone
-                self._problem = f"haply must send frames as documented, got {type(error).__name__} ({error}): report it"
+                goes_on = not self._ended.is_set() and self._reached_again(
+                    " ".join(str(error).split())
+                )
+            except Exception as error:
+                # nothing may leave the loop waiting for a thread that is gone
+                self._problem = (
+                    f"haply must send frames as documented, got {type(error).__name__} "
+                    f"({error}): report it"
+                )
                 goes_on = False
         with suppress(OSError, WebSocketException):
             self._send(NO_FORCE)
@@ -240,16 +268,21 @@ class HaplyLink:
         elif (sample := self.state.sample()) is not None:
             was_wrong, now = self._order.is_wrong, perf_counter()
             if not self._order.observe(sample, now):
-                if now - self._asked_s < ANSWER_S:  # this thread may have stood still before it took the answer
+                # this thread may have stood still before it took the answer
+                if now - self._asked_s < ANSWER_S:
                     self._sample, self._sampled_s = sample, now
             elif not was_wrong:
                 self._log("states of the service come in a wrong order: the force is taken off")
 
     def _await_answers(self) -> None:
-        """Take the force off, and wait for the answers that are late, of which none is a new sample."""
+        """Take the force off, and wait for the answers that are late, of which none is a new
+        sample.
+        """
         self._force, self._sample = NO_FORCE, None
         self.releases += 1
-        self._log(f"the service did not answer within {1e3 * ANSWER_S:g} ms: the force is taken off")
+        self._log(
+            f"the service did not answer within {1e3 * ANSWER_S:g} ms: the force is taken off"
+        )
         self._send(NO_FORCE)
         link, missing, until = self._open_socket, 2, perf_counter() + LOST_S
         while missing > 0 and perf_counter() < until and not self._ended.is_set():
@@ -271,7 +304,9 @@ class HaplyLink:
                     self._sampled_s = perf_counter()
                     return True
         self._problem = problem_of(self.state) if self.state.device_ids else ""
-        self._problem = self._problem or f"haply must keep its connection, got {why or 'it closed'}: {START_IT}"
+        self._problem = (
+            self._problem or f"haply must keep its connection, got {why or 'it closed'}: {START_IT}"
+        )
         return False
 
     @property

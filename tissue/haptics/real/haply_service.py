@@ -12,13 +12,16 @@ __all__ = ["asked_version", "problem_of", "service_address"]
 
 USUAL = "ws://localhost:10001"
 ANSWER_S, STATED_S = 0.5, 2.0
-"""How long the service may be silent before it states its version, and how long that may take in all [s]."""
+"""How long the service may be silent before it states its version, and how long that may take in
+all [s].
+"""
 LONGEST = 65_536
 """Bytes that are read of what states the version."""
 
 
 def service_address(address: str) -> tuple[str, str, int, str]:
-    """Address of the WebSocket, its host and port, and the device's identity, of ``hardware.address``.
+    """Address of the WebSocket, its host and port, and the device's identity, of
+    ``hardware.address``.
 
     Raises
     ------
@@ -32,7 +35,8 @@ def service_address(address: str) -> tuple[str, str, int, str]:
         host = port = None
     if parts.scheme != "ws" or not host or not port or parts.path not in ("", "/"):
         raise InputError(
-            f"hardware.address must be ws://HOST:PORT, with #DEVICE for one of several, got {address}: use {USUAL}"
+            "hardware.address must be ws://HOST:PORT, with #DEVICE for one of several, got "
+            f"{address}: use {USUAL}"
         )
     return f"ws://{parts.netloc}", host, port, parts.fragment
 
@@ -41,9 +45,15 @@ def problem_of(state: ServiceState) -> str:
     """Why the device cannot be used, in one sentence; nothing where it can."""
     name, ids = state.device_id, state.device_ids
     if not ids:
-        return "haply must list an Inverse3, got none: plug it in, switch it on, and look for it in Haply Hub"
+        return (
+            "haply must list an Inverse3, got none: plug it in, switch it on, and look for it in "
+            "Haply Hub"
+        )
     if name not in ids:
-        return f"hardware.address must name one of the devices {', '.join(ids)} behind #, got {name}: use #{ids[0]}"
+        return (
+            f"hardware.address must name one of the devices {', '.join(ids)} behind #, got "
+            f"{name}: use #{ids[0]}"
+        )
     for entry, must, remedy in (
         ("calibrated", "be calibrated", "calibrate it as Haply Hub shows, and start again"),
         ("power_supply", "have power", "connect its power supply"),
@@ -55,7 +65,9 @@ def problem_of(state: ServiceState) -> str:
 
 
 def asked_version(host: str, port: int) -> tuple[int, int] | None:
-    """Return the service's version, as it states it at the same port by HTTP; None where it does not in time."""
+    """Return the service's version, as it states it at the same port by HTTP; None where it does
+    not in time.
+    """
     found: list[tuple[int, int]] = []
     returned_within(STATED_S, lambda: found.extend(_versions(host, port)))
     return found[0] if found else None

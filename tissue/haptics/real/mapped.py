@@ -1,4 +1,6 @@
-"""A real device in the scene's frame: its workspace turned and placed, its force limited, faded in and taken off."""
+"""A real device in the scene's frame: its workspace turned and placed, its force limited, faded
+in and taken off.
+"""
 
 from collections.abc import Callable
 from math import sqrt
@@ -24,19 +26,22 @@ MOST_EVENTS = 100
 
 
 class MappedDevice:
-    """What a run holds of a real device: an adapter with a workspace in the scene and what protects the hand.
+    """What a run holds of a real device: an adapter with a workspace in the scene and what protects
+    the hand.
 
-    The first sample is where the tool starts; scale is ``coupling.motion_scale`` of the run and not made here. Without
-    a new sample the last one is repeated until the watchdog ends; then there is none, and the force is zero at once.
-    The force is the commanded one, no longer than the cap, times a share that rises in a straight line from 0 to 1 in
-    the ramp: after the start, a lost device, the clutch, and the force button; while there is no reason for force, such
-    as a clutch that is held, the share is 0.
+    The first sample is where the tool starts; scale is ``coupling.motion_scale`` of the run and not
+    made here. Without a new sample the last one is repeated until the watchdog ends; then there is
+    none, and the force is zero at once. The force is the commanded one, no longer than the cap,
+    times a share that rises in a straight line from 0 to 1 in the ramp: after the start, a lost
+    device, the clutch, and the force button; while there is no reason for force, such as a clutch
+    that is held, the share is 0.
 
     Parameters
     ----------
     adapter
-        The device in its own frame. It may have ``releases``, how often it has taken the force off by itself, after
-        which the ramp begins anew, and ``happened()``, sentences of what it has found.
+        The device in its own frame. It may have ``releases``, how often it has taken the force off
+        by itself, after which the ramp begins anew, and ``happened()``, sentences of what it has
+        found.
     hardware
         How its workspace lies in the scene, and the limits.
     start_m
@@ -72,8 +77,13 @@ class MappedDevice:
         self.limits: DeviceParameters = adapter.limits
         self._space = Workspace(self._settings.turn_deg, start_m)
         self._reach = reach_of(adapter, self.limits)
-        self._cap = min(self._settings.force_cap_N or self.limits.force_limit_N, self.limits.force_limit_N)
-        self._patience, self._ramp = 1e-3 * self._settings.watchdog_ms, 1e-3 * self._settings.ramp_ms
+        self._cap = min(
+            self._settings.force_cap_N or self.limits.force_limit_N, self.limits.force_limit_N
+        )
+        self._patience, self._ramp = (
+            1e-3 * self._settings.watchdog_ms,
+            1e-3 * self._settings.ramp_ms,
+        )
         self.played: tuple[Array, Array] = (np.zeros(3), np.zeros(3))
         self.share = 0.0
         self._events: list[tuple[float, str]] = []
@@ -89,7 +99,10 @@ class MappedDevice:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         try:
             self.command(np.zeros(3), np.zeros(3))
@@ -101,7 +114,8 @@ class MappedDevice:
         self._adapter.close()
 
     def read(self, time_s: float) -> Sample | None:
-        """The newest sample in the world frame, where the clutch leaves it; None once the watchdog has ended.
+        """The newest sample in the world frame, where the clutch leaves it; None once the watchdog
+        has ended.
 
         Raises
         ------
@@ -132,18 +146,27 @@ class MappedDevice:
         clutched = _held(newest.buttons, self._settings.clutch_button, otherwise=False)
         wanted = not clutched and _held(newest.buttons, self._settings.force_button, otherwise=True)
         self.share = self._ramped(elapsed) if wanted else 0.0
-        position, quaternion = self._space.pose(newest.position_m, newest.quaternion, clutched=clutched)
+        position, quaternion = self._space.pose(
+            newest.position_m, newest.quaternion, clutched=clutched
+        )
         if clutched:
             return Sample(time_s, position, STILL, quaternion, STILL)
-        velocity, spin = self._space.turned(newest.velocity_m_s), self._space.turned(newest.spin_rad_s)
+        velocity, spin = (
+            self._space.turned(newest.velocity_m_s),
+            self._space.turned(newest.spin_rad_s),
+        )
         return Sample(time_s, position, velocity, quaternion, spin)
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
-        """Play a force and a torque of the world frame, as much of them as share and cap let through."""
+        """Play a force and a torque of the world frame, as much of them as share and cap let
+        through.
+        """
         size = sqrt(force_N.dot(force_N))
         share = self.share * (self._cap / size if size > self._cap else 1.0)
         self.played = share * force_N, self.share * torque_Nm
-        self._adapter.push(self._space.at_device(self.played[0]), self._space.at_device(self.played[1]))
+        self._adapter.push(
+            self._space.at_device(self.played[0]), self._space.at_device(self.played[1])
+        )
 
     def happened(self) -> list[tuple[float, str]]:
         """What the watchdog and the adapter have found so far, time [s] and a sentence each."""
@@ -151,7 +174,9 @@ class MappedDevice:
         return self._events
 
     def _begin(self, time_s: float) -> None:
-        """A run begins: the next sample is where its tool starts, and the force comes on from zero."""
+        """A run begins: the next sample is where its tool starts, and the force comes on from
+        zero.
+        """
         self.share, self._time = 0.0, time_s
         self._space.forget()
         if self._reach is not None:

@@ -18,14 +18,20 @@ SLOWEST_HZ, LONGEST_S = 10.0, 0.2
 def write_measured(path: Path, name: str, test: SelfTest) -> None:
     """Write rate and latency of a device as constants of it, with their ranges.
 
-    The rate is the mean one, and that of our ticks where nearly every tick has a sample; the low end of its range is
-    what 99 % of the intervals keep. The latency is the round trip, or what the calls take where the device shows none.
+    The rate is the mean one, and that of our ticks where nearly every tick has a sample; the low
+    end of its range is what 99 % of the intervals keep. The latency is the round trip, or what the
+    calls take where the device shows none.
     """
     most = 1.0 / TICK_S
-    rate, low = (min(max(each, SLOWEST_HZ), most) for each in (test.rate_Hz, 1.0 / test.interval_99_s))
+    rate, low = (
+        min(max(each, SLOWEST_HZ), most) for each in (test.rate_Hz, 1.0 / test.interval_99_s)
+    )
     rate = most if rate >= EVERY_TICK * most else rate
     delay, high = min(test.delay_s, LONGEST_S), min(max(test.delay_99_s, test.delay_s), LONGEST_S)
-    by = f"measured by tissue devices --test {name} for {test.seconds:g} s on {date.today().isoformat()}"
+    by = (
+        f"measured by tissue devices --test {name} for {test.seconds:g} s on "
+        f"{date.today().isoformat()}"
+    )
     entries = (
         ("rate_Hz", rate, min(low, rate), rate, f"{test.samples} samples"),
         ("transport_delay_s", delay, 0.0, high, "median and 99 %"),
@@ -37,5 +43,8 @@ def write_measured(path: Path, name: str, test: SelfTest) -> None:
     )
     with whole_file(path) as temporary:
         temporary.write_text(
-            '# Constants of a device: use them in a scene by  materials = "FILE"\n' + text.rstrip() + "\n", "utf-8"
+            '# Constants of a device: use them in a scene by  materials = "FILE"\n'
+            + text.rstrip()
+            + "\n",
+            "utf-8",
         )

@@ -1,4 +1,6 @@
-"""A user's device over UDP or a WebSocket, by the packets of `tissue.haptics.real.network_protocol`."""
+"""A user's device over UDP or a WebSocket, by the packets of
+`tissue.haptics.real.network_protocol`.
+"""
 
 import socket
 from collections.abc import Hashable
@@ -64,7 +66,9 @@ class UdpTransport:
     def __init__(self, host: str, port: int, session: NetworkSession) -> None:
         self._session, self._closed = session, False
         try:
-            (family, kind, *_, place), *_ = socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_DGRAM)
+            (family, kind, *_, place), *_ = socket.getaddrinfo(
+                host.strip("[]"), port, type=socket.SOCK_DGRAM
+            )
             self._socket = socket.socket(family, kind)
         except OSError as error:
             raise _cannot_listen(f"udp://{host}:{port}", error) from None
@@ -93,7 +97,9 @@ class UdpTransport:
                 self.send(sender, reply)
 
     def send(self, peer: Hashable, data: bytes) -> None:
-        """Send a packet; one that the system does not take at once is dropped, and the device falls silent to zero."""
+        """Send a packet; one that the system does not take at once is dropped, and the device
+        falls silent to zero.
+        """
         with suppress(OSError):
             self._socket.sendto(data, peer)  # type: ignore[call-overload]
 
@@ -109,7 +115,8 @@ class NetworkAdapter:
     Parameters
     ----------
     hardware
-        Its ``address`` is ``udp://HOST:PORT`` or ``ws://HOST:PORT``, where this program listens; empty for `USUAL`.
+        Its ``address`` is ``udp://HOST:PORT`` or ``ws://HOST:PORT``, where this program listens;
+        empty for `USUAL`.
 
     Attributes
     ----------
@@ -123,7 +130,9 @@ class NetworkAdapter:
     """
 
     def __init__(self, hardware: "Hardware | None" = None) -> None:
-        self._scheme, self._host, self._port = _parsed((hardware.address if hardware else "") or USUAL)
+        self._scheme, self._host, self._port = _parsed(
+            (hardware.address if hardware else "") or USUAL
+        )
         self.limits: DeviceParameters = device_parameters("network")
         self.session = NetworkSession()
         self._transport: Transport | None = None
@@ -146,13 +155,19 @@ class NetworkAdapter:
             detail, limits = f"listens at {place}", device_parameters("network")
             return [FoundDevice(name="network", where=str(peer), detail=detail, limits=limits)]
         got = "".join(dropped) or "none"
-        problem = f"a device must send packets to {place}, got {got} in {LOOK_S:g} s: start its program"
+        problem = (
+            f"a device must send packets to {place}, got {got} in {LOOK_S:g} s: start its program"
+        )
         return [FoundDevice(name="network", problem=problem)]
 
     @property
     def address(self) -> str:
         """Where it listens, with the port that was taken for 0."""
-        return self._transport.address if self._transport else f"{self._scheme}://{self._host}:{self._port}"
+        return (
+            self._transport.address
+            if self._transport
+            else f"{self._scheme}://{self._host}:{self._port}"
+        )
 
     @property
     def round_trip_s(self) -> float:
@@ -162,7 +177,11 @@ class NetworkAdapter:
     def happened(self) -> list[str]:
         """What was dropped or lost on the line so far, in a sentence, or nothing."""
         good = ("poses", "heartbeats", "hellos")
-        found = [f"{count} as {what}" for what, count in self.session.counts.items() if count and what not in good]
+        found = [
+            f"{count} as {what}"
+            for what, count in self.session.counts.items()
+            if count and what not in good
+        ]
         return [f"packets that were not used: {', '.join(found)}"] if found else []
 
     def __enter__(self) -> Self:
@@ -175,7 +194,10 @@ class NetworkAdapter:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close()
 
@@ -190,7 +212,8 @@ class NetworkAdapter:
         """Send a force and a torque; the device plays them until the next ones, or for 50 ms."""
         (fx, fy, fz), (tx, ty, tz) = force_N.tolist(), torque_Nm.tolist()
         transport, sending = self._transport, self.session.wrench(((fx, fy, fz), (tx, ty, tz)))
-        if transport is not None and sending is not None:  # after a close the packet's number would be an old one
+        # after a close the packet's number would be an old one
+        if transport is not None and sending is not None:
             transport.send(*sending)
 
     def close(self) -> None:
@@ -211,9 +234,16 @@ def _parsed(address: str) -> tuple[str, str, int]:
         host, port = parts.hostname, parts.port
     except ValueError:
         parts, host, port = None, None, None
-    if parts is None or parts.scheme not in ("udp", "ws") or not host or port is None or parts.path.strip("/"):
+    if (
+        parts is None
+        or parts.scheme not in ("udp", "ws")
+        or not host
+        or port is None
+        or parts.path.strip("/")
+    ):
         raise InputError(
-            f"hardware.address must be udp://HOST:PORT or ws://HOST:PORT where a device is awaited, got {address}: use "
+            "hardware.address must be udp://HOST:PORT or ws://HOST:PORT where a device is "
+            f"awaited, got {address}: use "
             f"{USUAL}"
         )
     return parts.scheme, f"[{host}]" if ":" in host else host, port
@@ -223,6 +253,7 @@ def _cannot_listen(address: str, error: OSError) -> InputError:
     """Why an address cannot be listened at."""
     why = (error.strerror or str(error)).lower()
     return InputError(
-        f"hardware.address must be free on this machine, got {address} ({why}): end the program that uses it, or use "
+        f"hardware.address must be free on this machine, got {address} ({why}): end the "
+        "program that uses it, or use "
         "another port"
     )

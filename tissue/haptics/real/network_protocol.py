@@ -1,4 +1,6 @@
-"""Packets between this program and a user's device: a header, a payload and a checksum, little-endian."""
+"""Packets between this program and a user's device: a header, a payload and a checksum,
+little-endian.
+"""
 
 import struct
 import zlib
@@ -10,9 +12,18 @@ from tissue.haptics.real.adapter import HardwareSample
 from tissue.motion.quaternion import Triple, is_nearly_unit
 
 __all__ = [
-    "MAGIC", "NO_WRENCH", "VERSION", "WHOLE", "Kind", "Packet", "PacketError", "Wrench", "is_newer", "packed",
+    "MAGIC",
+    "NO_WRENCH",
+    "VERSION",
+    "WHOLE",
+    "Kind",
+    "Packet",
+    "PacketError",
+    "Wrench",
+    "is_newer",
+    "packed",
     "unpacked",
-]  # fmt: skip
+]
 
 MAGIC = b"TDEV"
 """First four bytes of every packet."""
@@ -21,7 +32,9 @@ HEADER = struct.Struct("<4sBBHIId")
 """Magic, version, kind, bytes of the payload, sequence number, echo, sender's time [s]."""
 CHECKSUM = struct.Struct("<I")
 POSE = struct.Struct("<13dII")
-"""Position [m], quaternion (x, y, z, w), velocity [m/s], spin [rad/s], buttons, and four bytes that are zero."""
+"""Position [m], quaternion (x, y, z, w), velocity [m/s], spin [rad/s], buttons, and four bytes
+that are zero.
+"""
 WRENCH = struct.Struct("<6d")
 """Force [N] and torque [N m]."""
 LONGEST_REASON = 400
@@ -47,7 +60,13 @@ class Kind(IntEnum):
     """The device is not taken, with a sentence."""
 
 
-LENGTHS = {Kind.HELLO: 0, Kind.POSE: POSE.size, Kind.WRENCH: WRENCH.size, Kind.HEARTBEAT: 0, Kind.BYE: 0}
+LENGTHS = {
+    Kind.HELLO: 0,
+    Kind.POSE: POSE.size,
+    Kind.WRENCH: WRENCH.size,
+    Kind.HEARTBEAT: 0,
+    Kind.BYE: 0,
+}
 """Bytes of the payload; a refusal has a sentence of any length."""
 Wrench = tuple[Triple, Triple]
 """Force [N] and torque [N m] on the hand, in the device's frame."""
@@ -90,12 +109,16 @@ def packed(packet: Packet) -> bytes:
     payload = b""
     if packet.kind is Kind.POSE and packet.sample is not None:
         at = packet.sample
-        payload = POSE.pack(*at.position_m, *at.quaternion, *at.velocity_m_s, *at.spin_rad_s, at.buttons, 0)
+        payload = POSE.pack(
+            *at.position_m, *at.quaternion, *at.velocity_m_s, *at.spin_rad_s, at.buttons, 0
+        )
     elif packet.kind is Kind.WRENCH:
         payload = WRENCH.pack(*packet.wrench[0], *packet.wrench[1])
     elif packet.kind is Kind.REFUSED:
         payload = packet.reason.encode("utf-8")[:LONGEST_REASON]
-    head = HEADER.pack(MAGIC, VERSION, packet.kind, len(payload), packet.sequence, packet.echo, packet.time_s)
+    head = HEADER.pack(
+        MAGIC, VERSION, packet.kind, len(payload), packet.sequence, packet.echo, packet.time_s
+    )
     return head + payload + CHECKSUM.pack(zlib.crc32(head + payload))
 
 
@@ -105,7 +128,8 @@ def unpacked(data: bytes) -> Packet:
     Raises
     ------
     PacketError
-        Under what it is counted: ``foreign``, ``version``, ``length``, ``checksum``, ``kind`` or ``number``.
+        Under what it is counted: ``foreign``, ``version``, ``length``, ``checksum``, ``kind`` or
+        ``number``.
     """
     if data[:4] != MAGIC:
         raise PacketError("foreign")
@@ -116,7 +140,9 @@ def unpacked(data: bytes) -> Packet:
         raise PacketError("version")
     if len(data) != HEADER.size + length + CHECKSUM.size:
         raise PacketError("length")
-    if CHECKSUM.unpack_from(data, HEADER.size + length)[0] != zlib.crc32(data[: HEADER.size + length]):
+    if CHECKSUM.unpack_from(data, HEADER.size + length)[0] != zlib.crc32(
+        data[: HEADER.size + length]
+    ):
         raise PacketError("checksum")
     try:
         kind = Kind(number)
@@ -131,12 +157,20 @@ def unpacked(data: bytes) -> Packet:
     wrench = _wrench(payload) if kind is Kind.WRENCH else NO_WRENCH
     reason = payload.decode("utf-8", "replace") if kind is Kind.REFUSED else ""
     return Packet(
-        kind=kind, sequence=sequence, echo=echo, time_s=time_s, sample=sample, wrench=wrench, reason=reason
-    )  # fmt: skip
+        kind=kind,
+        sequence=sequence,
+        echo=echo,
+        time_s=time_s,
+        sample=sample,
+        wrench=wrench,
+        reason=reason,
+    )
 
 
 def is_newer(sequence: int, before: int) -> bool:
-    """Whether a sequence number comes after another, also where they have started again from 0 in between."""
+    """Whether a sequence number comes after another, also where they have started again from 0
+    in between.
+    """
     return 0 < (sequence - before) % WHOLE < HALF
 
 

@@ -1,4 +1,6 @@
-"""What passes between this program and one device on a network: who it is, what is new, what is dropped and counted."""
+"""What passes between this program and one device on a network: who it is, what is new, what is
+dropped and counted.
+"""
 
 import threading
 from collections import Counter
@@ -25,14 +27,17 @@ SILENCE_S = 0.5
 """Silence after which a device is given up and another may take its place [s]."""
 KEPT = 1024
 """Wrenches whose time of sending is kept, by which round trips are measured; a power of two."""
-BUSY = "one device must be used at a time, got a second: end the first, or wait half a second after it has stopped"
+BUSY = (
+    "one device must be used at a time, got a second: end the first, or wait half a second after "
+    "it has stopped"
+)
 
 
 class NetworkSession:
     """Takes the packets of one device and makes those for it; nothing here waits or reads a socket.
 
-    The first device that asks is taken; others are refused until it has ended or was silent for `SILENCE_S`. A pose
-    that is late, repeated, damaged or not finite is dropped and counted.
+    The first device that asks is taken; others are refused until it has ended or was silent for
+    `SILENCE_S`. A pose that is late, repeated, damaged or not finite is dropped and counted.
 
     Parameters
     ----------
@@ -44,11 +49,13 @@ class NetworkSession:
     peer
         Address of the device that was taken; None where there is none.
     counts
-        Packets by what became of them: ``poses``, ``heartbeats``, ``hellos``, ``lost`` on the line, and those that
-        were dropped as ``foreign``, ``version``, ``length``, ``checksum``, ``kind``, ``number``, ``late``,
-        ``repeated``, ``stranger`` or ``refused``; ``silences`` counts devices that were given up.
+        Packets by what became of them: ``poses``, ``heartbeats``, ``hellos``, ``lost`` on the line,
+        and those that were dropped as ``foreign``, ``version``, ``length``, ``checksum``, ``kind``,
+        ``number``, ``late``, ``repeated``, ``stranger`` or ``refused``; ``silences`` counts devices
+        that were given up.
     round_trip_s
-        Time from the newest wrench that the device has seen to the first packet that shows it [s]; nan before.
+        Time from the newest wrench that the device has seen to the first packet that shows it [s];
+        nan before.
     """
 
     def __init__(self, clock: Callable[[], float] = perf_counter) -> None:
@@ -62,7 +69,8 @@ class NetworkSession:
         self._sent = 0
         self._shown = 0  # newest of ours that the device has shown
         self._sent_at = [nan] * KEPT
-        self._greeting = (0, nan)  # sequence number and time of the hello by which the device was taken
+        # sequence number and time of the hello by which the device was taken
+        self._greeting = (0, nan)
 
     def receive(self, data: bytes, sender: Hashable) -> bytes | None:
         """Take a packet; what to send back to its sender, None for nothing."""
@@ -89,7 +97,9 @@ class NetworkSession:
             return self.peer, self._packet(Kind.WRENCH, wrench)
 
     def bye(self) -> tuple[Hashable, bytes] | None:
-        """Where the last packet goes, and that packet; the device is then free. None without a device."""
+        """Where the last packet goes, and that packet; the device is then free. None without a
+        device.
+        """
         with self._lock:
             if self.peer is None:
                 return None
@@ -146,7 +156,9 @@ class NetworkSession:
         now = self._clock()
         self._sent = (self._sent + 1) % WHOLE
         self._sent_at[self._sent % KEPT] = now if kind is Kind.WRENCH else nan
-        return packed(Packet(kind=kind, sequence=self._sent, echo=self._seen, time_s=now, wrench=wrench))
+        return packed(
+            Packet(kind=kind, sequence=self._sent, echo=self._seen, time_s=now, wrench=wrench)
+        )
 
     def _measure(self, echo: int) -> None:
         """Note the round trip where a packet is the first to show one of our wrenches."""

@@ -19,20 +19,24 @@ OPEN_S = 5.0
 """How long the thread may take to listen, and to end [s]."""
 LONGEST_MESSAGE = 4096
 CLOSE_S = 0.2
-"""How long a device may take to take its last packets, to end its connection, and to be cut off [s]. The three together
-stay under the second after which a run gives up a device that does not close."""
+"""How long a device may take to take its last packets, to end its connection, and to be cut off
+[s]. The three together stay under the second after which a run gives up a device that does not
+close."""
 SEND_S = 0.25
 """How long a device may take no packets before its connection is ended [s]."""
 HANDSHAKE_S = 2.0
 """How long a connection may take to become a WebSocket [s]."""
 MOST_WAITING = 2
-"""Packets that wait for the thread; a wrench more takes the place of the oldest. Zero and goodbye both wait."""
+"""Packets that wait for the thread; a wrench more takes the place of the oldest. Zero and
+goodbye both wait.
+"""
 
 
 class WebTransport:
     """Packets as messages; the newest wrenches go out, older ones that wait are dropped.
 
-    Connections with an ``Origin``, as every browser sends it, are refused: a page must not move a tool.
+    Connections with an ``Origin``, as every browser sends it, are refused: a page must not move a
+    tool.
 
     Parameters
     ----------
@@ -52,23 +56,28 @@ class WebTransport:
             import websockets.asyncio.server  # noqa: F401
         except ImportError:
             raise InputError(
-                "websockets must be installed for a device at ws://, got none: pip install 'tissue-sim[network]', "
+                "websockets must be installed for a device at ws://, got none: pip install "
+                "'tissue-sim[network]', "
                 "or use udp://"
             ) from None
         self._session, self._waiting = session, deque[tuple[Hashable, bytes]](maxlen=MOST_WAITING)
         self._connections: dict[Hashable, ServerConnection] = {}
-        self._lines: dict[ServerConnection, asyncio.BaseTransport] = {}  # also those that are no WebSocket yet
+        # also those that are no WebSocket yet
+        self._lines: dict[ServerConnection, asyncio.BaseTransport] = {}
         self._ready, self._failed = threading.Event(), list[OSError]()
         self.address = f"ws://{host}:{port}"
         self._loop = asyncio.new_event_loop()
         self._stop, self._news = asyncio.Event(), asyncio.Event()
-        self._thread = threading.Thread(target=self._run, args=(host, port), daemon=True, name="network device")
+        self._thread = threading.Thread(
+            target=self._run, args=(host, port), daemon=True, name="network device"
+        )
         self._thread.start()
         self._ready.wait(OPEN_S)
         if self._failed:
             why = (self._failed[0].strerror or str(self._failed[0])).lower()
             raise InputError(
-                f"hardware.address must be free on this machine, got {self.address} ({why}): end the program that uses "
+                f"hardware.address must be free on this machine, got {self.address} ({why}): "
+                "end the program that uses "
                 "it, or use another port"
             )
 
@@ -103,7 +112,9 @@ class WebTransport:
         lines = self._lines
 
         class Line(ServerConnection):
-            """A connection that is known from its first byte on, so that it can be ended before it is a WebSocket."""
+            """A connection that is known from its first byte on, so that it can be ended before
+            it is a WebSocket.
+            """
 
             def connection_made(self, transport: asyncio.BaseTransport) -> None:
                 """Note the connection."""
@@ -116,9 +127,17 @@ class WebTransport:
                 super().connection_lost(exc)
 
         server = await serve(
-            self._talk, host.strip("[]"), port, create_connection=Line, open_timeout=HANDSHAKE_S,
-            origins=[None], max_size=LONGEST_MESSAGE, compression=None, ping_interval=None, close_timeout=CLOSE_S,
-        )  # fmt: skip
+            self._talk,
+            host.strip("[]"),
+            port,
+            create_connection=Line,
+            open_timeout=HANDSHAKE_S,
+            origins=[None],
+            max_size=LONGEST_MESSAGE,
+            compression=None,
+            ping_interval=None,
+            close_timeout=CLOSE_S,
+        )
         self._listening(server, host)
         sending = asyncio.ensure_future(self._send_news())
         await self._stop.wait()
@@ -146,7 +165,9 @@ class WebTransport:
         self._connections[connection.id] = connection
         try:
             async for message in connection:
-                reply = self._session.receive(message if isinstance(message, bytes) else b"", connection.id)
+                reply = self._session.receive(
+                    message if isinstance(message, bytes) else b"", connection.id
+                )
                 if reply is not None:
                     await connection.send(reply)
         except ConnectionClosed:

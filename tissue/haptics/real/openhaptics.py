@@ -1,13 +1,15 @@
 """3D Systems' Touch devices by pyOpenHaptics, which loads the vendor's OpenHaptics at run time.
 
-Read in pyOpenHaptics 1.0.1: a transform is in mm, with the axes of the handle in its first three rows and the
-position in the fourth; x points right, y up, z to the hand. The library calls a function in a thread of its own, a
-thousand times a second, and only inside it may the device be read or driven. That thread and the loop's share a few
-attributes, each replaced whole. The class HapticDevice of the package does not report a device that is missing, so its
-functions are called one by one.
+Read in pyOpenHaptics 1.0.1: a transform is in mm, with the axes of the handle in its first three
+rows and the position in the fourth; x points right, y up, z to the hand. The library calls a
+function in a thread of its own, a thousand times a second, and only inside it may the device be
+read or driven. That thread and the loop's share a few attributes, each replaced whole. The class
+HapticDevice of the package does not report a device that is missing, so its functions are called
+one by one.
 
-All devices of a process share the library's scheduler: the first one starts it and the last one stops it. The package
-opens a frame of whichever device is current, so each function that is called makes its own device current first.
+All devices of a process share the library's scheduler: the first one starts it and the last one
+stops it. The package opens a frame of whichever device is current, so each function that is called
+makes its own device current first.
 """
 
 import threading
@@ -42,7 +44,8 @@ ROUND_S = 5e-3
 WINDOW = 10
 """Calls of the vendor's thread over which velocities are taken, 10 ms."""
 MISSING = (
-    "must be installed for a Touch device, got none: pip install 'tissue-sim[openhaptics]', and OpenHaptics with the "
+    "must be installed for a Touch device, got none: pip install 'tissue-sim[openhaptics]', "
+    "and OpenHaptics with the "
     "device's driver from 3dsystems.com"
 )
 NO_DEVICE = "check cable, power and the vendor's setup, by which it has that name"
@@ -85,7 +88,14 @@ class OpenHapticsAdapter:
             return [FoundDevice(name="openhaptics", problem=str(error))]
         if name in _OPEN.values():  # to open it again and close it would end the other one's run
             detail = "in use by this program"
-            return [FoundDevice(name="openhaptics", where=name, detail=detail, limits=device_parameters("openhaptics"))]
+            return [
+                FoundDevice(
+                    name="openhaptics",
+                    where=name,
+                    detail=detail,
+                    limits=device_parameters("openhaptics"),
+                )
+            ]
         with redirect_stdout(StringIO()):
             number = hd.init_device(name)
             if number in NONE:
@@ -95,7 +105,14 @@ class OpenHapticsAdapter:
                 detail = f"{hd.get_vendor()} {hd.get_model()}"
             finally:
                 hd.close_device(number)
-        return [FoundDevice(name="openhaptics", where=name, detail=detail, limits=device_parameters("openhaptics"))]
+        return [
+            FoundDevice(
+                name="openhaptics",
+                where=name,
+                detail=detail,
+                limits=device_parameters("openhaptics"),
+            )
+        ]
 
     def __enter__(self) -> Self:
         hd, scheduling = _library()
@@ -104,7 +121,9 @@ class OpenHapticsAdapter:
         with redirect_stdout(StringIO()):  # the package prints what it does
             number = hd.init_device(self._name)
             if number in NONE:
-                raise InputError(f"a device named {self._name} must be connected, got none: {NO_DEVICE}")
+                raise InputError(
+                    f"a device named {self._name} must be connected, got none: {NO_DEVICE}"
+                )
             self._hd, self._id, self._ended = hd, number, False
             with _OPENING:
                 is_first = not _OPEN
@@ -121,7 +140,10 @@ class OpenHapticsAdapter:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close()
 
@@ -142,11 +164,15 @@ class OpenHapticsAdapter:
         return sample
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Let the vendor's thread play a force until the next one, or for `HELD_S`; no motor plays a torque."""
+        """Let the vendor's thread play a force until the next one, or for `HELD_S`; no motor
+        plays a torque.
+        """
         self._force = (force_N.tolist(), perf_counter())
 
     def close(self) -> None:
-        """Let the vendor's thread play zero once more, and close the device; the last device stops the thread."""
+        """Let the vendor's thread play zero once more, and close the device; the last device
+        stops the thread.
+        """
         if self._ended:
             return
         self._rests.clear()
@@ -161,12 +187,15 @@ class OpenHapticsAdapter:
             with suppress(Exception):
                 hd.stop_scheduler()
         else:
-            sleep(ROUND_S)  # until another device is current, so that no frame is opened of this one
+            # until another device is current, so that no frame is opened of this one
+            sleep(ROUND_S)
         with suppress(Exception):
             hd.close_device(self._id)
 
     def _serve(self) -> None:
-        """Read and drive the device; called in the vendor's thread, which an exception would end without a word."""
+        """Read and drive the device; called in the vendor's thread, which an exception would end
+        without a word.
+        """
         try:
             hd, now = self._hd, perf_counter()
             if hd is None:
@@ -179,10 +208,15 @@ class OpenHapticsAdapter:
                 self._hd = None
                 self._rests.set()
         except Exception as error:
-            self._problem = f"the device must answer, got {type(error).__name__} ({error}): check its cable and driver"
+            self._problem = (
+                f"the device must answer, got {type(error).__name__} ({error}): check its cable "
+                "and driver"
+            )
 
     def _make_current(self, hd: Any) -> None:
-        """Leave the frame of another device, which the package has opened, for one of this device."""
+        """Leave the frame of another device, which the package has opened, for one of this
+        device.
+        """
         current = hd.get_current_device()
         if current != self._id:
             hd.end_frame(current)
@@ -200,7 +234,9 @@ class OpenHapticsAdapter:
         ax, ay, az = oldest.position_m
         velocity: Triple = (share * (x - ax), share * (y - ay), share * (z - az))
         wx, wy, wz = turn_between(oldest.quaternion, sample.quaternion)
-        return sample._replace(velocity_m_s=velocity, spin_rad_s=(share * wx, share * wy, share * wz))
+        return sample._replace(
+            velocity_m_s=velocity, spin_rad_s=(share * wx, share * wy, share * wz)
+        )
 
 
 def _library() -> tuple[ModuleType, ModuleType]:
@@ -212,6 +248,10 @@ def _library() -> tuple[ModuleType, ModuleType]:
         OSError,
         NameError,
     ) as error:  # OSError without the vendor's, NameError on macOS, which has none
-        what = "pyOpenHaptics" if isinstance(error, ModuleNotFoundError) else "OpenHaptics of 3dsystems.com"
+        what = (
+            "pyOpenHaptics"
+            if isinstance(error, ModuleNotFoundError)
+            else "OpenHaptics of 3dsystems.com"
+        )
         raise InputError(f"{what} {MISSING}") from None
     return hd, hd_callback

@@ -21,11 +21,12 @@ __all__ = ["RecordedAdapter"]
 
 
 class RecordedAdapter:
-    """The poses of a file, one for each call of `poll`; after the last there is none, and the force fades.
+    """The poses of a file, one for each call of `poll`; after the last there is none, and the force
+    fades.
 
-    A run plays them where they were recorded: its tool starts at the first pose. Unlike ``motion.kind = "replay"``,
-    which moves the tool itself, the poses move the device: coupling, prediction and what is commanded are those of a
-    hand that moves so.
+    A run plays them where they were recorded: its tool starts at the first pose. Unlike
+    ``motion.kind = "replay"``, which moves the tool itself, the poses move the device: coupling,
+    prediction and what is commanded are those of a hand that moves so.
 
     Parameters
     ----------
@@ -45,7 +46,8 @@ class RecordedAdapter:
         address = hardware.address if hardware else ""
         if not address:
             raise InputError(
-                "hardware.address must be a file of poses with device = recorded, got nothing: use a run's trace.csv"
+                "hardware.address must be a file of poses with device = recorded, got "
+                "nothing: use a run's trace.csv"
             )
         self.limits: DeviceParameters = device_parameters("recorded")
         self._samples = _samples(Path(address))
@@ -61,14 +63,24 @@ class RecordedAdapter:
         except InputError as error:
             return [FoundDevice(name="recorded", problem=str(error))]
         lasts = TICK_S * (len(adapter._samples) - 1)
-        return [FoundDevice(name="recorded", where=address, detail=f"{lasts:g} s of poses", limits=adapter.limits)]
+        return [
+            FoundDevice(
+                name="recorded",
+                where=address,
+                detail=f"{lasts:g} s of poses",
+                limits=adapter.limits,
+            )
+        ]
 
     def __enter__(self) -> Self:
         self._next = 0
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close()
 

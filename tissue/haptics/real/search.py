@@ -28,7 +28,8 @@ def adapter_class(name: str) -> Callable[..., Any]:
 
 
 def devices() -> list[FoundDevice]:
-    """Return the real devices of this machine; for each kind without one, a sentence of what is missing.
+    """Return the real devices of this machine; for each kind without one, a sentence of what is
+    missing.
 
     A search takes seconds: it opens each device for a moment and waits for one on the network.
     """

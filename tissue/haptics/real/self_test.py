@@ -1,4 +1,6 @@
-"""What a device in hand does: how often it gives a sample, how evenly, its latency, and a push that can be felt."""
+"""What a device in hand does: how often it gives a sample, how evenly, its latency, and a push
+that can be felt.
+"""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -40,7 +42,8 @@ class SelfTest:
     call_s, call_99_s
         Time that reading and commanding take together [s]: median and 99 %.
     round_trip_s, round_trip_99_s
-        From a command to the first sample that has seen it [s]: median and 99 %; nan where the device does not show it.
+        From a command to the first sample that has seen it [s]: median and 99 %; nan where the
+        device does not show it.
     """
 
     seconds: float
@@ -56,7 +59,9 @@ class SelfTest:
 
     @property
     def delay_s(self) -> float:
-        """Latency of the device besides the hold [s]: the round trip, or else what its calls take."""
+        """Latency of the device besides the hold [s]: the round trip, or else what its calls
+        take.
+        """
         return self.round_trip_s if isfinite(self.round_trip_s) else self.call_s
 
     @property
@@ -94,7 +99,8 @@ def self_test(
     Raises
     ------
     InputError
-        If too few samples come, or as `DeviceError` if positions leave the device's reach, as millimetres do.
+        If too few samples come, or as `DeviceError` if positions leave the device's reach, as
+        millimetres do.
     """
     require_range("seconds", seconds, 0.1, 600.0, "use 2")
     zero, times, calls, trips = np.zeros(3), list[float](), list[float](), list[float]()
@@ -114,21 +120,35 @@ def self_test(
             trips.append(getattr(adapter, "round_trip_s", nan))
         pause(PAUSE_S)
     if len(times) < FEWEST:
-        raise InputError(f"a device must give samples for its test, got {len(times)}: check that it is on, and move it")
+        raise InputError(
+            f"a device must give samples for its test, got {len(times)}: check that it is "
+            "on, and move it"
+        )
     gaps, shown = np.diff(times), [each for each in trips if isfinite(each)]
     (interval, interval_99), (call, call_99) = _middle_and_99(gaps), _middle_and_99(calls)
     trip, trip_99 = _middle_and_99(shown) if len(shown) >= FEWEST else (nan, nan)
     return SelfTest(
-        seconds=seconds, samples=len(times), rate_Hz=len(gaps) / (times[-1] - times[0]),
-        interval_s=interval, interval_99_s=interval_99, longest_s=float(gaps.max()),
-        call_s=call, call_99_s=call_99, round_trip_s=trip, round_trip_99_s=trip_99,
-    )  # fmt: skip
+        seconds=seconds,
+        samples=len(times),
+        rate_Hz=len(gaps) / (times[-1] - times[0]),
+        interval_s=interval,
+        interval_99_s=interval_99,
+        longest_s=float(gaps.max()),
+        call_s=call,
+        call_99_s=call_99,
+        round_trip_s=trip,
+        round_trip_99_s=trip_99,
+    )
 
 
 def bump(
-    adapter: HardwareAdapter, *, clock: Callable[[], float] = perf_counter, pause: Callable[[float], None] = sleep
+    adapter: HardwareAdapter,
+    *,
+    clock: Callable[[], float] = perf_counter,
+    pause: Callable[[float], None] = sleep,
 ) -> Bump:
-    """Push the hand by at most `BUMP_N` along the device's z, rising and falling as half a sine; zero whatever ends it.
+    """Push the hand by at most `BUMP_N` along the device's z, rising and falling as half a sine;
+    zero whatever ends it.
 
     Raises
     ------
@@ -151,11 +171,17 @@ def bump(
         with suppress(Exception):
             adapter.push(np.zeros(3), np.zeros(3))
     if not places:
-        raise InputError("a device must give samples for its test, got none during the push: check its cable")
+        raise InputError(
+            "a device must give samples for its test, got none during the push: check its cable"
+        )
     away = np.array(places) - places[0]
-    return Bump(float(away[np.abs(away[:, 2]).argmax(), 2]), sqrt(float((away**2).sum(axis=1).max())))
+    return Bump(
+        float(away[np.abs(away[:, 2]).argmax(), 2]), sqrt(float((away**2).sum(axis=1).max()))
+    )
 
 
-def _middle_and_99(values: "list[float] | np.ndarray[tuple[int], np.dtype[np.float64]]") -> tuple[float, float]:
+def _middle_and_99(
+    values: "list[float] | np.ndarray[tuple[int], np.dtype[np.float64]]",
+) -> tuple[float, float]:
     middle, most = np.percentile(values, [50.0, 99.0])
     return float(middle), float(most)

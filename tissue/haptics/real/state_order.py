@@ -1,4 +1,6 @@
-"""Recognise states that come in another order than that in which they were measured, though nothing numbers them."""
+"""Recognise states that come in another order than that in which they were measured, though
+nothing numbers them.
+"""
 
 from math import exp, hypot
 
@@ -7,12 +9,14 @@ from tissue.haptics.real.adapter import HardwareSample
 __all__ = ["StateOrder"]
 
 MEMORY_S, LONGEST_S = 0.024, 0.005
-"""Time over which contradictions are averaged, so that a velocity may lag 6 ms behind a blow, and the longest time for
-which one state counts [s]."""
+"""Time over which contradictions are averaged, so that a velocity may lag 6 ms behind a blow, and
+the longest time for which one state counts [s]."""
 WRONG, RIGHT = 0.25, 0.05
 """Share of contradictions from which the order is wrong, and below which it is right again."""
 LEAST_M, LEAST_M_S = 2e-4, 0.05
-"""Shortest step and least speed that are judged: below them a wrong order moves nothing that is felt."""
+"""Shortest step and least speed that are judged: below them a wrong order moves nothing that is
+felt.
+"""
 AGAINST = -0.5
 """Cosine of the angle between step and velocity below which they contradict each other."""
 
@@ -20,8 +24,8 @@ AGAINST = -0.5
 class StateOrder:
     """Whether the steps between states go where the states' own velocities go.
 
-    A state that is older than the one before it steps back against the velocity of both. Of states in a random order
-    about half do, and a share of a quarter is reached within 17 ms.
+    A state that is older than the one before it steps back against the velocity of both. Of states
+    in a random order about half do, and a share of a quarter is reached within 17 ms.
 
     Attributes
     ----------
@@ -42,10 +46,17 @@ class StateOrder:
             return False
         (x, y, z), (a, b, c) = sample.position_m, last.position_m
         step = x - a, y - b, z - c
-        speed = [0.5 * (one + other) for one, other in zip(sample.velocity_m_s, last.velocity_m_s, strict=True)]
+        speed = [
+            0.5 * (one + other)
+            for one, other in zip(sample.velocity_m_s, last.velocity_m_s, strict=True)
+        ]
         length, fast = hypot(*step), hypot(*speed)
         against = length > LEAST_M and fast > LEAST_M_S
-        against = against and step[0] * speed[0] + step[1] * speed[1] + step[2] * speed[2] < AGAINST * length * fast
+        against = (
+            against
+            and step[0] * speed[0] + step[1] * speed[1] + step[2] * speed[2]
+            < AGAINST * length * fast
+        )
         self._share += (1.0 - exp(-elapsed / MEMORY_S)) * (against - self._share)
         if self._share > WRONG:
             self.is_wrong = True

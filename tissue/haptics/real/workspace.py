@@ -1,4 +1,6 @@
-"""Where a device's workspace lies in the scene: its turn, its place, and what a clutch makes of both."""
+"""Where a device's workspace lies in the scene: its turn, its place, and what a clutch makes of
+both.
+"""
 
 from math import isfinite, radians
 
@@ -6,7 +8,15 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from tissue.motion.motion import matrix_of
-from tissue.motion.quaternion import Quaternion, Triple, conjugate, exponential, is_nearly_unit, product, unit
+from tissue.motion.quaternion import (
+    Quaternion,
+    Triple,
+    conjugate,
+    exponential,
+    is_nearly_unit,
+    product,
+    unit,
+)
 
 __all__ = ["Workspace"]
 
@@ -16,9 +26,10 @@ NO_TURN: Quaternion = (0.0, 0.0, 0.0, 1.0)
 class Workspace:
     """Turns and places the poses of a device, and turns forces back into its axes.
 
-    Positions become ``R x + d``: the turn R is constant, and d is where the first pose is the tool's start. While the
-    clutch is held the pose in the scene stays, and d and the first orientation are chosen anew when it is let go, so
-    that the pose goes on without a jump. As R is a rotation, force times velocity is the same power in both frames.
+    Positions become ``R x + d``: the turn R is constant, and d is where the first pose is the
+    tool's start. While the clutch is held the pose in the scene stays, and d and the first
+    orientation are chosen anew when it is let go, so that the pose goes on without a jump. As R is
+    a rotation, force times velocity is the same power in both frames.
 
     Parameters
     ----------
@@ -36,7 +47,8 @@ class Workspace:
     def __init__(self, turn_deg: Triple, start_m: Triple) -> None:
         x, y, z = map(radians, turn_deg)
         self._turn = product(
-            exponential((0.0, 0.0, z)), product(exponential((0.0, y, 0.0)), exponential((x, 0.0, 0.0)))
+            exponential((0.0, 0.0, z)),
+            product(exponential((0.0, y, 0.0)), exponential((x, 0.0, 0.0))),
         )
         self._matrix = matrix_of(np.array(self._turn))
         self._rows: list[list[float]] = self._matrix.tolist()
@@ -54,14 +66,22 @@ class Workspace:
         """A vector of the device's axes in the world's."""
         a, b, c = vector
         x, y, z = self._rows
-        return x[0] * a + x[1] * b + x[2] * c, y[0] * a + y[1] * b + y[2] * c, z[0] * a + z[1] * b + z[2] * c
+        return (
+            x[0] * a + x[1] * b + x[2] * c,
+            y[0] * a + y[1] * b + y[2] * c,
+            z[0] * a + z[1] * b + z[2] * c,
+        )
 
     def at_device(self, vector: Array) -> Array:
         """A vector of the world's axes in the device's, shape (3,)."""
         return vector @ self._matrix
 
-    def pose(self, position_m: Triple, quaternion: Quaternion, *, clutched: bool) -> tuple[Triple, Quaternion]:
-        """Position [m] and orientation in the scene, which starts without a turn, of those of the device."""
+    def pose(
+        self, position_m: Triple, quaternion: Quaternion, *, clutched: bool
+    ) -> tuple[Triple, Quaternion]:
+        """Position [m] and orientation in the scene, which starts without a turn, of those of
+        the device.
+        """
         if clutched and self.is_placed:
             self._clutched = True
             return self._pose
@@ -81,7 +101,8 @@ class Workspace:
     def _in_world(self, quaternion: Quaternion) -> Quaternion:
         """Return an orientation of the device in the world's axes.
 
-        A quaternion that is far from unit length keeps its length, so that the loop's guard refuses it.
+        A quaternion that is far from unit length keeps its length, so that the loop's guard refuses
+        it.
         """
         length_one = (unit(quaternion) if is_nearly_unit(quaternion) else None) or quaternion
         return product(product(self._turn, length_one), conjugate(self._turn))

@@ -46,7 +46,8 @@ class BrickGrid:
 
 
 class BrickStore:
-    """Voxels on a device, in the layout of :mod:`kernels.bricks`: of a volume, or of parts that are added one by one.
+    """Voxels on a device, in the layout of :mod:`kernels.bricks`: of a volume, or of parts that are
+    added one by one.
 
     Parameters
     ----------
@@ -60,7 +61,8 @@ class BrickStore:
     grid
         The same.
     volume
-        The volume it was made from; its fractions are the state before any cut. None where parts were added.
+        The volume it was made from; its fractions are the state before any cut. None where parts
+        were added.
     start_steps
         Stored steps of each layer before any cut, shape (layers,).
     brick_of
@@ -68,16 +70,18 @@ class BrickStore:
     remaining
         Filled fraction of each voxel, uint16, 65535 = full, shape (capacity, 512).
     swept
-        Distance of each voxel's centre to the solid that the tool has swept, uint16, shape (capacity, 512).
+        Distance of each voxel's centre to the solid that the tool has swept, uint16, shape
+        (capacity, 512).
     older
         The same of older cuts: before the tool last came within reach, or turned.
     material
         Density and layer before any cut in one word, uint32, shape (capacity, 512).
     nearby
-        Distances to the original surface and to the nearest change of layer in one word, uint16, shape (capacity, 512).
+        Distances to the original surface and to the nearest change of layer in one word, uint16,
+        shape (capacity, 512).
     alive
-        One bit for each block of 2 x 2 x 2 voxels that may hold bone or lies within two voxels of it, uint64, shape
-        (capacity,).
+        One bit for each block of 2 x 2 x 2 voxels that may hold bone or lies within two voxels of
+        it, uint64, shape (capacity,).
     touched
         1 for each brick that lost something since `take_touched`, uint8, shape (capacity,).
     places
@@ -117,7 +121,8 @@ class BrickStore:
         at
             Place of its first brick on the grid.
         margin
-            Bricks at each of its faces that are not stored: what lies in them only shows how the bone goes on.
+            Bricks at each of its faces that are not stored: what lies in them only shows how the
+            bone goes on.
 
         Returns
         -------
@@ -171,14 +176,20 @@ class BrickStore:
         return grown
 
     def _append(self, rows: dict[str, NDArray[Any]]) -> bool:
-        """Write rows behind those that are stored; whether the arrays had to grow, to twice what is needed."""
+        """Write rows behind those that are stored; whether the arrays had to grow, to twice what
+        is needed.
+        """
         first = len(self.places)
         count = len(rows["alive"])
         grows = first + count > len(self.alive)
         for name, values in rows.items():
             old = getattr(self, name)
             if grows and first == 0:
-                setattr(self, name, wp.array(np.ascontiguousarray(values), dtype=old.dtype, device=self._device))
+                setattr(
+                    self,
+                    name,
+                    wp.array(np.ascontiguousarray(values), dtype=old.dtype, device=self._device),
+                )
                 continue
             new = old
             if grows:
@@ -193,7 +204,8 @@ class BrickStore:
         return grows
 
     def take_touched(self) -> tuple[NDArray[np.intp], NDArray[np.uint16]]:
-        """Rows of the bricks that lost something since the last call, and a copy of what is stored in them.
+        """Rows of the bricks that lost something since the last call, and a copy of what is stored
+        in them.
 
         Costs by those bricks, so that a tick can afford it.
         """
@@ -205,7 +217,9 @@ class BrickStore:
         return rows, self.remaining.numpy()[rows]
 
     def sample(self, points_m: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Filled fraction at points [m], shape (n, 3), trilinear between voxel centres, 0 where nothing is stored."""
+        """Filled fraction at points [m], shape (n, 3), trilinear between voxel centres, 0 where
+        nothing is stored.
+        """
         voxels = (np.asarray(points_m, dtype=np.float64) - self.grid.origin_m) / self.grid.spacing_m
         device = self.remaining.device
         found = wp.zeros(len(voxels), dtype=wp.float32, device=device)
@@ -224,7 +238,11 @@ class BrickStore:
     def fraction(self) -> NDArray[np.uint8]:
         """Remaining fraction of every voxel of the grid, 255 = full; of a volume, in its shape."""
         whole = self.part((0, 0, 0), self.grid.counts)
-        return whole if self.volume is None else np.ascontiguousarray(whole[tuple(map(slice, self.volume.shape))])
+        return (
+            whole
+            if self.volume is None
+            else np.ascontiguousarray(whole[tuple(map(slice, self.volume.shape))])
+        )
 
     def part(self, first: tuple[int, ...], last: tuple[int, ...]) -> NDArray[np.uint8]:
         """Remaining fraction of the voxels of some bricks, 255 = full, 0 where none is stored.
@@ -246,13 +264,16 @@ class BrickStore:
         count = len(self.places)
         remaining = self.remaining.numpy()[:count]
         layer = self.material.numpy()[:count].astype(np.uint8)
-        return np.array([remaining[layer == k].sum(dtype=np.int64) for k in range(len(self.grid.layer_names))])
+        return np.array(
+            [remaining[layer == k].sum(dtype=np.int64) for k in range(len(self.grid.layer_names))]
+        )
 
 
 def voxels_of(
     places: NDArray[np.int64], rows: NDArray[np.intp], steps: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Indices of the voxels whose value in ``steps``, shape (rows, 512), is not 0, shape (n, 3), and that value.
+    """Indices of the voxels whose value in ``steps``, shape (rows, 512), is not 0, shape (n, 3),
+    and that value.
 
     ``places`` are those of the store's bricks, of which ``rows`` names some.
     """
@@ -266,11 +287,15 @@ def voxels_of(
 
 def _nearest(remaining: NDArray[np.uint16]) -> NDArray[np.uint8]:
     """Stored steps as 8-bit fractions."""
-    return ((remaining.astype(np.uint32) + np.uint32(STEPS // 2)) // np.uint32(STEPS)).astype(np.uint8)
+    return ((remaining.astype(np.uint32) + np.uint32(STEPS // 2)) // np.uint32(STEPS)).astype(
+        np.uint8
+    )
 
 
 def _filled_up(surface: NDArray[np.uint8], counts: tuple[int, ...]) -> NDArray[np.uint8]:
-    """Stored surface distance padded to whole bricks: at each face a voxel farther out, and outside in any case."""
+    """Stored surface distance padded to whole bricks: at each face a voxel farther out, and
+    outside in any case.
+    """
     pad = [(0, BRICK * count - n) for count, n in zip(counts, surface.shape, strict=True)]
     padded = np.pad(surface, pad, mode="edge")
     for axis, n in enumerate(surface.shape):
@@ -289,9 +314,17 @@ def _blocked(array: NDArray[Any], counts: tuple[int, ...]) -> NDArray[Any]:
 
 def _rows(bricks: NDArray[Any]) -> NDArray[Any]:
     """Bricks, shape (n, 8, 8, 8), as stored rows, shape (n, 512), block after block."""
-    return bricks.reshape(-1, 4, 2, 4, 2, 4, 2).transpose(0, 1, 3, 5, 2, 4, 6).reshape(-1, BRICK_VOXELS)
+    return (
+        bricks.reshape(-1, 4, 2, 4, 2, 4, 2)
+        .transpose(0, 1, 3, 5, 2, 4, 6)
+        .reshape(-1, BRICK_VOXELS)
+    )
 
 
 def _bricks(rows: NDArray[Any]) -> NDArray[Any]:
     """Stored rows, shape (n, 512), as bricks, shape (n, 8, 8, 8)."""
-    return rows.reshape(-1, 4, 4, 4, 2, 2, 2).transpose(0, 1, 4, 2, 5, 3, 6).reshape(-1, BRICK, BRICK, BRICK)
+    return (
+        rows.reshape(-1, 4, 4, 4, 2, 2, 2)
+        .transpose(0, 1, 4, 2, 5, 3, 6)
+        .reshape(-1, BRICK, BRICK, BRICK)
+    )

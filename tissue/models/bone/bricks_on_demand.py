@@ -1,4 +1,6 @@
-"""Bone whose bricks are made where a tool first reaches: a whole tibia at 0.1 mm would be 2e9 voxels."""
+"""Bone whose bricks are made where a tool first reaches: a whole tibia at 0.1 mm would be 2e9
+voxels.
+"""
 
 from collections.abc import Iterator
 
@@ -53,7 +55,9 @@ class BricksOnDemand:
         If the lattice alone would not fit memory.
     """
 
-    def __init__(self, anatomy: Anatomy, *, spacing_m: float, minus: Shape | None = None, device: str = "cpu") -> None:
+    def __init__(
+        self, anatomy: Anatomy, *, spacing_m: float, minus: Shape | None = None, device: str = "cpu"
+    ) -> None:
         self.anatomy = anatomy
         self._minus = minus
         self._brick_m = BRICK * spacing_m
@@ -65,8 +69,10 @@ class BricksOnDemand:
         if float(np.prod(PATCH * self._patches)) > MOST_BRICKS:
             fits = spacing_m * (float(np.prod(high - low)) / MOST_BRICKS) ** (1.0 / 3.0)
             raise InputError(
-                f"spacing_mm must leave at most {MOST_BRICKS:g} bricks of {BRICK} voxels in the bone's box, got "
-                f"{1e3 * spacing_m:g}: use {np.ceil(1.1e5 * fits) / 1e2:g}, or cut the part that you need out of it"
+                f"spacing_mm must leave at most {MOST_BRICKS:g} bricks of {BRICK} voxels in "
+                "the bone's box, got "
+                f"{1e3 * spacing_m:g}: use {np.ceil(1.1e5 * fits) / 1e2:g}, or cut the part "
+                "that you need out of it"
             )
         x, y, z = (PATCH * self._patches).tolist()
         grid = BrickGrid(low * self._brick_m, spacing_m, (x, y, z), anatomy.layer_names)
@@ -107,8 +113,10 @@ class BricksOnDemand:
         if needed > 0.9 * free:
             fits = spacing_mm * (needed / (0.8 * free)) ** (1.0 / 3.0)
             raise InputError(
-                f"spacing_mm must leave what the tool reaches within the free memory of {free / 1e9:.1f} GB, got "
-                f"{spacing_mm:g} which needs {needed / 1e9:.1f} GB: use {np.ceil(1e3 * fits) / 1e3:g}"
+                "spacing_mm must leave what the tool reaches within the free memory of "
+                f"{free / 1e9:.1f} GB, got "
+                f"{spacing_mm:g} which needs {needed / 1e9:.1f} GB: use "
+                f"{np.ceil(1e3 * fits) / 1e3:g}"
             )
 
     def has(self, low_m: Array, high_m: Array) -> bool:
@@ -121,8 +129,8 @@ class BricksOnDemand:
     def cut_parts(self) -> Iterator[tuple[VoxelVolume, NDArray[np.uint8]]]:
         """What tools have cut so far: bone before any cut, and what is left of it, 255 = full.
 
-        The parts are boxes that share one layer of voxels, so that a surface between voxel centres goes on from one to
-        the next.
+        The parts are boxes that share one layer of voxels, so that a surface between voxel centres
+        goes on from one to the next.
         """
         at = self.store.places[np.flatnonzero(self.store.touched.numpy()[: len(self.store.places)])]
         wanted = np.zeros_like(self._made)
@@ -135,7 +143,10 @@ class BricksOnDemand:
             low = PATCH * first
             high = PATCH * last
             before = self._voxels(low - MARGIN, high + MARGIN)
-            kept = tuple(slice(MARGIN * BRICK, MARGIN * BRICK + n + 1) for n in (BRICK * (high - low)).tolist())
+            kept = tuple(
+                slice(MARGIN * BRICK, MARGIN * BRICK + n + 1)
+                for n in (BRICK * (high - low)).tolist()
+            )
             volume = VoxelVolume(
                 before.origin_m + MARGIN * self._brick_m,
                 before.spacing_m,
@@ -163,7 +174,9 @@ class BricksOnDemand:
     def _wanted(self, boxes: Boxes) -> NDArray[np.bool_]:
         """Patches that boxes touch and that are not made yet."""
         patch_m = PATCH * self._brick_m
-        low, high = (np.floor(corner / patch_m - self._first / PATCH).astype(np.int64) for corner in boxes)
+        low, high = (
+            np.floor(corner / patch_m - self._first / PATCH).astype(np.int64) for corner in boxes
+        )
         ranges = np.unique(np.hstack([low.clip(0), np.minimum(high + 1, self._patches)]), axis=0)
         wanted = np.zeros_like(self._made)
         for row in ranges[(ranges[:, :3] < ranges[:, 3:]).all(axis=1)].tolist():
@@ -172,7 +185,9 @@ class BricksOnDemand:
 
 
 def _box_of(wanted: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First and one after the last patch of a box of wanted ones, grown from the first along z, then y, then x."""
+    """First and one after the last patch of a box of wanted ones, grown from the first along z,
+    then y, then x.
+    """
     first = np.argwhere(wanted)[0]
     last = first + 1
     for axis in (2, 1, 0):

@@ -1,4 +1,6 @@
-"""Take away the bone that a moving tool reaches: the same bricks of voxels after the same poses, bit for bit."""
+"""Take away the bone that a moving tool reaches: the same bricks of voxels after the same poses,
+bit for bit.
+"""
 
 from dataclasses import dataclass
 from math import ceil, sqrt
@@ -27,7 +29,9 @@ CARVE_LAG_M = 2.0e-5
 LONGEST_STEP_VOXELS = 0.5
 """Longest step between two carvings; a faster tool is carved in parts of a tick."""
 TURN = 0.9
-"""The tool turns where it moves on with a heading that keeps less than this share of that since it last turned."""
+"""The tool turns where it moves on with a heading that keeps less than this share of that since
+it last turned.
+"""
 WORKERS_CPU = 32
 WORKERS_GPU = 2048
 """Workers that share a carving launch."""
@@ -68,7 +72,8 @@ class Carver:
     cutter
         The tool.
     removal
-        ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` whole voxels by their centres.
+        ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` whole voxels by their
+        centres.
     device
         Warp device name.
     cores
@@ -85,7 +90,13 @@ class Carver:
     """
 
     def __init__(
-        self, store: BrickStore, cutter: Cutter, *, removal: Removal, device: str, cores: int | None = None
+        self,
+        store: BrickStore,
+        cutter: Cutter,
+        *,
+        removal: Removal,
+        device: str,
+        cores: int | None = None,
     ) -> None:
         grid = store.grid
         layers = len(grid.layer_names)
@@ -101,7 +112,8 @@ class Carver:
         self._lag = min(CARVE_LAG_M / spacing, 0.25)
         self._lever = max(abs(table.low), abs(table.high))
         self._next_group = 0
-        # Groups follow the world's lattice, so that the same cut in a larger region is visited at the same ticks.
+        # Groups follow the world's lattice, so that the same cut in a larger region is visited at
+        # the same ticks.
         self._first_group = int(np.rint(self._origin / (BRICK * spacing)).sum()) % PHASES
         self._debt = 0.0  # visits owed for the path so far
         self._behind = 0  # groups that have not seen the present pose
@@ -131,7 +143,14 @@ class Carver:
                 store.brick_of,
                 store.material,
             ],
-            outputs=[store.remaining, store.swept, store.older, store.alive, store.touched, self._removed.device],
+            outputs=[
+                store.remaining,
+                store.swept,
+                store.older,
+                store.alive,
+                store.touched,
+                self._removed.device,
+            ],
             offset_index=3,
             device=self._device,
             cores=self._cores,
@@ -144,13 +163,17 @@ class Carver:
         self._visit(PHASES, every_side=True)
 
     def advance(self, motion: ToolMotion) -> None:
-        """Carve what the tool reaches at its new pose; a slow tool's carving is spread over ticks."""
+        """Carve what the tool reaches at its new pose; a slow tool's carving is spread over
+        ticks.
+        """
         now = self._pose_of(motion)
         moved = now - self._pose.host[0]
         step = sqrt(moved[:3].dot(moved[:3])) + self._lever * sqrt(moved[3:].dot(moved[3:]))
         if not self._heading.any():
             self._heading[:] = motion.heading
-        elif step > 0.0 and np.vdot(motion.heading, self._heading) < TURN * np.vdot(self._heading, self._heading):
+        elif step > 0.0 and np.vdot(motion.heading, self._heading) < TURN * np.vdot(
+            self._heading, self._heading
+        ):
             self._visit(PHASES, turned=True)  # first complete what it cut on its old path
             self._heading[:] = motion.heading
         if step > LONGEST_STEP_VOXELS:

@@ -1,13 +1,16 @@
-"""Loads of bone of many densities, held as those at a few: enough for every exponent of the density.
+"""Loads of bone of many densities, held as those at a few: enough for every exponent of the
+density.
 
-Every coefficient of an element is scaled by (density / reference) ** exponent. Summed over elements of density rho with
-weights w, f(p) = sum w rho**p is needed for any p. Between nodes rho_j, Chebyshev points of ln rho, the factor
-rho**(p - c), c the middle of the exponents, is interpolated by polynomials L_j of ln rho, so that::
+Every coefficient of an element is scaled by (density / reference) ** exponent. Summed over elements
+of density rho with weights w, f(p) = sum w rho**p is needed for any p. Between nodes rho_j,
+Chebyshev points of ln rho, the factor rho**(p - c), c the middle of the exponents, is interpolated
+by polynomials L_j of ln rho, so that::
 
     f(p) = sum_j rho_j**(p - c) M_j,    M_j = sum w rho**c L_j(ln rho)
 
-The interpolation of exp(a x) on [-1, 1] by n points is off by about 4 I_n(a) (Trefethen 2013, Approximation Theory and
-Approximation Practice, ch. 3); n is the least for which that is below `ERROR` of the smallest value, exp(-a).
+The interpolation of exp(a x) on [-1, 1] by n points is off by about 4 I_n(a) (Trefethen 2013,
+Approximation Theory and Approximation Practice, ch. 3); n is the least for which that is below
+`ERROR` of the smallest value, exp(-a).
 """
 
 from dataclasses import dataclass
@@ -26,7 +29,9 @@ HIGHEST_EXPONENT = 5.0
 """Exponents from 0 to this: what a scene accepts."""
 MIDDLE = 0.5 * HIGHEST_EXPONENT
 ERROR = 1e-8
-"""Greatest relative error of the factor of an element, a hundredth of what reweighed loads are held to."""
+"""Greatest relative error of the factor of an element, a hundredth of what reweighed loads are
+held to.
+"""
 MOST_NODES = 64
 
 
@@ -73,7 +78,9 @@ class DensityNodes:
         return np.asarray((factor * self.densities_kg_m3 / reference_kg_m3) ** exponent * tilt)
 
     def logarithms(self, *, reference_kg_m3: float, factor: float = 1.0) -> Array:
-        """ln(factor density / reference) of the nodes, shape (k,): what an exponent's derivative multiplies by."""
+        """ln(factor density / reference) of the nodes, shape (k,): what an exponent's derivative
+        multiplies by.
+        """
         return np.asarray(np.log(factor * self.densities_kg_m3 / reference_kg_m3))
 
 
@@ -84,7 +91,9 @@ def _count(a: float) -> int:
 
 
 def densities_of(material: NDArray[np.uint32], layer: int) -> NDArray[np.int64]:
-    """Least and greatest density in a layer of stored voxels [kg/m3], by their words; of none two zeros."""
+    """Least and greatest density in a layer of stored voxels [kg/m3], by their words; of none
+    two zeros.
+    """
     density = (material[(material & 255) == layer] >> 16).astype(np.int64)
     density = density[density > 0]
     return np.array([density.min(), density.max()]) if len(density) else np.zeros(2, dtype=np.int64)

@@ -1,4 +1,6 @@
-"""The elements of a cutter's surface on a device, and what a load on each adds to force and torque."""
+"""The elements of a cutter's surface on a device, and what a load on each adds to force and
+torque.
+"""
 
 import numpy as np
 import warp as wp
@@ -10,7 +12,9 @@ from tissue.cutters.cutter import Cutter, PointShell
 __all__ = ["edge_lengths_m", "elements_of", "levers_of"]
 
 LEVER = [0, 1, 3, 4, 5, 6, 7, 8, 9, 10, 11, 14, 15, 16]
-"""Components of the forces and torques of tangential, radial and axial loads that are not 0 on every element."""
+"""Components of the forces and torques of tangential, radial and axial loads that are not 0 on
+every element.
+"""
 
 
 def elements_of(shell: PointShell, cutter: Cutter, *, spacing_m: float, device: str) -> Elements:
@@ -18,13 +22,19 @@ def elements_of(shell: PointShell, cutter: Cutter, *, spacing_m: float, device: 
     elements = Elements()
     elements.point = wp.array(shell.points_m, dtype=wp.vec3, device=device)
     missing = (0, -len(shell.areas_m2) % LANES), (0, 0)  # elements without a normal do not advance
-    eights = np.pad(np.hstack([shell.points_m, shell.normals]), missing).reshape(-1, LANES, 6).transpose(0, 2, 1)
+    eights = (
+        np.pad(np.hstack([shell.points_m, shell.normals]), missing)
+        .reshape(-1, LANES, 6)
+        .transpose(0, 2, 1)
+    )
     elements.lanes = wp.array(np.ascontiguousarray(eights), dtype=lanes8, device=device)
     elements.normal = wp.array(shell.normals, dtype=wp.vec3, device=device)
     levers = np.hstack([levers_of(shell, cutter)[:, LEVER], np.zeros((len(shell.areas_m2), 2))])
     elements.lever = wp.array(np.pad(levers, missing), dtype=lever16, device=device)
     elements.area = wp.array(shell.areas_m2, dtype=wp.float32, device=device)
-    bend = cutter.table(spacing_m=spacing_m).bend_at(shell.radii_m / spacing_m, shell.points_m[:, 2] / spacing_m)
+    bend = cutter.table(spacing_m=spacing_m).bend_at(
+        shell.radii_m / spacing_m, shell.points_m[:, 2] / spacing_m
+    )
     elements.bend = wp.array(bend, dtype=wp.float32, device=device)
     elements.edge_length = wp.array(edge_lengths_m(shell, cutter), dtype=wp.float32, device=device)
     balls, cones = _chunk_bounds(shell)
@@ -34,14 +44,21 @@ def elements_of(shell: PointShell, cutter: Cutter, *, spacing_m: float, device: 
 
 
 def levers_of(shell: PointShell, cutter: Cutter) -> Array:
-    """Directions of a tangential, a radial and an axial load on each element, each with its moment about the tip [m].
+    """Directions of a tangential, a radial and an axial load on each element, each with its moment
+    about the tip [m].
 
     Shape (n, 18).
     """
-    around = np.column_stack([-shell.points_m[:, 1], shell.points_m[:, 0], np.zeros(len(shell.radii_m))])
+    around = np.column_stack(
+        [-shell.points_m[:, 1], shell.points_m[:, 0], np.zeros(len(shell.radii_m))]
+    )
     around *= np.sign(cutter.spin_rad_s) / shell.radii_m[:, None]
     axis = np.broadcast_to([0.0, 0.0, 1.0], around.shape)
-    parts = [part for each in (around, shell.normals, axis) for part in (each, np.cross(shell.points_m, each))]
+    parts = [
+        part
+        for each in (around, shell.normals, axis)
+        for part in (each, np.cross(shell.points_m, each))
+    ]
     return np.hstack(parts)
 
 
@@ -51,7 +68,8 @@ def edge_lengths_m(shell: PointShell, cutter: Cutter) -> Array:
 
 
 def _chunk_bounds(shell: PointShell) -> tuple[Array, Array]:
-    """A ball around each chunk's points, centre and radius [m], and a cone around its normals; each shape (chunks, 4).
+    """A ball around each chunk's points, centre and radius [m], and a cone around its normals; each
+    shape (chunks, 4).
 
     A cone is its axis and the sine of its half angle, 2 where it is wider than a half space.
     """

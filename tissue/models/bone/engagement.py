@@ -1,4 +1,6 @@
-"""Bone that answers with what its force is made of: the loads of a unit of each cutting coefficient."""
+"""Bone that answers with what its force is made of: the loads of a unit of each cutting
+coefficient.
+"""
 
 import numpy as np
 import warp as wp
@@ -73,7 +75,9 @@ class EngagedElements:
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
 
     def find(self, motion: ToolMotion) -> tuple[Array, ...]:
-        """Return, of every element, the share that cuts, the advance per unit of speed, the layer and the density."""
+        """Return, of every element, the share that cuts, the advance per unit of speed, the
+        layer and the density.
+        """
         self.bone.take(motion)
         self._launch()
         for each in self._found:
@@ -81,9 +85,11 @@ class EngagedElements:
         return tuple(each.host for each in self._found)
 
     def cutting(self, motion: ToolMotion) -> tuple[Array, Array, Array]:
-        """Return where the cutter cuts: points in the world [m], normals out of the cutter, and relative powers.
+        """Return where the cutter cuts: points in the world [m], normals out of the cutter, and
+        relative powers.
 
-        The power of an element is its tangential force times its speed, which is the spin times its radius.
+        The power of an element is its tangential force times its speed, which is the spin times its
+        radius.
         """
         share, advance, layer, density = self.find(motion)
         met = np.flatnonzero(share)
@@ -96,13 +102,20 @@ class EngagedElements:
         exponent = np.array([each.density_exponent for each in coefficients])[layer[met]]
         thickness = cutter.chip_per_speed_s * motion.speed_m_s * advance[met].astype(np.float64)
         strength = (density[met] / reference) ** exponent
-        powers = shell.radii_m[met] * self._edges[met] * share[met] * strength * (chip * thickness + edge)
+        powers = (
+            shell.radii_m[met]
+            * self._edges[met]
+            * share[met]
+            * strength
+            * (chip * thickness + edge)
+        )
         points = motion.tip_m + shell.points_m[met] @ motion.rotation.T
         return points, shell.normals[met] @ motion.rotation.T, powers
 
 
 class EngagedBone:
-    """A bone model that is carved as ever, and gives loads for any coefficients in place of a force.
+    """A bone model that is carved as ever, and gives loads for any coefficients in place of a
+    force.
 
     Parameters
     ----------
@@ -118,8 +131,9 @@ class EngagedBone:
     nodes
         Densities of each layer at which loads are given.
     unit_loads
-        Of each layer: force [N] and torque about the tip [N m] on the tool in the world for a unit of each coefficient
-        [Pa, then N/m], weighed as `DensityNodes` has it, shape (nodes, 6, 6); of the last `respond`.
+        Of each layer: force [N] and torque about the tip [N m] on the tool in the world for a unit
+        of each coefficient [Pa, then N/m], weighed as `DensityNodes` has it, shape (nodes, 6, 6);
+        of the last `respond`.
     asked
         Whether `respond` is to give them.
     """
@@ -130,8 +144,13 @@ class EngagedBone:
         self.measure_names: tuple[str, ...] = ()
         self.asked = True
         material = bone.store.material.numpy()
-        self.nodes = [DensityNodes.of(*densities_of(material, layer)) for layer in range(len(self.layer_names))]
-        self.unit_loads = [np.zeros((len(each.densities_kg_m3), COEFFICIENTS, 6)) for each in self.nodes]
+        self.nodes = [
+            DensityNodes.of(*densities_of(material, layer))
+            for layer in range(len(self.layer_names))
+        ]
+        self.unit_loads = [
+            np.zeros((len(each.densities_kg_m3), COEFFICIENTS, 6)) for each in self.nodes
+        ]
         self._response = Response.empty(len(self.layer_names))
         shell = bone.shell
         cutter = bone.cutter
@@ -168,7 +187,9 @@ class EngagedBone:
         self.bone.finish()
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Engaged areas and rate of removal, without a force; `unit_loads` are those at the motion's speed."""
+        """Engaged areas and rate of removal, without a force; `unit_loads` are those at the
+        motion's speed.
+        """
         response = self._response
         if not self.asked:
             return response
@@ -186,12 +207,16 @@ class EngagedBone:
         levers = self._levers[met]
         for at, nodes in enumerate(self.nodes):
             here = layers == at
-            self.unit_loads[at][:] = _sums(weights[here], levers[here], nodes.shares[density[met][here]], motion)
+            self.unit_loads[at][:] = _sums(
+                weights[here], levers[here], nodes.shares[density[met][here]], motion
+            )
         return response
 
 
 def _sums(weights: Array, levers: Array, shares: Array, motion: ToolMotion) -> Array:
-    """Loads of elements with weights of chip and edge, (n, 2), levers, (n, 18), and shares at nodes, (n, nodes)."""
+    """Loads of elements with weights of chip and edge, (n, 2), levers, (n, 18), and shares at
+    nodes, (n, nodes).
+    """
     columns = (weights[:, :, None] * levers[:, None, :]).reshape(len(weights), 2 * levers.shape[1])
     sums = (shares.T @ columns).reshape(shares.shape[1], COEFFICIENTS, 2, 3)
     return np.asarray(sums @ motion.rotation.T).reshape(shares.shape[1], COEFFICIENTS, 6)

@@ -21,12 +21,15 @@ from tissue.models.tissue_model import ToolMotion
 __all__ = ["THICKEST_M", "LawLimits", "SmoothSurface"]
 
 THICKEST_M = 1e-4
-"""Feed per tooth up to which the law holds [m]. Cortical bone is sheared at depths of cut of 10 to 50 um and breaks off
-in pieces above 100 um (Luo et al. 2022, Chinese Journal of Mechanical Engineering 35)."""
+"""Feed per tooth up to which the law holds [m]. Cortical bone is sheared at depths of cut of 10 to
+50 um and breaks off in pieces above 100 um (Luo et al. 2022, Chinese Journal of Mechanical
+Engineering 35)."""
 SMOOTH_ELEMENTS = 500
 """Elements over the surface that does not cut."""
 BLOCKED = 0.25
-"""Share of the smooth end's area that has to meet bone before it counts: a peg touches the rim of its pilot hole."""
+"""Share of the smooth end's area that has to meet bone before it counts: a peg touches the rim
+of its pilot hole.
+"""
 
 
 class SmoothSurface:
@@ -44,13 +47,17 @@ class SmoothSurface:
         Warp device name.
     """
 
-    def __init__(self, cutter: Cutter, store: BrickStore, revolution: Any, motion: Any, *, device: str) -> None:
+    def __init__(
+        self, cutter: Cutter, store: BrickStore, revolution: Any, motion: Any, *, device: str
+    ) -> None:
         pieces = [piece for piece in cutter.profile.pieces if not piece.cutting]
         total_m2 = sum(piece.area_m2 for piece in pieces)
         shell = cutter.smooth_shell(spacing_m=(total_m2 / SMOOTH_ELEMENTS) ** 0.5)
         chunks = -(-len(shell.areas_m2) // CHUNK)
         layers = len(store.grid.layer_names)
-        ends = [piece for piece in pieces if isinstance(piece, Line) and piece.start[1] == piece.end[1]]
+        ends = [
+            piece for piece in pieces if isinstance(piece, Line) and piece.start[1] == piece.end[1]
+        ]
         radii = [max(piece.start[0], piece.end[0]) for piece in ends]
         self.blocked_m2 = BLOCKED * min([total_m2, *(pi * radius**2 for radius in radii)])
         self._sums = Mirror((chunks, AREA + layers), dtype=wp.float64, device=device)
@@ -110,7 +117,8 @@ class LawLimits:
     Attributes
     ----------
     notices
-        A sentence at the first time that each limit is passed; the loop takes them out as it logs them.
+        A sentence at the first time that each limit is passed; the loop takes them out as it logs
+        them.
     passed
         All these sentences, by what they are about.
     thickest_m
@@ -145,14 +153,22 @@ class LawLimits:
             if self.thickest_m > THICKEST_M and "chips" not in self.passed:
                 self._pass(
                     "chips",
-                    f"the feed of {1e3 * feed_m_s:.3g} mm/s is {1e3 * self.thickest_m:.2g} mm per tooth, but the "
-                    f"cutting law holds up to {1e3 * THICKEST_M:g} mm: forces are extrapolated. Use a slower feed or "
+                    f"the feed of {1e3 * feed_m_s:.3g} mm/s is {1e3 * self.thickest_m:.2g} "
+                    "mm per tooth, but the "
+                    f"cutting law holds up to {1e3 * THICKEST_M:g} mm: forces are "
+                    "extrapolated. Use a slower feed or "
                     "a higher speed of the tool",
                 )
-        if is_new and self._smooth is not None and "smooth surface" not in self.passed and self._smooth.is_blocked:
+        if (
+            is_new
+            and self._smooth is not None
+            and "smooth surface" not in self.passed
+            and self._smooth.is_blocked
+        ):
             self._pass(
                 "smooth surface",
-                "a smooth part of the tool, such as its peg, is pushed into bone, which it cannot cut: no force is "
+                "a smooth part of the tool, such as its peg, is pushed into bone, which it "
+                "cannot cut: no force is "
                 "computed for it. Drill a pilot hole for the peg, or lead the tool elsewhere",
             )
 

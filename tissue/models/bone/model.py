@@ -24,8 +24,11 @@ from tissue.models.tissue_model import Response, ToolMotion
 __all__ = ["BoneModel", "Removal"]
 
 SHELL_ELEMENTS = 6000
-"""Elements over the cutting surface: a twentieth of a ball's radius apart. The force of a slot in flat bone is within
-0.5 % where it is half a millimetre deep, and within 3 % where it is 0.1 mm deep, see `tests/verification`."""
+"""Elements over the cutting surface: a twentieth of a ball's radius apart. The force of a slot in
+flat bone is within
+0.5 % where it is half a millimetre deep, and within 3 % where it is 0.1 mm deep, see
+`tests/verification`.
+"""
 
 
 class BoneModel:
@@ -40,7 +43,8 @@ class BoneModel:
     coefficients
         Cutting coefficients of each of the bone's layers, in their order.
     removal
-        ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` whole voxels by their centres.
+        ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` whole voxels by their
+        centres.
     shell_spacing_m
         Distance between the cutter's elements [m]; by default such that there are 6000.
     device
@@ -65,7 +69,9 @@ class BoneModel:
         device: str = "cpu",
         cores: int | None = None,
     ) -> None:
-        self.store = store = bone if isinstance(bone, BrickStore) else BrickStore.from_volume(bone, device=device)
+        self.store = store = (
+            bone if isinstance(bone, BrickStore) else BrickStore.from_volume(bone, device=device)
+        )
         grid = store.grid
         self.layer_names = grid.layer_names
         self.measure_names: tuple[str, ...] = ()
@@ -78,7 +84,9 @@ class BoneModel:
         self._spacing = spacing
         self.shell = cutter.shell(spacing_m=self.shell_spacing_m)
         self._parts = np.zeros((4, 3))  # chip force and torque, edge force and torque
-        self._response = Response(self._parts[:2].reshape(6), self._parts[2:].reshape(6), np.zeros(6), np.zeros(layers))
+        self._response = Response(
+            self._parts[:2].reshape(6), self._parts[2:].reshape(6), np.zeros(6), np.zeros(layers)
+        )
         chunks = -(-len(self.shell.areas_m2) // CHUNK)
         self._motion = Mirror((6, 3), dtype=wp.float64, device=device)
         self._rows = self._motion.host[0], self._motion.host[1:4], self._motion.host[4:6]
@@ -91,10 +99,13 @@ class BoneModel:
         self._cores = cores
         smooth = None
         if cutter.has_smooth_surface:
-            smooth = SmoothSurface(cutter, store, self.carver.tool, self._motion.device, device=device)
+            smooth = SmoothSurface(
+                cutter, store, self.carver.tool, self._motion.device, device=device
+            )
         self.limits = LawLimits(cutter, smooth)
         self.notices = self.limits.notices
-        self._answered: tuple[bytes, int] | None = None  # motion, and state of the bone, that the sums are for
+        # motion, and state of the bone, that the sums are for
+        self._answered: tuple[bytes, int] | None = None
         self._record()
 
     def _record(self) -> None:
@@ -166,7 +177,9 @@ class BoneModel:
         self.carver.place(motion)
 
     def advance(self, motion: ToolMotion) -> None:
-        """Carve what the tool reaches at its new pose; a slow tool's carving is spread over ticks."""
+        """Carve what the tool reaches at its new pose; a slow tool's carving is spread over
+        ticks.
+        """
         self.carver.advance(motion)
 
     def take(self, motion: ToolMotion) -> None:
@@ -179,7 +192,9 @@ class BoneModel:
         self._motion.push()
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Cutting force at the motion's pose, as a part that grows with speed and a part that does not."""
+        """Cutting force at the motion's pose, as a part that grows with speed and a part that
+        does not.
+        """
         self.take(motion)
         asked = self._motion.host.tobytes(), self.carver.changes
         is_new = asked != self._answered
@@ -223,6 +238,9 @@ def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) ->
     arrays.chip = at_levers(CuttingCoefficients.CHIP)
     arrays.edge = at_levers(CuttingCoefficients.EDGE)
     density = np.arange(DENSITIES)
-    strength = [(density / layer.reference_density_kg_m3) ** layer.density_exponent for layer in coefficients]
+    strength = [
+        (density / layer.reference_density_kg_m3) ** layer.density_exponent
+        for layer in coefficients
+    ]
     arrays.strength = wp.array(np.array(strength), dtype=wp.float32, device=device)
     return arrays

@@ -30,7 +30,8 @@ class CarvingReplay:
     Attributes
     ----------
     fraction
-        Bone in every voxel at the tick, 255 = full, uint8, shape (nx, ny, nz); the next call of `at` changes it.
+        Bone in every voxel at the tick, 255 = full, uint8, shape (nx, ny, nz); the next call of
+        `at` changes it.
     """
 
     def __init__(
@@ -49,7 +50,8 @@ class CarvingReplay:
         self._start = self._carver.state()
         self.fraction = volume.fraction.copy()
         self._next = 0  # first pose that was not carved yet
-        self._changed = np.zeros(0, dtype=np.intp)  # bricks whose fraction differs from what is stored in them
+        # bricks whose fraction differs from what is stored in them
+        self._changed = np.zeros(0, dtype=np.intp)
         self._cut = np.zeros(0, dtype=np.intp)  # bricks that differ from the start
 
     def at(self, tick: int) -> NDArray[np.uint8]:
@@ -67,16 +69,19 @@ class CarvingReplay:
         self._carver.finish()
         completed, _ = self._store.take_touched()
         self._cut = np.union1d(self._cut, np.union1d(carved, completed))
-        self._store.write_fraction(self.fraction, np.union1d(self._changed, np.union1d(carved, completed)))
+        self._store.write_fraction(
+            self.fraction, np.union1d(self._changed, np.union1d(carved, completed))
+        )
         self._carver.restore(before)
         self._changed = completed
         return self.fraction
 
     def removals(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Indices of the voxels that fall below half during the run, shape (n, 3), and the tick of each, increasing.
+        """Indices of the voxels that fall below half during the run, shape (n, 3), and the tick of
+        each, increasing.
 
-        Removal is fractional; a voxel that was below half before the first cut is none of them. A slow tool's bricks
-        take turns, so that a voxel may be up to 20 µm of the tool's path late.
+        Removal is fractional; a voxel that was below half before the first cut is none of them. A
+        slow tool's bricks take turns, so that a voxel may be up to 20 µm of the tool's path late.
         """
         self._carver.restore(self._start)
         self._store.take_touched()

@@ -1,9 +1,11 @@
-"""Displacement, strain and stress of a block of the organ that a needle drags along: a picture of what it does to it.
+"""Displacement, strain and stress of a block of the organ that a needle drags along: a picture of
+what it does to it.
 
-The needle's own model (`tissue.models.needle.insertion`) is one-dimensional: it knows how far the organ is deflected
-at the needle and how much of the needle is in it. Here a linear-elastic block around the first track answers that
-deflection: its nodes along the inserted shaft, before the puncture the one at the entry, are moved by it along the
-needle's axis, by whatever forces that takes. The force on the needle never comes from here.
+The needle's own model (`tissue.models.needle.insertion`) is one-dimensional: it knows how far the
+organ is deflected at the needle and how much of the needle is in it. Here a linear-elastic block
+around the first track answers that deflection: its nodes along the inserted shaft, before the
+puncture the one at the entry, are moved by it along the needle's axis, by whatever forces that
+takes. The force on the needle never comes from here.
 """
 
 from dataclasses import dataclass, replace
@@ -35,7 +37,9 @@ BELOW_M = 0.03
 COARSE_M = 0.01
 FINE_M = 2.2e-3
 GROWTH = 0.75
-"""Bricks of the block [m], longest edge on the track [m], and how much edges grow with the distance from it."""
+"""Bricks of the block [m], longest edge on the track [m], and how much edges grow with the
+distance from it.
+"""
 ON_TRACK_M = 1e-9
 """Rounding of a node's place [m]."""
 
@@ -60,12 +64,14 @@ class Track:
 
     @classmethod
     def first_of(cls, tips_m: Array, outward: Array, *, diameter_m: float) -> "Track | None":
-        """The first track of a motion; None where the needle stays outside, starts inside or lies flat.
+        """The first track of a motion; None where the needle stays outside, starts inside or lies
+        flat.
 
         Parameters
         ----------
         tips_m, outward
-            Tip positions that outline the motion [m] and the needle's axis there, shape (n, 3) both.
+            Tip positions that outline the motion [m] and the needle's axis there, shape (n, 3)
+            both.
         diameter_m
             Distance of two entries within which they are one [m].
         """
@@ -80,9 +86,11 @@ class Track:
 
 
 def needle_block(track: Track) -> tuple[TetMesh, Ints, Array]:
-    """Block of tissue around a track, its nodes on it from the surface down, shape (k,), and their depths [m], (k,).
+    """Block of tissue around a track, its nodes on it from the surface down, shape (k,), and their
+    depths [m], (k,).
 
-    A slab sheared so that its middle line is the needle's axis; depths count along the axis. Top face at z = 0.
+    A slab sheared so that its middle line is the needle's axis; depths count along the axis. Top
+    face at z = 0.
     """
     drop = track.deepest_m * float(track.outward[2])
     block = slab(size_m=(SIDE_M, SIDE_M, drop + BELOW_M), spacing_m=COARSE_M)
@@ -97,7 +105,8 @@ def needle_block(track: Track) -> tuple[TetMesh, Ints, Array]:
         return distance
 
     mesh = bisected(
-        replace(block, nodes_m=nodes, part_names=("parenchyma",)), lambda points: FINE_M + GROWTH * away(points)
+        replace(block, nodes_m=nodes, part_names=("parenchyma",)),
+        lambda points: FINE_M + GROWTH * away(points),
     )
     depth = -mesh.nodes_m[:, 2] / float(track.outward[2])
     on = np.flatnonzero((away(mesh.nodes_m) < ON_TRACK_M) & (depth < track.deepest_m + ON_TRACK_M))
@@ -108,11 +117,12 @@ def needle_block(track: Track) -> tuple[TetMesh, Ints, Array]:
 class NeedleFields:
     """Displacement, strain, stress and reaction of a block around a needle's first track.
 
-    A frame costs a tick a copy of three numbers; the fields are computed when the run has ended. Of other tracks
-    nothing is shown: the block is at rest then.
+    A frame costs a tick a copy of three numbers; the fields are computed when the run has ended. Of
+    other tracks nothing is shown: the block is at rest then.
 
-    The cells are linear: Poisson's ratio should keep away from 0.5. Right at the shaft strain and stress depend on the
-    edges of the mesh, for a line that is moved through an elastic body has no limit; so does the force it takes.
+    The cells are linear: Poisson's ratio should keep away from 0.5. Right at the shaft strain and
+    stress depend on the edges of the mesh, for a line that is moved through an elastic body has no
+    limit; so does the force it takes.
 
     Parameters
     ----------
@@ -126,7 +136,9 @@ class NeedleFields:
         Time between two frames [s].
     """
 
-    def __init__(self, track: Track, elasticity: ArrayLike, *, near_m: float, interval_s: float) -> None:
+    def __init__(
+        self, track: Track, elasticity: ArrayLike, *, near_m: float, interval_s: float
+    ) -> None:
         mesh, nodes, self._depths_m = needle_block(track)
         held = slab_base(mesh)
         rows = np.broadcast_to(np.asarray(elasticity, dtype=float), (len(mesh.cells), 2))
@@ -156,9 +168,16 @@ class NeedleFields:
 
     @classmethod
     def of_liver(
-        cls, track: Track, *, near_m: float, interval_s: float, constants: Materials = Materials.cited
+        cls,
+        track: Track,
+        *,
+        near_m: float,
+        interval_s: float,
+        constants: Materials = Materials.cited,
     ) -> "NeedleFields":
-        """Fields in a liver of its modulus; Poisson's ratio is the least cited, for linear cells lock at more."""
+        """Fields in a liver of its modulus; Poisson's ratio is the least cited, for linear cells
+        lock at more.
+        """
         cited = constants.constants("soft", "liver")
         elasticity = lame(1e3 * cited["modulus_kPa"].value, cited["poisson_ratio"].low)
         return cls(track, elasticity, near_m=near_m, interval_s=interval_s)
@@ -168,8 +187,12 @@ class NeedleFields:
         """Mesh and frames."""
         return self._fields.series
 
-    def keep(self, time_s: float, *, deflection_m: float, inserted_m: float, entry_m: Array) -> None:
-        """Remember the organ's deflection and the needle's inserted length [m], and where it went in."""
+    def keep(
+        self, time_s: float, *, deflection_m: float, inserted_m: float, entry_m: Array
+    ) -> None:
+        """Remember the organ's deflection and the needle's inserted length [m], and where it
+        went in.
+        """
         self.next_s += self._fields.interval_s
         here = float(np.linalg.norm(entry_m - self.track.entry_m)) <= self._near_m
         self._kept.append((time_s, deflection_m, inserted_m) if here else (time_s, 0.0, 0.0))
@@ -183,29 +206,42 @@ class NeedleFields:
         self._fields.compute()
 
     def note(self, tissue: NeedleTissue) -> str:
-        """A sentence on what the fields are, and the force of their block besides that of the needle's model."""
+        """A sentence on what the fields are, and the force of their block besides that of the
+        needle's model.
+        """
         puncture = tissue.membranes[0].puncture_N if tissue.membranes else tissue.cutting_N
         moved = tissue.deflection_m(puncture)
         deepest = self.track.deepest_m
         entry, shaft = (float(self.forces_N(moved, inserted).sum()) for inserted in (0.0, deepest))
         size = " x ".join(f"{1e3 * side:.0f}" for side in np.ptp(self.series.nodes_m, axis=0))
         return (
-            f"the linear-elastic answer of a block of {size} mm around the first track, its base held, to the "
-            "deflection that the needle's model gives: a picture, not a second model of the force. To move by "
-            f"{1e3 * moved:.1f} mm it takes {entry:.2g} N at the entry and {shaft:.2g} N along {1e3 * deepest:.0f} mm "
-            f"of shaft, where the needle's model has {puncture:.2f} N: the block has neither capsule nor strain "
-            f"stiffening, and what it takes depends on the edges of its {len(self.series.cells)} linear tetrahedra"
+            f"the linear-elastic answer of a block of {size} mm around the first track, its "
+            "base held, to the "
+            "deflection that the needle's model gives: a picture, not a second model of the "
+            "force. To move by "
+            f"{1e3 * moved:.1f} mm it takes {entry:.2g} N at the entry and {shaft:.2g} N "
+            f"along {1e3 * deepest:.0f} mm "
+            f"of shaft, where the needle's model has {puncture:.2f} N: the block has neither "
+            "capsule nor strain "
+            "stiffening, and what it takes depends on the edges of its "
+            f"{len(self.series.cells)} linear tetrahedra"
         )
 
     def forces_N(self, deflection_m: float, inserted_m: float) -> Array:
-        """Forces along the axis, inwards, that move the track's nodes down to a depth by a deflection [N], (k,)."""
+        """Forces along the axis, inwards, that move the track's nodes down to a depth by a
+        deflection [N], (k,).
+        """
         moved = self._depths_m <= inserted_m + ON_TRACK_M
         forces = np.zeros(len(self.nodes))
-        forces[moved] = np.linalg.solve(self._compliance[np.ix_(moved, moved)], np.full(moved.sum(), deflection_m))
+        forces[moved] = np.linalg.solve(
+            self._compliance[np.ix_(moved, moved)], np.full(moved.sum(), deflection_m)
+        )
         return forces
 
     def _axial_columns(self, solver: DirectSolver) -> Array:
-        """Displacement of all nodes by a unit force inwards along the axis at each node of the track, (k, n, 3)."""
+        """Displacement of all nodes by a unit force inwards along the axis at each node of the
+        track, (k, n, 3).
+        """
         found = np.zeros((len(self.nodes), len(solver.body.nodes_m), 3))
         for component in np.flatnonzero(self._inward):
             columns = solver.columns(3 * self.nodes + component)

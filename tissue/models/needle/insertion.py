@@ -10,28 +10,33 @@ __all__ = ["Insertion"]
 class Insertion:
     """One track of a needle, in one dimension.
 
-    With z the travel of the tip beyond the undeformed surface, u the deflection of the organ and L the length of needle
-    that is in it, z = u + L. The organ is carried by nothing but the needle, so its pull equals the needle's force::
+    With z the travel of the tip beyond the undeformed surface, u the deflection of the organ and L
+    the length of needle that is in it, z = u + L. The organ is carried by nothing but the needle,
+    so its pull equals the needle's force::
 
         a1 u + a2 u|u|  =  tip + hold + friction
 
-    where the tip cuts with a constant force (only deeper than it has been), the edges of the holes in the membranes
-    cling with a constant force, and friction grows with L. While the pull is smaller, needle and organ move together:
-    the shaft sticks, L stays, and the pull is the applied force that Karnopp's law compares with the static friction.
-    Beyond it the shaft slides, u follows from the balance in closed form, and L from z. An intact membrane stops the
-    tip until the pull exceeds its puncture force too; then the organ springs back along the shaft at once, to the u of
-    the balance that is left. So before the puncture the force is Okamura's polynomial, and after it the deflection,
-    the elastic force in it and the inserted length are all greater than zero.
+    where the tip cuts with a constant force (only deeper than it has been), the edges of the holes
+    in the membranes cling with a constant force, and friction grows with L. While the pull is
+    smaller, needle and organ move together: the shaft sticks, L stays, and the pull is the applied
+    force that Karnopp's law compares with the static friction. Beyond it the shaft slides, u
+    follows from the balance in closed form, and L from z. An intact membrane stops the tip until
+    the pull exceeds its puncture force too; then the organ springs back along the shaft at once, to
+    the u of the balance that is left. So before the puncture the force is Okamura's polynomial, and
+    after it the deflection, the elastic force in it and the inserted length are all greater than
+    zero.
 
-    A shaft sticks when its motion stops, turns round, falls below half the band of speeds that counts as rest, or when
-    the tip meets something that stops it. Viscous friction acts on the needle but does not deflect the organ, so that
-    the state depends on where the needle has been not on how finely its path was cut. The tissue is punctured, cut
-    and rubbed, never healed; the work of every one of these is lost, and only the organ's energy can come back.
+    A shaft sticks when its motion stops, turns round, falls below half the band of speeds that
+    counts as rest, or when the tip meets something that stops it. Viscous friction acts on the
+    needle but does not deflect the organ, so that the state depends on where the needle has been
+    not on how finely its path was cut. The tissue is punctured, cut and rubbed, never healed; the
+    work of every one of these is lost, and only the organ's energy can come back.
 
-    Not modelled: relaxation at rest, mass of the organ, force across the axis, bending, and stiffness that changes with
-    depth. The organ moves as one piece with its surface, an inner membrane with it: it has a puncture force but no
-    stiffness of its own. Behind it the tissue is parenchyma again. The polynomial was fitted to deflections of up to
-    17 mm inwards; that the organ pulls back alike when drawn outwards is assumed.
+    Not modelled: relaxation at rest, mass of the organ, force across the axis, bending, and
+    stiffness that changes with depth. The organ moves as one piece with its surface, an inner
+    membrane with it: it has a puncture force but no stiffness of its own. Behind it the tissue is
+    parenchyma again. The polynomial was fitted to deflections of up to 17 mm inwards; that the
+    organ pulls back alike when drawn outwards is assumed.
 
     Attributes
     ----------
@@ -76,7 +81,9 @@ class Insertion:
     @property
     def blocked(self) -> bool:
         """Whether an intact membrane stops the tip."""
-        return self.punctured < len(self._depths) and self._depths[self.punctured] == self.inserted_m
+        return (
+            self.punctured < len(self._depths) and self._depths[self.punctured] == self.inserted_m
+        )
 
     @property
     def pull_N(self) -> float:
@@ -89,14 +96,17 @@ class Insertion:
         friction = self.tissue.friction
         if self.sliding == 0:
             return 0.0
-        return self.inserted_m * (friction.viscous_in_N_s_m2 if self.sliding > 0 else friction.viscous_out_N_s_m2)
+        return self.inserted_m * (
+            friction.viscous_in_N_s_m2 if self.sliding > 0 else friction.viscous_out_N_s_m2
+        )
 
     def shares_N(self) -> tuple[float, float, float]:
         """Elastic, cutting and friction part of the pull [N]; they add up to it.
 
-        While the shaft slides they are what the membranes hold, the tip cuts and the shaft rubs. While it sticks only
-        the pull is known: up to the sliding force it is shared in the same proportion, what goes beyond is reported as
-        elastic before an intact membrane and as friction elsewhere.
+        While the shaft slides they are what the membranes hold, the tip cuts and the shaft rubs.
+        While it sticks only the pull is known: up to the sliding force it is shared in the same
+        proportion, what goes beyond is reported as elastic before an intact membrane and as
+        friction elsewhere.
         """
         pull = self.pull_N
         length = self.inserted_m
@@ -119,10 +129,16 @@ class Insertion:
         cutting = max(share, 0.0) * cutting
         rubbing = share * rubbing
         rest = pull - elastic - cutting - rubbing
-        return (elastic + rest, cutting, rubbing) if self.blocked else (elastic, cutting, rubbing + rest)
+        return (
+            (elastic + rest, cutting, rubbing)
+            if self.blocked
+            else (elastic, cutting, rubbing + rest)
+        )
 
     def _hold_N(self, *, inwards: bool) -> float:
-        """What the holes around the shaft hold; one right at the tip holds only what goes inwards."""
+        """What the holes around the shaft hold; one right at the tip holds only what goes
+        inwards.
+        """
         length = self.inserted_m
         held = 0.0
         for depth, hold in zip(self._depths[: self.punctured], self._holds, strict=False):
@@ -150,7 +166,9 @@ class Insertion:
             self.sliding = max(self.sliding, int(quick))
             per_length = friction.sliding_in_N_m if self.sliding > 0 else friction.static_in_N_m
             resists = tip + self._hold_N(inwards=True) + per_length * self.travel_m
-            deflection = positive_root(tissue.quadratic_N_m2, tissue.linear_N_m + per_length, resists)
+            deflection = positive_root(
+                tissue.quadratic_N_m2, tissue.linear_N_m + per_length, resists
+            )
             stop = self._next_stop_m()
             length = max(self.travel_m - deflection, self.inserted_m)
             self.inserted_m = min(length, stop)
@@ -174,13 +192,17 @@ class Insertion:
         while self.inserted_m > 0.0:
             hold = self._hold_N(inwards=False)
             per_length = friction.sliding_out_N_m if self.sliding < 0 else friction.static_out_N_m
-            if tissue.pull_N(self.travel_m - self.inserted_m) >= -(hold + per_length * self.inserted_m):
+            if tissue.pull_N(self.travel_m - self.inserted_m) >= -(
+                hold + per_length * self.inserted_m
+            ):
                 self.deflection_m = self.travel_m - self.inserted_m
                 return
             self.sliding = min(self.sliding, -int(quick))
             per_length = friction.sliding_out_N_m if self.sliding < 0 else friction.static_out_N_m
             drawn = positive_root(
-                tissue.quadratic_N_m2, tissue.linear_N_m - per_length, hold + per_length * self.travel_m
+                tissue.quadratic_N_m2,
+                tissue.linear_N_m - per_length,
+                hold + per_length * self.travel_m,
             )
             stop = max((depth for depth in self._depths if depth < self.inserted_m), default=0.0)
             length = min(self.travel_m + drawn, self.inserted_m)

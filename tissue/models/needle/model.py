@@ -17,30 +17,37 @@ if TYPE_CHECKING:
 __all__ = ["NeedleModel"]
 
 LEAST_COSINE = 0.17
-"""The needle's axis must meet the surface at more than 10 degrees: the model has no force across the axis."""
+"""The needle's axis must meet the surface at more than 10 degrees: the model has no force across
+the axis.
+"""
 
 
 class NeedleModel:
-    """An organ under the plane z = 0 that a needle is pushed into and drawn out of, along the needle's axis.
+    """An organ under the plane z = 0 that a needle is pushed into and drawn out of, along the
+    needle's axis.
 
-    The force follows `tissue.models.needle.insertion.Insertion` and acts along the needle's axis; moving the needle
-    sideways inside the organ, or turning it, costs nothing. Depths count along the axis, from where it meets the
-    undeformed surface. Only the latest track is remembered: a needle that leaves and comes back within a diameter of
-    where it went in finds it open, elsewhere the organ is whole.
+    The force follows `tissue.models.needle.insertion.Insertion` and acts along the needle's axis;
+    moving the needle sideways inside the organ, or turning it, costs nothing. Depths count along
+    the axis, from where it meets the undeformed surface. Only the latest track is remembered: a
+    needle that leaves and comes back within a diameter of where it went in finds it open, elsewhere
+    the organ is whole.
 
-    The response's ``edge`` is the pull of the organ, which is there at rest too and whatever the speed; ``resistance``
-    is the viscous friction of a sliding shaft. ``engaged_m2`` is the cross-section of the tip, in the layer it touches.
-    Measures: length of needle in the organ and deflection of the organ [mm], then the parts of the axial force that
-    are held by membranes, cut by the tip and rubbed along the shaft [N]; they add up to it, positive against insertion.
+    The response's ``edge`` is the pull of the organ, which is there at rest too and whatever the
+    speed; ``resistance`` is the viscous friction of a sliding shaft. ``engaged_m2`` is the
+    cross-section of the tip, in the layer it touches. Measures: length of needle in the organ and
+    deflection of the organ [mm], then the parts of the axial force that are held by membranes, cut
+    by the tip and rubbed along the shaft [N]; they add up to it, positive against insertion.
 
     Parameters
     ----------
     tissue
         What the needle meets.
     diameter_m
-        Of the needle [m]. It sets the area of the tip, and how far from the last track a new one begins.
+        Of the needle [m]. It sets the area of the tip, and how far from the last track a new one
+        begins.
     fields
-        What shows displacement and stress around the needle; the force does not depend on it. None shows nothing.
+        What shows displacement and stress around the needle; the force does not depend on it. None
+        shows nothing.
 
     Raises
     ------
@@ -49,7 +56,13 @@ class NeedleModel:
         almost flat on it, or is nowhere.
     """
 
-    measure_names: tuple[str, ...] = ("insertion_mm", "deflection_mm", "elastic_N", "cutting_N", "friction_N")
+    measure_names: tuple[str, ...] = (
+        "insertion_mm",
+        "deflection_mm",
+        "elastic_N",
+        "cutting_N",
+        "friction_N",
+    )
 
     def __init__(
         self,
@@ -75,7 +88,9 @@ class NeedleModel:
 
     @property
     def fields(self) -> FieldSeries | None:
-        """Displacement, strain, stress and reaction of a block around the needle; computed when the run has ended."""
+        """Displacement, strain, stress and reaction of a block around the needle; computed when
+        the run has ended.
+        """
         return None if self._fields is None else self._fields.series
 
     def place(self, motion: ToolMotion) -> None:
@@ -83,7 +98,8 @@ class NeedleModel:
         travel = self._travel_m(motion)
         if travel > 0.0:
             raise InputError(
-                f"motion must start with the needle's tip outside the organ, got it {1e3 * travel:g} mm inside: start "
+                "motion must start with the needle's tip outside the organ, got it "
+                f"{1e3 * travel:g} mm inside: start "
                 "above the surface"
             )
         self.insertion = Insertion(self.tissue, travel_m=travel)
@@ -97,7 +113,9 @@ class NeedleModel:
             insertion = self._touch(motion, travel)
         inside = insertion.inserted_m > 0.0
         punctured = insertion.punctured
-        insertion.advance(travel, motion.speed_m_s * float(motion.heading[0].dot(motion.rotation[:, 2])))
+        insertion.advance(
+            travel, motion.speed_m_s * float(motion.heading[0].dot(motion.rotation[:, 2]))
+        )
         while punctured < insertion.punctured:
             at, force = insertion.punctures[punctured]
             name = self.tissue.membranes[punctured].name
@@ -146,22 +164,29 @@ class NeedleModel:
             self._fields.compute()
 
     def _travel_m(self, motion: ToolMotion) -> float:
-        """How far the tip lies beyond the surface, along the needle's axis [m]; negative outside."""
+        """How far the tip lies beyond the surface, along the needle's axis [m]; negative
+        outside.
+        """
         below = -float(motion.tip_m[2])
         cosine = float(motion.rotation[2, 2])
         if not (isfinite(below) and isfinite(cosine)):
-            raise InputError(f"the needle's pose must be finite, got its tip at {motion.tip_m}: mend the motion")
+            raise InputError(
+                f"the needle's pose must be finite, got its tip at {motion.tip_m}: mend the motion"
+            )
         if cosine >= LEAST_COSINE:
             return below / cosine
         if below > 0.0 or self.insertion.inserted_m > 0.0:
             raise InputError(
-                f"the needle's axis must meet the surface at more than 10 degrees, got a cosine of {cosine:.2f} to its "
+                "the needle's axis must meet the surface at more than 10 degrees, got a "
+                f"cosine of {cosine:.2f} to its "
                 "normal: point the needle into the organ"
             )
         return below
 
     def _touch(self, motion: ToolMotion, travel_m: float) -> Insertion:
-        """The track at the point where the needle meets the surface: the last one if it is there, or a new one."""
+        """The track at the point where the needle meets the surface: the last one if it is
+        there, or a new one.
+        """
         entry = motion.tip_m + travel_m * motion.rotation[:, 2]
         if not float(np.linalg.norm(entry - self._entry_m)) <= self._diameter_m:
             self.insertion = Insertion(self.tissue)

@@ -25,12 +25,13 @@ class Membrane:
     name
         As events and layers call it.
     depth_m
-        Where it lies [m], along the needle's axis from the undeformed surface; 0 for the organ's capsule.
+        Where it lies [m], along the needle's axis from the undeformed surface; 0 for the organ's
+        capsule.
     puncture_N
         Force of the tip at which it breaks [N].
     hold_N
-        Force with which the edge of its hole clings to the shaft [N], in or out: the elastic force that is left after
-        the puncture.
+        Force with which the edge of its hole clings to the shaft [N], in or out: the elastic force
+        that is left after the puncture.
     """
 
     name: str
@@ -39,18 +40,31 @@ class Membrane:
     hold_N: float
 
     def __post_init__(self) -> None:
-        require_range(f"depth_m of the {self.name}", self.depth_m, 0.0, 1.0, "measure it in metres from the surface")
+        require_range(
+            f"depth_m of the {self.name}",
+            self.depth_m,
+            0.0,
+            1.0,
+            "measure it in metres from the surface",
+        )
         require_positive(
-            f"puncture_N of the {self.name}", self.puncture_N, "leave the membrane out if it does not hold"
+            f"puncture_N of the {self.name}",
+            self.puncture_N,
+            "leave the membrane out if it does not hold",
         )
         require_range(
-            f"hold_N of the {self.name}", self.hold_N, 0.0, GREATEST_N, "use 0 for a hole that does not cling"
+            f"hold_N of the {self.name}",
+            self.hold_N,
+            0.0,
+            GREATEST_N,
+            "use 0 for a hole that does not cling",
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShaftFriction:
-    """Karnopp's friction along the inserted length, as Okamura (2004) modified it: other numbers in than out.
+    """Karnopp's friction along the inserted length, as Okamura (2004) modified it: other numbers in
+    than out.
 
     Attributes
     ----------
@@ -61,8 +75,8 @@ class ShaftFriction:
     static_in_N_m, static_out_N_m
         Friction at which a shaft at rest breaks away, D_p and the size of D_n [N/m].
     stick_band_m_s
-        Width of the band of speeds around zero that counts as rest [m/s]; slower than half of it the shaft creeps under
-        the static friction.
+        Width of the band of speeds around zero that counts as rest [m/s]; slower than half of it
+        the shaft creeps under the static friction.
     """
 
     sliding_in_N_m: float
@@ -75,13 +89,20 @@ class ShaftFriction:
 
     def __post_init__(self) -> None:
         for entry in fields(self):
-            require_range(entry.name, getattr(self, entry.name), 0.0, GREATEST_N_M, "give its size, in SI units")
+            require_range(
+                entry.name,
+                getattr(self, entry.name),
+                0.0,
+                GREATEST_N_M,
+                "give its size, in SI units",
+            )
         for side in ("in", "out"):
             sliding = getattr(self, f"sliding_{side}_N_m")
             static = getattr(self, f"static_{side}_N_m")
             if static < sliding:
                 raise InputError(
-                    f"static_{side}_N_m must be at least sliding_{side}_N_m ({sliding:g}), got {static:g}: a shaft at "
+                    f"static_{side}_N_m must be at least sliding_{side}_N_m ({sliding:g}), "
+                    f"got {static:g}: a shaft at "
                     "rest is not easier to move than a sliding one"
                 )
 
@@ -93,7 +114,8 @@ class NeedleTissue:
     Attributes
     ----------
     linear_N_m, quadratic_N_m2
-        Force of the organ on the needle at a deflection u of its surface, a1 u + a2 u² (Okamura 2004) [N/m], [N/m2].
+        Force of the organ on the needle at a deflection u of its surface, a1 u + a2 u² (Okamura
+        2004) [N/m], [N/m2].
     cutting_N
         Force of the tip that cuts the tissue between membranes [N].
     friction
@@ -104,8 +126,8 @@ class NeedleTissue:
     Raises
     ------
     InputError
-        If a number cannot be meant, membranes are out of order, or friction grows faster with the inserted length than
-        the organ's pull: a needle that is drawn back would then jump out.
+        If a number cannot be meant, membranes are out of order, or friction grows faster with the
+        inserted length than the organ's pull: a needle that is drawn back would then jump out.
     """
 
     linear_N_m: float
@@ -115,29 +137,43 @@ class NeedleTissue:
     membranes: tuple[Membrane, ...] = ()
 
     def __post_init__(self) -> None:
-        require_positive("linear_N_m", self.linear_N_m, "an organ that does not push back needs no model")
+        require_positive(
+            "linear_N_m", self.linear_N_m, "an organ that does not push back needs no model"
+        )
         require_range(
-            "quadratic_N_m2", self.quadratic_N_m2, 0.0, 1e3 * GREATEST_N_M, "give it in N/m2, 0 for a linear one"
+            "quadratic_N_m2",
+            self.quadratic_N_m2,
+            0.0,
+            1e3 * GREATEST_N_M,
+            "give it in N/m2, 0 for a linear one",
         )
         require_range("cutting_N", self.cutting_N, 0.0, GREATEST_N, "give it in N")
         depths = [membrane.depth_m for membrane in self.membranes]
         if any(below <= above for above, below in pairwise(depths)):
             listed = ", ".join(f"{1e3 * depth:g} mm" for depth in depths)
-            raise InputError(f"membranes must be listed from the surface downwards, got depths {listed}: sort them")
+            raise InputError(
+                f"membranes must be listed from the surface downwards, got depths {listed}: "
+                "sort them"
+            )
         names = [membrane.name for membrane in self.membranes]
         if len({*names, "parenchyma"}) <= len(names):
             raise InputError(
-                f"membranes must have different names and none parenchyma, got {', '.join(names)}: rename one"
+                "membranes must have different names and none parenchyma, got "
+                f"{', '.join(names)}: rename one"
             )
         static = max(self.friction.static_in_N_m, self.friction.static_out_N_m)
         if static >= self.linear_N_m:
             raise InputError(
-                f"linear_N_m must be greater than the static friction per length ({static:g} N/m), got "
-                f"{self.linear_N_m:g}: a softer organ would let a needle that is drawn back jump out"
+                f"linear_N_m must be greater than the static friction per length ({static:g} "
+                "N/m), got "
+                f"{self.linear_N_m:g}: a softer organ would let a needle that is drawn back "
+                "jump out"
             )
 
     def pull_N(self, deflection_m: float) -> float:
-        """Force of the organ on the needle, positive against insertion; the same outwards as inwards [N]."""
+        """Force of the organ on the needle, positive against insertion; the same outwards as
+        inwards [N].
+        """
         return (self.linear_N_m + self.quadratic_N_m2 * abs(deflection_m)) * deflection_m
 
     def deflection_m(self, pull_N: float) -> float:
@@ -158,7 +194,8 @@ def vessel_wall(
     hold_N: float | None = None,
     constants: Materials = Materials.cited,
 ) -> Membrane:
-    """A wall of a vessel, or another membrane inside an organ, at a depth [m]; forces that are None are the constants'.
+    """A wall of a vessel, or another membrane inside an organ, at a depth [m]; forces that are None
+    are the constants'.
 
     The constants of a vessel's wall have no source.
     """
@@ -171,8 +208,11 @@ def vessel_wall(
     )
 
 
-def needle_tissue(*, walls: Sequence[Membrane] = (), constants: Materials = Materials.cited) -> NeedleTissue:
-    """Bovine liver under its capsule by its constants, with membranes inside it, from the surface downwards.
+def needle_tissue(
+    *, walls: Sequence[Membrane] = (), constants: Materials = Materials.cited
+) -> NeedleTissue:
+    """Bovine liver under its capsule by its constants, with membranes inside it, from the surface
+    downwards.
 
     The numbers hold for one needle in one organ (Okamura 2004).
 
@@ -183,7 +223,10 @@ def needle_tissue(*, walls: Sequence[Membrane] = (), constants: Materials = Mate
     """
     liver = {name: entry.value for name, entry in constants.constants("needle", "liver").items()}
     capsule = Membrane(
-        name="capsule", depth_m=0.0, puncture_N=liver["capsule_puncture_N"], hold_N=liver["capsule_hold_N"]
+        name="capsule",
+        depth_m=0.0,
+        puncture_N=liver["capsule_puncture_N"],
+        hold_N=liver["capsule_hold_N"],
     )
     return NeedleTissue(
         linear_N_m=1e3 * liver["linear_N_mm"],

@@ -1,4 +1,6 @@
-"""Compliance of the nodes that a tool may touch: whole, column by column where the tool is, or from a reduced basis."""
+"""Compliance of the nodes that a tool may touch: whole, column by column where the tool is, or
+from a reduced basis.
+"""
 
 from functools import cached_property
 from typing import Literal
@@ -19,12 +21,14 @@ __all__ = ["FACTOR_UNKNOWNS", "CompliancePath", "Factor", "compliance_of"]
 FACTOR_UNKNOWNS = 200_000
 """Above this, frames are solved by multigrid: a factor would take gigabytes."""
 CompliancePath = Literal["condensed", "lazy", "reduced"]
-"""How the compliance is had: taken from a factor of its own and kept on disk, column by column while the tool moves, or
-from a reduced basis."""
+"""How the compliance is had: taken from a factor of its own and kept on disk, column by column
+while the tool moves, or from a reduced basis."""
 
 
 class Factor:
-    """A sparse factor that is made when it is first needed; where it would be too large, multigrid."""
+    """A sparse factor that is made when it is first needed; where it would be too large,
+    multigrid.
+    """
 
     def __init__(self, body: HeldBody) -> None:
         self._body = body
@@ -38,7 +42,9 @@ class Factor:
         return DirectSolver(self._body, last=self._last)
 
     def expect(self, nodes: Ints) -> None:
-        """Have the compliance between some nodes read off the factor, where it is yet to be made and not too large."""
+        """Have the compliance between some nodes read off the factor, where it is yet to be made
+        and not too large.
+        """
         if "solver" not in self.__dict__ and len(self._body.free) <= SCHUR_UNKNOWNS:
             self._last = np.union1d(self._last, nodes)
 
@@ -56,13 +62,24 @@ class Factor:
 
 
 def compliance_of(
-    body: HeldBody, touchable: Ints, factor: Factor, *, path: CompliancePath, basis_size: int, report: Progress
+    body: HeldBody,
+    touchable: Ints,
+    factor: Factor,
+    *,
+    path: CompliancePath,
+    basis_size: int,
+    report: Progress,
 ) -> tuple[Array, LazyCompliance | None]:
-    """Compliance of the touchable nodes [m/N], shape (3t, 3t), and what fills it while the tool moves."""
+    """Compliance of the touchable nodes [m/N], shape (3t, 3t), and what fills it while the tool
+    moves.
+    """
     doing = "condensing the compliance to the surface that can be touched"
     if path == "condensed":
         return surface_compliance_m_N(
-            body, touchable, solver=lambda: factor.solver, progress=lambda share: report(doing, share)
+            body,
+            touchable,
+            solver=lambda: factor.solver,
+            progress=lambda share: report(doing, share),
         ), None
     if path == "reduced":
         size = min(basis_size, 3 * len(touchable))

@@ -19,7 +19,7 @@ from kernels.contact_state import (
     STATE,
     SWEEPS,
     TORQUE,
-)  # fmt: skip
+)
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
 from kernels.near_compliance import gather_all_again, new_patch
@@ -37,9 +37,17 @@ class ContactOutcome(Enum):
     """How a contact solve ended; the value holds the remedy."""
 
     CONVERGED = "the forces hold to the tolerance"
-    NOT_CONVERGED = "the sweeps ran out: allow more, loosen the tolerance, or move the tool in smaller steps"
-    IMMOVABLE = "the tool enters where the organ's supports do not yield: hold fewer nodes, or press elsewhere"
-    MISSING = "the compliance of nodes in reach is not there: fill the blocks of nodes_in_reach before the solve"
+    NOT_CONVERGED = (
+        "the sweeps ran out: allow more, loosen the tolerance, or move the tool in smaller steps"
+    )
+    IMMOVABLE = (
+        "the tool enters where the organ's supports do not yield: hold fewer nodes, or press "
+        "elsewhere"
+    )
+    MISSING = (
+        "the compliance of nodes in reach is not there: fill the blocks of nodes_in_reach before "
+        "the solve"
+    )
 
 
 @dataclass
@@ -78,10 +86,14 @@ class ContactResult:
     compliance_scale: float = field(default=1.0, repr=False)
 
     def displacement_m(self) -> Array:
-        """Displacement of the touchable nodes under the contact forces [m], shape (s, 3); for drawing."""
+        """Displacement of the touchable nodes under the contact forces [m], shape (s, 3); for
+        drawing.
+        """
         loaded = np.flatnonzero(self.nodal_forces_N.any(axis=1))
         columns = (3 * loaded[:, None] + np.arange(3)).ravel()
-        moved: Array = self.compliance_scale * (self.compliance_m_N[:, columns] @ self.nodal_forces_N[loaded].ravel())
+        moved: Array = self.compliance_scale * (
+            self.compliance_m_N[:, columns] @ self.nodal_forces_N[loaded].ravel()
+        )
         return moved.reshape(-1, 3)
 
 
@@ -96,8 +108,9 @@ REACH_M = 1e-4
 class SurfaceContact:
     """A tool and the surface of an organ that answers by its compliance.
 
-    Each solve is one tick: what slipped and what stuck follows from the tool's path since the last solve, so call it
-    once for every pose. Unilateral contact with Coulomb friction, implicit: slip counts over the whole tick.
+    Each solve is one tick: what slipped and what stuck follows from the tool's path since the last
+    solve, so call it once for every pose. Unilateral contact with Coulomb friction, implicit: slip
+    counts over the whole tick.
 
     Parameters
     ----------
@@ -106,15 +119,17 @@ class SurfaceContact:
     faces
         Triangles between them, counter-clockwise seen from outside, shape (f, 3).
     compliance_m_N
-        W = H K^-1 H^T [m/N], symmetric, float64, shape (3s, 3s). On a CPU it is used where it lies and may be filled
-        while contacts go on, block by block, with NaN in what is not there; a block that is there must not change.
+        W = H K^-1 H^T [m/N], symmetric, float64, shape (3s, 3s). On a CPU it is used where it lies
+        and may be filled while contacts go on, block by block, with NaN in what is not there; a
+        block that is there must not change.
     probe
         The tool.
     friction
         Coulomb's coefficient.
     tolerance
-        Step of a contact point in the last sweep, relative to the largest displacement. On a slab under a sphere the
-        force is within 1 % at 1e-3 and 0.2 % at 1e-4; `bench_liver_contact` shows error and cost.
+        Step of a contact point in the last sweep, relative to the largest displacement. On a slab
+        under a sphere the force is within 1 % at 1e-3 and 0.2 % at 1e-4; `bench_liver_contact`
+        shows error and cost.
     sweeps
         Most Gauss-Seidel sweeps in a solve.
     spacing_m
@@ -127,7 +142,8 @@ class SurfaceContact:
     Raises
     ------
     InputError
-        If shapes do not fit, a triangle names no node, positions are not finite, or friction is negative.
+        If shapes do not fit, a triangle names no node, positions are not finite, or friction is
+        negative.
     """
 
     def __init__(
@@ -144,7 +160,9 @@ class SurfaceContact:
         device: str = "cpu",
         cores: int | None = None,
     ) -> None:
-        self.friction = require_range("friction", friction, 0.0, 10.0, "give Coulomb's coefficient, 0 for none")
+        self.friction = require_range(
+            "friction", friction, 0.0, 10.0, "give Coulomb's coefficient, 0 for none"
+        )
         _require_surface(nodes_m, faces, compliance_m_N)
         self.nodes_m = nodes_m
         self.faces = faces
@@ -166,7 +184,9 @@ class SurfaceContact:
         self._spheres = put(self._centres, wp.vec3d, device), put(self._radii, wp.float64, device)
         self._stages = self._recorded()
         self._on_host = device == "cpu"
-        self.result = ContactResult(np.zeros(3), np.zeros(3), self._body.force.numpy(), compliance_m_N)
+        self.result = ContactResult(
+            np.zeros(3), np.zeros(3), self._body.force.numpy(), compliance_m_N
+        )
         """The last solve's result, the object that every solve returns."""
 
     def _recorded(self) -> list[Callable[[], None]]:
@@ -184,18 +204,32 @@ class SurfaceContact:
         def record(kernel: wp.Kernel, inputs: list[object]) -> Callable[[], None]:
             return wp.launch(kernel, dim=1, inputs=inputs, device=device, record_cmd=True).launch
 
-        stages = [record(find_near, [*self._spheres, probe.kind, size, pose, REACH_M, results, body, lists, patch])]
+        stages = [
+            record(
+                find_near,
+                [*self._spheres, probe.kind, size, pose, REACH_M, results, body, lists, patch],
+            )
+        ]
         if isinstance(probe, ShellProbe):
             count = len(probe.points_m)
             home = wp.zeros(count, dtype=wp.int32, device=device)
             shell = [put(probe.points_m, wp.vec3d, device), put(probe.normals, wp.vec3d, device)]
             project = SplitLaunch(
-                project_shell, dim=count, inputs=[*shell, pose, float(self._radii.max()), 0, body, lists],
-                outputs=[points, home], offset_index=4, device=device, cores=self._cores,
-            )  # fmt: skip
+                project_shell,
+                dim=count,
+                inputs=[*shell, pose, float(self._radii.max()), 0, body, lists],
+                outputs=[points, home],
+                offset_index=4,
+                device=device,
+                cores=self._cores,
+            )
             stages += [project, record(link_points, [home, lists, points])]
         law = [self.friction, self._tolerance, self._sweeps]
-        stages.append(record(solve_contact, [probe.kind, size, pose, *law, body, points, lists, patch, results]))
+        stages.append(
+            record(
+                solve_contact, [probe.kind, size, pose, *law, body, points, lists, patch, results]
+            )
+        )
         return stages
 
     def place(self, tip_m: Array, rotation: Array) -> None:
@@ -206,8 +240,13 @@ class SurfaceContact:
         InputError
             If the pose is not finite or not a rotation, or the tool starts inside the organ.
         """
-        if abs(np.linalg.det(rotation) - 1.0) > 1e-6 or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6:
-            raise InputError("rotation", "be a rotation matrix", "another or NaN", "make its columns orthonormal")
+        if (
+            abs(np.linalg.det(rotation) - 1.0) > 1e-6
+            or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6
+        ):
+            raise InputError(
+                "rotation", "be a rotation matrix", "another or NaN", "make its columns orthonormal"
+            )
         self.forget()
         result = self.solve(tip_m, rotation)
         depth = result.penetration_m
@@ -233,7 +272,9 @@ class SurfaceContact:
         self._read(np.zeros(RESULTS))
 
     def scale_compliance(self, factor: float) -> None:
-        """Take the compliance times a factor, such as a viscous organ's share of it within a tick."""
+        """Take the compliance times a factor, such as a viscous organ's share of it within a
+        tick.
+        """
         self.result.compliance_scale = require_positive("factor", factor, "use 1 to leave it")
         self._body.scale = wp.float64(factor)
         self._points.ready.zero_()
@@ -241,10 +282,11 @@ class SurfaceContact:
         self._stages = self._recorded()
 
     def change_compliance(self, compliance_m_N: Array) -> None:
-        """Take another compliance from the next solve on [m/N], shape (3s, 3s), written over the one before.
+        """Take another compliance from the next solve on [m/N], shape (3s, 3s), written over the
+        one before.
 
-        By how much the present forces then move nodes less, that is where they lie without contact, for friction to
-        find them where they were; shift them so for the next solve.
+        By how much the present forces then move nodes less, that is where they lie without contact,
+        for friction to find them where they were; shift them so for the next solve.
         """
         before = self.result.displacement_m()
         self.result.compliance_m_N[:] = compliance_m_N
@@ -256,14 +298,18 @@ class SurfaceContact:
         gather_all_again(self._patch)
 
     def shift(self, offset_m: Array) -> None:
-        """Set how far nodes lie from rest without contact in the next solve [m], shape (s, 3): what has crept."""
+        """Set how far nodes lie from rest without contact in the next solve [m], shape (s, 3):
+        what has crept.
+        """
         self._body.free.assign(self.nodes_m + offset_m)
         self._results.host[LARGEST] += float(np.linalg.norm(offset_m, axis=1).max())
         self._results.push()
         self._shifted = True
 
     def nodes_in_reach(self, tip_m: Array, rotation: Array, margin_m: float) -> Ints:
-        """Touchable nodes whose triangles come within a margin [m] of the tool at rest: fill their compliance first."""
+        """Touchable nodes whose triangles come within a margin [m] of the tool at rest: fill
+        their compliance first.
+        """
         distance, _ = self.probe.distance((self._centres - tip_m) @ rotation)
         return np.unique(self.faces[distance < self._radii + margin_m])
 
@@ -288,7 +334,9 @@ class SurfaceContact:
             If the pose is not finite.
         """
         if not isfinite(tip_m.sum() + rotation.sum()):
-            raise InputError("tip_m and rotation", "be finite", f"{tip_m}, {rotation.tolist()}", "stop the tool")
+            raise InputError(
+                "tip_m and rotation", "be finite", f"{tip_m}, {rotation.tolist()}", "stop the tool"
+            )
         if not self._placed:
             self._keep(tip_m, rotation)
         self._pose.host[0] = tip_m
@@ -324,7 +372,9 @@ class SurfaceContact:
 
 
 def _require_surface(nodes_m: Array, faces: Ints, compliance_m_N: Array) -> None:
-    """Refuse nodes that are not finite, triangles that name none of them, and a compliance of another size."""
+    """Refuse nodes that are not finite, triangles that name none of them, and a compliance of
+    another size.
+    """
     count = len(nodes_m)
     if np.shape(compliance_m_N) != (3 * count, 3 * count) or compliance_m_N.dtype != np.float64:
         raise InputError(
@@ -336,4 +386,6 @@ def _require_surface(nodes_m: Array, faces: Ints, compliance_m_N: Array) -> None
     if not np.isfinite(nodes_m).all():
         raise InputError("nodes_m", "be finite", "NaN or infinity", "repair the mesh")
     if len(faces) == 0 or faces.min() < 0 or faces.max() >= count:
-        raise InputError("faces", f"name nodes 0 to {count - 1}", "others or none", "number them so")
+        raise InputError(
+            "faces", f"name nodes 0 to {count - 1}", "others or none", "number them so"
+        )

@@ -15,7 +15,9 @@ MOST_DIVISIONS = 16
 """Contact points along the edge of a triangle."""
 
 
-def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[NDArray[np.int32], Array, Array]:
+def contact_points(
+    nodes_m: Array, faces: Ints, spacing_m: float
+) -> tuple[NDArray[np.int32], Array, Array]:
     """Contact points on triangles: their corners, and inside those with longer edges a lattice.
 
     A triangle whose longest edge spans n spacings, n > 1, has the centres of its n^2 equal parts.
@@ -44,13 +46,18 @@ def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[NDArr
         If an edge spans more than 16 spacings.
     """
     corners = nodes_m[faces]
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    area = 0.5 * np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     if longest.max() > MOST_DIVISIONS * spacing_m:
         raise InputError(
             "touch_edge_m",
             "be shorter under this tool",
-            f"an edge of {1e3 * longest.max():.4g} mm, more than {MOST_DIVISIONS} times {1e3 * spacing_m:.4g} mm",
+            (
+                f"an edge of {1e3 * longest.max():.4g} mm, more than {MOST_DIVISIONS} times "
+                f"{1e3 * spacing_m:.4g} mm"
+            ),
             "mesh the touchable surface finer, or take a larger tool",
         )
     division = np.maximum(np.ceil(longest / spacing_m - 1e-9), 1).astype(int)
@@ -72,8 +79,10 @@ def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[NDArr
         areas.append(np.repeat(area[wide] / n**2, n * n))
     order = np.argsort(np.concatenate(face), kind="stable")
     return (
-        np.concatenate(face)[order].astype(np.int32), np.concatenate(weights)[order], np.concatenate(areas)[order]
-    )  # fmt: skip
+        np.concatenate(face)[order].astype(np.int32),
+        np.concatenate(weights)[order],
+        np.concatenate(areas)[order],
+    )
 
 
 def put(values: NDArray[np.generic], dtype: type, device: str) -> wp.array[object]:
@@ -82,20 +91,27 @@ def put(values: NDArray[np.generic], dtype: type, device: str) -> wp.array[objec
 
 
 def body_arrays(nodes_m: Array, faces: Ints, compliance_m_N: Array, device: str) -> Body:
-    """The touchable surface at rest, without force; on a CPU the compliance is used where it lies."""
+    """The touchable surface at rest, without force; on a CPU the compliance is used where it
+    lies.
+    """
     body = Body()
     body.free = put(nodes_m, wp.vec3d, device)
     body.last_free = put(nodes_m, wp.vec3d, device)
     body.scale = wp.float64(1.0)
-    body.compliance = wp.array(compliance_m_N, dtype=wp.float64, device=device, copy=device != "cpu")
+    body.compliance = wp.array(
+        compliance_m_N, dtype=wp.float64, device=device, copy=device != "cpu"
+    )
     body.corners = put(faces, wp.int32, device)
     for name in ("force", "moved"):
         setattr(body, name, wp.zeros(len(nodes_m), dtype=wp.vec3d, device=device))
     return body
 
 
-def point_arrays(nodes_m: Array, faces: Ints, probe: ProbeShape, spacing_m: float | None, device: str) -> Points:
-    """Contact points without force, chained by triangle: a shell's own, or some spread over the triangles.
+def point_arrays(
+    nodes_m: Array, faces: Ints, probe: ProbeShape, spacing_m: float | None, device: str
+) -> Points:
+    """Contact points without force, chained by triangle: a shell's own, or some spread over the
+    triangles.
 
     Parameters
     ----------

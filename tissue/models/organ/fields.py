@@ -1,4 +1,6 @@
-"""Displacement, strain, stress and reaction of a whole organ, computed from the forces on its surface."""
+"""Displacement, strain, stress and reaction of a whole organ, computed from the forces on its
+surface.
+"""
 
 from collections.abc import Callable
 from functools import cached_property
@@ -20,7 +22,9 @@ __all__ = ["LargeFields", "OrganFields", "cauchy_stress", "equivalent_strain"]
 
 TOLERANCE = 1e-3
 STEPS = 100
-"""Of a frame's equilibrium: greatest force that is not balanced over the greatest of the load; most steps."""
+"""Of a frame's equilibrium: greatest force that is not balanced over the greatest of the load;
+most steps.
+"""
 PLACES = np.array([[0, 0], [1, 1], [2, 2], [1, 2], [0, 2], [0, 1]])
 """Rows and columns of the components xx, yy, zz, yz, xz, xy."""
 
@@ -61,7 +65,8 @@ class LargeFields:
         return self._make()
 
     def under(self, forces_N: Array, moved_m: Array) -> tuple[Array, StressState, Array]:
-        """Compute displacement [m], stress in the middle of each cell, and reaction of the supports [N], both (n, 3).
+        """Compute displacement [m], stress in the middle of each cell, and reaction of the supports
+        [N], both (n, 3).
 
         Parameters
         ----------
@@ -78,7 +83,9 @@ class LargeFields:
             nodes = self._touchable[loaded]
             between = self._follower.at_rest.compliance_between(nodes)
             shares = csr_array(eye_array(self._space.node_count, format="csr")[nodes])
-            springs = Springs.holding(shares, np.diag(between).reshape(-1, 3).mean(axis=1), moved_m[loaded])
+            springs = Springs.holding(
+                shares, np.diag(between).reshape(-1, 3).mean(axis=1), moved_m[loaded]
+            )
         found = self._follower.follow(load, tolerance=TOLERANCE, step_limit=STEPS, springs=springs)
         self.frames += 1
         self.unsettled += found.residual > TOLERANCE
@@ -86,7 +93,9 @@ class LargeFields:
         return found.displacement_m, stress, found.internal_N - found.load_N
 
 
-def cauchy_stress(space: Space, displacement_m: Array, law: Hyperelastic, cell_factors: Array) -> StressState:
+def cauchy_stress(
+    space: Space, displacement_m: Array, law: Hyperelastic, cell_factors: Array
+) -> StressState:
     """Cauchy stress and logarithmic strain in the middle of each cell, in the frame of space.
 
     Parameters
@@ -98,7 +107,9 @@ def cauchy_stress(space: Space, displacement_m: Array, law: Hyperelastic, cell_f
     """
     corners = np.asarray(space.gradients[0].numpy())
     shape = np.einsum("aci,i->ac", gradient_slopes(4, space.order), np.full(4, 0.25))
-    gradient = np.eye(3) + np.einsum("mai,ac,mcj->mij", displacement_m[space.cell_nodes], shape, corners, optimize=True)
+    gradient = np.eye(3) + np.einsum(
+        "mai,ac,mcj->mij", displacement_m[space.cell_nodes], shape, corners, optimize=True
+    )
     turned = gradient.transpose(0, 2, 1)
     stress = law.stress(gradient) @ turned * (cell_factors / np.linalg.det(gradient))[:, None, None]
     size, frame = np.linalg.eigh(gradient @ turned)
@@ -122,7 +133,8 @@ BATCH = 16
 class OrganFields:
     """Displacement, strain, stress and reaction of a whole organ from the forces of its contact.
 
-    A frame costs a tick a copy of the contact's forces; the fields are computed when the run has ended.
+    A frame costs a tick a copy of the contact's forces; the fields are computed when the run has
+    ended.
 
     Parameters
     ----------
@@ -133,7 +145,8 @@ class OrganFields:
     solve
         Displacement under loads, supports held.
     product
-        Stiffness times displacements, shape (n, 3), supports not held: what is left over the load is the reaction.
+        Stiffness times displacements, shape (n, 3), supports not held: what is left over the load
+        is the reaction.
     touchable
         Nodes that the tool can reach, shape (s,).
     rest_m, rest_load_N
@@ -143,7 +156,8 @@ class OrganFields:
     interval_s
         Time between two frames [s]; infinite for none.
     large
-        What answers in place of `solve` where the organ has a hyperelastic law; there is no weight then.
+        What answers in place of `solve` where the organ has a hyperelastic law; there is no weight
+        then.
     """
 
     def __init__(
@@ -172,7 +186,9 @@ class OrganFields:
         self.next_s = 0.0 if interval_s < inf else inf
         mesh = space.mesh
         sets = {"held": held, "touchable": touchable[touchable < len(mesh.nodes_m)]}
-        self.series = FieldSeries(mesh.nodes_m, mesh.cells, mesh.part, mesh.part_names, node_sets=sets)
+        self.series = FieldSeries(
+            mesh.nodes_m, mesh.cells, mesh.part, mesh.part_names, node_sets=sets
+        )
         self._ends = _edge_ends(space)
         self._kept: list[tuple[float, Array, Array]] = []
         self.notices: list[str] = []
@@ -185,8 +201,8 @@ class OrganFields:
         time_s, force_N
             Time [s] and forces on the touchable nodes [N], shape (t, 3).
         moved
-            Force whose elastic answer is the displacement [N]; for a hyperelastic law the displacements of the
-            touchable nodes [m].
+            Force whose elastic answer is the displacement [N]; for a hyperelastic law the
+            displacements of the touchable nodes [m].
         """
         self.next_s += self.interval_s
         self._kept.append((time_s, force_N.copy(), moved.copy()))
@@ -196,20 +212,31 @@ class OrganFields:
         if self._large is not None:
             for time_s, force, touched in self._kept:
                 moved, stress, reaction = self._large.under(force, touched)
-                self.series.frames.append(self._shown(time_s, moved, stress, stress.strain, reaction))
+                self.series.frames.append(
+                    self._shown(time_s, moved, stress, stress.strain, reaction)
+                )
             if self._kept and self._large.unsettled:
                 self.notices.append(
-                    f"the law's equilibrium was not reached in {self._large.unsettled} of {self._large.frames} frames: "
+                    f"the law's equilibrium was not reached in {self._large.unsettled} of "
+                    f"{self._large.frames} frames: "
                     "their displacement and stress are approximate"
                 )
             self._kept.clear()
         for first in range(0, len(self._kept), BATCH):
             batch = self._kept[first : first + BATCH]
-            viscous = any(force is not creeping and (force != creeping).any() for _, force, creeping in batch)
+            viscous = any(
+                force is not creeping and (force != creeping).any() for _, force, creeping in batch
+            )
             elastic = self._solve(np.stack([self._spread(force) for _, force, _ in batch]))
-            moved = self._solve(np.stack([self._spread(creep) for *_, creep in batch])) if viscous else elastic
+            moved = (
+                self._solve(np.stack([self._spread(creep) for *_, creep in batch]))
+                if viscous
+                else elastic
+            )
             for (time_s, force, _), strained, displaced in zip(batch, elastic, moved, strict=True):
-                self.series.frames.append(self._frame(time_s, force, strained, displaced if viscous else strained))
+                self.series.frames.append(
+                    self._frame(time_s, force, strained, displaced if viscous else strained)
+                )
         self._kept.clear()
 
     def _spread(self, force_N: Array) -> Array:
@@ -218,16 +245,24 @@ class OrganFields:
         return load
 
     def _frame(self, time_s: float, force_N: Array, strained_m: Array, displaced_m: Array) -> Frame:
-        """Stress belongs to the force that acts, strain and displacement to how far the tissue has crept."""
+        """Stress belongs to the force that acts, strain and displacement to how far the tissue
+        has crept.
+        """
         stress = cell_stress(self._space, strained_m + self._rest_m, self._elasticity)
         strain = stress.strain
         if displaced_m is not strained_m:
             strain = cell_stress(self._space, displaced_m + self._rest_m, self._elasticity).strain
-        reaction = self._product(strained_m + self._rest_m) - self._spread(force_N) - self._rest_load_N
+        reaction = (
+            self._product(strained_m + self._rest_m) - self._spread(force_N) - self._rest_load_N
+        )
         return self._shown(time_s, displaced_m + self._rest_m, stress, strain, reaction)
 
-    def _shown(self, time_s: float, moved_m: Array, stress: StressState, strain: Array, reaction: Array) -> Frame:
-        """A frame of displacements [m] and reactions [N] of all nodes, and of stress and strain of the cells."""
+    def _shown(
+        self, time_s: float, moved_m: Array, stress: StressState, strain: Array, reaction: Array
+    ) -> Frame:
+        """A frame of displacements [m] and reactions [N] of all nodes, and of stress and strain
+        of the cells.
+        """
         corners = len(self._space.mesh.nodes_m)
         for end in self._ends.T:  # a middle node's reaction is shown half at each end of its edge
             np.add.at(reaction, end, 0.5 * reaction[corners:])
@@ -256,8 +291,12 @@ def _edge_ends(space: Space) -> Ints:
 
 
 def equivalent_strain(strain: Array) -> Array:
-    """Von Mises equivalent of strain tensors xx, yy, zz, yz, xz, xy, shape (n, 6): sqrt(2/3 e : e), e the deviator."""
+    """Von Mises equivalent of strain tensors xx, yy, zz, yz, xz, xy, shape (n, 6): sqrt(2/3 e :
+    e), e the deviator.
+    """
     mean = strain[:, :3].mean(axis=1, keepdims=True)
     deviator = strain[:, :3] - mean
-    value: Array = np.sqrt(2.0 / 3.0 * ((deviator**2).sum(axis=1) + 2.0 * (strain[:, 3:] ** 2).sum(axis=1)))
+    value: Array = np.sqrt(
+        2.0 / 3.0 * ((deviator**2).sum(axis=1) + 2.0 * (strain[:, 3:] ** 2).sum(axis=1))
+    )
     return value

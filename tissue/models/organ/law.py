@@ -37,7 +37,8 @@ class OrganLaw:
     interval_s
         Time between two solves, between ticks [s].
     coarser
-        The organ on a coarser mesh, on which its law is solved, and the factors there; None for its own mesh.
+        The organ on a coarser mesh, on which its law is solved, and the factors there; None for its
+        own mesh.
     """
 
     law: Hyperelastic
@@ -47,7 +48,8 @@ class OrganLaw:
 
 
 def law_offset_of(organ: "SoftOrgan", law: OrganLaw, touchable: Ints) -> LawOffset:
-    """Build the offset of the touchable nodes of an organ, shape (t,), that follows its law between ticks.
+    """Build the offset of the touchable nodes of an organ, shape (t,), that follows its law between
+    ticks.
 
     Raises
     ------
@@ -63,13 +65,25 @@ def law_offset_of(organ: "SoftOrgan", law: OrganLaw, touchable: Ints) -> LawOffs
 
 
 def large_fields_of(organ: "SoftOrgan", law: OrganLaw, touchable: Ints) -> LargeFields:
-    """Displacement, strain and stress of an organ under forces on its touchable nodes, on its mesh."""
+    """Displacement, strain and stress of an organ under forces on its touchable nodes, on its
+    mesh.
+    """
     factors = law.cell_factors
-    return LargeFields(organ.space, law.law, factors, lambda: _follower(organ, law.law, factors, touchable), touchable)
+    return LargeFields(
+        organ.space,
+        law.law,
+        factors,
+        lambda: _follower(organ, law.law, factors, touchable),
+        touchable,
+    )
 
 
-def _follower(organ: "SoftOrgan", law: Hyperelastic, cell_factors: Array, nodes: Ints) -> QuasiNewton:
-    """What follows the equilibria of an organ; its factors know the compliance between some nodes."""
+def _follower(
+    organ: "SoftOrgan", law: Hyperelastic, cell_factors: Array, nodes: Ints
+) -> QuasiNewton:
+    """What follows the equilibria of an organ; its factors know the compliance between some
+    nodes.
+    """
     at_rest = organ.factor.solver
     if not isinstance(at_rest, DirectSolver):
         raise InputError(

@@ -1,16 +1,20 @@
-"""A hyperelastic organ at 1 kHz: a compliance for every tick, and between ticks how far the law is from it.
+"""A hyperelastic organ at 1 kHz: a compliance for every tick, and between ticks how far the law is
+from it.
 
-Under nodal forces f the surface of the organ moves by u(f). Near an equilibrium u_k, f_k, with W a compliance::
+Under nodal forces f the surface of the organ moves by u(f). Near an equilibrium u_k, f_k, with W a
+compliance::
 
     u(f) = W f + offset_k,    offset_k = u_k - W f_k
 
-so that a contact on W with this offset is in equilibrium with the law as soon as f_k are the forces that act. At the
-end of every interval the equilibrium of the forces of that moment is found; the offset goes over to the new one within
-the next interval, without a step. It follows the depth of the tool by its change since the last one. W is that of rest
-until the equilibria are far from it; then that of the tangent stiffness where the tissue is (Newton's method).
+so that a contact on W with this offset is in equilibrium with the law as soon as f_k are the forces
+that act. At the end of every interval the equilibrium of the forces of that moment is found; the
+offset goes over to the new one within the next interval, without a step. It follows the depth of
+the tool by its change since the last one. W is that of rest until the equilibria are far from it;
+then that of the tangent stiffness where the tissue is (Newton's method).
 
-Equilibria may be solved on a coarser mesh: u = W_rest f + T (u_c - K_c^-1 T^T f), with T from its nodes to those that
-can be touched, and W = W_rest + T (K_t^-1 - K_c^-1) T^T. Its errors are nearly the same with the law and without.
+Equilibria may be solved on a coarser mesh: u = W_rest f + T (u_c - K_c^-1 T^T f), with T from its
+nodes to those that can be touched, and W = W_rest + T (K_t^-1 - K_c^-1) T^T. Its errors are nearly
+the same with the law and without.
 """
 
 from dataclasses import dataclass
@@ -29,10 +33,12 @@ __all__ = ["LawOffset"]
 
 TOLERANCE = 0.02
 STEPS = 30
-"""Of the forces that nothing balances at the end of a solve, over the greatest nodal force; most steps of a solve."""
+"""Of the forces that nothing balances at the end of a solve, over the greatest nodal force; most
+steps of a solve.
+"""
 MISSED = 0.05
-"""Share of the displacement by which an equilibrium is off what was expected, from which the compliance is made anew:
-one that is kept too long lets forces wander from interval to interval."""
+"""Share of the displacement by which an equilibrium is off what was expected, from which the
+compliance is made anew: one that is kept too long lets forces wander from interval to interval."""
 APART_M = 2e-4
 """Least change of depth from which the change of the offset with it is taken [m]."""
 FARTHEST = 2.0
@@ -65,14 +71,19 @@ class LawOffset:
     fixed
         Components of that mesh's nodes that are held, shape (n, 3).
     transfer
-        Shares of that mesh's nodes in those that the contact knows, shape (t, n); the follower's factors know the
-        compliance between all nodes that have one.
+        Shares of that mesh's nodes in those that the contact knows, shape (t, n); the follower's
+        factors know the compliance between all nodes that have one.
     interval_s
         Time between two solves [s].
     """
 
     def __init__(
-        self, follower: QuasiNewton, fixed: NDArray[np.bool_], transfer: csr_array, *, interval_s: float
+        self,
+        follower: QuasiNewton,
+        fixed: NDArray[np.bool_],
+        transfer: csr_array,
+        *,
+        interval_s: float,
     ) -> None:
         self._follower = follower
         self._fixed = fixed
@@ -116,7 +127,9 @@ class LawOffset:
         return self._offset
 
     def renew(self, time_s: float, depth_m: float, contact: SurfaceContact) -> None:
-        """Where an interval ends, find the equilibrium of the forces of a contact, and how it goes on from there."""
+        """Where an interval ends, find the equilibrium of the forces of a contact, and how it
+        goes on from there.
+        """
         if time_s < self._next_s - 1e-9:
             return
         started = perf_counter()
@@ -128,7 +141,9 @@ class LawOffset:
         moved = found.displacement_m[self._nodes]
         self._now.into(expected := np.zeros_like(self._offset), depth_m, 1.0)
         missed = float(np.linalg.norm(self._off(moved, forces) - expected))
-        if self._follower.factor is self._factor and missed > MISSED * float(np.linalg.norm(self._near @ moved)):
+        if self._follower.factor is self._factor and missed > MISSED * float(
+            np.linalg.norm(self._near @ moved)
+        ):
             self._follower.take_stiffness()
         if self._follower.factor is not self._factor:
             self._change_compliance(contact, forces, depth_m)
@@ -149,22 +164,34 @@ class LawOffset:
         self._report(found.residual, perf_counter() - started, first=indefinite == 0)
 
     def _springs(self, forces_N: Array, load_N: Array) -> Springs:
-        """Build springs that hold the nodes under the tool near the places that the last contact gave them."""
+        """Build springs that hold the nodes under the tool near the places that the last contact
+        gave them.
+        """
         loaded = np.flatnonzero(forces_N.any(axis=1))
         if not len(loaded):
             return Springs.none(self._fixed.size)
-        held_m = self._near @ (self._between @ load_N[self._nodes].ravel()).reshape(-1, 3) + self._offset
+        held_m = (
+            self._near @ (self._between @ load_N[self._nodes].ravel()).reshape(-1, 3) + self._offset
+        )
         near = csr_array(kron(self._near[loaded], np.eye(3)))
-        compliance = np.asarray((near.multiply((self._rest @ near.T).T)).sum(axis=1)).reshape(-1, 3).mean(axis=1)
+        compliance = (
+            np.asarray((near.multiply((self._rest @ near.T).T)).sum(axis=1))
+            .reshape(-1, 3)
+            .mean(axis=1)
+        )
         return Springs.holding(self._transfer[loaded], compliance, held_m[loaded])
 
     def _off(self, moved_m: Array, forces_N: Array) -> Array:
-        """Offset of the touchable nodes [m] by displacements of the solved nodes under forces on them."""
+        """Offset of the touchable nodes [m] by displacements of the solved nodes under forces on
+        them.
+        """
         there: Array = self._near @ (moved_m - (self._between @ forces_N.ravel()).reshape(-1, 3))
         return there
 
     def _change_compliance(self, contact: SurfaceContact, forces_N: Array, depth_m: float) -> None:
-        """Go on with the compliance of the stiffness that was factorised last; nothing moves by that."""
+        """Go on with the compliance of the stiffness that was factorised last; nothing moves by
+        that.
+        """
         if self._at_rest is None:
             self._at_rest = contact.result.compliance_m_N.copy()
         self._factor = self._follower.factor
@@ -188,17 +215,21 @@ class LawOffset:
         self.unsettled += residual > TOLERANCE
         if first and self.indefinite:
             self.notices.append(
-                "the tangent stiffness of organ.law is not positive definite: only the tool keeps the tissue from "
-                "yielding. It was replaced by a stiffer one; check the force here against a finer mesh"
+                "the tangent stiffness of organ.law is not positive definite: only the tool "
+                "keeps the tissue from "
+                "yielding. It was replaced by a stiffer one; check the force here against a "
+                "finer mesh"
             )
         if residual > TOLERANCE and self.unsettled == 1:
             self.notices.append(
-                f"the law's equilibrium was not reached in {STEPS} steps: {residual:.0%} of the greatest nodal force "
+                f"the law's equilibrium was not reached in {STEPS} steps: {residual:.0%} of "
+                "the greatest nodal force "
                 "is not balanced"
             )
         if took_s > self.interval_s and not self._late:
             self._late = True
             self.notices.append(
-                f"solving the law took {took_s:.2f} s, {SLOW} of {self.interval_s:g} s: the run waits for it, a device "
+                f"solving the law took {took_s:.2f} s, {SLOW} of {self.interval_s:g} s: the "
+                "run waits for it, a device "
                 "would not"
             )

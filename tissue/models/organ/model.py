@@ -1,22 +1,26 @@
-"""A soft organ under a probe: contact at every tick, displacement and stress of the whole where a frame is due.
+"""A soft organ under a probe: contact at every tick, displacement and stress of the whole where a
+frame is due.
 
-Where every modulus of the body relaxes by one Prony series, Poisson's ratio is constant and the supports are rigid, the
-elastic-viscoelastic correspondence gives the displacement of the surface under any history of nodal forces f::
+Where every modulus of the body relaxes by one Prony series, Poisson's ratio is constant and the
+supports are rigid, the elastic-viscoelastic correspondence gives the displacement of the surface
+under any history of nodal forces f::
 
     u(t) = integral j(t - s) d(W f)(s),    W the instantaneous elastic compliance, j the creep function
 
-(Lee 1955, Q. Appl. Math. 13:183). One tick further, with the exact exponential step of each creep term::
+(Lee 1955, Q. Appl. Math. 13:183). One tick further, with the exact exponential step of each creep
+term::
 
     u = instant_factor W f + offset,
 
-where the offset per surface node is known before the tick. A contact solver uses the scaled compliance, adds the offset
-to the free surface and needs nothing else: any unilateral condition, with or without friction, for a contact that
-grows, shrinks, moves or lifts off. The shortcut of relaxing the elastic force instead is right only while the contact
-grows (Lee and Radok 1960, J. Appl. Mech. 27:438; Ting 1966, J. Appl. Mech. 33:845): when the tool retreats, it pulls
-where the surface, slow to rise, has let go. Both hold for small strains without inertia. Neither holds where parts
-relax by different series, nor where the shear modulus relaxes alone, unless the bulk modulus is so large that it does
-not show (Poisson's ratio near 0.5).
-"""
+where the offset per surface node is known before the tick. A contact solver uses the scaled
+compliance, adds the offset to the free surface and needs nothing else: any unilateral condition,
+with or without friction, for a contact that grows, shrinks, moves or lifts off. The shortcut of
+relaxing the elastic force instead is right only while the contact grows (Lee and Radok 1960, J.
+Appl. Mech. 27:438; Ting 1966, J. Appl. Mech. 33:845): when the tool retreats, it pulls where the
+surface, slow to rise, has let go. Both hold for small strains without inertia. Neither holds where
+parts relax by different series, nor where the shear modulus relaxes alone, unless the bulk modulus
+is so large that it does not show (Poisson's ratio near 0.5).
+"""  # noqa: E501 a table
 
 import numpy as np
 
@@ -33,8 +37,9 @@ from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 __all__ = ["LiverModel"]
 
 LINEAR_ERROR = ((0.37, 0.05), (0.57, 0.1))
-"""Depth over the ball's radius at which the linear force is off a neo-Hookean one by so much, on a block, a procedural
-and a scanned liver (0.36-0.39, 0.56-0.585): `python tests/bench/chart_liver.py`."""
+"""Depth over the ball's radius at which the linear force is off a neo-Hookean one by so much, on a
+block, a procedural and a scanned liver (0.36-0.39, 0.56-0.585): `python
+tests/bench/chart_liver.py`."""
 LOOK_EVERY = 20
 """Ticks between two looks for nodes whose compliance will be wanted."""
 LOOK_M = 5e-3
@@ -53,13 +58,16 @@ class LiverModel:
     fields
         Fields of the whole organ.
     prony
-        How every modulus relaxes; None for an elastic organ. The contact's compliance is the instantaneous one.
+        How every modulus relaxes; None for an elastic organ. The contact's compliance is the
+        instantaneous one.
     lazy
         What fills the contact's compliance while the tool moves; None where it is whole.
     law
-        How far a hyperelastic organ is from the contact's compliance; None for a linear one. Without `prony`.
+        How far a hyperelastic organ is from the contact's compliance; None for a linear one.
+        Without `prony`.
     ball_radius_m
-        Radius of a ball that presses [m], for which it is known where linear elasticity stops being enough.
+        Radius of a ball that presses [m], for which it is known where linear elasticity stops being
+        enough.
     step_s
         Length of a tick [s].
     """
@@ -96,12 +104,15 @@ class LiverModel:
         self._unsettled = False
         self._ticks = 0
         radius_m = ball_radius_m if law is None else None
-        self._limits = [(depth * radius_m, error) for depth, error in LINEAR_ERROR] if radius_m else []
+        self._limits = (
+            [(depth * radius_m, error) for depth, error in LINEAR_ERROR] if radius_m else []
+        )
         self._crept_N = np.zeros((len(touchable), 3))
         self._creep: HereditaryIntegral | None = None
         if prony is not None:
             self._creep, self._forces = (
-                HereditaryIntegral(prony.retardation, self._crept_N.shape, step_s=step_s) for _ in range(2)
+                HereditaryIntegral(prony.retardation, self._crept_N.shape, step_s=step_s)
+                for _ in range(2)
             )
             contact.scale_compliance(self._creep.instant_factor)
 
@@ -130,7 +141,9 @@ class LiverModel:
         if self._creep is not None:
             self.contact.shift(self._creep.history)
         if self._law is not None:
-            self.contact.shift(self._law.offset_m(self._ticks * self._step_s, self._depth_m(motion)))
+            self.contact.shift(
+                self._law.offset_m(self._ticks * self._step_s, self._depth_m(motion))
+            )
         result = self.contact.solve(motion.tip_m, motion.rotation)
         if self._creep is not None:
             np.multiply(result.nodal_forces_N, self._forces.instant_factor, out=self._crept_N)
@@ -158,7 +171,8 @@ class LiverModel:
         while self._limits and measures[0] > 1e3 * self._limits[0][0]:
             depth, error = self._limits.pop(0)
             self.notices.append(
-                f"pressed {1e3 * depth:.1f} mm deep: from here linear elasticity is more than {error:.0%} off a "
+                f"pressed {1e3 * depth:.1f} mm deep: from here linear elasticity is more "
+                f"than {error:.0%} off a "
                 "hyperelastic force"
             )
         measures[1] = result.contacts
@@ -189,7 +203,9 @@ class LiverModel:
         self._fields.notices.clear()
 
     def summary(self) -> dict[str, object]:
-        """Return the figures of a hyperelastic law for the run's summary; empty for a linear organ."""
+        """Return the figures of a hyperelastic law for the run's summary; empty for a linear
+        organ.
+        """
         if self._law is None:
             return {}
         return {
@@ -206,14 +222,18 @@ class LiverModel:
         return "" if self._law is None else self._law.note
 
     def displacement_m(self) -> Array:
-        """Displacement of the touchable nodes in the last tick [m], shape (t, 3); NaN where it is not known."""
+        """Displacement of the touchable nodes in the last tick [m], shape (t, 3); NaN where it
+        is not known.
+        """
         moved = self.contact.result.displacement_m()
         if self._law is not None:
             return moved + self._law.latest_m
         return moved if self._creep is None else moved + self._creep.history
 
     def _depth_m(self, motion: ToolMotion) -> float:
-        """How far the tool has gone on along its axis from where it touched last [m]; 0 without contact."""
+        """How far the tool has gone on along its axis from where it touched last [m]; 0 without
+        contact.
+        """
         if np.isnan(self._touched_m[0]):
             return 0.0
         return float((self._touched_m - motion.tip_m) @ motion.rotation[:, 2])

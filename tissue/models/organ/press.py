@@ -1,4 +1,6 @@
-"""One press of a tool on a soft organ: straight in, step by step from where it first touches, and held."""
+"""One press of a tool on a soft organ: straight in, step by step from where it first touches,
+and held.
+"""
 
 from dataclasses import dataclass
 from math import ceil
@@ -27,9 +29,13 @@ PER_RELAXATION = 5
 POSES = 60
 """Poses along the press at which the surface is looked for."""
 CLEARANCES = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 4.0)
-"""Distances from the place at which the tool may start, over its size: the first where it is clear of the organ."""
+"""Distances from the place at which the tool may start, over its size: the first where it is
+clear of the organ.
+"""
 SLANTED = 0.5
-"""How far before the place a tool may first touch, over its size: 0.41 where a ball comes at 45 degrees."""
+"""How far before the place a tool may first touch, over its size: 0.41 where a ball comes at 45
+degrees.
+"""
 HALVINGS = 30
 """Of the path on which the first touch lies: to a nanometre."""
 
@@ -80,7 +86,8 @@ def press(
     hold_s: float,
     report: Progress = silent,
 ) -> PressCurve:
-    """Press a tool against an organ along its axis, towards a point of the surface, and hold it there.
+    """Press a tool against an organ along its axis, towards a point of the surface, and hold it
+    there.
 
     Parameters
     ----------
@@ -109,13 +116,22 @@ def press(
     steps, step_s = _steps(organ, depth_m / speed_m_s)
     turns = np.broadcast_to(rotation, (POSES, 3, 3))
     model, touchable = organ.under(
-        probe, tips, turns, interval_s=1.0, step_s=step_s, tolerance=TOLERANCE, sweeps=SWEEPS, report=report
+        probe,
+        tips,
+        turns,
+        interval_s=1.0,
+        step_s=step_s,
+        tolerance=TOLERANCE,
+        sweeps=SWEEPS,
+        report=report,
     )
     touch_m = _first_touch(model.contact, start_m, end_m, rotation)
     _require_place(probe, float((point_m - touch_m) @ along))
     motion = ToolMotion(tip_m=start_m.copy(), rotation=rotation.copy())
     model.place(motion)
-    depths = np.append(np.linspace(0.0, depth_m, steps + 1), np.full(ceil(hold_s / step_s), depth_m))
+    depths = np.append(
+        np.linspace(0.0, depth_m, steps + 1), np.full(ceil(hold_s / step_s), depth_m)
+    )
     force = np.zeros((len(depths), 3))
     area = np.zeros(len(depths))
     for row, depth in enumerate(depths):
@@ -129,7 +145,15 @@ def press(
     model.start_background(float(times[-1]), motion)
     model.finish()
     return PressCurve(
-        times, depths, force, area, motion.tip_m, rotation, model.fields.frames[-1], tuple(model.notices), touchable
+        times,
+        depths,
+        force,
+        area,
+        motion.tip_m,
+        rotation,
+        model.fields.frames[-1],
+        tuple(model.notices),
+        touchable,
     )
 
 
@@ -163,7 +187,9 @@ def _clearance_m(organ: SoftOrgan, probe: ProbeShape, point_m: Array, rotation: 
 
 
 def _require_place(probe: ProbeShape, before_m: float) -> None:
-    """Refuse a tool that meets the organ far before the place; one that comes slantwise touches a little before it."""
+    """Refuse a tool that meets the organ far before the place; one that comes slantwise touches
+    a little before it.
+    """
     if before_m > SLANTED * probe.size_m[0]:
         raise InputError(
             "point_m",
@@ -174,7 +200,9 @@ def _require_place(probe: ProbeShape, before_m: float) -> None:
 
 
 def _first_touch(contact: SurfaceContact, start_m: Array, end_m: Array, rotation: Array) -> Array:
-    """Where the tip is when the tool first touches [m], shape (3,): contact there, none just before."""
+    """Where the tip is when the tool first touches [m], shape (3,): contact there, none just
+    before.
+    """
 
     def touches(share: float) -> bool:
         contact.forget()

@@ -1,8 +1,9 @@
 """Tools that press on an organ: a sphere, a flat cylinder, and any shape as a shell of points.
 
-A tool's tip is the origin of its frame and its z axis runs from the tip to the shank. Each tool states what kind of
-distance the contact kernels take (`kind`, `size_m`), how far apart the organ's contact points may lie so that the tool
-does not slip between them (`spacing_m`), and the ball that bounds the part of it that may touch first.
+A tool's tip is the origin of its frame and its z axis runs from the tip to the shank. Each tool
+states what kind of distance the contact kernels take (`kind`, `size_m`), how far apart the organ's
+contact points may lie so that the tool does not slip between them (`spacing_m`), and the ball that
+bounds the part of it that may touch first.
 """
 
 from abc import ABC, abstractmethod
@@ -31,7 +32,9 @@ class ProbeShape(ABC):
     @property
     @abstractmethod
     def size_m(self) -> tuple[float, float]:
-        """Two lengths [m]: radius and edge; of a shell, radius and height above the tip of the ball around it."""
+        """Two lengths [m]: radius and edge; of a shell, radius and height above the tip of the
+        ball around it.
+        """
 
     @property
     def spacing_m(self) -> float:
@@ -40,7 +43,9 @@ class ProbeShape(ABC):
 
     @abstractmethod
     def distance(self, points_m: Array) -> tuple[Array, Array]:
-        """Signed distance [m], shape (n,), and its gradient, shape (n, 3), at points in the tool's frame [m]."""
+        """Signed distance [m], shape (n,), and its gradient, shape (n, 3), at points in the
+        tool's frame [m].
+        """
 
 
 @dataclass(frozen=True)
@@ -69,7 +74,10 @@ class SphereProbe(ProbeShape):
         arm = points_m - [0.0, 0.0, self.radius_m]
         length = np.linalg.norm(arm, axis=1)
         normal = np.divide(
-            arm, length[:, None], out=np.tile([0.0, 0.0, -1.0], (len(arm), 1)), where=length[:, None] > 0.0
+            arm,
+            length[:, None],
+            out=np.tile([0.0, 0.0, -1.0], (len(arm), 1)),
+            where=length[:, None] > 0.0,
         )
         return length - self.radius_m, normal
 
@@ -92,10 +100,15 @@ class CylinderProbe(ProbeShape):
 
     def __post_init__(self) -> None:
         require_positive("radius_m", self.radius_m, "give the cylinder's radius in metres")
-        require_positive("edge_m", self.edge_m, "give the edge a small radius, as a turned edge has")
+        require_positive(
+            "edge_m", self.edge_m, "give the edge a small radius, as a turned edge has"
+        )
         if self.edge_m >= self.radius_m:
             raise InputError(
-                "edge_m", f"be below radius_m = {self.radius_m:g}", f"{self.edge_m:g}", "round the edge less"
+                "edge_m",
+                f"be below radius_m = {self.radius_m:g}",
+                f"{self.edge_m:g}",
+                "round the edge less",
             )
 
     @property
@@ -113,15 +126,24 @@ class CylinderProbe(ProbeShape):
         corner = np.hypot(np.maximum(outside, 0.0), np.maximum(below, 0.0))
         round_edge = (outside > 0.0) & (below > 0.0)
         side = outside > below
-        along = np.where(round_edge, np.divide(outside, corner, out=np.zeros_like(corner), where=round_edge), side)
-        down = np.where(round_edge, np.divide(below, corner, out=np.zeros_like(corner), where=round_edge), ~side)
+        along = np.where(
+            round_edge,
+            np.divide(outside, corner, out=np.zeros_like(corner), where=round_edge),
+            side,
+        )
+        down = np.where(
+            round_edge, np.divide(below, corner, out=np.zeros_like(corner), where=round_edge), ~side
+        )
         inside = np.minimum(np.maximum(outside, below), 0.0)
-        return inside + corner - self.edge_m, along[:, None] * out - down[:, None] * np.array([0.0, 0.0, 1.0])
+        return inside + corner - self.edge_m, along[:, None] * out - down[:, None] * np.array(
+            [0.0, 0.0, 1.0]
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class ShellProbe(ProbeShape):
-    """A tool of any shape, as points on its surface; lay them no farther apart than the organ's edges are long.
+    """A tool of any shape, as points on its surface; lay them no farther apart than the organ's
+    edges are long.
 
     Attributes
     ----------
@@ -148,21 +170,26 @@ class ShellProbe(ProbeShape):
             ("areas_m2", self.areas_m2, (count,)),
         ):
             if count == 0 or np.shape(value) != shape:
-                raise InputError(name, f"have shape {shape} and a point", np.shape(value), "sample the tool")
+                raise InputError(
+                    name, f"have shape {shape} and a point", np.shape(value), "sample the tool"
+                )
             if not np.isfinite(value).all():
                 raise InputError(name, "be finite", "NaN or infinity", "repair the tool's surface")
         if np.abs(np.linalg.norm(self.normals, axis=1) - 1.0).max() > 1e-6:
             raise InputError("normals", "have length 1", "others", "divide them by their lengths")
 
     @classmethod
-    def from_mesh(cls, mesh: Path | str | object, *, points: int = 300, scale: float = 1.0) -> "ShellProbe":
-        """Points spread over the surface of a mesh: centres of its triangles, divided or thinned to about the number.
+    def from_mesh(
+        cls, mesh: Path | str | object, *, points: int = 300, scale: float = 1.0
+    ) -> "ShellProbe":
+        """Points spread over the surface of a mesh: centres of its triangles, divided or thinned to
+        about the number.
 
         Parameters
         ----------
         mesh
-            A surface file, see `meshes.surfaces.triangle_files`, or a trimesh mesh; its origin is the tip, its z axis
-            runs to the shank.
+            A surface file, see `meshes.surfaces.triangle_files`, or a trimesh mesh; its origin is
+            the tip, its z axis runs to the shank.
         points
             About how many points; a tick projects every one.
         scale
@@ -175,17 +202,27 @@ class ShellProbe(ProbeShape):
         """
         import trimesh
 
-        surface = trimesh.Trimesh(*read_triangles(Path(mesh))) if isinstance(mesh, (str, Path)) else mesh
+        surface = (
+            trimesh.Trimesh(*read_triangles(Path(mesh))) if isinstance(mesh, (str, Path)) else mesh
+        )
         if not isinstance(surface, trimesh.Trimesh):
-            raise InputError("mesh", "be a surface of triangles", type(surface).__name__, "convert it first")
+            raise InputError(
+                "mesh", "be a surface of triangles", type(surface).__name__, "convert it first"
+            )
         if not (surface.is_watertight and surface.volume > 0.0):
-            raise InputError("mesh", "be closed with outward triangles", mesh, "repair the tool's surface")
+            raise InputError(
+                "mesh", "be closed with outward triangles", mesh, "repair the tool's surface"
+            )
         longest = (2.0 * surface.area / points) ** 0.5
-        vertices, faces = trimesh.remesh.subdivide_to_size(surface.vertices, surface.faces, 1.5 * longest)
+        vertices, faces = trimesh.remesh.subdivide_to_size(
+            surface.vertices, surface.faces, 1.5 * longest
+        )
         fine = trimesh.Trimesh(vertices, faces, process=False)
         centres = np.asarray(fine.triangles_center)
         normals = np.array(fine.face_normals)
-        chosen, areas = _thinned(centres, normals, np.asarray(fine.area_faces), (surface.area / points) ** 0.5)
+        chosen, areas = _thinned(
+            centres, normals, np.asarray(fine.area_faces), (surface.area / points) ** 0.5
+        )
         return cls(scale * centres[chosen], normals[chosen], scale**2 * areas)
 
     @property
@@ -204,14 +241,19 @@ class ShellProbe(ProbeShape):
 
 
 def _thinned(centres: Array, normals: Array, areas: Array, side: float) -> tuple[Ints, Array]:
-    """One point for each cube of a side and each side that its surface faces, shape (k,), and the areas of these."""
+    """One point for each cube of a side and each side that its surface faces, shape (k,), and
+    the areas of these.
+    """
     normal = np.abs(normals).argmax(axis=1)
     faces = 2 * normal + (np.take_along_axis(normals, normal[:, None], axis=1)[:, 0] > 0.0)
     cells = np.column_stack([np.floor(centres / side).astype(np.int64), faces])
     _, group = np.unique(cells, axis=0, return_inverse=True)
     group = group.reshape(-1)
     total = np.bincount(group, weights=areas)
-    middle = np.column_stack([np.bincount(group, weights=areas * centres[:, c]) for c in range(3)]) / total[:, None]
+    middle = (
+        np.column_stack([np.bincount(group, weights=areas * centres[:, c]) for c in range(3)])
+        / total[:, None]
+    )
     order = np.lexsort((np.linalg.norm(centres - middle[group], axis=1), group))
     first = np.unique(group[order], return_index=True)[1]
     return np.asarray(order[first], dtype=np.int64), np.asarray(total, dtype=np.float64)

@@ -36,8 +36,11 @@ MARGIN_EDGES = 0.25
 """Edges of the mesh beyond the tool's path within which the surface may be touched."""
 
 
-def touchable_patch(space: Space, probe: ProbeShape, tips_m: Array, rotations: Array) -> tuple[Ints, Ints]:
-    """Surface nodes near a tool's path, shape (t,), and the triangles between them, shape (f, 3), by their places.
+def touchable_patch(
+    space: Space, probe: ProbeShape, tips_m: Array, rotations: Array
+) -> tuple[Ints, Ints]:
+    """Surface nodes near a tool's path, shape (t,), and the triangles between them, shape (f, 3),
+    by their places.
 
     Parameters
     ----------
@@ -61,7 +64,8 @@ def touchable_patch(space: Space, probe: ProbeShape, tips_m: Array, rotations: A
         nearest = np.minimum(nearest, probe.distance((centres - tip) @ turn)[0])
     if not (nearest < reach).any():
         low, high = (
-            ", ".join(f"{1e3 * v:.4g}" for v in corner) for corner in (centres.min(axis=0), centres.max(axis=0))
+            ", ".join(f"{1e3 * v:.4g}" for v in corner)
+            for corner in (centres.min(axis=0), centres.max(axis=0))
         )
         raise InputError(
             "motion",
@@ -75,7 +79,9 @@ def touchable_patch(space: Space, probe: ProbeShape, tips_m: Array, rotations: A
 
 
 def linear_triangles(faces: Ints) -> Ints:
-    """Faces of three nodes as they are, of six (corners, then middles of edges 01, 12, 02) as four triangles each."""
+    """Faces of three nodes as they are, of six (corners, then middles of edges 01, 12, 02) as
+    four triangles each.
+    """
     if faces.shape[1] == 3:
         return faces
     parts = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
@@ -83,7 +89,9 @@ def linear_triangles(faces: Ints) -> Ints:
 
 
 TOGETHER = 16
-"""Columns in one back-substitution, on one thread of BLAS: more gain nothing, and threads on small blocks lose."""
+"""Columns in one back-substitution, on one thread of BLAS: more gain nothing, and threads on
+small blocks lose.
+"""
 LIMIT_BYTES = 1_000_000_000
 """Memory above which the columns of earlier places are dropped."""
 
@@ -124,7 +132,11 @@ class KeptColumns:
 
         solver = self._factor.solver
         each = TOGETHER // 3
-        solve = partial(solver.columns, together=TOGETHER) if isinstance(solver, DirectSolver) else solver.columns
+        solve = (
+            partial(solver.columns, together=TOGETHER)
+            if isinstance(solver, DirectSolver)
+            else solver.columns
+        )
         parts = [nodes[start : start + each] for start in range(0, len(nodes), each)]
 
         def find(part: list[int]) -> Array:
@@ -132,7 +144,10 @@ class KeptColumns:
             return found
 
         # A back-substitution releases the interpreter lock.
-        with threadpool_limits(1, "blas"), ThreadPoolExecutor(core_count(), thread_name_prefix="columns") as threads:
+        with (
+            threadpool_limits(1, "blas"),
+            ThreadPoolExecutor(core_count(), thread_name_prefix="columns") as threads,
+        ):
             for part, columns in zip(parts, threads.map(find, parts), strict=True):
                 for place, node in enumerate(part):
                     self._columns[node] = columns[:, 3 * place : 3 * place + 3].copy()
@@ -180,8 +195,8 @@ class SoftOrgan:
     friction
         Coulomb's coefficient between a tool and the organ.
     law
-        Hyperelastic law whose small strains are those of `elasticity`; None for the linear one. Without capsule, weight
-        and relaxation.
+        Hyperelastic law whose small strains are those of `elasticity`; None for the linear one.
+        Without capsule, weight and relaxation.
     device
         Warp device name.
     """
@@ -209,7 +224,9 @@ class SoftOrgan:
         self._density = density_kg_m3
         self._law = law
         if law is not None and not (capsule is None and density_kg_m3 is None and prony is None):
-            raise InputError("law", "be None with a capsule, a weight or a relaxation", "one", "leave them out")
+            raise InputError(
+                "law", "be None with a capsule, a weight or a relaxation", "one", "leave them out"
+            )
 
     @property
     def mesh(self) -> TetMesh:
@@ -249,9 +266,11 @@ class SoftOrgan:
         return KeptColumns(self.factor, np.unique(self.space.faces))
 
     def expect(self, near_m: Array, within_m: float) -> None:
-        """Have the compliance of the surface within a distance [m] of some points [m], shape (k, 3), at once.
+        """Have the compliance of the surface within a distance [m] of some points [m], shape (k,
+        3), at once.
 
-        It comes with the factor, if that is yet to be made; a press elsewhere takes back-substitutions first.
+        It comes with the factor, if that is yet to be made; a press elsewhere takes
+        back-substitutions first.
         """
         from scipy.spatial import cKDTree
 
@@ -261,7 +280,9 @@ class SoftOrgan:
 
     @cached_property
     def rest(self) -> tuple[Array, Array]:
-        """Load of its weight [N] and the displacement by it [m], shape (n, 3) both; zero without a density."""
+        """Load of its weight [N] and the displacement by it [m], shape (n, 3) both; zero without
+        a density.
+        """
         if self._density is None:
             return np.zeros((self.space.node_count, 3)), np.zeros((self.space.node_count, 3))
         load = gravity(self.space, density_kg_m3=self._density)
@@ -276,7 +297,9 @@ class SoftOrgan:
             If the tool touches nothing, or only what is held.
         """
         key = self.space, probe, tips_m.tobytes(), rotations.tobytes()
-        touchable, faces = _patches.of(key, lambda: touchable_patch(self.space, probe, tips_m, rotations))
+        touchable, faces = _patches.of(
+            key, lambda: touchable_patch(self.space, probe, tips_m, rotations)
+        )
         if self.body.fixed[touchable].all():
             raise InputError(
                 "motion",
@@ -301,15 +324,16 @@ class SoftOrgan:
         cores: int | None = None,
         report: Progress = silent,
     ) -> tuple[LiverModel, int]:
-        """The organ under a tool that keeps to a path, and the number of nodes that it can touch there.
+        """The organ under a tool that keeps to a path, and the number of nodes that it can touch
+        there.
 
         Parameters
         ----------
         probe, tips_m, rotations
             The tool and its poses along the path, as for `touchable_patch`.
         path, basis_size
-            How the compliance of what can be touched is had, and the vectors of a reduced basis; None: from columns of
-            the one factor, each kept for the next tool.
+            How the compliance of what can be touched is had, and the vectors of a reduced basis;
+            None: from columns of the one factor, each kept for the next tool.
         interval_s
             Time between two frames of displacement and stress [s]; infinite for none.
         step_s

@@ -1,4 +1,6 @@
-"""An elastic body of particles on a grid: supports, removal, islands, and solves that start from the last state."""
+"""An elastic body of particles on a grid: supports, removal, islands, and solves that start from
+the last state.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,7 +13,13 @@ from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from meshes.base.arrays import Array
-from tissue.fem.conjugate_gradients import Iterate, IterativeSolution, SolverOutcome, conjugate_gradients, dot
+from tissue.fem.conjugate_gradients import (
+    Iterate,
+    IterativeSolution,
+    SolverOutcome,
+    conjugate_gradients,
+    dot,
+)
 from tissue.models.tooth.grid import FULL_STEPS, HexGrid, ParticleSet, shape_values
 from tissue.models.tooth.multigrid import GridHierarchy
 from tissue.models.tooth.recovery import ball_weight
@@ -21,8 +29,8 @@ from tissue.models.tooth.supports import NodeSupports, PointSprings
 __all__ = ["Change", "ParticleBody", "solve_cells", "supported_cells"]
 
 LEAST_CURVATURE = 1e-12
-"""Share of ``p . D p``, D the diagonal, below which ``p . K p`` is rounding: p is then a motion that nothing resists. A
-tooth of 1e5 nodes in a ligament a million times softer has 1e-8."""
+"""Share of ``p . D p``, D the diagonal, below which ``p . K p`` is rounding: p is then a motion
+that nothing resists. A tooth of 1e5 nodes in a ligament a million times softer has 1e-8."""
 
 
 def solve_cells(
@@ -35,12 +43,13 @@ def solve_cells(
     tolerance: float,
     limit: int,
 ) -> IterativeSolution:
-    """Solve ``K u = f``; stops where the error's energy norm is below ``tolerance`` times that of the solution.
+    """Solve ``K u = f``; stops where the error's energy norm is below ``tolerance`` times that of
+    the solution.
 
-    The latter is ``sqrt(u . f)``. The former is taken as ``sqrt(r . B r)``, the preconditioner's estimate, or
-    ``sqrt(r . D^-1 r / 24)`` if that is more, with D the diagonal: a lower bound, since a cell's 24 eigenvalues of
-    ``D^-1 K`` are not negative and sum to 24. It sees a load on a motion that nothing resists and the preconditioner
-    leaves out.
+    The latter is ``sqrt(u . f)``. The former is taken as ``sqrt(r . B r)``, the preconditioner's
+    estimate, or ``sqrt(r . D^-1 r / 24)`` if that is more, with D the diagonal: a lower bound,
+    since a cell's 24 eigenvalues of ``D^-1 K`` are not negative and sum to 24. It sees a load on a
+    motion that nothing resists and the preconditioner leaves out.
 
     Parameters
     ----------
@@ -67,27 +76,39 @@ def solve_cells(
         return float(np.sqrt(size / energy)) if energy > 0.0 else np.inf
 
     return conjugate_gradients(
-        product, load_N, precondition=precondition, error=error, tolerance=tolerance, limit=limit, start=start_m,
-        least_curvature=lambda direction: LEAST_CURVATURE * dot(direction, diagonal * direction), correct_last=True,
-    )  # fmt: skip
+        product,
+        load_N,
+        precondition=precondition,
+        error=error,
+        tolerance=tolerance,
+        limit=limit,
+        start=start_m,
+        least_curvature=lambda direction: LEAST_CURVATURE * dot(direction, diagonal * direction),
+        correct_last=True,
+    )
 
 
 LEAST_RESTRAINT = 1e-9
-"""Share of the largest eigenvalue of a part's restraint below which it can move: rounding is 1e-16, a part held at
-three corners of a cell 1e-2."""
+"""Share of the largest eigenvalue of a part's restraint below which it can move: rounding is 1e-16,
+a part held at three corners of a cell 1e-2."""
 ENOUGH = 200
 """Springs spread over a part that are tried before all of them."""
 
 
 def supported_cells(
-    grid: HexGrid, filled: NDArray[np.bool_], supports: NodeSupports, springs: PointSprings,
+    grid: HexGrid,
+    filled: NDArray[np.bool_],
+    supports: NodeSupports,
+    springs: PointSprings,
     springs_cell: NDArray[np.int32],
-) -> NDArray[np.bool_]:  # fmt: skip
-    """Cells of ``filled``, shape (c,), that a support holds against all six rigid motions, given the springs' cells.
+) -> NDArray[np.bool_]:
+    """Cells of ``filled``, shape (c,), that a support holds against all six rigid motions, given
+    the springs' cells.
 
-    Cells that share a face move together. A part made of such cells is carried if its supports, and the nodes it shares
-    with parts that are carried, leave it no rigid motion. A part that meets the rest in one node or one edge only is
-    not carried: it would turn about it freely, and the stiffness would be singular.
+    Cells that share a face move together. A part made of such cells is carried if its supports, and
+    the nodes it shares with parts that are carried, leave it no rigid motion. A part that meets the
+    rest in one node or one edge only is not carried: it would turn about it freely, and the
+    stiffness would be singular.
     """
     at = tuple(grid.cell_place.T)
     box = np.zeros(grid.cell_place.max(axis=0) + 1, dtype=np.bool_)
@@ -123,7 +144,9 @@ def _members(grid: HexGrid, part_of: NDArray[np.integer], count: int) -> list[ND
     return members
 
 
-def _restrained(grid: HexGrid, nodes: NDArray[np.integer], held: NDArray[np.bool_], springs: PointSprings) -> bool:
+def _restrained(
+    grid: HexGrid, nodes: NDArray[np.integer], held: NDArray[np.bool_], springs: PointSprings
+) -> bool:
     """Whether what holds these nodes, and springs at points between them, leave no rigid motion."""
     some = nodes[held[nodes].any(axis=1)]
     if len(some) + len(springs.position_m) == 0:
@@ -149,9 +172,13 @@ def _restrained(grid: HexGrid, nodes: NDArray[np.integer], held: NDArray[np.bool
 
 
 INNER_STRENGTH = 0.1
-"""Least that leaves no cell singular at an error next to that of no stabilisation (table of test_tooth_sphere.py)."""
+"""Least that leaves no cell singular at an error next to that of no stabilisation (table of
+test_tooth_sphere.py).
+"""
 LEAST_FILL = 1e-3
-"""Fill below which a cell carries nothing: its share of the stiffness is below what one particle's place decides."""
+"""Fill below which a cell carries nothing: its share of the stiffness is below what one
+particle's place decides.
+"""
 MORE_ITERATIONS = 1.5
 """Growth of the iteration count at which the coarsest grid is solved anew."""
 TOLERANCE = 1e-4
@@ -166,7 +193,8 @@ class Change:
     cells
         Cells whose stiffness changed, shape (k,).
     debris
-        Particles that no longer hang on a support and did before, by the caller's index, shape (d,).
+        Particles that no longer hang on a support and did before, by the caller's index, shape
+        (d,).
     """
 
     cells: NDArray[np.int32]
@@ -183,13 +211,16 @@ class ParticleBody:
     grid
         Cells that hold all particles, from :meth:`HexGrid.around`.
     supports, springs
-        What holds the grid's nodes, and springs to the ground at points of its cells, which go with their cells.
+        What holds the grid's nodes, and springs to the ground at points of its cells, which go with
+        their cells.
     inner_strength
-        Stabilisation of cells with few particles, see :mod:`kernels.particle_stiffness`; 0 switches it off.
+        Stabilisation of cells with few particles, see :mod:`kernels.particle_stiffness`; 0 switches
+        it off.
     drop_islands
         Whether parts that nothing holds are taken out. Without it the stiffness may be singular.
     device, cores
-        Warp device, and processor cores to split launches over (default all). The cores do not change a bit.
+        Warp device, and processor cores to split launches over (default all). The cores do not
+        change a bit.
 
     Attributes
     ----------
@@ -202,13 +233,21 @@ class ParticleBody:
     """
 
     def __init__(
-        self, particles: ParticleSet, grid: HexGrid, supports: NodeSupports, *, springs: PointSprings | None = None,
-        inner_strength: float = INNER_STRENGTH, drop_islands: bool = True, device: str = "cpu",
+        self,
+        particles: ParticleSet,
+        grid: HexGrid,
+        supports: NodeSupports,
+        *,
+        springs: PointSprings | None = None,
+        inner_strength: float = INNER_STRENGTH,
+        drop_islands: bool = True,
+        device: str = "cpu",
         cores: int | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         if supports.fixed.shape != (grid.node_count, 3):
             raise ValueError(
-                f"supports must be for the grid's {grid.node_count} nodes, got {len(supports.fixed)}: "
+                f"supports must be for the grid's {grid.node_count} nodes, got "
+                f"{len(supports.fixed)}: "
                 "use NodeSupports.of(grid.node_count, ...)"
             )
         self.particles = particles
@@ -216,7 +255,12 @@ class ParticleBody:
         self.supports = supports
         self.springs = springs or PointSprings.none()
         self.cells = CellStiffness(
-            particles, grid, inner_strength=inner_strength, springs=self.springs, device=device, cores=cores
+            particles,
+            grid,
+            inner_strength=inner_strength,
+            springs=self.springs,
+            device=device,
+            cores=cores,
         )
         self.displacement_m = supports.displacement_m.copy()
         self._drop_islands = drop_islands
@@ -236,7 +280,9 @@ class ParticleBody:
         return self._particles_in(self._is_debris)
 
     def set_remaining(self, particles: NDArray[np.integer], steps: NDArray[np.integer]) -> None:
-        """Set what is left of particles, by the caller's index, in steps of 1/65535; `update` makes it count."""
+        """Set what is left of particles, by the caller's index, in steps of 1/65535; `update`
+        makes it count.
+        """
         rows = self.cells.rank[particles]
         left = self.cells.remaining
         changed = left[rows] != steps
@@ -244,7 +290,9 @@ class ParticleBody:
         self._touched[self.cells.particle_cell[rows[changed]]] = True
 
     def update(self) -> Change:
-        """Bring stiffness, islands and preconditioner up to what remains; only cells that were touched are summed."""
+        """Bring stiffness, islands and preconditioner up to what remains; only cells that were
+        touched are summed.
+        """
         touched = np.flatnonzero(self._touched).astype(np.int32)
         self._touched[touched] = False
         self.cells.update(touched)
@@ -257,7 +305,9 @@ class ParticleBody:
         if (filled != self._filled).any():
             live = filled
             if self._drop_islands:
-                live = supported_cells(self.grid, filled, self.supports, self.springs, self._springs_cell)
+                live = supported_cells(
+                    self.grid, filled, self.supports, self.springs, self._springs_cell
+                )
             self._filled = filled
             self.cells.set_live(live)
             borders = np.zeros_like(live)
@@ -280,10 +330,13 @@ class ParticleBody:
         """What is left of the particles of these cells, by the caller's index."""
         if not cells.any():
             return np.zeros(0, dtype=np.int64)
-        return np.sort(self.cells.order[cells[self.cells.particle_cell] & (self.cells.remaining > 0)])
+        return np.sort(
+            self.cells.order[cells[self.cells.particle_cell] & (self.cells.remaining > 0)]
+        )
 
     def spread(self, point_m: Array, force_N: Array) -> Array:
-        """Nodal forces [N], shape (n, 3), of forces at points, each on the live cell that holds it or lies nearest.
+        """Nodal forces [N], shape (n, 3), of forces at points, each on the live cell that holds it
+        or lies nearest.
 
         Parameters
         ----------
@@ -301,19 +354,26 @@ class ParticleBody:
             return np.zeros((self.grid.node_count, 3))
         if off.any():
             cell[off] = live[cKDTree(self.grid.cell_centre_m[live]).query(points[off])[1]]
-        place = np.clip((points - self.grid.origin_m) / self.grid.edge_m - self.grid.cell_place[cell], 0.0, 1.0)
+        place = np.clip(
+            (points - self.grid.origin_m) / self.grid.edge_m - self.grid.cell_place[cell], 0.0, 1.0
+        )
         corner = self.grid.cell_nodes[cell].ravel()
         shares = shape_values(place)[:, :, None] * forces[:, None, :]
         count = self.grid.node_count
-        load = [np.bincount(corner, weights=shares[:, :, axis].ravel(), minlength=count) for axis in range(3)]
+        load = [
+            np.bincount(corner, weights=shares[:, :, axis].ravel(), minlength=count)
+            for axis in range(3)
+        ]
         return np.stack(load, axis=1)
 
     def spread_over(self, point_m: Array, force_N: Array, *, radius_m: float) -> Array:
-        """Nodal forces [N], shape (n, 3), of a force spread over the particles within a radius of a point.
+        """Nodal forces [N], shape (n, 3), of a force spread over the particles within a radius of a
+        point.
 
-        Each takes a share by what is left of its volume and by `ball_weight`. A force on a fixed patch gives a stress
-        that converges with the cells beside it, where that of a point grows without bound. Where no particle is so
-        near, as in a grid much coarser than the patch, the force acts at the point.
+        Each takes a share by what is left of its volume and by `ball_weight`. A force on a fixed
+        patch gives a stress that converges with the cells beside it, where that of a point grows
+        without bound. Where no particle is so near, as in a grid much coarser than the patch, the
+        force acts at the point.
         """
         near = np.array(self._tree.query_ball_point(point_m, radius_m), dtype=np.int64)
         near = near[self.cells.live[self.cells.particle_cell[self.cells.rank[near]]] > 0]
@@ -322,16 +382,25 @@ class ParticleBody:
         weight = self.particles.volume_m3[near] * left * ball_weight(away, radius_m)
         if not weight.sum() > 0.0:
             return self.spread(point_m, force_N)
-        return self.spread(self.particles.position_m[near], (weight / weight.sum())[:, None] * force_N)
+        return self.spread(
+            self.particles.position_m[near], (weight / weight.sum())[:, None] * force_N
+        )
 
     def product(self, displacement_m: Array) -> Array:
-        """Nodal forces [N] for nodal displacements [m], springs included, supports not, shapes (n, 3)."""
+        """Nodal forces [N] for nodal displacements [m], springs included, supports not, shapes
+        (n, 3).
+        """
         return self.cells.product(displacement_m)
 
     def solve(
-        self, load_N: Array, *, tolerance: float = TOLERANCE, limit: int = 200, cold: bool = False,
+        self,
+        load_N: Array,
+        *,
+        tolerance: float = TOLERANCE,
+        limit: int = 200,
+        cold: bool = False,
         start_m: Array | None = None,
-    ) -> IterativeSolution:  # fmt: skip
+    ) -> IterativeSolution:
         """Displacement under nodal forces [N], shape (n, 3).
 
         Parameters
@@ -339,7 +408,8 @@ class ParticleBody:
         load_N
             Forces at nodes; at held components they go to the support.
         tolerance
-            Relative error in the energy norm; the error of the stress, taken over the body, is about as large.
+            Relative error in the energy norm; the error of the stress, taken over the body, is
+            about as large.
         limit
             Iterations allowed.
         cold
@@ -350,16 +420,26 @@ class ParticleBody:
         held = self.supports.displacement_m
         lost = (load_N != 0.0) & ~self.carrying[:, None] & ~self.supports.fixed
         if not self.cells.live.any() or lost.any():
-            return IterativeSolution(held.copy(), SolverOutcome.UNSUPPORTED, 0, residual=1.0, error=np.inf)
+            return IterativeSolution(
+                held.copy(), SolverOutcome.UNSUPPORTED, 0, residual=1.0, error=np.inf
+            )
         load = (load_N - self.product(held) if held.any() else load_N) * self._free
         guess = held if cold else self.displacement_m if start_m is None else start_m
         if self._iterations_fresh == 0:
             self._hierarchy.refresh()
         found = solve_cells(
-            lambda u: self.product(u) * self._free, load, diagonal=self._diagonal, precondition=self._precondition,
-            start_m=(guess - held) * self._free, tolerance=tolerance, limit=limit,
-        )  # fmt: skip
-        if self._iterations_fresh == 0 or found.iterations > MORE_ITERATIONS * self._iterations_fresh:
+            lambda u: self.product(u) * self._free,
+            load,
+            diagonal=self._diagonal,
+            precondition=self._precondition,
+            start_m=(guess - held) * self._free,
+            tolerance=tolerance,
+            limit=limit,
+        )
+        if (
+            self._iterations_fresh == 0
+            or found.iterations > MORE_ITERATIONS * self._iterations_fresh
+        ):
             self._hierarchy.refresh()
             self._iterations_fresh = max(found.iterations, 1)
         moved = found.displacement_m + held
@@ -371,7 +451,9 @@ class ParticleBody:
         return self._hierarchy(residual) * self._free
 
     def matrix(self) -> csr_matrix:
-        """Assembled stiffness, springs included and held components empty [N/m], shape (3 n, 3 n)."""
+        """Assembled stiffness, springs included and held components empty [N/m], shape (3 n, 3
+        n).
+        """
         return self._hierarchy.finest.matrix()
 
     def reactions(self, displacement_m: Array, load_N: Array) -> Array:

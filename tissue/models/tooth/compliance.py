@@ -20,7 +20,8 @@ class SupportCompliance:
     Attributes
     ----------
     matrix
-        Translation [m] and rotation [rad] for force [N] and torque [N m], symmetric positive definite, shape (6, 6).
+        Translation [m] and rotation [rad] for force [N] and torque [N m], symmetric positive
+        definite, shape (6, 6).
     reference_m
         The reference point [m], shape (3,).
     solutions
@@ -28,8 +29,8 @@ class SupportCompliance:
     loads_N
         Nodal forces of each [N], shape (n, 3).
     asymmetry
-        Largest difference of the matrix from its transpose before it was made symmetric, relative to the geometric mean
-        of the two diagonal entries.
+        Largest difference of the matrix from its transpose before it was made symmetric, relative
+        to the geometric mean of the two diagonal entries.
     """
 
     matrix: Array
@@ -48,19 +49,25 @@ def rigid_motions(position_m: Array, reference_m: Array) -> Array:
     """Displacements of nodes under unit rigid motions about a point, shapes (n, 3) to (n, 3, 6)."""
     motions = np.zeros((len(position_m), 3, 6))
     motions[:, :, :3] = np.eye(3)
-    motions[:, :, 3:] = np.cross(np.eye(3)[None], (position_m - reference_m)[:, None, :]).transpose(0, 2, 1)
+    motions[:, :, 3:] = np.cross(np.eye(3)[None], (position_m - reference_m)[:, None, :]).transpose(
+        0, 2, 1
+    )
     return motions
 
 
 def support_compliance(
-    body: ParticleBody, *, weights: Array, reference_m: Array, tolerance: float = 1e-4,
+    body: ParticleBody,
+    *,
+    weights: Array,
+    reference_m: Array,
+    tolerance: float = 1e-4,
     start: SupportCompliance | None = None,
-) -> SupportCompliance:  # fmt: skip
+) -> SupportCompliance:
     """Compliance of the part of a body where ``weights``, shape (n,), are not zero.
 
-    The wrench is spread over the nodes as ``f = w R G^-1 q`` and the rigid motion is the weighted least-squares fit
-    ``G^-1 sum w R^T u``, with R the unit rigid motions and ``G = sum w R^T R``: one is the other's transpose, so that
-    the matrix is symmetric whatever the weights.
+    The wrench is spread over the nodes as ``f = w R G^-1 q`` and the rigid motion is the weighted
+    least-squares fit ``G^-1 sum w R^T u``, with R the unit rigid motions and ``G = sum w R^T R``:
+    one is the other's transpose, so that the matrix is symmetric whatever the weights.
 
     Parameters
     ----------
@@ -92,4 +99,6 @@ def support_compliance(
     body.displacement_m = kept
     size = np.sqrt(np.abs(np.outer(np.diag(matrix), np.diag(matrix))))
     asymmetry = float((np.abs(matrix - matrix.T) / np.where(size > 0.0, size, 1.0)).max())
-    return SupportCompliance(0.5 * (matrix + matrix.T), reference_m, tuple(solutions), tuple(loads), asymmetry)
+    return SupportCompliance(
+        0.5 * (matrix + matrix.T), reference_m, tuple(solutions), tuple(loads), asymmetry
+    )

@@ -20,7 +20,9 @@ __all__ = ["PULP_LIMIT_K", "CuttingHeat"]
 PULP_LIMIT_K = 5.5
 """Rise of the pulp's temperature that it may not survive (Zach and Cohen 1965)."""
 RECEIVES = 0.5
-"""Heat goes into a cell of the surface that is at least so full; into an emptier one it would not conduct well."""
+"""Heat goes into a cell of the surface that is at least so full; into an emptier one it would
+not conduct well.
+"""
 DEPTHS = 4
 """Half cells from the surface inward among which the cell that receives the heat is looked for."""
 
@@ -28,12 +30,14 @@ DEPTHS = 4
 class CuttingHeat:
     """Heat of cutting in a tooth whose material the bur removes.
 
-    A share of the cutting power flows into the tooth through the surface that the bur cuts, in proportion to the power
-    of its elements there. The rest leaves with chips, spray and bur. Material that is removed later takes along the
-    heat that has reached it by then. The share is a prior of low confidence; the rise is proportional to it.
+    A share of the cutting power flows into the tooth through the surface that the bur cuts, in
+    proportion to the power of its elements there. The rest leaves with chips, spray and bur.
+    Material that is removed later takes along the heat that has reached it by then. The share is a
+    prior of low confidence; the rise is proportional to it.
 
-    Work is done in intervals: `begin` takes energy and cuts of the interval that has ended, and `go_to` spreads the
-    steps over the next one, so that no tick bears them all. The temperature is late by one interval.
+    Work is done in intervals: `begin` takes energy and cuts of the interval that has ended, and
+    `go_to` spreads the steps over the next one, so that no tick bears them all. The temperature is
+    late by one interval.
 
     Parameters
     ----------
@@ -97,7 +101,9 @@ class CuttingHeat:
 
     @property
     def balance_J(self) -> dict[str, float]:
-        """Energy of cutting, and where it went: with chips and spray, with removed material, and what is left [J]."""
+        """Energy of cutting, and where it went: with chips and spray, with removed material, and
+        what is left [J].
+        """
         return {
             "cutting": self.cutting_J,
             "with_chips_and_spray": (1.0 - self._share) * self.cutting_J,
@@ -106,7 +112,11 @@ class CuttingHeat:
         }
 
     def begin(
-        self, cutting_J: float, duration_s: float, motion: ToolMotion, cut: tuple[NDArray[np.intp], NDArray[np.uint16]]
+        self,
+        cutting_J: float,
+        duration_s: float,
+        motion: ToolMotion,
+        cut: tuple[NDArray[np.intp], NDArray[np.uint16]],
     ) -> None:
         """Begin an interval with what the last one left to be done.
 
@@ -156,14 +166,16 @@ class CuttingHeat:
         return self.grid.share_out(corners, size, volumes_m3) / self._volume_m3
 
     def _deposit(self, points_m: Array, normals: Array, weights: Array, tip_m: Array) -> None:
-        """Put the power into the cells at the surface, and note how much warmer than its cell the surface is.
+        """Put the power into the cells at the surface, and note how much warmer than its cell the
+        surface is.
 
         Parameters
         ----------
         points_m, normals, weights
             Where the bur cuts [m], its normals out of the bur, and the relative powers there.
         tip_m
-            Tip of a bur that has left the tooth since the last cut: the heat goes into the cell next to it [m].
+            Tip of a bur that has left the tooth since the last cut: the heat goes into the cell
+            next to it [m].
         """
         power = self._power
         warmer = self._warmer_K
@@ -174,7 +186,9 @@ class CuttingHeat:
             power[self._nearest(tip_m)] = self._power_W
         elif self._power_W > 0.0:
             depths = 0.5 * self._cell_m * np.arange(DEPTHS)
-            candidates = np.stack([self.grid.cells_at(points_m + depth * normals) for depth in depths])
+            candidates = np.stack(
+                [self.grid.cells_at(points_m + depth * normals) for depth in depths]
+            )
             fills = filled[candidates]
             is_full = fills >= RECEIVES
             first = np.where(is_full.any(axis=0), is_full.argmax(axis=0), fills.argmax(axis=0))
@@ -182,16 +196,22 @@ class CuttingHeat:
             for at in np.flatnonzero(filled[cells] <= 0.0):
                 cells[at] = self._nearest(points_m[at])
             total = float(weights.sum())
-            # A bur that stands at the end of an interval has no power there: its heat enters along all that it touches.
+            # A bur that stands at the end of an interval has no power there: its heat enters along
+            # all that it touches.
             shares = weights / total if total > 0.0 else np.full(len(weights), 1.0 / len(weights))
             power += np.bincount(cells, self._power_W * shares, minlength=len(power))
-            # Half the temperature difference across the material of the cell, for a flux that passes all of it.
-            warmer[cells] = 0.5 * power[cells] * filled[cells] / (self._conductivity[cells] * self._cell_m)
+            # Half the temperature difference across the material of the cell, for a flux that
+            # passes all of it.
+            warmer[cells] = (
+                0.5 * power[cells] * filled[cells] / (self._conductivity[cells] * self._cell_m)
+            )
             np.maximum.at(warmer, candidates[0], warmer[cells])
         self.field.heat(power)
 
     def _remove(self) -> None:
-        """Take what was cut out of the cells; from now on the heat comes in where the bur is at the end."""
+        """Take what was cut out of the cells; from now on the heat comes in where the bur is at
+        the end.
+        """
         cells = np.flatnonzero(self._lost)
         if len(cells):
             self.field.remove(cells, self._lost[cells], self._warmer_K[cells])
@@ -201,7 +221,10 @@ class CuttingHeat:
         """Return the filled cell nearest to a point, flat index."""
         cells = np.argwhere(self.field.filled > 0.0)
         centres = np.column_stack(
-            [0.5 * (edges[at] + edges[at + 1]) for edges, at in zip(self.grid.edges_m, cells.T, strict=True)]
+            [
+                0.5 * (edges[at] + edges[at + 1])
+                for edges, at in zip(self.grid.edges_m, cells.T, strict=True)
+            ]
         )
         nearest = cells[np.linalg.norm(centres - point_m, axis=1).argmin()]
         return int(np.ravel_multi_index(tuple(nearest), self.field.filled.shape))

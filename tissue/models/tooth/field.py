@@ -1,4 +1,6 @@
-"""Stress and displacement of a tooth while it is drilled, in a solve that runs slower than the ticks."""
+"""Stress and displacement of a tooth while it is drilled, in a solve that runs slower than the
+ticks.
+"""
 
 from dataclasses import dataclass
 from time import perf_counter
@@ -23,19 +25,23 @@ from tissue.models.tooth.supports import NodeSupports, PointSprings
 __all__ = ["FirstGuess", "SolveRecord", "StressField"]
 
 NULL_CUT = 1e-6
-"""Scaled eigenvalues of the energies between solutions below this share of the largest are errors of the solves."""
+"""Scaled eigenvalues of the energies between solutions below this share of the largest are
+errors of the solves.
+"""
 
 
 class FirstGuess:
     """Combination of earlier solutions that is closest, in energy, to the one for a new load.
 
-    With solutions u_i for loads f_i it solves ``(u_i . f_j) c_j = u_i . f``: a force that grew, turned or moved
-    costs no iterations for the part that is known. The body may have changed since: the guess is a little worse then.
+    With solutions u_i for loads f_i it solves ``(u_i . f_j) c_j = u_i . f``: a force that grew,
+    turned or moved costs no iterations for the part that is known. The body may have changed since:
+    the guess is a little worse then.
 
     Parameters
     ----------
     kept
-        Solutions that are kept for good, shape (n, 3) each, and the load of each: the six of the support compliance.
+        Solutions that are kept for good, shape (n, 3) each, and the load of each: the six of the
+        support compliance.
     recent
         How many of the last solutions are kept besides: while a body is cut, two
         leave 3 iterations and six leave 5, since the older ones are of a body that was fuller.
@@ -46,9 +52,9 @@ class FirstGuess:
         self._loads = [load.ravel() for _, load in kept]
         self._first = len(kept)
         self._most = len(kept) + recent
-        self._energy = np.array([[dot(u, f) for f in self._loads] for u in self._solutions]).reshape(
-            len(kept), len(kept)
-        )
+        self._energy = np.array(
+            [[dot(u, f) for f in self._loads] for u in self._solutions]
+        ).reshape(len(kept), len(kept))
 
     def add(self, displacement_m: Array, load_N: Array) -> None:
         """Keep a solution and its load [m], [N], shape (n, 3), in place of the oldest."""
@@ -56,22 +62,31 @@ class FirstGuess:
             return
         if len(self._solutions) == self._most:
             del self._solutions[self._first], self._loads[self._first]
-            self._energy = np.delete(np.delete(self._energy, self._first, axis=0), self._first, axis=1)
+            self._energy = np.delete(
+                np.delete(self._energy, self._first, axis=0), self._first, axis=1
+            )
         moved = displacement_m.ravel().copy()
         load = load_N.ravel().copy()
         self._solutions.append(moved)
         self._loads.append(load)
         column = np.array(
-            [0.5 * (dot(u, load) + dot(moved, f)) for u, f in zip(self._solutions, self._loads, strict=True)]
+            [
+                0.5 * (dot(u, load) + dot(moved, f))
+                for u, f in zip(self._solutions, self._loads, strict=True)
+            ]
         )
-        self._energy = np.block([[self._energy, column[:-1, None]], [column[None, :-1], column[-1:, None]]])
+        self._energy = np.block(
+            [[self._energy, column[:-1, None]], [column[None, :-1], column[-1:, None]]]
+        )
 
     def __call__(self, load_N: Array) -> Array:
         """Guess of the displacement [m] for a load [N], shapes (n, 3)."""
         guess = np.zeros(load_N.size)
         load = load_N.ravel()
         scale = 1.0 / np.sqrt(np.maximum(np.diag(self._energy), np.finfo(float).tiny))
-        values, vectors = np.linalg.eigh(scale[:, None] * 0.5 * (self._energy + self._energy.T) * scale)
+        values, vectors = np.linalg.eigh(
+            scale[:, None] * 0.5 * (self._energy + self._energy.T) * scale
+        )
         if values.size and values[-1] > 0.0:
             modes = (scale[:, None] * vectors)[:, values > NULL_CUT * values[-1]]
             work = np.array([dot(u, load) for u in self._solutions])
@@ -82,17 +97,24 @@ class FirstGuess:
 
 
 TOOTH = ("enamel", "dentin", "pulp", "caries")
-"""Layers that the particles fill; the ligament is a bed of springs, the bone behind it does not move."""
+"""Layers that the particles fill; the ligament is a bed of springs, the bone behind it does not
+move.
+"""
 VTK_ORDER = (0, 4, 6, 2, 1, 5, 7, 3)
 """Corners of a cell in the order that VTK numbers a hexahedron."""
 INFECTED_SHARE = 0.05
-"""Modulus of fully softened dentin relative to sound dentin: 1 of 18.6 GPa (infected 0.1-5 GPa, low confidence)."""
+"""Modulus of fully softened dentin relative to sound dentin: 1 of 18.6 GPa (infected 0.1-5 GPa,
+low confidence).
+"""
 
 TOLERANCE = 7e-4
-"""Relative error in the energy norm at which a solve ends, before the last correction takes it to a third: cells of
+"""Relative error in the energy norm at which a solve ends, before the last correction takes it to a
+third: cells of
 0.3 mm leave a hundred times as much beside a cut."""
 _MARGIN = 6
-"""Voxels of air laid around a tooth that may fill its volume: as far as the smooth normal of its surface reaches."""
+"""Voxels of air laid around a tooth that may fill its volume: as far as the smooth normal of its
+surface reaches.
+"""
 
 
 @dataclass(frozen=True)
@@ -133,7 +155,8 @@ class StressField:
     records
         Cost and outcome of every solve.
     root_guessed
-        Whether the data hold neither ligament nor bone, so that the lower third is held as the root.
+        Whether the data hold neither ligament nor bone, so that the lower third is held as the
+        root.
     """
 
     def __init__(
@@ -149,20 +172,28 @@ class StressField:
     ) -> None:
         self._volume = tooth
         self._contact_m = contact_m
-        self.root_guessed = not ((tooth.fraction > 0) & np.isin(tooth.layer, _bed_layers(tooth))).any()
+        self.root_guessed = not (
+            (tooth.fraction > 0) & np.isin(tooth.layer, _bed_layers(tooth))
+        ).any()
         index = [tooth.layer_names.index(name) for name in TOOTH if name in tooth.layer_names]
         solid = (tooth.fraction > 0) & np.isin(tooth.layer, index)
         places = np.argwhere(solid)
         self._particle_at = np.full(tooth.shape, -1, dtype=np.int64)
         self._particle_at[solid] = np.arange(len(places))
         particles = _particles(tooth, places, constants)
-        self._whole = tooth.fraction[solid] / 255.0 * FULL_STEPS  # steps of each particle, in fine voxels
+        # steps of each particle, in fine voxels
+        self._whole = tooth.fraction[solid] / 255.0 * FULL_STEPS
         self._lost = np.zeros(len(places))
         origin = cell_m * np.floor(particles.position_m.min(axis=0) / cell_m)
         grid = HexGrid.around(particles.position_m, edge_m=cell_m, origin_m=origin)
         springs = _ligament_springs(tooth, solid, ligament_thickness_m, constants)
         self.body = ParticleBody(
-            particles, grid, NodeSupports.of(grid.node_count), springs=springs, device=device, cores=cores
+            particles,
+            grid,
+            NodeSupports.of(grid.node_count),
+            springs=springs,
+            device=device,
+            cores=cores,
         )
         weights = np.zeros(grid.node_count)
         np.add.at(weights, grid.cell_nodes, (self.body.cells.fill * cell_m**3 / 8.0)[:, None])
@@ -178,13 +209,22 @@ class StressField:
                 f"use {2000.0 * cell_m:g}",
             )
         self._guess = FirstGuess(
-            [(s.displacement_m, f) for s, f in zip(self.compliance.solutions, self.compliance.loads_N, strict=True)]
+            [
+                (s.displacement_m, f)
+                for s, f in zip(self.compliance.solutions, self.compliance.loads_N, strict=True)
+            ]
         )
         layer = _cell_layers(self.body)
-        self._reach_m = max(REACH_M, tooth.spacing_m)  # the nearest particles of a cell lie 0.87 of it from the centre
-        self._recovery = StressRecovery(particles, self.body.cells, grid.cell_centre_m, layer, reach_m=self._reach_m)
+        # the nearest particles of a cell lie 0.87 of it from the centre
+        self._reach_m = max(REACH_M, tooth.spacing_m)
+        self._recovery = StressRecovery(
+            particles, self.body.cells, grid.cell_centre_m, layer, reach_m=self._reach_m
+        )
         self.series = FieldSeries(
-            grid.node_position_m, grid.cell_nodes[:, VTK_ORDER].astype(np.int64), layer, tooth.layer_names
+            grid.node_position_m,
+            grid.cell_nodes[:, VTK_ORDER].astype(np.int64),
+            layer,
+            tooth.layer_names,
         )
         self.records: list[SolveRecord] = []
 
@@ -193,16 +233,24 @@ class StressField:
         """Displacement components."""
         return 3 * self.body.grid.node_count
 
-    def remove(self, voxels: NDArray[np.integer], steps: NDArray[np.integer], *, origin_m: NDArray[np.float64],
-               spacing_m: float) -> None:  # fmt: skip
+    def remove(
+        self,
+        voxels: NDArray[np.integer],
+        steps: NDArray[np.integer],
+        *,
+        origin_m: NDArray[np.float64],
+        spacing_m: float,
+    ) -> None:
         """Take from the particles what finer voxels have lost since the last call.
 
         Parameters
         ----------
         voxels, steps
-            Indices of the finer voxels, shape (n, 3), and what each lost in steps of 1/65535, shape (n,).
+            Indices of the finer voxels, shape (n, 3), and what each lost in steps of 1/65535, shape
+            (n,).
         origin_m, spacing_m
-            Corner of their voxel (0, 0, 0) and their edge [m]; lines of both grids lie on multiples of it.
+            Corner of their voxel (0, 0, 0) and their edge [m]; lines of both grids lie on multiples
+            of it.
         """
         ratio = round(self._volume.spacing_m / spacing_m)
         first = np.rint(origin_m / spacing_m).astype(int)
@@ -218,8 +266,12 @@ class StressField:
         share = np.clip(1.0 - self._lost[touched] / whole, 0.0, 1.0)
         self.body.set_remaining(touched, np.rint(share * FULL_STEPS).astype(np.uint16))
 
-    def solve(self, time_s: float, force_N: NDArray[np.float64], point_m: NDArray[np.float64]) -> Frame:
-        """Displacement and stress under a force on the tooth at a point, warm-started; recorded and returned."""
+    def solve(
+        self, time_s: float, force_N: NDArray[np.float64], point_m: NDArray[np.float64]
+    ) -> Frame:
+        """Displacement and stress under a force on the tooth at a point, warm-started; recorded
+        and returned.
+        """
         begun = perf_counter()
         change = self.body.update()
         load = self.load(force_N, point_m)
@@ -232,36 +284,56 @@ class StressField:
             "von_mises_MPa": 1e-6 * von_mises,
             **{f"principal_{i + 1}_MPa": 1e-6 * principal[:, i] for i in range(3)},
         }
-        values = {name: np.where(gone, np.nan, value).astype(np.float32) for name, value in cells.items()}
-        moved = np.where(self.body.carrying[:, None], 1e6 * solution.displacement_m, 0.0).astype(np.float32)
+        values = {
+            name: np.where(gone, np.nan, value).astype(np.float32) for name, value in cells.items()
+        }
+        moved = np.where(self.body.carrying[:, None], 1e6 * solution.displacement_m, 0.0).astype(
+            np.float32
+        )
         frame = Frame(time_s, {"displacement_um": moved}, values)
         self.series.frames.append(frame)
         left = self.body.cells.remaining[self.body.cells.rank[change.debris]] / FULL_STEPS
         loose = float((self.body.particles.volume_m3[change.debris] * left).sum())
         self.records.append(
-            SolveRecord(time_s, solution.iterations, solution.outcome.name, perf_counter() - begun, loose)
+            SolveRecord(
+                time_s, solution.iterations, solution.outcome.name, perf_counter() - begun, loose
+            )
         )
         return frame
 
-    def load(self, force_N: NDArray[np.float64], point_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def load(
+        self, force_N: NDArray[np.float64], point_m: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
         """Nodal forces [N], shape (n, 3), of the cutter's force at a point."""
         return self.body.spread_over(point_m, force_N, radius_m=self._contact_m)
 
-    def recover(self, displacement_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Von Mises and principal stress [Pa] recovered at the cells' centres, shapes (c,) and (c, 3)."""
-        return stress_invariants(np.nan_to_num(self._recovery(displacement_m)), device=self.body.cells.device)
+    def recover(
+        self, displacement_m: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Von Mises and principal stress [Pa] recovered at the cells' centres, shapes (c,) and
+        (c, 3).
+        """
+        return stress_invariants(
+            np.nan_to_num(self._recovery(displacement_m)), device=self.body.cells.device
+        )
 
     def stress_at(
         self, displacement_m: NDArray[np.float64], place_m: NDArray[np.float64], layer: str
     ) -> NDArray[np.float64]:
-        """Stress xx, yy, zz, yz, xz, xy [Pa] recovered at places of a layer, shapes (k, 3) to (k, 6)."""
+        """Stress xx, yy, zz, yz, xz, xy [Pa] recovered at places of a layer, shapes (k, 3) to
+        (k, 6).
+        """
         at = np.full(len(place_m), self._volume.layer_names.index(layer))
-        recovery = StressRecovery(self.body.particles, self.body.cells, place_m, at, reach_m=self._reach_m)
+        recovery = StressRecovery(
+            self.body.particles, self.body.cells, place_m, at, reach_m=self._reach_m
+        )
         return recovery(displacement_m)
 
 
 def _particles(tooth: VoxelVolume, places: NDArray[np.int64], constants: Materials) -> ParticleSet:
-    """A particle a voxel, with the cited elastic constants of its layer; caries graded by its softness."""
+    """A particle a voxel, with the cited elastic constants of its layer; caries graded by its
+    softness.
+    """
     at = tuple(places.T)
     layer = tooth.layer[at]
     fraction = tooth.fraction[at]
@@ -288,11 +360,18 @@ def _bed_layers(tooth: VoxelVolume) -> list[int]:
 
 
 def _ligament_springs(
-    tooth: VoxelVolume, solid: NDArray[np.bool_], thickness_m: float, constants: Materials = Materials.cited
+    tooth: VoxelVolume,
+    solid: NDArray[np.bool_],
+    thickness_m: float,
+    constants: Materials = Materials.cited,
 ) -> PointSprings:
-    """Springs where the tooth borders on ligament or bone; on its lower third where the data hold neither."""
+    """Springs where the tooth borders on ligament or bone; on its lower third where the data
+    hold neither.
+    """
     table = constants.constants("tooth", "ligament")
-    across, along = bed_stiffness(1e9 * table["modulus_GPa"].value, table["poisson_ratio"].value, thickness_m)
+    across, along = bed_stiffness(
+        1e9 * table["modulus_GPa"].value, table["poisson_ratio"].value, thickness_m
+    )
     bed = (tooth.fraction > 0) & np.isin(tooth.layer, _bed_layers(tooth))
     origin_m = tooth.origin_m
     if not bed.any():
@@ -310,7 +389,12 @@ def _ligament_springs(
         along_N_m3=along,
     )
     if area == 0.0:
-        raise InputError("anatomy", "hold a tooth that something supports", "none", "give its ligament or its bone")
+        raise InputError(
+            "anatomy",
+            "hold a tooth that something supports",
+            "none",
+            "give its ligament or its bone",
+        )
     return springs
 
 
@@ -320,5 +404,9 @@ def _cell_layers(body: ParticleBody) -> NDArray[np.uint8]:
     particles = body.particles
     names = int(particles.layer.max()) + 1
     volume = np.zeros((body.grid.cell_count, names))
-    np.add.at(volume, (cells.particle_cell, particles.layer[cells.order]), particles.volume_m3[cells.order])
+    np.add.at(
+        volume,
+        (cells.particle_cell, particles.layer[cells.order]),
+        particles.volume_m3[cells.order],
+    )
     return np.asarray(volume.argmax(axis=1), dtype=np.uint8)

@@ -1,4 +1,6 @@
-"""Smoothing on the finest grid by products over strips of cells, and the assembled stiffness of the coarser grids."""
+"""Smoothing on the finest grid by products over strips of cells, and the assembled stiffness of
+the coarser grids.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -27,14 +29,16 @@ class NodeBlocks:
     grid
         The grid.
     cell_nodes, live, stiffness
-        Warp arrays of the cells, as in :class:`tissue.models.tooth.stiffness.CellStiffness`; read at every `update`.
+        Warp arrays of the cells, as in :class:`tissue.models.tooth.stiffness.CellStiffness`; read
+        at every `update`.
     device
         Warp device.
 
     Attributes
     ----------
     row_start, column, block
-        Block compressed rows: int32 (n + 1,), int32 (b,), 3 x 3 float64 (b,) [N/m]; lower colours first.
+        Block compressed rows: int32 (n + 1,), int32 (b,), 3 x 3 float64 (b,) [N/m]; lower colours
+        first.
     diagonal_block
         Place of each node's own block, int32 (n,).
     diagonal
@@ -43,7 +47,9 @@ class NodeBlocks:
         Blocks and inverses of the diagonal in single precision, for smoothing.
     """
 
-    def __init__(self, grid: HexGrid, *, cell_nodes: Any, live: Any, stiffness: Any, device: str) -> None:
+    def __init__(
+        self, grid: HexGrid, *, cell_nodes: Any, live: Any, stiffness: Any, device: str
+    ) -> None:
         neighbours = grid.node_neighbours
         there = neighbours >= 0
         starts = np.concatenate([[0], np.cumsum(there.sum(axis=1))]).astype(np.int32)
@@ -84,14 +90,22 @@ class NodeBlocks:
         rows: Any = wp.array(nodes, dtype=wp.int32, device=self.device)
 
         def launch(kernel: Any, inputs: list[Any], outputs: list[Any]) -> None:
-            wp.launch(kernel, dim=len(nodes), inputs=[rows, *inputs, 0], outputs=outputs, device=self.device)
+            wp.launch(
+                kernel,
+                dim=len(nodes),
+                inputs=[rows, *inputs, 0],
+                outputs=outputs,
+                device=self.device,
+            )
 
         launch(assemble_rows, self._gathered, [self.block, self.diagonal])
         launch(to_single, [self.row_start, self.block], [self.single])
         launch(invert_diagonal, [self.diagonal], [self.inverse])
 
     def matrix(self) -> bsr_matrix:
-        """The assembled matrix [N/m], shape (3 n, 3 n), on a CPU sharing its values with this object."""
+        """The assembled matrix [N/m], shape (3 n, 3 n), on a CPU sharing its values with this
+        object.
+        """
         count = len(self.diagonal)
         arrays = (self.block.numpy(), self.column.numpy(), self.row_start.numpy())
         return bsr_matrix(arrays, shape=(3 * count, 3 * count), copy=False)
@@ -99,22 +113,23 @@ class NodeBlocks:
 
 Array = NDArray[np.float64]
 STEPS = ((0.0, 4.0 / 3.0), (1.0 / 5.0, 12.0 / 5.0))
-"""Share of the last direction and gain of the residual of Chebyshev's polynomial of the fourth kind of degree 2, which
-needs the largest eigenvalue only (Lottes 2023, Numer. Linear Algebra Appl. 30:e2518). Degree 1 takes 1.3 times the
-iterations, degree 3 saves none."""
+"""Share of the last direction and gain of the residual of Chebyshev's polynomial of the fourth kind
+of degree 2, which needs the largest eigenvalue only (Lottes 2023, Numer. Linear Algebra Appl.
+30:e2518). Degree 1 takes 1.3 times the iterations, degree 3 saves none."""
 POWER_STEPS = 30
 MARGIN = 1.15
-"""Largest eigenvalue assumed over that found: the power method's last per cents, and what cuts add before it is found
-anew. The smoother diverges at 1.25 of what is assumed."""
+"""Largest eigenvalue assumed over that found: the power method's last per cents, and what cuts add
+before it is found anew. The smoother diverges at 1.25 of what is assumed."""
 
 
 class FinestLevel:
     """Vectors of the finest grid and its smoothing, in single precision and lanes.
 
-    Springs on cells of the strips are left out of the product: they are below a hundredth of the cells they act on, and
-    the coarser grids, which feel them, have them. In the molar and in caries they would save no iteration, with a
-    ligament 100 times as stiff one of ten. All else is exact: with other particles taken at the nearest of the strips'
-    points, the molar's iterations on a grid that lies askew to them were 31 to 44 instead of 14 to 15.
+    Springs on cells of the strips are left out of the product: they are below a hundredth of the
+    cells they act on, and the coarser grids, which feel them, have them. In the molar and in caries
+    they would save no iteration, with a ligament 100 times as stiff one of ten. All else is exact:
+    with other particles taken at the nearest of the strips' points, the molar's iterations on a
+    grid that lies askew to them were 31 to 44 instead of 14 to 15.
 
     Parameters
     ----------
@@ -126,7 +141,8 @@ class FinestLevel:
     diagonal
         Diagonal of the stiffness [N/m], 1 on held components, Warp array of vec3d, shape (n,).
     vector, residual
-        Correction of the coarser grids [m], and what smoothing leaves of the load [N], Warp vec3f, shape (n,).
+        Correction of the coarser grids [m], and what smoothing leaves of the load [N], Warp vec3f,
+        shape (n,).
     """
 
     def __init__(self, cells: CellStiffness, supports: NodeSupports) -> None:
@@ -140,7 +156,9 @@ class FinestLevel:
         count = self.grid.node_count
         strips = cells.strips
         device = cells.device
-        self.free: Any = wp.array((~supports.fixed).astype(np.float64), dtype=wp.vec3d, device=device)
+        self.free: Any = wp.array(
+            (~supports.fixed).astype(np.float64), dtype=wp.vec3d, device=device
+        )
         self.diagonal = wp.zeros(count, dtype=wp.vec3d, device=device)
         self.vector = wp.zeros(count, dtype=wp.vec3f, device=device)
         self.residual = wp.zeros(count, dtype=wp.vec3f, device=device)
@@ -149,21 +167,38 @@ class FinestLevel:
         self._inverse, self._force, self._left, self._direction, self._found = lanes
         inverse, *vectors = [each.by_eight for each in lanes]
         self._product = StripProduct(
-            strips.layout, strips.single, self._direction, self._force, device=device, cores=cells.cores
+            strips.layout,
+            strips.single,
+            self._direction,
+            self._force,
+            device=device,
+            cores=cells.cores,
         )
 
         def launch(kernel: Any, dim: int, inputs: list[Any], outputs: list[Any]) -> SplitLaunch:
             return SplitLaunch(
-                kernel, dim=dim, inputs=[*inputs, 0], outputs=outputs, offset_index=len(inputs), device=device,
+                kernel,
+                dim=dim,
+                inputs=[*inputs, 0],
+                outputs=outputs,
+                offset_index=len(inputs),
+                device=device,
                 cores=cells.cores,
-            )  # fmt: skip
+            )
 
-        self._steps = [launch(smooth, vectors[0].shape[1], [inverse, *step], vectors) for step in (*STEPS, (0.0, 0.0))]
+        self._steps = [
+            launch(smooth, vectors[0].shape[1], [inverse, *step], vectors)
+            for step in (*STEPS, (0.0, 0.0))
+        ]
         slot = strips.slot_on
         self._take_load = launch(to_lanes, count, [slot, self.residual], [self._left.single])
         self._give_residual = launch(from_lanes, count, [slot, self._left.single], [self.residual])
-        self._take_correction = launch(to_lanes, count, [slot, self.vector], [self._direction.single])
-        self._give_direction = launch(from_lanes, count, [slot, self._direction.single], [cells.displacement])
+        self._take_correction = launch(
+            to_lanes, count, [slot, self.vector], [self._direction.single]
+        )
+        self._give_direction = launch(
+            from_lanes, count, [slot, self._direction.single], [cells.displacement]
+        )
         self._take_force = launch(to_lanes, count, [slot, cells.force], [self._force.single])
         self._give_found = launch(from_lanes, count, [slot, self._found.single], [self.vector])
 
@@ -173,14 +208,24 @@ class FinestLevel:
             return
         rows: Any = wp.array(nodes, dtype=wp.int32, device=self.device)
         inputs = [
-            rows, self._cells.node_cells_on, self.live, self.stiffness, self.free, self._cells.strips.slot_on,
-            self._largest, 0,
-        ]  # fmt: skip
+            rows,
+            self._cells.node_cells_on,
+            self.live,
+            self.stiffness,
+            self.free,
+            self._cells.strips.slot_on,
+            self._largest,
+            0,
+        ]
         outputs = [self.diagonal, self._inverse.single]
-        wp.launch(node_diagonals, dim=len(nodes), inputs=inputs, outputs=outputs, device=self.device)
+        wp.launch(
+            node_diagonals, dim=len(nodes), inputs=inputs, outputs=outputs, device=self.device
+        )
 
     def bound_eigenvalues(self) -> None:
-        """Find the largest eigenvalue of D^-1 K by the power method, and scale the diagonal's inverse by it."""
+        """Find the largest eigenvalue of D^-1 K by the power method, and scale the diagonal's
+        inverse by it.
+        """
         layout = self._cells.strips.layout
         inverse = self._inverse.single.numpy()
         vector = np.zeros((3, layout.slots), dtype=np.float32)
@@ -230,7 +275,9 @@ class FinestLevel:
         self._steps[1]()
 
     def _multiply(self) -> None:
-        """Product with the direction, added to the force, which is zero where not all cells are in strips."""
+        """Product with the direction, added to the force, which is zero where not all cells are
+        in strips.
+        """
         if self._cells.others is not None:
             self._give_direction()
             self._cells.force.zero_()
@@ -239,7 +286,9 @@ class FinestLevel:
         self._product()
 
     def matrix(self) -> csr_matrix:
-        """The assembled stiffness, springs included and held components empty [N/m], shape (3 n, 3 n)."""
+        """The assembled stiffness, springs included and held components empty [N/m], shape (3 n,
+        3 n).
+        """
         live = self._cells.live > 0
         unknown = (3 * self.grid.cell_nodes[live][:, :, None] + np.arange(3)).reshape(-1, 24)
         rows, columns = np.broadcast_arrays(unknown[:, :, None], unknown[:, None, :])

@@ -1,4 +1,6 @@
-"""Cartesian grid of trilinear hexahedra, of which only the cells that hold material particles exist."""
+"""Cartesian grid of trilinear hexahedra, of which only the cells that hold material particles
+exist.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -42,7 +44,9 @@ class HexGrid:
     cell_nodes: Index
 
     @classmethod
-    def of_cells(cls, cell_place: NDArray[np.integer], *, origin_m: Array, edge_m: float) -> "HexGrid":
+    def of_cells(
+        cls, cell_place: NDArray[np.integer], *, origin_m: Array, edge_m: float
+    ) -> "HexGrid":
         """Grid of the cells at ``cell_place``, shape (c, 3), which may repeat."""
         if not edge_m > 0.0:
             raise ValueError(f"edge_m must be positive, got {edge_m:g}: 2e-4 to 1e-3 suits a tooth")
@@ -56,15 +60,21 @@ class HexGrid:
         return cls(origin, float(edge_m), cells, nodes, cell_nodes)
 
     @classmethod
-    def around(cls, position_m: Array, *, edge_m: float, origin_m: Array | None = None) -> "HexGrid":
+    def around(
+        cls, position_m: Array, *, edge_m: float, origin_m: Array | None = None
+    ) -> "HexGrid":
         """Grid of the cells that hold the points ``position_m`` [m], shape (n, 3).
 
-        The cells' corners lie at ``origin_m`` plus multiples of the edge; by default half an edge below the lowest
-        point.
+        The cells' corners lie at ``origin_m`` plus multiples of the edge; by default half an edge
+        below the lowest point.
         """
         if not edge_m > 0.0:
             raise ValueError(f"edge_m must be positive, got {edge_m:g}: 2e-4 to 1e-3 suits a tooth")
-        origin = position_m.min(axis=0) - 0.5 * edge_m if origin_m is None else np.asarray(origin_m, dtype=np.float64)
+        origin = (
+            position_m.min(axis=0) - 0.5 * edge_m
+            if origin_m is None
+            else np.asarray(origin_m, dtype=np.float64)
+        )
         place = np.floor((position_m - origin) / edge_m).astype(np.int64)
         return cls.of_cells(place, origin_m=origin, edge_m=edge_m)
 
@@ -98,7 +108,9 @@ class HexGrid:
 
     @cached_property
     def node_neighbours(self) -> Index:
-        """Nodes that share a cell with a node, in the order of `NEIGHBOURS`, or -1, int32, shape (n, 27)."""
+        """Nodes that share a cell with a node, in the order of `NEIGHBOURS`, or -1, int32, shape
+        (n, 27).
+        """
         found = np.full((self.node_count, 27), -1, dtype=np.int32)
         for corner in range(8):
             for other in range(8):
@@ -108,7 +120,9 @@ class HexGrid:
 
     @property
     def node_colour(self) -> NDArray[np.int64]:
-        """One of eight colours of each node, such that no two nodes of a cell share one, shape (n,)."""
+        """One of eight colours of each node, such that no two nodes of a cell share one, shape
+        (n,).
+        """
         return np.asarray((self.node_place & 1) @ (4, 2, 1))
 
     @cached_property
@@ -136,19 +150,27 @@ class HexGrid:
         return _find_places(self.node_place, place, self.node_place.max(axis=0) + 1)
 
     def locate(self, position_m: Array) -> tuple[Index, Array]:
-        """Cell that holds each point, or -1, shape (n,), and the place in it, 0 to 1 along each edge, shape (n, 3)."""
+        """Cell that holds each point, or -1, shape (n,), and the place in it, 0 to 1 along each
+        edge, shape (n, 3).
+        """
         scaled = (np.atleast_2d(position_m) - self.origin_m) / self.edge_m
         place = np.floor(scaled)
         return self.find_cells(place.astype(np.int64)), scaled - place
 
     def coarse(self) -> tuple["HexGrid", Index]:
-        """Grid of twice the edge over the same cells, and its cell of each cell, int32, shape (c,)."""
-        grid = HexGrid.of_cells(self.cell_place >> 1, origin_m=self.origin_m, edge_m=2.0 * self.edge_m)
+        """Grid of twice the edge over the same cells, and its cell of each cell, int32, shape
+        (c,).
+        """
+        grid = HexGrid.of_cells(
+            self.cell_place >> 1, origin_m=self.origin_m, edge_m=2.0 * self.edge_m
+        )
         return grid, grid.find_cells(self.cell_place >> 1)
 
 
 def shape_values(place: Array) -> Array:
-    """Trilinear shape functions of the eight corners at places in a cell, shapes (n, 3) to (n, 8)."""
+    """Trilinear shape functions of the eight corners at places in a cell, shapes (n, 3) to (n,
+    8).
+    """
     factors = np.where(CORNERS == 1, place[:, None, :], 1.0 - place[:, None, :])
     return np.asarray(factors.prod(axis=2))
 
@@ -170,7 +192,9 @@ def _find_places(known: Index, place: NDArray[np.integer], shape: NDArray[np.int
     return _find_keys(_keys(known, shape), place, shape)
 
 
-def _find_keys(keys: NDArray[np.int64], place: NDArray[np.integer], shape: NDArray[np.integer]) -> Index:
+def _find_keys(
+    keys: NDArray[np.int64], place: NDArray[np.integer], shape: NDArray[np.integer]
+) -> Index:
     inside = ((place >= 0) & (place < shape)).all(axis=1)
     wanted = np.where(inside, _keys(place, shape), -1)
     row = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
@@ -213,22 +237,33 @@ class ParticleSet:
         for name in ("volume_m3", "modulus_Pa", "poisson_ratio", "layer", "remaining"):
             if getattr(self, name).shape != (count,):
                 raise ValueError(
-                    f"{name} must have one value a particle, shape ({count},), got {getattr(self, name).shape}: "
+                    f"{name} must have one value a particle, shape ({count},), got "
+                    f"{getattr(self, name).shape}: "
                     "give arrays of one length"
                 )
         if count == 0:
-            raise ValueError("position_m must hold at least one particle, got none: give a body that fills some space")
+            raise ValueError(
+                "position_m must hold at least one particle, got none: give a body that "
+                "fills some space"
+            )
         for name in ("volume_m3", "modulus_Pa"):
             least = float(getattr(self, name).min())
             if not least > 0.0:
-                raise ValueError(f"{name} must be positive, got {least:g}: leave such particles out")
+                raise ValueError(
+                    f"{name} must be positive, got {least:g}: leave such particles out"
+                )
         low = float(self.poisson_ratio.min())
         high = float(self.poisson_ratio.max())
         if not (low > -1.0 and high < 0.5):
             worst = high if high >= 0.5 else low
-            raise ValueError(f"poisson_ratio must be in (-1, 0.5), got {worst:g}: use 0.49 for nearly incompressible")
+            raise ValueError(
+                f"poisson_ratio must be in (-1, 0.5), got {worst:g}: use 0.49 for nearly "
+                "incompressible"
+            )
         if not np.isfinite(self.position_m).all():
-            raise ValueError("position_m must be finite, got NaN or infinity: check the transform that made it")
+            raise ValueError(
+                "position_m must be finite, got NaN or infinity: check the transform that made it"
+            )
 
     @classmethod
     def uniform(

@@ -22,10 +22,14 @@ __all__ = ["Conduction", "HeatGrid"]
 GROWTH = (1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 4, 5, 6)
 """Voxels that the cells outside the fine part are wide, from there outward; the last goes on."""
 LEAST_FILLED = 0.02
-"""Share of material below which a cell is left out or emptied: its heat capacity no longer matters."""
+"""Share of material below which a cell is left out or emptied: its heat capacity no longer
+matters.
+"""
 
 SAME_FACE = 1e-6
-"""Places this close to each other are the same face of a voxel [voxel]: far from the origin they are rounded."""
+"""Places this close to each other are the same face of a voxel [voxel]: far from the origin they
+are rounded.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,11 +39,13 @@ class HeatGrid:
     Attributes
     ----------
     edges_m
-        Positions of the faces between the cells along x, y and z [m], shapes (nx + 1,), (ny + 1,), (nz + 1,).
+        Positions of the faces between the cells along x, y and z [m], shapes (nx + 1,), (ny + 1,),
+        (nz + 1,).
     filled
         Fraction of each cell that holds material, shape (nx, ny, nz).
     conductivity_W_mK
-        Thermal conductivity of the material in each cell [W/(m K)], same shape; positive where a cell holds any.
+        Thermal conductivity of the material in each cell [W/(m K)], same shape; positive where a
+        cell holds any.
     heat_capacity_J_m3K
         Volumetric heat capacity of the material [J/(m3 K)], same shape; positive.
     pulp
@@ -53,7 +59,9 @@ class HeatGrid:
     pulp: NDArray[np.bool_]
 
     @classmethod
-    def of_tooth(cls, tooth: VoxelVolume, *, reach_m: tuple[Array, Array], constants: Materials) -> "HeatGrid":
+    def of_tooth(
+        cls, tooth: VoxelVolume, *, reach_m: tuple[Array, Array], constants: Materials
+    ) -> "HeatGrid":
         """Merge the voxels of a whole tooth into cells.
 
         Parameters
@@ -106,7 +114,8 @@ class HeatGrid:
         return np.asarray(x[:, None, None] * y[:, None] * z)
 
     def conductances_W_K(self) -> tuple[Array, ...]:
-        """Conductances from each full cell to the next one along x, y and z [W/K], each of the shape of the grid.
+        """Conductances from each full cell to the next one along x, y and z [W/K], each of the
+        shape of the grid.
 
         Half cells in series: area / (d / 2k + d' / 2k'). The last plane along each axis is 0.
         """
@@ -116,7 +125,8 @@ class HeatGrid:
             d = width.reshape([-1 if at == axis else 1 for at in range(3)])
             area = self.volumes_m3 / d
             with np.errstate(divide="ignore"):
-                half = np.moveaxis(0.5 * d / (area * conductivity), axis, 0)  # [K/W], infinite without material
+                # [K/W], infinite without material
+                half = np.moveaxis(0.5 * d / (area * conductivity), axis, 0)
             along = np.zeros_like(half)
             along[:-1] = 1.0 / (half[:-1] + half[1:])
             found.append(np.ascontiguousarray(np.moveaxis(along, 0, axis)))
@@ -126,9 +136,9 @@ class HeatGrid:
         """Faces between the pulp and the material around it.
 
         Returns
-        -------
-        Flat indices of the cells on the side of the pulp and on the other side, and the weight of the first cell in the
-        temperature of the face, where the flux from one half cell is that into the other.
+        ------- Flat indices of the cells on the side of the pulp and on the other side, and the
+        weight of the first cell in the temperature of the face, where the flux from one half cell
+        is that into the other.
         """
         inner = []
         outer = []
@@ -142,7 +152,10 @@ class HeatGrid:
             held = np.moveaxis(is_held, axis, 0)
             pulp = np.moveaxis(self.pulp, axis, 0)
             both = held[1:] & held[:-1]
-            for one, other in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):
+            for one, other in (
+                (slice(None, -1), slice(1, None)),
+                (slice(1, None), slice(None, -1)),
+            ):
                 face = both & pulp[one] & ~pulp[other]
                 inner.append(at[one][face])
                 outer.append(at[other][face])
@@ -150,7 +163,9 @@ class HeatGrid:
         return np.concatenate(inner), np.concatenate(outer), np.concatenate(weights)
 
     def cells_at(self, points_m: Array) -> NDArray[np.intp]:
-        """Flat indices of the cells that hold points, shape (n, 3); the nearest cell for a point outside."""
+        """Flat indices of the cells that hold points, shape (n, 3); the nearest cell for a point
+        outside.
+        """
         at = [
             np.clip(np.searchsorted(edges, points, side="right") - 1, 0, len(edges) - 2)
             for edges, points in zip(self.edges_m, points_m.T, strict=True)
@@ -187,7 +202,9 @@ class HeatGrid:
             part = volumes_m3 * share[0][steps[0]] * share[1][steps[1]] * share[2][steps[2]]
             there = part > 0.0
             at = tuple((f + step)[there] for f, step in zip(first, steps, strict=True))
-            found += np.bincount(np.ravel_multi_index(at, self.filled.shape), part[there], minlength=len(found))
+            found += np.bincount(
+                np.ravel_multi_index(at, self.filled.shape), part[there], minlength=len(found)
+            )
         return found
 
 
@@ -202,7 +219,9 @@ def _starts(count: int, low: float, high: float) -> NDArray[np.intp]:
     last = int(np.clip(np.ceil(high - SAME_FACE), first + 1, count))
     below = _outward(first)
     above = _outward(count - last)
-    return np.concatenate([first - np.cumsum(below)[::-1], np.arange(first, last), last + np.cumsum(above) - above])
+    return np.concatenate(
+        [first - np.cumsum(below)[::-1], np.arange(first, last), last + np.cumsum(above) - above]
+    )
 
 
 def _outward(count: int) -> NDArray[np.intp]:
@@ -264,13 +283,17 @@ class Conduction:
         self._step_s = 0.0
 
     def _stable_step_s(self, along: tuple[Array, ...]) -> float:
-        """Longest stable step of any filling: a face of a cell conducts at most `OPEN` times its filled fraction."""
+        """Longest stable step of any filling: a face of a cell conducts at most `OPEN` times its
+        filled fraction.
+        """
         total = np.zeros(self.grid.filled.shape)
         for axis, each in enumerate(along):
             total += each
             np.moveaxis(total, axis, 0)[1:] += np.moveaxis(each, axis, 0)[:-1]
         held = self.grid.filled > 0.0
-        return float((self._capacity_J_K[held] / np.maximum(total[held], 1e-30)).min()) / float(OPEN)
+        return float((self._capacity_J_K[held] / np.maximum(total[held], 1e-30)).min()) / float(
+            OPEN
+        )
 
     @property
     def rise_K(self) -> NDArray[np.float32]:
@@ -314,8 +337,8 @@ class Conduction:
         lost
             Fraction of each cell that is removed, shape (n,).
         warmer_K
-            How much warmer than the mean of its cell the removed material is [K], shape (n,); no more heat leaves than
-            the cell holds.
+            How much warmer than the mean of its cell the removed material is [K], shape (n,); no
+            more heat leaves than the cell holds.
         """
         rise = self.rise_K.reshape(-1)
         filled = self.filled.reshape(-1)
@@ -328,7 +351,9 @@ class Conduction:
         gone_J = np.where(left > 0.0, (before - left) * capacity * (warm + warmer_K), held_J)
         gone_J = np.minimum(gone_J, np.maximum(held_J, 0.0))
         self.removed_J += float(gone_J.sum())
-        rise[cells] = np.where(left > 0.0, (held_J - gone_J) / np.maximum(left * capacity, 1e-30), 0.0)
+        rise[cells] = np.where(
+            left > 0.0, (held_J - gone_J) / np.maximum(left * capacity, 1e-30), 0.0
+        )
         filled[cells] = left
         self._temperature[0].assign(rise.reshape(self.filled.shape))
         self._filled.assign(self.filled.astype(np.float32))

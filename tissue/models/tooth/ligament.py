@@ -11,13 +11,18 @@ __all__ = ["bed_springs", "bed_stiffness"]
 Array = NDArray[np.float64]
 
 
-def bed_stiffness(modulus_Pa: float, poisson_ratio: float, thickness_m: float) -> tuple[float, float]:
+def bed_stiffness(
+    modulus_Pa: float, poisson_ratio: float, thickness_m: float
+) -> tuple[float, float]:
     """Stiffness of a thin layer bonded on both sides, across it and along it [N/m3].
 
-    A layer much thinner than it is wide cannot bulge: across it the confined modulus E (1 - v) / ((1 + v) (1 - 2 v))
-    acts, along it the shear modulus (a Winkler bed; its error is of the order of thickness over width).
+    A layer much thinner than it is wide cannot bulge: across it the confined modulus E (1 - v) /
+    ((1 + v) (1 - 2 v)) acts, along it the shear modulus (a Winkler bed; its error is of the order
+    of thickness over width).
     """
-    confined = modulus_Pa * (1.0 - poisson_ratio) / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
+    confined = (
+        modulus_Pa * (1.0 - poisson_ratio) / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
+    )
     return confined / thickness_m, modulus_Pa / (2.0 * (1.0 + poisson_ratio)) / thickness_m
 
 
@@ -32,10 +37,11 @@ def bed_springs(
 ) -> tuple[PointSprings, float]:
     """Springs where a tooth's voxels border on the bed's, at the centres of the tooth's voxels.
 
-    A face of area A and normal n has ``A (k_t I + (k_n - k_t) n n^T)``, k_n and k_t the stiffness across and along it.
+    A face of area A and normal n has ``A (k_t I + (k_n - k_t) n n^T)``, k_n and k_t the stiffness
+    across and along it.
 
-    A border's faces form a staircase; each is weighed by the component along it of the smooth normal, so that the
-    weights sum to the area of the surface and not of the staircase.
+    A border's faces form a staircase; each is weighed by the component along it of the smooth
+    normal, so that the weights sum to the area of the surface and not of the staircase.
 
     Parameters
     ----------
@@ -62,13 +68,16 @@ def bed_springs(
             faces = np.argwhere(tooth[inner] & bed[outer])
             if len(faces) == 0:
                 continue
-            # The mean of both sides is the normal at the face; the tooth's side alone loses 3 % of a sphere's area.
+            # The mean of both sides is the normal at the face; the tooth's side alone loses 3 % of
+            # a sphere's area.
             leans = slope[low][tuple(faces.T)] + slope[high][tuple(faces.T)]
             normal = leans / np.maximum(np.linalg.norm(leans, axis=1, keepdims=True), 1e-9)
             area = spacing_m**2 * np.abs(normal[:, axis])
             total += float(area.sum())
             across = np.einsum("ki,kj->kij", normal, normal)
-            matrices.append(area[:, None, None] * (along_N_m3 * np.eye(3) + (across_N_m3 - along_N_m3) * across))
+            matrices.append(
+                area[:, None, None] * (along_N_m3 * np.eye(3) + (across_N_m3 - along_N_m3) * across)
+            )
             if inner is high:
                 faces[:, axis] += 1
             positions.append(origin_m + spacing_m * (faces + 0.5))

@@ -1,4 +1,6 @@
-"""A tooth under a bur: milled like bone, with the distance to the pulp and, if asked for, the stress."""
+"""A tooth under a bur: milled like bone, with the distance to the pulp and, if asked for, the
+stress.
+"""
 
 import numpy as np
 import warp as wp
@@ -20,24 +22,31 @@ __all__ = ["ToothModel"]
 CENTROID_COLUMNS = ("tooth_centroid_x_um", "tooth_centroid_y_um", "tooth_centroid_z_um")
 """Translation of the rigid tooth at the centroid of its stiff material."""
 BUR_COLUMNS = ("tooth_at_bur_x_um", "tooth_at_bur_y_um", "tooth_at_bur_z_um")
-"""Motion of the point of the rigid tooth that the bur touches, by the translation and rotation of the tooth."""
+"""Motion of the point of the rigid tooth that the bur touches, by the translation and rotation
+of the tooth.
+"""
 HEAT_TICKS = 20
 """Ticks of an interval of the heat."""
 WARN_M = (1.0e-3, 0.5e-3)
-"""Dentin over the pulp at which its loss is reported [m]; below 0.5 mm it is at risk (memory of the literature)."""
+"""Dentin over the pulp at which its loss is reported [m]; below 0.5 mm it is at risk (memory of
+the literature).
+"""
 
 
 class ToothModel:
-    """A tooth that a bur drills: the bone model's carving and forces, and the dentin left over the pulp.
+    """A tooth that a bur drills: the bone model's carving and forces, and the dentin left over the
+    pulp.
 
-    The distance of the bur from the pulp is measured from the voxels that the pulp filled at the start, and is the
-    least that has been reached so far: what is left of the dentin at its thinnest. Its error is half a voxel. Where
-    the voxels hold no pulp it is not measured: the pulp is then farther away than the margin around the bur's reach.
+    The distance of the bur from the pulp is measured from the voxels that the pulp filled at the
+    start, and is the least that has been reached so far: what is left of the dentin at its
+    thinnest. Its error is half a voxel. Where the voxels hold no pulp it is not measured: the pulp
+    is then farther away than the margin around the bur's reach.
 
-    The tooth's motion follows the force at every tick by the compliance of its ligament, as of a rigid body: at the
-    centroid of its stiff material, and at the point that the bur touches. Stress is solved in the background, on a copy
-    of the voxels and the force taken every ``interval_s``. The result is recorded one interval later, so that it does
-    not depend on how long the solve took.
+    The tooth's motion follows the force at every tick by the compliance of its ligament, as of a
+    rigid body: at the centroid of its stiff material, and at the point that the bur touches. Stress
+    is solved in the background, on a copy of the voxels and the force taken every ``interval_s``.
+    The result is recorded one interval later, so that it does not depend on how long the solve
+    took.
 
     Parameters
     ----------
@@ -89,7 +98,9 @@ class ToothModel:
         self._stress_lost = False
         self.notices = milling.notices
         if stress is not None and stress.root_guessed:
-            self.notices.append("neither ligament nor bone is given: the tooth's lower third is held as its root")
+            self.notices.append(
+                "neither ligament nor bone is given: the tooth's lower third is held as its root"
+            )
         self._least_m = np.inf
         self._response: Response | None = None
         self._load = np.zeros(6)
@@ -145,7 +156,9 @@ class ToothModel:
             moved = -1e6 * self.stress.compliance.matrix.dot(self._load)
             response.measures[self._moves][:3] = moved[:3]
             response.measures[self._moves][3:] = moved[:3]
-            response.measures[self._moves][3:] += _cross(moved[3:], self._contact(motion) - self.stress.reference_m)
+            response.measures[self._moves][3:] += _cross(
+                moved[3:], self._contact(motion) - self.stress.reference_m
+            )
         if self.heat is not None:
             response.measures[-1] = self._pulp_rise_K
         return response
@@ -166,7 +179,9 @@ class ToothModel:
         return self.stress.series if self.stress is not None else None
 
     def wait_for_background(self, time_s: float) -> None:
-        """Wait for the solve that an interval's end asks for; a run that is faster than its clock waits for it."""
+        """Wait for the solve that an interval's end asks for; a run that is faster than its
+        clock waits for it.
+        """
         if time_s >= self._next_s - 1e-9:
             self._await()
 
@@ -184,20 +199,26 @@ class ToothModel:
         self.stress.begin(Drilled(time_s, rows, left, -self._load[:3], self._contact(motion)))
 
     def _take_touched(self) -> tuple[NDArray[np.intp], NDArray[np.uint16]]:
-        """Return the bricks that lost something since the last call, and remember them for the next solve."""
+        """Return the bricks that lost something since the last call, and remember them for the
+        next solve.
+        """
         rows, left = self.milling.store.take_touched()
         self._touched[rows] = True
         return rows, left
 
     def _contact(self, motion: ToolMotion) -> NDArray[np.float64]:
-        """Where the bur's head meets the tooth [m]: on the side from which the force comes, the tip without one."""
+        """Where the bur's head meets the tooth [m]: on the side from which the force comes, the
+        tip without one.
+        """
         force = float(np.linalg.norm(self._load[:3]))
         radius = self._radius_m
         toward = self._load[:3] / force if force > 0.0 else motion.rotation[:, 2]
         return motion.tip_m + radius * (motion.rotation[:, 2] - toward)
 
     def _warm(self, motion: ToolMotion) -> None:
-        """Add the energy of the tick, go on with the present interval of the heat, and begin the next one when due."""
+        """Add the energy of the tick, go on with the present interval of the heat, and begin the
+        next one when due.
+        """
         assert self.heat is not None and self._response is not None
         self._motion = motion
         force = self._response.wrench[:3]
@@ -235,13 +256,18 @@ class ToothModel:
         if record is None:
             return
         if record.debris_m3 > 0.0:
-            self.notices.append(f"{1e9 * record.debris_m3:.3g} mm3 of tooth hang on nothing and are taken as debris")
+            self.notices.append(
+                f"{1e9 * record.debris_m3:.3g} mm3 of tooth hang on nothing and are taken as debris"
+            )
         if record.outcome != "CONVERGED":
-            self.notices.append(f"the stress at {record.time_s:.3f} s did not converge ({record.outcome.lower()})")
+            self.notices.append(
+                f"the stress at {record.time_s:.3f} s did not converge ({record.outcome.lower()})"
+            )
         if record.solve_s > self._interval_s and not self._late_reported:
             self._late_reported = True
             self.notices.append(
-                f"solving the stress took {record.solve_s:.2f} s, {SLOW} of {self._interval_s:g} s: the run waits for "
+                f"solving the stress took {record.solve_s:.2f} s, {SLOW} of "
+                f"{self._interval_s:g} s: the run waits for "
                 "it, a device would not"
             )
 
@@ -260,16 +286,22 @@ class ToothModel:
             self.heat.finish()
 
     def _lose_stress(self, lost: HelperLostError) -> None:
-        """Go on without the stress: nothing else comes from the other process once the tooth's compliance is there."""
+        """Go on without the stress: nothing else comes from the other process once the tooth's
+        compliance is there.
+        """
         self._stress_lost = True
-        self.notices.append(f"{lost}: this run has no stress and no frames, everything else goes on")
+        self.notices.append(
+            f"{lost}: this run has no stress and no frames, everything else goes on"
+        )
 
     def remaining(self) -> NDArray[np.uint8]:
         """Tooth left in every voxel, 255 = full, shape of the volume."""
         return self.milling.remaining()
 
     def _measure_pulp(self, motion: ToolMotion) -> None:
-        """Measure the distance to the pulp at a pose where the bur cuts; a pose that is only tried does not count."""
+        """Measure the distance to the pulp at a pose where the bur cuts; a pose that is only
+        tried does not count.
+        """
         if not self._pulp_near:
             return
         self.milling.take(motion)
@@ -291,14 +323,20 @@ class ToothModel:
 
 
 def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Return the cross product of two vectors, of each the first three entries; faster than NumPy's."""
+    """Return the cross product of two vectors, of each the first three entries; faster than
+    NumPy's.
+    """
     (ax, ay, az) = a.tolist()[:3]
     (bx, by, bz) = b.tolist()[:3]
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
-def _distance_to_pulp(fraction: NDArray[np.uint8], is_pulp: NDArray[np.bool_], spacing_m: float) -> NDArray[np.float32]:
-    """Distance of every voxel's centre from the pulp's surface [m], 0 inside, infinite where there is no pulp."""
+def _distance_to_pulp(
+    fraction: NDArray[np.uint8], is_pulp: NDArray[np.bool_], spacing_m: float
+) -> NDArray[np.float32]:
+    """Distance of every voxel's centre from the pulp's surface [m], 0 inside, infinite where
+    there is no pulp.
+    """
     from scipy.ndimage import distance_transform_edt
 
     pulp = is_pulp & (fraction > 127)

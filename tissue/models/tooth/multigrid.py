@@ -1,9 +1,11 @@
-"""Multigrid on the cells' grid: every coarser grid has twice the edge, and the exact Galerkin projection.
+"""Multigrid on the cells' grid: every coarser grid has twice the edge, and the exact Galerkin
+projection.
 
-A change of a few cells is carried up through the few coarse cells over them, so that the hierarchy is always that of
-the present body. One symmetric V-cycle in single precision is the preconditioner of conjugate gradients; it smooths
-by Chebyshev's polynomial on the finest grid, which has no assembled rows, and by Gauss-Seidel over eight colours, in
-reverse after, on the coarser ones. (Trottenberg, Oosterlee, Schueller 2001, Multigrid, ch. 2.)
+A change of a few cells is carried up through the few coarse cells over them, so that the hierarchy
+is always that of the present body. One symmetric V-cycle in single precision is the preconditioner
+of conjugate gradients; it smooths by Chebyshev's polynomial on the finest grid, which has no
+assembled rows, and by Gauss-Seidel over eight colours, in reverse after, on the coarser ones.
+(Trottenberg, Oosterlee, Schueller 2001, Multigrid, ch. 2.)
 """
 
 from typing import Any, Protocol
@@ -76,18 +78,33 @@ class GridTransfer:
 
         def launch(kernel: Any, dim: int, inputs: list[Any], outputs: list[Any]) -> SplitLaunch:
             return SplitLaunch(
-                kernel, dim=dim, inputs=[*inputs, 0], outputs=outputs, offset_index=len(inputs), device=device,
+                kernel,
+                dim=dim,
+                inputs=[*inputs, 0],
+                outputs=outputs,
+                offset_index=len(inputs),
+                device=device,
                 cores=fine.cores,
-            )  # fmt: skip
+            )
 
         children = np.full((coarse_grid.cell_count, 8), -1, dtype=np.int32)
-        children[parent, (grid.cell_place & 1) @ (4, 2, 1)] = np.arange(grid.cell_count, dtype=np.int32)
+        children[parent, (grid.cell_place & 1) @ (4, 2, 1)] = np.arange(
+            grid.cell_count, dtype=np.int32
+        )
         self._parent = parent
         self._device = device
-        self._inputs = [fine.cell_nodes, fine.live, fine.stiffness, fine.free, on(children, wp.int32)]
+        self._inputs = [
+            fine.cell_nodes,
+            fine.live,
+            fine.stiffness,
+            fine.free,
+            on(children, wp.int32),
+        ]
         self._outputs = [coarse.stiffness, coarse.live]
         place = grid.node_place
-        fine_of = np.stack([grid.find_nodes(2 * coarse_grid.node_place + step) for step in NEIGHBOURS], axis=1)
+        fine_of = np.stack(
+            [grid.find_nodes(2 * coarse_grid.node_place + step) for step in NEIGHBOURS], axis=1
+        )
         odd = place & 1
         coarse_of = np.full((grid.node_count, 8), -1, dtype=np.int32)
         for corner, step in enumerate(CORNERS):
@@ -96,25 +113,38 @@ class GridTransfer:
         free = on(fine.free.numpy(), wp.vec3f)
         inputs = [on(fine_of, wp.int32), free, fine.residual]
         self.down = launch(restrict, coarse_grid.node_count, inputs, [coarse.load])
-        inputs = [on(coarse_of, wp.int32), on(0.5 ** odd.sum(axis=1), wp.float32), free, coarse.vector]
+        inputs = [
+            on(coarse_of, wp.int32),
+            on(0.5 ** odd.sum(axis=1), wp.float32),
+            free,
+            coarse.vector,
+        ]
         self.up = launch(interpolate, grid.node_count, inputs, [fine.vector])
 
     def project(self, changed: NDArray[np.int32]) -> NDArray[np.int32]:
         """Sum the coarse cells over these changed cells again; which they are."""
         cells = np.unique(self._parent[changed])
         arrays = [*self._inputs, wp.array(cells, dtype=wp.int32, device=self._device), 0]
-        wp.launch(coarse_stiffness, dim=len(cells), inputs=arrays, outputs=self._outputs, device=self._device)
+        wp.launch(
+            coarse_stiffness,
+            dim=len(cells),
+            inputs=arrays,
+            outputs=self._outputs,
+            device=self._device,
+        )
         return cells
 
 
 Array = NDArray[np.float64]
 COARSEST_NODES = 300
-"""Grids of at most this many nodes are solved directly: on the molar's cells of 2.4 mm one sweep would double the count
-of iterations to 1e-6."""
+"""Grids of at most this many nodes are solved directly: on the molar's cells of 2.4 mm one sweep
+would double the count of iterations to 1e-6."""
 SPLIT_NODES = 4000
 """Launches on grids of at most this many nodes run on one core."""
 NULL_CUT = 1e-13
-"""Scaled eigenvalues of the coarsest grid below this share of the largest are motions that no finer node takes."""
+"""Scaled eigenvalues of the coarsest grid below this share of the largest are motions that no
+finer node takes.
+"""
 
 
 class GridLevel:
@@ -123,7 +153,8 @@ class GridLevel:
     Attributes
     ----------
     load, vector, residual
-        Warp arrays of vec3f: forces to solve for [N], displacement found [m] and what it leaves [N], shape (n,).
+        Warp arrays of vec3f: forces to solve for [N], displacement found [m] and what it leaves
+        [N], shape (n,).
     """
 
     def __init__(self, grid: HexGrid, *, device: str, cores: int | None) -> None:
@@ -134,7 +165,11 @@ class GridLevel:
         self.live = wp.zeros(grid.cell_count, dtype=wp.uint8, device=device)
         self.stiffness = wp.zeros((grid.cell_count, BLOCKS), dtype=wp.mat33d, device=device)
         self.blocks = NodeBlocks(
-            grid, cell_nodes=self.cell_nodes, live=self.live, stiffness=self.stiffness, device=device
+            grid,
+            cell_nodes=self.cell_nodes,
+            live=self.live,
+            stiffness=self.stiffness,
+            device=device,
         )
         self.free = self.blocks.free
         self.load = wp.zeros(grid.node_count, dtype=wp.vec3f, device=device)
@@ -143,13 +178,20 @@ class GridLevel:
         self._first, self._last = self._sweeps()
         blocks = self.blocks
         rows = [blocks.row_start, blocks.diagonal_block, blocks.column, blocks.single]
-        self._leave_residual = self._launch(first_residuals, [*rows, self.vector], [self.residual], grid.node_count)
+        self._leave_residual = self._launch(
+            first_residuals, [*rows, self.vector], [self.residual], grid.node_count
+        )
 
     def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any], dim: int) -> SplitLaunch:
         return SplitLaunch(
-            kernel, dim=dim, inputs=[*inputs, 0], outputs=outputs, offset_index=len(inputs), device=self.device,
+            kernel,
+            dim=dim,
+            inputs=[*inputs, 0],
+            outputs=outputs,
+            offset_index=len(inputs),
+            device=self.device,
             cores=self.cores if self.grid.node_count > SPLIT_NODES else 1,
-        )  # fmt: skip
+        )
 
     def _sweeps(self) -> tuple[list[SplitLaunch], list[SplitLaunch]]:
         """Gauss-Seidel from rest, colour after colour, and any other in reverse."""
@@ -164,10 +206,15 @@ class GridLevel:
             rows = [blocks.column, blocks.single, blocks.inverse, self.load]
             first.append(
                 self._launch(
-                    first_sweep, [on, blocks.row_start, blocks.diagonal_block, *rows], [self.vector], len(nodes)
+                    first_sweep,
+                    [on, blocks.row_start, blocks.diagonal_block, *rows],
+                    [self.vector],
+                    len(nodes),
                 )
             )
-            last.append(self._launch(sweep_colour, [on, blocks.row_start, *rows], [self.vector], len(nodes)))
+            last.append(
+                self._launch(sweep_colour, [on, blocks.row_start, *rows], [self.vector], len(nodes))
+            )
         return first, last[::-1]
 
     def update(self, nodes: NDArray[np.int32]) -> None:
@@ -242,7 +289,9 @@ class GridHierarchy:
         self._stale = False
 
     def __call__(self, residual: Array) -> Array:
-        """Correction [m] for a residual [N], shapes (n, 3): linear, symmetric up to rounding, positive."""
+        """Correction [m] for a residual [N], shapes (n, 3): linear, symmetric up to rounding,
+        positive.
+        """
         return self.finest.solve(residual, self._correct)
 
     def _correct(self) -> None:

@@ -1,4 +1,6 @@
-"""Stress recovered from particles over a fixed length, so that it converges where the stress at a point does not."""
+"""Stress recovered from particles over a fixed length, so that it converges where the stress at
+a point does not.
+"""
 
 from typing import Any
 
@@ -13,7 +15,14 @@ from meshes.base.arrays import Array
 from tissue.models.tooth.grid import ParticleSet
 from tissue.models.tooth.stiffness import CellStiffness
 
-__all__ = ["REACH_M", "StressPoints", "StressRecovery", "ball_weight", "particle_stress", "stress_invariants"]
+__all__ = [
+    "REACH_M",
+    "StressPoints",
+    "StressRecovery",
+    "ball_weight",
+    "particle_stress",
+    "stress_invariants",
+]
 
 
 class StressPoints:
@@ -26,18 +35,32 @@ class StressPoints:
     row
         Rows of the next three arrays, shape (n,).
     cell, place, lame_Pa
-        Warp arrays: cell of each row, place in it, 0 to 1 along each edge, and Lame constants [Pa], shape (rows, 2).
+        Warp arrays: cell of each row, place in it, 0 to 1 along each edge, and Lame constants [Pa],
+        shape (rows, 2).
     """
 
-    def __init__(self, cells: CellStiffness, row: NDArray[np.integer], cell: Any, place: Any, lame_Pa: Any) -> None:
+    def __init__(
+        self, cells: CellStiffness, row: NDArray[np.integer], cell: Any, place: Any, lame_Pa: Any
+    ) -> None:
         self._cells = cells
         self._count = len(row)
         on: Any = wp.array(row.astype(np.int32), dtype=wp.int32, device=cells.device)
-        self._inputs = [on, cell, place, lame_Pa, cells.cell_nodes_on, cells.displacement, cells.grid.edge_m, 0]
+        self._inputs = [
+            on,
+            cell,
+            place,
+            lame_Pa,
+            cells.cell_nodes_on,
+            cells.displacement,
+            cells.grid.edge_m,
+            0,
+        ]
         self._stress = wp.empty((self._count, 6), dtype=wp.float64, device=cells.device)
 
     def __call__(self, displacement_m: Array) -> Array:
-        """Stress xx, yy, zz, yz, xz, xy [Pa], shape (n, 6), at nodal displacements [m]; the next call overwrites it."""
+        """Stress xx, yy, zz, yz, xz, xy [Pa], shape (n, 6), at nodal displacements [m]; the next
+        call overwrites it.
+        """
         self._cells.displacement.assign(displacement_m)
         self._cells.run(point_stress, self._count, self._inputs, [self._stress])
         return np.asarray(self._stress.numpy())
@@ -46,30 +69,39 @@ class StressPoints:
 def particle_stress(
     cells: CellStiffness, displacement_m: Array, *, particles: NDArray[np.integer] | None = None
 ) -> Array:
-    """Stress in the material of particles, by the caller's index, default all; as of `StressPoints`.
+    """Stress in the material of particles, by the caller's index, default all; as of
+    `StressPoints`.
 
-    Where a cell holds two materials its strain is shared by both, which is first order in the cell's edge.
+    Where a cell holds two materials its strain is shared by both, which is first order in the
+    cell's edge.
     """
     rows = cells.rank if particles is None else cells.rank[particles]
-    return StressPoints(cells, rows, cells.particle_cell_on, cells.place, cells.lame)(displacement_m)
+    return StressPoints(cells, rows, cells.particle_cell_on, cells.place, cells.lame)(
+        displacement_m
+    )
 
 
 def stress_invariants(stress_Pa: Array, *, device: str = "cpu") -> tuple[Array, Array]:
-    """Von Mises stress, shape (n,), and principal stresses, largest first, shape (n, 3), of stresses, shape (n, 6)."""
+    """Von Mises stress, shape (n,), and principal stresses, largest first, shape (n, 3), of
+    stresses, shape (n, 6).
+    """
     count = len(stress_Pa)
     given: Any = wp.array(np.ascontiguousarray(stress_Pa), dtype=wp.float64, device=device)
     von_mises = wp.empty(count, dtype=wp.float64, device=device)
     principal = wp.empty(count, dtype=wp.vec3d, device=device)
-    wp.launch(invariants, dim=count, inputs=[given, 0], outputs=[von_mises, principal], device=device)
+    wp.launch(
+        invariants, dim=count, inputs=[given, 0], outputs=[von_mises, principal], device=device
+    )
     return von_mises.numpy(), principal.numpy()
 
 
 REACH_M = 0.6e-3
-"""Radius of the ball over which stress is averaged [m]: about that of a bur, whose force is spread over as much. Beside
-a cut the error at cells of 0.3 mm is 6 %, and it falls with the cells."""
+"""Radius of the ball over which stress is averaged [m]: about that of a bur, whose force is spread
+over as much. Beside a cut the error at cells of 0.3 mm is 6 %, and it falls with the cells."""
 CELLS_A_REACH = 2.0
-"""Cells in the reach from which the particles of a cell are taken together: their mean stress is that at their centre
-of mass up to the second order in the cell's edge, as is all of the recovery's error."""
+"""Cells in the reach from which the particles of a cell are taken together: their mean stress is
+that at their centre of mass up to the second order in the cell's edge, as is all of the recovery's
+error."""
 
 
 def ball_weight(distance_m: Array, reach_m: float) -> Array:
@@ -80,8 +112,9 @@ def ball_weight(distance_m: Array, reach_m: float) -> Array:
 class StressRecovery:
     """Mean stress around places, over the particles of each place's own layer within a fixed reach.
 
-    A particle counts with what is left of its volume, where its cell carries load, and with `ball_weight` of its
-    distance. Layers are never mixed, since the stress jumps where the modulus does.
+    A particle counts with what is left of its volume, where its cell carries load, and with
+    `ball_weight` of its distance. Layers are never mixed, since the stress jumps where the modulus
+    does.
 
     Parameters
     ----------
@@ -90,13 +123,19 @@ class StressRecovery:
     place_m, layer
         The places [m], shape (k, 3), and the layer of each, shape (k,).
     reach_m
-        Radius of the ball [m]; larger than half the diagonal of the particles' lattice, or a place may find none.
+        Radius of the ball [m]; larger than half the diagonal of the particles' lattice, or a place
+        may find none.
     """
 
     def __init__(
-        self, particles: ParticleSet, cells: CellStiffness, place_m: Array, layer: NDArray[np.integer], *,
+        self,
+        particles: ParticleSet,
+        cells: CellStiffness,
+        place_m: Array,
+        layer: NDArray[np.integer],
+        *,
         reach_m: float = REACH_M,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._cells = cells
         self._volume = particles.volume_m3[cells.order]
         sorted_layer = particles.layer[cells.order]
@@ -104,11 +143,16 @@ class StressRecovery:
             self._group = np.arange(len(sorted_layer))
         else:
             names = int(sorted_layer.max()) + 1
-            _, self._group = np.unique(cells.particle_cell.astype(np.int64) * names + sorted_layer, return_inverse=True)
+            _, self._group = np.unique(
+                cells.particle_cell.astype(np.int64) * names + sorted_layer, return_inverse=True
+            )
         whole = self._total(self._volume)
 
         def mean(values: Array) -> Array:
-            return np.stack([self._total(self._volume * each) for each in values.T], axis=1) / whole[:, None]
+            return (
+                np.stack([self._total(self._volume * each) for each in values.T], axis=1)
+                / whole[:, None]
+            )
 
         def on(values: NDArray[Any], dtype: Any) -> Any:
             return wp.array(np.ascontiguousarray(values), dtype=dtype, device=cells.device)
@@ -118,16 +162,21 @@ class StressRecovery:
         self._cell = cells.particle_cell[first]
         own_layer = sorted_layer[first]
         self._points = StressPoints(
-            cells, np.arange(len(at)), on(self._cell, wp.int32), on(mean(cells.place.numpy()), wp.vec3d),
+            cells,
+            np.arange(len(at)),
+            on(self._cell, wp.int32),
+            on(mean(cells.place.numpy()), wp.vec3d),
             on(mean(cells.lame.numpy()), wp.float64),
-        )  # fmt: skip
+        )
         rows = []
         columns = []
         weights = []
         for each in np.unique(layer):
             here = np.flatnonzero(layer == each)
             mine = np.flatnonzero(own_layer == each)
-            near = cKDTree(place_m[here]).sparse_distance_matrix(cKDTree(at[mine]), reach_m, output_type="ndarray")
+            near = cKDTree(place_m[here]).sparse_distance_matrix(
+                cKDTree(at[mine]), reach_m, output_type="ndarray"
+            )
             rows.append(here[near["i"]])
             columns.append(mine[near["j"]])
             weights.append(ball_weight(near["v"], reach_m).astype(np.float32))
@@ -142,11 +191,15 @@ class StressRecovery:
 
         It is not a number where nothing of the layer is left within reach.
         """
-        left = self._total(self._volume * self._cells.remaining) * (self._cells.live[self._cell] > 0)
+        left = self._total(self._volume * self._cells.remaining) * (
+            self._cells.live[self._cell] > 0
+        )
         share = left / max(float(left.max()), np.finfo(float).tiny)
         weighted = np.empty((len(share), 7), dtype=np.float32)
         weighted[:, :6] = share[:, None] * self._points(displacement_m)
         weighted[:, 6] = share
         total = self._near @ weighted
         found = total[:, 6:] > 0.0
-        return np.where(found, total[:, :6] / np.where(found, total[:, 6:], 1.0), np.nan).astype(np.float64)
+        return np.where(found, total[:, :6] / np.where(found, total[:, 6:], 1.0), np.nan).astype(
+            np.float64
+        )

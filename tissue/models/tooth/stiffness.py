@@ -1,4 +1,6 @@
-"""Stiffness of the cells of a grid from the particles they hold, kept up to date as particles lose volume."""
+"""Stiffness of the cells of a grid from the particles they hold, kept up to date as particles
+lose volume.
+"""
 
 from typing import Any
 
@@ -19,7 +21,8 @@ CENTRE = np.full(3, 0.5)
 
 
 class CellStiffness:
-    """Packed stiffness of every cell, summed over its particles by :mod:`kernels.particle_stiffness`.
+    """Packed stiffness of every cell, summed over its particles by
+    :mod:`kernels.particle_stiffness`.
 
     Parameters
     ----------
@@ -41,29 +44,40 @@ class CellStiffness:
     particle_cell
         Cell of each sorted particle, int32, shape (p,).
     strips
-        The cells in strips, by which the product runs; springs, and cells of other particles, are added to it.
+        The cells in strips, by which the product runs; springs, and cells of other particles, are
+        added to it.
     others
-        Adds to ``force`` the product of these other cells, their springs included, with ``displacement``, both Warp
-        arrays of vec3d, shape (n,); None where there are none.
+        Adds to ``force`` the product of these other cells, their springs included, with
+        ``displacement``, both Warp arrays of vec3d, shape (n,); None where there are none.
     """
 
     def __init__(
-        self, particles: ParticleSet, grid: HexGrid, *, inner_strength: float, springs: PointSprings | None = None,
-        device: str = "cpu", cores: int | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        particles: ParticleSet,
+        grid: HexGrid,
+        *,
+        inner_strength: float,
+        springs: PointSprings | None = None,
+        device: str = "cpu",
+        cores: int | None = None,
+    ) -> None:
         self.grid = grid
         self.device = device
         self.cores = cores
         cell, place = grid.locate(particles.position_m)
         if (cell < 0).any():
             lost = particles.position_m[int(np.argmin(cell))]
-            raise ValueError(f"grid must hold every particle, got one at {lost} m outside: use HexGrid.around")
+            raise ValueError(
+                f"grid must hold every particle, got one at {lost} m outside: use HexGrid.around"
+            )
         self.order = np.argsort(cell, kind="stable")
         self.rank = np.empty_like(self.order)
         self.rank[self.order] = np.arange(len(self.order))
         self.particle_cell = cell[self.order]
         self.particle_cell_on: Any = wp.array(self.particle_cell, dtype=wp.int32, device=device)
-        self.cell_start = np.searchsorted(self.particle_cell, np.arange(grid.cell_count + 1)).astype(np.int32)
+        self.cell_start = np.searchsorted(
+            self.particle_cell, np.arange(grid.cell_count + 1)
+        ).astype(np.int32)
 
         def on(array: NDArray[Any], dtype: Any) -> Any:
             return wp.array(np.ascontiguousarray(array), dtype=dtype, device=device)
@@ -86,15 +100,27 @@ class CellStiffness:
         self._springs = [on(row, wp.int32), on(blocks, wp.mat33d)]
         self.displacement = wp.zeros(grid.node_count, dtype=wp.vec3d, device=device)
         self.force = wp.zeros(grid.node_count, dtype=wp.vec3d, device=device)
-        self.strips = CellStrips(grid, place[self.order], self.particle_cell, device=device, cores=cores)
+        self.strips = CellStrips(
+            grid, place[self.order], self.particle_cell, device=device, cores=cores
+        )
         regular = self.strips.regular
         others = np.flatnonzero(~regular)
         of_springs = regular[sprung]
 
-        def packed(cells: NDArray[np.integer], rows: NDArray[np.integer], blocks: Any) -> PackedProduct | None:
+        def packed(
+            cells: NDArray[np.integer], rows: NDArray[np.integer], blocks: Any
+        ) -> PackedProduct | None:
             """Product of some cells with the displacement, None where there are none."""
-            given: dict[str, Any] = {"live": self.live_on, "vector": self.displacement, "force": self.force}
-            return PackedProduct(grid, cells, rows, blocks, cores=cores, **given) if len(cells) else None
+            given: dict[str, Any] = {
+                "live": self.live_on,
+                "vector": self.displacement,
+                "force": self.force,
+            }
+            return (
+                PackedProduct(grid, cells, rows, blocks, cores=cores, **given)
+                if len(cells)
+                else None
+            )
 
         self.others = packed(others, others, self.stiffness)
         self._sprung = packed(sprung[of_springs], np.flatnonzero(of_springs), self._springs[1])
@@ -138,9 +164,18 @@ class CellStiffness:
             return
         changed: Any = wp.array(cells, dtype=wp.int32, device=self.device)
         inputs = [
-            self.place, self.volume, self.lame, self.remaining_on, self.cell_start_on, changed, self.grid.edge_m,
-            self._strength, self._inner, *self._springs, 0,
-        ]  # fmt: skip
+            self.place,
+            self.volume,
+            self.lame,
+            self.remaining_on,
+            self.cell_start_on,
+            changed,
+            self.grid.edge_m,
+            self._strength,
+            self._inner,
+            *self._springs,
+            0,
+        ]
         outputs = [self.stiffness, self.fill_on]
         self.run(particle_stiffness, len(cells), inputs, outputs)
 
@@ -150,10 +185,14 @@ class CellStiffness:
         if len(cells):
             particles = [self.place, self.volume, self.lame, self.remaining_on, self.cell_start_on]
             changed: Any = wp.array(cells, dtype=wp.int32, device=self.device)
-            self.strips.update(particles, self.live_on, changed, edge_m=self.grid.edge_m, strength=self._strength)
+            self.strips.update(
+                particles, self.live_on, changed, edge_m=self.grid.edge_m, strength=self._strength
+            )
 
     def product(self, displacement_m: Array) -> Array:
-        """Nodal forces [N] that hold nodal displacements [m], shapes (n, 3), without an assembled matrix."""
+        """Nodal forces [N] that hold nodal displacements [m], shapes (n, 3), without an
+        assembled matrix.
+        """
         self.displacement.assign(displacement_m)
         self.strips.product(self.displacement, self.force)
         for each in (self.others, self._sprung):
@@ -171,7 +210,9 @@ class CellStiffness:
         return full.reshape(-1, 24, 24)
 
 
-def full_cell_stiffness(edge_m: float, points: Array, weights: Array, *, first_Pa: float, shear_Pa: float) -> Array:
+def full_cell_stiffness(
+    edge_m: float, points: Array, weights: Array, *, first_Pa: float, shear_Pa: float
+) -> Array:
     """Stiffness [N/m] of a cell from B^T D B at points in it, shape (24, 24); plain NumPy.
 
     Parameters
@@ -195,22 +236,30 @@ def full_cell_stiffness(edge_m: float, points: Array, weights: Array, *, first_P
 
 
 def strain_matrix(place: Array, edge_m: float) -> Array:
-    """B at a place in a cell [1/m]: strain xx, yy, zz, yz, xz, xy (engineering shear) from 24 displacements."""
+    """B at a place in a cell [1/m]: strain xx, yy, zz, yz, xz, xy (engineering shear) from 24
+    displacements.
+    """
     factors = np.where(CORNERS == 1, place, 1.0 - place)
     signs = np.where(CORNERS == 1, 1.0, -1.0) / edge_m
     strain = np.zeros((6, 8, 3))
     for a in range(8):
-        x, y, z = (signs[a, i] * factors[a, (i + 1) % 3] * factors[a, (i + 2) % 3] for i in range(3))
+        x, y, z = (
+            signs[a, i] * factors[a, (i + 1) % 3] * factors[a, (i + 2) % 3] for i in range(3)
+        )
         strain[:, a, :] = [[x, 0, 0], [0, y, 0], [0, 0, z], [0, z, y], [z, 0, x], [y, x, 0]]
     return strain.reshape(6, 24)
 
 
 def _inner_stiffness(edge_m: float) -> Array:
-    """Stiffness of a full cell of unit Lame constants less that of its centre alone, shape (24, 24)."""
+    """Stiffness of a full cell of unit Lame constants less that of its centre alone, shape (24,
+    24).
+    """
     gauss = 0.5 + (CORNERS - 0.5) / np.sqrt(3.0)
     volume = edge_m**3
     full = full_cell_stiffness(edge_m, gauss, np.full(8, volume / 8.0), first_Pa=1.0, shear_Pa=1.0)
-    centre = full_cell_stiffness(edge_m, CENTRE[None], np.array([volume]), first_Pa=1.0, shear_Pa=1.0)
+    centre = full_cell_stiffness(
+        edge_m, CENTRE[None], np.array([volume]), first_Pa=1.0, shear_Pa=1.0
+    )
     return np.asarray(full - centre)
 
 

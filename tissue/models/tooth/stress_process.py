@@ -1,7 +1,8 @@
 """Stress in the background: solved when it is due, here or in a process of its own.
 
-Ticks and solves in one Python process wait for each other's interpreter lock, at 99 % for most of a millisecond. A
-separate process receives what the bur took away and with what force it pushed; its frames come when the run ends.
+Ticks and solves in one Python process wait for each other's interpreter lock, at 99 % for most of a
+millisecond. A separate process receives what the bur took away and with what force it pushed; its
+frames come when the run ends.
 """
 
 import os
@@ -39,7 +40,8 @@ class Drilled:
     time_s
         Time of the state [s].
     rows, left
-        Bricks that lost something since the last solve, shape (n,), and what is left in them in steps, shape (n, 512).
+        Bricks that lost something since the last solve, shape (n,), and what is left in them in
+        steps, shape (n, 512).
     force_N, point_m
         Force on the tooth [N] and where it acts [m], shape (3,) each.
     """
@@ -119,7 +121,9 @@ class InlineStressSolver:
         self._begun: Drilled | None = None
 
     @classmethod
-    def of_bricks(cls, whole: VoxelVolume, bricks: dict[str, Any], options: dict[str, Any]) -> "InlineStressSolver":
+    def of_bricks(
+        cls, whole: VoxelVolume, bricks: dict[str, Any], options: dict[str, Any]
+    ) -> "InlineStressSolver":
         """The same from a copy of the bricks, in another process."""
         here = cls.__new__(cls)
         here._start(whole, bricks, options)
@@ -153,20 +157,24 @@ class InlineStressSolver:
 
 
 class StressProcess:
-    """Solves in a process of its own, at a lower priority than the ticks; parameters as for `InlineStressSolver`.
+    """Solves in a process of its own, at a lower priority than the ticks; parameters as for
+    `InlineStressSolver`.
 
     Raises
     ------
     InputError
         As `StressField`.
     HelperLostError
-        If the process ends, is stopped or hangs, here and wherever it is waited for; its frames are lost with it.
+        If the process ends, is stopped or hangs, here and wherever it is waited for; its frames are
+        lost with it.
     """
 
     def __init__(self, whole: VoxelVolume, store: BrickStore, **options: Any) -> None:
         self._helper = Helper("tissue.models.tooth.stress_process", does="solves the stress")
         self._helper.send((whole, _bricks_of(store), options))
-        self.compliance, self.reference_m, self.root_guessed, self.series = self._helper.receive(longest_s=ASSEMBLY_S)
+        self.compliance, self.reference_m, self.root_guessed, self.series = self._helper.receive(
+            longest_s=ASSEMBLY_S
+        )
         self.records: list[SolveRecord] = []
         self._begun = self._finished = False
 
@@ -215,11 +223,19 @@ def _bricks_of(store: BrickStore) -> dict[str, Any]:
 def _drilled(time_s: float, rows: bytes, left: bytes, force_N: bytes, point_m: bytes) -> Drilled:
     """A state from the bytes of its arrays, which are quicker to send than arrays."""
     steps = np.frombuffer(left, dtype=np.uint16).reshape(-1, BRICK_VOXELS)
-    return Drilled(time_s, np.frombuffer(rows, dtype=np.intp), steps, np.frombuffer(force_N), np.frombuffer(point_m))
+    return Drilled(
+        time_s,
+        np.frombuffer(rows, dtype=np.intp),
+        steps,
+        np.frombuffer(force_N),
+        np.frombuffer(point_m),
+    )
 
 
 def _serve() -> None:
-    """Solve what comes on the standard input until it ends; the standard output is for answers alone."""
+    """Solve what comes on the standard input until it ends; the standard output is for answers
+    alone.
+    """
     limit_cores(1)  # the others are the ticks'
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
@@ -231,7 +247,9 @@ def _serve() -> None:
     try:
         whole, bricks, options = pickle.load(sys.stdin.buffer)
         here = InlineStressSolver.of_bricks(whole, bricks, options)
-        answer((here.compliance, here.reference_m, here.root_guessed, replace(here.series, frames=[])))
+        answer(
+            (here.compliance, here.reference_m, here.root_guessed, replace(here.series, frames=[]))
+        )
         while (sent := pickle.load(sys.stdin.buffer)) is not None:
             here.begin(_drilled(*sent))
             answer(here.wait())

@@ -1,4 +1,6 @@
-"""Products of the stiffness of a grid's cells with a vector: in strips of eight cells along z, or packed."""
+"""Products of the stiffness of a grid's cells with a vector: in strips of eight cells along z,
+or packed.
+"""
 
 from typing import Any
 
@@ -29,15 +31,24 @@ class PackedProduct:
     live
         Warp array, 0 where a cell carries nothing, shape (c,).
     vector, force
-        Warp arrays of vec3d: displacement of the nodes [m], and what the product is added to [N], shape (n,).
+        Warp arrays of vec3d: displacement of the nodes [m], and what the product is added to [N],
+        shape (n,).
     cores
         Processor cores to split launches over.
     """
 
     def __init__(
-        self, grid: HexGrid, cells: NDArray[np.integer], rows: NDArray[np.integer], stiffness: Any, *, live: Any,
-        vector: Any, force: Any, cores: int | None,
-    ) -> None:  # fmt: skip
+        self,
+        grid: HexGrid,
+        cells: NDArray[np.integer],
+        rows: NDArray[np.integer],
+        stiffness: Any,
+        *,
+        live: Any,
+        vector: Any,
+        force: Any,
+        cores: int | None,
+    ) -> None:
         device = str(vector.device)
 
         def on(array: NDArray[Any]) -> Any:
@@ -48,13 +59,23 @@ class PackedProduct:
         nodes = np.unique(grid.cell_nodes[cells])
         corner_force = wp.zeros((len(cells), 8), dtype=wp.vec3d, device=device)
         self._cells = SplitLaunch(
-            cell_products, dim=len(cells), offset_index=6, device=device, cores=cores,
-            inputs=[on(cells), on(rows), on(grid.cell_nodes), live, stiffness, vector, 0], outputs=[corner_force],
-        )  # fmt: skip
+            cell_products,
+            dim=len(cells),
+            offset_index=6,
+            device=device,
+            cores=cores,
+            inputs=[on(cells), on(rows), on(grid.cell_nodes), live, stiffness, vector, 0],
+            outputs=[corner_force],
+        )
         self._nodes = SplitLaunch(
-            gather_cells, dim=len(nodes), offset_index=3, device=device, cores=cores,
-            inputs=[on(nodes), on(place[grid.node_cells[nodes]]), corner_force, 0], outputs=[force],
-        )  # fmt: skip
+            gather_cells,
+            dim=len(nodes),
+            offset_index=3,
+            device=device,
+            cores=cores,
+            inputs=[on(nodes), on(place[grid.node_cells[nodes]]), corner_force, 0],
+            outputs=[force],
+        )
 
     def __call__(self) -> None:
         """Add the product."""
@@ -69,8 +90,8 @@ AT_CUBE = 1e-6
 class StripLayout:
     """Where nodes and cells lie in lanes.
 
-    The nodes of a pencil, all those of one x and y, follow each other along z then comes space for a strip that
-    reaches beyond the last of them.
+    The nodes of a pencil, all those of one x and y, follow each other along z then comes space for
+    a strip that reaches beyond the last of them.
 
     Attributes
     ----------
@@ -79,7 +100,8 @@ class StripLayout:
     strip
         Strip of each cell and its lane there, int32, shape (c, 2).
     start, base
-        First strip of each pencil of cells, shape (p + 1,), and slots of a strip's lowest nodes, shape (s, 4), int32.
+        First strip of each pencil of cells, shape (p + 1,), and slots of a strip's lowest nodes,
+        shape (s, 4), int32.
     colours
         Pencils that share no node, int32 arrays.
     """
@@ -97,17 +119,24 @@ class StripLayout:
         self.start = np.concatenate([[0], np.cumsum(strips)]).astype(np.int32)
         cell_pencil = np.searchsorted(keys, _pencil_keys(grid.cell_place, width))
         above = grid.cell_place[:, 2] - low[cell_pencil]
-        self.strip = np.stack([self.start[cell_pencil] + above // LANES, above % LANES], axis=1).astype(np.int32)
+        self.strip = np.stack(
+            [self.start[cell_pencil] + above // LANES, above % LANES], axis=1
+        ).astype(np.int32)
         which = np.repeat(np.arange(len(keys)), strips)
         z = low[which] + LANES * (np.arange(len(which)) - self.start[which])
-        corners = np.searchsorted(keys_of_nodes, keys[:, None] + np.array([0, 1, width, width + 1]))[which]
+        corners = np.searchsorted(
+            keys_of_nodes, keys[:, None] + np.array([0, 1, width, width + 1])
+        )[which]
         self.base = (begin[corners] + z[:, None] - first[corners]).astype(np.int32)
         colour = 2 * (keys // width & 1) + (keys % width & 1)
-        self.colours = [np.flatnonzero(colour == each).astype(np.int32) for each in np.unique(colour)]
+        self.colours = [
+            np.flatnonzero(colour == each).astype(np.int32) for each in np.unique(colour)
+        ]
 
 
 class LaneVector:
-    """A vector of three components a node in lanes: one by one, and eight from every slot on, in the same memory.
+    """A vector of three components a node in lanes: one by one, and eight from every slot on, in
+    the same memory.
 
     Attributes
     ----------
@@ -124,14 +153,21 @@ class LaneVector:
         self.slots = layout.slots
         count = layout.slots - LANES + 1
         self.single = wp.zeros((3, layout.slots), dtype=scalar, device=device)
-        self.from_each, self.by_eight = self._seen(1, count), self._seen(LANES, layout.slots // LANES)
+        self.from_each, self.by_eight = (
+            self._seen(1, count),
+            self._seen(LANES, layout.slots // LANES),
+        )
 
     def _seen(self, step: int, count: int) -> Any:
         size = wp.types.type_size_in_bytes(self.scalar)
         return wp.array(
-            ptr=self.single.ptr, dtype=lanes_of(self.scalar), shape=(3, count),
-            strides=(self.slots * size, step * size), device=self.single.device, copy=False,
-        )  # fmt: skip
+            ptr=self.single.ptr,
+            dtype=lanes_of(self.scalar),
+            shape=(3, count),
+            strides=(self.slots * size, step * size),
+            device=self.single.device,
+            copy=False,
+        )
 
 
 class StripProduct:
@@ -148,22 +184,44 @@ class StripProduct:
     """
 
     def __init__(
-        self, layout: StripLayout, weight: Any, vector: LaneVector, force: LaneVector, *, device: str, cores: int | None
+        self,
+        layout: StripLayout,
+        weight: Any,
+        vector: LaneVector,
+        force: LaneVector,
+        *,
+        device: str,
+        cores: int | None,
     ) -> None:
         lanes: Any = wp.array(
-            ptr=weight.ptr, dtype=lanes_of(vector.scalar), shape=weight.shape[:2], device=device, copy=False
+            ptr=weight.ptr,
+            dtype=lanes_of(vector.scalar),
+            shape=weight.shape[:2],
+            device=device,
+            copy=False,
         )
         start: Any = wp.array(layout.start, dtype=wp.int32, device=device)
         base: Any = wp.array(layout.base, dtype=wp.vec4i, device=device)
         self._kept = weight
         self._launches = [
             SplitLaunch(
-                strip_products(vector.scalar), dim=len(pencils), offset_index=5, device=device, cores=cores,
-                inputs=[wp.array(pencils, dtype=wp.int32, device=device), start, base, lanes, vector.from_each, 0],
+                strip_products(vector.scalar),
+                dim=len(pencils),
+                offset_index=5,
+                device=device,
+                cores=cores,
+                inputs=[
+                    wp.array(pencils, dtype=wp.int32, device=device),
+                    start,
+                    base,
+                    lanes,
+                    vector.from_each,
+                    0,
+                ],
                 outputs=[force.from_each],
             )
             for pencils in layout.colours
-        ]  # fmt: skip
+        ]
 
     def __call__(self) -> None:
         """Add the product."""
@@ -172,7 +230,8 @@ class StripProduct:
 
 
 class CellStrips:
-    """Weights of a body's cells in strips, in double precision and in single for smoothing, and the exact product.
+    """Weights of a body's cells in strips, in double precision and in single for smoothing, and the
+    exact product.
 
     Cells whose particles do not lie at the centres of their eight cubes are left out of both.
 
@@ -181,7 +240,8 @@ class CellStrips:
     grid
         The cells.
     place, particle_cell
-        Place of each sorted particle in its cell, 0 to 1 along each edge, shape (p, 3), and the cell, shape (p,).
+        Place of each sorted particle in its cell, 0 to 1 along each edge, shape (p, 3), and the
+        cell, shape (p,).
 
     Attributes
     ----------
@@ -192,9 +252,14 @@ class CellStrips:
     """
 
     def __init__(
-        self, grid: HexGrid, place: NDArray[np.float64], particle_cell: NDArray[np.int32], *, device: str,
+        self,
+        grid: HexGrid,
+        place: NDArray[np.float64],
+        particle_cell: NDArray[np.int32],
+        *,
+        device: str,
         cores: int | None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.layout = StripLayout(grid)
         self.device = device
         off = (np.abs(np.abs(place - 0.5) - 0.25) > AT_CUBE).any(axis=1)
@@ -203,25 +268,37 @@ class CellStrips:
         shape = (len(self.layout.base), WEIGHTS, LANES)
         self.weight = wp.zeros(shape, dtype=wp.float64, device=device)
         self.single = wp.zeros(shape, dtype=wp.float32, device=device)
-        self.regular_on: Any = wp.array(self.regular.astype(np.uint8), dtype=wp.uint8, device=device)
+        self.regular_on: Any = wp.array(
+            self.regular.astype(np.uint8), dtype=wp.uint8, device=device
+        )
         self.strip_on: Any = wp.array(self.layout.strip, dtype=wp.vec2i, device=device)
         self.slot_on: Any = wp.array(self.layout.slot, dtype=wp.int32, device=device)
         moved, self._force = (LaneVector(self.layout, wp.float64, device=device) for _ in range(2))
         self._vector = moved
-        self._product = StripProduct(self.layout, self.weight, moved, self._force, device=device, cores=cores)
+        self._product = StripProduct(
+            self.layout, self.weight, moved, self._force, device=device, cores=cores
+        )
 
-    def update(self, particles: list[Any], live: Any, cells: Any, *, edge_m: float, strength: float) -> None:
-        """Sum the weights of these cells, a Warp array, over their particles again; as `kernels.lane_vectors`."""
+    def update(
+        self, particles: list[Any], live: Any, cells: Any, *, edge_m: float, strength: float
+    ) -> None:
+        """Sum the weights of these cells, a Warp array, over their particles again; as
+        `kernels.lane_vectors`.
+        """
         inputs = [*particles, live, self.regular_on, self.strip_on, cells, edge_m, strength, 0]
         outputs = [self.weight, self.single]
         wp.launch(cube_weights, dim=len(cells), inputs=inputs, outputs=outputs, device=self.device)
 
     def product(self, vector: Any, force_out: Any) -> None:
-        """Product of the double precision weights with a vector of nodes, Warp arrays of vec3d, shape (n,)."""
+        """Product of the double precision weights with a vector of nodes, Warp arrays of vec3d,
+        shape (n,).
+        """
         count = len(vector)
         into = [self.slot_on, vector, 0]
         out = [self.slot_on, self._force.single, 0]
-        wp.launch(to_lanes, dim=count, inputs=into, outputs=[self._vector.single], device=self.device)
+        wp.launch(
+            to_lanes, dim=count, inputs=into, outputs=[self._vector.single], device=self.device
+        )
         self._force.single.zero_()
         self._product()
         wp.launch(from_lanes, dim=count, inputs=out, outputs=[force_out], device=self.device)
@@ -231,7 +308,9 @@ def _pencil_keys(place: NDArray[np.int32], width: int) -> NDArray[np.int64]:
     return place[:, 0].astype(np.int64) * width + place[:, 1]
 
 
-def _pencils(place: NDArray[np.int32], width: int) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def _pencils(
+    place: NDArray[np.int32], width: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Key of each pencil and its lowest and highest place along z, of places in order."""
     keys, first = np.unique(_pencil_keys(place, width), return_index=True)
     last = np.append(first[1:], len(place)) - 1

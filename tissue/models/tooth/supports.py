@@ -1,4 +1,6 @@
-"""What holds a body: nodes that are held at a given displacement, and springs to the ground at points of it."""
+"""What holds a body: nodes that are held at a given displacement, and springs to the ground at
+points of it.
+"""
 
 from dataclasses import dataclass
 
@@ -31,7 +33,10 @@ class NodeSupports:
     def __post_init__(self) -> None:
         shape = self.fixed.shape
         if self.displacement_m.shape != shape:
-            raise ValueError(f"displacement_m must have the shape of fixed, {shape}, got {self.displacement_m.shape}")
+            raise ValueError(
+                f"displacement_m must have the shape of fixed, {shape}, got "
+                f"{self.displacement_m.shape}"
+            )
 
     @classmethod
     def of(
@@ -41,17 +46,24 @@ class NodeSupports:
         held: NDArray[np.bool_] | None = None,
         displacement_m: Array | None = None,
     ) -> "NodeSupports":
-        """Hold whole nodes (``held``, shape (n,)) or components (shape (n, 3)), at zero unless they are displaced."""
+        """Hold whole nodes (``held``, shape (n,)) or components (shape (n, 3)), at zero unless
+        they are displaced.
+        """
         fixed = np.zeros((node_count, 3), dtype=np.bool_)
         if held is not None:
             fixed |= held if held.ndim == 2 else held[:, None]
-        where = np.zeros((node_count, 3)) if displacement_m is None else np.where(fixed, displacement_m, 0.0)
+        where = (
+            np.zeros((node_count, 3))
+            if displacement_m is None
+            else np.where(fixed, displacement_m, 0.0)
+        )
         return cls(fixed, where)
 
 
 @dataclass(frozen=True, eq=False)
 class PointSprings:
-    """Springs to the ground at points of a body, in any direction: a point that moves by u is pushed back by S u.
+    """Springs to the ground at points of a body, in any direction: a point that moves by u is
+    pushed back by S u.
 
     Attributes
     ----------
@@ -68,11 +80,14 @@ class PointSprings:
         wanted = (len(self.position_m), 3, 3)
         if self.stiffness_N_m.shape != wanted:
             raise ValueError(
-                f"stiffness_N_m must be a matrix a point, shape {wanted}, got {self.stiffness_N_m.shape}: give "
+                f"stiffness_N_m must be a matrix a point, shape {wanted}, got "
+                f"{self.stiffness_N_m.shape}: give "
                 "all nine entries of each"
             )
         if not np.array_equal(self.stiffness_N_m, self.stiffness_N_m.transpose(0, 2, 1)):
-            raise ValueError("stiffness_N_m must be symmetric, got a matrix that is not: give its symmetric part")
+            raise ValueError(
+                "stiffness_N_m must be symmetric, got a matrix that is not: give its symmetric part"
+            )
 
     @classmethod
     def none(cls) -> "PointSprings":
@@ -84,23 +99,31 @@ class PointSprings:
         return PointSprings(self.position_m[these], self.stiffness_N_m[these])
 
     def force(self, grid: HexGrid, displacement_m: Array) -> Array:
-        """What the springs push back with [N], shape (k, 3), at nodal displacements [m], shape (n, 3)."""
+        """What the springs push back with [N], shape (k, 3), at nodal displacements [m], shape
+        (n, 3).
+        """
         cell, place = grid.locate(self.position_m)
         moved = np.einsum("ka,kai->ki", shape_values(place), displacement_m[grid.cell_nodes[cell]])
         return np.asarray(-np.einsum("kij,kj->ki", self.stiffness_N_m, moved))
 
     def restraint(self, centre_m: Array, length_m: float) -> Array:
-        """Stiffness [N/m] against rigid motion about a point, rotations times a length, shape (6, 6)."""
+        """Stiffness [N/m] against rigid motion about a point, rotations times a length, shape
+        (6, 6).
+        """
         arm = (self.position_m - centre_m) / length_m
         motion = np.concatenate([np.broadcast_to(np.eye(3), (len(arm), 3, 3)), _turns(arm)], axis=2)
         return np.asarray(np.einsum("kia,kib->ab", motion, self.stiffness_N_m @ motion))
 
     def by_cell(self, grid: HexGrid) -> tuple[Index, Array]:
-        """Cells with springs, int32, shape (m,), and their ``sum N_a N_b S``, blocks a <= b, shape (m, 36, 3, 3)."""
+        """Cells with springs, int32, shape (m,), and their ``sum N_a N_b S``, blocks a <= b,
+        shape (m, 36, 3, 3).
+        """
         cell, place = grid.locate(self.position_m)
         if (cell < 0).any():
             lost = self.position_m[int(np.argmin(cell))]
-            raise ValueError(f"springs must act on the grid's cells, got one at {lost} m outside: leave it out")
+            raise ValueError(
+                f"springs must act on the grid's cells, got one at {lost} m outside: leave it out"
+            )
         order = np.argsort(cell, kind="stable")
         share = shape_values(place[order])
         stiffness = self.stiffness_N_m[order]
@@ -108,10 +131,14 @@ class PointSprings:
         pairs = [(a, b) for a in range(8) for b in range(a, 8)]
         blocks = np.zeros((len(cells), len(pairs), 3, 3))
         for row, (a, b) in enumerate(pairs if len(cells) else []):
-            blocks[:, row] = np.add.reduceat((share[:, a] * share[:, b])[:, None, None] * stiffness, first, axis=0)
+            blocks[:, row] = np.add.reduceat(
+                (share[:, a] * share[:, b])[:, None, None] * stiffness, first, axis=0
+            )
         return cells.astype(np.int32), blocks
 
 
 def _turns(arm: Array) -> Array:
-    """Displacements under unit rotations at places relative to the centre, shapes (k, 3) to (k, 3, 3)."""
+    """Displacements under unit rotations at places relative to the centre, shapes (k, 3) to (k,
+    3, 3).
+    """
     return np.asarray(np.cross(np.eye(3)[None], arm[:, None, :]).transpose(0, 2, 1))

@@ -1,4 +1,6 @@
-"""Dictionaries of observables: the state alone, delays, polynomials, radial functions, and products with a gap."""
+"""Dictionaries of observables: the state alone, delays, polynomials, radial functions, and
+products with a gap.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
@@ -12,7 +14,15 @@ from numpy.typing import NDArray
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 
-__all__ = ["Delays", "Dictionary", "GapProducts", "Gaussians", "Identity", "Polynomials", "ThinPlates"]
+__all__ = [
+    "Delays",
+    "Dictionary",
+    "GapProducts",
+    "Gaussians",
+    "Identity",
+    "Polynomials",
+    "ThinPlates",
+]
 
 Indices = NDArray[np.intp]
 MEANS_ROUNDS = 25
@@ -22,11 +32,13 @@ TINY = 1e-300
 
 
 class Dictionary(ABC):
-    """Observables φ(x) of a state x. The state itself leads them, once, so that its first entries decode it.
+    """Observables φ(x) of a state x. The state itself leads them, once, so that its first entries
+    decode it.
 
-    A dictionary with `lags` earlier states in it takes windows of shape (..., (lags + 1) d), newest state first; the
-    state that leads is then the whole window, and its newest d entries come first. A further dictionary states what
-    follows the state: `extra_size`, `extra` and `extra_rates`; all work over any leading axes, one sample included.
+    A dictionary with `lags` earlier states in it takes windows of shape (..., (lags + 1) d), newest
+    state first; the state that leads is then the whole window, and its newest d entries come first.
+    A further dictionary states what follows the state: `extra_size`, `extra` and `extra_rates`; all
+    work over any leading axes, one sample included.
     """
 
     lags: int = 0
@@ -41,7 +53,9 @@ class Dictionary(ABC):
 
     @abstractmethod
     def extra_rates(self, states: Array, rates: Array) -> Array:
-        """Time derivatives of `extra` where the states change with these rates, shape (..., extra_size)."""
+        """Time derivatives of `extra` where the states change with these rates, shape (...,
+        extra_size).
+        """
 
     def size(self, state_size: int) -> int:
         """Number of observables of a state of so many entries."""
@@ -75,7 +89,8 @@ class Identity(Dictionary):
 
 @dataclass(frozen=True)
 class Delays(Dictionary):
-    """Observables of the present state and the `lags` states before it: a delay embedding (Takens 1981).
+    """Observables of the present state and the `lags` states before it: a delay embedding (Takens
+    1981).
 
     The inner dictionary, which has no delays, takes the whole window for its state, newest first.
     """
@@ -113,7 +128,9 @@ class Polynomials(Dictionary):
 
     def extra_size(self, state_size: int) -> int:
         """Number of monomials."""
-        return sum(len(parents) for parents, _ in monomials(len(self.columns) or state_size, self.order))
+        return sum(
+            len(parents) for parents, _ in monomials(len(self.columns) or state_size, self.order)
+        )
 
     def extra(self, states: Array) -> Array:
         """The monomials, by degree, then in the order of the entries."""
@@ -127,12 +144,17 @@ class Polynomials(Dictionary):
         slope = slopes
         found = []
         for _, below, parents, entries in self._levels(factors):
-            slope = slope[..., parents] * factors[..., entries] + below[..., parents] * slopes[..., entries]
+            slope = (
+                slope[..., parents] * factors[..., entries]
+                + below[..., parents] * slopes[..., entries]
+            )
             found.append(slope)
         return np.concatenate(found, axis=-1)
 
     def _levels(self, factors: Array) -> Iterator[tuple[Array, Array, Indices, Indices]]:
-        """Monomials of each degree from 2, those of the degree below, and which of these times which entry they are."""
+        """Monomials of each degree from 2, those of the degree below, and which of these times
+        which entry they are.
+        """
         level = factors
         for parents, entries in monomials(factors.shape[-1], self.order):
             below = level
@@ -149,13 +171,21 @@ class Polynomials(Dictionary):
 
 @lru_cache(maxsize=64)
 def monomials(entry_count: int, order: int) -> tuple[tuple[Indices, Indices], ...]:
-    """For each degree from 2, which monomial of the degree below and which entry make each monomial."""
+    """For each degree from 2, which monomial of the degree below and which entry make each
+    monomial.
+    """
     last = list(range(entry_count))
     levels = []
     for _ in range(2, order + 1):
-        made = [(parent, entry) for parent, highest in enumerate(last) for entry in range(highest, entry_count)]
+        made = [
+            (parent, entry)
+            for parent, highest in enumerate(last)
+            for entry in range(highest, entry_count)
+        ]
         last = [entry for _, entry in made]
-        levels.append((np.array([p for p, _ in made], np.intp), np.array([e for _, e in made], np.intp)))
+        levels.append(
+            (np.array([p for p, _ in made], np.intp), np.array([e for _, e in made], np.intp))
+        )
     return tuple(levels)
 
 
@@ -168,7 +198,8 @@ class _Radial(Dictionary):
     centres
         Rows of k centres, shape (k, c), in the units of the state.
     scales
-        One length for each of the c entries, in its unit: distances are measured in these; empty for 1.
+        One length for each of the c entries, in its unit: distances are measured in these; empty
+        for 1.
     columns
         Entries of the state (of the window, with delays) that are looked at; empty for all.
     """
@@ -179,9 +210,16 @@ class _Radial(Dictionary):
 
     @classmethod
     def from_states(
-        cls, states: Array, count: int, rng: np.random.Generator, *, columns: Sequence[int] = (), **options: float
+        cls,
+        states: Array,
+        count: int,
+        rng: np.random.Generator,
+        *,
+        columns: Sequence[int] = (),
+        **options: float,
     ) -> Self:
-        """Centres spread over recorded states (rows) by k-means, distances measured in their standard deviations.
+        """Centres spread over recorded states (rows) by k-means, distances measured in their
+        standard deviations.
 
         Raises
         ------
@@ -194,13 +232,15 @@ class _Radial(Dictionary):
         scales = chosen.std(axis=0)
         if not (scales > 0.0).all():
             raise InputError(
-                f"column {int(np.argmin(scales))} of states must vary, got {chosen[0, np.argmin(scales)]:g} "
+                f"column {int(np.argmin(scales))} of states must vary, got "
+                f"{chosen[0, np.argmin(scales)]:g} "
                 "throughout: leave it out"
             )
         rows = np.unique(chosen / scales, axis=0)
         if len(rows) < count:
             raise InputError(
-                f"count must be in [1, {len(rows)}], the number of different states, got {count}: record more"
+                f"count must be in [1, {len(rows)}], the number of different states, got "
+                f"{count}: record more"
             )
         # Seeded by k-means++ (Arthur & Vassilvitskii 2007).
         centres, _ = kmeans2(rows, count, iter=MEANS_ROUNDS, minit="++", rng=rng)
@@ -217,7 +257,9 @@ class _Radial(Dictionary):
 
     def _square_rates(self, states: Array, rates: Array) -> Array:
         """Time derivatives of half the squared distances, shape (..., k)."""
-        return (self._offsets(states) * (self._chosen(rates)[..., None, :] * self._per_length)).sum(axis=-1)
+        return (self._offsets(states) * (self._chosen(rates)[..., None, :] * self._per_length)).sum(
+            axis=-1
+        )
 
     def _chosen(self, states: Array) -> Array:
         return states[..., list(self.columns)] if self.columns else states
@@ -233,7 +275,9 @@ class _Radial(Dictionary):
 
 @dataclass(frozen=True)
 class Gaussians(_Radial):
-    """exp(-r² / (2 width²)) of the scaled distance r to each centre; see `_Radial` for the other parameters."""
+    """exp(-r² / (2 width²)) of the scaled distance r to each centre; see `_Radial` for the other
+    parameters.
+    """
 
     width: float = 1.0
 
@@ -248,7 +292,9 @@ class Gaussians(_Radial):
 
 @dataclass(frozen=True)
 class ThinPlates(_Radial):
-    """r² ln r of the scaled distance r to each centre (Duchon 1977); it grows outside the data, where Gaussians end."""
+    """r² ln r of the scaled distance r to each centre (Duchon 1977); it grows outside the data,
+    where Gaussians end.
+    """
 
     def extra(self, states: Array) -> Array:
         """The thin plates, shape (..., k)."""
@@ -263,10 +309,12 @@ class ThinPlates(_Radial):
 
 @dataclass(frozen=True)
 class GapProducts(Dictionary):
-    """What contact adds to a state, with the gap g = normal · x + distance and the overlap p = max(0, -g).
+    """What contact adds to a state, with the gap g = normal · x + distance and the overlap p =
+    max(0, -g).
 
-    The overlap p and its square; for each of `columns` the product p x_j, and x_j while the gap is closed. With the
-    velocity among the columns the force of a unilateral spring and damper is a combination of p and of that velocity.
+    The overlap p and its square; for each of `columns` the product p x_j, and x_j while the gap is
+    closed. With the velocity among the columns the force of a unilateral spring and damper is a
+    combination of p and of that velocity.
 
     Parameters
     ----------
@@ -275,7 +323,8 @@ class GapProducts(Dictionary):
     distance
         Gap at the state zero, in the gap's unit.
     columns
-        Entries of the state to multiply, the gap's own entry not among them: that would repeat the overlap.
+        Entries of the state to multiply, the gap's own entry not among them: that would repeat the
+        overlap.
     """
 
     normal: tuple[float, ...]
@@ -290,14 +339,18 @@ class GapProducts(Dictionary):
         """The overlap, its products, and the entries while closed, shape (..., 2 + 2 columns)."""
         overlap = np.maximum(0.0, -self._gap(states))[..., None]
         entries = states[..., self._columns]
-        return np.concatenate((overlap, overlap**2, overlap * entries, (overlap > 0.0) * entries), axis=-1)
+        return np.concatenate(
+            (overlap, overlap**2, overlap * entries, (overlap > 0.0) * entries), axis=-1
+        )
 
     def extra_rates(self, states: Array, rates: Array) -> Array:
         """Their time derivatives away from the switch, where they have none."""
         gap = self._gap(states)
         closed = (gap < 0.0)[..., None]
         overlap = np.maximum(0.0, -gap)[..., None]
-        closing = np.where(closed, -1.0, 0.0) * (rates[..., : len(self.normal)] @ self._normal)[..., None]
+        closing = (
+            np.where(closed, -1.0, 0.0) * (rates[..., : len(self.normal)] @ self._normal)[..., None]
+        )
         entries = states[..., self._columns]
         slopes = rates[..., self._columns]
         squared = 2.0 * overlap * closing

@@ -1,4 +1,6 @@
-"""Extended dynamic mode decomposition with inputs over many episodes, and its errors over the horizon."""
+"""Extended dynamic mode decomposition with inputs over many episodes, and its errors over the
+horizon.
+"""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -14,26 +16,32 @@ from tissue.prediction.edmd.lifted import FitStatistics, Generator, LiftedMap, O
 __all__ = ["Edmd", "HorizonErrors", "Regression", "horizon_errors", "regress", "triangle"]
 
 DEPENDENT = 1e-13
-"""Singular values below this share of the largest are rounding of the factor: their columns depend on the others."""
+"""Singular values below this share of the largest are rounding of the factor: their columns
+depend on the others.
+"""
 
 
 @dataclass(frozen=True)
 class Edmd:
-    """Fit of a linear map of observables by least squares (Williams, Kevrekidis & Rowley 2015; Korda & Mezić 2018).
+    """Fit of a linear map of observables by least squares (Williams, Kevrekidis & Rowley 2015;
+    Korda & Mezić 2018).
 
-    Observables and inputs are centred on their means and scaled by their standard deviations inside, and an offset is
-    fitted with them; the operator that comes out is in the units of the states.
+    Observables and inputs are centred on their means and scaled by their standard deviations
+    inside, and an offset is fitted with them; the operator that comes out is in the units of the
+    states.
 
     Parameters
     ----------
     dictionary
         The observables.
     ridge
-        Penalty on the weights of the scaled observables, as a share of their variance (Tikhonov); at least 0.
+        Penalty on the weights of the scaled observables, as a share of their variance (Tikhonov);
+        at least 0.
     rank
         Singular values of the scaled data to keep; None for all.
     cap
-        Largest size that eigenvalues are left with (`tissue.prediction.edmd.lifted`); None to leave them.
+        Largest size that eigenvalues are left with (`tissue.prediction.edmd.lifted`); None to leave
+        them.
     offset
         Whether to centre and to fit an offset; without, zero maps to zero.
     """
@@ -46,7 +54,9 @@ class Edmd:
 
     def __post_init__(self) -> None:
         if self.cap is not None and not 0.0 < self.cap < np.inf:
-            raise InputError(f"cap must be positive and finite, got {self.cap}: use 1, or None for no cap")
+            raise InputError(
+                f"cap must be positive and finite, got {self.cap}: use 1, or None for no cap"
+            )
 
     def fit(self, episodes: Sequence[Episode]) -> Operator:
         """The operator over one step that fits all pairs of neighbouring samples.
@@ -54,22 +64,25 @@ class Edmd:
         Raises
         ------
         InputError
-            If the episodes cannot be learnt from (`check_episodes`), observables overflow, or columns are collinear
-            and neither ridge nor rank is set.
+            If the episodes cannot be learnt from (`check_episodes`), observables overflow, or
+            columns are collinear and neither ridge nor rank is set.
         """
         ready = check_episodes(episodes, self.dictionary.lags)
         operator = Operator(**vars(self._fit(ready, rates=False)), step_s=ready[0].step_s)
         return operator if self.cap is None else operator.capped(self.cap)
 
     def fit_generator(self, episodes: Sequence[Episode]) -> Generator:
-        """The generator that fits the observables' rates ∇φ · dx/dt (gEDMD, Klus et al. 2020); cap does not apply.
+        """The generator that fits the observables' rates ∇φ · dx/dt (gEDMD, Klus et al. 2020); cap
+        does not apply.
 
         Raises
         ------
         InputError
             As `fit`.
         """
-        return Generator(**vars(self._fit(check_episodes(episodes, self.dictionary.lags), rates=True)))
+        return Generator(
+            **vars(self._fit(check_episodes(episodes, self.dictionary.lags), rates=True))
+        )
 
     def _fit(self, episodes: list[Episode], *, rates: bool) -> LiftedMap:
         """The map, in the units of the observables."""
@@ -84,19 +97,32 @@ class Edmd:
         spread = np.sqrt((factor[lead:, lead:known] ** 2).sum(axis=0) / samples)
         scale = np.where(spread > STILL * np.abs(middle), spread, 1.0)
         kept = slice(0, count)
-        # Delayed states are targets that are regressors already, a lag earlier: they are not factored twice.
+        # Delayed states are targets that are regressors already, a lag earlier: they are not
+        # factored twice.
         columns = np.concatenate(
-            (known + np.arange(state_size), lead + np.arange(carried), known + np.arange(state_size, count - carried))
+            (
+                known + np.arange(state_size),
+                lead + np.arange(carried),
+                known + np.arange(state_size, count - carried),
+            )
         )
         targets = factor[:, columns] if rates else factor[:, columns] - ones * middle[kept]
-        scaled = ((factor[:, lead:known] - ones * middle) / scale, factor[:, :lead], targets / scale[kept])
-        found = regress(np.hstack(scaled), samples, size=known, ridge=self.ridge, rank=self.rank, free=lead)
+        scaled = (
+            (factor[:, lead:known] - ones * middle) / scale,
+            factor[:, :lead],
+            targets / scale[kept],
+        )
+        found = regress(
+            np.hstack(scaled), samples, size=known, ridge=self.ridge, rank=self.rank, free=lead
+        )
         weights = found.weights.T
         size = len(scale)
         A = weights[:, :count] * scale[kept, None] / scale[kept]
         B = weights[:, count:size] * scale[kept, None] / scale[count:]
         constant = weights[:, size] * scale[kept] if self.offset else np.zeros(count)
-        constant = constant - A @ middle[kept] - B @ middle[count:] + (0.0 if rates else middle[kept])
+        constant = (
+            constant - A @ middle[kept] - B @ middle[count:] + (0.0 if rates else middle[kept])
+        )
         values = np.linalg.eigvals(weights[:, :count])
         return LiftedMap(
             dictionary=self.dictionary,
@@ -121,11 +147,13 @@ class Edmd:
         )
 
 
-def _rows(episodes: list[Episode], dictionary: Dictionary, lead: int, rates: bool) -> Iterator[Array]:
+def _rows(
+    episodes: list[Episode], dictionary: Dictionary, lead: int, rates: bool
+) -> Iterator[Array]:
     """Rows [1, φ, u, new] of some thousand samples at a time, without the ones if `lead` is 0.
 
-    `new` are the observables a step later that are not among φ, as all but the newest of delayed states are; for a
-    generator the rates of all.
+    `new` are the observables a step later that are not among φ, as all but the newest of delayed
+    states are; for a generator the rates of all.
     """
     for episode in episodes:
         slopes = None
@@ -137,7 +165,8 @@ def _rows(episodes: list[Episode], dictionary: Dictionary, lead: int, rates: boo
                 lifted = dictionary.lift(windows)
             if not np.isfinite(lifted).all():
                 raise InputError(
-                    "observables must be finite on all states, got overflow: scale the states, or the dictionary"
+                    "observables must be finite on all states, got overflow: scale the "
+                    "states, or the dictionary"
                 )
             if slopes is None:
                 after = [lifted[1:, :width], lifted[1:, width * (dictionary.lags + 1) :]]
@@ -175,25 +204,30 @@ class Regression:
 def triangle(blocks: Iterable[Array]) -> tuple[Array, int]:
     """Triangular factor of rows (k, c) that come in blocks, shape (c, c), and the number of rows.
 
-    Block by block (Golub & Van Loan 2013, section 5.3), which keeps the digits that a Gram matrix, having the condition
-    number squared, would lose. Sums of squares and products of any combination of columns are those of the factor's.
+    Block by block (Golub & Van Loan 2013, section 5.3), which keeps the digits that a Gram matrix,
+    having the condition number squared, would lose. Sums of squares and products of any combination
+    of columns are those of the factor's.
     """
     factor = np.zeros((0, 0))
     samples = 0
     for rows in blocks:
         samples += len(rows)
-        factor = np.asarray(np.linalg.qr(np.vstack((factor, rows)) if len(factor) else rows, mode="r"))
+        factor = np.asarray(
+            np.linalg.qr(np.vstack((factor, rows)) if len(factor) else rows, mode="r")
+        )
     return np.pad(factor, ((0, factor.shape[1] - len(factor)), (0, 0))), samples
 
 
-def regress(factor: Array, samples: int, *, size: int, ridge: float, rank: int | None, free: int) -> Regression:
+def regress(
+    factor: Array, samples: int, *, size: int, ridge: float, rank: int | None, free: int
+) -> Regression:
     """Weights that minimise Σ|target - regressors weights|² + ridge · samples · |weights|².
 
     Parameters
     ----------
     factor
-        Of [regressors targets] by `triangle`, or columns combined from one: below its first `size` rows the
-        regressors are zero. Regressors are scaled to about one.
+        Of [regressors targets] by `triangle`, or columns combined from one: below its first `size`
+        rows the regressors are zero. Regressors are scaled to about one.
     samples
         Rows that the factor stands for.
     size
@@ -212,21 +246,28 @@ def regress(factor: Array, samples: int, *, size: int, ridge: float, rank: int |
         depends on the others.
     """
     if rank is not None and not 1 <= rank <= size:
-        raise InputError(f"rank must be in [1, {size}], the number of regressors, got {rank}: leave it out to keep all")
+        raise InputError(
+            f"rank must be in [1, {size}], the number of regressors, got {rank}: leave it "
+            "out to keep all"
+        )
     matrix = factor[:size, :size]
     right = factor[:size, size:]
     rest = factor[size:, size:]
     penalty = np.diag(np.sqrt(ridge * samples * (np.arange(size) < size - free)))
-    left, values, right_vectors = np.linalg.svd(np.vstack((matrix, penalty)) if ridge > 0.0 else matrix, False)
+    left, values, right_vectors = np.linalg.svd(
+        np.vstack((matrix, penalty)) if ridge > 0.0 else matrix, False
+    )
     kept = size if rank is None else rank
     if values[kept - 1] <= DEPENDENT * values[0]:
         if rank is None and samples < size:
             raise InputError(
-                f"episodes must hold at least {size} samples, got {samples}: record more, or set ridge=1e-6"
+                f"episodes must hold at least {size} samples, got {samples}: record more, or "
+                "set ridge=1e-6"
             )
         index = int(np.abs(right_vectors[-1]).argmax())
         raise InputError(
-            f"observables and inputs must be independent, got number {index} as a combination of the others or always "
+            f"observables and inputs must be independent, got number {index} as a "
+            "combination of the others or always "
             "zero: leave it out, or set ridge=1e-8 or a lower rank"
         )
     projected = left[:size, :kept].T @ right
@@ -250,9 +291,11 @@ class HorizonErrors:
     Attributes
     ----------
     rms
-        Root mean square over the starts of each state entry's error, in its unit, shape (h, d); inf where it diverges.
+        Root mean square over the starts of each state entry's error, in its unit, shape (h, d); inf
+        where it diverges.
     relative
-        The same in training deviations of the entries, root mean square over those looked at, shape (h,).
+        The same in training deviations of the entries, root mean square over those looked at, shape
+        (h,).
     starts
         Number of predictions.
     """
@@ -265,7 +308,8 @@ class HorizonErrors:
 def horizon_errors(
     operator: Operator, episodes: Sequence[Episode], horizon: int, *, columns: Sequence[int] = ()
 ) -> HorizonErrors:
-    """Compare predictions 1 to `horizon` steps ahead, inputs known, with what followed, from every possible start.
+    """Compare predictions 1 to `horizon` steps ahead, inputs known, with what followed, from every
+    possible start.
 
     Parameters
     ----------
@@ -301,7 +345,8 @@ def horizon_errors(
                 starts += last - first
         if starts == 0:
             raise InputError(
-                f"episodes must be longer than {lags + horizon} rows for this horizon, got none: shorten it"
+                f"episodes must be longer than {lags + horizon} rows for this horizon, got "
+                "none: shorten it"
             )
         rms = np.sqrt(squares / starts)
         rms[~np.isfinite(rms)] = np.inf

@@ -11,7 +11,9 @@ from meshes.base.errors import InputError
 __all__ = ["Episode", "blocks", "check_episodes", "window"]
 
 BLOCK = 2048
-"""Rows lifted and factored at a time: they and their factor stay in the cache, whatever the length of a trace."""
+"""Rows lifted and factored at a time: they and their factor stay in the cache, whatever the
+length of a trace.
+"""
 STILL = 1e-12
 """A column that varies by less than this share of its size is constant: rounding."""
 
@@ -37,8 +39,11 @@ class Episode(NamedTuple):
     rates: Array | None = None
 
 
-def check_episodes(episodes: Sequence[Episode], lags: int, *, varying: bool = True) -> list[Episode]:
-    """The episodes, if a fit with so many delays can learn from them, or, not `varying`, be tried on them.
+def check_episodes(
+    episodes: Sequence[Episode], lags: int, *, varying: bool = True
+) -> list[Episode]:
+    """The episodes, if a fit with so many delays can learn from them, or, not `varying`, be tried
+    on them.
 
     Parameters
     ----------
@@ -52,21 +57,27 @@ def check_episodes(episodes: Sequence[Episode], lags: int, *, varying: bool = Tr
     Raises
     ------
     InputError
-        If a number is not finite, an episode is too short for the delays, or a column never varies; names the episode,
-        the column and the remedy.
+        If a number is not finite, an episode is too short for the delays, or a column never varies;
+        names the episode, the column and the remedy.
     """
     ready = [Episode(*each) for each in episodes]
     for index, each in enumerate(ready):
-        for name, table in (("states", each.states), ("inputs", each.inputs), ("rates", each.rates)):
+        for name, table in (
+            ("states", each.states),
+            ("inputs", each.inputs),
+            ("rates", each.rates),
+        ):
             if table is not None and not np.isfinite(table).all():
                 row, column = np.argwhere(~np.isfinite(table))[0]
                 raise InputError(
-                    f"{name} of episode {index} must be finite, got {table[row, column]} in row {row}, column "
+                    f"{name} of episode {index} must be finite, got {table[row, column]} in "
+                    f"row {row}, column "
                     f"{column}: cut the episode there"
                 )
         if len(each.states) < lags + 2:
             raise InputError(
-                f"episode {index} must have at least {lags + 2} rows for {lags} delays, got {len(each.states)}: leave "
+                f"episode {index} must have at least {lags + 2} rows for {lags} delays, got "
+                f"{len(each.states)}: leave "
                 "it out or take fewer delays"
             )
     if varying:
@@ -80,13 +91,17 @@ def window(states: Array, lags: int) -> Array:
     if lags == 0:
         return states
     count = len(states) - lags
-    return np.concatenate([states[lags - lag : lags - lag + count] for lag in range(lags + 1)], axis=1)
+    return np.concatenate(
+        [states[lags - lag : lags - lag + count] for lag in range(lags + 1)], axis=1
+    )
 
 
 def blocks(episode: Episode, lags: int) -> Iterator[tuple[Array, Array]]:
-    """Windows and inputs of an episode, some thousand samples at a time, with one window more than there are inputs.
+    """Windows and inputs of an episode, some thousand samples at a time, with one window more than
+    there are inputs.
 
-    The windows have shape (k + 1, (lags + 1) d), the inputs shape (k, m): input i leads from window i to i + 1.
+    The windows have shape (k + 1, (lags + 1) d), the inputs shape (k, m): input i leads from window
+    i to i + 1.
     """
     windows = window(episode.states, lags)
     inputs = np.zeros((len(episode.states), 0)) if episode.inputs is None else episode.inputs
@@ -99,4 +114,6 @@ def _refuse_constant(name: str, tables: list[Array]) -> None:
     """Refuse a column that never varies: it cannot be separated from the constant."""
     for index, column in enumerate(np.concatenate(tables).T if tables else ()):
         if np.ptp(column) <= STILL * np.abs(column).max():
-            raise InputError(f"column {index} of {name} must vary, got {column[0]:g} throughout: leave it out")
+            raise InputError(
+                f"column {index} of {name} must vary, got {column[0]:g} throughout: leave it out"
+            )

@@ -25,7 +25,8 @@ class FitStatistics:
     rank, condition
         Singular values kept of the scaled regressors; largest over smallest of them.
     residual_rms
-        One-step error of each observable on the training data, in its unit, shape (D,); of its rate for a generator.
+        One-step error of each observable on the training data, in its unit, shape (D,); of its rate
+        for a generator.
     radius_before
         Spectral radius before the cap (of a generator: largest real part of an eigenvalue).
     capped
@@ -59,7 +60,8 @@ class LiftedMap:
     input_middle, input_scale
         The same of the inputs, shape (m,).
     moments
-        Mean outer product of the scaled regressors [φ, u, 1] (without the 1 if there is no offset), shape (p, p).
+        Mean outer product of the scaled regressors [φ, u, 1] (without the 1 if there is no offset),
+        shape (p, p).
     lowest, highest
         Corners of the box of the training states, without their delays, shape (d,).
     statistics
@@ -91,13 +93,17 @@ class LiftedMap:
         return values[np.argsort(-np.abs(values), kind="stable")]
 
     def lift(self, states: Array) -> Array:
-        """Observables, shape (D,), of a state, or of a state and those before it as rows, oldest first."""
+        """Observables, shape (D,), of a state, or of a state and those before it as rows, oldest
+        first.
+        """
         return self.dictionary.lift(np.atleast_2d(states)[::-1].ravel())
 
 
 @dataclass(frozen=True)
 class Operator(LiftedMap):
-    """The discrete operator: φ one step later, inputs held over the step (an exact zero-order hold)."""
+    """The discrete operator: φ one step later, inputs held over the step (an exact zero-order
+    hold).
+    """
 
     step_s: float
 
@@ -107,14 +113,17 @@ class Operator(LiftedMap):
         return advanced if inputs is None else advanced + inputs @ self.B.T
 
     def predict(self, state: Array, inputs: Array | None, horizon: int) -> Array:
-        """States 1 to `horizon` steps ahead, shape (horizon, d): lifted once, advanced linearly, decoded.
+        """States 1 to `horizon` steps ahead, shape (horizon, d): lifted once, advanced linearly,
+        decoded.
 
         Parameters
         ----------
         state
-            Present state, shape (d,); with delays the last lags + 1 states, oldest first, shape (lags + 1, d).
+            Present state, shape (d,); with delays the last lags + 1 states, oldest first, shape
+            (lags + 1, d).
         inputs
-            What acts over each step, shape (horizon, m), or (m,) if the same over all; None without inputs.
+            What acts over each step, shape (horizon, m), or (m,) if the same over all; None without
+            inputs.
         horizon
             Number of steps.
 
@@ -126,16 +135,21 @@ class Operator(LiftedMap):
         if horizon < 1:
             raise InputError(f"horizon must be at least 1 step, got {horizon}: use 1")
         lifted = self.lift(state)
-        acting = np.broadcast_to(np.zeros(0) if inputs is None else inputs, (horizon, self.B.shape[1]))
+        acting = np.broadcast_to(
+            np.zeros(0) if inputs is None else inputs, (horizon, self.B.shape[1])
+        )
         states = np.empty((horizon, self.state_size))
-        with np.errstate(over="ignore", invalid="ignore"):  # an operator left uncapped may well diverge
+        # an operator left uncapped may well diverge
+        with np.errstate(over="ignore", invalid="ignore"):
             for step in range(horizon):
                 lifted = self.A @ lifted + self.B @ acting[step] + self.offset
                 states[step] = lifted[: self.state_size]
         return states
 
     def predicted_states(self, horizon: int) -> list[tuple[Array, Array]]:
-        """Matrix M (d, D) and offset c (d,) for 1 to `horizon` steps: the state then is M φ + c, without inputs."""
+        """Matrix M (d, D) and offset c (d,) for 1 to `horizon` steps: the state then is M φ + c,
+        without inputs.
+        """
         advanced = [(self.A[: self.state_size], self.offset[: self.state_size])]
         while len(advanced) < horizon:
             matrix, offset = advanced[-1]
@@ -143,9 +157,11 @@ class Operator(LiftedMap):
         return advanced
 
     def capped(self, limit: float) -> Self:
-        """The operator with no eigenvalue larger than `limit`, turned about the training data's mean.
+        """The operator with no eigenvalue larger than `limit`, turned about the training data's
+        mean.
 
-        A mode at exactly 1 still drifts under a constant force, in proportion to time; below 1 it stays bounded.
+        A mode at exactly 1 still drifts under a constant force, in proportion to time; below 1 it
+        stays bounded.
         """
         matrix = self.A / self.scale[:, None] * self.scale
         shrunk, count = cap_spectrum(matrix, limit)
@@ -154,12 +170,17 @@ class Operator(LiftedMap):
         A = shrunk * self.scale[:, None] / self.scale
         change = float(np.linalg.norm(shrunk - matrix))
         statistics = replace(
-            self.statistics, capped=self.statistics.capped + count, cap_change=self.statistics.cap_change + change
+            self.statistics,
+            capped=self.statistics.capped + count,
+            cap_change=self.statistics.cap_change + change,
         )
-        return replace(self, A=A, offset=self.offset + (self.A - A) @ self.middle, statistics=statistics)
+        return replace(
+            self, A=A, offset=self.offset + (self.A - A) @ self.middle, statistics=statistics
+        )
 
     def generator(self) -> "Generator":
-        """The rate whose exact zero-order hold is this operator: the principal logarithm of [A B c; 0 1 0; 0 0 1].
+        """The rate whose exact zero-order hold is this operator: the principal logarithm of [A B c;
+        0 1 0; 0 0 1].
 
         Raises
         ------
@@ -170,9 +191,12 @@ class Operator(LiftedMap):
 
         values = self.eigenvalues
         size = np.abs(values)
-        if (size <= 1e-12 * size.max()).any() or ((values.real < 0.0) & (np.abs(values.imag) <= 1e-12 * size)).any():
+        if (size <= 1e-12 * size.max()).any() or (
+            (values.real < 0.0) & (np.abs(values.imag) <= 1e-12 * size)
+        ).any():
             raise InputError(
-                f"eigenvalues must be neither zero nor negative to have a logarithm, got {values.real.min():.3g}: "
+                "eigenvalues must be neither zero nor negative to have a logarithm, got "
+                f"{values.real.min():.3g}: "
                 "take shorter steps or fewer observables"
             )
         whole = np.eye(len(self.offset) + self.B.shape[1] + 1)
@@ -185,7 +209,9 @@ class Generator(LiftedMap):
     """The rate of the observables: dφ/dt = A φ + B u + offset."""
 
     def discrete(self, step_s: float) -> Operator:
-        """The operator over a step [s] with inputs held: the exponential of [A B c; 0 0 0; 0 0 0] (Van Loan 1978)."""
+        """The operator over a step [s] with inputs held: the exponential of [A B c; 0 0 0; 0 0
+        0] (Van Loan 1978).
+        """
         from scipy.linalg import expm
 
         require_positive("step_s", step_s, "use the time between samples, such as 0.001")
@@ -198,7 +224,11 @@ def _scaled(lifted: LiftedMap) -> Array:
     """[A B c] of the observables and inputs in units of their deviations, shape (D, D + m + 1)."""
     rows = lifted.scale[:, None]
     return np.hstack(
-        (lifted.A / rows * lifted.scale, lifted.B / rows * lifted.input_scale, lifted.offset[:, None] / rows)
+        (
+            lifted.A / rows * lifted.scale,
+            lifted.B / rows * lifted.input_scale,
+            lifted.offset[:, None] / rows,
+        )
     )
 
 
@@ -222,13 +252,14 @@ def spectral_radius(matrix: Array) -> float:
 def cap_spectrum(matrix: Array, limit: float = 1.0) -> tuple[Array, int]:
     """The matrix with eigenvalues larger than `limit` shrunk to that size, and how many were.
 
-    In the real Schur form with the small eigenvalues leading, A = Q T Qᵀ, only the diagonal blocks of the large ones
-    are scaled. So what starts in the invariant subspace of the small ones moves exactly as before, their eigenvalues
-    stay, frequencies of the large ones too, and the change |A' - A| is no more than what the large eigenvalues
-    exceed the limit by (times a block's own departure from normality). Q being orthogonal, no eigenvectors are
-    inverted: the condition number of theirs does not enter. Right eigenvectors of the small stay, left ones may turn.
-    Several modes capped to one size may share an eigenvector: at 1 they then grow in proportion to the steps, not
-    as a power; below 1 they settle.
+    In the real Schur form with the small eigenvalues leading, A = Q T Qᵀ, only the diagonal blocks
+    of the large ones are scaled. So what starts in the invariant subspace of the small ones moves
+    exactly as before, their eigenvalues stay, frequencies of the large ones too, and the change |A'
+    - A| is no more than what the large eigenvalues exceed the limit by (times a block's own
+    departure from normality). Q being orthogonal, no eigenvectors are inverted: the condition
+    number of theirs does not enter. Right eigenvectors of the small stay, left ones may turn.
+    Several modes capped to one size may share an eigenvector: at 1 they then grow in proportion to
+    the steps, not as a power; below 1 they settle.
 
     Raises
     ------
@@ -239,17 +270,23 @@ def cap_spectrum(matrix: Array, limit: float = 1.0) -> tuple[Array, int]:
 
     require_positive("limit", limit, "use 1")
     if not np.isfinite(matrix).all():
-        raise InputError("the matrix must be finite to be capped, got NaN or infinity: fit it again with ridge=1e-6")
+        raise InputError(
+            "the matrix must be finite to be capped, got NaN or infinity: fit it again with "
+            "ridge=1e-6"
+        )
     if spectral_radius(matrix) <= limit:
         return matrix, 0
     try:
-        # SciPy prints an error of its own when a stop is raised in its callback. Python raises stops in the main thread
-        # alone, so that the callback runs in another one.
+        # SciPy prints an error of its own when a stop is raised in its callback. Python raises
+        # stops in the main thread alone, so that the callback runs in another one.
         with ThreadPoolExecutor(1) as pool:
-            ordered = pool.submit(schur, matrix, output="real", sort=lambda re, im: re**2 + im**2 <= limit**2)
+            ordered = pool.submit(
+                schur, matrix, output="real", sort=lambda re, im: re**2 + im**2 <= limit**2
+            )
             triangle, basis, _ = ordered.result()
     except np.linalg.LinAlgError:
-        # Eigenvalues too close to the limit to be put in order: the unordered form has the same capped spectrum.
+        # Eigenvalues too close to the limit to be put in order: the unordered form has the same
+        # capped spectrum.
         triangle, basis = schur(matrix, output="real")
     shrunk = triangle.copy()
     capped = 0

@@ -13,19 +13,23 @@ __all__ = ["Online"]
 
 
 class Online:
-    """Recursive least squares for an operator's A, B and offset, in scaled observables, at a fixed cost a sample.
+    """Recursive least squares for an operator's A, B and offset, in scaled observables, at a fixed
+    cost a sample.
 
-    Plain forgetting lets the covariance of what is not excited grow without bound, so that the next surprise throws the
-    operator away. Here each sample also adds a little information about one regressor in turn, which holds the current
-    weights there: after Gunnarsson's (1996) cyclic leakage, with the share chosen so that the covariance never exceeds
-    4 gain_limit². The gain P g / (1 + g·P g), being at most half the root of that, never exceeds gain_limit.
+    Plain forgetting lets the covariance of what is not excited grow without bound, so that the next
+    surprise throws the operator away. Here each sample also adds a little information about one
+    regressor in turn, which holds the current weights there: after Gunnarsson's (1996) cyclic
+    leakage, with the share chosen so that the covariance never exceeds 4 gain_limit². The gain P g
+    / (1 + g·P g), being at most half the root of that, never exceeds gain_limit.
 
     Parameters
     ----------
     operator
-        Where to start from. The covariance starts as if the samples a memory holds had been the training data.
+        Where to start from. The covariance starts as if the samples a memory holds had been the
+        training data.
     forgetting
-        Weight that a sample keeps from one to the next, in (0.5, 1]; the memory is 1 / (1 - forgetting) samples.
+        Weight that a sample keeps from one to the next, in (0.5, 1]; the memory is 1 / (1 -
+        forgetting) samples.
     gain_limit
         Largest change of the scaled weights for a scaled one-step error of one.
 
@@ -35,7 +39,9 @@ class Online:
         If an option is out of its range.
     """
 
-    def __init__(self, operator: Operator, *, forgetting: float = 0.999, gain_limit: float = 1.0) -> None:
+    def __init__(
+        self, operator: Operator, *, forgetting: float = 0.999, gain_limit: float = 1.0
+    ) -> None:
         require_range("forgetting", forgetting, 0.5, 1.0, "use 0.999")
         require_positive("gain_limit", gain_limit, "use 1")
         self._start = operator
@@ -48,7 +54,9 @@ class Online:
         rows = operator.scale[:, None]
         self._weights = np.hstack((operator.A, operator.B)) * self._scale / rows
         if self._size > count + inputs:
-            moved = operator.A @ operator.middle + operator.B @ operator.input_middle + operator.offset
+            moved = (
+                operator.A @ operator.middle + operator.B @ operator.input_middle + operator.offset
+            )
             self._weights = np.hstack((self._weights, (moved - operator.middle)[:, None] / rows))
         largest = 4.0 * gain_limit**2
         cycle = self._forgetting**self._size
@@ -65,10 +73,11 @@ class Online:
         self._turn = 0
 
     def update(self, lifted: Array, inputs: Array | None, lifted_after: Array) -> float:
-        """Learn from one step: observables (D,), inputs (m,) that acted, and the observables after it.
+        """Learn from one step: observables (D,), inputs (m,) that acted, and the observables after
+        it.
 
-        Returns the root mean square of the scaled one-step error before learning; NaN, and nothing is learnt, if a
-        number is not finite.
+        Returns the root mean square of the scaled one-step error before learning; NaN, and nothing
+        is learnt, if a number is not finite.
         """
         given = self._regressors
         given[: self._count] = lifted
@@ -76,7 +85,9 @@ class Online:
             given[self._count : len(self._scale)] = inputs
         given[: len(self._scale)] -= self._middle
         given[: len(self._scale)] /= self._scale
-        error = (lifted_after - self._middle[: self._count]) / self._scale[: self._count] - self._weights @ given
+        error = (lifted_after - self._middle[: self._count]) / self._scale[
+            : self._count
+        ] - self._weights @ given
         size = float(error @ error)
         if not (isfinite(size) and isfinite(float(given @ given))):
             return nan
@@ -85,7 +96,9 @@ class Online:
         spread = covariance @ given
         gain = spread / (1.0 + float(given @ spread))
         self._weights += np.multiply.outer(error, gain, out=self._change)
-        covariance -= np.multiply.outer(spread, spread, out=self._square) / (1.0 + float(given @ spread))
+        covariance -= np.multiply.outer(spread, spread, out=self._square) / (
+            1.0 + float(given @ spread)
+        )
         column = covariance[self._turn].copy()
         share = self._leak / (1.0 + self._leak * column[self._turn])
         covariance -= np.multiply.outer(column, column, out=self._square) * share
@@ -93,7 +106,8 @@ class Online:
         return (size / self._count) ** 0.5
 
     def operator(self, cap: float | None = 1.0) -> Operator:
-        """What has been learnt so far, its eigenvalues capped (None: left), in the units of the observables.
+        """What has been learnt so far, its eigenvalues capped (None: left), in the units of the
+        observables.
 
         Raises
         ------

@@ -27,7 +27,14 @@ from tissue.prediction.edmd.dictionary import (
 from tissue.prediction.edmd.lifted import FitStatistics, Operator
 from tissue.system.outputs import require_new_file
 
-__all__ = ["VERSION", "StoredPredictor", "from_plain", "read_predictor", "to_plain", "write_predictor"]
+__all__ = [
+    "VERSION",
+    "StoredPredictor",
+    "from_plain",
+    "read_predictor",
+    "to_plain",
+    "write_predictor",
+]
 
 FORMAT = "tissue predictor"
 VERSION = 2
@@ -35,7 +42,8 @@ ARRAYS = ("A", "B", "offset", "middle", "scale", "input_middle", "input_scale", 
 BOX = ("lowest", "highest")
 """Arrays of an operator, and those that a file keeps as of its training."""
 KINDS: dict[object, Callable[..., Dictionary]] = {
-    kind.__name__: kind for kind in (Identity, Polynomials, Gaussians, ThinPlates, GapProducts, Delays)
+    kind.__name__: kind
+    for kind in (Identity, Polynomials, Gaussians, ThinPlates, GapProducts, Delays)
 }
 
 
@@ -96,13 +104,16 @@ def write_predictor(
     require_new_file(path, overwrite=overwrite)
     if not path.parent.is_dir():
         raise InputError(f"file must lie in a folder that exists, got {path}: create {path.parent}")
-    stored: dict[str, Array] = {f"further.{name}": np.asarray(each, float) for name, each in (arrays or {}).items()}
+    stored: dict[str, Array] = {
+        f"further.{name}": np.asarray(each, float) for name, each in (arrays or {}).items()
+    }
     described = {}
     for name, operator in operators.items():
         described[name] = {
             "dictionary": to_plain(operator.dictionary),
             "step_s": operator.step_s,
-            "statistics": vars(operator.statistics) | {"residual_rms": operator.statistics.residual_rms.tolist()},
+            "statistics": vars(operator.statistics)
+            | {"residual_rms": operator.statistics.residual_rms.tolist()},
         }
         stored |= {f"{name}.{each}": getattr(operator, each) for each in ARRAYS}
         stored |= {f"{name}.training.{each}": getattr(operator, each) for each in BOX}
@@ -124,26 +135,42 @@ def read_predictor(path: str | Path, *, scene: str | None = None) -> StoredPredi
     """
     path = Path(path)
     if not path.is_file():
-        raise InputError(f"predictor file must be an existing file, got {path}: train it with 'tissue train'")
+        raise InputError(
+            f"predictor file must be an existing file, got {path}: train it with 'tissue train'"
+        )
     again = f"train it again with 'tissue train {scene or 'SCENE'}'"
     if not is_zipfile(path):  # NumPy would take it for a pickle
-        raise InputError(f"predictor file must be whole and one that 'tissue train' wrote, got {path}: {again}")
+        raise InputError(
+            f"predictor file must be whole and one that 'tissue train' wrote, got {path}: {again}"
+        )
     try:
         held = read_npz(path)
         whole = read_json(str(held["json"]))
         if not isinstance(whole, dict) or whole.get("format") != FORMAT:
-            raise InputError(f"predictor file must be one that 'tissue train' wrote, got {path}: {again}")
+            raise InputError(
+                f"predictor file must be one that 'tissue train' wrote, got {path}: {again}"
+            )
         require_version("predictor file", whole, VERSION, key="version", where=path, remedy=again)
         if scene is not None and whole["scene"] != scene:
-            raise InputError(f"predictor file must be of scene {scene}, got {whole['scene']} in {path}: {again}")
+            raise InputError(
+                f"predictor file must be of scene {scene}, got {whole['scene']} in {path}: {again}"
+            )
         arrays: dict[str, Any] = {name: each for name, each in held.items() if name != "json"}
-        operators = {name: _operator(name, each, arrays) for name, each in whole["operators"].items()}
+        operators = {
+            name: _operator(name, each, arrays) for name, each in whole["operators"].items()
+        }
     except InputError:
         raise
     except Exception as problem:  # a damaged archive raises many kinds, zlib's own among them
         found = problem if isinstance(problem, DamagedFileError) else "it is damaged"
-        raise InputError(f"predictor file must be whole, got {path} ({found}): {again}") from problem
-    further = {name.removeprefix("further."): each for name, each in arrays.items() if name.startswith("further.")}
+        raise InputError(
+            f"predictor file must be whole, got {path} ({found}): {again}"
+        ) from problem
+    further = {
+        name.removeprefix("further."): each
+        for name, each in arrays.items()
+        if name.startswith("further.")
+    }
     return StoredPredictor(whole["scene"], operators, whole["header"], further)
 
 
@@ -157,21 +184,35 @@ def _operator(name: str, plain: Mapping[str, Any], arrays: Mapping[str, Array]) 
     given |= {key: arrays[f"{name}.training.{key}"] for key in BOX}
     count = dictionary.size(len(given["lowest"]))
     inputs = len(given["input_scale"])
-    shapes = {"A": (count, count), "B": (count, inputs), "offset": (count,), "middle": (count,), "scale": (count,)}
+    shapes = {
+        "A": (count, count),
+        "B": (count, inputs),
+        "offset": (count,),
+        "middle": (count,),
+        "scale": (count,),
+    }
     shapes |= {"input_middle": (inputs,), "highest": given["lowest"].shape}
     for key, shape in shapes.items():
         if given[key].shape != shape:
             raise DamagedFileError(f"{name}.{key} has shape {given[key].shape} instead of {shape}")
-    statistics = plain["statistics"] | {"residual_rms": np.array(plain["statistics"]["residual_rms"])}
+    statistics = plain["statistics"] | {
+        "residual_rms": np.array(plain["statistics"]["residual_rms"])
+    }
     return Operator(
-        dictionary=dictionary, **given, statistics=FitStatistics(**statistics), step_s=float(plain["step_s"])
+        dictionary=dictionary,
+        **given,
+        statistics=FitStatistics(**statistics),
+        step_s=float(plain["step_s"]),
     )
 
 
 def to_plain(dictionary: Dictionary) -> dict[str, object]:
     """The dictionary as names, numbers and lists, for a file."""
     given = {field.name: getattr(dictionary, field.name) for field in fields(dictionary)}  # type: ignore[arg-type]
-    plain = {name: to_plain(value) if isinstance(value, Dictionary) else value for name, value in given.items()}
+    plain = {
+        name: to_plain(value) if isinstance(value, Dictionary) else value
+        for name, value in given.items()
+    }
     return {"kind": type(dictionary).__name__} | plain
 
 
@@ -186,11 +227,16 @@ def from_plain(plain: Mapping[str, object]) -> Dictionary:
     given = {name: _frozen(value) for name, value in plain.items() if value != []}
     kind = given.pop("kind", None)
     if kind not in KINDS:
-        raise InputError(f"kind must be one of {', '.join(map(str, KINDS))}, got {kind}: train the predictor again")
+        raise InputError(
+            f"kind must be one of {', '.join(map(str, KINDS))}, got {kind}: train the "
+            "predictor again"
+        )
     try:
         return KINDS[kind](**given)
     except TypeError as problem:
-        raise InputError(f"{kind} must have the fields of this version, got {problem}: train it again") from None
+        raise InputError(
+            f"{kind} must have the fields of this version, got {problem}: train it again"
+        ) from None
 
 
 def _frozen(value: object) -> object:

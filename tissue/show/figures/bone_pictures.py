@@ -26,7 +26,13 @@ from tissue.show.figures.figure import (
 from tissue.show.figures.rendering import Camera, Shaded, draw_axes, draw_shaded, paint
 from tissue.show.figures.section import plane_of
 from tissue.show.figures.tool_mesh import pose, spin_arc_mm, tool_turns
-from tissue.simulation.bone_surface import bone_surface, cut_out, smooth_normals, with_depth, with_layers
+from tissue.simulation.bone_surface import (
+    bone_surface,
+    cut_out,
+    smooth_normals,
+    with_depth,
+    with_layers,
+)
 from tissue.simulation.builders.voxels import reach
 from tissue.simulation.depth_map import HALF, DepthMap
 from tissue.simulation.run import Run
@@ -42,9 +48,13 @@ __all__ = ["draw_before_after", "draw_removed_depth", "shown_mm"]
 HEIGHTS_PX = 64, 170
 """Above and below the renderings [pixel]."""
 TILT_DEG, OPENED_DEG = (36.0, 12.0), (58.0, 12.0)
-"""How far the eye turns down and to the side from the tool's axis, and where the bone is cut open."""
+"""How far the eye turns down and to the side from the tool's axis, and where the bone is cut
+open.
+"""
 DEEP = 0.5
-"""A cut deeper than this share of its narrower side is cut open: from the tool's side its bottom is not seen."""
+"""A cut deeper than this share of its narrower side is cut open: from the tool's side its bottom
+is not seen.
+"""
 CUT_OUT = (0.82, 0.82, 0.85)
 """Colour of faces where the simulated region ends and the bone goes on."""
 MOST_POINTS = 20_000
@@ -63,7 +73,8 @@ class _View:
     depth
         Where the tool came from.
     plane
-        World axis at right angles to the plane where the bone is cut open, and its place there [mm]; None if it is not.
+        World axis at right angles to the plane where the bone is cut open, and its place there
+        [mm]; None if it is not.
     """
 
     volume: VoxelVolume
@@ -78,24 +89,41 @@ class _View:
         remaining = run.remaining
         cut = np.argwhere(depth.depth_mm > 0.0)
         spacing = 1e3 * volume.spacing_m
-        if not len(cut) or depth.depth_mm.max() < DEEP * spacing * float((np.ptp(cut, axis=0) + 1).min()):
+        if not len(cut) or depth.depth_mm.max() < DEEP * spacing * float(
+            (np.ptp(cut, axis=0) + 1).min()
+        ):
             return cls(volume, remaining, depth, None)
-        _, normal, place = plane_of(run, axis=depth.axis, outward=depth.outward, row=len(run.trace.rows) - 1)
-        first = int(np.clip((place * 1e-3 - volume.origin_m[normal]) / volume.spacing_m, 0, volume.shape[normal] - 1))
+        _, normal, place = plane_of(
+            run, axis=depth.axis, outward=depth.outward, row=len(run.trace.rows) - 1
+        )
+        first = int(
+            np.clip(
+                (place * 1e-3 - volume.origin_m[normal]) / volume.spacing_m,
+                0,
+                volume.shape[normal] - 1,
+            )
+        )
         behind = np.arange(volume.shape[normal]) >= first
         keep = behind.reshape([-1 if axis == normal else 1 for axis in range(3)])
         half = replace(volume, fraction=np.where(keep, volume.fraction, np.uint8(0)))
         return cls(half, np.where(keep, remaining, np.uint8(0)), depth, (normal, place))
 
     def camera(self, surface: "pyvista.PolyData") -> Camera:
-        """Return a camera that sees the whole surface from the tool's side, turned aside, and from before the plane."""
+        """Return a camera that sees the whole surface from the tool's side, turned aside, and
+        from before the plane.
+        """
         depth = self.depth
         out = np.eye(3)[depth.axis] * depth.outward
         v = np.eye(3)[depth.across[1] if self.plane is None else self.plane[0]]
         down, aside = np.radians(TILT_DEG if self.plane is None else OPENED_DEG)
-        towards = np.cos(down) * (np.cos(aside) * out + np.sin(aside) * np.cross(v, out)) - np.sin(down) * v
+        towards = (
+            np.cos(down) * (np.cos(aside) * out + np.sin(aside) * np.cross(v, out))
+            - np.sin(down) * v
+        )
         # Points of the surface itself, not of its box, so that the bone fills the picture.
-        return Camera.seeing(np.asarray(surface.points)[:: max(surface.n_points // MOST_POINTS, 1)], towards, v)
+        return Camera.seeing(
+            np.asarray(surface.points)[:: max(surface.n_points // MOST_POINTS, 1)], towards, v
+        )
 
     def opened(self, surface: "pyvista.PolyData") -> NDArray[np.bool_]:
         """Return which triangles lie in the plane."""
@@ -108,7 +136,8 @@ class _View:
 
 
 def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
-    """Draw the bone by layer before and by removed depth after the run, both seen by the same camera.
+    """Draw the bone by layer before and by removed depth after the run, both seen by the same
+    camera.
 
     Returns
     -------
@@ -129,7 +158,9 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
         after = with_layers(_seen(bone_surface(volume, remaining), camera), volume)
         with_depth(after, volume, remaining, depth_mm=depth.depth_mm, axis=depth.axis)
         colours = np.array(list(layer_colours(volume.layer_names).values()))
-        carved = _depth_paint(after.point_data["removed_depth_mm"], limit)[after.regular_faces].mean(axis=1)
+        carved = _depth_paint(after.point_data["removed_depth_mm"], limit)[
+            after.regular_faces
+        ].mean(axis=1)
         # The box that was simulated; the bone goes on beyond it.
         simulated_m = reach(run.cutter, run.parts.motion, run.scene.voxels.margin_mm * 1e-3)
         carved[cut_out(after, volume, simulated_m)] = CUT_OUT
@@ -137,22 +168,33 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
         carved[opened] = colours[after.cell_data["layer"][opened]]
         for surface in (before, after):
             surface.point_data["Normals"] = smooth_normals(surface)
-        return [(paint(before, colours[before.cell_data["layer"]]), camera), (paint(after, carved), camera)]
+        return [
+            (paint(before, colours[before.cell_data["layer"]]), camera),
+            (paint(after, carved), camera),
+        ]
 
     def annotate(shaded: Shaded) -> None:
         _annotate(shaded, run, view, limit)
 
-    opened = "" if view.plane is None else f", cut open at {'xyz'[view.plane[0]]} = {view.plane[1]:.2f} mm"
+    opened = (
+        ""
+        if view.plane is None
+        else f", cut open at {'xyz'[view.plane[0]]} = {view.plane[1]:.2f} mm"
+    )
     names = [f"{when}{opened}" for when in ("before", "after")]
     return draw_shaded(make, path, annotate, margins_px=HEIGHTS_PX, names=names)
 
 
 def _depth_paint(depth_mm: NDArray[np.float32], limit: float) -> NDArray[np.float64]:
-    """Return colours of points by removed depth. They blend into the colour of bone over the first few hundredths."""
+    """Return colours of points by removed depth. They blend into the colour of bone over the
+    first few hundredths.
+    """
     from matplotlib import colormaps
 
     share = np.clip((depth_mm / limit - 0.01) / 0.03, 0.0, 1.0)[:, None]
-    return share * colormaps[DEPTH_COLOURS](depth_mm / limit)[:, :3] + (1.0 - share) * np.array(BONE)
+    return share * colormaps[DEPTH_COLOURS](depth_mm / limit)[:, :3] + (1.0 - share) * np.array(
+        BONE
+    )
 
 
 def _seen(surface: "pyvista.PolyData", camera: Camera) -> "pyvista.PolyData":
@@ -162,7 +204,9 @@ def _seen(surface: "pyvista.PolyData", camera: Camera) -> "pyvista.PolyData":
     normals = surface.point_data["Normals"]
     triangles = surface.regular_faces
     facing = np.asarray(normals) @ np.array(camera.towards_eye, dtype=np.float32) > -0.2
-    part = pyvista.PolyData.from_regular_faces(surface.points, triangles[facing[triangles].any(axis=1)])
+    part = pyvista.PolyData.from_regular_faces(
+        surface.points, triangles[facing[triangles].any(axis=1)]
+    )
     part.point_data["Normals"] = normals
     return part
 
@@ -184,7 +228,9 @@ def _annotate(shaded: Shaded, run: Run, view: _View, limit: float) -> None:
     for axes, legend in zip(shaded.panels, named, strict=True):
         left, foot, wide, _ = axes.get_position().bounds
         chart.legend(
-            handles=[Patch(facecolor=colour, label=name, **EDGE) for name, colour in legend.items()],
+            handles=[
+                Patch(facecolor=colour, label=name, **EDGE) for name, colour in legend.items()
+            ],
             loc="center",
             bbox_to_anchor=(left + 0.2 * wide, 0.5 * foot),
             frameon=False,
@@ -200,7 +246,9 @@ def _annotate(shaded: Shaded, run: Run, view: _View, limit: float) -> None:
 
 
 def _draw_spin(axes: "Axes", run: Run, camera: Camera) -> None:
-    """Draw the sense of the tool's rotation at its first contact, as wide as the tool where that fits."""
+    """Draw the sense of the tool's rotation at its first contact, as wide as the tool where that
+    fits.
+    """
     tool = run.scene.tool
     assert isinstance(tool, Tool)
     row = int((run.trace["contact_mm2"] > 0.0).argmax())
@@ -217,12 +265,14 @@ def _draw_spin(axes: "Axes", run: Run, camera: Camera) -> None:
 EXPOSED: "tuple[LineStyleType, ...]" = ("--", ":", "-.")
 """Lines around the layers that a run laid bare."""
 SMALL, AROUND = 0.5, 0.4
-"""A cut that takes up less than this share of the region along both axes is drawn larger, with this share of its longer
-side around it."""
+"""A cut that takes up less than this share of the region along both axes is drawn larger, with this
+share of its longer side around it."""
 
 
 def shown_mm(depth: DepthMap) -> tuple[float, float, float, float]:
-    """Return the extent of the map along its two axes [mm]: the region, or a small cut with its surroundings."""
+    """Return the extent of the map along its two axes [mm]: the region, or a small cut with its
+    surroundings.
+    """
     u0, u1, v0, v1 = depth.extent_mm
     cut = np.argwhere(depth.depth_mm > 0.0)
     if not len(cut):
@@ -257,7 +307,9 @@ def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
     shade = _hillshade(depth.height_mm * depth.outward, spacing)
     ground = np.clip(np.array(BONE) * shade[..., None], 0.0, 1.0)
     ground[~(depth.bone & np.isfinite(depth.height_mm))] = 1.0
-    axes.imshow(ground.swapaxes(0, 1), origin="lower", extent=depth.extent_mm, interpolation="nearest")
+    axes.imshow(
+        ground.swapaxes(0, 1), origin="lower", extent=depth.extent_mm, interpolation="nearest"
+    )
     image = axes.imshow(
         np.ma.masked_less(depth.depth_mm, least).T,
         origin="lower",
@@ -269,12 +321,18 @@ def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
     )
     handles: list[Artist] = [Patch(facecolor=BONE, label="not cut", **EDGE)]
     draw_outline(axes, depth.bone, depth.extent_mm, color="0.15", linewidth=1.0)
-    handles.append(Line2D([], [], color="0.15", linewidth=1.0, label="bone in the simulated region"))
+    handles.append(
+        Line2D([], [], color="0.15", linewidth=1.0, label="bone in the simulated region")
+    )
     for name, mask in depth.exposed.items():
         dashes = EXPOSED[len(handles) % len(EXPOSED)]
         draw_outline(axes, mask, depth.extent_mm, color="white", linewidth=2.6)
         draw_outline(axes, mask, depth.extent_mm, color="black", linewidth=1.3, linestyle=dashes)
-        handles.append(Line2D([], [], color="black", linewidth=1.3, linestyle=dashes, label=f"{name} laid bare"))
+        handles.append(
+            Line2D(
+                [], [], color="black", linewidth=1.3, linestyle=dashes, label=f"{name} laid bare"
+            )
+        )
     axes.set(xlim=(u0, u1), ylim=(v0, v1))
     x, y = (f"{axis_names(run)[axis]} / mm" for axis in depth.across)
     axes.set(xlabel=x, ylabel=y, aspect="equal")
@@ -288,7 +346,9 @@ def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
             f"{cut.size * spacing**2:.3g} mm²"
         )
     title = f"{run.scene.name}: {summary}"
-    chart.text((left + 0.5 * wide) / 8.0, 1.0 - 0.2 / full, title, ha="center", va="center", size=10.5)
+    chart.text(
+        (left + 0.5 * wide) / 8.0, 1.0 - 0.2 / full, title, ha="center", va="center", size=10.5
+    )
     chart.legend(
         handles=handles,
         loc="center",

@@ -20,11 +20,20 @@ if TYPE_CHECKING:
     import pyvista
     from matplotlib.axes import Axes
 
-__all__ = ["SOFT_HU", "draw_ct_bone", "draw_ct_histogram", "draw_ct_organ", "draw_ct_slices", "draw_path_depth"]
+__all__ = [
+    "SOFT_HU",
+    "draw_ct_bone",
+    "draw_ct_histogram",
+    "draw_ct_organ",
+    "draw_ct_slices",
+    "draw_path_depth",
+]
 
 Line = Literal["solid", "dashed", "dotted"]
 BONE_HU, SOFT_HU = (-200.0, 1300.0), (-160.0, 240.0)
-"""Grey values from black to white: fat to cortical bone, and those of soft tissue (the usual abdominal window)."""
+"""Grey values from black to white: fat to cortical bone, and those of soft tissue (the usual
+abdominal window).
+"""
 VIEWS = ((0, 1, 2, "axial"), (0, 2, 1, "coronal"), (1, 2, 0, "sagittal"))
 """Axes of a slice to the right and upward, the axis through it, and its name."""
 AXES = ("left", "back", "head")
@@ -78,14 +87,29 @@ def draw_ct_slices(
     low, high = window_HU if hounsfield else np.percentile(image.values, (1, 99.8))
     outlined = [(body[1], BODY, LINES[0])]
     for number, field in enumerate(others.values()):
-        outlined.append((field, OTHERS[number % len(OTHERS)], LINES[number // len(OTHERS) % len(LINES)]))
+        outlined.append(
+            (field, OTHERS[number % len(OTHERS)], LINES[number // len(OTHERS) % len(LINES)])
+        )
     chart = figure(9.0, 3.7)
-    panels = chart.subplots(1, 3, gridspec_kw={"wspace": 0.3, "left": 0.07, "right": 0.98, "bottom": 0.22, "top": 0.85})
+    panels = chart.subplots(
+        1, 3, gridspec_kw={"wspace": 0.3, "left": 0.07, "right": 0.98, "bottom": 0.22, "top": 0.85}
+    )
     for axes, (u, v, through, name) in zip(panels, VIEWS, strict=True):
-        ends = [(origin[a] - 0.5 * spacing[a], origin[a] + spacing[a] * (shape[a] - 0.5)) for a in (u, v)]
+        ends = [
+            (origin[a] - 0.5 * spacing[a], origin[a] + spacing[a] * (shape[a] - 0.5))
+            for a in (u, v)
+        ]
         grey = np.take(image.values, int(at[through]), axis=through).T
         extent = (*ends[0], *ends[1])
-        axes.imshow(grey, cmap="gray", vmin=low, vmax=high, origin="lower", extent=extent, interpolation="nearest")
+        axes.imshow(
+            grey,
+            cmap="gray",
+            vmin=low,
+            vmax=high,
+            origin="lower",
+            extent=extent,
+            interpolation="nearest",
+        )
         place = float(origin[through] + spacing[through] * at[through])
         for field, colour, line in outlined:
             _outline(axes, field, (u, v, through), place, colour, line)
@@ -93,7 +117,13 @@ def draw_ct_slices(
             axes.plot(points_mm[:, u], points_mm[:, v], color=PATH, linewidth=1.2)
         if normal is not None:
             _draw_site(axes, centre_mm[[u, v]], (centre_mm + NORMAL_MM * normal)[[u, v]])
-        axes.set(xlabel=f"{AXES[u]} [mm]", ylabel=f"{AXES[v]} [mm]", xlim=ends[0], ylim=ends[1], aspect="equal")
+        axes.set(
+            xlabel=f"{AXES[u]} [mm]",
+            ylabel=f"{AXES[v]} [mm]",
+            xlim=ends[0],
+            ylim=ends[1],
+            aspect="equal",
+        )
         if v == 1:  # the patient's front is up, as radiologists have it
             axes.invert_yaxis()
         axes.set_title(f"{name}, {AXES[through]} {place:.1f} mm", size=9)
@@ -103,23 +133,36 @@ def draw_ct_slices(
         for name, (_, colour, line) in zip((body[0], *others), outlined, strict=True)
     ]
     if normal is not None:
-        handles.append(Line2D([], [], color=SITE, marker="o", markersize=4, label="site and normal"))
+        handles.append(
+            Line2D([], [], color=SITE, marker="o", markersize=4, label="site and normal")
+        )
     if points_mm is not None:
         handles.append(Line2D([], [], color=PATH, label="path of the tip"))
     chart.legend(handles=handles, loc="lower center", ncols=min(len(handles), 5), frameon=False)
     save(chart, path)
 
 
-def _outline(axes: "Axes", field: Image, order: tuple[int, int, int], place_mm: float, colour: str, line: Line) -> None:
+def _outline(
+    axes: "Axes",
+    field: Image,
+    order: tuple[int, int, int],
+    place_mm: float,
+    colour: str,
+    line: Line,
+) -> None:
     """Draw the line where a field is 0 in the slice at a place along its axis."""
     u, v, through = order
     at = round((place_mm - field.origin_mm[through]) / field.spacing_mm[through])
     if not 0 <= at < field.values.shape[through]:
         return
     values = np.take(field.values, at, axis=through).T
-    x, y = (field.origin_mm[a] + field.spacing_mm[a] * np.arange(field.values.shape[a]) for a in (u, v))
+    x, y = (
+        field.origin_mm[a] + field.spacing_mm[a] * np.arange(field.values.shape[a]) for a in (u, v)
+    )
     if values.min() < 0.0 < values.max():
-        axes.contour(x, y, values, levels=[0.0], colors=[colour], linestyles=[line], linewidths=[1.1])
+        axes.contour(
+            x, y, values, levels=[0.0], colors=[colour], linestyles=[line], linewidths=[1.1]
+        )
 
 
 def _draw_site(axes: "Axes", centre: NDArray[np.float64], tip: NDArray[np.float64]) -> None:
@@ -134,7 +177,8 @@ AROUND_ORGAN_MM = 10.0
 def draw_ct_organ(
     image: Image, path: Path, *, masks: Mapping[str, NDArray[np.bool_]], mesh: TetMesh, title: str
 ) -> None:
-    """Draw slices through the middle of the smallest part, with the outlines of the meshed organ and of the labels.
+    """Draw slices through the middle of the smallest part, with the outlines of the meshed organ
+    and of the labels.
 
     Parameters
     ----------
@@ -146,8 +190,15 @@ def draw_ct_organ(
     organ, *parts = masks
     spacing = np.array(image.spacing_mm)
     origin = np.array(image.origin_mm)
-    low = np.floor((1e3 * mesh.nodes_m.min(axis=0) - AROUND_ORGAN_MM - origin) / spacing).astype(int).clip(0)
-    high = np.ceil((1e3 * mesh.nodes_m.max(axis=0) + AROUND_ORGAN_MM - origin) / spacing).astype(int) + 1
+    low = (
+        np.floor((1e3 * mesh.nodes_m.min(axis=0) - AROUND_ORGAN_MM - origin) / spacing)
+        .astype(int)
+        .clip(0)
+    )
+    high = (
+        np.ceil((1e3 * mesh.nodes_m.max(axis=0) + AROUND_ORGAN_MM - origin) / spacing).astype(int)
+        + 1
+    )
     part = tuple(map(slice, low.tolist(), np.minimum(high, image.values.shape).tolist()))
     around = part_of(image, part)
     smallest = min(parts or [organ], key=lambda name: int(np.count_nonzero(masks[name])))
@@ -160,7 +211,9 @@ def draw_ct_organ(
         around,
         path,
         body=(f"{organ}, meshed", replace(around, values=depth.astype(np.float32))),
-        others={name: replace(around, values=masks[name][part] - np.float32(0.5)) for name in parts},
+        others={
+            name: replace(around, values=masks[name][part] - np.float32(0.5)) for name in parts
+        },
         centre_mm=middle,
         normal=None,
         points_mm=None,
@@ -231,10 +284,14 @@ def draw_ct_bone(
             shaded.chart.colorbar(mapped, cax=bar, orientation="horizontal", extend="max")
             bar.set_xlabel(f"apparent density {UNDER_MM:g} mm under the surface [kg/m³]")
 
-    return draw_shaded(make, path, annotate, margins_px=(HEAD_PX, FOOT_PX), title=title, names=list(eyes))
+    return draw_shaded(
+        make, path, annotate, margins_px=(HEAD_PX, FOOT_PX), title=title, names=list(eyes)
+    )
 
 
-def _eyes(normal: NDArray[np.float64] | None) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def _eyes(
+    normal: NDArray[np.float64] | None,
+) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Return the directions to the eye and upward of each panel, by its title."""
     head = np.array([0.0, 0.0, 1.0])
     if normal is None:
@@ -242,7 +299,10 @@ def _eyes(normal: NDArray[np.float64] | None) -> dict[str, tuple[NDArray[np.floa
         return {"from the front": (front, head), "from the back": (front * [1.0, -1.0, 1.0], head)}
     upright = head if abs(normal[2]) < 0.9 else np.array([0.0, -1.0, 0.0])
     aside = np.cross(upright, normal)
-    return {"along the site's axis": (normal, upright), "from aside": (aside + 0.25 * upright, upright)}
+    return {
+        "along the site's axis": (normal, upright),
+        "from aside": (aside + 0.25 * upright, upright),
+    }
 
 
 def _painted(surface: Surface, density: Image | None) -> "pyvista.PolyData":
@@ -259,7 +319,9 @@ def _painted(surface: Surface, density: Image | None) -> "pyvista.PolyData":
     at = (points - np.array(density.origin_mm)) / np.array(density.spacing_mm)
     found = map_coordinates(density.values.astype(np.float32), at.T, order=1, mode="nearest")
     low, high = DENSITIES
-    return paint(mesh, np.asarray(colormaps[COLOURS](np.clip((found - low) / (high - low), 0.0, 1.0)))[:, :3])
+    return paint(
+        mesh, np.asarray(colormaps[COLOURS](np.clip((found - low) / (high - low), 0.0, 1.0)))[:, :3]
+    )
 
 
 OUTSIDE = "0.45"
@@ -271,7 +333,8 @@ AROUND_PATH_MM = 40.0
 def draw_path_depth(
     surface: Surface, found: PathDepth, path: Path, *, normal: NDArray[np.float64], title: str
 ) -> str | None:
-    """Draw the bone around a path, seen along the site's axis and from aside, with the path over it.
+    """Draw the bone around a path, seen along the site's axis and from aside, with the path over
+    it.
 
     Parameters
     ----------
@@ -290,7 +353,9 @@ def draw_path_depth(
     """
     points = found.points_mm
     half = max(AROUND_PATH_MM, 0.7 * float(np.ptp(points, axis=0).max()))
-    corners = points.mean(axis=0) + half * (np.stack(np.meshgrid(*[[-1, 1]] * 3), axis=-1).reshape(-1, 3) * 0.6)
+    corners = points.mean(axis=0) + half * (
+        np.stack(np.meshgrid(*[[-1, 1]] * 3), axis=-1).reshape(-1, 3) * 0.6
+    )
     mesh = _painted(surface, None)
     eyes = _eyes(normal)
 
@@ -308,14 +373,24 @@ def draw_path_depth(
 
         def add_line(axes: "Axes", line: NDArray[np.float64]) -> None:
             pieces = np.stack([line[:-1], line[1:]], axis=1)
-            axes.add_collection(LineCollection(list(pieces[~inside]), colors=OUTSIDE, linewidths=1.1))
-            axes.add_collection(LineCollection(list(pieces[inside]), colors=shades[inside], linewidths=2.2))
+            axes.add_collection(
+                LineCollection(list(pieces[~inside]), colors=OUTSIDE, linewidths=1.1)
+            )
+            axes.add_collection(
+                LineCollection(list(pieces[inside]), colors=shades[inside], linewidths=2.2)
+            )
 
         for axes, camera in zip(shaded.panels, shaded.cameras, strict=True):
             add_line(axes, camera.pixels(points))
         wide, tall = shaded.size_px
-        draw_axes(shaded.chart.add_axes((0.02, 0.02, AXES_PX / wide, AXES_PX / tall)), AXES, shaded.cameras[0])
-        low = shaded.chart.add_axes((0.2, 0.32 * PATH_FOOT_PX / tall, 0.75, 0.55 * PATH_FOOT_PX / tall))
+        draw_axes(
+            shaded.chart.add_axes((0.02, 0.02, AXES_PX / wide, AXES_PX / tall)),
+            AXES,
+            shaded.cameras[0],
+        )
+        low = shaded.chart.add_axes(
+            (0.2, 0.32 * PATH_FOOT_PX / tall, 0.75, 0.55 * PATH_FOOT_PX / tall)
+        )
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         low.axhline(0.0, color="0.3", linewidth=0.8)
         add_line(low, np.column_stack([along, found.depth_mm]))
@@ -325,7 +400,9 @@ def draw_path_depth(
         low.set(xlabel="path length [mm]", ylabel="depth [mm]")
         low.set_title(f"deepest {found.deepest_mm:.1f} mm", loc="right", size=9)
 
-    return draw_shaded(make, path, annotate, margins_px=(HEAD_PX, PATH_FOOT_PX), title=title, names=list(eyes))
+    return draw_shaded(
+        make, path, annotate, margins_px=(HEAD_PX, PATH_FOOT_PX), title=title, names=list(eyes)
+    )
 
 
 ALL, INSIDE, LEVEL = "0.6", "#E69F00", "#D55E00"
@@ -362,7 +439,9 @@ def draw_ct_histogram(
     edges = np.linspace(low, high, BINS)
     chart = figure(6.4, 3.4)
     axes = chart.add_axes((0.11, 0.16, 0.86, 0.62))
-    axes.stairs(np.histogram(values, edges, weights=counts)[0], edges, color=ALL, fill=True, label="image")
+    axes.stairs(
+        np.histogram(values, edges, weights=counts)[0], edges, color=ALL, fill=True, label="image"
+    )
     axes.stairs(np.histogram(inside, edges)[0], edges, color=INSIDE, linewidth=1.4, label="bone")
     if threshold is not None:
         axes.axvline(threshold, color=LEVEL, linestyle="--", label=f"threshold {threshold:g}")
@@ -381,7 +460,9 @@ def draw_ct_histogram(
 
         upper = axes.secondary_xaxis("top", functions=(to_density, to_value))
         upper.set_xlabel("apparent density of bone [kg/m³]")
-        upper.set_xticks([ticks for ticks in range(0, 4000, 500) if offset <= ticks <= slope * high + offset])
+        upper.set_xticks(
+            [ticks for ticks in range(0, 4000, 500) if offset <= ticks <= slope * high + offset]
+        )
     else:
         axes.set_xlabel("grey value")
         axes.spines["top"].set_visible(False)

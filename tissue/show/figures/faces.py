@@ -20,10 +20,14 @@ WALL_MESH_MM = 5.0
 
 
 def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
-    """Return pieces of the faces that a tool goes through or presses [mm], by name; none of voxels or a mesh."""
+    """Return pieces of the faces that a tool goes through or presses [mm], by name; none of
+    voxels or a mesh.
+    """
     if scene is None:
         return {}
-    make = ANATOMIES[scene.anatomy.kind].faces or {"layers": layer_faces, "wall": wall_face}.get(scene.anatomy.kind)
+    make = ANATOMIES[scene.anatomy.kind].faces or {"layers": layer_faces, "wall": wall_face}.get(
+        scene.anatomy.kind
+    )
     return {} if make is None else make(scene)
 
 
@@ -54,6 +58,8 @@ def layer_faces(scene: Scene) -> "dict[str, pyvista.PolyData]":
     assert isinstance(scene.anatomy, LayersAnatomy)
     depths = {"capsule": 0.0} | dict(scene.anatomy.membranes)
     return {
-        name: pyvista.Plane(center=(0.0, 0.0, -depth), direction=(0.0, 0.0, 1.0), i_size=FACE_MM, j_size=FACE_MM)
+        name: pyvista.Plane(
+            center=(0.0, 0.0, -depth), direction=(0.0, 0.0, 1.0), i_size=FACE_MM, j_size=FACE_MM
+        )
         for name, depth in depths.items()
     }

@@ -47,7 +47,9 @@ P = ParamSpec("P")
 T = TypeVar("T")
 DPI = 200
 VECTOR_DPI = 2 * DPI
-"""Pixels an inch of what is no line or text in SVG and PDF: a rendering's own, see `tissue.show.figures.rendering`."""
+"""Pixels an inch of what is no line or text in SVG and PDF: a rendering's own, see
+`tissue.show.figures.rendering`.
+"""
 STYLE: "dict[RcKeyType, float]" = {
     "font.size": 9.0,
     "axes.linewidth": 0.7,
@@ -81,9 +83,11 @@ def figure(width_in: float, height_in: float) -> "Figure":
 
 @styled
 def save(chart: "Figure", path: Path) -> None:
-    """Write a figure in the format of its file's ending, png, svg or pdf; the same bytes for the same figure.
+    """Write a figure in the format of its file's ending, png, svg or pdf; the same bytes for the
+    same figure.
 
-    SVG and PDF hold lines and text as such, and what was drawn in 3D or as an image with `VECTOR_DPI` pixels an inch.
+    SVG and PDF hold lines and text as such, and what was drawn in 3D or as an image with
+    `VECTOR_DPI` pixels an inch.
     """
     import matplotlib
 
@@ -99,7 +103,9 @@ def save(chart: "Figure", path: Path) -> None:
             chart.savefig(temporary, format=kind, dpi=VECTOR_DPI, metadata=metadata[kind])
         else:
             packed = {"compress_level": 3}
-            chart.savefig(temporary, format=kind, dpi=DPI, metadata=metadata[kind], pil_kwargs=packed)
+            chart.savefig(
+                temporary, format=kind, dpi=DPI, metadata=metadata[kind], pil_kwargs=packed
+            )
 
 
 def is_vector(path: Path) -> bool:
@@ -136,11 +142,14 @@ LAYERS = {
 }
 DEPTH_COLOURS = "viridis"
 SIGNED, STRESS, OTHER = "coolwarm", "magma_r", "YlGnBu"
-"""Colours of fields; little is light, so that a body does not turn black where nothing happens. Colour-blind readers
-can follow them (Moreland 2009; van der Walt and Smith 2015; Harrower and Brewer 2003)."""
+"""Colours of fields; little is light, so that a body does not turn black where nothing happens.
+Colour-blind readers can follow them (Moreland 2009; van der Walt and Smith 2015; Harrower and
+Brewer 2003)."""
 OTHER_LAYERS = ("#CC79A7", "#F0E442", "#0072B2", "#D55E00")
 COMPONENTS = ("#0072B2", "#D55E00", "#009E73")
-"""Colours of layers and components after Okabe and Ito (2008), distinct for colour-blind readers."""
+"""Colours of layers and components after Okabe and Ito (2008), distinct for colour-blind
+readers.
+"""
 MAGNITUDE = "0.88"
 SMALL_NM = 0.02
 """Torque below which a picture shows thousandths [N m]."""
@@ -149,7 +158,9 @@ ANATOMICAL = {"glenoid": ("anterior", "superior", "lateral")}
 
 
 def axis_names(run: "Run") -> tuple[str, ...]:
-    """Return the names of the world's axes, with their anatomical direction where the kind of anatomy has one."""
+    """Return the names of the world's axes, with their anatomical direction where the kind of
+    anatomy has one.
+    """
     meanings = ANATOMICAL.get(run.scene.anatomy.kind)
     if meanings is None:
         return tuple("xyz")
@@ -157,12 +168,15 @@ def axis_names(run: "Run") -> tuple[str, ...]:
     bone = run.scene.bone
     if getattr(bone, "centre_mm", None) is not None or getattr(bone, "along", None) is not None:
         return tuple("xyz")  # what was pointed at on a bone need not be its glenoid
-    # On bone from a file x points forward or backward with the side of the body, which the file does not state.
+    # On bone from a file x points forward or backward with the side of the body, which the file
+    # does not state.
     return ("x", *named[1:]) if bone.from_file else named
 
 
 def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:
-    """Return red, green and blue of every layer. Known layers have the same colour in every scene."""
+    """Return red, green and blue of every layer. Known layers have the same colour in every
+    scene.
+    """
     from matplotlib.colors import to_rgb
 
     others = [name for name in names if name not in LAYERS]
@@ -171,7 +185,9 @@ def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float
 
 
 def field_colours(low: float, high: float) -> str:
-    """Return the name of the colour map for a field with this range. A range that begins above 0 is a stress."""
+    """Return the name of the colour map for a field with this range. A range that begins above 0
+    is a stress.
+    """
     if low < 0.0:
         return SIGNED
     return STRESS if low > 0.0 else OTHER
@@ -199,16 +215,24 @@ def draw_outline(
     linewidth: float,
     linestyle: "LineStyleType" = "-",
 ) -> None:
-    """Draw the line at a half of columns between 0 and 1, closed where it meets the edge of the map."""
+    """Draw the line at a half of columns between 0 and 1, closed where it meets the edge of the
+    map.
+    """
     if values.max(initial=0) < 0.5:
         return
     ends = zip(extent[::2], extent[1::2], values.shape, strict=True)
-    u, v = (low + (high - low) / count * (np.arange(-1, count + 1) + 0.5) for low, high, count in ends)
+    u, v = (
+        low + (high - low) / count * (np.arange(-1, count + 1) + 0.5) for low, high, count in ends
+    )
     padded = np.pad(values, 1).T.astype(float)
-    axes.contour(u, v, padded, levels=[0.5], colors=[color], linewidths=[linewidth], linestyles=[linestyle])
+    axes.contour(
+        u, v, padded, levels=[0.5], colors=[color], linewidths=[linewidth], linestyles=[linestyle]
+    )
 
 
-def draw_arrow(axes: "Axes", start: ArrayLike, end: ArrayLike, colour: str, *, width: float = 1.6) -> None:
+def draw_arrow(
+    axes: "Axes", start: ArrayLike, end: ArrayLike, colour: str, *, width: float = 1.6
+) -> None:
     """Draw an arrow between two points of a panel."""
     head = 6.0 + 5.0 * width  # a thicker line needs a larger head to show its direction
     look = {

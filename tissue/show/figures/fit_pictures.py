@@ -14,7 +14,14 @@ from tissue.show.figures.figure import COMPONENTS, SMALL_NM, figure, plain, save
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["FittedConstant", "draw_band", "draw_constants", "draw_measured", "draw_residuals", "draw_sobol"]
+__all__ = [
+    "FittedConstant",
+    "draw_band",
+    "draw_constants",
+    "draw_measured",
+    "draw_residuals",
+    "draw_sobol",
+]
 
 Array = NDArray[np.float64]
 
@@ -50,8 +57,11 @@ class FittedConstant:
     is_identified: bool
 
 
-def draw_measured(times_s: Array, measured: Array, simulated: Array, channels: Sequence[str], path: Path) -> None:
-    """Draw measured and simulated loads over time, forces and torques apart, and below each what is left.
+def draw_measured(
+    times_s: Array, measured: Array, simulated: Array, channels: Sequence[str], path: Path
+) -> None:
+    """Draw measured and simulated loads over time, forces and torques apart, and below each what is
+    left.
 
     Parameters
     ----------
@@ -65,11 +75,18 @@ def draw_measured(times_s: Array, measured: Array, simulated: Array, channels: S
         File to write.
     """
     whats = list(dict.fromkeys(name.partition("_")[0] for name in channels))
-    groups = [(what, [at for at, name in enumerate(channels) if name.startswith(f"{what}_")]) for what in whats]
+    groups = [
+        (what, [at for at, name in enumerate(channels) if name.startswith(f"{what}_")])
+        for what in whats
+    ]
     chart = figure(8.0, 0.9 + 2.9 * len(groups))
     rows = 2 * len(groups)
-    panels = chart.subplots(rows, 1, sharex=True, height_ratios=(2.0, 1.0) * len(groups), squeeze=False)[:, 0]
-    chart.subplots_adjust(left=0.11, right=0.98, top=0.93, bottom=0.5 / (0.9 + 2.9 * len(groups)), hspace=0.22)
+    panels = chart.subplots(
+        rows, 1, sharex=True, height_ratios=(2.0, 1.0) * len(groups), squeeze=False
+    )[:, 0]
+    chart.subplots_adjust(
+        left=0.11, right=0.98, top=0.93, bottom=0.5 / (0.9 + 2.9 * len(groups)), hspace=0.22
+    )
     for (what, places), loads, rest in zip(groups, panels[::2], panels[1::2], strict=True):
         unit = channels[places[0]].rpartition("_")[2]
         shown = "N m" if unit == "Nm" else unit
@@ -88,14 +105,16 @@ def draw_measured(times_s: Array, measured: Array, simulated: Array, channels: S
 
 
 def draw_residuals(innovations: Array, correlations: Array, freedom: float, path: Path) -> None:
-    """Draw the spread of what noise adds in each sample beside the density assumed, and how it is correlated.
+    """Draw the spread of what noise adds in each sample beside the density assumed, and how it is
+    correlated.
 
     Parameters
     ----------
     innovations
         Standardised, shape (n, channels), NaN where nothing was measured.
     correlations
-        Autocorrelation of residuals and of innovations over lags, each the mean over channels, shape (2, lags + 1).
+        Autocorrelation of residuals and of innovations over lags, each the mean over channels,
+        shape (2, lags + 1).
     freedom
         Degrees of freedom of the assumed Student's t.
     path
@@ -109,11 +128,25 @@ def draw_residuals(innovations: Array, correlations: Array, freedom: float, path
     known = innovations[np.isfinite(innovations)]
     at = np.linspace(-6.0, 6.0, 121)
     spread.hist(np.clip(known, -6.0, 6.0), bins=60, range=(-6.0, 6.0), density=True, color="0.8")
-    spread.plot(at, t.pdf(at, freedom), color=SIMULATED, label=f"Student's t, {freedom:.3g} degrees of freedom")
-    spread.set(xlabel="noise added in a sample / its scale", ylabel="density", yscale="log", ylim=(1e-4, 1.0))
+    spread.plot(
+        at,
+        t.pdf(at, freedom),
+        color=SIMULATED,
+        label=f"Student's t, {freedom:.3g} degrees of freedom",
+    )
+    spread.set(
+        xlabel="noise added in a sample / its scale",
+        ylabel="density",
+        yscale="log",
+        ylim=(1e-4, 1.0),
+    )
     spread.legend(frameon=False, loc="upper left", bbox_to_anchor=(0.0, 1.14))
     lags = np.arange(correlations.shape[1])
-    over.axhspan(*np.array([-1.96, 1.96]) / np.sqrt(max(len(innovations), 1)), color="0.9", label="95 % of white noise")
+    over.axhspan(
+        *np.array([-1.96, 1.96]) / np.sqrt(max(len(innovations), 1)),
+        color="0.9",
+        label="95 % of white noise",
+    )
     over.plot(lags, correlations[0], color=MEASURED, label="residual")
     over.plot(lags, correlations[1], color=SIMULATED, label="after the noise model")
     over.set(xlabel="lag / samples", ylabel="autocorrelation")
@@ -123,7 +156,9 @@ def draw_residuals(innovations: Array, correlations: Array, freedom: float, path
 
 
 def draw_constants(constants: Sequence[FittedConstant], path: Path) -> None:
-    """Draw the 90 % intervals of constants before and after, on the scale of their cited range, with their values."""
+    """Draw the 90 % intervals of constants before and after, on the scale of their cited range,
+    with their values.
+    """
     height = FRAME + ROW * len(constants)
     chart = figure(8.0, height)
     axes = chart.subplots()
@@ -135,12 +170,23 @@ def draw_constants(constants: Sequence[FittedConstant], path: Path) -> None:
         colour = SIMULATED if one.is_identified else "0.45"
         axes.plot([low, high], [row, row], color=colour, linewidth=3.2, solid_capstyle="butt")
         axes.plot(middle, row, "o", color=colour, markersize=5.0)
-        cited, found = (f"{value:.3g} ({least:.3g} to {most:.3g})" for least, value, most in (one.cited, one.fitted))
+        cited, found = (
+            f"{value:.3g} ({least:.3g} to {most:.3g})"
+            for least, value, most in (one.cited, one.fitted)
+        )
         across = axes.get_yaxis_transform()
         result = f"{found} {one.unit}" if one.is_identified else "not narrowed by this log"
-        axes.text(1.03, row - 0.2, result, transform=across, va="center", fontsize=8.0, color=colour)
         axes.text(
-            1.03, row + 0.22, f"cited {cited} {one.unit}", transform=across, va="center", fontsize=7.5, color="0.45"
+            1.03, row - 0.2, result, transform=across, va="center", fontsize=8.0, color=colour
+        )
+        axes.text(
+            1.03,
+            row + 0.22,
+            f"cited {cited} {one.unit}",
+            transform=across,
+            va="center",
+            fontsize=7.5,
+            color="0.45",
         )
     axes.barh(0, 0, color=PRIOR, label="cited")
     axes.plot([], [], "o-", color=SIMULATED, linewidth=3.2, label="fitted")
@@ -186,7 +232,8 @@ def draw_band(times_s: Array, nominal: Array, quantiles: Array, path: Path, *, t
     times_s
         Times [s], shape (n,).
     nominal
-        Loads at the constants' nominal values: x, y, z and size of force [N] and of torque [N m], shape (n, 8).
+        Loads at the constants' nominal values: x, y, z and size of force [N] and of torque [N m],
+        shape (n, 8).
     quantiles
         5, 25, 50, 75 and 95 % quantiles of the same, shape (5, n, 8).
     path
@@ -201,19 +248,37 @@ def draw_band(times_s: Array, nominal: Array, quantiles: Array, path: Path, *, t
         groups.append(("torque", *(("mN·m", 4, 1e3) if small else ("N·m", 4, 1.0))))
     height = 1.3 + 3.9 * len(groups)
     chart = figure(8.0, height)
-    panels = chart.subplots(2 * len(groups), 1, sharex=True, height_ratios=(1.0, 1.15) * len(groups))
-    chart.subplots_adjust(left=0.11, right=0.98, top=1.0 - 0.6 / height, bottom=0.5 / height, hspace=0.16)
-    for (name, unit, first, scale), size, components in zip(groups, panels[::2], panels[1::2], strict=True):
-        _draw(size, times_s, scale * nominal[:, first + 3], scale * quantiles[..., first + 3], "0.25")
+    panels = chart.subplots(
+        2 * len(groups), 1, sharex=True, height_ratios=(1.0, 1.15) * len(groups)
+    )
+    chart.subplots_adjust(
+        left=0.11, right=0.98, top=1.0 - 0.6 / height, bottom=0.5 / height, hspace=0.16
+    )
+    for (name, unit, first, scale), size, components in zip(
+        groups, panels[::2], panels[1::2], strict=True
+    ):
+        _draw(
+            size, times_s, scale * nominal[:, first + 3], scale * quantiles[..., first + 3], "0.25"
+        )
         size.set_ylabel(f"size of {name}\n/ {unit}")
         size.set_ylim(bottom=0.0)
         for axis in range(3):
             at = first + axis
-            _draw(components, times_s, scale * nominal[:, at], scale * quantiles[..., at], COMPONENTS[axis])
+            _draw(
+                components,
+                times_s,
+                scale * nominal[:, at],
+                scale * quantiles[..., at],
+                COMPONENTS[axis],
+            )
         components.axhline(0.0, color="0.7", linewidth=0.6, zorder=0)
         components.set_ylabel(f"{name} / {unit}")
     chart.text(
-        0.11, 1.0 - 0.16 / height, f"{title}: loads on the tool over the ranges of constants", va="center", size=10.5
+        0.11,
+        1.0 - 0.16 / height,
+        f"{title}: loads on the tool over the ranges of constants",
+        va="center",
+        size=10.5,
     )
     _legend(panels[0])
     panels[-1].set_xlabel("time / s")
@@ -239,21 +304,32 @@ def _legend(axes: "Axes") -> None:
         Line2D([], [], color="0.25", linewidth=0.9, linestyle=(0, (3, 2)), label="median"),
         Patch(color="0.25", alpha=OUTER + INNER, linewidth=0.0, label="50 %"),
         Patch(color="0.25", alpha=OUTER, linewidth=0.0, label="90 %"),
-        *(Line2D([], [], color=COMPONENTS[axis], linewidth=3.0, label="xyz"[axis]) for axis in range(3)),
+        *(
+            Line2D([], [], color=COMPONENTS[axis], linewidth=3.0, label="xyz"[axis])
+            for axis in range(3)
+        ),
     ]
     axes.legend(
-        handles=handles, ncols=7, frameon=False, loc="lower left", bbox_to_anchor=(-0.02, 0.98), columnspacing=1.2
+        handles=handles,
+        ncols=7,
+        frameon=False,
+        loc="lower left",
+        bbox_to_anchor=(-0.02, 0.98),
+        columnspacing=1.2,
     )
 
 
 @styled
-def draw_sobol(indices: Mapping[str, Mapping[str, Mapping[str, Any]]], path: Path, *, title: str) -> None:
+def draw_sobol(
+    indices: Mapping[str, Mapping[str, Mapping[str, Any]]], path: Path, *, title: str
+) -> None:
     """Draw first-order and total Sobol indices with their 90 % intervals, a panel a figure.
 
     Parameters
     ----------
     indices
-        By figure and constant ``first``, ``first_90``, ``total`` and ``total_90``, as ``summary.json`` has them.
+        By figure and constant ``first``, ``first_90``, ``total`` and ``total_90``, as
+        ``summary.json`` has them.
     path
         File to write.
     title
@@ -269,10 +345,21 @@ def draw_sobol(indices: Mapping[str, Mapping[str, Mapping[str, Any]]], path: Pat
     height = 0.75 + rows * each_in
     chart = figure(8.0, height)
     panels = chart.subplots(rows, 2, sharey=True, sharex=True, squeeze=False)
-    chart.subplots_adjust(left=0.27, right=0.98, top=1.0 - 0.85 / height, bottom=0.5 / height, hspace=0.25, wspace=0.08)
+    chart.subplots_adjust(
+        left=0.27,
+        right=0.98,
+        top=1.0 - 0.85 / height,
+        bottom=0.5 / height,
+        hspace=0.25,
+        wspace=0.08,
+    )
     for axes, (figure_name, of) in zip(panels.ravel(), indices.items(), strict=False):
         _bars(axes, [of[group] for group in shown])
-        axes.set_title(WORDS.get(figure_name) or UNIT.sub("", figure_name).replace("_", " "), size=9.5, loc="left")
+        axes.set_title(
+            WORDS.get(figure_name) or UNIT.sub("", figure_name).replace("_", " "),
+            size=9.5,
+            loc="left",
+        )
         axes.set_yticks(range(len(shown)), [_label(group) for group in shown])
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(axis="x", color="0.92", linewidth=0.6)
@@ -281,16 +368,22 @@ def draw_sobol(indices: Mapping[str, Mapping[str, Mapping[str, Any]]], path: Pat
         axes.set_visible(False)
     panels[0, 0].set_ylim(len(shown) - 0.5, -0.5)
     panels[0, 0].set_xlim(0.0, 1.05)
-    for axes in panels.ravel()[max(len(indices) - 2, 0) : len(indices)]:  # the lowest of each column
+    # the lowest of each column
+    for axes in panels.ravel()[max(len(indices) - 2, 0) : len(indices)]:
         axes.tick_params(labelbottom=True)
         axes.set_xlabel("share of the variance")
     left = len(groups) - len(shown)
     more = f"; {left} that matter less are left out" if left else ""
-    chart.text(0.02, 1.0 - 0.17 / height, f"{title}: which constant matters{more}", va="center", size=10.5)
+    chart.text(
+        0.02, 1.0 - 0.17 / height, f"{title}: which constant matters{more}", va="center", size=10.5
+    )
     chart.legend(
-        *panels[0, 0].get_legend_handles_labels(), ncols=2, frameon=False, loc="upper left",
+        *panels[0, 0].get_legend_handles_labels(),
+        ncols=2,
+        frameon=False,
+        loc="upper left",
         bbox_to_anchor=(0.02, 1.0 - 0.27 / height),
-    )  # fmt: skip
+    )
     save(chart, path)
 
 
@@ -303,9 +396,14 @@ def _bars(axes: "Axes", rows: list[Mapping[str, Any]]) -> None:
         ends = np.array([row[f"{name}_90"] for row in rows]).T
         spread = np.maximum([value - ends[0], ends[1] - value], 0.0)
         axes.barh(
-            np.arange(len(rows)) + shift, value, 0.36, color=colour, label=label,
-            xerr=spread, error_kw={"ecolor": "0.25", "elinewidth": 0.9},
-        )  # fmt: skip
+            np.arange(len(rows)) + shift,
+            value,
+            0.36,
+            color=colour,
+            label=label,
+            xerr=spread,
+            error_kw={"ecolor": "0.25", "elinewidth": 0.9},
+        )
 
 
 def _label(group: str) -> str:

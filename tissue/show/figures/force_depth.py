@@ -8,7 +8,15 @@ from numpy.typing import NDArray
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.tool import Probe
-from tissue.show.figures.figure import COMPONENTS, draw_arrow, figure, layer_colours, plain, save, styled
+from tissue.show.figures.figure import (
+    COMPONENTS,
+    draw_arrow,
+    figure,
+    layer_colours,
+    plain,
+    save,
+    styled,
+)
 from tissue.show.figures.force_time import FLICKER_S, spells
 from tissue.show.figures.tool_mesh import tool_turns
 from tissue.simulation.depth_map import HALF, tool_axes
@@ -25,7 +33,8 @@ RISE_MM = 0.2
 
 
 def first_descent(coordinate_mm: NDArray[np.float64], contact: NDArray[np.bool_]) -> slice:
-    """Return the rows from just before the first contact down to the deepest point before the tool rises.
+    """Return the rows from just before the first contact down to the deepest point before the tool
+    rises.
 
     Parameters
     ----------
@@ -41,7 +50,11 @@ def first_descent(coordinate_mm: NDArray[np.float64], contact: NDArray[np.bool_]
     risen = down > np.minimum.accumulate(down) + RISE_MM
     stop = int(risen.argmax()) if risen.any() else len(down)
     last = first + int(np.argmax(down[:stop] <= down[:stop].min() + 1e-6))
-    before = int(np.searchsorted(-coordinate_mm[:first], -(coordinate_mm[first] + RISE_MM))) if first else 0
+    before = (
+        int(np.searchsorted(-coordinate_mm[:first], -(coordinate_mm[first] + RISE_MM)))
+        if first
+        else 0
+    )
     return slice(before, last + 1)
 
 
@@ -87,8 +100,12 @@ def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | 
     full = 3.55 + 1.3 * len(measures)
     chart = figure(8.0, full)
     heights = [2.2, *([1.0] * len(measures))]
-    panels = chart.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
-    chart.subplots_adjust(left=0.115, right=0.98, top=1.0 - 0.8 / full, bottom=0.5 / full, hspace=0.12)
+    panels = chart.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[
+        :, 0
+    ]
+    chart.subplots_adjust(
+        left=0.115, right=0.98, top=1.0 - 0.8 / full, bottom=0.5 / full, hspace=0.12
+    )
     force = trace.vectors("force", "N")[rows]
     model = trace.vectors("model_force", "N")[rows]
     turns = tool_axes(tool_turns(trace)[rows])
@@ -102,17 +119,26 @@ def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | 
         ),
     ):
         panels[0].plot(depth, values(force), color=colour, linewidth=0.8, alpha=0.35)
-        panels[0].plot(depth, values(model), color=colour, linewidth=1.4, linestyle=style, label=label)
+        panels[0].plot(
+            depth, values(model), color=colour, linewidth=1.4, linestyle=style, label=label
+        )
     panels[0].plot([], [], color="0.4", linewidth=1.4, label="dark: as the model gives it")
     panels[0].plot(
-        [], [], color="0.4", linewidth=3.2, alpha=0.35, label="pale: as commanded, after low-pass and vibration"
+        [],
+        [],
+        color="0.4",
+        linewidth=3.2,
+        alpha=0.35,
+        label="pale: as commanded, after low-pass and vibration",
     )
     panels[0].set_ylabel("force / N")
     for axes, (unit, names) in zip(panels[1:], measures.items(), strict=True):
         for name, colour in zip(names, ("0.1", *COMPONENTS, "#CC79A7"), strict=False):
             axes.plot(depth, trace[name][rows], color=colour, label=field_label(name)[0])
         words = [field_label(name)[0].split() for name in names]
-        shared = " ".join(first for first, *others in zip(*words, strict=False) if set(others) <= {first})
+        shared = " ".join(
+            first for first, *others in zip(*words, strict=False) if set(others) <= {first}
+        )
         axes.set_ylabel(f"{shared}\n{MEANT.get(unit, '')} / {unit}".strip("\n/ "))
         if len(names) > 1:
             axes.legend(frameon=False, ncols=len(names), loc="best", handlelength=1.4)
@@ -174,8 +200,11 @@ def _shade(
     panels[0].set_ylim(min(low, 0.0), high + 0.2 * (high - low))
 
 
-SHARES = (("elastic_N", "organ and membranes", "#56B4E9"), ("cutting_N", "cutting", "#E69F00"),
-          ("friction_N", "friction along the shaft", "#009E73"))  # fmt: skip
+SHARES = (
+    ("elastic_N", "organ and membranes", "#56B4E9"),
+    ("cutting_N", "cutting", "#E69F00"),
+    ("friction_N", "friction along the shaft", "#009E73"),
+)
 BESIDE = 0.15
 """Share of the depths within which a puncture's name is written above that of the one before."""
 
@@ -190,8 +219,13 @@ def draw_insertion(run: Run, path: Path) -> None:
     over_depth, over_time = chart.subplots(2, 1)
     chart.subplots_adjust(left=0.12, right=0.98, top=0.9, bottom=0.1, hspace=0.38)
     inward = np.gradient(depth) > 0.0
-    for chosen, colour, label in ((inward, "#0072B2", "pushed in"), (~inward, "#D55E00", "drawn out")):
-        over_depth.plot(depth, np.where(chosen, force, np.nan), color=colour, linewidth=1.8, label=label)
+    for chosen, colour, label in (
+        (inward, "#0072B2", "pushed in"),
+        (~inward, "#D55E00", "drawn out"),
+    ):
+        over_depth.plot(
+            depth, np.where(chosen, force, np.nan), color=colour, linewidth=1.8, label=label
+        )
     for name, label, colour in SHARES:
         over_time.plot(time, trace[name], color=colour, linewidth=1.8, label=label)
     over_time.plot(time, force, color="0.1", linewidth=1.0, label="all together")
@@ -212,10 +246,16 @@ def draw_insertion(run: Run, path: Path) -> None:
             )
             first = not over_time.lines[len(SHARES) + 1 :]
             over_time.axvline(
-                when, color="0.4", linestyle=":", linewidth=1.2, label="puncture" if first else "", zorder=0
+                when,
+                color="0.4",
+                linestyle=":",
+                linewidth=1.2,
+                label="puncture" if first else "",
+                zorder=0,
             )
     over_depth.set(
-        xlabel="depth of the tip below the resting surface / mm", ylabel="axial force / N,\npositive drives it out"
+        xlabel="depth of the tip below the resting surface / mm",
+        ylabel="axial force / N,\npositive drives it out",
     )
     over_time.set(xlabel="time / s", ylabel="parts of the\naxial force / N")
     plain((over_depth, over_time))
@@ -233,9 +273,11 @@ LONGEST = 0.28
 
 
 def draw_wall(run: Run, path: Path) -> None:
-    """Draw the paths of ball and device across the wall and into it, and below the force over the device's depth.
+    """Draw the paths of ball and device across the wall and into it, and below the force over the
+    device's depth.
 
-    The ball is drawn at its deepest. In a run without a device the force is drawn over the ball's own depth.
+    The ball is drawn at its deepest. In a run without a device the force is drawn over the ball's
+    own depth.
     """
     trace = run.trace
     tool = run.scene.tool
@@ -254,12 +296,24 @@ def draw_wall(run: Run, path: Path) -> None:
     side.axhspan(-1e3, 0.0, color=WALL, alpha=0.35, linewidth=0.0, label="wall")
     side.axhline(0.0, color=WALL, linewidth=1.4)
     if device is not None:
-        side.plot(device[:, across], device[:, 2], color=DEVICE, linewidth=1.0, linestyle=(0, (4, 2)), label="device")
+        side.plot(
+            device[:, across],
+            device[:, 2],
+            color=DEVICE,
+            linewidth=1.0,
+            linestyle=(0, (4, 2)),
+            label="device",
+        )
     side.plot(tips[:, across], tips[:, 2], color=BALL, linewidth=1.6, label="ball's tip")
     row = int(force.argmax())
     at = tips[row, across]
     angle = np.linspace(0.0, 2.0 * np.pi, 90)
-    side.plot(at + radius * np.sin(angle), tips[row, 2] + radius * (1.0 - np.cos(angle)), color=BALL, linewidth=1.0)
+    side.plot(
+        at + radius * np.sin(angle),
+        tips[row, 2] + radius * (1.0 - np.cos(angle)),
+        color=BALL,
+        linewidth=1.0,
+    )
     lowest = min(tips[:, 2].min(), 0.0 if device is None else device[:, 2].min())
     low = min(1.3 * lowest, -1.0)
     high = max(tips[:, 2].max(), 2.2 * radius)
@@ -275,12 +329,25 @@ def draw_wall(run: Run, path: Path) -> None:
             ha="center",
             va="bottom",
         )
-    side.set(xlabel=f"{'xy'[across]} / mm", ylabel="z / mm", ylim=(low, high), aspect="equal", adjustable="datalim")
+    side.set(
+        xlabel=f"{'xy'[across]} / mm",
+        ylabel="z / mm",
+        ylim=(low, high),
+        aspect="equal",
+        adjustable="datalim",
+    )
     pressed = -(tips if device is None else device)[:, 2]
     felt.plot(pressed, force, color=FORCE, linewidth=1.4, label="of the wall on the ball")
     if device is not None:
         played = trace["device_force_z_N"]
-        felt.plot(pressed, played, color=DEVICE, linewidth=1.0, linestyle=(0, (4, 2)), label="played by the device")
+        felt.plot(
+            pressed,
+            played,
+            color=DEVICE,
+            linewidth=1.0,
+            linestyle=(0, (4, 2)),
+            label="played by the device",
+        )
     what = "ball" if device is None else "device"
     felt.set(xlabel=f"depth of the {what} below the wall's face / mm", ylabel="force along z / N")
     felt.set_xlim(left=-0.2 * max(float(pressed.max()), 1.0))

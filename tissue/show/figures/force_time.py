@@ -9,7 +9,16 @@ from numpy.typing import NDArray
 
 from tissue.haptics.device.device import device_parameters
 from tissue.models.tissue_model import TICK_S
-from tissue.show.figures.figure import COMPONENTS, MAGNITUDE, SMALL_NM, figure, layer_colours, plain, save, styled
+from tissue.show.figures.figure import (
+    COMPONENTS,
+    MAGNITUDE,
+    SMALL_NM,
+    figure,
+    layer_colours,
+    plain,
+    save,
+    styled,
+)
 from tissue.show.figures.tool_mesh import tool_turns
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.depth_map import tool_axes
@@ -35,14 +44,17 @@ MOST_EVENTS = 6
 EVENT_IN = 0.17
 """Height of a line that names an event [inch]."""
 FLICKER_S = 0.02
-"""Shorter spells are drawn as part of the one before, and an event that comes again within it once [s]: a contact that
-begins touches and lets go a few times within a few ticks of 1 ms, and bands of that width are stripes."""
+"""Shorter spells are drawn as part of the one before, and an event that comes again within it once
+[s]: a contact that begins touches and lets go a few times within a few ticks of 1 ms, and bands of
+that width are stripes.
+"""
 
 
 def spells(names: NDArray[np.generic], *, shortest: int = 1) -> list[tuple[int, int, str]]:
     """Return runs of equal entries: first index, index behind the last, entry.
 
-    One of fewer entries than `shortest` belongs to the one before it, the first to the one after it.
+    One of fewer entries than `shortest` belongs to the one before it, the first to the one after
+    it.
     """
     if not len(names):
         return []
@@ -60,7 +72,9 @@ def spells(names: NDArray[np.generic], *, shortest: int = 1) -> list[tuple[int, 
 
 
 def joined_events(events: list[tuple[float, str]]) -> list[tuple[float, str]]:
-    """Return the events without repetitions of the same words within `FLICKER_S`, whatever their numbers."""
+    """Return the events without repetitions of the same words within `FLICKER_S`, whatever their
+    numbers.
+    """
     last: dict[str, float] = {}
     found = []
     for time, what in events:
@@ -73,7 +87,9 @@ def joined_events(events: list[tuple[float, str]]) -> list[tuple[float, str]]:
 
 def event_lines(events: list[tuple[float, str]]) -> list[str]:
     """Return a numbered line for each event, and one line for those beyond the limit."""
-    lines = [f"{i}   {time:.3f} s: {what}" for i, (time, what) in enumerate(events[:MOST_EVENTS], 1)]
+    lines = [
+        f"{i}   {time:.3f} s: {what}" for i, (time, what) in enumerate(events[:MOST_EVENTS], 1)
+    ]
     left = len(events) - MOST_EVENTS
     return [*lines, f"and {left} more"] if left > 0 else lines
 
@@ -88,7 +104,12 @@ def mark_events(panels: "Sequence[Axes]", events: list[tuple[float, str]]) -> No
             axes.axvline(time, color="0.15", linewidth=0.9, linestyle=(0, (4, 2)), zorder=3)
         lowered = (lowered + 1) % 3 if time - place < 0.02 * (high - low) else 0
         place = time
-        box = {"boxstyle": "circle,pad=0.15", "facecolor": "white", "edgecolor": "0.15", "linewidth": 0.7}
+        box = {
+            "boxstyle": "circle,pad=0.15",
+            "facecolor": "white",
+            "edgecolor": "0.15",
+            "linewidth": 0.7,
+        }
         panels[0].annotate(
             str(number),
             (time, 0.93 - 0.1 * lowered),
@@ -108,7 +129,9 @@ HEAD_IN = 0.82
 
 @styled
 def draw_force_torque(run: Run, path: Path) -> None:
-    """Draw force, torque where there is any, removal rate (or contact area, where nothing goes) and the tool's path."""
+    """Draw force, torque where there is any, removal rate (or contact area, where nothing goes)
+    and the tool's path.
+    """
     trace = run.trace
     time = trace["time_s"]
     events = joined_events(run.events)
@@ -119,14 +142,28 @@ def draw_force_torque(run: Run, path: Path) -> None:
     full = 0.72 * sum(heights) + HEAD_IN + foot
     chart = figure(8.0, full)
     panels = chart.subplots(len(heights), 1, sharex=True, height_ratios=heights)
-    chart.subplots_adjust(left=0.11, right=0.98, top=1.0 - HEAD_IN / full, bottom=foot / full, hspace=0.18)
+    chart.subplots_adjust(
+        left=0.11, right=0.98, top=1.0 - HEAD_IN / full, bottom=foot / full, hspace=0.18
+    )
     _draw_components(panels[0], run, "force", "N", 1.0, "force / N")
     if turns:
         # A bur's torque is a thousandth of a reamer's.
         small = bool(np.abs(trace.vectors("torque", "Nm")).max(initial=0.0) < SMALL_NM)
-        _draw_components(panels[1], run, "torque", "Nm", *((1e3, "torque / mN·m") if small else (1.0, "torque / N·m")))
+        _draw_components(
+            panels[1],
+            run,
+            "torque",
+            "Nm",
+            *((1e3, "torque / mN·m") if small else (1.0, "torque / N·m")),
+        )
     about = " and torque about its tip" if turns else " (no torque)"
-    chart.text(0.11, 1.0 - 0.18 / full, f"{run.scene.name}: force on the tool{about}", va="center", size=10.5)
+    chart.text(
+        0.11,
+        1.0 - 0.18 / full,
+        f"{run.scene.name}: force on the tool{about}",
+        va="center",
+        size=10.5,
+    )
     for row, handles in enumerate(_handles()):
         chart.legend(
             handles=handles,
@@ -146,12 +183,23 @@ def draw_force_torque(run: Run, path: Path) -> None:
     chart.align_ylabels(panels)
     mark_events(panels, events)
     for line, sentence in enumerate(lines):
-        chart.text(0.11, (foot - 0.6 - EVENT_IN * line) / full, sentence, va="center", size=8.5, parse_math=False)
+        chart.text(
+            0.11,
+            (foot - 0.6 - EVENT_IN * line) / full,
+            sentence,
+            va="center",
+            size=8.5,
+            parse_math=False,
+        )
     save(chart, path)
 
 
-def _draw_components(axes: "Axes", run: Run, name: str, unit: str, scale: float, label: str) -> None:
-    """Draw the model's components over the commanded ones, which form a wide band where teeth vibrate."""
+def _draw_components(
+    axes: "Axes", run: Run, name: str, unit: str, scale: float, label: str
+) -> None:
+    """Draw the model's components over the commanded ones, which form a wide band where teeth
+    vibrate.
+    """
     time = run.trace["time_s"]
     commanded, model = (scale * run.trace.vectors(f"{of}{name}", unit) for of in ("", "model_"))
     axes.fill_between(time, np.linalg.norm(commanded, axis=1), color=MAGNITUDE, linewidth=0.0)
@@ -171,7 +219,12 @@ def _handles() -> "list[list[Artist]]":
     along = [Line2D([], [], color=COMPONENTS[c], label=f"along {'xyz'[c]}") for c in range(3)]
     given = Line2D([], [], color="0.2", linewidth=1.1, label="thin: as the model gives it")
     played = Line2D(
-        [], [], color="0.2", linewidth=2.4, alpha=COMMANDED, label="wide: as commanded, after low-pass and vibration"
+        [],
+        [],
+        color="0.2",
+        linewidth=2.4,
+        alpha=COMMANDED,
+        label="wide: as commanded, after low-pass and vibration",
     )
     size = Patch(facecolor=MAGNITUDE, label="magnitude, as commanded")
     return [[*along, size], [given, played]]
@@ -187,7 +240,11 @@ def _draw_path(axes: "Axes", run: Run) -> None:
     axes.plot(time, (trace.vectors("tool", "mm") * turned).sum(axis=1), color="0.1")
     axes.set(ylabel="tip along\nits axis / mm", xlabel="time / s")
     colours = layer_colours(trace.layer_names)
-    drawn = [each for each in spells(trace["layer"], shortest=round(FLICKER_S / TICK_S)) if each[2] != NO_LAYER]
+    drawn = [
+        each
+        for each in spells(trace["layer"], shortest=round(FLICKER_S / TICK_S))
+        if each[2] != NO_LAYER
+    ]
     for first, last, name in drawn:
         end = time[min(last, len(time) - 1)]
         axes.axvspan(time[first], end, color=colours[name], alpha=0.45, linewidth=0.0)
@@ -195,7 +252,10 @@ def _draw_path(axes: "Axes", run: Run) -> None:
     if met:
         axes.legend(
             handles=[
-                Patch(facecolor=colours[name], alpha=0.45, label=f"tip in {name}".replace("$", r"\$")) for name in met
+                Patch(
+                    facecolor=colours[name], alpha=0.45, label=f"tip in {name}".replace("$", r"\$")
+                )
+                for name in met
             ],
             loc="lower right",
             bbox_to_anchor=(1.0, 0.96),
@@ -223,19 +283,27 @@ LINES: tuple[tuple[str, str, _Look], ...] = (
         "as predicted over the delay",
         {"color": "#CC79A7", "linewidth": 1.3, "linestyle": (0, (1, 1))},
     ),
-    ("device_force", "as the device played it", {"color": "#D55E00", "linewidth": 2.2, "linestyle": "-"}),
+    (
+        "device_force",
+        "as the device played it",
+        {"color": "#D55E00", "linewidth": 2.2, "linestyle": "-"},
+    ),
     (
         "filtered_force",
         "as commanded, after low-pass and delay",
         {"color": "0.1", "linewidth": 1.0, "linestyle": (0, (4, 3))},
     ),
 )
-"""Columns, how a reader knows them, and colours after Okabe and Ito (2008) that differ in lightness and stroke, too."""
+"""Columns, how a reader knows them, and colours after Okabe and Ito (2008) that differ in
+lightness and stroke, too.
+"""
 SATURATED = "#F0E442"
 
 
 def draw_played(run: Run, path: Path) -> None:
-    """Draw forces at the device [N], compressed spans, the greatest change at 1 ms, and tool and device [mm]."""
+    """Draw forces at the device [N], compressed spans, the greatest change at 1 ms, and tool and
+    device [mm].
+    """
     trace = run.trace
     scene = run.scene
     scale, _ = chosen_scale(scene)
@@ -267,11 +335,18 @@ def draw_played(run: Run, path: Path) -> None:
         )
     if sizes["device_force"].max() > 0.5 * limits.force_limit_N:
         panels[0].axhline(limits.force_limit_N, color="0.2", linewidth=1.0, linestyle=(0, (6, 3)))
-        panels[0].annotate(f"greatest force of the {scene.held.kind}, {limits.force_limit_N:g} N",
-                           (time[0], limits.force_limit_N), (4, -11), textcoords="offset points", size=8.5)  # fmt: skip
+        panels[0].annotate(
+            f"greatest force of the {scene.held.kind}, {limits.force_limit_N:g} N",
+            (time[0], limits.force_limit_N),
+            (4, -11),
+            textcoords="offset points",
+            size=8.5,
+        )
     panels[0].axvspan(time[moment][0], time[moment][-1], color="0.85", linewidth=0.0, zorder=0)
     panels[1].set_title("the steepest moment, grey above", size=9.0, loc="left")
-    axis = int(np.abs(trace.vectors("tool", "mm") - trace.vectors("device", "mm")).max(axis=0).argmax())
+    axis = int(
+        np.abs(trace.vectors("tool", "mm") - trace.vectors("device", "mm")).max(axis=0).argmax()
+    )
     for name, colour, width in (("device", "#56B4E9", 2.0), ("tool", "0.1", 1.2)):
         values = trace[f"{name}_{'xyz'[axis]}_mm"]
         panels[2].plot(time, values, label=name, color=colour, linewidth=width)
@@ -279,21 +354,35 @@ def draw_played(run: Run, path: Path) -> None:
     panels[2].legend(loc="best", frameon=False, ncols=2)
     if turns:
         for index, colour in enumerate(("#0072B2", "#D55E00", "#009E73")):
-            panels[3].plot(time, 1e3 * trace.vectors("device_torque", "Nm")[:, index], color=colour, label="xyz"[index])
+            panels[3].plot(
+                time,
+                1e3 * trace.vectors("device_torque", "Nm")[:, index],
+                color=colour,
+                label="xyz"[index],
+            )
         panels[3].set(ylabel="torque played\n/ mN·m")
         panels[3].legend(loc="best", frameon=False, ncols=3)
     panels[-1].set_xlabel("time / s")
     plain(panels)
     chart.align_ylabels(panels)
     handles, labels = panels[0].get_legend_handles_labels()
-    chart.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.11, 0.95), ncols=2, frameon=False)
-    title = f"{scene.name}: what the {scene.held.kind} played ({scene.held.hand}, {scene.held.renderer})"
-    chart.text(0.12, 0.965, f"{title}; {scale:g} N for each newton at the tool", va="center", size=10.0)
+    chart.legend(
+        handles, labels, loc="upper left", bbox_to_anchor=(0.11, 0.95), ncols=2, frameon=False
+    )
+    title = (
+        f"{scene.name}: what the {scene.held.kind} played ({scene.held.hand}, "
+        f"{scene.held.renderer})"
+    )
+    chart.text(
+        0.12, 0.965, f"{title}; {scale:g} N for each newton at the tool", va="center", size=10.0
+    )
     save(chart, path)
 
 
 def _compressed(saturated: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return first and end row of the compressed spans. Spans less than `FLICKER_S` apart are joined."""
+    """Return first and end row of the compressed spans. Spans less than `FLICKER_S` apart are
+    joined.
+    """
     found: list[tuple[int, int]] = []
     for start, end, name in spells(saturated):
         if name == "True":

@@ -9,8 +9,22 @@ from numpy.typing import NDArray
 
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.show.figures.figure import field_colours, field_words, halo
-from tissue.show.figures.organ_surface import SHOWN, at_nodes, drawn_surface, inclusions, section_cap, with_normals
-from tissue.show.figures.rendering import FIELD_AMBIENT, Camera, Shaded, draw_axes, draw_shaded, paint
+from tissue.show.figures.organ_surface import (
+    SHOWN,
+    at_nodes,
+    drawn_surface,
+    inclusions,
+    section_cap,
+    with_normals,
+)
+from tissue.show.figures.rendering import (
+    FIELD_AMBIENT,
+    Camera,
+    Shaded,
+    draw_axes,
+    draw_shaded,
+    paint,
+)
 from tissue.show.figures.tool_mesh import pose, tool_turns
 from tissue.simulation.saved_fields import IN_MM, field_limits, field_values
 from tissue.simulation.series import CELL_TYPES, frame_mesh
@@ -50,11 +64,15 @@ class _Shown:
         from matplotlib.colors import LogNorm, Normalize
 
         low, high = self.ends
-        return ScalarMappable((LogNorm if low > 0.0 else Normalize)(low, high), field_colours(low, high))
+        return ScalarMappable(
+            (LogNorm if low > 0.0 else Normalize)(low, high), field_colours(low, high)
+        )
 
 
 def moment_of_press(series: FieldSeries, trace: Table) -> tuple[Frame | None, str]:
-    """Return the frame to draw, and the reason: nearest to an inclusion, or the largest displacement."""
+    """Return the frame to draw, and the reason: nearest to an inclusion, or the largest
+    displacement.
+    """
     pressed = [frame for frame in series.frames if _greatest(frame) > 0.0]
     if not pressed:
         return None, ""
@@ -89,9 +107,11 @@ def draw_press(
     title
         What is written above.
     tool
-        Surface of the tool in its own frame [mm], as `tissue.show.figures.tool_mesh.tool_surface` gives it.
+        Surface of the tool in its own frame [mm], as `tissue.show.figures.tool_mesh.tool_surface`
+        gives it.
     flat
-        Whether both pictures show the section along the tool from in front, as a needle's track needs.
+        Whether both pictures show the section along the tool from in front, as a needle's track
+        needs.
 
     Returns
     -------
@@ -103,7 +123,10 @@ def draw_press(
     row = _row(trace, frame)
     moved = _displacement(frame)
     mesh = frame_mesh(series, frame)
-    mesh.points = np.asarray(mesh.points) + np.float32(IN_MM[moved.rpartition("_")[2]]) * mesh.point_data[moved]
+    mesh.points = (
+        np.asarray(mesh.points)
+        + np.float32(IN_MM[moved.rpartition("_")[2]]) * mesh.point_data[moved]
+    )
     shown: list[_Shown] = []
     for name in (moved, *[name for name in frame.cells if name.startswith("von_mises_")][:1]):
         if (array := field_values(mesh, name)) is not None:
@@ -121,7 +144,9 @@ def draw_press(
         surfaces = [_organ(mesh, each, tips, edge, eye) for each in shown]
         organ = np.asarray(surfaces[0].points)
         if flat and probe.n_points:
-            probe = probe.clip(normal="z", origin=(0.0, 0.0, organ[:, 2].max() + ABOVE * np.ptp(organ[:, 2])))
+            probe = probe.clip(
+                normal="z", origin=(0.0, 0.0, organ[:, 2].max() + ABOVE * np.ptp(organ[:, 2]))
+            )
         side = with_normals(probe) if probe.n_points else probe
         paint(side, np.tile(TOOL, (side.n_points, 1)))
         seen = np.vstack([organ, np.asarray(side.points).reshape(-1, 3)])
@@ -134,7 +159,9 @@ def draw_press(
             left, _, wide, _ = axes.get_position().bounds
             if each.opened and edge is not None:
                 _name_inclusion(axes, *edge, shaded.cameras[0])
-            place = shaded.chart.add_axes((left + 0.25 * wide, 0.66 * foot, 0.6 * wide, 0.16 * foot))
+            place = shaded.chart.add_axes(
+                (left + 0.25 * wide, 0.66 * foot, 0.6 * wide, 0.16 * foot)
+            )
             bar = shaded.chart.colorbar(each.colours, cax=place, orientation="horizontal")
             words = field_words(each.name)
             bar.set_label(words + (", cut open at the tool" if each.opened else ""))
@@ -146,7 +173,9 @@ def draw_press(
 
     force = float(np.linalg.norm(trace.vectors("model_force", "N")[row]))
     title = f"{title}: {force:.3g} N at {frame.time_s:.3f} s, {why}"
-    return draw_shaded(make, path, annotate, margins_px=HEIGHTS_PX, title=title, ambient=FIELD_AMBIENT)
+    return draw_shaded(
+        make, path, annotate, margins_px=HEIGHTS_PX, title=title, ambient=FIELD_AMBIENT
+    )
 
 
 def _organ(
@@ -156,7 +185,9 @@ def _organ(
     edge: "tuple[str, pyvista.PolyData] | None",
     eye: tuple[float, ...],
 ) -> "pyvista.PolyData":
-    """Return the organ in a field's colours, cut open at the tool if asked for, with the outline of an inclusion."""
+    """Return the organ in a field's colours, cut open at the tool if asked for, with the outline
+    of an inclusion.
+    """
     whole = drawn_surface(mesh, at_nodes(mesh, shown.name))
     parts = [whole]
     if shown.opened:
@@ -183,7 +214,9 @@ def _edge_of_inclusion(
     """Return name and outline of an inclusion in the section at the tool, or None."""
     names = tuple(str(name) for name in mesh.field_data["layer_names"])
     layer = np.asarray(mesh.cell_data["layer"])
-    inside = inclusions(np.asarray(mesh.points)[mesh.cell_connectivity.reshape(mesh.n_cells, -1)], layer)
+    inside = inclusions(
+        np.asarray(mesh.points)[mesh.cell_connectivity.reshape(mesh.n_cells, -1)], layer
+    )
     if not len(inside):
         return None
     boundary = mesh.extract_cells(inside.tolist()).extract_surface(algorithm="dataset_surface")
@@ -199,11 +232,20 @@ def _name_inclusion(axes: "Axes", name: str, line: "pyvista.PolyData", camera: C
 
 
 def _row(trace: Table, frame: Frame) -> int:
-    return int(np.clip(np.searchsorted(trace["time_s"], frame.time_s - 1e-9), 0, len(trace.rows) - 1))
+    return int(
+        np.clip(np.searchsorted(trace["time_s"], frame.time_s - 1e-9), 0, len(trace.rows) - 1)
+    )
 
 
 def _displacement(frame: Frame) -> str:
-    return next((n for n in frame.points if n.startswith("displacement_") and n.rpartition("_")[2] in IN_MM), "")
+    return next(
+        (
+            n
+            for n in frame.points
+            if n.startswith("displacement_") and n.rpartition("_")[2] in IN_MM
+        ),
+        "",
+    )
 
 
 def _greatest(frame: Frame) -> float:
@@ -219,7 +261,8 @@ HELD_HEIGHTS_PX = 110, 80
 
 
 def draw_held(series: FieldSeries, path: Path, *, title: str) -> str | None:
-    """Draw the organ's surface, triangles of held nodes and of touchable nodes in colours of their own.
+    """Draw the organ's surface, triangles of held nodes and of touchable nodes in colours of their
+    own.
 
     Returns
     -------
@@ -228,7 +271,9 @@ def draw_held(series: FieldSeries, path: Path, *, title: str) -> str | None:
     surface = _surface(series)
 
     def make() -> "list[tuple[pyvista.PolyData, Camera]]":
-        return [(surface, Camera.seeing(surface.points, eye, (0.0, 0.0, 1.0))) for eye in EYES.values()]
+        return [
+            (surface, Camera.seeing(surface.points, eye, (0.0, 0.0, 1.0))) for eye in EYES.values()
+        ]
 
     def annotate(shaded: Shaded) -> None:
         from matplotlib.patches import Patch
@@ -238,14 +283,18 @@ def draw_held(series: FieldSeries, path: Path, *, title: str) -> str | None:
         shaded.chart.legend(handles=handles, loc="lower center", ncols=3, frameon=False)
 
     title = f"{title}: what holds the organ"
-    return draw_shaded(make, path, annotate, margins_px=HELD_HEIGHTS_PX, title=title, names=list(EYES))
+    return draw_shaded(
+        make, path, annotate, margins_px=HELD_HEIGHTS_PX, title=title, names=list(EYES)
+    )
 
 
 def _surface(series: FieldSeries) -> "pyvista.PolyData":
     """Return the boundary with held and touchable triangles in colours of their own."""
     import pyvista
 
-    grid = pyvista.UnstructuredGrid({CELL_TYPES[series.cells.shape[1]]: series.cells}, 1e3 * series.nodes_m)
+    grid = pyvista.UnstructuredGrid(
+        {CELL_TYPES[series.cells.shape[1]]: series.cells}, 1e3 * series.nodes_m
+    )
     marks = {"touchable": TOUCHABLE, "held": HELD}
     nodes = np.arange(len(series.nodes_m))
     member = np.column_stack([np.isin(nodes, series.node_sets.get(name, ())) for name in marks])

@@ -1,4 +1,6 @@
-"""Fields of meshes as they are drawn: a boundary without facets, and sections with values between the nodes."""
+"""Fields of meshes as they are drawn: a boundary without facets, and sections with values
+between the nodes.
+"""
 
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +14,15 @@ from tissue.simulation.saved_fields import field_values
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["SHOWN", "at_nodes", "drawn_surface", "inclusions", "interpolate_in_layers", "section_cap", "with_normals"]
+__all__ = [
+    "SHOWN",
+    "at_nodes",
+    "drawn_surface",
+    "inclusions",
+    "interpolate_in_layers",
+    "section_cap",
+    "with_normals",
+]
 
 SHOWN = "shown"
 """Point array of the values that are drawn."""
@@ -21,15 +31,20 @@ SHARP_DEG = 40.0
 LEVELS = 2
 """How often each triangle of the boundary is divided in four."""
 CAP_EDGE, MOST_PASSES = 0.012, 10
-"""Longest edge of a section's triangles, in diagonals of the organ, and how often they are divided for that."""
+"""Longest edge of a section's triangles, in diagonals of the organ, and how often they are
+divided for that.
+"""
 
 
 INWARD = 5e-3
-"""Fraction of the distance to the middle of a cell by which a place on its boundary is moved to lie inside."""
+"""Fraction of the distance to the middle of a cell by which a place on its boundary is moved to
+lie inside.
+"""
 
 
 def drawn_surface(mesh: "pyvista.DataSet", values: NDArray[np.float32]) -> "pyvista.PolyData":
-    """Return the boundary of a mesh, curved between its nodes by their normals except at sharp edges (Vlachos 2001).
+    """Return the boundary of a mesh, curved between its nodes by their normals except at sharp
+    edges (Vlachos 2001).
 
     Parameters
     ----------
@@ -48,17 +63,25 @@ def drawn_surface(mesh: "pyvista.DataSet", values: NDArray[np.float32]) -> "pyvi
 
 
 def _divided(surface: "pyvista.PolyData") -> "pyvista.PolyData":
-    """Divide each triangle in four. New points lie on curves at right angles to the normals at both ends of an edge.
+    """Divide each triangle in four. New points lie on curves at right angles to the normals at both
+    ends of an edge.
 
-    Both sides of a sharp edge have points of their own there; they are kept together by the mean of their curves.
+    Both sides of a sharp edge have points of their own there; they are kept together by the mean of
+    their curves.
     """
     import pyvista
 
-    points, normals = (np.asarray(each, dtype=np.float64) for each in (surface.points, surface.point_data["Normals"]))
+    points, normals = (
+        np.asarray(each, dtype=np.float64)
+        for each in (surface.points, surface.point_data["Normals"])
+    )
     faces = surface.regular_faces
     values = np.asarray(surface.point_data[SHOWN])
-    edges, of_face = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0,
-                               return_inverse=True)  # fmt: skip
+    edges, of_face = np.unique(
+        np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1),
+        axis=0,
+        return_inverse=True,
+    )
     first, second = edges.T
     along = points[second] - points[first]
     bent = np.zeros_like(along)
@@ -71,7 +94,11 @@ def _divided(surface: "pyvista.PolyData") -> "pyvista.PolyData":
     middle = 0.5 * (points[first] + points[second]) + bent
     (a, b, c) = faces.T
     (ab, bc, ca) = (len(points) + of_face.reshape(-1, 3)).T
-    quarters = np.stack([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]).transpose(2, 0, 1).reshape(-1, 3)
+    quarters = (
+        np.stack([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]])
+        .transpose(2, 0, 1)
+        .reshape(-1, 3)
+    )
     fine = pyvista.PolyData.from_regular_faces(np.vstack([points, middle]), quarters)
     fine.point_data[SHOWN] = np.concatenate([values, 0.5 * (values[first] + values[second])])
     return fine.compute_normals(cell_normals=False, split_vertices=False, consistent_normals=False)
@@ -94,7 +121,8 @@ def section_cap(
 ) -> "pyvista.PolyData":
     """Return the section inside a drawn boundary, with values as the point array `SHOWN`.
 
-    Values of cells are averaged at the nodes of each layer by itself, so that an inclusion keeps its edge.
+    Values of cells are averaged at the nodes of each layer by itself, so that an inclusion keeps
+    its edge.
     """
     import pyvista
     from vtkmodules.vtkFiltersGeneral import vtkContourTriangulator
@@ -149,7 +177,8 @@ def _sampled(mesh: "pyvista.DataSet", places: NDArray[np.float64]) -> NDArray[np
 
 
 def inclusions(corners: NDArray[np.floating], layer: NDArray[np.integer]) -> NDArray[np.intp]:
-    """Return the cells of the smallest layer inside the others, such as a nodule. It is empty where there is none.
+    """Return the cells of the smallest layer inside the others, such as a nodule. It is empty where
+    there is none.
 
     Parameters
     ----------
@@ -163,7 +192,9 @@ def inclusions(corners: NDArray[np.floating], layer: NDArray[np.integer]) -> NDA
     found = []
     for index in np.unique(layer):
         here = layer == index
-        if (low[here].min(axis=0) > low.min(axis=0)).all() and (high[here].max(axis=0) < high.max(axis=0)).all():
+        if (low[here].min(axis=0) > low.min(axis=0)).all() and (
+            high[here].max(axis=0) < high.max(axis=0)
+        ).all():
             found.append(np.flatnonzero(here))
     return min(found, key=len, default=np.zeros(0, dtype=np.intp))
 
@@ -173,8 +204,8 @@ def interpolate_in_layers(
 ) -> Array:
     """Interpolate values trilinearly between the centres of the cells of each place's layer.
 
-    Cells of another layer or without a value do not count; where none of the eight around a place is left, the nearest
-    cell of its layer does, or of any layer where it has none.
+    Cells of another layer or without a value do not count; where none of the eight around a place
+    is left, the nearest cell of its layer does, or of any layer where it has none.
 
     Parameters
     ----------
@@ -200,12 +231,15 @@ def interpolate_in_layers(
     for index in np.unique(layer):
         here = np.flatnonzero(layer == index)
         same = np.flatnonzero(series.layer[there] == index)
-        # Normalised convolution: the interpolated sum of values over the interpolated count of cells.
+        # Normalised convolution: the interpolated sum of values over the interpolated count of
+        # cells.
         total, weight = np.zeros((2, *(lattice.max(axis=0) + 1)))
         total[tuple(lattice[same].T)] = values[there[same]]
         weight[tuple(lattice[same].T)] = 1.0
         at = ((place_m[here] - low) / edge).T
-        totals, weights = (map_coordinates(each, at, order=1, mode="grid-constant") for each in (total, weight))
+        totals, weights = (
+            map_coordinates(each, at, order=1, mode="grid-constant") for each in (total, weight)
+        )
         found = weights > 1e-9
         result[here[found]] = totals[found] / weights[found]
         rows = same if len(same) else np.arange(len(there))

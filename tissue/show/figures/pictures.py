@@ -16,11 +16,13 @@ __all__ = ["draw_pictures"]
 
 
 def draw_pictures(run: Run, folder: Path, kind: str = "png") -> list[str]:
-    """Draw a run's pictures as png, svg or pdf: ``force_torque`` of every one, the others of what there is.
+    """Draw a run's pictures as png, svg or pdf: ``force_torque`` of every one, the others of what
+    there is.
 
-    Of voxels ``bone_before_after`` and ``removed_depth``; of a tissue of several layers that reports more than its
-    volumes, a tooth for one, also ``section`` and ``force_depth``. Of fields ``press`` and ``held``; of a run by a hand
-    on a device ``played``; and what the tissue has of its own in the table of anatomies, ``insertion`` for one.
+    Of voxels ``bone_before_after`` and ``removed_depth``; of a tissue of several layers that
+    reports more than its volumes, a tooth for one, also ``section`` and ``force_depth``. Of fields
+    ``press`` and ``held``; of a run by a hand on a device ``played``; and what the tissue has of
+    its own in the table of anatomies, ``insertion`` for one.
 
     Returns
     -------
@@ -61,20 +63,28 @@ def draw_pictures(run: Run, folder: Path, kind: str = "png") -> list[str]:
             shaded = pool.submit(draw_held, fields, path("held"), title=scene.name)
             tool = tool_surface(scene.tool)
             flat = isinstance(scene.tool, Needle)
-            notes["press"] = draw_press(fields, run.trace, path("press"), title=scene.name, tool=tool, flat=flat)
+            notes["press"] = draw_press(
+                fields, run.trace, path("press"), title=scene.name, tool=tool, flat=flat
+            )
             notes["held"] = shaded.result()
     draw_force_torque(run, path("force_torque"))
     if scene.device is not None:
         draw_played(run, path("played"))
-    built_in = {"layers": {"insertion": draw_insertion}, "wall": {"wall": draw_wall}}.get(scene.anatomy.kind, {})
+    built_in = {"layers": {"insertion": draw_insertion}, "wall": {"wall": draw_wall}}.get(
+        scene.anatomy.kind, {}
+    )
     for name, draw in {**built_in, **ANATOMIES[scene.anatomy.kind].pictures}.items():
         draw(run, path(Path(name).stem))
-    return [f"{name}.{kind} was not drawn: {note}" for name, note in notes.items() if note is not None]
+    return [
+        f"{name}.{kind} was not drawn: {note}" for name, note in notes.items() if note is not None
+    ]
 
 
 @contextmanager
 def _background() -> Iterator[ThreadPoolExecutor]:
-    """Provide a thread that renders in 3D. An exception in the block, such as Ctrl-C, does not wait for it."""
+    """Provide a thread that renders in 3D. An exception in the block, such as Ctrl-C, does not
+    wait for it.
+    """
     with ThreadPoolExecutor(1) as thread:
         try:
             yield thread

@@ -1,4 +1,6 @@
-"""Off-screen renderings of coloured surfaces, run as ``python -m tissue.show.figures.rendering FOLDER`` in a subprocess."""
+"""Off-screen renderings of coloured surfaces, run as ``python -m tissue.show.figures.rendering
+FOLDER`` in a subprocess.
+"""
 
 import pickle
 import sys
@@ -24,9 +26,13 @@ __all__ = ["FIELD_AMBIENT", "Camera", "Shaded", "draw_axes", "draw_shaded", "pai
 PANEL_PX = 780
 GAP_PX = 40
 OVERSAMPLING = 2
-"""Pixels drawn for a pixel shown, along each edge: smooth outlines where the graphics card smooths none."""
+"""Pixels drawn for a pixel shown, along each edge: smooth outlines where the graphics card
+smooths none.
+"""
 AMBIENT, FIELD_AMBIENT, ALL_LIGHT = 0.34, 0.72, 1.08
-"""Light from everywhere on bone, and on a field, whose colours must stay those of its scale; with what lamps add."""
+"""Light from everywhere on bone, and on a field, whose colours must stay those of its scale;
+with what lamps add.
+"""
 LIGHTS = (((-0.6, 0.7, 0.9), 0.74), ((0.9, 0.1, 0.7), 0.26), ((0.1, -0.9, 0.55), 0.34))
 """Direction (right, up, towards the eye) and strength of the lights: key, fill, rim."""
 
@@ -67,17 +73,27 @@ class Camera:
         tall = int(np.clip(PANEL_PX * height / width, 0.45 * PANEL_PX, 1.15 * PANEL_PX)) // 2 * 2
         height = max(height, width * tall / PANEL_PX)
         centre = 0.5 * (first + last) @ axes
-        return cls(tuple(towards), tuple(upright), tuple(centre), height_mm=float(height), size=(PANEL_PX, tall))
+        return cls(
+            tuple(towards),
+            tuple(upright),
+            tuple(centre),
+            height_mm=float(height),
+            size=(PANEL_PX, tall),
+        )
 
     def pixels(self, points_mm: ArrayLike) -> NDArray[np.float64]:
         """Return the pixels of points, right and down from the upper left corner, shape (n, 2)."""
         axes = np.stack([np.cross(self.up, self.towards_eye), self.up])
-        right, upward = axes @ (np.asarray(points_mm) - self.centre_mm).T * (self.size[1] / self.height_mm)
+        right, upward = (
+            axes @ (np.asarray(points_mm) - self.centre_mm).T * (self.size[1] / self.height_mm)
+        )
         return np.column_stack([0.5 * self.size[0] + right, 0.5 * self.size[1] - upward])
 
 
 def paint(surface: "pyvista.PolyData", colours: NDArray[np.float64]) -> "pyvista.PolyData":
-    """Give every point or every triangle a colour: red, green and blue from 0 to 1, shape (n, 3)."""
+    """Give every point or every triangle a colour: red, green and blue from 0 to 1, shape (n,
+    3).
+    """
     data = surface.point_data if len(colours) == surface.n_points else surface.cell_data
     data["colours"] = np.rint(255.0 * colours).astype(np.uint8)
     return surface
@@ -106,7 +122,9 @@ def render(
         def prepare() -> bytes:
             return pickle.dumps([(surface, asdict(camera)) for surface, camera in make()])
 
-        problem = draw_apart("tissue.show.figures.rendering", name, str(averaged), str(ambient), prepare=prepare)
+        problem = draw_apart(
+            "tissue.show.figures.rendering", name, str(averaged), str(ambient), prepare=prepare
+        )
         if problem is not None:
             return problem
         with np.load(Path(name) / "pictures.npz") as drawn:
@@ -150,8 +168,8 @@ def draw_shaded(
     Parameters
     ----------
     make
-        Returns painted surfaces with normals, and the camera of each. It is called once, while the drawing process
-        starts.
+        Returns painted surfaces with normals, and the camera of each. It is called once, while the
+        drawing process starts.
     path
         File.
     annotate
@@ -190,7 +208,9 @@ def draw_shaded(
             left = index * (wide + GAP_PX)
             low = foot + tall - high
             axes = chart.add_axes((left / size[0], low / size[1], wide / size[0], high / size[1]))
-            axes.imshow(picture, interpolation="nearest", extent=(-0.5, wide - 0.5, high - 0.5, -0.5))
+            axes.imshow(
+                picture, interpolation="nearest", extent=(-0.5, wide - 0.5, high - 0.5, -0.5)
+            )
             axes.set_axis_off()
             _draw_scale(axes, camera)
             panels.append(axes)
@@ -206,16 +226,22 @@ def _main(name: str, averaged: str, ambient: str) -> None:
     """Draw the surfaces that come on the standard input, and write the pictures into a folder."""
     import pyvista
 
-    warm = pyvista.Plotter(off_screen=True, window_size=[8, 8])  # loads OpenGL while the surfaces are still being made
+    # loads OpenGL while the surfaces are still being made
+    warm = pyvista.Plotter(off_screen=True, window_size=[8, 8])
     warm.add_mesh(pyvista.Triangle())
     warm.screenshot(None, return_img=True)
     warm.close()
     received = pickle.load(sys.stdin.buffer)
-    drawn = [_draw(surface, Camera(**camera), int(averaged), float(ambient)) for surface, camera in received]
+    drawn = [
+        _draw(surface, Camera(**camera), int(averaged), float(ambient))
+        for surface, camera in received
+    ]
     np.savez(Path(name) / "pictures.npz", *drawn, allow_pickle=False)
 
 
-def _draw(mesh: "pyvista.PolyData", camera: Camera, averaged: int, ambient: float) -> NDArray[np.uint8]:
+def _draw(
+    mesh: "pyvista.PolyData", camera: Camera, averaged: int, ambient: float
+) -> NDArray[np.uint8]:
     """Render one surface. Squares of `averaged` pixels along each edge are averaged."""
     import pyvista
 
@@ -243,7 +269,9 @@ def _draw(mesh: "pyvista.PolyData", camera: Camera, averaged: int, ambient: floa
     for direction, strength in LIGHTS:
         place = centre + 1e3 * np.array(direction) @ axes
         plotter.add_light(
-            pyvista.Light(position=place, focal_point=centre, light_type="scene light", intensity=strength)
+            pyvista.Light(
+                position=place, focal_point=centre, light_type="scene light", intensity=strength
+            )
         )
     plotter.camera.position = centre + 1e3 * towards
     plotter.camera.focal_point = centre
@@ -266,15 +294,26 @@ def round_length(longest_mm: float) -> float:
 
 
 def _draw_scale(axes: "Axes", camera: Camera) -> None:
-    """Draw a bar of a round length. It holds across the picture because the projection is parallel."""
+    """Draw a bar of a round length. It holds across the picture because the projection is
+    parallel.
+    """
     per_mm = camera.size[1] / camera.height_mm
     length = round_length(0.25 * camera.size[0] / per_mm)
     right = camera.size[0] - 20.0
     left = right - length * per_mm
     y = camera.size[1] - 16.0
-    axes.plot([left, right], [y, y], color="0.1", linewidth=2.2, solid_capstyle="butt", path_effects=halo())
+    axes.plot(
+        [left, right],
+        [y, y],
+        color="0.1",
+        linewidth=2.2,
+        solid_capstyle="butt",
+        path_effects=halo(),
+    )
     words = f"{length:g} mm"
-    axes.text(0.5 * (left + right), y - 8.0, words, ha="center", va="bottom", size=9, path_effects=halo())
+    axes.text(
+        0.5 * (left + right), y - 8.0, words, ha="center", va="bottom", size=9, path_effects=halo()
+    )
 
 
 def draw_axes(axes: "Axes", names: Sequence[str], camera: Camera) -> None:

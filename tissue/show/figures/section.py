@@ -1,4 +1,6 @@
-"""Section through the deepest point of the tool: layers, removed tissue, stress and structures to keep clear of."""
+"""Section through the deepest point of the tool: layers, removed tissue, stress and structures
+to keep clear of.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +13,15 @@ from numpy.typing import NDArray
 from meshes.voxels.volume import FULL
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.models.keep_clear import Distance
-from tissue.show.figures.figure import EDGE, axis_names, draw_outline, figure, layer_colours, save, styled
+from tissue.show.figures.figure import (
+    EDGE,
+    axis_names,
+    draw_outline,
+    figure,
+    layer_colours,
+    save,
+    styled,
+)
 from tissue.show.figures.organ_surface import interpolate_in_layers
 from tissue.show.figures.tool_mesh import tool_turns
 from tissue.simulation.depth_map import HALF, tool_axes
@@ -78,11 +88,12 @@ class Section:
 
 
 def plane_of(run: Run, *, axis: int, outward: int, row: int) -> tuple[int, int, float]:
-    """Return the plane through the deepest point so far, along the tool's axis and its main direction.
+    """Return the plane through the deepest point so far, along the tool's axis and its main
+    direction.
 
     Returns
-    -------
-    World axes of the tool's main direction and at right angles to the plane, and the plane's coordinate there [mm].
+    ------- World axes of the tool's main direction and at right angles to the plane, and the
+    plane's coordinate there [mm].
     """
     tips = run.trace.vectors("tool", "mm")
     cutting = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
@@ -96,7 +107,8 @@ def plane_of(run: Run, *, axis: int, outward: int, row: int) -> tuple[int, int, 
 
 
 def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
-    """Return the section through the deepest point so far, along the tool's axis and its main direction.
+    """Return the section through the deepest point so far, along the tool's axis and its main
+    direction.
 
     Parameters
     ----------
@@ -115,7 +127,9 @@ def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
     left = run.remaining if run.poses is None else run.replay().at(row)
     planes = (np.take(array, index, axis=normal) for array in (volume.fraction, left, volume.layer))
     start, left, layer = (plane if across < axis else plane.T for plane in planes)
-    ends = [(float(origin[a]), float(origin[a] + spacing * volume.shape[a])) for a in (across, axis)]
+    ends = [
+        (float(origin[a]), float(origin[a] + spacing * volume.shape[a])) for a in (across, axis)
+    ]
     return Section(
         across=across,
         axis=axis,
@@ -130,15 +144,26 @@ def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
 
 
 def loaded_frame(series: FieldSeries) -> Frame | None:
-    """Return the last frame with at least a tenth of the run's peak stress, or None without any stress."""
-    peaks = [float(np.nanmax(frame.cells.get(STRESS, np.zeros(1)), initial=0.0)) for frame in series.frames]
+    """Return the last frame with at least a tenth of the run's peak stress, or None without any
+    stress.
+    """
+    peaks = [
+        float(np.nanmax(frame.cells.get(STRESS, np.zeros(1)), initial=0.0))
+        for frame in series.frames
+    ]
     if not any(peaks):
         return None
-    return next(f for f, peak in zip(reversed(series.frames), reversed(peaks), strict=True) if peak >= 0.1 * max(peaks))
+    return next(
+        f
+        for f, peak in zip(reversed(series.frames), reversed(peaks), strict=True)
+        if peak >= 0.1 * max(peaks)
+    )
 
 
 def moment_of(run: Run) -> tuple[int, Frame | None]:
-    """Return the row of the trace and the fields at the moment of the section: under load, else at the last cut."""
+    """Return the row of the trace and the fields at the moment of the section: under load, else
+    at the last cut.
+    """
     series = run.parts.fields
     cutting = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
     frame = None if series is None else loaded_frame(series)
@@ -150,7 +175,9 @@ def moment_of(run: Run) -> tuple[int, Frame | None]:
 
 @styled
 def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
-    """Draw layers with what was removed and, where fields were computed, the stress in the same section and moment."""
+    """Draw layers with what was removed and, where fields were computed, the stress in the same
+    section and moment.
+    """
     series = run.parts.fields
     row, frame = moment_of(run)
     section = section_of(run, axis=axis, outward=outward, row=row)
@@ -166,7 +193,9 @@ def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
     panel = chart.add_axes((left / 8.0, 1.15 / full, wide / 8.0, tall / full))
     _draw_layers(panel, run, section)
     _draw_tool(panel, run, section)
-    structures = draw_kept_clear(panel, kept, window, section.across, section.axis, section.place_mm)
+    structures = draw_kept_clear(
+        panel, kept, window, section.across, section.axis, section.place_mm
+    )
     panel.set(xlabel=f"{names[section.across]} / mm", ylabel=f"{names[section.axis]} / mm")
     panel.set_title("layers and what was removed", size=9.5)
     chart.legend(
@@ -184,14 +213,25 @@ def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
         # Edges of the layers that are left, as thin lines.
         there = section.left >= HALF / FULL
         for index in np.unique(section.layer[there]):
-            draw_outline(panel, there & (section.layer == index), section.extent_mm, color="0.55", linewidth=0.7)
+            draw_outline(
+                panel,
+                there & (section.layer == index),
+                section.extent_mm,
+                color="0.55",
+                linewidth=0.7,
+            )
         _draw_tool(panel, run, section)
-        panel.set(xlabel=f"{names[section.across]} / mm", yticklabels=[], xlim=window[:2], ylim=window[2:])
+        panel.set(
+            xlabel=f"{names[section.across]} / mm", yticklabels=[], xlim=window[:2], ylim=window[2:]
+        )
         panel.set_title("stress", size=9.5)
-        bar = chart.add_axes(((left + 2.0 * wide + 0.4) / 8.0, 1.15 / full, 0.14 / 8.0, tall / full))
+        bar = chart.add_axes(
+            ((left + 2.0 * wide + 0.4) / 8.0, 1.15 / full, 0.14 / 8.0, tall / full)
+        )
         chart.colorbar(drawn, cax=bar, extend="both", label="von Mises stress / MPa")
     title = (
-        f"{run.scene.name} at {run.trace['time_s'][section.row]:.3f} s: section at {names[section.normal]} = "
+        f"{run.scene.name} at {run.trace['time_s'][section.row]:.3f} s: section at "
+        f"{names[section.normal]} = "
         f"{section.place_mm:.2f} mm, through the deepest point"
     )
     chart.text(0.5, 1.0 - 0.22 / full, title, ha="center", va="center", size=10.5)
@@ -206,7 +246,10 @@ def _draw_layers(axes: "Axes", run: Run, section: Section) -> None:
     start = section.start[..., None]
     paint = left * colours + (start - left) * pale + (1.0 - start)
     axes.imshow(
-        np.clip(paint, 0.0, 1.0).swapaxes(0, 1), origin="lower", extent=section.extent_mm, interpolation="nearest"
+        np.clip(paint, 0.0, 1.0).swapaxes(0, 1),
+        origin="lower",
+        extent=section.extent_mm,
+        interpolation="nearest",
     )
     gone = np.where(section.start >= HALF / FULL, section.start - section.left, 0.0)
     draw_outline(axes, gone, section.extent_mm, color="black", linewidth=1.1)
@@ -225,7 +268,9 @@ def _draw_tool(axes: "Axes", run: Run, section: Section) -> None:
     side = np.array([along[1], -along[0]])
     outline = 1e3 * run.cutter.profile.outline
     for sign in (-1.0, 1.0):
-        points = tips[row, [section.across, section.axis]] + outline @ np.stack([sign * side, along])
+        points = tips[row, [section.across, section.axis]] + outline @ np.stack(
+            [sign * side, along]
+        )
         halo = [withStroke(linewidth=2.2, foreground="white")]  # for what lies on dark colours
         axes.plot(*points.T, color="0.1", linewidth=1.0, linestyle=(0, (3, 1.5)), path_effects=halo)
     axes.plot(*tips[: row + 1, [section.across, section.axis]].T, color=PATH, linewidth=1.0)
@@ -244,7 +289,12 @@ def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Secti
     scale = LogNorm(float(np.clip(low, peak * 10.0**-DECADES, 0.1 * peak)), peak)
     picture = np.ma.masked_where(~there, np.maximum(stress, 1e-12))
     return axes.imshow(
-        picture.T, origin="lower", extent=section.extent_mm, cmap="inferno", norm=scale, interpolation="nearest"
+        picture.T,
+        origin="lower",
+        extent=section.extent_mm,
+        cmap="inferno",
+        norm=scale,
+        interpolation="nearest",
     )
 
 
@@ -256,7 +306,9 @@ def _section_stress(series: FieldSeries, frame: Frame, section: Section) -> NDAr
     places[..., section.across] = (u0 + (u1 - u0) * (np.arange(columns) + 0.5) / columns)[:, None]
     places[..., section.axis] = v0 + (v1 - v0) * (np.arange(rows) + 0.5) / rows
     places[..., section.normal] = section.place_mm
-    values = interpolate_in_layers(series, frame.cells[STRESS], 1e-3 * places.reshape(-1, 3), section.layer.ravel())
+    values = interpolate_in_layers(
+        series, frame.cells[STRESS], 1e-3 * places.reshape(-1, 3), section.layer.ravel()
+    )
     return values.reshape(section.layer.shape)
 
 
@@ -273,7 +325,11 @@ def _handles(run: Run, section: Section, *, borders: bool) -> "list[Artist]":
         Patch(facecolor="0.9", edgecolor="black", linewidth=1.1, label="removed"),
         Line2D([], [], color="0.1", linewidth=1.0, linestyle=(0, (3, 1.5)), label="tool"),
         Line2D([], [], color=PATH, linewidth=1.0, label="path of its tip"),
-        *([Line2D([], [], color="0.55", linewidth=0.7, label="edges of the layers that are left")] if borders else []),
+        *(
+            [Line2D([], [], color="0.55", linewidth=0.7, label="edges of the layers that are left")]
+            if borders
+            else []
+        ),
     ]
 
 
@@ -320,7 +376,9 @@ def nearest_places(run: Run) -> list[Nearest]:
     for name, distance in () if clear is None else clear.distances.items():
         row = int(np.argmin(trace[f"distance_{name}_mm"]))
         turn = Rotation.from_quat(tool_turns(trace)[row])
-        body_m = 1e-3 * trace.vectors("tool", "mm")[row] + turn.apply(np.asarray(clear.points_m) if clear else [])
+        body_m = 1e-3 * trace.vectors("tool", "mm")[row] + turn.apply(
+            np.asarray(clear.points_m) if clear else []
+        )
         point = body_m[int(np.argmin(distance(body_m)))]
         steps = np.vstack([np.zeros(3), STEP_M * np.eye(3), -STEP_M * np.eye(3)])
         values = np.asarray(distance(point + steps), dtype=np.float64)
@@ -331,13 +389,20 @@ def nearest_places(run: Run) -> list[Nearest]:
     return found
 
 
-def kept_window(places: Sequence[Nearest], window: Window, tissue: NDArray[np.bool_], across: int, axis: int) -> Window:
-    """Return a window around the tissue of a section, shape (nu, nv), and the nearest point of each structure."""
+def kept_window(
+    places: Sequence[Nearest], window: Window, tissue: NDArray[np.bool_], across: int, axis: int
+) -> Window:
+    """Return a window around the tissue of a section, shape (nu, nv), and the nearest point of
+    each structure.
+    """
     if not places or not tissue.any():
         return window
     u0, u1, v0, v1 = window
     size = np.array([u1 - u0, v1 - v0]) / tissue.shape
-    (a, b), (c, d) = ((each.min() * s, (each.max() + 1) * s) for each, s in zip(np.nonzero(tissue), size, strict=True))
+    (a, b), (c, d) = (
+        (each.min() * s, (each.max() + 1) * s)
+        for each, s in zip(np.nonzero(tissue), size, strict=True)
+    )
     u0, u1 = max(u0, u0 + a - AROUND_MM), min(u1, u0 + b + AROUND_MM)
     v0, v1 = max(v0, v0 + c - AROUND_MM), min(v1, v0 + d + AROUND_MM)
     for place in places:
@@ -352,9 +417,11 @@ def kept_window(places: Sequence[Nearest], window: Window, tissue: NDArray[np.bo
 def draw_kept_clear(
     axes: "Axes", places: Sequence[Nearest], window: Window, across: int, axis: int, place_mm: float
 ) -> "list[Artist]":
-    """Draw structures in a section at a place along its normal; returns entries of a legend with the least distances.
+    """Draw structures in a section at a place along its normal; returns entries of a legend with
+    the least distances.
 
-    A line between two dots joins the points of tool and structure that came nearest, seen along the normal.
+    A line between two dots joins the points of tool and structure that came nearest, seen along the
+    normal.
     """
     from matplotlib.lines import Line2D
 
@@ -367,12 +434,20 @@ def draw_kept_clear(
         colour = STRUCTURES[number % len(STRUCTURES)]
         depth = np.asarray(place.distance(1e-3 * points.reshape(-1, 3))).reshape(ACROSS, ACROSS)
         if depth.min() < 0.0 < depth.max():
-            axes.contourf(u, v, depth, levels=[float(depth.min()), 0.0], colors=[colour], alpha=0.15)
+            axes.contourf(
+                u, v, depth, levels=[float(depth.min()), 0.0], colors=[colour], alpha=0.15
+            )
             axes.contour(u, v, depth, levels=[0.0], colors=[colour], linewidths=[1.6])
         ends = np.array([place.tool_mm, place.structure_mm])[:, [across, axis]]
         axes.plot(*ends.T, "o-", color=colour, markersize=3.5, linewidth=1.0)
-        how = f"{place.least_mm:.2f} mm away" if place.least_mm >= 0.0 else f"{-place.least_mm:.2f} mm inside"
+        how = (
+            f"{place.least_mm:.2f} mm away"
+            if place.least_mm >= 0.0
+            else f"{-place.least_mm:.2f} mm inside"
+        )
         label = f"{place.name}; the tool at its nearest, {how}"
-        handles.append(Line2D([], [], color=colour, linewidth=1.6, marker="o", markersize=3.5, label=label))
+        handles.append(
+            Line2D([], [], color=colour, linewidth=1.6, marker="o", markersize=3.5, label=label)
+        )
     axes.set(xlim=window[:2], ylim=window[2:])
     return handles

@@ -45,7 +45,9 @@ def tool_surface(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None
             return _turned(np.column_stack([outline[:, 0], np.zeros(len(outline)), outline[:, 1]]))
         case Probe(kind="sphere-probe"):
             radius = 0.5 * tool.size_mm
-            return pyvista.Sphere(radius=radius, center=(0.0, 0.0, radius), theta_resolution=SIDES, phi_resolution=36)
+            return pyvista.Sphere(
+                radius=radius, center=(0.0, 0.0, radius), theta_resolution=SIDES, phi_resolution=36
+            )
         case Probe() if tool.file_name:
             with suppress(InputError):
                 vertices, faces = read_triangles(Path(tool.file_name))
@@ -67,7 +69,11 @@ def turning_tool(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None
     arc = ABOVE * spin_arc_mm(tool) + [0.0, 0.0, surface.bounds[5]]
     thick = 0.02 * tool.diameter_mm
     head = pyvista.Cone(
-        center=arc[-1], direction=arc[-1] - arc[-2], height=6.0 * thick, radius=2.5 * thick, resolution=SIDES // 3
+        center=arc[-1],
+        direction=arc[-1] - arc[-2],
+        height=6.0 * thick,
+        radius=2.5 * thick,
+        resolution=SIDES // 3,
     )
     return surface.append_polydata(pyvista.MultipleLines(arc).tube(radius=thick), head)
 
@@ -80,7 +86,9 @@ def spin_arc_mm(tool: Tool) -> NDArray[np.float64]:
 
 
 def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> NDArray[np.float64]:
-    """Return the transform from a tool frame to the world [mm], shape (4, 4), from tip and quaternion (x, y, z, w)."""
+    """Return the transform from a tool frame to the world [mm], shape (4, 4), from tip and
+    quaternion (x, y, z, w).
+    """
     from scipy.spatial.transform import Rotation
 
     matrix = np.eye(4)
@@ -90,12 +98,19 @@ def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> NDArray[np.float64]:
 
 
 def tool_turns(trace: "Table") -> NDArray[np.float64]:
-    """Return the orientations of the tool in a trace as quaternions (x, y, z, w), shape (rows, 4)."""
+    """Return the orientations of the tool in a trace as quaternions (x, y, z, w), shape (rows,
+    4).
+    """
     return np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
 
 
 def _rod(radius_mm: float, length_mm: float, *, point_mm: float = 0.0) -> "pyvista.PolyData":
-    around = [[0.0, 0.0, 0.0], [radius_mm, 0.0, point_mm], [radius_mm, 0.0, length_mm], [0.0, 0.0, length_mm]]
+    around = [
+        [0.0, 0.0, 0.0],
+        [radius_mm, 0.0, point_mm],
+        [radius_mm, 0.0, length_mm],
+        [0.0, 0.0, length_mm],
+    ]
     return _turned(np.array(around))
 
 

@@ -1,1 +1,3 @@
-"""A run as one HTML file to hand over: figures, forces, the bone or organ in 3D over time, materials, scene."""
+"""A run as one HTML file to hand over: figures, forces, the bone or organ in 3D over time,
+materials, scene.
+"""

@@ -1,4 +1,6 @@
-"""The report's charts: every column of the trace that varies, and which of them lie in one chart."""
+"""The report's charts: every column of the trace that varies, and which of them lie in one
+chart.
+"""
 
 from typing import Any
 
@@ -17,8 +19,15 @@ __all__ = ["charts", "column_label", "columns"]
 PLAYED = ("raw_force", "device_force")
 LABELS = {"raw_force": "renderer's", "device_force": "played by the device"}
 MORE_UNITS = {
-    "mm_s": "mm/s", "rad_s": "rad/s", "mm3_s": "mm³/s", "Nm": "N·m", "s": "s", "um": "µm", "us": "µs", "N_m": "N/m"
-}  # fmt: skip
+    "mm_s": "mm/s",
+    "rad_s": "rad/s",
+    "mm3_s": "mm³/s",
+    "Nm": "N·m",
+    "s": "s",
+    "um": "µm",
+    "us": "µs",
+    "N_m": "N/m",
+}
 FIRST = ("indentation_mm", "insertion_mm", "depth_mm")
 """Measures that the last chart shows at first, where there is one of them."""
 HIDDEN = ("tool_q", "device_q")
@@ -26,7 +35,11 @@ HIDDEN = ("tool_q", "device_q")
 
 def columns(trace: Table) -> Record:
     """Return every varying column of the trace, and the layer at the tip, for the browser."""
-    varying = [name for name in trace.columns if name not in ("time_s", "layer") and np.ptp(trace[name]) > 0.0]
+    varying = [
+        name
+        for name in trace.columns
+        if name not in ("time_s", "layer") and np.ptp(trace[name]) > 0.0
+    ]
     kept = [name for name in varying if np.isfinite(trace[name]).all()]
     layers = trace.rows[:, trace.columns.index("layer")].astype(np.int16)
     colours = layer_colours(trace.layer_names)
@@ -42,7 +55,9 @@ def columns(trace: Table) -> Record:
 
 
 def charts(trace: Table, scene: Scene | None) -> list[Record]:
-    """Return the charts: force, torque, removal rate or contact area, force at a device, depth, and a chosen column."""
+    """Return the charts: force, torque, removal rate or contact area, force at a device, depth,
+    and a chosen column.
+    """
     small = bool(np.abs(trace.vectors("model_torque", "Nm")).max(initial=0.0) < SMALL_NM)
     torque = ("torque", "torque / mN·m", 1e3) if small else ("torque", "torque / N·m", 1.0)
     drawn = []
@@ -50,16 +65,28 @@ def charts(trace: Table, scene: Scene | None) -> list[Record]:
         unit = "N" if name == "force" else "Nm"
         if name == "torque" and not trace.vectors("model_torque", "Nm").any():
             continue
-        lines = [_line(f"model_{name}_{c}_{unit}", c, COMPONENTS[i], scale) for i, c in enumerate("xyz")]
-        pale = [_line(f"{name}_{c}_{unit}", "", COMPONENTS[i], scale) | {"pale": True} for i, c in enumerate("xyz")]
-        size = {"of": [f"model_{name}_{c}_{unit}" for c in "xyz"], "label": "magnitude", "scale": scale, "fill": True}
+        lines = [
+            _line(f"model_{name}_{c}_{unit}", c, COMPONENTS[i], scale) for i, c in enumerate("xyz")
+        ]
+        pale = [
+            _line(f"{name}_{c}_{unit}", "", COMPONENTS[i], scale) | {"pale": True}
+            for i, c in enumerate("xyz")
+        ]
+        size = {
+            "of": [f"model_{name}_{c}_{unit}" for c in "xyz"],
+            "label": "magnitude",
+            "scale": scale,
+            "fill": True,
+        }
         drawn.append({"label": label, "tall": name == "force", "lines": [size, *pale, *lines]})
     if scene is not None and scene.device is not None:
         drawn.append(_device(trace))
     cuts = bool((trace["removed_mm3"] > 0.0).any())
     drawn.append(_one("removal_rate_mm3_s" if cuts else "contact_mm2"))
     drawn.append(_one("tool_z_mm") | {"label": "tip, z / mm", "layers": True})
-    names = [name for name in trace.columns if name.startswith(FIRST)] or ["removed_mm3" if cuts else "contact_mm2"]
+    names = [name for name in trace.columns if name.startswith(FIRST)] or [
+        "removed_mm3" if cuts else "contact_mm2"
+    ]
     return [*drawn, _one(names[0]) | {"choose": names[0]}]
 
 
@@ -82,7 +109,12 @@ def _device(trace: Table) -> Record:
     there = [name for name in PLAYED if f"{name}_x_N" in trace]
     colours = dict(zip(PLAYED, (COMPONENTS[0], COMPONENTS[1]), strict=True))
     lines: list[Record] = [
-        {"of": [f"{name}_{c}_N" for c in "xyz"], "label": LABELS[name], "scale": 1.0, "colour": colours[name]}
+        {
+            "of": [f"{name}_{c}_N" for c in "xyz"],
+            "label": LABELS[name],
+            "scale": 1.0,
+            "colour": colours[name],
+        }
         for name in there
     ]
     return {"label": "at the device / N", "lines": lines}

@@ -1,4 +1,6 @@
-"""Arrays as text in JSON, small: quantised, as differences, in planes of bytes, deflated; `decode.js` reads them."""
+"""Arrays as text in JSON, small: quantised, as differences, in planes of bytes, deflated;
+`decode.js` reads them.
+"""
 
 import zlib
 from base64 import b64encode
@@ -20,8 +22,9 @@ STEPS = 255
 def packed(values: NDArray[np.integer[Any]], *, differences: bool = True) -> Record:
     """Encode integers of 8 bits (unsigned), 16 or 32 (signed), shape (rows,) or (rows, columns).
 
-    Differences between rows are wrapped around, those below 0 become odd numbers, so that small ones of either sign
-    have high bytes of 0; all first bytes come before all second ones, column by column.
+    Differences between rows are wrapped around, those below 0 become odd numbers, so that small
+    ones of either sign have high bytes of 0; all first bytes come before all second ones, column by
+    column.
     """
     rows = values if values.ndim == 2 else values[:, None]
     size = rows.dtype.itemsize
@@ -29,7 +32,13 @@ def packed(values: NDArray[np.integer[Any]], *, differences: bool = True) -> Rec
     if differences:
         step = np.diff(whole, axis=0, prepend=0).astype(f"i{size}").astype(np.int64)
         whole = (step << 1) ^ (step >> 63)
-    planes = np.ascontiguousarray(whole.astype(f"<u{size}").T).reshape(-1).view(np.uint8).reshape(-1, size).T
+    planes = (
+        np.ascontiguousarray(whole.astype(f"<u{size}").T)
+        .reshape(-1)
+        .view(np.uint8)
+        .reshape(-1, size)
+        .T
+    )
     return {
         "rows": rows.shape[0],
         "columns": rows.shape[1],
@@ -40,12 +49,15 @@ def packed(values: NDArray[np.integer[Any]], *, differences: bool = True) -> Rec
 
 
 def packed_vectors(values: ArrayLike) -> Record:
-    """Encode numbers in 65,532 steps over the widest column's range: ``low`` + ``step`` * (whole + 32767).
+    """Encode numbers in 65,532 steps over the widest column's range: ``low`` + ``step`` * (whole +
+    32767).
 
     A 0 stays exactly 0.
     """
     rows = np.asarray(values, dtype=np.float64)
-    low, high = (rows.min(axis=0), rows.max(axis=0)) if len(rows) else (np.zeros(rows.shape[1:]),) * 2
+    low, high = (
+        (rows.min(axis=0), rows.max(axis=0)) if len(rows) else (np.zeros(rows.shape[1:]),) * 2
+    )
     widest = float(np.max(high - low, initial=0.0)) or float(np.abs(rows).max(initial=0.0))
     step = widest / (2 * LARGEST - 2) or 1.0
     low = step * np.floor(low / step)
@@ -60,14 +72,17 @@ def packed_column(values: ArrayLike) -> Record:
 
 def packed_shares(values: ArrayLike) -> Record:
     """Encode shares from 0 to 1 of a colour scale in steps of 1/255."""
-    return packed(np.rint(STEPS * np.clip(np.nan_to_num(np.asarray(values)), 0.0, 1.0)).astype(np.uint8))
+    return packed(
+        np.rint(STEPS * np.clip(np.nan_to_num(np.asarray(values)), 0.0, 1.0)).astype(np.uint8)
+    )
 
 
 def packed_mesh(points_mm: ArrayLike, triangles: ArrayLike) -> tuple[Record, NDArray[np.intp]]:
-    """Encode a surface, and return the order in which its points are kept. Unused points are left out.
+    """Encode a surface, and return the order in which its points are kept. Unused points are left
+    out.
 
-    Points come in the order in which triangles first name them. A corner is how far below the next new point it lies,
-    0 for the new one itself.
+    Points come in the order in which triangles first name them. A corner is how far below the next
+    new point it lies, 0 for the new one itself.
     """
     corners = np.asarray(triangles, dtype=np.intp).reshape(-1, 3).ravel()
     used, first, at = np.unique(corners, return_index=True, return_inverse=True)

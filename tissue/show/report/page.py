@@ -9,7 +9,15 @@ from tissue.show.report.band_text import band_lines
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.run_summary import Summary
 
-__all__ = ["band_section", "events_table", "figures_of", "materials_table", "notes_table", "reproduce", "status_of"]
+__all__ = [
+    "band_section",
+    "events_table",
+    "figures_of",
+    "materials_table",
+    "notes_table",
+    "reproduce",
+    "status_of",
+]
 
 Text = Callable[[str], str]
 """Function that makes HTML of a plain text: cleaned and escaped."""
@@ -19,7 +27,9 @@ CONFIDENCE = {"H": "high", "M": "medium", "L": "low"}
 def status_of(saved: SavedRun, text: Text) -> str:
     """Return the description of the run, and a sentence if it is incomplete."""
     scene = saved.scene
-    described = f"<p>{text(scene.description)}</p>" if scene is not None and scene.description else ""
+    described = (
+        f"<p>{text(scene.description)}</p>" if scene is not None and scene.description else ""
+    )
     if saved.complete:
         return described
     problem = f": {text(saved.problem)}" if saved.problem else ""
@@ -51,8 +61,14 @@ def figures_of(saved: SavedRun, text: Text) -> str:
         cards.append(("computing a tick of 1 ms, median", f"{ticks['median']:.3g} µs"))
     if "missed_deadlines" in summary:
         count = round(1e3 * summary["simulated_s"])
-        cards.append(("ticks that took longer than 1 ms", f"{summary['missed_deadlines']} of {count}"))
-    return '<div class="cards">' + "".join(_card(text(label), text(value)) for label, value in cards) + "</div>"
+        cards.append(
+            ("ticks that took longer than 1 ms", f"{summary['missed_deadlines']} of {count}")
+        )
+    return (
+        '<div class="cards">'
+        + "".join(_card(text(label), text(value)) for label, value in cards)
+        + "</div>"
+    )
 
 
 def events_table(summary: Summary, text: Text) -> str:
@@ -76,13 +92,18 @@ def notes_table(summary: Summary, text: Text) -> str:
     notes = summary.get("notes", {})
     if not notes:
         return "<p>None.</p>"
-    return _table(("of", "note"), [(text(str(name)), text(str(note))) for name, note in notes.items()])
+    return _table(
+        ("of", "note"), [(text(str(name)), text(str(note))) for name, note in notes.items()]
+    )
 
 
 def materials_table(used: Sequence[Used], text: Text) -> str:
     """Return the table of cited constants with value, range, source and confidence."""
     if not used:
-        return "<p>This scene rests on no cited constant: what it is made of is stated in the scene itself.</p>"
+        return (
+            "<p>This scene rests on no cited constant: what it is made of is stated in the scene "
+            "itself.</p>"
+        )
     low = sum(one.cited.confidence == "L" for one in used)
     rows = []
     for one in used:
@@ -93,7 +114,8 @@ def materials_table(used: Sequence[Used], text: Text) -> str:
         sure = CONFIDENCE.get(one.cited.confidence, one.cited.confidence)
         rows.append((text(one.of), text(one.name), value, span, text(sure), text(one.cited.source)))
     sentence = (
-        f"<p>{len(used)} cited constants, {low} of them of low confidence (from memory of the literature, or assumed). "
+        f"<p>{len(used)} cited constants, {low} of them of low confidence (from memory of "
+        "the literature, or assumed). "
         "The range is what is plausible; results move with it.</p>"
     )
     header = ("of", "constant, with its unit", "value", "range", "confidence", "source")
@@ -103,14 +125,19 @@ def materials_table(used: Sequence[Used], text: Text) -> str:
 def reproduce(scene_text: str, versions: Iterable[tuple[str, str]], text: Text) -> str:
     """Return the scene as text, the commands that run it again, and versions."""
     data = b64encode(scene_text.encode()).decode("ascii")
-    keep = f'<a download="scene.toml" href="data:application/toml;base64,{data}">save it as scene.toml</a>'
+    keep = (
+        f'<a download="scene.toml" href="data:application/toml;base64,{data}">save it as '
+        "scene.toml</a>"
+    )
     commands = 'pip install "tissue-sim"\ntissue run scene.toml --out again\ntissue report again'
     rows = [(text(name), text(value)) for name, value in versions]
     return (
-        f"<h2>Scene</h2><p>Everything that was used; {keep}. Files that it names are without their folders.</p>"
+        f"<h2>Scene</h2><p>Everything that was used; {keep}. Files that it names are without "
+        "their folders.</p>"
         f"<details><summary>scene.toml</summary><pre>{text(scene_text)}</pre></details>"
         f"<h2>Run it again</h2><pre>{text(commands)}</pre>"
-        "<p>The same version of tissue gives the same trace bit for bit on the same kind of processor.</p>"
+        "<p>The same version of tissue gives the same trace bit for bit on the same kind of "
+        "processor.</p>"
         f"<h2>Versions and machine</h2>{_table(('', ''), rows)}"
     )
 
@@ -124,12 +151,17 @@ def _torque(torque_Nm: float) -> str:
     return f"{torque_Nm:.3g} N·m" if torque_Nm >= 0.02 else f"{1e3 * torque_Nm:.3g} mN·m"
 
 
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers: Sequence[int] = ()) -> str:
+def _table(
+    header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers: Sequence[int] = ()
+) -> str:
     """Return a table of cells that are HTML already. Columns of numbers align to the right."""
     look = [' class="number"' if column in numbers else "" for column in range(len(header))]
     head = "".join(f"<th{look[column]}>{name}</th>" for column, name in enumerate(header))
     body = "".join(
-        "<tr>" + "".join(f"<td{look[column]}>{cell}</td>" for column, cell in enumerate(row)) + "</tr>" for row in rows
+        "<tr>"
+        + "".join(f"<td{look[column]}>{cell}</td>" for column, cell in enumerate(row))
+        + "</tr>"
+        for row in rows
     )
     headed = f"<thead><tr>{head}</tr></thead>" if any(header) else ""
     return f'<div class="scroll"><table>{headed}<tbody>{body}</tbody></table></div>'
@@ -148,7 +180,8 @@ PICTURES = {"png": "image/png", "svg": "image/svg+xml"}
 
 
 def band_section(saved: SavedRun, text: Callable[[str], str]) -> str:
-    """Return heading, table and pictures of the band of a run, or nothing where the run has no band.
+    """Return heading, table and pictures of the band of a run, or nothing where the run has no
+    band.
 
     `text` makes HTML of a plain text.
     """
@@ -159,10 +192,21 @@ def band_section(saved: SavedRun, text: Callable[[str], str]) -> str:
     for label, outer, inner, unit in ROWS:
         at = band[outer][inner]
         value = saved.summary[outer].get(inner, 0.0)
-        cells = [f"{value:.3g}", f"{at['p50']:.3g}", *(f"{at[low]:.3g} to {at[high]:.3g}" for low, high in ENDS)]
-        rows.append(f"<tr><td>{label} / {unit}</td>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
+        cells = [
+            f"{value:.3g}",
+            f"{at['p50']:.3g}",
+            *(f"{at[low]:.3g} to {at[high]:.3g}" for low, high in ENDS),
+        ]
+        rows.append(
+            f"<tr><td>{label} / {unit}</td>"
+            + "".join(f"<td>{cell}</td>" for cell in cells)
+            + "</tr>"
+        )
     head = "".join(f"<th>{name}</th>" for name in ("figure", "this run", "median", "50 %", "90 %"))
-    sentence = f"{len(band['constants'])} constants in their ranges. The error of the model itself is not in it."
+    sentence = (
+        f"{len(band['constants'])} constants in their ranges. The error of the model itself is "
+        "not in it."
+    )
     lines = "".join(f"<li>{text(line)}</li>" for line in band_lines(band))
     table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
     return f"<h2>Bands</h2><p>{sentence}</p>{table}<ul>{lines}</ul>{_pictures(saved)}"
@@ -170,7 +214,10 @@ def band_section(saved: SavedRun, text: Callable[[str], str]) -> str:
 
 def _pictures(saved: SavedRun) -> str:
     found = []
-    for name, words in (("band", "loads over time with their bands"), ("band_sobol", "which constant matters")):
+    for name, words in (
+        ("band", "loads over time with their bands"),
+        ("band_sobol", "which constant matters"),
+    ):
         for ending, kind in PICTURES.items():
             path = saved.path / "pictures" / f"{name}.{ending}"
             if path.is_file():

@@ -50,7 +50,11 @@ Clean = Callable[[str], str]
 
 
 def write_report(
-    folder: str | Path, out: str | Path | None = None, *, overwrite: bool = False, progress: Progress | None = None
+    folder: str | Path,
+    out: str | Path | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
 ) -> Path:
     """Write a run's report.
 
@@ -80,7 +84,9 @@ def write_report(
     scripts = viewer_scripts()
     saved = SavedRun(folder)
     if out.suffix != ".html":
-        raise InputError(f"out must end in .html, got {out}: choose for example {out.with_suffix('.html')}")
+        raise InputError(
+            f"out must end in .html, got {out}: choose for example {out.with_suffix('.html')}"
+        )
     require_new_file(out, overwrite=overwrite)
     # In the run's folder the report is one of the run's files, which a new run there removes.
     belongs = out.absolute().parent == folder.absolute() and out.name == NAME
@@ -100,7 +106,9 @@ def _require_whole(saved: SavedRun) -> None:
     """Refuse files that are damaged, before VTK reads them in this process, which it could end."""
     require_whole(saved)
     surfaces = [saved.path / "bone.vtp", *sorted((saved.path / "carving").glob("*.vtp"))]
-    there = {path.relative_to(saved.path).as_posix(): ["layer"] for path in surfaces if path.is_file()}
+    there = {
+        path.relative_to(saved.path).as_posix(): ["layer"] for path in surfaces if path.is_file()
+    }
     if there:
         parse_isolated(
             "meshes.surfaces.vtk_reading:check_vtk",
@@ -121,7 +129,9 @@ def _trace(saved: SavedRun) -> dict[str, object]:
     }
 
 
-def _html(saved: SavedRun, data: dict[str, Any], viewer: tuple[list[str], list[str]], clean: Clean) -> str:
+def _html(
+    saved: SavedRun, data: dict[str, Any], viewer: tuple[list[str], list[str]], clean: Clean
+) -> str:
     """Return the whole file."""
     scene = saved.scene
     used = used_constants(scene, saved.summary.get("layers", ())) if scene is not None else []
@@ -136,7 +146,9 @@ def _html(saved: SavedRun, data: dict[str, Any], viewer: tuple[list[str], list[s
         figures_of(saved, text),
         "<h2>In 3D</h2>",
         _own("stage.html"),
-        "<h2>Forces</h2>" + _own("charts.html") if data["trace"] else "<p>The run left no tick.</p>",
+        "<h2>Forces</h2>" + _own("charts.html")
+        if data["trace"]
+        else "<p>The run left no tick.</p>",
         band_section(saved, text),
         "<h2>Events</h2>" + events_table(saved.summary, text),
         "<h2>Notes</h2>" + notes_table(saved.summary, text),
@@ -159,15 +171,17 @@ def _html(saved: SavedRun, data: dict[str, Any], viewer: tuple[list[str], list[s
 def _cleaner(saved: SavedRun) -> Clean:
     """Return a function that leaves the names of files in a text and takes their folders out.
 
-    A report is handed over, and folders may be named after a patient. Texts are cleaned before they are put into the
-    page: the finished page holds markup and encoded arrays, in which a short folder occurs by chance.
+    A report is handed over, and folders may be named after a patient. Texts are cleaned before they
+    are put into the page: the finished page holds markup and encoded arrays, in which a short
+    folder occurs by chance.
     """
     folders = folders_of(saved.scene) if saved.scene is not None else []
 
     def clean(text: str) -> str:
         for folder in folders:
             text = text.replace(folder, "")
-            text = text.replace(folder.replace("\\", "\\\\"), "")  # as TOML and JSON write a backslash
+            # as TOML and JSON write a backslash
+            text = text.replace(folder.replace("\\", "\\\\"), "")
         return text
 
     return clean
@@ -221,13 +235,16 @@ def _versions(saved: SavedRun) -> list[tuple[str, str]]:
 
 
 STYLE_ELEMENT = "document.createElement('style')"
-"""Call by which the viewer adds styles for its own file dialogue, which the policy of a page does not allow."""
+"""Call by which the viewer adds styles for its own file dialogue, which the policy of a page
+does not allow.
+"""
 ICONS = "https://kitware.github.io/vtk-js/icon/favicon-"
 """Begin of the addresses of icons that the viewer would fetch."""
 
 
 def viewer_scripts() -> tuple[list[str], list[str]]:
-    """Return the classic and the module scripts of trame-vtk's static viewer, without the icons that it would fetch.
+    """Return the classic and the module scripts of trame-vtk's static viewer, without the icons
+    that it would fetch.
 
     They offer ``OfflineLocalView``.
 
@@ -237,10 +254,16 @@ def viewer_scripts() -> tuple[list[str], list[str]]:
         If trame-vtk is missing, or its version ships no such viewer (2.11.0 does not).
     """
     found = find_spec("trame_vtk")
-    file = None if found is None or found.origin is None else Path(found.origin).parent / "tools" / "static_viewer.html"
+    file = (
+        None
+        if found is None or found.origin is None
+        else Path(found.origin).parent / "tools" / "static_viewer.html"
+    )
     text = file.read_text("utf-8") if file is not None and file.is_file() else ""
     if "OfflineLocalView" not in text:
-        raise InputError("report must have the vtk.js viewer of trame-vtk, got none: pip install -U trame-vtk")
+        raise InputError(
+            "report must have the vtk.js viewer of trame-vtk, got none: pip install -U trame-vtk"
+        )
     classic: list[str] = []
     modules: list[str] = []
     for attributes, script in re.findall(r"<script\b([^>]*)>(.*?)</script>", text, re.DOTALL):
@@ -275,7 +298,9 @@ def empty_scene(parts: int) -> str:
         "dependencies": [renderer],
         "calls": [["addRenderer", ["instance:${renderer}"]]],
     }
-    content = {name: {"content": b64encode(bytes(12)).decode()} for name in ("Uint8Array", "Float32Array")}
+    content = {
+        name: {"content": b64encode(bytes(12)).decode()} for name in ("Uint8Array", "Float32Array")
+    }
     kept = BytesIO()
     with ZipFile(kept, "w", ZIP_DEFLATED) as archive:
         archive.writestr("index.json", json.dumps({"scene": window, "hashes": content}))
@@ -289,10 +314,17 @@ def _actor(index: int) -> dict[str, object]:
         ("pointData", "setNormals", "Float32Array"),
     )
     fields = [
-        {"name": f"{location} {setter}", "hash": kind, "vtkClass": "vtkDataArray", "dataType": kind,
-         "numberOfComponents": 3, "location": location, "registration": setter}
+        {
+            "name": f"{location} {setter}",
+            "hash": kind,
+            "vtkClass": "vtkDataArray",
+            "dataType": kind,
+            "numberOfComponents": 3,
+            "location": location,
+            "registration": setter,
+        }
         for location, setter, kind in arrays
-    ]  # fmt: skip
+    ]
     data = {"id": f"data{index}", "type": "vtkPolyData", "properties": {"fields": fields}}
     mapper = {
         "id": f"mapper{index}",

@@ -29,7 +29,15 @@ from tissue.simulation.vtk_files import mesh_in_scene
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["Shown", "bone_shown", "depth_scale", "field_scale", "fields_shown", "layer_scale", "stage"]
+__all__ = [
+    "Shown",
+    "bone_shown",
+    "depth_scale",
+    "field_scale",
+    "fields_shown",
+    "layer_scale",
+    "stage",
+]
 
 TOOL, DEVICE, PATH, FORCE = "#808080", "#D55E00", "#D55E00", COMPONENTS[0]
 MOST_POSES = 6000
@@ -68,8 +76,9 @@ class Shown:
 def stage(saved: SavedRun) -> Record:
     """Return the record that the browser shows in 3D.
 
-    ``parts`` are surfaces over time, ``scales`` what their colours can mean, ``bounds`` what has to be seen of each
-    group of parts [mm]; of a run with ticks also ``poses`` of the tool, ``force`` and ``peak_row``.
+    ``parts`` are surfaces over time, ``scales`` what their colours can mean, ``bounds`` what has to
+    be seen of each group of parts [mm]; of a run with ticks also ``poses`` of the tool, ``force``
+    and ``peak_row``.
     """
     scene = saved.scene
     fields = saved_fields(saved)
@@ -82,7 +91,9 @@ def stage(saved: SavedRun) -> Record:
     around = Shown()
     faces = faces_of(scene)
     for name, colour in layer_colours(tuple(faces)).items():
-        parts.append({**_still(faces[name]), "colour": to_hex(colour), "opacity": 0.4, "label": name})
+        parts.append(
+            {**_still(faces[name]), "colour": to_hex(colour), "opacity": 0.4, "label": name}
+        )
         around.see(faces[name].points)
     record: Record = {
         "parts": parts,
@@ -91,9 +102,14 @@ def stage(saved: SavedRun) -> Record:
     }
     if saved.trace is not None and len(saved.trace.rows):
         first = next(iter(groups.values()), around)
-        size_mm = float(np.linalg.norm(np.ptp(np.vstack([np.zeros((1, 3)), first.points_mm]), axis=0)))
+        size_mm = float(
+            np.linalg.norm(np.ptp(np.vstack([np.zeros((1, 3)), first.points_mm]), axis=0))
+        )
         _add_tool(record, saved.trace, scene, around, size_mm=size_mm)
-    seen = {name: np.vstack([shown.points_mm, around.points_mm]) for name, shown in (groups or {"": around}).items()}
+    seen = {
+        name: np.vstack([shown.points_mm, around.points_mm])
+        for name, shown in (groups or {"": around}).items()
+    }
     return {**record, "bounds": {name: _ends(points) for name, points in seen.items()}}
 
 
@@ -104,8 +120,12 @@ def _ends(points_mm: NDArray[np.float64]) -> list[list[float]]:
     return [points_mm.min(axis=0).tolist(), points_mm.max(axis=0).tolist()]
 
 
-def _add_tool(record: Record, trace: Table, scene: Scene | None, around: Shown, *, size_mm: float) -> None:
-    """Add the tool and its device with their poses, the path of the tip, and the arrow of the force."""
+def _add_tool(
+    record: Record, trace: Table, scene: Scene | None, around: Shown, *, size_mm: float
+) -> None:
+    """Add the tool and its device with their poses, the path of the tip, and the arrow of the
+    force.
+    """
     import pyvista
 
     tips = trace.vectors("tool", "mm")
@@ -113,30 +133,53 @@ def _add_tool(record: Record, trace: Table, scene: Scene | None, around: Shown, 
     rows = np.unique(np.append(np.arange(0, len(tips), every), len(tips) - 1))
     turns = tool_turns(trace)
     surface = turning_tool(scene.tool if scene is not None else None)
-    poses = {"rows": rows.tolist(), "tool": packed_vectors(tips[rows]), "turns": packed_vectors(turns[rows])}
+    poses = {
+        "rows": rows.tolist(),
+        "tool": packed_vectors(tips[rows]),
+        "turns": packed_vectors(turns[rows]),
+    }
     if "device_x_mm" in trace and scene is not None:
         device = tips[0] + scene.motion_scale * (trace.vectors("device", "mm") - tips[0])
         poses["device"] = packed_vectors(device[rows])
         if surface is not None:
-            record["parts"].append({**_still(surface), "follows": "device", "colour": DEVICE, "opacity": 0.25,
-                                    "label": "device"})  # fmt: skip
+            record["parts"].append(
+                {
+                    **_still(surface),
+                    "follows": "device",
+                    "colour": DEVICE,
+                    "opacity": 0.25,
+                    "label": "device",
+                }
+            )
     if surface is not None:
-        record["parts"].append({**_still(surface), "follows": "tool", "colour": TOOL, "opacity": 0.5, "label": "tool"})
+        record["parts"].append(
+            {**_still(surface), "follows": "tool", "colour": TOOL, "opacity": 0.5, "label": "tool"}
+        )
     path = tips[np.unique(np.linspace(0, len(tips) - 1, MOST_POINTS).astype(int))]
     around.see(path)
     longest = LONGEST * max(size_mm, 1.0)
-    record["parts"].append({"line": packed_vectors(path), "colour": PATH, "label": "path of the tip"})
+    record["parts"].append(
+        {"line": packed_vectors(path), "colour": PATH, "label": "path of the tip"}
+    )
     arrow = pyvista.Arrow(shaft_radius=0.025, tip_radius=0.06, tip_length=0.18).triangulate()
-    record["parts"].append({**_still(arrow), "follows": "force", "colour": FORCE, "label": "force on the tool"})
+    record["parts"].append(
+        {**_still(arrow), "follows": "force", "colour": FORCE, "label": "force on the tool"}
+    )
     force = tool_force(trace)
     row = int(np.linalg.norm(force, axis=1).argmax())
     greatest = float(np.linalg.norm(force[row]))
     around.see([tips[row], tips[row] + longest * force[row] / max(greatest, 1e-9)])
-    record |= {"poses": poses, "force": {"greatest_N": greatest, "longest_mm": longest}, "peak_row": row}
+    record |= {
+        "poses": poses,
+        "force": {"greatest_N": greatest, "longest_mm": longest},
+        "peak_row": row,
+    }
 
 
 def _still(surface: "pyvista.PolyData") -> Record:
-    """Return the record of a surface that keeps its shape. Edges have points of their own on either side."""
+    """Return the record of a surface that keeps its shape. Edges have points of their own on
+    either side.
+    """
     surface = with_normals(surface.triangulate())
     mesh, _ = packed_mesh(surface.points, surface.regular_faces)
     return {"times": [0.0], "meshes": [mesh], "frames": [{"mesh": 0}], "smooth": True}
@@ -152,17 +195,24 @@ def bone_shown(saved: SavedRun) -> Shown | None:
     if not moments:
         return None
     surfaces = [surface for _, _, surface in moments]
-    deepest = max((float(one.point_data["removed_depth_mm"].max(initial=0.0)) for one in surfaces), default=0.0)
+    deepest = max(
+        (float(one.point_data["removed_depth_mm"].max(initial=0.0)) for one in surfaces),
+        default=0.0,
+    )
     names = next((list(one.field_data["layer_names"]) for one in surfaces if one.n_cells), [])
     shown = Shown()
-    layers = sorted({int(layer) for one in surfaces for layer in np.unique(one.cell_data.get("layer", []))})
+    layers = sorted(
+        {int(layer) for one in surfaces for layer in np.unique(one.cell_data.get("layer", []))}
+    )
     if deepest > 0.0:
         shown.scales.append({**depth_scale(deepest), "group": "bone", "on": "points"})
     shown.scales.append({**layer_scale(names, layers), "group": "bone", "on": "cells"})
     for part in (False, True):
         taken = [(time_s, surface) for time_s, is_rest, surface in moments if is_rest is part]
         if taken:
-            shown.parts.append({"group": "bone", "smooth": True, **_moments_of_bone(taken, max(deepest, 1e-9))})
+            shown.parts.append(
+                {"group": "bone", "smooth": True, **_moments_of_bone(taken, max(deepest, 1e-9))}
+            )
     for surface in surfaces:
         shown.see(surface.points)
     return shown
@@ -189,20 +239,28 @@ def _bone_moments(saved: SavedRun) -> Iterator[tuple[float, bool, Any]]:
         return
     yield 0.0, True, bone.rest(bone.layers)
     times = np.zeros(1) if saved.trace is None else saved.trace["time_s"]
-    for tick in np.unique(np.linspace(0, max(len(times) - 1, 0), MOST_MOMENTS).astype(int)).tolist():
+    for tick in np.unique(
+        np.linspace(0, max(len(times) - 1, 0), MOST_MOMENTS).astype(int)
+    ).tolist():
         if bone.at(tick) or tick == 0:
             yield float(times[tick]), False, bone.cut(bone.layers)
 
 
 def _entries(index: Path) -> list[tuple[float, int, str]]:
-    """Read times [s], parts and files from ``carving.pvd``. Files outside the folder are refused."""
+    """Read times [s], parts and files from ``carving.pvd``. Files outside the folder are
+    refused.
+    """
     with suppress(ElementTree.ParseError, KeyError, ValueError, LookupError, OSError):
         root = ElementTree.fromstring(index.read_bytes())
         found = [
-            (float(one.attrib["timestep"]), int(one.attrib["part"]), one.attrib["file"]) for one in root.iter("DataSet")
+            (float(one.attrib["timestep"]), int(one.attrib["part"]), one.attrib["file"])
+            for one in root.iter("DataSet")
         ]
         folder = index.parent.resolve()
-        if all((folder / name).resolve().is_relative_to(folder) and (folder / name).is_file() for *_, name in found):
+        if all(
+            (folder / name).resolve().is_relative_to(folder) and (folder / name).is_file()
+            for *_, name in found
+        ):
             return found
     raise InputError(f"carving.pvd must be a ParaView collection, got {index}: run the scene again")
 
@@ -218,7 +276,9 @@ def _moments_of_bone(moments: Iterable[tuple[float, Any]], deepest_mm: float) ->
         frames.append(
             {
                 "mesh": len(meshes),
-                "depth": packed_shares(np.asarray(surface.point_data["removed_depth_mm"])[order] / deepest_mm),
+                "depth": packed_shares(
+                    np.asarray(surface.point_data["removed_depth_mm"])[order] / deepest_mm
+                ),
                 "layer": packed(np.asarray(surface.cell_data["layer"], dtype=np.uint8)),
             }
         )
@@ -227,7 +287,9 @@ def _moments_of_bone(moments: Iterable[tuple[float, Any]], deepest_mm: float) ->
 
 
 def fields_shown(fields: SavedFields, plane: tuple[Any, Any]) -> Shown:
-    """Return the deformed mesh by each of its fields, whole and cut open at a plane (normal, point [mm])."""
+    """Return the deformed mesh by each of its fields, whole and cut open at a plane (normal,
+    point [mm]).
+    """
     shown = Shown()
     first = fields.frames[0]
     for name in fields.names:
@@ -235,18 +297,31 @@ def fields_shown(fields: SavedFields, plane: tuple[Any, Any]) -> Shown:
         shown.scales.append({**field_scale(name, fields.limits(name)), "group": "field", "on": on})
     if len(fields.layer_names) > 1:
         layers = sorted({int(layer) for layer in np.unique(first.cell_data["layer"])})
-        shown.scales.append({**layer_scale(fields.layer_names, layers), "group": "field", "on": "cells"})
+        shown.scales.append(
+            {**layer_scale(fields.layer_names, layers), "group": "field", "on": "cells"}
+        )
     normal, origin = plane
     for is_open in (False, True):
-        part = (lambda mesh: mesh.clip(normal=normal, origin=origin)) if is_open else (lambda mesh: mesh)
-        shown.parts.append({"group": "field", "open": is_open, "blend": True, **_moments_of_fields(fields, part)})
+        part = (
+            (lambda mesh: mesh.clip(normal=normal, origin=origin))
+            if is_open
+            else (lambda mesh: mesh)
+        )
+        shown.parts.append(
+            {"group": "field", "open": is_open, "blend": True, **_moments_of_fields(fields, part)}
+        )
     shown.see(first.points)
     return shown
 
 
 def _moments_of_fields(fields: SavedFields, part: "Callable[[Any], pyvista.DataSet]") -> Record:
-    """Return the surfaces of all frames. Consecutive frames with the same triangles share a mesh."""
-    surfaces = [part(frame).extract_surface(algorithm="dataset_surface").triangulate() for frame in fields.frames]
+    """Return the surfaces of all frames. Consecutive frames with the same triangles share a
+    mesh.
+    """
+    surfaces = [
+        part(frame).extract_surface(algorithm="dataset_surface").triangulate()
+        for frame in fields.frames
+    ]
     moved = [fields.moved_mm(surface) for surface in surfaces]
     meshes: list[Record] = []
     frames: list[Record] = []
@@ -262,7 +337,9 @@ def _moments_of_fields(fields: SavedFields, part: "Callable[[Any], pyvista.DataS
             values = field_values(surface, name)
             if values is not None:
                 on_points = name in surface.point_data
-                frame[name] = packed_shares(_shares(values[order] if on_points else values, fields.limits(name)))
+                frame[name] = packed_shares(
+                    _shares(values[order] if on_points else values, fields.limits(name))
+                )
         if len(fields.layer_names) > 1:
             frame["layer"] = packed(np.asarray(surface.cell_data["layer"], dtype=np.uint8))
         frames.append(frame)
@@ -280,7 +357,9 @@ def _shares(values: NDArray[Any], limits: tuple[float, float]) -> NDArray[np.flo
 
 def _is_same(a: Any, b: Any) -> bool:
     return bool(
-        a.n_points == b.n_points and np.array_equal(a.faces, b.faces) and np.allclose(a.points, b.points, atol=1e-4)
+        a.n_points == b.n_points
+        and np.array_equal(a.faces, b.faces)
+        and np.allclose(a.points, b.points, atol=1e-4)
     )
 
 
@@ -307,10 +386,18 @@ def layer_scale(names: Sequence[str], shown: Sequence[int]) -> Record:
     table = np.zeros((256, 3))
     table[: len(names)] = np.array([colours[name] for name in names])
     legend = [[names[index], to_hex(colours[names[index]])] for index in shown]
-    return {"label": "layer", "unit": "", "array": "layer", "names": legend, "colours": _table(table)}
+    return {
+        "label": "layer",
+        "unit": "",
+        "array": "layer",
+        "names": legend,
+        "colours": _table(table),
+    }
 
 
-def _scale(label: str, unit: str, array: str, limits: tuple[float, float], colours: NDArray[np.float64]) -> Record:
+def _scale(
+    label: str, unit: str, array: str, limits: tuple[float, float], colours: NDArray[np.float64]
+) -> Record:
     """Return the record of a scale of numbers."""
     low, high = limits
     ends = {"low": low, "high": high, "logarithmic": low > 0.0}

@@ -1,4 +1,6 @@
-"""The bone in the window of `tissue view`: by layer or by removed depth, its layers switched on and off."""
+"""The bone in the window of `tissue view`: by layer or by removed depth, its layers switched on
+and off.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -93,7 +95,9 @@ class BoneShown:
                 self._draw_part("bone")
 
     def _take(self, *, rest: bool = True) -> None:
-        """Take the surfaces of the layers that are shown anew, that of the rest only where it is asked for."""
+        """Take the surfaces of the layers that are shown anew, that of the rest only where it is
+        asked for.
+        """
         shown = [index for name, index in self._index.items() if name not in self._hidden]
         self._parts["bone"] = self._bone.cut(shown)
         if rest:
@@ -126,10 +130,15 @@ class BoneShown:
         actors = [self._draw_part(name) for name in self._parts]
         shown = [actor for actor in actors if actor is not None]
         if self.by_depth and shown:
-            add_colour_scale(plotter, DEPTH_TITLE, shown[0].mapper, bottom=0.45, fmt="%.2f", below_label="")
+            add_colour_scale(
+                plotter, DEPTH_TITLE, shown[0].mapper, bottom=0.45, fmt="%.2f", below_label=""
+            )
         elif self._visible and self._legend and not self.by_depth:
             # Layers and their colours; one that is off is pale.
-            entries = [[name, "lightgray" if name in self._hidden else self.colours[name]] for name in self.layers]
+            entries = [
+                [name, "lightgray" if name in self._hidden else self.colours[name]]
+                for name in self.layers
+            ]
             plotter.add_legend(
                 entries,
                 bcolor=None,

@@ -1,4 +1,6 @@
-"""Controls of the window of `tissue view`: layers, clip plane, point values, list of fields, playback."""
+"""Controls of the window of `tissue view`: layers, clip plane, point values, list of fields,
+playback.
+"""
 
 from collections.abc import Callable, Sequence
 from time import perf_counter
@@ -181,7 +183,11 @@ class PointRead:
         self.reference_mm: NDArray[np.float64] | None = None
         self.text = ""
         self._mark = plotter.add_mesh(
-            pyvista.Sphere(radius=0.5 * size_mm), color=MARK, name="mark", reset_camera=False, render=False
+            pyvista.Sphere(radius=0.5 * size_mm),
+            color=MARK,
+            name="mark",
+            reset_camera=False,
+            render=False,
         )
         self._mark.SetVisibility(False)
         self._words = add_text(plotter, "", (0.012, 0.36), size=10)
@@ -209,7 +215,9 @@ class PointRead:
             self._mark.SetPosition(*found.place_mm)
             at = ", ".join(f"{value:.2f}" for value in self.reference_mm.round(2) + 0.0)
             lines = [f"{found.layer or 'point'} at ({at}) mm before loading"]
-            self.text = "\n".join([*lines, *(_line(name, value) for name, value in found.values.items())])
+            self.text = "\n".join(
+                [*lines, *(_line(name, value) for name, value in found.values.items())]
+            )
         self._words.input = self.text
 
 
@@ -329,7 +337,12 @@ class Playback:
         """Bind the key, add the button and start the clock of a window that is about to open."""
         plotter = self._plotter
         button = plotter.add_checkbox_button_widget(
-            self._press, position=(14.0, 282.0), size=28, border_size=3, color_on="#0072B2", color_off="#BBBBBB"
+            self._press,
+            position=(14.0, 282.0),
+            size=28,
+            border_size=3,
+            color_on="#0072B2",
+            color_off="#BBBBBB",
         )
         self._mark_button = button.GetRepresentation().SetState
         add_text(plotter, "play", (0.035, 0.298))

@@ -17,7 +17,15 @@ from tissue.show.viewer.plotter import Plotter, aim
 if TYPE_CHECKING:
     from PIL.Image import Image as Picture
 
-__all__ = ["FRAMES_PER_S", "add_scale_bar", "check_movie", "leave_alone", "movie_times_s", "write_clean", "write_movie"]
+__all__ = [
+    "FRAMES_PER_S",
+    "add_scale_bar",
+    "check_movie",
+    "leave_alone",
+    "movie_times_s",
+    "write_clean",
+    "write_movie",
+]
 
 PLACE_PX = (40, 380)
 """Lower left end of a scale bar [pixel]."""
@@ -26,7 +34,9 @@ LONGEST = 0.15
 BORDER = 0.02
 """Free border of a clean picture before it is cropped, as a share of its edges."""
 FINE, AROUND_PX = 2, 8
-"""Pixels along each edge of a clean picture for one of the window, and how many are left around what it shows."""
+"""Pixels along each edge of a clean picture for one of the window, and how many are left around
+what it shows.
+"""
 
 
 def add_scale_bar(plotter: Plotter) -> None:
@@ -51,7 +61,9 @@ def add_scale_bar(plotter: Plotter) -> None:
 
 
 def leave_alone(plotter: Plotter, kept: Collection[object], points_mm: NDArray[np.float64]) -> None:
-    """Take away text, widgets, scales and all actors but some, and let the points fill the window."""
+    """Take away text, widgets, scales and all actors but some, and let the points fill the
+    window.
+    """
     plotter.clear_slider_widgets()
     plotter.remove_legend(render=False)
     plotter.remove_chart(*plotter.renderer._charts)
@@ -65,7 +77,9 @@ def write_clean(plotter: Plotter, file: Path) -> None:
     """Write what is shown as PNG on a transparent ground, cropped to it."""
     from PIL import Image
 
-    drawn = np.asarray(plotter.screenshot(None, return_img=True, transparent_background=True, scale=FINE))
+    drawn = np.asarray(
+        plotter.screenshot(None, return_img=True, transparent_background=True, scale=FINE)
+    )
     there = np.argwhere(drawn[..., 3] > 0)
     if len(there):
         (top, left) = np.maximum(there.min(axis=0) - AROUND_PX, 0)
@@ -91,11 +105,14 @@ def check_movie(path: Path) -> None:
     """
     kind = path.suffix.lower()
     if kind not in KINDS:
-        raise InputError(f"movie must be a .mp4 or .gif file, got {path}: use {path.with_suffix('.gif')}")
+        raise InputError(
+            f"movie must be a .mp4 or .gif file, got {path}: use {path.with_suffix('.gif')}"
+        )
     problem = _encoder_problem() if kind == ".mp4" else None
     if problem is not None:
         raise InputError(
-            f"movie must be a .gif where {problem}, got {path}: use {path.with_suffix('.gif')} or pip install imageio "
+            f"movie must be a .gif where {problem}, got {path}: use "
+            f"{path.with_suffix('.gif')} or pip install imageio "
             "imageio-ffmpeg"
         )
 
@@ -108,14 +125,22 @@ def _encoder_problem() -> str | None:
 
     try:
         encoder = imageio_ffmpeg.get_ffmpeg_exe()
-        subprocess.run([encoder, "-version"], check=True, capture_output=True, stdin=subprocess.DEVNULL, timeout=60.0)
+        subprocess.run(
+            [encoder, "-version"],
+            check=True,
+            capture_output=True,
+            stdin=subprocess.DEVNULL,
+            timeout=60.0,
+        )
     except (RuntimeError, OSError, subprocess.SubprocessError):
         return "imageio-ffmpeg has no ffmpeg that runs"
     return None
 
 
 def movie_times_s(first_s: float, last_s: float) -> NDArray[np.float64]:
-    """Return the times of a movie's frames [s]. It lasts as long as the run, but at least 4 and at most 12 s."""
+    """Return the times of a movie's frames [s]. It lasts as long as the run, but at least 4 and
+    at most 12 s.
+    """
     lasts = float(np.clip(last_s - first_s, SHORTEST_S, LONGEST_S))
     return np.linspace(first_s, last_s, round(lasts * FRAMES_PER_S) + 1)
 

@@ -1,4 +1,6 @@
-"""The fields in the window of `tissue view`: the deformed mesh of the moment, cut open where the clip plane lies."""
+"""The fields in the window of `tissue view`: the deformed mesh of the moment, cut open where the
+clip plane lies.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,7 +24,9 @@ __all__ = ["REFERENCE", "FieldsShown", "PointValues", "interpolated"]
 TETRAHEDRON = 10
 """VTK's number of the cell."""
 AMBIENT, DIFFUSE = 0.78, 0.25
-"""Light on a field: enough shade that its shape is seen, so little that its colours are still those of the scale."""
+"""Light on a field: enough shade that its shape is seen, so little that its colours are still
+those of the scale.
+"""
 REFERENCE, SHOWN = "reference_mm", "shown"
 """Arrays that are only there to be drawn and read."""
 
@@ -125,7 +129,9 @@ class FieldsShown:
         self._draw()
 
     def read(self, reference_mm: NDArray[np.float64]) -> PointValues | None:
-        """Return the values at a point of the material, given before loading [mm], or None where no cell is left."""
+        """Return the values at a point of the material, given before loading [mm], or None where
+        no cell is left.
+        """
         mesh, _ = self._fields.at(self._time_s)
         if not mesh.n_cells:
             return None
@@ -175,13 +181,16 @@ class FieldsShown:
         names = self._fields.layer_names
         keep = [index for index, name in enumerate(names) if name not in self._hidden]
         if len(keep) < len(names):
-            mesh = mesh.extract_cells(np.flatnonzero(np.isin(mesh.cell_data["layer"], keep)).tolist())
+            mesh = mesh.extract_cells(
+                np.flatnonzero(np.isin(mesh.cell_data["layer"], keep)).tolist()
+            )
         if not mesh.n_cells:
             return mesh
         moved = mesh.copy(deep=False)
         moved.point_data[REFERENCE] = np.array(mesh.points)
         place = np.asarray(mesh.points) + np.float32(self.scale) * self._fields.moved_mm(mesh)
-        moved.SetPoints(pyvista.vtk_points(place, deep=True))  # to set them through .points would move the frame too
+        # to set them through .points would move the frame too
+        moved.SetPoints(pyvista.vtk_points(place, deep=True))
         if self.clip is not None:
             normal, origin = self.clip
             moved = moved.clip(normal=normal, origin=origin)
@@ -194,12 +203,16 @@ class FieldsShown:
         if not part.n_cells:
             return
         in_cells = name in part.cell_data
-        smooth = self._fine and self.clip is None and set(np.unique(part.celltypes)) == {TETRAHEDRON}
+        smooth = (
+            self._fine and self.clip is None and set(np.unique(part.celltypes)) == {TETRAHEDRON}
+        )
         if smooth:
             part = drawn_surface(part, at_nodes(part, name))
             in_cells = False
             part.rename_array(DRAWN, name)
-        (part.cell_data if in_cells else part.point_data)[SHOWN] = np.asarray(field_values(part, name))
+        (part.cell_data if in_cells else part.point_data)[SHOWN] = np.asarray(
+            field_values(part, name)
+        )
         low, high = self._fields.limits(name)
         self.actor = self._plotter.add_mesh(
             part,
@@ -223,12 +236,16 @@ class FieldsShown:
         add_colour_scale(self._plotter, self._title, self.actor.mapper, bottom=0.42, fmt="%.2g")
 
 
-def interpolated(mesh: "pyvista.DataSet", cell: int, place_mm: NDArray[np.float64], name: str) -> NDArray[np.float64]:
+def interpolated(
+    mesh: "pyvista.DataSet", cell: int, place_mm: NDArray[np.float64], name: str
+) -> NDArray[np.float64]:
     """Interpolate a point array in one cell of a mesh by the cell's own shape functions."""
     from vtkmodules.vtkCommonCore import reference
 
     one = mesh.GetCell(cell)
     nodes = [one.GetPointId(i) for i in range(one.GetNumberOfPoints())]
     shares = [0.0] * len(nodes)
-    one.EvaluatePosition(list(map(float, place_mm)), [0.0] * 3, reference(0), [0.0] * 3, reference(0.0), shares)
+    one.EvaluatePosition(
+        list(map(float, place_mm)), [0.0] * 3, reference(0), [0.0] * 3, reference(0.0), shares
+    )
     return np.asarray(np.array(shares) @ np.asarray(mesh.point_data[name], dtype=np.float64)[nodes])

@@ -59,10 +59,17 @@ class MomentShown:
         every = slice(None, None, max(len(trace.rows) // MOST_POINTS, 1))
         path = self._tips[every]
         if len(path) > 1 and np.ptp(path, axis=0).max() > 0.0:
-            plotter.add_mesh(pyvista.lines_from_points(path), color="#D55E00", line_width=3, show_scalar_bar=False)
+            plotter.add_mesh(
+                pyvista.lines_from_points(path),
+                color="#D55E00",
+                line_width=3,
+                show_scalar_bar=False,
+            )
         self._peak = int(np.linalg.norm(self._force, axis=1).argmax())
         self._greatest = float(np.linalg.norm(self._force[self._peak]))
-        self._longest = LONGEST * max(float(np.ptp(path, axis=0).max()), size_mm, tool.length if tool else 0.0, 1.0)
+        self._longest = LONGEST * max(
+            float(np.ptp(path, axis=0).max()), size_mm, tool.length if tool else 0.0, 1.0
+        )
         self._tool = ToolShown(plotter, tool, longest_mm=self._longest, opacity=0.35)
         self._charted = chart
         if chart:
@@ -77,7 +84,9 @@ class MomentShown:
         return np.stack([self._tips[0], self._tips[-1], tip, tip + arrow])
 
     def near_tip_mm(self, tool_mm: NDArray[np.float64], *, reach_mm: float) -> NDArray[np.float64]:
-        """Return the points of the tool near its tip at the largest force [mm], from points in its own frame."""
+        """Return the points of the tool near its tip at the largest force [mm], from points in
+        its own frame.
+        """
         near = tool_mm[np.linalg.norm(tool_mm, axis=1) <= reach_mm]
         matrix = pose(self._tips[self._peak], self._turns[self._peak])
         return near @ matrix[:3, :3].T + matrix[:3, 3]
@@ -96,7 +105,9 @@ class MomentShown:
         """Show the moment."""
         trace = self._trace
         row = self.row(time_s)
-        force = self._tool.show(self._tips[row], self._turns[row], self._force[row], greatest_N=self._greatest)
+        force = self._tool.show(
+            self._tips[row], self._turns[row], self._force[row], greatest_N=self._greatest
+        )
         if not self._charted:
             return
         words = [f"{time_s:.3f} s: {force}"]
@@ -113,11 +124,14 @@ def _chart(
 ) -> "tuple[pyvista.Chart2D, pyvista.plotting.charts.LinePlot2D]":
     """Add the force over time along the lower edge, with a cursor.
 
-    What is commanded is pale and the model's force lies upon it: teeth that vibrate would make a band that hides it.
+    What is commanded is pale and the model's force lies upon it: teeth that vibrate would make a
+    band that hides it.
     """
     import pyvista
 
-    chart = pyvista.Chart2D(size=(0.98, CHART_SHARE), loc=(0.01, 0.0), x_label="time / s", y_label="force / N")
+    chart = pyvista.Chart2D(
+        size=(0.98, CHART_SHARE), loc=(0.01, 0.0), x_label="time / s", y_label="force / N"
+    )
     time = trace["time_s"][every]
     force = trace.vectors("force", "N")[every]
     model = tool_force(trace)[every]
@@ -128,7 +142,9 @@ def _chart(
         shown |= {"xyz"[c]: (values[:, c], COMPONENTS[c]) for c in range(3)}
         for name, (curve, colour) in shown.items():
             label = name if values is model else ""
-            chart.line(time, curve, color=pyvista.Color(colour, opacity=opacity), width=width, label=label)
+            chart.line(
+                time, curve, color=pyvista.Color(colour, opacity=opacity), width=width, label=label
+            )
             low = min(low, float(curve.min()))
             high = max(high, float(curve.max()))
     chart.y_range = (low - 0.05 * (high - low), high + 0.05 * (high - low))
@@ -163,7 +179,14 @@ class ToolShown:
         Of the tool.
     """
 
-    def __init__(self, plotter: Plotter, tool: "pyvista.PolyData | None", *, longest_mm: float, opacity: float) -> None:
+    def __init__(
+        self,
+        plotter: Plotter,
+        tool: "pyvista.PolyData | None",
+        *,
+        longest_mm: float,
+        opacity: float,
+    ) -> None:
         import pyvista
         from vtkmodules.vtkRenderingCore import vtkBillboardTextActor3D
 
@@ -189,7 +212,9 @@ class ToolShown:
         *,
         greatest_N: float,
     ) -> str:
-        """Show the tool by its tip [mm] and turn (x, y, z, w), and its force [N] beside the greatest one, in words."""
+        """Show the tool by its tip [mm] and turn (x, y, z, w), and its force [N] beside the
+        greatest one, in words.
+        """
         import pyvista
 
         if self._tool is not None:

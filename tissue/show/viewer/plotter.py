@@ -20,7 +20,9 @@ __all__ = [
 ]
 
 Plotter: TypeAlias = Any
-"""A `pyvista.Plotter`: PyVista declares those of its methods that forward to a renderer without their arguments."""
+"""A `pyvista.Plotter`: PyVista declares those of its methods that forward to a renderer without
+their arguments.
+"""
 STILL_PX = 2
 """A mouse that moves less between press and release has clicked."""
 KEPT = tuple("eqrsw")
@@ -33,13 +35,20 @@ def new_plotter(size_px: tuple[int, int], *, title: str = "", off_screen: bool) 
     """Return a plotter with a white background."""
     import pyvista
 
-    plotter: Plotter = pyvista.Plotter(off_screen=off_screen, window_size=list(size_px), title=title)
+    plotter: Plotter = pyvista.Plotter(
+        off_screen=off_screen, window_size=list(size_px), title=title
+    )
     plotter.background_color = pyvista.Color("white")
     return plotter
 
 
 def add_text(
-    plotter: Plotter, words: str, place: tuple[float, float], *, size: int = 9, colour: object = "black"
+    plotter: Plotter,
+    words: str,
+    place: tuple[float, float],
+    *,
+    size: int = 9,
+    colour: object = "black",
 ) -> Any:
     """Write a text, its lower left corner in shares of the window, and return its actor."""
     return plotter.add_text(words, position=place, viewport=True, font_size=size, color=colour)
@@ -77,8 +86,12 @@ def add_slider(
     )
 
 
-def picked(plotter: Plotter, actor: object, x: int, y: int) -> tuple[int, NDArray[np.float64]] | None:
-    """Return the cell of an actor under a pixel, counted from the lower left, and the point there [mm], or None."""
+def picked(
+    plotter: Plotter, actor: object, x: int, y: int
+) -> tuple[int, NDArray[np.float64]] | None:
+    """Return the cell of an actor under a pixel, counted from the lower left, and the point
+    there [mm], or None.
+    """
     from vtkmodules.vtkRenderingCore import vtkCellPicker
 
     picker: Any = vtkCellPicker()
@@ -91,8 +104,12 @@ def picked(plotter: Plotter, actor: object, x: int, y: int) -> tuple[int, NDArra
     return picker.GetCellId(), np.array(picker.GetPickPosition())
 
 
-def add_colour_scale(plotter: Plotter, title: str, mapper: object, *, bottom: float, **options: object) -> None:
-    """Draw the scale of a mapper's colours at the right, from `bottom`, a share of the window's height."""
+def add_colour_scale(
+    plotter: Plotter, title: str, mapper: object, *, bottom: float, **options: object
+) -> None:
+    """Draw the scale of a mapper's colours at the right, from `bottom`, a share of the window's
+    height.
+    """
     plotter.add_scalar_bar(
         title,
         mapper=mapper,
@@ -110,7 +127,8 @@ def add_colour_scale(plotter: Plotter, title: str, mapper: object, *, bottom: fl
 
 
 def on_click(plotter: Plotter, click: Callable[[int, int], object]) -> None:
-    """Call with the pixel, counted from the lower left, when the left button is pressed and released in one place.
+    """Call with the pixel, counted from the lower left, when the left button is pressed and
+    released in one place.
 
     A style that turns the camera grabs the mouse between the two, so that it is the one to ask.
     """
@@ -132,10 +150,14 @@ def on_click(plotter: Plotter, click: Callable[[int, int], object]) -> None:
 
 
 def free_keys(plotter: Plotter) -> None:
-    """Leave VTK only keys that are not taken: its 3 is a stereo picture, its m an animation that stops the mouse."""
+    """Leave VTK only keys that are not taken: its 3 is a stereo picture, its m an animation that
+    stops the mouse.
+    """
     interactor = plotter.iren.interactor
     style = interactor.GetInteractorStyle()
-    style.AddObserver("CharEvent", lambda *_: style.OnChar() if interactor.GetKeyCode() in KEPT else None)
+    style.AddObserver(
+        "CharEvent", lambda *_: style.OnChar() if interactor.GetKeyCode() in KEPT else None
+    )
 
 
 EYE = (0.25, -0.75, 0.8)
@@ -151,7 +173,8 @@ def aim(
     margins: tuple[float, float, float, float] = MARGINS,
     parallel: bool = False,
 ) -> None:
-    """Look down from the front so that the points fill the area; without points so that all that there is does.
+    """Look down from the front so that the points fill the area; without points so that all that
+    there is does.
 
     A parallel projection has one scale everywhere, which a scale bar needs.
     """

@@ -1,4 +1,6 @@
-"""A saved run in a plotter: bone, fields, faces, tool and force at any moment, for windows, files and pages alike."""
+"""A saved run in a plotter: bone, fields, faces, tool and force at any moment, for windows,
+files and pages alike.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -91,7 +93,13 @@ class RunScene:
     """
 
     def __init__(
-        self, saved: SavedRun, choice: Choice, plotter: Plotter, *, fine: bool = False, annotated: bool = True
+        self,
+        saved: SavedRun,
+        choice: Choice,
+        plotter: Plotter,
+        *,
+        fine: bool = False,
+        annotated: bool = True,
     ) -> None:
         scene = saved.scene
         self._plotter = plotter
@@ -106,11 +114,18 @@ class RunScene:
         faces = faces_of(scene)
         self.face_colours = layer_colours(tuple(faces))
         self._face_actors = {
-            name: plotter.add_mesh(face, color=self.face_colours[name], opacity=0.5) for name, face in faces.items()
+            name: plotter.add_mesh(face, color=self.face_colours[name], opacity=0.5)
+            for name, face in faces.items()
         }
-        of_bone = {} if self.bone is None else {name: self.bone.colours[name] for name in self.bone.layers}
+        of_bone = (
+            {}
+            if self.bone is None
+            else {name: self.bone.colours[name] for name in self.bone.layers}
+        )
         of_fields = {} if self.series is None else layer_colours(tuple(self.series.layer_names))
-        self.colours = of_bone | {name: of_fields[name] for name in of_fields if name not in of_bone}
+        self.colours = of_bone | {
+            name: of_fields[name] for name in of_fields if name not in of_bone
+        }
         self.colours |= self.face_colours
 
         self._points = [some_of(np.asarray(face.points)) for face in faces.values()]
@@ -126,7 +141,9 @@ class RunScene:
         self._tool: pyvista.PolyData | None = None
         if saved.trace is not None and len(saved.trace.rows):
             self._tool = turning_tool(scene.tool if scene is not None else None)
-            self.moment = MomentShown(plotter, saved.trace, self._tool, size_mm=self.size_mm, chart=annotated)
+            self.moment = MomentShown(
+                plotter, saved.trace, self._tool, size_mm=self.size_mm, chart=annotated
+            )
         self.times_s = times_of(saved, self.series)
         last_s = float(self.times_s[-1]) if len(self.times_s) else 0.0
         peak_s = self.moment.peak_s if self.moment is not None else last_s
@@ -135,7 +152,9 @@ class RunScene:
     @property
     def span_s(self) -> tuple[float, float]:
         """First and last moment [s]."""
-        return (float(self.times_s[0]), float(self.times_s[-1])) if len(self.times_s) else (0.0, 0.0)
+        return (
+            (float(self.times_s[0]), float(self.times_s[-1])) if len(self.times_s) else (0.0, 0.0)
+        )
 
     @property
     def tissue_mm(self) -> NDArray[np.float64]:
@@ -143,12 +162,18 @@ class RunScene:
         return np.vstack([np.zeros((0, 3)), *self._points])
 
     def extent_mm(self, *, near_tip: bool = False) -> NDArray[np.float64]:
-        """Return the points to keep in view [mm], shape (n, 3), if asked for with those of the tool near its tip."""
+        """Return the points to keep in view [mm], shape (n, 3), if asked for with those of the
+        tool near its tip.
+        """
         points = [self.tissue_mm]
         if self.moment is not None:
             points.append(self.moment.extent_mm)
             if near_tip and self._tool is not None:
-                points.append(self.moment.near_tip_mm(np.asarray(self._tool.points), reach_mm=NEAR_TIP * self.size_mm))
+                points.append(
+                    self.moment.near_tip_mm(
+                        np.asarray(self._tool.points), reach_mm=NEAR_TIP * self.size_mm
+                    )
+                )
         return np.vstack(points)
 
     def tissue_actors(self) -> "Iterator[pyvista.Actor]":

@@ -41,7 +41,9 @@ __all__ = [
 Plane = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Normal and a point [mm]; what lies on the normal's side is left out."""
 INSIDE_MM = 1e-4
-"""Distance of a cut from the tool's deepest point, so that the plane goes through no face of the mesh."""
+"""Distance of a cut from the tool's deepest point, so that the plane goes through no face of the
+mesh.
+"""
 
 
 def saved_fields(saved: SavedRun) -> SavedFields | None:
@@ -92,7 +94,12 @@ class BoneOverTime:
     """
 
     def __init__(
-        self, volume: VoxelVolume, end: NDArray[np.uint8], replay: "CarvingReplay | None" = None, *, axis: int = 2
+        self,
+        volume: VoxelVolume,
+        end: NDArray[np.uint8],
+        replay: "CarvingReplay | None" = None,
+        *,
+        axis: int = 2,
     ) -> None:
         self._volume = volume
         self._replay = replay
@@ -110,7 +117,9 @@ class BoneOverTime:
         if box is not None:
             carved = CarvedSurface(volume, box, axis=axis)
             cut = carved.of(end[carved.part])
-            self.deepest_mm = float(cut.point_data["removed_depth_mm"].max()) if cut.n_cells else 0.0
+            self.deepest_mm = (
+                float(cut.point_data["removed_depth_mm"].max()) if cut.n_cells else 0.0
+            )
 
     def at(self, tick: int) -> bool:
         """Bring the bone to the end of a tick; whether that can have changed it."""
@@ -138,7 +147,9 @@ class BoneOverTime:
             fraction = volume.fraction
             if not self._shown >= set(self.layers):
                 fraction = np.where(np.isin(volume.layer, list(shown)), fraction, np.uint8(0))
-            self._carved = CarvedSurface(replace(volume, fraction=fraction), self._box, axis=self._axis)
+            self._carved = CarvedSurface(
+                replace(volume, fraction=fraction), self._box, axis=self._axis
+            )
         return self._carved
 
 
@@ -158,8 +169,13 @@ def bone_of(saved: SavedRun, scene: Scene | None) -> BoneOverTime | None:
         # Not as the image states them, rounded: the bits of the carving depend on them.
         exact = replace(volume, origin_m=origin_m, spacing_m=spacing_m)
         if not np.allclose(origin_m, volume.origin_m, atol=1e-3 * spacing_m):
-            raise InputError(f"poses must be of the bone in {file}, got those of other voxels: run the scene again")
-        return _over_time(exact, saved.trace, scene, end=end, poses=cut, compute=str(saved.summary.get("compute")))
+            raise InputError(
+                f"poses must be of the bone in {file}, got those of other voxels: run the "
+                "scene again"
+            )
+        return _over_time(
+            exact, saved.trace, scene, end=end, poses=cut, compute=str(saved.summary.get("compute"))
+        )
     if scene is None or saved.trace is None or (coarse := _coarse(scene)) is None:
         return None
     return _over_time(coarse, saved.trace, scene)
@@ -174,15 +190,24 @@ def _over_time(
     poses: NDArray[np.float64] | None = None,
     compute: str = "cpu",
 ) -> BoneOverTime:
-    """Return the bone carved along poses, by default those of the trace, which are right within 20 µm."""
+    """Return the bone carved along poses, by default those of the trace, which are right within
+    20 µm.
+    """
     from tissue.simulation.builders.cutting import cutter_of
 
     uncut = end is not None and np.array_equal(end, volume.fraction)
-    if not isinstance(scene.tool, Tool) or scene.tool.spin_rpm == 0.0 or uncut or not len(trace.rows):
+    if (
+        not isinstance(scene.tool, Tool)
+        or scene.tool.spin_rpm == 0.0
+        or uncut
+        or not len(trace.rows)
+    ):
         return BoneOverTime(volume, volume.fraction if end is None else end)
     if poses is None:
         axes = tool_axes(tool_turns(trace))
-        velocities = np.hstack([1e-3 * trace.vectors("velocity", "mm_s"), trace.vectors("angular_velocity", "rad_s")])
+        velocities = np.hstack(
+            [1e-3 * trace.vectors("velocity", "mm_s"), trace.vectors("angular_velocity", "rad_s")]
+        )
         poses = poses_of_trace(1e-3 * trace.vectors("tool", "mm"), axes, velocities)
     import warp as wp
 
@@ -197,17 +222,23 @@ def _over_time(
         device=compute if compute in known else "cpu",
     )
     axis, _ = facing(trace)
-    return BoneOverTime(volume, replay.at(len(trace.rows) - 1).copy() if end is None else end, replay, axis=axis)
+    return BoneOverTime(
+        volume, replay.at(len(trace.rows) - 1).copy() if end is None else end, replay, axis=axis
+    )
 
 
 def _coarse(scene: Scene) -> VoxelVolume | None:
-    """Return the bone that a scene starts from in coarse voxels, or None if it comes from a file."""
+    """Return the bone that a scene starts from in coarse voxels, or None if it comes from a
+    file.
+    """
     if not isinstance(scene.anatomy, CutAnatomy) or scene.anatomy.from_file is not None:
         return None
     spacing = max(COARSE_MM, scene.voxels.spacing_mm)
     with suppress(InputError):
         return milled_voxels(
-            scene.model_copy(update={"voxels": scene.voxels.model_copy(update={"spacing_mm": spacing})})
+            scene.model_copy(
+                update={"voxels": scene.voxels.model_copy(update={"spacing_mm": spacing})}
+            )
         )
     return None
 
@@ -215,5 +246,6 @@ def _coarse(scene: Scene) -> VoxelVolume | None:
 def _smooth(surface: "pyvista.PolyData") -> "pyvista.PolyData":
     if surface.n_cells:
         surface.point_data["Normals"] = smooth_normals(surface)
-        surface.point_data.active_normals_name = "Normals"  # without it the steps of the voxels are drawn
+        # without it the steps of the voxels are drawn
+        surface.point_data.active_normals_name = "Normals"
     return surface

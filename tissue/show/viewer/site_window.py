@@ -1,4 +1,6 @@
-"""The window of `tissue view` on an imported bone: a click puts the site, a key saves it into the scene."""
+"""The window of `tissue view` on an imported bone: a click puts the site, a key saves it into
+the scene.
+"""
 
 import sys
 from pathlib import Path
@@ -19,9 +21,13 @@ SIZE = (1400, 950)
 SITE, UNSAVED = "#0072B2", "#D55E00"
 SAMPLES = 60_000
 EYE = np.array([0.35, -1.0, 0.35])
-"""Direction to the eye where there is no site: from the front of the patient, a little from the left and above."""
+"""Direction to the eye where there is no site: from the front of the patient, a little from the
+left and above.
+"""
 ASIDE = 0.6
-"""How far the eye stands aside from the site's normal, in parts of it, so that the arrow is seen."""
+"""How far the eye stands aside from the site's normal, in parts of it, so that the arrow is
+seen.
+"""
 MARK, ARROW = 0.012, 0.16
 """Radius of the mark and length of the arrow, in parts of the bone's size."""
 ZOOM = 0.9
@@ -32,7 +38,8 @@ HELP = "click: put the site there    Return: save it into scene.toml    q: close
 def is_imported(folder: Path) -> bool:
     """Return whether a folder holds an imported bone and no run."""
     return (
-        all((folder / name).is_file() for name in ("scene.toml", "bone.ply")) and not (folder / "summary.json").exists()
+        all((folder / name).is_file() for name in ("scene.toml", "bone.ply"))
+        and not (folder / "summary.json").exists()
     )
 
 
@@ -64,15 +71,28 @@ class SiteWindow:
         self._surface = _bone(folder, anatomy)
         self._samples = sample_surface(*self._surface.scanned, SAMPLES)
         self._size_mm = max(self._surface.report.size_mm)
-        self.centre_mm, self.normal = (_numbers(anatomy.get(key)) for key in ("centre_mm", "normal"))
+        self.centre_mm, self.normal = (
+            _numbers(anatomy.get(key)) for key in ("centre_mm", "normal")
+        )
         if self.centre_mm is not None and self.normal is None:
             self.normal = normal_near(self._samples, 1e-3 * self.centre_mm)
         self.text = ""
-        self.plotter = new_plotter(SIZE, title=f"tissue: {folder.absolute().name}", off_screen=off_screen)
-        bone = pyvista.PolyData.from_regular_faces(1e3 * self._surface.vertices_m, self._surface.faces.astype(int))
-        look = {"smooth_shading": True, "split_sharp_edges": False, "ambient": 0.15, "specular": 0.1}
+        self.plotter = new_plotter(
+            SIZE, title=f"tissue: {folder.absolute().name}", off_screen=off_screen
+        )
+        bone = pyvista.PolyData.from_regular_faces(
+            1e3 * self._surface.vertices_m, self._surface.faces.astype(int)
+        )
+        look = {
+            "smooth_shading": True,
+            "split_sharp_edges": False,
+            "ambient": 0.15,
+            "specular": 0.1,
+        }
         self._bone = self.plotter.add_mesh(bone, color=BONE, name="bone", **look)
-        self.plotter.add_axes(xlabel="left", ylabel="back", zlabel="head", color="black", line_width=3)
+        self.plotter.add_axes(
+            xlabel="left", ylabel="back", zlabel="head", color="black", line_width=3
+        )
         self._words = add_text(self.plotter, "", (0.012, 0.9), size=11)
         if not off_screen:
             add_text(self.plotter, HELP, (0.012, 0.86))
@@ -81,7 +101,9 @@ class SiteWindow:
         self._aim()
 
     def click(self, x: int, y: int) -> bool:
-        """Put the site where the bone is seen at a pixel, counted from the lower left; whether it is seen there."""
+        """Put the site where the bone is seen at a pixel, counted from the lower left; whether
+        it is seen there.
+        """
         found = picked(self.plotter, self._bone, x, y)
         if found is None:
             return False
@@ -116,10 +138,14 @@ class SiteWindow:
             self.text = "no site yet"
         else:
             size = self._size_mm
-            arrow = pyvista.Arrow(self.centre_mm, self.normal, scale=ARROW * size, tip_radius=0.07, shaft_radius=0.025)
+            arrow = pyvista.Arrow(
+                self.centre_mm, self.normal, scale=ARROW * size, tip_radius=0.07, shaft_radius=0.025
+            )
             parts = {"mark": pyvista.Sphere(MARK * size, self.centre_mm), "arrow": arrow}
             for name, mesh in parts.items():
-                self.plotter.add_mesh(mesh, color=colour, name=name, reset_camera=False, render=False)
+                self.plotter.add_mesh(
+                    mesh, color=colour, name=name, reset_camera=False, render=False
+                )
             centre = ", ".join(f"{value + 0.0:.2f}" for value in self.centre_mm.round(2))
             normal = ", ".join(f"{value + 0.0:.3f}" for value in self.normal.round(3))
             self.text = f"centre ({centre}) mm, normal ({normal}), LPS\n{about}"
@@ -135,7 +161,11 @@ class SiteWindow:
             towards = self.normal + ASIDE * aside / np.linalg.norm(aside)
         towards = towards / np.linalg.norm(towards)
         up = (0.0, 0.0, 1.0) if abs(towards[2]) < 0.95 else (0.0, -1.0, 0.0)
-        self.plotter.camera_position = [tuple(middle + 3.0 * self._size_mm * towards), tuple(middle), up]
+        self.plotter.camera_position = [
+            tuple(middle + 3.0 * self._size_mm * towards),
+            tuple(middle),
+            up,
+        ]
         self.plotter.reset_camera()
         self.plotter.camera.zoom(ZOOM)
 

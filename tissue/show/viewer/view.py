@@ -1,4 +1,6 @@
-"""A saved run in a window, as a screenshot or as a movie: bone or fields, the tool on its path, and its force."""
+"""A saved run in a window, as a screenshot or as a movie: bone or fields, the tool on its path,
+and its force.
+"""
 
 import json
 import math
@@ -27,7 +29,13 @@ from tissue.simulation.live.window import require_web
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.saved_fields import SavedFields, require_whole
 from tissue.system.child import await_ready, child_command
-from tissue.system.offscreen import LONGEST_S, REMEDY, display_problem, draw_apart, drawing_environments
+from tissue.system.offscreen import (
+    LONGEST_S,
+    REMEDY,
+    display_problem,
+    draw_apart,
+    drawing_environments,
+)
 from tissue.system.outputs import require_new_file
 from tissue.system.stopping import Terminated
 
@@ -56,8 +64,8 @@ def view(
     Parameters
     ----------
     path
-        Folder that `tissue run` wrote, of a run that ended or was stopped; or one that `tissue import` wrote of a bone,
-        whose site is then put by a click and saved into its scene.
+        Folder that `tissue run` wrote, of a run that ended or was stopped; or one that `tissue
+        import` wrote of a bone, whose site is then put by a click and saved into its scene.
     screenshot
         PNG file to write instead of opening a window.
     movie
@@ -71,15 +79,15 @@ def view(
     time_s
         Moment that is shown at first [s]; without it that of the greatest force.
     clean
-        Whether a screenshot shows what was simulated alone on a transparent ground, cropped to it, without text,
-        scales, tool and arrows.
+        Whether a screenshot shows what was simulated alone on a transparent ground, cropped to it,
+        without text, scales, tool and arrows.
     overwrite
         Replace the file of the screenshot or movie.
     progress
         Called with how much of a file is drawn.
     opened
-        Show the run in a browser in place of a window, until its page was closed for some seconds, and call this with
-        the address of the page.
+        Show the run in a browser in place of a window, until its page was closed for some seconds,
+        and call this with the address of the page.
 
     Returns
     -------
@@ -88,16 +96,21 @@ def view(
     Raises
     ------
     InputError
-        If the folder holds no run or nothing to show, there is no such layer, field or moment, no display for a window,
-        or the picture cannot be drawn.
+        If the folder holds no run or nothing to show, there is no such layer, field or moment, no
+        display for a window, or the picture cannot be drawn.
     """
     _check_files(screenshot, movie, time_s, overwrite=overwrite)
     if opened is not None:
         _check_web(Path(path), screenshot, movie)
     if clean and screenshot is None:
-        raise InputError("clean must come with a screenshot, got none: pass --screenshot FILE.png, or leave clean out")
+        raise InputError(
+            "clean must come with a screenshot, got none: pass --screenshot FILE.png, or "
+            "leave clean out"
+        )
     if is_imported(Path(path)):
-        _check_imported(movie, Choice(hide=hide, field=field, scale=scale, time_s=time_s, clean=clean))
+        _check_imported(
+            movie, Choice(hide=hide, field=field, scale=scale, time_s=time_s, clean=clean)
+        )
         return _view_site(Path(path), screenshot)
     saved = SavedRun(path)
     about = _about(saved)
@@ -122,16 +135,23 @@ def view(
 def _require_display(instead: str) -> None:
     problem = display_problem()
     if problem is not None:
-        raise InputError(f"view must have a display to open a window, but {problem}: pass {instead}")
+        raise InputError(
+            f"view must have a display to open a window, but {problem}: pass {instead}"
+        )
 
 
 def _check_web(path: Path, screenshot: Path | None, movie: Path | None) -> None:
     """Refuse a page for what is no page, and where nothing can serve one."""
     for name, file in (("screenshot", screenshot), ("movie", movie)):
         if file is not None:
-            raise InputError(f"web must be left out with a {name}, which is a file, got {file}: leave one of them out")
+            raise InputError(
+                f"web must be left out with a {name}, which is a file, got {file}: leave one "
+                "of them out"
+            )
     if is_imported(path):
-        raise InputError("web must be left out for an imported bone, which has no run: leave it out")
+        raise InputError(
+            "web must be left out for an imported bone, which has no run: leave it out"
+        )
     require_web()
 
 
@@ -140,7 +160,9 @@ def _check_imported(movie: Path | None, choice: Choice) -> None:
     given = [name for name, value in asdict(choice).items() if value != getattr(Choice(), name)]
     given += ["movie"] if movie is not None else []
     if given:
-        raise InputError(f"{given[0]} must be left out for an imported bone, which has no run: leave it out")
+        raise InputError(
+            f"{given[0]} must be left out for an imported bone, which has no run: leave it out"
+        )
 
 
 def _view_site(folder: Path, screenshot: Path | None) -> str:
@@ -163,7 +185,10 @@ def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, report: Progre
     chosen = json.dumps(asdict(choice))
     doing = f"drawing the {kind}"
     report(doing, 0.0)
-    with whole_file(file) as temporary, TemporaryDirectory(prefix="tissue-", ignore_cleanup_errors=True) as folder:
+    with (
+        whole_file(file) as temporary,
+        TemporaryDirectory(prefix="tissue-", ignore_cleanup_errors=True) as folder,
+    ):
         temporary.touch()
         temporary.unlink()  # a folder that takes no file is refused before anything is drawn
         drawn = Path(folder) / file.name
@@ -181,21 +206,29 @@ def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, report: Progre
         shutil.copyfile(drawn, temporary)
 
 
-def _check_files(screenshot: Path | None, movie: Path | None, time_s: float | None, *, overwrite: bool) -> None:
+def _check_files(
+    screenshot: Path | None, movie: Path | None, time_s: float | None, *, overwrite: bool
+) -> None:
     """Refuse files that cannot be written, before those of the run are read."""
     if movie is not None:
         check_movie(movie)
         if time_s is not None:
             raise InputError(
-                f"time_s must be left out with movie, which shows all of them, got {time_s:g}: leave it out"
+                "time_s must be left out with movie, which shows all of them, got "
+                f"{time_s:g}: leave it out"
             )
     if screenshot is not None and screenshot.suffix.lower() != ".png":
-        raise InputError(f"screenshot must be a .png file, got {screenshot}: use {screenshot.with_suffix('.png')}")
+        raise InputError(
+            f"screenshot must be a .png file, got {screenshot}: use "
+            f"{screenshot.with_suffix('.png')}"
+        )
     for kind, file in (("screenshot", screenshot), ("movie", movie)):
         if file is not None:
             require_new_file(file, overwrite=overwrite, name=kind)
     if overwrite and screenshot is None and movie is None:
-        raise InputError("overwrite must come with a screenshot or a movie, got neither: leave it out")
+        raise InputError(
+            "overwrite must come with a screenshot or a movie, got neither: leave it out"
+        )
 
 
 def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
@@ -204,28 +237,42 @@ def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
     fields = [] if series is None else series.names
     if saved.complete and not len(times) and not (saved.path / "bone.vti").is_file():
         raise InputError(
-            f"run must hold a trace, bone or frames to be shown, got none of them in {saved.path}: run the scene again"
+            "run must hold a trace, bone or frames to be shown, got none of them in "
+            f"{saved.path}: run the scene again"
         )
-    layers = dict.fromkeys([*saved.summary.get("layers", []), *(() if series is None else series.layer_names)])
+    layers = dict.fromkeys(
+        [*saved.summary.get("layers", []), *(() if series is None else series.layer_names)]
+    )
     for name in choice.hide:
         if name not in layers:
-            raise InputError(f"hide must name a layer of the run, got {name}: use one of {', '.join(layers)}")
+            raise InputError(
+                f"hide must name a layer of the run, got {name}: use one of {', '.join(layers)}"
+            )
     if choice.field is not None and choice.field not in fields:
         known = f"use one of {', '.join(fields)}" if fields else "this run has none, leave it out"
         raise InputError(f"field must name a field of the run, got {choice.field}: {known}")
     if not (math.isfinite(choice.scale) and choice.scale >= 0.0):
-        raise InputError(f"scale must be a number of at least 0, got {choice.scale:g}: use 1 for true size")
+        raise InputError(
+            f"scale must be a number of at least 0, got {choice.scale:g}: use 1 for true size"
+        )
     if choice.scale != 1.0 and (series is None or series.displacement is None):
-        raise InputError(f"scale must be left out for a run without displacement, got {choice.scale:g}: leave it out")
+        raise InputError(
+            f"scale must be left out for a run without displacement, got {choice.scale:g}: "
+            "leave it out"
+        )
     if choice.time_s is not None:
         if not len(times):
-            raise InputError(f"time_s must lie in the run, got {choice.time_s:g} for a run without ticks: leave it out")
+            raise InputError(
+                f"time_s must lie in the run, got {choice.time_s:g} for a run without ticks: "
+                "leave it out"
+            )
         first = float(times[0])
         last = float(times[-1])
         if not first - 1e-9 <= choice.time_s <= last + 1e-9:
             nearest = last if choice.time_s > last else first
             raise InputError(
-                f"time_s must lie in the run, {first:g} to {last:g} s, got {choice.time_s:g}: use {nearest:g}"
+                f"time_s must lie in the run, {first:g} to {last:g} s, got "
+                f"{choice.time_s:g}: use {nearest:g}"
             )
 
 
@@ -235,7 +282,10 @@ def _about(saved: SavedRun) -> str:
         force = saved.summary["force_N"]["peak"]
         torque = saved.summary["torque_Nm"]["peak"]
         seconds = saved.summary["simulated_s"]
-        return f"{saved.summary['scene']}: {seconds:g} s, force up to {force:.3g} N, torque up to {torque:.3g} N·m"
+        return (
+            f"{saved.summary['scene']}: {seconds:g} s, force up to {force:.3g} N, torque up to "
+            f"{torque:.3g} N·m"
+        )
     begun = {"running": "goes on", "failed": "failed"}.get(saved.status, "was interrupted")
     if saved.trace is None or not len(saved.trace.rows):
         where = "before its first tick was written"
@@ -250,11 +300,18 @@ def _about(saved: SavedRun) -> str:
             where = "after its last tick, while its files were written"
     if saved.status == "running":
         where += f", process {saved.summary['process']['id']} writes it"
-    return f"run is incomplete: it {begun} {where}" + (f" ({saved.problem})" if saved.problem else "")
+    return f"run is incomplete: it {begun} {where}" + (
+        f" ({saved.problem})" if saved.problem else ""
+    )
 
 
 def show(
-    saved: SavedRun, title: str, choice: Choice, *, screenshot: Path | None = None, movie: Path | None = None
+    saved: SavedRun,
+    title: str,
+    choice: Choice,
+    *,
+    screenshot: Path | None = None,
+    movie: Path | None = None,
 ) -> None:
     """Open the window, or draw it off screen into files.
 
@@ -316,7 +373,11 @@ def serve_view(folder: Path, choice: Choice, opened: Callable[[str], object]) ->
                     opened(address)
                     child.wait()
                     return
-                why = problem or _last_line(output) or f"its process ended with exit code {child.returncode}"
+                why = (
+                    problem
+                    or _last_line(output)
+                    or f"its process ended with exit code {child.returncode}"
+                )
             except Terminated:
                 raise
             except KeyboardInterrupt:
@@ -327,7 +388,9 @@ def serve_view(folder: Path, choice: Choice, opened: Callable[[str], object]) ->
     raise InputError(f"--web must serve a page, but {why[:200]}: {REMEDY}")
 
 
-def _start(folder: Path, choice: Choice, environment: dict[str, str], output: IO[str]) -> "subprocess.Popen[str]":
+def _start(
+    folder: Path, choice: Choice, environment: dict[str, str], output: IO[str]
+) -> "subprocess.Popen[str]":
     return subprocess.Popen(
         child_command(PAGE, str(folder), json.dumps(asdict(choice))),
         env=os.environ | environment,
@@ -347,4 +410,9 @@ if __name__ == "__main__":
     finished = SavedRun(sys.argv[1])
     wanted, into, chosen = sys.argv[2:]
     shown = json.loads(chosen)
-    show(finished, _about(finished), Choice(**shown | {"hide": tuple(shown["hide"])}), **{wanted: Path(into)})
+    show(
+        finished,
+        _about(finished),
+        Choice(**shown | {"hide": tuple(shown["hide"])}),
+        **{wanted: Path(into)},
+    )

@@ -10,7 +10,15 @@ from tissue.show.viewer.controls import HELP as CLIP_HELP
 from tissue.show.viewer.controls import ClipPlane, LayerKeys, NameList, Playback, PointRead
 from tissue.show.viewer.export import add_scale_bar, leave_alone, movie_times_s
 from tissue.show.viewer.moment import CHART_SHARE
-from tissue.show.viewer.plotter import add_names, add_slider, add_text, aim, free_keys, new_plotter, on_click
+from tissue.show.viewer.plotter import (
+    add_names,
+    add_slider,
+    add_text,
+    aim,
+    free_keys,
+    new_plotter,
+    on_click,
+)
 from tissue.show.viewer.run_scene import Choice, RunScene
 from tissue.show.viewer.saved_surfaces import cut_plane
 from tissue.simulation.run_folder import SavedRun
@@ -58,7 +66,9 @@ class Window:
         self.point: PointRead | None = None
         self.playback: Playback | None = None
         add_names(self.plotter, shown.face_colours)
-        self.layers = LayerKeys(self.plotter, list(shown.colours), hidden=choice.hide, hide=shown.hide)
+        self.layers = LayerKeys(
+            self.plotter, list(shown.colours), hidden=choice.hide, hide=shown.hide
+        )
         if len(shown.times_s):
             self._add_time()
         first = shown.series.names[0] if shown.series is not None and self.bone is None else None
@@ -89,7 +99,9 @@ class Window:
         self.choose(choices[(at + 1) % len(choices)])
 
     def pictures(self) -> Iterator[NDArray[np.uint8]]:
-        """Return the pictures of a movie over the whole run, and print the finished share, 0 to 1, a line each."""
+        """Return the pictures of a movie over the whole run, and print the finished share, 0 to
+        1, a line each.
+        """
         assert self.playback is not None
         times_s = movie_times_s(*self.playback.span_s)
         for index, time_s in enumerate(times_s.tolist(), 1):
@@ -112,10 +124,14 @@ class Window:
             left = 0.03 if self._off_screen else 0.1
             right = 0.97 if shown.series is None or self._off_screen else 0.66
             slider = (left, right, SLIDERS)
-            self.playback = Playback(self.plotter, shown.at, span_s=shown.span_s, begin_s=shown.start_s, slider=slider)
+            self.playback = Playback(
+                self.plotter, shown.at, span_s=shown.span_s, begin_s=shown.start_s, slider=slider
+            )
 
     def _add_controls(self) -> None:
-        """Add the controls of a window: list of fields, point values, clip plane, scale of the displacement."""
+        """Add the controls of a window: list of fields, point values, clip plane, scale of the
+        displacement.
+        """
         fields = self.fields
         series = self._shown.series
         plotter = self.plotter
@@ -124,14 +140,23 @@ class Window:
         plotter.add_key_event("m", self.next)
         labels = [(name, field_words(name)) for name in series.names]
         bone = [(None, "bone")] if self.bone is not None else []
-        names = self.names = NameList(plotter, "shown (click, or m)", [*bone, *labels], choose=self.choose)
+        names = self.names = NameList(
+            plotter, "shown (click, or m)", [*bone, *labels], choose=self.choose
+        )
         names.mark(fields.name)
         point = self.point = PointRead(plotter, fields, size_mm=0.02 * self._shown.size_mm)
         ClipPlane(plotter, fields, start=cut_plane(self._saved, series))
         if series.displacement is not None and series.greatest_mm() > 0.0:
             top = max(_round_up(LARGEST * series.size_mm / series.greatest_mm()), fields.scale, 2.0)
             place = (0.72, 0.97, SLIDERS)
-            add_slider(plotter, fields.enlarge, (0.0, top), fields.scale, place=place, fmt="displacement × %.3g")
+            add_slider(
+                plotter,
+                fields.enlarge,
+                (0.0, top),
+                fields.scale,
+                place=place,
+                fmt="displacement × %.3g",
+            )
         on_click(plotter, lambda x, y: names.click(x, y) or point.click(x, y))
 
     def _write(self, title: str) -> None:
@@ -149,4 +174,6 @@ class Window:
 def _round_up(value: float) -> float:
     """Return the next of 1, 2, 5, 10, 20 and so on."""
     power = 10.0 ** np.floor(np.log10(value))
-    return float(next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= value * (1.0 - 1e-9)))
+    return float(
+        next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= value * (1.0 - 1e-9))
+    )

@@ -1,4 +1,6 @@
-"""Bone or a tooth that cutters meet: its voxels, made at once or where a tool first reaches, and its materials."""
+"""Bone or a tooth that cutters meet: its voxels, made at once or where a tool first reaches, and
+its materials.
+"""
 
 from collections.abc import Iterator
 
@@ -25,8 +27,10 @@ STRIDE_M = 1e-3
 SAME = 1e-9
 """How far apart poses may be that are the same [m]."""
 SCATTER = 0.7
-"""Largest relative error of the force of N elements in bone, times N ** 0.75: balls of 3 to 8 mm in slots 0.1 to 0.3 mm
-deep, upright and tilted by up to 60 degrees, against quadrature gave 0.57; with the margin 0.9 % where 1 % is asked."""
+"""Largest relative error of the force of N elements in bone, times N ** 0.75: balls of 3 to 8 mm in
+slots 0.1 to 0.3 mm deep, upright and tilted by up to 60 degrees, against quadrature gave 0.57; with
+the margin 0.9 % where 1 % is asked.
+"""
 MARGIN_VOXELS = 4
 """Voxels around a tool that its carving and its force read."""
 
@@ -37,7 +41,8 @@ class VoxelBone:
     Parameters
     ----------
     voxels
-        A volume, of which all bricks are made now, or bricks that are made where a tool first reaches.
+        A volume, of which all bricks are made now, or bricks that are made where a tool first
+        reaches.
     coefficients
         Cutting coefficients of each layer, in their order.
     compute
@@ -62,13 +67,19 @@ class VoxelBone:
     ) -> None:
         self._compute, self.coefficients = compute, coefficients
         self.on_demand = voxels if isinstance(voxels, BricksOnDemand) else None
-        self.store = BrickStore.from_volume(voxels, device=compute) if isinstance(voxels, VoxelVolume) else voxels.store
+        self.store = (
+            BrickStore.from_volume(voxels, device=compute)
+            if isinstance(voxels, VoxelVolume)
+            else voxels.store
+        )
         self._was_cut = False
         self._last: BoneModel | None = None
         self.left_at: Pose | None = None
 
     def reach(self, boxes: Boxes) -> bool:
-        """Make the bricks that boxes touch, corners [m]; whether models have to record their launches again."""
+        """Make the bricks that boxes touch, corners [m]; whether models have to record their
+        launches again.
+        """
         return self.on_demand is not None and self.on_demand.make(boxes)
 
     def has(self, low_m: Array, high_m: Array) -> bool:
@@ -83,16 +94,22 @@ class VoxelBone:
             return np.array([shape.lower_m, shape.upper_m])
         volume, _ = self.whole
         held = np.argwhere(volume.fraction)
-        return np.asarray(volume.origin_m + volume.spacing_m * np.stack([held.min(axis=0), held.max(axis=0) + 1]))
+        return np.asarray(
+            volume.origin_m + volume.spacing_m * np.stack([held.min(axis=0), held.max(axis=0) + 1])
+        )
 
     @property
     def whole(self) -> tuple[VoxelVolume, NDArray[np.uint8]]:
-        """A volume before any cut and what is left of it, 255 = full; only of bone whose voxels are all made."""
+        """A volume before any cut and what is left of it, 255 = full; only of bone whose voxels
+        are all made.
+        """
         assert self.store.volume is not None
         return self.store.volume, self.store.fraction()
 
     def cut_parts(self) -> Iterator[tuple[VoxelVolume, NDArray[np.uint8]]]:
-        """Parts that tools have cut, before any cut and now, of bone that is made where they reach."""
+        """Parts that tools have cut, before any cut and now, of bone that is made where they
+        reach.
+        """
         assert self.on_demand is not None
         return self.on_demand.cut_parts()
 
@@ -112,7 +129,10 @@ class VoxelBone:
             and last.cutter == cutter
             and shell_spacing_m in (None, last.shell_spacing_m)
             and self.left_at is not None
-            and all(np.allclose(a, b, rtol=0.0, atol=SAME) for a, b in zip(start, self.left_at, strict=True))
+            and all(
+                np.allclose(a, b, rtol=0.0, atol=SAME)
+                for a, b in zip(start, self.left_at, strict=True)
+            )
         ):
             if grown:
                 last.record()
@@ -145,7 +165,9 @@ class VoxelBone:
 
 
 def _between(tips_m: Array, axes: Array, *, most_m: float) -> tuple[Array, Array]:
-    """Poses with more between them, on straight lines, where they are further apart than `most_m` [m]."""
+    """Poses with more between them, on straight lines, where they are further apart than
+    `most_m` [m].
+    """
     steps = np.linalg.norm(np.diff(tips_m, axis=0), axis=1)
     if not (steps > most_m).any():
         return tips_m, axes
@@ -157,8 +179,11 @@ def _between(tips_m: Array, axes: Array, *, most_m: float) -> tuple[Array, Array
     return tips, turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-12)
 
 
-def tool_boxes(cutter: Cutter, tips_m: Array, axes: Array, *, spacing_m: float, around_m: float = 0.0) -> Boxes:
-    """Boxes that a cutter reads and carves at poses and on straight lines between them: corners [m], shape (n, 3) both.
+def tool_boxes(
+    cutter: Cutter, tips_m: Array, axes: Array, *, spacing_m: float, around_m: float = 0.0
+) -> Boxes:
+    """Boxes that a cutter reads and carves at poses and on straight lines between them: corners
+    [m], shape (n, 3) both.
 
     Parameters
     ----------
@@ -197,12 +222,14 @@ def element_spacing_m(cutter: Cutter, *, depth_m: float, tolerance: float) -> fl
         If the cutter would have more than `MOST_ELEMENTS` elements.
     """
     wanted = (SCATTER / tolerance) ** (4.0 / 3.0)
-    engaged_m2 = np.pi * cutter.profile.radius_m * min(depth_m, cutter.profile.radius_m)  # half of a ball's cap
+    # half of a ball's cap
+    engaged_m2 = np.pi * cutter.profile.radius_m * min(depth_m, cutter.profile.radius_m)
     spacing_m = float(np.sqrt(engaged_m2 / wanted))
     count = cutter.cutting_area_m2 / spacing_m**2
     if count > MOST_ELEMENTS:
         raise InputError(
-            f"depth_mm = {1e3 * depth_m:g} with tolerance = {tolerance:g} needs {count:.2g} elements on this cutter, "
+            f"depth_mm = {1e3 * depth_m:g} with tolerance = {tolerance:g} needs {count:.2g} "
+            "elements on this cutter, "
             f"more than {MOST_ELEMENTS}. Use a larger tolerance or depth_mm."
         )
     return spacing_m

@@ -1,4 +1,6 @@
-"""The bone in a file: a surface placed at its site, an image as it is, a tooth in a label volume."""
+"""The bone in a file: a surface placed at its site, an image as it is, a tooth in a label
+volume.
+"""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -46,11 +48,17 @@ def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
 
     cuts: tuple[NDArray[np.float64], ...] = ()
     if isinstance(parameters, ImageAnatomy):
-        threshold, image = _threshold(parameters), read_image(parameters.file, spacing_mm=parameters.spacing_mm)
+        threshold, image = (
+            _threshold(parameters),
+            read_image(parameters.file, spacing_mm=parameters.spacing_mm),
+        )
         triangles, source = image_triangles(image, threshold=threshold), image.source
         cuts = image_cuts(image, threshold=threshold)
         places = f"{len(cuts)} places" if len(cuts) > 1 else "one place"
-        remarks = [*image.notes, *([f"The bone is cut off at {places} by the edge of the image."] if cuts else [])]
+        remarks = [
+            *image.notes,
+            *([f"The bone is cut off at {places} by the edge of the image."] if cuts else []),
+        ]
         if remarks:
             notes["image"] = " ".join(remarks)
     else:
@@ -65,7 +73,9 @@ def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
         surface,
         site,
         cortical_thickness_mm=parameters.cortical_thickness_mm,
-        cortical_density_kg_m3=parameters.density_kg_m3 if isinstance(parameters, Block) else 1800.0,
+        cortical_density_kg_m3=parameters.density_kg_m3
+        if isinstance(parameters, Block)
+        else 1800.0,
     )
 
 
@@ -77,7 +87,9 @@ def _filled(parameters: Bone, surface: "Surface", site: "Site") -> Anatomy:
 
     if parameters.density_file is None:
         with names_of_caller(dict.fromkeys(FILE_WORDS, "anatomy.core_file")):
-            core = read_surface(parameters.core_file or "", scale_mm=surface.report.scale_mm, cut_off=True)
+            core = read_surface(
+                parameters.core_file or "", scale_mm=surface.report.scale_mm, cut_off=True
+            )
         return cored_anatomy(surface, core, site)
     with names_of_caller(dict.fromkeys(FILE_WORDS, "anatomy.density_file")):
         density = read_image(parameters.density_file)
@@ -124,7 +136,9 @@ def labelled_tooth(
     stamp = file.stat() if is_file(file) else None
     report("reading the label volume", 0.0)
     over_lesion = parameters.site == "caries"
-    tooth = _read_tooth(file, parameters.spacing_mm, over_lesion, stamp and (stamp.st_mtime_ns, stamp.st_size))
+    tooth = _read_tooth(
+        file, parameters.spacing_mm, over_lesion, stamp and (stamp.st_mtime_ns, stamp.st_size)
+    )
     volume = tooth.volume(
         resample_mm=1e3 * spacing_m,
         region_m=region,
@@ -139,12 +153,16 @@ def labelled_tooth(
 
 def box_text(corners: Corners, *, between: bool = False) -> str:
     """A box in words: where it reaches from and to, or what lies between its corners [mm]."""
-    low, high = ("(" + ", ".join(f"{1e3 * value:.4g}" for value in corner) + ")" for corner in corners)
+    low, high = (
+        "(" + ", ".join(f"{1e3 * value:.4g}" for value in corner) + ")" for corner in corners
+    )
     return f"between {low} and {high} mm" if between else f"{low} to {high} mm"
 
 
 def _site(parameters: Placed, surface: "Surface") -> "Site":
-    """The site on a bone surface: where the scene puts it, else the glenoid that it searches for."""
+    """The site on a bone surface: where the scene puts it, else the glenoid that it searches
+    for.
+    """
     from meshes.surfaces.landmarks import find_glenoid
     from meshes.surfaces.site import place_site
 
@@ -154,7 +172,8 @@ def _site(parameters: Placed, surface: "Surface") -> "Site":
     if centre is None:
         box = surface.vertices_m.min(axis=0), surface.vertices_m.max(axis=0)
         raise InputError(
-            f"anatomy.centre_mm must be given for {parameters.file}, got none: give a point on its surface, which lies "
+            f"anatomy.centre_mm must be given for {parameters.file}, got none: give a point "
+            "on its surface, which lies "
             f"{box_text(box, between=True)}, and anatomy.normal, or use anatomy.kind = glenoid"
         )
     return place_site(surface, centre_mm=centre, normal=normal, along=along)
@@ -177,7 +196,9 @@ def _threshold(parameters: ImageAnatomy) -> float:
 def _read_tooth(
     file: Path, spacing_mm: float | None, over_lesion: bool, stamp: tuple[int, int] | None
 ) -> label_volume.LabelledTooth:
-    """The tooth of a label volume, kept for the next who asks: for the tool and for the stress the same is read."""
+    """The tooth of a label volume, kept for the next who asks: for the tool and for the stress
+    the same is read.
+    """
     from meshes.ct.labels import header_names
     from meshes.images.reading import read_image
 
@@ -188,11 +209,16 @@ def _read_tooth(
 
 
 def _lesion(tooth: label_volume.LabelledTooth) -> str | None:
-    """Where the caries of a whole tooth lies in the frame of its site, so that a motion can be aimed at it."""
+    """Where the caries of a whole tooth lies in the frame of its site, so that a motion can be
+    aimed at it.
+    """
     placed = tooth.placed
     at = np.argwhere(placed.layer == TOOTH_LAYERS.index("caries"))
     if len(at) == 0:
         return None
     points = 1e3 * ((at * placed.spacing - placed.origin) @ placed.rotation)
-    low, high = (", ".join(f"{value:.3g}" for value in corner) for corner in (points.min(axis=0), points.max(axis=0)))
+    low, high = (
+        ", ".join(f"{value:.3g}" for value in corner)
+        for corner in (points.min(axis=0), points.max(axis=0))
+    )
     return f"caries between ({low}) and ({high}) mm of the site"

@@ -22,7 +22,14 @@ from tissue.scene.tool import PathMotion, ReplayMotion, Tool
 from tissue.simulation.builders.motions import motion_of, recorded_file
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.builders.start_pose import w_first_notice
-from tissue.simulation.builders.voxels import reach, require_outside, require_touch, structures, volume_of, whole_tooth
+from tissue.simulation.builders.voxels import (
+    reach,
+    require_outside,
+    require_touch,
+    structures,
+    volume_of,
+    whole_tooth,
+)
 
 if TYPE_CHECKING:
     from tissue.models.bone.model import BoneModel
@@ -31,20 +38,30 @@ if TYPE_CHECKING:
 __all__ = ["cutter_of", "milled", "milled_voxels", "milling_of"]
 
 HEAT_CELL = 0.25
-"""Edge of the cells of the temperature where the bur can go, relative to those of the stress: 0.125 mm by default. The
-rise of the pulp in the molar scene is 0.614, 0.731 and 0.749 K with cells of 0.25, 0.125 and 0.083 mm."""
+"""Edge of the cells of the temperature where the bur can go, relative to those of the stress: 0.125
+mm by default. The rise of the pulp in the molar scene is 0.614, 0.731 and 0.749 K with cells of
+0.25, 0.125 and 0.083 mm.
+"""
 SI = {"mm": ("m", 1e-3), "deg": ("rad", radians(1.0))}
 """Units of a scene's tool: their SI unit and its share."""
 
 
-def milled(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
+def milled(
+    scene: Scene,
+    motion: Motion,
+    *,
+    step_s: float,
+    compute: str,
+    cores: int | None,
+    report: Progress,
+) -> Parts:
     """Parts of a scene in which a cutter meets voxels.
 
     Raises
     ------
     InputError
-        If a file cannot be used, the voxels would not fit memory, the tool never touches, or it neither turns nor is
-        held by a hand.
+        If a file cannot be used, the voxels would not fit memory, the tool never touches, or it
+        neither turns nor is held by a hand.
     """
     assert isinstance(scene.tool, Tool)
     cutter, notes = cutter_of(scene.tool), dict[str, str]()
@@ -67,7 +84,13 @@ def milled(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: 
     tissue = _bone(scene, volume, cutter, motion, compute=compute, cores=cores, report=report)
     clear = _clear(scene, volume, cutter, motion, notes=notes, report=report)
     parts = Parts(
-        motion, tissue, cutter=cutter, volume=volume, placement=volume.placement, notes=notes, keep_clear=clear
+        motion,
+        tissue,
+        cutter=cutter,
+        volume=volume,
+        placement=volume.placement,
+        notes=notes,
+        keep_clear=clear,
     )
     if (file := recorded_file(scene)) and (notice := w_first_notice(volume, cutter, motion, file)):
         parts.events.append((0.0, notice))
@@ -83,7 +106,9 @@ def _clear(
     notes: dict[str, str],
     report: Progress,
 ) -> "KeepClear | None":
-    """What measures the distance from structures to keep clear of; None where the scene names none."""
+    """What measures the distance from structures to keep clear of; None where the scene names
+    none.
+    """
     if scene.keep_clear is None:
         return None
     from tissue.simulation.builders.keep_clear import keep_clear
@@ -102,11 +127,15 @@ def _clear(
 def milled_voxels(scene: Scene) -> VoxelVolume:
     """The voxels of such a scene before the first cut; raises as `milled`."""
     assert isinstance(scene.tool, Tool)
-    return volume_of(scene, cutter_of(scene.tool), motion_of(scene, step_s=TICK_S), notes={}, report=silent)
+    return volume_of(
+        scene, cutter_of(scene.tool), motion_of(scene, step_s=TICK_S), notes={}, report=silent
+    )
 
 
 def cutter_of(tool: Tool) -> Cutter:
-    """The cutter that a scene's tool describes, in SI; a spin above 0 is clockwise as seen from the shank."""
+    """The cutter that a scene's tool describes, in SI; a spin above 0 is clockwise as seen from
+    the shank.
+    """
     sizes, entry = {}, CUTTERS[tool.kind]
     for key in ("diameter_mm", *entry.keys):
         name, _, unit = key.rpartition("_")
@@ -120,11 +149,16 @@ def _require_chips(scene: Scene, cutter: Cutter) -> None:
     """Refuse a given feed at which a tooth would take a chip thicker than the tool's radius."""
     if scene.device is not None or not isinstance(scene.motion, PathMotion):
         return
-    chip_mm, radius_mm = scene.motion.feed_mm_s * cutter.chip_per_speed_s, 1e3 * cutter.profile.radius_m
+    chip_mm, radius_mm = (
+        scene.motion.feed_mm_s * cutter.chip_per_speed_s,
+        1e3 * cutter.profile.radius_m,
+    )
     if chip_mm > radius_mm:
         raise InputError(
-            f"motion.feed_mm_s must leave a tooth chips thinner than the tool's radius of {radius_mm:.3g} mm, got "
-            f"{scene.motion.feed_mm_s:g} which makes them {chip_mm:.3g} mm: use a slower feed, or a higher "
+            "motion.feed_mm_s must leave a tooth chips thinner than the tool's radius of "
+            f"{radius_mm:.3g} mm, got "
+            f"{scene.motion.feed_mm_s:g} which makes them {chip_mm:.3g} mm: use a slower "
+            "feed, or a higher "
             "tool.spin_rpm"
         )
 
@@ -138,20 +172,31 @@ def _require_effect(scene: Scene, volume: VoxelVolume) -> None:
         reference = np.array([each.reference_density_kg_m3 for each in cited])
         if (volume.density_kg_m3[filled] == reference[volume.layer[filled]]).all():
             raise InputError(
-                "cutting.density_exponent must be left out where all that the tool can reach has the density of the "
-                f"coefficients, got {cutting.density_exponent:g}: set cutting.tangential_chip_N_mm2, "
+                "cutting.density_exponent must be left out where all that the tool can reach "
+                "has the density of the "
+                f"coefficients, got {cutting.density_exponent:g}: set "
+                "cutting.tangential_chip_N_mm2, "
                 "cutting.radial_chip_N_mm2 or another coefficient, or remove it"
             )
-    if is_given(cutting, "material") and all(volume.layer_names[i] in CUT_AS for i in np.unique(volume.layer[filled])):
+    if is_given(cutting, "material") and all(
+        volume.layer_names[i] in CUT_AS for i in np.unique(volume.layer[filled])
+    ):
         raise InputError(
-            "cutting.material must be left out where the tool reaches no bone, for layers of a tooth have their own, "
-            f"got {cutting.material}: set a coefficient such as cutting.tangential_chip_N_mm2, or remove it"
+            "cutting.material must be left out where the tool reaches no bone, for layers of "
+            "a tooth have their own, "
+            f"got {cutting.material}: set a coefficient such as "
+            "cutting.tangential_chip_N_mm2, or remove it"
         )
-    if isinstance(anatomy, MolarAnatomy) and scene.stress is None and is_given(anatomy, "ligament_thickness_mm"):
+    if (
+        isinstance(anatomy, MolarAnatomy)
+        and scene.stress is None
+        and is_given(anatomy, "ligament_thickness_mm")
+    ):
         at = volume.layer_names.index("ligament")
         if not (volume.layer[filled] == at).any():
             raise InputError(
-                "anatomy.ligament_thickness_mm must be left out where the tool reaches no ligament and no stress is "
+                "anatomy.ligament_thickness_mm must be left out where the tool reaches no "
+                "ligament and no stress is "
                 f"computed, got {anatomy.ligament_thickness_mm:g}: add [stress], or remove it"
             )
 
@@ -173,16 +218,27 @@ def _probe(
 
     if not (isinstance(motion, HandMotion) and isinstance(motion.tool, ProbingTool)):
         raise InputError(
-            "tool.spin_rpm must not be 0 without a device, because a tool that does not turn cuts nothing and a motion "
+            "tool.spin_rpm must not be 0 without a device, because a tool that does not turn "
+            "cuts nothing and a motion "
             "that is given would push it through the bone, got 0: use 500, or device = touch"
         )
     report("compiling kernels (the first time on a machine)", 0.0)
-    notes["tool"] = "it does not turn: rigid contact, nothing is cut, no stress and no heat are computed"
+    notes["tool"] = (
+        "it does not turn: rigid contact, nothing is cut, no stress and no heat are computed"
+    )
     shell = ToolShell.of_cutter(cutter)
-    tissue = ProbedBone(volume, shell, area_m2=cutter.cutting_area_m2, tool=motion.tool, device=compute)
+    tissue = ProbedBone(
+        volume, shell, area_m2=cutter.cutting_area_m2, tool=motion.tool, device=compute
+    )
     clear = _clear(scene, volume, cutter, motion, notes=notes, report=report)
     return Parts(
-        motion, tissue, cutter=cutter, volume=volume, placement=volume.placement, notes=notes, keep_clear=clear
+        motion,
+        tissue,
+        cutter=cutter,
+        volume=volume,
+        placement=volume.placement,
+        notes=notes,
+        keep_clear=clear,
     )
 
 
@@ -200,7 +256,9 @@ def _bone(
     report("compiling kernels (the first time on a machine)", 0.0)
     spacing_mm = scene.tool.shell_spacing_mm if isinstance(scene.tool, Tool) else None
     spacing_m = None if spacing_mm is None else spacing_mm * 1e-3
-    milling = milling_of(scene, volume, cutter, shell_spacing_m=spacing_m, compute=compute, cores=cores)
+    milling = milling_of(
+        scene, volume, cutter, shell_spacing_m=spacing_m, compute=compute, cores=cores
+    )
     if "pulp" not in volume.layer_names:
         return milling
     return _tooth(scene, milling, motion, compute=compute, report=report)
@@ -215,16 +273,24 @@ def milling_of(
     compute: str = "cpu",
     cores: int | None = None,
 ) -> "BoneModel":
-    """A cutter in voxels of a scene's materials; `shell_spacing_m` is the distance of the cutter's elements [m]."""
+    """A cutter in voxels of a scene's materials; `shell_spacing_m` is the distance of the
+    cutter's elements [m].
+    """
     from tissue.simulation.builders.bone import VoxelBone
 
     changes = scene.cutting.model_dump(exclude={"material"})
-    coefficients = scene.constants.coefficients(volume.layer_names, changes, bone=scene.cutting.material)
+    coefficients = scene.constants.coefficients(
+        volume.layer_names, changes, bone=scene.cutting.material
+    )
     bone = VoxelBone(volume, coefficients, compute=compute)
-    return bone.model(cutter, removal=scene.voxels.removal, shell_spacing_m=shell_spacing_m, cores=cores)
+    return bone.model(
+        cutter, removal=scene.voxels.removal, shell_spacing_m=shell_spacing_m, cores=cores
+    )
 
 
-def _tooth(scene: Scene, milling: "BoneModel", motion: Motion, *, compute: str, report: Progress) -> TissueModel:
+def _tooth(
+    scene: Scene, milling: "BoneModel", motion: Motion, *, compute: str, report: Progress
+) -> TissueModel:
     """The tooth around the milled voxels, with its stress where the scene asks for it."""
     from tissue.models.tooth import stress_process
     from tissue.models.tooth.cutting_heat import CuttingHeat
@@ -253,7 +319,11 @@ def _tooth(scene: Scene, milling: "BoneModel", motion: Motion, *, compute: str, 
     if scene.heat:
         report("building the grid of the temperature", 0.0)
         heat = CuttingHeat(
-            whole_tooth(scene, spacing_m=max(HEAT_CELL * cell_m, milling.store.grid.spacing_m), report=report),
+            whole_tooth(
+                scene,
+                spacing_m=max(HEAT_CELL * cell_m, milling.store.grid.spacing_m),
+                report=report,
+            ),
             milling,
             reach_m=reach(milling.cutter, motion, 0.0),
             constants=scene.constants,

@@ -17,7 +17,8 @@ def opens_device(scene: Scene) -> bool:
 
 
 def opened_device(scene: Scene) -> Device | None:
-    """A new device: of its adapter, or as `tissue.register.device` was given it; None for one that is simulated.
+    """A new device: of its adapter, or as `tissue.register.device` was given it; None for one that
+    is simulated.
 
     Raises
     ------
@@ -36,18 +37,25 @@ def opened_device(scene: Scene) -> Device | None:
         return MappedDevice(adapter_class(scene.held.kind)(hardware), hardware, start_m=(x, y, z))
     assert entry.make is not None
     device: Device = entry.make((x, y, z))
-    if missing := [name for name in ("read", "command") if not callable(getattr(device, name, None))]:
+    if missing := [
+        name for name in ("read", "command") if not callable(getattr(device, name, None))
+    ]:
         raise InputError(
-            f"device must have read and command, got {type(device).__name__} without {' and '.join(missing)} for "
+            f"device must have read and command, got {type(device).__name__} without "
+            f"{' and '.join(missing)} for "
             f"{scene.held.kind}: see `tissue.haptics.device.device.Device`"
         )
     return device
 
 
-def require_stated_rate(device: Device | SafeDevice, limits: DeviceParameters, *, remedy: str) -> None:
-    """Refuse a device that states fewer samples a second than the constants by which its loop is judged.
+def require_stated_rate(
+    device: Device | SafeDevice, limits: DeviceParameters, *, remedy: str
+) -> None:
+    """Refuse a device that states fewer samples a second than the constants by which its loop is
+    judged.
 
-    A device states its rate by ``limits`` or ``parameters``; a device without either is taken at the constants' rate.
+    A device states its rate by ``limits`` or ``parameters``; a device without either is taken at
+    the constants' rate.
 
     Raises
     ------
@@ -57,7 +65,9 @@ def require_stated_rate(device: Device | SafeDevice, limits: DeviceParameters, *
     held = device.device if isinstance(device, SafeDevice) else device
     for name in ("limits", "parameters"):
         stated = getattr(held, name, None)
-        if isinstance(stated, DeviceParameters) and stated.rate_Hz < min(limits.rate_Hz, 1.0 / TICK_S) * (1.0 - 1e-6):
+        if isinstance(stated, DeviceParameters) and stated.rate_Hz < min(
+            limits.rate_Hz, 1.0 / TICK_S
+        ) * (1.0 - 1e-6):
             raise InputError(
                 f"device must give the {limits.rate_Hz:g} samples a second of its constants, got "
                 f"{stated.rate_Hz:g} by {type(held).__name__}: {remedy}"

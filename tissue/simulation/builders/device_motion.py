@@ -1,4 +1,6 @@
-"""Hang a tool on a device: the loop judged, its laws chosen, all that lies between sample and force."""
+"""Hang a tool on a device: the loop judged, its laws chosen, all that lies between sample and
+force.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -26,7 +28,9 @@ from tissue.simulation.builders.loop_settings import LoopSettings
 __all__ = ["device_motion"]
 
 DAMPING_S = 0.01
-"""Damper over spring of a tool that cuts [s]: in a pen grip 4 N s/m over 250 to 350 N/m, 11 to 16 ms."""
+"""Damper over spring of a tool that cuts [s]: in a pen grip 4 N s/m over 250 to 350 N/m, 11 to
+16 ms.
+"""
 
 
 def device_motion(
@@ -45,9 +49,9 @@ def device_motion(
 ) -> tuple[HandMotion, list[str]]:
     """A tool on a device as what moves it, and what was chosen and found of that.
 
-    Forces are scaled by f and lengths by m, so a stiffness K at the tool is felt as m f K, and torques by f / m: work
-    at the device is f / m of that at the tool. The coupling's stiffness is that at the device, which is what is judged,
-    whatever the scales.
+    Forces are scaled by f and lengths by m, so a stiffness K at the tool is felt as m f K, and
+    torques by f / m: work at the device is f / m of that at the tool. The coupling's stiffness is
+    that at the device, which is what is judged, whatever the scales.
 
     Parameters
     ----------
@@ -64,7 +68,8 @@ def device_motion(
     after_s
         How much longer a hand takes than that [s].
     device_origin_m
-        Where the tool is when the device is at its origin [m]; without it both start at the same place.
+        Where the tool is when the device is at its origin [m]; without it both start at the same
+        place.
     rng
         Generator of the noise in the sense of the person for whom the force is scaled.
     step_s
@@ -79,16 +84,20 @@ def device_motion(
     """
     limits, chosen, scale = settings.limits, settings.coupling, settings.coupling.motion_scale
     judged, turning = judged_loops(settings, step_s=step_s, allow_unstable=allow_unstable)
-    # As energy is booked: from a sample to the force that answers it, without a balance that is found late.
+    # As energy is booked: from a sample to the force that answers it, without a balance that is
+    # found late.
     loop = replace(judged.loop, delay_s=limits.transport_delay_s + 1e-3 * chosen.delay_ms)
-    in_ticks = replace(loop, tick_s=TICK_S)  # for what runs in every tick, however seldom the device is sampled
+    # for what runs in every tick, however seldom the device is sampled
+    in_ticks = replace(loop, tick_s=TICK_S)
     spring = judged.loop.stiffness_N_m / (scale * force_scale)
     turn = HeldTurn(turning.loop.stiffness_N_m * scale / force_scale if turning else inf)
     tool = _tool(settings, spring, scripted.sweep_m()[0], turn)
     felt = settings.perception(rng)
     turning_law = None
     if turning:
-        turning_law = TurningRenderer(renderer(settings.renderer, replace(turning.loop, tick_s=TICK_S)))
+        turning_law = TurningRenderer(
+            renderer(settings.renderer, replace(turning.loop, tick_s=TICK_S))
+        )
     rendering = Rendering(
         law=renderer(settings.renderer, in_ticks),
         loop=loop,
@@ -102,15 +111,23 @@ def device_motion(
         played=_played(settings, felt),
     )
     script = Script(
-        motion=scripted, motion_scale=scale, stray_m=stray_m, after_s=after_s, device_origin_m=device_origin_m
+        motion=scripted,
+        motion_scale=scale,
+        stray_m=stray_m,
+        after_s=after_s,
+        device_origin_m=device_origin_m,
     )
     motion = HandMotion(device(tool, judged.loop.stiffness_N_m), tool, limits, rendering, script)
-    notes = [judged.sentence(), f"{force_scale:g} N at the device for each newton at the tool{scale_note}"]
+    notes = [
+        judged.sentence(),
+        f"{force_scale:g} N at the device for each newton at the tool{scale_note}",
+    ]
     if turning:
         notes.insert(1, turning.sentence())
     if scale != 1.0:
         notes.append(
-            f"{scale:g} m at the tool for each metre at the device: a stiffness at the tool is felt as "
+            f"{scale:g} m at the tool for each metre at the device: a stiffness at the tool "
+            "is felt as "
             f"{scale * force_scale:g} of it, a torque as {force_scale / scale:g}"
         )
     if settings.cue_N > 0.0:
@@ -124,15 +141,27 @@ def _tool(settings: LoopSettings, spring_N_m: float, start_m: Array, turn: HeldT
     """The law of a tool that hangs on a spring."""
     if settings.contact == "cuts":
         return CuttingTool(spring_N_m, start_m, turn, damping_N_s_m=DAMPING_S * spring_N_m)
-    return (ProbingTool if settings.contact == "touches" else PressingTool)(spring_N_m, start_m, turn)
+    return (ProbingTool if settings.contact == "touches" else PressingTool)(
+        spring_N_m, start_m, turn
+    )
 
 
 def _played(settings: LoopSettings, person: Perception | None) -> PlayedForce:
-    """What is made of a force before the device: for a person, and of a cutter's teeth and events at the tool."""
+    """What is made of a force before the device: for a person, and of a cutter's teeth and
+    events at the tool.
+    """
     limits = settings.limits
     limit_N = limits.force_limit_N
     slew_N = 1e3 * TICK_S * limits.force_slew_N_ms
     teeth = settings.vibration(TICK_S)
-    vibration = None if teeth is None else PlayedVibration(teeth, limit_N=limit_N, slew_N=slew_N, step_s=TICK_S)
-    cues = Cues(settings.cue_N, limit_N=limit_N, slew_N=slew_N, tick_s=TICK_S) if settings.cue_N > 0.0 else None
+    vibration = (
+        None
+        if teeth is None
+        else PlayedVibration(teeth, limit_N=limit_N, slew_N=slew_N, step_s=TICK_S)
+    )
+    cues = (
+        Cues(settings.cue_N, limit_N=limit_N, slew_N=slew_N, tick_s=TICK_S)
+        if settings.cue_N > 0.0
+        else None
+    )
     return PlayedForce(limits, perception=person, vibration=vibration, cues=cues)

@@ -1,4 +1,6 @@
-"""The force that a scene's tool meets on its scripted motion, found cheaply, and the scale that it asks of a device."""
+"""The force that a scene's tool meets on its scripted motion, found cheaply, and the scale that
+it asks of a device.
+"""
 
 from functools import lru_cache
 from math import floor, log10, sqrt
@@ -19,24 +21,29 @@ from tissue.simulation.builders.pierced_tissue import pierced_tissue
 __all__ = ["chosen_scale", "cut", "fitted_scale", "pierced", "pressed"]
 
 POSES, FINE_POSES = 250, 3000
-"""Poses of the scripted motion at which the force is asked for: of a cutter, and of a needle, which breaks through in
-tenths of a millimetre."""
+"""Poses of the scripted motion at which the force is asked for: of a cutter, and of a needle, which
+breaks through in tenths of a millimetre."""
 ACROSS = 8.0
-"""Voxels across a cutter: up to 32 of them the largest force of the built-in scenes changes by less than 4 %."""
+"""Voxels across a cutter: up to 32 of them the largest force of the built-in scenes changes by
+less than 4 %.
+"""
 ELEMENTS = 1500
 """Elements of a cutter."""
 MOST = 0.35
-"""Largest force of the script over the device's limit: half of the share that is played without compression, so that a
-hand may press twice as hard."""
+"""Largest force of the script over the device's limit: half of the share that is played without
+compression, so that a hand may press twice as hard."""
 LEAST = 4.0
-"""Largest force of the script over the device's friction, where its limit allows for that; assumed."""
+"""Largest force of the script over the device's friction, where its limit allows for that;
+assumed.
+"""
 
 
 def chosen_scale(scene: Scene) -> tuple[float, str]:
     """Newtons at the device for each one at the tool, and from what they were chosen.
 
-    Forces pass as they are where that lies between what friction hides and what the limit leaves, else by one factor to
-    the nearer of both, with two digits; and as they are without a device, or where no force is known beforehand.
+    Forces pass as they are where that lies between what friction hides and what the limit leaves,
+    else by one factor to the nearer of both, with two digits; and as they are without a device, or
+    where no force is known beforehand.
 
     Raises
     ------
@@ -55,11 +62,15 @@ def chosen_scale(scene: Scene) -> tuple[float, str]:
     )
     if not force > 0.0:
         return 1.0, ""
-    return fitted_scale(force, limits), f", chosen for the {force:.3g} N that the script meets at most"
+    return fitted_scale(
+        force, limits
+    ), f", chosen for the {force:.3g} N that the script meets at most"
 
 
 def fitted_scale(force_N: float, limits: DeviceParameters) -> float:
-    """The scale, of two digits, that brings a force [N] between a device's friction and its limit."""
+    """The scale, of two digits, that brings a force [N] between a device's friction and its
+    limit.
+    """
     low, high = LEAST * limits.friction_N / force_N, MOST * limits.force_limit_N / force_N
     scale = min(max(1.0, low), high)
     digits = 1 - floor(log10(scale))
@@ -68,7 +79,9 @@ def fitted_scale(force_N: float, limits: DeviceParameters) -> float:
 
 @lru_cache(maxsize=64)
 def _met(table: str, _constants: str) -> float:
-    """Largest force on the scripted motion [N] by what the scene's own constants hold; 0 where it is not known."""
+    """Largest force on the scripted motion [N] by what the scene's own constants hold; 0 where
+    it is not known.
+    """
     scene = Scene.model_validate_json(table)
     kind = scene.anatomy.kind
     if ANATOMIES[kind].build is None:
@@ -84,7 +97,9 @@ def _unknown(scene: Scene) -> float:
 
 
 def cut(scene: Scene) -> float:
-    """Largest force of a cutter along the script in coarse voxels [N], or the thrust of a tool that is pushed."""
+    """Largest force of a cutter along the script in coarse voxels [N], or the thrust of a tool
+    that is pushed.
+    """
     from tissue.simulation.builders.cutting import cutter_of, milling_of
     from tissue.simulation.builders.voxels import volume_of
 
@@ -105,8 +120,8 @@ def cut(scene: Scene) -> float:
 def pressed(scene: Scene) -> float:
     """Force of a probe that presses a half space as deep as the script goes below the origin [N].
 
-    Hertz's for a ball and Boussinesq's for the flat end of a cylinder, of the stiffest tissue on the script without a
-    nodule; 0 for a probe of another shape.
+    Hertz's for a ball and Boussinesq's for the flat end of a cylinder, of the stiffest tissue on
+    the script without a nodule; 0 for a probe of another shape.
     """
     organ, tool = scene.organ, scene.tool
     assert isinstance(tool, Probe)
@@ -127,7 +142,9 @@ def pierced(scene: Scene) -> float:
     assert isinstance(scene.tool, Needle) and isinstance(scene.anatomy, LayersAnatomy)
     tissue = pierced_tissue(scene)
     motion = motion_of(scene, step_s=TICK_S)
-    return _largest(motion, NeedleModel(tissue, diameter_m=1e-3 * scene.tool.diameter_mm), FINE_POSES)
+    return _largest(
+        motion, NeedleModel(tissue, diameter_m=1e-3 * scene.tool.diameter_mm), FINE_POSES
+    )
 
 
 def _largest(motion: Motion, tissue: TissueModel, poses: int) -> float:

@@ -33,13 +33,16 @@ STRAY_M = 2e-3
 """How far from the scripted path an organ's surface may be met [m]."""
 
 
-def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable: bool) -> tuple[HandMotion, str]:
+def hand_motion(
+    scene: Scene, scripted: Motion, *, step_s: float, allow_unstable: bool
+) -> tuple[HandMotion, str]:
     """The scene's motion as its hand makes it on its device, and what was chosen and found of that.
 
     Raises
     ------
     InputError
-        If the coupling is unstable and that is not allowed, or the motion leaves the device's workspace.
+        If the coupling is unstable and that is not allowed, or the motion leaves the device's
+        workspace.
     """
     settings = loop_settings(scene)
     limits, person, scale = settings.limits, settings.person, scene.held.coupling.motion_scale
@@ -72,7 +75,10 @@ def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable
     )
     return (
         motion,
-        f"{scene.held.kind} in the hand of {person_of(scene.held.hand)}, {scene.held.renderer}: {'; '.join(notes)}",
+        (
+            f"{scene.held.kind} in the hand of {person_of(scene.held.hand)}, "
+            f"{scene.held.renderer}: {'; '.join(notes)}"
+        ),
     )
 
 
@@ -80,18 +86,23 @@ def _stray_m(scene: Scene) -> float:
     """How far around the scripted motion tissue is made ready for the tool [m]."""
     if scene.held.coupling.roam_mm is not None:
         return 1e-3 * scene.held.coupling.roam_mm
-    return 0.0 if isinstance(scene.tool, Tool) or isinstance(scene.anatomy, WallAnatomy) else STRAY_M
+    return (
+        0.0 if isinstance(scene.tool, Tool) or isinstance(scene.anatomy, WallAnatomy) else STRAY_M
+    )
 
 
 def _require_workspace(scene: Scene, scripted: Motion, limits: DeviceParameters) -> None:
-    """Refuse a motion that leaves the device's workspace, whose box may lie along the axes as it fits."""
+    """Refuse a motion that leaves the device's workspace, whose box may lie along the axes as it
+    fits.
+    """
     workspace, extent = limits.workspace_m, np.sort(np.ptp(scripted.sweep_m(), axis=0))
     scale = scene.held.coupling.motion_scale
     if (extent > scale * workspace).any():
         fits = ceil(100.0 * float((extent / workspace).max()) - 1e-9) / 100.0
         sizes = lambda edges: " x ".join(f"{1e3 * each:.0f}" for each in edges[::-1])  # noqa: E731
         raise InputError(
-            f"coupling.motion_scale must be at least {fits:g} for a motion of {sizes(extent)} mm in the workspace of "
+            f"coupling.motion_scale must be at least {fits:g} for a motion of "
+            f"{sizes(extent)} mm in the workspace of "
             f"{scene.held.kind}, {sizes(workspace)} mm, got {scale:g}: use {fits:g}"
         )
 
@@ -111,12 +122,18 @@ def _aims(
     furthest = scale * limits.force_limit_N * (1.0 / stiffness_N_m + 1.0 / person.stiffness_N_m)
     if isinstance(scene.motion, ThrustMotion):
         push_N = min(chosen_scale(scene)[0] * scene.motion.thrust_N, limits.force_limit_N)
-        thrust = Thrust(corners[0], corners[-1] - corners[0], tool, push_N, scale * push_N / stiffness_N_m)
+        thrust = Thrust(
+            corners[0], corners[-1] - corners[0], tool, push_N, scale * push_N / stiffness_N_m
+        )
         return thrust.path, thrust.push
-    path = waypoints(*_timed(scripted, recorded=isinstance(scene.motion, ReplayMotion), step_s=step_s))
+    path = waypoints(
+        *_timed(scripted, recorded=isinstance(scene.motion, ReplayMotion), step_s=step_s)
+    )
     if isinstance(scene.anatomy, WallAnatomy) or isinstance(tool, ProbingTool):
         return path, None  # no force brings a tool to where a wall or a bone is
-    return CompensatedPath(path, tool, person.submovement_s - 0.5 * person.correction_s, furthest), None
+    return CompensatedPath(
+        path, tool, person.submovement_s - 0.5 * person.correction_s, furthest
+    ), None
 
 
 def _turn(scripted: Motion, *, step_s: float) -> Callable[[float], Array]:

@@ -1,4 +1,6 @@
-"""Build the measurement of a tool's distance from structures: surfaces from files, or shapes of the anatomy."""
+"""Build the measurement of a tool's distance from structures: surfaces from files, or shapes of
+the anatomy.
+"""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -60,8 +62,14 @@ def keep_clear(
     found: dict[str, Structure] = {}
     for name in wanted.names:
         if name not in shapes:
-            known = f"must be one of {', '.join(shapes)}" if shapes else "must be left out for an anatomy without any"
-            raise InputError(f"keep_clear.names {known}, got {name}: give its surface in [keep_clear.files]")
+            known = (
+                f"must be one of {', '.join(shapes)}"
+                if shapes
+                else "must be left out for an anatomy without any"
+            )
+            raise InputError(
+                f"keep_clear.names {known}, got {name}: give its surface in [keep_clear.files]"
+            )
         report(f"meshing the surface of {name}", 0.0)
         distances[name] = shapes[name].distance
         found[name] = Structure(*shape_triangles(shapes[name], low, high))

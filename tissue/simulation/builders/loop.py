@@ -7,7 +7,13 @@ import numpy as np
 
 from meshes.base.errors import InputError
 from tissue.haptics.device.device import DeviceParameters
-from tissue.haptics.loop.critical_stiffness import Verdict, critical_stiffness_N_m, in_hands, judge, nearest_stable_N_m
+from tissue.haptics.loop.critical_stiffness import (
+    Verdict,
+    critical_stiffness_N_m,
+    in_hands,
+    judge,
+    nearest_stable_N_m,
+)
 from tissue.haptics.loop.filters import VELOCITY_MEMORY
 from tissue.haptics.loop.forecast import Forecast, forecast_of
 from tissue.haptics.loop.motor_path import motor_lag_ticks
@@ -27,15 +33,17 @@ __all__ = [
 ]
 
 SHARE = 0.5
-"""Share of the critical stiffness that is chosen where none is given: that in the hand at hand. Half of the one
-without a hand would be a seventh to a ninth of it; a device that is let go on a wall leaves it in some hundredths of a
-second at either, see tests/stability/test_wall_laws.py."""
+"""Share of the critical stiffness that is chosen where none is given: that in the hand at hand.
+Half of the one without a hand would be a seventh to a ninth of it; a device that is let go on a
+wall leaves it in some hundredths of a second at either, see tests/stability/test_wall_laws.py."""
 
 REST_SHARE = 0.3
 """Share of the device's greatest force at which a predictor is linearised."""
 
 USUAL_N_M = 1000.0
-"""Stiffness about which a predictor is linearised where neither scene nor device states one: of a desktop device."""
+"""Stiffness about which a predictor is linearised where neither scene nor device states one: of
+a desktop device.
+"""
 
 
 @dataclass(frozen=True)
@@ -67,7 +75,8 @@ class JudgedLoop:
         note = self.verdict.sentence(self.loop.stiffness_N_m).replace("N/m", self.unit)
         if self.verdict.stable and self.loop.stiffness_N_m >= self.alone:
             note += (
-                f", but only in a hand: let go where it is held from two sides, nothing but {self.saves} stops its "
+                ", but only in a hand: let go where it is held from two sides, nothing but "
+                f"{self.saves} stops its "
                 f"ringing from {self.alone:.3g} {self.unit} on"
             )
         return note
@@ -84,9 +93,19 @@ def judged_loops(
         If one is unstable and that is not allowed.
     """
     grip = settings.person.grip
-    loops = [(judged_loop(settings, step_s=step_s), grip[:3], "stiffness_N_m", "N/m", _steepest(settings))]
+    loops = [
+        (
+            judged_loop(settings, step_s=step_s),
+            grip[:3],
+            "stiffness_N_m",
+            "N/m",
+            _steepest(settings),
+        )
+    ]
     if settings.limits.torque_limit_Nm > 0.0:
-        loops.append((_turning_loop(settings, step_s=step_s), grip[3:], "stiffness_Nm_rad", "N m/rad", 1.0))
+        loops.append(
+            (_turning_loop(settings, step_s=step_s), grip[3:], "stiffness_Nm_rad", "N m/rad", 1.0)
+        )
     saves = (
         "friction and the passivity controller"
         if settings.renderer == "passivity"
@@ -97,7 +116,9 @@ def judged_loops(
         verdict = _judged(loop, hand, steepest)
         if not verdict.stable and not allow_unstable:
             raise InputError(_refusal(settings, verdict, loop.stiffness_N_m, key))
-        found.append(JudgedLoop(loop, verdict, unit, critical_stiffness_N_m(loop) / steepest, saves))
+        found.append(
+            JudgedLoop(loop, verdict, unit, critical_stiffness_N_m(loop) / steepest, saves)
+        )
     return found[0], found[1] if len(found) > 1 else None
 
 
@@ -118,9 +139,10 @@ def _steepest(settings: LoopSettings) -> float:
 def judged_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
     """The loop by which a coupling is judged, with all the delay that is really there.
 
-    A tool that cuts or only touches bone, or presses a tissue that knows its stiffness, answers in the tick of the
-    sample; on another organ its balance is found a tick later. Of a guarded predictor and of what it hands over to, the
-    one counts that bears less stiffness. What is played of a cutter's teeth counts as far as it goes with the force.
+    A tool that cuts or only touches bone, or presses a tissue that knows its stiffness, answers in
+    the tick of the sample; on another organ its balance is found a tick later. Of a guarded
+    predictor and of what it hands over to, the one counts that bears less stiffness. What is played
+    of a cutter's teeth counts as far as it goes with the force.
 
     A slow device holds each force until its next sample, so its loop is judged at its own rate.
 
@@ -140,9 +162,18 @@ def judged_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
     )
     loop = replace(loop, velocity_memory=VELOCITY_MEMORY, vibration=settings.vibration(loop.tick_s))
     hand = settings.person.grip[:3]
-    loops = [replace(_delayed(settings, loop, step_s * settings.late), forecast=each) for each in _forecasts(settings)]
-    loop = min(loops, key=lambda each: critical_stiffness_N_m(in_hands(each, [hand])[0])) if loops[1:] else loops[0]
-    return _chosen(loop, hand, chosen.stiffness_N_m, limits.stiffness_limit_N_m, _steepest(settings))
+    loops = [
+        replace(_delayed(settings, loop, step_s * settings.late), forecast=each)
+        for each in _forecasts(settings)
+    ]
+    loop = (
+        min(loops, key=lambda each: critical_stiffness_N_m(in_hands(each, [hand])[0]))
+        if loops[1:]
+        else loops[0]
+    )
+    return _chosen(
+        loop, hand, chosen.stiffness_N_m, limits.stiffness_limit_N_m, _steepest(settings)
+    )
 
 
 def lead_ticks(settings: LoopSettings) -> float:
@@ -157,7 +188,8 @@ def motor_path(settings: LoopSettings) -> WallLoop:
 
 
 def device_path(limits: DeviceParameters) -> WallLoop:
-    """Return the path of a force through the device to its motor, in ticks: transport, hold and amplifier.
+    """Return the path of a force through the device to its motor, in ticks: transport, hold and
+    amplifier.
 
     A slow device holds each force longer than a tick, half of that time in the mean.
     """
@@ -166,7 +198,9 @@ def device_path(limits: DeviceParameters) -> WallLoop:
 
 
 def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
-    """The predictor about a contact at rest, under a share of the device's force, and what it hands over to."""
+    """The predictor about a contact at rest, under a share of the device's force, and what it
+    hands over to.
+    """
     predictor, chosen, limits = settings.predictor(), settings.coupling, settings.limits
     if predictor is None:
         return [None]
@@ -183,23 +217,35 @@ def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
             model_ticks=chosen.model_ms,
             gain=chosen.prediction_gain,
         )
-        for each in ([predictor.inner, predictor.instead] if isinstance(predictor, Guarded) else [predictor])
+        for each in (
+            [predictor.inner, predictor.instead] if isinstance(predictor, Guarded) else [predictor]
+        )
     ]
 
 
 def _turning_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
     """The same for turns: but for a tool that only touches, their balance is found a tick later."""
     limits, chosen = settings.limits, settings.coupling
-    loop = limits.turning_loop(1.0, filter_s=1e-3 * settings.low_pass_ms, model_ticks=_model_samples(settings))
+    loop = limits.turning_loop(
+        1.0, filter_s=1e-3 * settings.low_pass_ms, model_ticks=_model_samples(settings)
+    )
     hand = settings.person.grip[3:]
     late = 0.0 if settings.contact == "touches" else step_s
-    return _chosen(_delayed(settings, loop, late), hand, chosen.stiffness_Nm_rad, limits.stiffness_limit_Nm_rad)
+    return _chosen(
+        _delayed(settings, loop, late), hand, chosen.stiffness_Nm_rad, limits.stiffness_limit_Nm_rad
+    )
 
 
 def _chosen(
-    loop: WallLoop, hand: tuple[float, float, float], given: float | None, limit: float, steepest: float = 1.0
+    loop: WallLoop,
+    hand: tuple[float, float, float],
+    given: float | None,
+    limit: float,
+    steepest: float = 1.0,
 ) -> WallLoop:
-    """The loop with the stiffness that is given, or else half of the critical one in that hand, at most the limit."""
+    """The loop with the stiffness that is given, or else half of the critical one in that hand,
+    at most the limit.
+    """
     if given is None:
         critical = critical_stiffness_N_m(in_hands(loop, [hand])[0])
         given = min(SHARE * critical / steepest, limit) or limit
@@ -219,7 +265,8 @@ def _model_samples(settings: LoopSettings) -> int:
 def _too_slow(settings: LoopSettings, what: str, remedy: str) -> InputError:
     """Return the error for a part of the loop that needs a sample in every tick."""
     return InputError(
-        f"{settings.device} gives {settings.limits.rate_Hz:.4g} samples a second, but {what} needs {1.0 / TICK_S:g}. "
+        f"{settings.device} gives {settings.limits.rate_Hz:.4g} samples a second, but {what} "
+        f"needs {1.0 / TICK_S:g}. "
         f"Use {remedy}, or a faster device"
     )
 
@@ -230,11 +277,14 @@ def _refusal(settings: LoopSettings, verdict: Verdict, stiffness: float, key: st
         damping = settings.coupling.damping_N_s_m
         return (
             f"coupling.damping_N_s_m must leave some stiffness stable, got {damping:g}: lower it, "
-            "coupling.delay_ms, output.low_pass_ms or coupling.prediction_gain, or pass --allow-unstable"
+            "coupling.delay_ms, output.low_pass_ms or coupling.prediction_gain, or pass "
+            "--allow-unstable"
         )
     return (
-        f"coupling.{key} must be below {verdict.critical_N_m:.4g} to be stable with device = {settings.device} in the "
-        f"hand of {person_of(settings.hand)}, got {stiffness:g} (margin {100.0 * verdict.margin:.1f} %): use "
+        f"coupling.{key} must be below {verdict.critical_N_m:.4g} to be stable with device = "
+        f"{settings.device} in the "
+        f"hand of {person_of(settings.hand)}, got {stiffness:g} (margin "
+        f"{100.0 * verdict.margin:.1f} %): use "
         f"{verdict.nearest_N_m:g}, or pass --allow-unstable"
     )
 

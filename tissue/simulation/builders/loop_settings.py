@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 __all__ = ["Contact", "LoopSettings", "loop_settings", "no_predictor", "sampled"]
 
 Contact = Literal["cuts", "touches", "presses", "wall"]
-"""What a tool does to what it meets: cut it, touch it as a rigid thing, press it soft, or press the test wall."""
+"""What a tool does to what it meets: cut it, touch it as a rigid thing, press it soft, or press
+the test wall.
+"""
 
 
 def no_predictor() -> None:
@@ -51,11 +53,13 @@ class LoopSettings:
     contact
         What the tool does.
     teeth_Hz, vibration_share
-        Rate at which a cutter's edges pass, 0 for none, and the amplitude of their vibration over the force.
+        Rate at which a cutter's edges pass, 0 for none, and the amplitude of their vibration over
+        the force.
     predictor
         Makes a new predictor of the force; None where the present force is played.
     perception
-        Makes the person for whom the force is scaled, with a generator of its noise; None where newtons stay newtons.
+        Makes the person for whom the force is scaled, with a generator of its noise; None where
+        newtons stay newtons.
     cue_N
         Amplitude of the event cues [N]; 0 for none.
     """
@@ -116,7 +120,10 @@ def loop_settings(scene: Scene) -> LoopSettings:
         from tissue.simulation.builders.prediction import maker_of
 
         predictor = maker_of(
-            held.prediction, scene_name=scene.name, file=scene.predictor_file, force_limit_N=limits.force_limit_N
+            held.prediction,
+            scene_name=scene.name,
+            file=scene.predictor_file,
+            force_limit_N=limits.force_limit_N,
         )
 
     def perception(rng: np.random.Generator) -> "Perception | None":

@@ -25,11 +25,17 @@ def plays_record(scene: Scene) -> bool:
 
     A saved run can be viewed without the file; its scene then has the motion of the scene.
     """
-    return scene.device is not None and scene.device.kind == RECORDED and is_file(Path(scene.held.hardware.address))
+    return (
+        scene.device is not None
+        and scene.device.kind == RECORDED
+        and is_file(Path(scene.held.hardware.address))
+    )
 
 
 def recorded_file(scene: Scene) -> str:
-    """Return the file of the poses that move the tool, by a replay or a recorded device; empty for other motions."""
+    """Return the file of the poses that move the tool, by a replay or a recorded device; empty
+    for other motions.
+    """
     if plays_record(scene):
         return scene.held.hardware.address
     return scene.motion.file if isinstance(scene.motion, ReplayMotion) else ""
@@ -49,7 +55,9 @@ def motion_of(scene: Scene, *, step_s: float) -> Motion:
 
 def path(motion: PathMotion, step_s: float) -> FollowPath:
     """Straight lines at a given feed."""
-    return FollowPath(np.array(motion.points_mm) * 1e-3, feed_m_s=motion.feed_mm_s * 1e-3, axis=motion.axis)
+    return FollowPath(
+        np.array(motion.points_mm) * 1e-3, feed_m_s=motion.feed_mm_s * 1e-3, axis=motion.axis
+    )
 
 
 def thrust(motion: ThrustMotion, step_s: float) -> PushAlongAxis:
@@ -69,5 +77,9 @@ def replay(motion: ReplayMotion, step_s: float) -> ReplayPoses:
     return read_replay(Path(motion.file), step_s=step_s)
 
 
-MAKERS: dict[str, Callable[[Any, float], Motion]] = {"path": path, "thrust": thrust, "replay": replay}
+MAKERS: dict[str, Callable[[Any, float], Motion]] = {
+    "path": path,
+    "thrust": thrust,
+    "replay": replay,
+}
 """What makes the built-in motions."""

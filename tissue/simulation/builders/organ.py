@@ -1,4 +1,6 @@
-"""The soft organ a scene asks for: its mesh at the site, what holds it, and what its cells are made of."""
+"""The soft organ a scene asks for: its mesh at the site, what holds it, and what its cells are
+made of.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -27,7 +29,15 @@ from tissue.materials.elasticity import (
 from tissue.materials.scene_constants import Materials
 from tissue.motion.motion import frame_along
 from tissue.scene.named_parts import nearest
-from tissue.scene.organ import Held, LiverAnatomy, LiverFile, Organ, SlabAnatomy, SoftAnatomy, WithNodule
+from tissue.scene.organ import (
+    Held,
+    LiverAnatomy,
+    LiverFile,
+    Organ,
+    SlabAnatomy,
+    SoftAnatomy,
+    WithNodule,
+)
 from tissue.scene.part import is_given
 from tissue.simulation.builders.parts import FILE_WORDS
 
@@ -75,7 +85,9 @@ class HeldMesh:
     placement: Placement | None = None
 
 
-def held_mesh(anatomy: SoftAnatomy, *, path_m: NDArray[np.float64], touch_edge_m: float, report: Progress) -> HeldMesh:
+def held_mesh(
+    anatomy: SoftAnatomy, *, path_m: NDArray[np.float64], touch_edge_m: float, report: Progress
+) -> HeldMesh:
     """Mesh of a scene's organ, procedural or from its file, made fine where the tool goes.
 
     Parameters
@@ -92,22 +104,36 @@ def held_mesh(anatomy: SoftAnatomy, *, path_m: NDArray[np.float64], touch_edge_m
     Raises
     ------
     InputError
-        If a file cannot be used, a nodule does not fit, or what should hold the organ touches nothing.
+        If a file cannot be used, a nodule does not fit, or what should hold the organ touches
+        nothing.
     """
 
     def fine(mesh: TetMesh, onto: Move | None = None) -> TetMesh:
-        return bisected(mesh, lambda points: touch_edge_m + anatomy.edge_growth * _away(points, path_m), onto=onto)
+        return bisected(
+            mesh,
+            lambda points: touch_edge_m + anatomy.edge_growth * _away(points, path_m),
+            onto=onto,
+        )
 
     with names_of_caller(KEYS):
         if isinstance(anatomy, SlabAnatomy):
             size = tuple(1e-3 * side for side in anatomy.size_mm)
-            block = slab(size_m=(size[0], size[1], size[2]), spacing_m=1e-3 * anatomy.edge_mm, nodule=_nodule(anatomy))
+            block = slab(
+                size_m=(size[0], size[1], size[2]),
+                spacing_m=1e-3 * anatomy.edge_mm,
+                nodule=_nodule(anatomy),
+            )
             mesh = fine(block)
             return HeldMesh(mesh, slab_base(mesh), {"held": "the lower face, bonded to the ground"})
         if isinstance(anatomy, LiverAnatomy):
-            mesh = fine(liver(spacing_m=1e-3 * anatomy.edge_mm, nodule=_nodule(anatomy)), onto_liver)
+            mesh = fine(
+                liver(spacing_m=1e-3 * anatomy.edge_mm, nodule=_nodule(anatomy)), onto_liver
+            )
             litres = 1e3 * float(mesh.volumes_m3.sum())
-            notes = {"liver": f"procedural, {litres:.2f} l; no vessels and no ligaments", "held": _held_note(anatomy)}
+            notes = {
+                "liver": f"procedural, {litres:.2f} l; no vessels and no ligaments",
+                "held": _held_note(anatomy),
+            }
             return HeldMesh(mesh, _held(anatomy, mesh), notes)
         assert isinstance(anatomy, LiverFile)
         return _from_file(anatomy, fine, report)
@@ -116,7 +142,9 @@ def held_mesh(anatomy: SoftAnatomy, *, path_m: NDArray[np.float64], touch_edge_m
 def elasticity_of(
     mesh: TetMesh, anatomy: SoftAnatomy, organ: Organ, constants: Materials = Materials.cited
 ) -> tuple[NDArray[np.float64], str]:
-    """Lame constants of the cells [Pa], shape (m, 2), or with fibres stiffness matrices, (m, 6, 6), and a note."""
+    """Lame constants of the cells [Pa], shape (m, 2), or with fibres stiffness matrices, (m, 6,
+    6), and a note.
+    """
     cited = constants.constants("soft", organ.material)
     modulus = cited["modulus_kPa"]
     first = organ.young_kPa or modulus.value
@@ -130,7 +158,10 @@ def elasticity_of(
         x = mesh.nodes_m[mesh.cells].mean(axis=1)[:, 0]
         share = (x - x.min()) / np.ptp(x)
         young += (organ.young_end_kPa - first) * share**organ.grading_exponent
-        note += f" to {organ.young_end_kPa:g} kPa along x, by the distance to the power {organ.grading_exponent:g}"
+        note += (
+            f" to {organ.young_end_kPa:g} kPa along x, by the distance to the power "
+            f"{organ.grading_exponent:g}"
+        )
     for part, stated in _moduli_kPa(mesh, anatomy, organ).items():
         young[mesh.part == part] = stated
         note += f"; {mesh.part_names[part]} {stated:g} kPa"
@@ -157,7 +188,8 @@ def _fibrous(poisson_ratio: float, along: float) -> NDArray[np.float64]:
     if not low < along < high:
         bound = f"more than {low:.3g}" if along <= low else f"less than {high:.3g}"
         raise InputError(
-            f"organ.fibre_modulus_ratio is {along:g}, but tissue of Poisson's ratio {poisson_ratio:g} is stable only "
+            f"organ.fibre_modulus_ratio is {along:g}, but tissue of Poisson's ratio "
+            f"{poisson_ratio:g} is stable only "
             f"with {bound}. Change it or organ.poisson_ratio"
         )
     return transversely_isotropic(
@@ -186,10 +218,17 @@ def _moduli_kPa(mesh: TetMesh, anatomy: SoftAnatomy, organ: Organ) -> dict[int, 
         if known is None:
             have = "has one part alone" if len(names) == 1 else f"has {', '.join(names)}"
             close = nearest(name, names)
-            raise InputError("organ.parts", "name parts of the organ", f"{name}{close}", f"it {have}")
+            raise InputError(
+                "organ.parts", "name parts of the organ", f"{name}{close}", f"it {have}"
+            )
         number = names.index(known)
         if number in given:
-            raise InputError("organ.parts", "name each part once", f"{given[number]} and {name}", "remove one of them")
+            raise InputError(
+                "organ.parts",
+                "name each part once",
+                f"{given[number]} and {name}",
+                "remove one of them",
+            )
         given[number], found[number] = name, modulus
     return found
 
@@ -202,7 +241,10 @@ def _nodule(anatomy: WithNodule) -> Nodule | None:
             "anatomy.nodule_diameter_mm",
             f"be at least twice anatomy.edge_mm ({anatomy.edge_mm:g})",
             f"{anatomy.nodule_diameter_mm:g}",
-            f"use {2.0 * anatomy.edge_mm:g}, or anatomy.edge_mm = {0.5 * anatomy.nodule_diameter_mm:g}",
+            (
+                f"use {2.0 * anatomy.edge_mm:g}, or anatomy.edge_mm = "
+                f"{0.5 * anatomy.nodule_diameter_mm:g}"
+            ),
         )
     x, y, z = (1e-3 * value for value in anatomy.nodule_centre_mm)
     return Nodule(0.5e-3 * anatomy.nodule_diameter_mm, (x, y, z))
@@ -214,28 +256,41 @@ def _away(points_m: NDArray[np.float64], path_m: NDArray[np.float64]) -> NDArray
     for start, end in pairwise(path_m):
         along = end - start
         share = np.clip((points_m - start) @ along / max(float(along @ along), 1e-30), 0.0, 1.0)
-        nearest = np.minimum(nearest, np.linalg.norm(points_m - start - share[:, None] * along, axis=1))
+        nearest = np.minimum(
+            nearest, np.linalg.norm(points_m - start - share[:, None] * along, axis=1)
+        )
     return nearest
 
 
-def _from_file(anatomy: LiverFile, fine: Callable[[TetMesh, Move | None], TetMesh], report: Progress) -> HeldMesh:
+def _from_file(
+    anatomy: LiverFile, fine: Callable[[TetMesh, Move | None], TetMesh], report: Progress
+) -> HeldMesh:
     """Mesh of a file, turned and moved to its site."""
-    found = read_tets(anatomy.file, unit_mm=anatomy.scale_mm, edge_m=1e-3 * anatomy.edge_mm, report=report)
+    found = read_tets(
+        anatomy.file, unit_mm=anatomy.scale_mm, edge_m=1e-3 * anatomy.edge_mm, report=report
+    )
     if found.surface is None and is_given(anatomy, "edge_mm"):
         raise InputError(
             "anatomy.edge_mm",
             "be left out for tetrahedra from a file",
             f"{anatomy.edge_mm:g}",
-            "set anatomy.touch_edge_mm, by which they are divided where the tool goes, or remove it",
+            (
+                "set anatomy.touch_edge_mm, by which they are divided where the tool goes, or "
+                "remove it"
+            ),
         )
     mesh, turn = found.mesh, frame_along(anatomy.normal)
     if anatomy.along is not None:
         turn = axes_along(turn[:, 2], anatomy.along)
-    surface = mesh.nodes_m[mesh.surface_nodes] if found.surface is None else found.surface.vertices_m
+    surface = (
+        mesh.nodes_m[mesh.surface_nodes] if found.surface is None else found.surface.vertices_m
+    )
     if anatomy.centre_mm is None:
         origin = surface[np.argmax(surface @ turn[:, 2])]
     else:
-        origin = surface[np.argmin(np.linalg.norm(surface - 1e-3 * np.array(anatomy.centre_mm), axis=1))]
+        origin = surface[
+            np.argmin(np.linalg.norm(surface - 1e-3 * np.array(anatomy.centre_mm), axis=1))
+        ]
     onto = None
     if found.surface is not None:
         vertices, faces = (found.surface.vertices_m - origin) @ turn, found.surface.faces
@@ -251,7 +306,9 @@ def _from_file(anatomy: LiverFile, fine: Callable[[TetMesh, Move | None], TetMes
         "site": f"origin at ({at}) mm of the file",
         "held": _held_note(anatomy),
     }
-    return HeldMesh(placed, _held(anatomy, placed), notes, Placement(1e3 * origin, turn, found.unit_mm))
+    return HeldMesh(
+        placed, _held(anatomy, placed), notes, Placement(1e3 * origin, turn, found.unit_mm)
+    )
 
 
 def _held(anatomy: Held, mesh: TetMesh) -> NDArray[np.int64]:
@@ -261,12 +318,16 @@ def _held(anatomy: Held, mesh: TetMesh) -> NDArray[np.int64]:
         return nodes_behind_plane(mesh, point_m=(0.0, 0.0, height), normal=(0.0, 0.0, 1.0))
     if anatomy.held == "part":
         if anatomy.held_part is None:
-            raise InputError("held_part", "be given", "nothing", f"use one of {', '.join(mesh.part_names)}")
+            raise InputError(
+                "held_part", "be given", "nothing", f"use one of {', '.join(mesh.part_names)}"
+            )
         numbered = f"part {anatomy.held_part}"
         return nodes_of_part(mesh, numbered if numbered in mesh.part_names else anatomy.held_part)
     if isinstance(anatomy, LiverAnatomy):
         return liver_region(mesh, anatomy.held)
-    return nodes_facing(mesh, direction=(0.0, 0.0, -1.0) if anatomy.held == "below" else (0.0, 1.0, 0.0))
+    return nodes_facing(
+        mesh, direction=(0.0, 0.0, -1.0) if anatomy.held == "below" else (0.0, 1.0, 0.0)
+    )
 
 
 def _held_note(anatomy: Held) -> str:

@@ -1,4 +1,6 @@
-"""An organ filled with tetrahedra here: of a surface and what lies in it, or of the labels of an image."""
+"""An organ filled with tetrahedra here: of a surface and what lies in it, or of the labels of an
+image.
+"""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,7 +17,9 @@ from tissue.simulation.builders.organ_made import MadeOrgan, made_of, material_o
 __all__ = ["of_labels", "of_surface"]
 
 ENVELOPE = 0.1
-"""How far inclusions may reach beyond what they lie in, over the edge: as far as the mesher moves a surface."""
+"""How far inclusions may reach beyond what they lie in, over the edge: as far as the mesher
+moves a surface.
+"""
 
 
 def of_surface(
@@ -32,18 +36,25 @@ def of_surface(
     Raises
     ------
     InputError
-        If a surface is not closed or not in millimetres, an inclusion sticks out, meets another or has no modulus.
+        If a surface is not closed or not in millimetres, an inclusion sticks out, meets another or
+        has no modulus.
     """
     from meshes.tets.tetrahedralise import FILL_EDGES, tetrahedralise
 
     without = [name for name in inclusions if name not in (stated.get("parts") or {})]
     if without:
-        raise InputError(f"parts must give a modulus of every inclusion, got none of {without[0]}: add it in kPa")
-    material_of(stated, ("body", *inclusions))  # what cannot be is refused before minutes of meshing
+        raise InputError(
+            f"parts must give a modulus of every inclusion, got none of {without[0]}: add it in kPa"
+        )
+    # what cannot be is refused before minutes of meshing
+    material_of(stated, ("body", *inclusions))
     outer = surface_of("surface", surface, scale_mm)
     usual = max(outer.report.size_mm) / FILL_EDGES
     edge = usual if edge_mm is None else require_positive("edge_mm", edge_mm, f"use {usual:.2g}")
-    inner = {name: surface_of(f"inclusions[{name!r}]", each, scale_mm) for name, each in inclusions.items()}
+    inner = {
+        name: surface_of(f"inclusions[{name!r}]", each, scale_mm)
+        for name, each in inclusions.items()
+    }
     _require_apart(outer, inner, 1e-3 * ENVELOPE * edge)
     with names_of_caller({"edge_m": "edge_mm"}):
         mesh, sentences = tetrahedralise(outer, edge_m=1e-3 * edge, report=report)
@@ -77,9 +88,13 @@ def of_labels(
 
     parts = stated.get("parts") or {}
     with names_of_caller({"path": "labels"}):
-        known = labels if isinstance(labels, Labels) else read_labels(Path(str(labels)), names=names)
+        known = (
+            labels if isinstance(labels, Labels) else read_labels(Path(str(labels)), names=names)
+        )
     organ = known.names[known.number(organ)]
-    stated = stated | {"parts": {known.names[known.number(str(name))]: each for name, each in parts.items()}}
+    stated = stated | {
+        "parts": {known.names[known.number(str(name))]: each for name, each in parts.items()}
+    }
     material_of(stated, (organ, *stated["parts"]))
     found = labelled_organ(known, organ, [name for name in stated["parts"] if name != organ])
     mesh, notes = found.mesh(edge_mm, report=report)
@@ -87,7 +102,9 @@ def of_labels(
 
 
 def _require_apart(outer: Surface, inclusions: Mapping[str, Surface], off_m: float) -> None:
-    """Refuse inclusions that stick out of the organ, or into each other, by more than a distance [m]."""
+    """Refuse inclusions that stick out of the organ, or into each other, by more than a distance
+    [m].
+    """
     for name, each in inclusions.items():
         key = f"inclusions[{name!r}]"
         out = triangle_distance(outer.vertices_m, outer.faces, each.vertices_m)
@@ -95,16 +112,21 @@ def _require_apart(outer: Surface, inclusions: Mapping[str, Surface], off_m: flo
             raise InputError(f"{key} must lie inside the surface, got all of it outside: move it")
         if out.max() > off_m:
             raise InputError(
-                f"{key} must lie inside the surface, got it up to {1e3 * float(out.max()):.3g} mm outside: move it, or "
+                f"{key} must lie inside the surface, got it up to "
+                f"{1e3 * float(out.max()):.3g} mm outside: move it, or "
                 "cut it off there"
             )
         for other, before in inclusions.items():
             if other == name:
                 break
             pairs = ((before, each), (each, before))
-            deep = max(-float(triangle_distance(a.vertices_m, a.faces, b.vertices_m).min()) for a, b in pairs)
+            deep = max(
+                -float(triangle_distance(a.vertices_m, a.faces, b.vertices_m).min())
+                for a, b in pairs
+            )
             if deep > off_m:
                 raise InputError(
-                    f"{key} must not reach into inclusions[{other!r}], got it {1e3 * deep:.3g} mm deep: subtract one "
+                    f"{key} must not reach into inclusions[{other!r}], got it "
+                    f"{1e3 * deep:.3g} mm deep: subtract one "
                     "from the other"
                 )

@@ -1,4 +1,6 @@
-"""An organ that a caller describes: what its cells are made of, what lies in it, and how fine its mesh is."""
+"""An organ that a caller describes: what its cells are made of, what lies in it, and how fine
+its mesh is.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -67,12 +69,20 @@ class SoftMaterial:
 
     def __post_init__(self) -> None:
         require_positive("modulus_kPa", self.modulus_kPa, "liver has about 5, kidney 10")
-        require_range("poisson_ratio", self.poisson_ratio, -0.999, 0.4999, "soft tissue has 0.45 to 0.499")
-        require_range("friction", self.friction, 0.0, 10.0, "give Coulomb's coefficient, 0 for none")
+        require_range(
+            "poisson_ratio", self.poisson_ratio, -0.999, 0.4999, "soft tissue has 0.45 to 0.499"
+        )
+        require_range(
+            "friction", self.friction, 0.0, 10.0, "give Coulomb's coefficient, 0 for none"
+        )
         for name, modulus in self.parts.items():
             require_positive(f"parts[{name!r}]", modulus, "give its Young's modulus in kPa")
         for value in self.capsule or ():
-            require_positive("capsule", value, "give its thickness in um and its modulus in kPa, such as (50, 8200)")
+            require_positive(
+                "capsule",
+                value,
+                "give its thickness in um and its modulus in kPa, such as (50, 8200)",
+            )
         if self.density_kg_m3 is not None:
             require_positive("density_kg_m3", self.density_kg_m3, "soft tissue has about 1060")
 
@@ -88,7 +98,9 @@ class SoftMaterial:
         for name, modulus in self.parts.items():
             known = next((each for each in (str(name), f"part {name}") if each in found), None)
             if known is None:
-                raise InputError(f"parts must name parts of the mesh, got {name!r}: it has {', '.join(found)}")
+                raise InputError(
+                    f"parts must name parts of the mesh, got {name!r}: it has {', '.join(found)}"
+                )
             found[known] = float(modulus)
         return found
 
@@ -108,15 +120,24 @@ class SoftMaterial:
         prony = None
         if len(self.relaxation):
             with names_of_caller(dict.fromkeys(("g", "tau_s"), "relaxation")):
-                prony = Prony(*(tuple(map(float, each)) for each in zip(*self.relaxation, strict=True)))
+                prony = Prony(
+                    *(tuple(map(float, each)) for each in zip(*self.relaxation, strict=True))
+                )
         return SoftOrgan(
-            mesh, self.elasticity(mesh), held, order=self.order, capsule=capsule, density_kg_m3=self.density_kg_m3,
-            prony=prony, friction=self.friction,
-        )  # fmt: skip
+            mesh,
+            self.elasticity(mesh),
+            held,
+            order=self.order,
+            capsule=capsule,
+            density_kg_m3=self.density_kg_m3,
+            prony=prony,
+            friction=self.friction,
+        )
 
 
 def surface_of(name: str, given: object, scale_mm: float | None) -> Surface:
-    """A closed surface of whatever holds it: a file, a surface of pyvista or trimesh, vertices and triangles.
+    """A closed surface of whatever holds it: a file, a surface of pyvista or trimesh, vertices and
+    triangles.
 
     Raises
     ------
@@ -139,7 +160,9 @@ def _triangles(name: str, given: Any) -> tuple[NDArray[np.float64], NDArray[np.i
     """Vertices and triangles of a surface in memory."""
     if hasattr(given, "is_all_triangles"):  # pyvista
         whole = given.triangulate()
-        return np.asarray(whole.points, dtype=np.float64), np.asarray(whole.regular_faces, dtype=np.int64)
+        return np.asarray(whole.points, dtype=np.float64), np.asarray(
+            whole.regular_faces, dtype=np.int64
+        )
     if hasattr(given, "vertices") and hasattr(given, "faces"):  # trimesh
         given = given.vertices, given.faces
     if isinstance(given, Sequence) and len(given) == 2:
@@ -147,24 +170,35 @@ def _triangles(name: str, given: Any) -> tuple[NDArray[np.float64], NDArray[np.i
         if vertices.ndim == faces.ndim == 2 and vertices.shape[1] == faces.shape[1] == 3:
             return vertices.astype(np.float64), faces.astype(np.int64)
     raise InputError(
-        f"{name} must be a closed surface of pyvista or trimesh, vertices and triangles, or a file, got "
+        f"{name} must be a closed surface of pyvista or trimesh, vertices and triangles, or "
+        "a file, got "
         f"{type(given).__name__}: export it as STL"
     )
 
 
-def refined(mesh: TetMesh, surface: Surface | None, *, edge_m: float, near_m: NDArray[np.float64] | None) -> TetMesh:
-    """The mesh with edges of at most a length [m] near some points, shape (k, 3), or else on the whole surface."""
+def refined(
+    mesh: TetMesh, surface: Surface | None, *, edge_m: float, near_m: NDArray[np.float64] | None
+) -> TetMesh:
+    """The mesh with edges of at most a length [m] near some points, shape (k, 3), or else on the
+    whole surface.
+    """
     from scipy.spatial import cKDTree
 
-    vertices, faces = (mesh.nodes_m, mesh.surface) if surface is None else (surface.vertices_m, surface.faces)
+    vertices, faces = (
+        (mesh.nodes_m, mesh.surface) if surface is None else (surface.vertices_m, surface.faces)
+    )
 
     def wanted(points: NDArray[np.float64]) -> NDArray[np.float64]:
         if near_m is None:
             away = np.abs(triangle_distance(mesh.nodes_m, mesh.surface, points))
         else:
             away = np.asarray(cKDTree(near_m).query(points)[0], dtype=np.float64)
-        return edge_m + EDGE_GROWTH * np.maximum(away - (0.0 if near_m is None else FINE_EDGES * edge_m), 0.0)
+        return edge_m + EDGE_GROWTH * np.maximum(
+            away - (0.0 if near_m is None else FINE_EDGES * edge_m), 0.0
+        )
 
-    onto = None if surface is None else (lambda points: nearest_on_triangles(vertices, faces, points))
+    onto = (
+        None if surface is None else (lambda points: nearest_on_triangles(vertices, faces, points))
+    )
     with names_of_caller({"size_m": "edge_mm"}):
         return bisected(mesh, wanted, onto=onto)

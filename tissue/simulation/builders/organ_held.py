@@ -1,4 +1,6 @@
-"""What holds an organ that a caller describes: a side of its surface, a height, a part, or points."""
+"""What holds an organ that a caller describes: a side of its surface, a height, a part, or
+points.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -31,15 +33,18 @@ Hold = Callable[[TetMesh], Nodes]
 
 
 def hold_of(
-    held: "str | ArrayLike", held_below_mm: float | None, mesh: TetMesh, points_mm: NDArray[np.float64]
+    held: "str | ArrayLike",
+    held_below_mm: float | None,
+    mesh: TetMesh,
+    points_mm: NDArray[np.float64],
 ) -> tuple[Hold, str]:
     """What is held, and a note on it.
 
     Parameters
     ----------
     held
-        A side of the surface (``bottom``, ``top``, ``-x`` to ``+z``: what faces there within 60 degrees), the name of a
-        part, or points: a mask, shape (n,), or their numbers.
+        A side of the surface (``bottom``, ``top``, ``-x`` to ``+z``: what faces there within 60
+        degrees), the name of a part, or points: a mask, shape (n,), or their numbers.
     held_below_mm
         With it, instead, the surface below this height [mm].
     mesh, points_mm
@@ -53,16 +58,23 @@ def hold_of(
     if held_below_mm is not None:
         height = 1e-3 * float(held_below_mm)
         return (
-            lambda mesh: nodes_behind_plane(mesh, point_m=(0.0, 0.0, height), normal=(0.0, 0.0, 1.0)),
+            lambda mesh: nodes_behind_plane(
+                mesh, point_m=(0.0, 0.0, height), normal=(0.0, 0.0, 1.0)
+            ),
             f"the surface below z = {held_below_mm:g} mm",
         )
     if isinstance(held, str):
         if held in SIDES:
-            return lambda mesh: nodes_facing(mesh, direction=SIDES[held]), f"the surface that faces {held}"
+            return lambda mesh: nodes_facing(
+                mesh, direction=SIDES[held]
+            ), f"the surface that faces {held}"
         if held in mesh.part_names:
             return lambda mesh: nodes_of_part(mesh, held), f"the part {held}"
         raise InputError(
-            "held", f"be one of {', '.join((*SIDES, *mesh.part_names))} or points", f"{held!r}", "use bottom"
+            "held",
+            f"be one of {', '.join((*SIDES, *mesh.part_names))} or points",
+            f"{held!r}",
+            "use bottom",
         )
     nodes = _named(np.asarray(held), mesh, points_mm)
     points_m, triangles = mesh.nodes_m, faces_of(mesh, nodes)
@@ -75,7 +87,9 @@ def hold_of(
         if len(triangles):
             surface = other.surface_nodes
             on = nearest_on_triangles(points_m, triangles, other.nodes_m[surface])
-            away[surface] = np.minimum(away[surface], np.linalg.norm(on - other.nodes_m[surface], axis=1))
+            away[surface] = np.minimum(
+                away[surface], np.linalg.norm(on - other.nodes_m[surface], axis=1)
+            )
         return np.flatnonzero(away <= near)
 
     return hold, f"{len(nodes)} points that were named"
@@ -95,7 +109,9 @@ def _named(held: NDArray[Any], mesh: TetMesh, points_mm: NDArray[np.float64]) ->
             "number points from 0",
         )
     if not len(held):
-        raise InputError("held", "name at least three points", "none", "name the points that do not move")
+        raise InputError(
+            "held", "name at least three points", "none", "name the points that do not move"
+        )
     from scipy.spatial import cKDTree
 
     near = COINCIDE * 1e3 * float(np.ptp(mesh.nodes_m, axis=0).max())
@@ -103,7 +119,9 @@ def _named(held: NDArray[Any], mesh: TetMesh, points_mm: NDArray[np.float64]) ->
     return np.unique(nodes[away <= near])
 
 
-def _distance_m(points_m: NDArray[np.float64], others_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _distance_m(
+    points_m: NDArray[np.float64], others_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Distance of each of the others from the nearest of the points [m]."""
     from scipy.spatial import cKDTree
 

@@ -1,4 +1,6 @@
-"""The hyperelastic law that a scene asks for, with the small strains of the linear one, and the mesh for it."""
+"""The hyperelastic law that a scene asks for, with the small strains of the linear one, and the
+mesh for it.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -26,21 +28,25 @@ SHAPE = {"mooney-rivlin": "second_share", "yeoh": "square_ratio", "ogden": "expo
 
 
 def hindrance(organ: Organ) -> str | None:
-    """Name of the first entry of an organ that no hyperelastic law can have yet; None where there is none."""
+    """Name of the first entry of an organ that no hyperelastic law can have yet; None where
+    there is none.
+    """
     if organ.path != "condensed":
         return "path"
     return next((name for name in NOT_WITH if getattr(organ, name)), None)
 
 
 def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
-    """The law of the first cell, and what its moduli are multiplied by in each, shape (m,); None for the linear one.
+    """The law of the first cell, and what its moduli are multiplied by in each, shape (m,); None
+    for the linear one.
 
     Parameters
     ----------
     organ
         What the scene states.
     lame_Pa
-        Lame constants of small strains [Pa], shape (m, 2), in one proportion, as `elasticity_of` gives them.
+        Lame constants of small strains [Pa], shape (m, 2), in one proportion, as `elasticity_of`
+        gives them.
 
     Raises
     ------
@@ -52,7 +58,8 @@ def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
     if name := hindrance(organ):
         raise InputError(
             f"organ.law and organ.{name} must be left out together, got {organ.law} and "
-            f"{shown(getattr(organ, name))}: remove one, a law of large strains has an isotropic elastic organ without "
+            f"{shown(getattr(organ, name))}: remove one, a law of large strains has an "
+            "isotropic elastic organ without "
             "weight, on its condensed compliance"
         )
     first, shear = lame_Pa[0].tolist()
@@ -60,10 +67,13 @@ def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
     return _law(organ, shear, bulk), np.asarray(lame_Pa[:, 1] / shear)
 
 
-def coarser_mesh(scene: Scene, *, path_m: Array, touch_edge_m: float, ratio: float, report: Progress) -> HeldMesh:
+def coarser_mesh(
+    scene: Scene, *, path_m: Array, touch_edge_m: float, ratio: float, report: Progress
+) -> HeldMesh:
     """The mesh of a scene's organ with edges longer by a ratio; other arguments as of `held_mesh`.
 
-    A nodule asks for cells as short as the scene's, and tetrahedra from a file keep theirs away from the tool.
+    A nodule asks for cells as short as the scene's, and tetrahedra from a file keep theirs away
+    from the tool.
     """
     anatomy = scene.anatomy
     assert isinstance(anatomy, SoftAnatomy)
@@ -75,7 +85,13 @@ def coarser_mesh(scene: Scene, *, path_m: Array, touch_edge_m: float, ratio: flo
 
 
 def organ_law(
-    scene: Scene, lame_Pa: Array, *, path_m: Array, touch_edge_m: float, compute: str, report: Progress
+    scene: Scene,
+    lame_Pa: Array,
+    *,
+    path_m: Array,
+    touch_edge_m: float,
+    compute: str,
+    report: Progress,
 ) -> "OrganLaw | None":
     """The law of a scene's organ and the mesh on which it is solved; None for the linear one.
 
@@ -104,14 +120,17 @@ def organ_law(
         return None
     if opens_device(scene):
         raise InputError(
-            f"device and organ.law must be left out together, got {scene.held.kind} and {organ.law}: remove one, "
+            f"device and organ.law must be left out together, got {scene.held.kind} and "
+            f"{organ.law}: remove one, "
             "a real device would wait where solving the law takes longer than its interval"
         )
     law, factors = found
     interval_s = 1e-3 * organ.law_interval_ms
     if organ.law_edge_ratio == 1.0:
         return OrganLaw(law, factors, interval_s)
-    mesh = coarser_mesh(scene, path_m=path_m, touch_edge_m=touch_edge_m, ratio=organ.law_edge_ratio, report=report)
+    mesh = coarser_mesh(
+        scene, path_m=path_m, touch_edge_m=touch_edge_m, ratio=organ.law_edge_ratio, report=report
+    )
     assert isinstance(scene.anatomy, SoftAnatomy)
     moduli, _ = elasticity_of(mesh.mesh, scene.anatomy, organ, scene.constants)
     coarser = SoftOrgan(mesh.mesh, moduli, mesh.held, order=organ.order, device=compute)
@@ -122,10 +141,16 @@ def _law(organ: Organ, shear_Pa: float, bulk_Pa: float) -> Hyperelastic:
     if organ.law == "neo-hookean":
         return Hyperelastic.neo_hookean(shear_Pa, bulk_Pa=bulk_Pa)
     if organ.law == "mooney-rivlin" and (share := organ.second_share) is not None:
-        return Hyperelastic.mooney_rivlin(0.5 * (1.0 - share) * shear_Pa, 0.5 * share * shear_Pa, bulk_Pa=bulk_Pa)
+        return Hyperelastic.mooney_rivlin(
+            0.5 * (1.0 - share) * shear_Pa, 0.5 * share * shear_Pa, bulk_Pa=bulk_Pa
+        )
     if organ.law == "yeoh" and organ.square_ratio is not None:
         first = 0.5 * shear_Pa
-        return Hyperelastic.yeoh(first, organ.square_ratio * first, organ.cube_ratio * first, bulk_Pa=bulk_Pa)
+        return Hyperelastic.yeoh(
+            first, organ.square_ratio * first, organ.cube_ratio * first, bulk_Pa=bulk_Pa
+        )
     if organ.law == "ogden" and organ.exponent is not None:
         return Hyperelastic(bulk_Pa, ((shear_Pa, organ.exponent),))
-    raise InputError(f"organ.{SHAPE[organ.law]} must be given with organ.law = {organ.law}, got none: state it")
+    raise InputError(
+        f"organ.{SHAPE[organ.law]} must be given with organ.law = {organ.law}, got none: state it"
+    )

@@ -53,7 +53,8 @@ class MadeOrgan:
     surface
         The surface that the mesh stands for; None of tetrahedra that were given.
     near
-        Where it will be pressed: points [m], shape (k, 3), and the distance around them [m]; None where unknown.
+        Where it will be pressed: points [m], shape (k, 3), and the distance around them [m]; None
+        where unknown.
     """
 
     mesh: TetMesh
@@ -82,25 +83,35 @@ class MadeOrgan:
         mesh, material = self.mesh, self.material
         moduli = material.moduli_kPa(mesh.part_names).items()
         return {
-            "size": f"{by(1e3 * np.ptp(mesh.nodes_m, axis=0), '.3g')} mm, {1e6 * float(mesh.volumes_m3.sum()):.4g} ml",
+            "size": (
+                f"{by(1e3 * np.ptp(mesh.nodes_m, axis=0), '.3g')} mm, "
+                f"{1e6 * float(mesh.volumes_m3.sum()):.4g} ml"
+            ),
             "cells": f"{len(mesh.cells)} tetrahedra of order {material.order}",
             "moduli": ", ".join(f"{name} {value:g} kPa" for name, value in moduli),
             "compressibility": f"Poisson's ratio {material.poisson_ratio:g}",
         }
 
     def refined(self, edge_mm: float, near_mm: ArrayLike | None) -> "MadeOrgan":
-        """The same organ with shorter edges where the surface is nearest to some points, shape (k, 3), or on all of it.
+        """The same organ with shorter edges where the surface is nearest to some points, shape (k,
+        3), or on all of it.
 
         Raises
         ------
         InputError
             If the edge is not positive, or the points are none.
         """
-        edge, near = require_positive("edge_mm", edge_mm, "use a quarter of the tool's diameter"), None
+        edge, near = (
+            require_positive("edge_mm", edge_mm, "use a quarter of the tool's diameter"),
+            None,
+        )
         if near_mm is not None:
             near = 1e-3 * np.atleast_2d(np.asarray(near_mm, dtype=np.float64))
             if near.ndim != 2 or near.shape[1] != 3 or not np.isfinite(near).all():
-                raise InputError(f"near_mm must be points of shape (k, 3), got shape {np.shape(near_mm)}: give x, y, z")
+                raise InputError(
+                    f"near_mm must be points of shape (k, 3), got shape {np.shape(near_mm)}: "
+                    "give x, y, z"
+                )
             near = nearest_on_triangles(self.mesh.nodes_m, self.mesh.surface, near)
         mesh = refined(self.mesh, self.surface, edge_m=1e-3 * edge, near_m=near)
         expected = None if near is None else (near, TOUCHED_EDGES * 1e-3 * edge)
@@ -138,7 +149,9 @@ def made_of(
     material = material_of(stated, mesh.part_names)
     held = "bottom" if stated.get("held") is None else stated["held"]
     below = stated.get("held_below_mm")
-    hold, notes["held"] = hold_of(held, below, mesh, 1e3 * mesh.nodes_m if points_mm is None else points_mm)
+    hold, notes["held"] = hold_of(
+        held, below, mesh, 1e3 * mesh.nodes_m if points_mm is None else points_mm
+    )
     made = MadeOrgan(mesh, material, hold, notes, surface)
     with names_of_caller({"support": "held" if below is None else "held_below_mm"}):
         made.held  # noqa: B018 - what is not there is refused here
@@ -146,7 +159,11 @@ def made_of(
 
 
 def of_tetrahedra(
-    mesh: object, stated: dict[str, Any], *, scale_mm: float | None, part_names: Mapping[int, str] | None
+    mesh: object,
+    stated: dict[str, Any],
+    *,
+    scale_mm: float | None,
+    part_names: Mapping[int, str] | None,
 ) -> MadeOrgan:
     """An organ of tetrahedra; arguments as of `meshes.tets.files.given_tets` and `made_of`."""
     given = given_tets(mesh, scale_mm=scale_mm, part_names=part_names)
@@ -160,7 +177,8 @@ def require_known(stated: Iterable[str]) -> None:
     unknown = [name for name in stated if name not in known]
     if unknown:
         raise TypeError(
-            f"Organ got an unexpected keyword argument {unknown[0]!r}. Beyond the arguments of its maker it takes "
+            f"Organ got an unexpected keyword argument {unknown[0]!r}. Beyond the arguments "
+            "of its maker it takes "
             f"{', '.join(sorted(known))}."
         )
 
@@ -170,7 +188,11 @@ def material_of(stated: dict[str, Any], part_names: Sequence[str]) -> SoftMateri
     require_known(stated)
     of_material = {field.name for field in fields(SoftMaterial)}
     material = SoftMaterial(
-        **{name: value for name, value in stated.items() if name in of_material and value is not None}
+        **{
+            name: value
+            for name, value in stated.items()
+            if name in of_material and value is not None
+        }
     )
     material.moduli_kPa(part_names)
     return material

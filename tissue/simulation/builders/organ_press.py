@@ -1,4 +1,6 @@
-"""A press as a caller states it: a place near the surface, a depth, and a direction into the organ."""
+"""A press as a caller states it: a place near the surface, a depth, and a direction into the
+organ.
+"""
 
 from dataclasses import dataclass
 
@@ -25,7 +27,9 @@ TOOL_EDGES = 4.0
 FALLS = 0.05
 """Share of the force by which it may fall with depth, for single steps of the contact."""
 LONG = 1.25
-"""Edges over these that are noted: a press is 4 % off where they are twice as long, 0.1 % where they are not longer."""
+"""Edges over these that are noted: a press is 4 % off where they are twice as long, 0.1 % where
+they are not longer.
+"""
 WORDS = {
     "point_m": "at_mm",
     "motion": "at_mm",
@@ -74,14 +78,16 @@ def press_at(
     at_m
         The place [m], shape (3,).
     along
-        Direction that the tool comes along, shape (3,); None: into the organ, against the mean normal under the tool.
+        Direction that the tool comes along, shape (3,); None: into the organ, against the mean
+        normal under the tool.
     depth_m, speed_m_s, hold_s, report
         As for `tissue.models.organ.press.press`.
 
     Raises
     ------
     InputError
-        If the place is far from the surface, the direction leads out of the organ, or the tool has no free path.
+        If the place is far from the surface, the direction leads out of the organ, or the tool has
+        no free path.
     """
     size = float(np.ptp(organ.mesh.nodes_m, axis=0).max())
     point, normal = place_on_surface(organ.mesh, at_m, probe.size_m[0])
@@ -89,18 +95,28 @@ def press_at(
     nearest = in_brackets(np.round(1e3 * point, 3) + 0.0)
     found = f"the nearest point of the surface, {nearest} mm, is {1e3 * away:.3g} mm away"
     if away > FAR * size:
-        raise InputError(f"at_mm must lie on the surface, got {in_brackets(1e3 * at_m, '.4g')}: {found}")
+        raise InputError(
+            f"at_mm must lie on the surface, got {in_brackets(1e3 * at_m, '.4g')}: {found}"
+        )
     if away > NEAR_M:
         notes["place"] = found
     direction = -normal if along is None else require_direction("along", along)
     if direction @ normal >= 0.0:
         inward = in_brackets(0.0 - normal, ".2g")
-        raise InputError(f"along must lead into the organ, got {in_brackets(direction, '.3g')}: use {inward}")
+        raise InputError(
+            f"along must lead into the organ, got {in_brackets(direction, '.3g')}: use {inward}"
+        )
     with names_of_caller(WORDS):
         curve = press(
-            organ, probe, point, frame_along(tuple(-direction)), depth_m=depth_m, speed_m_s=speed_m_s, hold_s=hold_s,
+            organ,
+            probe,
+            point,
+            frame_along(tuple(-direction)),
+            depth_m=depth_m,
+            speed_m_s=speed_m_s,
+            hold_s=hold_s,
             report=report,
-        )  # fmt: skip
+        )
     _require_growing(curve, relaxes=organ.prony is not None)
     notes |= _resolution(organ, probe, point) | _linear(probe, depth_m)
     other = [each for each in curve.notices if "linear elasticity" not in each]
@@ -110,20 +126,29 @@ def press_at(
 
 
 def _require_growing(curve: PressCurve, *, relaxes: bool) -> None:
-    """Refuse a press whose force falls with depth: the surface has gone round the tool, which the linear law cannot."""
+    """Refuse a press whose force falls with depth: the surface has gone round the tool, which
+    the linear law cannot.
+    """
     size = np.linalg.norm(curve.force_N, axis=1)
     falls = np.flatnonzero(size < (1.0 - FALLS) * np.maximum.accumulate(size))
     if relaxes or not (falls.size or not size.any()):
         return
-    most = 1e3 * float(curve.depth_m[int(np.argmax(size[: falls[0] + 1]))]) if falls.size and size.any() else 0.0
+    most = (
+        1e3 * float(curve.depth_m[int(np.argmax(size[: falls[0] + 1]))])
+        if falls.size and size.any()
+        else 0.0
+    )
     remedy = f"press {most:.2g} mm at most" if most else "press less"
     raise InputError(
-        f"depth_mm must be one to which the force grows, got {1e3 * curve.depth_m[-1]:.3g} where it falls, as "
+        f"depth_mm must be one to which the force grows, got {1e3 * curve.depth_m[-1]:.3g} "
+        "where it falls, as "
         f"no tissue does: {remedy}, or refine the organ there"
     )
 
 
-def _resolution(organ: SoftOrgan, probe: ProbeShape, point_m: NDArray[np.float64]) -> dict[str, str]:
+def _resolution(
+    organ: SoftOrgan, probe: ProbeShape, point_m: NDArray[np.float64]
+) -> dict[str, str]:
     """A note where edges under the tool are long for it."""
     corners = organ.mesh.nodes_m[organ.mesh.surface]
     near = np.linalg.norm(corners.mean(axis=1) - point_m, axis=1)
@@ -134,7 +159,8 @@ def _resolution(organ: SoftOrgan, probe: ProbeShape, point_m: NDArray[np.float64
     if edge <= LONG * wanted:
         return {}
     return {
-        "mesh": f"edges of up to {1e3 * edge:.3g} mm under a tool of {2e3 * radius:.3g} mm, which takes "
+        "mesh": f"edges of up to {1e3 * edge:.3g} mm under a tool of {2e3 * radius:.3g} mm, which "
+        "takes "
         f"{1e3 * wanted:.3g} mm: refine the organ there"
     }
 
@@ -148,7 +174,14 @@ def _linear(probe: ProbeShape, depth_m: float) -> dict[str, str]:
     if passed:
         depth, error = passed[-1]
         return {
-            "linear": f"pressed {1e3 * depth_m:.3g} mm deep: from {depth:.2g} mm on the linear law is more than "
+            "linear": f"pressed {1e3 * depth_m:.3g} mm deep: from {depth:.2g} mm on the linear "
+            "law is "
+            "more than "
             f"{error:.0%} off a hyperelastic force"
         }
-    return {"linear": f"the linear law is within {limits[0][1]:.0%} of a hyperelastic force to {limits[0][0]:.2g} mm"}
+    return {
+        "linear": (
+            f"the linear law is within {limits[0][1]:.0%} of a hyperelastic force to "
+            f"{limits[0][0]:.2g} mm"
+        )
+    }

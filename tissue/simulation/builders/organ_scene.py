@@ -31,16 +31,28 @@ if TYPE_CHECKING:
 __all__ = ["pierced", "pressed", "wall"]
 
 KEPT = 0.01
-"""Edges of the mesh by which a corner of the path that is left out may lie beside it: a log has one each tick."""
+"""Edges of the mesh by which a corner of the path that is left out may lie beside it: a log has
+one each tick.
+"""
 HAND_M = 0.01
-"""How far from the planned track a hand's entry is still shown on it [m]: an eighth of its block."""
+"""How far from the planned track a hand's entry is still shown on it [m]: an eighth of its
+block.
+"""
 
 
 _meshes: Kept[HeldMesh] = Kept(2)
 """Of procedural organs, by their parameters and the tool's path."""
 
 
-def pierced(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
+def pierced(
+    scene: Scene,
+    motion: Motion,
+    *,
+    step_s: float,
+    compute: str,
+    cores: int | None,
+    report: Progress,
+) -> Parts:
     """Parts of a scene in which a needle meets layers of tissue.
 
     Raises
@@ -55,23 +67,41 @@ def pierced(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
     diameter = 1e-3 * scene.tool.diameter_mm
     tissue = pierced_tissue(scene)
     notes = {
-        "needle": "bovine liver of Okamura 2004, fitted to one needle in one organ; the vessel wall's numbers have no "
+        "needle": "bovine liver of Okamura 2004, fitted to one needle in one organ; the vessel "
+        "wall's "
+        "numbers have no "
         "source; forces across the needle's axis are not modelled"
     }
-    track, fields = Track.first_of(motion.sweep_m(), motion.rotations()[:, :, 2], diameter_m=diameter), None
+    track, fields = (
+        Track.first_of(motion.sweep_m(), motion.rotations()[:, :, 2], diameter_m=diameter),
+        None,
+    )
     if track is not None and scene.anatomy.interval_ms > 0.0:
         report("solving a block of the organ around the needle", 0.0)
         near = diameter if scene.device is None else HAND_M
         fields = NeedleFields.of_liver(
-            track, near_m=near, interval_s=1e-3 * scene.anatomy.interval_ms, constants=scene.constants
+            track,
+            near_m=near,
+            interval_s=1e-3 * scene.anatomy.interval_ms,
+            constants=scene.constants,
         )
         notes["fields"] = fields.note(tissue)
         if scene.device is not None:
-            notes["fields"] += f"; a hand that enters up to {1e3 * near:g} mm from the track is drawn as on it"
+            notes["fields"] += (
+                f"; a hand that enters up to {1e3 * near:g} mm from the track is drawn as on it"
+            )
     return Parts(motion, NeedleModel(tissue, diameter_m=diameter, fields=fields), notes=notes)
 
 
-def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
+def pressed(
+    scene: Scene,
+    motion: Motion,
+    *,
+    step_s: float,
+    compute: str,
+    cores: int | None,
+    report: Progress,
+) -> Parts:
     """Parts of a scene in which a probe presses a meshed organ.
 
     Raises
@@ -89,7 +119,11 @@ def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
     path = path[kept_corners(path, within_m)]
     meshed = partial(held_mesh, anatomy, path_m=path, touch_edge_m=1e-3 * edge_mm, report=report)
     from_file = isinstance(anatomy, LiverFile)
-    found = meshed() if from_file else _meshes.of((anatomy.model_dump_json(), path.tobytes(), edge_mm), meshed)
+    found = (
+        meshed()
+        if from_file
+        else _meshes.of((anatomy.model_dump_json(), path.tobytes(), edge_mm), meshed)
+    )
     elasticity, note = elasticity_of(found.mesh, anatomy, organ, scene.constants)
     probe = probe_of(scene.tool)
     notes |= found.notes | {"modulus": note}
@@ -97,24 +131,41 @@ def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
         notes["tool"] = shell_note(scene.tool, probe)
     law = organ_law(
         scene, elasticity, path_m=path, touch_edge_m=1e-3 * edge_mm, compute=compute, report=report
-    )  # fmt: skip
-    capsule, density = _capsule_of(organ, notes, scene.constants), _density_of(organ, scene.constants)
+    )
+    capsule, density = (
+        _capsule_of(organ, notes, scene.constants),
+        _density_of(organ, scene.constants),
+    )
     report("compiling kernels (the first time on a machine)", 0.0)
     from tissue.models.organ.soft_organ import SoftOrgan
 
     require_outside(found.mesh, motion)
     soft = SoftOrgan(
-        found.mesh, elasticity, found.held, order=organ.order, capsule=capsule, density_kg_m3=density, prony=prony,
-        friction=organ.friction, device=compute,
+        found.mesh,
+        elasticity,
+        found.held,
+        order=organ.order,
+        capsule=capsule,
+        density_kg_m3=density,
+        prony=prony,
+        friction=organ.friction,
+        device=compute,
         law=law,
-    )  # fmt: skip
+    )
     report("assembling the stiffness", 0.0)
     tips, turns = poses_along(motion, within_m)
     with names_of_caller({"touch_edge_m": "anatomy.touch_edge_mm"}):
         model, touchable = soft.under(
-            probe, tips, turns, path=organ.path, basis_size=organ.basis_size, step_s=step_s, cores=cores,
-            interval_s=1e-3 * organ.interval_ms if organ.interval_ms > 0.0 else inf, report=report,
-        )  # fmt: skip
+            probe,
+            tips,
+            turns,
+            path=organ.path,
+            basis_size=organ.basis_size,
+            step_s=step_s,
+            cores=cores,
+            interval_s=1e-3 * organ.interval_ms if organ.interval_ms > 0.0 else inf,
+            report=report,
+        )
     if organ.gravity:
         sag = 1e3 * np.linalg.norm(soft.rest[1], axis=1).max()
         notes["gravity"] = f"the organ sags by up to {sag:.3g} mm before it is touched"
@@ -122,13 +173,22 @@ def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
         on = soft if law.coarser is None else law.coarser[0]
         notes["law"] = f"{organ.law}, {model.law_note} on {len(on.body.free)} unknowns"
     notes["solved"] = (
-        f"{len(found.mesh.cells)} tetrahedra of order {organ.order}, {len(soft.body.free)} unknowns; "
+        f"{len(found.mesh.cells)} tetrahedra of order {organ.order}, {len(soft.body.free)} "
+        "unknowns; "
         f"{touchable} touchable nodes, compliance {organ.path}"
     )
     return Parts(motion, model, placement=found.placement, notes=notes)
 
 
-def wall(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
+def wall(
+    scene: Scene,
+    motion: Motion,
+    *,
+    step_s: float,
+    compute: str,
+    cores: int | None,
+    report: Progress,
+) -> Parts:
     """Parts of a scene in which a ball is pushed against a wall."""
     assert isinstance(scene.anatomy, WallAnatomy) and isinstance(scene.tool, Probe)
     radius_m = 0.5e-3 * scene.tool.size_mm
@@ -136,7 +196,9 @@ def wall(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: in
 
 
 def _capsule_of(organ: Organ, notes: dict[str, str], constants: Materials) -> "Membrane | None":
-    """The capsule of the organ's material, where the scene asks for one; it is added to the notes."""
+    """The capsule of the organ's material, where the scene asks for one; it is added to the
+    notes.
+    """
     if not organ.capsule:
         return None
     from tissue.models.organ.soft_organ import Membrane
@@ -151,8 +213,14 @@ def _capsule_of(organ: Organ, notes: dict[str, str], constants: Materials) -> "M
 
 
 def _density_of(organ: Organ, constants: Materials) -> float | None:
-    """The density of the organ's material [kg/m3]; None where it does not hang in its own weight."""
-    return constants.constants("soft", organ.material)["density_kg_m3"].value if organ.gravity else None
+    """The density of the organ's material [kg/m3]; None where it does not hang in its own
+    weight.
+    """
+    return (
+        constants.constants("soft", organ.material)["density_kg_m3"].value
+        if organ.gravity
+        else None
+    )
 
 
 def _prony_of(organ: Organ, notes: dict[str, str], constants: Materials) -> "Prony | None":
@@ -172,7 +240,10 @@ def _prony_of(organ: Organ, notes: dict[str, str], constants: Materials) -> "Pro
     table = constants.constants("soft", organ.material)
     numbers = [k for k in range(1, 10) if f"prony_g{k}" in table]
     if not numbers:
-        raise InputError(f"organ.viscous must be false for {organ.material}, got true: no relaxation is cited for it")
+        raise InputError(
+            f"organ.viscous must be false for {organ.material}, got true: no relaxation is "
+            "cited for it"
+        )
     shares = tuple(table[f"prony_g{k}"].value for k in numbers)
     times = tuple(table[f"prony_tau{k}_s"].value for k in numbers)
     notes["relaxation"] = (

@@ -1,4 +1,6 @@
-"""What a scene's own file of constants does in it: every entry must have an effect, or be named in the run's notes."""
+"""What a scene's own file of constants does in it: every entry must have an effect, or be named
+in the run's notes.
+"""
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
@@ -17,7 +19,9 @@ from tissue.scene.used_constants import Used, used_constants
 __all__ = ["given_note", "note_own_constants", "soft_constants"]
 
 LAYERS = (*GLENOID_LAYERS, *VERTEBRA_LAYERS, *TOOTH_LAYERS)
-"""Layers of anatomies that are built in; a file may hold constants of one that a scene does not have."""
+"""Layers of anatomies that are built in; a file may hold constants of one that a scene does not
+have.
+"""
 
 
 def note_own_constants(scene: Scene, layers: Sequence[str], notes: dict[str, str]) -> None:
@@ -31,8 +35,11 @@ def note_own_constants(scene: Scene, layers: Sequence[str], notes: dict[str, str
     notes |= given_note(scene.constants, used_constants(scene, layers), layers=layers, by="scene")
 
 
-def given_note(given: Materials, rests_on: Sequence[Used], *, layers: Sequence[str], by: str) -> dict[str, str]:
-    """The note ``materials`` of what `by` names, which rests on these constants; none where all are cited.
+def given_note(
+    given: Materials, rests_on: Sequence[Used], *, layers: Sequence[str], by: str
+) -> dict[str, str]:
+    """The note ``materials`` of what `by` names, which rests on these constants; none where all are
+    cited.
 
     Raises
     ------
@@ -54,10 +61,17 @@ def given_note(given: Materials, rests_on: Sequence[Used], *, layers: Sequence[s
     used = {one.full: one for one in rests_on if one.full in given.given}
     for full, one in used.items():
         if one.stated is not None:
-            part = "organ.young_kPa" if one.name == "modulus_kPa" else f"{full.split('.')[0]}.{one.name}"
+            part = (
+                "organ.young_kPa"
+                if one.name == "modulus_kPa"
+                else f"{full.split('.')[0]}.{one.name}"
+            )
             part = part.replace("soft.", "organ.")
             raise InputError(
-                part, f"be left out where materials states {full}", shown(one.stated), "remove one of them"
+                part,
+                f"be left out where materials states {full}",
+                shown(one.stated),
+                "remove one of them",
             )
     if not used:
         raise InputError(
@@ -76,9 +90,12 @@ def given_note(given: Materials, rests_on: Sequence[Used], *, layers: Sequence[s
 
 
 def soft_constants(
-    materials: str | PathLike[str] | Materials | None, material: str, stated: Mapping[str, float | None]
+    materials: str | PathLike[str] | Materials | None,
+    material: str,
+    stated: Mapping[str, float | None],
 ) -> tuple[dict[str, float], dict[str, str]]:
-    """Constants of an organ's material by the names of `stated`, what is stated first, and the note on their file.
+    """Constants of an organ's material by the names of `stated`, what is stated first, and the note
+    on their file.
 
     Raises
     ------
@@ -88,7 +105,8 @@ def soft_constants(
     given = Materials.of(materials)
     known = given.constants("soft", material)
     used = [
-        Used(f"soft, {material}", name, known[name], f"soft.{material}.{name}", value) for name, value in stated.items()
+        Used(f"soft, {material}", name, known[name], f"soft.{material}.{name}", value)
+        for name, value in stated.items()
     ]
     taken = {name: known[name].value if value is None else value for name, value in stated.items()}
     return taken, given_note(given, used, layers=(), by="organ")

@@ -30,13 +30,15 @@ class Parts:
     cutter, volume
         The cutter and the voxels it mills; None where the tool does not cut.
     placement
-        Where the scene's frame lies in that of the file that the anatomy came from; None where it came from none.
+        Where the scene's frame lies in that of the file that the anatomy came from; None where it
+        came from none.
     notes
         What was assumed or found, by what it is about.
     events
         What the run reports from its start on: time [s] and a sentence each.
     keep_clear
-        Measures the tool's distance from structures that it must not touch; None where the scene names none.
+        Measures the tool's distance from structures that it must not touch; None where the scene
+        names none.
     """
 
     motion: Motion
@@ -63,7 +65,16 @@ class TissueBuilder(Protocol):
     """Makes the parts of a run from a scene whose anatomy is of one kind."""
 
     def __call__(
-        self, scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress
+        self,
+        scene: Scene,
+        motion: Motion,
+        *,
+        step_s: float,
+        compute: str,
+        cores: int | None,
+        report: Progress,
     ) -> Parts:
-        """Parts of a scene in which a motion moves the tool, ticks of `step_s` [s] long, computed on a device."""
+        """Parts of a scene in which a motion moves the tool, ticks of `step_s` [s] long,
+        computed on a device.
+        """
         ...

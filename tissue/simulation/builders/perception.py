@@ -9,7 +9,12 @@ from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
 from tissue.perception.laws import intensity_of, weber_of
 from tissue.perception.mapping import ForceMap
-from tissue.perception.observer import Observer, population_observer, read_observer, reference_observer
+from tissue.perception.observer import (
+    Observer,
+    population_observer,
+    read_observer,
+    reference_observer,
+)
 from tissue.perception.perceived import Deadband, PerceivedForce, Sense
 from tissue.perception.perception import Perception
 from tissue.scene.registry import PERCEPTIONS
@@ -17,11 +22,18 @@ from tissue.scene.registry import PERCEPTIONS
 __all__ = ["CAUTION", "of_observer", "of_population", "perception", "perception_for"]
 
 CAUTION = 0.1
-"""Quantile of what is known of the threshold that bounds the deadband: nine in ten have a greater one."""
+"""Quantile of what is known of the threshold that bounds the deadband: nine in ten have a
+greater one.
+"""
 
 
 def perception(
-    choice: str, *, rng: np.random.Generator, force_limit_N: float, tick_s: float, friction_N: float = inf
+    choice: str,
+    *,
+    rng: np.random.Generator,
+    force_limit_N: float,
+    tick_s: float,
+    friction_N: float = inf,
 ) -> Perception | None:
     """Perception by its name in `PERCEPTIONS`; None for ``none``.
 
@@ -36,8 +48,8 @@ def perception(
     tick_s
         Time between two steps [s].
     friction_N
-        Coulomb friction of the device [N]. The deadband is no wider, so that at every instant friction takes what the
-        held force gives; infinite where the threshold alone shall bound it.
+        Coulomb friction of the device [N]. The deadband is no wider, so that at every instant
+        friction takes what the held force gives; infinite where the threshold alone shall bound it.
 
     Raises
     ------
@@ -48,24 +60,44 @@ def perception(
         return None
     name, argument = PERCEPTIONS.split(choice, "none")
     make = PERCEPTIONS[name] or {"population": of_population, "observer:FILE": of_observer}[name]
-    return make(argument, rng=rng, force_limit_N=force_limit_N, tick_s=tick_s, friction_N=friction_N)
+    return make(
+        argument, rng=rng, force_limit_N=force_limit_N, tick_s=tick_s, friction_N=friction_N
+    )
 
 
 def of_population(
-    argument: str, *, rng: np.random.Generator, force_limit_N: float, tick_s: float, friction_N: float
+    argument: str,
+    *,
+    rng: np.random.Generator,
+    force_limit_N: float,
+    tick_s: float,
+    friction_N: float,
 ) -> PerceivedForce:
     """Perception of an observer of whom no more is known than that it is one of the population."""
     return perception_for(
-        population_observer(), rng=rng, force_limit_N=force_limit_N, tick_s=tick_s, friction_N=friction_N
+        population_observer(),
+        rng=rng,
+        force_limit_N=force_limit_N,
+        tick_s=tick_s,
+        friction_N=friction_N,
     )
 
 
 def of_observer(
-    argument: str, *, rng: np.random.Generator, force_limit_N: float, tick_s: float, friction_N: float
+    argument: str,
+    *,
+    rng: np.random.Generator,
+    force_limit_N: float,
+    tick_s: float,
+    friction_N: float,
 ) -> PerceivedForce:
     """Perception of the observer in a file, as `tissue calibrate` writes it."""
     return perception_for(
-        read_observer(Path(argument)), rng=rng, force_limit_N=force_limit_N, tick_s=tick_s, friction_N=friction_N
+        read_observer(Path(argument)),
+        rng=rng,
+        force_limit_N=force_limit_N,
+        tick_s=tick_s,
+        friction_N=friction_N,
     )
 
 
@@ -81,12 +113,18 @@ def perception_for(
     device = ForceRange(limit_N=force_limit_N)
     knee_N = device.knee_share * device.limit_N
     reference, lowest_N = reference_observer(), min(observer.offset_N, 0.5 * knee_N)
-    law = ForceMap(intensity_of(reference), intensity_of(observer), lowest_N=lowest_N, knee_N=knee_N)
+    law = ForceMap(
+        intensity_of(reference), intensity_of(observer), lowest_N=lowest_N, knee_N=knee_N
+    )
     held = weber_of(observer, quantile=CAUTION)
-    sentence = f"felt by {observer.name}: changes below {held.kappa:.3g} of (F + {held.offset:.3g} N) are held back"
+    sentence = (
+        f"felt by {observer.name}: changes below {held.kappa:.3g} of (F + {held.offset:.3g} N) "
+        "are held back"
+    )
     if law.gain < 1.0:
         sentence += (
-            f", and all intensities are {law.gain**reference.beta:.3g} of the reference observer's, so that the "
+            f", and all intensities are {law.gain**reference.beta:.3g} of the reference "
+            "observer's, so that the "
             "device can play them in their ratios"
         )
     return PerceivedForce(

@@ -15,16 +15,29 @@ from tissue.prediction.trained import Trained, shipped_file
 from tissue.scene.registry import PREDICTORS
 
 __all__ = [
-    "FALLBACKS", "dmdc", "hold", "kalman", "koopman", "koopman_look_ahead", "linear", "look_ahead", "maker_of",
+    "FALLBACKS",
+    "dmdc",
+    "hold",
+    "kalman",
+    "koopman",
+    "koopman_look_ahead",
+    "linear",
+    "look_ahead",
+    "maker_of",
     "trained_predictor",
-]  # fmt: skip
+]
 
 FALLBACKS = ("hold", "linear", "kalman", "dmdc", "look-ahead")
-"""Predictors without a lifted operator, of which training chooses what a lifted one hands over to."""
+"""Predictors without a lifted operator, of which training chooses what a lifted one hands over
+to.
+"""
 
 
-def maker_of(kind: str, *, scene_name: str, file: str, force_limit_N: float) -> Callable[[], Predictor]:
-    """Return what makes new predictors for a scene's device; a trained one is read once, by the first.
+def maker_of(
+    kind: str, *, scene_name: str, file: str, force_limit_N: float
+) -> Callable[[], Predictor]:
+    """Return what makes new predictors for a scene's device; a trained one is read once, by the
+    first.
 
     Parameters
     ----------
@@ -63,7 +76,9 @@ def trained_predictor(kind: str, trained: Trained | None, *, force_limit_N: floa
     entry = PREDICTORS[kind]
     if entry.trained and trained is None:
         raise InputError(f"trained must be given for {kind}, got nothing: pass Trained.read(FILE)")
-    make: Callable[[Trained | None, float], Predictor] = entry.make or globals()[kind.replace("-", "_")]
+    make: Callable[[Trained | None, float], Predictor] = (
+        entry.make or globals()[kind.replace("-", "_")]
+    )
     return make(trained, force_limit_N)
 
 
@@ -111,6 +126,8 @@ def _path(trained: Trained) -> OperatorPath:
 
 
 def _with_fallback(kind: str, lifted: Judged, trained: Trained, force_limit_N: float) -> Predictor:
-    """A lifted predictor, and what is asked where it is not trusted; throughout, if validation found it no gain."""
+    """A lifted predictor, and what is asked where it is not trusted; throughout, if validation
+    found it no gain.
+    """
     fallback = trained_predictor(trained.fallback, trained, force_limit_N=force_limit_N)
     return fallback if trained.loses(kind) else Guarded(lifted, fallback, reach_N=force_limit_N)

@@ -14,7 +14,15 @@ from tissue.scene.registry import PROBES
 from tissue.scene.tool import Probe
 from tissue.simulation.builders.parts import FILE_WORDS
 
-__all__ = ["cylinder", "poses_along", "probe_of", "require_outside", "shell", "shell_note", "sphere"]
+__all__ = [
+    "cylinder",
+    "poses_along",
+    "probe_of",
+    "require_outside",
+    "shell",
+    "shell_note",
+    "sphere",
+]
 
 POSES_TRIED = 200
 """Poses along a motion at which the organ is looked for."""
@@ -49,7 +57,10 @@ def shell(tool: Probe) -> ShellProbe:
         raise
     except Exception as problem:  # trimesh's readers raise whatever their format's parser does
         raise InputError(
-            "tool.file", "be a surface that can be read", f"{file.name} (damaged or cut off)", "export it as STL"
+            "tool.file",
+            "be a surface that can be read",
+            f"{file.name} (damaged or cut off)",
+            "export it as STL",
         ) from problem
 
 
@@ -65,32 +76,44 @@ def probe_of(tool: Probe) -> ProbeShape:
     if make is not None:
         shape: ProbeShape = make(tool)
         return shape
-    return {"sphere-probe": sphere, "cylinder-probe": cylinder, "shell-probe": shell}[tool.kind](tool)
+    return {"sphere-probe": sphere, "cylinder-probe": cylinder, "shell-probe": shell}[tool.kind](
+        tool
+    )
 
 
-def poses_along(motion: Motion, within_m: float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Poses along a motion at which the organ is looked for: tips [m], shape (p, 3), and turns, shape (p, 3, 3).
+def poses_along(
+    motion: Motion, within_m: float = 0.0
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Poses along a motion at which the organ is looked for: tips [m], shape (p, 3), and turns,
+    shape (p, 3, 3).
 
     Parameters
     ----------
     motion
         Where the tool goes.
     within_m
-        How far a corner of its track that is left out may lie from the rest [m]; a log has one each tick.
+        How far a corner of its track that is left out may lie from the rest [m]; a log has one each
+        tick.
     """
     corners, turns = motion.sweep_m(), motion.rotations()
     along = arc_length(corners)
     corner = along[kept_corners(corners, within_m)]
     wanted = np.unique(np.concatenate([np.linspace(0.0, along[-1], POSES_TRIED), corner]))
-    return points_along(corners, wanted), turns[np.searchsorted(along, wanted).clip(max=len(turns) - 1)]
+    return points_along(corners, wanted), turns[
+        np.searchsorted(along, wanted).clip(max=len(turns) - 1)
+    ]
 
 
 def require_outside(mesh: TetMesh, motion: Motion) -> None:
-    """Refuse a tool whose tip starts inside the organ; a probe that only overlaps it is refused by the contact."""
+    """Refuse a tool whose tip starts inside the organ; a probe that only overlaps it is refused
+    by the contact.
+    """
     tip = motion.sweep_m()[0]
     corners = mesh.nodes_m[mesh.cells]
     edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
     weights = np.linalg.solve(edges, (tip - corners[:, 0])[:, :, None])[:, :, 0]
     if ((weights >= 0.0).all(axis=1) & (weights.sum(axis=1) <= 1.0)).any():
         at = ", ".join(f"{1e3 * value:.4g}" for value in tip)
-        raise InputError("motion", "start outside the organ", f"a tip inside it at ({at}) mm", "start higher")
+        raise InputError(
+            "motion", "start outside the organ", f"a tip inside it at ({at}) mm", "start higher"
+        )

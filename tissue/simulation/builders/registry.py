@@ -12,15 +12,21 @@ __all__ = ["build", "builder_of"]
 
 
 def build(
-    scene: Scene, *, step_s: float, compute: str, cores: int | None, report: Progress, allow_unstable: bool = False
+    scene: Scene,
+    *,
+    step_s: float,
+    compute: str,
+    cores: int | None,
+    report: Progress,
+    allow_unstable: bool = False,
 ) -> Parts:
     """Build the parts of a scene.
 
     Raises
     ------
     InputError
-        If a file cannot be used, something would not fit memory, the tool never touches, there is no such device, or
-        its coupling is unstable and that is not allowed.
+        If a file cannot be used, something would not fit memory, the tool never touches, there is
+        no such device, or its coupling is unstable and that is not allowed.
     """
     _require_device(compute)
     motion = motion_of(scene, step_s=step_s)
@@ -45,7 +51,11 @@ def builder_of(kind: str) -> TissueBuilder:
     outside: TissueBuilder | None = ANATOMIES[kind].build
     if outside is not None:
         return outside
-    others = {"slab": organ_scene.pressed, "liver": organ_scene.pressed, "layers": organ_scene.pierced}
+    others = {
+        "slab": organ_scene.pressed,
+        "liver": organ_scene.pressed,
+        "layers": organ_scene.pierced,
+    }
     return (others | {"wall": organ_scene.wall}).get(kind, cutting.milled)
 
 

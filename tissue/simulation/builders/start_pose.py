@@ -21,7 +21,8 @@ MUCH_MORE = 2.0
 
 
 def w_first_notice(volume: VoxelVolume, cutter: Cutter, motion: Motion, file: str) -> str | None:
-    """Return a sentence if the tool starts inside the bone and would hardly do so with w as the first column.
+    """Return a sentence if the tool starts inside the bone and would hardly do so with w as the
+    first column.
 
     A quaternion has unit length in either order, so only the place of the tool shows the order.
 
@@ -46,8 +47,10 @@ def w_first_notice(volume: VoxelVolume, cutter: Cutter, motion: Motion, file: st
     if inside <= MUCH_MORE * by_other:
         return None
     return (
-        f"the tool starts with {inside:.3g} mm3 inside the bone. With its quaternions read as (w, x, y, z) it would be "
-        f"{by_other:.3g} mm3: their order is (x, y, z, w), so swap the columns of {file} if w comes first"
+        f"the tool starts with {inside:.3g} mm3 inside the bone. With its quaternions read "
+        "as (w, x, y, z) it would be "
+        f"{by_other:.3g} mm3: their order is (x, y, z, w), so swap the columns of {file} if "
+        "w comes first"
     )
 
 

@@ -1,4 +1,6 @@
-"""The voxels that a tool can reach of the bone that a scene asks for, and whether it meets them on its path."""
+"""The voxels that a tool can reach of the bone that a scene asks for, and whether it meets them
+on its path.
+"""
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
@@ -35,7 +37,13 @@ from tissue.scene.anatomy import (
     VertebraAnatomy,
 )
 from tissue.scene.scene import Scene
-from tissue.simulation.builders.bone_from_file import Corners, bone_from_file, box_text, labelled_tooth, whole_image
+from tissue.simulation.builders.bone_from_file import (
+    Corners,
+    bone_from_file,
+    box_text,
+    labelled_tooth,
+    whole_image,
+)
 from tissue.simulation.builders.parts import FILE_WORDS
 
 __all__ = [
@@ -54,10 +62,14 @@ __all__ = [
 POSES_TRIED = 300
 """Poses along a motion at which contact is looked for."""
 DENSE_BYTES_PER_VOXEL = 18
-"""Peak memory of a voxel of the region while bricks are made and results written, measured on the glenoid."""
+"""Peak memory of a voxel of the region while bricks are made and results written, measured on
+the glenoid.
+"""
 BRICK = 8
-"""The region is cut at whole bricks of the world's lattice, so that a voxel lies at the same place in any region; where
-a tool only grazes voxels, float32 coordinates from another origin still decide otherwise in single ticks."""
+"""The region is cut at whole bricks of the world's lattice, so that a voxel lies at the same place
+in any region; where a tool only grazes voxels, float32 coordinates from another origin still decide
+otherwise in single ticks.
+"""
 
 
 MOST_KEPT = 1e7
@@ -75,7 +87,9 @@ def whole_tooth(scene: Scene, *, spacing_m: float, report: Progress = silent) ->
         return voxelise(_anatomy(parameters, {}), spacing_m=spacing_m)
 
 
-def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, str], report: Progress) -> VoxelVolume:
+def volume_of(
+    scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, str], report: Progress
+) -> VoxelVolume:
     """Voxels of the bone that the tool can reach, with the guide hole drilled."""
     spacing = scene.voxels.spacing_mm * 1e-3
     parameters = scene.bone
@@ -84,7 +98,9 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
         if isinstance(parameters, BlockImage) and parameters.is_whole:
             return whole_image(parameters, spacing_mm=scene.voxels.spacing_mm, notes=notes)
         if isinstance(parameters, MolarLabels):
-            return labelled_tooth(parameters, spacing_m=spacing, region=region, notes=notes, report=report)
+            return labelled_tooth(
+                parameters, spacing_m=spacing, region=region, notes=notes, report=report
+            )
         anatomy = _anatomy(parameters, notes)
     if anatomy.caps_m:
         require_whole(anatomy, region, is_image=isinstance(parameters, ImageAnatomy))
@@ -101,13 +117,19 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
     low, high = _covered(region, bone, spacing)
     _require_memory(region, bone, spacing)
     voxels = partial(
-        voxelise, anatomy, spacing_m=spacing, region_m=(low, high), minus=_guide_hole(scene, motion),
+        voxelise,
+        anatomy,
+        spacing_m=spacing,
+        region_m=(low, high),
+        minus=_guide_hole(scene, motion),
         progress=lambda share: report("voxelising", share),
-    )  # fmt: skip
+    )
     if not is_procedural(parameters) or np.prod((high - low) / spacing) > MOST_KEPT:
         return voxels()
     start = motion.sweep_m()[0].tobytes(), motion.rotations()[0].tobytes()
-    return _volumes.of((parameters.model_dump_json(), spacing, low.tobytes(), high.tobytes(), *start), voxels)
+    return _volumes.of(
+        (parameters.model_dump_json(), spacing, low.tobytes(), high.tobytes(), *start), voxels
+    )
 
 
 def is_procedural(parameters: CutAnatomy) -> bool:
@@ -116,12 +138,15 @@ def is_procedural(parameters: CutAnatomy) -> bool:
 
 
 def structures(scene: Scene) -> Mapping[str, sdf.Shape]:
-    """Structures of a scene's anatomy that a tool may be kept clear of, by name; none of one from files."""
+    """Structures of a scene's anatomy that a tool may be kept clear of, by name; none of one
+    from files.
+    """
     return _anatomy(scene.bone, {}).structures if is_procedural(scene.bone) else {}
 
 
 def solid_of(scene: Scene, motion: Motion) -> tuple[Anatomy, sdf.Shape | None]:
-    """The anatomy that a scene cuts, and the guide hole drilled out of it before the run, as functions of position.
+    """The anatomy that a scene cuts, and the guide hole drilled out of it before the run, as
+    functions of position.
 
     Raises
     ------
@@ -131,7 +156,10 @@ def solid_of(scene: Scene, motion: Motion) -> tuple[Anatomy, sdf.Shape | None]:
     parameters = scene.bone
     if not is_procedural(parameters):
         raise InputError(
-            "anatomy", "be procedural to be known exactly", f"a {scene.anatomy.kind} from a file", "leave the file out"
+            "anatomy",
+            "be procedural to be known exactly",
+            f"a {scene.anatomy.kind} from a file",
+            "leave the file out",
         )
     return _anatomy(parameters, {}), _guide_hole(scene, motion)
 
@@ -165,12 +193,16 @@ def _anatomy(parameters: CutAnatomy, notes: dict[str, str]) -> Anatomy:
 
 
 def _named(parameters: CutAnatomy) -> AbstractContextManager[None]:
-    """Let a refusal name the scene's key: geometry knows its arguments, not where a scene gives them."""
+    """Let a refusal name the scene's key: geometry knows its arguments, not where a scene gives
+    them.
+    """
     keys = {name: f"anatomy.{name}" for name in type(parameters).model_fields}
     names = dict.fromkeys(FILE_WORDS, "anatomy.file") | keys
     layers = parameters.layer_files if isinstance(parameters, Tooth) else {}
     if layers:
-        names |= {f"{layer} {word}": f"anatomy.{layer}_file" for layer in layers for word in FILE_WORDS}
+        names |= {
+            f"{layer} {word}": f"anatomy.{layer}_file" for layer in layers for word in FILE_WORDS
+        }
         both = "anatomy.enamel_file and anatomy.dentin_file"
         names |= {"paths_by_layer": both, "layers": both, "pulp": "anatomy.pulp_file"}
     return names_of_caller(names | {"resample_mm": "voxels.spacing_mm"})
@@ -196,7 +228,10 @@ def require_touch(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
     shell = cutter.shell(spacing_m=max(cutter.profile.radius_m / 24.0, volume.spacing_m)).points_m
     corners, rotations = motion.sweep_m(), motion.rotations()
     along = arc_length(corners)
-    between, corners_on = np.linspace(0.0, along[-1], POSES_TRIED), along[:: len(along) // POSES_TRIED + 1]
+    between, corners_on = (
+        np.linspace(0.0, along[-1], POSES_TRIED),
+        along[:: len(along) // POSES_TRIED + 1],
+    )
     wanted = np.unique(np.concatenate([between, corners_on]))
     tips = points_along(corners, wanted)
     turns = rotations[np.searchsorted(along, wanted)]
@@ -207,7 +242,10 @@ def require_touch(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
         if volume.fraction[at[:, 0], at[:, 1], at[:, 2]].any():
             return
     held = np.argwhere(volume.fraction)
-    bone = [volume.origin_m + volume.spacing_m * corner for corner in (held.min(axis=0), held.max(axis=0) + 1)]
+    bone = [
+        volume.origin_m + volume.spacing_m * corner
+        for corner in (held.min(axis=0), held.max(axis=0) + 1)
+    ]
     raise InputError(
         "motion",
         "bring the tool to the bone",
@@ -237,14 +275,22 @@ def require_whole(anatomy: Anatomy, region: Corners, *, is_image: bool) -> None:
     """Refuse bone that the edge of its scan cuts off where the tool goes."""
     how, remedy = ("with a hole", "close it in a mesh editor")
     if is_image:
-        how, remedy = "cut off by the edge of the image", "take an image that holds more of the bone"
+        how, remedy = (
+            "cut off by the edge of the image",
+            "take an image that holds more of the bone",
+        )
     for points in anatomy.caps_m:
         low, high = points.min(axis=0), points.max(axis=0)
-        if (low <= region[1]).all() and (high >= region[0]).all() and not _on_one_side(points, region):
+        if (
+            (low <= region[1]).all()
+            and (high >= region[0]).all()
+            and not _on_one_side(points, region)
+        ):
             raise InputError(
                 "anatomy.file",
                 "enclose a solid where the tool goes",
-                f"{anatomy.name} {how} {box_text((low, high), between=True)} within the tool's reach "
+                f"{anatomy.name} {how} {box_text((low, high), between=True)} within the "
+                "tool's reach "
                 f"{box_text(region)}",
                 f"{remedy}, or move the site away from it",
             )
@@ -259,7 +305,9 @@ def _on_one_side(points: NDArray[np.float64], region: Corners) -> bool:
 
 
 def _guide_hole(scene: Scene, motion: Motion) -> sdf.Shape | None:
-    """The hole that guides the peg: along the tool's first axis, from above the face to its depth."""
+    """The hole that guides the peg: along the tool's first axis, from above the face to its
+    depth.
+    """
     diameter, depth = (1e-3 * size for size in scene.bone.guide_hole_mm)
     if diameter == 0.0 or depth == 0.0:
         return None
@@ -269,7 +317,9 @@ def _guide_hole(scene: Scene, motion: Motion) -> sdf.Shape | None:
 
 
 def _covered(region: Corners, bone: Corners, spacing: float) -> Corners:
-    """Box of whole bricks [m] around the part of the bone, and of the air next to it, that lies in a region."""
+    """Box of whole bricks [m] around the part of the bone, and of the air next to it, that lies
+    in a region.
+    """
     brick, around = BRICK * spacing, AROUND_VOXELS * spacing
     low, high = np.maximum(region[0], bone[0] - around), np.minimum(region[1], bone[1] + around)
     return brick * np.floor(low / brick + 1e-6), brick * np.ceil(high / brick - 1e-6)

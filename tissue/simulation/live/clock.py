@@ -1,4 +1,6 @@
-"""Ticks against the wall clock: when each tick is due, how late it began, and the priority of its thread."""
+"""Ticks against the wall clock: when each tick is due, how late it began, and the priority of
+its thread.
+"""
 
 from collections.abc import Callable
 from time import perf_counter, sleep
@@ -16,23 +18,31 @@ __all__ = ["BEHIND_S", "LOOK_TICKS", "Paced", "Prioritised", "WallClock"]
 LOOK_TICKS = 200
 """Ticks between two looks at the load of the ticks and at the processes of a live run."""
 FULL = 0.9
-"""Share of the time that ticks may take at a raised priority. Linux stops a real-time thread that takes 95 % of a
-second for the rest of it."""
-BEHIND = "the ticks were {:.3g} s behind the wall clock in all, which skipped it: the device was played later than that"
+"""Share of the time that ticks may take at a raised priority. Linux stops a real-time thread that
+takes 95 % of a second for the rest of it."""
+BEHIND = (
+    "the ticks were {:.3g} s behind the wall clock in all, which skipped it: the device was "
+    "played later than that"
+)
 
 BEHIND_S = 0.01
-"""How late a tick may begin before what is lost is given up [s]: ten ticks can be made up without being felt."""
+"""How late a tick may begin before what is lost is given up [s]: ten ticks can be made up
+without being felt.
+"""
 SPIN_S = 1.5e-4
-"""How long before a tick is due sleeping ends and looking at the clock begins [s]: a sleep ends up to 0.1 ms late."""
+"""How long before a tick is due sleeping ends and looking at the clock begins [s]: a sleep ends
+up to 0.1 ms late.
+"""
 
 
 class WallClock:
     """The wall clock as a run follows it.
 
-    Tick i is due i ticks after the start, whatever the ticks before it took, so that nothing drifts. A tick that comes
-    too late is made at once, and those after it until the run is on time again. A run that is more than ``behind_s``
-    late gives up what it has lost: its schedule is moved by the lateness, which is counted. Simulated time is so never
-    stretched and no tick is left out; what was skipped on the wall is known to the microsecond.
+    Tick i is due i ticks after the start, whatever the ticks before it took, so that nothing
+    drifts. A tick that comes too late is made at once, and those after it until the run is on time
+    again. A run that is more than ``behind_s`` late gives up what it has lost: its schedule is
+    moved by the lateness, which is counted. Simulated time is so never stretched and no tick is
+    left out; what was skipped on the wall is known to the microsecond.
 
     Parameters
     ----------
@@ -109,8 +119,8 @@ class Paced(RunObserver):
 class Prioritised(RunObserver):
     """Raises the priority of the thread of the ticks, and restores it at the end.
 
-    It is restored earlier if the ticks would leave no time to others: the system would then stop them for longer than
-    ordinary priority delays them.
+    It is restored earlier if the ticks would leave no time to others: the system would then stop
+    them for longer than ordinary priority delays them.
 
     Attributes
     ----------
@@ -136,7 +146,10 @@ class Prioritised(RunObserver):
         if index % LOOK_TICKS == LOOK_TICKS - 1:
             if self._busy_us > FULL * 1e6 * LOOK_TICKS * TICK_S and not self._restored:
                 self._priority.end()
-                what = f"the ticks took over {FULL:.0%} of the time: they have ordinary priority from here"
+                what = (
+                    f"the ticks took over {FULL:.0%} of the time: they have ordinary priority "
+                    "from here"
+                )
                 self._restored.append((float(row[0]), what))
             self._busy_us = 0.0
         return True

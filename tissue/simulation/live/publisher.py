@@ -1,4 +1,6 @@
-"""Processes that publish a live run: begun with it, watched by its ticks, ended with it; the one for ROS 2."""
+"""Processes that publish a live run: begun with it, watched by its ticks, ended with it; the one
+for ROS 2.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -65,7 +67,9 @@ class Publisher(RunObserver, ABC, Generic[Process]):
         self._failed: list[tuple[float, str]] = []
 
     @abstractmethod
-    def _begun(self, parts: Parts, columns: tuple[str, ...], low_m: Array, high_m: Array) -> Process:
+    def _begun(
+        self, parts: Parts, columns: tuple[str, ...], low_m: Array, high_m: Array
+    ) -> Process:
         """Begin the process for a run within a box [m]."""
 
     @abstractmethod
@@ -119,7 +123,9 @@ class Ros2Publisher(Publisher[Ros2Process]):
 
     what = "publishing for ROS 2"
 
-    def _begun(self, parts: Parts, columns: tuple[str, ...], low_m: Array, high_m: Array) -> Ros2Process:
+    def _begun(
+        self, parts: Parts, columns: tuple[str, ...], low_m: Array, high_m: Array
+    ) -> Ros2Process:
         return Ros2Process(self._scene, parts, columns, low_m=low_m, high_m=high_m)
 
     def _show(self, process: Ros2Process, index: int, row: Array, times: Array) -> None:
@@ -137,6 +143,7 @@ def require_ros2() -> None:
     missing = [name for name in ROS2_PACKAGES if find_spec(name) is None]
     if missing:
         raise InputError(
-            f"--ros2 must have the Python packages of ROS 2, got no {missing[0]}: source the setup.bash of an "
+            f"--ros2 must have the Python packages of ROS 2, got no {missing[0]}: source the "
+            "setup.bash of an "
             "installation, such as /opt/ros/jazzy, and run tissue with the Python that it is for"
         )

@@ -37,10 +37,12 @@ LONGEST_S = 600.0
 REPLACED_DEVICE = "touch"
 """Device whose numbers a mouse takes in a scene without one."""
 ROAM_MM, ROAM_ON_WALL_MM = 8.0, 40.0
-"""Distance from the scripted path to which the pointer may take the tool [mm]; a wall has no edge."""
+"""Distance from the scripted path to which the pointer may take the tool [mm]; a wall has no
+edge.
+"""
 ABOVE_M, BELOW_M = 0.02, 0.01
-"""Distance to which the pointer may draw a tool back from the path and press a probe beyond it [m]. A cutting tool is
-pressed as far as there is bone beyond the reach of the script."""
+"""Distance to which the pointer may draw a tool back from the path and press a probe beyond it [m].
+A cutting tool is pressed as far as there is bone beyond the reach of the script."""
 LOOK_S = 0.01
 """Time between two looks while the run waits [s]."""
 STALLED_S, HELD_S = 3.0, 60.0
@@ -54,14 +56,16 @@ class LiveSettings:
     Attributes
     ----------
     duration_s
-        Duration of a run by the mouse [s]; None: until the window is closed, 600 s at most. A scripted run lasts as
-        long as its scene states.
+        Duration of a run by the mouse [s]; None: until the window is closed, 600 s at most. A
+        scripted run lasts as long as its scene states.
     opened
-        Shows the run in a browser instead of a window, and is called once with the address of its page. The ticks wait
-        until the page is open. The page can reset the run: the same scene is then simulated from its start once more,
-        and only the rows of the run before stay, until the rows of the next run replace them.
+        Shows the run in a browser instead of a window, and is called once with the address of its
+        page. The ticks wait until the page is open. The page can reset the run: the same scene is
+        then simulated from its start once more, and only the rows of the run before stay, until the
+        rows of the next run replace them.
     slicer
-        Publishes the run for 3D Slicer, see `docs/guide/slicer.md`; no window opens if it also drives the tool.
+        Publishes the run for 3D Slicer, see `docs/guide/slicer.md`; no window opens if it also
+        drives the tool.
     ros2
         Publishes the run on topics of ROS 2, see `docs/guide/ros2.md`.
     """
@@ -79,16 +83,30 @@ class LiveSettings:
     def mover(self, scene: Scene) -> tuple[bool, str]:
         """Return whether a pointer or 3D Slicer moves the tool, and a sentence on what moves it."""
         if self.by_slicer:
-            return True, "the transform tissue-target of 3D Slicer moves the tool; it feels nothing, the force is sent"
+            return (
+                True,
+                (
+                    "the transform tissue-target of 3D Slicer moves the tool; it feels nothing, "
+                    "the force is sent"
+                ),
+            )
         if self.opened is not None:
-            return True, "the mouse moves the tool in a browser; it feels nothing, the force is shown"
+            return (
+                True,
+                "the mouse moves the tool in a browser; it feels nothing, the force is shown",
+            )
         if opens_device(scene):
             return False, f"the device {scene.device} moves the tool and plays the force; no window"
         problem = display_problem()
         if problem is None:
-            return True, "the mouse moves the tool in a window; it feels nothing, the force is shown"
+            return (
+                True,
+                "the mouse moves the tool in a window; it feels nothing, the force is shown",
+            )
         script = (
-            "the scripted motion moves the tool" if scene.device is None else f"a simulated {scene.held.hand} moves it"
+            "the scripted motion moves the tool"
+            if scene.device is None
+            else f"a simulated {scene.held.hand} moves it"
         )
         return False, f"no window, for {problem}: {script}"
 
@@ -98,8 +116,9 @@ class LiveSettings:
         Raises
         ------
         InputError
-            If a display does not answer, a page cannot be served or is asked for with a real device, the port for 3D
-            Slicer is taken, something else moves the tool, or ROS 2 is not installed.
+            If a display does not answer, a page cannot be served or is asked for with a real
+            device, the port for 3D Slicer is taken, something else moves the tool, or ROS 2 is not
+            installed.
         """
         if self.slicer is not None:
             require_link(self.slicer, scene, web=self.opened is not None)
@@ -112,20 +131,23 @@ class LiveSettings:
         require_web()
         if opens_device(scene):
             raise InputError(
-                f"--web must be left out with a real device, which runs without any window, got {scene.held.kind}: "
+                "--web must be left out with a real device, which runs without any window, "
+                f"got {scene.held.kind}: "
                 "leave it out, or set device = touch to use the mouse"
             )
 
 
 def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSettings]) -> Run:
-    """Simulate a scene against the wall clock, in a window with the mouse as device or, without a display, scripted.
+    """Simulate a scene against the wall clock, in a window with the mouse as device or, without a
+    display, scripted.
 
-    A registered device with a factory for the real one is used without a window. Otherwise the tool is coupled to the
-    mouse as to the scene's device, by the same spring, and the forces that the device would play are in the trace and
-    shown; in a scene without a device a mouse acts as a touch. A tick misses its deadline if it is not done within 1 ms
-    of its due time. See `WallClock` for ticks that fall behind. The ticks have a raised priority as far as the system
-    grants it; the note ``priority`` states it. Ctrl-C or closing the window ends the run, which is then a run like any
-    other.
+    A registered device with a factory for the real one is used without a window. Otherwise the tool
+    is coupled to the mouse as to the scene's device, by the same spring, and the forces that the
+    device would play are in the trace and shown; in a scene without a device a mouse acts as a
+    touch. A tick misses its deadline if it is not done within 1 ms of its due time. See `WallClock`
+    for ticks that fall behind. The ticks have a raised priority as far as the system grants it; the
+    note ``priority`` states it. Ctrl-C or closing the window ends the run, which is then a run like
+    any other.
 
     Parameters
     ----------
@@ -134,8 +156,8 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
     how
         Settings of the live run.
     settings
-        As of `tissue.simulation.simulate.simulate`; a mouse cannot be unstable, because it feels nothing. If a window
-        opens, ``cores`` leaves one core to it by default.
+        As of `tissue.simulation.simulate.simulate`; a mouse cannot be unstable, because it feels
+        nothing. If a window opens, ``cores`` leaves one core to it by default.
 
     Raises
     ------
@@ -148,7 +170,9 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
     if by_mouse:
         device = scene.device or StatedDevice(kind=REPLACED_DEVICE)
         roam_mm = ROAM_ON_WALL_MM if scene.anatomy.kind == "wall" else ROAM_MM
-        coupling = device.coupling.model_copy(update={"roam_mm": device.coupling.roam_mm or roam_mm})
+        coupling = device.coupling.model_copy(
+            update={"roam_mm": device.coupling.roam_mm or roam_mm}
+        )
         device = device.model_copy(update={"coupling": coupling})
         changes = {"device": device, "duration_s": how.duration_s or LONGEST_S}
         scene = scene.model_copy(update=changes)
@@ -159,7 +183,9 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
     try:
         while True:
             mouse = MouseDevice(start_m(scene)) if by_mouse else None
-            observer = LiveObserver(scene, None if how.by_slicer else mouse, WallClock(TICK_S), page)
+            observer = LiveObserver(
+                scene, None if how.by_slicer else mouse, WallClock(TICK_S), page
+            )
             prioritised = Prioritised()
             publishers: dict[str, Publisher[Any]] = {}
             if how.slicer is not None:
@@ -184,7 +210,9 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
     run.parts.notes |= {name: publisher.note for name, publisher in publishers.items()}
     if mouse is not None:
         held = "a pose from 3D Slicer" if how.by_slicer else "a mouse"
-        run.parts.notes["coupling"] = f"{held} in place of the {scene.held.kind} and its hand, " + scene.held.renderer
+        run.parts.notes["coupling"] = (
+            f"{held} in place of the {scene.held.kind} and its hand, " + scene.held.renderer
+        )
     return run
 
 
@@ -195,7 +223,9 @@ def start_m(scene: Scene) -> tuple[float, float, float]:
 
 
 def reach_m(scene: Scene, parts: Parts) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the corners of the box in which the pointer may move the tool [m]: around the scripted path."""
+    """Return the corners of the box in which the pointer may move the tool [m]: around the
+    scripted path.
+    """
     path = parts.motion.sweep_m()
     axis = parts.motion.rotations()[0][:, 2]
     below_m = 1e-3 * scene.voxels.margin_mm if isinstance(scene.tool, Tool) else BELOW_M
@@ -225,7 +255,9 @@ class LiveObserver(RunObserver):
 
     timing_columns = ("late_us", "skipped_us")
 
-    def __init__(self, scene: Scene, mouse: MouseDevice | None, clock: WallClock, page: Page | None = None) -> None:
+    def __init__(
+        self, scene: Scene, mouse: MouseDevice | None, clock: WallClock, page: Page | None = None
+    ) -> None:
         self._scene = scene
         self._mouse = mouse
         self._clock = clock
@@ -252,7 +284,9 @@ class LiveObserver(RunObserver):
             self._handler = signal.signal(signal.SIGINT, self._stop)
 
     def before_tick(self, index: int) -> None:
-        """Wait until a tick is due, while it is paused and for a window that hangs; take what the pointer wants."""
+        """Wait until a tick is due, while it is paused and for a window that hangs; take what
+        the pointer wants.
+        """
         if self._window is not None:
             if self._window.paused:
                 self._pause(self._window, index)
@@ -274,14 +308,24 @@ class LiveObserver(RunObserver):
         if skipped > 0.0:
             if self._skipped_s == 0.0:
                 self._events.append(
-                    (float(row[0]), f"the ticks were more than {1e3 * BEHIND_S:g} ms behind: the clock skips from here")
+                    (
+                        float(row[0]),
+                        (
+                            f"the ticks were more than {1e3 * BEHIND_S:g} ms behind: the clock "
+                            "skips from here"
+                        ),
+                    )
                 )
             self._skipped_s += self._clock.skipped_s
         if self._window is None:
             return not self._stopped
-        self._window.show(index, row, (float(times[0]), late, float(self._missed), 1e3 * self._skipped_s))
+        self._window.show(
+            index, row, (float(times[0]), late, float(self._missed), 1e3 * self._skipped_s)
+        )
         if index % LOOK_TICKS == 0 and (words := self._window.failed()) is not None:
-            self._events.append((float(row[0]), f"the window ended by itself, and the run with it: {words}"))
+            self._events.append(
+                (float(row[0]), f"the window ended by itself, and the run with it: {words}")
+            )
             self._stopped = True
         self.reset = self._window.reset and not (self._stopped or self._window.closed)
         return not (self._stopped or self._window.closed or self.reset)
@@ -289,7 +333,11 @@ class LiveObserver(RunObserver):
     def _pause(self, window: WindowProcess, index: int) -> None:
         """Let the run wait as long as a person wants."""
         began = perf_counter()
-        while window.paused and not (self._stopped or window.closed or window.reset) and window.failed() is None:
+        while (
+            window.paused
+            and not (self._stopped or window.closed or window.reset)
+            and window.failed() is None
+        ):
             sleep(LOOK_S)
         now = perf_counter()
         self._clock.hold(now - began)
@@ -305,7 +353,12 @@ class LiveObserver(RunObserver):
             self._drawn_s = now
         if now - self._drawn_s < STALLED_S:
             return
-        while window.frames == self._frames and now - began < HELD_S and not self._stopped and not window.closed:
+        while (
+            window.frames == self._frames
+            and now - began < HELD_S
+            and not self._stopped
+            and not window.closed
+        ):
             if window.failed() is not None:
                 break
             sleep(LOOK_S)
@@ -315,9 +368,13 @@ class LiveObserver(RunObserver):
         waited_s = now - began
         if window.frames == self._frames and waited_s >= HELD_S:
             self._stopped = True
-            self._events.append((index * TICK_S, f"the window drew nothing for {waited_s:.0f} s: the run ended"))
+            self._events.append(
+                (index * TICK_S, f"the window drew nothing for {waited_s:.0f} s: the run ended")
+            )
         else:
-            self._events.append((index * TICK_S, f"the window drew nothing: the run waited {waited_s:.1f} s for it"))
+            self._events.append(
+                (index * TICK_S, f"the window drew nothing: the run waited {waited_s:.1f} s for it")
+            )
 
     def on_end(self) -> list[tuple[float, str]]:
         """Close the window and leave Ctrl-C as it was; what has happened, as `Motion.happened`."""

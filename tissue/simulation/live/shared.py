@@ -1,6 +1,8 @@
-"""Arrays that two processes see at once, in a file that stays in memory if the system supports that.
+"""Arrays that two processes see at once, in a file that stays in memory if the system supports
+that.
 
-The ticks update the arrays of a tissue at a cost of some microseconds a tick, and a window draws them.
+The ticks update the arrays of a tissue at a cost of some microseconds a tick, and a window draws
+them.
 """
 
 import json
@@ -18,14 +20,23 @@ if TYPE_CHECKING:
     from tissue.simulation.builders.parts import Parts
 
 __all__ = [
-    "MEMORY", "AnyArray", "BoneShared", "Layout", "OrganShared", "SharedArrays", "SharedTissue", "shared_tissue",
-]  # fmt: skip
+    "MEMORY",
+    "AnyArray",
+    "BoneShared",
+    "Layout",
+    "OrganShared",
+    "SharedArrays",
+    "SharedTissue",
+    "shared_tissue",
+]
 
 AnyArray = NDArray[Any]
 Layout = dict[str, tuple[str, tuple[int, ...]]]
 """Type and shape of each array by its name."""
 MEMORY = Path("/dev/shm")
-"""Files that never reach a disk, on Linux; elsewhere the system's folder for what is temporary serves."""
+"""Files that never reach a disk, on Linux; elsewhere the system's folder for what is temporary
+serves.
+"""
 TRIES = 20
 """How often a read is tried again."""
 ALIGNED = 64
@@ -35,14 +46,17 @@ TURN_TICKS = 200
 MOVED_TICKS = 33
 """Ticks between two pictures of an organ's surface."""
 MOST_SHOWN = 600_000
-"""Voxels from which the window shows blocks of four by four by four instead of two by two by two."""
+"""Voxels from which the window shows blocks of four by four by four instead of two by two by
+two.
+"""
 
 
 class SharedArrays:
-    """Named arrays in one mapped file; both sides write and read them as NumPy arrays, without a call to the system.
+    """Named arrays in one mapped file; both sides write and read them as NumPy arrays, without a
+    call to the system.
 
-    What must be read whole goes through `write` and `read`: the reader tries again while a write is running. There is
-    one writer for each array.
+    What must be read whole goes through `write` and `read`: the reader tries again while a write is
+    running. There is one writer for each array.
 
     Parameters
     ----------
@@ -81,14 +95,18 @@ class SharedArrays:
         return self._arrays[name]
 
     def write(self, name: str, values: AnyArray) -> None:
-        """Write an array whose name with ``_turn`` is its counter, odd while the write is running."""
+        """Write an array whose name with ``_turn`` is its counter, odd while the write is
+        running.
+        """
         turn = self._arrays[f"{name}_turn"]
         turn[0] += 1
         self._arrays[name][:] = values
         turn[0] += 1
 
     def read(self, name: str) -> tuple[int, NDArray[Any]] | None:
-        """The number of an array's writes and a whole copy of it; None where a writer was busy, or died."""
+        """The number of an array's writes and a whole copy of it; None where a writer was busy,
+        or died.
+        """
         turn = self._arrays[f"{name}_turn"]
         values = self._arrays[name]
         for _ in range(TRIES):
@@ -100,7 +118,8 @@ class SharedArrays:
 
 
 class SharedTissue:
-    """Shared arrays of a tissue; of a tissue that its scene and the trace describe, such as a wall, there are none.
+    """Shared arrays of a tissue; of a tissue that its scene and the trace describe, such as a wall,
+    there are none.
 
     Attributes
     ----------
@@ -122,7 +141,8 @@ class SharedTissue:
 
 
 class BoneShared(SharedTissue):
-    """The bricks of a bone, copied a slice a tick, so that every brick is at most `TURN_TICKS` ticks old.
+    """The bricks of a bone, copied a slice a tick, so that every brick is at most `TURN_TICKS`
+    ticks old.
 
     Parameters
     ----------
@@ -138,7 +158,9 @@ class BoneShared(SharedTissue):
         store = milling.store
         self._remaining = store.remaining
         count = len(store.places)
-        self._left: NDArray[np.uint16] | None = store.remaining.numpy() if store.remaining.device.is_cpu else None
+        self._left: NDArray[np.uint16] | None = (
+            store.remaining.numpy() if store.remaining.device.is_cpu else None
+        )
         self._slice = -(-count // TURN_TICKS)
         self._count = count
         block = 2 if np.prod(volume.shape, dtype=float) <= 8 * MOST_SHOWN else 4
@@ -164,7 +186,11 @@ class BoneShared(SharedTissue):
             first = self._slice * (index % TURN_TICKS)
             last = min(first + self._slice, self._count)
         if first < last:
-            left = self._remaining[first:last].numpy() if self._left is None else self._left[first:last]
+            left = (
+                self._remaining[first:last].numpy()
+                if self._left is None
+                else self._left[first:last]
+            )
             arrays["remaining"][first:last] = left
 
 

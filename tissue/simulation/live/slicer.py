@@ -1,4 +1,6 @@
-"""A live run for 3D Slicer: a process beside the ticks that publishes it by OpenIGTLink and takes a tool's pose."""
+"""A live run for 3D Slicer: a process beside the ticks that publishes it by OpenIGTLink and
+takes a tool's pose.
+"""
 
 import socket
 from collections.abc import Callable
@@ -48,30 +50,35 @@ class SlicerLink:
 
 
 def require_link(link: SlicerLink, scene: Scene, *, web: bool) -> None:
-    """Refuse a port that cannot be listened on and a second mover of the tool, before anything is built.
+    """Refuse a port that cannot be listened on and a second mover of the tool, before anything is
+    built.
 
     Raises
     ------
     InputError
-        If the port is none or another program has it, or a page or a real device moves the tool that this is to move.
+        If the port is none or another program has it, or a page or a real device moves the tool
+        that this is to move.
     """
     mover = "--web" if web else scene.held.kind if opens_device(scene) else None
     if link.drives and mover is not None:
         raise InputError(
-            f"--slicer-drives must be left out where something else moves the tool, got {mover}: leave one of both out"
+            "--slicer-drives must be left out where something else moves the tool, got "
+            f"{mover}: leave one of both out"
         )
     try:
         socket.create_server((LOCAL, link.port)).close()
     except (OSError, OverflowError) as error:
         why = getattr(error, "strerror", None) or "no port"
         raise InputError(
-            f"--slicer-port must be a free port of {LOCAL}, got {link.port} ({why}): end the program that has it, or "
+            f"--slicer-port must be a free port of {LOCAL}, got {link.port} ({why}): end the "
+            "program that has it, or "
             "give another"
         ) from None
 
 
 class SlicerProcess(PublishingProcess):
-    """What publishes a run, as the ticks see it: rows and events out, the wanted pose of the tool in.
+    """What publishes a run, as the ticks see it: rows and events out, the wanted pose of the tool
+    in.
 
     Parameters
     ----------
@@ -86,7 +93,14 @@ class SlicerProcess(PublishingProcess):
     remedy = "mend that, or run without --slicer"
 
     def __init__(
-        self, scene: Scene, parts: Parts, columns: tuple[str, ...], *, low_m: Array, high_m: Array, link: SlicerLink
+        self,
+        scene: Scene,
+        parts: Parts,
+        columns: tuple[str, ...],
+        *,
+        low_m: Array,
+        high_m: Array,
+        link: SlicerLink,
     ) -> None:
         layout: Layout = {
             "target": ("float64", (7,)),
@@ -95,22 +109,33 @@ class SlicerProcess(PublishingProcess):
             "events_count": ("int64", (1,)),
             "counts": ("int64", (4,)),
         }
-        start: dict[str, AnyArray] = {"port": np.array(link.port), "start_turn": parts.motion.rotations()[0]}
+        start: dict[str, AnyArray] = {
+            "port": np.array(link.port),
+            "start_turn": parts.motion.rotations()[0],
+        }
         start["drives"] = np.array(link.drives)
         if parts.placement is not None:
             start["file_to_scene_mm"] = parts.placement.file_to_scene_mm
         if (volume := parts.volume) is not None:
             density = volume.density_kg_m3 * (volume.fraction / FULL)
             start["density_kg_m3"] = np.rint(density).astype(np.uint16)
-        super().__init__(scene, parts, columns, low_m=low_m, high_m=high_m, more_layout=layout, more_start=start)
+        super().__init__(
+            scene, parts, columns, low_m=low_m, high_m=high_m, more_layout=layout, more_start=start
+        )
         self._target_turn = self.arrays["target_turn"]
         self._taken = 0
         self._events = self.arrays["events"]
         self._events_count = self.arrays["events_count"]
-        self._ignored = "were no pose of a tool, or of a second client" if link.drives else "need --slicer-drives"
+        self._ignored = (
+            "were no pose of a tool, or of a second client"
+            if link.drives
+            else "need --slicer-drives"
+        )
 
     def target(self) -> tuple[Triple, Quaternion] | None:
-        """Where a client wants the tool [m], and how it is turned from its first orientation, if that is new."""
+        """Where a client wants the tool [m], and how it is turned from its first orientation, if
+        that is new.
+        """
         if int(self._target_turn[0]) == self._taken or (read := self.arrays.read("target")) is None:
             return None
         turn, values = read
@@ -129,7 +154,9 @@ class SlicerProcess(PublishingProcess):
     def note(self) -> str:
         """What was sent to how many clients so far, in half a sentence."""
         sent, clients, refused, ignored = self.arrays["counts"].tolist()
-        words = [f"published at {self.address} by OpenIGTLink: {sent} messages to {clients} clients"]
+        words = [
+            f"published at {self.address} by OpenIGTLink: {sent} messages to {clients} clients"
+        ]
         if refused:
             words.append(f"{refused} disconnected for what they sent or did not take")
         if ignored:
@@ -149,12 +176,15 @@ class SlicerPublisher(Publisher[SlicerProcess]):
     link
         Port, and whether a client drives the tool.
     mouse
-        Device that a client's transform moves; the run then ends with the link. None if nothing is moved.
+        Device that a client's transform moves; the run then ends with the link. None if nothing is
+        moved.
     """
 
     what = "the link to 3D Slicer"
 
-    def __init__(self, scene: Scene, link: SlicerLink, box: Box, mouse: MouseDevice | None = None) -> None:
+    def __init__(
+        self, scene: Scene, link: SlicerLink, box: Box, mouse: MouseDevice | None = None
+    ) -> None:
         super().__init__(scene, box)
         self._link = link
         self._mouse = mouse
@@ -162,10 +192,14 @@ class SlicerPublisher(Publisher[SlicerProcess]):
         self._missed = 0
         self._skipped_us = 0.0
 
-    def _begun(self, parts: Parts, columns: tuple[str, ...], low_m: Array, high_m: Array) -> SlicerProcess:
+    def _begun(
+        self, parts: Parts, columns: tuple[str, ...], low_m: Array, high_m: Array
+    ) -> SlicerProcess:
         self._start = parts.motion.sweep_m()[0]
         self._scale = self._scene.motion_scale
-        return SlicerProcess(self._scene, parts, columns, low_m=low_m, high_m=high_m, link=self._link)
+        return SlicerProcess(
+            self._scene, parts, columns, low_m=low_m, high_m=high_m, link=self._link
+        )
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Begin to publish, and report the address."""

@@ -1,4 +1,6 @@
-"""Surfaces of a tissue that is simulated, in another process, from the arrays that the ticks share."""
+"""Surfaces of a tissue that is simulated, in another process, from the arrays that the ticks
+share.
+"""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -54,7 +56,9 @@ class BoneSurface:
         spacing = self._block * float(start["spacing_m"])
         self._fraction = np.zeros(layer.shape, dtype=np.uint8)
         density = np.zeros(layer.shape, dtype=np.uint16)
-        self.volume = VoxelVolume(start["origin_m"].astype(np.float64), spacing, self._fraction, layer, density, names)
+        self.volume = VoxelVolume(
+            start["origin_m"].astype(np.float64), spacing, self._fraction, layer, density, names
+        )
         self._fill(np.arange(len(self._places)))
         self.surface: pyvista.PolyData = bone_surface(self.volume, self._fraction)
 
@@ -133,7 +137,9 @@ class OrganSurface:
         return True
 
     def _spread(self, known: NDArray[np.bool_]) -> None:
-        """Of every point the nearest one that is known, and what share of its displacement it takes."""
+        """Of every point the nearest one that is known, and what share of its displacement it
+        takes.
+        """
         from scipy.spatial import cKDTree
 
         self._known = known

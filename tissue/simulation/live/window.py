@@ -1,4 +1,6 @@
-"""The window of a live run, in a process of its own, as the ticks see it: rows out, the pointer in."""
+"""The window of a live run, in a process of its own, as the ticks see it: rows out, the pointer
+in.
+"""
 
 import json
 import os
@@ -16,7 +18,14 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError
 from tissue.scene.scene import Scene
 from tissue.simulation.builders.parts import Parts
-from tissue.simulation.live.shared import MEMORY, AnyArray, Layout, SharedArrays, SharedTissue, shared_tissue
+from tissue.simulation.live.shared import (
+    MEMORY,
+    AnyArray,
+    Layout,
+    SharedArrays,
+    SharedTissue,
+    shared_tissue,
+)
 from tissue.system.child import await_ready, child_command
 from tissue.system.offscreen import REMEDY, drawing_environments
 
@@ -44,8 +53,8 @@ FOLDER = "tissue-live-"
 class WindowProcess:
     """A window that shows a run while it goes on, and reports where the pointer wants the tool.
 
-    The ticks never wait for it: both sides map the same memory. Nothing of it is interrupted by Ctrl-C, and it ends by
-    itself when the ticks do.
+    The ticks never wait for it: both sides map the same memory. Nothing of it is interrupted by
+    Ctrl-C, and it ends by itself when the ticks do.
 
     Parameters
     ----------
@@ -111,7 +120,9 @@ class WindowProcess:
         self._row = np.zeros(len(columns) + len(CLOCK))
         self._turn = self.arrays["pointer_turn"]
         self._closed = self.arrays["closed"]
-        self._drawn, self._held, self._resets = (self.arrays[name] for name in ("frames", "paused", "resets"))
+        self._drawn, self._held, self._resets = (
+            self.arrays[name] for name in ("frames", "paused", "resets")
+        )
         self._loads = self.arrays["loads"]
         self._count = self.arrays["loads_count"]
         self._load = np.array([columns.index(name) for name in LOAD], dtype=np.intp)
@@ -122,7 +133,12 @@ class WindowProcess:
         )  # as it is, changed for the mouse
         (self._folder / "columns.json").write_text(json.dumps([*columns, *CLOCK]), "utf-8")
         turn = parts.motion.rotations()[0]
-        box = {"low_m": low_m, "high_m": high_m, "start_m": parts.motion.sweep_m()[0], "axis": turn[:, 2]}
+        box = {
+            "low_m": low_m,
+            "high_m": high_m,
+            "start_m": parts.motion.sweep_m()[0],
+            "axis": turn[:, 2],
+        }
         start: dict[str, AnyArray] = {**box, **self._shared.start, **(more_start or {})}
         np.savez(self._folder / "start.npz", allow_pickle=False, **start)
         self._shared.publish(self.arrays, 0)
@@ -133,7 +149,8 @@ class WindowProcess:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=output,
-                process_group=0,  # in this session its lower priority counts against the ticks, see `Helper`
+                # in this session its lower priority counts against the ticks, see `Helper`
+                process_group=0,
                 text=True,
             )
         self._words = (self._folder / "output.txt").open(encoding="utf-8", errors="replace")
@@ -148,7 +165,8 @@ class WindowProcess:
             self._child.kill()
             self.end()
             raise InputError(f"--live {self.place}, but {last[:200]}: {self.remedy}")
-        shutil.rmtree(self._folder, ignore_errors=True)  # both sides have it open: nothing is left behind by a kill
+        # both sides have it open: nothing is left behind by a kill
+        shutil.rmtree(self._folder, ignore_errors=True)
 
     @property
     def frames(self) -> int:
@@ -190,7 +208,9 @@ class WindowProcess:
         self._seen = 2 * turn
         return 1e-3 * float(x), 1e-3 * float(y), 1e-3 * float(z)
 
-    def show(self, index: int, row: NDArray[np.float64], clock: tuple[float, float, float, float]) -> None:
+    def show(
+        self, index: int, row: NDArray[np.float64], clock: tuple[float, float, float, float]
+    ) -> None:
         """Send a tick's row of the trace and of the clock, see `CLOCK`."""
         if index % ROW_TICKS == 0:
             self._row[: len(row)] = row
@@ -261,13 +281,17 @@ class Page:
         failed: InputError | None = None
         for environment in drawing_environments():
             try:
-                self._process = PageProcess(scene, parts, columns, low_m=low_m, high_m=high_m, environment=environment)
+                self._process = PageProcess(
+                    scene, parts, columns, low_m=low_m, high_m=high_m, environment=environment
+                )
             except InputError as error:
                 failed = error
                 continue
             self._opened(self._process.address)
             return self._process
-        raise failed or InputError(f"--live must serve its page, but this machine has no OpenGL library: {REMEDY}")
+        raise failed or InputError(
+            f"--live must serve its page, but this machine has no OpenGL library: {REMEDY}"
+        )
 
     def close(self) -> None:
         """End it."""
@@ -285,11 +309,15 @@ def require_web() -> None:
         If aiohttp is missing.
     """
     if find_spec("aiohttp") is None:
-        raise InputError("--web must have aiohttp to serve its page, got none: pip install 'tissue-sim[web]'")
+        raise InputError(
+            "--web must have aiohttp to serve its page, got none: pip install 'tissue-sim[web]'"
+        )
 
 
 def _new_folder() -> Path:
-    """A folder for what both processes see; those of processes that were killed before they could go are taken away."""
+    """A folder for what both processes see; those of processes that were killed before they
+    could go are taken away.
+    """
     import psutil
 
     place = MEMORY if MEMORY.is_dir() else Path(gettempdir())

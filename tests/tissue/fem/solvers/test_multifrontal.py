@@ -1,4 +1,6 @@
-"""Multifrontal factor against scipy's spsolve and dense inverses, over meshes, orders, blocks and right sides."""
+"""Multifrontal factor against scipy's spsolve and dense inverses, over meshes, orders, blocks
+and right sides.
+"""
 
 import numpy as np
 import pytest
@@ -24,7 +26,9 @@ def body_of(name="block", ratio=0.45):
     """Held at its base."""
     mesh = box(*BODIES[name])
     space = Space(mesh)
-    return HeldBody(assemble(space, lame(5e3, ratio)), mesh.nodes_m, held_nodes(mesh.nodes_m[:, 2] < 1e-9))
+    return HeldBody(
+        assemble(space, lame(5e3, ratio)), mesh.nodes_m, held_nodes(mesh.nodes_m[:, 2] < 1e-9)
+    )
 
 
 def spd(matrix):
@@ -35,7 +39,9 @@ def spd(matrix):
 
 
 def random_mesh(seed, count=300):
-    """A random symmetric positive definite matrix on neighbours in a cloud, in an order of its own, and its blocks."""
+    """A random symmetric positive definite matrix on neighbours in a cloud, in an order of its
+    own, and its blocks.
+    """
     rng = np.random.default_rng(seed)
     points = rng.uniform(size=(count, 3)) * rng.uniform(0.2, 1.0, 3)
     _, near = cKDTree(points).query(points, k=8)
@@ -69,8 +75,12 @@ def test_elastic_bodies_as_spsolve_with_a_small_residual(name, ratio):
     solver = DirectSolver(body)
     assert isinstance(solver._factor, Multifrontal)
     found = solver.solve(load)
-    exact = body.whole(spsolve(body.stiffness.tocsr()[body.free][:, body.free].tocsc(), body.right_side(load)))
-    np.testing.assert_allclose(found.displacement_m, exact, rtol=0, atol=ROUNDING * np.abs(exact).max())
+    exact = body.whole(
+        spsolve(body.stiffness.tocsr()[body.free][:, body.free].tocsc(), body.right_side(load))
+    )
+    np.testing.assert_allclose(
+        found.displacement_m, exact, rtol=0, atol=ROUNDING * np.abs(exact).max()
+    )
     assert found.converged and found.residual < 1e-11
 
 
@@ -80,12 +90,16 @@ def test_the_order_of_nodes_does_not_matter():
     mixed = np.random.default_rng(1).permutation(count)
     unknowns = (3 * mixed[:, None] + np.arange(3)).ravel()
     again = HeldBody(
-        body.stiffness.tocsr()[unknowns][:, unknowns].tobsr((3, 3)), body.nodes_m[mixed], body.fixed[mixed]
+        body.stiffness.tocsr()[unknowns][:, unknowns].tobsr((3, 3)),
+        body.nodes_m[mixed],
+        body.fixed[mixed],
     )
     load = np.random.default_rng(2).normal(size=(count, 3)) * ~body.fixed
     straight = DirectSolver(body).solve(load).displacement_m
     found = DirectSolver(again).solve(load[mixed]).displacement_m
-    np.testing.assert_allclose(found, straight[mixed], rtol=0, atol=ROUNDING * np.abs(straight).max())
+    np.testing.assert_allclose(
+        found, straight[mixed], rtol=0, atol=ROUNDING * np.abs(straight).max()
+    )
 
 
 def test_many_right_sides_are_each_alone():
@@ -99,7 +113,9 @@ def test_many_right_sides_are_each_alone():
     np.testing.assert_array_equal(right, kept)
     for column in range(37):
         alone = factor.solve(right[:, column])
-        np.testing.assert_allclose(found[:, column], alone, rtol=0, atol=1e-14 * np.abs(found).max())
+        np.testing.assert_allclose(
+            found[:, column], alone, rtol=0, atol=1e-14 * np.abs(found).max()
+        )
     assert not found[:, 5].any()
     assert factor.solve(right[:, :0]).shape == (matrix.shape[0], 0)
 
@@ -151,7 +167,9 @@ def test_fronts_hold_the_whole_factor():
             rows = fronts[child].below
             assert front.start <= rows[0] < front.stop
             assert np.isin(rows[rows >= front.stop], front.below).all()
-    assert sum(len(front.children) for front in fronts) == sum(len(front.below) > 0 for front in fronts)
+    assert sum(len(front.children) for front in fronts) == sum(
+        len(front.below) > 0 for front in fronts
+    )
 
 
 def test_a_matrix_that_is_not_positive_definite_names_its_unknown():
@@ -165,7 +183,10 @@ def test_an_indefinite_stiffness_is_left_to_superlu():
     """The answer and its outcome are SuperLU's."""
     body = body_of()
     count = 3 * len(body.nodes_m)
-    matrix = body.stiffness.tocsr() - csc_array((np.full(count, 20.0), (range(count), range(count)))).tocsr()
+    matrix = (
+        body.stiffness.tocsr()
+        - csc_array((np.full(count, 20.0), (range(count), range(count)))).tocsr()
+    )
     indefinite = HeldBody(matrix.tobsr((3, 3)), body.nodes_m, body.fixed)
     solver = DirectSolver(indefinite)
     assert isinstance(solver._factor, SuperLUFactor)
@@ -180,18 +201,27 @@ def test_an_indefinite_stiffness_is_left_to_superlu():
 
 
 def test_the_compliance_between_nodes_is_that_of_the_inverse():
-    """Of a definite and an indefinite stiffness, for nodes that were eliminated last and for others."""
+    """Of a definite and an indefinite stiffness, for nodes that were eliminated last and for
+    others.
+    """
     body = body_of()
     count = 3 * len(body.nodes_m)
-    shifted = body.stiffness.tocsr() - csc_array((np.full(count, 20.0), (range(count), range(count)))).tocsr()
+    shifted = (
+        body.stiffness.tocsr()
+        - csc_array((np.full(count, 20.0), (range(count), range(count)))).tocsr()
+    )
     nodes = np.flatnonzero(~body.fixed.any(axis=1))[:7]
     for stiffness in (body.stiffness, shifted.tobsr((3, 3))):
         inverse = np.zeros((count, count))
-        inverse[np.ix_(body.free, body.free)] = np.linalg.inv(stiffness.toarray()[np.ix_(body.free, body.free)])
+        inverse[np.ix_(body.free, body.free)] = np.linalg.inv(
+            stiffness.toarray()[np.ix_(body.free, body.free)]
+        )
         rows = (3 * nodes[:, None] + np.arange(3)).ravel()
         wanted = inverse[np.ix_(rows, rows)]
         for last in (nodes, nodes[:2]):
-            found = DirectSolver(HeldBody(stiffness, body.nodes_m, body.fixed), last=last).compliance_between(nodes)
+            found = DirectSolver(
+                HeldBody(stiffness, body.nodes_m, body.fixed), last=last
+            ).compliance_between(nodes)
             np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * np.abs(wanted).max())
 
 

@@ -36,8 +36,12 @@ def block(tables):
 
 
 def test_of_a_force_linear_in_one_coefficient_the_band_is_that_of_the_coefficient(block):
-    """All others are 0 or fixed by the scene, so that each figure is the coefficient times a geometry."""
-    fixed = dict.fromkeys((f"cutting.{name}" for name in NAMES if "chip" in name or "edge" in name), 0.0)
+    """All others are 0 or fixed by the scene, so that each figure is the coefficient times a
+    geometry.
+    """
+    fixed = dict.fromkeys(
+        (f"cutting.{name}" for name in NAMES if "chip" in name or "edge" in name), 0.0
+    )
     del fixed["cutting.radial_edge_N_mm"]
     scene = changed(block, fixed)
     reweighed = Reweighed(record_loads(scene, cores=1))
@@ -57,19 +61,24 @@ def test_of_a_force_linear_in_one_coefficient_the_band_is_that_of_the_coefficien
 
 
 def test_in_bone_of_the_reference_density_the_exponent_counts_where_that_density_varies(block):
-    """The strength is the ratio of the densities to the exponent: 1 for both cited values, not for both of a sample."""
+    """The strength is the ratio of the densities to the exponent: 1 for both cited values, not
+    for both of a sample.
+    """
     reweighed = Reweighed(record_loads(block, cores=1))
     names = reweighed.ranges.names
     priors = reweighed.ranges.priors
     density, exponent = (
-        names.index(f"cutting.bone.{name}") for name in ("reference_density_kg_m3", "density_exponent")
+        names.index(f"cutting.bone.{name}")
+        for name in ("reference_density_kg_m3", "density_exponent")
     )
     x = np.tile(reweighed.nominal(), (3, 1))
     x[1:, density] = priors[density].high
     x[2, exponent] = priors[exponent].high
     peak = reweighed.figures(x)[:, 0]
     ratio = priors[density].value / priors[density].high
-    assert peak[1:] / peak[0] == pytest.approx([ratio ** priors[exponent].value, ratio ** priors[exponent].high])
+    assert peak[1:] / peak[0] == pytest.approx(
+        [ratio ** priors[exponent].value, ratio ** priors[exponent].high]
+    )
 
 
 def test_the_file_of_a_sample_gives_its_figures_when_it_is_run(block, tmp_path):
@@ -99,7 +108,11 @@ def test_a_band_is_written_with_its_run_and_read_back(block, tmp_path):
     held = open_run(tmp_path / "run")
     again = held.band()
     assert again.constants == band.constants
-    assert again.summary == json.loads((tmp_path / "run/summary.json").read_text())["band"] == band.summary
+    assert (
+        again.summary
+        == json.loads((tmp_path / "run/summary.json").read_text())["band"]
+        == band.summary
+    )
     for name in ("times_s", "nominal", "quantiles", "values", "figures", "numbers"):
         assert getattr(again, name) == pytest.approx(getattr(band, name), rel=1e-8, abs=1e-12)
 
@@ -113,7 +126,9 @@ def test_a_run_without_a_band_has_none_to_read(block, tmp_path):
 
 @pytest.mark.slow
 def test_other_seeds_give_the_same_band_within_its_error(block):
-    ends = [band_of(block, 256, seed=seed, cores=1).summary["force_N"]["peak"] for seed in (1, 2, 3)]
+    ends = [
+        band_of(block, 256, seed=seed, cores=1).summary["force_N"]["peak"] for seed in (1, 2, 3)
+    ]
     for level in LEVELS:
         values = np.array([each[level] for each in ends])
         print(level, values)
@@ -141,7 +156,9 @@ def test_what_a_band_cannot_use_is_refused(tables, block):
     with pytest.raises(InputError, match="workers must be left out"):
         require_band(block, 16, 2)
     require_band(block, 16, 2, each_run=True)
-    with pytest.raises(InputError, match="each_run must be left out of a scene whose loads cannot be reweighed"):
+    with pytest.raises(
+        InputError, match="each_run must be left out of a scene whose loads cannot be reweighed"
+    ):
         require_band(Scene(**tables["needle"]), 16, None, each_run=True)
 
 
@@ -159,12 +176,19 @@ def test_a_report_shows_the_band(block, tmp_path):
     peak = run.band(16, cores=1).summary["force_N"]["peak"]
     text = band_section(SavedRun(tmp_path / "run"), escape)
     assert f"{peak['p05']:.3g} to {peak['p95']:.3g}" in text
-    assert {path.name for path in (tmp_path / "run/pictures").iterdir()} == {"band.png", "band_sobol.png"}
+    assert {path.name for path in (tmp_path / "run/pictures").iterdir()} == {
+        "band.png",
+        "band_sobol.png",
+    }
     assert text.count("data:image/png;base64,") == 2
 
 
 def test_a_file_of_fitted_constants_narrows_the_band_and_groups_what_it_correlates(block, tmp_path):
-    values = {name: one.value for name, one in constants("cutting", "bone").items() if "chip" in name or "edge" in name}
+    values = {
+        name: one.value
+        for name, one in constants("cutting", "bone").items()
+        if "chip" in name or "edge" in name
+    }
     entries = "".join(
         f"[cutting.bone.{name}]\nvalue = {value}\nrange = [{0.95 * value}, {1.05 * value}]\n"
         'source = "a fit"\nconfidence = "H"\n'
@@ -172,11 +196,14 @@ def test_a_file_of_fitted_constants_narrows_the_band_and_groups_what_it_correlat
     )
     names = '["cutting.bone.radial_edge_N_mm", "cutting.bone.tangential_edge_N_mm"]'
     file = tmp_path / "fitted.toml"
-    file.write_text(f"{entries}[correlation]\nnames = {names}\nmatrix = [[1.0, 0.8], [0.8, 1.0]]\n", "utf-8")
+    file.write_text(
+        f"{entries}[correlation]\nnames = {names}\nmatrix = [[1.0, 0.8], [0.8, 1.0]]\n", "utf-8"
+    )
     wide = band_of(block, 16, cores=1)
     fitted = band_of(changed(block, {"materials": str(file)}), 16, cores=1)
     spread = [
-        each.summary["force_N"]["peak"]["p95"] / each.summary["force_N"]["peak"]["p05"] for each in (wide, fitted)
+        each.summary["force_N"]["peak"]["p95"] / each.summary["force_N"]["peak"]["p05"]
+        for each in (wide, fitted)
     ]
     assert spread[1] < 0.4 * spread[0]
     groups = list(fitted.summary["sobol"]["force_N.peak"])

@@ -1,4 +1,6 @@
-"""Bands whose samples are runs of their own: their figures, those that fail, and those that end early."""
+"""Bands whose samples are runs of their own: their figures, those that fail, and those that end
+early.
+"""
 
 import os
 import re
@@ -27,7 +29,9 @@ def pushed(tmp_path):
 
 
 def test_an_event_that_not_all_samples_have_counts_its_share():
-    names, values = table_of([{("events", "it breaks", "time_s"): float(k)} if k % 2 else {} for k in range(10)])
+    names, values = table_of(
+        [{("events", "it breaks", "time_s"): float(k)} if k % 2 else {} for k in range(10)]
+    )
     found = intervals(names, values)["events"]["it breaks"]
     assert found["share"] == 0.5
     assert found["time_s"]["p50"] == 5.0
@@ -35,7 +39,9 @@ def test_an_event_that_not_all_samples_have_counts_its_share():
 
 
 def test_beyond_the_end_of_a_sample_a_band_is_that_of_the_others():
-    """Twenty loads of constant size 0 to 19; the two greatest end after 5 ticks, the third after 8."""
+    """Twenty loads of constant size 0 to 19; the two greatest end after 5 ticks, the third after
+    8.
+    """
     lengths = np.array([10] * 17 + [8, 5, 5])
     loads = [np.full((count, 8), float(size)) for size, count in enumerate(lengths)]
     quantiles, span = over_time(loads, 1e-3 * np.arange(1, 11))
@@ -52,7 +58,8 @@ def test_beyond_the_end_of_a_sample_a_band_is_that_of_the_others():
 
 def test_events_differ_by_their_thresholds_and_not_by_what_was_measured():
     first, second = (
-        f"pressed {depth} mm deep: more than {share}% off" for depth, share in (("3.0", 5), ("5.7e-1", 10))
+        f"pressed {depth} mm deep: more than {share}% off"
+        for depth, share in (("3.0", 5), ("5.7e-1", 10))
     )
     assert NUMBER.sub("…", first) == "pressed … mm deep: more than 5% off"
     assert NUMBER.sub("…", second) == "pressed … mm deep: more than 10% off"
@@ -60,17 +67,27 @@ def test_events_differ_by_their_thresholds_and_not_by_what_was_measured():
 
 @pytest.mark.slow
 def test_runs_of_each_sample_give_temperature_and_stress_a_band():
-    """Both follow the force, so that they are wider apart than the pulp's rise and the stress of one sample."""
+    """Both follow the force, so that they are wider apart than the pulp's rise and the stress of
+    one sample.
+    """
     changes = {"voxels.spacing_mm": 0.15, "stress.cell_mm": 0.6, "duration_s": 0.7, "heat": True}
     scene = load_scene("caries", changes)
     band = band_of(scene, 16, each_run=True)
     stress = band.summary["greatest_von_mises_MPa"]
     peak = band.summary["force_N"]["peak"]
     assert 0.0 < stress["p05"] < 0.7 * stress["p95"]
-    assert 0.0 < band.summary["greatest_pulp_rise_K"]["p05"] < 0.7 * band.summary["greatest_pulp_rise_K"]["p95"]
+    assert (
+        0.0
+        < band.summary["greatest_pulp_rise_K"]["p05"]
+        < 0.7 * band.summary["greatest_pulp_rise_K"]["p95"]
+    )
     assert "without" not in band.summary
     sizes = band.figures[
-        :, [band.figure_names.index(name) for name in (("force_N", "peak"), ("greatest_von_mises_MPa",))]
+        :,
+        [
+            band.figure_names.index(name)
+            for name in (("force_N", "peak"), ("greatest_von_mises_MPa",))
+        ],
     ]
     assert spearmanr(*sizes.T).statistic > 0.5, "the stress is that of the force"
     reweighed = band_of(scene, 16).summary
@@ -96,20 +113,27 @@ def test_a_sample_that_breaks_down_is_named_and_left_out(pushed, monkeypatch):
     band = band_of(pushed, 16)
     assert band.summary["samples"] == len(band.figures) == 15
     assert band.summary["failed"] == 1
-    assert band.summary["problems"] == {"sample_03.toml": "FloatingPointError: the solver broke down"}
+    assert band.summary["problems"] == {
+        "sample_03.toml": "FloatingPointError: the solver broke down"
+    }
     assert band.numbers.tolist() == [each for each in range(16) if each != 3]
     removed = band.summary["removed_mm3"]["cortical"]
-    assert removed["p05"] < removed["p50"] < removed["p95"], "what is removed depends on the force's law"
+    assert removed["p05"] < removed["p50"] < removed["p95"], (
+        "what is removed depends on the force's law"
+    )
     assert len(band.files) == 16, "the file of the one that failed is there to be run"
 
 
 def test_a_band_of_which_more_than_a_tenth_fails_is_refused(pushed, monkeypatch):
     runs = count()
     monkeypatch.setattr(
-        rerun, "_outcome", lambda *_: "it broke down" if next(runs) in (3, 9) else (np.zeros((30, 8)), {})
+        rerun,
+        "_outcome",
+        lambda *_: "it broke down" if next(runs) in (3, 9) else (np.zeros((30, 8)), {}),
     )
     with pytest.raises(
-        InputError, match=re.escape("got 2 of 16 (sample_03.toml: it broke down; sample_09.toml: it broke")
+        InputError,
+        match=re.escape("got 2 of 16 (sample_03.toml: it broke down; sample_09.toml: it broke"),
     ):
         band_of(pushed, 16)
 
@@ -136,7 +160,9 @@ def test_a_sample_that_kills_its_worker_costs_no_other(pushed, monkeypatch):
 def test_a_band_by_a_dask_scheduler_is_that_of_this_machine(pushed):
     distributed = pytest.importorskip("distributed")
     alone = band_of(pushed, 16, cores=1)
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None
+    ) as cluster:
         band = band_of(pushed, 16, scheduler=cluster.scheduler_address)
     assert np.array_equal(band.figures, alone.figures, equal_nan=True)
     assert np.array_equal(band.quantiles, alone.quantiles)
@@ -146,5 +172,11 @@ def test_a_band_by_a_dask_scheduler_is_that_of_this_machine(pushed):
 def test_a_scheduler_that_does_not_answer_is_named(pushed, monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr(rerun, "PATIENCE_S", 0.2)
-    with pytest.raises(InputError, match=re.escape("scheduler must answer, got dask://127.0.0.1:9 (")):
-        list(rerun.reruns(pushed, ("",), workers=rerun.Workers(1, "dask://127.0.0.1:9"), report=silent))
+    with pytest.raises(
+        InputError, match=re.escape("scheduler must answer, got dask://127.0.0.1:9 (")
+    ):
+        list(
+            rerun.reruns(
+                pushed, ("",), workers=rerun.Workers(1, "dask://127.0.0.1:9"), report=silent
+            )
+        )

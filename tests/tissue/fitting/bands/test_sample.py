@@ -22,7 +22,9 @@ def test_samples_have_the_quantiles_of_the_ranges_and_constants_without_a_range_
     assert middle[[0, 2]] == pytest.approx([60.0, 1.5], rel=2e-3)
     assert low[[0, 2]] == pytest.approx([15.0, 1.0], rel=5e-3)
     assert high[[0, 2]] == pytest.approx([180.0, 2.0], rel=5e-3)
-    assert np.quantile(x[:, 1], 0.95) == pytest.approx(60.0, rel=5e-3), "95 % of a one-sided range lie inside"
+    assert np.quantile(x[:, 1], 0.95) == pytest.approx(60.0, rel=5e-3), (
+        "95 % of a one-sided range lie inside"
+    )
 
 
 def test_correlated_constants_are_drawn_together_and_make_one_group():
@@ -37,17 +39,26 @@ def test_correlated_constants_are_drawn_together_and_make_one_group():
 
 
 def test_samples_converge_faster_than_at_random():
-    """Mean of a smooth function of 8 numbers, exact exp(0.5): root mean square error over 10 seeds."""
+    """Mean of a smooth function of 8 numbers, exact exp(0.5): root mean square error over 10
+    seeds.
+    """
     weights = np.full(8, np.sqrt(1.0 / 8.0))
     mean_error = {
         count: np.sqrt(
-            np.mean([(np.exp(normals(count, 8, seed=s) @ weights).mean() / np.exp(0.5) - 1.0) ** 2 for s in range(10)])
+            np.mean(
+                [
+                    (np.exp(normals(count, 8, seed=s) @ weights).mean() / np.exp(0.5) - 1.0) ** 2
+                    for s in range(10)
+                ]
+            )
         )
         for count in (64, 1024)
     }
     at_random = {count: np.sqrt((np.e - 1.0) / count) for count in mean_error}
     assert mean_error[1024] < 0.5 * at_random[1024]
-    assert mean_error[1024] < mean_error[64] / 4.0, "sixteen times the samples at random give a quarter"
+    assert mean_error[1024] < mean_error[64] / 4.0, (
+        "sixteen times the samples at random give a quarter"
+    )
     print("root mean square error, at random:", mean_error, at_random)
 
 

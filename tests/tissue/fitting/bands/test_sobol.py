@@ -13,7 +13,9 @@ SEPARATE = ((0,), (1,), (2,))
 def ishigami(free):
     """Ishigami and Homma (1990), a = 7, b = 0.1, of numbers uniform in (-pi, pi)."""
     u = np.pi * (2.0 * ndtr(free) - 1.0)
-    return (np.sin(u[:, 0]) + 7.0 * np.sin(u[:, 1]) ** 2 + 0.1 * u[:, 2] ** 4 * np.sin(u[:, 0]))[:, None]
+    return (np.sin(u[:, 0]) + 7.0 * np.sin(u[:, 1]) ** 2 + 0.1 * u[:, 2] ** 4 * np.sin(u[:, 0]))[
+        :, None
+    ]
 
 
 FIRST = np.array([0.3139, 0.4424, 0.0])
@@ -44,7 +46,9 @@ def test_intervals_hold_the_closed_form_about_as_often_as_stated():
 
 def test_of_a_sum_each_constant_has_the_share_of_its_variance():
     weights = np.array([3.0, 2.0, 1.0])
-    found = sobol_indices(lambda free: (free @ weights)[:, None] + 1e6, SEPARATE, count=2048, seed=0)
+    found = sobol_indices(
+        lambda free: (free @ weights)[:, None] + 1e6, SEPARATE, count=2048, seed=0
+    )
     exact = weights**2 / (weights**2).sum()
     assert found.first[:, 0] == pytest.approx(exact, abs=0.01)
     assert found.total[:, 0] == pytest.approx(exact, abs=0.01)
@@ -72,7 +76,9 @@ def test_a_surrogate_of_few_runs_has_the_indices_of_a_polynomial_in_closed_form(
 
 
 def test_a_surrogate_that_explains_too_little_gives_no_indices():
-    """Of noise, and of few runs over many constants, which a fit of as many terms follows through every point."""
+    """Of noise, and of few runs over many constants, which a fit of as many terms follows
+    through every point.
+    """
     noise = np.random.default_rng(1).standard_normal((16, 1))
     columns = tuple((at,) for at in range(40))
     found, explained = surrogate_indices(normals(16, 40, seed=0), noise, columns, seed=0)

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from tissue import InputError
-from tissue.haptics.real.haply_frames import ServiceState, force_frame, opening_frame, spelling_of, version_in
+from tissue.haptics.real.haply_frames import (
+    ServiceState,
+    force_frame,
+    opening_frame,
+    spelling_of,
+    version_in,
+)
 from tissue.haptics.real.haply_service import problem_of, service_address
 
 FIRST = {
@@ -20,7 +26,13 @@ FIRST = {
                 "cursor_velocity": {"x": 0.1, "y": 0.2, "z": -0.3},
                 "body_orientation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
             },
-            "status": {"calibrated": True, "in_use": False, "power_supply": True, "ready": True, "started": True},
+            "status": {
+                "calibrated": True,
+                "in_use": False,
+                "power_supply": True,
+                "ready": True,
+                "started": True,
+            },
         }
     ],
     "wireless_verse_grip": [
@@ -52,7 +64,11 @@ def test_the_first_frame_gives_pose_speed_orientation_and_buttons():
 
 
 def test_later_frames_change_what_they_hold_and_leave_the_rest():
-    partial = {"inverse3": [{"device_id": "049D", "state": {"cursor_position": {"x": 0.02, "y": -0.11, "z": 0.14}}}]}
+    partial = {
+        "inverse3": [
+            {"device_id": "049D", "state": {"cursor_position": {"x": 0.02, "y": -0.11, "z": 0.14}}}
+        ]
+    }
     pressed = {"wireless_verse_grip": [{"device_id": "61548", "state": {"buttons": {"a": True}}}]}
     state = state_after(FIRST)
     assert state.take(json.dumps(partial)) and not state.take(json.dumps(pressed))
@@ -64,7 +80,16 @@ def test_later_frames_change_what_they_hold_and_leave_the_rest():
 
 @pytest.mark.parametrize(
     "text",
-    ["", "{", "[]", "7", '"inverse3"', b"\xff\xfe", '{"inverse3": 3}', '{"inverse3": [4, {"device_id": 5}]}'],
+    [
+        "",
+        "{",
+        "[]",
+        "7",
+        '"inverse3"',
+        b"\xff\xfe",
+        '{"inverse3": 3}',
+        '{"inverse3": [4, {"device_id": 5}]}',
+    ],
 )
 def test_what_is_no_frame_changes_nothing(text):
     state = state_after(FIRST)
@@ -75,7 +100,9 @@ def test_what_is_no_frame_changes_nothing(text):
 def test_a_number_that_is_none_gives_no_sample(wrong):
     position = {"x": wrong, "y": 0.0, "z": 0.0}
     state = state_after(FIRST)
-    state.take(json.dumps({"inverse3": [{"device_id": "049D", "state": {"cursor_position": position}}]}))
+    state.take(
+        json.dumps({"inverse3": [{"device_id": "049D", "state": {"cursor_position": position}}]})
+    )
     assert state.sample() is None
 
 
@@ -84,7 +111,10 @@ def test_a_handle_with_one_button_and_none_at_all():
     del wired["wireless_verse_grip"]
     assert state_after(wired).sample().quaternion == (0.0, 0.0, 0.0, 1.0)
     wired["verse_grip"] = [
-        {"device_id": "A", "state": {"button": True, "orientation": {"w": 1, "x": 0, "y": 0, "z": 0}}}
+        {
+            "device_id": "A",
+            "state": {"button": True, "orientation": {"w": 1, "x": 0, "y": 0, "z": 0}},
+        }
     ]
     assert state_after(wired).sample().buttons == 1
 
@@ -93,11 +123,17 @@ def test_a_handle_with_one_button_and_none_at_all():
 def test_a_force_in_both_spellings(spelling):
     frame = json.loads(force_frame("049D", (0.25, -1e-9, 1.5), spelling))
     vector = {"x": 0.25, "y": 0.0, "z": 1.5}
-    assert frame == {"inverse3": [{"device_id": "049D", "commands": {"set_cursor_force": {spelling: vector}}}]}
+    assert frame == {
+        "inverse3": [{"device_id": "049D", "commands": {"set_cursor_force": {spelling: vector}}}]
+    }
     opening = json.loads(opening_frame('0"9', spelling))
     assert opening["session"] == {"configure": {"profile": {"name": "tissue:simulation"}}}
     assert opening["inverse3"][0]["device_id"] == '0"9'
-    assert opening["inverse3"][0]["commands"]["set_cursor_force"][spelling] == {"x": 0.0, "y": 0.0, "z": 0.0}
+    assert opening["inverse3"][0]["commands"]["set_cursor_force"][spelling] == {
+        "x": 0.0,
+        "y": 0.0,
+        "z": 0.0,
+    }
 
 
 @pytest.mark.parametrize(
@@ -116,10 +152,19 @@ def test_the_version_of_a_service(answer, version):
 
 
 def test_the_spelling_follows_the_version_and_without_one_the_session():
-    assert [spelling_of(each, has_session=True) for each in ((3, 1), (3, 4), (3, 5), (3, 10), (4, 0))] == [
-        "values", "values", "vector", "vector", "vector",
-    ]  # fmt: skip
-    assert spelling_of(None, has_session=True) == "vector" and spelling_of(None, has_session=False) == "values"
+    assert [
+        spelling_of(each, has_session=True) for each in ((3, 1), (3, 4), (3, 5), (3, 10), (4, 0))
+    ] == [
+        "values",
+        "values",
+        "vector",
+        "vector",
+        "vector",
+    ]
+    assert (
+        spelling_of(None, has_session=True) == "vector"
+        and spelling_of(None, has_session=False) == "values"
+    )
 
 
 @pytest.mark.parametrize(
@@ -137,12 +182,16 @@ def test_addresses(address, parts):
     "address", ["localhost:10001", "http://x:1", "ws://x", "ws://x:99999", "ws://x:1/path", "049D"]
 )
 def test_what_is_no_address_is_refused(address):
-    with pytest.raises(InputError, match=r"^hardware\.address must be ws://HOST:PORT.*: use ws://localhost:10001$"):
+    with pytest.raises(
+        InputError, match=r"^hardware\.address must be ws://HOST:PORT.*: use ws://localhost:10001$"
+    ):
         service_address(address)
 
 
 def test_no_text_of_a_service_raises():
-    """Frames with characters, entries and whole branches exchanged: merged or ignored, and a sample or none."""
+    """Frames with characters, entries and whole branches exchanged: merged or ignored, and a
+    sample or none.
+    """
     rng, whole = np.random.default_rng(1), json.dumps(FIRST)
     values = [None, True, 7, -1e308, "x", [], {}, [[]], {"x": {"x": {}}}, [{"device_id": "049D"}]]
     state = state_after(FIRST)
@@ -153,7 +202,11 @@ def test_no_text_of_a_service_raises():
         table = json.loads(whole)
         branch = table
         while isinstance(branch, dict | list) and branch and rng.random() < 0.9:
-            key = rng.choice(list(branch)) if isinstance(branch, dict) else int(rng.integers(len(branch)))
+            key = (
+                rng.choice(list(branch))
+                if isinstance(branch, dict)
+                else int(rng.integers(len(branch)))
+            )
             if not isinstance(branch[key], dict | list) or rng.random() < 0.3:
                 branch[key] = values[rng.integers(len(values))]
                 break
@@ -161,7 +214,9 @@ def test_no_text_of_a_service_raises():
         for frame in (bytes(text), json.dumps(table)):
             state.take(frame)
             sample = state.sample()
-            assert sample is None or all(abs(each) < 1e6 for each in (*sample.position_m, *sample.quaternion))
+            assert sample is None or all(
+                abs(each) < 1e6 for each in (*sample.position_m, *sample.quaternion)
+            )
             assert isinstance(problem_of(state), str) and isinstance(state.model(), str)
 
 
@@ -173,9 +228,18 @@ def changed(**status):
 @pytest.mark.parametrize(
     ("frame", "sentence"),
     [
-        (changed(calibrated=False), "haply must be calibrated, got calibrated = false of 049D: calibrate it as"),
-        (changed(power_supply=False), "haply must have power, got power_supply = false of 049D: connect its power"),
-        (changed(ready=False), "haply must be ready, got ready = false of 049D: wait until its light"),
+        (
+            changed(calibrated=False),
+            "haply must be calibrated, got calibrated = false of 049D: calibrate it as",
+        ),
+        (
+            changed(power_supply=False),
+            "haply must have power, got power_supply = false of 049D: connect its power",
+        ),
+        (
+            changed(ready=False),
+            "haply must be ready, got ready = false of 049D: wait until its light",
+        ),
         ({"inverse3": []}, "haply must list an Inverse3, got none: plug it in"),
         ({}, "haply must list an Inverse3, got none: plug it in"),
     ],

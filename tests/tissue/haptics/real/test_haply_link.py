@@ -1,4 +1,6 @@
-"""The exchange with a service: what is sent and when, against a stand-in that speaks the documented frames."""
+"""The exchange with a service: what is sent and when, against a stand-in that speaks the
+documented frames.
+"""
 
 import time
 
@@ -43,7 +45,11 @@ def wait_for(condition, adapter=None, force_N=None):
 @pytest.mark.parametrize("version", ["3.5.0", "3.1.2"])
 def test_a_force_arrives_in_the_spelling_of_the_services_version(version):
     with HaplyService(version) as service, adapter_of(service) as adapter:
-        wait_for(lambda _: service.commands and service.last_N() == (0.5, -0.25, 1.0), adapter, (0.5, -0.25, 1.0))
+        wait_for(
+            lambda _: service.commands and service.last_N() == (0.5, -0.25, 1.0),
+            adapter,
+            (0.5, -0.25, 1.0),
+        )
         sent = service.received[-1]["inverse3"][0]["commands"]["set_cursor_force"]
         assert list(sent) == ["vector" if version == "3.5.0" else "values"]
     wait_for(lambda _: service.last_N() == (0.0, 0.0, 0.0))
@@ -54,7 +60,11 @@ def test_the_first_frame_names_the_session_and_holds_no_force_and_no_other_names
         wait_for(lambda samples: len(samples) > 5, adapter, (1.0, 0.0, 0.0))
         frames = list(service.received)
     assert frames[0]["session"]["configure"]["profile"]["name"] == "tissue:simulation"
-    assert frames[0]["inverse3"][0]["commands"]["set_cursor_force"]["vector"] == {"x": 0.0, "y": 0.0, "z": 0.0}
+    assert frames[0]["inverse3"][0]["commands"]["set_cursor_force"]["vector"] == {
+        "x": 0.0,
+        "y": 0.0,
+        "z": 0.0,
+    }
     assert not any("session" in frame for frame in frames[1:])
 
 
@@ -80,23 +90,39 @@ def test_partial_frames_give_whole_samples(version):
 
 def test_a_force_that_is_not_pushed_again_is_taken_off(service):
     with adapter_of(service) as adapter:
-        wait_for(lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0), adapter, (1.0, 0.0, 0.0))
+        wait_for(
+            lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0),
+            adapter,
+            (1.0, 0.0, 0.0),
+        )
         wait_for(lambda _: service.last_N() == (0.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("status", ["calibrated", "power_supply", "ready"])
 def test_a_device_that_is_not_ready_is_refused_before_any_force(service, status):
     service.status[status] = False
-    with pytest.raises(InputError, match=rf"^haply must .*, got {status} = false of {DEVICE}: "), adapter_of(service):
+    with (
+        pytest.raises(InputError, match=rf"^haply must .*, got {status} = false of {DEVICE}: "),
+        adapter_of(service),
+    ):
         pass
     assert not service.commands
     found = HaplyAdapter.find(service.url)
-    assert [each.problem.startswith("haply must ") for each in found] == [True] and found[0].limits is not None
+    assert [each.problem.startswith("haply must ") for each in found] == [True] and found[
+        0
+    ].limits is not None
 
 
 def test_a_device_that_loses_its_calibration_ends_the_run_without_force(service):
-    with pytest.raises(DeviceError, match="haply must be calibrated"), adapter_of(service) as adapter:
-        wait_for(lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0), adapter, (1.0, 0.0, 0.0))
+    with (
+        pytest.raises(DeviceError, match="haply must be calibrated"),
+        adapter_of(service) as adapter,
+    ):
+        wait_for(
+            lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0),
+            adapter,
+            (1.0, 0.0, 0.0),
+        )
         service.status["calibrated"] = False
         wait_for(lambda _: False, adapter, (1.0, 0.0, 0.0))
     wait_for(lambda _: not service.is_open)
@@ -119,13 +145,21 @@ def test_another_program_on_the_device_is_reported_and_its_force_adds(service):
 
 def test_a_restart_of_the_service_is_survived_without_force_until_the_loop_pushes_again(service):
     with adapter_of(service) as adapter:
-        wait_for(lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0), adapter, (1.0, 0.0, 0.0))
+        wait_for(
+            lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0),
+            adapter,
+            (1.0, 0.0, 0.0),
+        )
         service.stop()
         sessions = service.sessions
         wait_for(lambda _: any("closed the connection" in what for what in adapter.happened()))
         service.start()
         wait_for(lambda samples: len(samples) > 3 and service.sessions > sessions, adapter)
-        assert next(force for _, number, force in service.commands if number > sessions) == (0.0, 0.0, 0.0)
+        assert next(force for _, number, force in service.commands if number > sessions) == (
+            0.0,
+            0.0,
+            0.0,
+        )
         wait_for(lambda _: service.last_N() == (1.0, 0.0, 0.0), adapter, (1.0, 0.0, 0.0))
     wait_for(lambda _: not service.is_open)
     assert service.last_N() == (0.0, 0.0, 0.0)
@@ -133,22 +167,30 @@ def test_a_restart_of_the_service_is_survived_without_force_until_the_loop_pushe
 
 @pytest.mark.slow
 def test_a_service_that_stays_away_ends_the_run_with_one_sentence(service):
-    with pytest.raises(DeviceError, match=r"haply must keep its connection, got .*: start the Inverse Service"):  # noqa: SIM117
-        with adapter_of(service) as adapter:
-            wait_for(len, adapter)
-            service.stop()
-            wait_for(lambda _: False, adapter, (1.0, 0.0, 0.0))
+    lost = r"haply must keep its connection, got .*: start the Inverse Service"
+    with pytest.raises(DeviceError, match=lost), adapter_of(service) as adapter:
+        wait_for(len, adapter)
+        service.stop()
+        wait_for(lambda _: False, adapter, (1.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("fault", [{"late_s": 0.06}, {"dropped": 1.0}, {"broken": "{"}], ids=str)
 def test_late_dropped_and_broken_answers_take_the_force_off(service, fault):
-    """Late and dropped ones by the exchange itself; of broken ones there is no sample, so that the watchdog does it."""
+    """Late and dropped ones by the exchange itself; of broken ones there is no sample, so that
+    the watchdog does it.
+    """
     with adapter_of(service) as adapter:
-        wait_for(lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0), adapter, (1.0, 0.0, 0.0))
+        wait_for(
+            lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0),
+            adapter,
+            (1.0, 0.0, 0.0),
+        )
         for name, value in fault.items():
             setattr(service, name, value)
         if "broken" in fault:
-            wait_for(lambda _: service.received and adapter.poll() is None and adapter.poll() is None)
+            wait_for(
+                lambda _: service.received and adapter.poll() is None and adapter.poll() is None
+            )
         wait_for(lambda _: service.last_N() == (0.0, 0.0, 0.0))
         for name in fault:
             setattr(service, name, type(fault[name])())
@@ -158,11 +200,15 @@ def test_late_dropped_and_broken_answers_take_the_force_off(service, fault):
 
 
 def test_late_answers_are_never_taken_for_new_samples(service):
-    """Each answer comes 60 ms late: whatever is polled was measured before the answers became late."""
+    """Each answer comes 60 ms late: whatever is polled was measured before the answers became
+    late.
+    """
     with adapter_of(service) as adapter:
         wait_for(len, adapter, (0.0, 0.0, 0.0))
         service.late_s = 0.06
-        wait_for(lambda _: any("did not answer within" in what for what in adapter.happened()), adapter)
+        wait_for(
+            lambda _: any("did not answer within" in what for what in adapter.happened()), adapter
+        )
         adapter.poll()
         service.arm.aim = lambda time_s: (0.02, 0.0, 0.0)
         until = time.perf_counter() + 0.5
@@ -174,7 +220,11 @@ def test_late_answers_are_never_taken_for_new_samples(service):
 
 def test_what_is_taken_off_is_counted(service):
     with adapter_of(service) as adapter:
-        wait_for(lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0), adapter, (1.0, 0.0, 0.0))
+        wait_for(
+            lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0),
+            adapter,
+            (1.0, 0.0, 0.0),
+        )
         before = adapter.releases
         wait_for(lambda _: service.last_N() == (0.0, 0.0, 0.0))  # it was not pushed again
         assert adapter.releases > before
@@ -190,7 +240,10 @@ def test_a_service_that_sends_more_than_it_is_asked_for_gives_its_newest_state(s
 
 def test_the_second_device_is_taken_by_its_name(service):
     service.devices = (DEVICE, "A14")
-    assert [each.where for each in HaplyAdapter.find(service.url)] == [f"{service.url}#{DEVICE}", f"{service.url}#A14"]
+    assert [each.where for each in HaplyAdapter.find(service.url)] == [
+        f"{service.url}#{DEVICE}",
+        f"{service.url}#A14",
+    ]
     with adapter_of(service, "#A14") as adapter:
         wait_for(lambda samples: len(samples) > 2, adapter, (0.0, 0.0, 0.0))
         assert service.received[-1]["inverse3"][0]["device_id"] == "A14"
@@ -214,13 +267,19 @@ def test_the_library_is_named_where_it_is_missing(service, monkeypatch):
     import sys
 
     monkeypatch.setitem(sys.modules, "websockets.sync.client", None)
-    with pytest.raises(InputError, match=r"websockets must be installed .*: pip install 'tissue-sim\[haply\]'"):
+    with pytest.raises(
+        InputError, match=r"websockets must be installed .*: pip install 'tissue-sim\[haply\]'"
+    ):
         adapter_of(service).__enter__()
 
 
 def test_closing_ends_with_zero_from_any_thread_and_twice(service):
     with adapter_of(service) as adapter:
-        wait_for(lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0), adapter, (1.0, 0.0, 0.0))
+        wait_for(
+            lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0),
+            adapter,
+            (1.0, 0.0, 0.0),
+        )
         adapter.close()
         wait_for(lambda _: service.last_N() == (0.0, 0.0, 0.0))
         count = len(service.commands)

@@ -1,4 +1,6 @@
-"""A real device in the scene: turns, places, powers, the clutch, the ramp, the cap and the watchdog by closed forms."""
+"""A real device in the scene: turns, places, powers, the clutch, the ramp, the cap and the
+watchdog by closed forms.
+"""
 
 from math import cos, radians, sin
 
@@ -89,17 +91,24 @@ def test_positions_are_turned_about_the_first_one_which_is_the_tools_start(turn_
     places = np.random.default_rng(1).normal(scale=0.05, size=(20, 3))
     speeds = np.random.default_rng(2).normal(size=(20, 3))
     read, _ = run(
-        device, adapter, clock, [HardwareSample(tuple(p), tuple(v)) for p, v in zip(places, speeds, strict=True)]
+        device,
+        adapter,
+        clock,
+        [HardwareSample(tuple(p), tuple(v)) for p, v in zip(places, speeds, strict=True)],
     )
     turn = rotation(turn_deg)
-    np.testing.assert_allclose([each.position_m for each in read], start + (places - places[0]) @ turn.T, atol=1e-15)
+    np.testing.assert_allclose(
+        [each.position_m for each in read], start + (places - places[0]) @ turn.T, atol=1e-15
+    )
     np.testing.assert_allclose([each.velocity_m_s for each in read], speeds @ turn.T, atol=1e-14)
 
 
 def test_the_axes_of_the_usual_turns():
     """A device turned by 90 degrees about z: its x is the world's y."""
     device, adapter, clock = mapped(turn_deg=(0.0, 0.0, 90.0))
-    read, _ = run(device, adapter, clock, [HardwareSample((0.0, 0.0, 0.0)), HardwareSample((0.01, 0.0, 0.0))])
+    read, _ = run(
+        device, adapter, clock, [HardwareSample((0.0, 0.0, 0.0)), HardwareSample((0.01, 0.0, 0.0))]
+    )
     np.testing.assert_allclose(read[1].position_m, (0.0, 0.01, 0.0), atol=1e-16)
     device.command(np.array([0.0, 2.0, 0.0]), np.array([0.0, 0.1, 0.0]))
     force, torque = adapter.pushed[-1]
@@ -132,14 +141,18 @@ def test_orientation_starts_without_a_turn_and_turns_in_the_worlds_axes(turn_deg
         [
             HardwareSample((0.0, 0.0, 0.0), quaternion=first),
             HardwareSample(
-                (0.0, 0.0, 0.0), quaternion=quaternion_after(first, about), spin_rad_s=tuple(np.array(about) / TICK)
+                (0.0, 0.0, 0.0),
+                quaternion=quaternion_after(first, about),
+                spin_rad_s=tuple(np.array(about) / TICK),
             ),
         ],
     )
     np.testing.assert_allclose(read[0].quaternion, (0.0, 0.0, 0.0, 1.0), atol=1e-15)
     world = rotation(turn_deg) @ about
     np.testing.assert_allclose(
-        matrix_of(np.array(read[1].quaternion)), matrix_of(np.array(exponential(tuple(world)))), atol=1e-14
+        matrix_of(np.array(read[1].quaternion)),
+        matrix_of(np.array(exponential(tuple(world)))),
+        atol=1e-14,
     )
     np.testing.assert_allclose(read[1].spin_rad_s, world / TICK, rtol=1e-12)
 
@@ -163,12 +176,16 @@ def test_the_clutch_leaves_the_tool_and_lets_it_go_on_from_there():
     read, played = run(device, adapter, clock, samples)
     at = np.array([each.position_m[0] for each in read])
     np.testing.assert_allclose(at[:20], places[:20], atol=1e-15)
-    assert (at[20:40] == at[19]).all() and not any(v for each in read[20:40] for v in each.velocity_m_s)
+    assert (at[20:40] == at[19]).all() and not any(
+        v for each in read[20:40] for v in each.velocity_m_s
+    )
     np.testing.assert_allclose(at[40:], at[19] + places[40:] - places[40], atol=1e-15)
     angle = np.array([2 * np.arctan2(each.quaternion[0], each.quaternion[3]) for each in read])
     np.testing.assert_allclose(angle[20:41], angle[19], atol=1e-12)
     np.testing.assert_allclose(np.diff(angle[40:]), 0.01, atol=1e-12)
-    assert not played[20:40].any() and (played[:20, 0] == 1.0).all() and (played[40:, 0] == 1.0).all()
+    assert (
+        not played[20:40].any() and (played[:20, 0] == 1.0).all() and (played[40:, 0] == 1.0).all()
+    )
 
 
 @pytest.mark.parametrize("ramp_ms", [50.0, 200.0])
@@ -182,7 +199,9 @@ def test_the_force_comes_on_in_a_straight_line_after_the_start_and_after_each_re
     ramp = np.minimum(np.arange(ticks) / ramp_ms, 1.0)
     np.testing.assert_allclose(sizes[:ticks], ramp, atol=1e-12)
     assert not sizes[ticks : ticks + 10].any()
-    np.testing.assert_allclose(sizes[ticks + 10 :], np.minimum((np.arange(ticks) + 1) / ramp_ms, 1.0), atol=1e-12)
+    np.testing.assert_allclose(
+        sizes[ticks + 10 :], np.minimum((np.arange(ticks) + 1) / ramp_ms, 1.0), atol=1e-12
+    )
 
 
 @pytest.mark.parametrize(("cap", "least"), [(None, 8.0), (3.0, 3.0), (50.0, 8.0)])
@@ -203,7 +222,9 @@ def test_the_watchdog_repeats_a_sample_and_then_takes_the_force_off():
     assert all(sample is not None for sample in read[:39])
     assert [sample.time_s for sample in read[:39]] == pytest.approx(TICK * np.arange(39))
     gone = next(tick for tick, sample in enumerate(read) if sample is None)
-    assert gone in (39, 40, 41) and all(sample is None for sample in read[gone:50]), "10 ms after the 30th sample"
+    assert gone in (39, 40, 41) and all(sample is None for sample in read[gone:50]), (
+        "10 ms after the 30th sample"
+    )
     assert (played[21:gone, 0] == 1.0).all() and not played[gone:50].any()
     np.testing.assert_allclose(played[50:70, 0], (np.arange(20) + 1) / 20.0, atol=1e-12)
     sentences = [what for _, what in device.happened()]
@@ -220,7 +241,9 @@ def test_a_force_that_the_adapter_took_off_comes_on_from_zero():
     assert run(device, adapter, clock, here * 30)[1][-1, 0] == 1.0
     adapter.releases = 1
     _, played = run(device, adapter, clock, here * 30)
-    np.testing.assert_allclose(played[:, 0], np.minimum((np.arange(30) + 1) / 20.0, 1.0), atol=1e-12)
+    np.testing.assert_allclose(
+        played[:, 0], np.minimum((np.arange(30) + 1) / 20.0, 1.0), atol=1e-12
+    )
     assert device.happened() == [(pytest.approx(0.03), "late")] == device.happened()
 
 
@@ -233,7 +256,9 @@ def test_nothing_is_read_or_played_before_the_first_sample():
 def test_a_sample_that_is_not_finite_places_nothing():
     device, adapter, clock = mapped((0.0, 0.0, 0.02))
     nan = float("nan")
-    read, _ = run(device, adapter, clock, [HardwareSample((nan, 0.0, 0.0)), HardwareSample((0.3, 0.0, 0.0))])
+    read, _ = run(
+        device, adapter, clock, [HardwareSample((nan, 0.0, 0.0)), HardwareSample((0.3, 0.0, 0.0))]
+    )
     assert read[1].position_m == pytest.approx((0.0, 0.0, 0.02))
 
 
@@ -278,9 +303,16 @@ def test_keys_of_a_real_device_are_refused_where_none_is_opened(tmp_path):
             load_scene("wall", {"device": name, "hardware.force_cap_N": 2.0})
     scene = load_scene("wall", {"device": "haply", "hardware.force_cap_N": 2.0})
     assert scene.held.hardware.force_cap_N == 2.0
-    assert isinstance(opened_device(scene), MappedDevice) and opened_device(load_scene("wall")) is None
+    assert (
+        isinstance(opened_device(scene), MappedDevice) and opened_device(load_scene("wall")) is None
+    )
 
 
 def test_buttons_of_two_meanings_are_refused():
-    with pytest.raises(InputError, match=r"hardware\.clutch_button must not be hardware\.force_button, got 1 for both"):
-        load_scene("wall", {"device": "haply", "hardware.clutch_button": 1, "hardware.force_button": 1})
+    with pytest.raises(
+        InputError,
+        match=r"hardware\.clutch_button must not be hardware\.force_button, got 1 for both",
+    ):
+        load_scene(
+            "wall", {"device": "haply", "hardware.clutch_button": 1, "hardware.force_button": 1}
+        )

@@ -1,4 +1,6 @@
-"""The network device over sockets: UDP and WebSocket, the client of the guide's page, a run, and every exit at zero."""
+"""The network device over sockets: UDP and WebSocket, the client of the guide's page, a run, and
+every exit at zero.
+"""
 
 import math
 import re
@@ -54,7 +56,10 @@ def test_a_pose_comes_in_and_a_wrench_goes_out():
         greeted(adapter, client)
         client.pose(0.01, 0.02, 0.03, buttons=2)
         sample = polled(adapter)
-        assert (sample.position_m, sample.buttons) == ((0.01, 0.02, 0.03), 2) and adapter.poll() is None
+        assert (sample.position_m, sample.buttons) == (
+            (0.01, 0.02, 0.03),
+            2,
+        ) and adapter.poll() is None
         adapter.push(FORCE, TORQUE)
         kind, number, echo, payload = client.receive()
         assert (kind, echo) == (WRENCH, 2) and wrench(payload) == (*FORCE, *TORQUE)
@@ -70,7 +75,9 @@ def test_the_last_packets_are_zero_and_goodbye():
             greeted(adapter, client)
             adapter.push(FORCE, TORQUE)
         kinds = [client.receive() for _ in range(3)]
-        assert [kind for kind, *_ in kinds] == [WRENCH, WRENCH, BYE] and wrench(kinds[1][3]) == (0.0,) * 6
+        assert [kind for kind, *_ in kinds] == [WRENCH, WRENCH, BYE] and wrench(kinds[1][3]) == (
+            0.0,
+        ) * 6
         adapter.push(FORCE, TORQUE)
         assert adapter.poll() is None
         adapter.close()
@@ -145,11 +152,23 @@ def test_a_full_line_of_poses_takes_no_more_than_its_share_of_a_poll(monkeypatch
 
 @pytest.mark.parametrize(
     "address",
-    ["tcp://127.0.0.1:1", "udp://127.0.0.1", "127.0.0.1:99", "udp://:99", "udp://127.0.0.1:99999", "ws://127.0.0.1:1/x", "udp://[::1"],
-)  # fmt: skip
+    [
+        "tcp://127.0.0.1:1",
+        "udp://127.0.0.1",
+        "127.0.0.1:99",
+        "udp://:99",
+        "udp://127.0.0.1:99999",
+        "ws://127.0.0.1:1/x",
+        "udp://[::1",
+    ],
+)
 def test_an_address_that_cannot_be_meant_is_refused(address):
     with pytest.raises(
-        InputError, match=r"hardware\.address must be udp://HOST:PORT or ws://HOST:PORT .* got .*: use udp://127"
+        InputError,
+        match=(
+            r"hardware\.address must be udp://HOST:PORT or ws://HOST:PORT .* got .*: use "
+            r"udp://127"
+        ),
     ):
         NetworkAdapter(Hardware(address=address))
     (found,) = NetworkAdapter.find(address)
@@ -165,7 +184,8 @@ def test_a_port_that_is_taken_is_refused(scheme):
             taken.listen()
         address = f"{scheme}://127.0.0.1:{taken.getsockname()[1]}"
         with pytest.raises(
-            InputError, match=f"hardware.address must be free on this machine, got {address} .*: end the"
+            InputError,
+            match=f"hardware.address must be free on this machine, got {address} .*: end the",
         ):
             NetworkAdapter(Hardware(address=address)).__enter__()
         assert "must be free" in NetworkAdapter.find(address)[0].problem
@@ -222,7 +242,10 @@ def test_a_search_waits_for_a_device(asks):
             and found[0].limits.force_limit_N == 3.0
         )
     else:
-        assert found[0].problem == f"a device must send packets to {address}, got none in 0.6 s: start its program"
+        assert (
+            found[0].problem
+            == f"a device must send packets to {address}, got none in 0.6 s: start its program"
+        )
 
 
 def opened(adapter, **options):
@@ -240,7 +263,10 @@ def test_the_same_packets_pass_in_a_websocket():
         assert received(line)[0] == HELLO
         line.send(pose(2, (0.01, 0.02, 0.03), buttons=2))
         sample = polled(adapter)
-        assert (sample.position_m, sample.buttons) == ((0.01, 0.02, 0.03), 2) and adapter.poll() is None
+        assert (sample.position_m, sample.buttons) == (
+            (0.01, 0.02, 0.03),
+            2,
+        ) and adapter.poll() is None
         adapter.push(FORCE, TORQUE)
         kind, _, echo, payload = received(line)
         assert (kind, echo) == (WRENCH, 2) and wrench(payload) == (*FORCE, *TORQUE)
@@ -249,7 +275,13 @@ def test_the_same_packets_pass_in_a_websocket():
         line.send(pose(1))
         line.send(pose(3, (1.0, 0.0, 0.0)))
         assert polled(adapter).position_m == (1.0, 0.0, 0.0)
-        assert adapter.session.counts == {"hellos": 1, "poses": 2, "foreign": 1, "length": 1, "late": 1}
+        assert adapter.session.counts == {
+            "hellos": 1,
+            "poses": 2,
+            "foreign": 1,
+            "length": 1,
+            "late": 1,
+        }
         adapter.push(FORCE, TORQUE)
         assert received(line)[0] == WRENCH
         adapter.close()
@@ -257,7 +289,11 @@ def test_the_same_packets_pass_in_a_websocket():
 
 
 def test_a_websocket_that_ends_makes_a_place_for_another():
-    with NetworkAdapter(ANY_PORT["ws"]) as adapter, opened(adapter) as first, opened(adapter) as second:
+    with (
+        NetworkAdapter(ANY_PORT["ws"]) as adapter,
+        opened(adapter) as first,
+        opened(adapter) as second,
+    ):
         for line, kind in ((first, HELLO), (second, REFUSED)):
             line.send(packet(HELLO, 1))
             assert received(line)[0] == kind
@@ -284,10 +320,13 @@ def test_a_websocket_that_is_not_read_does_not_keep_a_run_from_ending():
         place = ("127.0.0.1", int(adapter.address.rpartition(":")[2]))
         with socket.create_connection(place) as line:
             key = "dGhlIHNhbXBsZSBub25jZQ=="
-            line.sendall(f"GET / HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-                         f"Sec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\n\r\n".encode())  # fmt: skip
+            line.sendall(
+                f"GET / HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+                f"Sec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
+            )
             hello = packet(HELLO, 1)
-            line.sendall(bytes([0x82, 0x80 | len(hello), 0, 0, 0, 0]) + hello)  # binary, with a mask of zeros
+            # binary, with a mask of zeros
+            line.sendall(bytes([0x82, 0x80 | len(hello), 0, 0, 0, 0]) + hello)
             polled(adapter, lambda _: adapter.session.peer is not None)
             thread = adapter._transport._thread
             sent = adapter._transport._loop.call_soon_threadsafe
@@ -311,16 +350,23 @@ def test_without_websockets_udp_is_named(monkeypatch):
     for name in ("websockets", "websockets.asyncio.server"):
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(
-        InputError, match=r"websockets must be installed .* pip install 'tissue-sim\[network\]', or use udp"
+        InputError,
+        match=r"websockets must be installed .* pip install 'tissue-sim\[network\]', or use udp",
     ):
         NetworkAdapter(ANY_PORT["ws"]).__enter__()
 
 
 class Feeder:
-    """A device in a thread: it asks, sends a pose each millisecond, and keeps each wrench with its time."""
+    """A device in a thread: it asks, sends a pose each millisecond, and keeps each wrench with
+    its time.
+    """
 
     def __init__(self, address, *, until=None, spoil=lambda number, data: data):
-        self.client, self.until, self.spoil = UdpClient(address or "udp://127.0.0.1:9"), until, spoil
+        self.client, self.until, self.spoil = (
+            UdpClient(address or "udp://127.0.0.1:9"),
+            until,
+            spoil,
+        )
         self.wrenches, self.ends, self.left = [], threading.Event(), threading.Event()
         self.good_until = math.nan
         self.thread = threading.Thread(target=self.run)
@@ -346,7 +392,9 @@ class Feeder:
             elif self.until is None or elapsed < self.until:
                 if client.number == 99:
                     self.good_until = time.perf_counter()
-                data = self.spoil(client.number, pose(client.number, (0.0, 0.0, -0.02 * min(elapsed, 1.0))))
+                data = self.spoil(
+                    client.number, pose(client.number, (0.0, 0.0, -0.02 * min(elapsed, 1.0)))
+                )
                 client.send(data)
             time.sleep(1e-3)
         client.line.close()
@@ -366,8 +414,12 @@ class Feeder:
 
 FAULTS = {
     "silence": lambda number, data: data if number < 100 else b"",
-    "wrong version": lambda number, data: data if number < 100 else packet(2, number, data[24:-4], version=2),
-    "not a number": lambda number, data: data if number < 100 else pose(number, (math.nan, 0.0, 0.0)),
+    "wrong version": lambda number, data: (
+        data if number < 100 else packet(2, number, data[24:-4], version=2)
+    ),
+    "not a number": lambda number, data: (
+        data if number < 100 else pose(number, (math.nan, 0.0, 0.0))
+    ),
     "the same again": lambda number, data: data if number < 100 else pose(90, (0.0, 0.0, 0.0)),
     "cut off": lambda number, data: data if number < 100 else data[:50],
 }
@@ -378,7 +430,10 @@ def test_whatever_a_line_does_the_force_is_zero_soon_after(fault):
     """A force of 1 N is commanded all the time by a loop; once poses fail only zero goes out."""
     hardware = Hardware(address="udp://127.0.0.1:0", ramp_ms=0.0, watchdog_ms=20.0)
     adapter = NetworkAdapter(hardware)
-    with SafeDevice(MappedDevice(adapter, hardware)) as held, Feeder(adapter.address, spoil=FAULTS[fault]) as feeder:
+    with (
+        SafeDevice(MappedDevice(adapter, hardware)) as held,
+        Feeder(adapter.address, spoil=FAULTS[fault]) as feeder,
+    ):
         was_pushed, zeros = False, 0
         for tick in range(100_000):
             held.read(1e-3 * tick)
@@ -390,7 +445,10 @@ def test_whatever_a_line_does_the_force_is_zero_soon_after(fault):
                 break
         assert was_pushed and zeros > 5
     last_push = max(at for at, *parts in feeder.wrenches if any(parts))
-    print(f"{fault}: last force {1e3 * (last_push - feeder.good_until):.1f} ms after the last good pose")
+    print(
+        f"{fault}: last force {1e3 * (last_push - feeder.good_until):.1f} ms after the last "
+        "good pose"
+    )
     assert not any(any(parts) for at, *parts in feeder.wrenches if at > last_push)
 
 
@@ -419,7 +477,9 @@ def client_of_the_page(tmp_path, port, seconds):
     assert code.count("\n") < 75
     (tmp_path / "my_device.py").write_text(code)
     command = [sys.executable, "-I", "my_device.py", str(port), str(seconds)]
-    return subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
 
 
 def test_the_client_of_the_page_moves_the_device_and_feels_a_force(tmp_path):
@@ -427,7 +487,11 @@ def test_the_client_of_the_page_moves_the_device_and_feels_a_force(tmp_path):
         child = client_of_the_page(tmp_path, adapter.address.rpartition(":")[2], 600)
         try:
             deepest = 0.0
-            while deepest > -0.004 or adapter.session.counts["poses"] < 100 or math.isnan(adapter.round_trip_s):
+            while (
+                deepest > -0.004
+                or adapter.session.counts["poses"] < 100
+                or math.isnan(adapter.round_trip_s)
+            ):
                 sample = adapter.poll()
                 if sample is not None:
                     deepest = min(deepest, sample.position_m[2])
@@ -437,18 +501,26 @@ def test_the_client_of_the_page_moves_the_device_and_feels_a_force(tmp_path):
             child.kill()
             child.communicate()
     counts = adapter.session.counts
-    assert counts["hellos"] == 1 and not any(counts[name] for name in ("checksum", "length", "number", "late", "kind"))
+    assert counts["hellos"] == 1 and not any(
+        counts[name] for name in ("checksum", "length", "number", "late", "kind")
+    )
 
 
 @pytest.mark.slow
 def test_the_client_of_the_page_holds_the_tool_of_a_run(tmp_path):
-    """A whole run by the client: the wall is met, the force reaches it, and the run ends the connection."""
+    """A whole run by the client: the wall is met, the force reaches it, and the run ends the
+    connection.
+    """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     child = client_of_the_page(tmp_path, port, 1e4)
     try:
-        overrides = {"device": "network", "hardware.address": f"udp://127.0.0.1:{port}", "duration_s": 3.0}
+        overrides = {
+            "device": "network",
+            "hardware.address": f"udp://127.0.0.1:{port}",
+            "duration_s": 3.0,
+        }
         overrides["coupling.motion_scale"] = 3.0  # 30 mm down, from 20 mm above the wall
         run = simulate(load_scene("wall", overrides))
         assert run.trace["device_force_z_N"].max() > 0.05
@@ -469,4 +541,6 @@ def test_the_client_of_the_page_ends_at_a_refusal(tmp_path):
                 time.sleep(1e-2)
         finally:
             child.kill()
-        assert "one device must be used at a time" in child.communicate()[1] and child.returncode == 1
+        assert (
+            "one device must be used at a time" in child.communicate()[1] and child.returncode == 1
+        )

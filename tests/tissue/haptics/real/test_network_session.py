@@ -1,4 +1,6 @@
-"""Packets byte for byte, and every fault of a line to a device: what is dropped, counted, refused and forgotten."""
+"""Packets byte for byte, and every fault of a line to a device: what is dropped, counted,
+refused and forgotten.
+"""
 
 import math
 import re
@@ -9,17 +11,32 @@ import pytest
 from network_client import BYE, HEARTBEAT, HELLO, POSE, REFUSED, WRENCH, packet, pose, read
 
 from tissue.haptics.real.adapter import HardwareSample
-from tissue.haptics.real.network_protocol import Kind, Packet, PacketError, is_newer, packed, unpacked
+from tissue.haptics.real.network_protocol import (
+    Kind,
+    Packet,
+    PacketError,
+    is_newer,
+    packed,
+    unpacked,
+)
 from tissue.haptics.real.network_session import SILENCE_S, NetworkSession
 
 PAGE = Path(__file__).resolve().parents[3] / "docs/guide/network_device.md"
 LAST = 2**32 - 1
 PUSH = ((1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
-SAMPLE = HardwareSample((0.01, -0.02, 0.03), (0.1, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 1)
+SAMPLE = HardwareSample(
+    (0.01, -0.02, 0.03), (0.1, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 1
+)
 SHOWN = {
     "hello": Packet(kind=Kind.HELLO, sequence=1),
     "pose": Packet(kind=Kind.POSE, sequence=2, echo=7, time_s=0.5, sample=SAMPLE),
-    "wrench": Packet(kind=Kind.WRENCH, sequence=9, echo=2, time_s=12.25, wrench=((0.0, 0.0, 1.5), (0.0, 0.0, 0.0))),
+    "wrench": Packet(
+        kind=Kind.WRENCH,
+        sequence=9,
+        echo=2,
+        time_s=12.25,
+        wrench=((0.0, 0.0, 1.5), (0.0, 0.0, 0.0)),
+    ),
 }
 
 
@@ -49,7 +66,9 @@ def test_the_bytes_of_the_page_are_those_of_the_code(name):
 
 def test_the_clients_bytes_are_those_of_the_code():
     """The client of the tests is written from the page."""
-    assert pose(2, SAMPLE.position_m, velocity=(0.1, 0.0, 0.0), buttons=1, echo=7, time_s=0.5) == packed(SHOWN["pose"])
+    assert pose(
+        2, SAMPLE.position_m, velocity=(0.1, 0.0, 0.0), buttons=1, echo=7, time_s=0.5
+    ) == packed(SHOWN["pose"])
     assert packet(HELLO, 1) == packed(SHOWN["hello"])
     payload = struct.pack("<6d", 0.0, 0.0, 1.5, 0.0, 0.0, 0.0)
     assert packet(WRENCH, 9, payload, echo=2, time_s=12.25) == packed(SHOWN["wrench"])
@@ -97,7 +116,9 @@ def test_what_cannot_be_used_is_counted_and_dropped(name, data):
     session.receive(pose(2, (1.0, 0.0, 0.0)), "me")
     before = session.counts.copy()
     assert session.receive(data, "me") is None
-    assert session.counts - before == {name: 1} | ({"lost": 2} if name == "kind" and len(data) > 28 else {})
+    assert session.counts - before == {name: 1} | (
+        {"lost": 2} if name == "kind" and len(data) > 28 else {}
+    )
     assert session.take().position_m == (1.0, 0.0, 0.0) and session.peer == "me"
 
 
@@ -170,8 +191,14 @@ def test_a_second_device_is_refused_with_a_reason_and_its_poses_are_dropped():
     session = connected()
     kind, number, echo, reason = read(session.receive(packet(HELLO, 9), "other"))
     assert (kind, number, echo) == (REFUSED, 0, 9)
-    assert reason.decode().startswith("one device must be used at a time, got a second: end the first")
-    assert session.receive(pose(10), "other") is None and session.take() is None and session.peer == "me"
+    assert reason.decode().startswith(
+        "one device must be used at a time, got a second: end the first"
+    )
+    assert (
+        session.receive(pose(10), "other") is None
+        and session.take() is None
+        and session.peer == "me"
+    )
     assert session.counts == {"hellos": 1, "refused": 1, "stranger": 1}
 
 
@@ -233,5 +260,9 @@ def test_our_bye_ends_with_the_device():
 
 def test_nothing_is_sent_before_a_device_asked():
     session = NetworkSession(Clock())
-    assert session.receive(pose(1), "me") is None and session.wrench(PUSH) is None and session.take() is None
+    assert (
+        session.receive(pose(1), "me") is None
+        and session.wrench(PUSH) is None
+        and session.take() is None
+    )
     assert session.counts == {"stranger": 1}

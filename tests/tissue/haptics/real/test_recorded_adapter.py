@@ -14,8 +14,18 @@ from tissue.simulation.builders.motions import motion_of
 
 def table(path, times, heights_mm, quaternion=(0.0, 0.0, 0.0, 1.0)):
     """A file of poses that go up and down."""
-    rows = [(time, 1.0, 2.0, height, *quaternion) for time, height in zip(times, heights_mm, strict=True)]
-    np.savetxt(path, rows, delimiter=",", header=",".join(("time_s", *POSE_COLUMNS)), comments="", fmt="%.17g")
+    rows = [
+        (time, 1.0, 2.0, height, *quaternion)
+        for time, height in zip(times, heights_mm, strict=True)
+    ]
+    np.savetxt(
+        path,
+        rows,
+        delimiter=",",
+        header=",".join(("time_s", *POSE_COLUMNS)),
+        comments="",
+        fmt="%.17g",
+    )
     return Hardware(address=str(path))
 
 
@@ -54,7 +64,8 @@ def test_a_file_that_is_no_record_is_refused(tmp_path, content, sentence):
 
 def test_a_record_needs_its_file(tmp_path):
     with pytest.raises(
-        InputError, match=r"hardware\.address must be a file of poses with device = recorded, got nothing"
+        InputError,
+        match=r"hardware\.address must be a file of poses with device = recorded, got nothing",
     ):
         RecordedAdapter()
     hardware = table(tmp_path / "poses.csv", (0.0, 1.5), (0.0, 1.0))
@@ -63,17 +74,30 @@ def test_a_record_needs_its_file(tmp_path):
 
 
 def test_a_run_by_a_record_meets_the_wall_where_the_record_goes(tmp_path):
-    """From 12 mm above the wall 17 mm down: the pose is the record's, wherever the scene's motion starts (at 20 mm)."""
+    """From 12 mm above the wall 17 mm down: the pose is the record's, wherever the scene's
+    motion starts (at 20 mm).
+    """
     times = np.linspace(0.0, 1.0, 11)
     hardware = table(tmp_path / "poses.csv", times, 12.0 - 17.0 * np.minimum(times / 0.5, 1.0))
-    keys = {"device": "recorded", "hardware.address": hardware.address, "hardware.ramp_ms": 0.0, "duration_s": 0.8}
+    keys = {
+        "device": "recorded",
+        "hardware.address": hardware.address,
+        "hardware.ramp_ms": 0.0,
+        "duration_s": 0.8,
+    }
     run = simulate(load_scene("wall", keys))
     recorded = np.column_stack(
-        [np.full(800, 1.0), np.full(800, 2.0), 12.0 - 17.0 * np.minimum(np.arange(800) / 500.0, 1.0)]
+        [
+            np.full(800, 1.0),
+            np.full(800, 2.0),
+            12.0 - 17.0 * np.minimum(np.arange(800) / 500.0, 1.0),
+        ]
     )
     np.testing.assert_allclose(run.trace.vectors("device", "mm"), recorded, atol=1e-9)
     np.testing.assert_allclose(run.trace.vectors("tool", "mm")[:350], recorded[:350], atol=1e-9)
-    assert run.trace["device_force_z_N"][:300].max() == 0.0 and run.trace["device_force_z_N"][-1] > 1.0
+    assert (
+        run.trace["device_force_z_N"][:300].max() == 0.0 and run.trace["device_force_z_N"][-1] > 1.0
+    )
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.5])
@@ -81,7 +105,11 @@ def test_a_run_by_a_record_starts_at_its_pose_and_turn(tmp_path, scale):
     """The tool starts at the first pose at any scale, turned as it was recorded."""
     times, turn = np.linspace(0.0, 0.2, 5), (0.0, 0.6, 0.0, 0.8)
     hardware = table(tmp_path / "poses.csv", times, 15.0 - 10.0 * times, turn)
-    keys = {"device": "recorded", "hardware.address": hardware.address, "coupling.motion_scale": scale}
+    keys = {
+        "device": "recorded",
+        "hardware.address": hardware.address,
+        "coupling.motion_scale": scale,
+    }
     run = simulate(load_scene("wall", keys | {"duration_s": 0.2}))
     tool = run.trace.vectors("tool", "mm")
     np.testing.assert_allclose(tool[0], (1.0, 2.0, 15.0), atol=1e-9)

@@ -1,4 +1,6 @@
-"""The self-test of a device by a clock of its own, the push that can be felt, and the file that the judge takes."""
+"""The self-test of a device by a clock of its own, the push that can be felt, and the file that
+the judge takes.
+"""
 
 import math
 import tomllib
@@ -20,11 +22,15 @@ from tissue.simulation.builders.loop_settings import loop_settings
 
 
 class Clocked:
-    """A device and its clock: a sample every so often, and calls that take time; it moves where it is pushed."""
+    """A device and its clock: a sample every so often, and calls that take time; it moves where
+    it is pushed.
+    """
 
     limits = device_parameters("network")
 
-    def __init__(self, interval_s=2e-3, *, late=(), read_s=1e-5, push_s=3e-5, trip_s=None, lasts_s=1e9):
+    def __init__(
+        self, interval_s=2e-3, *, late=(), read_s=1e-5, push_s=3e-5, trip_s=None, lasts_s=1e9
+    ):
         self.now, self.read_s, self.push_s, self.lasts_s = 50.0, read_s, push_s, lasts_s
         self.interval, self.late, self.due, self.count = interval_s, late, 50.0, 0
         self.wrenches, self.pushed_at, self.closed, self.height = [], [], 0, 0.0
@@ -62,9 +68,15 @@ def measured(device, seconds=2.0):
 def test_a_steady_device_is_measured_exactly():
     device = Clocked()
     found = measured(device)
-    assert found.samples == pytest.approx(1000, abs=1) and found.rate_Hz == pytest.approx(500.0, rel=1e-3)
-    assert found.interval_99_s == pytest.approx(2e-3, abs=2e-4) and found.longest_s == pytest.approx(2e-3, abs=2e-4)
-    assert found.call_s == pytest.approx(4e-5, rel=1e-6) == found.delay_s and math.isnan(found.round_trip_s)
+    assert found.samples == pytest.approx(1000, abs=1) and found.rate_Hz == pytest.approx(
+        500.0, rel=1e-3
+    )
+    assert found.interval_99_s == pytest.approx(
+        2e-3, abs=2e-4
+    ) and found.longest_s == pytest.approx(2e-3, abs=2e-4)
+    assert found.call_s == pytest.approx(4e-5, rel=1e-6) == found.delay_s and math.isnan(
+        found.round_trip_s
+    )
     assert not np.any(device.wrenches)  # nothing but zero is commanded
     assert np.diff(device.pushed_at).mean() == pytest.approx(1e-3, rel=0.1)  # each tick
 
@@ -77,12 +89,16 @@ def test_late_samples_show_in_the_99_percent_and_not_in_the_median():
 
 def test_the_round_trip_of_a_device_that_shows_it_is_its_latency():
     found = measured(Clocked(trip_s=0.004))
-    assert (found.round_trip_s, found.round_trip_99_s, found.delay_s, found.delay_99_s) == (0.004,) * 4
+    assert (found.round_trip_s, found.round_trip_99_s, found.delay_s, found.delay_99_s) == (
+        0.004,
+    ) * 4
 
 
 @pytest.mark.parametrize("lasts", [-1.0, 0.01])
 def test_a_device_without_samples_cannot_be_tested(lasts):
-    with pytest.raises(InputError, match=r"a device must give samples for its test, got [05]: check that it is on"):
+    with pytest.raises(
+        InputError, match=r"a device must give samples for its test, got [05]: check that it is on"
+    ):
         measured(Clocked(lasts_s=lasts))
 
 
@@ -96,8 +112,12 @@ def test_a_push_rises_and_falls_and_ends_at_zero():
     device = Clocked(1e-3)
     found = bump(device, clock=device.clock, pause=device.pause)
     forces = np.array(device.wrenches)
-    assert forces[:, 2].max() == pytest.approx(BUMP_N, rel=1e-3) and not forces[:, [0, 1, 3, 4, 5]].any()
-    assert np.abs(np.diff(forces[:, 2])).max() < 0.02 * BUMP_N  # no step that a hand would feel as a knock
+    assert (
+        forces[:, 2].max() == pytest.approx(BUMP_N, rel=1e-3)
+        and not forces[:, [0, 1, 3, 4, 5]].any()
+    )
+    # no step that a hand would feel as a knock
+    assert np.abs(np.diff(forces[:, 2])).max() < 0.02 * BUMP_N
     assert forces[0, 2] < 0.01 and not forces[-1].any()
     assert device.pushed_at[-1] - device.pushed_at[0] == pytest.approx(BUMP_S, abs=3e-3)
     assert found.along_m == found.moved_m == pytest.approx(1e-4 * forces[:, 2].sum(), rel=0.01)
@@ -126,9 +146,17 @@ def test_a_push_without_samples_is_refused_at_zero():
 
 
 SLOW = SelfTest(
-    seconds=2.0, samples=400, rate_Hz=200.0, interval_s=5e-3, interval_99_s=8e-3, longest_s=0.02, call_s=5e-5, call_99_s=1e-4,
-    round_trip_s=0.006, round_trip_99_s=0.009,
-)  # fmt: skip
+    seconds=2.0,
+    samples=400,
+    rate_Hz=200.0,
+    interval_s=5e-3,
+    interval_99_s=8e-3,
+    longest_s=0.02,
+    call_s=5e-5,
+    call_99_s=1e-4,
+    round_trip_s=0.006,
+    round_trip_99_s=0.009,
+)
 
 
 def test_the_file_holds_what_was_measured_and_is_taken_as_constants(tmp_path):
@@ -136,7 +164,10 @@ def test_the_file_holds_what_was_measured_and_is_taken_as_constants(tmp_path):
     write_measured(path, "network", SLOW)
     entries = tomllib.loads(path.read_text("utf-8"))["devices"]["network"]
     assert (entries["rate_Hz"]["value"], entries["rate_Hz"]["range"]) == (200.0, [125.0, 200.0])
-    assert (entries["transport_delay_s"]["value"], entries["transport_delay_s"]["range"]) == (0.006, [0.0, 0.009])
+    assert (entries["transport_delay_s"]["value"], entries["transport_delay_s"]["range"]) == (
+        0.006,
+        [0.0, 0.009],
+    )
     assert "tissue devices --test network for 2 s on" in entries["rate_Hz"]["source"]
     found, usual = device_parameters("network", Materials.read(path)), device_parameters("network")
     assert (found.rate_Hz, found.transport_delay_s, found.mass_kg) == (200.0, 0.006, usual.mass_kg)
@@ -145,8 +176,10 @@ def test_the_file_holds_what_was_measured_and_is_taken_as_constants(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "rate", "delay"),
     [
-        ({"rate_Hz": 4000.0, "interval_99_s": 3e-4}, (1000.0, [1000.0, 1000.0]), 0.006),  # our ticks are no faster
-        ({"rate_Hz": 993.0, "interval_99_s": 1.25e-3}, (1000.0, [800.0, 1000.0]), 0.006),  # a sample nearly every tick
+        # our ticks are no faster
+        ({"rate_Hz": 4000.0, "interval_99_s": 3e-4}, (1000.0, [1000.0, 1000.0]), 0.006),
+        # a sample nearly every tick
+        ({"rate_Hz": 993.0, "interval_99_s": 1.25e-3}, (1000.0, [800.0, 1000.0]), 0.006),
         ({"rate_Hz": 2.0, "interval_99_s": 0.6}, (10.0, [10.0, 10.0]), 0.006),
         ({"round_trip_s": 0.5, "round_trip_99_s": 0.9}, (200.0, [125.0, 200.0]), 0.2),
         ({"round_trip_s": math.nan, "round_trip_99_s": math.nan}, (200.0, [125.0, 200.0]), 5e-5),
@@ -162,11 +195,17 @@ def test_what_was_measured_is_brought_within_what_a_device_may_have(tmp_path, ch
 
 
 def test_the_judge_takes_the_measured_rate_and_latency(tmp_path):
-    """A device of 200 Hz and 6 ms bears less stiffness than one of 1000 Hz and 2 ms, and the note names the file."""
+    """A device of 200 Hz and 6 ms bears less stiffness than one of 1000 Hz and 2 ms, and the
+    note names the file.
+    """
     path = tmp_path / "measured.toml"
     write_measured(path, "network", SLOW)
-    usual, slow = (load_scene("wall", {"device": "network"} | more) for more in ({}, {"materials": str(path)}))
+    usual, slow = (
+        load_scene("wall", {"device": "network"} | more) for more in ({}, {"materials": str(path)})
+    )
     loops = [judged_loop(loop_settings(scene), step_s=TICK_S) for scene in (usual, slow)]
-    assert [loop.tick_s for loop in loops] == [1e-3, 5e-3] and loops[1].delay_s > loops[0].delay_s + 3.9e-3
+    assert [loop.tick_s for loop in loops] == [1e-3, 5e-3] and loops[1].delay_s > loops[
+        0
+    ].delay_s + 3.9e-3
     bears = [critical_stiffness_N_m(loop) for loop in loops]
     assert bears[1] < 0.5 * bears[0]

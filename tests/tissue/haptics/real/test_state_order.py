@@ -13,7 +13,10 @@ def circle(speed_m_s, count=400, radius_m=0.03):
     angle = speed_m_s / radius_m * TICK * np.arange(count)
     places = radius_m * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
     speeds = speed_m_s * np.column_stack([-np.sin(angle), np.cos(angle), 0.0 * angle])
-    return [HardwareSample(tuple(p), tuple(v)) for p, v in zip(places.tolist(), speeds.tolist(), strict=True)]
+    return [
+        HardwareSample(tuple(p), tuple(v))
+        for p, v in zip(places.tolist(), speeds.tolist(), strict=True)
+    ]
 
 
 def wrong_at(samples, tick_s=TICK):
@@ -30,7 +33,11 @@ def test_states_in_order_are_right(speed):
 @pytest.mark.parametrize("speed", [0.3, 1.0])
 def test_states_out_of_order_are_recognised_and_right_ones_again(window, speed):
     samples, rng = circle(speed), np.random.default_rng(1)
-    mixed = [each for start in range(100, 250, window) for each in swapped(samples[start : start + window], rng)]
+    mixed = [
+        each
+        for start in range(100, 250, window)
+        for each in swapped(samples[start : start + window], rng)
+    ]
     found = wrong_at(samples[:100] + mixed + samples[100 + len(mixed) :])
     assert not found[:100].any() and found[100:140].any() and not found[-50:].any()
 
@@ -47,12 +54,17 @@ def test_a_blow_whose_velocity_lags_is_right():
     for speed in true:
         lagging += (1.0 - np.exp(-0.25)) * (speed - lagging)
         stated.append(lagging)
-    samples = [HardwareSample((x, 0.0, 0.0), (v, 0.0, 0.0)) for x, v in zip(places.tolist(), stated, strict=True)]
+    samples = [
+        HardwareSample((x, 0.0, 0.0), (v, 0.0, 0.0))
+        for x, v in zip(places.tolist(), stated, strict=True)
+    ]
     assert not wrong_at(samples).any()
 
 
 def test_a_wrong_order_is_recognised_as_soon_at_a_lower_rate():
-    """Every third state of 1 kHz alone, neighbours exchanged: after 17 ms by the closed form, in states of 3 ms."""
+    """Every third state of 1 kHz alone, neighbours exchanged: after 17 ms by the closed form, in
+    states of 3 ms.
+    """
     samples = circle(0.7)[::3]
     mixed = [each for start in range(0, 120, 2) for each in samples[start : start + 2][::-1]]
     assert 15 <= 3 * np.flatnonzero(wrong_at(mixed, 3 * TICK))[0] <= 24
@@ -69,4 +81,6 @@ def test_encoder_steps_at_rest_are_right():
     rng = np.random.default_rng(2)
     places = 1e-5 * rng.integers(-3, 4, size=(500, 3))
     speeds = rng.normal(scale=0.02, size=(500, 3))
-    assert not wrong_at([HardwareSample(tuple(p), tuple(v)) for p, v in zip(places, speeds, strict=True)]).any()
+    assert not wrong_at(
+        [HardwareSample(tuple(p), tuple(v)) for p, v in zip(places, speeds, strict=True)]
+    ).any()

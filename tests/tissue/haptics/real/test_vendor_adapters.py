@@ -1,4 +1,6 @@
-"""Adapters of Force Dimension and OpenHaptics, on stand-ins that have the functions of their packages."""
+"""Adapters of Force Dimension and OpenHaptics, on stand-ins that have the functions of their
+packages.
+"""
 
 import ast
 import inspect
@@ -26,7 +28,11 @@ FORCE, TORQUE, NOTHING = np.array([1.0, -2.0, 3.0]), np.array([0.01, 0.02, -0.03
 def signatures(path):
     """Arguments of the functions of a file, by name, without what they are annotated with."""
     tree = ast.parse(path.read_text("utf-8"))
-    return {node.name: [each.arg for each in node.args.args] for node in tree.body if isinstance(node, ast.FunctionDef)}
+    return {
+        node.name: [each.arg for each in node.args.args]
+        for node in tree.body
+        if isinstance(node, ast.FunctionDef)
+    }
 
 
 @pytest.mark.parametrize(
@@ -42,13 +48,21 @@ def test_a_stand_in_has_the_arguments_of_the_package(package, file, stand_in):
     if spec is None:
         pytest.skip(f"{package} is not installed; its source was read for the stand-in")
     theirs = signatures(Path(spec.origin).parent / file)
-    ours = {name: list(inspect.signature(each).parameters) for name, each in vars(stand_in()).items() if callable(each)}
+    ours = {
+        name: list(inspect.signature(each).parameters)
+        for name, each in vars(stand_in()).items()
+        if callable(each)
+    }
     assert ours and ours == {name: theirs[name] for name in ours}
 
 
 @pytest.mark.parametrize("seed", range(12))
 def test_the_quaternion_of_a_matrix(seed):
-    rotation = Rotation.random(random_state=seed) if seed > 3 else Rotation.from_rotvec(np.eye(4, 3)[seed] * np.pi)
+    rotation = (
+        Rotation.random(random_state=seed)
+        if seed > 3
+        else Rotation.from_rotvec(np.eye(4, 3)[seed] * np.pi)
+    )
     found = np.array(of_matrix(rotation.as_matrix().tolist()))
     assert abs(np.dot(found, rotation.as_quat())) == pytest.approx(1.0, abs=1e-12)
 
@@ -61,10 +75,17 @@ def test_a_device_of_force_dimension_is_read_and_pushed(monkeypatch):
     assert sample.position_m == (0.01, -0.02, 0.03) and sample.velocity_m_s == (0.1, 0.2, 0.3)
     assert abs(np.dot(sample.quaternion, device.rotation.as_quat())) == pytest.approx(1.0)
     assert sample.spin_rad_s == (1.0, 2.0, 3.0) and sample.buttons == 5
-    assert device.wrenches == [(1.0, -2.0, 3.0, 0.0, 0.0, 0.0), (0.0,) * 6]  # a wrist without motors plays no torque
+    # a wrist without motors plays no torque
+    assert device.wrenches == [(1.0, -2.0, 3.0, 0.0, 0.0, 0.0), (0.0,) * 6]
     assert device.calls == [
-        "open", "setMaxForce", "enableForce", "setForceAndTorque", "setForceAndTorque", "disableForce", "close",
-    ]  # fmt: skip
+        "open",
+        "setMaxForce",
+        "enableForce",
+        "setForceAndTorque",
+        "setForceAndTorque",
+        "disableForce",
+        "close",
+    ]
     assert device.limits == {"force": 12.0} and not device.enabled
 
 
@@ -72,7 +93,10 @@ def test_a_sigma_plays_torque_and_has_its_limit(monkeypatch):
     device = ForceDimension(name="sigma.7", has_motors=True).install(monkeypatch)
     with SigmaAdapter(Hardware(address="7")) as adapter:
         adapter.push(FORCE, TORQUE)
-    assert device.wrenches[0] == (*FORCE, *TORQUE) and device.limits == {"force": 12.0, "torque": 0.2}
+    assert device.wrenches[0] == (*FORCE, *TORQUE) and device.limits == {
+        "force": 12.0,
+        "torque": 0.2,
+    }
     assert device.calls[0] == "openSerial"
 
 
@@ -96,7 +120,9 @@ def test_what_is_not_new_is_no_sample_and_no_velocity_is_rest(monkeypatch):
 @pytest.mark.parametrize("call", ["getPositionAndOrientationFrame", "setForceAndTorque"])
 def test_a_device_that_answers_no_more_is_lost_and_left_without_force(monkeypatch, call):
     device = ForceDimension().install(monkeypatch)
-    lost = pytest.raises(DeviceError, match="the device must answer, got the device is in use: check")
+    lost = pytest.raises(
+        DeviceError, match="the device must answer, got the device is in use: check"
+    )
     with lost, ForceDimensionAdapter() as adapter:
         for count in range(3 * MOST_FAILURES):
             device.answers[call] = 0 if count < MOST_FAILURES and count % 2 else FAILED
@@ -112,14 +138,20 @@ def test_a_device_that_answers_no_more_is_lost_and_left_without_force(monkeypatc
 def test_a_device_that_cannot_be_opened_is_refused_and_closed(monkeypatch, call):
     device = ForceDimension().install(monkeypatch)
     device.answers[call] = FAILED
-    with pytest.raises(InputError, match="the device must answer, got the device is in use"), ForceDimensionAdapter():
+    with (
+        pytest.raises(InputError, match="the device must answer, got the device is in use"),
+        ForceDimensionAdapter(),
+    ):
         pass
     assert not device.enabled and (call == "open" or device.calls[-1] == "close")
 
 
 def test_another_kind_of_device_names_what_to_set(monkeypatch):
     device = ForceDimension().install(monkeypatch)
-    with pytest.raises(InputError, match=r"got sigma-7 for omega\.6: set device = forcedimension"), SigmaAdapter():
+    with (
+        pytest.raises(InputError, match=r"got sigma-7 for omega\.6: set device = forcedimension"),
+        SigmaAdapter(),
+    ):
         pass
     assert device.calls[-1] == "close" and not device.is_open
     ForceDimension(name="sigma.7", has_motors=True).install(monkeypatch)
@@ -139,7 +171,12 @@ def test_close_from_another_thread_switches_the_motors_off_even_where_a_call_fai
 def test_found_devices_of_force_dimension(monkeypatch):
     ForceDimension().install(monkeypatch)
     (found,) = ForceDimensionAdapter.find()
-    assert (found.name, found.where, found.detail, found.problem) == ("forcedimension", "7", "omega.6", "")
+    assert (found.name, found.where, found.detail, found.problem) == (
+        "forcedimension",
+        "7",
+        "omega.6",
+        "",
+    )
     assert found.limits.force_limit_N == 12.0 and SigmaAdapter.find() == []
     assert "none: check power and cable" in ForceDimensionAdapter.find("8")[0].problem
     ForceDimension(has_motors=True).install(monkeypatch)
@@ -152,7 +189,9 @@ def test_found_devices_of_force_dimension(monkeypatch):
 
 @pytest.mark.parametrize("address", ["omega", "-3", "٣"])
 def test_a_serial_number_is_a_number(address):
-    with pytest.raises(InputError, match=f"hardware.address must be a serial number, got {address}: leave it out"):
+    with pytest.raises(
+        InputError, match=f"hardware.address must be a serial number, got {address}: leave it out"
+    ):
         ForceDimensionAdapter(Hardware(address=address))
 
 
@@ -182,7 +221,9 @@ def test_a_touch_is_read_and_pushed_in_the_vendors_thread_alone(monkeypatch, cap
 
 
 def test_closing_one_of_two_touches_leaves_the_other_running(monkeypatch):
-    """Each device plays its own force in its own frame, and the last one that is closed stops the scheduler."""
+    """Each device plays its own force in its own frame, and the last one that is closed stops
+    the scheduler.
+    """
     device = OpenHaptics().install(monkeypatch)
     turning = threading.Event()
 
@@ -200,8 +241,14 @@ def test_closing_one_of_two_touches_leaves_the_other_running(monkeypatch):
                 left.push(FORCE, TORQUE)
                 right.push(-FORCE, TORQUE)
             assert OpenHapticsAdapter.find("left")[0].detail == "in use by this program"
-        assert device.played[1][-1] == (0.0, 0.0, 0.0) and {(-1.0, 2.0, -3.0)} <= set(device.played[1])
-        assert "stop" not in device.calls and device.calls.count("start") == 1 and "close 1" in device.calls
+        assert device.played[1][-1] == (0.0, 0.0, 0.0) and {(-1.0, 2.0, -3.0)} <= set(
+            device.played[1]
+        )
+        assert (
+            "stop" not in device.calls
+            and device.calls.count("start") == 1
+            and "close 1" in device.calls
+        )
         left.poll()
         left.push(FORCE, TORQUE)
         time.sleep(0.02)
@@ -253,7 +300,9 @@ def test_a_touch_that_fails_is_lost_and_not_called_again(monkeypatch):
     with OpenHapticsAdapter() as adapter:
         monkeypatch.setattr(device, "position_mm", None)
         device.step()
-        with pytest.raises(DeviceError, match=r"the device must answer, got AttributeError \(.*: check its cable"):
+        with pytest.raises(
+            DeviceError, match=r"the device must answer, got AttributeError \(.*: check its cable"
+        ):
             adapter.poll()
     assert device.calls[-2:] == ["stop", "close 0"]
     adapter._serve()  # one more call of a thread that ends late
@@ -263,7 +312,9 @@ def test_a_touch_that_fails_is_lost_and_not_called_again(monkeypatch):
 @pytest.mark.parametrize("number", [None, 0xFFFFFFFF, 0x0104])
 def test_a_touch_that_is_not_there_is_refused(monkeypatch, number):
     OpenHaptics(number=number).install(monkeypatch)
-    with pytest.raises(InputError, match="a device named right must be connected, got none: check cable"):
+    with pytest.raises(
+        InputError, match="a device named right must be connected, got none: check cable"
+    ):
         OpenHapticsAdapter(Hardware(address="right")).__enter__()
     assert "a device named left must be connected" in OpenHapticsAdapter.find("left")[0].problem
 
@@ -291,10 +342,16 @@ def test_found_touch(monkeypatch):
             "forcedimension_core",
             r"forcedimension-core must be installed.*tissue-sim\[forcedimension\]",
         ),
-        (OpenHapticsAdapter, "pyOpenHaptics", r"pyOpenHaptics must be installed.*tissue-sim\[openhaptics\].*3dsystems"),
+        (
+            OpenHapticsAdapter,
+            "pyOpenHaptics",
+            r"pyOpenHaptics must be installed.*tissue-sim\[openhaptics\].*3dsystems",
+        ),
     ],
 )
-def test_a_package_that_is_missing_is_named_with_how_to_get_it(monkeypatch, adapter, package, sentence):
+def test_a_package_that_is_missing_is_named_with_how_to_get_it(
+    monkeypatch, adapter, package, sentence
+):
     without(monkeypatch, package)
     with pytest.raises(InputError, match=sentence), adapter():
         pass
@@ -305,10 +362,15 @@ def test_a_package_that_is_missing_is_named_with_how_to_get_it(monkeypatch, adap
 
 @pytest.mark.parametrize(
     ("adapter", "package", "what"),
-    [(ForceDimensionAdapter, "forcedimension_core", "the SDK of forcedimension.com"), (OpenHapticsAdapter, "pyOpenHaptics", "OpenHaptics of 3dsystems.com")],
-)  # fmt: skip
+    [
+        (ForceDimensionAdapter, "forcedimension_core", "the SDK of forcedimension.com"),
+        (OpenHapticsAdapter, "pyOpenHaptics", "OpenHaptics of 3dsystems.com"),
+    ],
+)
 @pytest.mark.parametrize("error", [ImportError, OSError, NameError])
-def test_a_vendors_library_that_is_missing_is_named(monkeypatch, tmp_path, adapter, package, what, error):
+def test_a_vendors_library_that_is_missing_is_named(
+    monkeypatch, tmp_path, adapter, package, what, error
+):
     """The package is there and cannot load what the vendor gives."""
     without(monkeypatch, package)
     monkeypatch.delitem(__import__("sys").modules, package)
@@ -320,7 +382,9 @@ def test_a_vendors_library_that_is_missing_is_named(monkeypatch, tmp_path, adapt
 
 
 def test_the_vendors_thread_and_the_loop_share_whole_samples(monkeypatch):
-    """Samples of a device that moves along one line while both threads run: none mixes two of them."""
+    """Samples of a device that moves along one line while both threads run: none mixes two of
+    them.
+    """
     device = OpenHaptics().install(monkeypatch)
     with OpenHapticsAdapter() as adapter:
         ends = threading.Event()

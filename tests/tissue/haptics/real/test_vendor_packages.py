@@ -1,4 +1,6 @@
-"""The vendors' own Python packages, where they are installed, on libraries that are compiled here in place of theirs."""
+"""The vendors' own Python packages, where they are installed, on libraries that are compiled
+here in place of theirs.
+"""
 
 import json
 import os
@@ -40,7 +42,17 @@ def compiled(tmp_path, source, name):
     (tmp_path / "library.c").write_text(source)
     (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
     subprocess.run(
-        ["cc", "-shared", "-fPIC", "-w", "-o", tmp_path / name, tmp_path / "library.c", "-lpthread"], check=True
+        [
+            "cc",
+            "-shared",
+            "-fPIC",
+            "-w",
+            "-o",
+            tmp_path / name,
+            tmp_path / "library.c",
+            "-lpthread",
+        ],
+        check=True,
     )
     return tmp_path / name
 
@@ -54,12 +66,17 @@ def package(name):
 
 
 def outcome_of(code, library, **environment):
-    """Where, what, which sample and what else was found, by a process of its own that has the library's path."""
+    """Where, what, which sample and what else was found, by a process of its own that has the
+    library's path.
+    """
     paths = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     ended = subprocess.run(
-        [sys.executable, "-c", code, str(library)], capture_output=True, text=True, check=False,
+        [sys.executable, "-c", code, str(library)],
+        capture_output=True,
+        text=True,
+        check=False,
         env=os.environ | {"PYTHONPATH": paths} | environment,
-    )  # fmt: skip
+    )
     assert ended.returncode == 0, ended.stderr
     return json.loads(ended.stdout)
 
@@ -76,7 +93,12 @@ def test_forcedimension_core_calls_the_vendors_library_as_it_should(tmp_path):
     assert sample[:2] == [[0.01, -0.02, 0.03], [0.1, 0.2, 0.3]]
     assert sample[2] == pytest.approx(QUARTER)
     assert sample[3:] == [[1.0, 2.0, 3.0], 5]
-    assert calls == "close;open;most 12;force 1;" + 50 * "set 1 2 3 0 0 0;" + "set 0 0 0 0 0 0;force 0;close;"
+    assert (
+        calls
+        == "close;open;most 12;force 1;"
+        + 50 * "set 1 2 3 0 0 0;"
+        + "set 0 0 0 0 0 0;force 0;close;"
+    )
 
 
 def test_pyopenhaptics_calls_the_vendors_library_as_it_should(tmp_path):
@@ -84,9 +106,16 @@ def test_pyopenhaptics_calls_the_vendors_library_as_it_should(tmp_path):
     library = compiled(tmp_path, HD, "libHD.so")
     code = TESTED.format(
         imports="from tissue.haptics.real.openhaptics import OpenHapticsAdapter as Adapter",
-        found="library.last.restype = library.most.restype = ctypes.c_double\nfound = [library.most(), library.last()]",
+        found=(
+            "library.last.restype = library.most.restype = ctypes.c_double\nfound = "
+            "[library.most(), library.last()]"
+        ),
     )
     where, detail, sample, squares = outcome_of(code, library, LD_LIBRARY_PATH=str(tmp_path))
     assert (where, detail) == ("Default Device", "3D Systems Touch")
-    assert sample[0] == pytest.approx([0.01, -0.02, 0.03]) and sample[2] == pytest.approx(QUARTER) and sample[4] == 2
+    assert (
+        sample[0] == pytest.approx([0.01, -0.02, 0.03])
+        and sample[2] == pytest.approx(QUARTER)
+        and sample[4] == 2
+    )
     assert squares == [14.0, 0.0]  # 1, 2 and 3 N were played, and zero at last

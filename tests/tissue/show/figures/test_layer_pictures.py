@@ -27,7 +27,9 @@ def test_section_holds_the_voxels_at_the_deepest_point(run):
     last = len(run.trace.rows) - 1
     section = section_of(run, axis=2, outward=1, row=last)
     volume = run.parts.volume
-    assert sorted((section.across, section.axis, section.normal)) == [0, 1, 2] and section.row == last
+    assert (
+        sorted((section.across, section.axis, section.normal)) == [0, 1, 2] and section.row == last
+    )
     deepest = run.trace["tool_z_mm"].argmin()
     assert section.place_mm == run.trace[f"tool_{'xyz'[section.normal]}_mm"][deepest]
     index = int((section.place_mm * 1e-3 - volume.origin_m[section.normal]) / volume.spacing_m)
@@ -41,11 +43,20 @@ def test_section_holds_the_voxels_at_the_deepest_point(run):
 
 def test_a_section_shows_one_moment(run):
     row, frame = moment_of(run)
-    assert frame is None and run.trace["contact_mm2"][row] > 0.0 and not run.trace["contact_mm2"][row + 1 :].any()
-    # With fields it is the time of the last one under load: the bone is that of a run stopped there.
+    assert (
+        frame is None
+        and run.trace["contact_mm2"][row] > 0.0
+        and not run.trace["contact_mm2"][row + 1 :].any()
+    )
+    # With fields it is the time of the last one under load: the bone is that of a run stopped
+    # there.
     row = 350
     section = section_of(run, axis=2, outward=1, row=row)
-    changes = {"voxels.spacing_mm": SPACING_MM, "motion.feed_mm_s": 5.0, "duration_s": 1e-3 * (row + 1)}
+    changes = {
+        "voxels.spacing_mm": SPACING_MM,
+        "motion.feed_mm_s": 5.0,
+        "duration_s": 1e-3 * (row + 1),
+    }
     stopped = section_of(simulate(load_scene("glenoid", changes)), axis=2, outward=1, row=row)
     np.testing.assert_array_equal(section.left, stopped.left)
     assert section.left.sum() > section_of(run, axis=2, outward=1, row=599).left.sum() + 1.0
@@ -64,7 +75,12 @@ def test_descent_ends_where_the_tool_is_deepest_before_it_rises():
     shaken = down + 0.05 * np.sin(np.arange(301))
     for descent in (down, shaken):
         path = np.concatenate(
-            [descent, np.full(50, descent[-1]), np.linspace(descent[-1], 0.0, 100), np.linspace(0.0, -5.0, 100)]
+            [
+                descent,
+                np.full(50, descent[-1]),
+                np.linspace(descent[-1], 0.0, 100),
+                np.linspace(0.0, -5.0, 100),
+            ]
         )
         rows = first_descent(path, path < 0.5)
         assert path[rows.start] == pytest.approx(path[np.argmax(path < 0.5)] + 0.2, abs=0.1)
@@ -78,7 +94,9 @@ def test_layers_passed_are_those_of_the_voxels_before_the_run(run):
     volume = run.parts.volume
     i, j = np.unravel_index((volume.fraction >= 128).sum(axis=2).argmax(), volume.shape[:2])
     filled = np.flatnonzero(volume.fraction[i, j] >= 128)
-    centres = 1e3 * (volume.origin_m + volume.spacing_m * (np.array([[i, j, n] for n in filled]) + 0.5))
+    centres = 1e3 * (
+        volume.origin_m + volume.spacing_m * (np.array([[i, j, n] for n in filled]) + 0.5)
+    )
     named = [volume.layer_names[n] for n in volume.layer[i, j, filled]]
     assert layers_passed(run, centres).tolist() == named
     assert len(set(named)) > 1
@@ -90,7 +108,10 @@ def test_the_frame_that_is_shown_bears_load():
     assert loaded_frame(series) is series.frames[-1]
     series.frames.append(Frame(0.3, {}, {"von_mises_MPa": np.full(8, 1e-3, np.float32)}))
     assert loaded_frame(series) is series.frames[-2]
-    series.frames[:] = [Frame(0.0, {}, {"von_mises_MPa": np.zeros(8, np.float32)}), Frame(0.1, {}, {})]
+    series.frames[:] = [
+        Frame(0.0, {}, {"von_mises_MPa": np.zeros(8, np.float32)}),
+        Frame(0.1, {}, {}),
+    ]
     assert loaded_frame(series) is None
 
 
@@ -118,4 +139,6 @@ def test_a_tool_that_never_touches_has_no_force_over_depth(run, tmp_path, monkey
     monkeypatch.setattr("tissue.show.figures.bone_pictures.draw_before_after", lambda *_: None)
     still = with_measures(run, fields=False)
     still.trace.rows[:, still.trace.columns.index("contact_mm2")] = 0.0
-    assert draw_pictures(still, tmp_path) == ["force_depth.png was not drawn: the tool did not go down into the tissue"]
+    assert draw_pictures(still, tmp_path) == [
+        "force_depth.png was not drawn: the tool did not go down into the tissue"
+    ]

@@ -1,4 +1,6 @@
-"""An organ as it is drawn: without facets, edges kept, a section with values, and the moment that is shown."""
+"""An organ as it is drawn: without facets, edges kept, a section with values, and the moment
+that is shown.
+"""
 
 from dataclasses import replace
 
@@ -20,7 +22,10 @@ def test_a_coarse_ball_is_drawn_rounder_through_its_nodes():
     ball = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: faces}, points)
     drawn = drawn_surface(ball, np.zeros(ball.n_points, dtype=np.float32))
     flat = ball.extract_surface(algorithm="dataset_surface").subdivide(2, "linear")
-    missing = [np.abs(10.0 - np.linalg.norm(np.asarray(each.points), axis=1)).max() for each in (drawn, flat)]
+    missing = [
+        np.abs(10.0 - np.linalg.norm(np.asarray(each.points), axis=1)).max()
+        for each in (drawn, flat)
+    ]
     assert missing[0] < 0.1 * missing[1]
     nearest = drawn.points[drawn.find_closest_point(ball.points[5])]
     np.testing.assert_allclose(nearest, ball.points[5], atol=1e-5)
@@ -31,7 +36,9 @@ def test_a_block_keeps_its_flat_faces_and_edges():
     mesh = frame_mesh(series, series.frames[0])
     drawn = drawn_surface(mesh, np.zeros(mesh.n_points, dtype=np.float32))
     np.testing.assert_allclose(drawn.bounds, mesh.bounds, atol=1e-5)
-    assert drawn.area == pytest.approx(mesh.extract_surface(algorithm="dataset_surface").area, rel=1e-5)
+    assert drawn.area == pytest.approx(
+        mesh.extract_surface(algorithm="dataset_surface").area, rel=1e-5
+    )
 
 
 def test_a_section_fills_the_boundary_and_keeps_a_linear_field():
@@ -49,9 +56,13 @@ def test_a_section_fills_the_boundary_and_keeps_a_linear_field():
 def test_a_press_is_shown_where_the_tool_is_nearest_to_an_inclusion():
     series = pressed_series((8, 8, 8), 11)
     corners = series.nodes_m[series.cells]
-    inside = (np.abs(corners.mean(axis=1) - [0.0, 0.0, 0.5 * series.nodes_m[:, 2].min()]) < 4e-3).all(axis=1)
+    inside = (
+        np.abs(corners.mean(axis=1) - [0.0, 0.0, 0.5 * series.nodes_m[:, 2].min()]) < 4e-3
+    ).all(axis=1)
     assert not len(inclusions(corners, series.layer))  # the capsule lies around, not inside
-    nodule = replace(series, layer=np.where(inside, 2, 0).astype(np.uint8), layer_names=("body", "", "nodule"))
+    nodule = replace(
+        series, layer=np.where(inside, 2, 0).astype(np.uint8), layer_names=("body", "", "nodule")
+    )
     np.testing.assert_array_equal(inclusions(corners, nodule.layer), np.flatnonzero(inside))
     trace = _Trace(np.linspace(0.0, 1.0, 101))
     frame, why = moment_of_press(nodule, trace)
@@ -73,4 +84,6 @@ class _Trace:
 
     def vectors(self, name, unit):
         assert (name, unit) == ("tool", "mm")
-        return np.column_stack([60.0 * (self._times - 0.3), np.zeros_like(self._times), np.zeros_like(self._times)])
+        return np.column_stack(
+            [60.0 * (self._times - 0.3), np.zeros_like(self._times), np.zeros_like(self._times)]
+        )

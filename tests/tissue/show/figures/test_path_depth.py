@@ -18,7 +18,9 @@ def test_a_path_is_drawn_in_the_colours_of_its_depth(tmp_path):
     turn = np.linspace(0.0, 6.0 * np.pi, 90)
     spiral = np.column_stack([8 * np.cos(turn), -26.0 + 0.3 * turn, 8 * np.sin(turn)])
     found = depth_along(Toolpath(spiral), surface)
-    problem = draw_path_depth(surface, found, tmp_path / "path.png", normal=np.array([0.0, -1.0, 0.0]), title="ball")
+    problem = draw_path_depth(
+        surface, found, tmp_path / "path.png", normal=np.array([0.0, -1.0, 0.0]), title="ball"
+    )
     if problem is not None:
         pytest.skip(problem)
     with Image.open(tmp_path / "path.png") as picture:

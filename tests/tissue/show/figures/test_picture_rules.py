@@ -1,4 +1,6 @@
-"""Rules that pictures keep: no stripes of what flickers, a camera that sees the cavity, words and vectors in SVG."""
+"""Rules that pictures keep: no stripes of what flickers, a camera that sees the cavity, words
+and vectors in SVG.
+"""
 
 from types import SimpleNamespace
 from xml.etree import ElementTree
@@ -32,7 +34,13 @@ def test_compressed_spans_close_by_are_one_and_none_is_lost():
 
 
 def test_an_event_that_comes_again_at_once_is_marked_once():
-    events = [(0.1, "pressed 1 mm"), (0.11, "pressed 2 mm"), (0.125, "pressed 3 mm"), (0.5, "pressed 3 mm"), (0.5, "b")]
+    events = [
+        (0.1, "pressed 1 mm"),
+        (0.11, "pressed 2 mm"),
+        (0.125, "pressed 3 mm"),
+        (0.5, "pressed 3 mm"),
+        (0.5, "b"),
+    ]
     assert joined_events(events) == [events[0], events[3], events[4]]
 
 
@@ -101,16 +109,24 @@ def test_a_run_saves_pictures_in_vectors(molar, tmp_path):
     assert all(name.endswith(".svg") for name in drawn)
     assert "removed depth / mm" in _words(run / "pictures" / "removed_depth.svg")
     again = tissue.open_run(run)
-    assert (again.save(tmp_path / "copy", pictures="svg") / "pictures" / "force_torque.svg").is_file()
+    assert (
+        again.save(tmp_path / "copy", pictures="svg") / "pictures" / "force_torque.svg"
+    ).is_file()
     with pytest.raises(InputError, match="pictures must be those that the folder has, got pdf"):
         again.save(tmp_path / "other", pictures="pdf")
 
 
 def test_an_unknown_format_is_refused_before_anything_is_written(molar, tmp_path):
-    with pytest.raises(InputError, match=r"^pictures must be one of png, svg, pdf, got jpeg: choose one of these$"):
+    with pytest.raises(
+        InputError, match=r"^pictures must be one of png, svg, pdf, got jpeg: choose one of these$"
+    ):
         molar.save(tmp_path / "run", pictures="jpeg")
     assert not (tmp_path / "run").exists()
-    assert (picture_format(True), picture_format(False), picture_format("pdf")) == ("png", None, "pdf")
+    assert (picture_format(True), picture_format(False), picture_format("pdf")) == (
+        "png",
+        None,
+        "pdf",
+    )
 
 
 def test_pdf_is_the_same_for_the_same_figure(tmp_path):
@@ -119,9 +135,13 @@ def test_pdf_is_the_same_for_the_same_figure(tmp_path):
         chart = figure(2.0, 1.0)
         chart.text(0.5, 0.5, "words")
         save(chart, file)
-    assert files[0].read_bytes() == files[1].read_bytes() and files[0].read_bytes().startswith(b"%PDF")
+    assert files[0].read_bytes() == files[1].read_bytes() and files[0].read_bytes().startswith(
+        b"%PDF"
+    )
 
 
 def _words(file):
     """Texts of an SVG file."""
-    return {"".join(each.itertext()) for each in ElementTree.parse(file).getroot().iter(f"{SVG}text")}
+    return {
+        "".join(each.itertext()) for each in ElementTree.parse(file).getroot().iter(f"{SVG}text")
+    }

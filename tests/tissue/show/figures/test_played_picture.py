@@ -10,7 +10,11 @@ from tissue.show.figures.force_time import draw_played
 @pytest.mark.parametrize(
     "changes",
     [
-        {"device": "touch", "coupling.delay_ms": 2, "motion.points_mm": [[0, 0, 10], [0, 0, -25], [5, 0, -25]]},
+        {
+            "device": "touch",
+            "coupling.delay_ms": 2,
+            "motion.points_mm": [[0, 0, 10], [0, 0, -25], [5, 0, -25]],
+        },
         {"device": "six-dof", "prediction": "linear", "motion.axis": [0.3, 0, 1]},
     ],
     ids=["compressed", "torque and prediction"],

@@ -35,7 +35,9 @@ def folder(run, tmp_path_factory):
 
 
 def _ball(radius: float, spacing: float) -> VoxelVolume:
-    """A ball in a box that it does not touch, with its exact share of every voxel up to second order."""
+    """A ball in a box that it does not touch, with its exact share of every voxel up to second
+    order.
+    """
     n = 2 * int(np.ceil(1.5 * radius / spacing))
     at = spacing * (np.arange(n) + 0.5 - 0.5 * n)
     distance = np.sqrt(sum(c**2 for c in np.meshgrid(at, at, at, indexing="ij"))) - radius
@@ -56,7 +58,9 @@ def test_voxels_read_back_in_millimetres(run, folder):
     assert image.active_scalars_name == "remaining"
     assert [str(name) for name in image.field_data["layer_names"]] == list(volume.layer_names)
     low, high = volume.bounds_m
-    np.testing.assert_allclose(np.reshape(image.bounds, (3, 2)), 1e3 * np.stack([low, high], axis=1), atol=1e-9)
+    np.testing.assert_allclose(
+        np.reshape(image.bounds, (3, 2)), 1e3 * np.stack([low, high], axis=1), atol=1e-9
+    )
     for name, array in (
         ("remaining", run.remaining),
         ("start", volume.fraction),
@@ -71,10 +75,14 @@ def test_nrrd_holds_the_voxels_where_the_surface_lies(run, folder):
     header, data = (folder / "bone.nrrd").read_bytes().split(b"\n\n", 1)
     fields = dict(line.split(": ", 1) for line in header.decode().splitlines()[1:])
     assert tuple(map(int, fields["sizes"].split())) == run.parts.volume.shape
-    stored = np.frombuffer(gzip.decompress(data), np.uint8).reshape(run.parts.volume.shape, order="F")
+    stored = np.frombuffer(gzip.decompress(data), np.uint8).reshape(
+        run.parts.volume.shape, order="F"
+    )
     np.testing.assert_array_equal(stored, run.remaining)
     origin = np.array(fields["space origin"].strip("()").split(","), dtype=float)
-    np.testing.assert_allclose(origin, 1e3 * run.parts.volume.origin_m + 0.5 * SPACING_MM, atol=1e-9)
+    np.testing.assert_allclose(
+        origin, 1e3 * run.parts.volume.origin_m + 0.5 * SPACING_MM, atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("name", ["bone.stl", "bone.vtp"])
@@ -82,13 +90,15 @@ def test_surface_is_closed_and_holds_what_remains(run, folder, name):
     surface = pyvista.read(folder / name)
     assert surface.n_cells > 1000
     assert surface.n_open_edges == 0
-    # Half full lies within a quarter voxel of the true face, on either side: 1 % of this slab of 10 mm at most.
+    # Half full lies within a quarter voxel of the true face, on either side: 1 % of this slab of 10
+    # mm at most.
     remaining = run.remaining.sum(dtype=np.int64) / 255 * SPACING_MM**3
     assert surface.volume == pytest.approx(remaining, rel=0.01)
 
 
 def test_surface_volume_and_outward_normals_of_a_ball():
-    # The trapezoid error of a surface between linear samples falls with the square of the spacing: here (0.2/5)^2 / 4.
+    # The trapezoid error of a surface between linear samples falls with the square of the spacing:
+    # here (0.2/5)^2 / 4.
     surface = bone_surface(_ball(5e-3, 2e-4), _ball(5e-3, 2e-4).fraction)
     assert surface.n_open_edges == 0
     assert surface.volume == pytest.approx(4.0 / 3.0 * np.pi * 5.0**3, rel=2e-3)
@@ -104,7 +114,9 @@ def test_surface_volume_and_outward_normals_of_a_ball():
 
 def test_only_faces_at_the_end_of_the_region_count_as_cut_out():
     cube = np.full((10, 10, 10), 255, np.uint8)
-    volume = VoxelVolume(np.zeros(3), 1e-3, cube, cube * 0, np.full(cube.shape, 1800, np.uint16), ("bone",))
+    volume = VoxelVolume(
+        np.zeros(3), 1e-3, cube, cube * 0, np.full(cube.shape, 1800, np.uint16), ("bone",)
+    )
     surface = bone_surface(volume, cube)
     cut = cut_out(surface, volume, (np.array([0.0, -0.1, -0.1]), np.array([0.1, 0.1, 0.1])))
     assert cut.any()
@@ -117,12 +129,14 @@ def test_removed_depth_adds_up_to_the_removed_volume(run):
     removed = sum(run.summary["removed_mm3"].values())
     counted = (run.parts.volume.fraction.astype(int) - run.remaining).sum() / 255 * SPACING_MM**3
     assert depth.depth_mm.sum() * SPACING_MM**2 == pytest.approx(counted, rel=1e-9)
-    # The run books finer shares than the 255 steps of the file: half cut voxels may differ by a step each.
+    # The run books finer shares than the 255 steps of the file: half cut voxels may differ by a
+    # step each.
     steps = np.count_nonzero((run.remaining > 0) & (run.remaining < run.parts.volume.fraction))
     assert counted == pytest.approx(removed, abs=steps / 255 * SPACING_MM**3)
     assert removed > 100.0
     cut = depth.depth_mm > SPACING_MM
-    # What is cut lies on the cup of the reamer, radius 15 mm with its tip at z = -2 mm, but for the edge of its hole.
+    # What is cut lies on the cup of the reamer, radius 15 mm with its tip at z = -2 mm, but for the
+    # edge of its hole.
     u0, u1, v0, v1 = depth.extent_mm
     u = np.linspace(u0, u1, 2 * cut.shape[0] + 1)[1::2, None]
     v = np.linspace(v0, v1, 2 * cut.shape[1] + 1)[None, 1::2]
@@ -140,7 +154,9 @@ def test_depth_on_the_surface_is_that_of_the_map(run, folder):
     assert shown.max() > 0.8 * depth_map(run).depth_mm.max()
     bottom = surface.points[:, 2] < surface.bounds[4] + 0.5 * SPACING_MM
     assert (shown[bottom] == 0.0).all()
-    assert set(np.unique(surface.cell_data["layer"])) <= set(range(len(run.parts.volume.layer_names)))
+    assert set(np.unique(surface.cell_data["layer"])) <= set(
+        range(len(run.parts.volume.layer_names))
+    )
 
 
 def test_tool_axis_is_the_third_column_of_the_rotation():
@@ -174,10 +190,14 @@ def test_pictures_without_opengl_name_what_to_install(run, tmp_path, monkeypatch
     monkeypatch.setattr("tissue.system.offscreen.sys.platform", "linux")
     (note,) = draw_pictures(run, tmp_path)
     assert note == (
-        "bone_before_after.png was not drawn: this machine has no OpenGL library: install libegl1 and libgl1-mesa-dri "
+        "bone_before_after.png was not drawn: this machine has no OpenGL library: install "
+        "libegl1 and libgl1-mesa-dri "
         "(Debian, Ubuntu) or mesa-libEGL and mesa-dri-drivers (Fedora)"
     )
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["force_torque.png", "removed_depth.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "force_torque.png",
+        "removed_depth.png",
+    ]
 
 
 def test_a_drawing_process_that_dies_leaves_this_one_alive(tmp_path, monkeypatch):

@@ -1,4 +1,6 @@
-"""The sense of a tool's spin: clockwise as seen from the shank, as common burs, drills and reamers turn."""
+"""The sense of a tool's spin: clockwise as seen from the shank, as common burs, drills and
+reamers turn.
+"""
 
 import numpy as np
 import pytest
@@ -22,7 +24,8 @@ def test_built_in_cutters_turn_clockwise_as_seen_from_the_shank(name):
 def test_the_arrow_turns_as_the_cutter_does(spin_rpm):
     tool = scene_tool(spin_rpm=spin_rpm)
     arc = spin_arc_mm(tool)
-    turned = np.cross(arc[:-1], arc[1:])[:, 2]  # about the axis from tip to shank, by the right-hand rule
+    # about the axis from tip to shank, by the right-hand rule
+    turned = np.cross(arc[:-1], arc[1:])[:, 2]
     assert (np.sign(turned) == np.sign(cutter_of(tool).spin_rad_s)).all()
 
 

@@ -36,7 +36,9 @@ def report_of(run_folder, tmp_path_factory):
 
     def file(name):
         if name not in made:
-            made[name] = report(run_folder(name), tmp_path_factory.mktemp("reports") / f"{name}.html")
+            made[name] = report(
+                run_folder(name), tmp_path_factory.mktemp("reports") / f"{name}.html"
+            )
         return made[name]
 
     return file

@@ -6,14 +6,26 @@ from base64 import b64decode
 import numpy as np
 import pytest
 
-from tissue.show.report.packing import packed, packed_column, packed_mesh, packed_shares, packed_vectors
+from tissue.show.report.packing import (
+    packed,
+    packed_column,
+    packed_mesh,
+    packed_shares,
+    packed_vectors,
+)
 
 
 def unpacked(record):
     kind = np.dtype(record["kind"])
     count = record["rows"] * record["columns"]
-    planes = np.frombuffer(zlib.decompress(b64decode(record["data"])), np.uint8).reshape(kind.itemsize, count)
-    whole = np.ascontiguousarray(planes.T).view(f"<u{kind.itemsize}").reshape(record["columns"], record["rows"])
+    planes = np.frombuffer(zlib.decompress(b64decode(record["data"])), np.uint8).reshape(
+        kind.itemsize, count
+    )
+    whole = (
+        np.ascontiguousarray(planes.T)
+        .view(f"<u{kind.itemsize}")
+        .reshape(record["columns"], record["rows"])
+    )
     whole = whole.astype(np.int64)
     if record["differences"]:
         whole = np.cumsum((whole >> 1) ^ -(whole & 1), axis=1)
@@ -53,7 +65,14 @@ def test_columns_that_do_not_vary_come_back(values):
 
 
 def test_shares_are_clipped():
-    assert unpacked(packed_shares([-1.0, 0.0, 0.5, 1.0, 2.0, np.nan])).ravel().tolist() == [0, 0, 128, 255, 255, 0]
+    assert unpacked(packed_shares([-1.0, 0.0, 0.5, 1.0, 2.0, np.nan])).ravel().tolist() == [
+        0,
+        0,
+        128,
+        255,
+        255,
+        0,
+    ]
 
 
 def test_a_mesh_keeps_its_triangles_and_drops_points_that_none_has():

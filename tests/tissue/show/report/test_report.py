@@ -1,4 +1,6 @@
-"""A report is one file that asks no host, holds what the run holds, and takes no text for markup."""
+"""A report is one file that asks no host, holds what the run holds, and takes no text for
+markup.
+"""
 
 import json
 import re
@@ -44,7 +46,9 @@ class Elements(HTMLParser):
 
 
 def data_of(page):
-    return json.loads(re.search(r'<script type="application/json" id="report-data">(.*?)</script>', page)[1])
+    return json.loads(
+        re.search(r'<script type="application/json" id="report-data">(.*?)</script>', page)[1]
+    )
 
 
 @pytest.mark.parametrize("name", ["milling", "wall"])
@@ -56,19 +60,26 @@ def test_a_report_is_one_small_file_that_loads_nothing(report_of, name):
         for key in ("src", "href", "srcset", "action", "data", "poster"):
             assert (attributes.get(key) or "data:").startswith("data:"), (tag, attributes)
     policy = next(each["content"] for tag, each in elements.found if each.get("http-equiv"))
-    assert policy.startswith("default-src 'none'") and "http" not in policy and "unsafe" not in policy
+    assert (
+        policy.startswith("default-src 'none'") and "http" not in policy and "unsafe" not in policy
+    )
     assert "kitware.github.io/vtk-js/icon" not in page
 
 
 def test_a_report_holds_what_the_run_holds(report_of, run_folder):
     page = report_of("milling").read_text("utf-8")
-    text, data, saved = " ".join(Elements(page).text), data_of(page), tissue.open_run(run_folder("milling"))
+    text, data, saved = (
+        " ".join(Elements(page).text),
+        data_of(page),
+        tissue.open_run(run_folder("milling")),
+    )
     assert data["trace"]["rows"] == len(saved.trace.rows)
     assert {"force_x_N", "tool_x_mm", "removed_mm3"} <= set(data["trace"]["columns"])
     assert f"{saved.summary['force_N']['peak']:.3g} N" in text
     for note in saved.summary["notes"].values():
         assert str(note) in text
-    for name, entry in constants("cutting", "bone").items():  # no power counts at the reference density
+    # no power counts at the reference density
+    for name, entry in constants("cutting", "bone").items():
         assert (entry.source in text) == (name != "density_exponent")
     assert saved.scene.description in text and 'kind = "block"' in text
     assert [scale["label"] for scale in data["stage"]["scales"]] == ["removed depth", "layer"]
@@ -82,7 +93,12 @@ def test_text_of_a_run_is_never_markup(run_folder, tmp_path):
     shutil.copytree(run_folder("wall"), folder)
     nasty = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
     summary = json.loads((folder / "summary.json").read_text())
-    summary |= {"scene": nasty, "events": [{"time_s": 0.1, "what": nasty}], "notes": {nasty: nasty}, "machine": nasty}
+    summary |= {
+        "scene": nasty,
+        "events": [{"time_s": 0.1, "what": nasty}],
+        "notes": {nasty: nasty},
+        "machine": nasty,
+    }
     (folder / "summary.json").write_text(json.dumps(summary))
     scene = (folder / "scene.toml").read_text()
     (folder / "scene.toml").write_text(f"{scene}\n# {nasty}\n")
@@ -92,7 +108,9 @@ def test_text_of_a_run_is_never_markup(run_folder, tmp_path):
 
     assert not [tag for tag, _ in elements.found if tag == "img"]
     plain = Elements(report(run_folder("wall"), tmp_path / "plain.html").read_text("utf-8"))
-    assert [tag for tag, _ in elements.found].count("script") == [tag for tag, _ in plain.found].count("script")
+    assert [tag for tag, _ in elements.found].count("script") == [
+        tag for tag, _ in plain.found
+    ].count("script")
     assert data_of(page)["events"][0]["what"] == nasty
 
 
@@ -108,11 +126,15 @@ def described(run_folder, tmp_path, description, **summary):
 
 
 def test_a_description_that_looks_like_a_folder_removes_no_markup(run_folder, tmp_path):
-    """An absolute path in a scene is taken out of texts; it must never be taken out of the page's own markup."""
+    """An absolute path in a scene is taken out of texts; it must never be taken out of the
+    page's own markup.
+    """
     plain = report(run_folder("wall"), tmp_path / "plain.html").read_text("utf-8")
     start = plain.index('/json" id="report-data">')
     markup = plain[start : plain.index("/", start + 1) + 1]
-    folder = described(run_folder, tmp_path, f"{markup}x", events=[{"time_s": 0.1, "what": f"{markup} here"}])
+    folder = described(
+        run_folder, tmp_path, f"{markup}x", events=[{"time_s": 0.1, "what": f"{markup} here"}]
+    )
     page = report(folder).read_text("utf-8")
     types = [each.get("type") for tag, each in Elements(page).found if tag == "script"]
     assert types.count("application/json") == 1
@@ -122,7 +144,9 @@ def test_a_description_that_looks_like_a_folder_removes_no_markup(run_folder, tm
 
 @pytest.mark.parametrize("folder", ["/s/", "/A/", "/json/", "/g/"])
 def test_a_short_folder_leaves_the_data_of_the_page_alone(run_folder, tmp_path, folder):
-    named = described(run_folder, tmp_path, f"{folder}patient", notes={"anatomy": f"read from {folder}head.stl"})
+    named = described(
+        run_folder, tmp_path, f"{folder}patient", notes={"anatomy": f"read from {folder}head.stl"}
+    )
     data, plain = (
         data_of(report(each, tmp_path / "page.html", overwrite=True).read_text("utf-8"))
         for each in (named, run_folder("wall"))
@@ -136,17 +160,25 @@ def test_a_short_folder_leaves_the_data_of_the_page_alone(run_folder, tmp_path, 
 def test_a_file_that_is_there_is_kept(run_folder, tmp_path):
     out = tmp_path / "kept.html"
     out.write_text("mine")
-    with pytest.raises(InputError, match=r"out must not exist yet, got .*kept\.html: pass --overwrite"):
+    with pytest.raises(
+        InputError, match=r"out must not exist yet, got .*kept\.html: pass --overwrite"
+    ):
         report(run_folder("wall"), out)
     assert out.read_text() == "mine"
-    assert report(run_folder("wall"), out, overwrite=True) == out and len(out.read_text("utf-8")) > 1e6
-    with pytest.raises(InputError, match=r"out must end in \.html, got .*run\.txt: choose for example .*run\.html"):
+    assert (
+        report(run_folder("wall"), out, overwrite=True) == out and len(out.read_text("utf-8")) > 1e6
+    )
+    with pytest.raises(
+        InputError, match=r"out must end in \.html, got .*run\.txt: choose for example .*run\.html"
+    ):
         report(run_folder("wall"), tmp_path / "run.txt")
 
 
 def test_a_run_that_was_not_saved_needs_a_file():
     run = tissue.simulate(load_scene("wall", {"duration_s": 0.05, "device": "none"}))
-    with pytest.raises(InputError, match="out must be given for a run that was not saved, got nothing"):
+    with pytest.raises(
+        InputError, match="out must be given for a run that was not saved, got nothing"
+    ):
         report(run)
 
 
@@ -160,7 +192,9 @@ def test_a_run_that_was_stopped_has_a_report(run_folder, tmp_path):
     summary |= {"status": "failed", "problem": "a <b>bad</b> end"}
     (folder / "summary.json").write_text(json.dumps(summary))
     page = report(folder).read_text("utf-8")
-    assert "This run is failed: a <b>bad</b> end. What follows is what it left." in " ".join(Elements(page).text)
+    assert "This run is failed: a <b>bad</b> end. What follows is what it left." in " ".join(
+        Elements(page).text
+    )
     assert any(part.get("group") == "bone" for part in data_of(page)["stage"]["parts"])
 
 
@@ -181,7 +215,9 @@ def test_the_command_names_file_and_size(command, run_folder, tmp_path):
 
 def test_a_missing_viewer_is_one_sentence(monkeypatch):
     monkeypatch.setattr("tissue.show.report.report.find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"report must have the vtk\.js viewer of trame-vtk, got none: pip install"):
+    with pytest.raises(
+        InputError, match=r"report must have the vtk\.js viewer of trame-vtk, got none: pip install"
+    ):
         viewer_scripts()
 
 
@@ -201,17 +237,33 @@ def test_a_column_is_labelled_with_its_unit(name, label):
     ("name", "changes", "layers", "tables"),
     [
         ("glenoid", {}, ("cortical", "trabecular"), {"cutting, bone"}),
-        ("molar", {}, ("enamel", "dentin", "pulp"), {"cutting, enamel", "cutting, dentin", "cutting, soft", "tooth, enamel", "tooth, dentin", "tooth, pulp", "tooth, ligament"}),
+        (
+            "molar",
+            {},
+            ("enamel", "dentin", "pulp"),
+            {
+                "cutting, enamel",
+                "cutting, dentin",
+                "cutting, soft",
+                "tooth, enamel",
+                "tooth, dentin",
+                "tooth, pulp",
+                "tooth, ligament",
+            },
+        ),
         ("liver-press", {}, ("body",), {"soft, liver"}),
         ("liver-press", {"organ.capsule": True}, ("body",), {"soft, liver", "soft, liver capsule"}),
         ("needle", {}, ("capsule",), {"needle, liver", "needle, vessel wall", "soft, liver"}),
         ("wall", {}, ("wall",), {"devices, touch", "hands, any", "hands, expert"}),
     ],
-)  # fmt: skip
+)
 def test_constants_are_those_that_the_scene_rests_on(name, changes, layers, tables):
     assert {one.of for one in used_constants(load_scene(name, changes), layers)} == tables
 
 
 def test_a_constant_that_the_scene_states_is_marked():
     used = used_constants(load_scene("palpation"), ("body",))
-    assert [(one.name, one.stated) for one in used] == [("modulus_kPa", 5.0), ("poisson_ratio", None)]
+    assert [(one.name, one.stated) for one in used] == [
+        ("modulus_kPa", 5.0),
+        ("poisson_ratio", None),
+    ]

@@ -1,4 +1,6 @@
-"""A report in headless Chromium without a network: it shows something, turns, plays, zooms, and complains of nothing."""
+"""A report in headless Chromium without a network: it shows something, turns, plays, zooms, and
+complains of nothing.
+"""
 
 import io
 import json
@@ -11,15 +13,27 @@ import tomli_w
 
 from tissue.objects.report import report
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+CHROMIUM = (
+    shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+)
 ARGUMENTS = [
-    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
-]  # fmt: skip
+]
 START_MS = 120_000
 """How long a page may take to start where software draws it and other work goes on."""
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium")]
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium"),
+]
 
 
 @pytest.fixture(scope="module")
@@ -37,16 +51,22 @@ def opened(browser, report_of):
     problems, contexts = [], []
 
     def page_of(name, **options):
-        context = browser.new_context(offline=True, viewport={"width": 1200, "height": 1400}, **options)
+        context = browser.new_context(
+            offline=True, viewport={"width": 1200, "height": 1400}, **options
+        )
         contexts.append(context)
         page = context.new_page()
         file = report_of(name).as_uri()
-        page.on("console", lambda each: problems.append(each.text) if each.type == "error" else None)
+        page.on(
+            "console", lambda each: problems.append(each.text) if each.type == "error" else None
+        )
         page.on("pageerror", lambda error: problems.append(str(error)))
         page.on(
             "request",
             lambda asked: (
-                None if asked.url == file or asked.url.startswith(("data:", "blob:")) else problems.append(asked.url)
+                None
+                if asked.url == file or asked.url.startswith(("data:", "blob:"))
+                else problems.append(asked.url)
             ),
         )
         page.goto(file)
@@ -66,7 +86,9 @@ def pixels(page):
     last = None
     for _ in range(60):
         page.wait_for_timeout(150)
-        shown = np.asarray(Image.open(io.BytesIO(page.locator("#stage").screenshot())).convert("RGB")).astype(int)
+        shown = np.asarray(
+            Image.open(io.BytesIO(page.locator("#stage").screenshot())).convert("RGB")
+        ).astype(int)
         if last is not None and np.array_equal(shown, last):
             return shown
         last = shown
@@ -80,12 +102,15 @@ def changed(before, after):
 
 def seek(page, share):
     page.locator("#time").evaluate(
-        "(slider, to) => { slider.value = to; slider.dispatchEvent(new Event('input')); }", 10000 * share
+        "(slider, to) => { slider.value = to; slider.dispatchEvent(new Event('input')); }",
+        10000 * share,
     )
 
 
 def wait_for_slider(page, least):
-    """Wait until the slider has moved; the page's policy lets no test evaluate code in it again and again."""
+    """Wait until the slider has moved; the page's policy lets no test evaluate code in it again
+    and again.
+    """
     for _ in range(START_MS // 50):
         if int(page.locator("#time").input_value()) > least:
             return
@@ -131,7 +156,9 @@ HOSTILE = (
 
 
 def test_hostile_texts_run_no_script(browser, run_folder, tmp_path):
-    """Texts of a run appear as text; a script that gets into the body all the same is refused by the policy."""
+    """Texts of a run appear as text; a script that gets into the body all the same is refused by
+    the policy.
+    """
     folder = tmp_path / "run"
     shutil.copytree(run_folder("milling"), folder)
     summary = json.loads((folder / "summary.json").read_text())
@@ -144,7 +171,9 @@ def test_hostile_texts_run_no_script(browser, run_folder, tmp_path):
     page = report(folder).read_text("utf-8")
     injected = tmp_path / "injected.html"
     injected.write_text(
-        page.replace("<h2>Events</h2>", "<script>window.hit = 1</script><img src=x onerror='window.hit=1'>")
+        page.replace(
+            "<h2>Events</h2>", "<script>window.hit = 1</script><img src=x onerror='window.hit=1'>"
+        )
     )
     for file, texts_shown in ((folder / "report.html", True), (injected, False)):
         context = browser.new_context(offline=True)

@@ -18,7 +18,9 @@ FIXTURES = Path(__file__).parents[2] / "fixtures"
 
 @pytest.fixture(scope="module")
 def drive(display):
-    """Drive a window by a script of the fixtures in a process of its own; what the script prints last."""
+    """Drive a window by a script of the fixtures in a process of its own; what the script prints
+    last.
+    """
 
     def run(script, *arguments):
         ended = subprocess.run(
@@ -57,7 +59,10 @@ def stopped(whole, tmp_path):
     shutil.copy(whole / "scene.toml", folder)
     summary = json.loads((whole / "summary.json").read_text())
     (folder / "summary.json").write_text(
-        json.dumps({"format": 1, "status": "running"} | {name: summary[name] for name in ("scene", "layers")})
+        json.dumps(
+            {"format": 1, "status": "running"}
+            | {name: summary[name] for name in ("scene", "layers")}
+        )
     )
     lines = (whole / "trace.csv").read_text().splitlines(keepends=True)
     (folder / "trace.csv").write_text("".join(lines[:151]) + lines[151][:40])
@@ -67,7 +72,9 @@ def stopped(whole, tmp_path):
 @pytest.fixture(scope="session")
 def layered(tmp_path_factory):
     """Folder of a quick run in bone of several layers, with fields."""
-    scene = load_scene("glenoid", {"voxels.spacing_mm": 0.5, "motion.feed_mm_s": 5.0, "duration_s": 0.5})
+    scene = load_scene(
+        "glenoid", {"voxels.spacing_mm": 0.5, "motion.feed_mm_s": 5.0, "duration_s": 0.5}
+    )
     folder = simulate(scene).save(tmp_path_factory.mktemp("runs") / "layered", pictures=False)
     write_fields(block_series((-8e-3, -8e-3, -8e-3), (8e-3, 8e-3, 0.0), (8, 8, 6)), folder)
     return folder

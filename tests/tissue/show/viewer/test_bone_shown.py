@@ -29,11 +29,14 @@ def test_a_layer_taken_away_lays_bare_what_lies_under_it(layered):
     for layer in bone.layers:
         rest, cut = bone.rest({layer}), bone.cut({layer})
         part = cut.append_polydata(rest).clean(tolerance=1e-4, absolute=True)
-        # Every layer is a closed body. It is off by the steps at its face, less than a voxel's half on either side.
+        # Every layer is a closed body. It is off by the steps at its face, less than a voxel's half
+        # on either side.
         assert part.n_open_edges == 0
         held = (left / 255.0)[volume.layer == layer].sum() * 0.5**3
         assert abs(part.volume - held) < 0.25 * part.area
-        share = np.bincount(part.cell_data["layer"], minlength=len(volume.layer_names)) / part.n_cells
+        share = (
+            np.bincount(part.cell_data["layer"], minlength=len(volume.layer_names)) / part.n_cells
+        )
         assert share[layer] > 0.9
         assert part.point_data["removed_depth_mm"].max() <= bone.deepest_mm + 1e-6
     assert bone.rest(set()).n_cells == bone.cut(set()).n_cells == 0
@@ -42,7 +45,11 @@ def test_a_layer_taken_away_lays_bare_what_lies_under_it(layered):
 def surface_of(bone, tick):
     """What is drawn of all layers at a tick."""
     bone.at(tick)
-    return bone.cut(bone.layers).append_polydata(bone.rest(bone.layers)).clean(tolerance=1e-4, absolute=True)
+    return (
+        bone.cut(bone.layers)
+        .append_polydata(bone.rest(bone.layers))
+        .clean(tolerance=1e-4, absolute=True)
+    )
 
 
 @pytest.mark.slow
@@ -50,14 +57,22 @@ def test_the_bone_at_a_time_is_that_of_a_run_stopped_there(layered, tmp_path):
     pyvista = pytest.importorskip("pyvista")
     bone = carved_bone(layered)
     last = surface_of(bone, 499)
-    stopped = load_scene("glenoid", {"voxels.spacing_mm": 0.5, "motion.feed_mm_s": 5.0, "duration_s": 0.35})
+    stopped = load_scene(
+        "glenoid", {"voxels.spacing_mm": 0.5, "motion.feed_mm_s": 5.0, "duration_s": 0.35}
+    )
     short = carved_bone(simulate(stopped).save(tmp_path / "short", pictures=False))
-    for mine, other in ((surface_of(bone, 349), surface_of(short, 349)), (surface_of(bone, 499), last)):
-        assert mine.n_cells == other.n_cells and mine.volume == pytest.approx(other.volume, rel=1e-6)
+    for mine, other in (
+        (surface_of(bone, 349), surface_of(short, 349)),
+        (surface_of(bone, 499), last),
+    ):
+        assert mine.n_cells == other.n_cells and mine.volume == pytest.approx(
+            other.volume, rel=1e-6
+        )
     whole = pyvista.read(layered / "bone.vtp")
     assert last.n_cells == whole.n_cells and last.volume == pytest.approx(whole.volume, rel=1e-6)
     assert surface_of(bone, 349).volume > last.volume + 1.0
-    # Without the poses, as of an earlier version, the trace gives the same within what is cut in 20 µm.
+    # Without the poses, as of an earlier version, the trace gives the same within what is cut in 20
+    # µm.
     (layered / "carving" / "poses.npz").rename(tmp_path / "poses.npz")
     try:
         by_trace = surface_of(carved_bone(layered), 349)
@@ -84,7 +99,9 @@ def test_damaged_files_of_the_bone_are_refused(layered, tmp_path, damage):
         write_poses(folder / "carving" / "poses.npz", np.zeros((1, 13)), moved)
     else:
         shutil.copy(folder / "carving" / "rest.vtp", folder / "bone.vti")
-    with pytest.raises(InputError, match=r"^(poses|bone.vti) must be .*, got .*: run the scene again$"):
+    with pytest.raises(
+        InputError, match=r"^(poses|bone.vti) must be .*, got .*: run the scene again$"
+    ):
         carved_bone(folder)
 
 
@@ -95,7 +112,10 @@ def test_keys_switch_layers_and_colours(layered):
     cells = lambda: sum(mesh.n_cells for mesh, _, _ in plotter.meshes.values())  # noqa: E731
     keys = LayerKeys(plotter, bone.layers, hide=bone.hide)
     assert bone.help == "c: removed depth or layer"
-    assert keys.help == "  ".join(f"{n}: {name}" for n, name in enumerate(bone.layers, 1)) + " on or off"
+    assert (
+        keys.help
+        == "  ".join(f"{n}: {name}" for n, name in enumerate(bone.layers, 1)) + " on or off"
+    )
     assert list(plotter.scalar_bars) == ["removed depth / mm"] and not plotter.legend
     whole = cells()
     plotter.keys["1"]()

@@ -1,4 +1,6 @@
-"""Fields of a saved run on tetrahedra: names, scales over time, the mesh between two frames, values at a point."""
+"""Fields of a saved run on tetrahedra: names, scales over time, the mesh between two frames,
+values at a point.
+"""
 
 import numpy as np
 import pytest
@@ -43,7 +45,11 @@ def test_a_scale_spans_the_whole_run(pressed):
         "displacement_mm",
         "reaction_N",
     ]
-    assert (fields.layer_names, fields.displacement, fields.unit_mm) == (PARTS, "displacement_mm", 1.0)
+    assert (fields.layer_names, fields.displacement, fields.unit_mm) == (
+        PARTS,
+        "displacement_mm",
+        1.0,
+    )
     series = pressed_series()
     low, high = fields.limits("von_mises_kPa")
     peak = max(float(np.percentile(frame.cells["von_mises_kPa"], 99.8)) for frame in series.frames)
@@ -58,9 +64,9 @@ def test_a_scale_of_nothing_still_has_a_length():
     nothing = np.zeros(5, dtype=np.float32)
     assert field_limits("von_mises_kPa", [nothing]) == (pytest.approx(1e-3), 1.0)
     assert field_limits("displacement_mm", []) == (0.0, 1.0)
-    assert field_limits("principal_1_kPa", [np.array([np.nan, -2.0, 1.0], dtype=np.float32)])[1] == pytest.approx(
-        2.0, rel=0.01
-    )
+    assert field_limits("principal_1_kPa", [np.array([np.nan, -2.0, 1.0], dtype=np.float32)])[
+        1
+    ] == pytest.approx(2.0, rel=0.01)
 
 
 def test_between_two_frames_of_one_mesh_values_are_interpolated(pressed):
@@ -69,9 +75,13 @@ def test_between_two_frames_of_one_mesh_values_are_interpolated(pressed):
         mesh, shown = fields.at(time)
         assert shown == pytest.approx(time)
         # The box moves in proportion to the depth, which is linear in time between 0.2 and 1 s.
-        assert np.linalg.norm(fields.moved_mm(mesh), axis=1).max() == pytest.approx(depth_at(time, 1.0, 6.0), abs=1e-5)
+        assert np.linalg.norm(fields.moved_mm(mesh), axis=1).max() == pytest.approx(
+            depth_at(time, 1.0, 6.0), abs=1e-5
+        )
     # Asking for a moment leaves the frames as they were.
-    assert np.linalg.norm(fields.moved_mm(fields.frames[5]), axis=1).max() == pytest.approx(2.25, rel=ROUNDING)
+    assert np.linalg.norm(fields.moved_mm(fields.frames[5]), axis=1).max() == pytest.approx(
+        2.25, rel=ROUNDING
+    )
     assert fields.at(7.0)[1] == 1.0
 
 
@@ -84,7 +94,9 @@ def test_where_cells_have_gone_the_earlier_frame_is_kept(tmp_path):
 
 
 def _affine(tmp_path, gradient):
-    """Fields of a box that is deformed alike everywhere, over one frame at rest and one deformed."""
+    """Fields of a box that is deformed alike everywhere, over one frame at rest and one
+    deformed.
+    """
     series = pressed_series((4, 4, 2), frames=2)
     still, last = series.frames
     moved = (1e3 * series.nodes_m @ gradient.T).astype(np.float32)
@@ -92,7 +104,10 @@ def _affine(tmp_path, gradient):
         Frame(0.0, still.points | {"displacement_mm": 0.0 * moved}, still.cells),
         Frame(1.0, last.points | {"displacement_mm": moved}, last.cells),
     ]
-    write_fields(FieldSeries(series.nodes_m, series.cells, series.layer, series.layer_names, frames), tmp_path)
+    write_fields(
+        FieldSeries(series.nodes_m, series.cells, series.layer, series.layer_names, frames),
+        tmp_path,
+    )
     return SavedFields(tmp_path), frames[1]
 
 
@@ -106,13 +121,17 @@ def test_a_point_is_read_by_the_cells_own_shape_functions(tmp_path):
     for place in random.uniform((-19.0, -19.0, -19.0), (19.0, 19.0, -1.0), (20, 3)):
         found = shown.read(place)
         # Linear tetrahedra hold an affine displacement exactly.
-        assert found.values["displacement_mm"] == pytest.approx(gradient @ place, abs=20.0 * ROUNDING)
+        assert found.values["displacement_mm"] == pytest.approx(
+            gradient @ place, abs=20.0 * ROUNDING
+        )
         assert found.place_mm == pytest.approx(place + 2.0 * gradient @ place, abs=40.0 * ROUNDING)
         assert found.layer == PARTS[int(place[2] > -10.0)]
         assert found.values["von_mises_kPa"] in frame.cells["von_mises_kPa"]
     assert shown.read(np.array([0.0, 0.0, 5.0])) is None
     shown.at(0.5)
-    assert shown.read(place).values["displacement_mm"] == pytest.approx(0.5 * gradient @ place, abs=20.0 * ROUNDING)
+    assert shown.read(place).values["displacement_mm"] == pytest.approx(
+        0.5 * gradient @ place, abs=20.0 * ROUNDING
+    )
 
 
 def test_deformed_cut_and_without_a_part(tmp_path):
@@ -143,10 +162,15 @@ def test_frames_that_are_missing_are_refused(pressed, tmp_path):
     assert field_names(tmp_path) == []
     index = tmp_path / "fields.pvd"
     index.write_text((pressed / "fields.pvd").read_text())
-    with pytest.raises(InputError, match=r"got 11 missing, first .*frame_0000.vtu: run the scene again"):
+    with pytest.raises(
+        InputError, match=r"got 11 missing, first .*frame_0000.vtu: run the scene again"
+    ):
         field_names(tmp_path)
     index.write_text("<VTKFile")
     with pytest.raises(InputError, match=r"fields.pvd must be a ParaView collection"):
         field_names(tmp_path)
-    index.write_text('<?xml version="1.0"?>\n<VTKFile type="Collection">\n<Collection>\n</Collection>\n</VTKFile>\n')
+    index.write_text(
+        '<?xml version="1.0"?>\n<VTKFile '
+        'type="Collection">\n<Collection>\n</Collection>\n</VTKFile>\n'
+    )
     assert field_names(tmp_path) == []

@@ -14,15 +14,28 @@ from tissue.simulation.live.window import LOADS
 
 pytest.importorskip("aiohttp")
 LAYOUT = {
-    **dict.fromkeys(("pointer_turn", "ended", "closed", "frames", "loads_count", "paused", "resets", "runs"), ("int64", (1,))),
+    **dict.fromkeys(
+        ("pointer_turn", "ended", "closed", "frames", "loads_count", "paused", "resets", "runs"),
+        ("int64", (1,)),
+    ),
     "pointer": ("float64", (3,)),
     "loads": ("float64", (LOADS, 4)),
-}  # fmt: skip
+}
 READ = Readings(
-    tip_mm=np.zeros(3), turn=np.array([0.0, 0.0, 0.0, 1.0]), force_N=np.array([0.0, 0.3, 0.4]),
-    torque_Nm=np.array([0.0, 3e-3, 4e-3]), device_N=0.1,
-    numbers={"time_s": 1.5, "removed_mm3": 2.0, "tick_us": 300.0, "late_us": 5.0, "missed": 2.0, "skipped_ms": 0.0},
-)  # fmt: skip
+    tip_mm=np.zeros(3),
+    turn=np.array([0.0, 0.0, 0.0, 1.0]),
+    force_N=np.array([0.0, 0.3, 0.4]),
+    torque_Nm=np.array([0.0, 3e-3, 4e-3]),
+    device_N=0.1,
+    numbers={
+        "time_s": 1.5,
+        "removed_mm3": 2.0,
+        "tick_us": 300.0,
+        "late_us": 5.0,
+        "missed": 2.0,
+        "skipped_ms": 0.0,
+    },
+)
 
 
 class Scene:
@@ -38,11 +51,17 @@ class Scene:
         camera.SetViewUp(0.0, 0.0, 1.0)
         camera.SetViewAngle(30.0)
         self.plotter = SimpleNamespace(camera=camera, window_size=(1000, 500))
-        self.points_mm, self.colours, self.scene = np.eye(3), {"wall": (1.0, 0.0, 0.5)}, SimpleNamespace(name="wall")
+        self.points_mm, self.colours, self.scene = (
+            np.eye(3),
+            {"wall": (1.0, 0.0, 0.5)},
+            SimpleNamespace(name="wall"),
+        )
         self.target_options = {
-            "start_mm": np.zeros(3), "axis": np.array([0.0, 0.0, 1.0]),
-            "low_mm": np.full(3, -20.0), "high_mm": np.full(3, 20.0),
-        }  # fmt: skip
+            "start_mm": np.zeros(3),
+            "axis": np.array([0.0, 0.0, 1.0]),
+            "low_mm": np.full(3, -20.0),
+            "high_mm": np.full(3, 20.0),
+        }
 
     def show(self, target_mm):
         return READ
@@ -141,8 +160,13 @@ def test_figures_hold_every_row_since_the_last_frame_that_could_be_sent(page):
     assert page.frame(False) == (None, None), "nothing is drawn while the last picture is not seen"
     figures, picture = page.frame(True)
     assert figures["loads"] == rows.tolist() and picture == b"picture"
-    assert figures["figures"]["force_N"] == [0.0, 0.3, 0.4] and figures["figures"]["torque_Nm"] == 0.005
-    assert {"removed_mm3", "late_us", "missed", "device_N", "tick_us", "skipped_ms"} <= set(figures["figures"])
+    assert (
+        figures["figures"]["force_N"] == [0.0, 0.3, 0.4]
+        and figures["figures"]["torque_Nm"] == 0.005
+    )
+    assert {"removed_mm3", "late_us", "missed", "device_N", "tick_us", "skipped_ms"} <= set(
+        figures["figures"]
+    )
     assert page.frame(True) == (None, None), "nothing is new"
     page.arrays["loads"][:4], page.arrays["loads_count"][0] = rows[:4], LOADS + 4
     assert len(page.frame(True)[0]["loads"]) == LOADS // 2, "what is too old is left out"

@@ -21,7 +21,10 @@ def started(display, tmp_path):
 
     def start(*arguments):
         out = tmp_path / "run"
-        code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\nfrom tissue.cli.main import main; main()"
+        code = (
+            "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\nfrom "
+            "tissue.cli.main import main; main()"
+        )
         environment = os.environ | {
             "DISPLAY": display,
             "PYTHONPATH": str(ROOT),
@@ -29,7 +32,17 @@ def started(display, tmp_path):
         }
         running.append(
             subprocess.Popen(
-                [sys.executable, "-c", code, "run", *arguments, "--live", "--no-pictures", "--out", str(out)],
+                [
+                    sys.executable,
+                    "-c",
+                    code,
+                    "run",
+                    *arguments,
+                    "--live",
+                    "--no-pictures",
+                    "--out",
+                    str(out),
+                ],
                 env=environment,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
@@ -60,7 +73,9 @@ def last_row(out, process, *, least=1):
                 file.seek(max(file.seek(0, os.SEEK_END) - 8000, len(",".join(columns)) + 1))
                 lines = file.read().decode().split("\n")[:-1]
             if lines and len(cells := lines[-1].split(",")) == len(columns):
-                row = {name: float(cell) for name, cell in zip(columns[:-1], cells[:-1], strict=True)}
+                row = {
+                    name: float(cell) for name, cell in zip(columns[:-1], cells[:-1], strict=True)
+                }
                 if row["time_s"] >= 1e-3 * least:
                     return row
         time.sleep(0.05)
@@ -85,15 +100,34 @@ def test_a_person_presses_the_wall_with_mouse_wheel_and_keys(started, display):
     person = Person(display)
     assert last_row(out, process)["tool_z_mm"] == pytest.approx(20.0, abs=0.1)
     pixels = iter(range(400, 800, 5))
-    moved = until(out, process, lambda row: row["tool_x_mm"] > 5.0, lambda: person.move(next(pixels), 420))
+    moved = until(
+        out, process, lambda row: row["tool_x_mm"] > 5.0, lambda: person.move(next(pixels), 420)
+    )
     assert moved is not None, "the mouse does not move the tool"
-    lower = until(out, process, lambda row: row["tool_z_mm"] < moved["tool_z_mm"] - 5.0, lambda: person.wheel(1))
+    lower = until(
+        out,
+        process,
+        lambda row: row["tool_z_mm"] < moved["tool_z_mm"] - 5.0,
+        lambda: person.wheel(1),
+    )
     assert lower is not None, "the wheel does not move the tool"
-    deeper = until(out, process, lambda row: row["tool_z_mm"] < lower["tool_z_mm"] - 3.0, lambda: person.type("s"))
+    deeper = until(
+        out,
+        process,
+        lambda row: row["tool_z_mm"] < lower["tool_z_mm"] - 3.0,
+        lambda: person.type("s"),
+    )
     assert deeper is not None, "the key s does not move the tool"
-    again = until(out, process, lambda row: row["tool_z_mm"] < deeper["tool_z_mm"] - 3.0, lambda: person.type("Next"))
+    again = until(
+        out,
+        process,
+        lambda row: row["tool_z_mm"] < deeper["tool_z_mm"] - 3.0,
+        lambda: person.type("Next"),
+    )
     assert again is not None, "the key page down does not move the tool"
-    pressed = until(out, process, lambda row: row["model_force_z_N"] > 0.5, lambda: person.type("s", 5))
+    pressed = until(
+        out, process, lambda row: row["model_force_z_N"] > 0.5, lambda: person.type("s", 5)
+    )
     assert pressed is not None, "the wall is not felt"
     assert "late_us" in (out / "timing.csv").read_text("utf-8").splitlines()[0]
     person.type("q")
@@ -101,7 +135,9 @@ def test_a_person_presses_the_wall_with_mouse_wheel_and_keys(started, display):
     message, _ = process.communicate(timeout=100.0)
     assert process.returncode == 0
     saved = SavedRun(out)
-    assert saved.complete and saved.summary["notes"]["live"].startswith("the mouse moves the tool in a window")
+    assert saved.complete and saved.summary["notes"]["live"].startswith(
+        "the mouse moves the tool in a window"
+    )
     assert saved.summary["force_N"]["peak"] > 0.5 and "skipped_ms" in saved.summary
     assert "delay of ticks, median / 99 % / max" in message
     assert not any("by itself" in event["what"] for event in saved.summary["events"])

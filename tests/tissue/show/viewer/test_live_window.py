@@ -61,7 +61,9 @@ def pointed():
     camera.SetFocalPoint(0.0, 0.0, 0.0)
     camera.SetViewUp(0.0, 0.0, 1.0)
     camera.SetViewAngle(30.0)
-    window = SimpleNamespace(camera=camera, window_size=(1000, 500), iren=SimpleNamespace(interactor=interactor))
+    window = SimpleNamespace(
+        camera=camera, window_size=(1000, 500), iren=SimpleNamespace(interactor=interactor)
+    )
     box = {"low_mm": np.array([-20.0, -20.0, -10.0]), "high_mm": np.array([20.0, 20.0, 30.0])}
     return Pointer(window, np.zeros(3), UP, **box), interactor
 
@@ -71,7 +73,8 @@ def test_the_mouse_moves_the_target_by_what_is_under_the_pixels(pointed):
     pixel = 2.0 * 100.0 * np.tan(np.radians(15.0)) / 500.0
     events.place = (500, 250)
     events.observers["MouseMoveEvent"]()
-    np.testing.assert_array_equal(pointer.target_mm, 0.0)  # where it comes in is where it counts from
+    # where it comes in is where it counts from
+    np.testing.assert_array_equal(pointer.target_mm, 0.0)
     events.place = (530, 270)
     events.observers["MouseMoveEvent"]()
     np.testing.assert_allclose(pointer.target_mm, [30 * pixel, 0.0, 20 * pixel], atol=1e-12)
@@ -156,7 +159,9 @@ def test_the_drawn_bone_loses_what_the_tool_removes(tmp_path, monkeypatch, block
     assert before == pytest.approx(1e9 * milling.start_m3.sum(), rel=0.03)
     assert not bone.update()
     left = milling.store.remaining.numpy()
-    hollow = np.flatnonzero((milling.store.places == milling.store.places.max(axis=0) // 2).all(axis=1))
+    hollow = np.flatnonzero(
+        (milling.store.places == milling.store.places.max(axis=0) // 2).all(axis=1)
+    )
     assert hollow.size == 1
     lost_mm3 = 1e9 * milling.step_m3 * left[hollow].sum(dtype=float)
     left[hollow] = 0
@@ -180,7 +185,8 @@ def test_the_drawn_organ_moves_where_it_is_known_and_fades_beyond(tmp_path):
 
     class Organ:
         fields = series
-        moved = np.zeros((len(near) + 3, 3))  # nodes in the middle of edges come last and are not drawn
+        # nodes in the middle of edges come last and are not drawn
+        moved = np.zeros((len(near) + 3, 3))
 
         def displacement_m(self):
             return self.moved

@@ -27,7 +27,11 @@ def test_a_gif_holds_every_picture_at_half_its_size(tmp_path):
     path.write_bytes(b"an older movie")
     write_movie(path, pictures(5))
     with Image.open(path) as movie:
-        assert (movie.n_frames, movie.size, movie.info["duration"]) == (5, (48, 32), 1000 // FRAMES_PER_S)
+        assert (movie.n_frames, movie.size, movie.info["duration"]) == (
+            5,
+            (48, 32),
+            1000 // FRAMES_PER_S,
+        )
         for index in range(5):
             movie.seek(index)
             assert np.asarray(movie.convert("RGB")).mean() == pytest.approx(20 * index + 20)
@@ -47,13 +51,19 @@ def test_an_mp4_holds_every_picture(tmp_path):
 
 
 def test_a_movie_needs_an_ending(tmp_path):
-    with pytest.raises(InputError, match=r"movie must be a .mp4 or .gif file, got .*run.avi: use .*run.gif$"):
+    with pytest.raises(
+        InputError, match=r"movie must be a .mp4 or .gif file, got .*run.avi: use .*run.gif$"
+    ):
         check_movie(tmp_path / "run.avi")
 
 
 @pytest.mark.parametrize("encoder", ["/nowhere/ffmpeg", "false"])
-def test_an_ffmpeg_that_does_not_run_is_refused_before_anything_is_drawn(tmp_path, monkeypatch, encoder):
+def test_an_ffmpeg_that_does_not_run_is_refused_before_anything_is_drawn(
+    tmp_path, monkeypatch, encoder
+):
     pytest.importorskip("imageio_ffmpeg")
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", encoder)
-    with pytest.raises(InputError, match=r"where imageio-ffmpeg has no ffmpeg that runs, got .*: use .*run.gif or "):
+    with pytest.raises(
+        InputError, match=r"where imageio-ffmpeg has no ffmpeg that runs, got .*: use .*run.gif or "
+    ):
         check_movie(tmp_path / "run.mp4")

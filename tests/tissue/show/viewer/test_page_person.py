@@ -16,9 +16,15 @@ from tissue.simulation.run_folder import SavedRun
 
 ROOT = Path(__file__).parents[3]
 FLAGS = (
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync",
-)  # fmt: skip
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
 SLOW_MS = 60_000.0
 """How long anything on a page is waited for; a busy machine is slow."""
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
@@ -29,7 +35,9 @@ def browser():
     """Headless Chromium."""
     pytest.importorskip("aiohttp")
     sync_api = pytest.importorskip("playwright.sync_api")
-    chromium = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+    chromium = (
+        os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+    )
     if chromium is None:
         pytest.skip("there is no Chromium: apt-get install chromium")
     with sync_api.sync_playwright() as playwright:
@@ -43,14 +51,23 @@ class Person:
 
     def __init__(self, tab, home):
         self.tab, self.wrong = tab, []
-        tab.on("console", lambda line: self.wrong.append(line.text) if line.type == "error" else None)
+        tab.on(
+            "console", lambda line: self.wrong.append(line.text) if line.type == "error" else None
+        )
         tab.on("pageerror", lambda error: self.wrong.append(str(error)))
-        tab.on("request", lambda asked: None if asked.url.startswith((home, "data:")) else self.wrong.append(asked.url))
+        tab.on(
+            "request",
+            lambda asked: (
+                None if asked.url.startswith((home, "data:")) else self.wrong.append(asked.url)
+            ),
+        )
         tab.set_default_timeout(SLOW_MS)
 
     def number(self, name):
         """The first number in an element."""
-        return float(re.search(r"[−-]?[\d.]+", self.tab.text_content(f"#{name}")).group().replace("−", "-"))
+        return float(
+            re.search(r"[−-]?[\d.]+", self.tab.text_content(f"#{name}")).group().replace("−", "-")
+        )
 
     def until(self, holds, act=lambda: None, *, tries=200):
         """Act now and then until something holds; whether it did."""
@@ -63,7 +80,9 @@ class Person:
 
     def state(self, words):
         """Wait for a state of the run."""
-        self.tab.wait_for_function("words => document.getElementById('state').textContent === words", arg=words)
+        self.tab.wait_for_function(
+            "words => document.getElementById('state').textContent === words", arg=words
+        )
 
     def picture(self):
         """What is seen of the scene, shape (height, width, 3)."""
@@ -79,10 +98,14 @@ def opened(browser, tmp_path):
     started = []
 
     def start(*arguments):
-        environment = {k: v for k, v in os.environ.items() if k != "DISPLAY"} | {"PYTHONPATH": str(ROOT)}
+        environment = {k: v for k, v in os.environ.items() if k != "DISPLAY"} | {
+            "PYTHONPATH": str(ROOT)
+        }
         command = [sys.executable, "-u", "-m", "tissue", *map(str, arguments), "--web"]
         pipe = subprocess.PIPE
-        process = subprocess.Popen(command, env=environment, stdout=pipe, stderr=subprocess.STDOUT, text=True)
+        process = subprocess.Popen(
+            command, env=environment, stdout=pipe, stderr=subprocess.STDOUT, text=True
+        )
         started.append(process)
         printed = []
         for line in process.stdout:
@@ -93,7 +116,9 @@ def opened(browser, tmp_path):
             if "OpenGL" in "".join(printed):
                 pytest.skip(f"nothing can be drawn here: {printed[-1]}")
             raise AssertionError("".join(printed))
-        person = Person(browser.new_context(viewport={"width": 1280, "height": 800}).new_page(), found[1])
+        person = Person(
+            browser.new_context(viewport={"width": 1280, "height": 800}).new_page(), found[1]
+        )
         person.tab.goto(found[1] + found[2])
         return person, process
 
@@ -122,11 +147,15 @@ def test_a_person_presses_the_wall_pauses_and_begins_again(opened, tmp_path):
     assert person.number("force") == 0.0
     mouse = person.tab.mouse
     mouse.move(400, 420)
-    assert person.until(lambda: person.number("force") > 0.5, lambda: mouse.wheel(0, 200)), "the wheel does not press"
+    assert person.until(lambda: person.number("force") > 0.5, lambda: mouse.wheel(0, 200)), (
+        "the wheel does not press"
+    )
     before = person.number("force")
     mouse.down()
     places = iter(range(420, 900, 2))
-    moved = person.until(lambda: abs(person.number("force") - before) > 0.2, lambda: mouse.move(400, next(places)))
+    moved = person.until(
+        lambda: abs(person.number("force") - before) > 0.2, lambda: mouse.move(400, next(places))
+    )
     mouse.up()
     assert moved, "a drag does not change the force"
     person.tab.screenshot(path=tmp_path / "pressed.png")
@@ -138,7 +167,9 @@ def test_a_person_presses_the_wall_pauses_and_begins_again(opened, tmp_path):
     mouse.move(480, 380, steps=4)
     mouse.up()
     person.tab.keyboard.up("Shift")
-    assert person.until(lambda: np.abs(person.picture() - seen).mean() > 2.0), "shift and a drag do not turn the view"
+    assert person.until(lambda: np.abs(person.picture() - seen).mean() > 2.0), (
+        "shift and a drag do not turn the view"
+    )
 
     person.tab.click("#pause")
     person.state("paused")
@@ -158,9 +189,15 @@ def test_a_person_presses_the_wall_pauses_and_begins_again(opened, tmp_path):
     output, _ = process.communicate(timeout=200.0)
     assert process.returncode == 0, output
     person.state("ended")
-    assert "The run has ended" in person.tab.text_content("#over") and person.tab.is_disabled("#pause")
+    assert "The run has ended" in person.tab.text_content("#over") and person.tab.is_disabled(
+        "#pause"
+    )
     saved = SavedRun(tmp_path / "run")
-    assert saved.complete and saved.trace["time_s"][0] == 0.0 and saved.summary["force_N"]["peak"] == 0.0
+    assert (
+        saved.complete
+        and saved.trace["time_s"][0] == 0.0
+        and saved.summary["force_N"]["peak"] == 0.0
+    )
     assert saved.summary["notes"]["live"].startswith("the mouse moves the tool in a browser")
     assert "skipped_ms" in saved.summary and person.wrong == []
 
@@ -178,12 +215,16 @@ def test_a_person_mills_bone_and_closes_the_page(opened, tmp_path):
     whole = person.picture()
     mouse = person.tab.mouse
     mouse.move(400, 420)
-    cut = person.until(lambda: person.number("removed") > 0.5, lambda: person.tab.keyboard.press("PageDown"))
+    cut = person.until(
+        lambda: person.number("removed") > 0.5, lambda: person.tab.keyboard.press("PageDown")
+    )
     assert cut, "the key does not reach the bone"
     force = person.number("force")
     mouse.down()
     places = iter(range(400, 1200, 3))
-    moved = person.until(lambda: person.number("removed") > 2.0, lambda: mouse.move(next(places), 420))
+    moved = person.until(
+        lambda: person.number("removed") > 2.0, lambda: mouse.move(next(places), 420)
+    )
     mouse.up()
     assert moved and force > 0.0
     assert person.until(lambda: np.abs(person.picture() - whole).mean() > 2.0)
@@ -193,7 +234,9 @@ def test_a_person_mills_bone_and_closes_the_page(opened, tmp_path):
     assert process.returncode == 0, output
     saved = SavedRun(tmp_path / "run")
     assert saved.complete and saved.summary["removed_mm3"]["cortical"] > 1.5
-    assert any("the run was paused for" in event["what"] for event in saved.summary["events"]), "it waited for a page"
+    assert any("the run was paused for" in event["what"] for event in saved.summary["events"]), (
+        "it waited for a page"
+    )
     assert (tmp_path / "run" / "bone.vtp").is_file() and person.wrong == []
 
 
@@ -217,17 +260,25 @@ def test_a_person_looks_at_a_saved_run(opened, layered, tmp_path):
     peak = float(np.linalg.norm(saved.trace.vectors("model_force", "N"), axis=1).max())
     assert person.until(lambda: person.number("force") == pytest.approx(peak, abs=0.006))
     at_peak = person.picture()
-    tab.locator("#slider").evaluate("bar => { bar.value = 0; bar.dispatchEvent(new Event('input')); }")
+    tab.locator("#slider").evaluate(
+        "bar => { bar.value = 0; bar.dispatchEvent(new Event('input')); }"
+    )
     tab.locator("#slider").evaluate("bar => bar.dispatchEvent(new Event('change'))")
     assert person.until(lambda: person.number("force") == 0.0 and person.number("removed") == 0.0)
-    assert person.until(lambda: np.abs(person.picture() - at_peak).mean() > 1.0), "the bone of the moment is not drawn"
+    assert person.until(lambda: np.abs(person.picture() - at_peak).mean() > 1.0), (
+        "the bone of the moment is not drawn"
+    )
     tab.select_option("#shown", "von_mises_MPa")
-    tab.wait_for_function("() => document.getElementById('scale-title').textContent.startsWith('von Mises / MPa')")
+    tab.wait_for_function(
+        "() => document.getElementById('scale-title').textContent.startsWith('von Mises / MPa')"
+    )
     tab.select_option("#shown", "layer")
     tab.wait_for_function("() => document.getElementById('scale').hidden")
     before = person.picture()
     tab.locator("#legend input").first.click()
-    assert person.until(lambda: np.abs(person.picture() - before).mean() > 1.0), "a layer is not switched off"
+    assert person.until(lambda: np.abs(person.picture() - before).mean() > 1.0), (
+        "a layer is not switched off"
+    )
     tab.click("#play")
     assert person.until(lambda: person.number("time") > 0.1)
     person.state("paused")

@@ -154,7 +154,11 @@ def test_the_page_is_served_on_this_machine_alone_and_loads_nothing_else():
             return (
                 headers,
                 text,
-                {each.laddr.ip for each in mine if each.status == "LISTEN" and each.laddr.port == port},
+                {
+                    each.laddr.ip
+                    for each in mine
+                    if each.status == "LISTEN" and each.laddr.port == port
+                },
             )
 
     headers, text, listening = asyncio.run(ask())
@@ -200,7 +204,10 @@ def test_figures_and_pictures_arrive_and_the_next_picture_waits_until_the_last_w
     assert seen[:8].count(b"picture") == 1
     counts = [json.loads(each)["count"] for each in seen if isinstance(each, str)]
     assert counts == sorted(counts) and len(counts) >= 7
-    assert session.taken == [("move", {"right": 0.1, "up": -0.2})] and session.attended == [True, False]
+    assert session.taken == [("move", {"right": 0.1, "up": -0.2})] and session.attended == [
+        True,
+        False,
+    ]
 
 
 @pytest.mark.parametrize(("sent", "code"), [(b"x", 1008), ("x" * (LARGEST + 1), 1009)])
@@ -208,7 +215,9 @@ def test_bytes_and_long_messages_close_the_socket_and_do_nothing(sent, code):
     async def ask():
         session = Counted()
         async with connected(session) as page_socket:
-            await (page_socket.send_bytes if isinstance(sent, bytes) else page_socket.send_str)(sent)
+            await (page_socket.send_bytes if isinstance(sent, bytes) else page_socket.send_str)(
+                sent
+            )
             async for _ in page_socket:
                 pass
             return page_socket.close_code, session.taken
@@ -230,7 +239,9 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("hostile", HOSTILE)
-def test_hostile_messages_close_the_socket_with_a_reason_and_the_next_page_is_served(hostile, caplog):
+def test_hostile_messages_close_the_socket_with_a_reason_and_the_next_page_is_served(
+    hostile, caplog
+):
     async def ask():
         session = Counted()
         async with serving(session) as (address, client):
@@ -254,7 +265,9 @@ def test_hostile_messages_close_the_socket_with_a_reason_and_the_next_page_is_se
 
 
 def test_a_flood_of_messages_is_read_at_a_bounded_rate_while_frames_go_on():
-    """20,000 messages at once: in half a second 200 and 400 a second of them, while figures still come."""
+    """20,000 messages at once: in half a second 200 and 400 a second of them, while figures
+    still come.
+    """
 
     async def ask():
         session = Counted()
@@ -271,7 +284,11 @@ def test_a_flood_of_messages_is_read_at_a_bounded_rate_while_frames_go_on():
                 flooding = asyncio.ensure_future(flood())
                 began, frames = loop.time(), session.count
                 await asyncio.sleep(0.5)
-                took, taken, frames = loop.time() - began, len(session.taken), session.count - frames
+                took, taken, frames = (
+                    loop.time() - began,
+                    len(session.taken),
+                    session.count - frames,
+                )
                 flooding.cancel()
                 page_socket._response.connection.transport.abort()
                 await until(lambda: session.attended == [True, False])
@@ -304,7 +321,8 @@ def test_a_page_that_reads_no_more_is_cut_off_and_the_frames_go_on(monkeypatch):
             host, port = home.removeprefix("http://").split(":")
             _reader, writer = await asyncio.open_connection(host, int(port), limit=1024)
             writer.write(
-                f"GET {ws.split(port)[1]} HTTP/1.1\r\nHost: {host}:{port}\r\nOrigin: {home}\r\nUpgrade: websocket\r\n"
+                f"GET {ws.split(port)[1]} HTTP/1.1\r\nHost: {host}:{port}\r\nOrigin: "
+                f"{home}\r\nUpgrade: websocket\r\n"
                 "Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
                 "Sec-WebSocket-Version: 13\r\n\r\n".encode()
             )
@@ -370,12 +388,25 @@ def test_messages_are_read(text, found):
 @pytest.mark.parametrize(
     "text",
     [
-        "", "[]", "1", "null", '{"do": 1}', "{}", '{"do": "seen", "x": 1}', '{"do": "size", "wide": 640}',
-        '{"do": "size", "wide": 640, "tall": 1e9}', '{"do": "move", "right": NaN, "up": 0}',
-        '{"do": "move", "right": "0", "up": 0}', '{"do": "move", "right": true, "up": 0}', '{"do": "pause", "on": 1}',
-        '{"do": "key", "name": 3}', '{"do": "move", "right": Infinity, "up": 0}', "[" * 1000, '{"do": ["size"]}',
+        "",
+        "[]",
+        "1",
+        "null",
+        '{"do": 1}',
+        "{}",
+        '{"do": "seen", "x": 1}',
+        '{"do": "size", "wide": 640}',
+        '{"do": "size", "wide": 640, "tall": 1e9}',
+        '{"do": "move", "right": NaN, "up": 0}',
+        '{"do": "move", "right": "0", "up": 0}',
+        '{"do": "move", "right": true, "up": 0}',
+        '{"do": "pause", "on": 1}',
+        '{"do": "key", "name": 3}',
+        '{"do": "move", "right": Infinity, "up": 0}',
+        "[" * 1000,
+        '{"do": ["size"]}',
     ],
-)  # fmt: skip
+)
 def test_other_messages_are_refused(text):
     with pytest.raises(MessageError):
         parse(text)

@@ -21,12 +21,16 @@ def child(monkeypatch):
     def run(code, *, environments=({},)):
         def start(folder, choice, environment, output):
             pipe = subprocess.PIPE
-            process = subprocess.Popen([sys.executable, "-c", code], stdout=pipe, stderr=output, text=True)
+            process = subprocess.Popen(
+                [sys.executable, "-c", code], stdout=pipe, stderr=output, text=True
+            )
             started.append((process, environment))
             return process
 
         monkeypatch.setattr("tissue.show.viewer.view._start", start)
-        monkeypatch.setattr("tissue.show.viewer.view.drawing_environments", lambda: iter(environments))
+        monkeypatch.setattr(
+            "tissue.show.viewer.view.drawing_environments", lambda: iter(environments)
+        )
         return started
 
     return run
@@ -42,7 +46,9 @@ def test_the_address_is_handed_on_and_the_command_waits_for_the_end(child, tmp_p
 def test_where_one_library_fails_to_draw_the_next_is_taken(child, tmp_path):
     code = "import sys; sys.exit('EGL is missing')"
     started = child(code, environments=({"A": "1"}, {"A": "2"}))
-    with pytest.raises(InputError, match=r"^--web must serve a page, but EGL is missing: install libegl1 and "):
+    with pytest.raises(
+        InputError, match=r"^--web must serve a page, but EGL is missing: install libegl1 and "
+    ):
         serve_view(tmp_path, Choice(), print)
     assert [environment for _, environment in started] == [{"A": "1"}, {"A": "2"}]
     child("", environments=())
@@ -69,10 +75,13 @@ def test_ctrl_c_ends_the_page_and_a_signal_the_command(child, tmp_path, stop):
     assert process.poll() is not None, "its process is left behind"
 
 
-def test_a_page_is_refused_for_an_imported_bone_and_without_its_server(whole, tmp_path, monkeypatch):
+def test_a_page_is_refused_for_an_imported_bone_and_without_its_server(
+    whole, tmp_path, monkeypatch
+):
     monkeypatch.setattr("tissue.show.viewer.view.is_imported", lambda path: True)
     with pytest.raises(
-        InputError, match=r"^web must be left out for an imported bone, which has no run: leave it out$"
+        InputError,
+        match=r"^web must be left out for an imported bone, which has no run: leave it out$",
     ):
         view(tmp_path, opened=print)
     monkeypatch.setattr("tissue.show.viewer.view.is_imported", lambda path: False)

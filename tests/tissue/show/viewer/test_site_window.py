@@ -1,4 +1,6 @@
-"""`tissue view` of an imported bone: a click puts the site, Return saves it, and nothing else in the scene changes."""
+"""`tissue view` of an imported bone: a click puts the site, Return saves it, and nothing else in
+the scene changes.
+"""
 
 import tomllib
 
@@ -14,17 +16,23 @@ from tissue.show.viewer.view import view
 @pytest.fixture(scope="module")
 def driven(drive, tmp_path_factory):
     """What came of driving the window, the folder of the bone and that of its pictures."""
-    folder, out = imported_bone(tmp_path_factory.mktemp("bones") / "mine"), tmp_path_factory.mktemp("window")
+    folder, out = (
+        imported_bone(tmp_path_factory.mktemp("bones") / "mine"),
+        tmp_path_factory.mktemp("window"),
+    )
     return drive("site_driver.py", folder, out), folder, out
 
 
 @pytest.mark.slow
 def test_a_click_puts_the_site_and_return_saves_it(driven):
     found, folder, out = driven
-    assert found["before"].startswith("centre (0.00, 0.00, 23.00) mm, normal (0.000, 0.000, 1.000), LPS")
+    assert found["before"].startswith(
+        "centre (0.00, 0.00, 23.00) mm, normal (0.000, 0.000, 1.000), LPS"
+    )
     assert found["missed"] == found["before"]
     centre, normal, text = found["picked"]
-    assert np.linalg.norm(np.subtract(centre, found["seen"])) < 1.0  # the pixel towards the eye over a ball about 0
+    # the pixel towards the eye over a ball about 0
+    assert np.linalg.norm(np.subtract(centre, found["seen"])) < 1.0
     assert np.degrees(np.arccos(np.dot(normal, centre) / np.linalg.norm(centre))) < 3.0
     assert "not saved yet" in text
     assert found["turned"] == text
@@ -38,13 +46,18 @@ def test_a_click_puts_the_site_and_return_saves_it(driven):
 @pytest.mark.slow
 def test_saving_keeps_all_that_a_person_wrote(driven):
     _, folder, _ = driven
-    kept = [line for line in SCENE.splitlines() if "centre" not in line and "normal" not in line and line[:1] != " "]
+    kept = [
+        line
+        for line in SCENE.splitlines()
+        if "centre" not in line and "normal" not in line and line[:1] != " "
+    ]
     written = (folder / "scene.toml").read_text("utf-8").splitlines()
     assert [line for line in kept if line != "]  # the site"] == [
         line for line in written if "centre" not in line and "normal" not in line
     ]
     assert any(
-        line.startswith("centre_mm = [") and line.endswith("]  # a remark within  # the site") for line in written
+        line.startswith("centre_mm = [") and line.endswith("]  # a remark within  # the site")
+        for line in written
     )
     assert any(line.startswith("normal = [") and line.endswith("]  # out") for line in written)
 
@@ -69,7 +82,9 @@ def test_screenshot_of_an_imported_bone(tmp_path):
     assert (folder / "scene.toml").read_text("utf-8") == SCENE
 
 
-@pytest.mark.parametrize("option", [{"field": "von_mises_MPa"}, {"time_s": 0.1}, {"hide": ("cortical",)}])
+@pytest.mark.parametrize(
+    "option", [{"field": "von_mises_MPa"}, {"time_s": 0.1}, {"hide": ("cortical",)}]
+)
 def test_what_only_a_run_has_is_refused(tmp_path, option):
     name = next(iter(option))
     with pytest.raises(InputError, match=f"{name} must be left out for an imported bone"):
@@ -82,7 +97,10 @@ def test_what_only_a_run_has_is_refused(tmp_path, option):
         SCENE,
         SCENE.replace("\n", "\r\n"),
         '[anatomy]\nkind = "bone"\nfile = "a]b.ply"',
-        '[voxels]\nspacing_mm = 1\n\n  [ anatomy ]  # mine\n# normal = [9, 9, 9]\nkind = "bone"\n\n# end\n[tool]\nnormal = 3\n',
+        (
+            "[voxels]\nspacing_mm = 1\n\n  [ anatomy ]  # mine\n# normal = [9, 9, 9]\nkind = "
+            '"bone"\n\n# end\n[tool]\nnormal = 3\n'
+        ),
         "[anatomy]\nnormal=[0,0,1]#out\ncentre_mm=[1,2,3]\n[[more]]\ncentre_mm = [0, 0, 0]\n",
     ],
 )

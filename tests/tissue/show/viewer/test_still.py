@@ -1,4 +1,6 @@
-"""Still pictures of a window: clean for a page, or with a scale bar; bone without the steps of its voxels."""
+"""Still pictures of a window: clean for a page, or with a scale bar; bone without the steps of
+its voxels.
+"""
 
 import numpy as np
 import pytest
@@ -29,7 +31,12 @@ def test_a_clean_picture_shows_the_bone_alone(whole, tmp_path):
     pixels = _drawn(whole, tmp_path / "clean.png", clean=True)
     assert pixels.shape[2] == 4 and max(pixels.shape) > 1000
     there = pixels[..., 3] > 0
-    assert not there[:4].any() and not there[-4:].any() and not there[:, :4].any() and not there[:, -4:].any()
+    assert (
+        not there[:4].any()
+        and not there[-4:].any()
+        and not there[:, :4].any()
+        and not there[:, -4:].any()
+    )
     # One thing: a row through it is there without a gap, and most of the picture is filled.
     for line in (*there[:: len(there) // 9], *there.T[:: len(there.T) // 9]):
         assert np.count_nonzero(np.diff(line.astype(int)) == 1) <= 1
@@ -49,7 +56,8 @@ def test_a_clean_picture_of_an_organ_has_the_colours_of_its_field(tmp_path):
 
 def test_clean_needs_a_screenshot(whole):
     with pytest.raises(
-        InputError, match=r"^clean must come with a screenshot, got none: pass --screenshot FILE.png, or"
+        InputError,
+        match=r"^clean must come with a screenshot, got none: pass --screenshot FILE.png, or",
     ):
         view(whole, clean=True)
 

@@ -53,7 +53,8 @@ def test_stress_follows_the_time(layered):
     assert not plotter.meshes
     fields.show("von_mises_MPa")
     mesh, _, look = plotter.meshes["field"]
-    # The last frame up to 0.2 s is the one at 0.1 s, in which the stress is |x| + 1; what lies before the cut is gone.
+    # The last frame up to 0.2 s is the one at 0.1 s, in which the stress is |x| + 1; what lies
+    # before the cut is gone.
     assert mesh.cell_data["von_mises_MPa"].min() == pytest.approx(2.0)
     assert mesh.bounds[2] == pytest.approx(0.5, abs=1e-3)
     assert look["log_scale"] and look["clim"][1] == pytest.approx(9.5)
@@ -63,11 +64,14 @@ def test_stress_follows_the_time(layered):
     fields.show("principal_1_MPa")
     look = plotter.meshes["field"][2]
     assert not look["log_scale"] and look["clim"][0] == -look["clim"][1]
-    # Displaced by its own place times the time, the mesh is a quarter larger; the plane stays where it is.
+    # Displaced by its own place times the time, the mesh is a quarter larger; the plane stays where
+    # it is.
     fields.show("displacement_um")
     fields.enlarge(1e3)
     mesh, _, look = plotter.meshes["field"]
-    assert mesh.bounds[1] == pytest.approx(8.0 * 1.25, rel=1e-5) and mesh.bounds[2] == pytest.approx(0.5, abs=1e-3)
+    assert mesh.bounds[1] == pytest.approx(8.0 * 1.25, rel=1e-5) and mesh.bounds[
+        2
+    ] == pytest.approx(0.5, abs=1e-3)
     assert not look["log_scale"] and look["clim"][0] == 0.0
     fields.show(None)
     assert not plotter.meshes and not plotter.scalar_bars
@@ -78,7 +82,9 @@ def test_hidden_layers_and_stress_show_in_the_picture(layered, tmp_path):
     from PIL import Image
 
     green = []
-    for index, shown in enumerate(({"hide": ("cortical", "subchondral")}, {"field": "von_mises_MPa"})):
+    for index, shown in enumerate(
+        ({"hide": ("cortical", "subchondral")}, {"field": "von_mises_MPa"})
+    ):
         try:
             view(layered, screenshot=tmp_path / f"{index}.png", **shown)
         except InputError as problem:
@@ -95,8 +101,17 @@ def test_hidden_layers_and_stress_show_in_the_picture(layered, tmp_path):
 @pytest.mark.parametrize(
     ("shown", "message"),
     [
-        ({"hide": ("gum",)}, r"hide must name a layer of the run, got gum: use one of .*trabecular"),
-        ({"field": "heat"}, r"field must name a field of the run, got heat: use one of von_mises_MPa, principal_1_MPa"),
+        (
+            {"hide": ("gum",)},
+            r"hide must name a layer of the run, got gum: use one of .*trabecular",
+        ),
+        (
+            {"field": "heat"},
+            (
+                r"field must name a field of the run, got heat: use one of von_mises_MPa, "
+                r"principal_1_MPa"
+            ),
+        ),
     ],
 )
 def test_names_that_a_run_does_not_have_are_refused(layered, tmp_path, shown, message):
@@ -121,7 +136,9 @@ def test_a_run_stopped_while_its_files_were_written_is_reported(whole, tmp_path)
     shutil.copytree(whole, folder)
     summary = json.loads((folder / "summary.json").read_text("utf-8"))
     (folder / "summary.json").write_text(json.dumps(summary | {"status": "running"}), "utf-8")
-    assert _about(SavedRun(folder)).endswith("it was interrupted after its last tick, while its files were written")
+    assert _about(SavedRun(folder)).endswith(
+        "it was interrupted after its last tick, while its files were written"
+    )
 
 
 @pytest.mark.slow
@@ -143,12 +160,15 @@ def test_without_a_display_the_remedy_is_a_screenshot(whole, monkeypatch):
     monkeypatch.setattr("tissue.system.offscreen.sys.platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     assert display_problem() == "there is no display (DISPLAY is not set)"
-    with pytest.raises(InputError, match=r"DISPLAY is not set\): pass --screenshot FILE, --movie FILE or --web$"):
+    with pytest.raises(
+        InputError, match=r"DISPLAY is not set\): pass --screenshot FILE, --movie FILE or --web$"
+    ):
         view(whole)
 
 
 @pytest.mark.parametrize(
-    ("name", "message"), [("view.jpeg", "must be a .png file"), ("none/view.png", "must lie in a folder that exists")]
+    ("name", "message"),
+    [("view.jpeg", "must be a .png file"), ("none/view.png", "must lie in a folder that exists")],
 )
 def test_a_screenshot_needs_a_place(whole, tmp_path, name, message):
     with pytest.raises(InputError, match=message):
@@ -157,14 +177,20 @@ def test_a_screenshot_needs_a_place(whole, tmp_path, name, message):
 
 def test_a_screenshot_that_cannot_be_drawn_leaves_no_file(whole, tmp_path, monkeypatch):
     monkeypatch.setattr("tissue.system.offscreen._windows", lambda: iter(()))
-    with pytest.raises(InputError, match="screenshot must be drawn in 3D, but this machine has no OpenGL library"):
+    with pytest.raises(
+        InputError, match="screenshot must be drawn in 3D, but this machine has no OpenGL library"
+    ):
         view(whole, screenshot=tmp_path / "view.png")
     assert not (tmp_path / "view.png").exists()
 
 
-@pytest.mark.parametrize(("kind", "name"), [("movie", "run.gif"), ("movie", "run.mp4"), ("screenshot", "run.png")])
+@pytest.mark.parametrize(
+    ("kind", "name"), [("movie", "run.gif"), ("movie", "run.mp4"), ("screenshot", "run.png")]
+)
 @pytest.mark.parametrize("older", [b"an older one", None])
-@pytest.mark.parametrize("ends", [KeyboardInterrupt(), "drawing was stopped", InputError("bone.vti must be whole")])
+@pytest.mark.parametrize(
+    "ends", [KeyboardInterrupt(), "drawing was stopped", InputError("bone.vti must be whole")]
+)
 def test_what_is_not_drawn_to_its_end_leaves_no_file_and_keeps_an_older_one(
     whole, tmp_path, monkeypatch, kind, name, older, ends
 ):
@@ -182,9 +208,15 @@ def test_what_is_not_drawn_to_its_end_leaves_no_file_and_keeps_an_older_one(
     reported = []
     monkeypatch.setattr("tissue.show.viewer.view.draw_apart", half)
     monkeypatch.setattr("tissue.show.viewer.view.check_movie", lambda path: None)
-    monkeypatch.setattr("tissue.show.viewer.view.require_whole", lambda saved: None)  # it starts a process each time
+    # it starts a process each time
+    monkeypatch.setattr("tissue.show.viewer.view.require_whole", lambda saved: None)
     with pytest.raises(KeyboardInterrupt if isinstance(ends, KeyboardInterrupt) else InputError):
-        view(whole, **{kind: file}, overwrite=True, progress=lambda doing, share: reported.append((doing, share)))
+        view(
+            whole,
+            **{kind: file},
+            overwrite=True,
+            progress=lambda doing, share: reported.append((doing, share)),
+        )
     assert reported == [(f"drawing the {kind}", 0.0), (f"drawing the {kind}", 0.5)]
     assert [one.name for one in tmp_path.iterdir()] == ([] if older is None else [name])
     assert older is None or file.read_bytes() == older
@@ -192,11 +224,15 @@ def test_what_is_not_drawn_to_its_end_leaves_no_file_and_keeps_an_older_one(
 
 def test_a_movie_reports_how_much_of_it_is_drawn(tmp_path, monkeypatch):
     (tmp_path / "drawing.py").write_text(
-        "import sys\nsys.stdin.readline()\nprint('VTK warns')\nprint(0.25, flush=True)\nprint('0.', end='', flush=True)\n"
-        f"import pathlib, time\nwhile not pathlib.Path({str(tmp_path / 'seen')!r}).exists(): time.sleep(0.01)\n"
+        "import sys\nsys.stdin.readline()\nprint('VTK warns')\nprint(0.25, "
+        "flush=True)\nprint('0.', end='', flush=True)\n"
+        f"import pathlib, time\nwhile not pathlib.Path({str(tmp_path / 'seen')!r}).exists(): "
+        "time.sleep(0.01)\n"
     )
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setattr("tissue.system.offscreen.child_command", lambda module: [sys.executable, "-m", module])
+    monkeypatch.setattr(
+        "tissue.system.offscreen.child_command", lambda module: [sys.executable, "-m", module]
+    )
     monkeypatch.setattr("tissue.system.offscreen.CHECK_S", 0.05)
     shares = []
 
@@ -214,6 +250,9 @@ def test_what_is_wrong_with_a_run_is_reported_by_its_renderer(layered, tmp_path)
     folder = tmp_path / "run"
     shutil.copytree(layered, folder)
     (folder / "carving" / "poses.npz").write_bytes(b"PK")
-    with pytest.raises(InputError, match=r"^poses must be a whole file that a run wrote, got .*: run the scene again$"):
+    with pytest.raises(
+        InputError,
+        match=r"^poses must be a whole file that a run wrote, got .*: run the scene again$",
+    ):
         _screenshot(folder, tmp_path / "view.png")
     assert not (tmp_path / "view.png").exists()

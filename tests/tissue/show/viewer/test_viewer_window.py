@@ -1,4 +1,6 @@
-"""`tissue view` of a soft organ: the window under a virtual display, driven as by a hand, and pictures without one."""
+"""`tissue view` of a soft organ: the window under a virtual display, driven as by a hand, and
+pictures without one.
+"""
 
 from itertools import pairwise
 from pathlib import Path
@@ -42,15 +44,19 @@ def test_a_click_reads_the_material_under_it(driven):
     found, _ = driven
     x, y, z = found["clicked"]["reference_mm"]
     assert (x, y, z) == pytest.approx((0.0, -8.0, 0.0), abs=1.0)
-    # Boussinesq's face under a point 6 mm above it, and 3/4 of its depth at 0.5 s and 3/8 of the time behind.
+    # Boussinesq's face under a point 6 mm above it, and 3/4 of its depth at 0.5 s and 3/8 of the
+    # time behind.
     expected = 6.0 * 6.0 / np.hypot(np.hypot(x, y), 6.0)
-    assert read_mm(found["clicked"]["text"]) == pytest.approx(expected, rel=0.03)  # error of linear cells of 2.5 mm
+    # error of linear cells of 2.5 mm
+    assert read_mm(found["clicked"]["text"]) == pytest.approx(expected, rel=0.03)
     assert read_mm(found["earlier"]) == pytest.approx(0.375 * expected, rel=0.03)
     assert found["clicked"]["text"].startswith("capsule at (")
     assert "von Mises: " in found["clicked"]["text"] and "kPa" in found["clicked"]["text"]
     assert found["camera_kept"] and found["missed"] == found["clicked"]["reference_mm"]
     # Drawn twice its size, the mark lies twice as deep.
-    assert found["enlarged_mm"][2] == pytest.approx(-2.0 * read_mm(found["clicked"]["text"]), rel=0.01)
+    assert found["enlarged_mm"][2] == pytest.approx(
+        -2.0 * read_mm(found["clicked"]["text"]), rel=0.01
+    )
 
 
 def test_fields_are_switched_by_key_and_by_click(driven):
@@ -101,7 +107,9 @@ def test_the_window_shows_it(driven):
             pictures[file.stem] = np.asarray(picture.convert("RGB"), dtype=int)
     body = (slice(150, 600), slice(250, 1150))
     for name in ("picked", "clipped", "hidden", "end"):
-        assert (np.abs(pictures[name] - pictures["start"])[body].max(axis=2) > 30).mean() > 5e-4, name
+        assert (np.abs(pictures[name] - pictures["start"])[body].max(axis=2) > 30).mean() > 5e-4, (
+            name
+        )
 
 
 def _drawn(folder, **options):
@@ -115,9 +123,11 @@ def _drawn(folder, **options):
 
 
 def _read_by_the_scale(file):
-    """Place on a displacement's scale, 0 to 1, of every pixel of a clean picture, its error [degree] and its shade.
+    """Place on a displacement's scale, 0 to 1, of every pixel of a clean picture, its error
+    [degree] and its shade.
 
-    The place is that of the nearest hue and saturation, whatever the light: the direction in red, green and blue.
+    The place is that of the nearest hue and saturation, whatever the light: the direction in red,
+    green and blue.
     """
     import matplotlib
     from PIL import Image
@@ -141,11 +151,13 @@ def test_a_screenshot_shows_the_field_at_a_time_and_scale(pressed, tmp_path):
         report = _drawn(pressed, screenshot=file, field="displacement_mm", clean=True, **options)
         assert report.endswith(f"screenshot in {file}")
         place, error, shade = _read_by_the_scale(file)
-        # Colours are those of the scale, however a face is lit: 8 bits are 1 degree in its darkest ones.
+        # Colours are those of the scale, however a face is lit: 8 bits are 1 degree in its darkest
+        # ones.
         assert error.max() < 2.0
         assert shade.min() > 0.85 and shade.max() < 1.05
         greatest.append(np.quantile(place, 0.999))
-    # Before contact nothing has moved; without a time it is the moment of the greatest force, which ends the scale.
+    # Before contact nothing has moved; without a time it is the moment of the greatest force, which
+    # ends the scale.
     assert greatest[0] < 0.05 and greatest[1] > 0.95
 
 
@@ -172,7 +184,9 @@ def test_the_press_is_drawn_for_the_report(pressed, tmp_path):
 
     trace = SavedRun(pressed).trace
     file = tmp_path / "press.png"
-    note = draw_press(pressed_series(), trace, file, title="press", tool=tool_surface(Probe(kind="sphere-probe")))
+    note = draw_press(
+        pressed_series(), trace, file, title="press", tool=tool_surface(Probe(kind="sphere-probe"))
+    )
     if note is not None and "OpenGL" in note:
         pytest.skip(note)
     assert note is None
@@ -187,7 +201,10 @@ def test_the_press_is_drawn_for_the_report(pressed, tmp_path):
     ("tool", "box"),
     [
         (Probe(kind="sphere-probe", diameter_mm=10.0), (-5.0, 5.0, -5.0, 5.0, 0.0, 10.0)),
-        (Probe(kind="cylinder-probe", diameter_mm=8.0, length_mm=30.0), (-4.0, 4.0, -4.0, 4.0, 0.0, 30.0)),
+        (
+            Probe(kind="cylinder-probe", diameter_mm=8.0, length_mm=30.0),
+            (-4.0, 4.0, -4.0, 4.0, 0.0, 30.0),
+        ),
         (Needle(diameter_mm=2.0), (-1.0, 1.0, -1.0, 1.0, 0.0, 80.0)),
     ],
 )
@@ -221,7 +238,8 @@ def test_a_shell_probe_keeps_the_origin_of_its_file(tmp_path):
     ],
 )
 def test_what_a_run_does_not_have_is_refused(pressed, tmp_path, monkeypatch, options, refused):
-    monkeypatch.setattr("tissue.show.viewer.view.require_whole", lambda saved: None)  # it starts a process each time
+    # it starts a process each time
+    monkeypatch.setattr("tissue.show.viewer.view.require_whole", lambda saved: None)
     with pytest.raises(InputError, match=refused):
         view(pressed, screenshot=tmp_path / "view.png", **options)
     assert not (tmp_path / "view.png").exists()
@@ -230,5 +248,8 @@ def test_what_a_run_does_not_have_is_refused(pressed, tmp_path, monkeypatch, opt
 def test_a_needle_goes_through_the_faces_of_its_scene():
     pytest.importorskip("pyvista")
     faces = faces_of(load_scene("needle", {"anatomy.membrane_depths_mm": {"vessel wall": 40.0}}))
-    assert {name: face.center[2] for name, face in faces.items()} == {"capsule": 0.0, "vessel wall": -40.0}
+    assert {name: face.center[2] for name, face in faces.items()} == {
+        "capsule": 0.0,
+        "vessel wall": -40.0,
+    }
     assert faces_of(load_scene("milling")) == {} == faces_of(None)

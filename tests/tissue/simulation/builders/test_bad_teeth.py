@@ -13,13 +13,18 @@ def write_ball(path, radius_mm, centre_mm=(0.0, 0.0, 0.0)):
     """A closed ball as an STL file in mm."""
     import trimesh
 
-    trimesh.creation.icosphere(subdivisions=3, radius=radius_mm).apply_translation(centre_mm).export(path)
+    trimesh.creation.icosphere(subdivisions=3, radius=radius_mm).apply_translation(
+        centre_mm
+    ).export(path)
     return str(path)
 
 
 def test_a_bur_that_starts_inside_the_tooth_is_refused(refused, here):
-    assert refused("run", "molar", *FORCE_ONLY, "--set", "motion.points_mm=[[0,0,-2],[0,0,-3]]") == (
-        "motion must start outside the tooth, got a bur at (0, 0, -2) mm with 100% of its surface inside: start higher"
+    assert refused(
+        "run", "molar", *FORCE_ONLY, "--set", "motion.points_mm=[[0,0,-2],[0,0,-3]]"
+    ) == (
+        "motion must start outside the tooth, got a bur at (0, 0, -2) mm with 100% of its "
+        "surface inside: start higher"
     )
     assert not (here / "runs").exists()
 
@@ -34,7 +39,9 @@ def test_a_placeholder_spacing_is_refused_with_the_size_it_makes(refused, here):
     image.point_data["labels"] = labels.ravel(order="F")
     image.save(here / "labels.vti")
     message = refused("run", "molar", *FORCE_ONLY, "--set", "anatomy.file=labels.vti")
-    assert message.startswith("anatomy.spacing_mm must make the tooth 5 to 40 mm long, got 1, which makes it ")
+    assert message.startswith(
+        "anatomy.spacing_mm must make the tooth 5 to 40 mm long, got 1, which makes it "
+    )
 
 
 def test_unknown_labels_are_listed(refused, here):
@@ -45,7 +52,13 @@ def test_unknown_labels_are_listed(refused, here):
     image.point_data["labels"] = labels.ravel(order="F")
     image.save(here / "labels.vti")
     message = refused(
-        "run", "molar", *FORCE_ONLY, "--set", "anatomy.file=labels.vti", "--set", "anatomy.spacing_mm=0.3"
+        "run",
+        "molar",
+        *FORCE_ONLY,
+        "--set",
+        "anatomy.file=labels.vti",
+        "--set",
+        "anatomy.spacing_mm=0.3",
     )
     assert message.startswith("anatomy.file must name every label of labels.vti, got unnamed 7 (")
 
@@ -53,15 +66,29 @@ def test_unknown_labels_are_listed(refused, here):
 def test_layers_in_different_units_are_refused(refused, here):
     enamel = write_ball(here / "enamel.stl", 5.0, (0.0, 0.0, 6.0))
     dentin = write_ball(here / "dentin.stl", 6.0, (300.0, 0.0, 0.0))
-    message = refused("run", "molar", *FORCE_ONLY, "--set", f"anatomy.enamel_file={enamel}",
-                   "--set", f"anatomy.dentin_file={dentin}")  # fmt: skip
+    message = refused(
+        "run",
+        "molar",
+        *FORCE_ONLY,
+        "--set",
+        f"anatomy.enamel_file={enamel}",
+        "--set",
+        f"anatomy.dentin_file={dentin}",
+    )
     assert "touch" in message or "tooth" in message
 
 
 def test_a_layer_file_that_is_missing_is_named(refused, here):
     dentin = write_ball(here / "dentin.stl", 6.0)
-    message = refused("run", "molar", *FORCE_ONLY, "--set", "anatomy.enamel_file=nowhere.stl",
-                   "--set", f"anatomy.dentin_file={dentin}")  # fmt: skip
+    message = refused(
+        "run",
+        "molar",
+        *FORCE_ONLY,
+        "--set",
+        "anatomy.enamel_file=nowhere.stl",
+        "--set",
+        f"anatomy.dentin_file={dentin}",
+    )
     assert "nowhere.stl" in message
 
 
@@ -81,13 +108,17 @@ def test_what_only_a_tooth_has_is_refused_elsewhere(refused, here, part):
 
 
 def blocks(*labels):
-    """Voxels of 0.5 mm with a block of 6 x 4 x 9 of dentin in air, and others of a layer where they are named."""
+    """Voxels of 0.5 mm with a block of 6 x 4 x 9 of dentin in air, and others of a layer where
+    they are named.
+    """
     layers, names = np.zeros((16, 14, 30), np.uint8), ("dentin", "bone")
     fraction = np.zeros(layers.shape, np.uint8)
     fraction[5:11, 5:9, 8:17] = 255
     for part, name in labels:
         fraction[part], layers[part] = 255, names.index(name)
-    return VoxelVolume((0.0, 0.0, 0.0), 5e-4, fraction, layers, np.full(layers.shape, 2100, np.uint16), names)
+    return VoxelVolume(
+        (0.0, 0.0, 0.0), 5e-4, fraction, layers, np.full(layers.shape, 2100, np.uint16), names
+    )
 
 
 def springs(volume):
@@ -97,11 +128,15 @@ def springs(volume):
     solid = (volume.fraction > 0) & (volume.layer == 0)
     found = _ligament_springs(volume, solid, 2e-4)
     heights = np.floor(found.position_m[:, 2] / 5e-4)
-    return {height: found.stiffness_N_m[heights == height].sum(axis=0) for height in np.unique(heights)}
+    return {
+        height: found.stiffness_N_m[heights == height].sum(axis=0) for height in np.unique(heights)
+    }
 
 
 def test_a_tooth_whose_bone_does_not_touch_it_is_refused():
-    with pytest.raises(InputError, match="anatomy must hold a tooth that something supports, got none"):
+    with pytest.raises(
+        InputError, match="anatomy must hold a tooth that something supports, got none"
+    ):
         springs(blocks((np.s_[:, :, 26:], "bone")))
 
 

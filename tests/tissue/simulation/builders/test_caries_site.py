@@ -1,4 +1,6 @@
-"""A tooth from files is entered over its lesion, and a run beside the lesion reports how to come there."""
+"""A tooth from files is entered over its lesion, and a run beside the lesion reports how to come
+there.
+"""
 
 import pytest
 import trimesh
@@ -18,7 +20,9 @@ STRAIGHT_IN = {
 
 @pytest.fixture
 def layers(tmp_path):
-    """Enamel on hollow dentin with a pulp in it, and decay 0.4 mm under the dentin's side at x = 4 [mm]."""
+    """Enamel on hollow dentin with a pulp in it, and decay 0.4 mm under the dentin's side at x =
+    4 [mm].
+    """
 
     def block(size, x, bottom):
         return trimesh.creation.box(size).apply_translation((x, 0.0, bottom + 0.5 * size[2]))
@@ -48,7 +52,9 @@ def test_surfaces_are_drilled_over_their_caries_or_refused_with_the_remedy(layer
     touched = simulate(load_scene("molar", layers | STRAIGHT_IN | shallow)).summary
     removed, there = touched["removed_mm3"]["caries"], touched["start_mm3"]["caries"]
     assert 0.0 < removed < 0.5 * there
-    assert touched["notes"]["removed"].startswith(f"only {removed:.3g} of {there:.3g} mm3 of the caries within reach")
+    assert touched["notes"]["removed"].startswith(
+        f"only {removed:.3g} of {there:.3g} mm3 of the caries within reach"
+    )
 
 
 @pytest.mark.slow
@@ -61,4 +67,6 @@ def test_labels_are_drilled_over_their_caries_and_the_rest_is_reported(anatomy):
     run = simulate(load_scene("molar", labels | STRAIGHT_IN)).summary
     removed, there = run["removed_mm3"]["caries"], run["start_mm3"]["caries"]
     assert 0.5 < removed < there < 7.0
-    assert removed >= 0.5 * there or run["notes"]["removed"].startswith(f"only {removed:.3g} of {there:.3g} mm3 of the")
+    assert removed >= 0.5 * there or run["notes"]["removed"].startswith(
+        f"only {removed:.3g} of {there:.3g} mm3 of the"
+    )

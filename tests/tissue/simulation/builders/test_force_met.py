@@ -1,4 +1,6 @@
-"""The scale of forces at a device: from what the script meets, the device's friction and its limit, whatever the frame."""
+"""The scale of forces at a device: from what the script meets, the device's friction and its
+limit, whatever the frame.
+"""
 
 import numpy as np
 import pytest
@@ -8,27 +10,41 @@ from tissue.haptics.device.device import device_parameters
 from tissue.simulation.builders.force_met import LEAST, MOST, chosen_scale, cut, pierced, pressed
 
 LIBRARY = {
-    "milling": cut, "glenoid": cut, "molar": cut, "caries": cut,
-    "liver-press": pressed, "palpation": pressed, "needle": pierced,
-}  # fmt: skip
+    "milling": cut,
+    "glenoid": cut,
+    "molar": cut,
+    "caries": cut,
+    "liver-press": pressed,
+    "palpation": pressed,
+    "needle": pierced,
+}
 
 
 @pytest.mark.parametrize("device", ["touch", "omni", "six-dof"])
 @pytest.mark.parametrize("name", LIBRARY)
 def test_a_script_s_force_fits_its_device(name, device):
-    """At most half of what is played without compression; over friction where that allows it; 1 where 1 fits."""
+    """At most half of what is played without compression; over friction where that allows it; 1
+    where 1 fits.
+    """
     scene, limits = load_scene(name, {"device": device}), device_parameters(device)
     scale, why = chosen_scale(scene)
     force = LIBRARY[name](scene)
     assert scale * force <= MOST * limits.force_limit_N * (1.0 + 1e-9)
-    assert scale == 1.0 or scale * force >= 0.9 * min(LEAST * limits.friction_N, MOST * limits.force_limit_N)
+    assert scale == 1.0 or scale * force >= 0.9 * min(
+        LEAST * limits.friction_N, MOST * limits.force_limit_N
+    )
     assert scale <= 1.0 or force < LEAST * limits.friction_N
     assert f"{force:.3g} N" in why
-    assert chosen_scale(scene)[0] == chosen_scale(load_scene(name, {"device": device, "seed": 5, "hand": "novice"}))[0]
+    assert (
+        chosen_scale(scene)[0]
+        == chosen_scale(load_scene(name, {"device": device, "seed": 5, "hand": "novice"}))[0]
+    )
 
 
 def test_a_number_fixes_it_and_what_is_not_known_passes_as_it_is():
-    assert chosen_scale(load_scene("milling", {"device": "touch", "coupling.force_scale": 0.2})) == (0.2, "")
+    assert chosen_scale(
+        load_scene("milling", {"device": "touch", "coupling.force_scale": 0.2})
+    ) == (0.2, "")
     assert chosen_scale(load_scene("wall"))[0] == 1.0
     assert chosen_scale(load_scene("milling"))[0] == 1.0
     assert chosen_scale(load_scene("glenoid", {"device": "touch", "tool.spin_rpm": 0.0}))[0] == 1.0
@@ -38,14 +54,22 @@ def test_a_number_fixes_it_and_what_is_not_known_passes_as_it_is():
 @pytest.mark.parametrize(
     ("name", "changes"),
     [
-        ("milling", {"voxels.spacing_mm": 0.2, "motion.points_mm": [[-5, 0, 0.05], [-5, 0, -0.2], [-2, 0, -0.2]]}),
+        (
+            "milling",
+            {
+                "voxels.spacing_mm": 0.2,
+                "motion.points_mm": [[-5, 0, 0.05], [-5, 0, -0.2], [-2, 0, -0.2]],
+            },
+        ),
         ("glenoid", {"voxels.spacing_mm": 0.5, "motion.feed_mm_s": 2.0, "duration_s": 1.2}),
         ("needle", {"anatomy.interval_ms": 0.0}),
         ("liver-press", {"organ.order": 1, "anatomy.edge_mm": 30.0, "anatomy.touch_edge_mm": 8.0}),
     ],
 )
 def test_the_estimate_is_the_force_of_the_run(name, changes):
-    """Within a fifth of the finely stepped run; of an organ, whose shape Hertz leaves out, within a factor of two."""
+    """Within a fifth of the finely stepped run; of an organ, whose shape Hertz leaves out,
+    within a factor of two.
+    """
     scene = load_scene(name, changes)
     forces = np.linalg.norm(simulate(scene).trace.vectors("model_force", "N"), axis=1)
     if name == "liver-press":
@@ -56,7 +80,15 @@ def test_the_estimate_is_the_force_of_the_run(name, changes):
 
 def test_it_does_not_depend_on_the_frame():
     """The slot along y, in a block turned with it."""
-    along = {"motion.points_mm": [[-4, 0, 0.05], [-4, 0, -0.2], [4, 0, -0.2]], "voxels.spacing_mm": 0.2}
-    turned = {"motion.points_mm": [[0, -4, 0.05], [0, -4, -0.2], [0, 4, -0.2]], "voxels.spacing_mm": 0.2}
+    along = {
+        "motion.points_mm": [[-4, 0, 0.05], [-4, 0, -0.2], [4, 0, -0.2]],
+        "voxels.spacing_mm": 0.2,
+    }
+    turned = {
+        "motion.points_mm": [[0, -4, 0.05], [0, -4, -0.2], [0, 4, -0.2]],
+        "voxels.spacing_mm": 0.2,
+    }
     there = cut(load_scene("milling", along | {"anatomy.size_mm": [20, 12, 6]}))
-    assert cut(load_scene("milling", turned | {"anatomy.size_mm": [12, 20, 6]})) == pytest.approx(there, rel=0.02)
+    assert cut(load_scene("milling", turned | {"anatomy.size_mm": [12, 20, 6]})) == pytest.approx(
+        there, rel=0.02
+    )

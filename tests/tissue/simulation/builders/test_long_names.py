@@ -22,7 +22,9 @@ BLOCK = {"kind": "block"}
     ],
 )
 def test_it_is_refused_in_one_sentence(change):
-    scene = tissue.Scene.model_validate({"name": "x", "anatomy": BLOCK, "tool": BURR, "motion": PATH} | change)
+    scene = tissue.Scene.model_validate(
+        {"name": "x", "anatomy": BLOCK, "tool": BURR, "motion": PATH} | change
+    )
     with pytest.raises(InputError, match="exist") as refused:
         tissue.simulate(scene)
     assert "\n" not in str(refused.value)

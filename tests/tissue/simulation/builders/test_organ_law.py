@@ -1,4 +1,6 @@
-"""Hyperelastic laws of a scene: what they are made of, what they are refused with, and runs of them."""
+"""Hyperelastic laws of a scene: what they are made of, what they are refused with, and runs of
+them.
+"""
 
 import numpy as np
 import pytest
@@ -12,21 +14,35 @@ from tissue.simulation.builders.organ_law import law_of
 from tissue.simulation.simulate import simulate
 
 SMALL = {
-    "anatomy.size_mm": [50, 50, 30], "anatomy.edge_mm": 10.0, "anatomy.touch_edge_mm": 6.0,
-    "anatomy.nodule_diameter_mm": 0.0, "organ.parts": None, "organ.young_kPa": 5.0, "organ.young_end_kPa": None,
-    "organ.friction": 0.0, "organ.poisson_ratio": 0.45, "organ.interval_ms": 0.0, "organ.order": 1,
-}  # fmt: skip
+    "anatomy.size_mm": [50, 50, 30],
+    "anatomy.edge_mm": 10.0,
+    "anatomy.touch_edge_mm": 6.0,
+    "anatomy.nodule_diameter_mm": 0.0,
+    "organ.parts": None,
+    "organ.young_kPa": 5.0,
+    "organ.young_end_kPa": None,
+    "organ.friction": 0.0,
+    "organ.poisson_ratio": 0.45,
+    "organ.interval_ms": 0.0,
+    "organ.order": 1,
+}
 
 
 def pressed(depth_mm: float, **changes: object) -> dict[str, object]:
     """A ball of 16 mm on a small slab, straight in."""
-    path = {"motion.points_mm": [[0, 0, 0.2], [0, 0, -depth_mm], [0, 0, -depth_mm - 0.01]], "motion.feed_mm_s": 10.0}
+    path = {
+        "motion.points_mm": [[0, 0, 0.2], [0, 0, -depth_mm], [0, 0, -depth_mm - 0.01]],
+        "motion.feed_mm_s": 10.0,
+    }
     return SMALL | path | {f"organ.{name}": value for name, value in changes.items()}
 
 
 LAWS = {
     "neo-hookean": ({}, lambda g, k: Hyperelastic.neo_hookean(g, bulk_Pa=k)),
-    "mooney-rivlin": ({"second_share": 0.25}, lambda g, k: Hyperelastic.mooney_rivlin(0.375 * g, 0.125 * g, bulk_Pa=k)),
+    "mooney-rivlin": (
+        {"second_share": 0.25},
+        lambda g, k: Hyperelastic.mooney_rivlin(0.375 * g, 0.125 * g, bulk_Pa=k),
+    ),
     "yeoh": (
         {"square_ratio": 0.2, "cube_ratio": 0.1},
         lambda g, k: Hyperelastic.yeoh(0.5 * g, 0.1 * g, 0.05 * g, bulk_Pa=k),
@@ -61,8 +77,14 @@ def test_the_linear_law_is_none():
             {"law": "neo-hookean", "viscous": True},
             "organ.law and organ.viscous must be left out together, got neo-hookean and true",
         ),
-        ({"law": "neo-hookean", "capsule": True}, "organ.law and organ.capsule must be left out together"),
-        ({"law": "neo-hookean", "gravity": True}, "organ.law and organ.gravity must be left out together"),
+        (
+            {"law": "neo-hookean", "capsule": True},
+            "organ.law and organ.capsule must be left out together",
+        ),
+        (
+            {"law": "neo-hookean", "gravity": True},
+            "organ.law and organ.gravity must be left out together",
+        ),
         (
             {"law": "neo-hookean", "path": "lazy"},
             "organ.law and organ.path must be left out together, got neo-hookean and lazy",
@@ -86,7 +108,10 @@ def test_what_a_law_cannot_have_is_refused(changes, sentence):
             {"organ.law": "ogden", "organ.exponent": 8.0, "organ.second_share": 0.2},
             "organ.second_share must be left out",
         ),
-        ({"organ.law_interval_ms": 50.0}, "organ.law_interval_ms must be left out with organ.law = linear"),
+        (
+            {"organ.law_interval_ms": 50.0},
+            "organ.law_interval_ms must be left out with organ.law = linear",
+        ),
     ],
 )
 def test_keys_of_laws_are_refused_where_they_have_no_effect(changes, sentence):
@@ -107,6 +132,9 @@ def test_a_real_device_is_refused_and_a_simulated_one_is_not(monkeypatch):
     scene = load_scene("palpation", pressed(1.0, law="neo-hookean") | {"device": "touch"})
     assert simulate(scene, cores=1).trace["force_z_N"].max() > 0.0
     monkeypatch.setattr("tissue.simulation.builders.organ_law.opens_device", lambda _: True)
-    sentence = r"device and organ\.law must be left out together, got touch and neo.*solving the law takes longer"
+    sentence = (
+        r"device and organ\.law must be left out together, got touch and neo.*solving the law "
+        r"takes longer"
+    )
     with pytest.raises(InputError, match=sentence):
         simulate(scene, cores=1)

@@ -43,11 +43,15 @@ PATHS = ("condensed", "lazy", "reduced")
 
 
 def press(**changes):
-    return simulate(load_scene("liver-press", PRESS | {k.replace("__", "."): v for k, v in changes.items()}))
+    return simulate(
+        load_scene("liver-press", PRESS | {k.replace("__", "."): v for k, v in changes.items()})
+    )
 
 
 def slab(**changes):
-    return simulate(load_scene("palpation", SLAB | {k.replace("__", "."): v for k, v in changes.items()}))
+    return simulate(
+        load_scene("palpation", SLAB | {k.replace("__", "."): v for k, v in changes.items()})
+    )
 
 
 @pytest.fixture(scope="module")
@@ -84,15 +88,21 @@ def test_frames_hold_the_support_and_carry_the_force(pressed):
         assert not frame.points["displacement_mm"][held].any()
         loaded += bool(on_organ.any())
     assert loaded > 3
-    assert set(series.frames[0].cells) == {"von_mises_kPa", "principal_stress_kPa", "strain_percent"}
+    assert set(series.frames[0].cells) == {
+        "von_mises_kPa",
+        "principal_stress_kPa",
+        "strain_percent",
+    }
 
 
 def test_paths_to_the_compliance_agree():
     """Whole and column by column to the rounding of their factors; a basis of all modes too."""
     forces = [
-        slab(**SMALL, **{"organ.path": path}, **({"organ.basis_size": 3000} if path == "reduced" else {})).trace[
-            "model_force_z_N"
-        ]
+        slab(
+            **SMALL,
+            **{"organ.path": path},
+            **({"organ.basis_size": 3000} if path == "reduced" else {}),
+        ).trace["model_force_z_N"]
         for path in PATHS
     ]
     assert forces[0].max() > 0.01
@@ -109,20 +119,29 @@ def test_a_run_repeats_bit_for_bit(pressed):
 
 
 def test_force_scales_with_the_modulus():
-    soft, hard = (slab(**{"organ.young_kPa": young}).trace["model_force_z_N"] for young in (5.0, 20.0))
+    soft, hard = (
+        slab(**{"organ.young_kPa": young}).trace["model_force_z_N"] for young in (5.0, 20.0)
+    )
     np.testing.assert_allclose(hard, 4.0 * soft, atol=1e-3 * hard.max())
 
 
 def test_a_viscous_slab_relaxes_to_its_long_term_share():
-    """Held at depth, the force falls from about the elastic one towards g_inf of it (0.432 by the cited series)."""
-    elastic, viscous = slab(), slab(**{"organ.viscous": True, "duration_s": 1.5, "motion.feed_mm_s": 200.0})
+    """Held at depth, the force falls from about the elastic one towards g_inf of it (0.432 by
+    the cited series).
+    """
+    elastic, viscous = (
+        slab(),
+        slab(**{"organ.viscous": True, "duration_s": 1.5, "motion.feed_mm_s": 200.0}),
+    )
     force = viscous.trace["model_force_z_N"]
     assert force.max() > 0.75 * elastic.trace["model_force_z_N"].max()
     assert force[-1] == pytest.approx(0.432 * elastic.trace["model_force_z_N"][-1], rel=0.02)
 
 
 def test_quadratic_cells_are_softer_than_locking_linear_ones():
-    linear, quadratic = (slab(**{"organ.order": order}).trace["model_force_z_N"].max() for order in (1, 2))
+    linear, quadratic = (
+        slab(**{"organ.order": order}).trace["model_force_z_N"].max() for order in (1, 2)
+    )
     assert 0.1 * linear < quadratic < 0.5 * linear
 
 
@@ -149,19 +168,27 @@ def test_capsule_and_gravity_run():
 
 @pytest.mark.parametrize("direction", [[1, 0, 0], [0, 0, 1]])
 def test_the_force_rises_with_the_ratio_of_fibres(direction):
-    """Across the press and along it, by fibres that are softer than the tissue around them and stiffer."""
+    """Across the press and along it, by fibres that are softer than the tissue around them and
+    stiffer.
+    """
     fibres = {"organ.interval_ms": 0.0, "organ.fibre_direction": direction}
     runs = [
-        slab(**({} if ratio == 1.0 else fibres | {"organ.fibre_modulus_ratio": ratio})) for ratio in (0.5, 1.0, 3.0)
+        slab(**({} if ratio == 1.0 else fibres | {"organ.fibre_modulus_ratio": ratio}))
+        for ratio in (0.5, 1.0, 3.0)
     ]
     forces = np.array([run.trace["model_force_z_N"].max() for run in runs])
     assert (np.diff(forces) > 0.01 * forces[1]).all(), forces / forces[1]
 
 
 def test_fibres_are_the_same_in_a_turned_organ():
-    """Stiffness of a mesh that is turned together with its fibres, against the stiffness turned by hand."""
+    """Stiffness of a mesh that is turned together with its fibres, against the stiffness turned
+    by hand.
+    """
     scene = load_scene("palpation", SLAB)
-    mesh, turn = box((0.02, 0.03, 0.01), (2, 2, 1)), Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix()
+    mesh, turn = (
+        box((0.02, 0.03, 0.01), (2, 2, 1)),
+        Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix(),
+    )
     fibre = np.array([2.0, 1.0, -1.0])
     stiffness = []
     for nodes, direction in ((mesh.nodes_m, fibre), (mesh.nodes_m @ turn.T, turn @ fibre)):
@@ -171,27 +198,49 @@ def test_fibres_are_the_same_in_a_turned_organ():
         stiffness.append(assemble(Space(body, 2), moduli).toarray())
     count = len(stiffness[0]) // 3
     turned = np.einsum("ij,ajbk,lk->aibl", turn, stiffness[0].reshape(count, 3, count, 3), turn)
-    np.testing.assert_allclose(stiffness[1], turned.reshape(3 * count, -1), atol=1e-9 * np.abs(turned).max())
+    np.testing.assert_allclose(
+        stiffness[1], turned.reshape(3 * count, -1), atol=1e-9 * np.abs(turned).max()
+    )
 
 
 @pytest.mark.parametrize(
     ("ratio", "poisson", "sentence"),
-    [(0.25, 0.0, r"fibre_modulus_ratio is 0\.25.*Poisson's ratio 0 is stable only with more than 0\.333"),
-     (3.0, -0.5, r"is 3.*less than 1\.5\. Change it or organ\.poisson_ratio")],
-)  # fmt: skip
+    [
+        (
+            0.25,
+            0.0,
+            r"fibre_modulus_ratio is 0\.25.*Poisson's ratio 0 is stable only with more than 0\.333",
+        ),
+        (3.0, -0.5, r"is 3.*less than 1\.5\. Change it or organ\.poisson_ratio"),
+    ],
+)
 def test_fibres_that_would_make_tissue_unstable_are_refused(ratio, poisson, sentence):
-    fibres = {"organ.fibre_direction": [1, 0, 0], "organ.fibre_modulus_ratio": ratio, "organ.poisson_ratio": poisson}
+    fibres = {
+        "organ.fibre_direction": [1, 0, 0],
+        "organ.fibre_modulus_ratio": ratio,
+        "organ.poisson_ratio": poisson,
+    }
     with pytest.raises(InputError, match=sentence):
         slab(**fibres)
 
 
 def test_a_liver_from_a_file_is_placed_held_and_pressed(anatomy):
-    """The file names no unit: it is given. The origin becomes its highest point, and what faces down is held."""
-    changes = {"anatomy.file": str(anatomy / "liver" / "liver.v22.msh"), "anatomy.touch_edge_mm": 12.0}
-    with pytest.raises(InputError, match=r"anatomy\.edge_mm must be left out for tetrahedra from a file, got 22: set "):
+    """The file names no unit: it is given. The origin becomes its highest point, and what faces
+    down is held.
+    """
+    changes = {
+        "anatomy.file": str(anatomy / "liver" / "liver.v22.msh"),
+        "anatomy.touch_edge_mm": 12.0,
+    }
+    with pytest.raises(
+        InputError,
+        match=r"anatomy\.edge_mm must be left out for tetrahedra from a file, got 22: set ",
+    ):
         press(**changes, **{"anatomy.scale_mm": 34.3})
     changes["anatomy.edge_mm"] = None
-    with pytest.raises(InputError, match=r"anatomy\.scale_mm must be given where the unit is not plain"):
+    with pytest.raises(
+        InputError, match=r"anatomy\.scale_mm must be given where the unit is not plain"
+    ):
         press(**changes)
     run = press(**changes, **{"anatomy.scale_mm": 34.3})
     assert "596 tetrahedra, 1475 ml" in run.parts.notes["mesh"]
@@ -204,7 +253,10 @@ def test_a_liver_from_a_file_is_placed_held_and_pressed(anatomy):
 def test_a_needle_scene_reports_its_punctures():
     run = simulate(load_scene("needle"))
     message = [what for _, what in run.events]
-    assert [line.split(" is punctured")[0] for line in message[:2]] == ["the capsule", "the vessel wall"]
+    assert [line.split(" is punctured")[0] for line in message[:2]] == [
+        "the capsule",
+        "the vessel wall",
+    ]
     assert run.trace["model_force_z_N"].max() == pytest.approx(3.2, abs=0.1)
 
 
@@ -214,33 +266,88 @@ def test_a_needle_scene_reports_its_punctures():
         (
             "liver-press",
             {"motion.points_mm": [[0, 0, 60], [0, 0, 40]]},
-            "motion must bring the tool to the organ, got a tool that never touches it: move it to the organ between",
+            (
+                "motion must bring the tool to the organ, got a tool that never touches it: move "
+                "it to the organ between"
+            ),
         ),
         (
             "liver-press",
-            {"anatomy.held": "plane", "anatomy.held_below_mm": 0.0, "motion.points_mm": [[45, 0, 30], [45, 0, -30]]},
-            "motion must bring the tool to tissue that can move, got a tool that touches only what is held: move it",
+            {
+                "anatomy.held": "plane",
+                "anatomy.held_below_mm": 0.0,
+                "motion.points_mm": [[45, 0, 30], [45, 0, -30]],
+            },
+            (
+                "motion must bring the tool to tissue that can move, got a tool that touches "
+                "only what is held: move it"
+            ),
         ),
-        ("liver-press", {"motion.points_mm": [[0, 0, -20], [0, 0, -30]]}, "motion must start outside the organ"),
-        ("liver-press", {"tool.kind": "ball-burr", "tool.diameter_mm": 6, "tool.spin_rpm": 500}, "tool.kind must be one "
-         "of sphere-probe, cylinder-probe, shell-probe for a liver, got ball-burr: choose one of these"),
-        ("liver-press", {"voxels.spacing_mm": 0.1}, "voxels.spacing_mm must be left out for a liver"),
-        ("glenoid", {"organ.young_kPa": 5.0}, "organ.young_kPa must be left out for a glenoid, "
-         "got 5: set anatomy.kind = liver, or remove it"),
+        (
+            "liver-press",
+            {"motion.points_mm": [[0, 0, -20], [0, 0, -30]]},
+            "motion must start outside the organ",
+        ),
+        (
+            "liver-press",
+            {"tool.kind": "ball-burr", "tool.diameter_mm": 6, "tool.spin_rpm": 500},
+            "tool.kind must be one "
+            "of sphere-probe, cylinder-probe, shell-probe for a liver, got ball-burr: choose "
+            "one of these",
+        ),
+        (
+            "liver-press",
+            {"voxels.spacing_mm": 0.1},
+            "voxels.spacing_mm must be left out for a liver",
+        ),
+        (
+            "glenoid",
+            {"organ.young_kPa": 5.0},
+            "organ.young_kPa must be left out for a glenoid, "
+            "got 5: set anatomy.kind = liver, or remove it",
+        ),
         ("liver-press", {"organ.poisson_ratio": 0.5}, "organ.poisson_ratio must be"),
         ("liver-press", {"organ.young_kPa": float("nan")}, "organ.young_kPa must be"),
-        ("liver-press", {"anatomy.held": "plane", "anatomy.held_below_mm": -900.0}, "anatomy.held must touch the body"),
+        (
+            "liver-press",
+            {"anatomy.held": "plane", "anatomy.held_below_mm": -900.0},
+            "anatomy.held must touch the body",
+        ),
         ("liver-press", {"anatomy.held": "part"}, "anatomy.held_part must be given, got nothing"),
         ("liver-press", {"anatomy.file": "nowhere.vtk"}, "anatomy.file must exist"),
-        ("palpation", {"anatomy.nodule_centre_mm": [0, 0, -2]}, "anatomy.nodule_centre_mm must lie"),
-        ("needle", {"motion.points_mm": [[0, 0, -5], [0, 0, -9]]}, "motion must start with the needle's tip outside"),
+        (
+            "palpation",
+            {"anatomy.nodule_centre_mm": [0, 0, -2]},
+            "anatomy.nodule_centre_mm must lie",
+        ),
+        (
+            "needle",
+            {"motion.points_mm": [[0, 0, -5], [0, 0, -9]]},
+            "motion must start with the needle's tip outside",
+        ),
         ("liver-press", {"tool.kind": "shell-probe"}, "tool.file must be given for a shell-probe"),
-        ("liver-press", {"tool.kind": "shell-probe", "tool.file": "nowhere.stl"}, "tool.file must exist"),
-        ("liver-press", {"tool.kind": "shell-probe", "tool.file": __file__}, "tool.file must end in .stl"),
-        ("liver-press", {"organ.material": "kidney", "organ.viscous": True}, "organ.viscous must be false for kidney"),
+        (
+            "liver-press",
+            {"tool.kind": "shell-probe", "tool.file": "nowhere.stl"},
+            "tool.file must exist",
+        ),
+        (
+            "liver-press",
+            {"tool.kind": "shell-probe", "tool.file": __file__},
+            "tool.file must end in .stl",
+        ),
+        (
+            "liver-press",
+            {"organ.material": "kidney", "organ.viscous": True},
+            "organ.viscous must be false for kidney",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_is_refused_in_one_sentence(scene, changes, sentence):
     with pytest.raises(InputError) as refused:
-        simulate(load_scene(scene, ({"anatomy.edge_mm": 22.0} if scene == "liver-press" else {}) | changes))
+        simulate(
+            load_scene(
+                scene, ({"anatomy.edge_mm": 22.0} if scene == "liver-press" else {}) | changes
+            )
+        )
     assert sentence in str(refused.value) and "\n" not in str(refused.value)

@@ -1,4 +1,6 @@
-"""A recorded motion whose quaternions have w first is named; the volumes inside the bone are those that it loses."""
+"""A recorded motion whose quaternions have w first is named; the volumes inside the bone are
+those that it loses.
+"""
 
 import numpy as np
 import pytest
@@ -20,8 +22,17 @@ def poses(path, tip_mm, rotation, *, w_first=False):
     """A file of a tool that goes 2 mm to the side in 0.2 s, turned all the time."""
     x, y, z, w = rotation.as_quat()
     columns = (w, x, y, z) if w_first else (x, y, z, w)
-    rows = [(time, tip_mm[0] + 10.0 * time, *tip_mm[1:], *columns) for time in np.linspace(0.0, 0.2, 21)]
-    np.savetxt(path, rows, delimiter=",", header=",".join(("time_s", *POSE_COLUMNS)), comments="", fmt="%.17g")
+    rows = [
+        (time, tip_mm[0] + 10.0 * time, *tip_mm[1:], *columns) for time in np.linspace(0.0, 0.2, 21)
+    ]
+    np.savetxt(
+        path,
+        rows,
+        delimiter=",",
+        header=",".join(("time_s", *POSE_COLUMNS)),
+        comments="",
+        fmt="%.17g",
+    )
     return str(path)
 
 
@@ -52,7 +63,9 @@ def replayed(file):
 
 
 def named(parts):
-    return [what for time_s, what in parts.events if "read as (w, x, y, z)" in what and time_s == 0.0]
+    return [
+        what for time_s, what in parts.events if "read as (w, x, y, z)" in what and time_s == 0.0
+    ]
 
 
 @pytest.mark.parametrize("write", [poses, recording])
@@ -70,7 +83,9 @@ def test_a_file_with_w_first_is_named_and_one_with_w_last_is_not(tmp_path, write
 def test_a_recorded_device_is_judged_as_a_replay(tmp_path):
     """The identity with w first turns the tool by half a turn: its shank then lies in the bone."""
     file = poses(tmp_path / "wrong.csv", (-3.0, 0.0, -0.3), Rotation.identity(), w_first=True)
-    parts, _ = built({"device": "recorded", "hardware.address": file, "coupling.stiffness_N_m": 200.0})
+    parts, _ = built(
+        {"device": "recorded", "hardware.address": file, "coupling.stiffness_N_m": 200.0}
+    )
     assert named(parts)
 
 
@@ -86,6 +101,15 @@ def test_quaternions_of_another_length_are_refused(tmp_path, length):
     file = poses(tmp_path / "long.csv", (-3.0, 0.0, -0.3), TILTED)
     rows = np.loadtxt(file, delimiter=",", skiprows=1)
     rows[7, 4:] *= length
-    np.savetxt(file, rows, delimiter=",", header=",".join(("time_s", *POSE_COLUMNS)), comments="", fmt="%.17g")
-    with pytest.raises(tissue.InputError, match=rf"got one of length {length:g} at 0\.07 s in .*long\.csv"):
+    np.savetxt(
+        file,
+        rows,
+        delimiter=",",
+        header=",".join(("time_s", *POSE_COLUMNS)),
+        comments="",
+        fmt="%.17g",
+    )
+    with pytest.raises(
+        tissue.InputError, match=rf"got one of length {length:g} at 0\.07 s in .*long\.csv"
+    ):
         replayed(file)

@@ -24,7 +24,9 @@ from tissue.simulation.trace import Table
 __all__ = ["DEVICE", "LiveBone", "LiveOrgan", "LiveScene", "Readings", "live_tissue"]
 
 TISSUE_S = 0.2
-"""Least time between two updates of the tissue [s]; one that took long is followed by a rest as long as itself."""
+"""Least time between two updates of the tissue [s]; one that took long is followed by a rest as
+long as itself.
+"""
 DEVICE = "#D55E00"
 LEAST_N = 1.0
 """Force that is drawn as the longest arrow until there is a greater one."""
@@ -67,7 +69,9 @@ class Readings:
             turn=tool_turns(table)[0],
             force_N=table.vectors("model_force", "N")[0],
             torque_Nm=table.vectors("model_torque", "Nm")[0],
-            device_N=float(np.linalg.norm(table.vectors("device_force", "N")[0])) if plays else None,
+            device_N=float(np.linalg.norm(table.vectors("device_force", "N")[0]))
+            if plays
+            else None,
             numbers={name: float(table[name][0]) for name in NUMBERS},
         )
 
@@ -79,8 +83,12 @@ AROUND = 0.7
 ORGAN = "#CC8E7D"
 
 
-def live_tissue(plotter: Plotter, start: Start, arrays: SharedArrays) -> "LiveBone | LiveOrgan | None":
-    """Return the drawn tissue that `tissue.simulation.live` shares, or None if only the scene describes it."""
+def live_tissue(
+    plotter: Plotter, start: Start, arrays: SharedArrays
+) -> "LiveBone | LiveOrgan | None":
+    """Return the drawn tissue that `tissue.simulation.live` shares, or None if only the scene
+    describes it.
+    """
     match tissue_surface(start, arrays):
         case BoneSurface() as bone:
             return LiveBone(plotter, bone)
@@ -157,9 +165,15 @@ class LiveOrgan:
         self.colours: dict[str, tuple[float, float, float]] = {}
         self._organ = organ
         self._actor = plotter.add_mesh(
-            organ.surface, color=ORGAN, smooth_shading=True, show_edges=True, edge_color="#B07365", line_width=0.5,
-            specular=0.2, reset_camera=False,
-        )  # fmt: skip
+            organ.surface,
+            color=ORGAN,
+            smooth_shading=True,
+            show_edges=True,
+            edge_color="#B07365",
+            line_width=0.5,
+            specular=0.2,
+            reset_camera=False,
+        )
         patch = organ.touchable_mm
         self.points_mm: Array = patch + AROUND * (patch - patch.mean(axis=0))
 
@@ -214,12 +228,20 @@ class LiveScene:
             start = dict(file)
         scene = self.scene = Scene.model_validate_json((folder / "scene.json").read_text("utf-8"))
         self._columns = tuple(json.loads((folder / "columns.json").read_text("utf-8")))
-        self.plotter = new_plotter(size_px, title=f"tissue: {scene.name}, live", off_screen=off_screen)
+        self.plotter = new_plotter(
+            size_px, title=f"tissue: {scene.name}, live", off_screen=off_screen
+        )
         self.tissue = live_tissue(self.plotter, start, self.arrays)
         faces = faces_of(scene)
         colours = layer_colours(tuple(faces))
         for name, face in faces.items():
-            self.plotter.add_mesh(face, color=colours[name], opacity=0.6, show_edges=name == "wall", edge_color="white")
+            self.plotter.add_mesh(
+                face,
+                color=colours[name],
+                opacity=0.6,
+                show_edges=name == "wall",
+                edge_color="white",
+            )
         self.colours = {**colours, **(self.tissue.colours if self.tissue is not None else {})}
         seen = [1e3 * start["start_m"][None], *(np.asarray(face.points) for face in faces.values())]
         if self.tissue is not None:
@@ -248,7 +270,9 @@ class LiveScene:
         return changed
 
     def show(self, target_mm: NDArray[np.float64]) -> Readings | None:
-        """Show the newest row, and where the tool is wanted [mm]; what it holds, or None where there is none yet."""
+        """Show the newest row, and where the tool is wanted [mm]; what it holds, or None where
+        there is none yet.
+        """
         message = self.arrays.read("row")
         if message is None or message[0] == 0:
             return None

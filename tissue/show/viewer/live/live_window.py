@@ -1,4 +1,6 @@
-"""The window of `tissue run --live`, run by ``python -m tissue.show.viewer.live.live_window FOLDER`` in a process."""
+"""The window of `tissue run --live`, run by ``python -m tissue.show.viewer.live.live_window
+FOLDER`` in a process.
+"""
 
 import os
 import signal
@@ -111,11 +113,14 @@ class LiveWindow:
 
 
 def _main(folder: str) -> None:
-    """Open the window, report it on the standard output, and run it until the ticks or a person end it."""
+    """Open the window, report it on the standard output, and run it until the ticks or a person
+    end it.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the ticks decide when it ends
     if hasattr(os, "nice"):
         os.nice(NICE)
-    os.environ.setdefault("LP_NUM_THREADS", "1")  # OpenGL in software would take every core from the ticks
+    # OpenGL in software would take every core from the ticks
+    os.environ.setdefault("LP_NUM_THREADS", "1")
     standard_output = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     window = LiveWindow(Path(folder))

@@ -36,7 +36,9 @@ class Target:
         Where the tool is wanted [mm], shape (3,).
     """
 
-    def __init__(self, plotter: Plotter, start_mm: Array, axis: Array, *, low_mm: Array, high_mm: Array) -> None:
+    def __init__(
+        self, plotter: Plotter, start_mm: Array, axis: Array, *, low_mm: Array, high_mm: Array
+    ) -> None:
         self._plotter = plotter
         self._axis = axis
         self._low = low_mm
@@ -74,7 +76,9 @@ class Target:
     def mm_per_pixel(self) -> float:
         """Size of a pixel in the plane of the view through the target [mm]."""
         camera = self._plotter.camera
-        away = float((self.target_mm - camera.GetPosition()) @ np.array(camera.GetDirectionOfProjection()))
+        away = float(
+            (self.target_mm - camera.GetPosition()) @ np.array(camera.GetDirectionOfProjection())
+        )
         tall = self._plotter.window_size[1]
         return 2.0 * max(away, 1.0) * float(np.tan(np.radians(0.5 * camera.GetViewAngle()))) / tall
 
@@ -94,8 +98,9 @@ HELP = (
 class Pointer(Target):
     """The wanted place of a tool, moved by mouse and keys within a box.
 
-    The mouse moves it in the plane of the view by as much as it goes over the plane through it; with a button pressed
-    the mouse belongs to the view. The wheel and the keys for depth move it along the tool's axis.
+    The mouse moves it in the plane of the view by as much as it goes over the plane through it;
+    with a button pressed the mouse belongs to the view. The wheel and the keys for depth move it
+    along the tool's axis.
 
     Parameters
     ----------
@@ -116,7 +121,9 @@ class Pointer(Target):
         Whether the key to end was pressed.
     """
 
-    def __init__(self, plotter: Plotter, start_mm: Array, axis: Array, *, low_mm: Array, high_mm: Array) -> None:
+    def __init__(
+        self, plotter: Plotter, start_mm: Array, axis: Array, *, low_mm: Array, high_mm: Array
+    ) -> None:
         super().__init__(plotter, start_mm, axis, low_mm=low_mm, high_mm=high_mm)
         self.ended = False
         self._at: tuple[int, int] | None = None
@@ -125,7 +132,8 @@ class Pointer(Target):
         interactor.AddObserver("MouseMoveEvent", self._moved)
         interactor.AddObserver("LeaveEvent", self._left)
         interactor.AddObserver("KeyPressEvent", self._pressed)
-        # An event that the style is asked for by name is not its own any more: neither zoom nor shortcuts remain.
+        # An event that the style is asked for by name is not its own any more: neither zoom nor
+        # shortcuts remain.
         style.AddObserver("MouseWheelForwardEvent", lambda *_: self.along(-NOTCH_MM))
         style.AddObserver("MouseWheelBackwardEvent", lambda *_: self.along(NOTCH_MM))
         style.AddObserver("CharEvent", lambda *_: None)

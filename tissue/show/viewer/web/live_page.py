@@ -1,4 +1,6 @@
-"""The page of `tissue run --live --web`, run by ``python -m tissue.show.viewer.web.live_page FOLDER`` in a process."""
+"""The page of `tissue run --live --web`, run by ``python -m tissue.show.viewer.web.live_page
+FOLDER`` in a process.
+"""
 
 import sys
 from pathlib import Path
@@ -37,7 +39,8 @@ KEYS = {
 class LivePage:
     """A run while it goes on, and the mouse of the page that moves its tool.
 
-    The ticks wait as long as nobody has a page open, or has paused them; the tool is not moved meanwhile.
+    The ticks wait as long as nobody has a page open, or has paused them; the tool is not moved
+    meanwhile.
 
     Parameters
     ----------

@@ -1,4 +1,6 @@
-"""What a page may ask for: one JSON object a message, with ``do`` and the entries that belong to it."""
+"""What a page may ask for: one JSON object a message, with ``do`` and the entries that belong to
+it.
+"""
 
 import json
 
@@ -7,8 +9,8 @@ __all__ = ["LARGEST", "MessageError", "Pace", "Values", "close_reason", "parse"]
 LARGEST = 1024
 """Longest message [byte]."""
 MOST_PER_S, AT_ONCE = 400.0, 200.0
-"""Messages that are read in a second, and at once after a pause: a page sends one for each move of the mouse and each
-picture, some 150 a second."""
+"""Messages that are read in a second, and at once after a pause: a page sends one for each move of
+the mouse and each picture, some 150 a second."""
 LONGEST_REASON = 123
 """Longest reason of a closed WebSocket, by RFC 6455 [byte]."""
 Values = dict[str, float | bool | str]
@@ -61,7 +63,8 @@ def parse(text: str) -> tuple[str, Values]:
         if kind is float:
             low, high = ranges[name]
             is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-            fits = is_number and low <= value <= high  # an integer may be too large for a float; NaN is in no range
+            # an integer may be too large for a float; NaN is in no range
+            fits = is_number and low <= value <= high
         else:
             fits = isinstance(value, kind)
         if not fits:
@@ -85,7 +88,9 @@ class Pace:
         self._time_s = 0.0
 
     def wait_s(self, time_s: float) -> float:
-        """Count a message that came at a time [s]; return how long to wait before the next one is read [s]."""
+        """Count a message that came at a time [s]; return how long to wait before the next one
+        is read [s].
+        """
         self._left = min(self._left + MOST_PER_S * (time_s - self._time_s), AT_ONCE) - 1.0
         self._time_s = time_s
         return max(-self._left, 0.0) / MOST_PER_S

@@ -16,7 +16,17 @@ from tissue.show.viewer.web.messages import LARGEST, MessageError, Pace, Values,
 if TYPE_CHECKING:
     from aiohttp.typedefs import Handler, Middleware
 
-__all__ = ["HOST", "SOCKET", "PageServer", "Session", "gate", "new_token", "page_text", "refusal", "serve"]
+__all__ = [
+    "HOST",
+    "SOCKET",
+    "PageServer",
+    "Session",
+    "gate",
+    "new_token",
+    "page_text",
+    "refusal",
+    "serve",
+]
 
 PAGE = Path(__file__).parent / "page"
 FRAME_S, REST_S = 1.0 / 30.0, 0.004
@@ -64,7 +74,9 @@ class Session(Protocol):
         ...
 
     def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
-        """Go on by one frame; what is new in figures, and where a picture can be taken a new one."""
+        """Go on by one frame; what is new in figures, and where a picture can be taken a new
+        one.
+        """
         ...
 
 
@@ -100,7 +112,9 @@ class PageServer:
         app = web.Application(middlewares=[gate(self._token, lambda: self._port)])
         app.router.add_get("/", self._page)
         app.router.add_get(SOCKET, self._connect)
-        runner = web.AppRunner(app, access_log=None, handle_signals=False, shutdown_timeout=CLOSES_S)
+        runner = web.AppRunner(
+            app, access_log=None, handle_signals=False, shutdown_timeout=CLOSES_S
+        )
         await runner.setup()
         try:
             site = web.TCPSite(runner, HOST, port)
@@ -142,10 +156,13 @@ class PageServer:
         nonce = token_urlsafe(12)
         policy = POLICY.format(nonce=nonce, home=f"{HOST}:{self._port}")
         text = page_text(self._session.kind, nonce)
-        return web.Response(text=text, content_type="text/html", headers={"Content-Security-Policy": policy})
+        return web.Response(
+            text=text, content_type="text/html", headers={"Content-Security-Policy": policy}
+        )
 
     async def _connect(self, request: web.Request) -> web.WebSocketResponse:
-        # No heartbeat: on one machine the system reports a page that is gone, and a picture may take seconds to draw.
+        # No heartbeat: on one machine the system reports a page that is gone, and a picture may
+        # take seconds to draw.
         socket = web.WebSocketResponse(timeout=CLOSES_S, max_msg_size=LARGEST)
         await socket.prepare(request)
         before = self._socket
@@ -182,8 +199,12 @@ class PageServer:
         return socket
 
 
-async def _close(socket: web.WebSocketResponse, line: asyncio.Transport | None, code: int, reason: str) -> None:
-    """Close a page's socket with a code and a reason; cut the connection if the page reads no more."""
+async def _close(
+    socket: web.WebSocketResponse, line: asyncio.Transport | None, code: int, reason: str
+) -> None:
+    """Close a page's socket with a code and a reason; cut the connection if the page reads no
+    more.
+    """
     try:
         async with asyncio.timeout(CLOSES_S):
             await socket.close(code=code, message=close_reason(reason))
@@ -198,11 +219,17 @@ def _cut(line: asyncio.Transport | None) -> None:
 
 
 def page_text(kind: str, nonce: str) -> str:
-    """Return a page as one text, so that it loads nothing more and its address alone holds the token."""
+    """Return a page as one text, so that it loads nothing more and its address alone holds the
+    token.
+    """
     text = (PAGE / f"{kind}.html").read_text("utf-8")
-    script = "\n".join((PAGE / name).read_text("utf-8") for name in ("common.js", "plot.js", f"{kind}.js"))
+    script = "\n".join(
+        (PAGE / name).read_text("utf-8") for name in ("common.js", "plot.js", f"{kind}.js")
+    )
     style = (PAGE / "page.css").read_text("utf-8")
-    return text.replace("{{nonce}}", nonce).replace("{{style}}", style).replace("{{script}}", script)
+    return (
+        text.replace("{{nonce}}", nonce).replace("{{style}}", style).replace("{{script}}", script)
+    )
 
 
 HOST = "127.0.0.1"
@@ -216,7 +243,9 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-"""Of every answer: nothing is kept, no other site embeds it, and the token in the address is not sent on."""
+"""Of every answer: nothing is kept, no other site embeds it, and the token in the address is not
+sent on.
+"""
 
 
 def new_token() -> str:
@@ -224,11 +253,13 @@ def new_token() -> str:
     return token_urlsafe(TOKEN_BYTES)
 
 
-def refusal(*, host: str, origin: str | None, given: str, port: int, token: str, socket: bool) -> str | None:
+def refusal(
+    *, host: str, origin: str | None, given: str, port: int, token: str, socket: bool
+) -> str | None:
     """Return why a request is refused, or None.
 
-    A page of another site that asks by a name which it lets point here (DNS rebinding) is known by its Host, one that
-    opens the socket by its Origin, which browsers always send then.
+    A page of another site that asks by a name which it lets point here (DNS rebinding) is known by
+    its Host, one that opens the socket by its Origin, which browsers always send then.
 
     Parameters
     ----------
@@ -252,7 +283,9 @@ def refusal(*, host: str, origin: str | None, given: str, port: int, token: str,
 
 
 def gate(token: str, port: Callable[[], int]) -> "Middleware":
-    """Return middleware that answers 403 to refused requests. The port is known once the page is served."""
+    """Return middleware that answers 403 to refused requests. The port is known once the page is
+    served.
+    """
 
     @web.middleware
     async def judge(request: web.Request, handler: "Handler") -> web.StreamResponse:
@@ -279,7 +312,8 @@ NICE = 5
 
 
 def serve(make: Callable[[], Session], *, beside_ticks: bool) -> None:
-    """Make what is shown and serve it until it is over; its address is printed behind the word ready.
+    """Make what is shown and serve it until it is over; its address is printed behind the word
+    ready.
 
     Whoever has started the process decides when it ends, so that Ctrl-C does nothing here.
 
@@ -294,12 +328,16 @@ def serve(make: Callable[[], Session], *, beside_ticks: bool) -> None:
     if beside_ticks:
         if hasattr(os, "nice"):
             os.nice(NICE)
-        os.environ.setdefault("LP_NUM_THREADS", "1")  # OpenGL in software would take every core from the ticks
+        # OpenGL in software would take every core from the ticks
+        os.environ.setdefault("LP_NUM_THREADS", "1")
     standard_output = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     import pyvista
 
-    pyvista.global_theme.multi_samples = 1  # drawn in software, smooth edges take three times as long
+    # drawn in software, smooth edges take three times as long
+    pyvista.global_theme.multi_samples = 1
     session = make()
     server = PageServer(session)
-    asyncio.run(server.serve(lambda address: print(f"ready {address}", file=standard_output, flush=True)))
+    asyncio.run(
+        server.serve(lambda address: print(f"ready {address}", file=standard_output, flush=True))
+    )

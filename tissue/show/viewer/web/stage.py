@@ -18,7 +18,9 @@ MOST_PX = 1_000_000
 QUALITY = 88
 """Of a picture as JPEG."""
 STILL_S = 0.25
-"""How long nothing has changed when smooth edges are drawn, which takes OpenGL in software four times as long [s]."""
+"""How long nothing has changed when smooth edges are drawn, which takes OpenGL in software four
+times as long [s].
+"""
 TURN_DEG = 180.0
 """Turn of the view by a drag over the height of the picture."""
 
@@ -55,7 +57,9 @@ class Stage:
 
     def take(self, do: str, values: Values) -> bool:
         """Change size or view as a page asks for, and return whether that was it."""
-        number = {name: float(value) for name, value in values.items() if not isinstance(value, str)}
+        number = {
+            name: float(value) for name, value in values.items() if not isinstance(value, str)
+        }
         if do == "size":
             self.resize(number["wide"], number["tall"])
         elif do == "turn":
@@ -94,7 +98,9 @@ class Stage:
         self._viewed()
 
     def picture(self) -> bytes | None:
-        """Return the view as JPEG: one with smooth edges once it stays the same, and None from then on."""
+        """Return the view as JPEG: one with smooth edges once it stays the same, and None from
+        then on.
+        """
         now = perf_counter()
         if self.changed:
             self.changed = False
@@ -115,7 +121,9 @@ class Stage:
 
         self._plotter.render()
         output = BytesIO()
-        Image.fromarray(np.asarray(self._plotter.image)[..., :3]).save(output, "JPEG", quality=QUALITY, subsampling=0)
+        Image.fromarray(np.asarray(self._plotter.image)[..., :3]).save(
+            output, "JPEG", quality=QUALITY, subsampling=0
+        )
         return output.getvalue()
 
     def _viewed(self) -> None:
@@ -128,7 +136,8 @@ STOPS, MARKS = 24, 5
 
 
 def taken_scale(plotter: Plotter) -> dict[str, Any] | None:
-    """Hide a plotter's scale of colours, and give its title, colours as ``#rrggbb`` from low to high, and labels.
+    """Hide a plotter's scale of colours, and give its title, colours as ``#rrggbb`` from low to
+    high, and labels.
 
     None where it has none.
     """

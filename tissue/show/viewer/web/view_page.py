@@ -1,4 +1,6 @@
-"""The page of `tissue view DIR --web`, run by ``python -m tissue.show.viewer.web.view_page DIR CHOICE`` in a subprocess."""
+"""The page of `tissue view DIR --web`, run by ``python -m tissue.show.viewer.web.view_page DIR
+CHOICE`` in a subprocess.
+"""
 
 import json
 import sys
@@ -33,7 +35,8 @@ DEPTH, LAYER = "removed depth", "layer"
 
 
 class ViewPage:
-    """A finished or stopped run: bone or fields, tool and force at the moment that the page asks for.
+    """A finished or stopped run: bone or fields, tool and force at the moment that the page asks
+    for.
 
     Parameters
     ----------
@@ -175,7 +178,11 @@ class ViewPage:
 
     def _figures(self) -> dict[str, Any]:
         """Return the data of the moment that the page writes."""
-        figures: dict[str, Any] = {"time_s": self.time_s, "playing": self._playing, "chosen": self.chosen}
+        figures: dict[str, Any] = {
+            "time_s": self.time_s,
+            "playing": self._playing,
+            "chosen": self.chosen,
+        }
         figures["scale"] = self._scale
         trace = self._saved.trace
         if self.shown.moment is not None and trace is not None:
@@ -184,8 +191,12 @@ class ViewPage:
             kind = "model_torque" if "model_torque_x_Nm" in trace else "torque"
             figures |= {
                 "force_N": np.round(tool_force(trace)[row], 4).tolist(),
-                "torque_Nm": round(float(np.linalg.norm([trace[f"{kind}_{c}_Nm"][row] for c in "xyz"])), 6),
-                "removed_mm3": float(removed[row]) if removed is not None and removed[-1] > 0.0 else None,
+                "torque_Nm": round(
+                    float(np.linalg.norm([trace[f"{kind}_{c}_Nm"][row] for c in "xyz"])), 6
+                ),
+                "removed_mm3": float(removed[row])
+                if removed is not None and removed[-1] > 0.0
+                else None,
                 "layer": str(trace["layer"][row]) if "layer" in trace else None,
             }
         return figures
