@@ -66,7 +66,7 @@ class Publisher:
         self._arrays = SharedArrays(folder)
         with np.load(folder / "start.npz", allow_pickle=False) as file:
             start: Start = dict(file)
-        scene = Scene.model_validate_json((folder / "scene.json").read_text("utf-8"))
+        scene = Scene.read_back((folder / "scene.json").read_text("utf-8"))
         columns = tuple(json.loads((folder / "columns.json").read_text("utf-8")))
         self.server = IgtlServer(int(start["port"]))
         placed = start.get("file_to_scene_mm")

@@ -6,11 +6,20 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, StringConstraints, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    Strict,
+    StringConstraints,
+    ValidationInfo,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 __all__ = [
     "LONGEST_PATH",
+    "READ_BACK",
     "FileName",
     "Idle",
     "Length_mm",
@@ -22,6 +31,8 @@ __all__ = [
     "is_given",
 ]
 
+READ_BACK = {"written by": "tissue"}
+"""Context in which keys without effect pass: a live run gives a wall's tool its reach."""
 LONGEST_PATH = 1000
 """Characters of a file's path. Longer texts are no paths that a user wrote."""
 FileName = Annotated[str, StringConstraints(max_length=LONGEST_PATH)]
@@ -151,7 +162,9 @@ class Part(BaseModel):
         return {name: value for name, value in table.items() if value != {}}
 
     @model_validator(mode="after")
-    def _has_no_idle_key(self) -> "Part":
+    def _has_no_idle_key(self, info: ValidationInfo) -> "Part":
+        if info.context == READ_BACK:
+            return self
         idle = self.idle()
         if not idle:
             return self

@@ -27,7 +27,7 @@ from tissue.scene.choices import ByKind, OneOf, kinds_of
 from tissue.scene.coupling import Device, Fidelity
 from tissue.scene.keep_clear import KeepClear
 from tissue.scene.organ import LayersAnatomy, LiverFile, Organ, SoftAnatomy
-from tissue.scene.part import FileName, Part, Rule
+from tissue.scene.part import READ_BACK, FileName, Part, Rule
 from tissue.scene.registry import ANATOMIES, CUTTERS, CUTTING_MATERIALS, MOTIONS, NEEDLES, PROBES
 from tissue.scene.tool import (
     Needle,
@@ -255,6 +255,11 @@ class Scene(Part):
                 f"stress.cell_mm must be an even multiple of voxels.spacing_mm ({spacing:g}), got "
                 f"{stress.cell_mm:g}: use {f'{fits:g}' if most > 0 else 'voxels.spacing_mm = 0.1'}"
             )
+
+    @classmethod
+    def read_back(cls, text: str) -> "Scene":
+        """Read a scene from the JSON that this program wrote, keys without effect included."""
+        return cls.model_validate_json(text, context=READ_BACK)
 
     def rules(self) -> Iterator[Rule]:
         """Yield the rules of keys that another table makes idle."""

@@ -82,7 +82,7 @@ def _met(table: str, _constants: str) -> float:
     """Largest force on the scripted motion [N] by what the scene's own constants hold; 0 where
     it is not known.
     """
-    scene = Scene.model_validate_json(table)
+    scene = Scene.read_back(table)
     kind = scene.anatomy.kind
     if ANATOMIES[kind].build is None:
         known = {"slab": pressed, "liver": pressed, "layers": pierced, "wall": _unknown}

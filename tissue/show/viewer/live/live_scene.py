@@ -226,7 +226,7 @@ class LiveScene:
         self.arrays = SharedArrays(folder)
         with np.load(folder / "start.npz", allow_pickle=False) as file:
             start = dict(file)
-        scene = self.scene = Scene.model_validate_json((folder / "scene.json").read_text("utf-8"))
+        scene = self.scene = Scene.read_back((folder / "scene.json").read_text("utf-8"))
         self._columns = tuple(json.loads((folder / "columns.json").read_text("utf-8")))
         self.plotter = new_plotter(
             size_px, title=f"tissue: {scene.name}, live", off_screen=off_screen
