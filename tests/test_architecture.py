@@ -101,7 +101,9 @@ def test_imports_only_go_down():
 
 def test_no_modules_import_each_other_in_a_circle():
     """Modules one by one, and the packages of every folder."""
-    wanted_by = {module: run_time_imports_of(path) for path, module in zip(FILES, MODULES, strict=True)}
+    wanted_by = {
+        module: run_time_imports_of(path) for path, module in zip(FILES, MODULES, strict=True)
+    }
     depth, circles = max(module.count(".") for module in MODULES) + 1, []
     for level in range(1, depth + 1):
         cut = lambda module: ".".join(module.split(".")[:level])  # noqa: B023, E731

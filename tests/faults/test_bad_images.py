@@ -119,15 +119,15 @@ BAD = {
     ),
     "nifti spacing 0": (
         lambda f: nifti(f, pixdim=(1, 0, 0.5, 2)),
-        "pixdim must be positive .* got 0 x 0.5 x 2",
+        "pixdim in the header must be positive .* got 0 x 0.5 x 2",
     ),
     "nifti spacing below 0": (
         lambda f: nifti(f, code=0, pixdim=(1, -0.8, 0.5, 2)),
-        "pixdim must be positive",
+        "pixdim in the header must be positive",
     ),
     "nifti spacing nan": (
         lambda f: nifti(f, pixdim=(1, np.nan, 0.5, 2)),
-        "pixdim must be positive",
+        "pixdim in the header must be positive",
     ),
     "nifti spacing 1.8e19": (
         lambda f: nifti(f, code=0, pixdim=(1, 1.8e19, 0.5, 2)),
@@ -143,23 +143,29 @@ BAD = {
     ),
     "nifti slope infinite": (
         lambda f: nifti(f, slope=np.inf),
-        "scl_slope and scl_inter must be finite",
+        "scl_slope and scl_inter in the header must be finite",
     ),
     "nifti intercept nan": (
         lambda f: nifti(f, intercept=np.nan),
-        "scl_slope and scl_inter must be finite",
+        "scl_slope and scl_inter in the header must be finite",
     ),
-    "nifti offset": (lambda f: nifti(f, vox_offset=-8.0), "vox_offset must be at least 352"),
+    "nifti offset": (
+        lambda f: nifti(f, vox_offset=-8.0),
+        "vox_offset in the header must be at least 352",
+    ),
     "nifti 4-D": (
         lambda f: nifti(f, dim=(4, 7, 5, 2, 2)),
         "one image of three axes, got 7 x 5 x 2 x 2",
     ),
-    "nifti 2-D": (lambda f: nifti(f, dim=(2, 35, 4)), "dim must count three or more axes"),
+    "nifti 2-D": (
+        lambda f: nifti(f, dim=(2, 35, 4)),
+        "dim in the header must count three or more axes",
+    ),
     "nifti colours": (lambda f: nifti(f, datatype=128, bitpix=24), "one real number per voxel"),
     "nifti complex": (lambda f: nifti(f, datatype=32, bitpix=64), "one real number per voxel"),
-    "nifti unknown type": (lambda f: nifti(f, datatype=77), "datatype must be known"),
-    "nifti bits": (lambda f: nifti(f, bitpix=8), "bitpix must be that of int16"),
-    "nifti unit": (lambda f: nifti(f, units=5), "xyzt_units must be"),
+    "nifti unknown type": (lambda f: nifti(f, datatype=77), "datatype in the header must be known"),
+    "nifti bits": (lambda f: nifti(f, bitpix=8), "bitpix in the header must be that of int16"),
+    "nifti unit": (lambda f: nifti(f, units=5), "xyzt_units in the header must be"),
     "text as nifti": (lambda f: text(f, "image.nii"), "must be a NIfTI image"),
     "text as gzip": (lambda f: text(f, "image.nii.gz"), "must be a NIfTI image"),
     "bit of a gzip": (lambda f: flipped_bit(f, "nii.gz"), "compressed data are damaged"),

@@ -61,7 +61,7 @@ BAD_TEXT = [
         "scene",
         "newer.toml",
         "format = 99\ntissue = '9.0'\nname = 'x'\n",
-        "format 1 or older, got 99, written by tissue 9.0",
+        "or older, got 99, written by tissue 9.0",
     ),
     ("scene", "none.toml", "format = 'x'\nname = 'x'\n", "must state the version"),
     ("scene", "number.toml", "name = 3\n", "name must"),

@@ -54,7 +54,7 @@ def test_a_scene_without_a_device_has_no_trace_of_one():
     assert not set(MEASURES) & set(plain.trace.columns)
     with pytest.raises(
         InputError,
-        match=r"coupling\.delay_ms and hand and renderer must be left out without a device",
+        match=r"device must be given for hand = novice, .* coupling\.delay_ms = 5",
     ):
         run_of(
             "wall",

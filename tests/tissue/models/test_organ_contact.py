@@ -293,7 +293,7 @@ def test_bad_input_is_refused_where_it_enters(slab):
     probe = SphereProbe(0.01)
     for change, message in (
         ({"friction": -0.1}, "friction must be"),
-        ({"spacing_m": 1e-4}, "nodes_m must lie closer"),
+        ({"spacing_m": 1e-4}, "touch_edge_m must be shorter"),
     ):
         with pytest.raises(InputError, match=message):
             slab.contact(probe, **change)

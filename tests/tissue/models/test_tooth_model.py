@@ -218,8 +218,8 @@ def test_a_pulp_out_of_reach_is_not_measured():
             "glenoid",
             ("stress.cell_mm=0.5",),
             (
-                "stress.cell_mm must be left out for a glenoid, got 0.5: set anatomy.kind = "
-                "molar, or remove it"
+                "stress must be left out for a glenoid, got a table: set anatomy.kind = molar, "
+                "or remove it"
             ),
         ),
         (

@@ -156,7 +156,7 @@ def test_a_trace_shorter_than_its_run_is_refused(copied, refused, share):
     [
         (b"format = 1\n[anato", "scene must be valid TOML"),
         (b"format = 1\nname = '\xff'", "scene must be TOML in UTF-8"),
-        (b"format = 9\n", "scene must be of format 1 or older, got 9"),
+        (b"format = 9\n", "scene must be of format 2 or older, got 9"),
     ],
 )
 def test_a_damaged_scene_of_a_run_is_refused(copied, refused, content, sentence):

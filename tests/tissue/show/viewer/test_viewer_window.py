@@ -10,7 +10,7 @@ import pytest
 from fake_fields import pressed_run, pressed_series
 
 from tissue import InputError, load_scene
-from tissue.scene.tool import Needle, Probe
+from tissue.scene.tool import Needle, probe_part
 from tissue.show.figures.faces import faces_of
 from tissue.show.figures.figure import field_colours
 from tissue.show.figures.organ_pictures import draw_press
@@ -185,7 +185,11 @@ def test_the_press_is_drawn_for_the_report(pressed, tmp_path):
     trace = SavedRun(pressed).trace
     file = tmp_path / "press.png"
     note = draw_press(
-        pressed_series(), trace, file, title="press", tool=tool_surface(Probe(kind="sphere-probe"))
+        pressed_series(),
+        trace,
+        file,
+        title="press",
+        tool=tool_surface(probe_part(kind="sphere-probe")),
     )
     if note is not None and "OpenGL" in note:
         pytest.skip(note)
@@ -200,9 +204,9 @@ def test_the_press_is_drawn_for_the_report(pressed, tmp_path):
 @pytest.mark.parametrize(
     ("tool", "box"),
     [
-        (Probe(kind="sphere-probe", diameter_mm=10.0), (-5.0, 5.0, -5.0, 5.0, 0.0, 10.0)),
+        (probe_part(kind="sphere-probe", diameter_mm=10.0), (-5.0, 5.0, -5.0, 5.0, 0.0, 10.0)),
         (
-            Probe(kind="cylinder-probe", diameter_mm=8.0, length_mm=30.0),
+            probe_part(kind="cylinder-probe", diameter_mm=8.0, length_mm=30.0),
             (-4.0, 4.0, -4.0, 4.0, 0.0, 30.0),
         ),
         (Needle(diameter_mm=2.0), (-1.0, 1.0, -1.0, 1.0, 0.0, 80.0)),
@@ -216,7 +220,7 @@ def test_a_tool_has_its_tip_at_the_origin(tool, box):
 def test_a_shell_probe_keeps_the_origin_of_its_file(tmp_path):
     pyvista = pytest.importorskip("pyvista")
     pyvista.Cube(center=(5.0, 0.0, 0.5)).save(tmp_path / "cube.stl")
-    tool = Probe(kind="shell-probe", file=str(tmp_path / "cube.stl"), scale_mm=10.0)
+    tool = probe_part(kind="shell-probe", file=str(tmp_path / "cube.stl"), scale_mm=10.0)
     shell = tool_surface(tool)
     assert tuple(shell.bounds) == pytest.approx((45.0, 55.0, -5.0, 5.0, 0.0, 10.0))
     assert tool_surface(tool.model_copy(update={"file": str(tmp_path / "gone.stl")})) is None
