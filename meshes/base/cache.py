@@ -48,7 +48,8 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
         Computes them.
 
     Notes
-    ----- A file holds, with its arrays, the version of the code that made them (that of tissue, and
+    -----
+    A file holds, with its arrays, the version of the code that made them (that of tissue, and
     the module of ``make``), their kinds, their shapes and a checksum. One that does not fit, or
     cannot be read, is made again. A folder that cannot be written is done without.
     """

@@ -109,7 +109,8 @@ def drop_debris(
         Number of the body of each triangle, from `bodies`.
 
     Returns
-    ------- What is left, the body of each triangle of that, and the longest bounding-box side of
+    -------
+    What is left, the body of each triangle of that, and the longest bounding-box side of
     each body dropped.
     """
     if not body.any():
@@ -147,7 +148,8 @@ def orient(
         Whether `is_manifold` is known to hold.
 
     Returns
-    ------- Triangles, shape (m, 3); how many were turned to agree with their neighbours; how many
+    -------
+    Triangles, shape (m, 3); how many were turned to agree with their neighbours; how many
     bodies were inside out; the volume enclosed, in cubed units of the vertices.
     """
     turned = np.zeros(0, dtype=bool) if manifold or is_manifold(faces) else _disagreeing(faces)

@@ -63,7 +63,8 @@ def cell_faces(cells: Cells) -> tuple[NDArray[np.int64], NDArray[np.int64], NDAr
     cells share it.
 
     Returns
-    ------- Triangles, shape (4 m, 3); number of the unordered face, shape (4 m,); cells that share
+    -------
+    Triangles, shape (4 m, 3); number of the unordered face, shape (4 m,); cells that share
     it, shape (4 m,).
     """
     triangles = cells[:, FACES].reshape(-1, 3)

@@ -113,7 +113,8 @@ def cut_by(
     """Cut tetrahedra by the surface where a signed distance is zero, keeping both sides.
 
     Returns
-    ------- Nodes, shape (n, 3); cells, shape (m, 4); whether a cell is on the negative side, shape
+    -------
+    Nodes, shape (n, 3); cells, shape (m, 4); whether a cell is on the negative side, shape
     (m,); the cell each came from, shape (m,).
     """
     value = np.asarray(distance(nodes), dtype=np.float64)

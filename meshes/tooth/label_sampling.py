@@ -101,7 +101,8 @@ class PlacedLabels:
         of points in them.
 
         Returns
-        ------- A copy of the labels; ``start``, shape (3,), and ``turn``, shape (3, 3), of a
+        -------
+        A copy of the labels; ``start``, shape (3,), and ``turn``, shape (3, 3), of a
         point's index [voxel] among them, ``start + turn @ point``.
         """
         turn = self.rotation / self.spacing[:, None]

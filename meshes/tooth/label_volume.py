@@ -257,7 +257,8 @@ def _layers(image: Image, labels: Mapping[int, str]) -> tuple[Bytes, list[int], 
     the largest by faces.
 
     Returns
-    ------- Layer index, `EMPTY` outside the tooth; the voxel of the image that is its first; a note
+    -------
+    Layer index, `EMPTY` outside the tooth; the voxel of the image that is its first; a note
     on what was dropped.
     """
     from scipy.ndimage import find_objects

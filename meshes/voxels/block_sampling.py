@@ -158,7 +158,8 @@ def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[Flags, tuple[Bytes, F
     """Find blocks with one layer at all corners of their own and of their neighbours.
 
     Returns
-    ------- Flags, shape (n,), in C order of the blocks; layer, shape (n,); densities at the block
+    -------
+    Flags, shape (n,), in C order of the blocks; layer, shape (n,); densities at the block
     corners [kg/m3], shape (bx + 1, by + 1, bz + 1).
     """
     counts = [n // BLOCK for n in grid.shape]

@@ -373,7 +373,8 @@ def press_at(
         Depth of a node in the sphere that is allowed, over the radius.
 
     Returns
-    ------- The equilibrium, the first that did not converge if one does not; the sphere; its path
+    -------
+    The equilibrium, the first that did not converge if one does not; the sphere; its path
     from the first touch [m], not positive where it does not reach the body.
 
     Raises

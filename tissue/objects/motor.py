@@ -20,7 +20,8 @@ def motor_forces(run: Run) -> MotorForces:
         A run by a hand, simulated here.
 
     Returns
-    ------- Mean forces over every tick but the last, each of shape (n - 1, 3): ``played``,
+    -------
+    Mean forces over every tick but the last, each of shape (n - 1, 3): ``played``,
     ``ideal``, ``nearest`` (the ideal one by what the encoders read) and ``sent`` (within the
     device's range).
 

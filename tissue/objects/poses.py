@@ -26,7 +26,8 @@ def feed_along(points_mm: ArrayLike, feed_mm_s: float) -> tuple[Array, Array]:
         Speed along it [mm/s].
 
     Returns
-    ------- Tips [mm], shape (n, 3), and times [s], shape (n,): ``bone.cut(burr,
+    -------
+    Tips [mm], shape (n, 3), and times [s], shape (n,): ``bone.cut(burr,
     *feed_along(points_mm, feed_mm_s=2))``.
 
     Raises

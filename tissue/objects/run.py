@@ -194,7 +194,8 @@ class Run(engine.Run):
             PNG file to write; an existing one is replaced.
 
         Returns
-        ------- A still picture, which a notebook shows, with its pixels as ``array``; in a notebook
+        -------
+        A still picture, which a notebook shows, with its pixels as ``array``; in a notebook
         that can, what is turned by the mouse; None of a window, after it was closed.
 
         Raises

@@ -134,7 +134,8 @@ def await_ready(
         How long one that printed something else may take to end [s].
 
     Returns
-    ------- What stands behind the word, and None; or nothing and why it is not ready, in half a
+    -------
+    What stands behind the word, and None; or nothing and why it is not ready, in half a
     sentence, which is empty where it has ended.
     """
     stdout, first = child.stdout, SimpleQueue[str]()

@@ -136,7 +136,8 @@ class HeatGrid:
         """Faces between the pulp and the material around it.
 
         Returns
-        ------- Flat indices of the cells on the side of the pulp and on the other side, and the
+        -------
+        Flat indices of the cells on the side of the pulp and on the other side, and the
         weight of the first cell in the temperature of the face, where the flux from one half cell
         is that into the other.
         """

@@ -92,7 +92,8 @@ def plane_of(run: Run, *, axis: int, outward: int, row: int) -> tuple[int, int, 
     direction.
 
     Returns
-    ------- World axes of the tool's main direction and at right angles to the plane, and the
+    -------
+    World axes of the tool's main direction and at right angles to the plane, and the
     plane's coordinate there [mm].
     """
     tips = run.trace.vectors("tool", "mm")
