@@ -166,8 +166,9 @@ def outcome(path):
 
 
 def is_sentence(message):
-    """Whether a refusal is one line that holds what was given."""
-    return "\n" not in message and ", got " in message and 20 < len(message) < 2000
+    """Return whether a refusal is one line that holds the given value or key."""
+    has_given = ", got " in message or message.startswith("device must be given for ")
+    return "\n" not in message and has_given and 20 < len(message) < 2000
 
 
 def share_refused(numbers, tables, folder):

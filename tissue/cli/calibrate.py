@@ -66,8 +66,10 @@ def calibrate(
 
     if sum((observer is not None, ask, population is not None)) != 1:
         raise InputError(
-            "one of --observer, --ask and --population must be given, got none or several: "
-            "try --observer simulated:1 --out observer.json"
+            "one of --observer, --ask and --population",
+            "be given",
+            "none or several",
+            "try --observer simulated:1 --out observer.json",
         )
     if population is not None:
         left_out(

@@ -57,7 +57,7 @@ def chart(
         case ["perception", scene, *_]:
             from meshes.base.errors import InputError
 
-            raise InputError(f"perception must stand alone, got {scene} after it: leave it out")
+            raise InputError("perception", "stand alone", f"{scene} after it", "leave it out")
         case _:
             left_out(
                 "unless predictors are charted",

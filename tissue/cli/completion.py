@@ -37,8 +37,10 @@ def completion_command(app: App) -> Callable[..., None]:
         if chosen not in SHELLS:
             close = nearest(chosen, list(SHELLS)) if shell else ""
             raise InputError(
-                f"--shell must be one of {', '.join(SHELLS)}, got {chosen}{close}: choose "
-                "one of these"
+                "--shell",
+                f"be one of {', '.join(SHELLS)}",
+                f"{chosen}{close}",
+                "choose one of these",
             )
         path = app.install_completion(shell=SHELLS[chosen])
         console.print(f"wrote {path}: open a new {chosen} to use it")

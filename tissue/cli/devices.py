@@ -110,9 +110,7 @@ def _test(
     if out is not None:
         require_new_file(out, overwrite=overwrite)
         if not out.parent.is_dir():
-            raise InputError(
-                f"out must lie in a folder that exists, got {out}: create {out.parent}"
-            )
+            raise InputError("out", "lie in a folder that exists", out, f"create {out.parent}")
     with adapter_class(name)(Hardware(address=address)) as adapter:
         with problems.status(f"measuring {name} for {seconds:g} s: move the handle"):
             measured = self_test(adapter, seconds=seconds)

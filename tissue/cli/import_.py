@@ -125,7 +125,7 @@ def _part(text: str) -> tuple[str, float]:
     try:
         return name, float(modulus)
     except ValueError:
-        raise InputError(f"part must be NAME=KPA, got {text}: use for example tumour=40") from None
+        raise InputError("part", "be NAME=KPA", text, "use for example tumour=40") from None
 
 
 def _three(numbers: list[float]) -> tuple[float, float, float]:
@@ -143,7 +143,6 @@ def _numbers(name: str, text: str, count: int, form: str) -> list[float]:
         found = []
     if len(found) != count:
         raise InputError(
-            f"{name} must be {count} numbers, {form}, got {text}: write them with commas and "
-            "no spaces"
+            name, f"be {count} numbers, {form}", text, "write them with commas and no spaces"
         )
     return found

@@ -34,7 +34,7 @@ def schema(
         return
     require_new_file(out, overwrite=overwrite)
     if not out.parent.is_dir():
-        raise InputError(f"out must lie in a folder that exists, got {out}: create {out.parent}")
+        raise InputError("out", "lie in a folder that exists", out, f"create {out.parent}")
     with whole_file(out) as temporary:
         temporary.write_text(schema_text(), "utf-8")
     console.print(f"wrote {out}")

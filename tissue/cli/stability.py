@@ -44,14 +44,12 @@ def stability(
 
     if scene is None:
         if set_:
-            raise InputError(
-                f"--set must go with a scene, got {set_[0]} without one: name the scene"
-            )
+            raise InputError("--set", "go with a scene", f"{set_[0]} without one", "name the scene")
         _atlas(out or Path("atlas"), only, overwrite=overwrite)
         return
     if only:
         raise InputError(
-            f"--only must go without a scene, got {only[0]} with {scene}: leave the scene out"
+            "--only", "go without a scene", f"{only[0]} with {scene}", "leave the scene out"
         )
     if out is None:
         left_out(

@@ -58,9 +58,7 @@ def left_out(where: str, remedy: str, **flags: object) -> None:
     for name, value in flags.items():
         if value is not None and value is not False and value != ():
             got = "it" if value is True else value
-            raise InputError(
-                f"--{name.replace('_', '-')} must be left out {where}, got {got}: {remedy}"
-            )
+            raise InputError(f"--{name.replace('_', '-')}", f"be left out {where}", got, remedy)
 
 
 @contextmanager

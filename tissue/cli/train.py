@@ -48,7 +48,7 @@ def train(
     path = out or Path(f"{loaded.name}.npz")
     require_new_file(path, overwrite=overwrite)
     if not path.parent.is_dir():
-        raise InputError(f"out must lie in a folder that exists, got {path}: create {path.parent}")
+        raise InputError("out", "lie in a folder that exists", path, f"create {path.parent}")
     with output_locked(path, folder=False), progress() as report:
         report("starting Warp", 0.0)
         from tissue.evaluation.training.train import train as trained_on

@@ -116,15 +116,17 @@ def of_profile(shape: Profile, *, flutes: int, spin_rpm: float) -> Cutter:
     """
     if isinstance(flutes, bool) or not isinstance(flutes, int) or not 1 <= flutes <= 200:
         raise InputError(
-            f"flutes must be a whole number from 1 to 200, got {flutes!r}: count the cutting edges"
+            "flutes", "be a whole number from 1 to 200", f"{flutes!r}", "count the cutting edges"
         )
     (rpm,) = require_ranges(
         ("spin_rpm", spin_rpm, -FASTEST_RPM, FASTEST_RPM, "use 500 for a reamer, 20000 for a burr")
     )
     if rpm == 0.0:
         raise InputError(
-            "spin_rpm must not be 0 for a tool that cuts, got 0: use 500 for a reamer, 20000 "
-            "for a burr"
+            "spin_rpm",
+            "not be 0 for a tool that cuts",
+            "0",
+            "use 500 for a reamer, 20000 for a burr",
         )
     return Cutter(shape, flutes, -rpm * 2.0 * pi / 60.0)
 
@@ -144,7 +146,7 @@ def _cutter(
 def _require_longer(length_mm: float, least_mm: float, what: str) -> None:
     if length_mm <= least_mm:
         raise InputError(
-            f"length_mm must be above {what} ({least_mm:.4g}), got {length_mm:g}: make it longer"
+            "length_mm", f"be above {what} ({least_mm:.4g})", f"{length_mm:g}", "make it longer"
         )
 
 
@@ -158,7 +160,9 @@ def _peg(diameter_mm: float, length_mm: float, tool_mm: float) -> dict[str, floa
     require_positive("peg_length_mm", length_mm, "give both sizes of the peg, or neither")
     if diameter_mm >= tool_mm:
         raise InputError(
-            f"peg_diameter_mm must be below diameter_mm ({tool_mm:g}), got {diameter_mm:g}: "
-            "use a thin one"
+            "peg_diameter_mm",
+            f"be below diameter_mm ({tool_mm:g})",
+            f"{diameter_mm:g}",
+            "use a thin one",
         )
     return {"peg_diameter_m": 1e-3 * diameter_mm, "peg_length_m": 1e-3 * length_mm}

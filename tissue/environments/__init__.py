@@ -35,7 +35,7 @@ def register_environments() -> None:
         from gymnasium.envs.registration import register, registry
     except ImportError:
         raise InputError(
-            "gymnasium must be installed for environments, got none: pip install 'tissue-sim[rl]'"
+            "gymnasium", "be installed for environments", "none", "pip install 'tissue-sim[rl]'"
         ) from None
     for name, place in IDS.items():
         if name not in registry:

@@ -102,7 +102,7 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
         require_range("duration_s", duration, 0.1, 600.0, f"use {self.usual_duration_s:g}")
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InputError(
-                f"render_mode must be None or rgb_array, got {render_mode!r}: leave it out"
+                "render_mode", "be None or rgb_array", f"{render_mode!r}", "leave it out"
             )
         self.metadata = {**self.metadata, "render_fps": max(round(1.0 / (self.ticks * TICK_S)), 1)}
         self.render_mode = render_mode
@@ -147,7 +147,7 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
         for name, value in (options or {}).items():
             if name not in self.ranges:
                 raise InputError(
-                    f"options must be of {', '.join(self.ranges)}, got {name!r}: leave it out"
+                    "options", f"be of {', '.join(self.ranges)}", f"{name!r}", "leave it out"
                 )
             self.drawn[name] = require_range(
                 f"options[{name!r}]", value, *self.ranges[name], "take one in between"
@@ -162,7 +162,7 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Move on for `ticks` ticks."""
         if not self.drawn:
-            raise InputError("step must follow reset, got no episode: call reset first")
+            raise InputError("step", "follow reset", "no episode", "call reset first")
         command = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
         before = self._potential()
         peak = 0.0
@@ -222,7 +222,7 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
         if self.render_mode is None:
             return None
         if not self.drawn:
-            raise InputError("render must follow reset, got no episode: call reset first")
+            raise InputError("render", "follow reset", "no episode", "call reset first")
         return self._draw()
 
     @property

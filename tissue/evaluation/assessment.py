@@ -214,8 +214,10 @@ def assess(
     scenes = [each.summary.get("scene") for each in (trainee, reference)]
     if scenes[0] != scenes[1]:
         raise InputError(
-            f"run and reference must be of one scene, got {scenes[0]} and {scenes[1]}: run "
-            "the same scene"
+            "run and reference",
+            "be of one scene",
+            f"{scenes[0]} and {scenes[1]}",
+            "run the same scene",
         )
     require_same_task(trainee.scene, reference.scene)
     mine = _trace(trainee, "run")
@@ -414,7 +416,7 @@ def _trace(run: AssessedRun, name: str) -> Table:
     if run.trace is None or len(run.trace.rows) < 10:
         got = run.path or "a run"
         raise InputError(
-            f"{name} must hold a trace of ten ticks or more, got {got} without: run the scene again"
+            name, "hold a trace of ten ticks or more", f"{got} without", "run the scene again"
         )
     return run.trace
 
@@ -447,7 +449,7 @@ def _approach(trace: Table) -> tuple[Array, Array]:
     rows = np.flatnonzero(trace["contact_mm2"] > 0.0)
     if not len(rows):
         raise InputError(
-            "reference must touch the tissue, got a run without contact: choose another reference"
+            "reference", "touch the tissue", "a run without contact", "choose another reference"
         )
     quaternions = np.column_stack([trace[f"tool_q{c}"][rows] for c in "xyzw"])
     axis = tool_axes(quaternions).mean(axis=0)

@@ -43,15 +43,20 @@ def require_same_task(trainee: Scene | None, reference: Scene | None) -> None:
     for key, mine, theirs in _differences(trainee, reference):
         if key.partition(".")[0] in TASK and key not in NUMERICAL:
             raise InputError(
-                f"run and reference must be of one task, got {key} = {shown(mine)} and "
-                f"{shown(theirs)}: run the "
-                "reference's scene"
+                "run and reference",
+                "be of one task",
+                f"{key} = {shown(mine)} and {shown(theirs)}",
+                "run the reference's scene",
             )
     if trainee.constants.key != reference.constants.key:
         raise InputError(
-            "run and reference must be of one material, got constants of "
-            f"{trainee.materials or 'the library'} and "
-            f"{reference.materials or 'the library'}: run the reference's scene"
+            "run and reference",
+            "be of one material",
+            (
+                f"constants of {trainee.materials or 'the library'} and "
+                f"{reference.materials or 'the library'}"
+            ),
+            "run the reference's scene",
         )
 
 

@@ -42,8 +42,10 @@ def scene_stability(scene: Scene) -> StabilityMap:
     """
     if scene.device is None:
         raise InputError(
-            f"device must be one of {', '.join(DEVICES)} for a stability map, got none: pass "
-            "--set device=touch"
+            "device",
+            f"be one of {', '.join(DEVICES)} for a stability map",
+            "none",
+            "pass --set device=touch",
         )
     held = in_hands(
         judged_loop(loop_settings(scene), step_s=TICK_S),

@@ -64,7 +64,7 @@ def capsule_stiffness(
     thickness = np.broadcast_to(np.asarray(thickness_m, dtype=np.float64), len(nodes))
     if not (np.isfinite(thickness) & (thickness > 0.0)).all():
         raise InputError(
-            f"thickness_m must be positive and finite, got {thickness.min()}: leave bare faces out"
+            "thickness_m", "be positive and finite", thickness.min(), "leave bare faces out"
         )
     corners = space.nodes_m[nodes[:, :3]]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

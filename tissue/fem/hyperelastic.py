@@ -184,8 +184,10 @@ def _constants(
         each = np.ones(count) if factors is None else np.asarray(factors, dtype=np.float64)
         if each.shape != (count,) or not (each > 0.0).all():
             raise InputError(
-                f"cell_factors must be positive, shape ({count},), got shape {each.shape}: "
-                "give one a cell"
+                "cell_factors",
+                f"be positive, shape ({count},)",
+                f"shape {each.shape}",
+                "give one a cell",
             )
         moduli = np.outer(each, [law.bulk_Pa, law.shear_Pa])
         return (
@@ -195,13 +197,15 @@ def _constants(
         )
     if factors is not None:
         raise InputError(
-            "cell_factors must be None without a hyperelastic law, got some: give lame_Pa of "
-            "each cell"
+            "cell_factors",
+            "be None without a hyperelastic law",
+            "some",
+            "give lame_Pa of each cell",
         )
     if lame_Pa is None:
-        raise InputError("lame_Pa must have shape (2,) or (m, 2), got None: use materials.lame")
+        raise InputError("lame_Pa", "have shape (2,) or (m, 2)", "None", "use materials.lame")
     if np.shape(lame_Pa)[-1:] != (2,):
         raise InputError(
-            f"lame_Pa must have shape (2,) or (m, 2), got {np.shape(lame_Pa)}: use materials.lame"
+            "lame_Pa", "have shape (2,) or (m, 2)", np.shape(lame_Pa), "use materials.lame"
         )
     return list(Law).index(law), np.broadcast_to(elasticity_rows(lame_Pa, count), (count, 2))

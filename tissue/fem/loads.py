@@ -79,5 +79,5 @@ def _spread(space: Space, nodes: Ints, force: Array, share: Array) -> Array:
 def _vectors(name: str, value: ArrayLike, count: int) -> Array:
     vectors = np.asarray(value, dtype=np.float64)
     if vectors.shape not in ((3,), (count, 3)) or not np.isfinite(vectors).all():
-        raise InputError(f"{name} must be finite, shape (3,), got {vectors.tolist()}: give x, y, z")
+        raise InputError(name, "be finite, shape (3,)", vectors.tolist(), "give x, y, z")
     return np.broadcast_to(vectors, (count, 3))

@@ -180,9 +180,10 @@ class NewtonSolver:
     ) -> None:
         if held.shape != body.nodes_m.shape or not held.any():
             raise InputError(
-                f"held must mark components of shape {body.nodes_m.shape}, got "
-                f"{int(held.sum())} of {held.shape}: "
-                "hold a face"
+                "held",
+                f"mark components of shape {body.nodes_m.shape}",
+                f"{int(held.sum())} of {held.shape}",
+                "hold a face",
             )
         self.body = body
         self.held = held
@@ -223,7 +224,7 @@ class NewtonSolver:
         goal = np.zeros(self.held.shape) if held_m is None else held_m
         if not np.isfinite(goal).all():
             raise InputError(
-                "held_m must be finite, got NaN or infinity: name every node, 0 where it stays"
+                "held_m", "be finite", "NaN or infinity", "name every node, 0 where it stays"
             )
         move = np.where(self.held, goal - now, 0.0)
         steps = 0
@@ -412,7 +413,7 @@ def resting_sphere(
     inside = aside < radius
     if not inside.any():
         raise InputError(
-            f"point_m must lie on the surface, got {point_m}: no node of it is in the sphere's path"
+            "point_m", "lie on the surface", point_m, "no node of it is in the sphere's path"
         )
     touching = float((along[inside] - np.sqrt(radius**2 - aside[inside] ** 2)).min())
     penalty = STIFFER * solver.rest_diagonal.reshape(-1, 3)[surface].mean(axis=1)

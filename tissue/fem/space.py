@@ -45,7 +45,7 @@ class Space:
     def __post_init__(self) -> None:
         if self.order not in (1, 2):
             raise InputError(
-                f"order must be 1 or 2, got {self.order}: use 2 where Poisson's ratio is above 0.45"
+                "order", "be 1 or 2", self.order, "use 2 where Poisson's ratio is above 0.45"
             )
 
     @property

@@ -52,9 +52,10 @@ def group_stress(
     moved = np.ascontiguousarray(displacement_m, dtype=np.float64)
     if moved.shape != (space.node_count, 3) or not np.isfinite(moved).all():
         raise InputError(
-            f"displacement_m must be finite, shape ({space.node_count}, 3), got shape "
-            f"{moved.shape}: take it from a "
-            "solve on the same space"
+            "displacement_m",
+            f"be finite, shape ({space.node_count}, 3)",
+            f"shape {moved.shape}",
+            "take it from a solve on the same space",
         )
     rows = elasticity_rows(elasticity, space.cell_count)
     stiffness = stiffness_of_lame(rows) if rows.ndim == 2 else rows

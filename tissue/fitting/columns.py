@@ -107,8 +107,10 @@ class ColumnMap:
         asked = _split(self.column)[0].removeprefix("-")
         listed = ", ".join(sorted(names)[:60]) + (" and others" if len(names) > 60 else "")
         raise InputError(
-            f"column must map {self.quantity.name} to a column of the log, got {asked}: "
-            f"choose one of {listed}"
+            "column",
+            f"map {self.quantity.name} to a column of the log",
+            asked,
+            f"choose one of {listed}",
         )
 
     def _factor(self, column: str, unit: str) -> tuple[float, str]:
@@ -117,17 +119,22 @@ class ColumnMap:
         if unit and _plain(unit) not in fitting:
             allowed = f"be one of {', '.join(fitting)}" if fitting else "be absent"
             raise InputError(
-                f"column must give {self.quantity.name} a unit of {self.quantity.measures}, "
-                f"got {unit}: it must "
-                f"{allowed}"
+                "column",
+                f"give {self.quantity.name} a unit of {self.quantity.measures}",
+                unit,
+                f"it must {allowed}",
             )
         taken = _plain(unit) or self.quantity.unit
         stated = _stated(column, fitting)
         if stated and stated != taken and not unit:
             raise InputError(
-                f"column must state the unit where the header of {column} has {stated} and "
-                f"{self.quantity.name} has "
-                f"{taken}, got none: write {self.quantity.name}={self.column}:{stated}"
+                "column",
+                (
+                    f"state the unit where the header of {column} has {stated} and "
+                    f"{self.quantity.name} has {taken}"
+                ),
+                "none",
+                f"write {self.quantity.name}={self.column}:{stated}",
             )
         remark = (
             f"{column} is read in {taken}, as asked; its header has {stated}"
@@ -153,13 +160,17 @@ def parse_column(text: str, quantities: Mapping[str, Quantity] = QUANTITIES) -> 
     column = column.strip()
     if not found or not name or not column.removeprefix("-"):
         raise InputError(
-            f"column must be NAME=COLUMN or NAME=COLUMN:UNIT, got {text!r}: write for "
-            "example force_x_N=Fx"
+            "column",
+            "be NAME=COLUMN or NAME=COLUMN:UNIT",
+            f"{text!r}",
+            "write for example force_x_N=Fx",
         )
     if name not in quantities:
         raise InputError(
-            f"column must name what a fit uses, got {name}: choose one of "
-            f"{', '.join(quantities)} or leave it out"
+            "column",
+            "name what a fit uses",
+            name,
+            f"choose one of {', '.join(quantities)} or leave it out",
         )
     return ColumnMap(quantities[name], column)
 
@@ -179,7 +190,7 @@ def parse_columns(
         each = parse_column(text, quantities)
         if each.quantity.name in maps:
             raise InputError(
-                f"column must map a name once, got {each.quantity.name} twice: leave one out"
+                "column", "map a name once", f"{each.quantity.name} twice", "leave one out"
             )
         maps[each.quantity.name] = each
     return maps

@@ -177,9 +177,10 @@ def cutting_forward(
     record = record_loads(scene, motion=motion, cores=cores, progress=progress)
     if not record.layers:
         raise InputError(
-            "measured must hold poses in which the tool cuts, got a log whose tool only "
-            "moves through air: give one of "
-            "a cut, or its poses in the scene's frame"
+            "measured",
+            "hold poses in which the tool cuts",
+            "a log whose tool only moves through air",
+            "give one of a cut, or its poses in the scene's frame",
         )
     changes = scene.cutting.model_dump(exclude={"material"}, exclude_none=True)
     notes = [f"{subject}: {each}" for subject, each in record.notes.items()]

@@ -266,7 +266,7 @@ def fit_scene(
     """
     report = progress or silent
     if not isinstance(scene.anatomy, CutAnatomy | SoftAnatomy):
-        raise InputError(f"scene must be one of tissue, got a {scene.anatomy.kind}: {FITTED}")
+        raise InputError("scene", "be one of tissue", f"a {scene.anatomy.kind}", FITTED)
     of_tissue = cutting_problem if isinstance(scene.anatomy, CutAnatomy) else organ_problem
     problem = of_tissue(scene, log, free, cores=cores, progress=report)
     report("fitting", 0.8)
@@ -299,13 +299,20 @@ def require_information(found: Identified, posterior: Posterior) -> None:
         scale = float(noise.scale[forces].max())
         if greatest < VISIBLE * scale:
             raise InputError(
-                "measured must determine a constant, got a log in which noise of "
-                f"{scale:.2g} N hides what the tool "
-                f"would meet, {greatest:.2g} N at most: give one of a deeper or faster cut"
+                "measured",
+                "determine a constant",
+                (
+                    f"a log in which noise of {scale:.2g} N hides what the tool would meet, "
+                    f"{greatest:.2g} N at most"
+                ),
+                "give one of a deeper or faster cut",
             )
         raise InputError(
-            "measured must determine a constant, got a log that the scene explains to "
-            f"{scale:.2g} N and that leaves "
-            "all of its constants at their ranges: check that the scene is what was cut, and "
-            "choose others by free"
+            "measured",
+            "determine a constant",
+            (
+                f"a log that the scene explains to {scale:.2g} N and that leaves all of its "
+                "constants at their ranges"
+            ),
+            "check that the scene is what was cut, and choose others by free",
         )

@@ -95,8 +95,7 @@ def chosen(
     for at, pattern in enumerate(free):
         if not any(of[at] for of in found.values()):
             raise InputError(
-                f"free must name constants of this log, got {pattern}: choose among "
-                f"{', '.join(found)}"
+                "free", "name constants of this log", pattern, f"choose among {', '.join(found)}"
             )
     return [each for each in possible if not free or any(found[each.name])]
 

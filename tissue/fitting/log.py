@@ -123,9 +123,10 @@ def _checked(
     if missing := [name for name in wanted if name not in taken]:
         have = ", ".join(found.names[:40])
         raise InputError(
-            f"measured must hold {', '.join(missing)}, got {path.name} with {have}: name the "
-            "log's own columns by "
-            f"--column {missing[0]}=COLUMN[:UNIT]"
+            "measured",
+            f"hold {', '.join(missing)}",
+            f"{path.name} with {have}",
+            f"name the log's own columns by --column {missing[0]}=COLUMN[:UNIT]",
         )
     times_s = _increasing(taken["time_s"], "time_s", path, notes)
     load_times_s = taken.get("load_time_s")
@@ -137,30 +138,39 @@ def _checked(
     tips_m = np.column_stack([taken[f"tool_{c}_mm"] for c in "xyz"])
     if len(tips_m) != len(times_s) or len(loads) != len(load_times_s):
         raise InputError(
-            f"measured must hold a pose and a load at each of its times, got {len(tips_m)} "
-            "poses and "
-            f"{len(loads)} loads at {len(times_s)} and {len(load_times_s)} times "
-            f"in {path.name}: name the times of the loads load_time_s"
+            "measured",
+            "hold a pose and a load at each of its times",
+            (
+                f"{len(tips_m)} poses and {len(loads)} loads at {len(times_s)} and "
+                f"{len(load_times_s)} times in {path.name}"
+            ),
+            "name the times of the loads load_time_s",
         )
     if not np.isfinite(tips_m).all():
         raise InputError(
-            f"measured must hold finite positions, got one that is not in {path.name}: leave "
-            "its row out"
+            "measured",
+            "hold finite positions",
+            f"one that is not in {path.name}",
+            "leave its row out",
         )
     if (farthest := float(np.abs(tips_m).max())) >= FARTHEST_M:
         raise InputError(
-            f"measured must hold positions within {FARTHEST_M:g} m of the scene's origin, "
-            f"got {farthest:.3g} m in "
-            f"{path.name}: leave damaged rows out, or give the unit, --column "
-            "tool_x_mm=COLUMN:um for example"
+            "measured",
+            f"hold positions within {FARTHEST_M:g} m of the scene's origin",
+            f"{farthest:.3g} m in {path.name}",
+            "leave damaged rows out, or give the unit, --column tool_x_mm=COLUMN:um for example",
         )
     for name, values in zip(channels, loads.T, strict=True):
         most = GREATEST[name.rpartition("_")[2]]
         if (greatest := float(np.nanmax(np.abs(values), initial=0.0))) >= most:
             raise InputError(
-                f"measured must hold loads below {most:g} in {name}, got {greatest:.3g} in "
-                f"{path.name}: give its unit, "
-                f"--column {name}=COLUMN:{'mN' if name.endswith('_N') else 'mNm'} for example"
+                "measured",
+                f"hold loads below {most:g} in {name}",
+                f"{greatest:.3g} in {path.name}",
+                (
+                    "give its unit, --column "
+                    f"{name}=COLUMN:{('mN' if name.endswith('_N') else 'mNm')} for example"
+                ),
             )
     loads, remarks = without_saturation(loads, channels)
     notes += remarks + pose_notes(times_s, tips_m, float(np.median(np.diff(load_times_s))))
@@ -175,14 +185,17 @@ def _increasing(times_s: Array, name: str, path: Path, notes: list[str]) -> Arra
     if not np.isfinite(times_s).all() or not (steps > 0.0).all():
         line = 0 if not np.isfinite(times_s).all() else int(np.argmin(steps)) + 2
         raise InputError(
-            f"measured must hold times that increase, got {name} that does not in row {line} "
-            f"of {path.name}: sort it"
+            "measured",
+            "hold times that increase",
+            f"{name} that does not in row {line} of {path.name}",
+            "sort it",
         )
     if times_s[-1] - times_s[0] < SHORTEST_S:
         raise InputError(
-            f"measured must last {SHORTEST_S:g} s or more, got "
-            f"{times_s[-1] - times_s[0]:.3g} s in {path.name}: give a "
-            f"longer log, or the unit of its times by --column {name}={name}:ms"
+            "measured",
+            f"last {SHORTEST_S:g} s or more",
+            f"{times_s[-1] - times_s[0]:.3g} s in {path.name}",
+            f"give a longer log, or the unit of its times by --column {name}={name}:ms",
         )
     rate = float(np.median(steps))
     if gaps := int((steps > GAP * rate).sum()):
@@ -198,8 +211,10 @@ def _turns(taken: dict[str, Array], path: Path) -> Array | None:
         size = np.linalg.norm(found, axis=1)
         if not (size > 1e-6).all():
             raise InputError(
-                f"measured must hold unit quaternions, got a zero one in {path.name}: use 0, "
-                "0, 0, 1 there"
+                "measured",
+                "hold unit quaternions",
+                f"a zero one in {path.name}",
+                "use 0, 0, 0, 1 there",
             )
         return np.asarray(found / size[:, None])
     vector = [f"tool_r{c}_rad" for c in "xyz"]

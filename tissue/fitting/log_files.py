@@ -85,20 +85,20 @@ def read_columns(path: Path) -> LogColumns:
     """
     if not is_file(path):
         raise InputError(
-            f"measured must be an existing file, got {path}: give a log such as a run's trace.csv"
+            "measured", "be an existing file", path, "give a log such as a run's trace.csv"
         )
     require_memory(path.stat().st_size, path.name, "text or numbers")
     kind = path.suffix.lower()
     if kind not in READERS:
         known = ", ".join(READERS)
-        raise InputError(f"measured must end in one of {known}, got {path.name}: export it as CSV")
+        raise InputError("measured", f"end in one of {known}", path.name, "export it as CSV")
     try:
         return READERS[kind](path)
     except (InputError, MemoryError):
         raise
     except Exception as problem:  # each reader raises kinds of its own for a damaged file
         raise InputError(
-            f"measured must be a whole {kind} file, got {path} ({problem}): export it again"
+            "measured", f"be a whole {kind} file", f"{path} ({problem})", "export it again"
         ) from None
 
 
@@ -115,8 +115,10 @@ def _held(columns: Mapping[str, Any]) -> LogColumns:
         values = flat[name]
         if values.ndim != 1 or values.dtype.kind not in "fiu":
             raise InputError(
-                f"measured must hold a column of numbers as {name}, got another kind: export "
-                "it as numbers"
+                "measured",
+                f"hold a column of numbers as {name}",
+                "another kind",
+                "export it as numbers",
             )
         return values.astype(np.float64)
 
@@ -191,10 +193,13 @@ def _drilling(path: Path) -> LogColumns:
         first, last = held.load_times_s[[0, -1]].tolist()
         if first > held.times_s[-1] or last < 0.0:
             raise InputError(
-                "measured must hold forces while the poses last, got forces from "
-                f"{first:.6g} to {last:.6g} s after "
-                f"the first pose and poses for {held.times_s[-1]:.6g} s in {path}: bring its "
-                "time_stamps to one clock"
+                "measured",
+                "hold forces while the poses last",
+                (
+                    f"forces from {first:.6g} to {last:.6g} s after the first pose and poses for "
+                    f"{held.times_s[-1]:.6g} s in {path}"
+                ),
+                "bring its time_stamps to one clock",
             )
         columns["load_time_s"] = held.load_times_s
         # torques may have been left out
@@ -210,8 +215,10 @@ def _module(name: str, extra: str) -> Any:
         return import_module(name)
     except ImportError:
         raise InputError(
-            f"measured must have what reads it installed, got no {name}: pip install "
-            f"'tissue-sim[{extra}]'"
+            "measured",
+            "have what reads it installed",
+            f"no {name}",
+            f"pip install 'tissue-sim[{extra}]'",
         ) from None
 
 

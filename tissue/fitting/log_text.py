@@ -52,8 +52,10 @@ class TextTable:
         """
         if self.names.count(name) != 1:
             raise InputError(
-                f"column must name one column of the log, got {name}, which is there twice: "
-                "rename one"
+                "column",
+                "name one column of the log",
+                f"{name}, which is there twice",
+                "rename one",
             )
         place = self.names.index(name)
         numbers = []
@@ -63,7 +65,7 @@ class TextTable:
                 numbers.append(number_in(cell.replace(",", ".")) if cell else float("nan"))
             except ValueError:
                 raise InputError(
-                    f"log must hold numbers, got {cell[:40]!r} for {name} in line {line}: {_AGAIN}"
+                    "log", "hold numbers", f"{cell[:40]!r} for {name} in line {line}", _AGAIN
                 ) from None
         return numbers
 
@@ -98,8 +100,10 @@ def read_text(path: Path) -> TextTable:
     for line, row in zip(numbers, rows, strict=True):
         if len(row) != width:
             raise InputError(
-                f"log must hold {width} values a line, got {len(row)} in line {line} of "
-                f"{path.name}: {_AGAIN}"
+                "log",
+                f"hold {width} values a line",
+                f"{len(row)} in line {line} of {path.name}",
+                _AGAIN,
             )
     return TextTable(names or tuple(map(str, range(1, width + 1))), rows, numbers, tuple(notes))
 
@@ -113,7 +117,7 @@ def _decoded(path: Path) -> str:
         return content.decode("utf-16", "replace")
     if b"\0" in content[:4096]:
         raise InputError(
-            f"log must be a table of text, got other data in {path.name}: export it as CSV"
+            "log", "be a table of text", f"other data in {path.name}", "export it as CSV"
         )
     try:
         return content.decode("utf-8-sig")
@@ -139,8 +143,10 @@ def _form(lines: list[str], path: Path) -> tuple[str, int]:
             form = (delimiter, width)
     if not form[1]:
         raise InputError(
-            "log must hold a table with at least two columns of numbers, got none in "
-            f"{path.name}: export it as CSV"
+            "log",
+            "hold a table with at least two columns of numbers",
+            f"none in {path.name}",
+            "export it as CSV",
         )
     return form
 

@@ -48,21 +48,25 @@ class MeasuredLoads:
     def __post_init__(self) -> None:
         if self.values.shape != (len(self.times_s), len(self.channels)):
             raise InputError(
-                f"values must have shape ({len(self.times_s)}, {len(self.channels)}), of "
-                "times and channels, got "
-                f"{self.values.shape}: give one row a sample"
+                "values",
+                f"have shape ({len(self.times_s)}, {len(self.channels)}), of times and channels",
+                self.values.shape,
+                "give one row a sample",
             )
         if not (np.diff(self.times_s) > 0.0).all():
             raise InputError(
-                "times_s must increase, got one that does not: sort the samples and drop "
-                "repeated ones"
+                "times_s",
+                "increase",
+                "one that does not",
+                "sort the samples and drop repeated ones",
             )
         counts = np.isfinite(self.values).sum(axis=0)
         if len(counts) and counts.min() < FEWEST:
             raise InputError(
-                f"values must hold {FEWEST} samples of each channel, got {counts.min()} of "
-                f"{self.channels[int(np.argmin(counts))]}: leave the channel out or give a "
-                "longer log"
+                "values",
+                f"hold {FEWEST} samples of each channel",
+                f"{counts.min()} of {self.channels[int(np.argmin(counts))]}",
+                "leave the channel out or give a longer log",
             )
 
     def sizes(self) -> Array:

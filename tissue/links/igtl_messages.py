@@ -268,7 +268,7 @@ def image_body(voxels: NDArray[np.generic], ijk_to_ras_mm: ArrayLike) -> bytes:
     matrix, shape = np.asarray(ijk_to_ras_mm, dtype=float), voxels.shape
     if len(shape) != 3 or max(shape) > 0xFFFF:
         raise InputError(
-            f"voxels must have three axes of at most 65535, got shape {shape}: take fewer"
+            "voxels", "have three axes of at most 65535", f"shape {shape}", "take fewer"
         )
     middle = matrix @ [*(0.5 * (np.array(shape) - 1.0)), 1.0]
     placed = np.concatenate([matrix[:3, :3].T.ravel(), middle[:3]]).astype(">f4")
@@ -283,9 +283,7 @@ def _scalar(values: NDArray[np.generic]) -> int:
     """Number of the type of an array's scalars."""
     kind = f"{values.dtype.kind}{values.dtype.itemsize}"
     if kind not in SCALARS:
-        raise InputError(
-            f"values must be of a type that OpenIGTLink has, got {values.dtype}: use float64"
-        )
+        raise InputError("values", "be of a type that OpenIGTLink has", values.dtype, "use float64")
     return SCALARS[kind]
 
 
@@ -299,6 +297,6 @@ def _short(text: str, size: int) -> bytes:
     field = text.encode("ascii", "replace")
     if len(field) > size:
         raise InputError(
-            f"a name in a message must have at most {size} characters, got {text!r}: shorten it"
+            "a name in a message", f"have at most {size} characters", f"{text!r}", "shorten it"
         )
     return field

@@ -166,8 +166,10 @@ class IgtlServer:
         except (OSError, OverflowError) as error:
             why = getattr(error, "strerror", None) or "no port"
             raise InputError(
-                f"port must be a free port of {host}, got {port} ({why}): end the program "
-                "that has it, or give another"
+                "port",
+                f"be a free port of {host}",
+                f"{port} ({why})",
+                "end the program that has it, or give another",
             ) from None
         self._listener.setblocking(False)
         self._selector = selectors.DefaultSelector()

@@ -85,7 +85,7 @@ def constants(table: str, material: str) -> dict[str, Constant]:
     entries = _table(table)
     if material not in entries:
         raise InputError(
-            f"material must be one of {', '.join(entries)}, got {material}: choose a listed one"
+            "material", f"be one of {', '.join(entries)}", material, "choose a listed one"
         )
     return {
         name: Constant(
@@ -115,7 +115,7 @@ def add_material(table: str, material: str, entries: dict[str, Entry]) -> None:
     known = _table(table)
     if material in known:
         raise InputError(
-            f"material must be none of {', '.join(known)}, got {material}: choose another name"
+            "material", f"be none of {', '.join(known)}", material, "choose another name"
         )
     known[material] = entries
 
@@ -157,7 +157,7 @@ def changed_coefficients(
     for name, value in changes.items():
         if name not in values:
             raise InputError(
-                f"cutting must set one of {', '.join(values)}, got {name}: choose a listed name"
+                "cutting", f"set one of {', '.join(values)}", name, "choose a listed name"
             )
         if value is not None:
             values[name] = value

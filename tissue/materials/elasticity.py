@@ -48,8 +48,10 @@ def lame(young_Pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
     outside = ~((ratio > -1.0) & (ratio < 0.5))
     if outside.any():
         raise InputError(
-            f"poisson_ratio must be in (-1, 0.5), got {ratio[outside].flat[0]:g}: use 0.499, "
-            "or quadratic elements"
+            "poisson_ratio",
+            "be in (-1, 0.5)",
+            f"{ratio[outside].flat[0]:g}",
+            "use 0.499, or quadratic elements",
         )
     shear = young / (2.0 * (1.0 + ratio))
     return np.stack(np.broadcast_arrays(2.0 * shear * ratio / (1.0 - 2.0 * ratio), shear), axis=-1)
@@ -88,7 +90,7 @@ def orthotropic(*, young_Pa: ArrayLike, shear_Pa: ArrayLike, poisson_ratio: Arra
     ratio = np.asarray(poisson_ratio, dtype=np.float64)
     if ratio.shape != (3,) or not np.isfinite(ratio).all():
         raise InputError(
-            f"poisson_ratio must hold nu12, nu13, nu23, got {ratio}: give three finite numbers"
+            "poisson_ratio", "hold nu12, nu13, nu23", ratio, "give three finite numbers"
         )
     compliance = np.zeros((6, 6))
     compliance[range(3), range(3)] = 1.0 / young
@@ -98,9 +100,10 @@ def orthotropic(*, young_Pa: ArrayLike, shear_Pa: ArrayLike, poisson_ratio: Arra
     normal = np.linalg.eigvalsh(compliance[:3, :3])
     if normal[0] <= 0.0:
         raise InputError(
-            f"poisson_ratio must leave the stiffness positive definite, got {ratio.tolist()} "
-            "with moduli "
-            f"{young.tolist()} Pa: keep |nu_ij| below sqrt(E_i / E_j) and their sum lower"
+            "poisson_ratio",
+            "leave the stiffness positive definite",
+            f"{ratio.tolist()} with moduli {young.tolist()} Pa",
+            "keep |nu_ij| below sqrt(E_i / E_j) and their sum lower",
         )
     stiffness = np.linalg.inv(compliance)
     return checked_stiffness(0.5 * (stiffness + stiffness.T))
@@ -141,7 +144,7 @@ def transversely_isotropic(
         )
     )
     if not -1.0 < poisson_across < 1.0:
-        raise InputError(f"poisson_across must be in (-1, 1), got {poisson_across}: use about 0.4")
+        raise InputError("poisson_across", "be in (-1, 1)", poisson_across, "use about 0.4")
     back = poisson_fibre * across / fibre
     shear_across = across / (2.0 * (1.0 + poisson_across))
     return orthotropic(
@@ -202,32 +205,33 @@ def checked_stiffness(stiffness_Pa: ArrayLike) -> Array:
     matrix = np.asarray(stiffness_Pa, dtype=np.float64)
     if matrix.ndim not in (2, 3) or matrix.shape[-2:] != (6, 6):
         raise InputError(
-            f"stiffness_Pa must have shape (6, 6) or (m, 6, 6), got {matrix.shape}: use "
-            "Voigt matrices"
+            "stiffness_Pa", "have shape (6, 6) or (m, 6, 6)", matrix.shape, "use Voigt matrices"
         )
     each = matrix.reshape(-1, 6, 6)
     if not np.isfinite(each).all():
         bad = int(np.flatnonzero(~np.isfinite(each).all(axis=(1, 2)))[0])
         raise InputError(
-            f"stiffness_Pa must be finite, got matrix {bad} with NaN or infinity: leave it out"
+            "stiffness_Pa", "be finite", f"matrix {bad} with NaN or infinity", "leave it out"
         )
     off = np.abs(each - each.transpose(0, 2, 1)).max(axis=(1, 2)) / np.abs(each).max(
         axis=(1, 2)
     ).clip(min=1e-300)
     if off.max() > SYMMETRIC:
         raise InputError(
-            f"stiffness_Pa must be symmetric, got matrix {int(off.argmax())} off by "
-            f"{off.max():.1e} of its largest "
-            "entry: use its mean with its transpose"
+            "stiffness_Pa",
+            "be symmetric",
+            f"matrix {int(off.argmax())} off by {off.max():.1e} of its largest entry",
+            "use its mean with its transpose",
         )
     try:
         np.linalg.cholesky(each)  # a tenth of the time of eigenvalues
     except np.linalg.LinAlgError as problem:
         least = np.linalg.eigvalsh(each)[:, 0]
         raise InputError(
-            f"stiffness_Pa must be positive definite, got matrix {int(least.argmin())} with "
-            "eigenvalue "
-            f"{least.min():.3g} Pa: check moduli and Poisson's ratios"
+            "stiffness_Pa",
+            "be positive definite",
+            f"matrix {int(least.argmin())} with eigenvalue {least.min():.3g} Pa",
+            "check moduli and Poisson's ratios",
         ) from problem
     return matrix
 
@@ -257,9 +261,10 @@ def rotated(stiffness_Pa: ArrayLike, axes: ArrayLike) -> Array:
         turned = _turned(matrix.reshape(-1, 6, 6), quarter[None])
         if np.abs(turned - matrix).max() > SYMMETRIC * np.abs(matrix).max():
             raise InputError(
-                "axes must be three directions a cell, shape (m, 3, 3), got one fibre a "
-                "cell: a material that differs "
-                "across its fibre needs all its axes"
+                "axes",
+                "be three directions a cell, shape (m, 3, 3)",
+                "one fibre a cell",
+                "a material that differs across its fibre needs all its axes",
             )
         frame = _frames(frame)
     off = (
@@ -269,8 +274,10 @@ def rotated(stiffness_Pa: ArrayLike, axes: ArrayLike) -> Array:
     )
     if not off < 1e-9 or (np.linalg.det(frame) < 0.0).any():
         raise InputError(
-            f"axes must be rotations, shape (m, 3, 3), got columns off by {off:.1e}: "
-            "orthonormalise them"
+            "axes",
+            "be rotations, shape (m, 3, 3)",
+            f"columns off by {off:.1e}",
+            "orthonormalise them",
         )
     return _turned(matrix.reshape(-1, 6, 6), frame)
 
@@ -294,9 +301,10 @@ def elasticity_rows(elasticity: ArrayLike, cell_count: int) -> Array:
         )
         if not stable.all():
             raise InputError(
-                "elasticity must be positive definite, got Lame constants "
-                f"{rows[~stable][0].tolist()} Pa: use "
-                "lame(young_Pa, poisson_ratio)"
+                "elasticity",
+                "be positive definite",
+                f"Lame constants {rows[~stable][0].tolist()} Pa",
+                "use lame(young_Pa, poisson_ratio)",
             )
     else:
         rows = checked_stiffness(given).reshape(-1, 6, 6)
@@ -314,8 +322,10 @@ def _positive(name: str, value: ArrayLike, count: int | None = None) -> Array:
     ).all():
         wanted = "" if count is None else f"{count} numbers, "
         raise InputError(
-            f"{name} must be {wanted}positive and finite, got {numbers.tolist()}: use "
-            "pascals, about 5e3 for liver"
+            name,
+            f"be {wanted}positive and finite",
+            numbers.tolist(),
+            "use pascals, about 5e3 for liver",
         )
     return numbers
 
@@ -326,7 +336,7 @@ def _frames(fibre: Array) -> Array:
     if not (length > 0.0).all():
         bad = int(np.flatnonzero(~(length > 0.0))[0])
         raise InputError(
-            f"axes must be directions, got {fibre[bad]} at cell {bad}: give it any length but zero"
+            "axes", "be directions", f"{fibre[bad]} at cell {bad}", "give it any length but zero"
         )
     third = fibre / length[:, None]
     least = np.eye(3)[np.abs(third).argmin(axis=1)]

@@ -55,17 +55,15 @@ class Hyperelastic:
 
     def __post_init__(self) -> None:
         if not np.isfinite([self.bulk_Pa, *np.ravel(self.terms), *self.powers_Pa]).all():
-            raise InputError(f"constants of a law must be finite, got {self}: give finite numbers")
+            raise InputError("constants of a law", "be finite", self, "give finite numbers")
         if any(alpha == 0.0 for _, alpha in self.terms):
-            raise InputError(f"alpha of terms must not be 0, got {self.terms}: leave the term out")
+            raise InputError("alpha of terms", "not be 0", self.terms, "leave the term out")
         for name, value in (
             ("bulk_Pa", self.bulk_Pa),
             ("the shear modulus of terms", self.shear_Pa),
         ):
             if value <= 0.0:
-                raise InputError(
-                    f"{name} must be positive, got {value:g} Pa: give a stable material"
-                )
+                raise InputError(name, "be positive", f"{value:g} Pa", "give a stable material")
 
     @classmethod
     def neo_hookean(cls, shear_Pa: float, *, bulk_Pa: float) -> "Hyperelastic":

@@ -66,9 +66,10 @@ class Prior:
     def __post_init__(self) -> None:
         if not (np.isfinite([self.low, self.high]).all() and self.low <= self.value <= self.high):
             raise InputError(
-                f"range must hold the value {self.value:g}, got [{self.low:g}, "
-                f"{self.high:g}]: give its 5 and 95 % "
-                "quantiles"
+                "range",
+                f"hold the value {self.value:g}",
+                f"[{self.low:g}, {self.high:g}]",
+                "give its 5 and 95 % quantiles",
             )
 
     @classmethod

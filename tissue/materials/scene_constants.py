@@ -73,7 +73,7 @@ class Materials:
             text = path.read_text("utf-8")
         except (OSError, ValueError):
             raise InputError(
-                f"materials must be a TOML file that exists, got {path}: check the path"
+                "materials", "be a TOML file that exists", path, "check the path"
             ) from None
         return _parsed(text, str(path))
 
@@ -93,8 +93,10 @@ class Materials:
             return given
         if not isinstance(given, str | PathLike):
             raise InputError(
-                f"materials must be the path of a TOML file, got {type(given).__name__}: "
-                "name what `tissue fit` wrote"
+                "materials",
+                "be the path of a TOML file",
+                type(given).__name__,
+                "name what `tissue fit` wrote",
             )
         return cls.read(given)
 
@@ -189,7 +191,7 @@ def _parsed(text: str, path: str) -> Materials:
         tables = read_toml(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(
-            f"materials must be valid TOML, got {str(error)[:200].lower()} in {path}: fix it"
+            "materials", "be valid TOML", f"{str(error)[:200].lower()} in {path}", "fix it"
         ) from None
     correlation = tables.pop("correlation", None)
     given: dict[str, Constant] = {}
@@ -217,9 +219,10 @@ def _parsed(text: str, path: str) -> Materials:
 def _table(found: object, name: str, path: str) -> dict[str, object]:
     if not isinstance(found, dict):
         raise InputError(
-            f"{name} must be a table in materials, got {found} in {path}: write "
-            "[TABLE.MATERIAL.NAME] with value, "
-            "range, source and confidence"
+            name,
+            "be a table in materials",
+            f"{found} in {path}",
+            "write [TABLE.MATERIAL.NAME] with value, range, source and confidence",
         )
     return found
 
@@ -230,8 +233,10 @@ def _require_known(what: str, name: str, known: Iterable[str], path: str) -> Non
         close = difflib.get_close_matches(name, names, n=1)
         meant = f" (did you mean {close[0]}?)" if close else ""
         raise InputError(
-            f"materials must name {what}: {', '.join(names)}, got {name}{meant} in {path}: "
-            "choose a listed one"
+            "materials",
+            f"name {what}: {', '.join(names)}",
+            f"{name}{meant} in {path}",
+            "choose a listed one",
         )
 
 
@@ -263,8 +268,7 @@ def _checked(model: type[Checked], found: object, name: str, path: str) -> Check
         place = ".".join(map(str, (name, *first["loc"])))
         shown = str(first["input"])[:100]
         raise InputError(
-            f"{place} must be valid in {path}, got {shown}: "
-            f"{first['msg'][:1].lower()}{first['msg'][1:]}"
+            place, f"be valid in {path}", shown, f"{first['msg'][:1].lower()}{first['msg'][1:]}"
         ) from None
 
 
@@ -276,9 +280,10 @@ def checked_constant(full: str, found: object, path: str) -> Constant:
     if not low <= entry.value <= high <= most:
         bound = "" if most == np.inf else f" and range within [0, {most:g}]"
         raise InputError(
-            f"{full} must have its value inside its range{bound}, got {entry.value:g} in "
-            f"[{low:g}, {high:g}] in "
-            f"{path}: fix them"
+            full,
+            f"have its value inside its range{bound}",
+            f"{entry.value:g} in [{low:g}, {high:g}] in {path}",
+            "fix them",
         )
     return Constant(entry.value, low, high, entry.source, entry.confidence)
 
@@ -295,9 +300,10 @@ def _correlation(
         names
     ):
         raise InputError(
-            f"correlation must have a matrix of {len(names)} rows of as many numbers and "
-            "names that differ, got "
-            f"another in {path}: fix it"
+            "correlation",
+            f"have a matrix of {len(names)} rows of as many numbers and names that differ",
+            f"another in {path}",
+            "fix it",
         )
     matrix = np.array(table.matrix).reshape(len(names), len(names))
     is_symmetric = np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-9)
@@ -307,9 +313,10 @@ def _correlation(
         or not _is_definite(matrix)
     ):
         raise InputError(
-            "correlation must be symmetric and positive definite with ones on its diagonal, "
-            "got another matrix in "
-            f"{path}: fix it"
+            "correlation",
+            "be symmetric and positive definite with ones on its diagonal",
+            f"another matrix in {path}",
+            "fix it",
         )
     return tuple(names), tuple(tuple(row) for row in matrix.tolist())
 

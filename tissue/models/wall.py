@@ -51,8 +51,10 @@ class WallModel:
         depth = self._depth_m(motion)
         if depth > 0.0:
             raise InputError(
-                f"motion must start outside the wall, got a ball {1e3 * depth:g} mm inside: "
-                "start higher"
+                "motion",
+                "start outside the wall",
+                f"a ball {1000.0 * depth:g} mm inside",
+                "start higher",
             )
 
     def advance(self, motion: ToolMotion) -> None:

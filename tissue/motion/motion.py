@@ -187,8 +187,10 @@ class FollowPath(Motion):
         keep = lengths > 0.0
         if not keep.any():
             raise InputError(
-                "motion.points_mm must hold two different points, got only one: add where "
-                "the tool goes"
+                "motion.points_mm",
+                "hold two different points",
+                "only one",
+                "add where the tool goes",
             )
         self._starts, self._headings = (
             points_m[:-1][keep],

@@ -122,9 +122,13 @@ class PushAlongAxis(Motion):
         self._longest = depth_m - float(self._start @ self._heading)
         if self._longest <= 0.0:
             raise InputError(
-                f"motion.depth_mm must be greater than the depth of motion.start_mm along the feed "
-                f"({1e3 * float(self._start @ self._heading):g}), got {1e3 * depth_m:g}: "
-                "start higher or go deeper"
+                "motion.depth_mm",
+                (
+                    "be greater than the depth of motion.start_mm along the feed "
+                    f"({1000.0 * float(self._start @ self._heading):g})"
+                ),
+                f"{1000.0 * depth_m:g}",
+                "start higher or go deeper",
             )
         self._travel = self._speed = 0.0
         self._travel_before = self._speed_before = self._step = 0.0

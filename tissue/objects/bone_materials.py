@@ -51,8 +51,10 @@ def _require_coefficients(cutting: object) -> Mapping[str, float]:
         return {}
     if not isinstance(cutting, Mapping):
         raise InputError(
-            f"cutting must be a mapping of coefficients, got {type(cutting).__name__}: give "
-            '{"tangential_chip_N_mm2": 150}'
+            "cutting",
+            "be a mapping of coefficients",
+            f'{type(cutting).__name__}: give {{"tangential_chip_N_mm2"',
+            "150}",
         )
     checked = dict(cutting)
     for name, value in cutting.items():

@@ -84,8 +84,10 @@ def surface_source(
 
     if path.suffix.lower() not in SURFACE_SUFFIXES:
         raise InputError(
-            f"file must be a surface ({' '.join(SURFACE_SUFFIXES)}), got {path.name}: an "
-            "image goes to Bone.from_image"
+            "file",
+            f"be a surface ({' '.join(SURFACE_SUFFIXES)})",
+            path.name,
+            "an image goes to Bone.from_image",
         )
     with names_of_caller({"anatomy.scale_mm": "scale_mm"}):
         surface = read_surface(path, scale_mm=scale_mm, cut_off=True)

@@ -141,7 +141,7 @@ def plot_surface(surface: "pyvista.PolyData", layer_names: tuple[str, ...], **op
 
     if not surface.n_cells:
         raise InputError(
-            "bone must have been cut to show what was removed, got an uncut one: cut it first"
+            "bone", "have been cut to show what was removed", "an uncut one", "cut it first"
         )
     look: dict[str, Any] = {"interpolation": "Phong", "show_axes": True}
     if len(layer_names) == 1:

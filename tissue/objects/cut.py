@@ -120,7 +120,7 @@ class Cut:
         column = f"distance_{name}_mm"
         if column not in self.trace.columns:
             raise InputError(
-                f"name must be a structure given as keep_clear, got {name}: give it to Bone.cut"
+                "name", "be a structure given as keep_clear", name, "give it to Bone.cut"
             )
         return np.asarray(self.trace[column])
 
@@ -207,6 +207,6 @@ def saved_table(trace: Table, path: str | Path, *, overwrite: bool) -> Path:
     """
     path = Path(path)
     if path.exists() and not overwrite:
-        raise InputError(f"path must not exist, got {path}: choose another, or pass overwrite=True")
+        raise InputError("path", "not exist", path, "choose another, or pass overwrite=True")
     write_table(trace, path)
     return path

@@ -74,15 +74,15 @@ def require_cutter(tool: object, *, spacing_mm: float) -> None:
     """Refuse a tool that cannot cut bone of such voxels [mm]."""
     if not isinstance(tool, Cutter):
         raise InputError(
-            f"tool must be a cutter, got {type(tool).__name__}: make one by "
-            "tissue.cutters.ball_burr"
+            "tool", "be a cutter", type(tool).__name__, "make one by tissue.cutters.ball_burr"
         )
     width_mm = 2e3 * tool.profile.radius_m
     if width_mm < 4.0 * spacing_mm:
         raise InputError(
-            f"tool must be at least four voxels of {spacing_mm:g} mm wide, got "
-            f"{width_mm:.3g} mm: give the "
-            f"bone spacing_mm = {width_mm / 20:.2g}"
+            "tool",
+            f"be at least four voxels of {spacing_mm:g} mm wide",
+            f"{width_mm:.3g} mm",
+            f"give the bone spacing_mm = {width_mm / 20:.2g}",
         )
 
 
@@ -91,9 +91,8 @@ def _require_chips(model: BoneModel, number: int) -> None:
     thickest_mm, radius_mm = 1e3 * model.limits.thickest_m, 1e3 * model.cutter.profile.radius_m
     if thickest_mm > radius_mm:
         raise InputError(
-            "times_s must leave a tooth chips thinner than the tool's radius of "
-            f"{radius_mm:.3g} mm, got "
-            f"{thickest_mm:.3g} mm at pose {number}, up to which the bone is cut: use a "
-            "slower feed or "
-            "a higher speed of the tool"
+            "times_s",
+            f"leave a tooth chips thinner than the tool's radius of {radius_mm:.3g} mm",
+            f"{thickest_mm:.3g} mm at pose {number}, up to which the bone is cut",
+            "use a slower feed or a higher speed of the tool",
         )

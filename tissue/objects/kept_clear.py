@@ -51,9 +51,10 @@ def clearance_of(
         return None
     if not isinstance(structures, Mapping):
         raise InputError(
-            "keep_clear must be a mapping of names to surfaces, got "
-            f"{type(structures).__name__}: give "
-            '{"nerve": "nerve.stl"}'
+            "keep_clear",
+            "be a mapping of names to surfaces",
+            f'{type(structures).__name__}: give {{"nerve"',
+            '"nerve.stl"}',
         )
     found = {}
     for name, surface in structures.items():
@@ -61,9 +62,10 @@ def clearance_of(
             TypeAdapter(Name).validate_python(name)
         except ValidationError:
             raise InputError(
-                "keep_clear must have names of small letters, digits and underscores, got "
-                f"{name!r}: use one such as "
-                "facial_nerve"
+                "keep_clear",
+                "have names of small letters, digits and underscores",
+                f"{name!r}",
+                "use one such as facial_nerve",
             ) from None
         with names_of_caller(
             dict.fromkeys((*FILE_WORDS, "anatomy.scale_mm"), f"keep_clear[{name}]")
@@ -76,7 +78,7 @@ def refuse_structures(structures: Structures | None) -> None:
     """Refuse structures where the tool presses an organ, in which nothing is cut."""
     if structures:
         raise InputError(
-            "keep_clear must be left out for an organ, got structures: use it with a cutter in bone"
+            "keep_clear", "be left out for an organ", "structures", "use it with a cutter in bone"
         )
 
 
@@ -88,8 +90,10 @@ def _structure(name: str, surface: object) -> Structure:
         return structure_of_file(Path(surface), scale_mm=1.0)[0]
     if not isinstance(surface, pyvista.PolyData):
         raise InputError(
-            f"surface must be a file or a pyvista.PolyData, got {type(surface).__name__}: "
-            "give the path of an STL file"
+            "surface",
+            "be a file or a pyvista.PolyData",
+            type(surface).__name__,
+            "give the path of an STL file",
         )
     triangles = surface.triangulate()
     made = surface_from_triangles(

@@ -261,12 +261,14 @@ class Loop:
         """
         if not self._motion.held.entered:
             raise InputError(
-                "loop must hold its device to step, got one that is not: use it in `with loop:`"
+                "loop", "hold its device to step", "one that is not", "use it in `with loop:`"
             )
         if self.ticks == self._most:
             raise InputError(
-                f"longest_s must hold all ticks, got {TICK_S * self._most:g} s that have "
-                "run: make the loop with more"
+                "longest_s",
+                "hold all ticks",
+                f"{TICK_S * self._most:g} s that have run",
+                "make the loop with more",
             )
         self._keep_ready(self._motion.tool.tip_m)
         self._loop.wait()

@@ -147,9 +147,10 @@ def start_above(tissue: Bone | Organ, axis: Array) -> Array:
     found, _ = surface.ray_trace(middle + size * axis, middle - size * axis, first_point=True)
     if np.size(found) == 0:
         raise InputError(
-            f"start_mm must be given where nothing lies under the middle {by(middle, '.4g')} "
-            "mm, got none: give a "
-            "place above the surface"
+            "start_mm",
+            f"be given where nothing lies under the middle {by(middle, '.4g')} mm",
+            "none",
+            "give a place above the surface",
         )
     return np.asarray(found, dtype=np.float64).reshape(-1, 3)[0] + CLEARANCE_MM * axis
 
@@ -158,14 +159,15 @@ def require_device(device: object) -> None:
     """Refuse a device that cannot be read and commanded."""
     if isinstance(device, type):
         raise InputError(
-            f"device must be an object, got the class {device.__name__}: give {device.__name__}()"
+            "device", "be an object", f"the class {device.__name__}", f"give {device.__name__}()"
         )
     missing = [name for name in ("read", "command") if not callable(getattr(device, name, None))]
     if missing:
         raise InputError(
-            f"device must have read and command, got {type(device).__name__} without "
-            f"{' and '.join(missing)}: see "
-            "tissue.Sample for what read gives"
+            "device",
+            "have read and command",
+            f"{type(device).__name__} without {' and '.join(missing)}",
+            "see tissue.Sample for what read gives",
         )
 
 
@@ -173,14 +175,12 @@ def require_match(tissue: object, tool: object) -> None:
     """Refuse a tool that cannot meet what it is given with."""
     if not isinstance(tissue, Bone | Organ):
         raise InputError(
-            f"tissue must be a Bone or an Organ, got {type(tissue).__name__}: make one of these"
+            "tissue", "be a Bone or an Organ", type(tissue).__name__, "make one of these"
         )
     if isinstance(tissue, Bone):
         tissue.require_cutter(tool)
     elif not isinstance(tool, PressingTool):
-        raise InputError(
-            f"tool must press an organ, got {type(tool).__name__}: make one by tissue.ball"
-        )
+        raise InputError("tool", "press an organ", type(tool).__name__, "make one by tissue.ball")
 
 
 @dataclass(frozen=True)
@@ -212,23 +212,26 @@ def settings_of(device: Device, options: LoopOptions) -> LoopSettings:
             numbers = DeviceParameters(**numbers)
         except TypeError:
             raise InputError(
-                "limits must give mass_kg and damping_N_s_m, got neither or one: add both"
+                "limits", "give mass_kg and damping_N_s_m", "neither or one", "add both"
             ) from None
     if not isinstance(numbers, DeviceParameters):
         raise InputError(
-            "limits must be a device's name, tissue.DeviceParameters or a mapping of its "
-            "numbers, got "
-            f"{type(limits).__name__}: give one of these"
+            "limits",
+            "be a device's name, tissue.DeviceParameters or a mapping of its numbers",
+            type(limits).__name__,
+            "give one of these",
         )
     numbers = sampled(numbers)
     require_stated_rate(device, numbers, remedy="give this rate_Hz by limits")
     if isinstance(predictor, type):
         name = predictor.__name__
-        raise InputError(f"predictor must be an object, got the class {name}: give {name}()")
+        raise InputError("predictor", "be an object", f"the class {name}", f"give {name}()")
     if options.predictor_file is not None and not isinstance(predictor, str):
         raise InputError(
-            f"predictor_file must come with a predictor's name, got {predictor!r}: name one, "
-            "or drop it"
+            "predictor_file",
+            "come with a predictor's name",
+            f"{predictor!r}",
+            "name one, or drop it",
         )
     RENDERERS[options.renderer]  # refused here, by the argument's own name
 

@@ -87,8 +87,10 @@ def material(name: str) -> Material:
     known = material_names()
     if name not in known:
         raise InputError(
-            f"material must be one of {', '.join(known)}, got {name}{nearest(name, known)}: "
-            "choose a listed one"
+            "material",
+            f"be one of {', '.join(known)}",
+            f"{name}{nearest(name, known)}",
+            "choose a listed one",
         )
     return Material(name)
 

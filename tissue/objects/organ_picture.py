@@ -58,9 +58,7 @@ def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any
     moved = press.mesh.copy()
     known = [*moved.point_data, *moved.cell_data]
     if scalars not in known:
-        raise InputError(
-            f"scalars must be one of {', '.join(known)}, got {scalars}: use displacement_mm"
-        )
+        raise InputError("scalars", f"be one of {', '.join(known)}", scalars, "use displacement_mm")
     moved.points = moved.points + moved.point_data["displacement_mm"]
     data = moved.point_data if scalars in moved.point_data else moved.cell_data
     values = np.asarray(data[scalars])

@@ -57,8 +57,10 @@ def plot_columns(
     wanted = chosen_panels(trace, columns)
     if ax is not None and len(wanted) > 1:
         raise InputError(
-            f"ax must take columns of one unit, got {', '.join(wanted)}: give columns of one "
-            "of them, or leave ax out"
+            "ax",
+            "take columns of one unit",
+            ", ".join(wanted),
+            "give columns of one of them, or leave ax out",
         )
     panels = new_panels(len(wanted)) if ax is None else np.array([ax])
     for axes, names in zip(panels, wanted.values(), strict=True):
@@ -93,14 +95,15 @@ def chosen_panels(trace: Trace, columns: Iterable[str] | None) -> dict[str, list
         if name not in trace or name == "layer":
             known = [each for each in trace if each != "layer"]
             raise InputError(
-                "columns must name columns of numbers of the trace, got "
-                f"{name}{nearest(name, known)}: use some of "
-                f"{', '.join(known)}"
+                "columns",
+                "name columns of numbers of the trace",
+                f"{name}{nearest(name, known)}",
+                f"use some of {', '.join(known)}",
             )
         found.setdefault(unit_of(name), []).append(name)
     if not found:
         raise InputError(
-            "columns must name at least one, got none: leave it out for force and torque"
+            "columns", "name at least one", "none", "leave it out for force and torque"
         )
     return found
 
@@ -156,7 +159,7 @@ def overlay(traces: "Mapping[str, Table]", *, over: str = "time") -> NDArray[np.
     Three panels.
     """
     if over not in ("time", "depth"):
-        raise InputError(f"over must be time or depth, got {over}: use one of these")
+        raise InputError("over", "be time or depth", over, "use one of these")
     panels = new_panels(3)
     first: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
     for number, (name, trace) in enumerate(traces.items()):
@@ -201,8 +204,7 @@ def _place(trace: "Table", over: str, name: str) -> tuple[slice, NDArray[np.floa
     contact = trace["contact_mm2"] > 0.0
     if not contact.any():
         raise InputError(
-            f"runs must touch the tissue to be drawn over depth, got {name} without contact: "
-            "use time"
+            "runs", "touch the tissue to be drawn over depth", f"{name} without contact", "use time"
         )
     height = outward * trace.vectors("tool", "mm")[:, axis]
     rows = first_descent(height, contact)
@@ -251,14 +253,14 @@ def draw_figures(sweep: "Sweep", names: list[str] | None) -> NDArray[np.object_]
     names = differing(sweep) if names is None else names
     if unknown := [name for name in names if name not in sweep.figure_names]:
         raise InputError(
-            f"figures must be of {', '.join(sweep.figure_names)}, got {unknown[0]}: use some "
-            "of these"
+            "figures", f"be of {', '.join(sweep.figure_names)}", unknown[0], "use some of these"
         )
     if not names or len(sweep.keys) not in (1, 2):
         raise InputError(
-            f"plot must have figures that differ and one key or two, got {len(names)} "
-            f"figures and {len(sweep.keys)} "
-            "keys: see the table"
+            "plot",
+            "have figures that differ and one key or two",
+            f"{len(names)} figures and {len(sweep.keys)} keys",
+            "see the table",
         )
     columns = min(len(names), COLUMNS)
     count = -(-len(names) // columns)

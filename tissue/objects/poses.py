@@ -39,14 +39,15 @@ def feed_along(points_mm: ArrayLike, feed_mm_s: float) -> tuple[Array, Array]:
     feed = require_positive("feed_mm_s", feed_mm_s, "use about 2")
     if not np.diff(corners, axis=0).any():
         raise InputError(
-            "points_mm must hold two different points, got only one: add where the tool goes"
+            "points_mm", "hold two different points", "only one", "add where the tool goes"
         )
     path = FollowPath(1e-3 * corners, feed_m_s=1e-3 * feed, axis=(0.0, 0.0, 1.0))
     if path.duration_s > LONGEST_S:
         raise InputError(
-            f"feed_mm_s must bring the tool along the path within {LONGEST_S:g} s, got "
-            f"{feed:g} which takes "
-            f"{path.duration_s:.4g}: use {feed * path.duration_s / LONGEST_S:.3g} or more"
+            "feed_mm_s",
+            f"bring the tool along the path within {LONGEST_S:g} s",
+            f"{feed:g} which takes {path.duration_s:.4g}",
+            f"use {feed * path.duration_s / LONGEST_S:.3g} or more",
         )
     whole: Array = TICK_S * np.arange(
         int(np.ceil(path.duration_s / TICK_S - 1e-6)), dtype=np.float64
@@ -79,13 +80,14 @@ def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]
     shape = np.shape(poses)
     if len(shape) not in (2, 3) or shape[1:] not in ((3,), (7,), (4, 4)):
         raise InputError(
-            "poses must be tips [mm] of shape (n, 3), tips and quaternions (n, 7) or "
-            "matrices (n, 4, 4), got shape "
-            f"{shape}: give one row a pose"
+            "poses",
+            "be tips [mm] of shape (n, 3), tips and quaternions (n, 7) or matrices (n, 4, 4)",
+            f"shape {shape}",
+            "give one row a pose",
         )
     rows = _rows("poses", poses, shape[1:])
     if axis is not None and shape[1:] != (3,):
-        raise InputError("axis must be left out where poses hold turns, got both: remove it")
+        raise InputError("axis", "be left out where poses hold turns", "both", "remove it")
     if shape[1:] == (3,):
         direction = (0.0, 0.0, 1.0) if axis is None else cast("tuple[float, float, float]", axis)
         along = require_direction("axis", direction)
@@ -93,16 +95,16 @@ def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]
         return 1e-3 * rows, Rotation.from_matrix(np.broadcast_to(turn, (len(rows), 3, 3)).copy())
     if shape[1:] == (7,):
         if (np.linalg.norm(rows[:, 3:], axis=1) < 1e-6).any():
-            raise InputError(
-                "poses must hold unit quaternions, got a zero one: use 0, 0, 0, 1 there"
-            )
+            raise InputError("poses", "hold unit quaternions", "a zero one", "use 0, 0, 0, 1 there")
         return 1e-3 * rows[:, :3], Rotation.from_quat(rows[:, 3:])
     turns = rows[:, :3, :3]
     error = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max()
     if error > 1e-4 or (np.linalg.det(turns) < 0.0).any():
         raise InputError(
-            "poses must hold rotations without scale or mirroring, got matrices off by "
-            f"{error:.2g}: normalise them"
+            "poses",
+            "hold rotations without scale or mirroring",
+            f"matrices off by {error:.2g}",
+            "normalise them",
         )
     return 1e-3 * rows[:, :3, 3], Rotation.from_matrix(turns)
 
@@ -118,15 +120,18 @@ def times_of(times_s: ArrayLike, count: int) -> Array:
     times = np.asarray(times_s, dtype=np.float64)
     if times.shape != (count,) or count < 2:
         raise InputError(
-            "times_s must hold one time for each of at least two poses, got shape "
-            f"{times.shape} for {count} poses: "
-            "use feed_along to make both of a path"
+            "times_s",
+            "hold one time for each of at least two poses",
+            f"shape {times.shape} for {count} poses",
+            "use feed_along to make both of a path",
         )
     if not np.isfinite(times).all() or (np.diff(times) <= 0.0).any():
         at = int(np.argmax(~(np.diff(times) > 0.0)))
         raise InputError(
-            f"times_s must increase, got {times[at + 1]:g} after {times[at]:g}: sort the "
-            "poses, and drop those twice"
+            "times_s",
+            "increase",
+            f"{times[at + 1]:g} after {times[at]:g}",
+            "sort the poses, and drop those twice",
         )
     return times
 
@@ -137,16 +142,14 @@ def _rows(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
         rows = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
         raise InputError(
-            f"{name} must be numbers, got {type(values).__name__}: give an array in millimetres"
+            name, "be numbers", type(values).__name__, "give an array in millimetres"
         ) from None
     if rows.shape[1:] != shape or len(rows) == 0:
         raise InputError(
-            f"{name} must have the shape (n, {', '.join(map(str, shape))}), got "
-            f"{rows.shape}: one row each"
+            name, f"have the shape (n, {', '.join(map(str, shape))})", rows.shape, "one row each"
         )
     if not np.isfinite(rows).all():
         raise InputError(
-            f"{name} must be finite, got {int((~np.isfinite(rows)).sum())} values that are "
-            "not: mend them"
+            name, "be finite", f"{int((~np.isfinite(rows)).sum())} values that are not", "mend them"
         )
     return rows

@@ -141,7 +141,7 @@ class Press:
             import pandas as pd
         except ImportError as problem:
             raise InputError(
-                "pandas must be installed for a table, got none: pip install 'tissue-sim[pandas]'"
+                "pandas", "be installed for a table", "none", "pip install 'tissue-sim[pandas]'"
             ) from problem
         x, y, z = self.forces_N.T
         columns = {

@@ -40,14 +40,15 @@ def name(kind: str, given: object, *, argument: bool = False) -> None:
     pattern = f"{NAME}(:[A-Z]+)?" if argument else NAME
     if not isinstance(given, str) or not re.fullmatch(pattern, given):
         raise InputError(
-            f"name must be of lower-case letters, digits, - and _, got {shown(given)}: "
-            f"choose such a one for the {kind}"
+            "name",
+            "be of lower-case letters, digits, - and _",
+            shown(given),
+            f"choose such a one for the {kind}",
         )
     taken = ["none", *(each for table in TABLES[kind] for each in table.known)]
     if given in taken:
         raise InputError(
-            f"name must be none of {', '.join(taken)}, got {given}: choose another name for "
-            f"this {kind}"
+            "name", f"be none of {', '.join(taken)}", given, f"choose another name for this {kind}"
         )
 
 
@@ -55,16 +56,17 @@ def callable_part(kind: str, given: str, part: object, methods: Sequence[str] = 
     """Refuse what makes no part: it can be called, and a class has the methods."""
     if not callable(part):
         raise InputError(
-            f"{kind} {given} must be a class or a function, got {shown(part)}: give what makes one"
+            f"{kind} {given}", "be a class or a function", shown(part), "give what makes one"
         )
     if not isinstance(part, type):
         return
     missing = [method for method in methods if not callable(getattr(part, method, None))]
     if missing:
         raise InputError(
-            f"{kind} {given} must have {' and '.join(methods)}, got {part.__name__} without "
-            f"{' and '.join(missing)}: "
-            "add what is missing"
+            f"{kind} {given}",
+            f"have {' and '.join(methods)}",
+            f"{part.__name__} without {' and '.join(missing)}",
+            "add what is missing",
         )
 
 
@@ -74,16 +76,17 @@ def profile(given: str, part: Any, keys: Sequence[str]) -> None:
     for key in keys:
         if key not in known:
             raise InputError(
-                f"keys must be of {', '.join(sorted(known))}, got {shown(key)}: use one of a "
-                "tool's keys"
+                "keys", f"be of {', '.join(sorted(known))}", shown(key), "use one of a tool's keys"
             )
     sizes = ["diameter_m", *(key.replace("_mm", "_m").replace("_deg", "_rad") for key in keys)]
     try:
         inspect.signature(part).bind(**dict.fromkeys(sizes, 1.0))
     except TypeError as error:
         raise InputError(
-            f"tool {given} must take {' and '.join(sizes)}, got one that does not ({error}): "
-            "name its arguments so"
+            f"tool {given}",
+            f"take {' and '.join(sizes)}",
+            f"one that does not ({error})",
+            "name its arguments so",
         ) from None
 
 
@@ -94,15 +97,18 @@ def parameters(kind: str, given: str, part: object) -> None:
 
     if not (isinstance(part, type) and issubclass(part, Part)):
         raise InputError(
-            f"parameters of the {kind} {given} must be a subclass of "
-            f"tissue.scene.anatomy.Part, got {shown(part)}: "
-            "derive it from that"
+            f"parameters of the {kind} {given}",
+            "be a subclass of tissue.scene.anatomy.Part",
+            shown(part),
+            "derive it from that",
         )
     kinds = kinds_of(part) if "kind" in part.model_fields else ()
     if kinds != (given,):
         raise InputError(
-            f"{part.__name__}.kind must be {given}, got {' or '.join(kinds) or 'none'}: "
-            f'write kind: Literal["{given}"] = "{given}"'
+            f"{part.__name__}.kind",
+            f"be {given}",
+            f"{' or '.join(kinds) or 'none'}: write kind",
+            f'Literal["{given}"] = "{given}"',
         )
 
 
@@ -114,24 +120,25 @@ def numbers_of(kind: Any, numbers: Any, *, needed: Sequence[str] = ()) -> dict[s
         return asdict(numbers)
     if not isinstance(numbers, Mapping):
         raise InputError(
-            f"numbers must be a mapping such as {{mass_kg: 0.05}}, got {shown(numbers)}: "
-            "give names and values"
+            "numbers",
+            "be a mapping such as {mass_kg: 0.05}",
+            shown(numbers),
+            "give names and values",
         )
     known = [field.name for field in fields(kind)]
     for each, value in numbers.items():
         if each not in known:
             raise InputError(
-                f"numbers must be of {', '.join(known)}, got {each}{nearest(each, known)}: "
-                "rename or remove it"
+                "numbers",
+                f"be of {', '.join(known)}",
+                f"{each}{nearest(each, known)}",
+                "rename or remove it",
             )
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(
-                f"{each} must be a number, got {shown(value)}: give it in the unit of its name"
-            )
+            raise InputError(each, "be a number", shown(value), "give it in the unit of its name")
     if missing := [each for each in needed if each not in numbers]:
         raise InputError(
-            f"numbers must have {' and '.join(needed)}, got none for "
-            f"{' and '.join(missing)}: add it"
+            "numbers", f"have {' and '.join(needed)}", f"none for {' and '.join(missing)}", "add it"
         )
     kind(**numbers)
     return dict(numbers)
@@ -144,13 +151,13 @@ def looks(colour: str, marker: str) -> None:
 
     if not is_color_like(colour):
         raise InputError(
-            f"colour must be one of matplotlib's, got {shown(colour)}: use for example #0072B2"
+            "colour", "be one of matplotlib's", shown(colour), "use for example #0072B2"
         )
     try:
         MarkerStyle(marker)
     except ValueError:
         raise InputError(
-            f"marker must be one of matplotlib's, got {shown(marker)}: use for example o"
+            "marker", "be one of matplotlib's", shown(marker), "use for example o"
         ) from None
 
 
@@ -163,8 +170,10 @@ def scene_name(path: Path) -> str:
     taken = [*library_names(), *SCENES.known]
     if found in taken:
         raise InputError(
-            f"name must be none of {', '.join(taken)}, got {found} in {path}: choose another "
-            "for this scene"
+            "name",
+            f"be none of {', '.join(taken)}",
+            f"{found} in {path}",
+            "choose another for this scene",
         )
     return str(found)
 
@@ -174,8 +183,10 @@ def add_materials(path: Path) -> tuple[str, ...]:
     found = _table(path, "material")
     if not found or any(table not in ("cutting", "soft") for table in found):
         raise InputError(
-            f"material must have tables cutting and soft, got {', '.join(found) or 'none'} "
-            f"in {path}: use these"
+            "material",
+            "have tables cutting and soft",
+            f"{', '.join(found) or 'none'} in {path}",
+            "use these",
         )
     for table, materials in found.items():
         for material, entries in materials.items():
@@ -195,17 +206,23 @@ def _require_material(path: Path, table: str, material: str, entries: dict[str, 
     where = f"{table}.{material}"
     if not re.fullmatch(NAME, material) or material in listed(table):
         raise InputError(
-            f"{table} must name materials other than {', '.join(listed(table))}, in "
-            "lower-case letters, digits, - and "
-            f"_, got {material} in {path}: choose another name"
+            table,
+            (
+                f"name materials other than {', '.join(listed(table))}, in lower-case letters, "
+                "digits, - and _"
+            ),
+            f"{material} in {path}",
+            "choose another name",
         )
     needed = tuple(constants("cutting", "bone")) if table == "cutting" else SOFT
     missing = [each for each in needed if each not in entries]
     extra = [each for each in entries if each not in needed] if table == "cutting" else []
     if missing or extra:
         raise InputError(
-            f"{where} must have {', '.join(needed)}, got {'none for' if missing else 'also'} "
-            f"{', '.join(missing or extra)} in {path}: {'add' if missing else 'remove'} it"
+            where,
+            f"have {', '.join(needed)}",
+            f"{('none for' if missing else 'also')} {', '.join(missing or extra)} in {path}",
+            f"{('add' if missing else 'remove')} it",
         )
     for constant, entry in entries.items():
         checked_constant(f"{where}.{constant}", entry, str(path))
@@ -219,5 +236,5 @@ def _table(path: Path, kind: str) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(
-            f"{kind} must be a TOML file, got {path} ({reason}): check the path and mend it"
+            kind, "be a TOML file", f"{path} ({reason})", "check the path and mend it"
         ) from None

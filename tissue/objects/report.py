@@ -46,8 +46,7 @@ def report(
         return write_report(run, out, overwrite=overwrite, progress=progress)
     if out is None and run.path is None:
         raise InputError(
-            "out must be given for a run that was not saved, got nothing: use for example "
-            '"run.html"'
+            "out", "be given for a run that was not saved", "nothing", 'use for example "run.html"'
         )
     out = run.path / NAME if out is None and run.path is not None else out
     return write_report(run._folder(), out, overwrite=overwrite, progress=progress)

@@ -113,15 +113,17 @@ def show_folder(
         )
     elif interactive and screenshot is not None:
         raise InputError(
-            f"screenshot must be left out with interactive, got {screenshot}: leave one of them out"
+            "screenshot", "be left out with interactive", screenshot, "leave one of them out"
         )
     if interactive and not notebook:
         view(folder, **chosen)
         return None
     if interactive and not is_interactive():
         raise InputError(
-            "trame must be installed to turn a picture in a notebook, got none: pip install "
-            "'tissue-sim[notebook]'"
+            "trame",
+            "be installed to turn a picture in a notebook",
+            "none",
+            "pip install 'tissue-sim[notebook]'",
         )
     with TemporaryDirectory(prefix="tissue-") as place:
         file = screenshot or Path(place) / "shown.png"

@@ -81,12 +81,14 @@ def simulate(
     """
     if on_tick is not None and observer is not None:
         raise InputError(
-            "on_tick must be left out with observer, got both: call it from the observer's on_tick"
+            "on_tick", "be left out with observer", "both", "call it from the observer's on_tick"
         )
     if live is not None and any(each is not None for each in (on_tick, observer, device)):
         raise InputError(
-            "live must be left out with a device, on_tick or observer, got both: leave one "
-            "of them out"
+            "live",
+            "be left out with a device, on_tick or observer",
+            "both",
+            "leave one of them out",
         )
     if on_tick is not None:
         observer = OnTick(on_tick)

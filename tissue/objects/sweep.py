@@ -129,8 +129,10 @@ def planned(
     count = prod(len(values) for values in listed.values())
     if count > MOST_RUNS:
         raise InputError(
-            f"a sweep must have at most {MOST_RUNS} runs, got {count} combinations: give "
-            "fewer values"
+            "a sweep",
+            f"have at most {MOST_RUNS} runs",
+            f"{count} combinations",
+            "give fewer values",
         )
     fixed = {key: values[0] for key, values in listed.items() if len(values) == 1}
     swept = {key: values for key, values in listed.items() if len(values) > 1}
@@ -171,13 +173,12 @@ def parse_values(texts: Sequence[str]) -> dict[str, list[object]]:
             values = [parse_override(f"{key}={piece}")[1] for piece in pieces if piece]
         if not sign or not all(pieces) or not pieces:
             raise InputError(
-                f"--set must be key=value,value, got {text}: use for example "
-                "voxels.spacing_mm=0.2,0.4"
+                "--set", "be key=value,value", text, "use for example voxels.spacing_mm=0.2,0.4"
             )
         key = key.strip()
         if key in found:
             raise InputError(
-                f"--set must name a key once, got {key} twice: give its values in one, by commas"
+                "--set", "name a key once", f"{key} twice", "give its values in one, by commas"
             )
         found[key] = values
     return found
@@ -189,9 +190,7 @@ def _listed(key: str, values: Iterable[object]) -> list[object]:
     if isinstance(values, Iterable) and not isinstance(values, str | Mapping):
         found = list(islice(values, MOST_RUNS + 1))
     if not found:
-        raise InputError(
-            f"{key} must be given as a list of values, got {values}: use for example [1.0, 2.0]"
-        )
+        raise InputError(key, "be given as a list of values", values, "use for example [1.0, 2.0]")
     return [each.tolist() if isinstance(each, np.generic | np.ndarray) else each for each in found]
 
 
@@ -232,9 +231,10 @@ def _begin(out: Path, runs: list[SweptRun], *, overwrite: bool) -> list[tuple[Sw
         recorded = record.get(each.name)
         if recorded not in (None, text) and not overwrite:
             raise InputError(
-                f"out must hold runs of this scene, got another one in {each.path}: pass "
-                "--overwrite to replace "
-                "it or choose another --out"
+                "out",
+                "hold runs of this scene",
+                f"another one in {each.path}",
+                "pass --overwrite to replace it or choose another --out",
             )
         summary = summary_of(each.path)
         if overwrite or recorded != text or summary.get("status") != "complete":
@@ -259,8 +259,7 @@ def _read(path: Path) -> dict[str, str]:
             raise ValueError(path)
     except (ValueError, LookupError, TypeError, AttributeError):
         raise InputError(
-            f"sweep.json must be as a sweep wrote it, got another one in {path}: choose "
-            "another --out"
+            "sweep.json", "be as a sweep wrote it", f"another one in {path}", "choose another --out"
         ) from None
     return dict(scenes)
 
@@ -279,12 +278,13 @@ def _results(
     with worker_pool(workers) as pool:
         registered = registered_parts(each.scene for each, _ in left if each.scene is not None)
         if registered and (missing := pool.submit(unknown_parts, registered).result()):
+            named = " and the ".join(map(" ".join, missing))
             raise InputError(
-                "workers must be 1 for parts that are registered in this process alone, got "
-                f"{workers} with the "
-                f"{' and the '.join(map(' '.join, missing))}: register them above if "
-                '__name__ == "__main__": in the '
-                "script, or offer them as a package does"
+                "workers",
+                "be 1 for parts that are registered in this process alone",
+                f"{workers} with the {named}",
+                'register them above if __name__ == "__main__" in the script, or offer them as a '
+                "package does",
             )
         waiting = {pool.submit(run, each, replaces, False): each.name for each, replaces in left}
         while waiting:

@@ -167,7 +167,7 @@ def needed(name: str, *, extra: str) -> Any:
         if missing.name is None or missing.name.split(".")[0] != name.split(".")[0]:
             raise
         raise InputError(
-            f"{name} must be installed for this, got none: pip install 'tissue-sim[{extra}]'"
+            name, "be installed for this", "none", f"pip install 'tissue-sim[{extra}]'"
         ) from None
 
 

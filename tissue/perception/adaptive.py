@@ -95,9 +95,7 @@ class ThresholdPrior:
         require_positive("weber_log_spread", self.weber_log_spread, "use 0.6")
         require_positive("lowest", self.lowest, "use 0.015")
         if not self.lowest < self.highest < 10.0:
-            raise InputError(
-                f"highest must be in ({self.lowest:g}, 10), got {self.highest}: use 0.6"
-            )
+            raise InputError("highest", f"be in ({self.lowest:g}, 10)", self.highest, "use 0.6")
         for name, least in (("cells", 5), ("offset_cells", 1), ("lapse_cells", 1)):
             require_range(name, getattr(self, name), least, 1000, "see the defaults")
 

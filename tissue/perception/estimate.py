@@ -99,12 +99,10 @@ def map_force_N(
     spread = known["prior_log_spread"].value if log_spread is None else log_spread
     y, r, middle, s = (np.asarray(each, dtype=float) for each in (seen_N, noise_N, median, spread))
     if not np.isfinite(y).all():
-        raise InputError("seen_N must be finite, got a value that is not: leave that sample out")
+        raise InputError("seen_N", "be finite", "a value that is not", "leave that sample out")
     for name, value in (("noise_N", r), ("median_N", middle), ("log_spread", s)):
         if not ((value > 0.0) & np.isfinite(value)).all():
-            raise InputError(
-                f"{name} must be positive and finite, got {np.min(value)}: see perception.toml"
-            )
+            raise InputError(name, "be positive and finite", np.min(value), "see perception.toml")
     y, r, m, s = np.broadcast_arrays(y, r, np.log(middle), s)
     shape = y.shape
     y, r, m, s = (each.ravel() for each in (y, r, m, s))
@@ -149,9 +147,10 @@ def require_prior_fits(
     high = median_N * np.exp(FAR * log_spread)
     if not low - FAR * noise_N <= seen_N <= high + FAR * noise_N:
         raise InputError(
-            f"seen_N must be possible under the prior of {median_N:g} N with log spread "
-            f"{log_spread:g}, got {seen_N} "
-            f"with noise {noise_N:g} N: widen the prior or check the unit"
+            "seen_N",
+            f"be possible under the prior of {median_N:g} N with log spread {log_spread:g}",
+            f"{seen_N} with noise {noise_N:g} N",
+            "widen the prior or check the unit",
         )
 
 

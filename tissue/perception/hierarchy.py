@@ -168,7 +168,7 @@ def fit_hierarchy(
         from numpyro.infer import MCMC, NUTS
     except ImportError:
         raise InputError(
-            "population must be fitted by numpyro, got none: pip install 'tissue-sim[perception]'"
+            "population", "be fitted by numpyro", "none", "pip install 'tissue-sim[perception]'"
         ) from None
     run = MCMC(
         NUTS(partial(_model, trials.observers), target_accept_prob=0.9),

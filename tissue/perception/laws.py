@@ -146,7 +146,7 @@ class Intensity:
         wanted = np.asarray(intensity, dtype=float)
         if not (wanted >= 0.0).all():
             raise InputError(
-                f"intensity must be at least 0, got {intensity!r}: intensities are sizes"
+                "intensity", "be at least 0", f"{intensity!r}", "intensities are sizes"
             )
         a = self.log_alpha + 0.5 * self.variances[0]
         b = self.beta + self.variances[1]
@@ -157,9 +157,10 @@ class Intensity:
             found = np.exp(2.0 * above / (b + np.sqrt(root))) if c > 0.0 else np.exp(above / b)
         if b <= 0.0 or not (root[wanted > 0.0] >= 0.0).all():
             raise InputError(
-                f"beta must be known well enough to be inverted, got {self.beta:.3g} with "
-                "standard deviation "
-                f"{c**0.5:.3g}: ask more trials at weak forces"
+                "beta",
+                "be known well enough to be inverted",
+                f"{self.beta:.3g} with standard deviation {c**0.5:.3g}",
+                "ask more trials at weak forces",
             )
         return np.where(wanted > 0.0, found, 0.0)
 
@@ -220,7 +221,7 @@ class Weber:
         levels = np.asarray(level, dtype=float)
         if not (levels >= 0.0).all():
             raise InputError(
-                f"level must be a size of at least 0, got {level!r}: give the length of the vector"
+                "level", "be a size of at least 0", f"{level!r}", "give the length of the vector"
             )
         return self.kappa * (levels + self.offset)
 
@@ -236,7 +237,7 @@ def weber(quantity: str) -> Weber:
     """
     if quantity not in QUANTITIES:
         raise InputError(
-            f"quantity must be one of {', '.join(QUANTITIES)}, got {quantity}: choose one of these"
+            "quantity", f"be one of {', '.join(QUANTITIES)}", quantity, "choose one of these"
         )
     known = constants("perception", quantity)
     return Weber(kappa=known["kappa"].value, offset=known[QUANTITIES[quantity]].value)

@@ -36,8 +36,7 @@ class LogTable:
     def __init__(self, forces_N: Array, values: Array) -> None:
         if not (np.isfinite(values).all() and (values > 0.0).all()):
             raise InputError(
-                "values must be positive and finite, got one that is not: narrow the range "
-                "of forces"
+                "values", "be positive and finite", "one that is not", "narrow the range of forces"
             )
         self._first = float(forces_N[0])
         self._last = float(forces_N[-1])
@@ -113,8 +112,10 @@ class ForceMap:
         slopes = np.diff(commands) / np.diff(self.forces_N)
         if not (slopes > 0.0).all():
             raise InputError(
-                "observer must need more force for more intensity, got one who does not: ask "
-                "more trials"
+                "observer",
+                "need more force for more intensity",
+                "one who does not",
+                "ask more trials",
             )
         within = int(np.searchsorted(self.forces_N, knee_N))
         self.steepest = float(max(slopes[:within].max(), commands[0] / lowest_N))

@@ -91,12 +91,14 @@ class Observer:
         covariance = np.array(self.covariance, dtype=float)
         if mean.shape != (6,) or covariance.shape != (6, 6):
             raise InputError(
-                f"mean and covariance must have shapes (6,) and (6, 6), got {mean.shape} and "
-                f"{covariance.shape}: one coordinate for each of {', '.join(PARAMETERS)}"
+                "mean and covariance",
+                "have shapes (6,) and (6, 6)",
+                f"{mean.shape} and {covariance.shape}",
+                f"one coordinate for each of {', '.join(PARAMETERS)}",
             )
         if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
             raise InputError(
-                "mean and covariance must be finite, got one that is not: calibrate again"
+                "mean and covariance", "be finite", "one that is not", "calibrate again"
             )
         for name, (low, high) in BOUNDS.items():
             require_range(
@@ -108,11 +110,9 @@ class Observer:
             )
         scale = max(float(np.abs(covariance).max()), 1e-300)
         if np.abs(covariance - covariance.T).max() > 1e-9 * scale:
-            raise InputError("covariance must be symmetric, got one that is not: calibrate again")
+            raise InputError("covariance", "be symmetric", "one that is not", "calibrate again")
         if np.linalg.eigvalsh(covariance).min() < -1e-9 * scale:
-            raise InputError(
-                "covariance must have no negative eigenvalue, got one: calibrate again"
-            )
+            raise InputError("covariance", "have no negative eigenvalue", "one", "calibrate again")
         widest = float(np.sqrt(np.diag(covariance).clip(0.0)).max())
         require_range(
             "standard deviation",
@@ -222,9 +222,10 @@ def write_observer(observer: Observer, path: Path, *, overwrite: bool = False) -
             temporary.write_text(json.dumps(stored, indent=1) + "\n", "utf-8")
     except OSError as problem:
         raise InputError(
-            f"out must be a file that can be written, got {path} ({problem.strerror}): "
-            "choose another "
-            "folder"
+            "out",
+            "be a file that can be written",
+            f"{path} ({problem.strerror})",
+            "choose another folder",
         ) from problem
 
 
@@ -242,15 +243,13 @@ def read_observer(path: Path) -> Observer:
         stored = read_json(path.read_text("utf-8"))
     except OSError as problem:
         raise InputError(
-            f"observer must be a file that can be read, got {path} ({problem.strerror}): "
-            f"{calibrate}"
+            "observer", "be a file that can be read", f"{path} ({problem.strerror})", calibrate
         ) from problem
     except ValueError as problem:
-        raise InputError(f"observer must be a JSON file, got {path}: {calibrate}") from problem
+        raise InputError("observer", "be a JSON file", path, calibrate) from problem
     if not isinstance(stored, dict) or stored.get("format") != FORMAT:
         raise InputError(
-            f"observer must be a file of an observer, got {path}, which is something else: "
-            f"{calibrate}"
+            "observer", "be a file of an observer", f"{path}, which is something else", calibrate
         )
     require_version(
         "observer", stored, VERSION, key="version", where=path, remedy="calibrate again"
@@ -264,8 +263,10 @@ def read_observer(path: Path) -> Observer:
             raise ValueError("other coordinates")
     except (KeyError, TypeError, ValueError, OverflowError) as problem:
         raise InputError(
-            f"observer must hold name, trials, coordinates, mean and covariance, got {path} "
-            f"without: {calibrate}"
+            "observer",
+            "hold name, trials, coordinates, mean and covariance",
+            f"{path} without",
+            calibrate,
         ) from problem
     try:
         return Observer(name=name, mean=mean, covariance=covariance, trials=trials)

@@ -182,9 +182,7 @@ class PerceivedForce:
         x, y, z = force_N.tolist()
         size = sqrt(x * x + y * y + z * z)
         if not size < inf:
-            raise InputError(
-                f"force must be finite, got {force_N}: hold it back with a SampleGuard"
-            )
+            raise InputError("force", "be finite", force_N, "hold it back with a SampleGuard")
         share = self.law.table.at(size) / size if size > 0.0 else 1.0
         deadband = self.deadband
         if deadband.step(share * x, share * y, share * z):

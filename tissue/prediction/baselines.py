@@ -32,7 +32,7 @@ class Linear:
 
     def __init__(self, window: int = WINDOW) -> None:
         if window < 1:
-            raise InputError(f"window must be at least 1 tick, got {window}: use {WINDOW}")
+            raise InputError("window", "be at least 1 tick", window, f"use {WINDOW}")
         self._window = window
         self._clock = 0
         self._seen: deque[tuple[int, Array]] = deque([(0, np.zeros(3))])
@@ -139,8 +139,10 @@ class LinearControl:
     def __init__(self, operator: Operator) -> None:
         if operator.A.shape != (3, 3) or operator.B.shape != (3, 6):
             raise InputError(
-                "operator must take a force by position and velocity, got "
-                f"{operator.B.shape}: train it again"
+                "operator",
+                "take a force by position and velocity",
+                operator.B.shape,
+                "train it again",
             )
         self._A = operator.A
         self._B = operator.B

@@ -82,8 +82,10 @@ class Outside:
         force = np.array(self.inner.predict(ticks), dtype=np.float64)
         if force.shape != (3,):
             raise InputError(
-                f"predict of the predictor {self._name} must return three newtons, got shape "
-                f"{force.shape}: mend it"
+                f"predict of the predictor {self._name}",
+                "return three newtons",
+                f"shape {force.shape}",
+                "mend it",
             )
         return force
 
@@ -120,8 +122,9 @@ class GuardedMaker:
         ]
         if missing:
             raise InputError(
-                f"predictor {self.name} must have observe and predict, got "
-                f"{type(inner).__name__} without "
-                f"{' and '.join(missing)}: see `tissue.prediction.outside.Observes`"
+                f"predictor {self.name}",
+                "have observe and predict",
+                f"{type(inner).__name__} without {' and '.join(missing)}",
+                "see `tissue.prediction.outside.Observes`",
             )
         return Guarded(Outside(inner, self.name), Hold(), reach_N=force_limit_N)

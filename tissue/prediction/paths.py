@@ -113,9 +113,10 @@ class OperatorPath:
     def __init__(self, operator: Operator, *, growth: float) -> None:
         if operator.state_size != STATE or operator.B.shape[1] or operator.offset.any():
             raise InputError(
-                f"operator must have {STATE} states, no inputs and no offset, got "
-                f"{operator.state_size} and "
-                f"{operator.B.shape[1]}: train it again"
+                "operator",
+                f"have {STATE} states, no inputs and no offset",
+                f"{operator.state_size} and {operator.B.shape[1]}",
+                "train it again",
             )
         self._operator = operator
         self._growth = growth

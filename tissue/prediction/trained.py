@@ -100,9 +100,10 @@ class Trained:
             )
         except (KeyError, TypeError) as problem:
             raise InputError(
-                f"predictor file must hold what a loop needs, got {path} without {problem}: "
-                "train it again with "
-                f"'tissue train {stored.scene}'"
+                "predictor file",
+                "hold what a loop needs",
+                f"{path} without {problem}",
+                f"train it again with 'tissue train {stored.scene}'",
             ) from None
 
 
@@ -118,9 +119,10 @@ def shipped_file(scene: str) -> Path:
     if not path.is_file():
         known = ", ".join(sorted(each.stem for each in SHIPPED.glob("*.npz")))
         raise InputError(
-            f"coupling.predictor_file must be given for a scene other than {known}, got "
-            f"nothing for {scene}: write one "
-            f"with 'tissue train {scene} --out FILE'"
+            "coupling.predictor_file",
+            f"be given for a scene other than {known}",
+            f"nothing for {scene}",
+            f"write one with 'tissue train {scene} --out FILE'",
         )
     return path
 

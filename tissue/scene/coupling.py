@@ -113,7 +113,9 @@ class Fidelity(Part):
     def _asks_for_something(self) -> "Fidelity":
         if self.force_error is None and self.tick_ms is None:
             raise InputError(
-                "fidelity must ask for something, got nothing: use force_error = 0.03 or "
-                "tick_ms = 0.7"
+                "fidelity",
+                "ask for something",
+                "nothing",
+                "use force_error = 0.03 or tick_ms = 0.7",
             )
         return self

@@ -46,8 +46,9 @@ class Hardware(Part):
     def _buttons_differ(self) -> "Hardware":
         if self.clutch_button is not None and self.clutch_button == self.force_button:
             raise InputError(
-                "hardware.clutch_button must not be hardware.force_button, got "
-                f"{self.clutch_button} for both: use "
-                "another button for one of them"
+                "hardware.clutch_button",
+                "not be hardware.force_button",
+                f"{self.clutch_button} for both",
+                "use another button for one of them",
             )
         return self

@@ -28,12 +28,12 @@ class KeepClear(Part):
     def _states_some(self) -> "KeepClear":
         if not self.names and not self.files:
             raise InputError(
-                "keep_clear must state names or files, got neither: remove it, or name a structure"
+                "keep_clear", "state names or files", "neither", "remove it, or name a structure"
             )
         both = set(self.names) & set(self.files)
         if both or len(set(self.names)) < len(self.names):
             twice = ", ".join(sorted(both or self.names))
             raise InputError(
-                f"keep_clear must name each structure once, got {twice} twice: remove one"
+                "keep_clear", "name each structure once", f"{twice} twice", "remove one"
             )
         return self

@@ -110,8 +110,10 @@ def load_scene(
     except tomllib.TOMLDecodeError as error:
         message = f"{error}"
         raise InputError(
-            f"scene must be valid TOML, got {message[:1].lower()}{message[1:]} in {path}: "
-            "mend it there"
+            "scene",
+            "be valid TOML",
+            f"{message[:1].lower()}{message[1:]} in {path}",
+            "mend it there",
         ) from None
     _require_no_nul(table)
     table, was_kept = converted(table, path)
@@ -150,7 +152,7 @@ def _replaced(
         require_shallow(dict(overrides))
     except RecursionError:
         raise InputError(
-            f"values must not nest more than {DEEPEST} lists, got more: write the value plainly"
+            "values", f"not nest more than {DEEPEST} lists", "more", "write the value plainly"
         ) from None
     _require_no_nul(overrides)
     if not overrides:
@@ -248,9 +250,7 @@ def _absolute(value: Any, folder: Path, key: str = "") -> Any:
 def _require_no_nul(value: object, key: str = "") -> None:
     """Refuse texts with the character NUL, which no name of a file can hold."""
     if isinstance(value, str) and "\0" in value:
-        raise InputError(
-            f"{key} must be a text without the character NUL, got {shown(value)}: leave it out"
-        )
+        raise InputError(key, "be a text without the character NUL", shown(value), "leave it out")
     if isinstance(value, Mapping):
         for name, inner in value.items():
             _require_no_nul(inner, f"{key}.{name}" if key else str(name))
@@ -277,18 +277,18 @@ def _read(path: Path) -> str:
     """Text of a scene file."""
     if not path.is_file():
         raise InputError(
-            f"scene must be an existing file, got {path}: check the path or list `tissue scenes`"
+            "scene", "be an existing file", path, "check the path or list `tissue scenes`"
         )
     try:
         return path.read_text("utf-8")
     except UnicodeDecodeError:
         raise InputError(
-            f"scene must be TOML in UTF-8, got other bytes in {path}: save it as text"
+            "scene", "be TOML in UTF-8", f"other bytes in {path}", "save it as text"
         ) from None
     except OSError as error:
         message = (error.strerror or "an error").lower()
         raise InputError(
-            f"scene must be readable, got {message} at {path}: check who may read it"
+            "scene", "be readable", f"{message} at {path}", "check who may read it"
         ) from None
 
 
@@ -305,7 +305,7 @@ def parse_override(
     """
     key, sign, value = text.partition("=")
     if not sign or not key:
-        raise InputError(f"{option} must be key=value, got {text}: use for example {example}")
+        raise InputError(option, "be key=value", text, f"use for example {example}")
     try:
         return key.strip(), read_toml(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
@@ -317,15 +317,19 @@ def _place(table: dict[str, object], key: str, value: object) -> None:
     *parents, last = key.split(".")
     if len(parents) > DEEPEST:
         raise InputError(
-            f"{shown(key)} must name an entry of a part, got {len(parents)} dots: see "
-            "`tissue scenes NAME`"
+            shown(key),
+            "name an entry of a part",
+            f"{len(parents)} dots",
+            "see `tissue scenes NAME`",
         )
     for parent in parents:
         inner = table[parent] = {} if table.get(parent) is None else table[parent]
         if not isinstance(inner, dict):
             raise InputError(
-                f"{key} must name an entry of a part, got {parent}, which is a value: see "
-                "`tissue scenes NAME`"
+                key,
+                "name an entry of a part",
+                f"{parent}, which is a value",
+                "see `tissue scenes NAME`",
             )
         table = inner
     if last == "kind" and parents != ["device"] and table.get("kind", value) != value:

@@ -146,8 +146,10 @@ class Registry(Generic[T]):
         """
         if name in self._parts:
             raise InputError(
-                f"name must be none of {', '.join(self.known)}, got {name}: choose another "
-                f"name for this {self.key}"
+                "name",
+                f"be none of {', '.join(self.known)}",
+                name,
+                f"choose another name for this {self.key}",
             )
         self.put(name, part)
 

@@ -118,13 +118,15 @@ def _apart(depths_mm: dict[str, float]) -> dict[str, float] | None:
     for name, _ in listed:
         if name in LAYERS:
             raise InputError(
-                f"anatomy.membrane_depths_mm must not name the {name}, got it: choose another name"
+                "anatomy.membrane_depths_mm", f"not name the {name}", "it", "choose another name"
             )
     for (above, depth_mm), (below, other_mm) in pairwise(listed):
         if depth_mm == other_mm:
             raise InputError(
-                f"anatomy.membrane_depths_mm must differ, got {depth_mm:g} for {above} and "
-                f"{below}: move one of them"
+                "anatomy.membrane_depths_mm",
+                "differ",
+                f"{depth_mm:g} for {above} and {below}",
+                "move one of them",
             )
     return depths_mm or None
 
@@ -171,9 +173,13 @@ class LayersAnatomy(Part):
             for name in getattr(self, key) or {}:
                 if name not in (self.membrane_depths_mm or {}):
                     raise InputError(
-                        f"anatomy.{key} must name membranes of anatomy.membrane_depths_mm "
-                        f"({', '.join(self.membrane_depths_mm or {}) or 'none'}), got "
-                        f"{name}: give its depth there"
+                        f"anatomy.{key}",
+                        (
+                            "name membranes of anatomy.membrane_depths_mm "
+                            f"({', '.join(self.membrane_depths_mm or {}) or 'none'})"
+                        ),
+                        name,
+                        "give its depth there",
                     )
         return self
 

@@ -215,11 +215,11 @@ class Scene(Part):
             )
             got = self.tool.kind
             raise InputError(
-                f"tool.kind must be one of {names} for a {kind}, got {got}: choose one of these"
+                "tool.kind", f"be one of {names} for a {kind}", got, "choose one of these"
             )
         if kind == "wall" and self.tool.kind != "sphere-probe":
             raise InputError(
-                f"tool.kind must be sphere-probe for a wall, got {self.tool.kind}: use a ball"
+                "tool.kind", "be sphere-probe for a wall", self.tool.kind, "use a ball"
             )
         if isinstance(self.tool, Tool) and isinstance(self.anatomy, CutAnatomy):
             self._cutter_fits(self.tool, self.anatomy)
@@ -230,17 +230,20 @@ class Scene(Part):
         peg, length = tool.peg_mm
         if peg > 0.0 and (hole < peg or depth < length):
             raise InputError(
-                f"tool.peg_diameter_mm must fit the guide hole ({hole:g} mm wide, {depth:g} "
-                "mm deep), got a peg of "
-                f"{peg:g} x {length:g} mm: widen or deepen it by "
-                "anatomy.guide_hole_diameter_mm and "
-                "anatomy.guide_hole_depth_mm"
+                "tool.peg_diameter_mm",
+                f"fit the guide hole ({hole:g} mm wide, {depth:g} mm deep)",
+                f"a peg of {peg:g} x {length:g} mm",
+                (
+                    "widen or deepen it by anatomy.guide_hole_diameter_mm and "
+                    "anatomy.guide_hole_depth_mm"
+                ),
             )
         if tool.diameter_mm < 4.0 * self.voxels.spacing_mm:
             raise InputError(
-                "voxels.spacing_mm must be at most a quarter of tool.diameter_mm "
-                f"({tool.diameter_mm:g}), got "
-                f"{self.voxels.spacing_mm:g}: use {tool.diameter_mm / 20:g}"
+                "voxels.spacing_mm",
+                f"be at most a quarter of tool.diameter_mm ({tool.diameter_mm:g})",
+                f"{self.voxels.spacing_mm:g}",
+                f"use {tool.diameter_mm / 20:g}",
             )
         if self.stress is not None and isinstance(anatomy, Tooth):
             self._stress_fits(self.stress)
@@ -252,8 +255,10 @@ class Scene(Part):
             least, most = math.ceil(0.1 / spacing - 1e-6), math.floor(0.75 / spacing + 1e-6)
             fits = 2 * min(max(round(ratio), least), most) * spacing
             raise InputError(
-                f"stress.cell_mm must be an even multiple of voxels.spacing_mm ({spacing:g}), got "
-                f"{stress.cell_mm:g}: use {f'{fits:g}' if most > 0 else 'voxels.spacing_mm = 0.1'}"
+                "stress.cell_mm",
+                f"be an even multiple of voxels.spacing_mm ({spacing:g})",
+                f"{stress.cell_mm:g}",
+                f"use {(f'{fits:g}' if most > 0 else 'voxels.spacing_mm = 0.1')}",
             )
 
     @classmethod

@@ -30,10 +30,10 @@ def anatomy_of(scene: Path) -> dict[str, object]:
     try:
         table = read_toml(scene.read_text("utf-8")).get("anatomy")
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"scene must be TOML, got {error} in {scene}: mend it") from None
+        raise InputError("scene", "be TOML", f"{error} in {scene}", "mend it") from None
     if not isinstance(table, dict):
         raise InputError(
-            f"scene must have a table [anatomy], got none in {scene}: import the bone again"
+            "scene", "have a table [anatomy]", f"none in {scene}", "import the bone again"
         )
     return table
 
@@ -71,7 +71,7 @@ def with_site(text: str, centre_mm: Sequence[float], normal: Sequence[float]) ->
     first = next((number for number, line in enumerate(lines) if _ANATOMY.match(line)), None)
     if first is None:
         raise InputError(
-            "scene must have a line [anatomy], got none: write anatomy.centre_mm and normal by hand"
+            "scene", "have a line [anatomy]", "none", "write anatomy.centre_mm and normal by hand"
         )
     for key, value in values.items():
         _put(lines, first + 1, key, f"{key} = {value}")
@@ -80,8 +80,10 @@ def with_site(text: str, centre_mm: Sequence[float], normal: Sequence[float]) ->
     before["anatomy"] |= values
     if read_toml(changed) != before:
         raise InputError(
-            "scene must state anatomy.centre_mm and normal on lines of their own, got other "
-            "text: write them by hand"
+            "scene",
+            "state anatomy.centre_mm and normal on lines of their own",
+            "other text",
+            "write them by hand",
         )
     return changed
 

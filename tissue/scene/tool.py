@@ -112,15 +112,18 @@ class Tool(Shaped):
     def _spins_and_peg_fits(self) -> "Tool":
         if 0.0 < abs(self.spin_rpm) < 1.0:
             raise InputError(
-                "tool.spin_rpm must be at least 1 in size, or 0 for a tool that only "
-                f"touches, got {self.spin_rpm:g}: "
-                "use 500"
+                "tool.spin_rpm",
+                "be at least 1 in size, or 0 for a tool that only touches",
+                f"{self.spin_rpm:g}",
+                "use 500",
             )
         peg_mm, _ = self.peg_mm
         if peg_mm >= self.diameter_mm:
             raise InputError(
-                f"tool.peg_diameter_mm must be below tool.diameter_mm ({self.diameter_mm:g}), got "
-                f"{peg_mm:g}: use {0.2 * self.diameter_mm:g}"
+                "tool.peg_diameter_mm",
+                f"be below tool.diameter_mm ({self.diameter_mm:g})",
+                f"{peg_mm:g}",
+                f"use {0.2 * self.diameter_mm:g}",
             )
         return self
 
@@ -197,7 +200,7 @@ class Motion(Part):
     @model_validator(mode="after")
     def _axis_has_length(self) -> "Motion":
         if math.hypot(*self.axis) < 1e-9:
-            raise InputError("motion.axis must have a length, got (0, 0, 0): use [0, 0, 1]")
+            raise InputError("motion.axis", "have a length", "(0, 0, 0)", "use [0, 0, 1]")
         return self
 
 

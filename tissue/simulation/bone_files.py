@@ -85,7 +85,7 @@ def read_voxels(
         names = tuple(str(name) for name in image.field_data["layer_names"])
     except (KeyError, ValueError, AttributeError, OSError):
         raise InputError(
-            f"bone.vti must be a file that a run wrote, got {file}: run the scene again"
+            "bone.vti", "be a file that a run wrote", file, "run the scene again"
         ) from None
     origin_m = 1e-3 * np.array(image.origin)
     spacing_m = 1e-3 * float(image.spacing[0])
@@ -107,7 +107,7 @@ def saved_voxels(
     poses = saved.path / "carving" / "poses.npz"
     if not file.is_file():
         raise InputError(
-            f"run must have voxels, got {saved.path} without bone.vti: see its trace and fields"
+            "run", "have voxels", f"{saved.path} without bone.vti", "see its trace and fields"
         )
     require_whole(saved)
     volume, left = read_voxels(file, saved_placement(saved.path))

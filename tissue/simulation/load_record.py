@@ -168,9 +168,10 @@ class LoadRecord:
         """
         if self.every != 1:
             raise InputError(
-                "every must be 1 for the force that is commanded, whose low-pass runs each "
-                f"tick, got {self.every}: "
-                "record every tick"
+                "every",
+                "be 1 for the force that is commanded, whose low-pass runs each tick",
+                self.every,
+                "record every tick",
             )
         output = self.scene.output
         lag = output.low_pass_ms * 1e-3
@@ -257,8 +258,7 @@ def record_loads(
         scene = scene.model_copy(update={"motion": stands_in, "device": None, "duration_s": None})
     if why := why_not_linear(scene):
         raise InputError(
-            "scene must have a force that is linear in the coefficients, got one where "
-            f"{why}: run it"
+            "scene", "have a force that is linear in the coefficients", f"one where {why}", "run it"
         )
     scene = scene.model_copy(update={"stress": None, "heat": False, "keep_clear": None})
     motion = motion or motion_of(scene, step_s=TICK_S)
@@ -294,9 +294,10 @@ def _recorded(
     needed = sum(each.nbytes for each in bone.unit_loads) * count
     if needed > MOST_BYTES:
         raise InputError(
-            f"every must leave the record within {MOST_BYTES / 1e9:g} GB, got {every} for "
-            f"{ticks} ticks, which need "
-            f"{needed / 1e9:.1f} GB: use {every * -(-needed // MOST_BYTES)}"
+            "every",
+            f"leave the record within {MOST_BYTES / 1000000000.0:g} GB",
+            f"{every} for {ticks} ticks, which need {needed / 1000000000.0:.1f} GB",
+            f"use {every * -(-needed // MOST_BYTES)}",
         )
     unit = [np.zeros((*each.shape[:2], count, 6)) for each in bone.unit_loads]
     engaged = np.zeros((count, len(unit)))

@@ -148,8 +148,7 @@ class Run:
     def parts(self) -> Parts:
         """Tissue, motion and voxels of the engine; a folder does not keep them."""
         raise InputError(
-            f"run must be simulated here to have its parts, got {self._files.path}: run the "
-            "scene again"
+            "run", "be simulated here to have its parts", self._files.path, "run the scene again"
         )
 
     @cached_property
@@ -174,7 +173,7 @@ class Run:
             return self._voxels[0]
         if self.parts.volume is None:
             raise InputError(
-                f"run must have voxels, got a {self.scene.anatomy.kind}: see its trace and fields"
+                "run", "have voxels", f"a {self.scene.anatomy.kind}", "see its trace and fields"
             )
         return self.parts.volume
 
@@ -195,7 +194,7 @@ class Run:
         made = cutter_of(tool) if self._saved is not None and isinstance(tool, Tool) else None
         found = self.parts.cutter if self._saved is None else made
         if found is None:
-            raise InputError(f"run must have a cutter, got a {tool.kind}: see its trace and fields")
+            raise InputError("run", "have a cutter", f"a {tool.kind}", "see its trace and fields")
         return found
 
     def replay(self) -> "CarvingReplay":
@@ -208,7 +207,7 @@ class Run:
 
         if self.poses is None:
             got = f"{self.path} without poses" if self._saved is not None else self.scene.tool.kind
-            raise InputError(f"run must have a tool that cuts, got {got}: see its trace and fields")
+            raise InputError("run", "have a tool that cuts", got, "see its trace and fields")
         device = self._compute
         if self._saved is not None:
             recorded = str(self.summary.get("compute"))
@@ -359,9 +358,10 @@ class Run:
             (self._saved.path / "pictures").glob(f"*.{picture_kind}")
         ):
             raise InputError(
-                f"pictures must be those that the folder has, got {picture_kind} for "
-                f"{self._saved.path}, which is not "
-                f"drawn again: use tissue run SCENE --pictures {picture_kind}"
+                "pictures",
+                "be those that the folder has",
+                f"{picture_kind} for {self._saved.path}, which is not drawn again",
+                f"use tissue run SCENE --pictures {picture_kind}",
             )
         copy_run(self._saved, Path(out), pictures=picture_kind is not None, overwrite=overwrite)
         if formats:
@@ -428,7 +428,7 @@ class Run:
         """Return a part of the folder that must be there."""
         if part is None:
             raise InputError(
-                f"run must hold {name}, got {self._files.path} without it: run the scene again"
+                "run", f"hold {name}", f"{self._files.path} without it", "run the scene again"
             )
         return part
 

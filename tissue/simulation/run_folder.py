@@ -106,8 +106,7 @@ def picture_format(pictures: bool | str) -> str | None:
         return PICTURE_FORMATS[0] if pictures else None
     if pictures not in PICTURE_FORMATS:
         raise InputError(
-            f"pictures must be one of {', '.join(PICTURE_FORMATS)}, got {pictures}: choose "
-            "one of these"
+            "pictures", f"be one of {', '.join(PICTURE_FORMATS)}", pictures, "choose one of these"
         )
     return pictures
 
@@ -273,9 +272,10 @@ class SavedRun:
             found = len(self.trace.rows)
             if found != stated:
                 raise InputError(
-                    f"trace.csv must hold {stated} ticks as in summary.json, got {found} in "
-                    f"{table}: run the scene "
-                    "again"
+                    "trace.csv",
+                    f"hold {stated} ticks as in summary.json",
+                    f"{found} in {table}",
+                    "run the scene again",
                 )
 
     @property
@@ -345,7 +345,7 @@ def copy_run(saved: SavedRun, out: Path, *, pictures: bool, overwrite: bool) -> 
         return
     if saved.status == "running":
         raise InputError(
-            f"run must have ended to be copied, got {saved.path}, which goes on: wait for it"
+            "run", "have ended to be copied", f"{saved.path}, which goes on", "wait for it"
         )
     names = files_of_run(saved.path)
     with _held(

@@ -36,13 +36,12 @@ def read_summary(folder: Path) -> Summary:
     path = folder / "summary.json"
     if not path.is_file():
         raise InputError(
-            f"run must be a folder that `tissue run` wrote, got {folder}: give for example "
-            "runs/glenoid"
+            "run", "be a folder that `tissue run` wrote", folder, "give for example runs/glenoid"
         )
     held = _table_of(folder)
     if not held:
         got = "something else" if held is None else "an empty one"
-        raise InputError(f"summary.json must be a table in JSON, got {got} in {path}: {AGAIN}")
+        raise InputError("summary.json", "be a table in JSON", f"{got} in {path}", AGAIN)
     require_version("summary.json", held, FORMAT, where=path, remedy=AGAIN)
     wanted: dict[str, bool] = {
         "scene": _is_text(held.get("scene")),
@@ -66,9 +65,10 @@ def read_summary(folder: Path) -> Summary:
     for name, is_good in wanted.items():
         if not is_good:
             raise InputError(
-                f"summary.json must hold {name} as `tissue run` writes it, got "
-                f"{str(held.get(name))[:60]} in {path}: "
-                f"{AGAIN}"
+                "summary.json",
+                f"hold {name} as `tissue run` writes it",
+                f"{str(held.get(name))[:60]} in {path}",
+                AGAIN,
             )
     return held
 

@@ -100,7 +100,7 @@ def frames_of(folder: Path) -> list[tuple[float, str]]:
             raise ValueError(index)
     except (ElementTree.ParseError, KeyError, ValueError, LookupError):
         raise InputError(
-            f"fields.pvd must be a ParaView collection, got {index}: run the scene again"
+            "fields.pvd", "be a ParaView collection", index, "run the scene again"
         ) from None
     return frames
 
@@ -165,9 +165,10 @@ class SavedFields:
         missing = [file for file in self._files if not file.is_file()]
         if missing:
             raise InputError(
-                f"fields.pvd must name frames that are there, got {len(missing)} missing, "
-                f"first {missing[0]}: run the "
-                "scene again"
+                "fields.pvd",
+                "name frames that are there",
+                f"{len(missing)} missing, first {missing[0]}",
+                "run the scene again",
             )
         self.times_s = np.array([time for time, _ in frames])
         first: Any = pyvista.read(self._files[0]) if frames else pyvista.UnstructuredGrid()

@@ -113,11 +113,11 @@ def simulate(
     report = progress or silent
     if cores is not None and not 1 <= cores <= MOST_CORES:
         raise InputError(
-            f"cores must be from 1 to {MOST_CORES}, got {str(cores)[:12]}: leave it out to use all"
+            "cores", f"be from 1 to {MOST_CORES}", str(cores)[:12], "leave it out to use all"
         )
     if scene.fidelity is not None:
         raise InputError(
-            "scene must hold settings, got a demand on fidelity: choose them by tissue.simulate"
+            "scene", "hold settings", "a demand on fidelity", "choose them by tissue.simulate"
         )
     folder = RunFolder(Path(out), overwrite=overwrite) if out is not None else None
     with folder.ending() if folder is not None else nullcontext():
@@ -132,7 +132,7 @@ def simulate(
         if device is not None:
             if not isinstance(parts.motion, MovedByDevice):
                 raise InputError(
-                    "scene must name the device that is given, got none: set device, such as touch"
+                    "scene", "name the device that is given", "none", "set device, such as touch"
                 )
             require_stated_rate(
                 device,
@@ -268,8 +268,9 @@ def tick_count(scene: Scene, motion: Motion) -> int:
         seconds += motion.after_s
     if seconds > LONGEST_S:
         raise InputError(
-            f"duration_s must be given for a motion of more than {LONGEST_S:g} s, got "
-            "nothing for one of "
-            f"{seconds:g} s: give it, or a greater feed"
+            "duration_s",
+            f"be given for a motion of more than {LONGEST_S:g} s",
+            f"nothing for one of {seconds:g} s",
+            "give it, or a greater feed",
         )
     return max(round(seconds / TICK_S), 1)

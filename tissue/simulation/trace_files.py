@@ -44,12 +44,14 @@ def check_format(kind: str) -> None:
     """
     if kind not in (*FORMATS, RECORDING):
         known = ", ".join((*FORMATS, RECORDING))
-        raise InputError(f"format must be one of {known}, got {kind}: csv is always written")
+        raise InputError("format", f"be one of {known}", kind, "csv is always written")
     writer, extra = WRITERS.get(kind, ("", ""))
     if writer and find_spec(writer) is None:
         raise InputError(
-            f"format {kind} must have its writer installed, got no {writer}: pip install "
-            f"'tissue-sim[{extra}]'"
+            f"format {kind}",
+            "have its writer installed",
+            f"no {writer}",
+            f"pip install 'tissue-sim[{extra}]'",
         )
 
 
@@ -72,7 +74,7 @@ def write_table(table: Table, path: Path) -> None:
     kind = path.suffix.lower().removeprefix(".")
     if kind not in ("csv", *FORMATS):
         known = ", ".join(f".{each}" for each in ("csv", *FORMATS))
-        raise InputError(f"path must end in one of {known}, got {path.name}: choose one of these")
+        raise InputError("path", f"end in one of {known}", path.name, "choose one of these")
     if kind != "csv":
         check_format(kind)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -146,12 +148,11 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
         whole = list(csv.reader(StringIO(text, newline=""), strict=True))
     except OSError as problem:
         raise InputError(
-            f"{path.name} must be a file that can be read, got {path} ({problem.strerror}): "
-            "check it"
+            path.name, "be a file that can be read", f"{path} ({problem.strerror})", "check it"
         ) from None
     except (UnicodeDecodeError, csv.Error) as problem:
         raise InputError(
-            f"{path.name} must be a CSV table, got other data in {path}: run the scene again"
+            path.name, "be a CSV table", f"other data in {path}", "run the scene again"
         ) from problem
     columns = tuple(whole[0]) if whole else ()
     require_distinct_columns(columns, path.name, path)
@@ -194,24 +195,27 @@ def read_trace(path: Path, layer_names: tuple[str, ...]) -> Table:
     for name in wanted:
         if table.columns.count(name) != 1:
             raise InputError(
-                f"{path.name} must have the column {name} once, got {path} with "
-                f"{table.columns.count(name)} of it: run "
-                "the scene again"
+                path.name,
+                f"have the column {name} once",
+                f"{path} with {table.columns.count(name)} of it",
+                "run the scene again",
             )
     places = [table.columns.index(name) for name in wanted]
     bad = np.argwhere(~np.isfinite(table.rows[:, places]))
     if len(bad):
         line, place = bad[0]
         raise InputError(
-            f"{path.name} must hold finite numbers, got {table.rows[line, places[place]]} "
-            f"for {wanted[place]} in line "
-            f"{line + 2} of {path}: mend that line or run the scene again"
+            path.name,
+            "hold finite numbers",
+            f"{table.rows[line, places[place]]} for {wanted[place]} in line {line + 2} of {path}",
+            "mend that line or run the scene again",
         )
     early = np.flatnonzero(np.diff(table["time_s"]) <= 0.0)
     if len(early):
         raise InputError(
-            f"{path.name} must have increasing time_s, got line {early[0] + 3} of {path} no "
-            "later than the one before: "
-            "mend that line or run the scene again"
+            path.name,
+            "have increasing time_s",
+            f"line {early[0] + 3} of {path} no later than the one before",
+            "mend that line or run the scene again",
         )
     return table

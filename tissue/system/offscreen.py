@@ -192,9 +192,10 @@ def await_display(*, longest_s: float = DISPLAY_S) -> str | None:
     while (problem := display_problem()) is not None and problem.endswith("does not answer"):
         if monotonic() >= until:
             raise InputError(
-                f"DISPLAY must name a display that answers, got {os.environ['DISPLAY']}, "
-                "which did not within "
-                f"{longest_s:g} s: start it, or unset DISPLAY to go without a window"
+                "DISPLAY",
+                "name a display that answers",
+                f"{os.environ['DISPLAY']}, which did not within {longest_s:g} s",
+                "start it, or unset DISPLAY to go without a window",
             )
         sleep(0.2)
     return problem

@@ -72,21 +72,13 @@ def require_new_file(path: Path, *, overwrite: bool, name: str = "out") -> None:
     other = "another --out" if name == "out" else f"another file for --{name}"
     require_place(path, folder=False, name=name)
     if path.is_symlink():
-        raise InputError(
-            f"{name} must be a regular file, got the symbolic link {path}: choose {other}"
-        )
+        raise InputError(name, "be a regular file", f"the symbolic link {path}", f"choose {other}")
     if path.exists() and not path.is_file():
-        raise InputError(
-            f"{name} must be a regular file, got the device or pipe {path}: choose {other}"
-        )
+        raise InputError(name, "be a regular file", f"the device or pipe {path}", f"choose {other}")
     if path.exists() and not overwrite:
-        raise InputError(
-            f"{name} must not exist yet, got {path}: pass --overwrite or choose {other}"
-        )
+        raise InputError(name, "not exist yet", path, f"pass --overwrite or choose {other}")
     if not path.absolute().parent.is_dir():
-        raise InputError(
-            f"{name} must lie in a folder that exists, got {path}: create {path.parent}"
-        )
+        raise InputError(name, "lie in a folder that exists", path, f"create {path.parent}")
 
 
 def require_place(path: Path, *, folder: bool, name: str = "out") -> None:
@@ -100,32 +92,29 @@ def require_place(path: Path, *, folder: bool, name: str = "out") -> None:
     other = "another --out" if name == "out" else f"another file for --{name}"
     text = str(path)
     if "\0" in text:
-        raise InputError(f"{name} must be a name without NUL, got {text!r}: choose {other}")
+        raise InputError(name, "be a name without NUL", f"{text!r}", f"choose {other}")
     try:
         text.encode("utf-8")
     except UnicodeEncodeError:
-        raise InputError(f"{name} must be a name in UTF-8, got {text!r}: choose {other}") from None
+        raise InputError(name, "be a name in UTF-8", f"{text!r}", f"choose {other}") from None
     if not folder and path.is_dir():
-        raise InputError(f"{name} must be a file, got the folder {path}: add the name of a file")
+        raise InputError(name, "be a file", f"the folder {path}", "add the name of a file")
     place = path.absolute()
     existing = next(each for each in (place, *place.parents) if os.path.lexists(each))
     if existing.is_symlink() and not existing.exists():
         raise InputError(
-            f"{name} must not use a symbolic link that leads nowhere, got {existing}: choose "
-            f"{other}"
+            name, "not use a symbolic link that leads nowhere", existing, f"choose {other}"
         )
     if existing == place and not folder:
         existing = place.parent
     if not existing.is_dir() and existing == place:
-        raise InputError(f"{name} must be a folder, got the file {path}: choose {other}")
+        raise InputError(name, "be a folder", f"the file {path}", f"choose {other}")
     if not existing.is_dir():
         raise InputError(
-            f"{name} must lie in a folder, got {path} under the file {existing}: choose {other}"
+            name, "lie in a folder", f"{path} under the file {existing}", f"choose {other}"
         )
     if not os.access(existing, os.W_OK | os.X_OK):
-        raise InputError(
-            f"{name} must be writable, got permission denied at {existing}: choose {other}"
-        )
+        raise InputError(name, "be writable", f"permission denied at {existing}", f"choose {other}")
 
 
 def write_columns(path: Path, columns: Mapping[str, ArrayLike]) -> None:
@@ -184,9 +173,10 @@ def _taken(path: Path, out: Path) -> TextIO:
             owner = file.read().strip()
             file.close()
             raise InputError(
-                f"out must have one writer at a time, got {out}, which process "
-                f"{owner or 'of unknown number'} is "
-                "writing: wait for it, end it, or choose another --out"
+                "out",
+                "have one writer at a time",
+                f"{out}, which process {owner or 'of unknown number'} is writing",
+                "wait for it, end it, or choose another --out",
             )
         with suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(file.fileno()), path.stat()):
@@ -211,8 +201,10 @@ def _opened(path: Path) -> TextIO:
             return file
         file.close()
     raise InputError(
-        f"out must hold no file {path.name} of other origin, got one in {path.parent}: move "
-        "it or choose another --out"
+        "out",
+        f"hold no file {path.name} of other origin",
+        f"one in {path.parent}",
+        "move it or choose another --out",
     )
 
 

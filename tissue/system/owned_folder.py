@@ -205,8 +205,10 @@ def require_folder(
             raise _foreign(path, name, files)
     if there and not overwrite:
         raise InputError(
-            f"out must not hold another {kind}, got {path}: pass --overwrite to replace it "
-            "or choose another --out"
+            "out",
+            f"not hold another {kind}",
+            path,
+            "pass --overwrite to replace it or choose another --out",
         )
     return there
 
@@ -253,8 +255,10 @@ def listed_files(path: Path) -> Files:
             raise ValueError(marker)
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         raise InputError(
-            f"out must hold no {MARKER} of other origin or version, got one in {path}: "
-            "choose another --out"
+            "out",
+            f"hold no {MARKER} of other origin or version",
+            f"one in {path}",
+            "choose another --out",
         ) from None
     return files
 
@@ -312,6 +316,8 @@ def _foreign(path: Path, name: str, files: Mapping[str, set[str]]) -> InputError
     )
     owner = "" if _is_foreign(path, name) else owner
     return InputError(
-        f"out must not hold files of other origin, got {path} with {name}{owner}: choose "
-        "another --out"
+        "out",
+        "not hold files of other origin",
+        f"{path} with {name}{owner}",
+        "choose another --out",
     )

@@ -58,9 +58,10 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
     kind, _, place = scheduler.partition("://")
     if kind not in SCHEMES or not place:
         raise InputError(
-            "scheduler must be the address that Dask prints, tcp://HOST:PORT or "
-            f"tls://HOST:PORT, got {scheduler}: use "
-            "for example tcp://node1:8786"
+            "scheduler",
+            "be the address that Dask prints, tcp://HOST:PORT or tls://HOST:PORT",
+            scheduler,
+            "use for example tcp://node1:8786",
         )
     address = f"{SCHEMES[kind]}://{place}"
     try:
@@ -68,8 +69,10 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
         from distributed.comm.core import CommClosedError
     except ImportError:
         raise InputError(
-            "scheduler must have dask.distributed, got none installed: pip install "
-            "'tissue-sim[cluster]'"
+            "scheduler",
+            "have dask.distributed",
+            "none installed",
+            "pip install 'tissue-sim[cluster]'",
         ) from None
     if SCHEMES[kind] == "tls":
         _require_certificates(scheduler)
@@ -88,8 +91,10 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
             # A worker that is lost while it is asked is no reason to stop.
             if version != package_version() and not isinstance(version, OSError):
                 raise InputError(
-                    f"workers must have version {package_version()}, got {version} at "
-                    f"{worker}: update it"
+                    "workers",
+                    f"have version {package_version()}",
+                    f"{version} at {worker}",
+                    "update it",
                 )
         try:
             yield client.get_executor(pure=False)
@@ -111,7 +116,8 @@ def _require_certificates(scheduler: str) -> None:
             variable = "DASK_" + name.upper().replace(".", "__").replace("-", "_")
             got = "none" if file is None else f"{file}, which is no file"
             raise InputError(
-                f"{variable} must name a file of certificates for the scheduler {scheduler}, "
-                f"got {got}: set it, or "
-                f"{name} in Dask's configuration"
+                variable,
+                f"name a file of certificates for the scheduler {scheduler}",
+                got,
+                f"set it, or {name} in Dask's configuration",
             )

@@ -290,6 +290,7 @@ def test_no_public_function_swallows_an_unknown_keyword(tmp_path):
             tmp_path / "ball.stl", modulus_kPa=5, poisson_ratio=0.45, **more
         ),
         "Organ.liver": lambda **more: tissue.Organ.liver(edge_mm=20, **more),
+        "import_ct": lambda **more: tissue.import_ct(tmp_path / "none.nii", tmp_path, **more),
         "calibration.alike": lambda **more: tissue.calibration.alike(3, **more),
     }
     assert takes_any <= set(calls)

@@ -87,9 +87,7 @@ def chosen_pages(only: Sequence[str]) -> tuple[Page, ...]:
     """
     names = [page.name for page in PAGES]
     if unknown := [name for name in only if name not in names]:
-        raise InputError(
-            f"only must be one of {', '.join(names)}, got {unknown[0]}: choose one of these"
-        )
+        raise InputError("only", f"be one of {', '.join(names)}", unknown[0], "choose one of these")
     return tuple(page for page in PAGES if not only or page.name in only)
 
 

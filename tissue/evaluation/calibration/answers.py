@@ -191,9 +191,10 @@ def simulated_observer(spec: str) -> tuple[SimulatedObservers, int]:
         or group not in GROUPS
     ):
         raise InputError(
-            "observer must be simulated:SEED or simulated:GROUP:SEED with "
-            f"{', '.join(GROUPS)}, got {spec}: "
-            "use simulated:1"
+            "observer",
+            f"be simulated:SEED or simulated:GROUP:SEED with {', '.join(GROUPS)}",
+            spec,
+            "use simulated:1",
         )
     return draw_observers(group, 1, np.random.default_rng(int(seed))), int(seed)
 
@@ -230,9 +231,7 @@ def questioner(
         If observer or device is unknown.
     """
     if device not in ("mouse", *DEVICES):
-        raise InputError(
-            f"device must be one of mouse, {', '.join(DEVICES)}, got {device}: use mouse"
-        )
+        raise InputError("device", f"be one of mouse, {', '.join(DEVICES)}", device, "use mouse")
     limits = device_parameters("touch" if device == "mouse" else device)
     if observer is not None:
         people, observer_seed = simulated_observer(observer)
@@ -254,7 +253,7 @@ def begin(out: Path, observer: str, plan: Plan, *, overwrite: bool) -> TrialLog:
     """
     if out.suffix != ".json":
         raise InputError(
-            f"out must be the name of a file that ends in .json, got {out}: use observer.json"
+            "out", "be the name of a file that ends in .json", out, "use observer.json"
         )
     path = log_path(out)
     picture = out.with_suffix(".png")

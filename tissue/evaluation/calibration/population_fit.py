@@ -87,13 +87,13 @@ def fit_population(
     table = out.with_name(out.stem + ".table.csv")
     if out.suffix != ".json":
         raise InputError(
-            f"out must be the name of a file that ends in .json, got {out}: use population.json"
+            "out", "be the name of a file that ends in .json", out, "use population.json"
         )
     for path in (out, table):
         require_new_file(path, overwrite=overwrite)
     if not folder.is_dir():
         raise InputError(
-            f"population must be a folder of sessions, got {folder}: calibrate into one first"
+            "population", "be a folder of sessions", folder, "calibrate into one first"
         )
     paths = sorted(folder.glob("*.trials.jsonl"))
     empty = []
@@ -106,9 +106,10 @@ def fit_population(
             empty.append(path.name)
     if len(sessions) < 3:
         raise InputError(
-            "population must hold three sessions or more with comparisons and numbers, got "
-            f"{len(sessions)} in "
-            f"{folder}: calibrate more people"
+            "population",
+            "hold three sessions or more with comparisons and numbers",
+            f"{len(sessions)} in {folder}",
+            "calibrate more people",
         )
     fit = fit_hierarchy(pooled_trials(sessions), seed=seed, progress=progress)
     person = new_person(

@@ -67,11 +67,9 @@ class Plan:
             ("numbers", self.numbers),
         ):
             if not isinstance(value, int):
-                raise InputError(
-                    f"{name} must be a whole number, got {value}: leave out the decimal point"
-                )
+                raise InputError(name, "be a whole number", value, "leave out the decimal point")
         if self.trials + self.numbers == 0:
-            raise InputError("trials and numbers must not both be 0, got 0 and 0: use 120 and 24")
+            raise InputError("trials and numbers", "not both be 0", "0 and 0", "use 120 and 24")
 
 
 @dataclass(frozen=True)
@@ -157,25 +155,25 @@ class Session:
         if isinstance(asked, Magnitude):
             if not 0.0 < answer < np.inf:
                 raise InputError(
-                    f"answer must be a number above 0, got {answer:g}: how strong was it?"
+                    "answer", "be a number above 0", f"{answer:g}", "how strong was it?"
                 )
             if (
                 self.trial >= self.plan.trials + self.plan.numbers
                 or asked.force_N not in self._forces
             ):
                 raise InputError(
-                    f"trial must be one of the plan's, got {asked}: it belongs to another session"
+                    "trial", "be one of the plan's", asked, "it belongs to another session"
                 )
             self.given.append((asked.force_N, float(answer)))
             return
         if answer not in (1, 2):
             raise InputError(
-                f"answer must be 1 or 2, got {answer:g}: in which interval was the force greater?"
+                "answer", "be 1 or 2", f"{answer:g}", "in which interval was the force greater?"
             )
         stimuli = (self.threshold.base_N == asked.base_N) & (self.threshold.step_N == asked.step_N)
         if not stimuli.any() or asked.greater not in (1, 2) or len(self.asked) == self.plan.trials:
             raise InputError(
-                f"trial must be one of the plan's, got {asked}: it belongs to another session"
+                "trial", "be one of the plan's", asked, "it belongs to another session"
             )
         self.threshold.answer(np.flatnonzero(stimuli)[:1], np.array([answer == asked.greater]))
         self.asked.append((asked, int(answer)))

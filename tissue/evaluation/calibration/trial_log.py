@@ -76,9 +76,10 @@ class TrialLog:
                 if who != observer or self.session.plan != plan:
                     difference = _difference(who, self.session.plan, observer, plan)
                     raise InputError(
-                        f"out must go on with the session it began, got {difference} in "
-                        f"{path}: use the same again, "
-                        "another --out, or --overwrite"
+                        "out",
+                        "go on with the session it began",
+                        f"{difference} in {path}",
+                        "use the same again, another --out, or --overwrite",
                     )
                 kept = text[: text.rfind(b"\n") + 1]
                 self.mended = kept != text
@@ -90,8 +91,10 @@ class TrialLog:
             self._file = path.open("ab")
         except OSError as problem:
             raise InputError(
-                f"out must be a file that can be written, got {path} ({problem.strerror}): "
-                "choose another folder"
+                "out",
+                "be a file that can be written",
+                f"{path} ({problem.strerror})",
+                "choose another folder",
             ) from problem
 
     def take(self, asked: Comparison | Magnitude, answer: float) -> None:
@@ -128,7 +131,7 @@ def read_log(path: Path) -> tuple[str, Session]:
     except (OSError, UnicodeDecodeError) as problem:
         found = str(problem.strerror) if isinstance(problem, OSError) else "other data"
         raise InputError(
-            f"log must be a file of trials, got {found} in {path}: give one that tissue wrote"
+            "log", "be a file of trials", f"{found} in {path}", "give one that tissue wrote"
         ) from problem
     lines = text[: text.rfind("\n") + 1].splitlines()
     try:
@@ -138,8 +141,7 @@ def read_log(path: Path) -> tuple[str, Session]:
         known = False
     if not known:
         raise InputError(
-            f"log must be a file of trials, got {path}, which is something else: choose "
-            "another --out"
+            "log", "be a file of trials", f"{path}, which is something else", "choose another --out"
         )
     require_version("log", head, VERSION, key="version", where=path, remedy="begin anew")
     try:
@@ -147,7 +149,7 @@ def read_log(path: Path) -> tuple[str, Session]:
         who = str(head["observer"])
     except (KeyError, TypeError, InputError) as problem:
         raise InputError(
-            f"log must begin with a plan, got another first line in {path}: begin anew"
+            "log", "begin with a plan", f"another first line in {path}", "begin anew"
         ) from problem
     session = Session(plan)
     for number, line in enumerate(lines[1:], start=2):
@@ -159,9 +161,10 @@ def read_log(path: Path) -> tuple[str, Session]:
         except (ValueError, KeyError, TypeError) as problem:
             wrong = problem if isinstance(problem, InputError) else "something else"
             raise InputError(
-                f"log must hold one trial of its session a line, got {wrong} in line "
-                f"{number} of {path}: mend that "
-                "line or choose another --out"
+                "log",
+                "hold one trial of its session a line",
+                f"{wrong} in line {number} of {path}",
+                "mend that line or choose another --out",
             ) from problem
     return who, session
 

@@ -55,10 +55,13 @@ def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) ->
         return min(fits, key=lambda point: point.force_error)
     nearest = min(settings, key=excess)
     raise InputError(
-        f"fidelity must be met by a setting of {nearest.scene} on this machine, got "
-        f"{_asked(wanted)}: the nearest is "
-        f"{nearest.setting} with force_error = {error_of(nearest):.2g} and tick_ms = "
-        f"{1e-3 * nearest.p99_us:.2g}"
+        "fidelity",
+        f"be met by a setting of {nearest.scene} on this machine",
+        _asked(wanted),
+        (
+            f"the nearest is {nearest.setting} with force_error = {error_of(nearest):.2g} and "
+            f"tick_ms = {0.001 * nearest.p99_us:.2g}"
+        ),
     )
 
 

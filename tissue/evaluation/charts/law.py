@@ -262,10 +262,10 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
         )
         if tick_ms > wanted.tick_ms:
             raise InputError(
-                f"fidelity must be met by a law of {scene.name} on this machine, got force_error = "
-                f"{wanted.force_error:g}, tick_ms = {wanted.tick_ms:g}: the linear law is "
-                f"{off} {deep}, with "
-                f"organ.law = {LAW} tick_ms = {tick_ms:.2g}"
+                "fidelity",
+                f"be met by a law of {scene.name} on this machine",
+                f"force_error = {wanted.force_error:g}, tick_ms = {wanted.tick_ms:g}",
+                f"the linear law is {off} {deep}, with organ.law = {LAW} tick_ms = {tick_ms:.2g}",
             )
         why += f", with which 99 % of the ticks take {tick_ms:.2g} ms"
     return lawful, why

@@ -153,8 +153,10 @@ def _first_contact_s(scene: Scene, span_s: float) -> float:
         touching = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
         if not touching.size:
             raise InputError(
-                f"scene must touch to be charted, got no contact in {scene.name}: move its "
-                "tool further"
+                "scene",
+                "touch to be charted",
+                f"no contact in {scene.name}",
+                "move its tool further",
             )
         return {"time_s": TICK_S * touching[:1].astype(float)}
 

@@ -225,7 +225,7 @@ def chart_prediction(
         cannot be used.
     """
     if not 2 <= trials <= MOST_TRIALS:
-        raise InputError(f"trials must be from 2 to {MOST_TRIALS}, got {trials}: use 30")
+        raise InputError("trials", f"be from 2 to {MOST_TRIALS}", trials, "use 30")
     files = ("prediction_tasks.png", *HEADS, *(f"prediction_{scene.name}.png" for scene in scenes))
     found = []
     with owned_folder(folder, "chart", files, overwrite=overwrite):

@@ -105,17 +105,19 @@ def grid_index(forces_N: Sequence[Array], spacings: Sequence[float]) -> GridInde
         or len({np.shape(force) for force in forces_N}) != 1
     ):
         raise InputError(
-            "forces_N must hold three forces of one motion with a spacing each, got "
-            f"{len(forces_N)} of shapes "
-            f"{sorted({np.shape(force) for force in forces_N})} and {len(spacings)} "
-            "spacings: run the same motion on "
-            "three grids"
+            "forces_N",
+            "hold three forces of one motion with a spacing each",
+            (
+                f"{len(forces_N)} of shapes {sorted({np.shape(force) for force in forces_N})} "
+                f"and {len(spacings)} spacings"
+            ),
+            "run the same motion on three grids",
         )
     order = np.argsort(spacings)[::-1]
     h = tuple(float(spacings[k]) for k in order)
     if not h[0] > h[1] > h[2] > 0.0:
         raise InputError(
-            f"spacings must be positive and differ, got {tuple(spacings)}: use h, 0.58 h and h / 3"
+            "spacings", "be positive and differ", tuple(spacings), "use h, 0.58 h and h / 3"
         )
     forces = [np.asarray(forces_N[k], dtype=np.float64) for k in order]
     sizes = np.linalg.norm(forces[2], axis=1)

@@ -110,8 +110,7 @@ def compare(
     group_count = len(cells.group_names)
     if level_count < 2 and group_count < 2:
         raise InputError(
-            "table must hold two methods or two groups, got one of each: there is nothing to "
-            "compare"
+            "table", "hold two methods or two groups", "one of each", "there is nothing to compare"
         )
     wanted = [((0,), False)] * (level_count > 1) + [((), True)] * (group_count > 1)
     wanted += [((0,), True)] * (level_count > 1 and group_count > 1)
@@ -180,8 +179,10 @@ def stratum_test(
     scores = scores_of(values, sizes, within)
     if float(found.error_square) <= (ROUNDING * float(np.abs(values).max())) ** 2:
         raise InputError(
-            f"{cells.metric} must vary among users to be tested, got no variation beside {name}: "
-            "print its values, which need no test"
+            cells.metric,
+            "vary among users to be tested",
+            f"no variation beside {name}",
+            "print its values, which need no test",
         )
     residuals = scores - group_means(scores, groups)[groups]
     assumptions: list[Assumption] = []
@@ -299,8 +300,10 @@ def tukey_groups(
     groups = [np.asarray(each, dtype=float) for each in samples]
     if max(np.ptp(group) for group in groups) == 0.0:
         raise InputError(
-            "groups must vary within, got constants: a difference has then no error to be "
-            "held against"
+            "groups",
+            "vary within",
+            "constants",
+            "a difference has then no error to be held against",
         )
     pooled = tukey_hsd(*groups)
     unequal = tukey_hsd(*groups, equal_var=False)

@@ -103,14 +103,11 @@ def composite_index(
     """
     if len(directions) < 2:
         raise InputError(
-            f"directions must name at least two metrics, got {len(directions)}: an index "
-            "combines several"
+            "directions", "name at least two metrics", len(directions), "an index combines several"
         )
     for name, sign in directions.items():
         if sign not in (-1, 1):
-            raise InputError(
-                f"direction of {name} must be 1 or -1, got {sign}: 1 where higher is better"
-            )
+            raise InputError(f"direction of {name}", "be 1 or -1", sign, "1 where higher is better")
     names, kept = tuple(directions), table.failure == ""
     raw = np.column_stack([sign * table.values(name) for name, sign in directions.items()])[kept]
     tasks = np.unique(table.task[kept], return_inverse=True)[1]
@@ -122,14 +119,13 @@ def composite_index(
         flat = spread <= 1e-12 * np.abs(chosen).max(axis=0)
         if flat.any():
             raise InputError(
-                f"{names[int(flat.argmax())]} must vary within a task, got a constant: leave it out"
+                names[int(flat.argmax())], "vary within a task", "a constant", "leave it out"
             )
         scaled[tasks == task] = (chosen - chosen.mean(axis=0)) / spread
     people, person = np.unique(table.people()[kept], return_inverse=True)
     if len(people) < 2:
         raise InputError(
-            f"users must be at least two, got {len(people)}: weights from one user do not "
-            "carry over"
+            "users", "be at least two", len(people), "weights from one user do not carry over"
         )
     weights, loadings, variances = weights_of(scaled.T @ scaled / len(scaled))
     _, first_rows = np.unique(person, return_index=True)

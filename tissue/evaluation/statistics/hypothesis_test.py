@@ -134,8 +134,10 @@ def require_statsmodels() -> None:
         import statsmodels  # noqa: F401
     except ImportError:
         raise InputError(
-            "statistics of a study must have statsmodels installed, got none: pip install "
-            "'tissue-sim[study]'"
+            "statistics of a study",
+            "have statsmodels installed",
+            "none",
+            "pip install 'tissue-sim[study]'",
         ) from None
 
 
@@ -171,7 +173,7 @@ def cohens_d(first: ArrayLike, second: ArrayLike, *, paired: bool = False) -> Ef
         scale = (len(one) * len(other) / (len(one) + len(other))) ** 0.5
     if spread == 0.0:
         raise InputError(
-            "samples must vary within, got a spread of 0: a difference has then no standard size"
+            "samples", "vary within", "a spread of 0", "a difference has then no standard size"
         )
     value = float(one.mean() - other.mean()) / spread
     low, high = (float(nctdtrinc(degrees, chance, value * scale)) / scale for chance in TAILS)
@@ -231,8 +233,7 @@ def normal_residuals(residuals: ArrayLike, *, name: str = "normal residuals") ->
     values = np.ravel(residuals)
     if np.ptp(values) == 0.0:
         raise InputError(
-            f"{name} must vary, got {values[0]:g} throughout: a constant has no distribution "
-            "to test"
+            name, "vary", f"{values[0]:g} throughout", "a constant has no distribution to test"
         )
     p_values = {"Shapiro-Wilk": float(shapiro(values).pvalue)} if len(values) <= MOST else {}
     p_values["Anderson-Darling"] = float(normal_ad(values)[1])

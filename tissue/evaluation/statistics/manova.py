@@ -103,13 +103,14 @@ def multivariate(
     width = scores.shape[1]
     if len(scores) - len(counts) <= width:
         raise InputError(
-            f"users must outnumber groups and columns, got {len(scores)} users, "
-            f"{len(counts)} groups and {width} "
-            "columns: add users or drop metrics"
+            "users",
+            "outnumber groups and columns",
+            f"{len(scores)} users, {len(counts)} groups and {width} columns",
+            "add users or drop metrics",
         )
     if between and len(counts) < 2:
         raise InputError(
-            "groups must be at least two to be compared, got one: leave the group's test out"
+            "groups", "be at least two to be compared", "one", "leave the group's test out"
         )
     require_statsmodels()
     from statsmodels.multivariate.manova import MANOVA
@@ -118,8 +119,10 @@ def multivariate(
     residuals = scaled - group_means(scaled, groups)[groups]
     if np.linalg.matrix_rank(residuals, tol=1e-8 * len(scores)) < width:
         raise InputError(
-            f"columns must not be multiples of one another, got {question}: drop a metric "
-            "that repeats another"
+            "columns",
+            "not be multiples of one another",
+            question,
+            "drop a metric that repeats another",
         )
     member = np.equal.outer(groups, np.arange(len(counts))).astype(float)
     hypothesis = np.full((1, len(counts)), 1.0)

@@ -52,7 +52,7 @@ def force_error(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
     size = float(np.linalg.norm(ideal))
     if size == 0.0:
         raise InputError(
-            "ideal_N must not be zero throughout, got no contact: cut the trial to its contact"
+            "ideal_N", "not be zero throughout", "no contact", "cut the trial to its contact"
         )
     return float(np.linalg.norm(force - ideal)) / size
 
@@ -111,19 +111,18 @@ def latency_ms(
     reach = round(1e-3 * require_positive("longest_ms", longest_ms, "use 50") / tick_s)
     if not 1 <= reach < len(force) // 2:
         raise InputError(
-            "longest_ms must span a tick and less than half of the trial, got "
-            f"{longest_ms:g} for {len(force)} ticks: "
-            "use 50 ms and a longer trial"
+            "longest_ms",
+            "span a tick and less than half of the trial",
+            f"{longest_ms:g} for {len(force)} ticks",
+            "use 50 ms and a longer trial",
         )
     for name, signal in (("force_N", force), ("ideal_N", ideal)):
         if np.ptp(signal, axis=0).max() == 0.0:
-            raise InputError(
-                f"{name} must vary, got a constant: a lag shows only where the force changes"
-            )
+            raise InputError(name, "vary", "a constant", "a lag shows only where the force changes")
     match = np.array([_correlation(force, ideal, shift) for shift in range(-reach, reach + 1)])
     best = int(match.argmax())
     if best in (0, 2 * reach):
-        raise InputError(f"longest_ms must exceed the lag, got {longest_ms:g}: use a larger one")
+        raise InputError("longest_ms", "exceed the lag", f"{longest_ms:g}", "use a larger one")
     before, peak, after = match[best - 1 : best + 2]
     curved = before - 2.0 * peak + after
     part = 0.5 * (before - after) / curved if curved < 0.0 else 0.0
@@ -168,9 +167,10 @@ def spectral_arc_length(speed_mm_s: ArrayLike, *, tick_s: float) -> float:
     speed = _signal("speed_mm_s", speed_mm_s, at_least=3)[:, 0]
     if speed.min() < 0.0 or speed.max() == 0.0:
         raise InputError(
-            f"speed_mm_s must be non-negative and not zero throughout, got {speed.min():g} "
-            f"to {speed.max():g}: "
-            "pass the size of the velocity while the tool moves"
+            "speed_mm_s",
+            "be non-negative and not zero throughout",
+            f"{speed.min():g} to {speed.max():g}",
+            "pass the size of the velocity while the tool moves",
         )
     count = 2 ** (int(np.ceil(np.log2(len(speed)))) + SPARC_PADDING)
     frequencies = np.fft.rfftfreq(count, require_positive("tick_s", tick_s, "use 0.001"))
@@ -181,8 +181,10 @@ def spectral_arc_length(speed_mm_s: ArrayLike, *, tick_s: float) -> float:
     span = frequencies[chosen][-1] - frequencies[chosen][0]
     if span == 0.0:
         raise InputError(
-            f"speed_mm_s must hold a movement, got one frequency below {SPARC_CUTOFF_HZ:g} "
-            "Hz: use a longer one"
+            "speed_mm_s",
+            "hold a movement",
+            f"one frequency below {SPARC_CUTOFF_HZ:g} Hz",
+            "use a longer one",
         )
     steps = np.hypot(np.diff(frequencies[chosen]) / span, np.diff(spectrum[chosen]))
     return -float(steps.sum())
@@ -226,7 +228,7 @@ def excess_travel_mm(depth_mm: ArrayLike, *, puncture_tick: int) -> float:
     depth = _signal("depth_mm", depth_mm, at_least=1)[:, 0]
     if not 0 <= puncture_tick < len(depth):
         raise InputError(
-            f"puncture_tick must be one of {len(depth)} ticks, got {puncture_tick}: pass its row"
+            "puncture_tick", f"be one of {len(depth)} ticks", puncture_tick, "pass its row"
         )
     return float(depth[puncture_tick:].max() - depth[puncture_tick])
 
@@ -249,14 +251,15 @@ def _signal(name: str, values: ArrayLike, *, at_least: int) -> Array:
     array = np.asarray(values, dtype=float)
     if array.ndim not in (1, 2) or len(array) < at_least:
         raise InputError(
-            f"{name} must have shape (ticks,) or (ticks, components) with at least "
-            f"{at_least} ticks, "
-            f"got {array.shape}: pass the columns of a trace"
+            name,
+            f"have shape (ticks,) or (ticks, components) with at least {at_least} ticks",
+            array.shape,
+            "pass the columns of a trace",
         )
     if not np.isfinite(array).all():
         bad = int(np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))[0])
         raise InputError(
-            f"{name} must be finite, got {array[bad]} at tick {bad}: mark the trial as failed"
+            name, "be finite", f"{array[bad]} at tick {bad}", "mark the trial as failed"
         )
     return array.reshape(len(array), -1)
 
@@ -269,9 +272,10 @@ def _pair(
     other = _signal(second_name, second, at_least=1)
     if one.shape != other.shape:
         raise InputError(
-            f"{first_name} must have the shape of {second_name}, got {one.shape} and "
-            f"{other.shape}: "
-            "pass both on the same ticks"
+            first_name,
+            f"have the shape of {second_name}",
+            f"{one.shape} and {other.shape}",
+            "pass both on the same ticks",
         )
     return one, other
 
@@ -307,8 +311,10 @@ def aligned_rows(path: Array, model: Array) -> Ints:
         or path.shape[1] != model.shape[1]
     ):
         raise InputError(
-            f"path and model must have shapes (n, d) and (m, d), got {path.shape} and "
-            f"{model.shape}: cut both"
+            "path and model",
+            "have shapes (n, d) and (m, d)",
+            f"{path.shape} and {model.shape}",
+            "cut both",
         )
     ours, theirs = (
         np.unique(np.linspace(0, len(each) - 1, min(POINTS, len(each))).round().astype(int))

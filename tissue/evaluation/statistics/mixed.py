@@ -97,8 +97,10 @@ def mixed_model(table: TrialTable, metric: str) -> MixedModel:
     user_count = len(cells.users)
     if not within and group_count < 2:
         raise InputError(
-            "table must hold two groups, tasks or methods, got one of each: there is nothing "
-            "to compare"
+            "table",
+            "hold two groups, tasks or methods",
+            "one of each",
+            "there is nothing to compare",
         )
     require_statsmodels()
     import pandas as pd

@@ -60,8 +60,10 @@ def trial_regression(table: TrialTable, response: str, predictors: Sequence[str]
     kept = table.complete()
     if not len(kept):
         raise InputError(
-            f"table must hold trials that did not fail, got {len(table)} failures: mend the "
-            "study first"
+            "table",
+            "hold trials that did not fail",
+            f"{len(table)} failures",
+            "mend the study first",
         )
     columns = {name: kept.values(name) for name in predictors}
     return regression(kept.values(response), columns, kept.people(), response=response)
@@ -108,18 +110,16 @@ def regression(
     for name, column in zip((response, *predictors), (answers, *columns.T), strict=True):
         if np.ptp(column) == 0.0:
             raise InputError(
-                f"{name} must vary, got {column[0]:g} throughout: leave it out of the regression"
+                name, "vary", f"{column[0]:g} throughout", "leave it out of the regression"
             )
     if len(names) < 2:
         raise InputError(
-            f"users must be at least two, got {len(names)}: users cannot be separated from the line"
+            "users", "be at least two", len(names), "users cannot be separated from the line"
         )
     spread, size = columns.std(axis=0), float(answers.std())
     design = np.column_stack([np.ones(len(answers)), (columns - columns.mean(axis=0)) / spread])
     if np.linalg.matrix_rank(design, tol=1e-8 * len(design)) < design.shape[1]:
-        raise InputError(
-            f"predictors must not repeat one another, got {', '.join(predictors)}: drop one"
-        )
+        raise InputError("predictors", "not repeat one another", ", ".join(predictors), "drop one")
     standard = (answers - answers.mean()) / size
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     shares = 0.5 * (nodes + 1.0)

@@ -244,7 +244,7 @@ def welch(values: Array, groups: Ints, *, question: str) -> HypothesisTest:
     samples = _samples(values, groups)
     if min(np.ptp(each) for each in samples) == 0.0:
         raise InputError(
-            "values must vary in every group, got one that is constant: leave that group out"
+            "values", "vary in every group", "one that is constant", "leave that group out"
         )
     found = anova_oneway(samples, use_var="unequal", welch_correction=True)
     degrees = (int(found.df_num), float(found.df_denom))

@@ -104,8 +104,7 @@ class TrialTable:
         for name, values in columns.items():
             if values.shape != (count,):
                 raise InputError(
-                    f"{name} must have one entry a row, got {values.shape} for {count} rows: "
-                    "fill it up"
+                    name, "have one entry a row", f"{values.shape} for {count} rows", "fill it up"
                 )
         for name in ("trial", "seed"):
             columns[name] = columns[name].astype(np.int64)
@@ -118,15 +117,16 @@ class TrialTable:
         for before, after in pairwise(rows):
             if before == after:
                 raise InputError(
-                    f"trial must be given once a method, got {_describe(after)} twice: leave "
-                    "one out"
+                    "trial", "be given once a method", f"{_describe(after)} twice", "leave one out"
                 )
         for name, values in sorted_metrics.items():
             bad = np.flatnonzero(~np.isfinite(values) & (self.failure == ""))
             if len(bad):
                 raise InputError(
-                    f"{name} must be finite in a trial that did not fail, got {values[bad[0]]} in "
-                    f"{_describe(rows[bad[0]])}: give the reason in failure"
+                    name,
+                    "be finite in a trial that did not fail",
+                    f"{values[bad[0]]} in {_describe(rows[bad[0]])}",
+                    "give the reason in failure",
                 )
 
     @classmethod
@@ -141,13 +141,13 @@ class TrialTable:
         """
         listed = list(rows)
         if not listed:
-            raise InputError("rows must hold at least one trial, got none: run the study first")
+            raise InputError("rows", "hold at least one trial", "none", "run the study first")
         missing = [
             name for name in KEYS if name != "failure" and any(name not in row for row in listed)
         ]
         if missing:
             raise InputError(
-                f"rows must each hold {', '.join(KEYS)}, got one without {missing[0]}: add it"
+                "rows", f"each hold {', '.join(KEYS)}", f"one without {missing[0]}", "add it"
             )
         names = list(dict.fromkeys(name for row in listed for name in row if name not in KEYS))
         labels = {name: np.array([str(row.get(name, "")) for row in listed]) for name in KEYS}
@@ -198,7 +198,7 @@ class TrialTable:
                 if label not in column:
                     known = ", ".join(np.unique(column).tolist())
                     raise InputError(
-                        f"{name} {label!r} must have trials, got none: choose among {known}"
+                        f"{name} {label!r}", "have trials", "none", f"choose among {known}"
                     )
             kept &= np.isin(column, labels)
         return self._rows(kept)
@@ -207,8 +207,7 @@ class TrialTable:
         """Return one metric over the rows, NaN where a trial failed."""
         if metric not in self.metrics:
             raise InputError(
-                f"metric must be one of {', '.join(self.metrics)}, got {metric}: choose one "
-                "of those"
+                "metric", f"be one of {', '.join(self.metrics)}", metric, "choose one of those"
             )
         return self.metrics[metric]
 
@@ -263,14 +262,15 @@ class TrialTable:
             count = int((whole & (groups == index)).sum())
             if count < 2:
                 raise InputError(
-                    f"group {group} must keep at least two users with trials of {metric} at "
-                    f"every level, got {count}: "
-                    "add users or leave the group out"
+                    f"group {group}",
+                    f"keep at least two users with trials of {metric} at every level",
+                    count,
+                    "add users or leave the group out",
                 )
         means = sums[whole] / counts[whole]
         if np.ptp(values[kept]) == 0.0:
             raise InputError(
-                f"{metric} must vary over the trials, got {values[kept][0]:g} in all: leave it out"
+                metric, "vary over the trials", f"{values[kept][0]:g} in all", "leave it out"
             )
         return Cells(
             metric,

@@ -140,8 +140,10 @@ class StudyFolder:
                     for name, value in values.items()
                 )
                 raise InputError(
-                    f"out must hold a part of the same study, got one with {other} in {self.path}: "
-                    "choose another folder"
+                    "out",
+                    "hold a part of the same study",
+                    f"one with {other} in {self.path}",
+                    "choose another folder",
                 )
             there = self.registrations()
             require_unchanged(self.path, there)
@@ -150,8 +152,10 @@ class StudyFolder:
             each.name not in (LOCK, MARKER, PLAN_FILE) for each in self.path.iterdir()
         ):
             raise InputError(
-                f"out must be empty or hold this study, got other files in {self.path}: "
-                "choose another"
+                "out",
+                "be empty or hold this study",
+                f"other files in {self.path}",
+                "choose another",
             )
         return []
 
@@ -178,9 +182,10 @@ class StudyFolder:
             made = held.get("tissue", "unknown")
             if made != package_version():
                 raise InputError(
-                    f"study must be of tissue {package_version()}, got {str(made)[:40]} in "
-                    f"{path}: run it in a new "
-                    "folder, trials of two versions are not put together"
+                    "study",
+                    f"be of tissue {package_version()}",
+                    f"{str(made)[:40]} in {path}",
+                    "run it in a new folder, trials of two versions are not put together",
                 )
             fields = {name: tuple(held[name]) for name in ("tasks", "groups", "methods")}
             plan = Plan(
@@ -191,8 +196,7 @@ class StudyFolder:
             raise
         except (OSError, ValueError, TypeError, KeyError, AttributeError):
             raise InputError(
-                f"study must be a folder that `tissue study run` wrote, got {self.path}: "
-                "choose another"
+                "study", "be a folder that `tissue study run` wrote", self.path, "choose another"
             ) from None
 
     def stamp(self, key: TrialKey) -> Stamp:
@@ -268,8 +272,10 @@ class StudyFolder:
         ]
         if not rows:
             raise InputError(
-                f"study must hold trials of {', '.join(tasks)}, got none in {self.path}: run "
-                "it first"
+                "study",
+                f"hold trials of {', '.join(tasks)}",
+                f"none in {self.path}",
+                "run it first",
             )
         return TrialTable.from_rows(rows)
 

@@ -291,7 +291,7 @@ class TrialKey:
         known = task in TASKS and group in GROUPS and variant in ("", REFERENCE, *VARIANTS)
         if not (known and number.isdecimal()):
             raise InputError(
-                f"trial must be named as its file is, got {name}: use for example T1-novice-0007"
+                "trial", "be named as its file is", name, "use for example T1-novice-0007"
             )
         return cls(task, group, int(number), variant)
 
@@ -337,8 +337,7 @@ class Plan:
             if strange or not chosen or len(set(chosen)) < len(chosen):
                 got = strange[0] if strange else ",".join(chosen) or "nothing"
                 raise InputError(
-                    f"{name} must each be one of {', '.join(known)}, got {got}: choose among "
-                    "these, once"
+                    name, f"each be one of {', '.join(known)}", got, "choose among these, once"
                 )
 
     @property

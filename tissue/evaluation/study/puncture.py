@@ -144,7 +144,7 @@ def pierce(
     """
     if scene.device is None or not isinstance(scene.motion, PathMotion):
         raise InputError(
-            "scene must have a device and a path to be pushed, got none: set device, such as touch"
+            "scene", "have a device and a path to be pushed", "none", "set device, such as touch"
         )
     require_positive("rate_N_s", rate_N_s, f"use {RATE_N_S:g}")
     start, end = 1e-3 * np.array(scene.motion.points_mm[:2])
@@ -198,7 +198,7 @@ class _Bystander(RunObserver):
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Look at the needle."""
         if not isinstance(parts.tissue, NeedleModel):
-            raise InputError("scene must have a needle, got another tool: use the scene needle")
+            raise InputError("scene", "have a needle", "another tool", "use the scene needle")
         self._needle = parts.tissue
 
     def on_tick(self, index: int, row: NDArray[np.float64], times: NDArray[np.float64]) -> bool:

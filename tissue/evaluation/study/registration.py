@@ -119,8 +119,10 @@ def register(
     text = plan_text(plan).encode("utf-8")
     if not kept and path.is_file() and path.read_bytes() != text:
         raise InputError(
-            f"out must hold no {PLAN_FILE} of another origin, got one in {folder}: write it "
-            "with `tissue study plan`"
+            "out",
+            f"hold no {PLAN_FILE} of another origin",
+            f"one in {folder}",
+            "write it with `tissue study plan`",
         )
     with whole_file(path) as temporary:
         temporary.write_bytes(text)
@@ -156,10 +158,10 @@ def require_unchanged(folder: Path, held: list[Registration]) -> None:
     for each in held:
         if (got := file_sha256(folder / str(each["file"]))) != each["sha256"]:
             raise InputError(
-                f"{each['file']} must be as it was registered (SHA-256 "
-                f"{str(each['sha256'])[:12]}), got "
-                f"{got[:12] or 'no such file'} in {folder}: put it back, or run another plan "
-                "in a new folder"
+                each["file"],
+                f"be as it was registered (SHA-256 {str(each['sha256'])[:12]})",
+                f"{got[:12] or 'no such file'} in {folder}",
+                "put it back, or run another plan in a new folder",
             )
 
 

@@ -116,8 +116,10 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
         whole = table.complete()
         if not len(whole):
             raise InputError(
-                f"study must hold a trial that did not fail, got {table.failed} failures: "
-                "see trials.csv"
+                "study",
+                "hold a trial that did not fail",
+                f"{table.failed} failures",
+                "see trials.csv",
             )
         report("force and tasks", 0.1)
         sections += [force_section(whole), latency_section(whole), task_section(whole)]

@@ -112,15 +112,18 @@ def _run_trials(
         except LOST as error:
             if not connected:
                 raise InputError(
-                    f"scheduler must answer, got {scheduler} ({error}): start it with `dask "
-                    "scheduler`"
+                    "scheduler",
+                    "answer",
+                    f"{scheduler} ({error})",
+                    "start it with `dask scheduler`",
                 ) from error
             barren = barren + 1 if work.done == before else 1
             if barren > BARREN:
                 raise InputError(
-                    f"workers must stay alive, got {barren} losses with {len(work.waiting)} "
-                    "trials left: look for what "
-                    "kills them, memory for one, and run the study again to go on"
+                    "workers",
+                    "stay alive",
+                    f"{barren} losses with {len(work.waiting)} trials left",
+                    "look for what kills them, memory for one, and run the study again to go on",
                 ) from error
             report(
                 f"workers were lost ({type(error).__name__}), {len(work.waiting)} trials go on",

@@ -62,8 +62,10 @@ def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]
             with attempt(f"{task} all metrics by {factor}"):
                 if factor == "method" and len(methods_of(chosen)) < 2:
                     raise InputError(
-                        "methods must differ in every metric, got none that do: compare "
-                        "metrics one by one"
+                        "methods",
+                        "differ in every metric",
+                        "none that do",
+                        "compare metrics one by one",
                     )
                 outcomes.append((task, manova(chosen, COMPARED, factor=factor, rng=rng)))
     for metric in COMPARED:

@@ -317,7 +317,7 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
     skin = trace.vectors("hand_force", "N")[1:]  # of the tick before each row
     size = np.linalg.norm(ideal, axis=1)
     if not size.any():
-        raise InputError("tool must touch in a trial, got no contact: look at the scene's path")
+        raise InputError("tool", "touch in a trial", "no contact", "look at the scene's path")
     touching = size > TOUCHES * size.max()
     velocity = trace.vectors("velocity", "mm_s")
     tip = trace.vectors("tool", "mm")
@@ -365,9 +365,10 @@ def _pierced(run: Run) -> dict[str, float]:
     noticed = next((time for time, what in run.events if what == NOTICED), inf)
     if puncture == inf or noticed < puncture:
         raise InputError(
-            "capsule must be punctured before the hand stops in a trial, got a hand that "
-            f"stopped at {noticed:g} s: "
-            "see its threshold"
+            "capsule",
+            "be punctured before the hand stops in a trial",
+            f"a hand that stopped at {noticed:g} s",
+            "see its threshold",
         )
     at = round(puncture / TICK_S)
     window = round(WINDOW_S / TICK_S)
@@ -413,8 +414,10 @@ def intensity_ratios(
     met = np.array([part.min() for part in np.array_split(sizes, count)]) > TOUCHES * sizes.max()
     if met.sum() < 2:
         raise InputError(
-            "tool must touch for some tenths of a second in a trial, got less: look at the "
-            "scene's path"
+            "tool",
+            "touch for some tenths of a second in a trial",
+            "less",
+            "look at the scene's path",
         )
 
     def logarithm(force_N: Array) -> Array:

@@ -150,8 +150,10 @@ class Recorder:
         )
         if not np.isfinite(rows).all():
             raise InputError(
-                f"scene must give finite forces, got others with seed {scene.seed}: use "
-                "another --trials"
+                "scene",
+                "give finite forces",
+                f"others with seed {scene.seed}",
+                "use another --trials",
             )
         speed = ConstantAcceleration(VELOCITY_MEMORY, step_s=TICK_S)
         velocity = np.array([speed.step(place) for place in (begin, *rows[:, :3])])[1:]

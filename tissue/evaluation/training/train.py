@@ -85,7 +85,7 @@ def train(
     """
     if not LEAST_TRIALS <= trials <= MOST_TRIALS:
         raise InputError(
-            f"trials must be from {LEAST_TRIALS} to {MOST_TRIALS}, got {trials}: use {TRIALS}"
+            "trials", f"be from {LEAST_TRIALS} to {MOST_TRIALS}", trials, f"use {TRIALS}"
         )
     recorder = Recorder(cores=cores)
     runs = []
@@ -127,7 +127,7 @@ def validated(trained: Trained, held_out: list[Recording], force_limit_N: float)
     held_out = touching(held_out)
     if not held_out:
         raise InputError(
-            "trials must leave a run that touches to validate on, got none: use more, or run longer"
+            "trials", "leave a run that touches to validate on", "none", "use more, or run longer"
         )
     makers = {
         kind: partial(trained_predictor, kind, trained, force_limit_N=force_limit_N)
@@ -154,12 +154,11 @@ def fit(scene: str, runs: Sequence[Recording], *, lags: int = LAGS) -> Trained:
     """
     if len(runs) < LEAST_RUNS:
         raise InputError(
-            f"trials must leave at least {LEAST_RUNS} to learn from, got {len(runs)}: use more"
+            "trials", f"leave at least {LEAST_RUNS} to learn from", len(runs), "use more"
         )
     if not any(run.force_N.any() for run in runs):
         raise InputError(
-            "scene must have a tool that touches, got no force in any trial: run longer, or "
-            "go deeper"
+            "scene", "have a tool that touches", "no force in any trial", "run longer, or go deeper"
         )
     episodes = [axis for run in runs for axis in run.episodes()]
     operator = Edmd(Delays(lags), ridge=RIDGE, offset=False).fit(episodes)

@@ -73,9 +73,10 @@ def surface_compliance_m_N(
     needed = compliance_bytes(len(touchable))
     if needed > limit_bytes:
         raise InputError(
-            f"touchable must fit in {limit_bytes / 1e9:.3g} GB, got {len(touchable)} nodes "
-            "that need "
-            f"{needed / 1e9:.3g} GB: name fewer, or find columns where the tool is (LazyCompliance)"
+            "touchable",
+            f"fit in {limit_bytes / 1000000000.0:.3g} GB",
+            f"{len(touchable)} nodes that need {needed / 1000000000.0:.3g} GB",
+            "name fewer, or find columns where the tool is (LazyCompliance)",
         )
     blocks = body.stiffness
     key = [blocks.data, blocks.indices, blocks.indptr, body.fixed, touchable]
@@ -116,19 +117,19 @@ def _require_nodes(nodes: Ints, body: HeldBody) -> None:
     count = len(body.nodes_m)
     unique = len(np.unique(nodes))
     if len(nodes) == 0:
-        raise InputError(
-            "touchable must name at least one node, got none: give nodes of the surface"
-        )
+        raise InputError("touchable", "name at least one node", "none", "give nodes of the surface")
     if nodes.min() < 0 or nodes.max() >= count:
         raise InputError(
-            f"touchable must name nodes 0 to {count - 1}, got {nodes.min()} to "
-            f"{nodes.max()}: number them so"
+            "touchable",
+            f"name nodes 0 to {count - 1}",
+            f"{nodes.min()} to {nodes.max()}",
+            "number them so",
         )
     if unique != len(nodes):
         raise InputError(
-            f"touchable must name each node once, got {len(nodes) - unique} twice: drop them"
+            "touchable", "name each node once", f"{len(nodes) - unique} twice", "drop them"
         )
     if loose := int((~body.carrying[nodes]).sum()):
         raise InputError(
-            f"touchable must be nodes of cells, got {loose} that no cell uses: leave them out"
+            "touchable", "be nodes of cells", f"{loose} that no cell uses", "leave them out"
         )

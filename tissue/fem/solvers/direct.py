@@ -287,6 +287,8 @@ def factorised(
         return kept, matrix, SuperLUFactor(matrix)
     except RuntimeError as problem:
         raise InputError(
-            f"stiffness must be positive definite, got one without a factor ({problem}): "
-            "check moduli and sliver cells"
+            "stiffness",
+            "be positive definite",
+            f"one without a factor ({problem})",
+            "check moduli and sliver cells",
         ) from problem

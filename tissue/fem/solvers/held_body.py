@@ -61,21 +61,26 @@ class HeldBody:
         count = len(self.nodes_m)
         if self.stiffness.shape != (3 * count, 3 * count) or self.fixed.shape != (count, 3):
             raise InputError(
-                f"stiffness and fixed must be for the {count} nodes of nodes_m, got "
-                f"{self.stiffness.shape} and "
-                f"{self.fixed.shape}: make them on one space"
+                "stiffness and fixed",
+                f"be for the {count} nodes of nodes_m",
+                f"{self.stiffness.shape} and {self.fixed.shape}",
+                "make them on one space",
             )
         if not np.isfinite(self.stiffness.data).all():
-            raise InputError("stiffness must be finite, got NaN or infinity: check the moduli")
+            raise InputError("stiffness", "be finite", "NaN or infinity", "check the moduli")
         if not self.fixed.any():
             raise InputError(
-                "supports must hold something, got none: all six rigid motions are free, fix "
-                "some nodes"
+                "supports",
+                "hold something",
+                "none",
+                "all six rigid motions are free, fix some nodes",
             )
         if not (self.fixed & self.carrying[:, None]).any():
             raise InputError(
-                f"supports must touch the body, got {int(self.fixed.any(axis=1).sum())} nodes "
-                "that no cell uses: hold nodes of cells"
+                "supports",
+                "touch the body",
+                f"{int(self.fixed.any(axis=1).sum())} nodes that no cell uses",
+                "hold nodes of cells",
             )
         self._refuse_free_parts()
 
@@ -101,9 +106,10 @@ class HeldBody:
             else f"{len(free)} of {parts} unconnected parts, the largest with node {first}"
         )
         raise InputError(
-            f"supports must leave no rigid motion free, got {where} ({size} nodes) with "
-            f"{'; '.join(modes)} free: "
-            "hold more nodes, or leave loose parts out"
+            "supports",
+            "leave no rigid motion free",
+            f"{where} ({size} nodes) with {'; '.join(modes)} free",
+            "hold more nodes, or leave loose parts out",
         )
 
     @cached_property
@@ -127,17 +133,16 @@ class HeldBody:
         load = np.asarray(load_N, dtype=np.float64)
         if load.shape != self.nodes_m.shape:
             raise InputError(
-                f"load_N must have the shape {self.nodes_m.shape}, got {load.shape}: one "
-                "force a node"
+                "load_N", f"have the shape {self.nodes_m.shape}", load.shape, "one force a node"
             )
         if not np.isfinite(load).all():
             node = int(np.flatnonzero(~np.isfinite(load).all(axis=1))[0])
             raise InputError(
-                f"load_N must be finite, got {load[node]} at node {node}: check where it came from"
+                "load_N", "be finite", f"{load[node]} at node {node}", "check where it came from"
             )
         if load[~self.carrying].any():
             raise InputError(
-                "load_N must act on nodes of cells, got forces on others: move them to the body"
+                "load_N", "act on nodes of cells", "forces on others", "move them to the body"
             )
         return np.asarray(load.ravel()[self.free])
 

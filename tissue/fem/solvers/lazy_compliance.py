@@ -46,7 +46,7 @@ class LazyCompliance:
         """Nodes that the buffer holds."""
         if self.capacity < 1:
             raise InputError(
-                f"capacity_bytes must hold one node, {each} bytes, got {capacity_bytes}: allow more"
+                "capacity_bytes", f"hold one node, {each} bytes", capacity_bytes, "allow more"
             )
         self._columns = np.empty((self.capacity, len(self._touchable), 3, 3))
         self._slot = np.full(len(self._touchable), -1)
@@ -71,9 +71,10 @@ class LazyCompliance:
         """
         if len(nodes) > self.capacity:
             raise InputError(
-                f"nodes must be at most the {self.capacity} that the buffer holds, got "
-                f"{len(nodes)}: "
-                "allow more memory, or ask for fewer"
+                "nodes",
+                f"be at most the {self.capacity} that the buffer holds",
+                len(nodes),
+                "allow more memory, or ask for fewer",
             )
         with self._changed:
             self._waiting.clear()
@@ -111,9 +112,10 @@ class LazyCompliance:
             or not matrix_m_N.flags.c_contiguous
         ):
             raise InputError(
-                f"matrix_m_N must be contiguous of shape {(len(self._rows),) * 2}, got shape "
-                f"{matrix_m_N.shape}: "
-                "make it with np.full"
+                "matrix_m_N",
+                f"be contiguous of shape {(len(self._rows),) * 2}",
+                f"shape {matrix_m_N.shape}",
+                "make it with np.full",
             )
         with self._changed:
             while self._arrived and self._slot[self._arrived[0]] < 0:

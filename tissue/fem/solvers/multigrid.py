@@ -66,7 +66,7 @@ class MultigridSolver:
         diagonal = body.stiffness.diagonal()
         if not (diagonal[self._free] > 0.0).all():
             raise InputError(
-                "stiffness must be positive definite, got a diagonal that is not: check the moduli"
+                "stiffness", "be positive definite", "a diagonal that is not", "check the moduli"
             )
         self._scale = np.where(self._free, 1.0 / np.sqrt(np.where(self._free, diagonal, 1.0)), 0.0)
         self._matrix = self._scaled()
@@ -139,7 +139,7 @@ class MultigridSolver:
             if not found.converged:
                 name = found.outcome.name
                 remedy = found.outcome.value
-                raise InputError(f"stiffness must have columns by multigrid, got {name}: {remedy}")
+                raise InputError("stiffness", "have columns by multigrid", name, remedy)
             answers[:, column] = found.displacement_m * self._scale
         return answers
 

@@ -49,8 +49,7 @@ class ReducedSolver:
         rows = (3 * self.touchable[:, None] + np.arange(3)).ravel()
         if not 1 <= size <= len(rows):
             raise InputError(
-                f"size must be in [1, {len(rows)}], got {size}: three modes a touchable node "
-                "are all"
+                "size", f"be in [1, {len(rows)}]", size, "three modes a touchable node are all"
             )
         self.tolerance = tolerance
         parts = [

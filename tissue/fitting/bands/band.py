@@ -182,22 +182,24 @@ def require_band(
     is_linear = not why_not_linear(scene)
     if each_run and not is_linear:
         raise InputError(
-            "each_run must be left out of a scene whose loads cannot be reweighed, got one where "
-            f"{why_not_linear(scene)}: every sample is a run of its own"
+            "each_run",
+            "be left out of a scene whose loads cannot be reweighed",
+            f"one where {why_not_linear(scene)}",
+            "every sample is a run of its own",
         )
     if workers is not None:
         require_range("workers", workers, 1, 4096, "use one a core")
     for name, given in (("workers", workers), ("scheduler", scheduler)):
         if given is not None and is_linear and not each_run:
             raise InputError(
-                f"{name} must be left out where the geometry is recorded once and reweighed, "
-                f"got {given}: remove it, "
-                "or ask for a run of each sample (each_run)"
+                name,
+                "be left out where the geometry is recorded once and reweighed",
+                given,
+                "remove it, or ask for a run of each sample (each_run)",
             )
     if workers is not None and scheduler is not None:
         raise InputError(
-            f"workers must be left out with a scheduler, which has its own, got {workers}: "
-            "remove it"
+            "workers", "be left out with a scheduler, which has its own", workers, "remove it"
         )
 
 
@@ -306,9 +308,10 @@ def _rerun(
     if len(problems) > MOST_FAILED * len(files):
         reasons = "; ".join(f"{name}: {why}" for name, why in list(problems.items())[:3])
         raise InputError(
-            f"band must have samples of which at most {MOST_FAILED:.0%} fail, got "
-            f"{len(problems)} of {len(files)} "
-            f"({reasons}): narrow the ranges in a file of materials"
+            "band",
+            f"have samples of which at most {MOST_FAILED:.0%} fail",
+            f"{len(problems)} of {len(files)} ({reasons})",
+            "narrow the ranges in a file of materials",
         )
     kept = np.array([at for at, each in sorted(outcomes.items()) if not isinstance(each, str)])
     held = [each for _, each in sorted(outcomes.items()) if not isinstance(each, str)]
@@ -349,7 +352,7 @@ def _rerun(
 def _require_ranges(ranges: Ranges) -> None:
     if not ranges.names:
         raise InputError(
-            "band must be of a scene that rests on constants with a range, got none: leave it out"
+            "band", "be of a scene that rests on constants with a range", "none", "leave it out"
         )
 
 
@@ -368,15 +371,18 @@ def require_same(band: Band, loads: Array) -> None:
     """
     if len(loads) < len(band.times_s):
         raise InputError(
-            f"band must be of a whole run, got one that was stopped after {len(loads)} of "
-            f"{len(band.times_s)} ticks: "
-            "run the scene again"
+            "band",
+            "be of a whole run",
+            f"one that was stopped after {len(loads)} of {len(band.times_s)} ticks",
+            "run the scene again",
         )
     for first, columns in ((0, slice(0, 3)), (4, slice(3, 6))):
         nominal = band.nominal[:, first : first + 3]
         run = loads[: len(band.times_s), columns]
         if np.abs(nominal - run).max(initial=0.0) > SAME * np.abs(run).max(initial=0.0):
             raise InputError(
-                "band must be of a run whose scene is as it was, got other loads from the "
-                "same scene: run it again"
+                "band",
+                "be of a run whose scene is as it was",
+                "other loads from the same scene",
+                "run it again",
             )

@@ -91,7 +91,7 @@ def read_band(folder: Path) -> Band:
     """
     held = read_summary(folder).get("band")
     if held is None:
-        raise InputError(f"run must have a band, got none in {folder}: make one with run.band(200)")
+        raise InputError("run", "have a band", f"none in {folder}", "make one with run.band(200)")
     (_, times) = _read(folder / OVER_TIME)
     (header, samples) = _read(folder / SAMPLES)
     constants = tuple(held["constants"])
@@ -100,8 +100,7 @@ def read_band(folder: Path) -> Band:
     quantiles = times[:, 1 + len(CHANNELS) :]
     if quantiles.shape[1] != len(CHANNELS) * len(LEVELS) or tuple(header[1:width]) != constants:
         raise InputError(
-            f"band.csv must be as run.band wrote it, got another one in {folder}: make the "
-            "band again"
+            "band.csv", "be as run.band wrote it", f"another one in {folder}", "make the band again"
         )
     over = np.moveaxis(quantiles.reshape(len(times), len(CHANNELS), len(LEVELS)), 2, 0)
     names = tuple(tuple(name.split(SEPARATOR)) for name in header[width:])
@@ -133,6 +132,5 @@ def _read(path: Path) -> tuple[list[str], Array]:
             return next(csv.reader(file)), np.loadtxt(file, delimiter=",", ndmin=2)
     except (OSError, ValueError, StopIteration):
         raise InputError(
-            f"{path.name} must be a table of numbers, got another one in {path}: make the "
-            "band again"
+            path.name, "be a table of numbers", f"another one in {path}", "make the band again"
         ) from None

@@ -77,7 +77,7 @@ def reruns(
         barren = 0 if returned else barren + 1
         if barren > BARREN:
             raise InputError(
-                f"workers must stay alive, got {barren} losses without a sample: leave workers out"
+                "workers", "stay alive", f"{barren} losses without a sample", "leave workers out"
             )
         if alone:
             yield from ((number, LOST_WORKER) for number in given)
@@ -116,8 +116,10 @@ def _in_pool(
     except LOST as error:
         if not connected:
             raise InputError(
-                f"scheduler must answer, got {workers.scheduler} ({error}): start it with "
-                "`dask scheduler`"
+                "scheduler",
+                "answer",
+                f"{workers.scheduler} ({error})",
+                "start it with `dask scheduler`",
             ) from error
         report("workers were lost, the other samples go on", 0.0)
 

@@ -138,8 +138,7 @@ def normals(count: int, width: int, *, seed: int) -> Array:
     """
     if width > qmc.Sobol.MAXDIM:
         raise InputError(
-            f"constants must be at most {qmc.Sobol.MAXDIM} of a Sobol sequence, got {width}: "
-            "fix some"
+            "constants", f"be at most {qmc.Sobol.MAXDIM} of a Sobol sequence", width, "fix some"
         )
     points = qmc.Sobol(width, scramble=True, seed=seed).random(count)
     return np.asarray(ndtri(np.clip(points, 1e-12, 1.0 - 1e-12)))

@@ -190,9 +190,7 @@ class DeviceParameters:
             ("torque_slew_Nm_ms", "no limit"),
         ):
             if not getattr(self, name) > 0.0:
-                raise InputError(
-                    f"{name} must be positive, got {getattr(self, name)}: use inf for {none}"
-                )
+                raise InputError(name, "be positive", getattr(self, name), f"use inf for {none}")
 
     def loop(
         self,

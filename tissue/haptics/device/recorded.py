@@ -52,11 +52,13 @@ class RecordedDevice(ComputedDevice):
             or not np.isfinite([*times, *positions.ravel()]).all()
         ):
             raise InputError(
-                f"positions_m must be finite with shape ({len(times)}, 3), got "
-                f"{positions.shape}: mend them"
+                "positions_m",
+                f"be finite with shape ({len(times)}, 3)",
+                positions.shape,
+                "mend them",
             )
         if not (np.diff(times) > 0.0).all():
-            raise InputError(f"times_s must increase, got {times_s}: sort them")
+            raise InputError("times_s", "increase", times_s, "sort them")
         turned = (
             np.tile((0.0, 0.0, 0.0, 1.0), (len(times), 1))
             if quaternions is None
@@ -65,8 +67,10 @@ class RecordedDevice(ComputedDevice):
         sizes = np.linalg.norm(turned, axis=1)
         if turned.shape != (len(times), 4) or not np.isfinite(sizes).all() or (sizes < 1e-6).any():
             raise InputError(
-                "quaternions must be finite and not zero, one for each time, got others: use "
-                "0, 0, 0, 1"
+                "quaternions",
+                "be finite and not zero, one for each time",
+                "others",
+                "use 0, 0, 0, 1",
             )
         self._first, self._last, self._rate = float(times[0]), float(times[-1]), rate_Hz
         at = np.minimum(

@@ -210,9 +210,10 @@ class SafeDevice:
         )
         if now - since > limit and self._lost is None:
             self._lost = DeviceError(
-                f"device.{name} must return within {within}, got no answer for {limit:g} s: "
-                "check the device and its "
-                f"cable{self._close()}"
+                f"device.{name}",
+                f"return within {within}",
+                f"no answer for {limit:g} s",
+                f"check the device and its cable{self._close()}",
             )
         return self._lost
 
@@ -231,9 +232,10 @@ class SafeDevice:
             if sent:
                 return
         self._lost = DeviceError(
-            "device.command must play zero once the loop stops, got no answer for "
-            f"{ANSWER_S:g} s: check the "
-            f"device and its cable{self._close()}"
+            "device.command",
+            "play zero once the loop stops",
+            f"no answer for {ANSWER_S:g} s",
+            f"check the device and its cable{self._close()}",
         )
 
     def _command(self, force: Array, torque: Array) -> None:
@@ -310,8 +312,8 @@ class SafeDevice:
             return DeviceError(str(error))
         message = " ".join(str(error).split())
         return DeviceError(
-            f"device.{name} must not fail, got "
-            f"{type(error).__name__}{f' ({message})' if message else ''} at "
-            f"{self._time_s:.3f} s: check the device and its "
-            f"cable{OPENED if name == '__enter__' else ''}"
+            f"device.{name}",
+            "not fail",
+            f"{type(error).__name__}{(f' ({message})' if message else '')} at {self._time_s:.3f} s",
+            f"check the device and its cable{(OPENED if name == '__enter__' else '')}",
         )

@@ -229,8 +229,10 @@ def _total(sample: Sample) -> float | None:
     """
     if not isinstance(sample, Sample):
         raise DeviceError(
-            f"device.read must return a Sample or None, got {type(sample).__name__}: use "
-            "tissue.haptics.Sample(time_s, position_m)"
+            "device.read",
+            "return a Sample or None",
+            type(sample).__name__,
+            "use tissue.haptics.Sample(time_s, position_m)",
         )
     try:
         time_s, (x, y, z), (vx, vy, vz), (qx, qy, qz, qw), (wx, wy, wz) = sample
@@ -265,7 +267,7 @@ def _numbers(part: str, given: object, count: int) -> tuple[float, ...]:
             f"{count} numbers" if count > 1 else "a number",
         )
         raise DeviceError(
-            f"device.read must return a Sample whose {part} is {wanted}, got {got}: mend its read"
+            "device.read", f"return a Sample whose {part} is {wanted}", got, "mend its read"
         )
     return tuple(map(float, numbers.reshape(count)))
 

@@ -47,11 +47,10 @@ def waypoints(times_s: Array, points_m: Array) -> Path:
     times, points = np.array(times_s, dtype=float), np.array(points_m, dtype=float)
     if times.ndim != 1 or points.shape != (len(times), 3) or not np.isfinite(points).all():
         raise InputError(
-            f"points_m must be finite with shape ({times.size}, 3), got {points.shape}: give "
-            "one per time"
+            "points_m", f"be finite with shape ({times.size}, 3)", points.shape, "give one per time"
         )
     if not (np.diff(times) > 0.0).all():
-        raise InputError(f"times_s must increase, got {times_s}: sort them")
+        raise InputError("times_s", "increase", times_s, "sort them")
     return lambda time_s: np.array([np.interp(time_s, times, points[:, axis]) for axis in range(3)])
 
 

@@ -162,14 +162,16 @@ def require_stable(
         return verdict
     if verdict.critical_N_m == 0.0:
         raise InputError(
-            "wall_damping_N_s_m must leave some stiffness stable, got "
-            f"{loop.wall_damping_N_s_m:g}: lower it, or the "
-            "delay, or the filter"
+            "wall_damping_N_s_m",
+            "leave some stiffness stable",
+            f"{loop.wall_damping_N_s_m:g}",
+            "lower it, or the delay, or the filter",
         )
     raise InputError(
-        f"stiffness_N_m must be below {verdict.critical_N_m:.4g} to be stable, got "
-        f"{loop.stiffness_N_m:g} "
-        f"(margin {100.0 * verdict.margin:.1f} %): use {verdict.nearest_N_m:g}"
+        "stiffness_N_m",
+        f"be below {verdict.critical_N_m:.4g} to be stable",
+        f"{loop.stiffness_N_m:g} (margin {100.0 * verdict.margin:.1f} %)",
+        f"use {verdict.nearest_N_m:g}",
     )
 
 

@@ -210,8 +210,9 @@ def _faded(taps: Array) -> Array:
     ages = sizes.max(axis=(0, 2))
     if not np.isfinite(ages).all() or ages[-1] > FADED:
         raise InputError(
-            f"predictor must forget a change within {LONGEST} ticks to be judged, got one "
-            "that does not: train it with "
-            "capped eigenvalues, or use another"
+            "predictor",
+            f"forget a change within {LONGEST} ticks to be judged",
+            "one that does not",
+            "train it with capped eigenvalues, or use another",
         )
     return taps[:, : int(np.flatnonzero(ages > 0.1 * FADED)[-1]) + 1]

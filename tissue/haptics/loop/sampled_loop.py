@@ -115,8 +115,10 @@ class WallLoop:
         low_pass_gain(self.filter_s, self.tick_s)
         if not self.amplifier_Hz > 0.0:
             raise InputError(
-                f"amplifier_Hz must be positive, got {self.amplifier_Hz}: use inf for an "
-                "amplifier without lag"
+                "amplifier_Hz",
+                "be positive",
+                self.amplifier_Hz,
+                "use inf for an amplifier without lag",
             )
 
     @property

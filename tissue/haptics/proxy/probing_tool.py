@@ -139,7 +139,7 @@ class ProbedBone(FreeSpace):
             self._tool.meet(shell, self._field)
         except InputError as error:
             raise InputError(
-                f"motion must start outside the bone, got a tool in it: start higher ({error})"
+                "motion", "start outside the bone", "a tool in it", f"start higher ({error})"
             ) from error
 
     def respond(self, motion: ToolMotion) -> Response:

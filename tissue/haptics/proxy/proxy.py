@@ -148,8 +148,10 @@ class Proxy:
         if field.spacing_m > 0.0:
             if shell.radius_m > 0.0:
                 raise InputError(
-                    f"radius_m of the shell must be 0 on voxels, got {shell.radius_m:g}: "
-                    "give points with normals"
+                    "radius_m of the shell",
+                    "be 0 on voxels",
+                    f"{shell.radius_m:g}",
+                    "give points with normals",
                 )
             step, tolerance = STEP_VOXELS * field.spacing_m, TOLERANCE_VOXELS * field.spacing_m
         device = field.device
@@ -200,9 +202,10 @@ class Proxy:
         if self.result.contacts > 0:
             out_m = float(np.linalg.norm(self.result.position_m - position_m))
             raise InputError(
-                f"position_m must leave the tool outside everything, got {position_m} where "
-                "it lies about "
-                f"{1e3 * out_m:.3g} mm deep: start farther off"
+                "position_m",
+                "leave the tool outside everything",
+                f"{position_m} where it lies about {1000.0 * out_m:.3g} mm deep",
+                "start farther off",
             )
         return self.result
 
@@ -223,9 +226,10 @@ class Proxy:
         """Take the device's pose as the goal."""
         if not isfinite(float(position_m.sum()) + float(quaternion.sum())):
             raise InputError(
-                f"the device's pose must be finite, got {position_m} m, {quaternion}: hold "
-                "the last pose and ramp the "
-                "force to zero"
+                "the device's pose",
+                "be finite",
+                f"{position_m} m, {quaternion}",
+                "hold the last pose and ramp the force to zero",
             )
         self._goal.host[_POSITION] = position_m
         self._goal.host[_ROTATION] = quaternion

@@ -64,8 +64,10 @@ class ForceDimensionAdapter:
         address = hardware.address if hardware else ""
         if address and not (address.isascii() and address.isdigit()):
             raise InputError(
-                f"hardware.address must be a serial number, got {address}: leave it out for "
-                "the first device"
+                "hardware.address",
+                "be a serial number",
+                address,
+                "leave it out for the first device",
             )
         self._serial = int(address) if address else FIRST
         self.limits: DeviceParameters = device_parameters(self.name)
@@ -131,9 +133,10 @@ class ForceDimensionAdapter:
             if bool(dhd.hasActiveWrist(number)) != self.has_motors:
                 other = "forcedimension" if self.has_motors else "sigma-7"
                 raise InputError(
-                    f"device must be {other} for this hardware, got {self.name} for "
-                    f"{dhd.getSystemName(number)}: set "
-                    f"device = {other}"
+                    "device",
+                    f"be {other} for this hardware",
+                    f"{self.name} for {dhd.getSystemName(number)}",
+                    f"set device = {other}",
                 )
             self._has_wrist = bool(dhd.hasWrist(number))
             failed = dhd.setMaxForce(self.limits.force_limit_N, number) == FAILED

@@ -111,8 +111,10 @@ class HaplyLink:
             from websockets.sync.client import connect
         except ModuleNotFoundError:
             raise InputError(
-                "websockets must be installed for device = haply, got none: pip install "
-                "'tissue-sim[haply]'"
+                "websockets",
+                "be installed for device = haply",
+                "none",
+                "pip install 'tissue-sim[haply]'",
             ) from None
         self.state = ServiceState(self._device_id)
         try:
@@ -130,9 +132,7 @@ class HaplyLink:
         except (OSError, WebSocketException) as error:
             self._disconnect()
             words = " ".join(str(error).split()) or type(error).__name__
-            raise InputError(
-                f"haply must be reached at {self.url}, got {words}: {START_IT}"
-            ) from None
+            raise InputError("haply", f"be reached at {self.url}", words, START_IT) from None
         self.state.take(first)
         self.version = asked_version(self._host, self._port)
         self._spelling = spelling_of(self.version, has_session=b"session_id" in _bytes(first))
@@ -177,9 +177,10 @@ class HaplyLink:
             and not self._ended.is_set()
         ):
             raise DeviceError(
-                f"haply must answer, got no state of {self.state.device_id} for "
-                f"{GIVE_UP_S:g} s: check the device's "
-                "cable and power, and restart the Inverse Service"
+                "haply",
+                "answer",
+                f"no state of {self.state.device_id} for {GIVE_UP_S:g} s",
+                "check the device's cable and power, and restart the Inverse Service",
             )
         return sample
 

@@ -35,8 +35,10 @@ def service_address(address: str) -> tuple[str, str, int, str]:
         host = port = None
     if parts.scheme != "ws" or not host or not port or parts.path not in ("", "/"):
         raise InputError(
-            "hardware.address must be ws://HOST:PORT, with #DEVICE for one of several, got "
-            f"{address}: use {USUAL}"
+            "hardware.address",
+            "be ws://HOST:PORT, with #DEVICE for one of several",
+            address,
+            f"use {USUAL}",
         )
     return f"ws://{parts.netloc}", host, port, parts.fragment
 

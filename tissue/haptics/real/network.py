@@ -242,9 +242,10 @@ def _parsed(address: str) -> tuple[str, str, int]:
         or parts.path.strip("/")
     ):
         raise InputError(
-            "hardware.address must be udp://HOST:PORT or ws://HOST:PORT where a device is "
-            f"awaited, got {address}: use "
-            f"{USUAL}"
+            "hardware.address",
+            "be udp://HOST:PORT or ws://HOST:PORT where a device is awaited",
+            address,
+            f"use {USUAL}",
         )
     return parts.scheme, f"[{host}]" if ":" in host else host, port
 
@@ -253,7 +254,8 @@ def _cannot_listen(address: str, error: OSError) -> InputError:
     """Why an address cannot be listened at."""
     why = (error.strerror or str(error)).lower()
     return InputError(
-        f"hardware.address must be free on this machine, got {address} ({why}): end the "
-        "program that uses it, or use "
-        "another port"
+        "hardware.address",
+        "be free on this machine",
+        f"{address} ({why})",
+        "end the program that uses it, or use another port",
     )

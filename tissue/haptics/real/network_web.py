@@ -56,9 +56,10 @@ class WebTransport:
             import websockets.asyncio.server  # noqa: F401
         except ImportError:
             raise InputError(
-                "websockets must be installed for a device at ws://, got none: pip install "
-                "'tissue-sim[network]', "
-                "or use udp://"
+                "websockets",
+                "be installed for a device at ws://",
+                "none",
+                "pip install 'tissue-sim[network]', or use udp://",
             ) from None
         self._session, self._waiting = session, deque[tuple[Hashable, bytes]](maxlen=MOST_WAITING)
         self._connections: dict[Hashable, ServerConnection] = {}
@@ -76,9 +77,10 @@ class WebTransport:
         if self._failed:
             why = (self._failed[0].strerror or str(self._failed[0])).lower()
             raise InputError(
-                f"hardware.address must be free on this machine, got {self.address} ({why}): "
-                "end the program that uses "
-                "it, or use another port"
+                "hardware.address",
+                "be free on this machine",
+                f"{self.address} ({why})",
+                "end the program that uses it, or use another port",
             )
 
     def read(self) -> None:

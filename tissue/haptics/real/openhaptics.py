@@ -121,9 +121,7 @@ class OpenHapticsAdapter:
         with redirect_stdout(StringIO()):  # the package prints what it does
             number = hd.init_device(self._name)
             if number in NONE:
-                raise InputError(
-                    f"a device named {self._name} must be connected, got none: {NO_DEVICE}"
-                )
+                raise InputError(f"a device named {self._name}", "be connected", "none", NO_DEVICE)
             self._hd, self._id, self._ended = hd, number, False
             with _OPENING:
                 is_first = not _OPEN

@@ -46,8 +46,10 @@ class RecordedAdapter:
         address = hardware.address if hardware else ""
         if not address:
             raise InputError(
-                "hardware.address must be a file of poses with device = recorded, got "
-                "nothing: use a run's trace.csv"
+                "hardware.address",
+                "be a file of poses with device = recorded",
+                "nothing",
+                "use a run's trace.csv",
             )
         self.limits: DeviceParameters = device_parameters("recorded")
         self._samples = _samples(Path(address))

@@ -121,8 +121,7 @@ def self_test(
         pause(PAUSE_S)
     if len(times) < FEWEST:
         raise InputError(
-            f"a device must give samples for its test, got {len(times)}: check that it is "
-            "on, and move it"
+            "a device", "give samples for its test", len(times), "check that it is on, and move it"
         )
     gaps, shown = np.diff(times), [each for each in trips if isfinite(each)]
     (interval, interval_99), (call, call_99) = _middle_and_99(gaps), _middle_and_99(calls)
@@ -172,7 +171,7 @@ def bump(
             adapter.push(np.zeros(3), np.zeros(3))
     if not places:
         raise InputError(
-            "a device must give samples for its test, got none during the push: check its cable"
+            "a device", "give samples for its test", "none during the push", "check its cable"
         )
     away = np.array(places) - places[0]
     return Bump(

@@ -69,10 +69,13 @@ class BricksOnDemand:
         if float(np.prod(PATCH * self._patches)) > MOST_BRICKS:
             fits = spacing_m * (float(np.prod(high - low)) / MOST_BRICKS) ** (1.0 / 3.0)
             raise InputError(
-                f"spacing_mm must leave at most {MOST_BRICKS:g} bricks of {BRICK} voxels in "
-                "the bone's box, got "
-                f"{1e3 * spacing_m:g}: use {np.ceil(1.1e5 * fits) / 1e2:g}, or cut the part "
-                "that you need out of it"
+                "spacing_mm",
+                f"leave at most {MOST_BRICKS:g} bricks of {BRICK} voxels in the bone's box",
+                f"{1000.0 * spacing_m:g}",
+                (
+                    f"use {np.ceil(110000.0 * fits) / 100.0:g}, or cut the part that you need "
+                    "out of it"
+                ),
             )
         x, y, z = (PATCH * self._patches).tolist()
         grid = BrickGrid(low * self._brick_m, spacing_m, (x, y, z), anatomy.layer_names)
@@ -113,10 +116,13 @@ class BricksOnDemand:
         if needed > 0.9 * free:
             fits = spacing_mm * (needed / (0.8 * free)) ** (1.0 / 3.0)
             raise InputError(
-                "spacing_mm must leave what the tool reaches within the free memory of "
-                f"{free / 1e9:.1f} GB, got "
-                f"{spacing_mm:g} which needs {needed / 1e9:.1f} GB: use "
-                f"{np.ceil(1e3 * fits) / 1e3:g}"
+                "spacing_mm",
+                (
+                    "leave what the tool reaches within the free memory of "
+                    f"{free / 1000000000.0:.1f} GB"
+                ),
+                f"{spacing_mm:g} which needs {needed / 1000000000.0:.1f} GB",
+                f"use {np.ceil(1000.0 * fits) / 1000.0:g}",
             )
 
     def has(self, low_m: Array, high_m: Array) -> bool:

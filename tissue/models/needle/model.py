@@ -98,9 +98,10 @@ class NeedleModel:
         travel = self._travel_m(motion)
         if travel > 0.0:
             raise InputError(
-                "motion must start with the needle's tip outside the organ, got it "
-                f"{1e3 * travel:g} mm inside: start "
-                "above the surface"
+                "motion",
+                "start with the needle's tip outside the organ",
+                f"it {1000.0 * travel:g} mm inside",
+                "start above the surface",
             )
         self.insertion = Insertion(self.tissue, travel_m=travel)
         self._entry_m[:] = np.nan
@@ -171,15 +172,16 @@ class NeedleModel:
         cosine = float(motion.rotation[2, 2])
         if not (isfinite(below) and isfinite(cosine)):
             raise InputError(
-                f"the needle's pose must be finite, got its tip at {motion.tip_m}: mend the motion"
+                "the needle's pose", "be finite", f"its tip at {motion.tip_m}", "mend the motion"
             )
         if cosine >= LEAST_COSINE:
             return below / cosine
         if below > 0.0 or self.insertion.inserted_m > 0.0:
             raise InputError(
-                "the needle's axis must meet the surface at more than 10 degrees, got a "
-                f"cosine of {cosine:.2f} to its "
-                "normal: point the needle into the organ"
+                "the needle's axis",
+                "meet the surface at more than 10 degrees",
+                f"a cosine of {cosine:.2f} to its normal",
+                "point the needle into the organ",
             )
         return below
 

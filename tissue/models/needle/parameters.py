@@ -101,9 +101,10 @@ class ShaftFriction:
             static = getattr(self, f"static_{side}_N_m")
             if static < sliding:
                 raise InputError(
-                    f"static_{side}_N_m must be at least sliding_{side}_N_m ({sliding:g}), "
-                    f"got {static:g}: a shaft at "
-                    "rest is not easier to move than a sliding one"
+                    f"static_{side}_N_m",
+                    f"be at least sliding_{side}_N_m ({sliding:g})",
+                    f"{static:g}",
+                    "a shaft at rest is not easier to move than a sliding one",
                 )
 
 
@@ -152,22 +153,23 @@ class NeedleTissue:
         if any(below <= above for above, below in pairwise(depths)):
             listed = ", ".join(f"{1e3 * depth:g} mm" for depth in depths)
             raise InputError(
-                f"membranes must be listed from the surface downwards, got depths {listed}: "
-                "sort them"
+                "membranes", "be listed from the surface downwards", f"depths {listed}", "sort them"
             )
         names = [membrane.name for membrane in self.membranes]
         if len({*names, "parenchyma"}) <= len(names):
             raise InputError(
-                "membranes must have different names and none parenchyma, got "
-                f"{', '.join(names)}: rename one"
+                "membranes",
+                "have different names and none parenchyma",
+                ", ".join(names),
+                "rename one",
             )
         static = max(self.friction.static_in_N_m, self.friction.static_out_N_m)
         if static >= self.linear_N_m:
             raise InputError(
-                f"linear_N_m must be greater than the static friction per length ({static:g} "
-                "N/m), got "
-                f"{self.linear_N_m:g}: a softer organ would let a needle that is drawn back "
-                "jump out"
+                "linear_N_m",
+                f"be greater than the static friction per length ({static:g} N/m)",
+                f"{self.linear_N_m:g}",
+                "a softer organ would let a needle that is drawn back jump out",
             )
 
     def pull_N(self, deflection_m: float) -> float:

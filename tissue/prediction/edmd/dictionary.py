@@ -232,15 +232,18 @@ class _Radial(Dictionary):
         scales = chosen.std(axis=0)
         if not (scales > 0.0).all():
             raise InputError(
-                f"column {int(np.argmin(scales))} of states must vary, got "
-                f"{chosen[0, np.argmin(scales)]:g} "
-                "throughout: leave it out"
+                f"column {int(np.argmin(scales))} of states",
+                "vary",
+                f"{chosen[0, np.argmin(scales)]:g} throughout",
+                "leave it out",
             )
         rows = np.unique(chosen / scales, axis=0)
         if len(rows) < count:
             raise InputError(
-                f"count must be in [1, {len(rows)}], the number of different states, got "
-                f"{count}: record more"
+                "count",
+                f"be in [1, {len(rows)}], the number of different states",
+                count,
+                "record more",
             )
         # Seeded by k-means++ (Arthur & Vassilvitskii 2007).
         centres, _ = kmeans2(rows, count, iter=MEANS_ROUNDS, minit="++", rng=rng)

@@ -54,9 +54,7 @@ class Edmd:
 
     def __post_init__(self) -> None:
         if self.cap is not None and not 0.0 < self.cap < np.inf:
-            raise InputError(
-                f"cap must be positive and finite, got {self.cap}: use 1, or None for no cap"
-            )
+            raise InputError("cap", "be positive and finite", self.cap, "use 1, or None for no cap")
 
     def fit(self, episodes: Sequence[Episode]) -> Operator:
         """The operator over one step that fits all pairs of neighbouring samples.
@@ -165,8 +163,10 @@ def _rows(
                 lifted = dictionary.lift(windows)
             if not np.isfinite(lifted).all():
                 raise InputError(
-                    "observables must be finite on all states, got overflow: scale the "
-                    "states, or the dictionary"
+                    "observables",
+                    "be finite on all states",
+                    "overflow",
+                    "scale the states, or the dictionary",
                 )
             if slopes is None:
                 after = [lifted[1:, :width], lifted[1:, width * (dictionary.lags + 1) :]]
@@ -247,8 +247,7 @@ def regress(
     """
     if rank is not None and not 1 <= rank <= size:
         raise InputError(
-            f"rank must be in [1, {size}], the number of regressors, got {rank}: leave it "
-            "out to keep all"
+            "rank", f"be in [1, {size}], the number of regressors", rank, "leave it out to keep all"
         )
     matrix = factor[:size, :size]
     right = factor[:size, size:]
@@ -261,14 +260,17 @@ def regress(
     if values[kept - 1] <= DEPENDENT * values[0]:
         if rank is None and samples < size:
             raise InputError(
-                f"episodes must hold at least {size} samples, got {samples}: record more, or "
-                "set ridge=1e-6"
+                "episodes",
+                f"hold at least {size} samples",
+                samples,
+                "record more, or set ridge=1e-6",
             )
         index = int(np.abs(right_vectors[-1]).argmax())
         raise InputError(
-            f"observables and inputs must be independent, got number {index} as a "
-            "combination of the others or always "
-            "zero: leave it out, or set ridge=1e-8 or a lower rank"
+            "observables and inputs",
+            "be independent",
+            f"number {index} as a combination of the others or always zero",
+            "leave it out, or set ridge=1e-8 or a lower rank",
         )
     projected = left[:size, :kept].T @ right
     weights = right_vectors[:kept].T @ (projected / values[:kept, None])
@@ -345,8 +347,10 @@ def horizon_errors(
                 starts += last - first
         if starts == 0:
             raise InputError(
-                f"episodes must be longer than {lags + horizon} rows for this horizon, got "
-                "none: shorten it"
+                "episodes",
+                f"be longer than {lags + horizon} rows for this horizon",
+                "none",
+                "shorten it",
             )
         rms = np.sqrt(squares / starts)
         rms[~np.isfinite(rms)] = np.inf

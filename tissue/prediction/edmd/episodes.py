@@ -70,15 +70,17 @@ def check_episodes(
             if table is not None and not np.isfinite(table).all():
                 row, column = np.argwhere(~np.isfinite(table))[0]
                 raise InputError(
-                    f"{name} of episode {index} must be finite, got {table[row, column]} in "
-                    f"row {row}, column "
-                    f"{column}: cut the episode there"
+                    f"{name} of episode {index}",
+                    "be finite",
+                    f"{table[row, column]} in row {row}, column {column}",
+                    "cut the episode there",
                 )
         if len(each.states) < lags + 2:
             raise InputError(
-                f"episode {index} must have at least {lags + 2} rows for {lags} delays, got "
-                f"{len(each.states)}: leave "
-                "it out or take fewer delays"
+                f"episode {index}",
+                f"have at least {lags + 2} rows for {lags} delays",
+                len(each.states),
+                "leave it out or take fewer delays",
             )
     if varying:
         _refuse_constant("states", [each.states for each in ready])
@@ -115,5 +117,5 @@ def _refuse_constant(name: str, tables: list[Array]) -> None:
     for index, column in enumerate(np.concatenate(tables).T if tables else ()):
         if np.ptp(column) <= STILL * np.abs(column).max():
             raise InputError(
-                f"column {index} of {name} must vary, got {column[0]:g} throughout: leave it out"
+                f"column {index} of {name}", "vary", f"{column[0]:g} throughout", "leave it out"
             )

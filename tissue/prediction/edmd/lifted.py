@@ -133,7 +133,7 @@ class Operator(LiftedMap):
             If the horizon is below 1.
         """
         if horizon < 1:
-            raise InputError(f"horizon must be at least 1 step, got {horizon}: use 1")
+            raise InputError("horizon", "be at least 1 step", horizon, "use 1")
         lifted = self.lift(state)
         acting = np.broadcast_to(
             np.zeros(0) if inputs is None else inputs, (horizon, self.B.shape[1])
@@ -195,9 +195,10 @@ class Operator(LiftedMap):
             (values.real < 0.0) & (np.abs(values.imag) <= 1e-12 * size)
         ).any():
             raise InputError(
-                "eigenvalues must be neither zero nor negative to have a logarithm, got "
-                f"{values.real.min():.3g}: "
-                "take shorter steps or fewer observables"
+                "eigenvalues",
+                "be neither zero nor negative to have a logarithm",
+                f"{values.real.min():.3g}",
+                "take shorter steps or fewer observables",
             )
         whole = np.eye(len(self.offset) + self.B.shape[1] + 1)
         whole[: len(self.offset)] = _scaled(self)
@@ -271,8 +272,10 @@ def cap_spectrum(matrix: Array, limit: float = 1.0) -> tuple[Array, int]:
     require_positive("limit", limit, "use 1")
     if not np.isfinite(matrix).all():
         raise InputError(
-            "the matrix must be finite to be capped, got NaN or infinity: fit it again with "
-            "ridge=1e-6"
+            "the matrix",
+            "be finite to be capped",
+            "NaN or infinity",
+            "fit it again with ridge=1e-6",
         )
     if spectral_radius(matrix) <= limit:
         return matrix, 0

@@ -103,7 +103,7 @@ def write_predictor(
     path = Path(path)
     require_new_file(path, overwrite=overwrite)
     if not path.parent.is_dir():
-        raise InputError(f"file must lie in a folder that exists, got {path}: create {path.parent}")
+        raise InputError("file", "lie in a folder that exists", path, f"create {path.parent}")
     stored: dict[str, Array] = {
         f"further.{name}": np.asarray(each, float) for name, each in (arrays or {}).items()
     }
@@ -136,24 +136,22 @@ def read_predictor(path: str | Path, *, scene: str | None = None) -> StoredPredi
     path = Path(path)
     if not path.is_file():
         raise InputError(
-            f"predictor file must be an existing file, got {path}: train it with 'tissue train'"
+            "predictor file", "be an existing file", path, "train it with 'tissue train'"
         )
     again = f"train it again with 'tissue train {scene or 'SCENE'}'"
     if not is_zipfile(path):  # NumPy would take it for a pickle
         raise InputError(
-            f"predictor file must be whole and one that 'tissue train' wrote, got {path}: {again}"
+            "predictor file", "be whole and one that 'tissue train' wrote", path, again
         )
     try:
         held = read_npz(path)
         whole = read_json(str(held["json"]))
         if not isinstance(whole, dict) or whole.get("format") != FORMAT:
-            raise InputError(
-                f"predictor file must be one that 'tissue train' wrote, got {path}: {again}"
-            )
+            raise InputError("predictor file", "be one that 'tissue train' wrote", path, again)
         require_version("predictor file", whole, VERSION, key="version", where=path, remedy=again)
         if scene is not None and whole["scene"] != scene:
             raise InputError(
-                f"predictor file must be of scene {scene}, got {whole['scene']} in {path}: {again}"
+                "predictor file", f"be of scene {scene}", f"{whole['scene']} in {path}", again
             )
         arrays: dict[str, Any] = {name: each for name, each in held.items() if name != "json"}
         operators = {
@@ -163,9 +161,7 @@ def read_predictor(path: str | Path, *, scene: str | None = None) -> StoredPredi
         raise
     except Exception as problem:  # a damaged archive raises many kinds, zlib's own among them
         found = problem if isinstance(problem, DamagedFileError) else "it is damaged"
-        raise InputError(
-            f"predictor file must be whole, got {path} ({found}): {again}"
-        ) from problem
+        raise InputError("predictor file", "be whole", f"{path} ({found})", again) from problem
     further = {
         name.removeprefix("further."): each
         for name, each in arrays.items()
@@ -228,14 +224,13 @@ def from_plain(plain: Mapping[str, object]) -> Dictionary:
     kind = given.pop("kind", None)
     if kind not in KINDS:
         raise InputError(
-            f"kind must be one of {', '.join(map(str, KINDS))}, got {kind}: train the "
-            "predictor again"
+            "kind", f"be one of {', '.join(map(str, KINDS))}", kind, "train the predictor again"
         )
     try:
         return KINDS[kind](**given)
     except TypeError as problem:
         raise InputError(
-            f"{kind} must have the fields of this version, got {problem}: train it again"
+            kind, "have the fields of this version", problem, "train it again"
         ) from None
 
 

@@ -85,7 +85,7 @@ def write_report(
     saved = SavedRun(folder)
     if out.suffix != ".html":
         raise InputError(
-            f"out must end in .html, got {out}: choose for example {out.with_suffix('.html')}"
+            "out", "end in .html", out, f"choose for example {out.with_suffix('.html')}"
         )
     require_new_file(out, overwrite=overwrite)
     # In the run's folder the report is one of the run's files, which a new run there removes.
@@ -262,7 +262,7 @@ def viewer_scripts() -> tuple[list[str], list[str]]:
     text = file.read_text("utf-8") if file is not None and file.is_file() else ""
     if "OfflineLocalView" not in text:
         raise InputError(
-            "report must have the vtk.js viewer of trame-vtk, got none: pip install -U trame-vtk"
+            "report", "have the vtk.js viewer of trame-vtk", "none", "pip install -U trame-vtk"
         )
     classic: list[str] = []
     modules: list[str] = []

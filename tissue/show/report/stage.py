@@ -262,7 +262,7 @@ def _entries(index: Path) -> list[tuple[float, int, str]]:
             for *_, name in found
         ):
             return found
-    raise InputError(f"carving.pvd must be a ParaView collection, got {index}: run the scene again")
+    raise InputError("carving.pvd", "be a ParaView collection", index, "run the scene again")
 
 
 def _moments_of_bone(moments: Iterable[tuple[float, Any]], deepest_mm: float) -> Record:

@@ -105,15 +105,14 @@ def check_movie(path: Path) -> None:
     """
     kind = path.suffix.lower()
     if kind not in KINDS:
-        raise InputError(
-            f"movie must be a .mp4 or .gif file, got {path}: use {path.with_suffix('.gif')}"
-        )
+        raise InputError("movie", "be a .mp4 or .gif file", path, f"use {path.with_suffix('.gif')}")
     problem = _encoder_problem() if kind == ".mp4" else None
     if problem is not None:
         raise InputError(
-            f"movie must be a .gif where {problem}, got {path}: use "
-            f"{path.with_suffix('.gif')} or pip install imageio "
-            "imageio-ffmpeg"
+            "movie",
+            f"be a .gif where {problem}",
+            path,
+            f"use {path.with_suffix('.gif')} or pip install imageio imageio-ffmpeg",
         )
 
 

@@ -170,8 +170,7 @@ def bone_of(saved: SavedRun, scene: Scene | None) -> BoneOverTime | None:
         exact = replace(volume, origin_m=origin_m, spacing_m=spacing_m)
         if not np.allclose(origin_m, volume.origin_m, atol=1e-3 * spacing_m):
             raise InputError(
-                f"poses must be of the bone in {file}, got those of other voxels: run the "
-                "scene again"
+                "poses", f"be of the bone in {file}", "those of other voxels", "run the scene again"
             )
         return _over_time(
             exact, saved.trace, scene, end=end, poses=cut, compute=str(saved.summary.get("compute"))

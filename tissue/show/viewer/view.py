@@ -104,8 +104,10 @@ def view(
         _check_web(Path(path), screenshot, movie)
     if clean and screenshot is None:
         raise InputError(
-            "clean must come with a screenshot, got none: pass --screenshot FILE.png, or "
-            "leave clean out"
+            "clean",
+            "come with a screenshot",
+            "none",
+            "pass --screenshot FILE.png, or leave clean out",
         )
     if is_imported(Path(path)):
         _check_imported(
@@ -119,7 +121,7 @@ def view(
     series = saved_fields(saved)
     _check(saved, choice, series)
     if movie is not None and len(times_of(saved, series)) < 2:
-        raise InputError(f"movie must be of a run that lasts, got {saved.path}: use --screenshot")
+        raise InputError("movie", "be of a run that lasts", saved.path, "use --screenshot")
     if opened is not None:
         serve_view(saved.path, choice, opened)
     elif screenshot is None and movie is None:
@@ -145,8 +147,7 @@ def _check_web(path: Path, screenshot: Path | None, movie: Path | None) -> None:
     for name, file in (("screenshot", screenshot), ("movie", movie)):
         if file is not None:
             raise InputError(
-                f"web must be left out with a {name}, which is a file, got {file}: leave one "
-                "of them out"
+                "web", f"be left out with a {name}, which is a file", file, "leave one of them out"
             )
     if is_imported(path):
         raise InputError(
@@ -214,20 +215,21 @@ def _check_files(
         check_movie(movie)
         if time_s is not None:
             raise InputError(
-                "time_s must be left out with movie, which shows all of them, got "
-                f"{time_s:g}: leave it out"
+                "time_s",
+                "be left out with movie, which shows all of them",
+                f"{time_s:g}",
+                "leave it out",
             )
     if screenshot is not None and screenshot.suffix.lower() != ".png":
         raise InputError(
-            f"screenshot must be a .png file, got {screenshot}: use "
-            f"{screenshot.with_suffix('.png')}"
+            "screenshot", "be a .png file", screenshot, f"use {screenshot.with_suffix('.png')}"
         )
     for kind, file in (("screenshot", screenshot), ("movie", movie)):
         if file is not None:
             require_new_file(file, overwrite=overwrite, name=kind)
     if overwrite and screenshot is None and movie is None:
         raise InputError(
-            "overwrite must come with a screenshot or a movie, got neither: leave it out"
+            "overwrite", "come with a screenshot or a movie", "neither", "leave it out"
         )
 
 
@@ -237,8 +239,10 @@ def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
     fields = [] if series is None else series.names
     if saved.complete and not len(times) and not (saved.path / "bone.vti").is_file():
         raise InputError(
-            "run must hold a trace, bone or frames to be shown, got none of them in "
-            f"{saved.path}: run the scene again"
+            "run",
+            "hold a trace, bone or frames to be shown",
+            f"none of them in {saved.path}",
+            "run the scene again",
         )
     layers = dict.fromkeys(
         [*saved.summary.get("layers", []), *(() if series is None else series.layer_names)]
@@ -246,33 +250,39 @@ def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
     for name in choice.hide:
         if name not in layers:
             raise InputError(
-                f"hide must name a layer of the run, got {name}: use one of {', '.join(layers)}"
+                "hide", "name a layer of the run", name, f"use one of {', '.join(layers)}"
             )
     if choice.field is not None and choice.field not in fields:
         known = f"use one of {', '.join(fields)}" if fields else "this run has none, leave it out"
-        raise InputError(f"field must name a field of the run, got {choice.field}: {known}")
+        raise InputError("field", "name a field of the run", choice.field, known)
     if not (math.isfinite(choice.scale) and choice.scale >= 0.0):
         raise InputError(
-            f"scale must be a number of at least 0, got {choice.scale:g}: use 1 for true size"
+            "scale", "be a number of at least 0", f"{choice.scale:g}", "use 1 for true size"
         )
     if choice.scale != 1.0 and (series is None or series.displacement is None):
         raise InputError(
-            f"scale must be left out for a run without displacement, got {choice.scale:g}: "
-            "leave it out"
+            "scale",
+            "be left out for a run without displacement",
+            f"{choice.scale:g}",
+            "leave it out",
         )
     if choice.time_s is not None:
         if not len(times):
             raise InputError(
-                f"time_s must lie in the run, got {choice.time_s:g} for a run without ticks: "
-                "leave it out"
+                "time_s",
+                "lie in the run",
+                f"{choice.time_s:g} for a run without ticks",
+                "leave it out",
             )
         first = float(times[0])
         last = float(times[-1])
         if not first - 1e-9 <= choice.time_s <= last + 1e-9:
             nearest = last if choice.time_s > last else first
             raise InputError(
-                f"time_s must lie in the run, {first:g} to {last:g} s, got "
-                f"{choice.time_s:g}: use {nearest:g}"
+                "time_s",
+                f"lie in the run, {first:g} to {last:g} s",
+                f"{choice.time_s:g}",
+                f"use {nearest:g}",
             )
 
 

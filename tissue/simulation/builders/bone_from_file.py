@@ -172,9 +172,13 @@ def _site(parameters: Placed, surface: "Surface") -> "Site":
     if centre is None:
         box = surface.vertices_m.min(axis=0), surface.vertices_m.max(axis=0)
         raise InputError(
-            f"anatomy.centre_mm must be given for {parameters.file}, got none: give a point "
-            "on its surface, which lies "
-            f"{box_text(box, between=True)}, and anatomy.normal, or use anatomy.kind = glenoid"
+            "anatomy.centre_mm",
+            f"be given for {parameters.file}",
+            "none",
+            (
+                f"give a point on its surface, which lies {box_text(box, between=True)}, and "
+                "anatomy.normal, or use anatomy.kind = glenoid"
+            ),
         )
     return place_site(surface, centre_mm=centre, normal=normal, along=along)
 
@@ -186,8 +190,10 @@ def _threshold(parameters: ImageAnatomy) -> float:
     if parameters.threshold is None:
         require_image_name(Path(parameters.file))
         raise InputError(
-            f"anatomy.threshold must be given for an image, got nothing for {parameters.file}: "
-            "set the grey value above which a voxel is bone"
+            "anatomy.threshold",
+            "be given for an image",
+            f"nothing for {parameters.file}",
+            "set the grey value above which a voxel is bone",
         )
     return parameters.threshold
 

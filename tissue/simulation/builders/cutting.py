@@ -155,11 +155,10 @@ def _require_chips(scene: Scene, cutter: Cutter) -> None:
     )
     if chip_mm > radius_mm:
         raise InputError(
-            "motion.feed_mm_s must leave a tooth chips thinner than the tool's radius of "
-            f"{radius_mm:.3g} mm, got "
-            f"{scene.motion.feed_mm_s:g} which makes them {chip_mm:.3g} mm: use a slower "
-            "feed, or a higher "
-            "tool.spin_rpm"
+            "motion.feed_mm_s",
+            f"leave a tooth chips thinner than the tool's radius of {radius_mm:.3g} mm",
+            f"{scene.motion.feed_mm_s:g} which makes them {chip_mm:.3g} mm",
+            "use a slower feed, or a higher tool.spin_rpm",
         )
 
 
@@ -172,20 +171,22 @@ def _require_effect(scene: Scene, volume: VoxelVolume) -> None:
         reference = np.array([each.reference_density_kg_m3 for each in cited])
         if (volume.density_kg_m3[filled] == reference[volume.layer[filled]]).all():
             raise InputError(
-                "cutting.density_exponent must be left out where all that the tool can reach "
-                "has the density of the "
-                f"coefficients, got {cutting.density_exponent:g}: set "
-                "cutting.tangential_chip_N_mm2, "
-                "cutting.radial_chip_N_mm2 or another coefficient, or remove it"
+                "cutting.density_exponent",
+                "be left out where all that the tool can reach has the density of the coefficients",
+                f"{cutting.density_exponent:g}",
+                (
+                    "set cutting.tangential_chip_N_mm2, cutting.radial_chip_N_mm2 or another "
+                    "coefficient, or remove it"
+                ),
             )
     if is_given(cutting, "material") and all(
         volume.layer_names[i] in CUT_AS for i in np.unique(volume.layer[filled])
     ):
         raise InputError(
-            "cutting.material must be left out where the tool reaches no bone, for layers of "
-            "a tooth have their own, "
-            f"got {cutting.material}: set a coefficient such as "
-            "cutting.tangential_chip_N_mm2, or remove it"
+            "cutting.material",
+            "be left out where the tool reaches no bone, for layers of a tooth have their own",
+            cutting.material,
+            "set a coefficient such as cutting.tangential_chip_N_mm2, or remove it",
         )
     if (
         isinstance(anatomy, MolarAnatomy)
@@ -195,9 +196,10 @@ def _require_effect(scene: Scene, volume: VoxelVolume) -> None:
         at = volume.layer_names.index("ligament")
         if not (volume.layer[filled] == at).any():
             raise InputError(
-                "anatomy.ligament_thickness_mm must be left out where the tool reaches no "
-                "ligament and no stress is "
-                f"computed, got {anatomy.ligament_thickness_mm:g}: add [stress], or remove it"
+                "anatomy.ligament_thickness_mm",
+                "be left out where the tool reaches no ligament and no stress is computed",
+                f"{anatomy.ligament_thickness_mm:g}",
+                "add [stress], or remove it",
             )
 
 
@@ -218,9 +220,13 @@ def _probe(
 
     if not (isinstance(motion, HandMotion) and isinstance(motion.tool, ProbingTool)):
         raise InputError(
-            "tool.spin_rpm must not be 0 without a device, because a tool that does not turn "
-            "cuts nothing and a motion "
-            "that is given would push it through the bone, got 0: use 500, or device = touch"
+            "tool.spin_rpm",
+            (
+                "not be 0 without a device, because a tool that does not turn cuts nothing and a "
+                "motion that is given would push it through the bone"
+            ),
+            "0",
+            "use 500, or device = touch",
         )
     report("compiling kernels (the first time on a machine)", 0.0)
     notes["tool"] = (

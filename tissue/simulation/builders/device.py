@@ -41,9 +41,10 @@ def opened_device(scene: Scene) -> Device | None:
         name for name in ("read", "command") if not callable(getattr(device, name, None))
     ]:
         raise InputError(
-            f"device must have read and command, got {type(device).__name__} without "
-            f"{' and '.join(missing)} for "
-            f"{scene.held.kind}: see `tissue.haptics.device.device.Device`"
+            "device",
+            "have read and command",
+            f"{type(device).__name__} without {' and '.join(missing)} for {scene.held.kind}",
+            "see `tissue.haptics.device.device.Device`",
         )
     return device
 
@@ -69,6 +70,8 @@ def require_stated_rate(
             limits.rate_Hz, 1.0 / TICK_S
         ) * (1.0 - 1e-6):
             raise InputError(
-                f"device must give the {limits.rate_Hz:g} samples a second of its constants, got "
-                f"{stated.rate_Hz:g} by {type(held).__name__}: {remedy}"
+                "device",
+                f"give the {limits.rate_Hz:g} samples a second of its constants",
+                f"{stated.rate_Hz:g} by {type(held).__name__}",
+                remedy,
             )

@@ -101,9 +101,13 @@ def _require_workspace(scene: Scene, scripted: Motion, limits: DeviceParameters)
         fits = ceil(100.0 * float((extent / workspace).max()) - 1e-9) / 100.0
         sizes = lambda edges: " x ".join(f"{1e3 * each:.0f}" for each in edges[::-1])  # noqa: E731
         raise InputError(
-            f"coupling.motion_scale must be at least {fits:g} for a motion of "
-            f"{sizes(extent)} mm in the workspace of "
-            f"{scene.held.kind}, {sizes(workspace)} mm, got {scale:g}: use {fits:g}"
+            "coupling.motion_scale",
+            (
+                f"be at least {fits:g} for a motion of {sizes(extent)} mm in the workspace of "
+                f"{scene.held.kind}, {sizes(workspace)} mm"
+            ),
+            f"{scale:g}",
+            f"use {fits:g}",
         )
 
 

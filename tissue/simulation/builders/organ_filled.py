@@ -44,7 +44,7 @@ def of_surface(
     without = [name for name in inclusions if name not in (stated.get("parts") or {})]
     if without:
         raise InputError(
-            f"parts must give a modulus of every inclusion, got none of {without[0]}: add it in kPa"
+            "parts", "give a modulus of every inclusion", f"none of {without[0]}", "add it in kPa"
         )
     # what cannot be is refused before minutes of meshing
     material_of(stated, ("body", *inclusions))
@@ -109,12 +109,13 @@ def _require_apart(outer: Surface, inclusions: Mapping[str, Surface], off_m: flo
         key = f"inclusions[{name!r}]"
         out = triangle_distance(outer.vertices_m, outer.faces, each.vertices_m)
         if out.min() > 0.0:
-            raise InputError(f"{key} must lie inside the surface, got all of it outside: move it")
+            raise InputError(key, "lie inside the surface", "all of it outside", "move it")
         if out.max() > off_m:
             raise InputError(
-                f"{key} must lie inside the surface, got it up to "
-                f"{1e3 * float(out.max()):.3g} mm outside: move it, or "
-                "cut it off there"
+                key,
+                "lie inside the surface",
+                f"it up to {1000.0 * float(out.max()):.3g} mm outside",
+                "move it, or cut it off there",
             )
         for other, before in inclusions.items():
             if other == name:
@@ -126,7 +127,8 @@ def _require_apart(outer: Surface, inclusions: Mapping[str, Surface], off_m: flo
             )
             if deep > off_m:
                 raise InputError(
-                    f"{key} must not reach into inclusions[{other!r}], got it "
-                    f"{1e3 * deep:.3g} mm deep: subtract one "
-                    "from the other"
+                    key,
+                    f"not reach into inclusions[{other!r}]",
+                    f"it {1000.0 * deep:.3g} mm deep",
+                    "subtract one from the other",
                 )

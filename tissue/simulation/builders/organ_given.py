@@ -99,7 +99,7 @@ class SoftMaterial:
             known = next((each for each in (str(name), f"part {name}") if each in found), None)
             if known is None:
                 raise InputError(
-                    f"parts must name parts of the mesh, got {name!r}: it has {', '.join(found)}"
+                    "parts", "name parts of the mesh", f"{name!r}", f"it has {', '.join(found)}"
                 )
             found[known] = float(modulus)
         return found
@@ -170,9 +170,10 @@ def _triangles(name: str, given: Any) -> tuple[NDArray[np.float64], NDArray[np.i
         if vertices.ndim == faces.ndim == 2 and vertices.shape[1] == faces.shape[1] == 3:
             return vertices.astype(np.float64), faces.astype(np.int64)
     raise InputError(
-        f"{name} must be a closed surface of pyvista or trimesh, vertices and triangles, or "
-        "a file, got "
-        f"{type(given).__name__}: export it as STL"
+        name,
+        "be a closed surface of pyvista or trimesh, vertices and triangles, or a file",
+        type(given).__name__,
+        "export it as STL",
     )
 
 

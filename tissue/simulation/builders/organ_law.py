@@ -57,10 +57,13 @@ def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
         return None
     if name := hindrance(organ):
         raise InputError(
-            f"organ.law and organ.{name} must be left out together, got {organ.law} and "
-            f"{shown(getattr(organ, name))}: remove one, a law of large strains has an "
-            "isotropic elastic organ without "
-            "weight, on its condensed compliance"
+            f"organ.law and organ.{name}",
+            "be left out together",
+            f"{organ.law} and {shown(getattr(organ, name))}",
+            (
+                "remove one, a law of large strains has an isotropic elastic organ without "
+                "weight, on its condensed compliance"
+            ),
         )
     first, shear = lame_Pa[0].tolist()
     bulk = first + 2.0 / 3.0 * shear
@@ -120,9 +123,13 @@ def organ_law(
         return None
     if opens_device(scene):
         raise InputError(
-            f"device and organ.law must be left out together, got {scene.held.kind} and "
-            f"{organ.law}: remove one, "
-            "a real device would wait where solving the law takes longer than its interval"
+            "device and organ.law",
+            "be left out together",
+            f"{scene.held.kind} and {organ.law}",
+            (
+                "remove one, a real device would wait where solving the law takes longer than "
+                "its interval"
+            ),
         )
     law, factors = found
     interval_s = 1e-3 * organ.law_interval_ms
@@ -152,5 +159,5 @@ def _law(organ: Organ, shear_Pa: float, bulk_Pa: float) -> Hyperelastic:
     if organ.law == "ogden" and organ.exponent is not None:
         return Hyperelastic(bulk_Pa, ((shear_Pa, organ.exponent),))
     raise InputError(
-        f"organ.{SHAPE[organ.law]} must be given with organ.law = {organ.law}, got none: state it"
+        f"organ.{SHAPE[organ.law]}", f"be given with organ.law = {organ.law}", "none", "state it"
     )

@@ -109,8 +109,10 @@ class MadeOrgan:
             near = 1e-3 * np.atleast_2d(np.asarray(near_mm, dtype=np.float64))
             if near.ndim != 2 or near.shape[1] != 3 or not np.isfinite(near).all():
                 raise InputError(
-                    f"near_mm must be points of shape (k, 3), got shape {np.shape(near_mm)}: "
-                    "give x, y, z"
+                    "near_mm",
+                    "be points of shape (k, 3)",
+                    f"shape {np.shape(near_mm)}",
+                    "give x, y, z",
                 )
             near = nearest_on_triangles(self.mesh.nodes_m, self.mesh.surface, near)
         mesh = refined(self.mesh, self.surface, edge_m=1e-3 * edge, near_m=near)

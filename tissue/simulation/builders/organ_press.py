@@ -95,16 +95,14 @@ def press_at(
     nearest = in_brackets(np.round(1e3 * point, 3) + 0.0)
     found = f"the nearest point of the surface, {nearest} mm, is {1e3 * away:.3g} mm away"
     if away > FAR * size:
-        raise InputError(
-            f"at_mm must lie on the surface, got {in_brackets(1e3 * at_m, '.4g')}: {found}"
-        )
+        raise InputError("at_mm", "lie on the surface", in_brackets(1000.0 * at_m, ".4g"), found)
     if away > NEAR_M:
         notes["place"] = found
     direction = -normal if along is None else require_direction("along", along)
     if direction @ normal >= 0.0:
         inward = in_brackets(0.0 - normal, ".2g")
         raise InputError(
-            f"along must lead into the organ, got {in_brackets(direction, '.3g')}: use {inward}"
+            "along", "lead into the organ", in_brackets(direction, ".3g"), f"use {inward}"
         )
     with names_of_caller(WORDS):
         curve = press(
@@ -140,9 +138,10 @@ def _require_growing(curve: PressCurve, *, relaxes: bool) -> None:
     )
     remedy = f"press {most:.2g} mm at most" if most else "press less"
     raise InputError(
-        f"depth_mm must be one to which the force grows, got {1e3 * curve.depth_m[-1]:.3g} "
-        "where it falls, as "
-        f"no tissue does: {remedy}, or refine the organ there"
+        "depth_mm",
+        "be one to which the force grows",
+        f"{1000.0 * curve.depth_m[-1]:.3g} where it falls, as no tissue does",
+        f"{remedy}, or refine the organ there",
     )
 
 

@@ -234,15 +234,17 @@ def _prony_of(organ: Organ, notes: dict[str, str], constants: Materials) -> "Pro
     if not organ.viscous:
         return None
     if organ.path == "lazy":
-        raise InputError("organ.path must not be lazy for a viscous organ, got lazy: use condensed")
+        raise InputError("organ.path", "not be lazy for a viscous organ", "lazy", "use condensed")
     from tissue.materials.prony import Prony
 
     table = constants.constants("soft", organ.material)
     numbers = [k for k in range(1, 10) if f"prony_g{k}" in table]
     if not numbers:
         raise InputError(
-            f"organ.viscous must be false for {organ.material}, got true: no relaxation is "
-            "cited for it"
+            "organ.viscous",
+            f"be false for {organ.material}",
+            "true",
+            "no relaxation is cited for it",
         )
     shares = tuple(table[f"prony_g{k}"].value for k in numbers)
     times = tuple(table[f"prony_tau{k}_s"].value for k in numbers)

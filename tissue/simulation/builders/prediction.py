@@ -75,7 +75,7 @@ def trained_predictor(kind: str, trained: Trained | None, *, force_limit_N: floa
     """
     entry = PREDICTORS[kind]
     if entry.trained and trained is None:
-        raise InputError(f"trained must be given for {kind}, got nothing: pass Trained.read(FILE)")
+        raise InputError("trained", f"be given for {kind}", "nothing", "pass Trained.read(FILE)")
     make: Callable[[Trained | None, float], Predictor] = (
         entry.make or globals()[kind.replace("-", "_")]
     )

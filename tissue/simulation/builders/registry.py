@@ -67,4 +67,4 @@ def _require_device(compute: str) -> None:
 
     known = [str(device) for device in wp.get_devices()]
     if compute not in known:
-        raise InputError(f"compute must be one of {', '.join(known)}, got {compute}: use cpu here")
+        raise InputError("compute", f"be one of {', '.join(known)}", compute, "use cpu here")

@@ -143,7 +143,11 @@ def require_ros2() -> None:
     missing = [name for name in ROS2_PACKAGES if find_spec(name) is None]
     if missing:
         raise InputError(
-            f"--ros2 must have the Python packages of ROS 2, got no {missing[0]}: source the "
-            "setup.bash of an "
-            "installation, such as /opt/ros/jazzy, and run tissue with the Python that it is for"
+            "--ros2",
+            "have the Python packages of ROS 2",
+            f"no {missing[0]}",
+            (
+                "source the setup.bash of an installation, such as /opt/ros/jazzy, and run "
+                "tissue with the Python that it is for"
+            ),
         )

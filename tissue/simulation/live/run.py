@@ -131,9 +131,10 @@ class LiveSettings:
         require_web()
         if opens_device(scene):
             raise InputError(
-                "--web must be left out with a real device, which runs without any window, "
-                f"got {scene.held.kind}: "
-                "leave it out, or set device = touch to use the mouse"
+                "--web",
+                "be left out with a real device, which runs without any window",
+                scene.held.kind,
+                "leave it out, or set device = touch to use the mouse",
             )
 
 

@@ -62,17 +62,20 @@ def require_link(link: SlicerLink, scene: Scene, *, web: bool) -> None:
     mover = "--web" if web else scene.held.kind if opens_device(scene) else None
     if link.drives and mover is not None:
         raise InputError(
-            "--slicer-drives must be left out where something else moves the tool, got "
-            f"{mover}: leave one of both out"
+            "--slicer-drives",
+            "be left out where something else moves the tool",
+            mover,
+            "leave one of both out",
         )
     try:
         socket.create_server((LOCAL, link.port)).close()
     except (OSError, OverflowError) as error:
         why = getattr(error, "strerror", None) or "no port"
         raise InputError(
-            f"--slicer-port must be a free port of {LOCAL}, got {link.port} ({why}): end the "
-            "program that has it, or "
-            "give another"
+            "--slicer-port",
+            f"be a free port of {LOCAL}",
+            f"{link.port} ({why})",
+            "end the program that has it, or give another",
         ) from None
 
 

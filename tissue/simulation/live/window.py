@@ -310,7 +310,7 @@ def require_web() -> None:
     """
     if find_spec("aiohttp") is None:
         raise InputError(
-            "--web must have aiohttp to serve its page, got none: pip install 'tissue-sim[web]'"
+            "--web", "have aiohttp to serve its page", "none", "pip install 'tissue-sim[web]'"
         )
 
 
