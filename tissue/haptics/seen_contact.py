@@ -26,7 +26,8 @@ def seen_contact(
     response
         The tissue's answer to the tool.
     """
-    felt, known = stiffness_N_m / (scale * tool.stiffness_N_m), response.stiffness_N_m
+    felt = stiffness_N_m / (scale * tool.stiffness_N_m)
+    known = response.stiffness_N_m
     return Contact(
         stiffness_N_m,
         (tool.tip_m - shift_m) / scale,

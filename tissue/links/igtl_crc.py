@@ -49,7 +49,8 @@ def crc64(body: bytes | bytearray | memoryview) -> int:
     padded = np.zeros(LANES * width, dtype=np.uint8)
     # zeros in front change nothing
     padded[len(padded) - len(body) :] = np.frombuffer(body, dtype=np.uint8)
-    found, moved = np.zeros(LANES, dtype=np.uint64), np.uint64(1) << BITS
+    found = np.zeros(LANES, dtype=np.uint64)
+    moved = np.uint64(1) << BITS
     for column in np.ascontiguousarray(padded.reshape(LANES, width).T):
         found = (found << BYTE) ^ TABLE[(found >> TOP) ^ column]
         moved = (moved << BYTE) ^ TABLE[moved >> TOP]

@@ -102,7 +102,8 @@ def packed(
     """
     version = 1
     if metadata is not None:
-        version, texts = 2, [(key.encode(), *_encoded(value)) for key, value in metadata.items()]
+        version = 2
+        texts = [(key.encode(), *_encoded(value)) for key, value in metadata.items()]
         index = struct.pack(">H", len(texts)) + b"".join(
             ENTRY.pack(len(k), code, len(v)) for k, code, v in texts
         )
@@ -241,9 +242,11 @@ def polydata_body(
     scalars
         Values at the points by name, shape (n,) each.
     """
-    points, corners = np.asarray(points_mm, dtype=">f4").reshape(-1, 3), np.asarray(polygons)
+    points = np.asarray(points_mm, dtype=">f4").reshape(-1, 3)
+    corners = np.asarray(polygons)
     cells = np.empty((len(corners), corners.shape[1] + 1), dtype=">u4")
-    cells[:, 0], cells[:, 1:] = corners.shape[1], corners
+    cells[:, 0] = corners.shape[1]
+    cells[:, 1:] = corners
     named = dict(scalars or {})
     counts = (len(points), 0, 0, 0, 0, len(cells), cells.nbytes, 0, 0, len(named))
     parts = [struct.pack(">10I", *counts), points.tobytes(), cells.tobytes()]
@@ -265,7 +268,8 @@ def image_body(voxels: NDArray[np.generic], ijk_to_ras_mm: ArrayLike) -> bytes:
         Homogeneous matrix from indices to places [mm], shape (4, 4); the message holds the volume's
         middle instead of its first voxel.
     """
-    matrix, shape = np.asarray(ijk_to_ras_mm, dtype=float), voxels.shape
+    matrix = np.asarray(ijk_to_ras_mm, dtype=float)
+    shape = voxels.shape
     if len(shape) != 3 or max(shape) > 0xFFFF:
         raise InputError(
             "voxels", "have three axes of at most 65535", f"shape {shape}", "take fewer"

@@ -59,9 +59,13 @@ class Client:
     """
 
     def __init__(self, connection: socket.socket, name: str) -> None:
-        self.connection, self.name, self.wants = connection, name, set[str]()
-        self._inbox, self._outbox = bytearray(), deque[memoryview]()
-        self._left_out, self._moved_s = 0, perf_counter()
+        self.connection = connection
+        self.name = name
+        self.wants = set[str]()
+        self._inbox = bytearray()
+        self._outbox = deque[memoryview]()
+        self._left_out = 0
+        self._moved_s = perf_counter()
 
     @property
     def waits(self) -> bool:

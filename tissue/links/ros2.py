@@ -77,7 +77,10 @@ class Ros2Publisher:
             self._node.create_publisher(kind, topic, DEPTH)
             for kind, topic in zip(kinds, self.topics, strict=True)
         )
-        self._turn, self._state, self._stated_s, self._row_s = 0, "", 0.0, perf_counter()
+        self._turn = 0
+        self._state = ""
+        self._stated_s = 0.0
+        self._row_s = perf_counter()
         self._states: Any = None
         try:
             self._new_state: Any = import_module("crtk_msgs.msg").OperatingState
@@ -115,11 +118,9 @@ class Ros2Publisher:
     def _publish(self, row: NDArray[np.float64]) -> None:
         """Publish pose, velocity and force of a tick."""
         header = {"frame_id": FRAME, "stamp": self._node.get_clock().now().to_msg()}
-        pose, twist, wrench = (
-            self._geometry.PoseStamped(),
-            self._geometry.TwistStamped(),
-            self._geometry.WrenchStamped(),
-        )
+        pose = self._geometry.PoseStamped()
+        twist = self._geometry.TwistStamped()
+        wrench = self._geometry.WrenchStamped()
         x, y, z, *turn = row[self._places[POSE]].tolist()
         _fill(pose.pose.position, "xyz", [1e-3 * x, 1e-3 * y, 1e-3 * z])
         _fill(pose.pose.orientation, "xyzw", turn)
@@ -139,12 +140,15 @@ class Ros2Publisher:
         self._arrays["frames"][0] += 1
 
     def _publish_state(self, state: str) -> None:
-        self._state, self._stated_s = state, perf_counter()
+        self._state = state
+        self._stated_s = perf_counter()
         if self._states is None:
             return
         message = self._new_state()
         message.header.stamp = self._node.get_clock().now().to_msg()
-        message.state, message.is_homed, message.is_busy = state, True, False
+        message.state = state
+        message.is_homed = True
+        message.is_busy = False
         self._states.publish(message)
 
 

@@ -52,16 +52,17 @@ class SlicerContent:
     def __init__(
         self, scene: Scene, columns: tuple[str, ...], frame: SlicerFrame, start: Start
     ) -> None:
-        self._scene, self._frame, self._start = scene, frame, start
+        self._scene = scene
+        self._frame = frame
+        self._start = start
         places = {name: place for place, name in enumerate(columns)}
         at = lambda *names: np.array([places[name] for name in names])  # noqa: E731
-        self._tip, self._turn = (
-            at(*(f"tool_{c}_mm" for c in "xyz")),
-            at(*(f"tool_q{c}" for c in "xyzw")),
-        )
+        self._tip = at(*(f"tool_{c}_mm" for c in "xyz"))
+        self._turn = at(*(f"tool_q{c}" for c in "xyzw"))
         self._force = at(*(f"model_force_{c}_N" for c in "xyz"))
         self._torque = at(*(f"model_torque_{c}_Nm" for c in "xyz"))
-        self._time, self._missed = places["time_s"], places["missed"]
+        self._time = places["time_s"]
+        self._missed = places["missed"]
         self._number = 0
 
     def scene_messages(self) -> list[bytes]:

@@ -35,7 +35,8 @@ class SlicerFrame:
     def matrix(self) -> Array:
         """Homogeneous matrix from the scene [mm] to RAS [mm], shape (4, 4)."""
         matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = self._turn, self._origin
+        matrix[:3, :3] = self._turn
+        matrix[:3, 3] = self._origin
         return matrix
 
     def points(self, points_mm: ArrayLike) -> Array:

@@ -79,7 +79,9 @@ class Publisher:
         self._surface = b"" if self._tissue is None else self._content.surface_message(self._tissue)
         self._behind: set[Client] = set()
         """Clients that have yet to get the newest surface."""
-        self._row, self._turn, self._event = np.zeros(0), 0, 0
+        self._row = np.zeros(0)
+        self._turn = 0
+        self._event = 0
         self._posed = self._worded = self._stated = self._drawn = 0.0
         self._sent = 0
 
@@ -124,7 +126,8 @@ class Publisher:
 
     def _take(self, received: Received) -> None:
         """Take a message of a client: a question, or where it wants the tool; others are left."""
-        kind, client = received.header.kind, received.client
+        kind = received.header.kind
+        client = received.client
         verb, _, stream = kind.partition("_")
         if stream in STREAMS:
             if verb == "GET" and self._row.size:

@@ -39,11 +39,10 @@ class SlicerTarget:
     """
 
     def __init__(self, frame: SlicerFrame, start: Start) -> None:
-        self._frame, self._turn = frame, start["start_turn"].astype(np.float64)
-        self._low, self._high = (
-            1e3 * start["low_m"].astype(float),
-            1e3 * start["high_m"].astype(float),
-        )
+        self._frame = frame
+        self._turn = start["start_turn"].astype(np.float64)
+        self._low = 1e3 * start["low_m"].astype(float)
+        self._high = 1e3 * start["high_m"].astype(float)
         self._drives = bool(start["drives"])
         self._driver: Client | None = None
         self.ignored = 0

@@ -139,7 +139,8 @@ def _read(file: Any, where: _Where) -> DrillingRecording:
     else:
         notes.append("no size of the burr: the recorded point of the drill counts as its tip")
     start = float(times[0])
-    load_times, loads = None, None
+    load_times = None
+    loads = None
     if f"{events}drill_force_feedback" in file:
         load_times, loads = _samples(file, f"{events}drill_force_feedback", "wrench", 6, where)
         cameras = [name for name in names if "camera" in name]

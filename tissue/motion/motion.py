@@ -192,10 +192,8 @@ class FollowPath(Motion):
                 "only one",
                 "add where the tool goes",
             )
-        self._starts, self._headings = (
-            points_m[:-1][keep],
-            (legs / np.maximum(lengths, 1e-300)[:, None])[keep],
-        )
+        self._starts = points_m[:-1][keep]
+        self._headings = (legs / np.maximum(lengths, 1e-300)[:, None])[keep]
         self._ends_s = np.cumsum(lengths[keep]) / feed_m_s
         self._begins_s = np.concatenate([[0.0], self._ends_s[:-1]])
         self._last = points_m[-1]
@@ -215,7 +213,8 @@ class FollowPath(Motion):
 
     def begin(self, motion: ToolMotion) -> None:
         """Start at the first corner."""
-        motion.tip_m[:], motion.rotation[:] = self._starts[0], self._rotation
+        motion.tip_m[:] = self._starts[0]
+        motion.rotation[:] = self._rotation
         motion.heading[0] = self._headings[0]
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:

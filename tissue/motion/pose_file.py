@@ -42,8 +42,10 @@ def read_poses(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], fl
     """
     try:
         held = read_npz(path)
-        version, poses = int(held["format"]), np.asarray(held["poses"], dtype=np.float64)
-        origin, spacing = np.asarray(held["origin_m"], dtype=np.float64), float(held["spacing_m"])
+        version = int(held["format"])
+        poses = np.asarray(held["poses"], dtype=np.float64)
+        origin = np.asarray(held["origin_m"], dtype=np.float64)
+        spacing = float(held["spacing_m"])
     except InputError:
         raise
     except Exception:  # NumPy and zipfile raise a dozen kinds for a damaged archive

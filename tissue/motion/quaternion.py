@@ -73,7 +73,10 @@ def logarithm(rotation: Quaternion) -> Triple:
     """The shortest rotation vector of a unit quaternion, no longer than pi."""
     x, y, z, w = rotation
     if w < 0.0:
-        x, y, z, w = -x, -y, -z, -w
+        x = -x
+        y = -y
+        z = -z
+        w = -w
     size = sqrt(x * x + y * y + z * z)
     share = 2.0 * atan2(size, w) / size if size > 1e-12 else 2.0
     return share * x, share * y, share * z

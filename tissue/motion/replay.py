@@ -58,14 +58,16 @@ class GivenPoses(Motion):
                 "leave damaged rows out, and check the unit of the positions",
             )
         self.duration_s = float(times_s[-1] - times_s[0])
-        self._tips, self._rotations = tips_m, turns.as_matrix()
+        self._tips = tips_m
+        self._rotations = turns.as_matrix()
         steps = np.diff(times_s)[:, None]
         moved = np.diff(tips_m, axis=0) / steps
         turned = (
             (turns[1:] * turns[:-1].inv()).as_rotvec() / steps if len(steps) else np.zeros((0, 3))
         )
         velocity, turning = (np.vstack([np.zeros((1, 3)), each]) for each in (moved, turned))
-        speed, turn = np.linalg.norm(velocity, axis=1), np.linalg.norm(turning, axis=1)
+        speed = np.linalg.norm(velocity, axis=1)
+        turn = np.linalg.norm(turning, axis=1)
         self._speeds = np.where(speed > 1e-9, speed, np.where(turn > 1e-9, 1.0, 0.0))
         self._headings = (
             np.stack([velocity, turning], axis=1) / np.maximum(self._speeds, 1e-300)[:, None, None]
@@ -81,14 +83,17 @@ class GivenPoses(Motion):
 
     def begin(self, motion: ToolMotion) -> None:
         """Take the first pose."""
-        motion.tip_m[:], motion.rotation[:] = self._tips[0], self._rotations[0]
+        motion.tip_m[:] = self._tips[0]
+        motion.rotation[:] = self._rotations[0]
         motion.heading[:] = self._headings[0]
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
         """Take the pose of the tick; after the last one the tool rests."""
-        tick, count = round(time_s / step_s), len(self._tips)
+        tick = round(time_s / step_s)
+        count = len(self._tips)
         at = min(tick, count - 1)
-        motion.tip_m[:], motion.rotation[:] = self._tips[at], self._rotations[at]
+        motion.tip_m[:] = self._tips[at]
+        motion.rotation[:] = self._rotations[at]
         motion.speed_m_s = float(self._speeds[at]) if tick < count else 0.0
         if motion.speed_m_s > 0.0:
             motion.heading[:] = self._headings[at]

@@ -27,7 +27,8 @@ class StaysAt(Motion):
     duration_s = inf
 
     def __init__(self, start_m: Array, axis: tuple[float, float, float]) -> None:
-        self._start, self._rotation = np.array(start_m, dtype=np.float64), frame_along(axis)
+        self._start = np.array(start_m, dtype=np.float64)
+        self._rotation = frame_along(axis)
 
     def sweep_m(self) -> Array:
         """The one place [m]."""
@@ -39,7 +40,8 @@ class StaysAt(Motion):
 
     def begin(self, motion: ToolMotion) -> None:
         """Take the pose."""
-        motion.tip_m[:], motion.rotation[:] = self._start, self._rotation
+        motion.tip_m[:] = self._start
+        motion.rotation[:] = self._rotation
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
         """Stay."""

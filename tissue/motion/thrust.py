@@ -52,7 +52,8 @@ class SpeedSearch:
     def begin(self, speed: float, *, highest: float) -> None:
         """Start a tick with a first guess; speeds from 0 to ``highest`` are allowed [m/s]."""
         self.tried = speed
-        self._low, self._high = 0.0, highest
+        self._low = 0.0
+        self._high = highest
         self._poses = 0
 
     def accepts(self, balanced: float) -> bool:
@@ -117,7 +118,9 @@ class PushAlongAxis(Motion):
     ) -> None:
         self._rotation = frame_along(axis)
         self._heading = -self._rotation[:, 2]
-        self._thrust, self._mass, self._max_feed = thrust_N, mass_kg, max_feed_m_s
+        self._thrust = thrust_N
+        self._mass = mass_kg
+        self._max_feed = max_feed_m_s
         self._start = np.asarray(start_m, dtype=float)
         self._longest = depth_m - float(self._start @ self._heading)
         if self._longest <= 0.0:
@@ -132,9 +135,11 @@ class PushAlongAxis(Motion):
             )
         self._travel = self._speed = 0.0
         self._travel_before = self._speed_before = self._step = 0.0
-        self._search, self._settled = SpeedSearch(), True
+        self._search = SpeedSearch()
+        self._settled = True
         self._touching = self._is_limited = False
-        self._limited_s, self._first_limited_s = 0.0, -1.0
+        self._limited_s = 0.0
+        self._first_limited_s = -1.0
         self.duration_s = 4.0 * self._longest / max_feed_m_s
 
     def sweep_m(self) -> Array:
@@ -147,19 +152,23 @@ class PushAlongAxis(Motion):
 
     def begin(self, motion: ToolMotion) -> None:
         """Begin at the start."""
-        motion.tip_m[:], motion.rotation[:] = self._start, self._rotation
+        motion.tip_m[:] = self._start
+        motion.rotation[:] = self._rotation
         motion.heading[0] = self._heading
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
         """Move with the speed that would balance the drag of the previous tick."""
         drag, edge = self._resisting(response)
-        was_touching, self._touching = self._touching, drag > 0.0 or edge > 0.0
+        was_touching = self._touching
+        self._touching = drag > 0.0 or edge > 0.0
         if self._is_limited and was_touching and self._touching:
             self._first_limited_s = (
                 time_s - step_s if self._limited_s == 0.0 else self._first_limited_s
             )
             self._limited_s += step_s
-        self._travel_before, self._speed_before, self._step = self._travel, self._speed, step_s
+        self._travel_before = self._travel
+        self._speed_before = self._speed
+        self._step = step_s
         self._speed = self._balanced(drag, edge)
         self._search.begin(self._speed, highest=self._highest())
         self._settled = False

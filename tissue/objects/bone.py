@@ -42,7 +42,8 @@ class Bone:
 
     def __init__(self, source: BoneSource, **options: Unpack[BoneOptions]) -> None:
         require_known(options, maker="Bone")
-        self._source, self._options = source, options
+        self._source = source
+        self._options = options
         made = source.voxels()
         names = made.layer_names if isinstance(made, VoxelVolume) else made.store.grid.layer_names
         coefficients, note = cut_as(options, names, source.density_kg_m3)

@@ -78,10 +78,8 @@ def cut_as(
     InputError
         If the file cannot be used, or holds nothing that counts in this bone.
     """
-    given, changes = (
-        Materials.of(options.get("materials")),
-        _require_coefficients(options.get("cutting")),
-    )
+    given = Materials.of(options.get("materials"))
+    changes = _require_coefficients(options.get("cutting"))
     bone = CUTTING_MATERIALS[options.get("material", "bone")][1]
     coefficients = given.coefficients(layers, changes, bone=bone)
     even = all(density_kg_m3 == each.reference_density_kg_m3 for each in coefficients)

@@ -42,7 +42,8 @@ def bone_surface(bone: VoxelBone, outer: "pyvista.PolyData | None") -> "pyvista.
             _shaded(with_layers(_contour(_at_origin(volume), left), _at_origin(volume))),
             volume.origin_m,
         )
-    parts, middle_m = [], bone.bounds_m.mean(axis=0)
+    parts = []
+    middle_m = bone.bounds_m.mean(axis=0)
     outer = (
         _moved(outer, -middle_m)
         .clean(point_merging=True)
@@ -172,10 +173,8 @@ def _shaded(
     if like is not None:
         points = pyvista.PolyData(np.asarray(surface.points))
         found = points.sample(like, tolerance=within_mm, pass_cell_data=False)
-        there, theirs = (
-            np.asarray(found.point_data["vtkValidPointMask"]) > 0,
-            np.asarray(found.point_data["Normals"]),
-        )
+        there = np.asarray(found.point_data["vtkValidPointMask"]) > 0
+        theirs = np.asarray(found.point_data["Normals"])
         there &= np.einsum("ij,ij->i", theirs, normals) > AGREE
         normals[there] = theirs[there]
     surface.point_data["Normals"] = normals

@@ -43,7 +43,8 @@ class Cut:
     def __init__(
         self, trace: Table, pose_us: Array, events: Sequence[tuple[float, str]] = ()
     ) -> None:
-        self.trace, self.pose_us = Trace(trace), pose_us
+        self.trace = Trace(trace)
+        self.pose_us = pose_us
         self.events = list(events)
         self.notes: dict[str, str] = {}
         start_mm3 = float(self.trace["removed_mm3"][0])
@@ -172,7 +173,8 @@ class Cut:
                 2, 1, sharex=True, figsize=(7.0, 4.5), layout="constrained"
             )
         else:
-            figure, panels = over, over.axes
+            figure = over
+            panels = over.axes
         shown = (self.force_N, "force / N"), (self.torque_Nm, "torque / N m")
         for panel, (values, what) in zip(panels, shown, strict=True):
             if label is None:

@@ -39,7 +39,8 @@ def cut_along(
     keep_clear: KeepClear | None,
 ) -> Cut:
     """Cut along poses; see `tissue.objects.bone.Bone.cut`."""
-    tips, turns = poses.tips_m, poses.rotations
+    tips = poses.tips_m
+    turns = poses.rotations
     motion = GivenPoses(poses.times_s, tips, turns)
     boxes = tool_boxes(tool, tips, turns.as_matrix()[:, :, 2], spacing_m=bone.store.grid.spacing_m)
     model, goes_on = bone.under(
@@ -88,7 +89,8 @@ def require_cutter(tool: object, *, spacing_mm: float) -> None:
 
 def _require_chips(model: BoneModel, number: int) -> None:
     """Refuse a chip that is thicker than the tool's radius."""
-    thickest_mm, radius_mm = 1e3 * model.limits.thickest_m, 1e3 * model.cutter.profile.radius_m
+    thickest_mm = 1e3 * model.limits.thickest_m
+    radius_mm = 1e3 * model.cutter.profile.radius_m
     if thickest_mm > radius_mm:
         raise InputError(
             "times_s",

@@ -188,7 +188,8 @@ class Loop:
             },
         )
         settings = settings_of(device, options)
-        scale, chosen_for = 1.0, ""
+        scale = 1.0
+        chosen_for = ""
         if force_scale is not None:
             scale = require_positive("force_scale", force_scale, "use 1")
         elif isinstance(tissue, Bone) and isinstance(tool, Cutter):
@@ -223,7 +224,10 @@ class Loop:
         self.notes = dict(tissue.notes) | device_note(constants, tissue, limits=limits, hand=hand)
         self.notes["coupling"] = "; ".join(found)
         cutter = tool if isinstance(tool, Cutter) else None
-        self._motion, self._most, self._closing, self._warned = motion, ticks, ExitStack(), 0
+        self._motion = motion
+        self._most = ticks
+        self._closing = ExitStack()
+        self._warned = 0
         self._loop = engine.Loop(
             Parts(motion, model, cutter=cutter, keep_clear=clear),
             ticks=ticks,

@@ -143,7 +143,8 @@ def start_above(tissue: Bone | Organ, axis: Array) -> Array:
     """
     surface = tissue.surface()
     low, high = np.array(surface.bounds).reshape(3, 2).T
-    middle, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
+    middle = 0.5 * (low + high)
+    size = float(np.linalg.norm(high - low))
     found, _ = surface.ray_trace(middle + size * axis, middle - size * axis, first_point=True)
     if np.size(found) == 0:
         raise InputError(
@@ -202,7 +203,8 @@ class LoopOptions:
 
 def settings_of(device: Device, options: LoopOptions) -> LoopSettings:
     """Return what lies between a device and a tool, from a caller's arguments."""
-    limits, predictor = options.limits, options.predictor
+    limits = options.limits
+    predictor = options.predictor
     numbers = device_parameters(limits, options.materials) if isinstance(limits, str) else limits
     if isinstance(numbers, Mapping):
         known = [each.name for each in fields(DeviceParameters)]

@@ -95,7 +95,8 @@ class Press:
     @property
     def stiffness_N_mm(self) -> float:
         """Slope of the force along the press over the last tenth of the depth [N/mm]."""
-        depth, force = self.depth_mm, -self.forces_N @ self.along
+        depth = self.depth_mm
+        force = -self.forces_N @ self.along
         last = int(np.argmax(depth >= depth[-1]))
         first = int(np.searchsorted(depth[: last + 1], (1.0 - SLOPE_SHARE) * depth[-1]))
         first = min(first, last - 1)
@@ -158,7 +159,8 @@ class Press:
     def tool_mesh(self) -> pyvista.PolyData:
         """The tool where it is at the end of the press [mm]."""
         place = np.eye(4)
-        place[:3, :3], place[:3, 3] = self._curve.rotation, self.tip_mm
+        place[:3, :3] = self._curve.rotation
+        place[:3, 3] = self.tip_mm
         return self.tool.surface.transform(place, inplace=False)
 
     @property

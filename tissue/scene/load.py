@@ -99,9 +99,11 @@ def load_scene(
     """
     path = Path(source)
     if path.suffix == ".toml":
-        text, folder = _read(path), path.parent
+        text = _read(path)
+        folder = path.parent
     else:
-        text, folder = scene_text(str(source)), Path.cwd()
+        text = scene_text(str(source))
+        folder = Path.cwd()
         if str(source) in SCENES.known:
             path = SCENES[str(source)]
             folder = path.parent
@@ -202,7 +204,8 @@ def _without_idle(
 
 def _idle_keys(table: dict[str, Any]) -> set[str] | None:
     """Return the keys of a table by itself that have no effect; None where it is no scene yet."""
-    left, found = deepcopy(table), set[str]()
+    left = deepcopy(table)
+    found = set[str]()
     while idle := _idle_of(left):
         found.update(idle)
         for key in idle:

@@ -25,7 +25,9 @@ def sentence(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
     path = _without_tags(fault["loc"], table, model)
     numbers = [place for place, step in enumerate(path) if isinstance(step, int)]
     names = tuple(str(step) for step in path[: numbers[0] if numbers else len(path)])
-    key, kind, context = ".".join(map(shown, names)), str(fault["type"]), fault.get("ctx", {})
+    key = ".".join(map(shown, names))
+    kind = str(fault["type"])
+    context = fault.get("ctx", {})
     if kind == "value_error":
         return str(context["error"])
     if kind == "refused_part":
@@ -49,7 +51,8 @@ def sentence(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
         choices = list(dict.fromkeys(each for part in _parts(field) for each in kinds_of(part)))
         return unknown_name(f"{key}.kind", choices, shown(_value_at((*names, "kind"), table)))
     got = fault["input"] if len(path) == len(names) else _value_at(names, table)
-    choices, number = choices_of(field), _alternatives(field.annotation)[0] in (int, float)
+    choices = choices_of(field)
+    number = _alternatives(field.annotation)[0] in (int, float)
     if choices and not number:
         return unknown_name(key, choices, shown(got))
     wanted = " or ".join((_requirement(field, kind, len(path) > len(names)), *choices))
@@ -64,9 +67,11 @@ def _idle_sentence(names: tuple[str, ...], refused: Mapping[str, tuple[object, I
     first = next(iter(refused.values()))[1]
     given = {f"{prefix}{key}": value for key, (value, why) in refused.items() if why == first}
     if len(given) == 1:
-        got, them = shown(next(iter(given.values()))), "it"
+        got = shown(next(iter(given.values())))
+        them = "it"
     else:
-        got, them = ", ".join(f"{key} = {shown(value)}" for key, value in given.items()), "them"
+        got = ", ".join(f"{key} = {shown(value)}" for key, value in given.items())
+        them = "them"
     return (
         f"{' and '.join(given)} must be left out {first.where}, got {got}: {first.remedy}, or "
         f"remove {them}"
@@ -77,7 +82,8 @@ def _unknown_key(names: tuple[str, ...], table: Table, model: type[BaseModel]) -
     """Return the sentence for a key that the chosen table does not have: another has it, or
     none.
     """
-    key, word = ".".join(map(shown, names)), names[-1]
+    key = ".".join(map(shown, names))
+    word = names[-1]
     others = _holders(names, table, model)
     chosen = _model_at(names[:-1], table, model)
     if not others:
@@ -86,18 +92,22 @@ def _unknown_key(names: tuple[str, ...], table: Table, model: type[BaseModel]) -
             f"{key} must be one of {', '.join(known)}, got {shown(word)}{nearest(word, known)}: "
             "rename or remove it"
         )
-    part, kinds = ".".join(names[:-1]), kinds_of(chosen)
+    part = ".".join(names[:-1])
+    kinds = kinds_of(chosen)
     got = shown(_value_at(names, table))
     same = [other for other in others if set(kinds_of(other)) & set(kinds)]
     if same:
         source = str(getattr(chosen, "source", ""))
         sources = [str(getattr(other, "source", "")) for other in same]
         if source == "procedural":
-            where, remedy = f"a procedural {kinds[0]}", f"set {part}.file"
+            where = f"a procedural {kinds[0]}"
+            remedy = f"set {part}.file"
         elif "procedural" in sources:
-            where, remedy = f"a {kinds[0]} {source}", "leave its file out"
+            where = f"a {kinds[0]} {source}"
+            remedy = "leave its file out"
         else:
-            where, remedy = f"a {kinds[0]} {source}", f"use one {' or '.join(sources)}"
+            where = f"a {kinds[0]} {source}"
+            remedy = f"use one {' or '.join(sources)}"
         return f"{key} must be left out for {where}, got {got}: {remedy}, or remove it"
     other_kind = kinds_of(others[0])[0]
     return (
@@ -250,7 +260,8 @@ def _values(field: FieldInfo) -> FieldInfo | None:
 def _model_at(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> type[BaseModel]:
     """Return the table of a model that holds the keys under ``names``."""
     for name in names:
-        field, table = model.model_fields[name], _inner(table, name)
+        field = model.model_fields[name]
+        table = _inner(table, name)
         mark = _by_kind(field)
         chosen = mark.chosen(table) if mark is not None else None
         model = chosen or _parts(field)[0]

@@ -65,7 +65,8 @@ class Registry(Generic[T]):
     """
 
     def __init__(self, key: str, parts: Mapping[str, T], *, group: str = "") -> None:
-        self.key, self.group = key, group
+        self.key = key
+        self.group = group
         self._parts = dict(parts)
         self.built_in = frozenset(parts)
         self.on_change: list[Callable[[], object]] = []

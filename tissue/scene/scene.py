@@ -252,7 +252,8 @@ class Scene(Part):
         spacing = self.voxels.spacing_mm
         ratio = 0.5 * stress.cell_mm / spacing
         if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
-            least, most = math.ceil(0.1 / spacing - 1e-6), math.floor(0.75 / spacing + 1e-6)
+            least = math.ceil(0.1 / spacing - 1e-6)
+            most = math.floor(0.75 / spacing + 1e-6)
             fits = 2 * min(max(round(ratio), least), most) * spacing
             raise InputError(
                 "stress.cell_mm",
@@ -346,7 +347,8 @@ class Scene(Part):
                 "set motion.thrust_N or duration_s",
             )
         if self.fidelity is not None:
-            where, remedy = "with fidelity, which chooses it", "leave fidelity out"
+            where = "with fidelity, which chooses it"
+            remedy = "leave fidelity out"
             yield "device.prediction", is_held, where, remedy
             yield "voxels.removal", not is_held and isinstance(self.tool, Tool), where, remedy
             yield "organ.order", not is_held and isinstance(self.tool, Probe), where, remedy

@@ -50,7 +50,8 @@ def scene_for_editors(name: str) -> str:
 
 def _written_schema() -> Path:
     """Path of the schema in the cache, where it is written unless the same one is there."""
-    path, text = (cache_folder() / "scene.schema.json").absolute(), schema_text()
+    path = (cache_folder() / "scene.schema.json").absolute()
+    text = schema_text()
     if not (path.is_file() and path.read_bytes() == text.encode()):
         path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as temporary:

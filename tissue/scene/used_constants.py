@@ -105,7 +105,8 @@ def _used(
 
 def _tables(scene: Scene, layers: Sequence[str], varied: bool) -> Iterator[Part]:
     """Tables and materials of a scene."""
-    anatomy, tool = scene.anatomy, scene.tool
+    anatomy = scene.anatomy
+    tool = scene.tool
     if isinstance(tool, Tool) and tool.spin_rpm != 0.0:
         even = not varied and _has_reference_density(scene)
         yield from _cutting(

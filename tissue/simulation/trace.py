@@ -117,7 +117,8 @@ class TraceWriter:
         if force or now - self._flushed_at > FLUSH_EVERY_S:
             text = self._table.lines(self._written, row_count)
             # first: Ctrl-C may come when the rows are on disk
-            self._written, self._flushed_at = row_count, now
+            self._written = row_count
+            self._flushed_at = now
             self._write(text)
 
     def _write(self, text: str) -> None:

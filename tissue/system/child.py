@@ -100,15 +100,20 @@ class HangDetector:
         longest_s: float | None = None,
         idle_s: float | None = None,
     ) -> None:
-        self._processes, self._longest_s, self._idle_s = processes, longest_s, idle_s or IDLE_S
-        self._waited_s, self._idle_since_s, self._work_s = 0.0, 0.0, -WORK_S
+        self._processes = processes
+        self._longest_s = longest_s
+        self._idle_s = idle_s or IDLE_S
+        self._waited_s = 0.0
+        self._idle_since_s = 0.0
+        self._work_s = -WORK_S
 
     def check(self) -> str | None:
         """Why to give up, in half a sentence, or None; to be called every `CHECK_S`."""
         self._waited_s += CHECK_S
         work_s, stopped = _work_of(self._processes())
         if abs(work_s - self._work_s) >= WORK_S:
-            self._work_s, self._idle_since_s = work_s, self._waited_s
+            self._work_s = work_s
+            self._idle_since_s = self._waited_s
         if self._waited_s - self._idle_since_s >= self._idle_s:
             return (
                 f"{'was stopped' if stopped else 'hangs'} and has done nothing for "
@@ -138,7 +143,8 @@ def await_ready(
     What stands behind the word, and None; or nothing and why it is not ready, in half a
     sentence, which is empty where it has ended.
     """
-    stdout, first = child.stdout, SimpleQueue[str]()
+    stdout = child.stdout
+    first = SimpleQueue[str]()
     detector = HangDetector(lambda: [child.pid], longest_s=longest_s)
     assert stdout is not None
     threading.Thread(target=lambda: first.put(stdout.readline()), daemon=True).start()
@@ -163,7 +169,8 @@ def _work_of(processes: Iterable[int]) -> tuple[float, bool]:
     """
     import psutil
 
-    work_s, stopped = 0.0, False
+    work_s = 0.0
+    stopped = False
     for number in processes:
         try:
             process = psutil.Process(number)

@@ -68,7 +68,8 @@ class Helper:
 
     def send(self, message: object) -> None:
         """Send a message, without waiting until it is taken."""
-        data, stream = pickle.dumps(message, protocol=5), self._process.stdin
+        data = pickle.dumps(message, protocol=5)
+        stream = self._process.stdin
         assert stream is not None
 
         def write() -> None:
@@ -87,7 +88,8 @@ class Helper:
             If the process has ended, does nothing any more, or works for more than ``longest_s``;
             it is ended then.
         """
-        stream, answers = self._process.stdout, self._answers
+        stream = self._process.stdout
+        answers = self._answers
         assert stream is not None
         if not self.kill.alive:
             raise HelperLostError(

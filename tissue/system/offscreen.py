@@ -73,7 +73,8 @@ def draw_apart(
     command = child_command(module, *arguments)
     if not command:
         return "this Python cannot start another one to draw in 3D: run it from the command line"
-    reason, sent = "this machine has no OpenGL library", b"ready\n"
+    reason = "this machine has no OpenGL library"
+    sent = b"ready\n"
     for changes in drawing_environments():
         environment = os.environ | changes
         pipe = subprocess.PIPE
@@ -87,7 +88,8 @@ def draw_apart(
             _drawing.add(process)
             try:
                 if prepare is not None:
-                    sent, prepare = prepare(), None
+                    sent = prepare()
+                    prepare = None
                 output, late = _awaited(process, sent, longest_s, partial(_report, drawn, printed))
             except BaseException:
                 _drawing.discard(process)
@@ -141,7 +143,8 @@ def _awaited(
     """
     detector = HangDetector(lambda: [process.pid], longest_s=longest_s)
     # In a thread, since `communicate` forgets the rest of what is sent once it has timed out.
-    stream, process.stdin = process.stdin, None
+    stream = process.stdin
+    process.stdin = None
     threading.Thread(target=_send, args=(stream, sent), daemon=True).start()
     while True:
         try:

@@ -76,9 +76,13 @@ class OwnedFolder:
         shared: Iterable[str] = (),
         adopted: Collection[str] = (),
     ) -> None:
-        self._kind, self._names, self._shared = kind, tuple(names), tuple(shared)
-        self._overwrite, self._adopted = overwrite, adopted
-        self._path, self._place = path, Path(os.path.abspath(path))
+        self._kind = kind
+        self._names = tuple(names)
+        self._shared = tuple(shared)
+        self._overwrite = overwrite
+        self._adopted = adopted
+        self._path = path
+        self._place = Path(os.path.abspath(path))
         self._files: Files = {}
         self._writing = threading.Lock()
         self._check()

@@ -34,7 +34,8 @@ class Terminated(KeyboardInterrupt):
     """
 
     def __init__(self, number: int = signal.SIGTERM) -> None:
-        self.name, self.exit_code = signal.Signals(number).name, 128 + number
+        self.name = signal.Signals(number).name
+        self.exit_code = 128 + number
 
 
 @contextmanager
@@ -65,7 +66,8 @@ def terminated_as_exception() -> Iterator[None]:
             report(what)
 
     taken = (*STOPS, signal.SIGINT) if interrupt_is_free() else STOPS
-    report, sys.unraisablehook = sys.unraisablehook, dropped
+    report = sys.unraisablehook
+    sys.unraisablehook = dropped
     with signals_handled(taken, stop):
         try:
             yield

@@ -57,7 +57,8 @@ class TickPriority:
 
     def end(self) -> None:
         """Put it back, from any thread; of a thread that has ended there is nothing to put back."""
-        before, self._before = self._before, None
+        before = self._before
+        self._before = None
         if before is None:
             return
         self.granted = USUAL

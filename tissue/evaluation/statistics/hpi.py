@@ -108,7 +108,8 @@ def composite_index(
     for name, sign in directions.items():
         if sign not in (-1, 1):
             raise InputError(f"direction of {name}", "be 1 or -1", sign, "1 where higher is better")
-    names, kept = tuple(directions), table.failure == ""
+    names = tuple(directions)
+    kept = table.failure == ""
     raw = np.column_stack([sign * table.values(name) for name, sign in directions.items()])[kept]
     tasks = np.unique(table.task[kept], return_inverse=True)[1]
     scaled = np.empty_like(raw)
@@ -158,7 +159,8 @@ def _resampled(
     """Weights and means of each method's metrics in populations where user u is drawn times[b,
     u] times.
     """
-    people, width = times.shape[1], scaled.shape[1]
+    people = times.shape[1]
+    width = scaled.shape[1]
     squares = np.stack([np.bincount(person, a * b) for a in scaled.T for b in scaled.T], axis=1)
     total = times @ np.bincount(person)
     middle = (

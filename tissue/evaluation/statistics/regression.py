@@ -116,7 +116,8 @@ def regression(
         raise InputError(
             "users", "be at least two", len(names), "users cannot be separated from the line"
         )
-    spread, size = columns.std(axis=0), float(answers.std())
+    spread = columns.std(axis=0)
+    size = float(answers.std())
     design = np.column_stack([np.ones(len(answers)), (columns - columns.mean(axis=0)) / spread])
     if np.linalg.matrix_rank(design, tol=1e-8 * len(design)) < design.shape[1]:
         raise InputError("predictors", "not repeat one another", ", ".join(predictors), "drop one")
@@ -130,9 +131,11 @@ def regression(
     mass /= mass.sum()
     degrees = 2.0 * SHAPE + len(answers)
     unit = size / spread
-    slopes, chances = [], []
+    slopes = []
+    chances = []
     for index, name in enumerate(predictors):
-        centre, width = middles[:, index + 1], spreads[:, index + 1]
+        centre = middles[:, index + 1]
+        width = spreads[:, index + 1]
 
         def below(x: float, centre: Array = centre, width: Array = width) -> float:
             return float(mass @ stdtr(degrees, (x - centre) / width))

@@ -128,8 +128,8 @@ TASKS = {
             "device": "touch",
             # the one chosen for a path follows its depth, which is the hand's aim here
             "coupling.force_scale": 0.04,
-            # The hand aims as far below the bone, and before the teeth's pull, as its grip gives
-            # way to 10 to 15 N.
+            # The hand aims below the bone, and ahead of the pull of the teeth, by as much as its
+            # grip yields under 10 to 15 N.
             "motion.points_mm": [
                 [-3, -0.5, 1],
                 [-3, -0.5, -1.4],

@@ -34,7 +34,8 @@ class FaultyDevice:
     """
 
     def __init__(self, device: Device, faults: Sequence[Fault]) -> None:
-        self._device, self._faults = device, tuple(faults)
+        self._device = device
+        self._faults = tuple(faults)
         self._past: deque[Sample | None] = deque(maxlen=LATE_READS + 1)
         self._returned: Sample | None = None
 

@@ -30,7 +30,8 @@ class NewSamples:
 
     def __init__(self, sample_s: float) -> None:
         self._ticks = ceil(sample_s / TICK_S - ROUNDING)
-        self._waited, self._last = 0, Sample(nan, (nan, nan, nan))
+        self._waited = 0
+        self._last = Sample(nan, (nan, nan, nan))
 
     def is_new(self, sample: Sample, time_s: float) -> bool:
         """Return whether the sample of the tick at a time [s] differs from the one of the last
@@ -38,7 +39,8 @@ class NewSamples:
         """
         if self._ticks <= 1:
             return True
-        last, self._last = self._last, sample
+        last = self._last
+        self._last = sample
         self._waited += 1
         if sample.time_s == last.time_s:
             return False

@@ -41,7 +41,8 @@ class Reach:
 
     def restart(self) -> None:
         """Take the next position as the first one."""
-        self._first, self._wrong = None, 0
+        self._first = None
+        self._wrong = 0
 
     def require(self, position_m: Triple, *, samples: int = MOST_WRONG) -> None:
         """Take a position [m] and refuse the device once so many samples in a row lie beyond its

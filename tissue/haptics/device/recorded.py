@@ -45,7 +45,8 @@ class RecordedDevice(ComputedDevice):
         rate_Hz: float = 1000.0,
     ) -> None:
         require_positive("rate_Hz", rate_Hz, "use 1000")
-        times, positions = np.array(times_s, dtype=float), np.array(positions_m, dtype=float)
+        times = np.array(times_s, dtype=float)
+        positions = np.array(positions_m, dtype=float)
         if (
             len(times) < 2
             or positions.shape != (len(times), 3)
@@ -72,7 +73,9 @@ class RecordedDevice(ComputedDevice):
                 "others",
                 "use 0, 0, 0, 1",
             )
-        self._first, self._last, self._rate = float(times[0]), float(times[-1]), rate_Hz
+        self._first = float(times[0])
+        self._last = float(times[-1])
+        self._rate = rate_Hz
         at = np.minimum(
             times[0] + np.arange(round((times[-1] - times[0]) * rate_Hz) + 1) / rate_Hz, times[-1]
         )
@@ -117,27 +120,33 @@ class MouseDevice(ComputedDevice):
 
     def __init__(self, position_m: Triple = (0.0, 0.0, 0.0), *, response_s: float = 0.03) -> None:
         self._response = require_positive("response_s", response_s, "use 0.03")
-        self._target, self._turned = position_m, NOT_TURNED
+        self._target = position_m
+        self._turned = NOT_TURNED
         self._sample = Sample(0.0, position_m)
 
     def push(self, position_m: Triple, quaternion: Quaternion = NOT_TURNED) -> None:
         """Where the pointer is now [m], and how it is turned; may be called from a window's
         thread.
         """
-        self._target, self._turned = position_m, quaternion
+        self._target = position_m
+        self._turned = quaternion
 
     def read(self, time_s: float) -> Sample | None:
         """Follow the last push up to a time."""
-        last, target, turned = self._sample, self._target, self._turned
+        last = self._sample
+        target = self._target
+        turned = self._turned
         step = time_s - last.time_s
         if step <= 0.0:
             return last
-        position, velocity = [], []
+        position = []
+        velocity = []
         for at, speed, wanted in zip(last.position_m, last.velocity_m_s, target, strict=True):
             away, faster = self._followed(at - wanted, speed, step)
             position.append(wanted + away)
             velocity.append(faster)
-        quaternion, spins = last.quaternion, []
+        quaternion = last.quaternion
+        spins = []
         if turned != quaternion or any(last.spin_rad_s):
             turns = []
             for left, speed in zip(turn_between(quaternion, turned), last.spin_rad_s, strict=True):
@@ -151,6 +160,7 @@ class MouseDevice(ComputedDevice):
 
     def _followed(self, away: float, speed: float, step_s: float) -> tuple[float, float]:
         """Distance from a target and speed, a step later."""
-        fade, rate = exp(-step_s / self._response), 1.0 / self._response
+        fade = exp(-step_s / self._response)
+        rate = 1.0 / self._response
         slope = speed + rate * away
         return fade * (away + slope * step_s), fade * (slope - rate * (away + slope * step_s))

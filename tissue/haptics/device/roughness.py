@@ -41,13 +41,15 @@ class Roughness:
 
     def __init__(self, limit: float) -> None:
         self._limit = limit / 8.0
-        self.noisy, self.share = False, 0.0
+        self.noisy = False
+        self.share = 0.0
         self._first: Place | None = None
         self._middle: Place | None = None
 
     def observe(self, time_s: float, x: float, y: float, z: float, w: float = 0.0) -> bool:
         """Take a sample with its time [s]; whether the course is noise."""
-        first, middle = self._first, self._middle
+        first = self._first
+        middle = self._middle
         if (
             middle is not None
             and x == middle[1]
@@ -58,14 +60,17 @@ class Roughness:
             if self.share > 0.0:
                 self._count(False, STALE / MEMORY)
             return self.noisy
-        self._first, self._middle = middle, (time_s, x, y, z, w)
+        self._first = middle
+        self._middle = (time_s, x, y, z, w)
         if first is None or middle is None:
             return False
         start, ax, ay, az, aw = first
         between, bx, by, bz, bw = middle
         span = time_s - start
         part = (between - start) / span if span > 0.0 else 0.5
-        dx, dy, dz = bx - ax - part * (x - ax), by - ay - part * (y - ay), bz - az - part * (z - az)
+        dx = bx - ax - part * (x - ax)
+        dy = by - ay - part * (y - ay)
+        dz = bz - az - part * (z - az)
         dw = bw - aw - part * (w - aw)
         square = dx * dx + dy * dy + dz * dz + dw * dw
         span = span if span > SHORTEST_S else SHORTEST_S

@@ -83,8 +83,11 @@ class SafeDevice:
         self._states = self.device if isinstance(self.device, StatesPlayed) else None
         self.entered = False
         self.released = False
-        self.slow_reads, self.slowest_read_s, self._releases = 0, 0.0, 0
-        self._tick, self._time_s = tick_s, 0.0
+        self.slow_reads = 0
+        self.slowest_read_s = 0.0
+        self._releases = 0
+        self._tick = tick_s
+        self._time_s = 0.0
         tick_ms = 1e3 * tick_s
         self._force = SlewLimit(inf if limits is None else tick_ms * limits.force_slew_N_ms)
         self._torque = SlewLimit(inf if limits is None else tick_ms * limits.torque_slew_Nm_ms)
@@ -181,7 +184,8 @@ class SafeDevice:
         DeviceError
             If the device raised, or was given up.
         """
-        force, torque = self._force.step(force_N), self._torque.step(torque_Nm)
+        force = self._force.step(force_N)
+        torque = self._torque.step(torque_Nm)
         with self._lock:
             if self._lost is not None:
                 raise self._lost
@@ -219,11 +223,13 @@ class SafeDevice:
 
     def release(self) -> None:
         """Send zero from a second thread; where that cannot be, close the device."""
-        self._played, self.released = inf, True
+        self._played = inf
+        self.released = True
         self._releases += 1
         if self._lock.acquire(timeout=ANSWER_S):
             try:
-                self._force.value, self._torque.value = np.zeros(3), np.zeros(3)
+                self._force.value = np.zeros(3)
+                self._torque.value = np.zeros(3)
                 sent = returned_within(
                     ANSWER_S, lambda: self.device.command(np.zeros(3), np.zeros(3))
                 )
@@ -260,10 +266,12 @@ class SafeDevice:
         """Take the last force off in a straight line; a device in this process does not wait for
         the wall clock.
         """
-        force, torque = self._force.value, self._torque.value
+        force = self._force.value
+        torque = self._torque.value
         if not (force.any() or torque.any()):
             return
-        start, steps = perf_counter(), max(round(RAMP_S / self._tick), 1)
+        start = perf_counter()
+        steps = max(round(RAMP_S / self._tick), 1)
         for step in range(1, steps):
             share = 1.0 - step / steps
             if not self.in_process:
@@ -280,7 +288,8 @@ class SafeDevice:
         while not self._closed:
             try:
                 with self._lock:
-                    self._force.value, self._torque.value = np.zeros(3), np.zeros(3)
+                    self._force.value = np.zeros(3)
+                    self._torque.value = np.zeros(3)
                     self._command(np.zeros(3), np.zeros(3))
             except KeyboardInterrupt:
                 continue  # a second Ctrl-C does not keep the first one from ending well

@@ -113,10 +113,8 @@ class SampleGuard:
         self._wrench = (np.zeros(3), np.zeros(3))
         self._clock: float | None = None
         self._step = 0.0
-        self._places, self._turns = (
-            Roughness(self._limits.roughest_m_s2),
-            Roughness(0.5 * self._limits.roughest_rad_s2),
-        )
+        self._places = Roughness(self._limits.roughest_m_s2)
+        self._turns = Roughness(0.5 * self._limits.roughest_rad_s2)
         self._turned: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
     def validate_sample(self, sample: Sample | None, time_s: float) -> Sample | None:
@@ -180,7 +178,8 @@ class SampleGuard:
 
     def _fault_of(self, sample: Sample | None, turned: Quaternion | None, time_s: float) -> str:
         """What is wrong with a sample, or nothing; and its quaternion at unit length."""
-        limits, good = self._limits, self._good
+        limits = self._limits
+        good = self._good
         if sample is None:
             return "no sample"
         if turned is None and not isfinite(_total(sample) or 0.0):
@@ -197,7 +196,10 @@ class SampleGuard:
         if turned != self._turned:
             a, b, c, d = self._turned
             if a * x + b * y + c * z + d * w < 0.0:
-                x, y, z, w = -x, -y, -z, -w
+                x = -x
+                y = -y
+                z = -z
+                w = -w
             self._turned = x, y, z, w
         noisy = self._places.observe(sample.time_s, *sample.position_m)
         if self._turns.observe(sample.time_s, x, y, z, w) or noisy:
@@ -257,15 +259,14 @@ def _numbers(part: str, given: object, count: int) -> tuple[float, ...]:
         numbers = np.asarray(given)
         parts: list[object] = [given] if count == 1 else list(given)  # type: ignore[call-overload]
     except (TypeError, ValueError):
-        numbers, parts = np.zeros(0), []
+        numbers = np.zeros(0)
+        parts = []
     is_wrong = numbers.dtype.kind not in "iuf" or any(
         isinstance(each, (bool, np.bool_)) for each in parts
     )
     if is_wrong or numbers.shape != ((count,) if count > 1 else ()):
-        got, wanted = (
-            " ".join(repr(given).split())[:60],
-            f"{count} numbers" if count > 1 else "a number",
-        )
+        got = " ".join(repr(given).split())[:60]
+        wanted = f"{count} numbers" if count > 1 else "a number"
         raise DeviceError(
             "device.read", f"return a Sample whose {part} is {wanted}", got, "mend its read"
         )

@@ -66,7 +66,8 @@ class SimulatedDevice(ComputedDevice):
         position_m: Triple = NOTHING,
         substeps: int = 5,
     ) -> None:
-        self.parameters, self._hand = parameters, hand
+        self.parameters = parameters
+        self._hand = hand
         self.translation = Plant(
             mass_kg=parameters.mass_kg,
             damping_N_s_m=parameters.damping_N_s_m,
@@ -148,8 +149,11 @@ class SimulatedDevice(ComputedDevice):
             self._hold(action.grip)
         self._commands.append(self._given)
         # Three numbers are quicker one by one than as vectors.
-        stiffness, damping = self._grip.stiffness_N_m, self._grip.damping_N_s_m
-        (ax, ay, az), (u, v, w), (fx, fy, fz) = action.aim_m, action.aim_velocity_m_s, action.push_N
+        stiffness = self._grip.stiffness_N_m
+        damping = self._grip.damping_N_s_m
+        (ax, ay, az) = action.aim_m
+        (u, v, w) = action.aim_velocity_m_s
+        (fx, fy, fz) = action.push_N
         x, y, z = external = (
             stiffness * ax + damping * u + fx,
             stiffness * ay + damping * v + fy,
@@ -159,7 +163,9 @@ class SimulatedDevice(ComputedDevice):
         if self.six_dof:
             turned = turn_between(action.aim_quaternion, self.orientation)
             self.rotation.position = turned
-        time, where, went = at, self.translation.position, self.translation.velocity
+        time = at
+        where = self.translation.position
+        went = self.translation.velocity
         for length, back, fine in self._spans:
             force, torque = self._commands[-1 - back]
             # The aim moves on within the tick; at its middle the spring's mean pull is right to
@@ -172,14 +178,18 @@ class SimulatedDevice(ComputedDevice):
             time += length
         self._feel(external, action.aim_velocity_m_s, where, went)
         if self.six_dof:
-            (a, b, c), (x, y, z) = self.rotation.position, turned
+            (a, b, c) = self.rotation.position
+            (x, y, z) = turned
             self.orientation = product(exponential((a - x, b - y, c - z)), self.orientation)
         elif stiffness > 0.0:
             self.orientation = action.aim_quaternion
         self._tick += 1
-        before, rate = self._sample, self.parameters.rate_Hz
-        position, orientation = self._read_position(), self._read_orientation()
-        (x, y, z), (a, b, c) = position, before.position_m
+        before = self._sample
+        rate = self.parameters.rate_Hz
+        position = self._read_position()
+        orientation = self._read_orientation()
+        (x, y, z) = position
+        (a, b, c) = before.position_m
         spin = NOTHING
         if orientation != before.quaternion:
             spin = _times(rate, turn_between(before.quaternion, orientation))
@@ -192,10 +202,19 @@ class SimulatedDevice(ComputedDevice):
         """What the hand felt in this tick: by the momentum of what moves with it, against its
         spring and damper.
         """
-        grip, moves, rate = self._grip, self.translation, self.parameters.rate_Hz
-        half, (i, j, k), (u, v, w) = 0.5 * self._step, moves.position, moves.velocity
-        spring, damper, mass = grip.stiffness_N_m, grip.damping_N_s_m, grip.mass_kg
-        (ex, ey, ez), (ax, ay, az), (x, y, z), (p, q, r) = external, aim_velocity_m_s, where, went
+        grip = self._grip
+        moves = self.translation
+        rate = self.parameters.rate_Hz
+        half = 0.5 * self._step
+        (i, j, k) = moves.position
+        (u, v, w) = moves.velocity
+        spring = grip.stiffness_N_m
+        damper = grip.damping_N_s_m
+        mass = grip.mass_kg
+        (ex, ey, ez) = external
+        (ax, ay, az) = aim_velocity_m_s
+        (x, y, z) = where
+        (p, q, r) = went
         self.hand_force_N = (
             rate * (damper * (i - x) + mass * (u - p))
             - (ex + spring * (half * ax - 0.5 * (x + i))),

@@ -170,7 +170,10 @@ class Hand:
     ) -> None:
         require_positive("step_s", step_s, "use 1e-3 for 1 kHz")
         self.parameters = parameters
-        self._rng, self._push, self._turn, self._let_go = rng, push, turn, let_go_s
+        self._rng = rng
+        self._push = push
+        self._turn = turn
+        self._let_go = let_go_s
         self._aim = (
             path
             if isinstance(path, Aiming)
@@ -213,14 +216,13 @@ class Hand:
         velocity = (u - spin * s.imag, v - spin * t.imag, w - spin * q.imag)
         off = (aim[0] - position_m[0], aim[1] - position_m[1], aim[2] - position_m[2])
         self._pending.append(off)
-        felt, stiffness = self._pending.popleft(), self.parameters.stiffness_N_m
+        felt = self._pending.popleft()
+        stiffness = self.parameters.stiffness_N_m
         reflex = self.parameters.reflex_share * stiffness
         px, py, pz = (0.0, 0.0, 0.0) if self._push is None else self._push(time_s)
-        fx, fy, fz = (
-            float(px) + reflex * felt[0],
-            float(py) + reflex * felt[1],
-            float(pz) + reflex * felt[2],
-        )
+        fx = float(px) + reflex * felt[0]
+        fy = float(py) + reflex * felt[1]
+        fz = float(pz) + reflex * felt[2]
         exerted = sqrt(
             (fx + stiffness * off[0]) ** 2
             + (fy + stiffness * off[1]) ** 2

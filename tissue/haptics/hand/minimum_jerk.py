@@ -44,7 +44,8 @@ def waypoints(times_s: Array, points_m: Array) -> Path:
     InputError
         If the times do not increase or the points do not match them.
     """
-    times, points = np.array(times_s, dtype=float), np.array(points_m, dtype=float)
+    times = np.array(times_s, dtype=float)
+    points = np.array(points_m, dtype=float)
     if times.ndim != 1 or points.shape != (len(times), 3) or not np.isfinite(points).all():
         raise InputError(
             "points_m", f"be finite with shape ({times.size}, 3)", points.shape, "give one per time"
@@ -95,7 +96,8 @@ class Aim:
         endpoint_noise: float,
         rng: np.random.Generator,
     ) -> None:
-        self._path, self._rng = path, rng
+        self._path = path
+        self._rng = rng
         self._reaction = require_range("reaction_s", reaction_s, 0.0, 10.0, "use 0.2")
         self._duration = require_positive("submovement_s", submovement_s, "use 0.4")
         self._interval = require_positive("correction_s", correction_s, "use 0.2")
@@ -108,12 +110,19 @@ class Aim:
         """Position [m] and velocity [m/s] of the aim; times must not decrease."""
         if time_s >= self._next:
             self._begin(time_s)
-        (x, y, z), u, v, w = self._rest, 0.0, 0.0, 0.0
+        (x, y, z) = self._rest
+        u = 0.0
+        v = 0.0
+        w = 0.0
         for start, (a, b, c), _ in self._moves:
             share, speed = minimum_jerk((time_s - start) / self._duration)
             speed /= self._duration
-            x, y, z = x + share * a, y + share * b, z + share * c
-            u, v, w = u + speed * a, v + speed * b, w + speed * c
+            x = x + share * a
+            y = y + share * b
+            z = z + share * c
+            u = u + speed * a
+            v = v + speed * b
+            w = w + speed * c
         return (x, y, z), (u, v, w)
 
     def _begin(self, time_s: float) -> None:

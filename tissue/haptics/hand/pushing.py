@@ -126,7 +126,9 @@ class PushingHand:
         rng: np.random.Generator,
         step_s: float = TICK_S,
     ) -> None:
-        self._person, self._step, self._felt = parameters, step_s, felt
+        self._person = parameters
+        self._step = step_s
+        self._felt = felt
         self._gain = require_positive("rate_N_s", rate_N_s, "use 1") / (
             parameters.stiffness_N_m * (1.0 + parameters.reflex_share)
         )
@@ -143,7 +145,8 @@ class PushingHand:
     def see(self, time_s: float) -> None:
         """What is seen at a time makes the hand stop a reaction later, unless it does already."""
         if time_s < self.noticed_s:
-            self.noticed_s, self.stop_s = time_s, time_s + self._person.reaction_s
+            self.noticed_s = time_s
+            self.stop_s = time_s + self._person.reaction_s
 
     def stop(self, time_s: float) -> None:
         """Stop at a time without a reaction, as no person can."""
@@ -155,24 +158,27 @@ class PushingHand:
 
     def at(self, time_s: float) -> tuple[Triple, Triple]:
         """Position [m] and velocity [m/s] of the aim."""
-        (x, y, z), (i, j, k), aim, speed = self._start, self._line, self.aim_m, self._speed
+        (x, y, z) = self._start
+        (i, j, k) = self._line
+        aim = self.aim_m
+        speed = self._speed
         return (x + aim * i, y + aim * j, z + aim * k), (speed * i, speed * j, speed * k)
 
     def act(self, time_s: float, position_m: Triple) -> HandAction:
         """What the hand does from now on, the device being at ``position_m`` [m]."""
-        before, (i, j, k), (x, y, z) = self.advance_m, self._line, self._start
+        before = self.advance_m
+        (i, j, k) = self._line
+        (x, y, z) = self._start
         self.advance_m = (position_m[0] - x) * i + (position_m[1] - y) * j + (position_m[2] - z) * k
         self._past.append(self.advance_m)
         self._past.popleft()
         self.aim_m += self._step * self._speed
         self._lead(time_s)
         action = self._hand.act(time_s, position_m)
-        grip, (a, b, c), (u, v, w), (f, g, h) = (
-            action.grip,
-            action.aim_m,
-            action.aim_velocity_m_s,
-            action.push_N,
-        )
+        grip = action.grip
+        (a, b, c) = action.aim_m
+        (u, v, w) = action.aim_velocity_m_s
+        (f, g, h) = action.push_N
         off = (a * i + b * j + c * k) - (x * i + y * j + z * k) - self.advance_m
         slips = (u * i + v * j + w * k) - (self.advance_m - before) / self._step
         self.felt_N = (

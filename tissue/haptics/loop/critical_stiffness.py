@@ -103,9 +103,11 @@ def _critical_N_m(loop: WallLoop) -> float:
     """The same, found once for loops that differ in their stiffness alone: a choice is followed
     by its verdict.
     """
-    low, high = 0.0, SOFTEST_N_M
+    low = 0.0
+    high = SOFTEST_N_M
     while _beyond(high, loop) < 0.0:
-        low, high = high, high * 10.0 ** (1.0 / _steps(high, loop))
+        low = high
+        high = high * 10.0 ** (1.0 / _steps(high, loop))
         if low > STIFFEST_N_M:
             return inf
     return (
@@ -121,7 +123,8 @@ def _steps(stiffness_N_m: float, loop: WallLoop) -> int:
     """
     if loop.vibration is None:
         return STEPS
-    turn, mass = 0.5 * pi * loop.vibration.frequency_Hz, loop.mass_kg + loop.hand_mass_kg
+    turn = 0.5 * pi * loop.vibration.frequency_Hz
+    mass = loop.mass_kg + loop.hand_mass_kg
     return NARROW_STEPS if stiffness_N_m + loop.hand_stiffness_N_m > mass * turn**2 else STEPS
 
 

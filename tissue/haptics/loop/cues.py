@@ -36,9 +36,11 @@ class TouchEvents:
     """
 
     def __init__(self, *, tick_s: float) -> None:
-        self._apart, self._settled = round(APART_S / tick_s), round(SETTLED_S / tick_s)
+        self._apart = round(APART_S / tick_s)
+        self._settled = round(SETTLED_S / tick_s)
         self._free = self._quiet = self._apart
-        self._layer, self._for = -1, 0
+        self._layer = -1
+        self._for = 0
 
     def step(self, engaged_m2: Array) -> bool:
         """Whether an event begins in this tick, for areas by layer [m2], shape (layers,)."""
@@ -47,11 +49,13 @@ class TouchEvents:
         if not engaged_m2[layer] > 0.0:
             self._free += 1
             return False
-        first, self._free = self._free >= self._apart, 0
+        first = self._free >= self._apart
+        self._free = 0
         self._for = self._for + 1 if layer != self._layer else 0
         changed = self._layer >= 0 and self._for >= self._settled
         if first or changed:
-            self._layer, self._for = layer, 0
+            self._layer = layer
+            self._for = 0
         if not (first or changed) or self._quiet < self._apart:
             return False
         self._quiet = 0
@@ -82,13 +86,16 @@ class Cues:
         burst = np.sin(2.0 * pi * PERIODS * at) * np.sin(pi * at) ** 2
         most = SLEW_SHARE * slew_N / (2.0 * sin(pi * CUE_HZ * tick_s))
         self._burst = (min(amplitude_N, most) * (burst - burst.mean())).tolist()
-        self._events, self._limit = TouchEvents(tick_s=tick_s), limit_N
-        self._left, self._along = 0, np.zeros(3)
+        self._events = TouchEvents(tick_s=tick_s)
+        self._limit = limit_N
+        self._left = 0
+        self._along = np.zeros(3)
 
     def step(self, force_N: Array, response: Response) -> Array:
         """What is added in a tick in which this force is played [N], both of shape (3,)."""
         if self._events.step(response.engaged_m2):
-            self._left, self._along = len(self._burst), np.zeros(3)
+            self._left = len(self._burst)
+            self._along = np.zeros(3)
         if not self._left:
             return np.zeros(3)
         size = sqrt(force_N.dot(force_N))
@@ -96,7 +103,8 @@ class Cues:
             self._along = force_N / size
         if not self._along.any():
             return np.zeros(3)
-        left_N, value = max(self._limit - size, 0.0), self._burst[-self._left]
+        left_N = max(self._limit - size, 0.0)
+        value = self._burst[-self._left]
         self._left -= 1
         return min(max(value, -left_N), left_N) * self._along
 

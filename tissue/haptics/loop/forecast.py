@@ -139,7 +139,9 @@ def _linearised(
     gain: float,
 ) -> Forecast:
     """The same, found anew."""
-    still, rest, force = -depth_m * out, np.zeros(3), stiffness_N_m * depth_m * out
+    still = -depth_m * out
+    rest = np.zeros(3)
+    force = stiffness_N_m * depth_m * out
     settled = deepcopy(predictor)
     contact = None
     if isinstance(settled, SeesContact):

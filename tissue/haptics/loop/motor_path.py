@@ -39,17 +39,20 @@ def motor_force_N(loop: WallLoop, force_N: Array) -> Array:
     force_N
         A force a tick before the low-pass [N], shape (n, 3); before the first one there was none.
     """
-    gain, delay = low_pass_gain(loop.filter_s, loop.tick_s), loop.delay_s / loop.tick_s
+    gain = low_pass_gain(loop.filter_s, loop.tick_s)
+    delay = loop.delay_s / loop.tick_s
     whole = int(delay + 1e-9)
     part = max(delay - whole, 0.0)
     filtered = lfilter([gain], [1.0, gain - 1.0], force_N, axis=0)
-    older, newer = _held_back(filtered, whole + 1), _held_back(filtered, whole)
+    older = _held_back(filtered, whole + 1)
+    newer = _held_back(filtered, whole)
     amplifier = _amplifier_ticks(loop)
     if amplifier == 0.0:
         return part * older + (1.0 - part) * newer
     # From m the motor goes to u + (m - u) exp(-s / a) in s ticks; first towards the older command,
     # then the newer one.
-    first, second = exp(-part / amplifier), exp(-(1.0 - part) / amplifier)
+    first = exp(-part / amplifier)
+    second = exp(-(1.0 - part) / amplifier)
     driven = second * (1.0 - first) * older + (1.0 - second) * newer
     starts = _held_back(lfilter([1.0], [1.0, -first * second], driven, axis=0), 1)
     between = older + first * (starts - older)

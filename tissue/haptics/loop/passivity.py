@@ -131,7 +131,8 @@ class PassivityControl:
 
     def step(self, force_N: Array, position_m: Array, velocity_m_s: Array, step_s: float) -> Array:
         """The force [N] to play instead of ``force_N`` for a step [s]."""
-        observer, places = self.observer, self._places
+        observer = self.observer
+        places = self._places
         energy = observer.observe(position_m)
         places.append(position_m.copy())
         self.damping_N_s_m = 0.0

@@ -79,8 +79,11 @@ class Plant:
         )
         u0, u1, u2 = command
         w0, w1, w2 = external
-        stop, work = self._friction * vw, self.motor_work_J
-        (x0, x1, x2), (v0, v1, v2), (f0, f1, f2) = self.position, self.velocity, self.motor_force
+        stop = self._friction * vw
+        work = self.motor_work_J
+        (x0, x1, x2) = self.position
+        (v0, v1, v2) = self.velocity
+        (f0, f1, f2) = self.motor_force
         for _ in range(substeps):
             p0 = xx * x0 + xv * v0 + xf * f0 + xu * u0 + xw * w0
             p1 = xx * x1 + xv * v1 + xf * f1 + xu * u1 + xw * w1
@@ -92,13 +95,31 @@ class Plant:
                 speed = sqrt(q0 * q0 + q1 * q1 + q2 * q2)
                 share = 1.0 if speed <= stop else stop / speed
                 ratio = share * xw / vw
-                p0, p1, p2 = p0 - ratio * q0, p1 - ratio * q1, p2 - ratio * q2
-                q0, q1, q2 = (1.0 - share) * q0, (1.0 - share) * q1, (1.0 - share) * q2
+                p0 = p0 - ratio * q0
+                p1 = p1 - ratio * q1
+                p2 = p2 - ratio * q2
+                q0 = (1.0 - share) * q0
+                q1 = (1.0 - share) * q1
+                q2 = (1.0 - share) * q2
                 if share == 1.0 and v0 == v1 == v2 == 0.0:
                     # friction follows a motor force that changes within the substep
-                    p0, p1, p2 = x0, x1, x2
-            g0, g1, g2 = ff * f0 + fu * u0, ff * f1 + fu * u1, ff * f2 + fu * u2
+                    p0 = x0
+                    p1 = x1
+                    p2 = x2
+            g0 = ff * f0 + fu * u0
+            g1 = ff * f1 + fu * u1
+            g2 = ff * f2 + fu * u2
             work += 0.5 * ((f0 + g0) * (p0 - x0) + (f1 + g1) * (p1 - x1) + (f2 + g2) * (p2 - x2))
-            x0, x1, x2, v0, v1, v2, f0, f1, f2 = p0, p1, p2, q0, q1, q2, g0, g1, g2
-        self.position, self.velocity, self.motor_force = (x0, x1, x2), (v0, v1, v2), (f0, f1, f2)
+            x0 = p0
+            x1 = p1
+            x2 = p2
+            v0 = q0
+            v1 = q1
+            v2 = q2
+            f0 = g0
+            f1 = g1
+            f2 = g2
+        self.position = (x0, x1, x2)
+        self.velocity = (v0, v1, v2)
+        self.motor_force = (f0, f1, f2)
         self.motor_work_J = work

@@ -153,7 +153,8 @@ def plant_step(
     lag = amplifier_Hz < inf
     generator[1] = np.array([-stiffness_N_m, -damping_N_s_m, lag, not lag, 1.0]) / mass_kg
     if lag:
-        generator[2, 2], generator[2, 3] = -2.0 * pi * amplifier_Hz, 2.0 * pi * amplifier_Hz
+        generator[2, 2] = -2.0 * pi * amplifier_Hz
+        generator[2, 3] = 2.0 * pi * amplifier_Hz
     step = expm(generator * step_s)[:3]
     if not lag:
         step[2] = (0.0, 0.0, 0.0, 1.0, 0.0)
@@ -178,7 +179,8 @@ def loop_matrix(loop: WallLoop) -> Array:
         else [(loop.tick_s, whole)]
     )
     spring = loop.hand_stiffness_N_m
-    mass, damping = loop.mass_kg + loop.hand_mass_kg, loop.damping_N_s_m + loop.hand_damping_N_s_m
+    mass = loop.mass_kg + loop.hand_mass_kg
+    damping = loop.damping_N_s_m + loop.hand_damping_N_s_m
     steps = [
         (np.array(plant_step(mass, damping, spring, loop.amplifier_Hz, s))[:, :4], back)
         for s, back in parts
@@ -188,16 +190,18 @@ def loop_matrix(loop: WallLoop) -> Array:
     estimated, speeds = (0, 0) if loop.velocity_memory is None else (3, places)
     shaken = loop.vibration is not None
     ends = np.cumsum([5, shaken, queued, estimated, places, speeds, ages]).tolist()
-    size, factors = ends[-1], loop.vibration_factors
+    size = ends[-1]
+    factors = loop.vibration_factors
     state = np.tile(np.eye(size), factors.shape[1])
-    plant, before, filtered = state[:3], state[3], state[4]
+    plant = state[:3]
+    before = state[3]
+    filtered = state[4]
     envelope, waiting, estimate, *known = (state[first:last] for first, last in pairwise(ends))
-    queue, velocity = list(waiting), SampledVelocity(loop, estimate)
+    queue = list(waiting)
+    velocity = SampledVelocity(loop, estimate)
     seen = ForecastMemory(loop, *map(list, known))
-    gain, follows = (
-        low_pass_gain(loop.filter_s, loop.tick_s),
-        low_pass_gain(ENVELOPE_S, loop.tick_s),
-    )
+    gain = low_pass_gain(loop.filter_s, loop.tick_s)
+    follows = low_pass_gain(ENVELOPE_S, loop.tick_s)
     model = np.zeros(state.shape[1])
     for tick in range(loop.model_ticks):
         speed = velocity.step(plant[0])
@@ -231,7 +235,8 @@ class SampledVelocity:
     """
 
     def __init__(self, loop: WallLoop, state: Array) -> None:
-        self._rate, self.state = 1.0 / loop.tick_s, state
+        self._rate = 1.0 / loop.tick_s
+        self.state = state
         self._filter = (
             None
             if loop.velocity_memory is None
@@ -263,7 +268,10 @@ class ForecastMemory:
     def __init__(
         self, loop: WallLoop, positions: list[Array], speeds: list[Array], forces: list[Array]
     ) -> None:
-        self._loop, self.positions, self.speeds, self.forces = loop, positions, speeds, forces
+        self._loop = loop
+        self.positions = positions
+        self.speeds = speeds
+        self.forces = forces
 
     def predict(self, position: Array, speed: Array | None, model: Array, tick: int) -> Array:
         """Force to be played, from position, filtered speed and the model's force at a tick of
@@ -272,8 +280,10 @@ class ForecastMemory:
         forecast = self._loop.forecast
         if forecast is None:
             return model
-        rate, count = 1.0 / self._loop.tick_s, self._loop.model_ticks
-        positions, forces = [position, *self.positions], [model, *self.forces]
+        rate = 1.0 / self._loop.tick_s
+        count = self._loop.model_ticks
+        positions = [position, *self.positions]
+        forces = [model, *self.forces]
         places, ages = forecast.memory
         speeds = [*([] if speed is None else [speed]), *self.speeds]
         predicted = 0.0 * model
@@ -287,7 +297,9 @@ class ForecastMemory:
                 predicted = predicted + stiffer * (by_place * positions[age] + by_speed * moving)
             if phase == 0:
                 predicted = predicted + by_force * forces[age]
-        self.positions, self.speeds, self.forces = positions[:-1], speeds[:-1], forces[:-1]
+        self.positions = positions[:-1]
+        self.speeds = speeds[:-1]
+        self.forces = forces[:-1]
         return model + forecast.gain * (predicted - model)
 
 

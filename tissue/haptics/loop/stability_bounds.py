@@ -78,7 +78,9 @@ def pade_bound_N_m(loop: WallLoop, *, hold: bool = True) -> float:
     delay = loop.delay_s + (0.5 * loop.tick_s * loop.model_ticks if hold else 0.0)
     if delay == 0.0:
         return inf
-    mass, damping = loop.mass_kg + loop.hand_mass_kg, loop.damping_N_s_m + loop.hand_damping_N_s_m
-    cubic, constant = 0.5 * mass * delay, damping + loop.wall_damping_N_s_m
+    mass = loop.mass_kg + loop.hand_mass_kg
+    damping = loop.damping_N_s_m + loop.hand_damping_N_s_m
+    cubic = 0.5 * mass * delay
+    constant = damping + loop.wall_damping_N_s_m
     square = mass + 0.5 * delay * (damping - loop.wall_damping_N_s_m)
     return max(square * constant / (cubic + 0.5 * delay * square), 0.0)

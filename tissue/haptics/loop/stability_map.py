@@ -84,7 +84,8 @@ def growth_while_running(
     stored energy, weighed by windows around 45 and 85 % of the run. Infinite where it overflows.
     """
     first = loops[0]
-    tick, count = first.tick_s, len(loops)
+    tick = first.tick_s
+    count = len(loops)
     whole = [int(each.delay_s / tick + 1e-9) for each in loops]
     delay = [max(each.delay_s - n * tick, 0.0) for each, n in zip(loops, whole, strict=True)]
     steps = []
@@ -102,7 +103,8 @@ def growth_while_running(
         steps.append(np.moveaxis(np.array(rows)[:, :, :4], 0, -1))
     length = max(whole) + 2
     back = np.array(whole)
-    columns, queue = np.arange(count), np.zeros((length, count))
+    columns = np.arange(count)
+    queue = np.zeros((length, count))
     mass = np.array([each.mass_kg + each.hand_mass_kg for each in loops])
     spring = stiffnesses_N_m + np.array([each.hand_stiffness_N_m for each in loops])
     damping = np.array([each.wall_damping_N_s_m for each in loops])
@@ -151,12 +153,14 @@ def measured_critical_N_m(loops: Sequence[WallLoop], *, ticks: int = 4000) -> Ar
 
     Zero where the softest wall (0.1 N/m) grows already.
     """
-    low, high = np.full(len(loops), SOFTEST_N_M), np.full(len(loops), STIFFEST_N_M)
+    low = np.full(len(loops), SOFTEST_N_M)
+    high = np.full(len(loops), STIFFEST_N_M)
     hopeless = growth_while_running(loops, low, ticks=ticks) >= 1.0
     for _ in range(BISECTIONS):
         middle = np.sqrt(low * high)
         grows = growth_while_running(loops, middle, ticks=ticks) >= 1.0
-        low, high = np.where(grows, low, middle), np.where(grows, middle, high)
+        low = np.where(grows, low, middle)
+        high = np.where(grows, middle, high)
     return np.where(hopeless, 0.0, np.sqrt(low * high))
 
 

@@ -47,7 +47,8 @@ class Vibration:
 
     def __init__(self, tooth_passing_Hz: float, *, share: float, step_s: float) -> None:
         self.frequency_Hz = min(tooth_passing_Hz, BAND_LIMIT_HZ)
-        self.share, self._turns = share, self.frequency_Hz * step_s
+        self.share = share
+        self._turns = self.frequency_Hz * step_s
 
     def factor(self, tick: int) -> float:
         """What the average force is multiplied by and added to itself at a tick."""
@@ -91,7 +92,8 @@ class PlayedVibration:
     def __init__(
         self, vibration: Vibration, *, limit_N: float, slew_N: float = inf, step_s: float
     ) -> None:
-        self._vibration, self._limit = vibration, limit_N
+        self._vibration = vibration
+        self._limit = limit_N
         self._most = SLEW_SHARE * slew_N / (2.0 * sin(pi * vibration.frequency_Hz * step_s))
         self._envelope = LowPass(ENVELOPE_S, step_s=step_s)
         self._tick = 0

@@ -119,13 +119,17 @@ class CuttingTool(HeldTool):
         self._damping = require_range(
             "damping_N_s_m", damping_N_s_m, 0.0, 1e6, "use a hundredth of the stiffness"
         )
-        self._speed_m_s, self._again = np.zeros(3), False
+        self._speed_m_s = np.zeros(3)
+        self._again = False
         self._moved_m = np.zeros(3)
-        self._felt, self._last, self._asked = np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(3)
+        self._felt = np.zeros((2, 3))
+        self._last = np.zeros((2, 3))
+        self._asked = np.zeros(3)
         self._slopes = [0.0, 0.0]
         self._left_m, self._twist_Nm, self._torque_Nm = np.zeros((3, 3))
         self._gone_m = self._pull_N = 0.0
-        self._asks, self._before_m = False, 0.0
+        self._asks = False
+        self._before_m = 0.0
 
     def follow(
         self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float
@@ -141,9 +145,12 @@ class CuttingTool(HeldTool):
             (-1.0 / step_s,),
         )
         sizes = self._feel(resisted, response.edge[3:], heading)
-        stretch, spring, damping = device_m - self.tip_m, self.stiffness_N_m, self._damping / step_s
+        stretch = device_m - self.tip_m
+        spring = self.stiffness_N_m
+        damping = self._damping / step_s
         pull = spring * stretch + self._damping * self._pace_m_s(step_s)
-        asked, self._asks = self._asks, False
+        asked = self._asks
+        self._asks = False
         self.push[:] = self._pull_N = self._gone_m = 0.0
         self.driven = sizes[0] > LEAST_N or sizes[1] * step_s > LEAST_N_s_m
         if not self.driven:
@@ -176,7 +183,8 @@ class CuttingTool(HeldTool):
         self.tip_m += step * self.heading
         self._moved_m = self._moved_m + step * self.heading
         self._left_m = device_m - self.tip_m
-        self._gone_m, self._before_m = step, step
+        self._gone_m = step
+        self._before_m = step
         self._pull_N = float(pull.dot(self.heading)) - (spring + damping) * step
         return self.tip_m
 
@@ -214,25 +222,26 @@ class CuttingTool(HeldTool):
         share = sqrt(square) / (square + SMALL_RAD**2)
         changed = resisted - self._last
         held = float(self.push.dot(self.push)) > (LEAST_N + 2.0 * self.stiffness_N_m * LEAST_M) ** 2
-        keep, sizes = 1.0 if held else FADE, [0.0, 0.0]
+        keep = 1.0 if held else FADE
+        sizes = [0.0, 0.0]
         for i in range(2):
             self._slopes[i] = max(
                 share * sqrt(changed[i].dot(changed[i])), SLOWLY * self._slopes[i]
             )
-            now, before = (
-                sqrt(resisted[i].dot(resisted[i])),
-                keep * sqrt(self._felt[i].dot(self._felt[i])),
-            )
+            now = sqrt(resisted[i].dot(resisted[i]))
+            before = keep * sqrt(self._felt[i].dot(self._felt[i]))
             sizes[i] = max(now, before)
             self._felt[i] = resisted[i] if now >= before else keep * self._felt[i]
             if i == 0 and now >= before:
                 np.negative(twist_Nm, out=self._twist_Nm)
-        self._asked, self._last = heading.copy(), resisted
+        self._asked = heading.copy()
+        self._last = resisted
         return sizes
 
     def _wait(self, stretch: Array, asks: bool) -> Array:
         """Stay, held by the spring; the tip."""
-        self._asks, self._left_m = asks, stretch
+        self._asks = asks
+        self._left_m = stretch
         if not asks:
             self._before_m = 0.0
         np.multiply(stretch, self.stiffness_N_m, out=self.push[:3])
@@ -268,7 +277,8 @@ class CuttingTool(HeldTool):
 
 def _turned(heading: Array, turn: Array, stretch: Array) -> Array:
     """A heading that has turned, so far as that leaves some of the stretch along it."""
-    along, more = float(heading.dot(stretch)), float(turn.dot(stretch))
+    along = float(heading.dot(stretch))
+    more = float(turn.dot(stretch))
     if along + more < NEAREST * along:
         turn = turn * ((NEAREST - 1.0) * along / more)
     turned: Array = heading + turn

@@ -62,7 +62,8 @@ class CompensatedPath:
             size = sqrt(self.beyond_m @ self.beyond_m)
             self.beyond_m *= min(self.furthest_m / size, 1.0) if size > 0.0 else 1.0
         aim = self.path(time_s) + self.beyond_m
-        self._aims_m, self._tip_m = [*self._aims_m[-2:], aim], self.tool.tip_m.copy()
+        self._aims_m = [*self._aims_m[-2:], aim]
+        self._tip_m = self.tool.tip_m.copy()
         return aim
 
     def _learn(self) -> None:
@@ -70,7 +71,8 @@ class CompensatedPath:
         ago.
         """
         if len(self._aims_m) == 3:
-            went, aimed = self.tool.tip_m - self._tip_m, self._aims_m[1] - self._aims_m[0]
+            went = self.tool.tip_m - self._tip_m
+            aimed = self._aims_m[1] - self._aims_m[0]
             square = float(aimed @ aimed)
             if square > 0.0:
                 self._yields += 0.5 * (

@@ -57,7 +57,8 @@ class HeldTool(ABC):
             "stiffness_N_m", stiffness_N_m, "use 1e3 on an organ, 1e4 on bone"
         )
         self.tip_m = np.array(tip_m, dtype=float)
-        self.driven, self.heading = False, np.zeros(3)
+        self.driven = False
+        self.heading = np.zeros(3)
         self.push = np.zeros(6)
 
     @property
@@ -94,23 +95,29 @@ class PressingTool(HeldTool):
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
         super().__init__(stiffness_N_m, tip_m, turn)
         self._spring = self.stiffness_N_m * np.eye(3)
-        self._learnt, self._free = 0.0, True
-        self._before_m, self._before_N = self.tip_m.copy(), np.zeros(3)
+        self._learnt = 0.0
+        self._free = True
+        self._before_m = self.tip_m.copy()
+        self._before_N = np.zeros(3)
 
     def follow(
         self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float
     ) -> Array:
         """Make a Newton step of the balance."""
         self._turn.follow(device, response.wrench[3:])
-        force, tip, spring = response.wrench[:3], self.tip_m, self.stiffness_N_m
+        force = response.wrench[:3]
+        tip = self.tip_m
+        spring = self.stiffness_N_m
         if response.stiffness_N_m is None:
             self._learn(force)
-        in_balance, self._free = False, not any(force.tolist())
+        in_balance = False
+        self._free = not any(force.tolist())
         if not self._free:
             stretch = device_m - tip
             out_of_balance = spring * stretch + force
             if response.stiffness_N_m is None:
-                step, singular = out_of_balance / (spring + self._learnt), False
+                step = out_of_balance / (spring + self._learnt)
+                singular = False
             else:
                 *_, step, singular = dgesv(self._spring + response.stiffness_N_m, out_of_balance)
             in_balance = not singular and float((step - stretch).dot(force)) > 0.0
@@ -126,8 +133,10 @@ class PressingTool(HeldTool):
 
     def _learn(self, force_N: Array) -> None:
         """Take the stiffness from what the last motion has changed."""
-        moved, changed = self.tip_m - self._before_m, force_N - self._before_N
+        moved = self.tip_m - self._before_m
+        changed = force_N - self._before_N
         square = float(moved.dot(moved))
         if square > LEAST_M**2:
             self._learnt = max(-float(moved.dot(changed)) / square, FADE * self._learnt)
-            self._before_m[:], self._before_N[:] = self.tip_m, force_N
+            self._before_m[:] = self.tip_m
+            self._before_N[:] = force_N

@@ -43,7 +43,8 @@ class HeldTurn:
         self.stiffness_Nm_rad = stiffness_Nm_rad
         self.quaternion: Quaternion = UPRIGHT
         self._learnt = 0.0
-        self._before, self._torque = UPRIGHT, np.zeros(3)
+        self._before = UPRIGHT
+        self._torque = np.zeros(3)
 
     def follow(self, device: Quaternion, torque_Nm: Array) -> Quaternion:
         """Make a Newton step of the balance with the torque on the tool [N m], shape (3,); the
@@ -73,4 +74,5 @@ class HeldTurn:
             self._learnt = max(
                 -float(turned.dot(torque_Nm - self._torque)) / square, FADE * self._learnt
             )
-            self._before, self._torque = self.quaternion, np.array(torque_Nm)
+            self._before = self.quaternion
+            self._torque = np.array(torque_Nm)

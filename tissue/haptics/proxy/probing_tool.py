@@ -118,11 +118,14 @@ class ProbedBone(FreeSpace):
     ) -> None:
         super().__init__()
         self.layer_names = volume.layer_names
-        self._volume, self.store = volume, BrickStore.from_volume(volume, device=device)
+        self._volume = volume
+        self.store = BrickStore.from_volume(volume, device=device)
         self.start_m3, self.removed_m3 = np.zeros((2, len(self.layer_names)))
         self.start_m3[:] = self.store.start_steps * (volume.spacing_m**3 / FULL)
         self._response = Response.empty(len(self.layer_names), 2)
-        self._tool, self._shell, self._area = tool, shell, area_m2 / len(shell.points_m)
+        self._tool = tool
+        self._shell = shell
+        self._area = area_m2 / len(shell.points_m)
         self._field = ContactField(store=self.store)
 
     def place(self, motion: ToolMotion) -> None:
@@ -144,9 +147,11 @@ class ProbedBone(FreeSpace):
 
     def respond(self, motion: ToolMotion) -> Response:
         """What the contacts push, and its torque about the tip."""
-        response, proxy = self._response, self._tool.proxy
+        response = self._response
+        proxy = self._tool.proxy
         assert proxy is not None, "a tool must be placed before it is asked"
-        result, stiffness = proxy.result, self._tool.stiffness_N_m
+        result = proxy.result
+        stiffness = self._tool.stiffness_N_m
         response.wrench[:3] = stiffness * result.push_m
         response.wrench[3:] = stiffness * result.push_moment_m2
         response.edge[:] = response.wrench

@@ -144,7 +144,8 @@ class Proxy:
             if lever_m is None
             else require_positive("lever_m", lever_m, "use about 0.02 (20 mm)") ** -2
         )
-        step, tolerance = STEP_M, TOLERANCE_M
+        step = STEP_M
+        tolerance = TOLERANCE_M
         if field.spacing_m > 0.0:
             if shell.radius_m > 0.0:
                 raise InputError(
@@ -153,7 +154,8 @@ class Proxy:
                     f"{shell.radius_m:g}",
                     "give points with normals",
                 )
-            step, tolerance = STEP_VOXELS * field.spacing_m, TOLERANCE_VOXELS * field.spacing_m
+            step = STEP_VOXELS * field.spacing_m
+            tolerance = TOLERANCE_VOXELS * field.spacing_m
         device = field.device
         self._contacts = _contacts(len(shell.points_m), field, device=device)
         tool = Shell()
@@ -164,7 +166,8 @@ class Proxy:
         settings = DescentSettings()
         numbers = map(wp.float64, (compliance, friction, step, tolerance))
         settings.compliance, settings.friction, settings.step, settings.tolerance = numbers
-        settings.step_limit, settings.solve_limit = step_limit, solve_limit
+        settings.step_limit = step_limit
+        settings.solve_limit = solve_limit
         self._goal = Mirror(TRAVEL, dtype=wp.float64, device=device)
         self._state = Mirror(STATE, dtype=wp.float64, device=device)
         self._report = Mirror(REPORT, dtype=wp.float64, device=device)
@@ -240,7 +243,9 @@ class Proxy:
         self._launch.launch()
         self._state.pull()
         self._report.pull()
-        state, report, result = self._state.host, self._report.host, self.result
+        state = self._state.host
+        report = self._report.host
+        result = self.result
         result.position_m[:] = state[_POSITION]
         result.quaternion[:] = state[_ROTATION]
         result.push_m[:] = report[_FORCE]

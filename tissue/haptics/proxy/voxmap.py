@@ -105,7 +105,8 @@ class ContactField:
         arrays.spacing = wp.float64(self.spacing_m)
         if store is not None:
             arrays.voxels_per_m = wp.float64(1.0 / self.spacing_m)
-            arrays.brick_of, arrays.remaining = store.brick_of, store.remaining
+            arrays.brick_of = store.brick_of
+            arrays.remaining = store.remaining
             arrays.origin = wp.vec3d(*store.grid.origin_m.tolist())
             clearance = _clearance(store.fraction() > 0, self.spacing_m)
             arrays.clearance = wp.array(clearance, dtype=wp.float32, device=self.device)

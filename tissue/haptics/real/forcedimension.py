@@ -75,7 +75,9 @@ class ForceDimensionAdapter:
         self._id = FIRST
         self._has_wrist = False
         self._failures = 0
-        self._position, self._velocity, self._spin = [0.0] * 3, [0.0] * 3, [0.0] * 3
+        self._position = [0.0] * 3
+        self._velocity = [0.0] * 3
+        self._spin = [0.0] * 3
         self._matrix = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
     @classmethod
@@ -97,10 +99,8 @@ class ForceDimensionAdapter:
             try:
                 if bool(dhd.hasActiveWrist(number)) != cls.has_motors:
                     continue
-                serial, model = (
-                    str(dhd.getSerialNumber(number)),
-                    dhd.getSystemName(number) or "unknown model",
-                )
+                serial = str(dhd.getSerialNumber(number))
+                model = dhd.getSystemName(number) or "unknown model"
             finally:
                 if not _OPEN[number]:  # it would end the run of the adapter that has it open
                     dhd.close(number)
@@ -127,7 +127,9 @@ class ForceDimensionAdapter:
         number = dhd.open() if self._serial == FIRST else dhd.openSerial(self._serial)
         if number == FAILED:
             raise InputError(_refused(dhd))
-        self._dhd, self._id, self._failures = dhd, number, 0
+        self._dhd = dhd
+        self._id = number
+        self._failures = 0
         _OPEN[number] += 1
         try:
             if bool(dhd.hasActiveWrist(number)) != self.has_motors:
@@ -165,7 +167,8 @@ class ForceDimensionAdapter:
         DeviceError
             If it has not answered for long.
         """
-        dhd, number = self._dhd, self._id
+        dhd = self._dhd
+        number = self._id
         if self._has_wrist:
             answer = dhd.getPositionAndOrientationFrame(self._position, self._matrix, number)
         else:
@@ -177,7 +180,9 @@ class ForceDimensionAdapter:
         # resting.
         moves = dhd.getLinearVelocity(self._velocity, number) != FAILED
         turns = self._has_wrist and dhd.getAngularVelocityRad(self._spin, number) != FAILED
-        (x, y, z), (vx, vy, vz), (wx, wy, wz) = self._position, self._velocity, self._spin
+        (x, y, z) = self._position
+        (vx, vy, vz) = self._velocity
+        (wx, wy, wz) = self._spin
         return HardwareSample(
             (x, y, z),
             (vx, vy, vz) if moves else (0.0, 0.0, 0.0),
@@ -202,7 +207,8 @@ class ForceDimensionAdapter:
         """Take all force off by switching the motors off, and close the device, unless another
         adapter uses it.
         """
-        dhd, self._dhd = self._dhd, None
+        dhd = self._dhd
+        self._dhd = None
         if dhd is None:
             return
         _OPEN[self._id] -= 1

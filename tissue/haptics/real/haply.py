@@ -95,7 +95,8 @@ class HaplyAdapter:
         except InputError as error:
             return [FoundDevice(name=NAME, where=address, problem=str(error))]
         try:
-            state, found = link.state, []
+            state = link.state
+            found = []
             if not state.device_ids:
                 return [FoundDevice(name=NAME, where=link.url, problem=problem_of(state))]
             for device_id in state.device_ids:

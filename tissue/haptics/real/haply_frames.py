@@ -84,12 +84,11 @@ class ServiceState:
         """The device's sample with orientation and buttons of the handle; None where a number is
         missing or none.
         """
-        state, grip = _part(self.device, "state"), self._grip()
+        state = _part(self.device, "state")
+        grip = self._grip()
         held = _part(grip, "state")
-        position, velocity = (
-            _triple(state.get("cursor_position")),
-            _triple(state.get("cursor_velocity")),
-        )
+        position = _triple(state.get("cursor_position"))
+        velocity = _triple(state.get("cursor_velocity"))
         if position is None:
             return None
         turned = _quaternion(held.get("orientation"))

@@ -81,15 +81,19 @@ class HaplyLink:
         self.state = ServiceState(device_id)
         self.version: tuple[int, int] | None = None
         self.events: list[str] = []
-        self.releases, self._was_off = 0, True
+        self.releases = 0
+        self._was_off = True
         self._spelling = "vector"
         self._socket: ClientConnection | None = None
         self._stack = ExitStack()
         self._sample: HardwareSample | None = None
         self._sampled_s = self._asked_s = 0.0
-        self._force, self._pushed_s = NO_FORCE, 0.0
-        self._problem, self._order = "", StateOrder()
-        self._wake, self._ended = threading.Event(), threading.Event()
+        self._force = NO_FORCE
+        self._pushed_s = 0.0
+        self._problem = ""
+        self._order = StateOrder()
+        self._wake = threading.Event()
+        self._ended = threading.Event()
         self._thread: threading.Thread | None = None
         self._sending = threading.Lock()  # nothing follows the zero of the end
 
@@ -153,7 +157,8 @@ class HaplyLink:
                 "another program uses the device: the service adds the forces of both, close "
                 "the other"
             )
-        self._sample, self._sampled_s = None, perf_counter()
+        self._sample = None
+        self._sampled_s = perf_counter()
         self._thread = threading.Thread(target=self._run, daemon=True, name="haply")
         self._thread.start()
         until = perf_counter() + OPEN_S
@@ -168,7 +173,8 @@ class HaplyLink:
         DeviceError
             If the service or the device is lost for good.
         """
-        sample, self._sample = self._sample, None
+        sample = self._sample
+        self._sample = None
         if self._problem:
             raise DeviceError(self._problem)
         if (
@@ -186,7 +192,8 @@ class HaplyLink:
 
     def play(self, force_N: Triple) -> None:
         """Let this be the force that is sent from now on."""
-        self._force, self._pushed_s = force_N, perf_counter()
+        self._force = force_N
+        self._pushed_s = perf_counter()
         self._wake.set()
 
     def end(self) -> None:
@@ -253,7 +260,8 @@ class HaplyLink:
 
     def _receive(self, seconds: float) -> bool:
         """Take the answer and all that came behind it; whether there was one in time."""
-        link, answered = self._open_socket, False
+        link = self._open_socket
+        answered = False
         with suppress(TimeoutError):
             for _ in range(MOST_BEHIND):
                 self._take(link.recv(timeout=0 if answered else seconds))
@@ -265,13 +273,16 @@ class HaplyLink:
         if not self.state.take(text):
             return
         if problem := problem_of(self.state):
-            self._force, self._problem = NO_FORCE, problem
+            self._force = NO_FORCE
+            self._problem = problem
         elif (sample := self.state.sample()) is not None:
-            was_wrong, now = self._order.is_wrong, perf_counter()
+            was_wrong = self._order.is_wrong
+            now = perf_counter()
             if not self._order.observe(sample, now):
                 # this thread may have stood still before it took the answer
                 if now - self._asked_s < ANSWER_S:
-                    self._sample, self._sampled_s = sample, now
+                    self._sample = sample
+                    self._sampled_s = now
             elif not was_wrong:
                 self._log("states of the service come in a wrong order: the force is taken off")
 
@@ -279,21 +290,26 @@ class HaplyLink:
         """Take the force off, and wait for the answers that are late, of which none is a new
         sample.
         """
-        self._force, self._sample = NO_FORCE, None
+        self._force = NO_FORCE
+        self._sample = None
         self.releases += 1
         self._log(
             f"the service did not answer within {1e3 * ANSWER_S:g} ms: the force is taken off"
         )
         self._send(NO_FORCE)
-        link, missing, until = self._open_socket, 2, perf_counter() + LOST_S
+        link = self._open_socket
+        missing = 2
+        until = perf_counter() + LOST_S
         while missing > 0 and perf_counter() < until and not self._ended.is_set():
             with suppress(TimeoutError):
                 self.state.take(link.recv(timeout=PATIENCE_S))
-                missing, until = missing - 1, perf_counter() + LOST_S
+                missing = missing - 1
+                until = perf_counter() + LOST_S
 
     def _reached_again(self, why: str) -> bool:
         """Reach a service that was restarted; whether it answers before it is given up."""
-        self._force, self._sample = NO_FORCE, None
+        self._force = NO_FORCE
+        self._sample = None
         self.releases += 1
         self._log("the service closed the connection: the force is zero until it is back")
         until = perf_counter() + AGAIN_S
@@ -323,8 +339,10 @@ class HaplyLink:
 
     def _disconnect(self, *, cut: bool = False) -> None:
         """Close the connection; cut it first if a frame waits for a service that reads no more."""
-        stack, link = self._stack, self._socket
-        self._stack, self._socket = ExitStack(), None
+        stack = self._stack
+        link = self._socket
+        self._stack = ExitStack()
+        self._socket = None
         if cut and link is not None:
             with suppress(OSError):
                 link.socket.shutdown(socket.SHUT_RDWR)

@@ -30,7 +30,8 @@ def service_address(address: str) -> tuple[str, str, int, str]:
     """
     parts = urlsplit(address or USUAL)
     try:
-        host, port = parts.hostname, parts.port
+        host = parts.hostname
+        port = parts.port
     except ValueError:
         host = port = None
     if parts.scheme != "ws" or not host or not port or parts.path not in ("", "/"):
@@ -45,7 +46,8 @@ def service_address(address: str) -> tuple[str, str, int, str]:
 
 def problem_of(state: ServiceState) -> str:
     """Why the device cannot be used, in one sentence; nothing where it can."""
-    name, ids = state.device_id, state.device_ids
+    name = state.device_id
+    ids = state.device_ids
     if not ids:
         return (
             "haply must list an Inverse3, got none: plug it in, switch it on, and look for it in "

@@ -73,28 +73,32 @@ class MappedDevice:
         start_m: Triple = (0.0, 0.0, 0.0),
         now: Callable[[], float] = perf_counter,
     ) -> None:
-        self._adapter, self._settings, self._now = adapter, hardware or Hardware(), now
+        self._adapter = adapter
+        self._settings = hardware or Hardware()
+        self._now = now
         self.limits: DeviceParameters = adapter.limits
         self._space = Workspace(self._settings.turn_deg, start_m)
         self._reach = reach_of(adapter, self.limits)
         self._cap = min(
             self._settings.force_cap_N or self.limits.force_limit_N, self.limits.force_limit_N
         )
-        self._patience, self._ramp = (
-            1e-3 * self._settings.watchdog_ms,
-            1e-3 * self._settings.ramp_ms,
-        )
+        self._patience = 1e-3 * self._settings.watchdog_ms
+        self._ramp = 1e-3 * self._settings.ramp_ms
         self.played: tuple[Array, Array] = (np.zeros(3), np.zeros(3))
         self.share = 0.0
         self._events: list[tuple[float, str]] = []
         self._newest: HardwareSample | None = None
         self._came = self._time = 0.0
-        self._lost, self._releases, self._noted = False, 0, 0
+        self._lost = False
+        self._releases = 0
+        self._noted = 0
         self._begin(0.0)
 
     def __enter__(self) -> Self:
         self._adapter.__enter__()
-        self._newest, self._releases, self._noted = None, getattr(self._adapter, "releases", 0), 0
+        self._newest = None
+        self._releases = getattr(self._adapter, "releases", 0)
+        self._noted = 0
         self._begin(0.0)
         return self
 
@@ -124,19 +128,24 @@ class MappedDevice:
         """
         if time_s < self._time or not self._space.is_placed:
             self._begin(time_s)
-        elapsed, self._time = time_s - self._time, time_s
-        now, sample = self._now(), self._adapter.poll()
+        elapsed = time_s - self._time
+        self._time = time_s
+        now = self._now()
+        sample = self._adapter.poll()
         if (releases := getattr(self._adapter, "releases", 0)) != self._releases:
-            self._releases, self.share = releases, 0.0
+            self._releases = releases
+            self.share = 0.0
             self._note()
         if sample is not None:
-            self._newest, self._came = sample, now
+            self._newest = sample
+            self._came = now
             if self._reach is not None:
                 self._reach.require(sample.position_m)
         elif self._newest is None or now - self._came > self._patience:
             if not self._lost and self._space.is_placed:
                 self._log(f"no sample came for {1e3 * self._patience:g} ms: the force is zero")
-            self._lost, self.share = True, 0.0
+            self._lost = True
+            self.share = 0.0
             return None
         if self._lost:
             if self._space.is_placed:
@@ -151,10 +160,8 @@ class MappedDevice:
         )
         if clutched:
             return Sample(time_s, position, STILL, quaternion, STILL)
-        velocity, spin = (
-            self._space.turned(newest.velocity_m_s),
-            self._space.turned(newest.spin_rad_s),
-        )
+        velocity = self._space.turned(newest.velocity_m_s)
+        spin = self._space.turned(newest.spin_rad_s)
         return Sample(time_s, position, velocity, quaternion, spin)
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
@@ -177,7 +184,8 @@ class MappedDevice:
         """A run begins: the next sample is where its tool starts, and the force comes on from
         zero.
         """
-        self.share, self._time = 0.0, time_s
+        self.share = 0.0
+        self._time = time_s
         self._space.forget()
         if self._reach is not None:
             self._reach.restart()

@@ -27,7 +27,8 @@ def write_measured(path: Path, name: str, test: SelfTest) -> None:
         min(max(each, SLOWEST_HZ), most) for each in (test.rate_Hz, 1.0 / test.interval_99_s)
     )
     rate = most if rate >= EVERY_TICK * most else rate
-    delay, high = min(test.delay_s, LONGEST_S), min(max(test.delay_99_s, test.delay_s), LONGEST_S)
+    delay = min(test.delay_s, LONGEST_S)
+    high = min(max(test.delay_99_s, test.delay_s), LONGEST_S)
     by = (
         f"measured by tissue devices --test {name} for {test.seconds:g} s on "
         f"{date.today().isoformat()}"

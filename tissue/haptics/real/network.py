@@ -64,7 +64,8 @@ class UdpTransport:
     """
 
     def __init__(self, host: str, port: int, session: NetworkSession) -> None:
-        self._session, self._closed = session, False
+        self._session = session
+        self._closed = False
         try:
             (family, kind, *_, place), *_ = socket.getaddrinfo(
                 host.strip("[]"), port, type=socket.SOCK_DGRAM
@@ -148,11 +149,14 @@ class NetworkAdapter:
                 while adapter.session.peer is None and perf_counter() < until:
                     adapter.poll()
                     sleep(0.01)
-                peer, dropped, place = adapter.session.peer, adapter.happened(), adapter.address
+                peer = adapter.session.peer
+                dropped = adapter.happened()
+                place = adapter.address
         except ValueError as error:  # an address, a port that is taken, or what is not installed
             return [FoundDevice(name="network", problem=str(error))]
         if peer is not None:
-            detail, limits = f"listens at {place}", device_parameters("network")
+            detail = f"listens at {place}"
+            limits = device_parameters("network")
             return [FoundDevice(name="network", where=str(peer), detail=detail, limits=limits)]
         got = "".join(dropped) or "none"
         problem = (
@@ -210,15 +214,18 @@ class NetworkAdapter:
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
         """Send a force and a torque; the device plays them until the next ones, or for 50 ms."""
-        (fx, fy, fz), (tx, ty, tz) = force_N.tolist(), torque_Nm.tolist()
-        transport, sending = self._transport, self.session.wrench(((fx, fy, fz), (tx, ty, tz)))
+        (fx, fy, fz) = force_N.tolist()
+        (tx, ty, tz) = torque_Nm.tolist()
+        transport = self._transport
+        sending = self.session.wrench(((fx, fy, fz), (tx, ty, tz)))
         # after a close the packet's number would be an old one
         if transport is not None and sending is not None:
             transport.send(*sending)
 
     def close(self) -> None:
         """Send zero and goodbye, and stop listening."""
-        transport, self._transport = self._transport, None
+        transport = self._transport
+        self._transport = None
         if transport is None:
             return
         for sending in (self.session.wrench(NO_WRENCH), self.session.bye()):
@@ -231,9 +238,12 @@ def _parsed(address: str) -> tuple[str, str, int]:
     """Scheme, host and port of an address."""
     try:
         parts = urlsplit(address)
-        host, port = parts.hostname, parts.port
+        host = parts.hostname
+        port = parts.port
     except ValueError:
-        parts, host, port = None, None, None
+        parts = None
+        host = None
+        port = None
     if (
         parts is None
         or parts.scheme not in ("udp", "ws")

@@ -62,7 +62,8 @@ class NetworkSession:
         self.peer: Hashable | None = None
         self.counts: Counter[str] = Counter()
         self.round_trip_s = nan
-        self._clock, self._heard = clock, 0.0
+        self._clock = clock
+        self._heard = 0.0
         self._lock = threading.Lock()
         self._newest: HardwareSample | None = None
         self._seen = 0  # newest sequence number of the device
@@ -85,7 +86,8 @@ class NetworkSession:
         """The newest pose; None where none came since the last call."""
         with self._lock:
             self._forget_silent()
-            newest, self._newest = self._newest, None
+            newest = self._newest
+            self._newest = None
             return newest
 
     def wrench(self, wrench: Wrench) -> tuple[Hashable, bytes] | None:
@@ -103,7 +105,8 @@ class NetworkSession:
         with self._lock:
             if self.peer is None:
                 return None
-            peer, data = self.peer, self._packet(Kind.BYE)
+            peer = self.peer
+            data = self._packet(Kind.BYE)
             self._forget()
             return peer, data
 
@@ -145,7 +148,9 @@ class NetworkSession:
             return packed(Packet(kind=Kind.REFUSED, sequence=0, echo=packet.sequence, reason=BUSY))
         if self.peer is None or (packet.sequence, packet.time_s) != self._greeting:
             self.counts["hellos"] += 1
-            self.peer, self._seen, self._newest = sender, packet.sequence, None
+            self.peer = sender
+            self._seen = packet.sequence
+            self._newest = None
             self._greeting = packet.sequence, packet.time_s
         else:  # it came twice: poses from before it must not pass as new
             self.counts["repeated"] += 1
@@ -173,4 +178,6 @@ class NetworkSession:
             self._forget()
 
     def _forget(self) -> None:
-        self.peer, self._newest, self._seen = None, None, 0
+        self.peer = None
+        self._newest = None
+        self._seen = 0

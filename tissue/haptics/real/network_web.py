@@ -61,14 +61,17 @@ class WebTransport:
                 "none",
                 "pip install 'tissue-sim[network]', or use udp://",
             ) from None
-        self._session, self._waiting = session, deque[tuple[Hashable, bytes]](maxlen=MOST_WAITING)
+        self._session = session
+        self._waiting = deque[tuple[Hashable, bytes]](maxlen=MOST_WAITING)
         self._connections: dict[Hashable, ServerConnection] = {}
         # also those that are no WebSocket yet
         self._lines: dict[ServerConnection, asyncio.BaseTransport] = {}
-        self._ready, self._failed = threading.Event(), list[OSError]()
+        self._ready = threading.Event()
+        self._failed = list[OSError]()
         self.address = f"ws://{host}:{port}"
         self._loop = asyncio.new_event_loop()
-        self._stop, self._news = asyncio.Event(), asyncio.Event()
+        self._stop = asyncio.Event()
+        self._news = asyncio.Event()
         self._thread = threading.Thread(
             target=self._run, args=(host, port), daemon=True, name="network device"
         )

@@ -76,7 +76,8 @@ class OpenHapticsAdapter:
         self._force: tuple[list[float], float] = ([0.0, 0.0, 0.0], 0.0)  # and when it was pushed
         self._past: deque[tuple[float, HardwareSample]] = deque(maxlen=WINDOW)
         self._problem = ""
-        self._ended, self._rests = True, threading.Event()
+        self._ended = True
+        self._rests = threading.Event()
 
     @staticmethod
     def find(address: str = "") -> list[FoundDevice]:
@@ -116,13 +117,17 @@ class OpenHapticsAdapter:
 
     def __enter__(self) -> Self:
         hd, scheduling = _library()
-        self._sample, self._taken, self._problem = None, None, ""
+        self._sample = None
+        self._taken = None
+        self._problem = ""
         self._past.clear()
         with redirect_stdout(StringIO()):  # the package prints what it does
             number = hd.init_device(self._name)
             if number in NONE:
                 raise InputError(f"a device named {self._name}", "be connected", "none", NO_DEVICE)
-            self._hd, self._id, self._ended = hd, number, False
+            self._hd = hd
+            self._id = number
+            self._ended = False
             with _OPENING:
                 is_first = not _OPEN
                 _OPEN[number] = self._name
@@ -195,12 +200,14 @@ class OpenHapticsAdapter:
         without a word.
         """
         try:
-            hd, now = self._hd, perf_counter()
+            hd = self._hd
+            now = perf_counter()
             if hd is None:
                 return
             self._make_current(hd)
             self._sample = self._read(hd.get_transform(), hd.get_buttons(), now)
-            (force, pushed), ended = self._force, self._ended
+            (force, pushed) = self._force
+            ended = self._ended
             hd.set_force(force if now - pushed <= HELD_S and not ended else [0.0, 0.0, 0.0])
             if ended:
                 self._hd = None

@@ -107,7 +107,8 @@ def _samples(path: Path) -> list[HardwareSample]:
 
     with names_of_caller({"motion.file": "hardware.address"}):
         motion = read_replay(path, step_s=TICK_S)
-    tips, turns = motion.sweep_m(), Rotation.from_matrix(motion.rotations()).as_quat()
+    tips = motion.sweep_m()
+    turns = Rotation.from_matrix(motion.rotations()).as_quat()
     times = TICK_S * np.arange(len(tips), dtype=np.float64)
     played = RecordedDevice(times, tips, turns, rate_Hz=1.0 / TICK_S)
     samples = [played.read(time_s) for time_s in times.tolist()]

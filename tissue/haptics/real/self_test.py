@@ -103,8 +103,13 @@ def self_test(
         millimetres do.
     """
     require_range("seconds", seconds, 0.1, 600.0, "use 2")
-    zero, times, calls, trips = np.zeros(3), list[float](), list[float](), list[float]()
-    end, due, reach = clock() + START_S, clock(), Reach(adapter.limits)
+    zero = np.zeros(3)
+    times = list[float]()
+    calls = list[float]()
+    trips = list[float]()
+    end = clock() + START_S
+    due = clock()
+    reach = Reach(adapter.limits)
     while (before := clock()) < end:
         sample = adapter.poll()
         if (now := clock()) >= due:
@@ -123,8 +128,10 @@ def self_test(
         raise InputError(
             "a device", "give samples for its test", len(times), "check that it is on, and move it"
         )
-    gaps, shown = np.diff(times), [each for each in trips if isfinite(each)]
-    (interval, interval_99), (call, call_99) = _middle_and_99(gaps), _middle_and_99(calls)
+    gaps = np.diff(times)
+    shown = [each for each in trips if isfinite(each)]
+    (interval, interval_99) = _middle_and_99(gaps)
+    (call, call_99) = _middle_and_99(calls)
     trip, trip_99 = _middle_and_99(shown) if len(shown) >= FEWEST else (nan, nan)
     return SelfTest(
         seconds=seconds,

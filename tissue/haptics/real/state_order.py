@@ -40,17 +40,21 @@ class StateOrder:
 
     def observe(self, sample: HardwareSample, time_s: float) -> bool:
         """Take a state that came at a time [s]; whether the order is wrong."""
-        last, elapsed = self._last, min(time_s - self._came_s, LONGEST_S)
-        self._last, self._came_s = sample, time_s
+        last = self._last
+        elapsed = min(time_s - self._came_s, LONGEST_S)
+        self._last = sample
+        self._came_s = time_s
         if last is None:
             return False
-        (x, y, z), (a, b, c) = sample.position_m, last.position_m
+        (x, y, z) = sample.position_m
+        (a, b, c) = last.position_m
         step = x - a, y - b, z - c
         speed = [
             0.5 * (one + other)
             for one, other in zip(sample.velocity_m_s, last.velocity_m_s, strict=True)
         ]
-        length, fast = hypot(*step), hypot(*speed)
+        length = hypot(*step)
+        fast = hypot(*speed)
         against = length > LEAST_M and fast > LEAST_M_S
         against = (
             against

@@ -57,10 +57,12 @@ class Workspace:
 
     def forget(self) -> None:
         """Let the next pose be the first one."""
-        self.is_placed, self._clutched = False, False
+        self.is_placed = False
+        self._clutched = False
         self._shift: Triple = (0.0, 0.0, 0.0)
         self._pose: tuple[Triple, Quaternion] = (self._start, NO_TURN)
-        self._from, self._onto = NO_TURN, NO_TURN
+        self._from = NO_TURN
+        self._onto = NO_TURN
 
     def turned(self, vector: Triple) -> Triple:
         """A vector of the device's axes in the world's."""
@@ -90,8 +92,11 @@ class Workspace:
         usable = isfinite(x + y + z) and is_nearly_unit(turned)
         if usable and (self._clutched or not self.is_placed):
             (a, b, c), onto = self._pose
-            self._shift, self._onto, self._from = (a - x, b - y, c - z), onto, conjugate(turned)
-            self.is_placed, self._clutched = True, clutched
+            self._shift = (a - x, b - y, c - z)
+            self._onto = onto
+            self._from = conjugate(turned)
+            self.is_placed = True
+            self._clutched = clutched
         a, b, c = self._shift
         pose = (x + a, y + b, z + c), product(product(turned, self._from), self._onto)
         if usable:

@@ -135,7 +135,8 @@ class CuttingHeat:
         self.cutting_J += cutting_J
         self._lost[:] = self._lost_fraction(*cut)
         self._power_W = self._share * cutting_J / duration_s
-        self._earlier, self._later = self._later, self._engaged.cutting(motion)
+        self._earlier = self._later
+        self._later = self._engaged.cutting(motion)
         self._tip_m = motion.tip_m.copy()
         self._deposit(*(self._earlier if len(self._earlier[0]) else self._later), self._tip_m)
         self._steps = self.field.plan(duration_s)

@@ -36,9 +36,11 @@ def wall_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
     import pyvista
 
     path_mm = 1e3 * motion_of(scene, step_s=TICK_S).sweep_m()[:, :2]
-    low, high = path_mm.min(axis=0), path_mm.max(axis=0)
+    low = path_mm.min(axis=0)
+    high = path_mm.max(axis=0)
     roam_mm = (scene.device and scene.device.coupling.roam_mm) or 0.0
-    middle, (wide, deep) = 0.5 * (low + high), high - low + max(FACE_MM, 2.0 * roam_mm)
+    middle = 0.5 * (low + high)
+    (wide, deep) = high - low + max(FACE_MM, 2.0 * roam_mm)
     return {
         "wall": pyvista.Plane(
             center=(*middle, 0.0),

@@ -65,7 +65,8 @@ class VoxelBone:
         *,
         compute: str = "cpu",
     ) -> None:
-        self._compute, self.coefficients = compute, coefficients
+        self._compute = compute
+        self.coefficients = coefficients
         self.on_demand = voxels if isinstance(voxels, BricksOnDemand) else None
         self.store = (
             BrickStore.from_volume(voxels, device=compute)
@@ -123,7 +124,8 @@ class VoxelBone:
         self, cutter: Cutter, boxes: Boxes, start: Pose, *, shell_spacing_m: float | None = None
     ) -> tuple[BoneModel, bool]:
         """The bone under a cutter that reaches boxes, and whether it goes on where it ended."""
-        grown, last = self.reach(boxes), self._last
+        grown = self.reach(boxes)
+        last = self._last
         if (
             last is not None
             and last.cutter == cutter

@@ -48,11 +48,10 @@ def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
 
     cuts: tuple[NDArray[np.float64], ...] = ()
     if isinstance(parameters, ImageAnatomy):
-        threshold, image = (
-            _threshold(parameters),
-            read_image(parameters.file, spacing_mm=parameters.spacing_mm),
-        )
-        triangles, source = image_triangles(image, threshold=threshold), image.source
+        threshold = _threshold(parameters)
+        image = read_image(parameters.file, spacing_mm=parameters.spacing_mm)
+        triangles = image_triangles(image, threshold=threshold)
+        source = image.source
         cuts = image_cuts(image, threshold=threshold)
         places = f"{len(cuts)} places" if len(cuts) > 1 else "one place"
         remarks = [
@@ -63,7 +62,8 @@ def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
             notes["image"] = " ".join(remarks)
     else:
         file = Path(parameters.file)
-        triangles, source = read_triangles(file), file.name
+        triangles = read_triangles(file)
+        source = file.name
     scale_mm = parameters.scale_mm if isinstance(parameters, SurfaceAnatomy) else 1.0
     surface = surface_from_triangles(*triangles, source=source, scale_mm=scale_mm, cut_off=True)
     surface, site = replace(surface, caps_m=surface.caps_m + cuts), _site(parameters, surface)
@@ -166,7 +166,9 @@ def _site(parameters: Placed, surface: "Surface") -> "Site":
     from meshes.surfaces.landmarks import find_glenoid
     from meshes.surfaces.site import place_site
 
-    centre, normal, along = parameters.centre_mm, parameters.normal, parameters.along
+    centre = parameters.centre_mm
+    normal = parameters.normal
+    along = parameters.along
     if isinstance(parameters, Glenoid) and normal is None:
         return find_glenoid(surface, centre_mm=centre, along=along)
     if centre is None:
@@ -208,7 +210,8 @@ def _read_tooth(
     from meshes.ct.labels import header_names
     from meshes.images.reading import read_image
 
-    image, named = read_image(file, spacing_mm=spacing_mm, labels=True), header_names(file)
+    image = read_image(file, spacing_mm=spacing_mm, labels=True)
+    named = header_names(file)
     known = named if set(named.values()) & set(TOOTH_LAYERS) else label_volume.CARIES_LABELS
     tooth = label_volume.labelled_tooth(image, labels=known)
     return tooth.at_lesion() if over_lesion else tooth

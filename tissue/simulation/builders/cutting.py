@@ -64,7 +64,8 @@ def milled(
         neither turns nor is held by a hand.
     """
     assert isinstance(scene.tool, Tool)
-    cutter, notes = cutter_of(scene.tool), dict[str, str]()
+    cutter = cutter_of(scene.tool)
+    notes = dict[str, str]()
     report("building the anatomy", 0.0)
     volume = volume_of(scene, cutter, motion, notes=notes, report=report)
     require_touch(volume, cutter, motion)
@@ -136,7 +137,8 @@ def cutter_of(tool: Tool) -> Cutter:
     """The cutter that a scene's tool describes, in SI; a spin above 0 is clockwise as seen from
     the shank.
     """
-    sizes, entry = {}, CUTTERS[tool.kind]
+    sizes = {}
+    entry = CUTTERS[tool.kind]
     for key in ("diameter_mm", *entry.keys):
         name, _, unit = key.rpartition("_")
         si, factor = SI[unit]
@@ -149,10 +151,8 @@ def _require_chips(scene: Scene, cutter: Cutter) -> None:
     """Refuse a given feed at which a tooth would take a chip thicker than the tool's radius."""
     if scene.device is not None or not isinstance(scene.motion, PathMotion):
         return
-    chip_mm, radius_mm = (
-        scene.motion.feed_mm_s * cutter.chip_per_speed_s,
-        1e3 * cutter.profile.radius_m,
-    )
+    chip_mm = scene.motion.feed_mm_s * cutter.chip_per_speed_s
+    radius_mm = 1e3 * cutter.profile.radius_m
     if chip_mm > radius_mm:
         raise InputError(
             "motion.feed_mm_s",
@@ -164,7 +164,8 @@ def _require_chips(scene: Scene, cutter: Cutter) -> None:
 
 def _require_effect(scene: Scene, volume: VoxelVolume) -> None:
     """Refuse keys that have no effect on the voxels that the tool can reach."""
-    anatomy, cutting = scene.anatomy, scene.cutting
+    anatomy = scene.anatomy
+    cutting = scene.cutting
     filled = volume.fraction > 0
     if is_given(cutting, "density_exponent"):
         cited = scene.constants.coefficients(volume.layer_names, {}, bone=cutting.material)

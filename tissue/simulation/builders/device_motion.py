@@ -82,7 +82,9 @@ def device_motion(
     InputError
         If the coupling is unstable and that is not allowed.
     """
-    limits, chosen, scale = settings.limits, settings.coupling, settings.coupling.motion_scale
+    limits = settings.limits
+    chosen = settings.coupling
+    scale = settings.coupling.motion_scale
     judged, turning = judged_loops(settings, step_s=step_s, allow_unstable=allow_unstable)
     # As energy is booked: from a sample to the force that answers it, without a balance that is
     # found late.

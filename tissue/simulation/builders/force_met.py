@@ -71,7 +71,8 @@ def fitted_scale(force_N: float, limits: DeviceParameters) -> float:
     """The scale, of two digits, that brings a force [N] between a device's friction and its
     limit.
     """
-    low, high = LEAST * limits.friction_N / force_N, MOST * limits.force_limit_N / force_N
+    low = LEAST * limits.friction_N / force_N
+    high = MOST * limits.force_limit_N / force_N
     scale = min(max(1.0, low), high)
     digits = 1 - floor(log10(scale))
     return floor(round(scale * 10.0**digits, 9)) / 10.0**digits
@@ -111,7 +112,8 @@ def cut(scene: Scene) -> float:
     spacing_mm = max(scene.voxels.spacing_mm, scene.tool.diameter_mm / ACROSS)
     voxels = scene.voxels.model_copy(update={"spacing_mm": spacing_mm, "margin_mm": 0.0})
     coarse = scene.model_copy(update={"voxels": voxels})
-    cutter, motion = cutter_of(scene.tool), motion_of(scene, step_s=TICK_S)
+    cutter = cutter_of(scene.tool)
+    motion = motion_of(scene, step_s=TICK_S)
     volume = volume_of(coarse, cutter, motion, notes={}, report=silent)
     spacing_m = (cutter.cutting_area_m2 / ELEMENTS) ** 0.5
     return _largest(motion, milling_of(coarse, volume, cutter, shell_spacing_m=spacing_m), POSES)
@@ -123,12 +125,14 @@ def pressed(scene: Scene) -> float:
     Hertz's for a ball and Boussinesq's for the flat end of a cylinder, of the stiffest tissue on
     the script without a nodule; 0 for a probe of another shape.
     """
-    organ, tool = scene.organ, scene.tool
+    organ = scene.organ
+    tool = scene.tool
     assert isinstance(tool, Probe)
     cited = scene.constants.constants("soft", organ.material)
     young = max(organ.young_kPa or cited["modulus_kPa"].value, organ.young_end_kPa or 0.0)
     ratio = cited["poisson_ratio"].value if organ.poisson_ratio is None else organ.poisson_ratio
-    modulus, radius = 1e3 * young / (1.0 - ratio**2), 0.5e-3 * tool.size_mm
+    modulus = 1e3 * young / (1.0 - ratio**2)
+    radius = 0.5e-3 * tool.size_mm
     depth = max(-float(motion_of(scene, step_s=TICK_S).sweep_m()[:, 2].min()), 0.0)
     if tool.kind == "sphere-probe":
         return float(4.0 / 3.0 * modulus * radius**0.5 * depth**1.5)
@@ -149,7 +153,9 @@ def pierced(scene: Scene) -> float:
 
 def _largest(motion: Motion, tissue: TissueModel, poses: int) -> float:
     """Largest force of a tissue at poses of a motion, alike far apart in time [N]."""
-    tool, response, most = ToolMotion(), Response.empty(len(tissue.layer_names)), 0.0
+    tool = ToolMotion()
+    response = Response.empty(len(tissue.layer_names))
+    most = 0.0
     motion.begin(tool)
     tissue.place(tool)
     for time_s in np.linspace(0.0, motion.duration_s, poses).tolist():

@@ -45,7 +45,9 @@ def hand_motion(
         workspace.
     """
     settings = loop_settings(scene)
-    limits, person, scale = settings.limits, settings.person, scene.held.coupling.motion_scale
+    limits = settings.limits
+    person = settings.person
+    scale = scene.held.coupling.motion_scale
     if not plays_record(scene):
         _require_workspace(scene, scripted, limits)
     start = scripted.sweep_m()[0]
@@ -95,7 +97,8 @@ def _require_workspace(scene: Scene, scripted: Motion, limits: DeviceParameters)
     """Refuse a motion that leaves the device's workspace, whose box may lie along the axes as it
     fits.
     """
-    workspace, extent = limits.workspace_m, np.sort(np.ptp(scripted.sweep_m(), axis=0))
+    workspace = limits.workspace_m
+    extent = np.sort(np.ptp(scripted.sweep_m(), axis=0))
     scale = scene.held.coupling.motion_scale
     if (extent > scale * workspace).any():
         fits = ceil(100.0 * float((extent / workspace).max()) - 1e-9) / 100.0
@@ -122,7 +125,8 @@ def _aims(
     step_s: float,
 ) -> tuple[Path, Callable[[float], Array] | None]:
     """Where the hand aims, and what it pushes with besides."""
-    corners, scale = scripted.sweep_m(), scene.held.coupling.motion_scale
+    corners = scripted.sweep_m()
+    scale = scene.held.coupling.motion_scale
     furthest = scale * limits.force_limit_N * (1.0 / stiffness_N_m + 1.0 / person.stiffness_N_m)
     if isinstance(scene.motion, ThrustMotion):
         push_N = min(chosen_scale(scene)[0] * scene.motion.thrust_N, limits.force_limit_N)

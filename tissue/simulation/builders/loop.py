@@ -151,7 +151,8 @@ def judged_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
     InputError
         If the device is slow and the renderer or the prediction needs a sample in every tick.
     """
-    limits, chosen = settings.limits, settings.coupling
+    limits = settings.limits
+    chosen = settings.coupling
     if settings.is_slow and settings.renderer == "passivity":
         raise _too_slow(settings, "renderer = passivity", "renderer = proxy or penalty")
     loop = limits.loop(
@@ -201,7 +202,9 @@ def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
     """The predictor about a contact at rest, under a share of the device's force, and what it
     hands over to.
     """
-    predictor, chosen, limits = settings.predictor(), settings.coupling, settings.limits
+    predictor = settings.predictor()
+    chosen = settings.coupling
+    limits = settings.limits
     if predictor is None:
         return [None]
     if settings.is_slow:
@@ -225,7 +228,8 @@ def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
 
 def _turning_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
     """The same for turns: but for a tool that only touches, their balance is found a tick later."""
-    limits, chosen = settings.limits, settings.coupling
+    limits = settings.limits
+    chosen = settings.coupling
     loop = limits.turning_loop(
         1.0, filter_s=1e-3 * settings.low_pass_ms, model_ticks=_model_samples(settings)
     )

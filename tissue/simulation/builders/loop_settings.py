@@ -107,7 +107,8 @@ def sampled(limits: DeviceParameters) -> DeviceParameters:
 
 def loop_settings(scene: Scene) -> LoopSettings:
     """What a scene states of its device, of the hand and of what lies between them and the tool."""
-    held, tool = scene.held, scene.tool
+    held = scene.held
+    tool = scene.tool
     limits = sampled(device_parameters(held.kind, scene.constants))
     contact: Contact = "wall" if isinstance(scene.anatomy, WallAnatomy) else "presses"
     teeth_Hz = 0.0

@@ -229,7 +229,8 @@ def _moduli_kPa(mesh: TetMesh, anatomy: SoftAnatomy, organ: Organ) -> dict[int, 
                 f"{given[number]} and {name}",
                 "remove one of them",
             )
-        given[number], found[number] = name, modulus
+        given[number] = name
+        found[number] = modulus
     return found
 
 
@@ -279,7 +280,8 @@ def _from_file(
                 "remove it"
             ),
         )
-    mesh, turn = found.mesh, frame_along(anatomy.normal)
+    mesh = found.mesh
+    turn = frame_along(anatomy.normal)
     if anatomy.along is not None:
         turn = axes_along(turn[:, 2], anatomy.along)
     surface = (
@@ -293,7 +295,8 @@ def _from_file(
         ]
     onto = None
     if found.surface is not None:
-        vertices, faces = (found.surface.vertices_m - origin) @ turn, found.surface.faces
+        vertices = (found.surface.vertices_m - origin) @ turn
+        faces = found.surface.faces
 
         def onto(points: NDArray[np.float64]) -> NDArray[np.float64]:
             return nearest_on_triangles(vertices, faces, points)

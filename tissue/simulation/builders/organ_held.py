@@ -77,7 +77,8 @@ def hold_of(
             "use bottom",
         )
     nodes = _named(np.asarray(held), mesh, points_mm)
-    points_m, triangles = mesh.nodes_m, faces_of(mesh, nodes)
+    points_m = mesh.nodes_m
+    triangles = faces_of(mesh, nodes)
 
     def hold(other: TetMesh) -> Nodes:
         if other is mesh:

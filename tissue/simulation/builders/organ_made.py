@@ -80,7 +80,8 @@ class MadeOrgan:
     @property
     def facts(self) -> dict[str, str]:
         """Size, mesh and moduli in words."""
-        mesh, material = self.mesh, self.material
+        mesh = self.mesh
+        material = self.material
         moduli = material.moduli_kPa(mesh.part_names).items()
         return {
             "size": (
@@ -101,10 +102,8 @@ class MadeOrgan:
         InputError
             If the edge is not positive, or the points are none.
         """
-        edge, near = (
-            require_positive("edge_mm", edge_mm, "use a quarter of the tool's diameter"),
-            None,
-        )
+        edge = require_positive("edge_mm", edge_mm, "use a quarter of the tool's diameter")
+        near = None
         if near_mm is not None:
             near = 1e-3 * np.atleast_2d(np.asarray(near_mm, dtype=np.float64))
             if near.ndim != 2 or near.shape[1] != 3 or not np.isfinite(near).all():

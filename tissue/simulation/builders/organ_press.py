@@ -91,7 +91,8 @@ def press_at(
     """
     size = float(np.ptp(organ.mesh.nodes_m, axis=0).max())
     point, normal = place_on_surface(organ.mesh, at_m, probe.size_m[0])
-    away, notes = float(np.linalg.norm(point - at_m)), {}
+    away = float(np.linalg.norm(point - at_m))
+    notes = {}
     nearest = in_brackets(np.round(1e3 * point, 3) + 0.0)
     found = f"the nearest point of the surface, {nearest} mm, is {1e3 * away:.3g} mm away"
     if away > FAR * size:

@@ -72,10 +72,8 @@ def pierced(
         "numbers have no "
         "source; forces across the needle's axis are not modelled"
     }
-    track, fields = (
-        Track.first_of(motion.sweep_m(), motion.rotations()[:, :, 2], diameter_m=diameter),
-        None,
-    )
+    track = Track.first_of(motion.sweep_m(), motion.rotations()[:, :, 2], diameter_m=diameter)
+    fields = None
     if track is not None and scene.anatomy.interval_ms > 0.0:
         report("solving a block of the organ around the needle", 0.0)
         near = diameter if scene.device is None else HAND_M
@@ -109,13 +107,15 @@ def pressed(
     InputError
         If the organ cannot be meshed or held, the probe never touches it, or starts inside.
     """
-    anatomy, organ = scene.anatomy, scene.organ
+    anatomy = scene.anatomy
+    organ = scene.organ
     assert isinstance(anatomy, SoftAnatomy) and isinstance(scene.tool, Probe)
     notes: dict[str, str] = {}
     prony = _prony_of(organ, notes, scene.constants)
     report("meshing the organ", 0.0)
     edge_mm = anatomy.touch_edge_mm or 0.25 * scene.tool.size_mm
-    within_m, path = 1e-3 * KEPT * edge_mm, motion.sweep_m()
+    within_m = 1e-3 * KEPT * edge_mm
+    path = motion.sweep_m()
     path = path[kept_corners(path, within_m)]
     meshed = partial(held_mesh, anatomy, path_m=path, touch_edge_m=1e-3 * edge_mm, report=report)
     from_file = isinstance(anatomy, LiverFile)
@@ -132,10 +132,8 @@ def pressed(
     law = organ_law(
         scene, elasticity, path_m=path, touch_edge_m=1e-3 * edge_mm, compute=compute, report=report
     )
-    capsule, density = (
-        _capsule_of(organ, notes, scene.constants),
-        _density_of(organ, scene.constants),
-    )
+    capsule = _capsule_of(organ, notes, scene.constants)
+    density = _density_of(organ, scene.constants)
     report("compiling kernels (the first time on a machine)", 0.0)
     from tissue.models.organ.soft_organ import SoftOrgan
 
@@ -204,7 +202,8 @@ def _capsule_of(organ: Organ, notes: dict[str, str], constants: Materials) -> "M
     from tissue.models.organ.soft_organ import Membrane
 
     table = constants.constants("soft", f"{organ.material}_capsule")
-    thickness, young = table["thickness_um"], table["modulus_kPa"]
+    thickness = table["thickness_um"]
+    young = table["modulus_kPa"]
     notes["capsule"] = (
         f"{thickness.value:g} ({thickness.low:g}-{thickness.high:g}) um of {1e-3 * young.value:g} "
         f"({1e-3 * young.low:g}-{1e-3 * young.high:g}) MPa, confidence {young.confidence}"

@@ -48,7 +48,8 @@ def given_note(
     """
     if not given.given:
         return {}
-    name, known = Path(given.file).name, dict.fromkeys((*listed("cutting"), *LAYERS, *layers))
+    name = Path(given.file).name
+    known = dict.fromkeys((*listed("cutting"), *LAYERS, *layers))
     for entry in given.given:
         table, layer, _ = entry.split(".")
         if table == "cutting" and layer not in known:

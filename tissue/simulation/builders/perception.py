@@ -112,7 +112,8 @@ def perception_for(
     """Perception of an observer on a device; see `perception`."""
     device = ForceRange(limit_N=force_limit_N)
     knee_N = device.knee_share * device.limit_N
-    reference, lowest_N = reference_observer(), min(observer.offset_N, 0.5 * knee_N)
+    reference = reference_observer()
+    lowest_N = min(observer.offset_N, 0.5 * knee_N)
     law = ForceMap(
         intensity_of(reference), intensity_of(observer), lowest_N=lowest_N, knee_N=knee_N
     )

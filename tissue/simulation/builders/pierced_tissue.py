@@ -16,9 +16,11 @@ def pierced_tissue(scene: Scene) -> "NeedleTissue":
     """The organ as a scene's needle feels it; a needle from outside states its own numbers."""
     from tissue.models.needle.parameters import needle_tissue, vessel_wall
 
-    anatomy, kind = scene.anatomy, scene.tool.kind
+    anatomy = scene.anatomy
+    kind = scene.tool.kind
     assert isinstance(anatomy, LayersAnatomy)
-    punctures_N, holds_N = anatomy.membrane_punctures_N or {}, anatomy.membrane_holds_N or {}
+    punctures_N = anatomy.membrane_punctures_N or {}
+    holds_N = anatomy.membrane_holds_N or {}
     walls = tuple(
         vessel_wall(
             1e-3 * depth_mm,

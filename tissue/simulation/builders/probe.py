@@ -95,7 +95,8 @@ def poses_along(
         How far a corner of its track that is left out may lie from the rest [m]; a log has one each
         tick.
     """
-    corners, turns = motion.sweep_m(), motion.rotations()
+    corners = motion.sweep_m()
+    turns = motion.rotations()
     along = arc_length(corners)
     corner = along[kept_corners(corners, within_m)]
     wanted = np.unique(np.concatenate([np.linspace(0.0, along[-1], POSES_TRIED), corner]))

@@ -215,7 +215,8 @@ def reach(cutter: Cutter, motion: Motion, margin: float) -> Corners:
 
 def swept_box(shell: NDArray[np.float64], motion: Motion, margin: float) -> Corners:
     """Box around all that points of the tool [m], shape (n, 3), can reach, and a margin [m]."""
-    tips, rotations = motion.sweep_m(), motion.rotations()
+    tips = motion.sweep_m()
+    rotations = motion.rotations()
     starts = np.arange(0, len(tips), max(len(tips) // 500, 1))
     turned = [shell @ turn.T for turn in rotations[starts]]
     low = np.minimum.reduceat(tips, starts) + [points.min(axis=0) for points in turned]
@@ -226,12 +227,11 @@ def swept_box(shell: NDArray[np.float64], motion: Motion, margin: float) -> Corn
 def require_touch(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
     """Refuse a motion that never brings the cutting surface into bone."""
     shell = cutter.shell(spacing_m=max(cutter.profile.radius_m / 24.0, volume.spacing_m)).points_m
-    corners, rotations = motion.sweep_m(), motion.rotations()
+    corners = motion.sweep_m()
+    rotations = motion.rotations()
     along = arc_length(corners)
-    between, corners_on = (
-        np.linspace(0.0, along[-1], POSES_TRIED),
-        along[:: len(along) // POSES_TRIED + 1],
-    )
+    between = np.linspace(0.0, along[-1], POSES_TRIED)
+    corners_on = along[:: len(along) // POSES_TRIED + 1]
     wanted = np.unique(np.concatenate([between, corners_on]))
     tips = points_along(corners, wanted)
     turns = rotations[np.searchsorted(along, wanted)]
@@ -273,14 +273,14 @@ def require_outside(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None
 
 def require_whole(anatomy: Anatomy, region: Corners, *, is_image: bool) -> None:
     """Refuse bone that the edge of its scan cuts off where the tool goes."""
-    how, remedy = ("with a hole", "close it in a mesh editor")
+    how = "with a hole"
+    remedy = "close it in a mesh editor"
     if is_image:
-        how, remedy = (
-            "cut off by the edge of the image",
-            "take an image that holds more of the bone",
-        )
+        how = "cut off by the edge of the image"
+        remedy = "take an image that holds more of the bone"
     for points in anatomy.caps_m:
-        low, high = points.min(axis=0), points.max(axis=0)
+        low = points.min(axis=0)
+        high = points.max(axis=0)
         if (
             (low <= region[1]).all()
             and (high >= region[0]).all()
@@ -300,7 +300,8 @@ def _on_one_side(points: NDArray[np.float64], region: Corners) -> bool:
     """Whether a box lies all on one side of a cap, whose own box is wide where a cut is oblique."""
     normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
     corners = np.array(np.meshgrid(*np.array(region).T)).reshape(3, -1).T
-    cap, box = points @ normal, corners @ normal
+    cap = points @ normal
+    box = corners @ normal
     return bool(box.max() < cap.min() or box.min() > cap.max())
 
 
@@ -311,7 +312,8 @@ def _guide_hole(scene: Scene, motion: Motion) -> sdf.Shape | None:
     diameter, depth = (1e-3 * size for size in scene.bone.guide_hole_mm)
     if diameter == 0.0 or depth == 0.0:
         return None
-    axis, tip = motion.rotations()[0][:, 2], motion.sweep_m()[0]
+    axis = motion.rotations()[0][:, 2]
+    tip = motion.sweep_m()[0]
     on_face = tip - axis * float(tip @ axis)
     return sdf.cylinder(0.5 * diameter, tuple(on_face - depth * axis), tuple(on_face + 0.05 * axis))
 
@@ -320,8 +322,10 @@ def _covered(region: Corners, bone: Corners, spacing: float) -> Corners:
     """Box of whole bricks [m] around the part of the bone, and of the air next to it, that lies
     in a region.
     """
-    brick, around = BRICK * spacing, AROUND_VOXELS * spacing
-    low, high = np.maximum(region[0], bone[0] - around), np.minimum(region[1], bone[1] + around)
+    brick = BRICK * spacing
+    around = AROUND_VOXELS * spacing
+    low = np.maximum(region[0], bone[0] - around)
+    high = np.minimum(region[1], bone[1] + around)
     return brick * np.floor(low / brick + 1e-6), brick * np.ceil(high / brick - 1e-6)
 
 

@@ -96,7 +96,10 @@ class LiveSettings:
                 "the mouse moves the tool in a browser; it feels nothing, the force is shown",
             )
         if opens_device(scene):
-            return False, f"the device {scene.held.kind} moves the tool and plays the force; no window"
+            return (
+                False,
+                f"the device {scene.held.kind} moves the tool and plays the force; no window",
+            )
         problem = display_problem()
         if problem is None:
             return (
