@@ -44,7 +44,7 @@ def test_the_bar_is_gone_after_a_run(outputs):
     ("cell", "words"),
     [
         ("run", "run of milling"),
-        ("run.scene", "voxels.spacing_mm"),
+        ("run.scene", "spacing_mm"),
         ("run.trace", "force z / N"),
         (CELLS[-1], "PMC"),
     ],

@@ -159,7 +159,7 @@ def test_nothing_is_imported_before_it_is_asked_for(tmp_path):
         assert python(code, tmp_path)[1] == "", code
     for code in (
         "from tissue.scene.registry import RENDERERS; print(*RENDERERS)",
-        "from tissue import load_scene; print(load_scene('wall', {'renderer': 'loud'}).renderer)",
+        "from tissue import load_scene; print(load_scene('wall', {'renderer': 'loud'}).held.renderer)",
     ):
         output, error = python(code, tmp_path)
         assert output.split()[-1] == "loud" and error == "imported\n"

@@ -287,7 +287,7 @@ def test_processes_know_the_parts_that_a_script_registers_at_its_top(tmp_path):
     assert ended[1].returncode != 0 and ended[1].stderr.splitlines()[-1].endswith(
         "workers must be 1 for parts that are registered in this process alone, got 2 with "
         "the device sprung: register "
-        'them above if __name__ == "__main__": in the script, or offer them as a package does'
+        'them above if __name__ == "__main__" in the script, or offer them as a package does'
     )
     assert not list((tmp_path / "below" / "out").glob("*/trace*"))
 

@@ -26,7 +26,7 @@ from tissue.objects.simulate import simulate
 from tissue.scene.hardware import Hardware
 from tissue.scene.load import load_scene
 
-PAGE = Path(__file__).resolve().parents[3] / "docs/guide/network_device.md"
+PAGE = Path(__file__).resolve().parents[4] / "docs/guide/network_device.md"
 ANY_PORT = {scheme: Hardware(address=f"{scheme}://127.0.0.1:0") for scheme in ("udp", "ws")}
 FORCE, TORQUE, ZERO = np.array([1.0, -2.0, 3.0]), np.array([0.01, 0.02, -0.03]), np.zeros(3)
 

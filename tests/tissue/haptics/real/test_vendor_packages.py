@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from vendor_libraries import HD, drd_with
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[4]
 pytestmark = pytest.mark.skipif(
     sys.platform != "linux" or shutil.which("cc") is None, reason="needs Linux and a C compiler"
 )

@@ -13,7 +13,7 @@ from fake_fields import block_series
 from tissue import load_scene, simulate
 from tissue.simulation.series import write_fields
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
+FIXTURES = Path(__file__).parents[3] / "fixtures"
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from x_events import Person
 
 from tissue.simulation.run_folder import SavedRun
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ import pytest
 
 from tissue.simulation.run_folder import SavedRun
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 FLAGS = (
     "--headless",
     "--no-sandbox",
