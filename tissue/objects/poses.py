@@ -27,8 +27,8 @@ def feed_along(points_mm: ArrayLike, feed_mm_s: float) -> tuple[Array, Array]:
 
     Returns
     -------
-    Tips [mm], shape (n, 3), and times [s], shape (n,): ``bone.cut(burr,
-    *feed_along(points_mm, feed_mm_s=2))``.
+    Tips [mm], shape (n, 3), and times [s], shape (n,), which `Bone.cut` takes:
+    ``bone.cut(burr, *feed_along(points_mm, feed_mm_s=2))``.
 
     Raises
     ------
