@@ -197,8 +197,11 @@ def _without_idle(
     """Return a table without the keys that have no effect in it, but those to keep."""
     left = deepcopy(table)
     while dropped := [key for key in _idle_of(left) if not keep(key)]:
+        before = deepcopy(left)
         for key in dropped:
             _drop(left, key)
+        if left == before:  # the keys are not in the table: nothing more can be dropped
+            return left
     return left
 
 
@@ -208,8 +211,11 @@ def _idle_keys(table: dict[str, Any]) -> set[str] | None:
     found = set[str]()
     while idle := _idle_of(left):
         found.update(idle)
+        before = deepcopy(left)
         for key in idle:
             _drop(left, key)
+        if left == before:
+            break
     try:
         _validated(left)
     except InputError:

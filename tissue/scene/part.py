@@ -143,7 +143,7 @@ class Part(BaseModel):
                 inner = value.changed_entries(f"{prefix}{name}.")
                 # An optional table asks for something even where it holds defaults alone.
                 found |= inner or ({f"{prefix}{name}": {}} if field.default is None else {})
-            elif name != "kind" and value != field.default:
+            elif name != "kind" and value != field.get_default(call_default_factory=True):
                 found[f"{prefix}{name}"] = value
         return found
 
