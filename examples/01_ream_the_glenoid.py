@@ -20,7 +20,8 @@ import tissue
 FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
 
-# %% A scene holds bone, tool and path; `tissue.load_scene("glenoid", {"voxels.spacing_mm": 0.2})`
+# %%
+# A scene holds bone, tool and path; `tissue.load_scene("glenoid", {"voxels.spacing_mm": 0.2})`
 # would change one of its keys. A run has a row for each tick of 1 ms.
 
 run = tissue.simulate(tissue.load_scene("glenoid"))
@@ -32,7 +33,8 @@ assert abs(removed - 234.4) < 0.5
 assert abs(thrust - 74.1) < 1.0
 assert abs(torque - 0.760) < 0.01
 
-# %% Thrust and torque grow as the reamer's face meets more of the bone's, until the feed ends 2 mm
+# %%
+# Thrust and torque grow as the reamer's face meets more of the bone's, until the feed ends 2 mm
 # deep.
 
 depth = -run.trace["tool_z_mm"]
@@ -51,8 +53,9 @@ panels[0].set_title("Hemispherical reamer of 30 mm fed into a glenoid at 0.5 mm/
 panels[2].set_xlabel("depth of the reamer / mm")
 figure.savefig(FIGURES / "01_force.png", dpi=150)
 
-# %% The carved surface is a mesh of pyvista; each of its points knows how much bone was removed
-# over it.
+# %%
+# The carved surface is a mesh of pyvista; each of its points knows how much bone was removed over
+# it.
 
 surface = run.surface()
 plotter = pyvista.Plotter(off_screen=True, window_size=[1000, 800])

@@ -23,7 +23,8 @@ RADIUS_MM, DEPTHS_MM, LENGTH_MM, FEED_MM_S = 3.0, (0.25, 0.35), 4.0, 10.0
 SPACINGS_MM = (0.4, 0.2, 0.1, 0.05)
 REFERENCE_MM = 0.03
 
-# %% The slot is the built-in milling scene with another path: plunge, draw the burr along x, go
+# %%
+# The slot is the built-in milling scene with another path: plunge, draw the burr along x, go
 # deeper, come back.
 
 
@@ -54,7 +55,8 @@ def steady_force(run: tissue.Run) -> NDArray[np.float64]:
     return run.trace.vectors("model_force", "N")[-310:-110]
 
 
-# %% Two halves of a spherical cap, and a circular segment over the length, are the slot's exact
+# %%
+# Two halves of a spherical cap, and a circular segment over the length, are the slot's exact
 # volume.
 
 depth = DEPTHS_MM[1]
@@ -80,9 +82,9 @@ at = {(spacing, kind): error for spacing, kind, error, _ in rows}
 assert at[0.1, "subvoxel"] < 0.005
 assert at[0.1, "binary"] > 0.01
 
-# %% On the same voxels, sub-voxel removal is nearer to the exact volume throughout. The force is
-# the same with both, for it comes from distances to the tool and not from what is left in the
-# voxels.
+# %%
+# On the same voxels, sub-voxel removal is nearer to the exact volume throughout. The force is the
+# same with both, for it comes from distances to the tool and not from what is left in the voxels.
 
 figure, axes = plt.subplots(1, 2, figsize=(10, 4.4), layout="constrained")
 for kind, colour, look in (("subvoxel", "#0072B2", "o-"), ("binary", "#D55E00", "s--")):

@@ -25,8 +25,9 @@ DEPTH_MM, FEED_MM_S = 4.4, 1.5
 LAYERS = ("enamel", "dentin")
 PUBLISHED_N = (0.1, 4.9)
 
-# %% The built-in molar, straight down, without its stress and with as little tooth around as the
-# pulp needs.
+# %%
+# The built-in molar, straight down, without its stress and with as little tooth around as the pulp
+# needs.
 
 changes = {
     "voxels.margin_mm": 1.5,
@@ -38,8 +39,9 @@ changes = {
 run = tissue.simulate(tissue.load_scene("molar", changes))
 depth, force, layer = -run.trace["tool_z_mm"], run.trace["model_force_z_N"], run.trace["layer"]
 
-# %% In each layer: the mean axial force in the middle half of the ticks in which the bur meets
-# mostly that layer.
+# %%
+# In each layer: the mean axial force in the middle half of the ticks in which the bur meets mostly
+# that layer.
 
 levels_N = {}
 for name in LAYERS:

@@ -26,7 +26,8 @@ FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
 DEPTH_MM, FEED_MM_S = 3.4, 1.5
 
-# %% Three runs: sound, carious, and sound at half the feed, in voxels of 0.1 mm and without the
+# %%
+# Three runs: sound, carious, and sound at half the feed, in voxels of 0.1 mm and without the
 # teeth's stress.
 
 
@@ -45,7 +46,8 @@ def drill(scene: str, feed_mm_s: float) -> tissue.Run:
 sound, carious = drill("molar", FEED_MM_S).trace, drill("caries", FEED_MM_S).trace
 slow = drill("molar", 0.5 * FEED_MM_S).trace
 
-# %% The threshold that calls most ticks rightly, where carious and sound ticks count alike, and the
+# %%
+# The threshold that calls most ticks rightly, where carious and sound ticks count alike, and the
 # area under the ROC: the chance that a carious tick's force is below a sound one's.
 
 
@@ -86,8 +88,9 @@ for name, ratio, right in zip(parts, (0.159, 0.094, 0.592), (0.953, 0.974, 1.0),
     assert abs(found[name][2] - right) < 0.01
 assert alarms > 0.9
 
-# %% Sound dentin at half the feed lies below the threshold that parts sound from carious at the
-# full one.
+# %%
+# Sound dentin at half the feed lies below the threshold that parts sound from carious at the full
+# one.
 
 figure, axes = plt.subplots(figsize=(8, 4.4), layout="constrained")
 shaded = -carious["tool_z_mm"][lesion]

@@ -26,8 +26,9 @@ FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
 FEED_MM_S, DEEP_MM, OUT_MM, WALL_MM = 5.0, 70.0, -20.0, 30.0
 
-# %% The needle's scene with a path that goes in, out and in again; travel counts from the
-# undeformed surface.
+# %%
+# The needle's scene with a path that goes in, out and in again; travel counts from the undeformed
+# surface.
 
 changes = {
     "anatomy.membrane_depths_mm": {"vessel wall": WALL_MM},
@@ -71,7 +72,8 @@ print(
 assert abs(slope - 11.6) < 0.1
 assert abs(force[wall] - 3.00) < 0.01 and abs(travel[wall] - 49.9) < 0.05
 
-# %% Drawn back, the shaft sticks before it slides. The second insertion meets neither capsule nor
+# %%
+# Drawn back, the shaft sticks before it slides. The second insertion meets neither capsule nor
 # wall.
 
 back = slice(first, last)

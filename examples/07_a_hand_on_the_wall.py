@@ -34,8 +34,9 @@ print("let go:", free.sentence(STIFFNESS_N_M))
 assert held.stable and abs(held.critical_N_m - 2906.0) < 2.0 and abs(held.margin - 0.31) < 0.005
 assert not free.stable and free.nearest_N_m == 261.0
 
-# %% The hand moves onto the wall, holds, and is jerked off it by 2 N for 20 ms, once with each
-# force law.
+# %%
+# The hand moves onto the wall, holds, and is jerked off it by 2 N for 20 ms, once with each force
+# law.
 
 RENDERERS = ("penalty", "passivity", "proxy")
 runs = {
@@ -56,8 +57,9 @@ assert (
 )
 assert abs(runs["penalty"].ripple_N(0.2) - 0.09) < 0.01 and runs["passivity"].ripple_N(0.2) < 1e-3
 
-# %% Force over time, and the energy taken as if commands acted at once; what the lag gives back
-# comes on top.
+# %%
+# Force over time, and the energy taken as if commands acted at once; what the lag gives back comes
+# on top.
 
 figure, panels = plt.subplots(2, 1, figsize=(8, 5.4), sharex=True, layout="constrained")
 styles = {"penalty": ("#0072B2", "-"), "passivity": ("#E69F00", "-"), "proxy": ("0.1", ":")}

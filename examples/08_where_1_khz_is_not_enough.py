@@ -28,7 +28,8 @@ FIGURES.mkdir(exist_ok=True)
 HARD_N_M = 1000.0
 RATES_HZ = (250.0, 500.0, 1000.0, 2000.0, 5000.0, 10000.0)
 
-# %% The device at each rate: without lag, as it is, and held by an expert. A loop is a dataclass of
+# %%
+# The device at each rate: without lag, as it is, and held by an expert. A loop is a dataclass of
 # plain numbers.
 
 real = [
@@ -73,8 +74,9 @@ assert (
 assert abs(held[at_1_khz] - 2906.0) < 2.0
 assert abs(slow_critical - 770.0) < 2.0
 
-# %% What eigenvalues state, a loop that is left to run for four seconds does: 5 % above it grows, 5
-# % below it fades.
+# %%
+# What eigenvalues state, a loop that is left to run for four seconds does: 5 % above it grows, 5 %
+# below it fades.
 
 for loop in (*(row[at_1_khz] for row in loops.values()), slow):
     limit = tissue.stability.critical_stiffness_N_m(loop)

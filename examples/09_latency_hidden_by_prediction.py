@@ -30,8 +30,9 @@ PREDICTIONS = {
 }
 LATENCY_MS = 4
 
-# %% Every hand with every prediction; `tissue.motor_forces` gives what was played and what should
-# have been.
+# %%
+# Every hand with every prediction; `tissue.motor_forces` gives what was played and what should have
+# been.
 
 runs: dict[str, list[tissue.Run]] = {}
 for kind in PREDICTIONS:

@@ -29,9 +29,10 @@ TRUTH = {
     "sigma": 0.2,
 }
 
-# %% A session asks what shows most, and keeps every answer in a log before it asks the next.
-# Anything that answers may be asked: here a simulated person, elsewhere a function that plays two
-# forces on a device and reads a key.
+# %%
+# A session asks what shows most, and keeps every answer in a log before it asks the next. Anything
+# that answers may be asked: here a simulated person, elsewhere a function that plays two forces on
+# a device and reads a key.
 
 answer = tissue.calibration.simulated_answers(tissue.calibration.alike(1, **TRUTH), seed=1)
 with tempfile.TemporaryDirectory() as folder:
@@ -56,7 +57,8 @@ spread = float(np.log(found / WEBER).std())
 print(f"scatter of the Weber fraction over {PEOPLE} people: {100 * spread:.0f} %")
 assert 0.12 < spread < 0.19
 
-# %% What one session concludes, what sessions with 200 people conclude, and the numbers given to
+# %%
+# What one session concludes, what sessions with 200 people conclude, and the numbers given to
 # forces.
 
 figure, panels = plt.subplots(1, 3, figsize=(12, 4.0), layout="constrained")

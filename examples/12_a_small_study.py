@@ -19,7 +19,8 @@ import tissue
 FIGURES = Path("figures")
 PLAN = tissue.study.Plan(trials=2, tasks=("T2",), methods=("penalty", "koopman"), sensitivity=False)
 
-# %% The trials run on two worker processes, which import this script: what starts them stands under
+# %%
+# The trials run on two worker processes, which import this script: what starts them stands under
 # its main guard.
 
 if __name__ == "__main__":

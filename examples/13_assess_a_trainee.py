@@ -19,8 +19,9 @@ import tissue
 FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
 
-# %% Two runs of one scene; `tissue.assess` takes runs, or the folders that `run.save` and `tissue
-# run` write.
+# %%
+# Two runs of one scene; `tissue.assess` takes runs, or the folders that `run.save` and `tissue run`
+# write.
 
 novice, expert = (
     tissue.simulate(tissue.load_scene("wall", {"device": "touch", "hand": hand, "seed": 3}))
@@ -35,7 +36,8 @@ assert abs(figures["peak_force_N"]["reference"] - 1.02) < 0.03
 forces = [each for each in found.breaches if each.what == "force"]
 assert len(forces) == 1 and abs(forces[0].worst_at_s - 0.60) < 0.02
 
-# %% Over time, the trainee, the reference at the same place, and the limits with the spans in which
+# %%
+# Over time, the trainee, the reference at the same place, and the limits with the spans in which
 # they were passed.
 
 quantities = (found.deviation, found.force, found.depth)

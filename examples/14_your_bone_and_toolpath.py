@@ -21,7 +21,8 @@ import tissue
 FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
 
-# %% Any closed STL, OBJ, PLY or VTK file in millimetres will do; here a shaft with a thicker end is
+# %%
+# Any closed STL, OBJ, PLY or VTK file in millimetres will do; here a shaft with a thicker end is
 # written first.
 
 z = np.linspace(-20.0, 20.0, 60)

@@ -78,8 +78,9 @@ axes.grid(alpha=0.3)
 axes.legend()
 figure.savefig(FIGURES / "15_force.png", dpi=150)
 
-# %% Cut open through the places, pressed over the cyst: the stress goes through the cyst, which
-# hardly yields.
+# %%
+# Cut open through the places, pressed over the cyst: the stress goes through the cyst, which hardly
+# yields.
 
 half = presses[3].mesh.clip("x", origin=(-6.0, 0.0, 0.0), crinkle=True)
 plotter = pyvista.Plotter(off_screen=True, window_size=[1100, 620])

@@ -20,8 +20,9 @@ FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
 LATENCY_MS = 4
 
-# %% A device gives its position in metres when it is read and takes forces in newtons. This one is
-# a motor that moves up and down whatever it is commanded, so that runs can be compared; one with
+# %%
+# A device gives its position in metres when it is read and takes forces in newtons. This one is a
+# motor that moves up and down whatever it is commanded, so that runs can be compared; one with
 # hardware has the same two methods.
 
 
@@ -44,7 +45,8 @@ class Shaker:
         self.last_N = force_N.copy()
 
 
-# %% A predictor sees what every tick brought, and gives the force some ticks later: here along the
+# %%
+# A predictor sees what every tick brought, and gives the force some ticks later: here along the
 # force's last slope.
 
 
@@ -65,7 +67,8 @@ class Slope:
         return self.force_N + ticks * self.slope_N
 
 
-# %% The loop is judged for stability, then runs for a second: prompt, late, and late with the
+# %%
+# The loop is judged for stability, then runs for a second: prompt, late, and late with the
 # predictor.
 
 block = tissue.Organ.block(

@@ -24,7 +24,8 @@ STEP_S = 0.02
 LOW, HIGH = np.array([-2.5, 4.0, 5.0, 0.0]), np.array([-0.3, 20.0, 60.0, 0.9])
 """Least and greatest height of the tip [mm], radius [mm], speed [mm/s], and share of the radius."""
 
-# %% The policy goes around a circle, then out and in where it felt most, and lifts where that was
+# %%
+# The policy goes around a circle, then out and in where it felt most, and lifts where that was
 # hardest. It sees the observation alone: what a place resists is the force over the depth to the
 # power of 3/2, as under any ball.
 
@@ -64,7 +65,8 @@ def score(env: Any, policy: Floats, seed: int) -> float:
     return float(info["score"])
 
 
-# %% The cross-entropy method (Rubinstein 1999): draw policies from a normal distribution, keep the
+# %%
+# The cross-entropy method (Rubinstein 1999): draw policies from a normal distribution, keep the
 # best quarter, and fit the distribution to them. Each policy is scored on the same fresh episodes
 # of its generation.
 
@@ -85,9 +87,9 @@ def learn(
     return np.array(history)
 
 
-# %% Scores of twenty episodes that learning has not seen, by its first guess, after each
-# generation, and at random. The name has the module before it, so that gymnasium imports what knows
-# it.
+# %%
+# Scores of twenty episodes that learning has not seen, by its first guess, after each generation,
+# and at random. The name has the module before it, so that gymnasium imports what knows it.
 
 env = gymnasium.make("tissue.environments:tissue/Palpation-v0")
 history = learn(env, np.random.default_rng(0))

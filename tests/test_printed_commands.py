@@ -80,9 +80,12 @@ STARTED: dict[str, str] = {
     "chart_law": "--out {out}",
     "chart_liver": "--quick --out {out}",
     "chart_tooth": "--out {out}/tooth.png",
+    "golden": "--only wall",
     "held_out": "--cost --out {out}",
     "mutants": "--count 1",
     "peers/run": "--help",
+    "public_surface": "",
+    "structure": "",
 }
 """Benches that are watched for `START_S`, with their arguments: they may end, and must not fail."""
 NEEDS_DATA = {"bench_fit_silicone"}

@@ -119,7 +119,7 @@ BAD = {
     ),
     "nifti spacing 0": (
         lambda f: nifti(f, pixdim=(1, 0, 0.5, 2)),
-        "pixdim in the header must be positive .* got 0 x 0.5 x 2",
+        "pixdim in the header must be positive, got 0 x 0.5 x 2",
     ),
     "nifti spacing below 0": (
         lambda f: nifti(f, code=0, pixdim=(1, -0.8, 0.5, 2)),
