@@ -34,7 +34,7 @@ def test_a_map_is_printed_and_kept(command, here):
         (
             ("wall", "--set", "device=phantom"),
             (
-                "device must be one of none, touch, omni, six-dof, haply, forcedimension, "
+                "device.kind must be one of touch, omni, six-dof, haply, forcedimension, "
                 "sigma-7, openhaptics, network, recorded, got phantom"
             ),
         ),
