@@ -135,10 +135,13 @@ def written(number, tables, folder):
     name = chance.choice(sorted(tables))
     text = tables[name] if isinstance(tables[name], str) else tomli_w.dumps(tables[name])
     if chance.random() < 0.6:
-        broken = mutated_table(tomllib.loads(text), chance)
         try:
-            text = tomli_w.dumps(broken)
-        except (TypeError, ValueError):
+            text = tomli_w.dumps(mutated_table(tomllib.loads(text), chance))
+        except (
+            TypeError,
+            ValueError,
+            RecursionError,
+        ):  # what TOML cannot hold, or nested too deeply
             text = mutated_text(text, chance)
     else:
         text = mutated_text(text, chance)
