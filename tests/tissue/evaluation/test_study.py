@@ -265,5 +265,6 @@ def test_a_trial_alone_is_the_trial_of_its_study_and_fails_alone(monkeypatch):
     monkeypatch.setattr("tissue.evaluation.study.trial.METHODS", dict(METHODS) | broken)
     failed = run_trial(replace(plan, methods=("penalty", "koopman")), key)
     assert all(
-        row["failure"].startswith("InputError: device.renderer must be one of") for row in failed.rows
+        row["failure"].startswith("InputError: device.renderer must be one of")
+        for row in failed.rows
     )
