@@ -11,7 +11,7 @@ from tissue.objects.trace import Trace, label_of, unit_of
 from tissue.scene.named_parts import nearest
 from tissue.show.figures.figure import COMPONENTS, MAGNITUDE, plain, styled
 from tissue.show.figures.force_depth import first_descent
-from tissue.show.figures.force_time import event_lines, mark_events
+from tissue.show.figures.force_time import event_footnotes, mark_events
 from tissue.simulation.depth_map import facing
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def plot_columns(
     finish(panels, wanted, title)
     mark_events(list(panels), events)
     if ax is None and events:
-        lines = "\n".join(event_lines(events))
+        lines = "\n".join(event_footnotes(events))
         panels[0].figure.supxlabel(lines, x=0.02, ha="left", size=8.5, parse_math=False)
     return panels
 

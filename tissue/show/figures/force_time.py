@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
@@ -34,6 +35,7 @@ __all__ = [
     "FLICKER_S",
     "draw_force_torque",
     "draw_played",
+    "event_footnotes",
     "event_lines",
     "joined_events",
     "mark_events",
@@ -41,6 +43,8 @@ __all__ = [
 ]
 
 MOST_EVENTS = 6
+FOOTNOTE_LETTERS = 92
+"""Letters of a line of 8.5 points in 7 inches: 101 of them went over the edge."""
 EVENT_IN = 0.17
 """Height of a line that names an event [inch]."""
 FLICKER_S = 0.02
@@ -94,6 +98,15 @@ def event_lines(events: list[tuple[float, str]]) -> list[str]:
     return [*lines, f"and {left} more"] if left > 0 else lines
 
 
+def event_footnotes(events: list[tuple[float, str]]) -> list[str]:
+    """Return the lines of the events, broken so that they fit below a figure 8 inches wide."""
+    return [
+        piece
+        for line in event_lines(events)
+        for piece in wrap(line, FOOTNOTE_LETTERS, subsequent_indent="     ")
+    ]
+
+
 def mark_events(panels: "Sequence[Axes]", events: list[tuple[float, str]]) -> None:
     """Draw a line through all panels at every event, with its number on top."""
     low, high = panels[0].get_xlim()
@@ -135,7 +148,7 @@ def draw_force_torque(run: Run, path: Path) -> None:
     trace = run.trace
     time = trace["time_s"]
     events = joined_events(run.events)
-    lines = event_lines(events)
+    lines = event_footnotes(events)
     turns = bool(trace.vectors("torque", "Nm").any() or trace.vectors("model_torque", "Nm").any())
     heights = (3.0, *([2.2] if turns else []), 1.3, 1.45)
     foot = 0.55 + EVENT_IN * len(lines)

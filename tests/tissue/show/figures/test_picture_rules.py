@@ -44,6 +44,18 @@ def test_an_event_that_comes_again_at_once_is_marked_once():
     assert joined_events(events) == [events[0], events[3], events[4]]
 
 
+def test_a_long_event_stays_within_its_figure(monkeypatch, tmp_path):
+    run = tissue.simulate(tissue.load_scene("wall", {"device": "none", "duration_s": 0.3}))
+    run.events.append((0.1, "a sentence of many words on the feed and on the thrust " * 4))
+    drawn = []
+    monkeypatch.setattr("tissue.show.figures.force_time.save", lambda chart, _: drawn.append(chart))
+    draw_force_torque(run, tmp_path / "force.png")
+    drawn[0].canvas.draw()
+    width = drawn[0].bbox.width
+    assert len(drawn[0].texts) > 3
+    assert all(text.get_window_extent().x1 < width for text in drawn[0].texts)
+
+
 @pytest.fixture(scope="module")
 def molar():
     """The drilling of a molar down to its deepest point, without stress, in coarse voxels."""
