@@ -1,6 +1,4 @@
-"""Read a scene from a built-in name or a TOML file, with overrides, or raise one sentence on
-what is wrong.
-"""
+"""Scenes from built-in names and TOML files, with overrides."""
 
 import tomllib
 from collections.abc import Callable, Mapping
@@ -35,13 +33,11 @@ __all__ = [
 PARTS_WITH_FILES = ("anatomy", "motion", "tool", "device")
 """Tables of a scene with keys that name files."""
 REPLACED = "touch"
-"""Device that stands for the mouse of a live session where a scene has none but states how one
-is coupled.
-"""
+"""Device replaced by the mouse of a live session, for a scene with a coupling but no device."""
 
 
 def library_names() -> list[str]:
-    """Names of the built-in scenes."""
+    """Return the names of the built-in scenes."""
     return sorted(
         entry.name[:-5]
         for entry in files("tissue.scene.library").iterdir()
@@ -50,14 +46,12 @@ def library_names() -> list[str]:
 
 
 def scene_names() -> list[str]:
-    """Names of the built-in scenes, and of those that were registered or that installed packages
-    offer.
-    """
+    """Return the names of built-in and registered scenes, and of scenes of installed packages."""
     return sorted({*library_names(), *SCENES})
 
 
 def scene_text(name: str) -> str:
-    """TOML of a scene that has a name.
+    """Return the TOML of a scene that has a name.
 
     Raises
     ------
@@ -115,23 +109,23 @@ def load_scene(
             "scene",
             "be valid TOML",
             f"{message[:1].lower()}{message[1:]} in {path}",
-            "mend it there",
+            "fix it there",
         ) from None
     _require_no_nul(table)
     table, was_kept = converted(table, path)
     table = _absolute(table, folder)
     if was_kept:
-        table = _without_idle(table)
+        table, _ = _without_idle(table)
     return _replaced(table, overrides or {}, live=live)
 
 
 def saved_text(scene: Scene) -> str:
-    """TOML of a scene as a run keeps it, with the versions of its format and of tissue."""
+    """Return the TOML of a scene for a run folder, with the versions of format and tissue."""
     return f'format = {FORMAT}\ntissue = "{package_version()}"\n{scene.to_toml()}'
 
 
 def changed(scene: Scene, overrides: Mapping[str, object]) -> Scene:
-    """A scene with other values by dotted key; None takes an entry back to its default.
+    """Return a scene with other values by dotted key; None resets an entry to its default.
 
     Raises
     ------
@@ -144,11 +138,10 @@ def changed(scene: Scene, overrides: Mapping[str, object]) -> Scene:
 def _replaced(
     table: dict[str, Any], overrides: Mapping[str, object], *, live: bool = False
 ) -> Scene:
-    """Return the scene of a table with other values by dotted key, without what only they make of
-    no effect.
+    """Return the scene of a table with other values by dotted key.
 
-    A file's own key that has no effect even without them stays, and so does one of theirs: both are
-    faults.
+    Keys of the table that lose their effect by an override are dropped. Keys without effect that
+    the table had before, or that an override gives, stay and are refused.
     """
     try:
         require_shallow(dict(overrides))
@@ -188,34 +181,30 @@ def _replaced(
             for asked in full
         )
 
-    return _validated(_without_idle(placed, keep=lambda key: key in already_idle or is_theirs(key)))
+    left, _ = _without_idle(placed, keep=lambda key: key in already_idle or is_theirs(key))
+    return _validated(left)
 
 
 def _without_idle(
     table: dict[str, Any], keep: Callable[[str], bool] = lambda key: False
-) -> dict[str, Any]:
-    """Return a table without the keys that have no effect in it, but those to keep."""
+) -> tuple[dict[str, Any], set[str]]:
+    """Return a table without the keys that have no effect in it, and these keys.
+
+    Dropping a key can make another one idle, so the table is validated until no key is dropped.
+    Keys that `keep` accepts stay. A key that the table does not hold cannot be dropped.
+    """
     left = deepcopy(table)
-    while dropped := [key for key in _idle_of(left) if not keep(key)]:
-        before = deepcopy(left)
+    found = set[str]()
+    while dropped := {key for key in _idle_of(left) if not keep(key)} - found:
+        found |= dropped
         for key in dropped:
             _drop(left, key)
-        if left == before:  # the keys are not in the table: nothing more can be dropped
-            return left
-    return left
+    return left, found
 
 
 def _idle_keys(table: dict[str, Any]) -> set[str] | None:
-    """Return the keys of a table by itself that have no effect; None where it is no scene yet."""
-    left = deepcopy(table)
-    found = set[str]()
-    while idle := _idle_of(left):
-        found.update(idle)
-        before = deepcopy(left)
-        for key in idle:
-            _drop(left, key)
-        if left == before:
-            break
+    """Return the keys of a table that have no effect; None for a table that is no valid scene."""
+    left, found = _without_idle(table)
     try:
         _validated(left)
     except InputError:
@@ -224,9 +213,7 @@ def _idle_keys(table: dict[str, Any]) -> set[str] | None:
 
 
 def _idle_of(table: Mapping[str, object]) -> list[str]:
-    """Return the dotted keys for which pydantic refuses a table because they have no effect in
-    it.
-    """
+    """Return the dotted keys that pydantic refuses in a table because they have no effect."""
     plain = _without_nothing(table)
     try:
         Scene.model_validate(plain)
@@ -236,9 +223,7 @@ def _idle_of(table: Mapping[str, object]) -> list[str]:
 
 
 def _absolute(value: Any, folder: Path, key: str = "") -> Any:
-    """Return a value, or a table of values, with the paths of files under their keys made
-    absolute.
-    """
+    """Return a value, or a table of values, with absolute paths of files."""
     if isinstance(value, Mapping):
         return {
             name: _absolute(each, folder, f"{key}.{name}" if key else name)
@@ -269,7 +254,7 @@ def _require_no_nul(value: object, key: str = "") -> None:
 
 
 def _drop(table: dict[str, Any], key: str) -> None:
-    """Take a dotted key out of nested tables."""
+    """Remove a dotted key from nested tables."""
     *parents, last = key.split(".")
     for parent in parents:
         table = table.get(parent, {})
@@ -277,13 +262,13 @@ def _drop(table: dict[str, Any], key: str) -> None:
 
 
 def _without_nothing(table: Mapping[str, object]) -> dict[str, object]:
-    """A table without entries that are None."""
+    """Return a table without entries that are None."""
     inner = {k: _without_nothing(v) if isinstance(v, dict) else v for k, v in table.items()}
     return {k: v for k, v in inner.items() if v is not None}
 
 
 def _read(path: Path) -> str:
-    """Text of a scene file."""
+    """Read the text of a scene file."""
     if not path.is_file():
         raise InputError(
             "scene", "be an existing file", path, "check the path or list `tissue scenes`"
@@ -304,8 +289,7 @@ def _read(path: Path) -> str:
 def parse_override(
     text: str, *, option: str = "--set", example: str = "voxels.spacing_mm=0.2"
 ) -> tuple[str, object]:
-    """Key and value of ``key=value``, as an option is given it; the value is TOML, or a string
-    where it is not.
+    """Return key and value of ``key=value``; the value is TOML, otherwise a string.
 
     Raises
     ------
@@ -347,7 +331,7 @@ def _place(table: dict[str, object], key: str, value: object) -> None:
 
 
 def _validated(table: Mapping[str, object]) -> Scene:
-    """The scene a table describes, or an InputError for its first fault."""
+    """Return the scene of a table, or raise an InputError for its first fault."""
     table = _without_nothing(table)
     try:
         return Scene.model_validate(table)
