@@ -230,16 +230,16 @@ def _require_frame(stored: StoredImage, source: str) -> None:
             "the origin",
             f"be finite and within {_FARTHEST_ORIGIN_MM:g} mm",
             f"{in_brackets(stored.origin_mm)} in {source}",
-            "mend the header",
+            "fix the header",
         )
     lengths = np.linalg.norm(stored.directions, axis=0)
     if not np.allclose(lengths, 1.0, rtol=0.0, atol=_FLATTEST):
         raise InputError(
-            "directions", "be of length 1", f"{by(lengths)} in {source}", "mend the header"
+            "directions", "be of length 1", f"{by(lengths)} in {source}", "fix the header"
         )
     if not abs(float(np.linalg.det(stored.directions))) >= _FLATTEST:
         raise InputError(
-            "the axes", "span space", f"directions in one plane in {source}", "mend the header"
+            "the axes", "span space", f"directions in one plane in {source}", "fix the header"
         )
 
 

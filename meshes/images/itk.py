@@ -54,7 +54,7 @@ def header_lines(path: Path, separator: str, last: str) -> tuple[dict[str, str],
             fields.setdefault("first", line)
         elif key in fields:
             raise InputError(
-                "a header", "state every key once", f"{_short(key)} twice in {path.name}", "mend it"
+                "a header", "state every key once", f"{_short(key)} twice in {path.name}", "fix it"
             )
         elif not key.startswith("#"):
             fields[key] = value.strip()
@@ -84,11 +84,11 @@ def numbers(
         found = [np.nan]
     if not np.isfinite(found).all():
         raise InputError(
-            key, "be finite numbers", f"{_short(fields[key])} in {path.name}", "mend the header"
+            key, "be finite numbers", f"{_short(fields[key])} in {path.name}", "fix the header"
         )
     if positive and min(found, default=0.0) <= 0.0:
         raise InputError(
-            key, "be above 0", f"{_short(fields[key])} in {path.name}", "mend the header"
+            key, "be above 0", f"{_short(fields[key])} in {path.name}", "fix the header"
         )
     return found
 

@@ -101,7 +101,7 @@ def _stated(
         return absent.tolist()
     if len(found) != len(absent):
         raise InputError(
-            key, f"be {len(absent)} numbers", f"{len(found)} in {path.name}", "mend the header"
+            key, f"be {len(absent)} numbers", f"{len(found)} in {path.name}", "fix the header"
         )
     return found
 

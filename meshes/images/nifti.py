@@ -155,7 +155,7 @@ def _affine(header: Header, path: Path, notes: list[str]) -> NDArray[np.float64]
             "pixdim and sform",
             "state the same spacing",
             f"{by(spacing)} and {by(stated)} in {path.name}",
-            "mend the header",
+            "fix the header",
         )
     if qform is not None:
         corner = np.array([*(int(n) for n in header["dim"][1:4]), 0.0])

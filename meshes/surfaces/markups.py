@@ -283,6 +283,6 @@ def _three(value: Any, what: str, file: Path) -> NDArray[np.float64]:
     numbers = as_vector(value)
     if numbers is None:
         raise InputError(
-            "markups", "hold three finite numbers", f"{value!r:.80} for {what} in {file}", "mend it"
+            "markups", "hold three finite numbers", f"{value!r:.80} for {what} in {file}", "fix it"
         )
     return numbers

@@ -87,7 +87,7 @@ def tetrahedralise(
         sentences.append(
             f"{len(crossing)} triangles of the surface cross others, the first at {at} mm: "
             "what they enclose together "
-            "was filled; mend the surface in a mesh editor if that is not meant."
+            "was filled; fix the surface in a mesh editor if that is not meant."
         )
 
     envelope = min(_ENVELOPE * edge, _FARTHEST_M)

@@ -25,7 +25,7 @@ class SolverOutcome(Enum):
     NOT_CONVERGED = (
         "the iterations ran out: allow more, loosen the tolerance, or take smaller steps"
     )
-    INACCURATE = "rounding is too large: mend sliver cells, or lower the contrast of moduli"
+    INACCURATE = "rounding is too large: fix sliver cells, or lower the contrast of moduli"
     INDEFINITE = (
         "the stiffness is not positive definite: check moduli, Poisson's ratio, sliver cells and "
         "loose parts"

@@ -18,7 +18,7 @@ _DELIMITERS = (",", ";", "\t", " ")
 _LOOKED_AT = 50
 """Last lines that show what a line of data is."""
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
-_AGAIN = "mend that line or export the log again"
+_AGAIN = "fix that line or export the log again"
 
 
 @dataclass(frozen=True)

@@ -211,7 +211,7 @@ def _pose(row: dict[str, str], line: int, path: Path) -> list[float]:
                 "motion.file",
                 "hold finite numbers",
                 f"{row[name] or 'nothing'} for {name} in line {line} of {path}",
-                "mend that line",
+                "fix that line",
             )
         values.append(value)
     return values

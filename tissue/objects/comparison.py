@@ -210,7 +210,7 @@ def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comp
     called = _names(held) if names is None else [*names]
     if len(called) != len(held) or len(set(called)) != len(called):
         raise InputError(
-            "names", f"be one for each of {len(held)} runs, all different", called, "mend them"
+            "names", f"be one for each of {len(held)} runs, all different", called, "fix them"
         )
     return Comparison(dict(zip(called, held, strict=True)))
 

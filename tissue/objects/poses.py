@@ -150,6 +150,6 @@ def _rows(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
         )
     if not np.isfinite(rows).all():
         raise InputError(
-            name, "be finite", f"{int((~np.isfinite(rows)).sum())} values that are not", "mend them"
+            name, "be finite", f"{int((~np.isfinite(rows)).sum())} values that are not", "fix them"
         )
     return rows

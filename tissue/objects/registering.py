@@ -236,5 +236,5 @@ def _table(path: Path, kind: str) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(
-            kind, "be a TOML file", f"{path} ({reason})", "check the path and mend it"
+            kind, "be a TOML file", f"{path} ({reason})", "check the path and fix it"
         ) from None

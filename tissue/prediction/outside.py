@@ -85,7 +85,7 @@ class Outside:
                 f"predict of the predictor {self._name}",
                 "return three newtons",
                 f"shape {force.shape}",
-                "mend it",
+                "fix it",
             )
         return force
 

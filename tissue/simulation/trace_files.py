@@ -140,7 +140,7 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
     InputError
         If the file is no such table, naming the line.
     """
-    again = "mend that line or run the scene again"
+    again = "fix that line or run the scene again"
     require_regular(path)
     try:
         content = path.read_bytes()
@@ -208,7 +208,7 @@ def read_trace(path: Path, layer_names: tuple[str, ...]) -> Table:
             path.name,
             "hold finite numbers",
             f"{table.rows[line, places[place]]} for {wanted[place]} in line {line + 2} of {path}",
-            "mend that line or run the scene again",
+            "fix that line or run the scene again",
         )
     early = np.flatnonzero(np.diff(table["time_s"]) <= 0.0)
     if len(early):
@@ -216,6 +216,6 @@ def read_trace(path: Path, layer_names: tuple[str, ...]) -> Table:
             path.name,
             "have increasing time_s",
             f"line {early[0] + 3} of {path} no later than the one before",
-            "mend that line or run the scene again",
+            "fix that line or run the scene again",
         )
     return table

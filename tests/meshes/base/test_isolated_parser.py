@@ -103,7 +103,7 @@ def test_a_parser_that_fails_is_refused(parse, parser, reason):
 
 
 def test_a_refusal_of_the_parser_is_passed_on(parse):
-    with pytest.raises(InputError, match=r"^file must be good, got a bad one: mend it$"):
+    with pytest.raises(InputError, match=r"^file must be good, got a bad one: fix it$"):
         parse("refuses")
 
 

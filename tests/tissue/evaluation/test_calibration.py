@@ -149,7 +149,7 @@ def test_a_log_that_is_no_text_is_refused_without_the_words_of_a_decoder(tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("mend", "message"),
+    ("fix", "message"),
     [
         (lambda lines: change(lines, 3, answer=3), "answer must be 1 or 2, got 3"),
         (lambda lines: change(lines, 3, answer="one"), "answer must be a number, got 'one'"),

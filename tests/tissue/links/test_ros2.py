@@ -120,7 +120,7 @@ def test_a_middleware_that_does_not_start_is_refused_in_a_sentence(
         run_live(load_scene("wall", SCENE), LiveSettings(ros2=True))
     assert str(caught.value) == (
         "--live must publish the run for ROS 2, but RuntimeError: the middleware does not "
-        "start: mend that, or run "
+        "start: fix that, or run "
         "without --ros2"
     )
 

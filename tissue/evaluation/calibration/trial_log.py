@@ -164,7 +164,7 @@ def read_log(path: Path) -> tuple[str, Session]:
                 "log",
                 "hold one trial of its session a line",
                 f"{wrong} in line {number} of {path}",
-                "mend that line or choose another --out",
+                "fix that line or choose another --out",
             ) from problem
     return who, session
 

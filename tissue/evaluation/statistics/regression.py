@@ -63,7 +63,7 @@ def trial_regression(table: TrialTable, response: str, predictors: Sequence[str]
             "table",
             "hold trials that did not fail",
             f"{len(table)} failures",
-            "mend the study first",
+            "fix the study first",
         )
     columns = {name: kept.values(name) for name in predictors}
     return regression(kept.values(response), columns, kept.people(), response=response)

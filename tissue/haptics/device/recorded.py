@@ -56,7 +56,7 @@ class RecordedDevice(ComputedDevice):
                 "positions_m",
                 f"be finite with shape ({len(times)}, 3)",
                 positions.shape,
-                "mend them",
+                "fix them",
             )
         if not (np.diff(times) > 0.0).all():
             raise InputError("times_s", "increase", times_s, "sort them")

@@ -268,7 +268,7 @@ def _numbers(part: str, given: object, count: int) -> tuple[float, ...]:
         got = " ".join(repr(given).split())[:60]
         wanted = f"{count} numbers" if count > 1 else "a number"
         raise DeviceError(
-            "device.read", f"return a Sample whose {part} is {wanted}", got, "mend its read"
+            "device.read", f"return a Sample whose {part} is {wanted}", got, "fix its read"
         )
     return tuple(map(float, numbers.reshape(count)))
 

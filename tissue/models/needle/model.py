@@ -172,7 +172,7 @@ class NeedleModel:
         cosine = float(motion.rotation[2, 2])
         if not (isfinite(below) and isfinite(cosine)):
             raise InputError(
-                "the needle's pose", "be finite", f"its tip at {motion.tip_m}", "mend the motion"
+                "the needle's pose", "be finite", f"its tip at {motion.tip_m}", "fix the motion"
             )
         if cosine >= LEAST_COSINE:
             return below / cosine

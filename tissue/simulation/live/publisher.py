@@ -110,7 +110,7 @@ class Ros2Process(PublishingProcess):
 
     module = "tissue.links.ros2"
     place = "must publish the run for ROS 2"
-    remedy = "mend that, or run without --ros2"
+    remedy = "fix that, or run without --ros2"
     shows_tissue = False
 
     def note(self) -> str:

@@ -93,7 +93,7 @@ class SlicerProcess(PublishingProcess):
 
     module = "tissue.links.slicer_process"
     place = "must publish the run for 3D Slicer"
-    remedy = "mend that, or run without --slicer"
+    remedy = "fix that, or run without --slicer"
 
     def __init__(
         self,

@@ -84,7 +84,7 @@ class WindowProcess:
 
     module = MODULE
     place = "must open its window where there is a display"
-    remedy = "mend the display, or unset DISPLAY to run without a window"
+    remedy = "fix the display, or unset DISPLAY to run without a window"
     shows_tissue = True
     """Whether its process is sent the tissue as it changes."""
 
