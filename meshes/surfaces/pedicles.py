@@ -27,7 +27,6 @@ _STEP = 1e-3
 # Canals have 150 to 450 mm2; 50 to 90 % of that is seen through 17 real vertebrae.
 _CANAL_AREA = (40e-6, 900e-6)
 _ALONG = np.arange(-4e-3, 14.5e-3, 1e-3)
-_REACH_PEDICLE = (12e-3, 20e-3, 12e-3)
 _PEDICLE_RADIUS = (1.2e-3, 11e-3)  # pedicles are 4.5 to 18 mm wide (Zindrick 1987)
 _RISING = 3.5e-3  # pedicle height over the middle of the body: 5.7 to 12 mm in 17 vertebrae
 

@@ -1,15 +1,11 @@
 """HTML of tables, runs and scenes for notebooks."""
 
-import json
-import tomllib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from html import escape
 
 import numpy as np
-import tomli_w
 from numpy.typing import NDArray
 
-from tissue.scene.scene import Scene
 from tissue.show.figures.force_time import event_lines
 from tissue.simulation.run_summary import Summary
 
@@ -20,7 +16,6 @@ __all__ = [
     "run_html",
     "run_line",
     "run_rows",
-    "scene_html",
     "scrolled",
     "table_html",
 ]
@@ -76,34 +71,6 @@ def _cells(row: Sequence[object], name: str, side: str) -> str:
         else ' style="text-align: left"'
     )
     return "".join(f"<{name}{style}>{escape(str(each))}</{name}>" for each in row)
-
-
-def scene_html(scene: Scene) -> str:
-    """Return the values that a scene sets as a table, with its whole TOML folded below."""
-    stated = scene.model_dump(mode="json", exclude_unset=True, exclude={"name", "description"})
-    # lists, texts and numbers as in TOML
-    rows = [(key, json.dumps(value)) for key, value in _entries(stated)]
-    whole = tomllib.loads(scene.to_toml())
-    plain = {key: value for key, value in whole.items() if not isinstance(value, dict)}
-    sections = {"scene": plain} | {
-        key: value for key, value in whole.items() if isinstance(value, dict)
-    }
-    texts = [
-        folded(name, f"<pre>{escape(tomli_w.dumps(section))}</pre>")
-        for name, section in sections.items()
-    ]
-    head = f"<p><b>{escape(scene.name)}</b> {escape(scene.description)}</p>"
-    table = table_html(rows, titles=("key", "value"))
-    return f"<div>{head}{table}{folded('all keys', ''.join(texts))}</div>"
-
-
-def _entries(table: dict[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
-    """Return dotted keys and values of nested tables, without empty ones."""
-    for key, value in table.items():
-        if isinstance(value, dict):
-            yield from _entries(value, f"{prefix}{key}.")
-        elif value is not None:
-            yield f"{prefix}{key}", value
 
 
 CURVE_POINTS = 300

@@ -111,18 +111,20 @@ class Run(engine.Run):
         progress: Progress | None = None,
     ) -> Path:
         """Write the run's folder and its band; see `tissue.simulation.run.Run.save`."""
-        self.path = super().save(
+        path = super().save(
             out, formats=formats, pictures=pictures, overwrite=overwrite, progress=progress
         )
-        self._save_band(pictures)
-        return self.path
+        if self._saved is None:  # the data of a loaded run stay where it was loaded from
+            self.path = path
+        self._save_band(path, pictures)
+        return path
 
-    def _save_band(self, pictures: bool | str) -> None:
-        """Write the band into the run's folder, if there are both."""
-        if self._band is not None and self.path is not None:
+    def _save_band(self, path: Path | None, pictures: bool | str) -> None:
+        """Write the band into a folder of the run, if there are both."""
+        if self._band is not None and path is not None:
             from tissue.fitting.bands.band_files import save_band
 
-            save_band(self._band, self.path, kind=picture_format(pictures))
+            save_band(self._band, path, kind=picture_format(pictures))
 
     def _folder(self) -> Path:
         """Return a folder with this run's files: its own, or a temporary one if that holds
@@ -281,7 +283,7 @@ class Run(engine.Run):
             ),
         )
         self._band = made
-        self._save_band(pictures)
+        self._save_band(self.path, pictures)
         return made
 
     def to_pandas(self) -> "pandas.DataFrame":

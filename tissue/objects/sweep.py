@@ -17,7 +17,7 @@ import numpy as np
 from meshes.base.errors import InputError, require_range
 from meshes.base.file_version import package_version
 from meshes.base.progress import Progress
-from meshes.base.text_tables import read_json
+from meshes.base.text_tables import read_json, read_toml
 from meshes.base.whole_file import whole_file
 from tissue.objects.progress import Bar, reporting
 from tissue.objects.simulate import simulate
@@ -166,9 +166,12 @@ def parse_values(texts: Sequence[str]) -> dict[str, list[object]]:
     found: dict[str, list[object]] = {}
     for text in texts:
         key, sign, listed = text.partition("=")
-        pieces = next(csv.reader([listed], skipinitialspace=True), [])
         try:
-            values = tomllib.loads(f"values = [{listed}]")["values"]
+            pieces = next(csv.reader([listed], skipinitialspace=True), [])
+        except csv.Error:  # such as a line break
+            pieces = []
+        try:
+            values = read_toml(f"values = [{listed}]")["values"]
         except tomllib.TOMLDecodeError:  # such as words without quotes
             values = [parse_override(f"{key}={piece}")[1] for piece in pieces if piece]
         if not sign or not all(pieces) or not pieces:

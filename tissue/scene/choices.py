@@ -98,7 +98,7 @@ SOURCES = {
 def source_of(table: Mapping[str, object]) -> tuple[str, ...]:
     """Return the sources that a table of a shape can mean, by its files."""
     file = table.get("file")
-    if not isinstance(file, str):
+    if not isinstance(file, str) or not file:
         has_layers = any(f"{layer}_file" in table for layer in LAYERS)
         return SOURCES["layers" if has_layers else ""]
     return SOURCES["surface" if Path(file).suffix.lower() in SURFACE_SUFFIXES else "image"]

@@ -58,7 +58,9 @@ def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
             OldSceneWarning,
             stacklevel=3,
         )
-        held = {"kind": name} if isinstance(name, str) and name != "none" else {}
+        held = dict(name) if isinstance(name, Mapping) else {}
+        if isinstance(name, str) and name != "none":
+            held = {"kind": name}
         table.pop("device", None)
         if held or not was_kept:
             held |= moved
@@ -67,8 +69,9 @@ def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
     if was_kept:
         _drop_removed(table)
     cue = table.get("enhancement")
-    if isinstance(cue, dict) and cue.keys() == {"cue_N"}:
-        table["output"] = table.get("output", {}) | table.pop("enhancement")
+    output = table.get("output", {})
+    if isinstance(cue, dict) and cue.keys() == {"cue_N"} and isinstance(output, dict):
+        table["output"] = output | table.pop("enhancement")
     return table, was_kept
 
 

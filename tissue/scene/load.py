@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, is_file
 from meshes.base.file_version import package_version
 from meshes.base.text_tables import DEEPEST, read_toml, require_shallow
 from tissue.scene.convert import FORMAT, converted, full_key
@@ -32,6 +32,8 @@ __all__ = [
 
 PARTS_WITH_FILES = ("anatomy", "motion", "tool", "device")
 """Tables of a scene with keys that name files."""
+RECORDED = "recorded"
+"""Device whose address is a file."""
 REPLACED = "touch"
 """Device replaced by the mouse of a live session, for a scene with a coupling but no device."""
 
@@ -154,10 +156,12 @@ def _replaced(
         return _validated(table)
     already_idle = _idle_keys(table)
     placed = deepcopy(table)
-    full = {
-        full_key(key, value): None if (key, value) == ("device", "none") else value
-        for key, value in overrides.items()
-    }
+    full: dict[str, object] = {}
+    for key, value in overrides.items():
+        whole = full_key(key, value)
+        if whole in full:
+            raise InputError(whole, "be given once", f"it twice, once as {key}", "remove one")
+        full[whole] = None if (key, value) == ("device", "none") else value
     # A new kind starts its part afresh, so kinds go first, in whatever order they were given.
     for key, value in sorted(
         full.items(), key=lambda item: item[0] != "device" and not item[0].endswith(".kind")
@@ -168,9 +172,11 @@ def _replaced(
         and "device" not in table
         and full.keys() & {"seed", *(key for key in full if key.startswith("device."))}
     ):
-        placed.setdefault("device", {}).setdefault("kind", REPLACED)
-    asked_of_device = placed.get("device") or {"kind": ""}
-    if "kind" not in asked_of_device and all(value == "none" for value in asked_of_device.values()):
+        placed["device"] = {"kind": REPLACED} | (placed.get("device") or {})
+    if "device.hardware.address" in full:
+        placed["device"] = _with_absolute_record(placed["device"], Path.cwd())
+    asked = placed.get("device")
+    if isinstance(asked, dict) and asked and all(value == "none" for value in asked.values()):
         del placed["device"]  # no prediction and no perception ask for no device
     if already_idle is None:
         return _validated(placed)
@@ -225,10 +231,11 @@ def _idle_of(table: Mapping[str, object]) -> list[str]:
 def _absolute(value: Any, folder: Path, key: str = "") -> Any:
     """Return a value, or a table of values, with absolute paths of files."""
     if isinstance(value, Mapping):
-        return {
+        found = {
             name: _absolute(each, folder, f"{key}.{name}" if key else name)
             for name, each in value.items()
         }
+        return _with_absolute_record(found, folder) if key == "device" else found
     if not isinstance(value, str) or not value:
         return value
     if key == "device.perception":
@@ -237,8 +244,27 @@ def _absolute(value: Any, folder: Path, key: str = "") -> Any:
     part = key.split(".")[0]
     is_file = part in PARTS_WITH_FILES and is_file_key(name)
     if is_file or key == "materials" or key.startswith("keep_clear.files."):
-        return str((folder / value).resolve())
+        return _absolute_path(folder, value)
     return value
+
+
+def _with_absolute_record(device: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the table of a device with the absolute path of a recorded device's file."""
+    hardware = device.get("hardware")
+    if device.get("kind") != RECORDED or not isinstance(hardware, Mapping):
+        return device
+    address = hardware.get("address")
+    if not isinstance(address, str) or not address:
+        return device
+    return device | {"hardware": {**hardware, "address": _absolute_path(folder, address)}}
+
+
+def _absolute_path(folder: Path, name: str) -> str:
+    """Return the absolute path of a file; a loop of links stays as it is and is refused later."""
+    try:
+        return str((folder / name).resolve())
+    except RuntimeError:
+        return str(folder / name)
 
 
 def _require_no_nul(value: object, key: str = "") -> None:
@@ -269,7 +295,7 @@ def _without_nothing(table: Mapping[str, object]) -> dict[str, object]:
 
 def _read(path: Path) -> str:
     """Read the text of a scene file."""
-    if not path.is_file():
+    if not is_file(path):
         raise InputError(
             "scene", "be an existing file", path, "check the path or list `tissue scenes`"
         )

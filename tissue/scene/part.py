@@ -155,8 +155,10 @@ class Part(BaseModel):
             if isinstance(value, Part):
                 table[name] = value.effective_table()
         for key in self.idle():
-            outer, _, name = key.rpartition(".")
-            inner = table.get(outer) if outer else table
+            *outer, name = key.split(".")
+            inner: Any = table
+            for step in outer:
+                inner = inner.get(step, {}) if isinstance(inner, dict) else {}
             if isinstance(inner, dict):
                 inner.pop(name, None)
         return {name: value for name, value in table.items() if value != {}}

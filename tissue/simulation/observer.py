@@ -126,4 +126,5 @@ class OnTick(RunObserver):
     def on_tick(self, index: int, row: Array, times: Array) -> bool:
         """Call the function."""
         self._row.values_of_tick = row
-        return self._function(index, self._row) is not False
+        answer = self._function(index, self._row)
+        return not (isinstance(answer, bool | np.bool_) and not answer)

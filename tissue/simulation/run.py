@@ -387,7 +387,7 @@ class Run:
         from tissue.simulation.series import write_fields
 
         folder = self.begun
-        goes_on = folder is not None and folder.path == out
+        goes_on = folder is not None and folder.path.resolve() == out.resolve()
         if folder is None or not goes_on:
             folder = RunFolder(out, overwrite=overwrite)
         else:

@@ -5,7 +5,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, is_file
 from meshes.base.file_limits import require_regular
 from meshes.base.file_version import require_version
 from meshes.base.text_tables import read_json
@@ -34,7 +34,7 @@ def read_summary(folder: Path) -> Summary:
         If the folder holds no run, or the summary is damaged or of another version.
     """
     path = folder / "summary.json"
-    if not path.is_file():
+    if not is_file(path):
         raise InputError(
             "run", "be a folder that `tissue run` wrote", folder, "give for example runs/glenoid"
         )

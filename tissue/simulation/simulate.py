@@ -264,8 +264,6 @@ def _prediction_note(trace: Table, motion: MovedByDevice) -> dict[str, str]:
 def tick_count(scene: Scene, motion: Motion) -> int:
     """Ticks of a run; one that is to see the whole motion waits for a hand that is late."""
     seconds = scene.duration_s or motion.duration_s
-    if scene.duration_s is not None and seconds >= motion.duration_s - motion.after_s:
-        seconds += motion.after_s
     if seconds > LONGEST_S:
         raise InputError(
             "duration_s",
@@ -273,4 +271,6 @@ def tick_count(scene: Scene, motion: Motion) -> int:
             f"nothing for one of {seconds:g} s",
             "give it, or a greater feed",
         )
+    if scene.duration_s is not None and seconds >= motion.duration_s - motion.after_s:
+        seconds += motion.after_s
     return max(round(seconds / TICK_S), 1)

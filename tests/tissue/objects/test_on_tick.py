@@ -35,3 +35,8 @@ def test_an_unknown_column_and_what_it_raises_end_the_run_with_that():
 def test_it_goes_with_no_observer():
     with pytest.raises(InputError, match=r"^on_tick must be left out with observer, got both"):
         simulate(load_scene("wall", SHORT), on_tick=print, observer=object())
+
+
+def test_false_of_numpy_ends_a_run_too():
+    run = simulate(load_scene("wall", SHORT), on_tick=lambda index, row: np.bool_(index < 5))
+    assert len(run.trace.rows) == 6

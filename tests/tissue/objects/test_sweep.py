@@ -65,6 +65,14 @@ def test_values_that_are_missing_are_refused(text):
         parse_values(["a=1,2", "a=3"])
 
 
+@pytest.mark.parametrize("text", ["a=" + 3000 * "[" + 3000 * "]", 'a=1\n2"x,"y'])
+def test_values_that_no_reader_takes_are_refused_or_texts(text):
+    try:
+        assert parse_values([text])
+    except InputError as refused:
+        assert "\n" not in str(refused)
+
+
 def test_folders_are_named_by_the_swept_keys_alone(scene):
     grid = plan(
         scene,

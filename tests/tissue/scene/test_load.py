@@ -4,20 +4,24 @@ import tomllib
 
 import pytest
 import tomli_w
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 import tissue.scene.scene
 from tissue import InputError, Scene, load_scene, scene_names, scene_text
 from tissue.scene.convert import OldSceneWarning
 from tissue.scene.load import parse_override, saved_text
+from tissue.scene.part import Part
 
-PARTS = [
-    part
-    for part in vars(tissue.scene.scene).values()
-    if isinstance(part, type)
-    and issubclass(part, BaseModel)
-    and part.__module__.startswith("tissue.scene.scene")
-]
+
+def parts_below(part):
+    """Return the tables that derive from a table."""
+    return {part, *(each for inner in part.__subclasses__() for each in parts_below(inner))}
+
+
+PARTS = sorted(
+    (part for part in parts_below(Part) if part.__module__.startswith("tissue.scene")),
+    key=lambda part: part.__name__,
+)
 
 
 COARSE = {
@@ -59,7 +63,9 @@ def test_a_printed_scene_runs(name, command, here):
 @pytest.mark.parametrize("part", PARTS, ids=lambda part: part.__name__)
 def test_every_entry_is_described(part):
     without = [
-        name for name, field in part.model_fields.items() if not (field.description or "").strip()
+        name
+        for name, field in part.model_fields.items()
+        if name != "kind" and not (field.description or "").strip()
     ]
     assert not without
 
@@ -68,7 +74,13 @@ def test_what_must_be_given_has_an_example():
     """A refusal of a missing value shows one that would do."""
     for part in PARTS:
         for name, field in part.model_fields.items():
-            if field.is_required() and name not in ("anatomy", "tool", "motion", "spin_rpm"):
+            if field.is_required() and name not in (
+                "anatomy",
+                "tool",
+                "motion",
+                "kind",
+                "spin_rpm",
+            ):
                 assert field.examples, f"{part.__name__}.{name}"
 
 
@@ -237,3 +249,51 @@ def test_a_file_in_the_form_of_version_02_is_read_with_a_note_and_still_refuses_
     later.write_text("format = 3\n" + scene_text("milling"))
     with pytest.raises(InputError, match="format"):
         load_scene(later)
+
+
+def test_the_file_of_a_recorded_device_lies_beside_its_scene(tmp_path, monkeypatch):
+    recorded = scene_text("wall").replace('kind = "touch"', 'kind = "recorded"')
+    assert recorded != scene_text("wall")
+    (tmp_path / "home").mkdir()
+    file = tmp_path / "home" / "x.toml"
+    file.write_text(f'{recorded}\n[device.hardware]\naddress = "poses.csv"\n')
+    monkeypatch.chdir(tmp_path)
+    assert load_scene(file).held.hardware.address == str(tmp_path / "home" / "poses.csv")
+    elsewhere = load_scene(file, {"hardware.address": "other.csv"})
+    assert elsewhere.held.hardware.address == str(tmp_path / "other.csv")
+
+
+@pytest.mark.parametrize("device", ["5", "[1]", "true"])
+def test_a_device_that_is_no_table_is_refused_with_and_without_overrides(tmp_path, device):
+    text = "\n".join(
+        line for line in scene_text("milling").splitlines() if not line.startswith("device")
+    )
+    (tmp_path / "x.toml").write_text(f"device = {device}\n{text}")
+    for overrides in ({}, {"duration_s": 1.0}):
+        with pytest.raises(InputError, match=r"^device "):
+            load_scene(tmp_path / "x.toml", overrides)
+
+
+def test_old_keys_at_the_top_join_a_table_of_the_device(tmp_path):
+    text = scene_text("wall").replace('hand = "expert"', "")
+    (tmp_path / "x.toml").write_text(f'hand = "novice"\n{text}')
+    with pytest.warns(OldSceneWarning):
+        scene = load_scene(tmp_path / "x.toml")
+    assert (scene.held.kind, scene.held.hand) == ("touch", "novice")
+
+
+def test_a_live_run_without_a_device_keeps_its_seed_for_the_mouse():
+    scene = load_scene("milling", {"device": "none", "seed": 3}, live=True)
+    assert scene.held.kind == "touch" and scene.seed == 3
+
+
+def test_one_key_in_two_forms_is_refused():
+    with pytest.raises(InputError, match=r"^device\.hand must be given once"):
+        load_scene("wall", {"hand": "novice", "device.hand": "expert"})
+
+
+def test_a_key_without_effect_deep_in_a_table_is_not_written():
+    scene = load_scene("wall")
+    coupling = scene.held.coupling.model_copy(update={"roam_mm": 40.0})
+    held = scene.held.model_copy(update={"coupling": coupling})
+    assert "roam_mm" not in scene.model_copy(update={"device": held}).to_toml()

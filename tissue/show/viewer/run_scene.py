@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["Choice", "RunScene", "times_of"]
 
 TISSUE = ("bone", "bone beyond the cut", "field")
-"""Names of the simulated tissue among"""
+"""Names of the simulated tissue among the meshes of a scene."""
 MOST_POINTS = 20_000
 """Points of a surface from which its extent is found."""
 NEAR_TIP = 0.5

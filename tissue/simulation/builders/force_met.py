@@ -4,14 +4,17 @@ it asks of a device.
 
 from functools import lru_cache
 from math import floor, log10, sqrt
+from pathlib import Path
 
 import numpy as np
 
+from meshes.base.errors import is_file
 from meshes.base.progress import silent
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
 from tissue.motion.motion import Motion
 from tissue.scene.organ import LayersAnatomy
+from tissue.scene.part import is_file_key
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Needle, Probe, ThrustMotion, Tool
@@ -58,7 +61,7 @@ def chosen_scale(scene: Scene) -> tuple[float, str]:
     limits = device_parameters(scene.held.kind, scene.constants)
     force = _met(
         scene.model_dump_json(exclude={"seed", "duration_s", "device", "fidelity"}),
-        scene.constants.key,
+        (scene.constants.key, *_file_stamps(scene)),
     )
     if not force > 0.0:
         return 1.0, ""
@@ -78,8 +81,20 @@ def fitted_scale(force_N: float, limits: DeviceParameters) -> float:
     return floor(round(scale * 10.0**digits, 9)) / 10.0**digits
 
 
+def _file_stamps(scene: Scene) -> list[tuple[str, int, int]]:
+    """Return name, time of change [ns] and size [bytes] of each file of the tissue and the path."""
+    named = [
+        value
+        for part in (scene.anatomy, scene.motion, scene.tool)
+        for key, value in part.model_dump().items()
+        if is_file_key(key) and value
+    ]
+    found = [(name, Path(name).stat()) for name in named if is_file(Path(name))]
+    return [(name, stat.st_mtime_ns, stat.st_size) for name, stat in found]
+
+
 @lru_cache(maxsize=64)
-def _met(table: str, _constants: str) -> float:
+def _met(table: str, _inputs: tuple[object, ...]) -> float:
     """Largest force on the scripted motion [N] by what the scene's own constants hold; 0 where
     it is not known.
     """

@@ -77,6 +77,20 @@ class SoftMaterial:
         )
         for name, modulus in self.parts.items():
             require_positive(f"parts[{name!r}]", modulus, "give its Young's modulus in kPa")
+        if self.capsule is not None and np.shape(self.capsule) != (2,):
+            raise InputError(
+                "capsule",
+                "be two numbers",
+                self.capsule,
+                "give its thickness in um and its modulus in kPa, such as (50, 8200)",
+            )
+        if any(np.shape(each) != (2,) for each in self.relaxation):
+            raise InputError(
+                "relaxation",
+                "be pairs of a share and a time [s]",
+                list(self.relaxation),
+                "use for example [(0.3, 1.0)]",
+            )
         for value in self.capsule or ():
             require_positive(
                 "capsule",
@@ -95,12 +109,16 @@ class SoftMaterial:
             If the mesh has no part of a name.
         """
         found = dict.fromkeys(part_names, self.modulus_kPa)
+        given = set[str]()
         for name, modulus in self.parts.items():
             known = next((each for each in (str(name), f"part {name}") if each in found), None)
             if known is None:
                 raise InputError(
                     "parts", "name parts of the mesh", f"{name!r}", f"it has {', '.join(found)}"
                 )
+            if known in given:
+                raise InputError("parts", "name each part once", f"{known} twice", "remove one")
+            given.add(known)
             found[known] = float(modulus)
         return found
 

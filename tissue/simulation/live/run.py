@@ -174,10 +174,9 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
     if by_mouse:
         device = scene.device or StatedDevice(kind=REPLACED_DEVICE)
         roam_mm = ROAM_ON_WALL_MM if scene.anatomy.kind == "wall" else ROAM_MM
-        coupling = device.coupling.model_copy(
-            update={"roam_mm": device.coupling.roam_mm or roam_mm}
-        )
-        device = device.model_copy(update={"coupling": coupling})
+        if device.coupling.roam_mm is None:
+            coupling = device.coupling.model_copy(update={"roam_mm": roam_mm})
+            device = device.model_copy(update={"coupling": coupling})
         changes = {"device": device, "duration_s": how.duration_s or LONGEST_S}
         scene = scene.model_copy(update=changes)
         settings["cores"] = settings.get("cores") or max((os.cpu_count() or 2) - 1, 1)

@@ -4,6 +4,7 @@ limit, whatever the frame.
 
 import numpy as np
 import pytest
+import trimesh
 
 from tissue import load_scene, simulate
 from tissue.haptics.device.device import device_parameters
@@ -92,3 +93,19 @@ def test_it_does_not_depend_on_the_frame():
     assert cut(load_scene("milling", turned | {"anatomy.size_mm": [12, 20, 6]})) == pytest.approx(
         there, rel=0.02
     )
+
+
+def test_a_file_that_changes_under_its_name_is_read_again(tmp_path):
+    file = tmp_path / "block.stl"
+    changes = {
+        "anatomy.file": str(file),
+        "anatomy.scale_mm": 1.0,
+        "anatomy.centre_mm": [0, 0, 5],
+        "anatomy.normal": [0, 0, 1],
+        "device": "touch",
+    }
+    scales = []
+    for width_mm in (30.0, 2.0):  # the burr has 6 mm
+        trimesh.creation.box((width_mm, width_mm, 10.0)).export(file)
+        scales.append(chosen_scale(load_scene("milling", changes))[0])
+    assert scales[1] > 1.1 * scales[0]
