@@ -50,10 +50,10 @@ def fit(
     """
     from tissue.fitting.fit_files import FILES
     from tissue.objects.fit import fit as fit_api
-    from tissue.scene.load import load_scene, parse_override
+    from tissue.scene.load import load_scene, parse_overrides
     from tissue.system.owned_folder import require_folder
 
-    overrides = dict(parse_override(text) for text in set_)
+    overrides = parse_overrides(set_)
     subject = load_scene(scene, overrides)
     folder = out or Path("fits") / subject.name
     require_folder(folder, "fit", FILES, overwrite=overwrite)

@@ -308,9 +308,9 @@ def run(
 
 def _overrides(options: SceneOptions) -> dict[str, Any]:
     """Return the entries of the scene that options replace, by key."""
-    from tissue.scene.load import parse_override
+    from tissue.scene.load import parse_override, parse_overrides
 
-    overrides = dict(parse_override(text) for text in options.set_)
+    overrides = parse_overrides(options.set_)
     for text in options.fidelity:
         key, value = parse_override(text, option="--fidelity", example="force_error=0.03")
         overrides[f"fidelity.{key}"] = value

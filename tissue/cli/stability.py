@@ -61,11 +61,11 @@ def stability(
         stability_lines,
         write_stability_files,
     )
-    from tissue.scene.load import load_scene, parse_override
+    from tissue.scene.load import load_scene, parse_overrides
 
     if out is not None:
         require_map_folder(out, overwrite=overwrite)
-    loaded = load_scene(scene, dict(parse_override(text) for text in set_))
+    loaded = load_scene(scene, parse_overrides(set_))
     with problems.status("running the loop at many stiffnesses"):
         found = scene_stability(loaded)
     console.print(*stability_lines(loaded, found), sep="\n")

@@ -40,11 +40,11 @@ def train(
         Replace the file.
     """
     from meshes.base.errors import InputError
-    from tissue.scene.load import load_scene, parse_override
+    from tissue.scene.load import load_scene, parse_overrides
     from tissue.scene.registry import PREDICTORS
     from tissue.system.outputs import require_new_file
 
-    loaded = load_scene(scene, dict(parse_override(text) for text in set_))
+    loaded = load_scene(scene, parse_overrides(set_))
     path = out or Path(f"{loaded.name}.npz")
     require_new_file(path, overwrite=overwrite)
     if not path.parent.is_dir():

@@ -1,7 +1,7 @@
 """Scenes from built-in names and TOML files, with overrides."""
 
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from copy import deepcopy
 from importlib.resources import files
 from pathlib import Path
@@ -25,6 +25,7 @@ __all__ = [
     "library_names",
     "load_scene",
     "parse_override",
+    "parse_overrides",
     "saved_text",
     "scene_names",
     "scene_text",
@@ -329,6 +330,23 @@ def parse_override(
         return key.strip(), read_toml(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
         return key.strip(), value
+
+
+def parse_overrides(texts: Iterable[str]) -> dict[str, object]:
+    """Return the values of texts such as ``voxels.spacing_mm=0.2`` by key.
+
+    Raises
+    ------
+    InputError
+        If a text has no ``=``, or two texts have the same key.
+    """
+    found: dict[str, object] = {}
+    for text in texts:
+        key, value = parse_override(text)
+        if key in found:
+            raise InputError("--set", "name a key once", f"{key} twice", "remove one of them")
+        found[key] = value
+    return found
 
 
 def _place(table: dict[str, object], key: str, value: object) -> None:

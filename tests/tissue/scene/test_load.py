@@ -9,7 +9,7 @@ from pydantic import ValidationError
 import tissue.scene.scene
 from tissue import InputError, Scene, load_scene, scene_names, scene_text
 from tissue.scene.convert import OldSceneWarning
-from tissue.scene.load import parse_override, saved_text
+from tissue.scene.load import parse_override, parse_overrides, saved_text
 from tissue.scene.part import Part
 
 
@@ -297,3 +297,9 @@ def test_a_key_without_effect_deep_in_a_table_is_not_written():
     coupling = scene.held.coupling.model_copy(update={"roam_mm": 40.0})
     held = scene.held.model_copy(update={"coupling": coupling})
     assert "roam_mm" not in scene.model_copy(update={"device": held}).to_toml()
+
+
+def test_a_key_given_twice_on_the_command_line_is_refused():
+    assert parse_overrides(["a=1", "b=x"]) == {"a": 1, "b": "x"}
+    with pytest.raises(InputError, match=r"^--set must name a key once, got a twice"):
+        parse_overrides(["a=1", "a=2"])
