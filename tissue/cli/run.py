@@ -268,7 +268,7 @@ def run(
     # else it seeds the band alone
     if seed is not None and (band.band is None or loaded.device is not None):
         loaded = _load(scene, overrides | {"seed": seed}, live=live.live, by_hand=by_hand)
-    _refuse_unused(loaded, engine, live=live.live)
+    _refuse_unused(loaded, engine)
     _check_band(loaded, band, live=live.live)
     folder = files.out or Path("runs") / loaded.name
     RunFolder.check(folder, overwrite=engine.overwrite)
@@ -371,10 +371,9 @@ def _live_settings(options: LiveOptions, duration_s: float | None) -> "LiveSetti
     return LiveSettings(duration_s=duration_s, opened=opened, slicer=link, ros2=options.ros2)
 
 
-def _refuse_unused(scene: "Scene", engine: EngineOptions, *, live: bool) -> None:
+def _refuse_unused(scene: "Scene", engine: EngineOptions) -> None:
     """Refuse options that the scene does not use."""
-    by_hand = scene.device is not None or live
-    idle = engine.allow_unstable and not by_hand
+    idle = engine.allow_unstable and scene.device is None
     left_out("without a device", "set device = touch, or remove it", allow_unstable=idle)
     if scene.anatomy.kind in ("wall", "layers"):
         there = engine.compute if engine.compute != "cpu" else None

@@ -21,6 +21,7 @@ from tissue.scene.registry import PERCEPTIONS, SCENES
 from tissue.scene.scene import Scene
 
 __all__ = [
+    "REPLACED_DEVICE",
     "changed",
     "library_names",
     "load_scene",
@@ -35,7 +36,7 @@ PARTS_WITH_FILES = ("anatomy", "motion", "tool", "device")
 """Tables of a scene with keys that name files."""
 RECORDED = "recorded"
 """Device whose address is a file."""
-REPLACED = "touch"
+REPLACED_DEVICE = "touch"
 """Device replaced by the mouse of a live session, for a scene with a coupling but no device."""
 
 
@@ -173,7 +174,7 @@ def _replaced(
         and "device" not in table
         and full.keys() & {"seed", *(key for key in full if key.startswith("device."))}
     ):
-        placed["device"] = {"kind": REPLACED} | (placed.get("device") or {})
+        placed["device"] = {"kind": REPLACED_DEVICE} | (placed.get("device") or {})
     if "device.hardware.address" in full:
         placed["device"] = _with_absolute_record(placed["device"], Path.cwd())
     asked = placed.get("device")

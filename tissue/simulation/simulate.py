@@ -119,6 +119,10 @@ def simulate(
         raise InputError(
             "scene", "hold settings", "a demand on fidelity", "choose them by tissue.simulate"
         )
+    if device is not None and scene.device is None:
+        raise InputError(
+            "scene", "name the device that is given", "none", "set device, such as touch"
+        )
     folder = RunFolder(Path(out), overwrite=overwrite) if out is not None else None
     with folder.ending() if folder is not None else nullcontext():
         parts = build(
@@ -130,10 +134,7 @@ def simulate(
             allow_unstable=allow_unstable,
         )
         if device is not None:
-            if not isinstance(parts.motion, MovedByDevice):
-                raise InputError(
-                    "scene", "name the device that is given", "none", "set device, such as touch"
-                )
+            assert isinstance(parts.motion, MovedByDevice), "a scene with a device"
             require_stated_rate(
                 device,
                 device_parameters(scene.held.kind, scene.constants),

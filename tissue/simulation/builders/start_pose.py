@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array
-from meshes.voxels.volume import VoxelVolume
+from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.motion.drilling_recording import SHAFT_TO_X
 from tissue.motion.motion import Motion
@@ -14,8 +14,6 @@ from tissue.motion.replay import RECORDINGS
 
 __all__ = ["w_first_notice"]
 
-FULL = 255
-"""Fraction of a voxel that is all bone."""
 MUCH_MORE = 2.0
 """Ratio of the volumes inside the bone from which the other order of the quaternion is named."""
 

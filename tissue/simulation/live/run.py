@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.scene.coupling import Device as StatedDevice
+from tissue.scene.load import REPLACED_DEVICE
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.builders.device import opened_device, opens_device
@@ -34,8 +35,6 @@ __all__ = ["LiveObserver", "LiveSettings", "live", "reach_m", "start_m"]
 
 LONGEST_S = 600.0
 """How long a run by the mouse lasts without a duration [s]; its trace is held in memory."""
-REPLACED_DEVICE = "touch"
-"""Device whose numbers a mouse takes in a scene without one."""
 ROAM_MM, ROAM_ON_WALL_MM = 8.0, 40.0
 """Distance from the scripted path to which the pointer may take the tool [mm]; a wall has no
 edge.
@@ -274,12 +273,13 @@ class LiveObserver(RunObserver):
         self._handler: Callable[[int, FrameType | None], object] | int | None = None
         self._frames = -1
         self._drawn_s = 0.0
-        self._start = np.array(start_m(scene))
+        self._start = np.zeros(3)
         self._scale = scene.motion_scale
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Open the window; from here on Ctrl-C ends the run after its tick."""
         if self._mouse is not None:
+            self._start = parts.motion.sweep_m()[0]
             low, high = reach_m(self._scene, parts)
             show = WindowProcess if self._page is None else self._page.show
             self._window = show(self._scene, parts, columns, low_m=low, high_m=high)
