@@ -1,5 +1,4 @@
-"""Product of a voxel body's stiffness with a vector, eight cells of a row at once and without any
-stored matrix.
+"""Matrix-free product of a voxel body's stiffness with a vector, eight cells of a row at once.
 
 Each cell is eight cubes, each with its own Lame constants times volume, that are summed at their
 centres: at 1/4 and 3/4 of the cell's edges. In the sums and differences of the corners ("modes") of
@@ -9,9 +8,9 @@ a component u_c along the three axes, X, Y, Z, XY, XZ, YZ and XYZ, the gradient 
     4 h d_x u_c = X + s XY/2 + t XZ/2 + s t XYZ/4     and so on,
 
 which 8 additions give for all four (s, t); the forces come back through the transposed additions.
-To it come the modes that one point does not see, as in :mod:`kernels.particle_stiffness`. A cell
-costs 17 numbers and some 500 operations, where its packed stiffness has 324 numbers: the product is
-limited by arithmetic and not by memory.
+The modes that one point does not see are added, as in :mod:`kernels.particle_stiffness`. A cell
+costs 17 numbers and about 500 operations; its packed stiffness has 324 numbers. The product is
+therefore limited by arithmetic and not by memory.
 
 A strip is eight cells in a row along z. Vectors lie in `LaneVector`'s layout, in which the eight
 nodes below and the eight above a strip's corner are eight numbers in a row each. Strips of pencils
@@ -29,8 +28,10 @@ __all__ = ["LANES", "WEIGHTS", "lanes_of", "strip_products"]
 LANES = 8
 """Cells of a strip."""
 WEIGHTS = 17
-"""Numbers a cell: lambda and mu of its cubes times V / 16 h^2, and the modulus of the unseen
-modes times h / 12.
+"""Numbers stored per cell.
+
+They are lambda and mu of its cubes times V / 16 h^2, and the modulus of the unseen modes times h /
+12.
 """
 OPTIONS = {
     "enable_backward": False,
@@ -52,8 +53,9 @@ def lanes_of(scalar: Any) -> Any:
 
 @wp.func
 def modes_of(a0: Any, a1: Any, a2: Any, a3: Any, a4: Any, a5: Any, a6: Any, a7: Any):
-    """X, Y, Z, 2 XY, 2 XZ, 2 YZ and 4 XYZ of the corners: sums and differences along z, then y,
-    then x.
+    """Compute X, Y, Z, 2 XY, 2 XZ, 2 YZ and 4 XYZ of the corners.
+
+    They are sums and differences along z, then y, then x.
     """
     s00 = a0 + a1
     d00 = a1 - a0
@@ -102,8 +104,9 @@ def corners_of(x: Any, y: Any, z: Any, xy: Any, xz: Any, yz: Any, xyz: Any):
 
 @wp.func
 def to_cubes(linear: Any, first: Any, second: Any, both: Any):
-    """A derivative in the cubes (-, -), (-, +), (+, -), (+, +) of the two axes across, from its
-    modes.
+    """Compute a derivative in four cubes from its modes.
+
+    The cubes are (-, -), (-, +), (+, -) and (+, +) of the two axes across.
     """
     low = linear - first
     high = linear + first
@@ -138,8 +141,9 @@ def strip_products(scalar: Any) -> Any:
 
     @wp.func
     def take(stress: wp.array(dtype=V), at: int, across: int, first: int, second: int):
-        """Modes of a stress that is summed across an axis; steps in ``stress`` along that one
-        and the other two.
+        """Compute the modes of a stress that is summed across an axis.
+
+        The arguments are the steps in ``stress`` along that axis and the other two.
         """
         both = first + second
         return from_cubes(
@@ -156,8 +160,9 @@ def strip_products(scalar: Any) -> Any:
         gradient_out: wp.array(dtype=V),
         mode_out: wp.array(dtype=V),
     ):
-        """Write the gradients of a strip's cubes, and the modes that one point does not see,
-        from its corners.
+        """Write the gradients of a strip's cubes and the unseen modes, from the strip's corners.
+
+        The unseen modes are those that one point per cube does not see.
         """
         for c in range(3):
             x, y, z, xy, xz, yz, xyz = modes_of(
@@ -210,8 +215,9 @@ def strip_products(scalar: Any) -> Any:
 
     @wp.func
     def set_unseen(w: V, mode_out: wp.array(dtype=V)):
-        """Turn the modes that one point does not see into their forces: strains linear in x, y
-        or z, then in two.
+        """Convert the modes that one point does not see into their forces.
+
+        First the strains linear in x, y or z, then in two of them.
         """
         in_x = mode_out[4] + mode_out[9]
         in_y = mode_out[0] + mode_out[10]

@@ -17,8 +17,9 @@ __all__ = ["OPEN", "conduct"]
 wp.set_module_options({"enable_backward": False})
 
 OPEN = wp.constant(2.0)
-"""Share of a face that conducts per filled fraction of the emptier cell; the stable step is
-shorter by this factor.
+"""Share of a face that conducts, per filled fraction of the emptier cell.
+
+The stable step is shorter by this factor.
 """
 
 

@@ -1,5 +1,6 @@
-"""What the contact kernels share: a body's surface, its contact points, work lists, and places
-in the results.
+"""State shared by the contact kernels.
+
+It holds a body's surface, its contact points, work lists, and the places in the results.
 """
 
 import warp as wp
@@ -44,8 +45,10 @@ FORCE, TORQUE, STATE, SWEEPS, CONTACTS, AREA, DEEPEST, LARGEST, RESULTS = (
     11,
     12,
 )
-"""Of the results: on tool [N], [N m]; end of the solve; counts; [m2]; deepest point and largest
-displacement [m].
+"""Places in the results.
+
+In order: force on the tool [N], torque on the tool [N m], state at the end of the solve, sweeps,
+contacts, contact area [m2], deepest point and largest displacement [m].
 """
 DONE, RUN_OUT, IMMOVABLE, MISSING = 0, 1, 2, 3
 """Ends of a solve."""
@@ -66,7 +69,7 @@ class Body:
 
 @wp.struct
 class Points:
-    """Contact points and what they carry."""
+    """Contact points and the forces they carry."""
 
     first: wp.array(dtype=wp.int32)  # [triangle], its first point, -1 for none
     following: wp.array(dtype=wp.int32)  # [point], next point of the triangle, -1 after the last

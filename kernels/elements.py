@@ -1,5 +1,6 @@
-"""Elements of a cutter's surface and their travel: which of them advance, where, and which may
-meet bone.
+"""Elements of a cutter's surface and their travel.
+
+It finds the elements that advance, their positions, and those that may meet bone.
 """
 
 import warp as wp
@@ -18,17 +19,21 @@ __all__ = [
 ]
 
 CHUNK = 128
-"""Elements a chunk; chunks are summed in order, so the result does not depend on the number of
-threads.
+"""Elements per chunk.
+
+Chunks are summed in order, so the result does not depend on the number of threads.
 """
 
 
 LANES = 8
-"""Elements whose places and advances are found at once."""
+"""Number of elements whose positions and advances are computed at once."""
 lanes8 = wp.types.vector(length=LANES, dtype=wp.float32)
 lever16 = wp.types.vector(length=16, dtype=wp.float32)
-"""Of an element at r [m]: tangent t (x, y), r x t, normal n, r x n, axis a (z), r x a (x, y), which
-a tangential, a radial and an axial load add to force and torque; two numbers are left over."""
+"""Levers by which tangential, radial and axial loads add to force and torque.
+
+Of an element at r [m]: tangent t (x, y), r x t, normal n, r x n, axis a (z), r x a (x, y). Two
+numbers are unused.
+"""
 
 
 @wp.struct
@@ -52,8 +57,9 @@ class Elements:
 
 @wp.struct
 class Travel:
-    """A pose and the unit motion from there: along the tool's axes, and of them in the grid
-    [voxel/m].
+    """A pose and the unit motion from there.
+
+    The motion is given along the tool's axes; those axes are given in the grid [voxel/m].
     """
 
     tip: wp.vec3  # [voxel]
@@ -97,7 +103,7 @@ def may_cut(
     brick_of: wp.array3d(dtype=wp.int32),
     alive: wp.array(dtype=wp.uint64),
 ):
-    """Whether some element of a chunk may advance, and some bone be where the chunk is."""
+    """Return whether some element of a chunk may advance where there may be bone."""
     cone = elements.chunk_cone[chunk]
     velocity = travel.velocity
     facing = wp.dot(velocity, wp.vec3(cone[0], cone[1], cone[2])) + wp.length(velocity) * cone[3]
@@ -140,7 +146,7 @@ def meets_bone(
     middle: wp.vec3,
     radius: float,
 ):
-    """Whether a brick that still holds material meets the box around a ball [voxel]."""
+    """Return whether a brick that still holds material overlaps the box around a ball [voxel]."""
     low = wp.vec3i(0, 0, 0)
     high = wp.vec3i(0, 0, 0)
     for c in range(3):

@@ -1,5 +1,6 @@
-"""What each element of a rotating cutter meets: the same bone as `kernels.cutting.cutting_forces`,
-without a force.
+"""Bone in front of each element of a rotating cutter, without a force.
+
+The bone is the same as in `kernels.cutting.cutting_forces`.
 
 Its loads for any cutting coefficients follow by sums over the elements, see
 `tissue.models.bone.engagement`.
@@ -39,8 +40,9 @@ def engaged_elements(
     layer_out: wp.array(dtype=wp.int32),
     density_out: wp.array(dtype=wp.int32),  # [kg/m3], an entry of the strength table
 ):
-    """Find what one chunk of elements meets in a motion of unit speed; only of those with a
-    share is the rest set.
+    """Find the bone in front of one chunk of elements in a motion of unit speed.
+
+    All other values are set only for elements with a nonzero share.
     """
     chunk = wp.tid() + chunk_offset
     seen_out[chunk, SLOTS] = corner8f()

@@ -1,5 +1,6 @@
-"""One contact of a compliant body: the force that keeps it out of the tool, by Signorini and
-Coulomb.
+"""Contact force at one point of a compliant body, by the laws of Signorini and Coulomb.
+
+The force keeps the point out of the tool.
 
 With W the body's compliance at the point, n the tool's normal and f the force on the body: the gap
 is not negative, the force does not pull, and one of them is zero; the tangential force is at most
@@ -45,8 +46,9 @@ def slipping_force(
     drift: wp.vec3d,
     friction: wp.float64,
 ):
-    """Force on the edge of the cone; ``apart`` < 0 and ``drift`` are gap and tangential slip
-    without the force.
+    """Compute the force on the edge of the friction cone.
+
+    Without the force, the gap is ``apart`` < 0 and the tangential slip is ``drift``.
     """
     side = wp.vec3d(ONE, ZERO, ZERO)
     if wp.abs(normal[0]) > wp.float64(0.7):

@@ -1,4 +1,6 @@
-"""Between a grid and the one of twice its edge: cell stiffness up, residuals up, corrections down.
+"""Transfer between a grid and a grid of twice its edge length.
+
+Cell stiffness and residuals go up to the coarse grid, corrections go down to the fine grid.
 
 A coarse cell's trilinear functions are trilinear on each of its eight children, so its stiffness is
 exactly the children's, seen through the interpolation P: ``K = sum P_c^T M K_c M P_c`` with M the
@@ -109,8 +111,9 @@ def interpolate(
     # out
     vector_out: wp.array(dtype=wp.vec3f),  # [fine node], corrected in place
 ):
-    """Add the coarse grid's correction, trilinear between its nodes, where the fine grid may
-    move.
+    """Add the coarse grid's correction to the nodes of the fine grid that may move.
+
+    The correction is trilinear between the coarse nodes.
     """
     fine = wp.tid() + offset
     total = wp.vec3f()

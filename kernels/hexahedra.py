@@ -1,5 +1,6 @@
-"""Trilinear hexahedra of a Cartesian grid: shape functions, the packed cell stiffness, and its
-product with a vector.
+"""Trilinear hexahedra of a Cartesian grid.
+
+Shape functions, the packed cell stiffness, and its product with a vector.
 
 Corner ``a = 4 i + 2 j + k`` of a cell lies at ``(i, j, k)`` of its edges. A cell's stiffness, 24 x
 24 and symmetric, is kept as the ``BLOCKS`` 3 x 3 blocks (a, b) with a <= b, row after row; the
@@ -37,7 +38,7 @@ def block_of(a: int, b: int):
 
 @wp.func
 def carries(live: wp.array(dtype=wp.uint8), cell: int):
-    """Whether there is a cell, as -1 is none, and it carries load."""
+    """Return whether the cell exists (-1 means no cell) and carries load."""
     if cell < 0:
         return False
     return live[cell] != wp.uint8(0)
@@ -53,8 +54,9 @@ def cell_block(stiffness: wp.array2d(dtype=wp.mat33d), cell: int, a: int, b: int
 
 @wp.func
 def corner_gradients(at: wp.vec3d, inverse_edge: wp.float64):
-    """Gradients [1/m] of the eight shape functions at a place in the cell, 0 to 1 along each
-    edge.
+    """Compute the gradients [1/m] of the eight shape functions at a position in the cell.
+
+    The position runs from 0 to 1 along each edge.
     """
     one = wp.float64(1.0)
     gradients = CornerGradients()
@@ -125,7 +127,7 @@ def gather_cells(
     # out
     force_out: wp.array(dtype=wp.vec3d),  # [node] [N], added to
 ):
-    """Add to the force at each node those of its cells, in the order of their corners."""
+    """Add the forces of its cells to the force at each node, in the order of their corners."""
     i = wp.tid() + offset
     force = force_out[nodes[i]]
     for a in range(8):

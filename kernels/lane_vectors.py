@@ -1,5 +1,6 @@
-"""Strips of cells and vectors in lanes: the cells' weights, diagonals, a smoothing step, and
-from nodes and back.
+"""Strips of cells and vectors in lanes.
+
+The cells' weights, diagonals, a smoothing step, and the conversion from nodes and back.
 """
 
 from typing import Any

@@ -14,7 +14,7 @@ field, so that the patch test stays exact)::
 
 The bracket is the share of the second moment of a full cell that the particles lack: 0 for Gauss
 points, 1 for a single particle in the middle. The idea is hourglass control (Flanagan and
-Belytschko 1981, Int. J. Numer. Methods Eng. 17:679), scaled by what the particles miss.
+Belytschko 1981, Int. J. Numer. Methods Eng. 17:679), scaled by the share that the particles lack.
 
 Springs to the ground at points x of the cell, of 3 x 3 stiffness S, add ``sum N_a(x) N_b(x) S``.
 """  # noqa: E501 a table
@@ -51,8 +51,9 @@ def particle_stiffness(
     stiffness_out: wp.array2d(dtype=wp.mat33d),  # [cell, block] [N/m]
     fill_out: wp.array(dtype=wp.float64),  # [cell], volume of its particles over its own
 ):
-    """Sum the stiffness of the changed cells over their particles, upper triangle first, then
-    mirrored.
+    """Sum the stiffness of the changed cells over their particles.
+
+    The upper triangle is summed first and then mirrored.
     """
     cell = changed[wp.tid() + offset]
     for block in range(36):

@@ -7,7 +7,7 @@ import warp as wp
 __all__ = ["EDGE_BEND", "Nearest", "Revolution", "nearest_on", "offset_from"]
 
 EDGE_BEND = 8.0
-"""Stands for the bend near an edge of the profile, where no one plane serves a block of voxels."""
+"""Bend used near an edge of the profile, where no single plane fits a block of voxels."""
 
 
 @wp.struct
@@ -41,8 +41,9 @@ class Nearest:
 
 @wp.func
 def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
-    """The surface seen from ``offset`` [voxel] off the tip of a tool along ``axis``: bilinear in
-    the table.
+    """Return the tool surface at an ``offset`` [voxel] from the tip of a tool along ``axis``.
+
+    It is interpolated bilinearly in the table.
 
     Over a block of 2 x 2 x 2 voxels the distances at the voxel centres exceed the tangent plane's
     by (k1 + k2) / 8 on average, and the mean over each voxel exceeds its centre's by (k1 + k2) /
@@ -72,8 +73,9 @@ def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
 
 @wp.func
 def offset_from(pose: wp.array2d(dtype=wp.float64), row: int, ix: int, iy: int, iz: int):
-    """Vector [voxel] from the tip of a pose to the low corner of voxel (ix, iy, iz), taken in
-    double precision.
+    """Return the vector [voxel] from the tip of a pose to the low corner of voxel (ix, iy, iz).
+
+    It is computed in double precision.
     """
     return wp.vec3(
         float(wp.float64(ix) - pose[row, 0]),

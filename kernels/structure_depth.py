@@ -27,8 +27,9 @@ CELLS = wp.constant(128)
 """Rows of the stack of cells."""
 CELL_COLUMNS = wp.constant(6)
 MOST_QUERIES = wp.constant(20000)
-"""Closest-point queries after which a search ends with a coarser lower bound, so that a tick
-ends.
+"""Number of closest-point queries after which a search ends with a coarser lower bound.
+
+The limit bounds the time of a tick.
 """
 FAR_M = wp.constant(wp.float64(1.0e3))
 NEAR_M = wp.constant(wp.float64(1.0e-6))
@@ -88,10 +89,11 @@ def hull_corner(
     half_angle: wp.float64,
     k: int,
 ):
-    """Corner `k` of a hull around a cell's centres, and its ball radius.
+    """Return corner `k` of a hull around a cell's centres, and its ball radius.
 
-    The hull is that of the cell's own four corners and of four on the tangents at its middle. A
-    concave function of the centre and the ball radius is smallest at one of them.
+    The hull is that of the cell's own four corners and of four corners on the tangents at its
+    middle. A concave function of the centre and the ball radius is smallest at a corner of the
+    hull.
     """
     ball = wp.where(k < 4, start, end)
     turned = angle + wp.where(k % 2 == 0, -half_angle, half_angle)
@@ -121,11 +123,12 @@ def cell_bounds(
     moved: wp.float64,
     wanted: wp.float64,
 ):
-    """Bounds of the distance over a cell's balls, and the signed distance of the centre of its
-    middle from the surface.
+    """Compute bounds of the distance over the balls of a cell.
 
-    `before` is that signed distance of a point that lies `moved` away. A lower bound above `wanted`
-    is not improved.
+    Also return the signed distance from the surface to the centre of the cell's middle.
+
+    `before` is the same signed distance of a point that lies `moved` away. A lower bound above
+    `wanted` is not improved.
     """
     middle = wp.float64(0.5) * (start + end)
     centre = in_structure(motion, middle[0], angle, middle[1])
@@ -203,8 +206,9 @@ def over_balls(
     # shares of the segment from and to, angle, half angle, bound, signed distance
     cells: wp.array2d(dtype=wp.float64),
 ):
-    """Lower bound of the distance of all balls whose centre lies in the structure, and of `best`
-    [m].
+    """Compute a lower bound [m] of the distance of balls in the structure, at most `best`.
+
+    The balls are all balls of the tool whose centre lies in the structure.
     """
     smallest = best
     lowest = best

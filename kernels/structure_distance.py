@@ -23,9 +23,7 @@ LEAF = wp.constant(4)
 
 @wp.struct
 class Tree:
-    """Triangles in a complete binary tree of boxes: the children of node i are 2 i + 1 and 2 i +
-    2.
-    """
+    """Triangles in a complete binary tree of boxes; node i has the children 2 i + 1 and 2 i + 2."""
 
     centre: wp.array(dtype=wp.vec3d)  # [node] [m]
     half: wp.array(dtype=wp.vec3d)  # [node] half sides [m], negative where nothing is
@@ -44,8 +42,9 @@ def smallest_in_triangle(
     stack: wp.array2d(dtype=wp.vec3d),
     bound: wp.array(dtype=wp.float64),
 ):
-    """Smaller of `best` and the smallest distance over a triangle, the evaluations so far, and
-    what is left open.
+    """Find the smallest distance over a triangle, but at most `best`.
+
+    Return it, the evaluations so far, and the part that is left open.
     """
     smallest = best
     left = wp.float64(1.0e9)
@@ -139,8 +138,9 @@ def over_surface(
     stack: wp.array2d(dtype=wp.vec3d),
     bounds: wp.array(dtype=wp.float64),
 ):
-    """Lower bound of the smallest distance from the tool over the surface [m], `TOLERANCE_M`
-    below it at most.
+    """Compute a lower bound of the smallest distance [m] from the tool over the surface.
+
+    The bound is at most `TOLERANCE_M` below the smallest distance.
     """
     smallest = wp.float64(1.0e9)
     left = wp.float64(1.0e9)

@@ -32,8 +32,9 @@ IDENTITY = wp.constant(wp.mat33d(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
 
 @wp.func
 def stretches_of(f: wp.mat33d):
-    """Stretches and the frame V of a gradient with det F > 0, by Jacobi rotations of F^T F
-    (Golub and Van Loan 8.5).
+    """Compute the stretches and the frame V of a gradient with det F > 0.
+
+    The method is Jacobi rotations of F^T F (Golub and Van Loan 8.5).
     """
     c = wp.transpose(f) * f
     v = wp.mat33d(IDENTITY)
@@ -159,8 +160,9 @@ def stretch_force(
 
 @wp.func
 def pair_moduli(stretch: wp.vec3d, first: wp.vec3d, second: wp.mat33d):
-    """Moduli of changes of the shear ij along itself and along its transpose, symmetric, the
-    diagonals unused.
+    """Compute moduli of changes of the shear ij along itself and along its transpose.
+
+    The matrices are symmetric and their diagonals are unused.
     """
     along = wp.mat33d()
     across = wp.mat33d()

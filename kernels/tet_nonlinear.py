@@ -239,8 +239,9 @@ def gather_blocks(
     # out
     block_out: wp.array(dtype=wp.mat33d),  # [N/m]
 ):
-    """Sum each pair of nodes over its cells once and write it twice: the matrix is symmetric to
-    the bit.
+    """Sum the cells of each pair of nodes once and write the sum twice.
+
+    The matrix is therefore bitwise symmetric.
     """
     pair = wp.tid() + offset
     total = wp.mat33d()

@@ -1,5 +1,4 @@
-"""Stiffness of straight-sided tetrahedra, linear and quadratic, summed pair of nodes by pair of
-nodes.
+"""Stiffness of straight-sided tetrahedra, linear and quadratic, summed by pairs of nodes.
 
 The gradients g_c of the barycentric coordinates are constant in a cell, so for shape functions A
 and B the exact integral of the products of their gradients is ``S = V sum_cd w_cd g_c g_d^T`` with

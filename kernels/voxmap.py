@@ -1,12 +1,12 @@
-"""What a rigid tool can touch: voxels and exact solids as distances with their gradients.
+"""Obstacles of a rigid tool: voxels and exact solids as distances with their gradients.
 
-Voxels carry no stored distance. The distance to their surface is read where it is asked, from what
-is left in the eight voxels around the point: with F the trilinear fraction and h the spacing,
-``(SURFACE - F) h`` vanishes on the surface and grows by about one outward. So carving needs no
-update, however much it removed. ``SURFACE`` lies below one half, because a wall one voxel thick
-that lies across two voxels fills neither by more than half; a shell point is sunk by the difference
-to make up for it. Away from bone, ``clearance`` holds a lower bound of the distance to the bone
-there start, which removal can only raise.
+Voxels carry no stored distance. The distance to their surface is computed on demand from the
+remaining fractions of the eight voxels around the point: with F the trilinear fraction and h the
+spacing, ``(SURFACE - F) h`` vanishes on the surface and grows by about one outward. Carving
+therefore needs no update of distances. ``SURFACE`` lies below one half, because a wall one voxel
+thick that lies across two voxels fills neither by more than half; a shell point is sunk by the
+difference to make up for it. Away from bone, ``clearance`` holds a lower bound of the distance to
+the bone there start, which removal can only raise.
 """
 
 import warp as wp
@@ -138,8 +138,9 @@ def column_pair(
     iy: int,
     iz: int,
 ):
-    """Filled fractions of a voxel and of the next one along z; ``row`` is the brick's, or -2
-    where it is not known.
+    """Return the filled fractions of a voxel and of the next voxel along z.
+
+    ``row`` is the row of the brick, or -2 where it is not known.
     """
     low = row
     if row < 0:
@@ -152,8 +153,9 @@ def column_pair(
 
 @wp.func
 def voxel_level(field: Field, point: wp.vec3d):
-    """Level [m] of the voxels' surface, positive outside and zero on it, and its gradient, of
-    length about one.
+    """Compute the level [m] of the voxels' surface and its gradient, of length about one.
+
+    The level is positive outside and zero on the surface.
     """
     ux = (point[0] - field.origin[0]) * field.voxels_per_m - HALF
     uy = (point[1] - field.origin[1]) * field.voxels_per_m - HALF
@@ -194,8 +196,9 @@ def field_distance(
     distance_out: wp.array(dtype=wp.float64),  # [m]
     normal_out: wp.array(dtype=wp.vec3d),
 ):
-    """Distance from each point to the nearest solid and the direction out; voxels only as far as
-    they are felt.
+    """Compute the distance from each point to the nearest solid, and the outward direction.
+
+    Voxels count only within the range in which they are felt.
     """
     i = wp.tid()
     least = wp.float64(1.0e30)
