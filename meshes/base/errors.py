@@ -75,8 +75,9 @@ class InputError(ValueError):
 
 
 class DamagedFileError(Exception):
-    """What is wrong inside a file, in words of its format; its reader makes it part of the
-    sentence that refuses it.
+    """Damage inside a file, described in terms of the file's format.
+
+    The file's reader inserts the description into its own error message.
     """
 
 
@@ -168,14 +169,15 @@ def require_length(
 
 
 def require_ranges(*rows: tuple[str, float, float, float, str]) -> list[float]:
-    """Values that lie in their closed intervals, each row the arguments of `require_range`,
-    which see.
+    """Return values that lie in their closed intervals.
+
+    Each row holds the arguments of one call of `require_range`.
     """
     return [require_range(*row) for row in rows]
 
 
 def as_vector(value: object) -> NDArray[np.float64] | None:
-    """Three finite numbers as an array; None where something else was given."""
+    """Return three finite numbers as an array, or None for any other value."""
     try:
         vector = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -227,7 +229,7 @@ def _short(file: Path) -> str:
 
 
 def is_file(file: Path) -> bool:
-    """Whether a file is there; one whose name the system cannot take is not."""
+    """Return whether a file exists; False if the system does not accept its name."""
     try:
         return file.is_file()
     except OSError:
@@ -235,7 +237,7 @@ def is_file(file: Path) -> bool:
 
 
 def is_folder(path: Path) -> bool:
-    """Whether a folder is there; one whose name the system cannot take is not."""
+    """Return whether a folder exists; False if the system does not accept its name."""
     try:
         return path.is_dir()
     except OSError:
@@ -248,7 +250,7 @@ def require_file(file: Path, content: str) -> None:
     Raises
     ------
     InputError
-        If it is.
+        If the file is missing or empty.
     """
     if not is_file(file):
         raise InputError(
@@ -264,7 +266,7 @@ def require_file(file: Path, content: str) -> None:
 
 
 def _as_number(name: str, value: object, remedy: str) -> float:
-    """Convert to float, refusing what is not a number (booleans among them)."""
+    """Convert to float; raise for values that are not numbers (including booleans)."""
     if isinstance(value, bool):
         raise InputError(name, "be a number", f"{value!r}", remedy)
     try:
@@ -279,8 +281,9 @@ def _as_number(name: str, value: object, remedy: str) -> float:
 
 @contextmanager
 def names_of_caller(names: Mapping[str, str]) -> Iterator[None]:
-    """Give an `InputError` the caller's name of its argument, such as the key of a scene, by the
-    name it has here.
+    """Replace the argument's name in an `InputError` by the caller's name, such as a scene's key.
+
+    `names` maps the argument's name here to the caller's name.
 
     An element, such as ``tau_s[0]``, is named by the whole.
     """

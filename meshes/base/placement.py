@@ -1,4 +1,4 @@
-"""Where the frame of a scene lies in the frame of the file that its anatomy came from."""
+"""Placement of a scene's frame in the frame of the file that its anatomy came from."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _ORTHONORMAL = 1e-6
 class Placement:
     """A rigid motion between a file's frame and the scene's, and the unit of the file.
 
-    The file's frame is that of its coordinates: of a surface as they are stored, of an image its
-    patient frame (LPS).
+    The file's frame is the frame of its coordinates: for a surface the stored coordinates, for an
+    image its patient frame (LPS).
 
     Attributes
     ----------
@@ -39,8 +39,9 @@ class Placement:
 
     @property
     def file_to_scene_mm(self) -> NDArray[np.float64]:
-        """Homogeneous matrix from the file's coordinates, in mm, to the scene's [mm], shape (4,
-        4).
+        """Return the homogeneous matrix from the file's coordinates to the scene's.
+
+        Both are in mm; the matrix has the shape (4, 4).
         """
         matrix = np.eye(4)
         matrix[:3, :3] = self.rotation.T

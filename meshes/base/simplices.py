@@ -16,14 +16,18 @@ def compact(
 
 
 def directed_edges(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Start and end of the edges of triangles, shape (3 m, 2): all first edges, all second, all
-    third.
+    """Return start and end of the edges of triangles, shape (3 m, 2).
+
+    All first edges come first, then all second, then all third.
     """
     return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
 
 
 def windings(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
-    """1 or -1 for the two windings of a triangle, 0 where it names a point twice, shape (m,)."""
+    """Return 1 or -1 for the two windings of a triangle, shape (m,).
+
+    It is 0 where a triangle names a point twice.
+    """
     a, b, c = triangles.T
     return np.sign(b - a) * np.sign(c - b) * np.sign(a - c)
 

@@ -1,5 +1,6 @@
-"""Text from files as a person may see it: what would move a terminal's cursor or colour it is
-shown by its code.
+"""Text from files, made safe for display.
+
+A character that would move a terminal's cursor or colour it is replaced by its code.
 """
 
 import unicodedata

@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Atomic writing of files: a file is complete or absent."""
 
 import os
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ class Owner(Protocol):
     """A folder whose files are claimed before they are written."""
 
     def depth(self, path: Path) -> int:
-        """Return how many parts the folder's path has if it holds ``path``, else 0."""
+        """Return the number of parts in the folder's path if it holds ``path``, else 0."""
         ...
 
     def claim(self, path: Path) -> None:
@@ -28,9 +28,7 @@ OWNERS: "WeakSet[Owner]" = WeakSet()
 
 
 def claim(path: Path) -> None:
-    """Announce a file that is about to be written to the innermost folder in `OWNERS` that holds
-    it.
-    """
+    """Announce a file before it is written to the innermost folder in `OWNERS` that holds it."""
     owner = max(list(OWNERS), key=lambda each: each.depth(path), default=None)
     if owner is not None and owner.depth(path):
         owner.claim(path)

@@ -16,11 +16,11 @@ ENERGIES_KEV = (30.0, 150.0)
 
 
 def mass_attenuation(material: str, energy_keV: float) -> float:
-    """Mass attenuation coefficient [m2/kg] of a material of ``attenuation.toml``, by its elements'
-    mass fractions.
+    """Compute the mass attenuation coefficient [m2/kg] of a material of ``attenuation.toml``.
 
-    Between the energies of the table by cubic splines of the logarithms, which are within 0.2 % of
-    the finer tables of Elam et al. 2002.
+    It is the sum over the material's elements by their mass fractions. Between the energies of the
+    table, the logarithms are interpolated by cubic splines. These are within 0.2 % of the finer
+    tables of Elam et al. 2002.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def _table() -> dict[str, Any]:
 
 @cache
 def _curves() -> dict[str, Any]:
-    """Logarithm of each element's coefficient [cm2/g] against that of the energy [keV]."""
+    """Return the logarithm of each element's coefficient [cm2/g] over the log energy [keV]."""
     from scipy.interpolate import CubicSpline
 
     table = _table()

@@ -1,8 +1,7 @@
-"""Density calibration without a phantom: air, fat, muscle and cortex of the same CT are the
-phantom.
+"""Density calibration without a phantom, by air, fat, muscle and cortex of the same CT.
 
 After Michalski et al. 2020 (Med Eng Phys 78:55), written from the paper's method: the effective
-energy is the one at which the attenuation of the reference tissues fits their Hounsfield units
+energy is the energy at which the attenuation of the reference tissues fits their Hounsfield units
 best. Differences from the paper: linear attenuation is fitted, because Hounsfield units are linear
 in it. All unknowns have priors and are found together, so that their uncertainty reaches the
 density. Dense bone of ICRU 44 in marrow leads to apparent density, because relations from K2HPO4 to
@@ -36,8 +35,11 @@ _SCALE_SD = 0.01  # error of a scanner's scale
 _MARROW_FAT = 0.6  # fraction of fat in the pores: red marrow has 0.4, yellow 0.8 (ICRP 89)
 _MARROW_FAT_SD = 0.25
 _MINERAL_SD = 0.03
-"""Relative standard deviation of apparent density from mineral: ICRU 44's calcium makes ash 0.57 of
-dense bone, the ratio of Schileo 2008 is 0.598. Half of their difference."""
+"""Relative standard deviation of apparent density from mineral.
+
+ICRU 44's calcium makes ash 0.57 of dense bone, and the ratio of Schileo 2008 is 0.598. The value is
+half of their difference.
+"""
 # mean squared misfit, in standard deviations, above which the values are no Hounsfield units
 _WORST_FIT = 9.0
 _CHANCE = 0.1  # a misfit less probable than this widens the band
@@ -45,8 +47,11 @@ _CHANCE = 0.1  # a misfit less probable than this widens the band
 _SLAB_VOXELS = 4e6
 _MOST_VOXELS = 4e7  # only every second, third ... slab of a larger image is used
 _MODES_HU = {"air": (-1060.0, -940.0), "adipose": (-140.0, -45.0), "muscle": (15.0, 95.0)}
-"""Range of a tissue's most frequent value between effective energies of 40 and 120 keV: the tissues
-of ICRU 44 (fat -99 to -57, muscle 45 to 40) and 35 HU to either side."""
+"""Range of a tissue's most frequent value between effective energies of 40 and 120 keV.
+
+The ranges are from the tissues of ICRU 44 (fat -99 to -57, muscle 45 to 40) and 35 HU to either
+side.
+"""
 _BINS_HU = (-1100, 200)
 _SMOOTHING_HU = 4.0
 _LEAST_PEAK = 0.2  # height of a maximum, relative to the highest in the tissue's range
@@ -88,15 +93,17 @@ class Calibration:
 
 
 def calibrate(image: Image) -> Calibration:
-    """Calibrate a CT in Hounsfield units by its own air, fat, muscle and cortex; raises as
-    `fit_regions`.
+    """Calibrate a CT in Hounsfield units by its own air, fat, muscle and cortex.
+
+    It raises the same errors as `fit_regions`.
     """
     return fit_regions(find_regions(image), source=image.source)
 
 
 def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
-    """Fit effective energy, scanner line and density law to the means of regions, with their
-    uncertainty.
+    """Fit effective energy, scanner line and density law to the means of regions.
+
+    The fit includes the uncertainty of the results.
 
     The unknowns are the energy, the scanner's error of water and scale, the fat in marrow and each
     tissue's deviation from ICRU 44, as standard normal numbers. The covariance is that of the
@@ -175,9 +182,7 @@ def _read(attenuation_1_m: float, unknown: Array) -> float:
 
 
 def _density_line(unknown: Array) -> Array:
-    """Compute slope [kg/m3 per HU] and offset [kg/m3] of a volume shared by dense bone and
-    marrow.
-    """
+    """Compute slope [kg/m3 per HU] and offset [kg/m3] of a mixture of dense bone and marrow."""
     energy = _energy(unknown)
     fat = _MARROW_FAT + _MARROW_FAT_SD * unknown[3]
     marrow = fat * linear_attenuation("adipose", energy) + (1.0 - fat) * linear_attenuation(
@@ -192,8 +197,9 @@ def _density_line(unknown: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Slab:
-    """Slices of an image: values, and mean, standard deviation, spread and minimum over 3 x 3 x
-    3 voxels.
+    """Slices of an image with statistics over 3 x 3 x 3 voxels.
+
+    They hold the values, and the mean, standard deviation, spread and minimum.
     """
 
     values: Singles

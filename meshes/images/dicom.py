@@ -1,5 +1,6 @@
-"""A DICOM series as one image: headers by pydicom, pixels by GDCM, slices sorted by place into an
-even stack.
+"""DICOM series as one image.
+
+Headers are read by pydicom and pixels by GDCM. Slices are sorted by place into an even stack.
 
 Nothing that names a patient leaves this module: of the headers only `_READ` is read, size, place,
 scale and series, and a message counts files in the order of their names instead of naming them,
@@ -78,8 +79,9 @@ _UNDEFINED_LENGTH = 0xFFFFFFFF
 
 
 def read_dicom(folder: Path, *, series: int | None = None) -> StoredImage:
-    """Read the one series that a folder holds, or the one of a number, each slice with its own
-    slope and intercept.
+    """Read the only series of a folder, or the series of a given number.
+
+    Each slice has its own slope and intercept.
 
     Voxels of the padding value take the lowest other value of their slice.
 
@@ -154,8 +156,9 @@ def read_dicom(folder: Path, *, series: int | None = None) -> StoredImage:
 
 
 def _may_be_slice(file: Path) -> bool:
-    """Whether a file of the folder must be a slice: all but the index and what is plainly
-    something else.
+    """Return whether a file of the folder must be a slice.
+
+    These are all files except the index and files that are clearly of another kind.
     """
     known = (
         file.suffix.lower() in _NOT_SLICES
@@ -166,8 +169,9 @@ def _may_be_slice(file: Path) -> bool:
 
 
 def _header(file: Path, place: str) -> Header:
-    """The elements `_READ` of a file by name, but for the pixels, of which only the length is
-    checked.
+    """Return the elements `_READ` of a file by name.
+
+    Only the length of the pixels is checked; they are not returned.
     """
     import pydicom
 
@@ -242,8 +246,9 @@ def _damaged(place: str) -> InputError:
 
 
 def _require_one_series(headers: Sequence[Header], folder: Path) -> None:
-    """Refuse several series, distinguished by identifier and number but named by number and
-    slices alone.
+    """Refuse several series.
+
+    Series are distinguished by identifier and number, but named by number and slices alone.
     """
     found = Counter((str(header["SeriesInstanceUID"]), _whole(header)) for header in headers)
     if len(found) > 1:
@@ -264,7 +269,7 @@ def _named(headers: Sequence[Header]) -> str:
 
 
 def _of_series(headers: Sequence[Header], number: int, folder: Path) -> list[int]:
-    """Which files belong to the series of a number."""
+    """Return the indices of the files that belong to the series of a number."""
     chosen = [k for k, header in enumerate(headers) if _whole(header) == str(number)]
     if not chosen:
         raise InputError(
@@ -274,8 +279,9 @@ def _of_series(headers: Sequence[Header], number: int, folder: Path) -> list[int
 
 
 def _whole(header: Header) -> str:
-    """The number of a series; nothing but a short whole number may pass from a header into a
-    message.
+    """Return the number of a series.
+
+    Only a short whole number may pass from a header into a message.
     """
     try:
         number = int(header["SeriesNumber"])

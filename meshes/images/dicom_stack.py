@@ -1,5 +1,6 @@
-"""Slices of a DICOM series put in order: one even stack, sheared at most by the tilt of the
-gantry that they state.
+"""Ordering of the slices of a DICOM series into one even stack.
+
+It may be sheared only by the tilt of the gantry that the slices state.
 """
 
 import warnings
@@ -27,8 +28,9 @@ __all__ = [
 _PARALLEL = 1e-4
 _UNIT = 1e-3
 _UNEVEN = 0.05
-"""Farthest a slice may lie from its place in an even stack, in spacings: headers round
-positions.
+"""Largest distance of a slice from its place in an even stack, in spacings.
+
+Headers round positions.
 """
 _TILT_DEG = 0.5
 _SHEAR_DEG = 0.05
@@ -56,7 +58,7 @@ class Slice:
     tilt_deg
         Tilt of the gantry as stated [degrees].
     place
-        What a message calls the slice.
+        Name of the slice in a message.
     """
 
     position_mm: NDArray[np.float64]
@@ -71,8 +73,9 @@ class Slice:
 def stack_step(
     slices: Sequence[Slice], source: str
 ) -> tuple[list[int], NDArray[np.float64], list[str]]:
-    """Order of the slices along their normal, the step from one to the next [mm, LPS], and notes on
-    it.
+    """Return the order of slices along their normal, the step between them, and notes.
+
+    The step is in mm, LPS.
 
     Raises
     ------
@@ -207,13 +210,14 @@ def numbers(header: Header, key: str, count: int, place: str) -> NDArray[np.floa
 
 
 def number(header: Header, key: str, absent: float, place: str) -> float:
-    """One number of an element, or what stands for it where it is absent or empty."""
+    """Return one number of an element, or a default if it is absent or empty."""
     return absent if header[key] in (None, "") else float(numbers(header, key, 1, place)[0])
 
 
 def both_ends(header: Header, place: str) -> float:
-    """Return the sum of the lowest and the highest value that a slice can hold, slope and
-    intercept applied.
+    """Return the sum of the lowest and the highest value that a slice can hold.
+
+    Slope and intercept are applied.
     """
     bits = int(number(header, "BitsStored", 16.0, place))
     signed = int(number(header, "PixelRepresentation", 0.0, place)) == 1
@@ -226,8 +230,9 @@ def both_ends(header: Header, place: str) -> float:
 def upright(
     values: NDArray[np.number], ends: Sequence[float], first: Header, source: str
 ) -> tuple[NDArray[np.number], str]:
-    """Return slices whose low values are displayed as white (MONOCHROME1) with bone as the highest
-    value, and a note.
+    """Return slices with bone as the highest value, and a note.
+
+    The input may hold slices whose low values are displayed as white (MONOCHROME1).
 
     The rescale slope and intercept lead to Hounsfield units whatever the display (DICOM PS3.3,
     C.11.1), so they decide where they put air at -1000. Values that were inverted without a change

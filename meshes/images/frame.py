@@ -28,11 +28,12 @@ _MOST_VOXELS = 1e9
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """Grey values or labels on a regular grid along the axes of LPS: +x left, +y back, +z head, in
-    mm.
+    """Grey values or labels on a regular grid along the axes of LPS, in mm.
+
+    The axes are +x left, +y back and +z head.
 
     Voxel (i, j, k) is centred at ``origin_mm + spacing_mm * (i, j, k)``, whatever the order and
-    direction of the axes in the file. TIFF slices hold no frame: theirs is that of the array,
+    direction of the axes in the file. TIFF slices hold no frame. They take the frame of the array:
     columns, rows and slices from (0, 0, 0).
 
     Attributes
@@ -44,7 +45,7 @@ class Image:
     source
         File or folder name.
     notes
-        What was assumed or done, a sentence each.
+        Assumptions and changes, a sentence each.
     origin_mm
         Centre of voxel (0, 0, 0) [mm, LPS].
     """
@@ -58,8 +59,9 @@ class Image:
 
 @dataclass(frozen=True, eq=False)
 class StoredImage:
-    """An image as its file holds it: voxel (i, j, k) is centred at ``origin + directions @ (spacing
-    * (i, j, k))``.
+    """Image as its file holds it.
+
+    Voxel (i, j, k) is centred at ``origin + directions @ (spacing * (i, j, k))``.
 
     Attributes
     ----------
@@ -74,7 +76,7 @@ class StoredImage:
     origin_mm
         Centre of voxel (0, 0, 0) [mm, LPS], shape (3,).
     notes
-        What was assumed, a sentence each.
+        Assumptions, a sentence each.
     """
 
     values: NDArray[np.number]
@@ -87,9 +89,9 @@ class StoredImage:
 def along_lps(stored: StoredImage, source: str, *, labels: bool = False) -> Image:
     """Turn an image into the axes of LPS.
 
-    Axes along those of LPS in any order and direction: the array is transposed and flipped, nothing
-    is interpolated. Others: resampled, grey values by cubic splines and labels to the nearest, with
-    a note; what lies outside the stored image takes its lowest value (labels: 0).
+    If the axes are those of LPS in any order and direction, the array is transposed and flipped
+    without interpolation. Other images are resampled, grey values by cubic splines and labels to
+    the nearest, with a note. Voxels outside the stored image take its lowest value (labels: 0).
 
     Raises
     ------
@@ -119,8 +121,9 @@ def _nearest_axes(directions: NDArray[np.float64]) -> tuple[int, ...]:
 
 
 def _resampled(stored: StoredImage, source: str, labels: bool) -> Image:
-    """The image on a grid along LPS that spans the stored one, spaced as that is along each
-    direction.
+    """Resample an image on a grid along LPS that spans it.
+
+    The grid has the spacing of the image along each direction.
     """
     steps = stored.directions * stored.spacing_mm
     inverse = np.linalg.inv(steps)
@@ -190,8 +193,9 @@ def _sampled(
     order: int,
     outside: float | None = 0.0,
 ) -> NDArray[Kind]:
-    """Values at the points `matrix @ index + offset`; outside the array a number, or (None) the
-    nearest voxel's.
+    """Sample values at the points `matrix @ index + offset`.
+
+    Outside the array, the value is a given number, or (None) the nearest voxel's.
     """
     from scipy.ndimage import affine_transform
 
@@ -249,7 +253,7 @@ def _triple(numbers: NDArray[np.float64]) -> tuple[float, float, float]:
 
 
 def box_of(mask: NDArray[np.bool_], margin: int = 0) -> tuple[slice, ...]:
-    """Slices that hold all of a mask that is not empty, and so many voxels around as there are."""
+    """Return slices around a nonempty mask, with a margin of voxels as far as there are any."""
     found = []
     for axis, count in enumerate(mask.shape):
         along = np.flatnonzero(mask.any(axis=tuple(k for k in range(mask.ndim) if k != axis)))
