@@ -49,7 +49,8 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
         Function that computes the arrays.
 
     Notes
-    ----- A file holds its arrays, the version of the code that made them (the version of tissue,
+    -----
+    A file holds its arrays, the version of the code that made them (the version of tissue,
     and the module of ``make``), their kinds, their shapes and a checksum. A file that does not
     match, or cannot be read, is made again. If the folder cannot be written, nothing is stored.
     """

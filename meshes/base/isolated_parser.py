@@ -86,7 +86,8 @@ def parse_isolated(
         Further arguments of the function, values that JSON can hold.
 
     Returns
-    ------- Result of the function.
+    -------
+    Result of the function.
 
     Raises
     ------

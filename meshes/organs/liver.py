@@ -57,16 +57,19 @@ _SIZE = 0.94
 _TRIES = 4
 _NODULE_EDGES = 3.0
 _NODULE_GROWTH = 1.0
-"""Edges across a nodule, and their growth with the distance from it. Cut from cells as long as its
-radius, a nodule of 18 mm lost 13 % of its volume; the force over it was up to 2 % off, a fifth of
-what the nodule adds.
+"""Number of edges across a nodule, and growth of the edges with the distance from it.
+
+Cut from cells as long as its radius, a nodule of 18 mm lost 13 % of its volume. The force over it
+was up to 2 % off, a fifth of the nodule's contribution.
 """
 _NEAR_M = 1e-5
 _PROJECTIONS = 4
 _VISCERAL = (0.33, 0.10, -0.94)
 LIVER_REGIONS = {"below": (_VISCERAL, 55.0), "back": ((0.0, 1.0, 0.0), 45.0)}
-"""Surfaces that hold a liver, as a direction and the angle [degrees] within which they face it: the
-visceral side it rests on, and the bare area with spine and vena cava behind it."""
+"""Surfaces that hold a liver, as a direction and the angle [degrees] within which they face it.
+
+They are the visceral side it rests on, and the bare area with spine and vena cava behind it.
+"""
 
 
 @dataclass(frozen=True)
@@ -101,8 +104,9 @@ def liver_shape() -> Shape:
 
 
 def liver(*, spacing_m: float = 8.4e-3, nodule: Nodule | None = None) -> TetMesh:
-    """Liver of even tetrahedra in the site frame; a nodule is the part ``nodule``, its surface made
-    of faces.
+    """Build a liver of even tetrahedra in the site frame.
+
+    A nodule is the part ``nodule``, whose surface is made of faces.
 
     Parameters
     ----------
@@ -154,8 +158,9 @@ def slab(
     spacing_m: float = 4.2e-3,
     nodule: Nodule | None = None,
 ) -> TetMesh:
-    """Block of tissue, the origin at the middle of its top face, z up; layers grow from the top
-    down.
+    """Build a block of tissue, with the origin at the middle of its top face and z up.
+
+    Layers grow in thickness from the top down.
 
     Parameters
     ----------
@@ -190,8 +195,9 @@ def slab_base(mesh: TetMesh) -> Nodes:
 
 
 def _drawn() -> Shape:
-    """The liver about the middle of its visceral side: drawn a little large, then brought to
-    size.
+    """Build the liver about the middle of its visceral side.
+
+    It is drawn a little large and then scaled to size.
     """
     right = ellipsoid((0.082, 0.066, 0.084), (-0.030, 0.0, -0.009))
     left = ellipsoid((0.080, 0.045, 0.039), (0.046, -0.016, 0.024))
@@ -210,8 +216,9 @@ def _drawn() -> Shape:
 
 
 def _with_nodule(mesh: TetMesh, nodule: Nodule, shape: Shape, spacing: float) -> TetMesh:
-    """The mesh with the nodule as a part of the volume of its ball, refused where the mesh could
-    not show it.
+    """Return the mesh with the nodule as a part of the volume of its ball.
+
+    Raise if the mesh is too coarse for the nodule or the nodule is not deep enough.
     """
     radius = require_length("nodule.radius_m", nodule.radius_m, 0.0, math.inf, 0.01)
     if radius < spacing:

@@ -1,5 +1,6 @@
-"""The part of a cube that lies behind a plane: the sub-voxel fraction of a voxel that a smooth
-surface crosses.
+"""Part of a cube that lies behind a plane.
+
+It is the sub-voxel fraction of a voxel that a smooth surface crosses.
 """
 
 import itertools

@@ -1,4 +1,4 @@
-"""Signed distances as sentences: `box(...) - cylinder(...) | sphere(...).translate(...)`.
+"""Signed distances as expressions: `box(...) - cylinder(...) | sphere(...).translate(...)`.
 
 A `Shape` maps points [m] to signed distances [m], negative inside. Every shape made here is
 1-Lipschitz: its value never exceeds the true distance to the surface in magnitude, so a cell whose
@@ -57,7 +57,7 @@ class Shape:
         Points [m], shape (n, 3), float32 or float64, to signed distances [m], shape (n,), same
         dtype, negative inside.
     lower_m, upper_m
-        Corners [m] of an axis-aligned box that holds the solid; infinite where it has no end.
+        Corners [m] of an axis-aligned box that holds the solid; infinite if the solid is unbounded.
     """
 
     distance: Callable[[Points], Distances]
@@ -86,8 +86,9 @@ class Shape:
 
 
 def smooth_minimum(a: Distances, b: Distances, blend_m: float) -> Distances:
-    """Minimum of two distances [m] with the crease rounded where they differ by less than
-    `blend_m`.
+    """Return the minimum of two distances [m], with a rounded crease.
+
+    The crease is rounded where the distances differ by less than `blend_m`.
 
     Quadratic polynomial blend (I. Quilez, "Smooth minimum"). Its gradient is a convex combination
     of both gradients, so the result stays 1-Lipschitz.
@@ -141,8 +142,9 @@ def sphere(radius_m: float, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
 
 
 def box(size_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0), *, rounding_m: float = 0.0) -> Shape:
-    """Box with edge lengths `size_m` [m], shape (3,), its edges rounded with radius `rounding_m`
-    [m].
+    """Build a box with edge lengths `size_m` [m], shape (3,).
+
+    Its edges are rounded with radius `rounding_m` [m].
 
     Raises
     ------
@@ -207,8 +209,9 @@ def capsule(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
 
 
 def ellipsoid(radii_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
-    """Ellipsoid with half axes `radii_m` [m], shape (3,): surface exact, distance only a lower
-    bound of the true one.
+    """Build an ellipsoid with half axes `radii_m` [m], shape (3,).
+
+    The surface is exact; the distance is only a lower bound of the true distance.
 
     (|p/r| - 1)·min(r) is 1-Lipschitz and zero on the surface; along a long half axis it falls short
     by min(r)/r.

@@ -74,8 +74,9 @@ def shape_triangles(
 
 
 def _around_surface(shape: Shape, low: Array, high: Array) -> tuple[Array, Array]:
-    """Corners of a box around the cells of a coarse lattice that may hold some of the surface;
-    all of it for none.
+    """Return the corners of a box around the coarse lattice cells that may hold surface.
+
+    If no cell does, the box is the whole lattice.
     """
     if not (low < high).all():
         return low, high
@@ -95,8 +96,9 @@ def _around_surface(shape: Shape, low: Array, high: Array) -> tuple[Array, Array
 
 
 def _nearest(shape: Shape, low: Array, high: Array, middle: Array) -> float:
-    """Distance of a point from the nearest vertex of a coarse surface in a box [m], infinite
-    without any.
+    """Compute the distance [m] of a point from the nearest vertex of a coarse surface in a box.
+
+    It is infinite if there is no vertex.
     """
     if not (low < high).all():
         return np.inf
@@ -107,8 +109,9 @@ def _nearest(shape: Shape, low: Array, high: Array, middle: Array) -> float:
 def _contour(
     shape: Shape, low: Array, high: Array, spacing: float
 ) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_]]:
-    """Closed triangles at distance 0, and which vertices lie on the surface, not where the
-    lattice cuts it off.
+    """Extract closed triangles at distance 0, and flags of the vertices that lie on the surface.
+
+    The other vertices lie where the lattice cuts the surface off.
     """
     from skimage.measure import marching_cubes
 
@@ -141,8 +144,9 @@ def _slack(shape: Shape, vertices: Array, faces: NDArray[np.int64]) -> float:
 
 
 def _to_surface(shape: Shape, points: Array) -> tuple[Array, Array]:
-    """Signed distance from the surface along the gradient [m] and the unit gradient; the value
-    alone is a bound.
+    """Compute the signed distance from the surface along the gradient [m] and the unit gradient.
+
+    The shape's value alone is only a bound.
     """
     value = np.asarray(shape.distance(points), dtype=np.float64)
     slope = np.empty_like(points)

@@ -1,5 +1,6 @@
-"""A tooth from a label image (segmented micro-CT): placed by its enamel, resampled into the axes
-of its site.
+"""Tooth from a label image (segmented micro-CT).
+
+It is placed by its enamel and resampled into the axes of its site.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ class LabelledTooth:
 
     @cached_property
     def cavity(self) -> PulpCavity | None:
-        """The cavity of the whole tooth, found in voxels of 0.1 mm; None where there is none."""
+        """Return the cavity of the whole tooth, found in voxels of 0.1 mm, or None."""
         return PulpCavity.of(
             resampled(self.placed, self.placed.corners, _CAVITY_M, most_samples=_CAVITY_SAMPLES)
         )
@@ -89,24 +90,25 @@ class LabelledTooth:
         remark: Callable[[str], None] | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> VoxelVolume:
-        """Make voxels of the tooth in its site frame, with the layers of
-        `meshes.tooth.layers.TOOTH_LAYERS`.
+        """Make voxels of the tooth in its site frame.
 
-        Of the whole tooth fractions and layers come from sub-samples no farther apart than the
-        image's voxels: the fraction is the part of them in any layer, the layer the commonest, of
-        equal ones the first of `PRIORITY`. In a region they, and the distances, are those of the
-        labels' interpolated shares: one surface whatever the voxels. Where no label is the pulp,
-        the empty cavity in the dentin is taken as pulp.
+        The layers are those named in `meshes.tooth.layers.TOOTH_LAYERS`.
+
+        For the whole tooth, fractions and layers come from sub-samples no farther apart than the
+        image's voxels. The fraction is the share of the sub-samples in any layer. The layer is the
+        most frequent one, and among equal ones the first of `PRIORITY`. For a region, fractions,
+        layers and distances come from the labels' interpolated shares, which give one surface for
+        all voxel sizes. If no label is the pulp, the empty cavity in the dentin is taken as pulp.
 
         Parameters
         ----------
         resample_mm
             New voxel size [mm]; None: the image's, or 0.1 where that is finer.
         region_m
-            Lowest and highest corner [m] in the site frame of what is wanted; None: the whole
-            tooth. A voxel has the same content whatever region is asked for.
+            Lowest and highest corner [m] of the region in the site frame; None: the whole tooth. A
+            voxel has the same content whatever region is asked for.
         remark
-            Called with each sentence on what was assumed, found and dropped.
+            Called with each sentence on assumptions, findings and dropped pieces.
         progress
             Called with the part done, 0 to 1.
 
@@ -166,7 +168,7 @@ class LabelledTooth:
         return volume
 
     def _pulp_note(self) -> tuple[str, ...]:
-        """Describe what is taken as pulp where no label is."""
+        """Describe the region taken as pulp if no label is the pulp."""
         if self.has_pulp:
             return ()
         if self.cavity is None:
@@ -212,7 +214,7 @@ def labelled_tooth(
     labels
         Layer name by label.
     progress
-        Called with what is being done and the share of it that is done (0 to 1).
+        Called with the name of the current task and the finished fraction of it (0 to 1).
 
     Raises
     ------
@@ -253,13 +255,14 @@ def labelled_tooth(
 
 
 def _layers(image: Image, labels: Mapping[int, str]) -> tuple[Bytes, list[int], list[str]]:
-    """Crop a label image to its tooth, name its labels, and drop pieces that are not connected to
-    the largest by faces.
+    """Crop a label image to its tooth and name its labels.
+
+    Pieces that are not connected to the largest piece by faces are dropped.
 
     Returns
     -------
-    Layer index, `EMPTY` outside the tooth; the voxel of the image that is its first; a note
-    on what was dropped.
+    Layer index, `EMPTY` outside the tooth; the image index of its first voxel; a note on the
+    dropped pieces.
     """
     from scipy.ndimage import find_objects
     from scipy.ndimage import label as label_pieces

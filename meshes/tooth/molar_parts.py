@@ -1,5 +1,6 @@
-"""The parts of a procedural lower first molar: crown, roots and pulp, in the site frame of
-`meshes.tooth.molar`.
+"""Parts of a procedural lower first molar: crown, roots and pulp.
+
+They are in the site frame of `meshes.tooth.molar`.
 
 Lengths in metres. The crown is a side wall of superelliptic sections under an occlusal surface of
 cones, one a cusp, that meet in the grooves; roots and canals are round cones about bent axes,
@@ -24,8 +25,10 @@ _CUSPS = (
     (0.76, 0.0, 0.45),  # mesial marginal ridge
     (-0.74, -0.20, 0.42),  # distal marginal ridge
 )
-"""Tip over half the crown's width and length, x mesial and y buccal, and height over the highest
-cusp's.
+"""Positions and heights of the cusp tips.
+
+Each has the tip over half the crown's width and length, x mesial and y buccal, and the height over
+the highest cusp's height.
 """
 _TRUE_CUSPS = 5
 _TIP_RADIUS_M = 0.5e-3
@@ -85,8 +88,9 @@ class Crown:
         return np.array(_CUSPS[:_TRUE_CUSPS]) * scale
 
     def occlusal_height(self, x: Floats, y: Floats) -> Floats:
-        """Height of the chewing surface [m]; each cusp is a cone with a round tip that falls to
-        the fossa.
+        """Compute the height of the chewing surface [m].
+
+        Each cusp is a cone with a round tip that falls to the fossa.
         """
         surface = np.full_like(x, -np.inf)
         for along, across, relative in _CUSPS:
@@ -100,7 +104,10 @@ class Crown:
 
     @property
     def _fossa(self) -> float:
-        """Height at which the blended grooves of seven cones that all fall to 0 meet [m]."""
+        """Compute the height [m] at which the blended grooves of seven cones meet.
+
+        All cones fall to 0.
+        """
         level = 0.0
         for _ in _CUSPS[1:]:
             level = float(smooth_maximum(np.array([level]), np.array([0.0]), _GROOVE_M)[0])
@@ -134,8 +141,9 @@ class Crown:
         return 1.0 - (1.0 - _CERVIX[axis]) * low * low - (1.0 - _TABLE[axis]) * high * high
 
     def outside(self, p: Floats) -> Floats:
-        """Distance from crown and trunk [m], taken along z under the chewing surface,
-        horizontally at the wall.
+        """Compute the distance from crown and trunk [m].
+
+        It is taken along z under the chewing surface, and horizontally at the wall.
         """
         top = p[:, 2] - self.occlusal_height(p[:, 0], p[:, 1])
         return smooth_maximum(self.wall(p), top, _EDGE_M)
@@ -198,8 +206,9 @@ class Root:
         )
 
     def canal(self, p: Floats, *, radius: float, offset: tuple[float, float]) -> Floats:
-        """Distance [m] from a canal along the root's axis, shifted along y by `offset` at its
-        top and apex [m].
+        """Compute the distance [m] from a canal along the root's axis.
+
+        The canal is shifted along y by `offset` at its top and apex [m].
         """
         depth = self.top + _CANAL_RISE_M - p[:, 2]
         u = np.clip(depth * (1.0 / self.length), 0.0, 1.0)
@@ -226,8 +235,9 @@ def mandibular_roots(crown: Crown, root_length: float) -> tuple[Root, Root]:
 
 
 def tooth_distance(crown: Crown, roots: tuple[Root, Root], p: Floats, *, dentin: bool) -> Floats:
-    """Distance [m] from the whole tooth, or from its dentin with the pulp filled in; negative
-    inside.
+    """Compute the distance [m] from the whole tooth, or from its dentin with the pulp filled in.
+
+    It is negative inside.
     """
     head = crown.outside_dentin(p) if dentin else crown.outside(p)
     furcation = (crown.cervix - _TRUNK_M) - p[:, 2]

@@ -14,23 +14,29 @@ from meshes.voxels.volume import FULL, VoxelVolume
 __all__ = ["PulpCavity", "with_pulp"]
 
 _WIDEST_OPENING_M = 0.8e-3
-"""Diameter of the widest opening of a pulp cavity: the major foramina of molars and premolars are
-about 0.4 to
-0.7 mm wide (Green 1960, Oral Surg 13:728)."""
+"""Diameter of the widest opening of a pulp cavity.
+
+The major foramina of molars and premolars are about 0.4 to 0.7 mm wide (Green 1960, Oral Surg
+13:728).
+"""
 _LARGEST_MOUTH_M2 = 1.0e-6
 """A round opening of 0.8 mm has 0.5 mm2; its staircase of voxels has up to twice as much."""
 _CROWN_LEAK_M2 = 0.05e-6
-"""Five faces of voxels: what a segmentation leaks."""
+"""Area of the openings in the crown that is attributed to segmentation: five faces of voxels."""
 _VOLUME_M3 = (1e-9, 200e-9)
-"""Mean volumes are 6 mm3 (lower incisors) to 68 mm3 (upper first molars; Fanibunda 1986, Int Endod
-J 19:194). Old pulps are several times smaller, those of teeth with open roots several times
-larger."""
-_LEAST_DENTIN = 0.5
-"""Share of the wall that is dentin: the rest may be caries, and enamel where a crown is worn."""
-_ENAMEL_PERCENT = 2.0
-"""Part of the enamel that may lie below the neck of the tooth, such as pieces that were
-mislabelled.
+"""Bounds of the volume of a pulp cavity.
+
+Mean volumes are 6 mm3 (lower incisors) to 68 mm3 (upper first molars; Fanibunda 1986, Int Endod J
+19:194). Old pulps are several times smaller, and pulps of teeth with open roots several times
+larger.
 """
+_LEAST_DENTIN = 0.5
+"""Smallest share of the wall that is dentin.
+
+The remainder may be caries, and enamel where a crown is worn.
+"""
+_ENAMEL_PERCENT = 2.0
+"""Part of the enamel [%] that may lie below the neck of the tooth, such as mislabelled pieces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +64,7 @@ class PulpCavity:
 
     @classmethod
     def of(cls, tooth: VoxelVolume) -> PulpCavity | None:
-        """Find the cavity of a whole tooth whose crown points along +z; None where there is
-        none.
-        """
+        """Find the cavity of a whole tooth whose crown points along +z, or return None."""
         from scipy.ndimage import distance_transform_edt, find_objects, label
 
         margin = int(np.ceil(_WIDEST_OPENING_M / tooth.spacing_m)) + 1
@@ -98,8 +102,9 @@ class PulpCavity:
         return float(np.count_nonzero(self.inside)) * self.tooth.voxel_volume_m3
 
     def voxels(self, volume: VoxelVolume) -> Flags:
-        """Voxels of the same tooth, of any size, that lie in the cavity: bool, shape of the
-        volume.
+        """Return the voxels of the same tooth, of any size, that lie in the cavity.
+
+        The result is bool with the shape of the volume.
         """
         index = np.nonzero(volume.fraction < FULL / 2)
         cavity = np.zeros(volume.shape, dtype=bool)
@@ -109,7 +114,10 @@ class PulpCavity:
         return cavity
 
     def holds(self, empty_m: Array) -> Flags:
-        """Whether points outside all layers [m], shape (3, n), lie in the cavity, shape (n,)."""
+        """Return whether points outside all layers lie in the cavity, shape (n,).
+
+        The points [m] have the shape (3, n).
+        """
         from scipy.ndimage import map_coordinates
 
         at = (empty_m - self.tooth.origin_m[:, None]) / self.tooth.spacing_m - 0.5
@@ -131,8 +139,9 @@ class PulpCavity:
 
 
 def with_pulp(volume: VoxelVolume, cavity: Flags) -> VoxelVolume:
-    """The volume with its cavity filled by pulp, and the voxels along the cavity's wall filled
-    up as what they are.
+    """Return the volume with its cavity filled by pulp.
+
+    The voxels along the cavity's wall are filled up with their own layers.
     """
     from scipy.ndimage import binary_dilation
 

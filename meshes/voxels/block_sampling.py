@@ -35,8 +35,9 @@ _LOCAL = lattice(*[np.arange(BLOCK)] * 3)
 
 @dataclass(frozen=True, eq=False)
 class VoxelArrays:
-    """The arrays of a `VoxelVolume` while they are filled, over a blocked grid, all of its
-    shape.
+    """Arrays of a `VoxelVolume` while they are filled, over a blocked grid.
+
+    All have the shape of the grid.
     """
 
     fraction: Bytes
@@ -179,8 +180,9 @@ def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[Flags, tuple[Bytes, F
 
 
 def _over_windows(combine: np.ufunc, values: Bytes) -> Bytes:
-    """Combine each window of 4 x 4 x 4 lattice points, the corners of a block and of its
-    neighbours.
+    """Combine each window of 4 x 4 x 4 lattice points.
+
+    A window holds the corners of a block and of its neighbours.
     """
     windows = np.lib.stride_tricks.sliding_window_view(values, (4, 4, 4))
     return np.asarray(combine.reduce(windows, axis=(3, 4, 5)), dtype=np.uint8)
@@ -201,8 +203,9 @@ def _interpolated(corners: Floats, grid: Grid, chosen: Flags) -> Singles:
 
 
 def centres_of(index: Ints, spacing_m: float, shift: float) -> Singles:
-    """Return coordinates [m] of voxel numbers shifted by `shift` spacings, float32, shape (n,
-    3), stored by columns.
+    """Return coordinates [m] of voxel numbers shifted by `shift` spacings.
+
+    They are float32, shape (n, 3), stored by columns.
     """
     return (index.T.astype(np.float32) + np.float32(shift)).T * np.float32(spacing_m)
 

@@ -1,5 +1,6 @@
-"""A regular grid of voxels whose lines lie on whole multiples of the spacing, whatever region it
-covers.
+"""Regular grid of voxels whose lines lie on whole multiples of the spacing.
+
+This holds for any region that it covers.
 """
 
 from __future__ import annotations
@@ -64,8 +65,9 @@ class Grid:
         )
 
     def block_firsts(self) -> Ints:
-        """Number of the lowest voxel of each block of a blocked grid, shape (n, 3), in C order
-        of the blocks.
+        """Number of the lowest voxel of each block of a blocked grid, shape (n, 3).
+
+        The blocks are in C order.
         """
         axes = [np.arange(f, e, BLOCK) for f, e in zip(self.first, self.last, strict=True)]
         firsts: Ints = lattice(*axes)

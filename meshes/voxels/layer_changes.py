@@ -1,8 +1,9 @@
-"""Distances of voxels to the nearest change of layer, in bytes: from the layer at any point, or
-from labels alone.
+"""Distances of voxels to the nearest change of layer, in bytes.
 
-Only voxels in a cell of eight centres of which two lie in different layers have one: no other is
-asked for it.
+They come from the layer at any point, or from labels alone.
+
+Only voxels in a cell of eight centres with two different layers have a distance. The distance of
+other voxels is never used.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ __all__ = ["FAR", "LayerAt", "boundary_of_layers", "layer_boundary"]
 BOUNDARY_STEPS = 127
 """Steps a voxel; they reach two voxels."""
 FAR = 254
-"""Stored distance where no layer changes within two voxels, or in no cell that the voxel is a
-corner of.
+"""Stored distance of voxels that are far from any change of layer.
+
+No layer changes within two voxels, or in any cell that the voxel is a corner of.
 """
 _UNKNOWN = 255
 _PADDED = 6
@@ -41,7 +43,9 @@ LayerAt = Callable[[Singles], Bytes]
 
 
 def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
-    """Stored distance of each voxel's centre to the nearest change of layer, shape (nx, ny, nz).
+    """Compute the stored distance of voxel centres to the nearest change of layer.
+
+    The result has the shape (nx, ny, nz).
 
     The voxels of other layers around a voxel give the direction; along it the change is bracketed
     in half voxels, then halved.
@@ -76,13 +80,13 @@ def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
 
 
 def boundary_of_layers(layer: Bytes, known: Flags) -> Bytes:
-    """Stored distance to the nearest change of layer of voxels of which only the layer is known.
+    """Compute the stored distance to the nearest change of layer from labels alone.
 
-    From the share of a voxel's layer in the ball of six voxels around it, see `_ball`; of three
-    voxels where labels disagree with that by a quarter voxel, at corners and thin layers. Each
-    voxel's centre stays in its layer, so that no boundary moves by more than half a voxel. A voxel
-    most of whose neighbours lie in other layers keeps up to half a voxel around its centre: a layer
-    of one voxel does not vanish.
+    The distance follows from the share of a voxel's layer in the ball of six voxels around it, see
+    `_ball`. A ball of three voxels is used where labels disagree with that distance by a quarter
+    voxel, at corners and thin layers. Each voxel's centre stays in its layer, so that no boundary
+    moves by more than half a voxel. A voxel with most neighbours in other layers keeps up to half a
+    voxel around its centre, so that a layer of one voxel does not vanish.
     """
     codes = _codes(layer, known)
     chosen = _in_mixed_cells(codes)
@@ -112,8 +116,9 @@ def _stored(codes: Bytes, chosen: NDArray[np.intp], distance: Floats) -> Bytes:
 
 
 def _in_mixed_cells(codes: Bytes) -> NDArray[np.intp]:
-    """Flat indices of the known voxels in cells, 2 x 2 x 2 voxels, in which two neighbours
-    differ in layer.
+    """Return flat indices of the known voxels in cells with two layers.
+
+    A cell has 2 x 2 x 2 voxels. Two neighbours in it differ in layer.
     """
     flat = codes.ravel()
     steps = _strides(codes)
@@ -133,8 +138,9 @@ def _in_mixed_cells(codes: Bytes) -> NDArray[np.intp]:
 def _sums(
     codes: Bytes, at: NDArray[np.intp], offsets: Ints, weights: NDArray[np.generic]
 ) -> tuple[Singles, Singles]:
-    """Weighted sums over the known voxels around each, of its own layer and of others, each shape
-    (rows, n).
+    """Compute weighted sums over the known voxels around each voxel, shapes (rows, n).
+
+    One sum is over the voxel's own layer, the other over other layers.
 
     ``weights`` has the shape (rows, offsets); whole numbers up to 2**24 in all are summed exactly,
     on any machine.
@@ -154,8 +160,9 @@ def _sums(
 
 
 def _distance_of_share(codes: Bytes, at: NDArray[np.intp], radius: float) -> Array:
-    """Distance [voxel] to the plane that leaves a voxel's own share of a ball around it;
-    negative beyond the plane.
+    """Compute the distance [voxel] to the plane that leaves a voxel's own share of a ball.
+
+    The ball is around the voxel. The distance is negative beyond the plane.
     """
     offsets, weights, share, distance = _ball(radius)
     same, other = (sums[0].astype(np.float64) for sums in _sums(codes, at, offsets, weights))
@@ -164,8 +171,9 @@ def _distance_of_share(codes: Bytes, at: NDArray[np.intp], radius: float) -> Arr
 
 @cache
 def _ball(radius: float) -> tuple[Ints, Array, Array, Array]:
-    """Offsets and weights in a ball, and the share that lies behind a plane at a distance from its
-    centre [voxel].
+    """Compute offsets and weights in a ball, and the share behind a plane.
+
+    The share is a function of the plane's distance [voxel] from the centre.
 
     The weight (1 - r²)² (1 - 5/2 r²), r relative to the radius, has no second moment in a plane
     through the centre: the share behind a surface through it does not change with the curvature, to
@@ -197,8 +205,9 @@ def _strides(array: Bytes) -> Ints:
 
 
 def _distance(at: Ints, this: Bytes, direction: Singles, layer_at: LayerAt) -> Singles:
-    """Distance [voxel] from voxel centres along a direction to where the layer changes, at most
-    2, shape (n,).
+    """Compute the distance [voxel] from voxel centres along a direction to the change of layer.
+
+    It is at most 2, shape (n,).
     """
     centre = at.astype(np.float32) + np.float32(0.5)
     low, high = np.zeros((2, len(at)), dtype=np.float32)

@@ -35,14 +35,13 @@ class VoxelVolume:
     layer_names
         Name of each layer.
     placement
-        Where the frame lies in that of the file that the bone came from; None where it came from
-        none.
+        Placement of the frame in the frame of the bone's file; None if the bone is from no file.
     surface_distance
         Signed distance of each voxel's centre to the bone's surface, see `meshes.voxels.distances`,
-        uint8, shape (nx, ny, nz); None: taken from the fractions when it is wanted.
+        uint8, shape (nx, ny, nz); None: computed from the fractions when needed.
     layer_distance
-        Distance of each voxel's centre to the nearest change of layer, likewise; None: taken from
-        the layers.
+        Distance of each voxel's centre to the nearest change of layer, likewise; None: computed
+        from the layers when needed.
 
     Raises
     ------
