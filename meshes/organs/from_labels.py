@@ -42,7 +42,7 @@ It is 0.4 for a ball nine slices thick, which has a rounded end.
 _BEYOND = 4
 """Voxels by which a part's label is extended beyond the organ."""
 _ENVELOPE = 0.2
-"""Distance by which a part's label is extended beyond the organ, over the edge.
+"""Additional distance by which a part's label is extended beyond the organ, over the edge.
 
 The mesher moves the organ's surface by half of it.
 """

@@ -27,7 +27,7 @@ class BoxTree:
     ----------
     centres_m, halves_m
         Centre and half sides of a box around all triangles below each node [m], shape (nodes, 3).
-        Half sides are -1 where there are none.
+        Half sides are -1 where there are no triangles.
     corners_m
         Corners of the triangles in the order of the leaves, `LEAF` a leaf [m], shape (triangles, 3,
         3).
@@ -62,16 +62,17 @@ def box_tree(corners_m: Array) -> BoxTree:
 
 
 def cut_long(corners_m: Array, box_m: Array | None = None) -> Array:
-    """Halve triangles across their longest edge until none is long, so that boxes around them are
-    small.
+    """Halve triangles across their longest edge until none is long.
+
+    The boxes around them are then small.
 
     Parameters
     ----------
     corners_m
         Corners of the triangles [m], shape (n, 3, 3).
     box_m
-        Lowest and highest corner of the box from which distances are asked [m], shape (2, 3);
-        triangles far from it may be longer. None for everywhere.
+        Lowest and highest corner of the box of the query points [m], shape (2, 3); triangles far
+        from it may be longer. None for everywhere.
     """
     corners = corners_m
     box = box_m

@@ -1,4 +1,4 @@
-"""Fill holes of triangle surfaces, and join two surfaces whose edges nearly meet."""
+"""Filling of holes in triangle surfaces, and joining of two surfaces whose edges nearly meet."""
 
 from dataclasses import dataclass
 
@@ -16,8 +16,11 @@ Faces = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Holes:
-    """What `fill_holes` found: holes closed that are small and large, the fans' points of those
-    that a plane need not fit, and the area of the largest."""
+    """Result of `fill_holes`.
+
+    It holds the number of small and large holes closed, the points of the fans that a plane need
+    not fit, and the area of the largest hole.
+    """
 
     filled: int
     large: int
@@ -142,8 +145,9 @@ def _apart(points: Array, others: Array) -> float:
 
 
 def _ribbon(points: Array, loop: Faces, other: Faces) -> Faces:
-    """Triangles between two loops that run in opposite directions, along the shorter diagonal at
-    every step.
+    """Return triangles between two loops that run in opposite directions.
+
+    Every step takes the shorter diagonal.
     """
     along = other[::-1]
     nearest = int(np.linalg.norm(points[along] - points[loop[0]], axis=1).argmin())

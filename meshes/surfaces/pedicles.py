@@ -34,9 +34,7 @@ _RISING = 3.5e-3  # pedicle height over the middle of the body: 5.7 to 12 mm in 
 
 @dataclass(frozen=True, eq=False)
 class _Hole:
-    """Hole in the shadow of a bone: viewing direction, point on the axis of the hole and its
-    area.
-    """
+    """Hole in the shadow of a bone: viewing direction, point on the hole's axis, and area."""
 
     axis: Array
     point: Array
@@ -45,8 +43,9 @@ class _Hole:
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """Directions of a vertebra as columns (left, forward, up) and a point in its canal at the
-    height of the body.
+    """Directions of a vertebra as columns (left, forward, up) and a point in its canal.
+
+    The point is at the height of the body.
     """
 
     axes: Array
@@ -54,8 +53,9 @@ class _Frame:
 
 
 def find_pedicle(surface: Surface, kind: str) -> FoundSite:
-    """Find the canal as the largest hole seen through the bone, and the bridge of bone on each
-    side of it.
+    """Find the canal and the bridge of bone on each side of it.
+
+    The canal is the largest hole seen through the bone.
     """
     longest = max(surface.report.size_mm)
     points = _inner_points(surface)
@@ -104,8 +104,9 @@ def _inner_points(surface: Surface) -> Array:
 
 
 def _canal(points: Array) -> _Hole | None:
-    """Largest hole of plausible size seen through a bone, along the mean of the directions that
-    show it, or None.
+    """Return the largest hole of plausible size seen through a bone, or None.
+
+    It is seen along the mean of the directions that show it.
     """
     views = [_hole(points, axis) for axis in spread((np.arange(300) + 0.5) / 300.0, np.eye(3)[2])]
     views = [view for view in views if 0.0 < view.area < _CANAL_AREA[1]]
@@ -144,10 +145,10 @@ def _hole(points: Array, axis: Array) -> _Hole:
 
 
 def _vertebra_frame(surface: Surface, inner: Array, canal: _Hole) -> tuple[_Frame | None, str]:
-    """Left, forward and up of a vertebra, or what contradicts one.
+    """Return left, forward and up of a vertebra, or a reason why the bone is not a vertebra.
 
-    The body is in front. The pedicles leave its upper half and the arch hangs, which distinguishes
-    up from down.
+    The body is in front. The pedicles leave its upper half and the arch lies lower, which
+    distinguishes up from down.
     """
     to_middle = inner.mean(axis=0) - canal.point
     forward = to_middle - (to_middle @ canal.axis) * canal.axis
@@ -179,8 +180,9 @@ def _vertebra_frame(surface: Surface, inner: Array, canal: _Hole) -> tuple[_Fram
 
 
 def _sections(surface: Surface, frame: _Frame, sign: float) -> Array:
-    """Centroid [m] and area [mm2] of the largest bone section beside the canal, one for each mm
-    forward, shape (n, 4).
+    """Compute centroid [m] and area [mm2] of the largest bone section next to the canal.
+
+    There is one section for each mm forward, shape (n, 4).
 
     Sections that close the canal belong to the body or the arch and are left out.
     """
@@ -205,8 +207,9 @@ def _sections(surface: Surface, frame: _Frame, sign: float) -> Array:
 
 
 def _pedicle(surface: Surface, frame: _Frame, sign: float) -> tuple[Site, float]:
-    """Site where the axis of a pedicle leaves the bone behind, and the least depth of bone around
-    18 mm of the axis.
+    """Find the site where the axis of a pedicle leaves the bone at the back.
+
+    Also return the smallest depth of bone around 18 mm of the axis.
 
     The axis is the line with the most bone around it, which a surgeon drills along.
     """

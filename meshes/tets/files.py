@@ -43,21 +43,23 @@ PART_ARRAYS = (
     "material",
     "label",
 )
-"""Arrays of integers over the cells that give the parts, by the names that meshers write, the
-likeliest first.
+"""Names of cell arrays of integers that give the parts, the most likely first.
+
+They are the names that meshers write.
 """
 MOST_PARTS = 64
 """An array of more values than these is no list of parts."""
 SIZES_MM = (1.5, 1500.0)
-"""Longest side of what is pressed [mm]: below it a size in metres is likelier, beyond it one in
-micrometres.
+"""Range of the longest side of a plausible organ [mm].
+
+Below it a size in metres is likelier, above it one in micrometres.
 """
 _NO_FACES = np.zeros((0, 3), dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
 class TetFile:
-    """A mesh read from a file and how it came to be.
+    """Mesh read from a file, with notes on how it was made.
 
     Attributes
     ----------
@@ -66,9 +68,10 @@ class TetFile:
     unit_mm
         Millimetres per unit of the file.
     sentences
-        The unit, what was found and what was done, a sentence each.
+        The unit, findings and changes, a sentence each.
     surface
-        The surface in which the tetrahedra were made here; None of tetrahedra as they were stored.
+        The surface in which the tetrahedra were made here; None for tetrahedra as stored in the
+        file.
     """
 
     mesh: TetMesh
@@ -97,12 +100,12 @@ def read_tets(
     path
         File; its suffix names the format.
     unit_mm
-        Millimetres per unit of the file. None: millimetres or metres, whichever makes the longest
-        side 20 to 450 mm.
+        Millimetres per unit of the file. None: millimetres or metres, the unit that makes the
+        longest side 20 to 450 mm.
     edge_m
         Edge of the tetrahedra that fill a surface [m]; None: about 30,000 of them.
     report
-        Called with what is being done and the share of it that is done (0 to 1).
+        Called with the name of the current task and the finished fraction of it (0 to 1).
 
     Raises
     ------
@@ -143,7 +146,10 @@ def read_tets(
 
 
 def read_stored(file: Path) -> StoredMesh:
-    """What a mesh file holds, in its units and as it numbers its nodes; raises as `read_tets`."""
+    """Read the content of a mesh file, in its units and with its node numbers.
+
+    It raises the same errors as `read_tets`.
+    """
     require_file(file, "a mesh")
     return read_msh(file) if file.suffix.lower() == ".msh" else _from_vtk(file)
 
@@ -231,7 +237,7 @@ class GivenTets:
 def given_tets(
     mesh: object, *, scale_mm: float | None = None, part_names: Mapping[int, str] | None = None
 ) -> GivenTets:
-    """Tetrahedra of whatever holds them.
+    """Return tetrahedra from any supported mesh object or file.
 
     Parameters
     ----------
@@ -241,7 +247,7 @@ def given_tets(
         .mesh). The parts are an array over the cells named ``part`` or as meshers name them, of
         numbers or of names.
     scale_mm
-        Millimetres per unit of the mesh; None: it is in millimetres, which its size must bear out.
+        Millimetres per unit of the mesh; None: the mesh is in millimetres; its size is checked.
     part_names
         Names of numbered parts.
 
@@ -273,13 +279,14 @@ def given_tets(
 
 
 def require_millimetres(name: str, points: NDArray[np.float64], scale_mm: float | None) -> float:
-    """Millimetres per unit of points, shape (n, 3): as given, or 1 where their size is one in
-    millimetres.
+    """Return millimetres per unit of points, shape (n, 3).
+
+    The value is the given one, or 1 if the size of the points is plausible in millimetres.
 
     Raises
     ------
     InputError
-        If it is not, naming the scale that would do.
+        If the size is not plausible. The message names a scale that is.
     """
     if scale_mm is not None:
         return require_positive("scale_mm", scale_mm, "use 1 for millimetres, 1000 for metres")
@@ -351,7 +358,7 @@ def _of_blocks(mesh: Any) -> StoredMesh:
 def _parts(
     data: Mapping[str, NDArray[Any]], count: int, named: dict[int, str]
 ) -> tuple[NDArray[np.int64], dict[int, str]]:
-    """Number of each cell's part, shape (m,), and the names of the numbers.
+    """Return the number of each cell's part, shape (m,), and the names of the numbers.
 
     Names that count from 0 belong to the array ``part``; so do those of meshio to its
     ``gmsh:physical``.

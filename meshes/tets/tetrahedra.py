@@ -91,8 +91,9 @@ class TetMesh:
 
 
 def grid_of(mesh: TetMesh) -> "pyvista.UnstructuredGrid":
-    """A mesh in pyvista [mm], with ``part`` over its cells, which counts into the field
-    ``part_names``.
+    """Convert a mesh to a pyvista grid [mm] with ``part`` over its cells.
+
+    ``part`` counts into the field ``part_names``.
     """
     import pyvista
     from vtkmodules.vtkCommonCore import vtkStringArray
@@ -111,8 +112,9 @@ def grid_of(mesh: TetMesh) -> "pyvista.UnstructuredGrid":
 
 
 def write_organ(mesh: TetMesh, path: str | Path) -> None:
-    """Write a mesh [mm] with its parts and their names, as ``anatomy.file`` of a scene and
-    `read_tets` read it.
+    """Write a mesh [mm] with its parts and their names.
+
+    ``anatomy.file`` of a scene and `read_tets` read the file.
 
     Raises
     ------
