@@ -1,10 +1,10 @@
 """Original bone at a point, before any cut, to second order in the voxel size.
 
-Two static numbers a voxel: the signed distance of its centre to the original surface, and the
-distance to the nearest change of layer. Between voxel centres both are interpolated: a point lies
-in bone where the interpolated surface distance is negative, and in the layer whose interpolated
-distance, negative for voxels of other layers, is largest. Far from the surface, and far from every
-change of layer, the nearest voxel answers. Lengths are in voxels.
+Each voxel has two static numbers: the signed distance of its centre to the original surface, and
+the distance to the nearest change of layer. Both are interpolated between voxel centres. A point
+lies in bone where the interpolated surface distance is negative, and in the layer whose
+interpolated distance, negative for voxels of other layers, is largest. Far from the surface, and
+far from every change of layer, the value of the nearest voxel is used. Lengths are in voxels.
 """
 
 import warp as wp
@@ -51,7 +51,7 @@ def bone_at(
     column: int,
     point: wp.vec3,
 ):
-    """The bone at ``point`` [voxel] in the voxel of brick ``row`` and place ``column``."""
+    """Return the bone at ``point`` [voxel] in the voxel of brick ``row`` and place ``column``."""
     word = material[row, column]
     near = int(nearby[row, column])
     found = Bone()
@@ -113,7 +113,7 @@ def distance_between(stored: corner8i, inside: wp.vec3, nearest: Bone):
 
 @wp.func
 def layer_between(stored: corner8i, words: corner8i, inside: wp.vec3, nearest: Bone):
-    """Layer and density there, where the eight voxels lie in several layers."""
+    """Return layer and density at a point whose eight voxels lie in several layers."""
     found = nearest
     far = corner8f()
     weight = corner8f()

@@ -59,20 +59,20 @@ def voxel_row(brick_of: wp.array3d(dtype=wp.int32), ix: int, iy: int, iz: int):
 
 @wp.func
 def voxel_column(ix: int, iy: int, iz: int):
-    """Place of voxel (ix, iy, iz) inside its brick's row."""
+    """Return the place of voxel (ix, iy, iz) inside its brick's row."""
     block = ((ix & 6) << 3) | ((iy & 6) << 1) | ((iz & 6) >> 1)
     return (block << 3) | ((ix & 1) << 2) | ((iy & 1) << 1) | (iz & 1)
 
 
 @wp.func
 def layer_of(word: wp.uint32):
-    """Layer in a voxel's material word."""
+    """Return the layer in a voxel's material word."""
     return int(word & wp.uint32(255))
 
 
 @wp.func
 def density_of(word: wp.uint32):
-    """Density [kg/m3] in a voxel's material word."""
+    """Return the density [kg/m3] in a voxel's material word."""
     return int(word >> wp.uint32(16))
 
 
@@ -103,7 +103,7 @@ class Cell:
 
 @wp.func
 def cell_of(point: wp.vec3):
-    """The cell that holds ``point`` [voxel]."""
+    """Return the cell that holds ``point`` [voxel]."""
     ux = point[0] - 0.5
     uy = point[1] - 0.5
     uz = point[2] - 0.5
@@ -154,7 +154,7 @@ def trilinear(
     remaining: wp.array2d(dtype=wp.uint16),
     point: wp.vec3,
 ):
-    """Filled fraction at ``point`` [voxel], trilinear between voxel centres."""
+    """Interpolate the filled fraction at ``point`` [voxel], trilinear between voxel centres."""
     cell = cell_of(point)
     x = cell.x
     y = cell.y
@@ -180,7 +180,7 @@ def trilinear(
 
 @wp.struct
 class Plane:
-    """A plane's direction as the constants that the volume it cuts off a unit cube needs."""
+    """Direction of a plane, as the constants used by `cube_behind_plane`."""
 
     m1: wp.float32  # |normal| components, ascending, scaled to sum 1
     m2: wp.float32
@@ -192,7 +192,7 @@ class Plane:
 
 @wp.func
 def plane_of(normal: wp.vec3):
-    """Constants of :func:`cube_behind_plane` for a plane with unit ``normal``."""
+    """Compute the constants of :func:`cube_behind_plane` for a plane with unit ``normal``."""
     x = wp.abs(normal[0])
     y = wp.abs(normal[1])
     z = wp.abs(normal[2])

@@ -22,7 +22,7 @@ MANIFEST = "checksums.json"
 The checksums are those of the files when they were first seen.
 """
 CHECKED = (".o", ".meta", ".ptx", ".cubin")
-"""Endings of the files that Warp loads; sources are written for reading alone."""
+"""Endings of the files that Warp loads; Warp writes sources only for readers."""
 ELF_MAGIC = b"\x7fELF\x02\x01"
 """First bytes of a little-endian 64-bit ELF object."""
 

@@ -11,17 +11,11 @@ Every voxel also keeps its smallest distance to older cuts. This is the smallest
 time when the tool last came within reach of the voxel's block, or last turned. It excludes the
 present pass, which ends at the tool's present surface.
 
-Of every voxel's centre the least distance to the tool so far is kept, and of the voxel
-``min(remaining, 1 - covered)``, where ``covered`` is the volume of its cube behind the tool's
-surface. A minimum is idempotent and commutes, so overlapping cuts give the same bone in any order;
-it is exact where an old and a new surface are parallel, and leaves a twelfth of a voxel too much on
-average where they cross at a right angle. All lengths are in voxels.
-
 Bricks belong to one of ``PHASES`` groups. A launch visits some of the groups, so that a slow tool
 spreads its carving over ticks; every group remembers the pose of its last visit. Inside a brick,
 blocks of 2 x 2 x 2 voxels that are empty or that the surface cannot reach are skipped. Each worker
-owns whole columns of bricks and its own booking row: no atomics, and the same integers on any
-number of threads.
+owns whole columns of bricks and its own booking row. There are no atomics, and the results are the
+same integers on any number of threads.
 """
 
 import warp as wp
@@ -226,7 +220,7 @@ def carve_brick(
 
 @wp.func
 def booked_by(removed: wp.array2d(dtype=wp.int64), worker: int):
-    """Stored steps that a worker has removed in this launch, over all layers."""
+    """Return the stored steps that a worker has removed in this launch, over all layers."""
     total = wp.int64(0)
     for m in range(removed.shape[1]):
         total += removed[worker, m]
@@ -320,5 +314,5 @@ def distance_at(near: Nearest, offset: wp.vec3):
 
 @wp.func
 def swept_steps(distance: float):
-    """Stored distance to the swept solid of a distance [voxel]."""
+    """Convert a distance [voxel] to the stored distance to the swept solid."""
     return wp.clamp(int(32768.5 + 4096.0 * distance), 0, 65534)

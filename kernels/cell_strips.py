@@ -14,8 +14,8 @@ therefore limited by arithmetic and not by memory.
 
 A strip is eight cells in a row along z. Vectors lie in `LaneVector`'s layout, in which the eight
 nodes below and the eight above a strip's corner are eight numbers in a row each. Strips of pencils
-of one colour share no node and every thread works through one pencil: the same bits on any number
-of threads.
+of one colour share no node and every thread works through one pencil. The result has the same bits
+on any number of threads.
 """
 
 from functools import cache
@@ -40,14 +40,16 @@ OPTIONS = {
     "-mllvm=-inline-cold-callsite-threshold=3000"
     " -mllvm=-slp-recursion-max-depth=12",
 }
-"""Warp's own flags but for the depth: 4, its default, takes 2.5 times as long. ``native`` is safe
-in a cache that machines share: Warp names every compiled file by the instruction sets of its
-processor."""
+"""Module options of Warp: its own flags, except the recursion depth.
+
+The default depth of 4 takes 2.5 times as long. ``native`` is safe in a cache that machines share,
+because Warp names every compiled file by the instruction sets of its processor.
+"""
 
 
 @cache
 def lanes_of(scalar: Any) -> Any:
-    """Type of a strip's eight numbers."""
+    """Return the type of a strip's eight numbers."""
     return wp.types.vector(length=LANES, dtype=scalar)
 
 
@@ -84,7 +86,7 @@ def modes_of(a0: Any, a1: Any, a2: Any, a3: Any, a4: Any, a5: Any, a6: Any, a7: 
 
 @wp.func
 def corners_of(x: Any, y: Any, z: Any, xy: Any, xz: Any, yz: Any, xyz: Any):
-    """Forces at the corners of those on the modes: the transpose of `modes_of`."""
+    """Compute forces at the corners from forces on the modes: the transpose of `modes_of`."""
     dd0 = yz - xyz
     dd1 = yz + xyz
     ds0 = z - xz
@@ -117,7 +119,7 @@ def to_cubes(linear: Any, first: Any, second: Any, both: Any):
 
 @wp.func
 def from_cubes(t0: Any, t1: Any, t2: Any, t3: Any):
-    """The transpose of `to_cubes`."""
+    """Apply the transpose of `to_cubes`."""
     low = t1 - t0
     high = t3 - t2
     return (t0 + t1) + (t2 + t3), (t2 + t3) - (t0 + t1), low + high, high - low
@@ -125,7 +127,10 @@ def from_cubes(t0: Any, t1: Any, t2: Any, t3: Any):
 
 @cache
 def strip_products(scalar: Any) -> Any:
-    """Kernel that adds the product to a force, in single (`wp.float32`) or double precision."""
+    """Return the kernel that adds the product to a force, in single or double precision.
+
+    Single precision is `wp.float32`.
+    """
     V = lanes_of(scalar)
     half, quarter, two = scalar(0.5), scalar(0.25), scalar(2.0)
     trilinear = scalar(20.0 / 3.0)
@@ -284,7 +289,7 @@ def strip_products(scalar: Any) -> Any:
         # out
         force_out: wp.array2d(dtype=V),  # [component, slot], eight from the slot on, added to
     ):
-        """Strain of the cubes, stress, and force of the corners, strip after strip of a pencil."""
+        """Compute strain and stress of the cubes and force of the corners, strip by strip."""
         pencil = pencils[wp.tid() + offset]
         gradient = wp.zeros(shape=(36,), dtype=V)  # [component, axis, cubes across it]
         mode = wp.zeros(shape=(12,), dtype=V)  # [component, (XY, XZ, YZ, XYZ)], then their forces

@@ -31,7 +31,10 @@ def clearance(
     # out
     least_out: wp.array(dtype=wp.float32),  # [chunk], smallest distance of the chunk's elements [m]
 ):
-    """Smallest distance over each chunk of elements, trilinear between voxel centres."""
+    """Compute the smallest distance over each chunk of elements.
+
+    Distances are trilinear between voxel centres.
+    """
     chunk = wp.tid() + chunk_offset
     least = float(1.0e9)
     for e in range(chunk * CHUNK, wp.min(chunk * CHUNK + CHUNK, elements.point.shape[0])):

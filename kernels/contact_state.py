@@ -51,7 +51,7 @@ In order: force on the tool [N], torque on the tool [N m], state at the end of t
 contacts, contact area [m2], deepest point and largest displacement [m].
 """
 DONE, RUN_OUT, IMMOVABLE, MISSING = 0, 1, 2, 3
-"""Ends of a solve."""
+"""End states of a solve."""
 
 
 @wp.struct
@@ -101,7 +101,7 @@ class Lists:
 
 @wp.func
 def pose_of(pose: wp.array2d(dtype=wp.float64)):
-    """Pose from rows: tip, rotation, last tip, last rotation."""
+    """Read a pose from rows: tip, rotation, last tip, last rotation."""
     now = Pose()
     now.tip = wp.vec3d(pose[0, 0], pose[0, 1], pose[0, 2])
     now.last_tip = wp.vec3d(pose[4, 0], pose[4, 1], pose[4, 2])
@@ -114,7 +114,7 @@ def pose_of(pose: wp.array2d(dtype=wp.float64)):
 
 @wp.func
 def block(body: Body, a: int, b: int):
-    """Compliance between two nodes [m/N]."""
+    """Return the compliance between two nodes [m/N]."""
     compliance = body.compliance
     i = 3 * a
     j = 3 * b
@@ -133,7 +133,7 @@ def block(body: Body, a: int, b: int):
 
 @wp.func
 def distance_to(kind: int, size: wp.vec2d, pose: Pose, points: Points, point: int, place: wp.vec3d):
-    """Distance to the tool [m] and its gradient at a contact point."""
+    """Compute the distance to the tool [m] and its gradient at a contact point."""
     if kind == SHELL:
         direction = points.tool_normal[point]
         return wp.dot(place - points.tool_point[point], direction), direction

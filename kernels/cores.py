@@ -27,12 +27,12 @@ def limit_cores(count: int) -> None:
 
 
 def allowed_cores() -> set[int]:
-    """Cores that the calling thread may run on; empty where the system does not report them."""
+    """Return the cores that the calling thread may run on; empty if they are not reported."""
     return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
 
 
 def core_count() -> int:
-    """Processor cores this process may use."""
+    """Return the number of processor cores this process may use."""
     return min(len(allowed_cores()) or os.cpu_count() or 1, *_most_cores, sys.maxsize)
 
 
@@ -81,7 +81,7 @@ class CoreThreads(ThreadPoolExecutor):
         self._place(number)
 
     def keep_off(self, core: int | None) -> None:
-        """Let no thread run on this core from now on, where there is another one."""
+        """Keep threads off this core from now on, if there is another core."""
         if core != self._avoided:
             self._avoided = core
             for number in self._numbers:

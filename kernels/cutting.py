@@ -259,5 +259,5 @@ def force_of(sums: lever16):
 
 @wp.func
 def torque_of(sums: lever16):
-    """Torque about the tip of the same."""
+    """Return the torque about the tip, for the same elements as in `force_of`."""
     return -wp.vec3(sums[2] + sums[8] + sums[12], sums[3] + sums[9] + sums[13], sums[4] + sums[10])

@@ -1,6 +1,7 @@
 """Elements of a cutter's surface and their travel.
 
-It finds the elements that advance, their positions, and those that may meet bone.
+The functions here find the elements that advance, their positions, and the elements that may touch
+bone.
 """
 
 import warp as wp
@@ -76,7 +77,7 @@ class Travel:
 
 @wp.func
 def travel_of(motion: wp.array2d(dtype=wp.float64), spacing: float):
-    """The rows of ``motion`` in single precision, and the limits that follow."""
+    """Convert the rows of ``motion`` to single precision and derive the limits."""
     travel = Travel()
     travel.tip = wp.vec3(float(motion[0, 0]), float(motion[0, 1]), float(motion[0, 2]))
     travel.ex = wp.vec3(float(motion[1, 0]), float(motion[1, 1]), float(motion[1, 2])) / spacing
@@ -116,7 +117,7 @@ def may_cut(
 
 @wp.func
 def advance_of(elements: Elements, eight: int, travel: Travel):
-    """Speeds of eight elements along their normals, per unit of speed."""
+    """Compute the speeds of eight elements along their normals, per unit of speed."""
     nx = elements.lanes[eight, 3]
     ny = elements.lanes[eight, 4]
     nz = elements.lanes[eight, 5]
@@ -134,7 +135,7 @@ def advance_of(elements: Elements, eight: int, travel: Travel):
 
 @wp.func
 def place_of(elements: Elements, eight: int, travel: Travel, axis: int):
-    """Coordinate along an axis of the grid [voxel] of eight elements."""
+    """Compute the coordinate along an axis of the grid [voxel] of eight elements."""
     along = travel.ex[axis] * elements.lanes[eight, 0] + travel.ey[axis] * elements.lanes[eight, 1]
     return along + travel.ez[axis] * elements.lanes[eight, 2] + lanes8(travel.tip[axis])
 

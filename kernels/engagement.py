@@ -2,7 +2,7 @@
 
 The bone is the same as in `kernels.cutting.cutting_forces`.
 
-Its loads for any cutting coefficients follow by sums over the elements, see
+Loads for any cutting coefficients follow from sums over the elements, see
 `tissue.models.bone.engagement`.
 """
 

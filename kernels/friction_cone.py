@@ -30,7 +30,7 @@ TINY = wp.constant(wp.float64(1e-12))
 
 @wp.func
 def safe_inverse(compliance: wp.mat33d):
-    """Inverse of a compliance, also where the point cannot move in one direction."""
+    """Invert a compliance, also where the point cannot move in one direction."""
     size = TINY * wp.trace(compliance)
     inverse = wp.mat33d()
     if size > ZERO:
@@ -118,7 +118,7 @@ def coulomb_force(
     slip: wp.vec3d,  # motion relative to the tool since the last tick, with that force [m]
     friction: wp.float64,
 ):
-    """Force [N] that solves the contact while all others stay."""
+    """Compute the force [N] that solves the contact while all others stay."""
     back = compliance * old
     apart = gap - wp.dot(normal, back)
     force = wp.vec3d()

@@ -1,13 +1,13 @@
 """Trilinear hexahedra of a Cartesian grid.
 
-Shape functions, the packed cell stiffness, and its product with a vector.
+The module has their shape functions, the packed cell stiffness, and its product with a vector.
 
 Corner ``a = 4 i + 2 j + k`` of a cell lies at ``(i, j, k)`` of its edges. A cell's stiffness, 24 x
 24 and symmetric, is kept as the ``BLOCKS`` 3 x 3 blocks (a, b) with a <= b, row after row; the
 others are their transposes, so that the matrix equals its transpose bit by bit. The product with
-some cells runs without an assembled matrix: each writes its own corner forces, then every node
-gathers those of its up to eight cells in fixed order. No atomics, and the same bits on any number
-of threads.
+some cells runs without an assembled matrix. Each cell writes its own corner forces, then every node
+gathers the forces of its up to eight cells in fixed order. There are no atomics, and the result has
+the same bits on any number of threads.
 """
 
 import warp as wp
@@ -26,13 +26,13 @@ __all__ = [
 wp.set_module_options({"enable_backward": False})
 
 BLOCKS = 36
-"""Blocks kept of a cell's 8 x 8."""
+"""Number of blocks kept of a cell's 8 x 8."""
 CornerGradients = wp.types.matrix(shape=(8, 3), dtype=wp.float64)
 
 
 @wp.func
 def block_of(a: int, b: int):
-    """Place of the block of corners a <= b."""
+    """Return the place of the block of corners a <= b."""
     return a * 8 - (a * (a - 1)) / 2 + b - a
 
 
@@ -46,7 +46,7 @@ def carries(live: wp.array(dtype=wp.uint8), cell: int):
 
 @wp.func
 def cell_block(stiffness: wp.array2d(dtype=wp.mat33d), cell: int, a: int, b: int):
-    """Stiffness block [N/m] of corners a and b of a cell."""
+    """Return the stiffness block [N/m] of corners a and b of a cell."""
     if a <= b:
         return stiffness[cell, block_of(a, b)]
     return wp.transpose(stiffness[cell, block_of(b, a)])
@@ -95,7 +95,7 @@ def cell_products(
     # out
     corner_force_out: wp.array2d(dtype=wp.vec3d),  # [place in cells, corner] [N]
 ):
-    """Corner forces ``f_a = sum_b K_ab u_b`` of each cell."""
+    """Compute the corner forces ``f_a = sum_b K_ab u_b`` of each cell."""
     i = wp.tid() + offset
     cell = cells[i]
     at = row[i]

@@ -40,7 +40,7 @@ _counts = LaunchCounts()
 
 
 def launch_counts() -> LaunchCounts:
-    """Copy of what this process has counted so far."""
+    """Return a copy of this process's counts so far."""
     return LaunchCounts(_counts.large, _counts.split)
 
 

@@ -63,7 +63,7 @@ class Patch:
 
 @wp.func
 def moved_at(patch: Patch, slot: int):
-    """Displacement of a slot [m]."""
+    """Return the displacement of a slot [m]."""
     return wp.vec3d(patch.moved[3 * slot], patch.moved[3 * slot + 1], patch.moved[3 * slot + 2])
 
 
@@ -108,7 +108,7 @@ def gather(body: Body, patch: Patch, loaded: int, slot: int):
 
 @wp.func
 def gather_again(body: Body, patch: Patch):
-    """All rows anew, after the compliance was scaled or where some of it was missing."""
+    """Gather all rows again, after the compliance was scaled or where some of it was missing."""
     patch.count[STALE] = 0
     for loaded in range(patch.count[LOADED]):
         for slot in range(patch.count[SLOTS]):
@@ -163,7 +163,7 @@ def drop_left(patch: Patch, tick: int):
 
 @wp.func
 def keep_loaded(body: Body, patch: Patch, node: int, tick: int):
-    """Let a node carry load in this tick: a slot among the first, and rows."""
+    """Let a node carry load in this tick; it gets one of the first slots, and rows."""
     patch.loaded_mark[node] = tick
     loaded = patch.count[LOADED]
     slot = patch.slot[node]
@@ -215,7 +215,7 @@ def new_patch(nodes: int, device: str) -> Patch:
 
 
 def gather_all_again(patch: Patch) -> None:
-    """Have all rows read anew in the next tick: the compliance was scaled."""
+    """Request that all rows are read again in the next tick, after the compliance was scaled."""
     count = patch.count.numpy()
     count[STALE] = 1
     patch.count.assign(count)

@@ -1,12 +1,13 @@
 """Stiffness of a grid gathered node by node.
 
-Rows of 3 x 3 blocks, their product with a vector, and Gauss-Seidel sweeps over eight colours.
+The module has rows of 3 x 3 blocks, their product with a vector, and Gauss-Seidel sweeps over eight
+colours.
 
 A row holds one block for each of a node's up to 27 neighbours: first the neighbours of lower
 colour, then the node itself, then the neighbours of higher colour. With K = L + D + U so split, the
 first sweep from rest solves ``(L + D) v = f`` and leaves ``f - K v = -U v``: together they read K
-once. Sums run in fixed order and a sweep changes only nodes of one colour, none of which are
-neighbours: the same bits on any number of threads.
+once. Sums run in fixed order. A sweep changes only nodes of one colour, which are never neighbours.
+The result has the same bits on any number of threads.
 """
 
 import warp as wp
@@ -45,7 +46,10 @@ def assemble_rows(
     # [node], a copy of the node's own block, 1 on held components
     diagonal_out: wp.array(dtype=wp.mat33d),
 ):
-    """Gather rows ``M K M``, M the mask of what may move; held components get no stiffness."""
+    """Gather rows ``M K M``, with M the mask of the components that may move.
+
+    Held components get no stiffness.
+    """
     node = rows[wp.tid() + offset]
     for place in range(row_start[node], row_start[node + 1]):
         block_out[place] = wp.mat33d()
@@ -103,7 +107,7 @@ def to_single(
     # out
     block_out: wp.array(dtype=wp.mat33f),
 ):
-    """Rows rounded to single precision, for the preconditioner."""
+    """Round rows to single precision, for the preconditioner."""
     node = rows[wp.tid() + offset]
     for place in range(row_start[node], row_start[node + 1]):
         block_out[place] = wp.mat33f(block[place])
@@ -168,7 +172,10 @@ def sweep_colour(
     # out
     vector_out: wp.array(dtype=wp.vec3f),  # [node], corrected in place
 ):
-    """Gauss-Seidel: every node of the colour moves so that its own three equations hold."""
+    """Run a Gauss-Seidel sweep over one colour.
+
+    Every node of the colour moves so that its own three equations hold.
+    """
     node = nodes[wp.tid() + offset]
     left = load[node]
     for place in range(row_start[node], row_start[node + 1]):

@@ -3,11 +3,11 @@
 The test is of second order in the voxel size.
 
 Every voxel keeps its centre's distance to older cuts, without the present pass (see
-:mod:`kernels.carving`). Between voxel centres the difference of this distance and that to the tool
-now is interpolated: it is 0 where both are the same surface, however they curve, and negative where
-the older cut lies deeper. A swept volume is straight along its path and the tool is not. Along the
-path the difference therefore curves like the tool, and plain interpolation lies below it. Lengths
-are in voxels.
+:mod:`kernels.carving`). The difference between this distance and the distance to the present tool
+is interpolated between voxel centres. It is 0 where both are the same surface, for any curvature,
+and negative where the older cut lies deeper. A swept volume is straight along its path and the tool
+is not. Along the path the difference therefore curves like the tool, and plain interpolation lies
+below it. Lengths are in voxels.
 """
 
 import warp as wp
@@ -103,7 +103,7 @@ def taken_before(
 
 @wp.func
 def kept_distance(kept: int):
-    """Distance [voxel] of a stored one, see `kernels.carving.swept_steps`."""
+    """Convert a stored distance to a distance [voxel], see `kernels.carving.swept_steps`."""
     return float(kept - 32768) * (1.0 / 4096.0)
 
 

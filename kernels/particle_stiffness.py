@@ -6,9 +6,9 @@ g_a the gradient of corner a's shape function at the particle, ``w B^T D B`` has
     K_ab = w [lambda g_a g_b^T + mu g_b g_a^T + mu (g_a . g_b) I]
 
 A cell that is cut, or holds few particles, does not see the modes that vary inside it (a single
-particle gives rank 6 of the 18 that it needs). To it is added a part s of the energy that a full
-cell of its mean shear modulus has in these modes alone (``inner``, which is zero for every linear
-field, so that the patch test stays exact)::
+particle gives rank 6 of the 18 that it needs). A part s of an energy is added to it: the energy
+that a full cell of its mean shear modulus has in these modes alone (``inner``, which is zero for
+every linear field, so that the patch test stays exact)::
 
     K_ab += s (sum w mu / h^3) inner_ab,   s = strength (1 - min(1, min_i 12 sum w (x_i - 1/2)^2 / h^3))
 

@@ -60,13 +60,13 @@ HALVINGS = 8
 
 @wp.func
 def position_in(pose: wp.array(dtype=wp.float64)):
-    """Position [m] in a state or a goal."""
+    """Return the position [m] in a state or a goal."""
     return wp.vec3d(pose[POSITION], pose[POSITION + 1], pose[POSITION + 2])
 
 
 @wp.func
 def rotation_in(pose: wp.array(dtype=wp.float64)):
-    """Rotation in a state or a goal."""
+    """Return the rotation in a state or a goal."""
     return wp.quatd(pose[ROTATION], pose[ROTATION + 1], pose[ROTATION + 2], pose[ROTATION + 3])
 
 

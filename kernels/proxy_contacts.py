@@ -20,7 +20,7 @@ VOXEL_PLANES = 3
 ZERO = wp.constant(wp.float64(0.0))
 FAR = wp.constant(wp.float64(1.0e30))
 AHEAD = wp.constant(wp.float64(4.0))
-"""Steps ahead that a point is looked at again."""
+"""Number of steps ahead at which a point is checked again."""
 LEAST_SLOPE = wp.constant(wp.float64(0.5))
 """Smallest slope assumed for a level.
 
@@ -70,7 +70,7 @@ class Contacts:
 def add_candidate(
     contacts: Contacts, count: int, slot: int, arm: wp.vec3d, normal: wp.vec3d, gap: wp.float64
 ):
-    """Note one plane that a point must stay above; the number of candidates."""
+    """Record one plane that a point must stay above, and return the number of candidates."""
     contacts.slot[count] = slot
     contacts.arm[count] = arm
     contacts.normal[count] = normal

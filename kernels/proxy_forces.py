@@ -128,7 +128,7 @@ def shrink_set(
 def moved_by_set(
     contacts: Contacts, members: int, compliance: wp.float64, shift: wp.vec3d, turn: wp.vec3d
 ):
-    """Shift and turn once the set's forces act."""
+    """Compute the shift and turn of the tool under the set's forces."""
     moved = shift
     turned = turn
     for m in range(members):

@@ -16,7 +16,7 @@ __all__ = ["friction_force", "resolve"]
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 ROUNDS = 4
-"""Times that friction and normal forces are found in turn."""
+"""Number of rounds in which friction and normal forces are solved in turn."""
 STEPS = 50
 NEWTON_STEPS = 30
 ZERO = wp.constant(wp.float64(0.0))
@@ -28,7 +28,7 @@ SOFT = wp.constant(wp.float64(1.0e-11))
 The friction of a held point is not determined.
 """
 EXACT = wp.constant(wp.float64(1.0e-13))
-"""Relative change of the friction force at which it is found."""
+"""Relative change of the friction force at which the iteration ends."""
 
 
 @wp.func

@@ -1,5 +1,6 @@
-"""A tool as a surface of revolution: a table of signed distance over radius and height. Lengths
-are in voxels.
+"""Tool as a surface of revolution: a table of signed distance over radius and height.
+
+Lengths are in voxels.
 """
 
 import warp as wp
@@ -30,7 +31,7 @@ class Revolution:
 
 @wp.struct
 class Nearest:
-    """The tool's surface seen from a point."""
+    """Tool surface nearest to a point."""
 
     distance: wp.float32  # signed distance [voxel]
     # what curvature adds on average over a block of 2 voxels and inside each voxel [voxel]

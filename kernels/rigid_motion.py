@@ -14,7 +14,7 @@ SMALL = wp.constant(wp.float64(1.0e-8))
 
 @wp.func
 def turned_by(turn: wp.vec3d, rotation: wp.quatd):
-    """Rotation followed by one about the rotation vector ``turn`` [rad]."""
+    """Return a rotation followed by a rotation about the vector ``turn`` [rad]."""
     angle = wp.length(turn)
     share = HALF
     if angle > SMALL:
@@ -27,7 +27,7 @@ def turned_by(turn: wp.vec3d, rotation: wp.quatd):
 
 @wp.func
 def turn_between(start: wp.quatd, goal: wp.quatd):
-    """Rotation vector [rad] of the shortest turn from one rotation to another."""
+    """Compute the rotation vector [rad] of the shortest turn from one rotation to another."""
     turn = goal * wp.quat_inverse(start)
     imaginary = wp.vec3d(turn[0], turn[1], turn[2])
     cosine = turn[3]

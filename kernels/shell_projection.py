@@ -14,7 +14,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 TWICE = wp.constant(wp.float64(2.0))
-"""A corner of a triangle lies within two of its radii from any of its points."""
+"""Multiple of a triangle's radius within which each corner lies from any of its points."""
 GRAZING = wp.constant(wp.float64(0.1))
 """Cosine between a point's normal and a triangle's inward normal below which they do not touch."""
 EDGE = wp.constant(wp.float64(-1e-9))

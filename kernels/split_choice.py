@@ -29,14 +29,14 @@ MOST_RATIO = 4.0
 One interruption therefore does not decide the trial, several do.
 """
 KEPT = 4
-"""Trials that count."""
+"""Number of trials that count."""
 FIRST_TRIAL, LAST_TRIAL = 32, 2048
 """Number of large runs before the first trial, and the largest number between trials.
 
 The number doubles with each trial that confirms the choice.
 """
 SAMPLES = 8
-"""Pairs of whole and split work in the calibration."""
+"""Number of pairs of whole and split work in the calibration."""
 CALIBRATION_S = 1.5e-4
 """Time of one part of the calibration's work [s].
 
@@ -77,7 +77,7 @@ class SplitChoice:
         return self.splits if self._due > 0 else ORDER[len(self._trial)]
 
     def add(self, seconds: float) -> None:
-        """Take the time of the run that `next_run` was asked about [s]."""
+        """Record the time [s] of the run that was announced by `next_run`."""
         if self._due > 0:
             self._due -= 1
             return
@@ -121,7 +121,9 @@ def run_split(pool: CoreThreads, parts: list[Callable[[], object]]) -> int:
 
 
 def calibrate(pool: CoreThreads, parts: int, *, now: Callable[[], float] = perf_counter) -> float:
-    """Ratio of whole to split time of work that needs only a core, measured in a few milliseconds.
+    """Measure the ratio of whole to split time of work that needs only a core.
+
+    The measurement takes a few milliseconds.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ __all__ = [
 wp.set_module_options({"enable_backward": False})
 
 DEPTH_TOLERANCE_M = wp.constant(wp.float64(3.0e-6))
-"""A bound that lies at most this far below the smallest distance is good enough [m]."""
+"""Largest accepted distance of a bound below the smallest distance [m]."""
 CELLS = wp.constant(128)
 """Rows of the stack of cells."""
 CELL_COLUMNS = wp.constant(6)
@@ -39,7 +39,7 @@ OUTSIDE_SIZES = wp.constant(wp.float64(16.0))
 below the distance by about a 32nd of the size where the structure leaves that much space."""
 HULL = wp.constant(8)
 WIDE_RAD = wp.constant(wp.float64(1.0))
-"""Half angle from which on a cell is bounded by its size alone."""
+"""Half angle [rad] above which a cell is bounded by its size alone."""
 
 
 @wp.struct
@@ -56,7 +56,7 @@ class MedialAxis:
 def in_structure(
     motion: wp.array2d(dtype=wp.float64), radius: wp.float64, angle: wp.float64, height: wp.float64
 ):
-    """A point of the tool, in cylindrical coordinates, in the structure's frame."""
+    """Convert a point of the tool, in cylindrical coordinates, to the structure's frame."""
     point_x = radius * wp.cos(angle)
     point_y = radius * wp.sin(angle)
     x = motion[0, 0] + motion[1, 0] * point_x + motion[2, 0] * point_y + motion[3, 0] * height
@@ -73,7 +73,7 @@ def is_in_structure(mesh: wp.uint64, point: wp.vec3d):
 
 @wp.func
 def nearest_on_surface(mesh: wp.uint64, point: wp.vec3d):
-    """Distance from the surface, the nearest point of it and its triangle."""
+    """Find the distance from the surface, the nearest point of it and its triangle."""
     at = wp.vec3(point)
     query = wp.mesh_query_point_no_sign(mesh, at, float(FAR_M))
     foot = wp.vec3d(wp.mesh_eval_position(mesh, query.face, query.u, query.v))

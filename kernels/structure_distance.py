@@ -17,7 +17,10 @@ wp.set_module_options({"enable_backward": False})
 NODES, TRIANGLES = wp.constant(256), wp.constant(256)
 """Rows of the stacks of nodes and of triangles."""
 MOST_EVALUATIONS = wp.constant(20000)
-"""Evaluations after which a search ends with a coarser lower bound, so that a tick ends."""
+"""Number of evaluations after which a search ends with a coarser lower bound.
+
+The limit bounds the time of a tick.
+"""
 LEAF = wp.constant(4)
 
 
@@ -96,7 +99,7 @@ def smallest_in_triangle(
 
 @wp.func
 def in_tool(motion: wp.array2d(dtype=wp.float64), point: wp.vec3d):
-    """A point of the structure's frame in the tool's frame."""
+    """Convert a point of the structure's frame to the tool's frame."""
     p = point - wp.vec3d(motion[0, 0], motion[0, 1], motion[0, 2])
     x = motion[1, 0] * p[0] + motion[1, 1] * p[1] + motion[1, 2] * p[2]
     y = motion[2, 0] * p[0] + motion[2, 1] * p[1] + motion[2, 2] * p[2]
@@ -106,7 +109,7 @@ def in_tool(motion: wp.array2d(dtype=wp.float64), point: wp.vec3d):
 
 @wp.func
 def node_bound(outline: Outline, tree: Tree, motion: wp.array2d(dtype=wp.float64), node: int):
-    """Lower bound of the distance over a node's box."""
+    """Compute a lower bound of the distance over a node's box."""
     half = tree.half[node]
     bound = wp.float64(1.0e9)
     if half[0] >= wp.float64(0.0):
@@ -206,7 +209,7 @@ def distance_to_structure(
     # out
     distance_out: wp.array(dtype=wp.float64),  # [m], negative where tool and structure overlap
 ):
-    """Lower bound of the distance between tool and structure, run by one thread."""
+    """Compute a lower bound of the distance between tool and structure, in one thread."""
     smallest = over_surface(
         outline, tree, motion, last_leaf_out, nodes_out, node_bounds_out, stack_out, bounds_out
     )

@@ -3,12 +3,12 @@
 The solver is a nonlinear Gauss-Seidel iteration on one thread.
 
 The unknowns are the forces at contact points, given on the triangles by barycentric weights. In a
-triangle's turn its points take the force of one contact after the other (``kernels.friction_cone``)
-with distance and normal of the tool where the point is now, so that normals need no outer loop;
-then each of its nodes whose force F_a changed pushes the displacements of all loaded nodes, ``u_b
-+= W_ba dF_a`` (``kernels.near_compliance``). Only triangles that touch or carry force take turns.
-When their points rest, all other nearby triangles are checked again, and triangles that the tool
-would enter join.
+triangle's turn, the force of one contact after the other is solved at its points
+(``kernels.friction_cone``). Distance and normal of the tool are taken at the present position of
+the point, so normals need no outer loop. Then each of its nodes whose force F_a changed adds to the
+displacements of all loaded nodes, ``u_b += W_ba dF_a`` (``kernels.near_compliance``). Only
+triangles that touch or carry force take turns. When their points rest, all other nearby triangles
+are checked again, and triangles that the tool would enter join.
 """
 
 import warp as wp

@@ -63,7 +63,7 @@ def stretches_of(f: wp.mat33d):
 
 @wp.func
 def power_sum(isochoric: wp.vec3d, alpha: wp.float64):
-    """S(alpha) - 3 with its first and second derivatives by the logarithms of the stretches."""
+    """Compute S(alpha) - 3 and its first and second derivatives by the log stretches."""
     power = wp.vec3d(
         wp.pow(isochoric[0], alpha), wp.pow(isochoric[1], alpha), wp.pow(isochoric[2], alpha)
     )
@@ -84,7 +84,7 @@ def derivatives(
     terms: wp.array2d(dtype=wp.float64),
     powers: wp.array(dtype=wp.float64),
 ):
-    """Energy density [Pa], its slope and curvature by the logarithms of the stretches."""
+    """Compute energy density [Pa], its slope and curvature by the logarithms of the stretches."""
     j = stretch[0] * stretch[1] * stretch[2]
     isochoric = stretch / wp.pow(j, ONE / THREE)
     energy = wp.float64(0.25) * bulk * (j * j - ONE - TWO * wp.log(j))
@@ -132,7 +132,7 @@ def stretch_force(
     energy_out: wp.array(dtype=wp.float64),  # [cell] [J]
     force_out: wp.array2d(dtype=wp.vec3d),  # [cell, node of the cell], derivative of the energy [N]
 ):
-    """Energy of each cell and its derivative by the positions of the cell's nodes."""
+    """Compute the energy of each cell and its derivative by the positions of the cell's nodes."""
     cell = wp.tid() + offset
     for a in range(nodes.shape[1]):
         force_out[cell, a] = wp.vec3d()
@@ -202,7 +202,7 @@ def stretch_stiffness(
     # out
     block_out: wp.array2d(dtype=wp.mat33d),  # [cell, pair] [N/m]
 ):
-    """Tangent stiffness of each cell, its upper triangle of blocks."""
+    """Compute the tangent stiffness of each cell, the upper triangle of its blocks."""
     cell = wp.tid() + offset
     for pair in range(pair_first.shape[0]):
         block_out[cell, pair] = wp.mat33d()

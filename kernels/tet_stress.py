@@ -35,7 +35,7 @@ def group_stress(
     von_mises_out: wp.array(dtype=wp.float64),  # [group] [Pa]
     principal_out: wp.array(dtype=wp.vec3d),  # [group] [Pa], largest first
 ):
-    """Mean strain and stress of each group; zero where a group is empty."""
+    """Compute mean strain and stress of each group; zero where a group is empty."""
     group = wp.tid() + offset
     strain = wp.mat33d()
     voigt = wp.vector(length=6, dtype=wp.float64)

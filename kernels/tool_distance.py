@@ -11,9 +11,9 @@ __all__ = ["TOLERANCE_M", "Outline", "bounds_over", "distance_to_part", "distanc
 wp.set_module_options({"enable_backward": False})
 
 TOLERANCE_M = wp.constant(wp.float64(1.0e-6))
-"""A bound that lies at most this far below the smallest distance is good enough [m]."""
+"""Largest accepted distance of a bound below the smallest distance [m]."""
 STEPS = wp.constant(10)
-"""Steps down the gradient in a triangle before it is halved."""
+"""Number of steps down the gradient in a triangle before it is halved."""
 TIE_M = wp.constant(wp.float64(1.0e-12))
 """Difference of distances below which two pieces of the outline form a corner [m]."""
 ARC = wp.constant(1)
@@ -110,7 +110,7 @@ def distance_to_part(outline: Outline, part: int, point: wp.vec3d):
 
 @wp.func
 def distance_to_tool(outline: Outline, point: wp.vec3d):
-    """Signed distance of a point from all parts."""
+    """Compute the signed distance of a point from all parts."""
     least = wp.float64(1.0e9)
     for part in range(outline.convex.shape[0]):
         value, _gradient, _bend = distance_to_part(outline, part, point)
@@ -176,7 +176,7 @@ def best_mix(first: wp.vec3d, second: wp.vec3d):
 
 @wp.func
 def bounds_over(outline: Outline, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, best: wp.float64):
-    """Lower bound of the distance over a triangle, and an upper bound of its smallest value.
+    """Compute a lower bound of the distance over a triangle, and an upper bound of its minimum.
 
     Steps down the gradient lead toward the smallest value. There one tangent bounds a smooth convex
     distance without a gap, and a mean of tangents bounds one with a crease.

@@ -10,8 +10,7 @@ depth               127 mm            M: 100-150 antero-posterior at the right l
 right lobe height   123 mm            M: 105-155 cranio-caudal in the mid-clavicular line (ultrasound)
 volume              1.41 l            M: 1.2-1.8 l adult; 1477 ml for the scanned liver the tests use
 left lobe           22 %              M: 25-40 % of the volume, thinning to a wedge
-==================  ================
-===================================================================
+==================  ================  ===================================================================
 
 The shape is a drawing in signed distances: a dome of two ellipsoids, cut by the slanting visceral
 plane with hollows for stomach, kidney and gall bladder, a groove for the vena cava and spine, a

@@ -16,8 +16,7 @@ cortical wall             1.5 mm              L
 density cortical          1800 kg/m3          M, H
 density plate             1300 kg/m3          L: between cortical and dense trabecular bone
 density trabecular        450 to 300 kg/m3    L: falls below the plate over 5 mm (M Frich 1997: so does strength)
-========================  ==================
-=====================================================================
+========================  ==================  =====================================================================
 """  # noqa: E501 a table
 
 import math

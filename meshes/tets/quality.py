@@ -14,8 +14,7 @@ flat            6 V below 1e-6 of the longest edge cubed               dropped a
 debris          pieces linked by faces, below 1 % of the largest       dropped
 sliver          mean ratio below 0.1                                   inner nodes moved; the rest is kept, reported
 pinched edges   surface edges of more than two triangles               kept and reported
-==============  =====================================================
-================================================
+==============  =====================================================  ================================================
 """  # noqa: E501 a table
 
 from dataclasses import dataclass

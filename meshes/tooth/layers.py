@@ -9,8 +9,7 @@ pulp       1000 kg/m3         M, M: soft tissue, nearly water
 caries     2100 to 1300       M, L: infected dentin keeps about a third of its mineral (after Angker 2004)
 ligament   1100 kg/m3         M, M: fibrous soft tissue
 bone       1800 kg/m3         M, H: alveolar bone taken as cortical throughout
-=========  =================
-==========================================================================
+=========  =================  ==========================================================================
 """  # noqa: E501 a table
 
 from collections.abc import Callable, Iterable

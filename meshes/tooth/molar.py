@@ -18,8 +18,7 @@ root trunk                     3.2 mm         M, M: cervix to furcation, 3 bucca
 canals                         2 + 1          M, H: two mesial, one distal
 ligament                       0.22 mm        M, H: 0.15 to 0.38
 cervical line to bone          1.5 mm         M, H: 1 to 2 in health
-=============================  =============
-======================================================================
+=============================  =============  ======================================================================
 """  # noqa: E501 a table
 
 from collections.abc import Callable

@@ -16,8 +16,7 @@ cortex of the pedicle          1.0 mm         M, M: medial 1.2 to lateral 0.7, L
 cortex of the body, endplate   0.4, 0.6 mm    M, M: Silva 1994, Edwards 2001
 spinous, transverse process    32, 21 mm      M, L: lengths; Panjabi 1992 gives 69 and 80 over all
 trabecular density             180 kg/m3      M, M: Keaveny 2001, lumbar bodies 100 to 300; cortex 1800
-=============================  =============
-======================================================================
+=============================  =============  ======================================================================
 
 Facets, accessory processes and the wedge of the body are not modelled.
 """  # noqa: E501 a table
