@@ -44,7 +44,7 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
         Kind of the arrays, one word: the start of the file's name. Change it when the meaning of
         the arrays changes.
     key
-        Everything they depend on: arrays by their bytes, all else by its ``repr``.
+        All inputs of the arrays: arrays by their bytes, other values by their ``repr``.
     make
         Function that computes the arrays.
 
@@ -130,7 +130,7 @@ def _seal(arrays: Arrays, code: str) -> str:
 
 
 def _code(make: Callable[[], Arrays]) -> str:
-    """Version of tissue and of the module that defines a function."""
+    """Return the version of tissue and of the module that defines a function."""
     module = sys.modules.get(make.__module__)
     try:
         source = (

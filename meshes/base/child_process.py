@@ -10,7 +10,10 @@ _DIE_WITH_PARENT = 1
 
 
 def start_code(module: str, function: str) -> str:
-    """Code that calls a function of this checkout, which finds its arguments in `sys.argv[1:]`."""
+    """Return code that calls a function of this checkout.
+
+    The function finds its arguments in `sys.argv[1:]`.
+    """
     return (
         f"import sys; sys.path.append(sys.argv.pop(1)); from {module} import {function}; "
         f"{function}()"

@@ -40,7 +40,7 @@ class InputError(ValueError):
     Parameters
     ----------
     argument
-        Name of the argument. A whole message where no requirement is given.
+        Name of the argument. If no requirement is given, the whole message.
     requirement
         Requirement on it, which follows "must".
     value
@@ -82,17 +82,17 @@ class DamagedFileError(Exception):
 
 
 def counted(count: int, noun: str) -> str:
-    """A number of things with their noun, in the plural where there are other than one."""
+    """Return a number and its noun, in the plural unless the number is one."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def by(numbers: Iterable[float], form: str = "g") -> str:
-    """Sizes along the axes, such as 3 x 4 x 5."""
+    """Format sizes along the axes, such as 3 x 4 x 5."""
     return " x ".join(format(number, form) for number in numbers)
 
 
 def in_brackets(numbers: Iterable[float], form: str = "g") -> str:
-    """Coordinates, such as (1, 2, 3)."""
+    """Format coordinates, such as (1, 2, 3)."""
     return f"({', '.join(format(number, form) for number in numbers)})"
 
 
@@ -219,7 +219,7 @@ def require_direction(
 
 
 def _short(file: Path) -> str:
-    """A path as a sentence can hold it."""
+    """Shorten a path for use in a sentence."""
     text = str(file)
     return (
         text

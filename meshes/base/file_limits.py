@@ -90,10 +90,10 @@ def require_memory(needed: int, file: str, content: str) -> None:
 
 
 def require_regular(file: Path) -> Path:
-    """Return a path that leads to a regular file, if it leads to anything.
+    """Return a path that leads to a regular file or does not exist.
 
-    Devices such as /dev/zero have no end, and a named pipe blocks until somebody writes into it. A
-    path that leads to nothing is left to the code that opens it.
+    Devices such as /dev/zero have no end, and a named pipe blocks until a process writes into it. A
+    path that does not exist is left to the code that opens it.
 
     Raises
     ------

@@ -12,7 +12,7 @@ __all__ = ["package_version", "require_version"]
 
 @cache
 def package_version() -> str:
-    """Version of this library, which its files carry."""
+    """Return the version of this library, which its files carry."""
     try:
         return version("tissue-sim")
     except PackageNotFoundError:

@@ -49,19 +49,19 @@ class Placement:
         return matrix
 
     def to_file(self, points_mm: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Points of the scene [mm], shape (n, 3), in the file's frame and unit."""
+        """Convert points of the scene [mm], shape (n, 3), to the file's frame and unit."""
         return (
             self.origin_mm + np.asarray(points_mm, dtype=np.float64) @ self.rotation.T
         ) / self.unit_mm
 
     def to_scene(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Points in the file's frame and unit, shape (n, 3), in the scene's frame [mm]."""
+        """Convert points in the file's frame and unit, shape (n, 3), to the scene's frame [mm]."""
         return (
             np.asarray(points, dtype=np.float64) * self.unit_mm - self.origin_mm
         ) @ self.rotation
 
     def to_record(self) -> dict[str, Any]:
-        """Matrix and unit as plain numbers, as a run's summary holds them."""
+        """Return matrix and unit as plain numbers, for a run's summary."""
         return {
             "file_to_scene_mm": self.file_to_scene_mm.tolist(),
             "file_unit_mm": float(self.unit_mm),
@@ -69,7 +69,7 @@ class Placement:
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> Placement:
-        """Placement of a run's summary.
+        """Read a placement from a run's summary.
 
         Raises
         ------

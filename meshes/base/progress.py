@@ -9,4 +9,4 @@ Progress = Callable[[str, float], None]
 
 
 def silent(doing: str, share: float) -> None:
-    """Report to nobody."""
+    """Ignore the progress."""

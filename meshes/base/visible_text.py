@@ -9,7 +9,10 @@ __all__ = ["visible"]
 
 
 def visible(text: str) -> str:
-    """Text with control and formatting characters but line feeds as escapes, such as ``\\x1b``."""
+    """Replace control and formatting characters by escapes, such as ``\\x1b``.
+
+    Line feeds are kept.
+    """
     if text.isascii() and text.isprintable():
         return text
     return "".join(

@@ -36,7 +36,7 @@ def claim(path: Path) -> None:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """A temporary name in a file's folder, of the same ending, to write to in the block.
+    """Yield a temporary name in a file's folder, of the same ending, to write to in the block.
 
     What was written takes the file's place in one step when the block ends, and goes when it fails;
     so no reader sees half of it, and of two writers one wins. A folder in `OWNERS` that holds the

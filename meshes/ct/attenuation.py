@@ -39,17 +39,20 @@ def mass_attenuation(material: str, energy_keV: float) -> float:
 
 
 def density_of(material: str) -> float:
-    """Density [kg/m3] of a material of ``attenuation.toml``."""
+    """Return the density [kg/m3] of a material of ``attenuation.toml``."""
     return float(_table()["materials"][material]["density_kg_m3"])
 
 
 def linear_attenuation(material: str, energy_keV: float) -> float:
-    """Linear attenuation coefficient [1/m] of a material of ``attenuation.toml``."""
+    """Compute the linear attenuation coefficient [1/m] of a material of ``attenuation.toml``."""
     return density_of(material) * mass_attenuation(material, energy_keV)
 
 
 def hounsfield(linear_attenuation_1_m: float, energy_keV: float) -> float:
-    """Hounsfield units of a linear attenuation coefficient [1/m]: 0 in water, -1000 in vacuum."""
+    """Convert a linear attenuation coefficient [1/m] to Hounsfield units.
+
+    They are 0 in water and -1000 in vacuum.
+    """
     return 1000.0 * (linear_attenuation_1_m / linear_attenuation("water", energy_keV) - 1.0)
 
 

@@ -70,10 +70,10 @@ def imaged_anatomy(
     cortical_above_kg_m3: float = CORTICAL_ABOVE_KG_M3,
     articular_radius_mm: float = 0.0,
 ) -> Anatomy:
-    """Return the anatomy of a bone in the site frame, its density interpolated in an image.
+    """Return the anatomy of a bone in the site frame, with density interpolated in an image.
 
-    Dense bone is cortical; within 5 mm under an articular face it is the subchondral plate; the
-    rest is trabecular.
+    Dense bone is cortical; within 5 mm under an articular face it is the subchondral plate; all
+    other bone is trabecular.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def imaged_anatomy(
         Density from which bone is cortical, 300 to 2000 kg/m3.
     articular_radius_mm
         Distance from the site across its normal within which the surface is a joint's [mm], 0 for
-        none.
+        no joint.
 
     Raises
     ------

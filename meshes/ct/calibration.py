@@ -106,8 +106,8 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
     The fit includes the uncertainty of the results.
 
     The unknowns are the energy, the scanner's error of water and scale, the fat in marrow and each
-    tissue's deviation from ICRU 44, as standard normal numbers. The covariance is that of the
-    linearised problem.
+    tissue's deviation from ICRU 44, as standard normal numbers. The covariance is the covariance of
+    the linearised problem.
 
     Raises
     ------
@@ -212,9 +212,9 @@ class _Slab:
 def find_regions(image: Image) -> dict[str, Region]:
     """Find air, adipose, muscle and cortex in a CT.
 
-    Homogeneous voxels are those whose neighbourhood varies by no more than noise. Air, fat and
-    muscle are their most frequent values in the tissues' ranges. Cortex is the densest tenth of the
-    bone within bone, away from metal.
+    A voxel is homogeneous if its neighbourhood varies by no more than noise. Air, fat and muscle
+    are their most frequent values in the tissues' ranges. Cortex is the densest tenth of the voxels
+    that are surrounded by bone, away from metal.
     """
     thickness = max(int(_SLAB_VOXELS // math.prod(image.values.shape[:2])), 4)
     whole = range(0, image.values.shape[2], thickness)

@@ -23,7 +23,7 @@ Biomech 41:2483).
 
 @dataclass(frozen=True)
 class DensityLaw:
-    """Apparent density [kg/m3] = slope * grey value + offset, held within limits.
+    """Apparent density [kg/m3] = slope * grey value + offset, limited to a range.
 
     Apparent density is wet mass over the volume with its pores. The uncertainties belong to the
     line. They include neither the noise of a voxel nor the blur of thin bone.

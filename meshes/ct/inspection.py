@@ -270,7 +270,7 @@ def _otsu(values: Array, counts: Array) -> float:
 
 
 def bone_label_note(image: Image, mask: Flags, name: str) -> str:
-    """Return a warning where most of a bone's label lies below 150 HU, else an empty text.
+    """Return a warning if most of a bone's label lies below 150 HU, else an empty text.
 
     Parameters
     ----------

@@ -92,7 +92,7 @@ def label_sets() -> dict[str, tuple[str, ...]]:
 def read_labels(
     path: str | Path, *, names: str | Path | None = None, spacing_mm: float | None = None
 ) -> Labels:
-    """Read a label volume, or a folder that holds one mask a label, with the names of its labels.
+    """Read a label volume, or a folder of masks with one mask per label, and the label names.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def read_labels(
     Raises
     ------
     InputError
-        If a file cannot be used, values are no labels, masks lie on different grids, or a name has
+        If a file cannot be used, values are not labels, masks lie on different grids, or a name has
         no number.
     """
     path = Path(path)

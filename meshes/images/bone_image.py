@@ -43,12 +43,12 @@ def image_volume(
         New voxel size [mm]. Finer: grey values are interpolated first. Coarser: fractions are
         averaged, bone volume kept. None: the file's, or the finest of its three.
     remark
-        Called with each sentence on what was assumed.
+        Called with each sentence on an assumption.
 
     Raises
     ------
     InputError
-        If an option is out of range, or nothing lies above the threshold.
+        If an option is out of range, or no voxel lies above the threshold.
     """
     limit = require_range(
         "anatomy.threshold", threshold, -1e9, 1e9, "use 63 for 8-bit micro-CT, about 200 for CT"

@@ -132,7 +132,10 @@ def is_gzip(path: Path) -> bool:
 
 
 def _plain(path: Path, start: int, compressed: bool) -> Iterator[bytes]:
-    """The bytes of a file from byte `start`, decompressed and held to their checksum, in pieces."""
+    """Yield the bytes of a file from byte `start`, decompressed and checked, in pieces.
+
+    The check is their checksum.
+    """
     with path.open("rb") as stream:
         stream.seek(start)
         if not compressed:

@@ -2,9 +2,9 @@
 
 Headers are read by pydicom and pixels by GDCM. Slices are sorted by place into an even stack.
 
-Nothing that names a patient leaves this module: of the headers only `_READ` is read, size, place,
-scale and series, and a message counts files in the order of their names instead of naming them,
-because exporters write names, dates and identifiers into those. The folder's name is the user's.
+No data that identify a patient leave this module. Of the headers only `_READ` is read: size, place,
+scale and series. A message counts files in the order of their names instead of naming them, because
+exporters write names, dates and identifiers into file names. The folder's name is the user's.
 """
 
 import warnings
@@ -261,7 +261,7 @@ def _require_one_series(headers: Sequence[Header], folder: Path) -> None:
 
 
 def _named(headers: Sequence[Header]) -> str:
-    """The series of some headers, by number and slices."""
+    """Describe the series of some headers, by number and slices."""
     found = Counter((str(header["SeriesInstanceUID"]), _whole(header)) for header in headers)
     return ", ".join(
         f"number {number} of {count} slices" for (_, number), count in sorted(found.items())
@@ -320,7 +320,10 @@ def _slice(header: Header, place: str) -> Slice:
 
 
 def _pixels(file: Path, stated: Slice) -> NDArray[np.number]:
-    """Grey values of a slice, slope and intercept applied, shape (1, rows, columns)."""
+    """Return the grey values of a slice, shape (1, rows, columns).
+
+    Slope and intercept are applied.
+    """
     try:
         plane = array_of(itk_reader(file, "GDCMImageIO").Execute())
     except (RuntimeError, MemoryError) as problem:

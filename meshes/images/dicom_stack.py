@@ -124,7 +124,7 @@ def stack_step(
 
 
 def _normal(first: Slice) -> NDArray[np.float64]:
-    """Unit normal of a slice whose directions are sound."""
+    """Return the unit normal of a slice with valid directions."""
     lengths = np.linalg.norm([first.row, first.column], axis=1)
     if np.abs(lengths - 1.0).max() > _UNIT or abs(float(first.row @ first.column)) > _UNIT:
         raise InputError(
@@ -171,7 +171,7 @@ def _require_even(heights: NDArray[np.float64], source: str) -> None:
 def _shear_notes(
     step: NDArray[np.float64], normal: NDArray[np.float64], tilt_deg: float, source: str
 ) -> list[str]:
-    """Note that a tilted gantry is undone; refuse a tilt that the positions do not show."""
+    """Return notes that a tilted gantry is undone; refuse a tilt that the positions do not show."""
     along = float(step @ normal)
     shear_deg = float(np.degrees(np.arctan2(np.linalg.norm(step - along * normal), along)))
     if abs(tilt_deg) > _TILT_DEG and abs(abs(tilt_deg) - shear_deg) > _TILT_DEG:
@@ -192,7 +192,7 @@ def _shear_notes(
 
 
 def numbers(header: Header, key: str, count: int, place: str) -> NDArray[np.float64]:
-    """The finite numbers of an element."""
+    """Return the finite numbers of an element."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -234,9 +234,9 @@ def upright(
 
     The input may hold slices whose low values are displayed as white (MONOCHROME1).
 
-    The rescale slope and intercept lead to Hounsfield units whatever the display (DICOM PS3.3,
-    C.11.1), so they decide where they put air at -1000. Values that were inverted without a change
-    of the rescale are recognised by their air.
+    The rescale slope and intercept lead to Hounsfield units for any display (DICOM PS3.3, C.11.1),
+    so they decide if they put air at -1000. Values that were inverted without a change of the
+    rescale are recognised by their air.
 
     Parameters
     ----------

@@ -96,7 +96,7 @@ def along_lps(stored: StoredImage, source: str, *, labels: bool = False) -> Imag
     Raises
     ------
     InputError
-        If the spacing or origin is no length, the axes lie in one plane, or the resampled image
+        If the spacing or origin is not a length, the axes lie in one plane, or the resampled image
         would not be workable.
     """
     _require_frame(stored, source)
@@ -113,7 +113,7 @@ def along_lps(stored: StoredImage, source: str, *, labels: bool = False) -> Imag
 
 
 def _nearest_axes(directions: NDArray[np.float64]) -> tuple[int, ...]:
-    """For each axis of LPS the array's axis nearest to it, each once."""
+    """Return for each axis of LPS the array's nearest axis, each axis once."""
     return max(
         permutations(range(3)),
         key=lambda order: sum(abs(directions[k, order[k]]) for k in range(3)),
@@ -161,7 +161,7 @@ def _interpolated(
     offset: NDArray[np.float64],
     shape: tuple[int, ...],
 ) -> NDArray[np.float32]:
-    """Grey values at the points `matrix @ index + offset` of an array by cubic splines.
+    """Interpolate grey values at the points `matrix @ index + offset` by cubic splines.
 
     Linear interpolation lowers the peaks that are thin bone: of a CT's bone surface 2 % are then
     lost by more than half a voxel, by splines 0.2 %. Splines overshoot, so no value leaves the
@@ -262,7 +262,7 @@ def box_of(mask: NDArray[np.bool_], margin: int = 0) -> tuple[slice, ...]:
 
 
 def part_of(image: Image, box: tuple[slice, ...]) -> Image:
-    """The image within slices that have a start each, its origin moved along."""
+    """Return the image within slices that each have a start, with its origin moved along."""
     x, y, z = (
         o + s * each.start
         for o, s, each in zip(image.origin_mm, image.spacing_mm, box, strict=True)

@@ -73,7 +73,7 @@ def numbers(
     Raises
     ------
     InputError
-        If a word of the line is no finite number, or none above 0 where they have to be.
+        If a word of the line is not a finite number, or not above 0 where it has to be.
     """
     if key not in fields:
         return None
@@ -162,7 +162,7 @@ def itk_reader(path: Path, name: str) -> SimpleITK.ImageFileReader:
 
 
 def array_of(image: SimpleITK.Image) -> NDArray[np.number]:
-    """Values of an ITK image, shape (ni, nj, nk), first index fastest."""
+    """Return values of an ITK image, shape (ni, nj, nk), first index fastest."""
     import SimpleITK
 
     values: NDArray[np.number] = SimpleITK.GetArrayFromImage(image)

@@ -1,9 +1,9 @@
 """Spreading of labels into a smooth share that is one half at their surface, curved or not.
 
 A Gaussian less its Laplacian times its variance, ``G - s^2 div grad G``, has no second moment in a
-plane through its centre, so that a curved boundary stays where it is to first order in the
-curvature. With other deviations along each axis the same holds, since an affine map takes curved
-surfaces to curved surfaces.
+plane through its centre, so a curved boundary stays in place to first order in the curvature. The
+same holds for different deviations along the axes, since an affine map takes curved surfaces to
+curved surfaces.
 """
 
 import numpy as np

@@ -64,7 +64,7 @@ def read_nifti(path: Path) -> StoredImage:
 
 
 def _header(path: Path) -> Header:
-    """The header, a mapping of its fields."""
+    """Return the header, a mapping of its fields."""
     from io import BytesIO
 
     from nibabel import Nifti1Header, Nifti2Header
@@ -130,7 +130,7 @@ def _dtype(header: Header, path: Path) -> np.dtype[np.number]:
 
 
 def _affine(header: Header, path: Path, notes: list[str]) -> NDArray[np.float64]:
-    """Voxel numbers to coordinates, in the header's unit and its own frame (RAS)."""
+    """Return the matrix from voxel numbers to coordinates, in the header's unit and frame (RAS)."""
     from nibabel.spatialimages import HeaderDataError
 
     spacing = np.array(header["pixdim"][1:4], dtype=np.float64)

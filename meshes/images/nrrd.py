@@ -166,9 +166,9 @@ def _data_files(fields: dict[str, str], path: Path) -> list[Path]:
 def _require_data(fields: dict[str, str], path: Path, start: int) -> int:
     """Refuse voxels that are fewer or more than stated in the header, and return their bytes.
 
-    The check comes before ITK, which allocates what the header states. Of compressed voxels the
-    inflated bytes are counted without being kept. Where bytes are skipped or several files hold the
-    voxels, only the possible size is checked here; ITK refuses fewer.
+    The check comes before ITK, which allocates the stated size. The inflated bytes of compressed
+    voxels are counted without being kept. Where bytes are skipped or several files hold the voxels,
+    only the possible size is checked here; ITK refuses fewer.
     """
     needed, shape = _stated_bytes(fields, path)
     files = [require_regular(file) for file in _data_files(fields, path)]

@@ -94,7 +94,7 @@ def read_image(
     labels: bool = False,
     series: int | None = None,
 ) -> Image:
-    """Read an image volume into LPS [mm], whatever the order and direction of the axes in its file.
+    """Read an image volume into LPS [mm], for any order and direction of the axes in its file.
 
     Origin, directions, units, slope and intercept are read from the file. If the file does not
     state one, a note states the assumption. Axes along LPS in any order are turned exactly, oblique
@@ -171,7 +171,7 @@ def read_image(
 
 
 def _stored(path: Path, series: int | None) -> StoredImage:
-    """The image of a file or DICOM folder, as stored."""
+    """Return the image of a file or DICOM folder, as stored."""
     if is_folder(path):
         return read_dicom(path, series=series)
     if series is not None:

@@ -83,7 +83,7 @@ class LabelledOrgan:
     def mesh(
         self, edge_mm: float | None = None, *, report: Progress = silent
     ) -> tuple[TetMesh, dict[str, str]]:
-        """Tetrahedra of the organ with its parts, in the frame of the image, and what was found.
+        """Return tetrahedra of the organ with its parts, in the frame of the image, and findings.
 
         Raises
         ------
@@ -107,7 +107,7 @@ class LabelledOrgan:
     def _with_parts(
         self, mesh: TetMesh, edge_mm: float, report: Progress
     ) -> tuple[TetMesh, dict[str, str]]:
-        """The mesh with its parts, and a note on each."""
+        """Return the mesh with its parts, and a note on each part."""
         notes = {}
         before = np.zeros(self.solid.shape, dtype=bool)
         beyond = _BEYOND + int(np.ceil(_ENVELOPE * edge_mm / min(self.grid.spacing_mm)))

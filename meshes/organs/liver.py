@@ -88,7 +88,7 @@ class Nodule:
 
 
 def liver_shape() -> Shape:
-    """Signed distance of the liver in the site frame [m]."""
+    """Return the signed distance of the liver in the site frame [m]."""
     drawn = _drawn()
     low = 0.0
     high = 0.2
@@ -125,7 +125,7 @@ def liver(*, spacing_m: float = 8.4e-3, nodule: Nodule | None = None) -> TetMesh
 
 
 def onto_liver(points: np.ndarray) -> np.ndarray:
-    """Points of the procedural liver's surface near some points [m], both shape (n, 3)."""
+    """Return the points of the procedural liver's surface near some points [m], shape (n, 3)."""
     shape = liver_shape()
     found = np.array(points, dtype=np.float64)
     steps = _NEAR_M * np.vstack([np.eye(3), -np.eye(3)])
@@ -138,7 +138,7 @@ def onto_liver(points: np.ndarray) -> np.ndarray:
 
 
 def liver_region(mesh: TetMesh, name: str) -> Nodes:
-    """Surface nodes of a named side of the liver: ``below`` or ``back``.
+    """Return surface nodes of a named side of the liver: ``below`` or ``back``.
 
     Raises
     ------
@@ -188,7 +188,7 @@ def slab(
 
 
 def slab_base(mesh: TetMesh) -> Nodes:
-    """Nodes on the lower face of a slab."""
+    """Return nodes on the lower face of a slab."""
     lowest = float(mesh.nodes_m[:, 2].min())
     return nodes_behind_plane(mesh, point_m=(0.0, 0.0, lowest), normal=(0.0, 0.0, 1.0))
 

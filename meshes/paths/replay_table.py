@@ -123,7 +123,7 @@ def to_replay(
 
 
 def _towards(axis: Array) -> "Rotation":
-    """Shortest turn that brings z to a unit vector."""
+    """Return the shortest turn that brings z to a unit vector."""
     from scipy.spatial.transform import Rotation
 
     across = np.cross([0.0, 0.0, 1.0], axis)

@@ -19,7 +19,10 @@ def arc_length(corners: ArrayLike) -> Array:
 
 
 def points_along(corners: ArrayLike, lengths: ArrayLike) -> Array:
-    """Points at some path lengths from the first corner, shape (m, 3); the ends beyond them."""
+    """Return points at some path lengths from the first corner, shape (m, 3).
+
+    Lengths beyond an end give the end.
+    """
     along = arc_length(corners)
     given = np.asarray(corners)
     at = np.asarray(lengths, dtype=np.float64)

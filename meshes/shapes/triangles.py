@@ -131,7 +131,7 @@ def _contour(
 
 
 def _slack(shape: Shape, vertices: Array, faces: NDArray[np.int64]) -> float:
-    """Largest depth of centres and edges of triangles below the surface [m].
+    """Compute the largest depth of centres and edges of triangles below the surface [m].
 
     Triangles outside the surface, in concave edges, make a distance too small, which is the safe
     side.

@@ -106,7 +106,7 @@ def _halves(corners: Array, longest: NDArray[np.intp]) -> Array:
 
 
 def _away(points: Array, box: Array | None) -> Array:
-    """Distance of points from a box [m], 0 inside."""
+    """Compute the distance of points from a box [m], 0 inside."""
     if box is None:
         return np.zeros(len(points))
     outside = np.maximum(np.maximum(box[0] - points, points - box[1]), 0.0)

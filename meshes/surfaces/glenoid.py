@@ -56,14 +56,20 @@ class _Pear:
         return (self.lower_radius - self.upper_radius) / (self.upper_y - self.lower_y)
 
     def half_width(self, y: float) -> float:
-        """Half width [m] at the height y [m], for y above the lower circle's widest point."""
+        """Compute the half width [m] at the height y [m].
+
+        It holds for y above the lower circle's widest point.
+        """
         cosine = math.sqrt(1.0 - self.sine**2)
         if y <= self.upper_y + self.upper_radius * self.sine:
             return (self.lower_radius - (y - self.lower_y) * self.sine) / cosine
         return math.sqrt(max(self.upper_radius**2 - (y - self.upper_y) ** 2, 0.0))
 
     def distance(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Exact signed distance [m] to the outline (the hull of two circles), negative inside."""
+        """Compute the exact signed distance [m] to the outline, negative inside.
+
+        The outline is the hull of two circles.
+        """
         sine = self.sine
         cosine = math.sqrt(1.0 - sine**2)
         across = np.abs(x)

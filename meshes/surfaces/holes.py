@@ -70,7 +70,10 @@ def fill_holes(
 
 
 def _unmatched(vertex_count: int, faces: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Directed edges without their reverse, repeated as often as it is missing, shape (n, 2)."""
+    """Return directed edges without their reverse, shape (n, 2).
+
+    An edge is repeated as often as its reverse is missing.
+    """
     edges = directed_edges(faces)
     low, high = np.sort(edges, axis=1).T
     keys, where = np.unique(low * vertex_count + high, return_inverse=True)
@@ -83,7 +86,10 @@ def _unmatched(vertex_count: int, faces: NDArray[np.int64]) -> NDArray[np.int64]
 
 
 def open_loops(vertex_count: int, faces: Faces) -> list[Faces]:
-    """Loops of unmatched edges that visit no vertex twice, in the direction of their triangles."""
+    """Return loops of unmatched edges that visit no vertex twice.
+
+    The loops run in the direction of their triangles.
+    """
     following: dict[int, list[int]] = {}
     for a, b in _unmatched(vertex_count, faces).tolist():
         following.setdefault(a, []).append(b)
@@ -136,7 +142,7 @@ def close_seams(
 
 
 def _apart(points: Array, others: Array) -> float:
-    """Mean distance of the points of two loops from each other."""
+    """Compute the mean distance of the points of two loops from each other."""
     from scipy.spatial import cKDTree
 
     there = cKDTree(others).query(points)[0]

@@ -178,7 +178,9 @@ def _search_glenoid(surface: Surface, along: Sequence[float] | None) -> FoundSit
 def _glenoid_score(
     samples: SurfaceSamples, number: int, near: NDArray[np.int64]
 ) -> tuple[Array, float]:
-    """Smoothed normal at a sample, and the likeness of the surface around it to a glenoid, 0 to 1.
+    """Compute the smoothed normal at a sample, and the likeness to a glenoid, 0 to 1.
+
+    The likeness is of the surface around the sample.
 
     The likeness is high where surface that faces one direction covers a disc of 10 mm radius, the
     surface falls off beyond 20 mm, the bone behind is thick, and the disc is not convex.
@@ -312,7 +314,7 @@ def _search_head(surface: Surface, kind: _Head) -> FoundSite:
 
 
 def _caps(samples: SurfaceSamples) -> list[_Cap]:
-    """Caps fitted from the centres and radii that most samples vote for along their normals."""
+    """Fit caps from the centres and radii that most samples vote for along their normals."""
     from scipy.sparse import coo_array
     from scipy.spatial import cKDTree
 

@@ -167,7 +167,7 @@ def read_curve(path: str | Path) -> NDArray[np.float64]:
 
 
 def _markup(record: dict[str, Any], file: Path) -> Markup:
-    """One markup of a JSON file."""
+    """Read one markup of a JSON file."""
     kind = str(record["type"])
     frame = _frame(record.get("coordinateSystem"), file)
     unit = record.get("coordinateUnits", "mm")
@@ -234,7 +234,10 @@ def _normal(
 
 
 def _point_list(file: Path) -> Markup:
-    """Points of a .fcsv file; several that were joined to one file repeat its head."""
+    """Read the points of a .fcsv file.
+
+    If several files were joined to one, the file repeats their head.
+    """
     frame: NDArray[np.float64] | None = None
     columns: tuple[str, ...] = _COLUMNS
     points: list[NDArray[np.float64]] = []

@@ -95,7 +95,7 @@ def find_pedicle(surface: Surface, kind: str) -> FoundSite:
 
 
 def _inner_points(surface: Surface) -> Array:
-    """Points of a grid of 2 mm inside the bone, shape (n, 3)."""
+    """Return points of a grid of 2 mm inside the bone, shape (n, 3)."""
     low = surface.vertices_m.min(axis=0)
     high = surface.vertices_m.max(axis=0)
     axes = [np.arange(a, b, max(2e-3, (b - a) / 100.0)) for a, b in zip(low, high, strict=True)]
@@ -125,7 +125,7 @@ def _canal(points: Array) -> _Hole | None:
 
 
 def _hole(points: Array, axis: Array) -> _Hole:
-    """Largest hole in the shadow of points along a direction."""
+    """Find the largest hole in the shadow of points along a direction."""
     from scipy.ndimage import binary_closing, binary_fill_holes, label
 
     u, v = across(axis)
@@ -219,7 +219,7 @@ def _pedicle(surface: Surface, frame: _Frame, sign: float) -> tuple[Site, float]
     start = sections[np.argmin(sections[:, 3]), :3]
 
     def line(numbers: Array) -> Array:
-        """Points of the line with an offset [mm] and slopes across the narrowest section."""
+        """Return points of the line with an offset [mm] and slopes across the narrowest section."""
         place = start + 1e-3 * np.array([numbers[0], 0.0, numbers[1]])
         points = place + _ALONG[:, None] * np.array([numbers[2], 1.0, numbers[3]])
         return np.asarray(points @ frame.axes.T + frame.origin)

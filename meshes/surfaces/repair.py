@@ -154,8 +154,8 @@ def orient(
 
     Returns
     -------
-    Triangles, shape (m, 3); how many were turned to agree with their neighbours; how many
-    bodies were inside out; the volume enclosed, in cubed units of the vertices.
+    Triangles, shape (m, 3); the number turned to agree with their neighbours; the number of bodies
+    that were inside out; the volume enclosed, in cubed units of the vertices.
     """
     turned = np.zeros(0, dtype=bool) if manifold or is_manifold(faces) else _disagreeing(faces)
     if turned.any():
@@ -186,7 +186,7 @@ def orient(
 
 
 def edge_counts(faces: NDArray[np.int64]) -> tuple[int, int]:
-    """Edges that one triangle uses (open) and that more than two use (non-manifold)."""
+    """Count edges that one triangle uses (open) and that more than two use (non-manifold)."""
     if is_manifold(faces):
         return 0, 0
     _, uses = np.unique(_edge_keys(directed_edges(faces)), return_counts=True)
@@ -246,7 +246,7 @@ def _edge_keys(edges: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def bodies(vertex_count: int, faces: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Number of the connected body of each triangle, shape (m,)."""
+    """Return the number of the connected body of each triangle, shape (m,)."""
     from trimesh.graph import connected_component_labels
 
     label = connected_component_labels(
@@ -256,7 +256,7 @@ def bodies(vertex_count: int, faces: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def triangle_areas(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Area of each triangle, shape (m,), in squared units of the vertices."""
+    """Compute the area of each triangle, shape (m,), in squared units of the vertices."""
     _, (x, y, z) = _crossed_edges(vertices, faces)
     return 0.5 * np.sqrt(x * x + y * y + z * z)
 

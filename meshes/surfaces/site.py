@@ -60,7 +60,7 @@ class Site:
     confidence: str
 
     def to_site(self, points_m: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Points [m], shape (n, 3), from the surface's frame to the site frame."""
+        """Convert points [m], shape (n, 3), from the surface's frame to the site frame."""
         return (np.asarray(points_m, dtype=np.float64) - self.centre_m) @ self.rotation
 
     def within(self, outer: Placement) -> Site:
@@ -137,7 +137,7 @@ def sample_surface(
 
 
 def refusal(surface: Surface, what: str, got: str) -> InputError:
-    """Error of a search that did not find its landmark."""
+    """Return the error of a search that did not find its landmark."""
     return InputError(
         "file",
         f"show a {what}",
@@ -147,14 +147,17 @@ def refusal(surface: Surface, what: str, got: str) -> InputError:
 
 
 def across(axis: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Two unit vectors at right angles to an axis and to each other."""
+    """Return two unit vectors at right angles to an axis and to each other."""
     u = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     u /= np.linalg.norm(u)
     return u, np.cross(axis, u)
 
 
 def spread(heights: NDArray[np.floating], axis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit vectors on a golden-angle spiral, given their cosines with an axis, shape (n, 3)."""
+    """Return unit vectors on a golden-angle spiral, shape (n, 3).
+
+    Their cosines with an axis are given.
+    """
     u, v = across(axis)
     angle = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(len(heights))
     around = np.outer(np.cos(angle), u) + np.outer(np.sin(angle), v)
@@ -228,7 +231,7 @@ def site_along(
     Raises
     ------
     InputError
-        If the line leaves the bone nowhere within 10 mm of the point, or `along` is along the
+        If the line does not leave the bone within 10 mm of the point, or `along` is along the
         normal.
     """
     if along is None:
@@ -316,7 +319,10 @@ def exits(
 def _on_surface(
     surface: Surface, centre: NDArray[np.float64], rotation: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Point where the axis through `centre` leaves the bone, the nearest such within 10 mm."""
+    """Find the point where the axis through `centre` leaves the bone.
+
+    It is the nearest such point within 10 mm.
+    """
     leaving = exits(surface, centre, rotation)
     nearest = float(leaving[np.argmin(np.abs(leaving))]) if len(leaving) else np.inf
     if abs(nearest) > _FARTHEST_M:

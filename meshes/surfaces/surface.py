@@ -280,7 +280,10 @@ def _require_thickness(points: NDArray[np.float64], longest: float, source: str)
 
 
 def _sides(points: NDArray[np.float64]) -> list[float]:
-    """Sides of the bounding box; by column, where NumPy is slow along the rows of many points."""
+    """Compute the sides of the bounding box.
+
+    It works by column, because NumPy is slow along the rows of many points.
+    """
     return [float(column.max() - column.min()) for column in points.T]
 
 
@@ -334,7 +337,7 @@ def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, s
 
 
 def _length(millimetres: float) -> str:
-    """Length in the unit a person would use."""
+    """Format a length in the unit a user would choose."""
     for name, factor in (("km", 1e6), ("m", 1e3), ("mm", 1.0)):
         if millimetres >= factor:
             return f"{millimetres / factor:.3g} {name}"

@@ -46,7 +46,7 @@ _HEADING = re.compile(
 
 
 def read_vtk(file: Path) -> Any:
-    """Dataset that pyvista reads from a file, its cells checked.
+    """Return the dataset that pyvista reads from a file, with its cells checked.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def vtk_triangles(file: Path) -> Answer:
 
 
 def vtk_mesh(file: Path) -> Answer:
-    """Arrays of the mesh in a file, as of `mesh_arrays`."""
+    """Return the arrays of the mesh in a file, see `mesh_arrays`."""
     import pyvista
 
     data = read_vtk(file)
@@ -121,7 +121,7 @@ def vtk_mesh(file: Path) -> Answer:
 
 
 def mesh_arrays(data: Any) -> Answer:
-    """Arrays ``points`` and ``tets`` with arrays over them, or else ``points`` and ``triangles``.
+    """Return arrays ``points`` and ``tets`` with cell data, or ``points`` and ``triangles``.
 
     Facts of tetrahedra: ``others``, the number of cells that are not; ``quadratic``, whether some
     had more than corners; ``names`` of the arrays over them, which are ``cells 0``, ``cells 1``,

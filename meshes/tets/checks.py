@@ -97,20 +97,20 @@ def pieces(cells: Cells) -> NDArray[np.int64]:
 
 
 def pinched_edges(surface: Cells) -> NDArray[np.int64]:
-    """Edges that more than two of the triangles share, shape (k, 2)."""
+    """Return edges that more than two of the triangles share, shape (k, 2)."""
     edges, uses = np.unique(np.sort(directed_edges(surface), axis=1), axis=0, return_counts=True)
     return edges[uses > 2]
 
 
 def _edge_squares(nodes: Nodes, cells: Cells) -> NDArray[np.float64]:
-    """Squared length of each edge, shape (6, m)."""
+    """Compute the squared length of each edge, shape (6, m)."""
     return np.stack(
         [((nodes[cells[:, i]] - nodes[cells[:, j]]) ** 2).sum(axis=1) for i, j in EDGES]
     )
 
 
 def millimetres(points_m: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Mean of points [m], shape (n, 3), in mm."""
+    """Return the mean of points [m], shape (n, 3), in mm."""
     x, y, z = 1e3 * points_m.mean(axis=0)
     return float(x), float(y), float(z)
 

@@ -155,7 +155,10 @@ def read_stored(file: Path) -> StoredMesh:
 
 
 def _unit(size: NDArray[np.float64], unit_mm: float | None, name: str) -> tuple[float, str]:
-    """Millimetres per file unit and a sentence on how they were found, for a box in file units."""
+    """Return millimetres per file unit, for a box in file units, and a note.
+
+    The note is a sentence on how the unit was found.
+    """
     longest = float(size.max())
     if unit_mm is None:
         for scale, unit in _UNITS:
@@ -182,7 +185,7 @@ def _unit(size: NDArray[np.float64], unit_mm: float | None, name: str) -> tuple[
 
 
 def _from_vtk(file: Path) -> StoredMesh:
-    """A file as pyvista reads it."""
+    """Read a file by pyvista."""
     remedy = "export it as .vtu, .vtk, .msh or .stl"
     found = _of_arrays(
         *parse_isolated("meshes.surfaces.vtk_reading:vtk_mesh", file, what="mesh", remedy=remedy),
@@ -198,7 +201,7 @@ def _from_vtk(file: Path) -> StoredMesh:
 def _of_arrays(
     facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], source: str
 ) -> StoredMesh:
-    """Mesh of what `meshes.surfaces.vtk_reading.mesh_arrays` returns."""
+    """Build a mesh from the arrays of `meshes.surfaces.vtk_reading.mesh_arrays`."""
     none = np.zeros((0, 4), dtype=np.int64)
     tets = arrays.get("tets", none)
     known: dict[int, str] = {}
@@ -303,7 +306,7 @@ def require_millimetres(name: str, points: NDArray[np.float64], scale_mm: float 
 
 
 def _stored(mesh: object) -> StoredMesh:
-    """Points, tetrahedra and parts of whatever holds them."""
+    """Return points, tetrahedra and parts of any supported mesh object."""
     if isinstance(mesh, str | Path):
         with names_of_caller({"file": "mesh"}):
             return read_stored(Path(mesh))
@@ -336,7 +339,10 @@ def _stored(mesh: object) -> StoredMesh:
 
 
 def _of_blocks(mesh: Any) -> StoredMesh:
-    """Tetrahedra of a mesh of meshio: blocks of cells with a type, arrays over them by name."""
+    """Return tetrahedra of a mesh of meshio.
+
+    The mesh holds blocks of cells with a type, and arrays over them by name.
+    """
     chosen = [k for k, block in enumerate(mesh.cells) if block.type in ("tetra", "tetra10")]
     tets = [np.asarray(mesh.cells[k].data)[:, :4] for k in chosen]
     if not tets:

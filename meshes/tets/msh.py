@@ -151,7 +151,7 @@ def _of_kind(
 
 
 def _names(lines: list[str], file: Path) -> dict[int, str]:
-    """Names of physical volumes: dimension, number, "name"."""
+    """Read names of physical volumes: dimension, number, "name"."""
     names: dict[int, str] = {}
     for line in lines:
         dimension, number, name = line.split(maxsplit=2)

@@ -234,7 +234,7 @@ def _centre_mm(
 def _joined(
     nodes: NDArray[np.float64], cells: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Nodes that no cell uses dropped, nodes on one point joined."""
+    """Drop nodes that no cell uses, and join nodes on one point."""
     points, cells = compact(nodes, cells)
     keys = np.round(
         (points - points.min(axis=0)) / (_COINCIDENT * float(np.ptp(points, axis=0).max()) + 1e-300)
@@ -295,7 +295,7 @@ def _surface(cells: NDArray[np.int64]) -> NDArray[np.int64]:
 def _without_debris(
     nodes: NDArray[np.float64], cells: NDArray[np.int64], parts: NDArray[np.uint8]
 ) -> tuple[NDArray[np.int64], NDArray[np.uint8], list[float]]:
-    """Pieces of less than 1 % of the largest piece's volume dropped, and their volumes [m3]."""
+    """Drop pieces of less than 1 % of the largest piece's volume; return their volumes [m3]."""
     piece = pieces(cells)
     volumes = np.bincount(piece, weights=np.abs(signed_volumes(nodes, cells)))
     small = np.flatnonzero(volumes < _DEBRIS * volumes.max())
@@ -395,11 +395,11 @@ def smooth(
     movable
         Whether a node may move, shape (n,).
     enough
-        Mean ratio from which a cell is left alone.
+        Mean ratio above which a cell is not improved.
 
     Returns
     -------
-    Nodes, shape (n, 3), and how many of them moved.
+    Nodes, shape (n, 3), and the number of nodes moved.
     """
     nodes = nodes.copy()
     order = np.argsort(cells.ravel(), kind="stable")

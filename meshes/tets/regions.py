@@ -86,7 +86,7 @@ def nodes_facing(mesh: TetMesh, *, direction: Sequence[float], within_deg: float
 
 
 def nodes_of_part(mesh: TetMesh, name: str) -> Nodes:
-    """All nodes of the part's cells, inside and on the surface.
+    """Return all nodes of the part's cells, inside and on the surface.
 
     Raises
     ------
@@ -104,12 +104,12 @@ def nodes_of_part(mesh: TetMesh, name: str) -> Nodes:
 
 
 def faces_of(mesh: TetMesh, nodes: Nodes) -> NDArray[np.int64]:
-    """Surface triangles with all three corners among the nodes, shape (k, 3)."""
+    """Return surface triangles with all three corners among the nodes, shape (k, 3)."""
     return mesh.surface[np.isin(mesh.surface, nodes).all(axis=1)]
 
 
 def surface_normals(mesh: TetMesh) -> NDArray[np.float64]:
-    """Outward unit normal of each surface triangle, shape (f, 3)."""
+    """Compute the outward unit normal of each surface triangle, shape (f, 3)."""
     normal = cross_products(mesh.nodes_m, mesh.surface)
     return normal / np.linalg.norm(normal, axis=1, keepdims=True)
 

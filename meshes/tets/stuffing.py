@@ -186,7 +186,7 @@ def _filled(corners: Cells, side: Cells, number: dict[tuple[int, int], int]) -> 
 
 
 def _prism(bottom: list[int], top: list[int]) -> list[list[int]]:
-    """Three tetrahedra of a prism, every four-sided face cut from its lowest node."""
+    """Return three tetrahedra of a prism, every four-sided face cut from its lowest node."""
     if min(top) < min(bottom):
         bottom, top = top, bottom
     k = bottom.index(min(bottom))
@@ -344,5 +344,5 @@ def with_inclusion(
 
 
 def area_of(vertices_m: NDArray[np.float64], triangles: NDArray[np.int64]) -> float:
-    """Area of triangles [m2]."""
+    """Compute the area of triangles [m2]."""
     return 0.5 * float(np.linalg.norm(cross_products(vertices_m, triangles), axis=1).sum())

@@ -124,7 +124,7 @@ def tetrahedralise(
 
 
 def _filled(surface: Surface, edge: float, envelope: float) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes [m] and cells by fTetWild."""
+    """Compute nodes [m] and cells by fTetWild."""
     from pytetwild import tetrahedralize  # type: ignore[attr-defined]
 
     left_behind = Path("__tracked_surface.stl")  # fTetWild writes it where it runs
@@ -145,7 +145,7 @@ def _filled(surface: Surface, edge: float, envelope: float) -> tuple[np.ndarray,
 def crossing_triangles(
     vertices: NDArray[np.float64], faces: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Triangles that an edge without a vertex in common passes through, in rising order.
+    """Find triangles that an edge without a vertex in common passes through, in ascending order.
 
     Edges that only touch a triangle, and triangles that overlap in one plane, do not count.
     """
@@ -204,7 +204,7 @@ def with_volume(mesh: TetMesh, volume_m3: float, *, within_m: float) -> TetMesh:
     volume_m3
         Volume to enclose [m3].
     within_m
-        Farthest that the surface may move [m]; where it would move farther, it stays.
+        Largest distance that the surface may move [m]; if it would move farther, it stays in place.
     """
     moved = mesh
     free = np.ones(len(mesh.nodes_m))

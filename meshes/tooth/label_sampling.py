@@ -196,7 +196,7 @@ def resampled(
 
 
 def _parts_by_layer(placed: PlacedLabels, grid: Grid, parts: int, layers: Sequence[int]) -> Bytes:
-    """Sub-samples of each voxel in each of up to eight layers, shape (nx, ny, nz, 8).
+    """Count sub-samples of each voxel in each of up to eight layers, shape (nx, ny, nz, 8).
 
     Eight counters of a byte share a word, so one sum counts all layers; `parts`³ fits a byte.
     """

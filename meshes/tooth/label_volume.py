@@ -105,12 +105,12 @@ class LabelledTooth:
         resample_mm
             New voxel size [mm]; None: the image's, or 0.1 where that is finer.
         region_m
-            Lowest and highest corner [m] of the region in the site frame; None: the whole tooth. A
-            voxel has the same content whatever region is asked for.
+            Lowest and highest corner [m] of the region in the site frame; None: the whole tooth.
+            The content of a voxel does not depend on the region.
         remark
             Called with each sentence on assumptions, findings and dropped pieces.
         progress
-            Called with the part done, 0 to 1.
+            Called with the finished fraction, 0 to 1.
 
         Raises
         ------

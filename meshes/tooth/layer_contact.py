@@ -121,7 +121,7 @@ def measure_contact(inside: Mapping[str, Flags], priority: Sequence[str]) -> Lay
     inside
         Whether each lattice point lies within the layer, by layer name, all of shape (nx, ny, nz).
     priority
-        Layer names; of two layers, the one named first takes what both hold and the gap between
+        Layer names; of two layers, the layer named first takes their overlap and the gap between
         them.
     """
     from scipy.ndimage import binary_fill_holes

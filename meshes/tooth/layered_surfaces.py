@@ -278,7 +278,7 @@ def layered_anatomy(
         pulp.
     socket_mm
         Thickness of bone added around the ligament [mm], 0 (none) to 10: the points nearer to the
-        ligament than to the rest of the tooth.
+        ligament than to all other layers of the tooth.
     at_lesion
         Whether the origin lies over the lesion, see `meshes.tooth.site.lesion_site`.
     at
@@ -287,8 +287,9 @@ def layered_anatomy(
     Raises
     ------
     InputError
-        If a layer is unknown, enamel or dentin is missing, the size is no tooth's, layers do not
-        touch, the pulp lies outside the dentin, or a socket is asked for without a ligament.
+        If a layer is unknown, enamel or dentin is missing, the size is implausible for a tooth,
+        layers do not touch, the pulp lies outside the dentin, or a socket is asked for without a
+        ligament.
     """
     require_known(surfaces, "surfaces")
     margin = 1e-3 * require_range("socket_mm", socket_mm, 0.0, 10.0, "use 2.5, or 0 for none")

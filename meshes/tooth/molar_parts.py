@@ -114,13 +114,19 @@ class Crown:
         return level
 
     def cervical_line(self, x: Floats) -> Floats:
-        """Height of the cervical line [m], which rises on the mesial and distal sides."""
+        """Compute the height of the cervical line [m].
+
+        It rises on the mesial and distal sides.
+        """
         return self.cervix + _CERVICAL_CURVE_M * np.minimum(
             (x / (_CERVIX[0] * self.half_width)) ** 2, 1.0
         )
 
     def wall(self, p: Floats) -> Floats:
-        """Horizontal distance from the side wall of crown and root trunk [m], negative inside."""
+        """Compute the horizontal distance from the side wall of crown and root trunk [m].
+
+        It is negative inside.
+        """
         height = (p[:, 2] - self.cervix) * (1.0 / self.height)
         below = np.maximum(-height, 0.0) * (self.height * _TRUNK_TAPER)
         half = [
@@ -134,7 +140,10 @@ class Crown:
 
     @staticmethod
     def _bulge(height: Floats, axis: int) -> Floats:
-        """Half width over the widest, at heights of 0 (cervix) to 1 (cusp tips)."""
+        """Compute the half width over the widest half width, at some heights.
+
+        Heights are 0 (cervix) to 1 (cusp tips).
+        """
         widest = _BULGE[axis]
         low = np.clip((widest - height) / widest, 0.0, 1.0)
         high = np.clip((height - widest) / (1.0 - widest), 0.0, 1.2)
@@ -149,7 +158,10 @@ class Crown:
         return smooth_maximum(self.wall(p), top, _EDGE_M)
 
     def outside_dentin(self, p: Floats) -> Floats:
-        """As `outside` for the dentin under the enamel; the same below the cervical line."""
+        """Compute the distance like `outside`, for the dentin under the enamel.
+
+        It equals `outside` below the cervical line.
+        """
         height = self.occlusal_height(p[:, 0], p[:, 1])
         relative = np.clip(height / self.cusp_height, 0.0, 1.0)
         over = self.enamel * (_FOSSA_ENAMEL + (1.0 - _FOSSA_ENAMEL) * relative)
@@ -190,12 +202,15 @@ class Root:
         return float(np.max(np.abs(axis) + self.radius + u * (self.apex_radius - self.radius)))
 
     def centre_x(self, z: Floats) -> Floats:
-        """x of the axis [m] at the heights z [m]."""
+        """Compute x of the axis [m] at the heights z [m]."""
         u = np.clip((self.top - z) * (1.0 / self.length), 0.0, 1.0)
         return self.axis[0] + u * (self.axis[1] + u * self.axis[2])
 
     def distance(self, p: Floats) -> Floats:
-        """Distance bound [m], negative inside: exact along x, short along y by the flattening."""
+        """Compute a bound of the distance [m], negative inside.
+
+        It is exact along x, and short along y by the flattening.
+        """
         across = np.sqrt((p[:, 0] - self.centre_x(p[:, 2])) ** 2 + (self.flattening * p[:, 1]) ** 2)
         return _round_cone(
             across,
@@ -220,7 +235,10 @@ class Root:
 
 
 def mandibular_roots(crown: Crown, root_length: float) -> tuple[Root, Root]:
-    """Mesial and distal root [m]; both apices end `root_length` below the buccal cervical line."""
+    """Build the mesial and distal root [m].
+
+    Both apices end `root_length` below the buccal cervical line.
+    """
     top = crown.cervix - 1.5e-3
     length = root_length - 1.5e-3
     side = crown.half_width / 5.5e-3
@@ -247,7 +265,10 @@ def tooth_distance(crown: Crown, roots: tuple[Root, Root], p: Floats, *, dentin:
 
 
 def outer_shape(crown: Crown, roots: tuple[Root, Root]) -> Shape:
-    """The tooth as a shape; its distance is divided by its steepest slope, so it is a bound."""
+    """Build the tooth as a shape.
+
+    Its distance is divided by its steepest slope, so it is a bound.
+    """
     low = (-1.1 * crown.half_width, -1.1 * crown.half_length, roots[0].top - roots[0].length)
     high = (1.1 * crown.half_width, 1.1 * crown.half_length, 1.02 * crown.cusp_height)
     return Shape(
@@ -256,7 +277,10 @@ def outer_shape(crown: Crown, roots: tuple[Root, Root]) -> Shape:
 
 
 def pulp_shape(crown: Crown, roots: tuple[Root, Root], roof: float) -> Shape:
-    """Chamber with a horn under each cusp, two canals in the mesial root and one in the distal [m].
+    """Build the pulp [m].
+
+    It has a chamber with a horn under each cusp, two canals in the mesial root and one in the
+    distal root.
 
     Parameters
     ----------
@@ -285,8 +309,9 @@ def pulp_shape(crown: Crown, roots: tuple[Root, Root], roof: float) -> Shape:
 def _round_cone(
     across: Floats, along: Floats, radius: float, end_radius: float, length: float
 ) -> Floats:
-    """Distance [m] from the hull of two balls on an axis, the second `length` farther along (I.
-    Quilez).
+    """Compute the distance [m] from the hull of two balls on an axis (I. Quilez).
+
+    The second ball is `length` farther along.
     """
     sine = (radius - end_radius) / length
     cosine = float(np.sqrt(1.0 - sine * sine))

@@ -64,7 +64,7 @@ def tooth_axes(enamel_m: Array, body_m: Array) -> ToothAxes:
     Raises
     ------
     InputError
-        If the enamel does not lie to one side of the rest.
+        If the enamel does not lie to one side of the other layers.
     """
     middle = enamel_m.mean(axis=0)
     rise = middle - body_m.mean(axis=0)

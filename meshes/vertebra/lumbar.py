@@ -1,8 +1,8 @@
-"""A procedural lumbar vertebra (L4): body with endplates, pedicles, lamina, processes, spinal
-canal.
+"""Procedural lumbar vertebra (L4).
 
-Sources, M = from memory of the literature, with confidence H, M or L; L4 where nothing else is
-stated.
+It has a body with endplates, pedicles, lamina, processes and spinal canal.
+
+Sources, M = from memory of the literature, with confidence H, M or L; L4 unless stated otherwise.
 
 =============================  =============  ======================================================================
 body width, depth, height      48, 34.5, 25   M, M: Panjabi 1992, means of upper and lower endplate; height posterior

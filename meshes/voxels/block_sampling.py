@@ -47,12 +47,12 @@ class VoxelArrays:
 
     @classmethod
     def empty(cls, shape: tuple[int, ...]) -> VoxelArrays:
-        """Arrays without bone."""
+        """Return arrays without bone."""
         bytes_, words = (np.zeros(shape, dtype) for dtype in (np.uint8, np.uint16))
         return cls(bytes_, np.zeros_like(bytes_), words, np.full(shape, OUTSIDE, np.uint8))
 
     def slab(self, start: int, stop: int) -> VoxelArrays:
-        """Views of the part with the x numbers `start` to `stop`."""
+        """Return views of the part with the x numbers `start` to `stop`."""
         part = slice(start, stop)
         return VoxelArrays(
             self.fraction[part], self.layer[part], self.density[part], self.surface[part]
@@ -189,7 +189,7 @@ def _over_windows(combine: np.ufunc, values: Bytes) -> Bytes:
 
 
 def _interpolated(corners: Floats, grid: Grid, chosen: Flags) -> Singles:
-    """Trilinear interpolation to the voxel centres of the chosen blocks, shape (n, 8, 8, 8)."""
+    """Interpolate trilinearly to the voxel centres of the chosen blocks, shape (n, 8, 8, 8)."""
     bx, by, bz = np.unravel_index(np.flatnonzero(chosen), [n // BLOCK for n in grid.shape])
     values = np.empty((len(bx), 2, 2, 2), dtype=np.float32)
     for i, j, k in np.ndindex(2, 2, 2):
@@ -211,7 +211,7 @@ def centres_of(index: Ints, spacing_m: float, shift: float) -> Singles:
 
 
 def _by_blocks(array: NDArray[np.generic]) -> NDArray[np.generic]:
-    """View of a blocked array with the shape (bx, by, bz, 8, 8, 8)."""
+    """Return a view of a blocked array with the shape (bx, by, bz, 8, 8, 8)."""
     nx, ny, nz = (n // BLOCK for n in array.shape)
     return array.reshape(nx, BLOCK, ny, BLOCK, nz, BLOCK).transpose(0, 2, 4, 1, 3, 5)
 

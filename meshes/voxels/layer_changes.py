@@ -104,12 +104,18 @@ def boundary_of_layers(layer: Bytes, known: Flags) -> Bytes:
 
 
 def _codes(layer: Bytes, known: Flags) -> Bytes:
-    """Layers with a border around them, 255 there and where they are not known."""
+    """Return layers with a border around them.
+
+    They are 255 in the border and where they are not known.
+    """
     return np.pad(np.where(known, layer, np.uint8(_UNKNOWN)), _PADDED, constant_values=_UNKNOWN)
 
 
 def _stored(codes: Bytes, chosen: NDArray[np.intp], distance: Floats) -> Bytes:
-    """Distances [voxel] of the chosen voxels as bytes, `FAR` elsewhere, without the border."""
+    """Return distances [voxel] of the chosen voxels as bytes, without the border.
+
+    Other voxels are `FAR`.
+    """
     result = np.full(codes.shape, FAR, dtype=np.uint8)
     result.ravel()[chosen] = np.rint(np.minimum(BOUNDARY_STEPS * distance, FAR))
     return np.ascontiguousarray(result[(slice(_PADDED, -_PADDED),) * 3])
@@ -193,14 +199,14 @@ def _ball(radius: float) -> tuple[Ints, Array, Array, Array]:
 
 
 def _offsets(radius: float) -> Ints:
-    """Whole offsets shorter than a radius [voxel], shape (n, 3)."""
+    """Return whole offsets shorter than a radius [voxel], shape (n, 3)."""
     reach = int(radius)
     offsets = np.array(list(np.ndindex((2 * reach + 1,) * 3))) - reach
     return offsets[(offsets**2).sum(axis=1) < radius**2]
 
 
 def _strides(array: Bytes) -> Ints:
-    """Steps along each axis in the flat array."""
+    """Return steps along each axis in the flat array."""
     return np.array([array.shape[1] * array.shape[2], array.shape[2], 1])
 
 

@@ -145,7 +145,7 @@ def _beyond(vertices: Array, faces: Ints, points: Floats, threshold: float) -> t
 
 
 def _corners_of(cells: Flags) -> Flags:
-    """Lattice points at the corners of cells."""
+    """Return lattice points at the corners of cells."""
     points = np.zeros(np.add(cells.shape, 1), dtype=bool)
     for i, j, k in np.ndindex(2, 2, 2):
         points[i : i + cells.shape[0], j : j + cells.shape[1], k : k + cells.shape[2]] |= cells
@@ -173,7 +173,7 @@ def triangle_distance(vertices: Array, faces: Ints, points: Floats) -> Array:
 
 
 def nearest_on_triangles(vertices: Array, faces: Ints, points: Array) -> Array:
-    """Point of the surface nearest to each point [m], shape (n, 3)."""
+    """Return the point of the surface nearest to each point [m], shape (n, 3)."""
     import pyvista
 
     if len(points) == 0:

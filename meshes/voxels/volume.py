@@ -94,7 +94,7 @@ class VoxelVolume:
         return self.origin_m, self.origin_m + self.spacing_m * np.array(self.shape)
 
     def volume_m3(self, layer: str | None = None) -> float:
-        """Bone volume [m3], of one named layer or of all.
+        """Compute the bone volume [m3], of one named layer or of all.
 
         Raises
         ------
@@ -111,7 +111,7 @@ class VoxelVolume:
         )
 
     def centres_m(self, axis: int) -> Array:
-        """Coordinates [m] of the voxel centres along one axis, shape (n_axis,)."""
+        """Return coordinates [m] of the voxel centres along one axis, shape (n_axis,)."""
         return self.origin_m[axis] + self.spacing_m * (np.arange(self.shape[axis]) + 0.5)
 
 

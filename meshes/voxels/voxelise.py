@@ -130,7 +130,10 @@ def _layer_at(anatomy: Anatomy, grid: Grid, depth: Singles) -> LayerAt:
     spacing = np.float32(grid.spacing_m)
 
     def layer_at(points: Singles) -> Bytes:
-        """Layer, shape (n,), at points in voxels from the grid's first corner, shape (n, 3)."""
+        """Return the layer, shape (n,), at points in voxels from the grid's first corner.
+
+        The points have the shape (n, 3).
+        """
         at = np.asfortranarray((points + first) * spacing)
         if anatomy.sample is None:
             return anatomy.classify(at, -anatomy.shape.distance(at))[0]
