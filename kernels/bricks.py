@@ -3,8 +3,8 @@
 A voxel grid is cut into bricks of 8 x 8 x 8 voxels; only bricks that hold material are stored.
 ``brick_of`` maps a brick's grid position to its row in the stored arrays, -1 where nothing is
 stored. Inside a row the 64 blocks of 2 x 2 x 2 voxels follow each other, so the voxels at a tool's
-surface lie close together in memory. Lengths are in voxels: a point at ``x`` metres lies at ``(x -
-origin) / spacing``.
+surface lie close together in memory. Lengths are in voxels: a point at ``x`` metres lies at
+``(x - origin) / spacing``.
 
 The original material of a voxel is stored in one word: density [kg/m3] in the upper 16 bits, layer
 in the lower.

@@ -59,7 +59,7 @@ class Body:
     """Surface of a body, s nodes and f triangles."""
 
     free: wp.array(dtype=wp.vec3d)  # [node], positions without contact [m]
-    last_free: wp.array(dtype=wp.vec3d)  # [node], those of the last tick [m]
+    last_free: wp.array(dtype=wp.vec3d)  # [node], positions of the last tick [m]
     scale: wp.float64  # of the compliance
     compliance: wp.array2d(dtype=wp.float64)  # [3 node, 3 node] [m/N]
     corners: wp.array2d(dtype=wp.int32)  # [triangle, 3]

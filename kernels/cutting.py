@@ -140,8 +140,8 @@ def cutting_forces(
                     engaged = elements.area[e] * met.share
                     rate += engaged * advance
                     sums_out[chunk, AREA + m] += wp.float64(engaged)
-            # In no branch: a compiler keeps in registers what no branch changes, a twentieth of
-            # this kernel's time.
+            # Outside of any branch: a compiler keeps values in registers if no branch changes
+            # them. This saves a twentieth of this kernel's time.
             lever = elements.lever[e]
             chip += (length * advance) * wp.cw_mul(coefficients.chip[m], lever)
             edge += length * wp.cw_mul(coefficients.edge[m], lever)
@@ -155,7 +155,7 @@ def cutting_forces(
 class Met:
     """Bone in front of an element."""
 
-    share: wp.float32  # of the element's width that cuts, 0 for none
+    share: wp.float32  # share of the element's width that cuts, 0 without bone
     layer: wp.int32
     density: wp.int32  # [kg/m3], an entry of the strength table
 

@@ -35,7 +35,7 @@ def engaged_elements(
     alive: wp.array(dtype=wp.uint64),
     # out
     seen_out: wp.array2d(dtype=corner8f),  # as the force kernel's
-    share_out: wp.array(dtype=wp.float32),  # [element] of its width that cuts, 0 for none
+    share_out: wp.array(dtype=wp.float32),  # [element] share of its width that cuts, 0 if none
     advance_out: wp.array(dtype=wp.float32),  # speed along its normal, per unit of speed
     layer_out: wp.array(dtype=wp.int32),
     density_out: wp.array(dtype=wp.int32),  # [kg/m3], an entry of the strength table

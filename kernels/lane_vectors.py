@@ -103,7 +103,7 @@ def from_lanes(
 
 @wp.kernel
 def node_diagonals(
-    nodes: wp.array(dtype=wp.int32),  # those whose cells changed
+    nodes: wp.array(dtype=wp.int32),  # nodes whose cells changed
     node_cells: wp.array2d(dtype=wp.int32),  # [node, corner]
     live: wp.array(dtype=wp.uint8),  # [cell]
     stiffness: wp.array2d(dtype=wp.mat33d),  # [cell, block] [N/m]

@@ -75,7 +75,7 @@ def taken_before(
             stored[c] = int(older[corners.row[c], corners.column[c]])
         away = wp.vec3(float(c >> 2), float((c >> 1) & 1), float(c & 1)) - part
         weight[c] = (1.0 - wp.abs(away[0])) * (1.0 - wp.abs(away[1])) * (1.0 - wp.abs(away[2]))
-        # it lies outside older cuts, more than a voxel off: the others speak for it
+        # it lies outside older cuts, more than a voxel off: the other corners decide
         if stored[c] == NEVER:
             weight[c] = 0.0
         flat += weight[c] * wp.clamp(

@@ -45,7 +45,9 @@ def particle_stiffness(
     # [block] [m], full cell of unit Lame constants less its value at the centre
     inner: wp.array(dtype=wp.mat33d),
     spring_row: wp.array(dtype=wp.int32),  # [cell], its row in the next array, or -1
-    spring: wp.array2d(dtype=wp.mat33d),  # [row, block] [N/m], what springs to the ground add
+    spring: wp.array2d(
+        dtype=wp.mat33d
+    ),  # [row, block] [N/m], contribution of springs to the ground
     offset: int,
     # out
     stiffness_out: wp.array2d(dtype=wp.mat33d),  # [cell, block] [N/m]

@@ -38,7 +38,7 @@ class Shell:
 
     point: wp.array(dtype=wp.vec3d)  # in the tool's frame [m]
     radius: wp.float64  # [m]
-    reach: wp.float64  # greatest distance of a point from the tool's origin [m]
+    reach: wp.float64  # largest distance of a point from the tool's origin [m]
 
 
 @wp.struct
@@ -51,7 +51,7 @@ class Contacts:
     slots: int  # a point
     press: wp.array(dtype=wp.float64)  # [slot], normal force over the coupling's stiffness [m]
     wake: wp.array(dtype=wp.float64)  # [point], travel at which it may touch something [m]
-    plane_normal: wp.array2d(dtype=wp.vec3d)  # [point, plane], zero where there is none
+    plane_normal: wp.array2d(dtype=wp.vec3d)  # [point, plane], zero where there is no plane
     plane_offset: wp.array2d(dtype=wp.float64)  # [m]
     # candidates of the present pose
     slot: wp.array(dtype=wp.int32)

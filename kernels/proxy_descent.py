@@ -25,7 +25,7 @@ __all__ = [
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 GOES_ON, AT_REST, OUT_OF_SOLVES = 0, 1, 2
-"""Ends of a step."""
+"""End states of a step."""
 STALLS = 2
 """Number of steps in a row that hardly lower the springs' energy before the proxy may rest.
 
@@ -64,9 +64,9 @@ class Descent:
     trial_position: wp.vec3d  # [m]
     trial_rotation: wp.quatd
     arrived: int  # 1 where the trial pose is the goal
-    travel: wp.float64  # greatest path length of a point since the proxy was placed [m]
+    travel: wp.float64  # largest path length of a point since the proxy was placed [m]
     deepest: wp.float64  # gap below which the trial is taken back [m]
-    lowest: wp.float64  # least energy of the springs so far, over half their stiffness [m2]
+    lowest: wp.float64  # smallest energy of the springs so far, over half their stiffness [m2]
     near: wp.float64  # change of the friction force at which it is found [m]
     halvings: int
     stalls: int

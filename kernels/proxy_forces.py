@@ -1,10 +1,10 @@
 """Forces that keep a rigid tool above many planes, by an active set of at most eight.
 
 The tool is held by a spring of stiffness k and, where it may turn, by a rotational spring of
-stiffness k l^2. Forces f_i, here divided by k, move it from the pose of zero spring force: ``t =
-t_free + sum f_i`` and ``w = w_free + sum (r_i x f_i) / l^2``. This is Gauss's principle of least
-constraint with the springs as metric (Ortega, Redon and Coquillart 2007, IEEE Trans. Vis. Comput.
-Graph. 13:458), so the spring forces equal the contact forces.
+stiffness k l^2. Forces f_i, here divided by k, move it from the pose of zero spring force:
+``t = t_free + sum f_i`` and ``w = w_free + sum (r_i x f_i) / l^2``. This is Gauss's principle of
+least constraint with the springs as metric (Ortega, Redon and Coquillart 2007, IEEE Trans. Vis.
+Comput. Graph. 13:458), so the spring forces equal the contact forces.
 
 The normal forces are the multipliers of that quadratic problem. The plane most violated joins the
 set, the set's linear system is solved, and a force that would turn into a pull leaves it (Lawson

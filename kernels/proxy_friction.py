@@ -183,7 +183,7 @@ def resolve(
             before = rub
             arm_before = arm
             rub, arm = friction_force(contacts, members, compliance, friction, shift, turn, before)
-            if k > 0:  # halve it, lest two sets of planes take turns
+            if k > 0:  # halve it, so that two sets of planes do not alternate
                 rub = HALF * (rub + before)
                 arm = HALF * (arm + arm_before)
             dragged = turn + compliance * wp.cross(arm, rub)

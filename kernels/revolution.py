@@ -25,7 +25,7 @@ class Revolution:
     low: wp.float32  # lowest and highest height of the body above the tip [voxel]
     high: wp.float32
     convex: wp.int32  # 1 where the body is convex
-    # 1 where it is one smooth piece, so that what is behind it follows from one normal
+    # 1 where it is one smooth piece, so that the volume behind it follows from one normal
     round: wp.int32
 
 
@@ -34,7 +34,7 @@ class Nearest:
     """Tool surface nearest to a point."""
 
     distance: wp.float32  # signed distance [voxel]
-    # what curvature adds on average over a block of 2 voxels and inside each voxel [voxel]
+    # average contribution of curvature over a block of 2 voxels and inside each voxel [voxel]
     bend: wp.float32
     # gradient of the distance: outward, of length 1, shorter where two sides are equally near
     slope: wp.vec3

@@ -29,7 +29,7 @@ class Tree:
     """Triangles in a complete binary tree of boxes; node i has the children 2 i + 1 and 2 i + 2."""
 
     centre: wp.array(dtype=wp.vec3d)  # [node] [m]
-    half: wp.array(dtype=wp.vec3d)  # [node] half sides [m], negative where nothing is
+    half: wp.array(dtype=wp.vec3d)  # [node] half sides [m], negative in empty nodes
     corners: wp.array2d(dtype=wp.vec3d)  # [triangle, 3] [m], LEAF triangles a leaf
     first_leaf: wp.int32
 
@@ -198,7 +198,7 @@ def distance_to_structure(
     # rows: tip [m]; tool axes x, y, z, in the structure's frame
     motion: wp.array2d(dtype=wp.float64),
     medial: MedialAxis,
-    # scratch, of which nothing is read afterwards
+    # scratch, not read afterwards
     last_leaf_out: wp.array(dtype=wp.int32),
     nodes_out: wp.array(dtype=wp.int32),
     node_bounds_out: wp.array(dtype=wp.float64),

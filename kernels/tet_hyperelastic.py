@@ -1,12 +1,12 @@
 """Energy, force and tangent stiffness of tetrahedra under laws of principal stretches, any order.
 
-The laws of ``tissue.materials.hyperelasticity``, their moduli in shares of a cell's shear modulus
-mu. With the deformation gradient ``F = U diag(l) V^T`` at a quadrature point
-(``kernels.tet_nonlinear``), the stretches at constant volume ``b_i = l_i J^(-1/3)``, ``S(alpha) =
-sum_i b_i^alpha`` and ``x = S(2) - 3``:
+The laws are those of ``tissue.materials.hyperelasticity``, with moduli as shares of a cell's shear
+modulus mu. With the deformation gradient ``F = U diag(l) V^T`` at a quadrature point
+(``kernels.tet_nonlinear``), the stretches at constant volume ``b_i = l_i J^(-1/3)``,
+``S(alpha) = sum_i b_i^alpha`` and ``x = S(2) - 3``:
 
-    psi = mu (sum_p (2 s_p / alpha_p^2) (S(alpha_p) - 3) + sum_k c_k x^k) + (kappa / 4) (J^2 - 1 - 2
-    ln J)
+    psi = mu (sum_p (2 s_p / alpha_p^2) (S(alpha_p) - 3) + sum_k c_k x^k)
+        + (kappa / 4) (J^2 - 1 - 2 ln J)
 
 Stress and tangent are its derivatives by ``ln l_i`` in the frames U and V. A turned-over cell's
 energy is infinite.

@@ -1,16 +1,16 @@
 """Energy, force and tangent stiffness of tetrahedra under large deformation: three laws, any order.
 
-The deformation gradient at a quadrature point is ``F = sum x_a g_a^T``, ``g_a = sum_c reference[q,
-a, c] grad L_c`` the gradient of node a's shape function and ``L_c`` the barycentric coordinates of
-the undeformed corners. With the first Piola-Kirchhoff stress ``P = d psi / dF`` the force is ``f_a
-= sum_q w P g_a``, the tangent ``K_ab = d f_a / d x_b``:
+The deformation gradient at a quadrature point is ``F = sum x_a g_a^T``,
+``g_a = sum_c reference[q, a, c] grad L_c`` the gradient of node a's shape function and ``L_c`` the
+barycentric coordinates of the undeformed corners. With the first Piola-Kirchhoff stress
+``P = d psi / dF`` the force is ``f_a = sum_q w P g_a``, the tangent ``K_ab = d f_a / d x_b``:
 
 linear          psi = mu e:e + (lambda/2) (tr e)^2,              e = sym(F) - I
 corotational    psi = mu |F - R|^2 + (lambda/2) (tr S - 3)^2,    F = R S, R the rotation, S = S^T
 neo-Hookean     psi = (mu/2) (|F|^2 - 3) - mu ln J + (lambda/2) (ln J)^2,   J = det F
 
-Corotational is the linear law in the rotated frame with the rotation's own derivative: with ``R^T
-dR = [w]x``, ``(tr S I - S) w = axial(R^T dF - dF^T R)``. Neo-Hookean: Bonet and Wood 2008,
+Corotational is the linear law in the rotated frame with the rotation's own derivative: with
+``R^T dR = [w]x``, ``(tr S I - S) w = axial(R^T dF - dF^T R)``. Neo-Hookean: Bonet and Wood 2008,
 Nonlinear Continuum Mechanics. All three have the same small-strain limit. The energy of a
 turned-over cell (J <= 0) is infinite except in the linear law.
 """

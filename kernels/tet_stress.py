@@ -1,8 +1,9 @@
 """Strain and stress in linear or quadratic tetrahedra, averaged over groups of places in cells.
 
-At a place of barycentric coordinates l the displacement gradient is ``sum_A u_A (sum_c (slope_Ac .
-l) g_c)^T``, strain its symmetric part, stress D times strain. A group holds the middle of a cell,
-or one place for a node in each cell around it. Places are weighted by the volume of their cells.
+At a place of barycentric coordinates l the displacement gradient is
+``sum_A u_A (sum_c (slope_Ac . l) g_c)^T``, strain is its symmetric part, and stress is D times
+strain. A group holds the middle of a cell, or one place for a node in each cell around it. Places
+are weighted by the volume of their cells.
 """
 
 import warp as wp

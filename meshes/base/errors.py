@@ -1,4 +1,4 @@
-"""The error a person sees when an input cannot be used, and the checks that raise it."""
+"""Error for an input that cannot be used, and the checks that raise it."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -106,7 +106,7 @@ def require_positive(name: str, value: float, remedy: str) -> float:
     value
         The number to check, in that unit.
     remedy
-        What to write instead.
+        Value or text to write instead.
 
     Raises
     ------

@@ -198,13 +198,13 @@ def _serve() -> None:
     The answer goes to the standard output.
     """
     request, parent, limit_s = sys.argv[1:]
-    # where nobody is left to end it
+    # where no process is left to end it
     faulthandler.dump_traceback_later(2.0 * float(limit_s), exit=True)
     kill_with_parent()
     if sys.platform.startswith("linux") and os.getppid() != int(parent):
         return
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what the libraries print goes where nobody looks
+    os.dup2(2, 1)  # discards the output of the libraries
     name, file, options, max_memory_GB = json.loads(request)
     module, function = name.split(":")
     arrays: Mapping[str, NDArray[np.number]] = {}

@@ -1,4 +1,4 @@
-"""Results that are kept for as long as they are asked for, by all that they depend on."""
+"""In-memory store of recent results, addressed by all their inputs."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable

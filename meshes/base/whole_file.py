@@ -49,7 +49,7 @@ def whole_file(path: Path) -> Iterator[Path]:
         os.replace(temporary, path)
     except OSError as error:
         if error.filename == str(temporary):
-            error.filename = str(path)  # the name that is known to who asked for it
+            error.filename = str(path)  # the name that the caller knows
         raise
     finally:
         with suppress(OSError):

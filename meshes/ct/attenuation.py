@@ -1,4 +1,4 @@
-"""Attenuation of X-rays of one energy in tissues, and the Hounsfield units that they have in it."""
+"""Attenuation of X-rays of one energy in tissues, and the resulting Hounsfield units."""
 
 import tomllib
 from functools import cache

@@ -33,7 +33,7 @@ __all__ = [
 
 IMAGED_LAYERS = ("cortical", "subchondral", "trabecular")
 LAW = "density_law"
-"""Key of an image's header that states where its densities come from and how sure they are."""
+"""Header key of an image that states source and uncertainty of its densities."""
 CORTICAL_ABOVE_KG_M3 = 1000.0
 """Apparent density from which bone is cortical.
 

@@ -22,10 +22,12 @@ from meshes.images.frame import Image
 __all__ = ["Calibration", "Region", "calibrate", "find_regions", "fit_regions"]
 
 _SPREAD = {"air": 0.0, "adipose": 0.02, "muscle": 0.01, "cortex": 0.04}
-"""Relative standard deviation of a tissue's attenuation between persons. Fat and muscle: half of
-what adipose tissues 1 to 3 and muscles 1 to 3 of Woodard and White 1986 (Br J Radiol 59:1209)
-differ by, with the fat in muscle. Cortex: pores of 3 to 12 % and density of 1.85 to 2.0 g/cm3 where
-it is densest."""
+"""Relative standard deviation of a tissue's attenuation between persons.
+
+Fat and muscle: half of the difference between adipose tissues 1 to 3 and between muscles 1 to 3 of
+Woodard and White 1986 (Br J Radiol 59:1209), with the fat in muscle. Cortex: pores of 3 to 12 % and
+density of 1.85 to 2.0 g/cm3 where it is densest.
+"""
 # prior of the effective energy: clinical tubes of 80 to 140 kV make about 50 to 85 keV
 _ENERGY_KEV = 72.0
 _ENERGY_SD_KEV = 15.0
@@ -40,7 +42,7 @@ _MINERAL_SD = 0.03
 ICRU 44's calcium makes ash 0.57 of dense bone, and the ratio of Schileo 2008 is 0.598. The value is
 half of their difference.
 """
-# mean squared misfit, in standard deviations, above which the values are no Hounsfield units
+# mean squared misfit, in standard deviations, above which the values are not Hounsfield units
 _WORST_FIT = 9.0
 _CHANCE = 0.1  # a misfit less probable than this widens the band
 
@@ -82,8 +84,8 @@ class Region:
 class Calibration:
     """Density law of Hounsfield units that a calibration found.
 
-    `energy_keV` is the effective energy with its standard deviation, `regions` holds what was found
-    by tissue.
+    `energy_keV` is the effective energy with its standard deviation, `regions` holds the regions
+    found, by tissue.
     """
 
     law: DensityLaw
@@ -230,8 +232,8 @@ def find_regions(image: Image) -> dict[str, Region]:
     dense = []
     for start in starts:
         slab = _filtered(image, start, thickness)
-        # A constant lowest value is what a scanner writes outside its field of view, unless it is
-        # that of air.
+        # A scanner writes a constant lowest value outside its field of view, unless that value is
+        # air.
         held = (slab.sd > 0.0) | (slab.mean != padding) | (padding >= air_low + 45.0)
         even = held & (slab.sd < 1.6 * noise + 1.0) & (slab.spread < 3.0 * noise + 3.0)
         counts += np.histogram(slab.mean[even], bins=len(counts), range=_BINS_HU)[0]
@@ -266,9 +268,9 @@ def _filtered(image: Image, start: int, thickness: int) -> _Slab:
 def _most_frequent(tissue: str, counts: Ints, voxel_mm3: float, noise: float) -> Region | None:
     """Find the maximum of the histogram in the tissue's range, if it holds enough voxels.
 
-    It is the highest maximum. Of muscle it is the lowest that is not small, since organs with
-    contrast medium lie above it. The error grows with the maximum's width, to which several tissues
-    may add.
+    It is the highest maximum. For muscle it is the lowest maximum that is not small, since organs
+    with contrast medium lie above it. The error grows with the maximum's width, which several
+    tissues may increase.
     """
     from scipy.ndimage import gaussian_filter1d
     from scipy.signal import find_peaks, peak_widths

@@ -174,7 +174,8 @@ CT_DENSITY = scanner_law(
     slope_sd=0.27,
     offset_sd_kg_m3=60.0,
 )
-"""Hounsfield units to apparent density by one scanner's line: calibrate before relying on it. Its
-band is as wide as to hold bone by the tables of `meshes.ct.attenuation` at 62 to 80 keV, which is 8
-to 39 % less dense than the line.
+"""Hounsfield units to apparent density by one scanner's line: calibrate before relying on it.
+
+Its band is wide enough to hold bone by the tables of `meshes.ct.attenuation` at 62 to 80 keV, which
+is 8 to 39 % less dense than the line.
 """

@@ -29,7 +29,7 @@ __all__ = [
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Lowest and highest corner [mm, LPS]."""
 MARGIN = 3
-"""Voxels kept around a bone: its soft tissue, and what interpolation needs."""
+"""Voxels kept around a bone, for its soft tissue and for interpolation."""
 KEPT_MARGIN = 4
 """Voxels around a piece of a structure in which it is smoothed: five standard deviations."""
 SMOOTH_VOXELS = 0.8
@@ -185,7 +185,7 @@ def by_label(image: Image, mask: Flags) -> BoneOfImage:
 
 
 def by_threshold(image: Image, threshold: float) -> BoneOfImage:
-    """Take the largest piece above a grey value out of an image, its marrow filled."""
+    """Extract the largest piece above a grey value from an image, with marrow filled."""
     from scipy.ndimage import binary_dilation, gaussian_filter
 
     above = image.values > threshold
@@ -193,8 +193,8 @@ def by_threshold(image: Image, threshold: float) -> BoneOfImage:
     part, piece = _around(image, piece)
     whole = filled(piece, part)
     field = gaussian_filter(part.values.astype(np.float32), NOISE_VOXELS, mode="nearest")
-    # Inside, marrow below the threshold is bone; outside, what touches no voxel of the piece is not
-    # this bone.
+    # Inside, marrow below the threshold is bone. Outside, voxels that touch no voxel of the piece
+    # are not this bone.
     step = max(0.1 * abs(threshold), 1.0)
     field[whole & (field <= threshold) & ~(binary_dilation(~whole) & ~piece)] = threshold + step
     apart = ~binary_dilation(whole)

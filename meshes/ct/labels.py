@@ -182,7 +182,7 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
 
 
 def _of_masks(folder: Path) -> Labels:
-    """Read a folder of masks; where two overlap the later name has the voxel, with a note."""
+    """Read a folder of masks; a voxel of two masks takes the later name, with a note."""
     masks = sorted(
         file
         for file in folder.iterdir()

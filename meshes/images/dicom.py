@@ -182,7 +182,7 @@ def _header(file: Path, place: str) -> Header:
             "a DICOM folder", "hold DICOM files only", f"another kind as {place}", "take it out"
         )
     try:
-        with warnings.catch_warnings():  # they quote what they complain of
+        with warnings.catch_warnings():  # the warnings quote header content
             warnings.simplefilter("ignore")
             _require_inflated(file)
             dataset = pydicom.dcmread(file, specific_tags=list(_READ))
@@ -291,7 +291,7 @@ def _whole(header: Header) -> str:
 
 
 def _slice(header: Header, place: str) -> Slice:
-    """Place and size of a slice."""
+    """Return place and size of a slice."""
     if int(header["NumberOfFrames"] or 1) != 1:
         raise InputError(
             "a DICOM slice",

@@ -1,5 +1,6 @@
-"""The world frame of images: LPS in mm. An image stored along other axes is turned, or resampled,
-into it.
+"""World frame of images: LPS in mm.
+
+An image stored along other axes is turned, or resampled, into it.
 
 LPS is the frame of DICOM and ITK: +x towards the patient's left, +y towards the back, +z towards
 the head, in mm.

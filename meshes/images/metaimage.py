@@ -42,7 +42,7 @@ def read_metaimage(path: Path) -> StoredImage:
     Raises
     ------
     InputError
-        If the file is cut off or damaged, or states what cannot be honoured.
+        If the file is cut off or damaged, or states values that cannot be applied.
     """
     fields, start = header_lines(path, "=", "elementdatafile")
     if "ndims" not in fields or "elementdatafile" not in fields:

@@ -62,7 +62,7 @@ def read_nrrd(path: Path) -> StoredImage:
     Raises
     ------
     InputError
-        If the file is cut off or damaged, or states what cannot be honoured.
+        If the file is cut off or damaged, or states values that cannot be applied.
     """
     fields, start = header_lines(path, ":", "")
     if not fields.get("first", "").startswith("NRRD"):

@@ -1,4 +1,4 @@
-"""Bone surface of an image volume: where the grey value crosses a threshold."""
+"""Bone surface of an image volume, at a threshold of the grey value."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""TIFF slices: which files are slices, in which order, and their grey values."""
+"""TIFF slices: selection and order of the files, and their grey values."""
 
 import re
 from collections import Counter
@@ -239,7 +239,7 @@ def _planes(file: Path) -> _Planes:
                 int(page.compression) == _UNCOMPRESSED
                 and len(stored.pages) == prod(series.shape) // rows // columns
             )
-    except Exception as problem:  # the reader raises many kinds for a damaged file, none documented
+    except Exception as problem:  # the reader raises many undocumented errors for a damaged file
         raise _damaged(file) from problem
     if samples != 1 or photometric == _RGB or any(axes.get(axis, 1) > 1 for axis in _COLOUR_AXES):
         raise InputError(

@@ -174,7 +174,10 @@ def organ_mesh(
 
 
 def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> LabelledOrgan:
-    """Find an organ and its parts in a label image; arguments and refusals as of `organ_mesh`."""
+    """Find an organ and its parts in a label image.
+
+    Arguments and errors are those of `organ_mesh`.
+    """
     twice = [name for name in parts if name == organ or list(parts).count(name) > 1]
     if twice:
         raise InputError(
@@ -184,7 +187,7 @@ def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> Lab
     whole = labels.mask(organ)
     masks = {name: labels.mask(name) for name in parts}
     body = np.logical_or.reduce([whole, *masks.values()])
-    # A layer of nothing stays around it, but at the edges of the image.
+    # An empty layer stays around it, except at the edges of the image.
     crop = box_of(body, 1)
     grid = grid.within(tuple(each.start for each in crop))
     solid, notes = _one_piece(body[crop], whole[crop], grid, organ)

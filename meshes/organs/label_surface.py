@@ -1,4 +1,4 @@
-"""The smooth surface of a label: without the steps of its voxels, of the volume of its voxels."""
+"""Smooth surface of a label, without voxel steps and with the volume of its voxels."""
 
 from dataclasses import dataclass
 

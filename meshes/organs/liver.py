@@ -246,9 +246,9 @@ def _with_nodule(mesh: TetMesh, nodule: Nodule, shape: Shape, spacing: float) ->
         return np.asarray(edge + _NODULE_GROWTH * outside)
 
     mesh = bisected(mesh, size_m)
-    # Chords cut a ball's volume short: the surface is laid a little outside it, as much as makes
-    # the volume right. Where nodes change their snapping the volume jumps, so the best of a few
-    # tries is kept.
+    # Flat faces cut the corners of a ball, so the surface is placed a little outside it to match
+    # the volume. The volume jumps where nodes change their snapping, so the best of a few tries is
+    # kept.
     volume = 4.0 / 3.0 * math.pi * radius**3
     laid = radius
     best = mesh

@@ -1,4 +1,4 @@
-"""An anatomical site as a shape with layers, and the simplest of them: a block of cortical bone.
+"""Anatomical sites as shapes with layers, and the simplest one, a block of cortical bone.
 
 Site frame of every anatomy: the origin is the centre of the working face on the bone surface, +z
 the outward normal there, so a tool feeds along -z.

@@ -10,14 +10,14 @@ from meshes.shapes.sdf import Shape
 __all__ = ["shape_triangles"]
 
 WANTED_M = 4e-6
-"""Distance of the triangles from the surface that is aimed at [m]."""
+"""Target distance of the triangles from the surface [m]."""
 FIRST_POINTS = 1e5
 MOST_POINTS = 1e6
 """Points of the first and of the finest lattice on which the distance is evaluated."""
 ROUNDS = 3
 DOUBLINGS = 12
 STEP_M = 1e-6
-"""Of the differences that make the gradient of a distance."""
+"""Step of the finite differences for the gradient of a distance [m]."""
 
 
 def shape_triangles(
@@ -37,7 +37,7 @@ def shape_triangles(
     -------
     vertices_m, faces, slack_m
         Vertices [m], shape (n, 3), triangles wound outward, shape (m, 3), and their largest depth
-        below the surface [m]. Sharp convex edges decide it where there are some.
+        below the surface [m]. Sharp convex edges, if any, determine this depth.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def shape_triangles(
         end = np.minimum(middle + half + reach, shape.upper_m)
         low, high = _around_surface(shape, start, end)
         nearest = _nearest(shape, low, high, middle)
-        # What lies farther from the middle than its nearest point and the box together is nearest
+        # A point farther from the middle than its nearest point and the box together is nearest
         # to no point of it. The distance of a shape may be a lower bound, so that the first reach
         # may be too short.
         if half + nearest <= reach:

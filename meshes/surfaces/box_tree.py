@@ -1,4 +1,4 @@
-"""Tree of boxes around the triangles of a surface, for searches for the nearest one."""
+"""Tree of boxes around the triangles of a surface, for searches of the nearest triangle."""
 
 from dataclasses import dataclass
 

@@ -38,8 +38,8 @@ def fill_holes(
     """Close each loop of unmatched edges by a fan of triangles about its mean point.
 
     A hole that takes more area than `largest` times the surface's counts as large. Its fan is a
-    cap, as is one of more area than `least_cap` over more than a missing triangle, whatever its
-    share of the surface.
+    cap. The fan of any other hole is also a cap if it has more area than `least_cap` and more than
+    one triangle is missing.
     """
     if is_manifold(faces):
         return (vertices, faces), Holes(0, 0, (), 0.0)

@@ -23,7 +23,7 @@ __all__ = ["TO_LPS", "MarkedSite", "Markup", "read_curve", "read_markups", "read
 TO_LPS = {"LPS": np.ones(3), "RAS": np.array([-1.0, -1.0, 1.0])}
 """Factors of x, y and z from each of the two frames of patients to LPS."""
 _FRAMES = {**TO_LPS, "0": TO_LPS["RAS"], "1": TO_LPS["LPS"]}
-"""As `TO_LPS`, with the numbers that files before version 4.11 of 3D Slicer hold."""
+"""`TO_LPS`, with the frame numbers of files before version 4.11 of 3D Slicer."""
 _POINTS = "Fiducial"
 _CURVES = ("Line", "Curve", "ClosedCurve")
 _COLUMNS = ("id", "x", "y", "z")

@@ -225,7 +225,7 @@ def _pedicle(surface: Surface, frame: _Frame, sign: float) -> tuple[Site, float]
         return np.asarray(points @ frame.axes.T + frame.origin)
 
     def cost(numbers: Array) -> float:
-        # Slopes above 0.7 leave the pedicle; the mean decides between lines of equal least depth.
+        # Slopes above 0.7 leave the pedicle; the mean decides between lines of equal depth.
         steep = max(float(np.abs(numbers[2:]).max()) - 0.7, 0.0)
         outside = triangle_distance(surface.vertices_m, surface.faces, line(numbers))
         return 1e3 * float(outside.max() + 0.01 * outside.mean()) + 100.0 * steep

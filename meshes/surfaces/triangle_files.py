@@ -18,7 +18,7 @@ __all__ = ["SURFACE_SUFFIXES", "read_triangles", "require_triangles"]
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
 _HEADER = 84
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-"""Of binary STL: bytes before the triangles, and what each holds."""
+"""Binary STL: bytes before the triangles, and the record of a triangle."""
 _IGNORED = frozenset(
     ("vt", "vn", "vp", "p", "l", "g", "s", "mg", "o", "usemtl", "mtllib", "usemap", "maplib", "lod")
 )
@@ -59,8 +59,8 @@ def read_triangles(file: Path) -> Triangles:
     Raises
     ------
     InputError
-        If the file is missing, empty, of unknown format or not readable, or a triangle names no
-        vertex of it.
+        If the file is missing, empty, of unknown format or not readable, or a triangle names a
+        vertex that does not exist.
     """
     if file.suffix.lower() not in SURFACE_SUFFIXES:
         raise InputError(
@@ -94,7 +94,7 @@ def _stored(file: Path) -> tuple[NDArray[np.number], NDArray[np.number]]:
     try:
         import trimesh
 
-        # A PLY file may name a texture that is not there, of which trimesh would print a traceback.
+        # A PLY file may name a missing texture, for which trimesh would print a traceback.
         options: dict[str, Any] = {"skip_materials": True} if kind == "PLY" else {}
         mesh: Any = trimesh.load(file, force="mesh", process=False, **options)
         return mesh.vertices, mesh.faces

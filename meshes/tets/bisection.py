@@ -82,7 +82,7 @@ def bisected(
         longest = np.take_along_axis(edge, place[:, None], axis=1)[:, 0]
         around = np.bincount(edge.ravel(), minlength=len(keys))
         marked = length > wanted
-        while True:  # what blocks a long edge has to go first
+        while True:  # edges that block a long edge are split first
             waiting = np.zeros(len(keys), dtype=bool)
             waiting[longest[marked[edge].any(axis=1)]] = True
             if not (waiting & ~marked).any():

@@ -116,5 +116,5 @@ def millimetres(points_m: NDArray[np.float64]) -> tuple[float, float, float]:
 
 
 def place(at_mm: tuple[float, ...]) -> str:
-    """Place [mm] as a person reads it."""
+    """Format a place [mm] for users."""
     return in_brackets(at_mm, ".3g")

@@ -48,7 +48,7 @@ PART_ARRAYS = (
 They are the names that meshers write.
 """
 MOST_PARTS = 64
-"""An array of more values than these is no list of parts."""
+"""Largest number of values of an array that lists parts."""
 SIZES_MM = (1.5, 1500.0)
 """Range of the longest side of a plausible organ [mm].
 
@@ -220,16 +220,16 @@ def _of_arrays(
 
 @dataclass(frozen=True, eq=False)
 class GivenTets:
-    """A mesh as the caller has it, and as it is solved.
+    """Mesh as given by the caller, and as solved.
 
     Attributes
     ----------
     points_mm
         Points as the caller numbers them [mm], shape (n, 3).
     mesh
-        Tetrahedra, repaired where they had to be [m].
+        Tetrahedra, repaired where necessary [m].
     sentences
-        What was found and done, a sentence each.
+        Findings and changes, a sentence each.
     """
 
     points_mm: NDArray[np.float64]

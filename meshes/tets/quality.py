@@ -408,7 +408,7 @@ def smooth(
     for _ in range(_SWEEPS):
         quality = mean_ratio(nodes, cells)
         bad = np.flatnonzero(quality < enough)
-        # Worst cells first: what they gain, their neighbours start from.
+        # Worst cells first: their neighbours start from the improved nodes.
         wanted = cells[bad[np.argsort(quality[bad])]].ravel()
         wanted = wanted[np.sort(np.unique(wanted, return_index=True)[1])]
         changed = 0

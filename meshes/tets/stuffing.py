@@ -251,7 +251,7 @@ def _crossings(
         t = low - at_low * (high - low) / np.where(slope == 0.0, 1.0, slope)
         here = np.asarray(distance(a + t[:, None] * (b - a)), dtype=np.float64)
         moved = np.where(here * at_low > 0.0, 1.0, -1.0)
-        # The end that stays a second time counts half, else it would stay for ever.
+        # The end that stays a second time counts half, else it would never move.
         again = np.where(moved == last, 0.5, 1.0)
         at_high = np.where(moved > 0.0, at_high * again, here)
         at_low = np.where(moved > 0.0, here, at_low * again)
@@ -321,8 +321,8 @@ def with_inclusion(
     area_m2 = area_of(vertices_m, triangles)
     edge_m = 6.0 / _EDGES * volume_m3 / area_m2
     fine = bisected(mesh, lambda points: edge_m + EDGE_GROWTH * np.abs(distance(points)), onto=onto)
-    # Chords cut a round body's volume short: the surface is laid outside it by as much as makes the
-    # volume right.
+    # Flat faces cut the corners of a round body, so the surface is placed outside it to match the
+    # volume.
     laid_m = 0.0
     made = fine
     share = 1.0

@@ -37,7 +37,8 @@ class TetMesh:
     Raises
     ------
     InputError
-        If positions are not finite, a cell names no node, or a volume is not positive.
+        If positions are not finite, a cell names a node that does not exist, or a volume is not
+        positive.
     """
 
     nodes_m: NDArray[np.float64]
@@ -103,7 +104,7 @@ def grid_of(mesh: TetMesh) -> "pyvista.UnstructuredGrid":
         cells, np.full(len(mesh.cells), _TETRA, dtype=np.uint8), 1e3 * mesh.nodes_m
     )
     grid.cell_data["part"] = mesh.part
-    names = vtkStringArray()  # pyvista's own takes ASCII alone
+    names = vtkStringArray()  # pyvista's own method accepts ASCII only
     names.SetName("part_names")
     for name in mesh.part_names:
         names.InsertNextValue(name)

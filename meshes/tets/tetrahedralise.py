@@ -28,7 +28,7 @@ FILL_EDGES = 14.0
 """Edges along the longest side of an organ where no edge is given."""
 _CELLS = 30_000
 _EDGE_PER_CELL = 2.7
-"""Target edge over the cube root of the mean cell volume, as fTetWild came out on a liver."""
+"""Target edge over the cube root of the mean cell volume, measured for fTetWild on a liver."""
 _ENVELOPE = 0.1
 _FARTHEST_M = 4e-4
 """Distance that the surface may move, over the edge, and largest distance [m].

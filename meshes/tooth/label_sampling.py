@@ -221,7 +221,7 @@ class LabelShares:
     Attributes
     ----------
     layers
-        Layers that are there, uint8; of equal shares the first has the place.
+        Layers in the box, uint8; among equal shares the first layer wins.
     shares
         Share of each at the voxels, float32, shape (nx, ny, nz) each.
     solid
@@ -316,7 +316,7 @@ class LabelShares:
         result = (share > 0.5).astype(np.float32)
         side = result.reshape(grid.shape) > 0.5
         mixed = (np.abs(share - 0.5) < _SURELY).reshape(grid.shape)
-        # between neighbours on two sides there is a surface, however thin what it bounds
+        # between neighbours on two sides there is a surface, even around a thin region
         for axis in range(3):
             low, high = ((slice(None),) * axis + (part,) for part in (slice(0, -1), slice(1, None)))
             mixed[low] |= side[low] != side[high]

@@ -57,7 +57,7 @@ class LabelledTooth:
     finest_mm
         Smallest side of the image's voxels [mm].
     sentences
-        What was found in the image and done to it.
+        Findings in the image and changes made to it.
     """
 
     placed: PlacedLabels
@@ -137,7 +137,7 @@ class LabelledTooth:
                 [np.maximum(corners[0], region_m[0]), np.minimum(corners[1], region_m[1])]
             )
             if (corners[0] >= corners[1]).any():
-                # a refusal of a tool that misses names where the tooth lies
+                # an error for a tool that misses states the place of the tooth
                 corners = self.placed.corners
         count = float(np.prod(np.ptp(corners, axis=0) / size))
         if count > _MOST_VOXELS:
@@ -316,7 +316,7 @@ def _layers(image: Image, labels: Mapping[int, str]) -> tuple[Bytes, list[int], 
 
 
 def _placed(layer: Bytes, spacing: Array, first_m: Array) -> tuple[PlacedLabels, str]:
-    """Find the site of a tooth; return its labels placed there, and how it was found."""
+    """Find the site of a tooth; return its labels placed there, and the method as text."""
     layer = np.ascontiguousarray(np.pad(layer, 1, constant_values=EMPTY))
     axes = tooth_axes(
         _points(layer == ENAMEL, spacing), _points((layer != ENAMEL) & (layer != EMPTY), spacing)

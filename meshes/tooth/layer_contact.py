@@ -45,7 +45,10 @@ _TOUCH_M = 0.5e-3
 _POINTS_TESTED = 4000
 _NEAR_M = 0.2e-3
 _LEAST_WITHIN = 0.6
-"""Share of the pulp's surface that must lie in the dentin or this near to its surface."""
+"""Share of the pulp's surface that must lie in the dentin or near to the dentin's surface.
+
+Near means within ``_NEAR_M``.
+"""
 _LINES_A_POINT = 2
 
 

@@ -87,7 +87,7 @@ class Lattice:
 
 @dataclass(frozen=True, eq=False)
 class LayeredSolid:
-    """Surfaces of the layers in the site frame, and what fills the space between and around them.
+    """Surfaces of the layers in the site frame, with their gaps and socket.
 
     Attributes
     ----------

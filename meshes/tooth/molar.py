@@ -244,8 +244,8 @@ def _layers(
         outside = distance >= 0.0
         crowned = points[:, 2] > crown.cervical_line(points[:, 0])
         layer[outside & crowned] = ENAMEL
-        # A voxel that the crest cuts may have its centre in the air above it: what lies nearer to
-        # the crest is bone.
+        # A voxel that the crest cuts may have its centre in the air above it: points nearer to the
+        # crest are bone.
         embedded = np.flatnonzero(outside & ~crowned & (points[:, 2] - crest < distance))
         layer[embedded] = around(points[embedded], distance[embedded])
         inside = np.flatnonzero(~outside)

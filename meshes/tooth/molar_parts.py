@@ -196,7 +196,7 @@ class Root:
 
     @property
     def reach_x(self) -> float:
-        """Farthest from the tooth's long axis that the root goes along x [m]."""
+        """Largest distance of the root from the tooth's long axis along x [m]."""
         u = np.linspace(0.0, 1.0, 33)
         axis = self.axis[0] + u * (self.axis[1] + u * self.axis[2])
         return float(np.max(np.abs(axis) + self.radius + u * (self.apex_radius - self.radius)))

@@ -98,7 +98,7 @@ class PulpCavity:
 
     @property
     def volume_m3(self) -> float:
-        """Its volume [m3]."""
+        """Volume of the cavity [m3]."""
         return float(np.count_nonzero(self.inside)) * self.tooth.voxel_volume_m3
 
     def voxels(self, volume: VoxelVolume) -> Flags:
@@ -132,7 +132,7 @@ class PulpCavity:
 
     @cached_property
     def _near(self) -> Flags:
-        """Its voxels and those that touch them by a face."""
+        """Voxels of the cavity and the voxels that touch them by a face."""
         from scipy.ndimage import binary_dilation
 
         return np.asarray(binary_dilation(self.inside))

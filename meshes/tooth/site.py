@@ -43,7 +43,7 @@ class ToothAxes:
     middle_m
         Middle of the enamel [m], shape (3,); the site's origin lies above or below it along z.
     note
-        How the long axis was found, a sentence.
+        Method that found the long axis, a sentence.
     """
 
     rotation: Array

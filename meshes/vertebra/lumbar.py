@@ -94,7 +94,7 @@ class _HalfSizes:
 
     @property
     def entry(self) -> Array:
-        """Point of the axis behind the pedicle that is about the entry [m]."""
+        """Point of the axis behind the pedicle, near the entry [m]."""
         return self.isthmus + (_ENTRY_M - 4e-3) * self.axis
 
 

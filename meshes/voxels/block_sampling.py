@@ -148,7 +148,7 @@ def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
         layer, density = anatomy.classify(points, -depth)
         where = np.unravel_index(chosen, blocks[0].shape[:3])
         surface = surface_steps(depth / np.float32(grid.spacing_m))
-        # beyond the surface too: what lies between voxel centres is asked of both sides
+        # beyond the surface too: points between voxel centres read both sides
         present = surface < OUTSIDE
         filled = np.rint(fraction * FULL), layer * present, np.rint(density) * present, surface
         for block, values in zip(blocks, filled, strict=True):

@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 SURFACE_STEPS = 63
-"""Steps a voxel; they reach two voxels."""
+"""Stored steps per voxel; stored distances reach two voxels."""
 SURFACE_ZERO = 128
 INSIDE = 2
 OUTSIDE = 254
@@ -108,7 +108,7 @@ def surface_of_fractions(fraction: Bytes) -> Bytes:
     known[crossed] = np.arange(planes, dtype=np.int32)
     near = np.argwhere(_grown(_grown(crossed)))
     summed, weights = np.zeros((2, len(near)))
-    # A full or an empty voxel beside the surface bounds its distance and does not give it.
+    # A full or an empty voxel next to the surface bounds its distance and does not give it.
     trust = np.where((share > 0.0) & (share < 1.0), 1.0, np.where(total > 0.0, 1e-3, 0.0))
     for offset in np.vstack([np.zeros((1, 3), dtype=int), _OFFSETS]):
         there = tuple(np.clip(near + offset, 0, np.array(padded.shape) - 1).T)

@@ -19,7 +19,7 @@ from meshes.base.arrays import Array, Bytes, Flags, Floats, Ints, Singles
 __all__ = ["FAR", "LayerAt", "boundary_of_layers", "layer_boundary"]
 
 BOUNDARY_STEPS = 127
-"""Steps a voxel; they reach two voxels."""
+"""Stored steps per voxel; stored distances reach two voxels."""
 FAR = 254
 """Stored distance of voxels that are far from any change of layer.
 
@@ -30,13 +30,13 @@ _PADDED = 6
 _AT_ONCE = 1 << 18
 _STRIDE = 0.5
 _HALVINGS = 5
-"""Steps [voxel] that bracket a change along a direction, and how often the bracket is halved."""
+"""Steps [voxel] that bracket a change along a direction, and number of bisections."""
 _WIDE = 6.0
 _NARROW = 3.0
 """Radii of the balls [voxel] whose shares give the distance."""
 _DISAGREES = 0.25
 _REACH = 2
-"""A label this far [voxel] from its place makes the narrow ball count in this reach [voxel]."""
+"""Deviation [voxel] of a label above which the narrow ball counts, and reach of that [voxel]."""
 
 LayerAt = Callable[[Singles], Bytes]
 """Points [voxel], shape (n, 3), to their layers, shape (n,)."""

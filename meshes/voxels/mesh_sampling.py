@@ -1,9 +1,9 @@
 """Bone fraction and depth of voxels under a triangle surface.
 
-Fraction: each voxel column holds 3 x 3 lines along z; where a line crosses the triangles its
-winding number changes, and the lengths with a positive winding number are the bone in it. Exact
-along z, a quadrature of nine lines across. Depth: the distance to the surface on a lattice of 0.4
-mm or a voxel, interpolated to the voxels.
+Fraction: each voxel column holds 3 x 3 lines along z. A line's winding number changes where it
+crosses the triangles, and its parts with a positive winding number are bone. This is exact along z
+and a quadrature of nine lines across. Depth: the distance to the surface on a lattice of 0.4 mm or
+a voxel, interpolated to the voxels.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Bone as voxels: how full, which layer, how dense."""
+"""Bone as voxels with fraction, layer and density."""
 
 from dataclasses import dataclass
 
