@@ -16,7 +16,7 @@ __all__ = ["BEYOND", "SURFACE_STEPS", "Bone", "bone_at"]
 SURFACE_STEPS = 63
 """Stored steps of the surface distance per voxel.
 
-The distance is limited to two voxels; 128 stands for the surface itself.
+The distance is limited to two voxels; 128 is the surface itself.
 """
 BEYOND = 128 + 32
 """Lower limit of the stored surface distance where there is no brick.

@@ -19,7 +19,7 @@ __all__ = ["MANIFEST", "remove_damaged"]
 MANIFEST = "checksums.json"
 """Name of the file that holds the checksums of the other files of a cache entry.
 
-The checksums are those of the files when they were first seen.
+The checksums were computed when the files were first seen.
 """
 CHECKED = (".o", ".meta", ".ptx", ".cubin")
 """Endings of the files that Warp loads; Warp writes sources only for readers."""

@@ -7,10 +7,10 @@ a component u_c along the three axes, X, Y, Z, XY, XZ, YZ and XYZ, the gradient 
 
     4 h d_x u_c = X + s XY/2 + t XZ/2 + s t XYZ/4     and so on,
 
-which 8 additions give for all four (s, t); the forces come back through the transposed additions.
-The modes that one point does not see are added, as in :mod:`kernels.particle_stiffness`. A cell
-costs 17 numbers and about 500 operations; its packed stiffness has 324 numbers. The product is
-therefore limited by arithmetic and not by memory.
+which 8 additions give for all four (s, t); the forces follow from the transposed additions. The
+modes that one point does not see are added, as in :mod:`kernels.particle_stiffness`. A cell costs
+17 numbers and about 500 operations; its packed stiffness has 324 numbers. The product is therefore
+limited by arithmetic and not by memory.
 
 A strip is eight cells in a row along z. Vectors lie in `LaneVector`'s layout, in which the eight
 nodes below and the eight above a strip's corner are eight numbers in a row each. Strips of pencils
@@ -148,7 +148,8 @@ def strip_products(scalar: Any) -> Any:
     def take(stress: wp.array(dtype=V), at: int, across: int, first: int, second: int):
         """Compute the modes of a stress that is summed across an axis.
 
-        The arguments are the steps in ``stress`` along that axis and the other two.
+        `across`, `first` and `second` are the steps in ``stress`` along that axis and the other
+        two.
         """
         both = first + second
         return from_cubes(

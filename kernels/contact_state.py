@@ -45,7 +45,10 @@ FORCE, TORQUE, STATE, SWEEPS, CONTACTS, AREA, DEEPEST, LARGEST, RESULTS = (
     11,
     12,
 )
-"""Places in the results.
+"""Places in the results, and their size.
+
+In order: force on the tool [N], torque on the tool [N m], state at the end of the solve, sweeps,
+contacts, contact area [m2], deepest point and largest displacement [m]; number of entries.
 
 In order: force on the tool [N], torque on the tool [N m], state at the end of the solve, sweeps,
 contacts, contact area [m2], deepest point and largest displacement [m].

@@ -91,9 +91,8 @@ def hull_corner(
 ):
     """Return corner `k` of a hull around a cell's centres, and its ball radius.
 
-    The hull is that of the cell's own four corners and of four corners on the tangents at its
-    middle. A concave function of the centre and the ball radius is smallest at a corner of the
-    hull.
+    The hull surrounds the cell's own four corners and four corners on the tangents at its middle. A
+    concave function of the centre and the ball radius is smallest at a corner of the hull.
     """
     ball = wp.where(k < 4, start, end)
     turned = angle + wp.where(k % 2 == 0, -half_angle, half_angle)

@@ -46,7 +46,7 @@ class InputError(ValueError):
     value
         Value that was given.
     remedy
-        What to do.
+        Instruction for the user.
     unit
         Unit of the value, where neither the name nor the value states it.
     """

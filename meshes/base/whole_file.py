@@ -38,9 +38,9 @@ def claim(path: Path) -> None:
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a temporary name in a file's folder, of the same ending, to write to in the block.
 
-    What was written takes the file's place in one step when the block ends, and goes when it fails;
-    so no reader sees half of it, and of two writers one wins. A folder in `OWNERS` that holds the
-    file may refuse it.
+    The written content replaces the file in one step when the block ends, and is deleted when it
+    fails; so no reader sees half of it, and of two writers one wins. A folder in `OWNERS` that
+    holds the file may refuse it.
     """
     claim(path)
     temporary = path.with_name(f".{uuid4().hex[:12]}-{path.name}")

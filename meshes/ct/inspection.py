@@ -304,7 +304,7 @@ def bone_label_note(image: Image, mask: Flags, name: str) -> str:
 def soft_label_note(image: Image, mask: Flags, name: str) -> str:
     """Return a warning if the median under a soft organ's label is not soft tissue, else "".
 
-    Parameters are those of `bone_label_note`.
+    The parameters are the same as in `bone_label_note`.
     """
     low, high = _SOFT_ORGAN_HU
     middle = float(np.median(image.values[mask]))

@@ -53,7 +53,7 @@ def read_voxels(
     Raises
     ------
     InputError
-        If it holds fewer or more bytes than that, or is damaged.
+        If it holds fewer or more bytes than the array, or is damaged.
     """
     needed = dtype.itemsize * int(np.prod(shape, dtype=object))
     require_stated(path, needed, by(shape), compressed=compressed)

@@ -33,7 +33,7 @@ class Image:
 
     The axes are +x left, +y back and +z head.
 
-    Voxel (i, j, k) is centred at ``origin_mm + spacing_mm * (i, j, k)``, whatever the order and
+    Voxel (i, j, k) is centred at ``origin_mm + spacing_mm * (i, j, k)``, for any order and
     direction of the axes in the file. TIFF slices hold no frame. They take the frame of the array:
     columns, rows and slices from (0, 0, 0).
 

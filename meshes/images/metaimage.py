@@ -93,8 +93,8 @@ def _stated(
 ) -> list[float]:
     """Return the numbers of the first of several synonymous keys in a header.
 
-    If the header has none of the keys, return the default. The number of values must be that of the
-    default.
+    If the header has none of the keys, return the default. The number of values must be the same as
+    in the default.
     """
     key = next((key for key in keys if key in fields), None)
     found = None if key is None else numbers(fields, key, path, positive=positive)

@@ -176,7 +176,7 @@ def organ_mesh(
 def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> LabelledOrgan:
     """Find an organ and its parts in a label image.
 
-    Arguments and errors are those of `organ_mesh`.
+    Arguments and errors are the same as in `organ_mesh`.
     """
     twice = [name for name in parts if name == organ or list(parts).count(name) > 1]
     if twice:

@@ -3,9 +3,9 @@
 An edge that is the longest of every tetrahedron around it is split at its middle, and so are these
 tetrahedra. The mesh stays conforming without any repair. Where a tetrahedron with an edge to split
 has a longer edge, the longer edge is split first (Rivara 1997, Int. J. Numer. Methods Eng.
-40:3313). Shapes stay bounded. The surface stays where it was, or its nodes go onto a given one:
-flat triangles 20 mm long lie up to 0.8 mm below a surface of 60 mm radius, however they are
-divided.
+40:3313). Shapes stay bounded. The surface stays in place, or its nodes are moved onto a given
+surface. Flat triangles 20 mm long lie up to 0.8 mm below a surface of 60 mm radius, for any
+division.
 """
 
 from collections.abc import Callable

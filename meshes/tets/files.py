@@ -366,7 +366,7 @@ def _parts(
 ) -> tuple[NDArray[np.int64], dict[int, str]]:
     """Return the number of each cell's part, shape (m,), and the names of the numbers.
 
-    Names that count from 0 belong to the array ``part``; so do those of meshio to its
+    Names that count from 0 belong to the array ``part``. Names from meshio belong to its array
     ``gmsh:physical``.
     """
     for array in PART_ARRAYS:

@@ -3,10 +3,10 @@
 The voxels are made by sub-samples, or by interpolated shares.
 
 `resampled` counts the labels at sub-samples of each voxel, quickly over a whole tooth.
-`LabelShares` is one function of the file, whatever grid samples it: each layer's voxels are spread
-by the kernel of `meshes.images.label_spread` with a standard deviation of 1.5 voxels, and
-interpolated. Labels of planes and balls give their surface back to 0.08 voxels rms, without bias. A
-layer of two voxels becomes a fifth of a voxel thicker on either side.
+`LabelShares` is one function of the file, independent of the grid that samples it. Each layer's
+voxels are spread by the kernel of `meshes.images.label_spread` with a standard deviation of 1.5
+voxels, and interpolated. Labels of planes and balls give their surface back to 0.08 voxels rms,
+without bias. A layer of two voxels becomes a fifth of a voxel thicker on either side.
 """
 
 from __future__ import annotations

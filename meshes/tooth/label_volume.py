@@ -115,7 +115,7 @@ class LabelledTooth:
         Raises
         ------
         InputError
-            If the voxels are too small or too large, or none lies in the tooth.
+            If the voxels are too small or too large, or no voxel lies in the tooth.
         """
         finest = (
             require_positive("resample_mm", resample_mm, "use 0.1")
@@ -219,7 +219,7 @@ def labelled_tooth(
     Raises
     ------
     InputError
-        If labels are unknown, enamel or dentin is missing, or the size is no tooth's.
+        If labels are unknown, enamel or dentin is missing, or the size is implausible for a tooth.
     """
     require_known(labels.values(), "labels")
     progress("naming the layers of the label volume", 0.0)

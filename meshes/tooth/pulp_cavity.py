@@ -22,7 +22,7 @@ The major foramina of molars and premolars are about 0.4 to 0.7 mm wide (Green 1
 _LARGEST_MOUTH_M2 = 1.0e-6
 """A round opening of 0.8 mm has 0.5 mm2; its staircase of voxels has up to twice as much."""
 _CROWN_LEAK_M2 = 0.05e-6
-"""Area of the openings in the crown that is attributed to segmentation: five faces of voxels."""
+"""Largest area of openings in the crown [m2], for leaks of a segmentation: five faces of voxels."""
 _VOLUME_M3 = (1e-9, 200e-9)
 """Bounds of the volume of a pulp cavity.
 
