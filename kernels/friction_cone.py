@@ -2,12 +2,12 @@
 
 The force keeps the point out of the tool.
 
-With W the body's compliance at the point, n the tool's normal and f the force on the body: the gap
-is not negative, the force does not pull, and one of them is zero; the tangential force is at most
-``mu`` times the normal force, and reaches that only against the slip. Sticking is a linear system.
-Slipping is ``s = -l f_t`` with ``l >= 0``: without the normal force, ``(S + l I) f_t = -r`` with S
-the tangential Schur complement, and the l with ``|f_t| = mu f_n`` is found by Newton on the
-reciprocals, which are nearly straight lines, kept in its bracket (Jourdan, Alart and Jean 1998,
+W is the body's compliance at the point, n the tool's normal and f the force on the body. The gap is
+not negative, the force does not pull, and one of them is zero. The tangential force is at most
+``mu`` times the normal force, and reaches that bound only against the slip. Sticking is a linear
+system. Slipping is ``s = -l f_t`` with ``l >= 0``: without the normal force, ``(S + l I) f_t = -r``
+with S the tangential Schur complement. The l with ``|f_t| = mu f_n`` is found by Newton's method on
+the reciprocals, which are nearly straight lines, kept in its bracket (Jourdan, Alart and Jean 1998,
 Comput. Methods Appl. Mech. Eng. 155:31, for the sweeps that call this; More and Sorensen 1983 for
 the reciprocals).
 """

@@ -3,7 +3,7 @@
 The module has their shape functions, the packed cell stiffness, and its product with a vector.
 
 Corner ``a = 4 i + 2 j + k`` of a cell lies at ``(i, j, k)`` of its edges. A cell's stiffness, 24 x
-24 and symmetric, is kept as the ``BLOCKS`` 3 x 3 blocks (a, b) with a <= b, row after row; the
+24 and symmetric, is kept as the ``BLOCKS`` 3 x 3 blocks (a, b) with a <= b, row after row. The
 other blocks are their transposes, so the matrix equals its transpose bit by bit. The product with
 some cells runs without an assembled matrix. Each cell writes its own corner forces, then every node
 gathers the forces of its up to eight cells in fixed order. There are no atomics, and the result has

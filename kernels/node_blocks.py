@@ -5,9 +5,9 @@ colours.
 
 A row holds one block for each of a node's up to 27 neighbours: first the neighbours of lower
 colour, then the node itself, then the neighbours of higher colour. With K = L + D + U so split, the
-first sweep from rest solves ``(L + D) v = f`` and leaves ``f - K v = -U v``: together they read K
-once. Sums run in fixed order. A sweep changes only nodes of one colour, which are never neighbours.
-The result has the same bits on any number of threads.
+first sweep from rest solves ``(L + D) v = f`` and leaves ``f - K v = -U v``. Solve and residual
+together read K once. Sums run in fixed order. A sweep changes only nodes of one colour, which are
+never neighbours. The result has the same bits on any number of threads.
 """
 
 import warp as wp

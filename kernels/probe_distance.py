@@ -1,8 +1,8 @@
 """Signed distance to a tool and the direction in which it grows.
 
 A tool's tip is its lowest point and its z axis runs from the tip to the shank. A sphere touches the
-tip; a cylinder ends in a flat face through the tip with a rounded edge and has no upper end; a
-shell is a set of planes, each taken to be the tool around one of its points.
+tip. A cylinder ends in a flat face through the tip with a rounded edge and has no upper end. A
+shell is a set of planes; each plane represents the tool around one of its points.
 """
 
 import warp as wp

@@ -1,7 +1,7 @@
 """Obstacles of a rigid tool: voxels and exact solids as distances with their gradients.
 
 Voxels carry no stored distance. The distance to their surface is computed on demand from the
-remaining fractions of the eight voxels around the point: with F the trilinear fraction and h the
+remaining fractions of the eight voxels around the point. With F the trilinear fraction and h the
 spacing, ``(SURFACE - F) h`` vanishes on the surface and grows by about one outward. Carving
 therefore needs no update of distances. ``SURFACE`` lies below one half, because a wall one voxel
 thick that lies across two voxels fills neither by more than half; a shell point is moved inward by

@@ -57,9 +57,10 @@ It covers the rounding of sums over up to 1e9 voxels.
 """
 _NO_BONE = 0.1
 _LITTLE_BONE = 0.5
-"""Shares of a bone's label above the threshold of bone. The cortex alone is more than a tenth of
-any bone; where marrow is the larger part of the label, as in the humeral head of an old person,
-more than half may lie below.
+"""Shares of a bone's label above the threshold of bone.
+
+The cortex alone is more than a tenth of any bone. Where marrow is the larger part of the label, as
+in the humeral head of an old person, more than half may lie below.
 """
 _SOFT_ORGAN_HU = (-200.0, 300.0)
 """Range of the median of a soft organ in any CT, contrast agent included [HU]."""

@@ -13,7 +13,7 @@ left lobe           22 %              M: 25-40 % of the volume, thinning to a we
 ==================  ================  ===================================================================
 
 The shape is a drawing in signed distances: a dome of two ellipsoids, cut by the slanting visceral
-plane with hollows for stomach, kidney and gall bladder, a groove for the vena cava and spine, a
+plane, with hollows for stomach, kidney and gall bladder, a groove for the vena cava and spine, a
 notch for the round ligament. Vessels and the capsule are not in the mesh.
 """  # noqa: E501 a table
 

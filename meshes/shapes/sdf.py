@@ -1,7 +1,7 @@
 """Signed distances as expressions: `box(...) - cylinder(...) | sphere(...).translate(...)`.
 
 A `Shape` maps points [m] to signed distances [m], negative inside. Every shape made here is
-1-Lipschitz: its value never exceeds the true distance to the surface in magnitude, so a cell whose
+1-Lipschitz: its value never exceeds the true distance to the surface in magnitude. A cell whose
 centre is farther from the surface than its half diagonal is not crossed. Primitives are exact
 unless their docstring states otherwise; a union is exact outside, an intersection or difference
 exact inside, and both are bounds elsewhere. All shapes keep the points' dtype.

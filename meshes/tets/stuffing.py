@@ -3,8 +3,8 @@
 Isosurface stuffing (Labelle and Shewchuk, 2007). Lattice nodes that lie close to where the surface
 crosses one of their edges are moved onto the crossing; the edges still crossed are cut there and
 the pieces filled with tetrahedra. The four-sided faces left between pieces are cut from their
-lowest node (Dompierre et al., 1999), so neighbours conform, and the pieces on both sides of a
-surface can be kept: that is how a part inside gets a surface of its own.
+lowest node (Dompierre et al., 1999), so neighbours conform. The pieces on both sides of a surface
+can be kept, which gives a part inside a surface of its own.
 """
 
 import math

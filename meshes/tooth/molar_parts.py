@@ -3,8 +3,8 @@
 They are in the site frame of `meshes.tooth.molar`.
 
 Lengths in metres. The crown is a side wall of superelliptic sections under an occlusal surface of
-cones, one a cusp, that meet in the grooves; roots and canals are round cones about bent axes,
-flattened along x.
+cones, one for each cusp, that meet in the grooves. Roots and canals are round cones about bent
+axes, flattened along x.
 """
 
 from dataclasses import dataclass

@@ -43,8 +43,8 @@ _ENAMEL_PERCENT = 2.0
 class PulpCavity:
     """The void in the dentin of a whole tooth that can be its pulp.
 
-    A void is the pulp cavity if it has a plausible volume, lies in dentin, and is closed but for
-    apical foramina: no ball wider than 0.8 mm enters it, and its openings lie in the roots and are
+    A void is the pulp cavity if it has a plausible volume, lies in dentin, and is closed except for
+    apical foramina. No ball wider than 0.8 mm enters it, and its openings lie in the roots and are
     at most 1 mm2 each. Fissures and grooves open into the mouth along their length, clefts between
     roots along theirs.
 

@@ -182,9 +182,10 @@ def _ball(radius: float) -> tuple[Ints, Array, Array, Array]:
     The share is a function of the plane's distance [voxel] from the centre.
 
     The weight (1 - r²)² (1 - 5/2 r²), r relative to the radius, has no second moment in a plane
-    through the centre: the share behind a surface through it does not change with the curvature, to
-    first order. The share grows with the distance t up to the weight's turning point, t² = 1/5; the
-    weight summed over the plane at t is, but for a factor, (1 - t²)³ (5/8 (1 - t²) - 1/2).
+    through the centre. The share behind a surface through the centre therefore does not change with
+    the curvature, to first order. The share grows with the distance t up to the weight's turning
+    point, t² = 1/5. The weight summed over the plane at t is, up to a factor, (1 - t²)³ (5/8 (1 -
+    t²) - 1/2).
     """
     offsets = _offsets(radius)
     r2 = (offsets**2).sum(axis=1) / radius**2
