@@ -44,9 +44,11 @@ __all__ = [
 wp.set_module_options({"enable_backward": False})
 
 CHIP_FORCE, CHIP_TORQUE, EDGE_FORCE, EDGE_TORQUE, RATE, AREA = 0, 3, 6, 9, 12, 13
-"""Places in the sums. Three each per unit of speed: force [N s/m], torque about the tip [N s];
-three each independent of speed: force [N] and torque [N m]; removal rate per unit of speed [m2];
-engaged area of each layer [m2].
+"""Places in the sums.
+
+Three each per unit of speed: force [N s/m], torque about the tip [N s]. Three each independent of
+speed: force [N] and torque [N m]. Then the removal rate per unit of speed [m2] and the engaged area
+of each layer [m2].
 """
 WIDEST = wp.constant(3.5)  # across the surface, an element is taken as this wide at most [voxel]
 DENSITIES = wp.constant(20001)

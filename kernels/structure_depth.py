@@ -35,8 +35,11 @@ FAR_M = wp.constant(wp.float64(1.0e3))
 NEAR_M = wp.constant(wp.float64(1.0e-6))
 """Distance from the surface below which rounding spoils the direction to it [m]."""
 OUTSIDE_SIZES = wp.constant(wp.float64(16.0))
-"""Distance of the outer point of a bound from the surface over the size of the cell. A bound lies
-below the distance by about a 32nd of the size where the structure leaves that much space."""
+"""Distance of the outer point of a bound from the surface, over the size of the cell.
+
+A bound lies below the distance by about a 32nd of the size where the structure leaves that much
+space.
+"""
 HULL = wp.constant(8)
 WIDE_RAD = wp.constant(wp.float64(1.0))
 """Half angle [rad] above which a cell is bounded by its size alone."""
