@@ -1,5 +1,6 @@
-"""Warp kernels: arrays in, arrays out. They know neither scenes nor meshes. Importing them
-starts Warp.
+"""Warp kernels that read and write arrays.
+
+They know neither scenes nor meshes. Importing this package starts Warp.
 """
 
 import os
@@ -12,8 +13,9 @@ from kernels.cache_check import remove_damaged
 
 
 def _start() -> None:
-    """Start Warp without its greeting, and without its warning where there is no GPU: a run
-    states what it runs on.
+    """Start Warp without its greeting and without its warning about a missing GPU.
+
+    A run states which device it uses.
     """
     wp.config.log_level = wp.LOG_WARNING
     sys.stderr.flush()

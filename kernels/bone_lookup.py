@@ -1,10 +1,10 @@
-"""What bone was there at a point before any cut, to second order in the voxel.
+"""Original bone at a point, before any cut, to second order in the voxel size.
 
-Two static numbers a voxel: the signed distance of its centre to the original surface, and the
-distance to the nearest change of layer. Between voxel centres both are interpolated: a point lies
-in bone where the interpolated surface distance is negative, and in the layer whose interpolated
-distance, negative for voxels of other layers, is largest. Far from the surface, and far from every
-change of layer, the nearest voxel answers. Lengths are in voxels.
+Each voxel has two static numbers: the signed distance of its centre to the original surface, and
+the distance to the nearest change of layer. Both are interpolated between voxel centres. A point
+lies in bone where the interpolated surface distance is negative, and in the layer whose
+interpolated distance, negative for voxels of other layers, is largest. Far from the surface, and
+far from every change of layer, the value of the nearest voxel is used. Lengths are in voxels.
 """
 
 import warp as wp
@@ -14,12 +14,16 @@ from kernels.bricks import cell_of, corner8f, corner8i, corners_of, density_of, 
 __all__ = ["BEYOND", "SURFACE_STEPS", "Bone", "bone_at"]
 
 SURFACE_STEPS = 63
-"""Stored steps of the surface distance in a voxel; held within two voxels, with 128 for the
-surface itself.
+"""Stored steps of the surface distance per voxel.
+
+The distance is limited to two voxels; 128 is the surface itself.
 """
 BEYOND = 128 + 32
-"""Least stored surface distance taken where there is no brick: half a voxel outside, as beyond the
-face of a grid that is full to its edge; beside a voxel farther out, a voxel farther than that."""
+"""Lower limit of the stored surface distance where there is no brick.
+
+It is half a voxel outside, as beyond the face of a grid that is full to its edge. Next to a voxel
+that is farther out, it is one voxel more than the distance of that voxel.
+"""
 CORNERS = wp.constant(8)
 # stored surface distance of 1.78 voxels inside: no corner of a cell lies outside
 DEEP = wp.constant(128 - 112)
@@ -47,7 +51,7 @@ def bone_at(
     column: int,
     point: wp.vec3,
 ):
-    """The bone at ``point`` [voxel] in the voxel of brick ``row`` and place ``column``."""
+    """Return the bone at ``point`` [voxel] in the voxel of brick ``row`` and place ``column``."""
     word = material[row, column]
     near = int(nearby[row, column])
     found = Bone()
@@ -82,8 +86,9 @@ def bone_at(
 
 @wp.func
 def distance_between(stored: corner8i, inside: wp.vec3, nearest: Bone):
-    """Distance and slope between the eight voxel centres of a cell, at ``inside``, 0 to 1 along
-    each axis.
+    """Interpolate the distance and its slope between the eight voxel centres of a cell.
+
+    The position ``inside`` runs from 0 to 1 along each axis.
     """
     found = nearest
     fx = inside[0]
@@ -108,7 +113,7 @@ def distance_between(stored: corner8i, inside: wp.vec3, nearest: Bone):
 
 @wp.func
 def layer_between(stored: corner8i, words: corner8i, inside: wp.vec3, nearest: Bone):
-    """Layer and density there, where the eight voxels lie in several layers."""
+    """Return layer and density at a point whose eight voxels lie in several layers."""
     found = nearest
     far = corner8f()
     weight = corner8f()

@@ -2,11 +2,11 @@
 
 A voxel grid is cut into bricks of 8 x 8 x 8 voxels; only bricks that hold material are stored.
 ``brick_of`` maps a brick's grid position to its row in the stored arrays, -1 where nothing is
-stored. Inside a row the 64 blocks of 2 x 2 x 2 voxels follow each other, so that what a tool's
-surface touches lies close together in memory. Lengths are in voxels: a point at ``x`` metres lies
-at ``(x - origin) / spacing``.
+stored. Inside a row the 64 blocks of 2 x 2 x 2 voxels follow each other, so the voxels at a tool's
+surface lie close together in memory. Lengths are in voxels: a point at ``x`` metres lies at
+``(x - origin) / spacing``.
 
-What a voxel was made of before any cut shares one word: density [kg/m3] in the upper 16 bits, layer
+The original material of a voxel is stored in one word: density [kg/m3] in the upper 16 bits, layer
 in the lower.
 """
 
@@ -43,8 +43,9 @@ FULL = 65535
 
 @wp.func
 def voxel_row(brick_of: wp.array3d(dtype=wp.int32), ix: int, iy: int, iz: int):
-    """Row of the brick that holds voxel (ix, iy, iz), -1 outside the grid or where no brick is
-    stored.
+    """Return the row of the brick that holds voxel (ix, iy, iz).
+
+    The row is -1 outside the grid or where no brick is stored.
     """
     bx = ix >> 3
     by = iy >> 3
@@ -58,20 +59,20 @@ def voxel_row(brick_of: wp.array3d(dtype=wp.int32), ix: int, iy: int, iz: int):
 
 @wp.func
 def voxel_column(ix: int, iy: int, iz: int):
-    """Place of voxel (ix, iy, iz) inside its brick's row."""
+    """Return the place of voxel (ix, iy, iz) inside its brick's row."""
     block = ((ix & 6) << 3) | ((iy & 6) << 1) | ((iz & 6) >> 1)
     return (block << 3) | ((ix & 1) << 2) | ((iy & 1) << 1) | (iz & 1)
 
 
 @wp.func
 def layer_of(word: wp.uint32):
-    """Layer in a voxel's material word."""
+    """Return the layer in a voxel's material word."""
     return int(word & wp.uint32(255))
 
 
 @wp.func
 def density_of(word: wp.uint32):
-    """Density [kg/m3] in a voxel's material word."""
+    """Return the density [kg/m3] in a voxel's material word."""
     return int(word >> wp.uint32(16))
 
 
@@ -83,7 +84,7 @@ def stored(
     iy: int,
     iz: int,
 ):
-    """Filled fraction in [0, 1] of voxel (ix, iy, iz), 0 where nothing is stored."""
+    """Return the filled fraction in [0, 1] of voxel (ix, iy, iz), or 0 where no brick is stored."""
     row = voxel_row(brick_of, ix, iy, iz)
     if row < 0:
         return float(0.0)
@@ -102,7 +103,7 @@ class Cell:
 
 @wp.func
 def cell_of(point: wp.vec3):
-    """The cell that holds ``point`` [voxel]."""
+    """Return the cell that holds ``point`` [voxel]."""
     ux = point[0] - 0.5
     uy = point[1] - 0.5
     uz = point[2] - 0.5
@@ -116,8 +117,9 @@ def cell_of(point: wp.vec3):
 
 @wp.struct
 class Corners:
-    """Where the eight voxels of a cell are stored: bit 2 of a corner's number is its x, bit 1
-    its y, bit 0 its z.
+    """Storage locations of the eight voxels of a cell.
+
+    Bit 2 of a corner's number is its x, bit 1 its y, bit 0 its z.
     """
 
     row: corner8i  # of its brick, -1 where none is stored
@@ -126,7 +128,7 @@ class Corners:
 
 @wp.func
 def corners_of(brick_of: wp.array3d(dtype=wp.int32), cell: Cell, row: int):
-    """Where the corners of a cell are stored, one of which lies in the brick of ``row``."""
+    """Find the storage locations of a cell's corners, one of which lies in the brick of ``row``."""
     found = Corners()
     x0 = ((cell.x & 6) << 6) | ((cell.x & 1) << 2)
     y0 = ((cell.y & 6) << 4) | ((cell.y & 1) << 1)
@@ -152,7 +154,7 @@ def trilinear(
     remaining: wp.array2d(dtype=wp.uint16),
     point: wp.vec3,
 ):
-    """Filled fraction at ``point`` [voxel], trilinear between voxel centres."""
+    """Interpolate the filled fraction at ``point`` [voxel], trilinear between voxel centres."""
     cell = cell_of(point)
     x = cell.x
     y = cell.y
@@ -178,7 +180,7 @@ def trilinear(
 
 @wp.struct
 class Plane:
-    """A plane's direction as the constants that the volume it cuts off a unit cube needs."""
+    """Direction of a plane, as the constants used by `cube_behind_plane`."""
 
     m1: wp.float32  # |normal| components, ascending, scaled to sum 1
     m2: wp.float32
@@ -190,7 +192,7 @@ class Plane:
 
 @wp.func
 def plane_of(normal: wp.vec3):
-    """Constants of :func:`cube_behind_plane` for a plane with unit ``normal``."""
+    """Compute the constants of :func:`cube_behind_plane` for a plane with unit ``normal``."""
     x = wp.abs(normal[0])
     y = wp.abs(normal[1])
     z = wp.abs(normal[2])
@@ -206,8 +208,9 @@ def plane_of(normal: wp.vec3):
 
 @wp.func
 def cube_behind_plane(plane: Plane, distance: float):
-    """Volume of the part of the unit cube behind a plane that passes ``distance`` behind the cube's
-    centre.
+    """Compute the volume of the part of the unit cube behind a plane.
+
+    The plane passes ``distance`` behind the cube's centre.
 
     Scardovelli and Zaleski (2000), J. Comput. Phys. 164:228, analytic relation for a plane and a
     cube.

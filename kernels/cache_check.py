@@ -17,11 +17,12 @@ from uuid import uuid4
 __all__ = ["MANIFEST", "remove_damaged"]
 
 MANIFEST = "checksums.json"
-"""File in an entry that holds the checksum of each of its other files, as they were when they
-were first seen.
+"""Name of the file that holds the checksums of the other files of a cache entry.
+
+The checksums were computed when the files were first seen.
 """
 CHECKED = (".o", ".meta", ".ptx", ".cubin")
-"""Endings of the files that Warp loads; sources are written for reading alone."""
+"""Endings of the files that Warp loads; Warp writes sources only for readers."""
 ELF_MAGIC = b"\x7fELF\x02\x01"
 """First bytes of a little-endian 64-bit ELF object."""
 
@@ -83,9 +84,7 @@ def _is_complete(ending: str, content: bytes) -> bool:
 
 
 def _read_manifest(file: Path) -> dict[str, str]:
-    """Return the checksums of an entry by file name; a manifest that cannot be read counts as
-    none.
-    """
+    """Return the checksums of an entry by file name; empty if the manifest cannot be read."""
     try:
         stored = json.loads(file.read_text("utf-8"))
     except (OSError, ValueError):
@@ -94,7 +93,7 @@ def _read_manifest(file: Path) -> dict[str, str]:
 
 
 def _write_manifest(file: Path, checksums: dict[str, str]) -> None:
-    """Write the checksums in one step, so that another process reads them whole or not at all."""
+    """Write the checksums atomically, so that another process never reads part of the file."""
     temporary = file.with_name(f"{uuid4().hex[:12]}-{MANIFEST}")
     with suppress(OSError):
         temporary.write_text(json.dumps(checksums), "utf-8")

@@ -1,20 +1,21 @@
-"""Carving: what a moving surface of revolution leaves of the voxels it sweeps.
+"""Carving of the voxels that a moving surface of revolution sweeps.
 
-Of every voxel's centre the least distance to the tool so far is kept, and of the voxel
-``min(remaining, 1 - covered)``, where ``covered`` is the volume of its cube behind the tool's
-surface. A minimum is idempotent and commutes, so overlapping cuts give the same bone in any order;
-it is exact where an old and a new surface are parallel, and leaves a twelfth of a voxel too much on
-average where they cross at a right angle. All lengths are in voxels.
+The smallest distance between a voxel's centre and the tool so far is kept for every voxel. The
+remaining volume of a voxel is ``min(remaining, 1 - covered)``, where ``covered`` is the volume of
+its cube behind the tool's surface. A minimum is idempotent and commutes, so overlapping cuts give
+the same bone in any order. It is exact where an old and a new surface are parallel. Where they
+cross at a right angle it leaves a twelfth of a voxel too much on average. All lengths are in
+voxels.
 
-Beside the least distance of all, every voxel keeps that of older cuts: what it was when the tool
-last came within reach of its block, or last turned. The present pass, of which the tool's surface
-is the end, is not in it.
+Every voxel also keeps its smallest distance to older cuts. This is the smallest distance at the
+time when the tool last came within reach of the voxel's block, or last turned. It excludes the
+present pass, which ends at the tool's present surface.
 
 Bricks belong to one of ``PHASES`` groups. A launch visits some of the groups, so that a slow tool
 spreads its carving over ticks; every group remembers the pose of its last visit. Inside a brick,
 blocks of 2 x 2 x 2 voxels that are empty or that the surface cannot reach are skipped. Each worker
-owns whole columns of bricks and its own booking row: no atomics, and the same integers on any
-number of threads.
+owns whole columns of bricks and its own booking row. There are no atomics, and the results are the
+same integers on any number of threads.
 """
 
 import warp as wp
@@ -28,8 +29,11 @@ wp.set_module_options({"enable_backward": False})
 
 PHASES = 16
 FIRST, COUNT, BINARY, EVERY_SIDE, ORIGIN, TURNED, PLAN = 0, 1, 2, 3, 4, 5, 6
-"""Places in the plan: first group and how many; 1 for binary removal; 1 for every side; group of
-the first brick; 1 where the tool turns and all that it has cut becomes an older cut."""
+"""Places in the plan of a launch.
+
+In order: first group; number of groups; 1 for binary removal; 1 for every side; group of the first
+brick; 1 where the tool turns and everything it has cut becomes an older cut.
+"""
 BLOCK_REACH = wp.constant(1.7320508)  # half diagonal of a block of 2 voxels [voxel]
 LONGEST_STEP = wp.constant(1.0)  # more than the tool moves between two visits of a brick [voxel]
 EDGE = wp.constant(float(EDGE_BEND))
@@ -58,8 +62,9 @@ def carve(
     touched_out: wp.array(dtype=wp.uint8),  # [brick], set to 1 where this launch removed something
     removed_out: wp.array2d(dtype=wp.int64),  # [worker, layer], stored steps removed by this launch
 ):
-    """Carve the planned groups; each worker takes every ``worker_count``-th column of bricks
-    under the tool.
+    """Carve the planned groups.
+
+    Each worker takes every ``worker_count``-th column of bricks under the tool.
     """
     worker = wp.tid() + worker_offset
     for m in range(removed_out.shape[1]):
@@ -215,7 +220,7 @@ def carve_brick(
 
 @wp.func
 def booked_by(removed: wp.array2d(dtype=wp.int64), worker: int):
-    """Stored steps that a worker has removed in this launch, over all layers."""
+    """Return the stored steps that a worker has removed in this launch, over all layers."""
     total = wp.int64(0)
     for m in range(removed.shape[1]):
         total += removed[worker, m]
@@ -224,11 +229,11 @@ def booked_by(removed: wp.array2d(dtype=wp.int64), worker: int):
 
 @wp.func
 def flattened(near: Nearest, offset: wp.vec3, axis: wp.vec3, step: wp.vec3):
-    """Part of the tool's `bend` that its swept surface lacks: the curvature along ``step`` where it
-    slides, else 0.
+    """Compute the part of the tool's `bend` that its swept surface lacks.
 
-    What a tool sweeps is straight along the path; its surface is touched where the tool's normal is
-    square to that, here within a voxel.
+    It is the curvature along ``step`` where the tool slides, else 0. The swept volume is straight
+    along the path. Its surface touches the tool's where the tool's normal is perpendicular to the
+    path, here within a voxel.
     """
     length = wp.length(step)
     if length == 0.0 or near.bend >= EDGE:
@@ -260,9 +265,7 @@ def carve_block(
     swept_out: wp.array2d(dtype=wp.uint16),
     removed_out: wp.array2d(dtype=wp.int64),
 ):
-    """Carve eight voxels around ``near``, the tool surface seen from the ``middle`` of their
-    block.
-    """
+    """Carve eight voxels around ``near``, the tool surface nearest to the middle of their block."""
     plane = plane_of(near.slope)
     for v in range(8):
         offset = corner_offset(v)
@@ -293,9 +296,7 @@ def carve_block(
 
 @wp.func
 def corner_offset(corner: int):
-    """Vector [voxel] from the middle of a block of 2 x 2 x 2 voxels to the centre of one of
-    them.
-    """
+    """Return the vector [voxel] from the middle of a 2 x 2 x 2 block to a voxel centre."""
     return wp.vec3(
         float(corner >> 2) - 0.5, float((corner >> 1) & 1) - 0.5, float(corner & 1) - 0.5
     )
@@ -303,8 +304,9 @@ def corner_offset(corner: int):
 
 @wp.func
 def distance_at(near: Nearest, offset: wp.vec3):
-    """Distance [voxel] to the tool at an offset from the middle of a block; a tangent sphere
-    stands for the tool.
+    """Compute the distance [voxel] to the tool at an offset from the middle of a block.
+
+    The tool is approximated by a tangent sphere.
     """
     along = wp.dot(near.slope, offset)
     return near.distance + along + 1.5 * near.bend * (0.75 - along * along)
@@ -312,5 +314,5 @@ def distance_at(near: Nearest, offset: wp.vec3):
 
 @wp.func
 def swept_steps(distance: float):
-    """Stored distance to the swept solid of a distance [voxel]."""
+    """Convert a distance [voxel] to the stored distance to the swept solid."""
     return wp.clamp(int(32768.5 + 4096.0 * distance), 0, 65534)

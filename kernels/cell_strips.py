@@ -1,5 +1,4 @@
-"""Product of a voxel body's stiffness with a vector, eight cells of a row at once and without any
-stored matrix.
+"""Matrix-free product of a voxel body's stiffness with a vector, eight cells of a row at once.
 
 Each cell is eight cubes, each with its own Lame constants times volume, that are summed at their
 centres: at 1/4 and 3/4 of the cell's edges. In the sums and differences of the corners ("modes") of
@@ -8,15 +7,15 @@ a component u_c along the three axes, X, Y, Z, XY, XZ, YZ and XYZ, the gradient 
 
     4 h d_x u_c = X + s XY/2 + t XZ/2 + s t XYZ/4     and so on,
 
-which 8 additions give for all four (s, t); the forces come back through the transposed additions.
-To it come the modes that one point does not see, as in :mod:`kernels.particle_stiffness`. A cell
-costs 17 numbers and some 500 operations, where its packed stiffness has 324 numbers: the product is
+which 8 additions give for all four (s, t); the forces follow from the transposed additions. The
+modes that one point does not see are added, as in :mod:`kernels.particle_stiffness`. A cell costs
+17 numbers and about 500 operations; its packed stiffness has 324 numbers. The product is therefore
 limited by arithmetic and not by memory.
 
 A strip is eight cells in a row along z. Vectors lie in `LaneVector`'s layout, in which the eight
 nodes below and the eight above a strip's corner are eight numbers in a row each. Strips of pencils
-of one colour share no node and every thread works through one pencil: the same bits on any number
-of threads.
+of one colour share no node and every thread works through one pencil. The result has the same bits
+on any number of threads.
 """
 
 from functools import cache
@@ -29,8 +28,10 @@ __all__ = ["LANES", "WEIGHTS", "lanes_of", "strip_products"]
 LANES = 8
 """Cells of a strip."""
 WEIGHTS = 17
-"""Numbers a cell: lambda and mu of its cubes times V / 16 h^2, and the modulus of the unseen
-modes times h / 12.
+"""Numbers stored per cell.
+
+They are lambda and mu of its cubes times V / 16 h^2, and the modulus of the unseen modes times h /
+12.
 """
 OPTIONS = {
     "enable_backward": False,
@@ -39,21 +40,24 @@ OPTIONS = {
     "-mllvm=-inline-cold-callsite-threshold=3000"
     " -mllvm=-slp-recursion-max-depth=12",
 }
-"""Warp's own flags but for the depth: 4, its default, takes 2.5 times as long. ``native`` is safe
-in a cache that machines share: Warp names every compiled file by the instruction sets of its
-processor."""
+"""Module options of Warp: its own flags, except the recursion depth.
+
+The default depth of 4 takes 2.5 times as long. ``native`` is safe in a cache that machines share,
+because Warp names every compiled file by the instruction sets of its processor.
+"""
 
 
 @cache
 def lanes_of(scalar: Any) -> Any:
-    """Type of a strip's eight numbers."""
+    """Return the type of a strip's eight numbers."""
     return wp.types.vector(length=LANES, dtype=scalar)
 
 
 @wp.func
 def modes_of(a0: Any, a1: Any, a2: Any, a3: Any, a4: Any, a5: Any, a6: Any, a7: Any):
-    """X, Y, Z, 2 XY, 2 XZ, 2 YZ and 4 XYZ of the corners: sums and differences along z, then y,
-    then x.
+    """Compute X, Y, Z, 2 XY, 2 XZ, 2 YZ and 4 XYZ of the corners.
+
+    They are sums and differences along z, then y, then x.
     """
     s00 = a0 + a1
     d00 = a1 - a0
@@ -82,7 +86,7 @@ def modes_of(a0: Any, a1: Any, a2: Any, a3: Any, a4: Any, a5: Any, a6: Any, a7: 
 
 @wp.func
 def corners_of(x: Any, y: Any, z: Any, xy: Any, xz: Any, yz: Any, xyz: Any):
-    """Forces at the corners of those on the modes: the transpose of `modes_of`."""
+    """Compute forces at the corners from forces on the modes: the transpose of `modes_of`."""
     dd0 = yz - xyz
     dd1 = yz + xyz
     ds0 = z - xz
@@ -102,8 +106,9 @@ def corners_of(x: Any, y: Any, z: Any, xy: Any, xz: Any, yz: Any, xyz: Any):
 
 @wp.func
 def to_cubes(linear: Any, first: Any, second: Any, both: Any):
-    """A derivative in the cubes (-, -), (-, +), (+, -), (+, +) of the two axes across, from its
-    modes.
+    """Compute a derivative in four cubes from its modes.
+
+    The cubes are (-, -), (-, +), (+, -) and (+, +) of the two axes across.
     """
     low = linear - first
     high = linear + first
@@ -114,7 +119,7 @@ def to_cubes(linear: Any, first: Any, second: Any, both: Any):
 
 @wp.func
 def from_cubes(t0: Any, t1: Any, t2: Any, t3: Any):
-    """The transpose of `to_cubes`."""
+    """Apply the transpose of `to_cubes`."""
     low = t1 - t0
     high = t3 - t2
     return (t0 + t1) + (t2 + t3), (t2 + t3) - (t0 + t1), low + high, high - low
@@ -122,7 +127,10 @@ def from_cubes(t0: Any, t1: Any, t2: Any, t3: Any):
 
 @cache
 def strip_products(scalar: Any) -> Any:
-    """Kernel that adds the product to a force, in single (`wp.float32`) or double precision."""
+    """Return the kernel that adds the product to a force, in single or double precision.
+
+    Single precision is `wp.float32`.
+    """
     V = lanes_of(scalar)
     half, quarter, two = scalar(0.5), scalar(0.25), scalar(2.0)
     trilinear = scalar(20.0 / 3.0)
@@ -138,8 +146,10 @@ def strip_products(scalar: Any) -> Any:
 
     @wp.func
     def take(stress: wp.array(dtype=V), at: int, across: int, first: int, second: int):
-        """Modes of a stress that is summed across an axis; steps in ``stress`` along that one
-        and the other two.
+        """Compute the modes of a stress that is summed across an axis.
+
+        `across`, `first` and `second` are the steps in ``stress`` along that axis and the other
+        two.
         """
         both = first + second
         return from_cubes(
@@ -156,8 +166,9 @@ def strip_products(scalar: Any) -> Any:
         gradient_out: wp.array(dtype=V),
         mode_out: wp.array(dtype=V),
     ):
-        """Write the gradients of a strip's cubes, and the modes that one point does not see,
-        from its corners.
+        """Write the gradients of a strip's cubes and the unseen modes, from the strip's corners.
+
+        The unseen modes are those that one point per cube does not see.
         """
         for c in range(3):
             x, y, z, xy, xz, yz, xyz = modes_of(
@@ -210,8 +221,9 @@ def strip_products(scalar: Any) -> Any:
 
     @wp.func
     def set_unseen(w: V, mode_out: wp.array(dtype=V)):
-        """Turn the modes that one point does not see into their forces: strains linear in x, y
-        or z, then in two.
+        """Convert the modes that one point does not see into their forces.
+
+        First the strains linear in x, y or z, then in two of them.
         """
         in_x = mode_out[4] + mode_out[9]
         in_y = mode_out[0] + mode_out[10]
@@ -278,7 +290,7 @@ def strip_products(scalar: Any) -> Any:
         # out
         force_out: wp.array2d(dtype=V),  # [component, slot], eight from the slot on, added to
     ):
-        """Strain of the cubes, stress, and force of the corners, strip after strip of a pencil."""
+        """Compute strain and stress of the cubes and force of the corners, strip by strip."""
         pencil = pencils[wp.tid() + offset]
         gradient = wp.zeros(shape=(36,), dtype=V)  # [component, axis, cubes across it]
         mode = wp.zeros(shape=(12,), dtype=V)  # [component, (XY, XZ, YZ, XYZ)], then their forces

@@ -1,4 +1,4 @@
-"""How far a tool's surface is from something, by a field of distances to it."""
+"""Distance between a tool's surface and another body, from a field of distances to the body."""
 
 import warp as wp
 
@@ -11,7 +11,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def clipped(distance: wp.array3d(dtype=wp.float32), i: int, j: int, k: int):
-    """Distance [m] at a voxel, outside the grid that of the nearest voxel in it."""
+    """Return the distance [m] at a voxel; outside the grid, at the nearest voxel in the grid."""
     return distance[
         wp.clamp(i, 0, distance.shape[0] - 1),
         wp.clamp(j, 0, distance.shape[1] - 1),
@@ -31,7 +31,10 @@ def clearance(
     # out
     least_out: wp.array(dtype=wp.float32),  # [chunk], smallest distance of the chunk's elements [m]
 ):
-    """Smallest distance over each chunk of elements, trilinear between voxel centres."""
+    """Compute the smallest distance over each chunk of elements.
+
+    Distances are trilinear between voxel centres.
+    """
     chunk = wp.tid() + chunk_offset
     least = float(1.0e9)
     for e in range(chunk * CHUNK, wp.min(chunk * CHUNK + CHUNK, elements.point.shape[0])):

@@ -6,8 +6,8 @@ Finite volumes. Between two cells with filled fractions f and g a share of the f
 
 The share is 1 between a full cell and one that is half full, since a cut surface that lies parallel
 to the face leaves the face open. It vanishes with the smaller of both cells, so that a sliver does
-not shorten the step. An empty cell neither stores nor conducts heat: the surface of what is left is
-insulated.
+not shorten the step. An empty cell neither stores nor conducts heat: the surface of the remaining
+body is insulated.
 """
 
 import warp as wp
@@ -17,14 +17,15 @@ __all__ = ["OPEN", "conduct"]
 wp.set_module_options({"enable_backward": False})
 
 OPEN = wp.constant(2.0)
-"""Share of a face that conducts per filled fraction of the emptier cell; the stable step is
-shorter by this factor.
+"""Share of a face that conducts, per filled fraction of the emptier cell.
+
+The stable step is shorter by this factor.
 """
 
 
 @wp.func
 def open_share(filled: float, other: float):
-    """Share of the face between two cells that conducts."""
+    """Compute the share of the face between two cells that conducts."""
     return wp.min(wp.max(filled, other), OPEN * wp.min(filled, other))
 
 
@@ -44,7 +45,7 @@ def conduct(
     # out
     temperature_out: wp.array3d(dtype=wp.float32),
 ):
-    """Temperature rise one step later."""
+    """Compute the temperature rise one step later."""
     i, j, m = wp.tid()
     i += plane_offset
     f = filled[i, j, m]

@@ -1,5 +1,6 @@
-"""Which triangles take part in a contact: those nearby, those that carry force, and those that
-the tool enters.
+"""Search for the triangles that take part in a contact.
+
+They are the triangles nearby, those that carry force, and those that the tool enters.
 """
 
 import warp as wp
@@ -38,8 +39,9 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 ZERO = wp.constant(wp.float64(0.0))
 SLACK = wp.constant(wp.float64(1.25))
-"""How much larger than at rest a triangle may have become before the search for contacts
-overlooks a part of it.
+"""Largest growth of a triangle, relative to its size at rest, that the contact search allows for.
+
+Parts of a triangle that has grown more may be overlooked.
 """
 
 
@@ -60,8 +62,9 @@ def find_near(
     lists_out: Lists,
     patch_out: Patch,
 ):
-    """Triangles whose rest position is within reach or that work, their nodes, and where those
-    nodes are.
+    """Find the nearby or working triangles, their nodes, and the present positions of those nodes.
+
+    A triangle is nearby if its rest position is within reach.
     """
     pose = pose_of(pose_rows)
     margin = reach + results[LARGEST]
@@ -96,8 +99,10 @@ def find_near(
 
 @wp.func
 def begin_work(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pose, triangle: int):
-    """Let a triangle work: its nodes may carry load, its points know their responses and anchors;
-    the number of points whose compliance is not there."""
+    """Let a triangle work and return the number of points whose compliance is missing.
+
+    The nodes of a working triangle may carry load. Its points know their responses and anchors.
+    """
     missing = int(0)
     lists.working[lists.count[WORKING]] = triangle
     lists.count[WORKING] = lists.count[WORKING] + 1
@@ -143,10 +148,11 @@ def join_touching(
     pose: Pose,
     missing: int,
 ):
-    """Let nearby triangles work that the tool enters; how many joined, and points whose compliance
-    is not there.
+    """Let nearby triangles work that the tool enters.
 
-    A tool is met from the side that a triangle's outward normal points to.
+    Return the number of triangles that joined, and of points whose compliance is missing.
+
+    A tool touches a triangle from the side of the triangle's outward normal.
     """
     joined = int(0)
     lost = int(missing)
@@ -187,8 +193,9 @@ def join_touching(
 
 @wp.func
 def start_over(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pose):
-    """Rebuild work and loads from the forces that points still carry; points whose compliance is
-    not there.
+    """Rebuild work and loads from the forces that points still carry.
+
+    Return the number of points whose compliance is missing.
     """
     for k in range(lists.count[WORKING]):
         lists.working_mark[lists.working[k]] = 0

@@ -1,5 +1,6 @@
-"""What the contact kernels share: a body's surface, its contact points, work lists, and places
-in the results.
+"""State shared by the contact kernels.
+
+It holds a body's surface, its contact points, work lists, and the places in the results.
 """
 
 import warp as wp
@@ -44,11 +45,16 @@ FORCE, TORQUE, STATE, SWEEPS, CONTACTS, AREA, DEEPEST, LARGEST, RESULTS = (
     11,
     12,
 )
-"""Of the results: on tool [N], [N m]; end of the solve; counts; [m2]; deepest point and largest
-displacement [m].
+"""Places in the results, and their size.
+
+In order: force on the tool [N], torque on the tool [N m], state at the end of the solve, sweeps,
+contacts, contact area [m2], deepest point and largest displacement [m]; number of entries.
+
+In order: force on the tool [N], torque on the tool [N m], state at the end of the solve, sweeps,
+contacts, contact area [m2], deepest point and largest displacement [m].
 """
 DONE, RUN_OUT, IMMOVABLE, MISSING = 0, 1, 2, 3
-"""Ends of a solve."""
+"""End states of a solve."""
 
 
 @wp.struct
@@ -56,7 +62,7 @@ class Body:
     """Surface of a body, s nodes and f triangles."""
 
     free: wp.array(dtype=wp.vec3d)  # [node], positions without contact [m]
-    last_free: wp.array(dtype=wp.vec3d)  # [node], those of the last tick [m]
+    last_free: wp.array(dtype=wp.vec3d)  # [node], positions of the last tick [m]
     scale: wp.float64  # of the compliance
     compliance: wp.array2d(dtype=wp.float64)  # [3 node, 3 node] [m/N]
     corners: wp.array2d(dtype=wp.int32)  # [triangle, 3]
@@ -66,7 +72,7 @@ class Body:
 
 @wp.struct
 class Points:
-    """Contact points and what they carry."""
+    """Contact points and the forces they carry."""
 
     first: wp.array(dtype=wp.int32)  # [triangle], its first point, -1 for none
     following: wp.array(dtype=wp.int32)  # [point], next point of the triangle, -1 after the last
@@ -98,7 +104,7 @@ class Lists:
 
 @wp.func
 def pose_of(pose: wp.array2d(dtype=wp.float64)):
-    """Pose from rows: tip, rotation, last tip, last rotation."""
+    """Read a pose from rows: tip, rotation, last tip, last rotation."""
     now = Pose()
     now.tip = wp.vec3d(pose[0, 0], pose[0, 1], pose[0, 2])
     now.last_tip = wp.vec3d(pose[4, 0], pose[4, 1], pose[4, 2])
@@ -111,7 +117,7 @@ def pose_of(pose: wp.array2d(dtype=wp.float64)):
 
 @wp.func
 def block(body: Body, a: int, b: int):
-    """Compliance between two nodes [m/N]."""
+    """Return the compliance between two nodes [m/N]."""
     compliance = body.compliance
     i = 3 * a
     j = 3 * b
@@ -130,7 +136,7 @@ def block(body: Body, a: int, b: int):
 
 @wp.func
 def distance_to(kind: int, size: wp.vec2d, pose: Pose, points: Points, point: int, place: wp.vec3d):
-    """Distance to the tool [m] and its gradient at a contact point."""
+    """Compute the distance to the tool [m] and its gradient at a contact point."""
     if kind == SHELL:
         direction = points.tool_normal[point]
         return wp.dot(place - points.tool_point[point], direction), direction

@@ -1,6 +1,4 @@
-"""Processor cores: how many this process may use, on which one a thread runs, and threads that
-keep off it.
-"""
+"""Processor cores that this process may use, the core of a thread, and threads on other cores."""
 
 import ctypes
 import os
@@ -24,17 +22,17 @@ _most_cores: list[int] = []
 
 
 def limit_cores(count: int) -> None:
-    """Let what this process begins from now on use at most so many cores."""
+    """Limit this process's work from now on to at most ``count`` cores."""
     _most_cores[:] = [count]
 
 
 def allowed_cores() -> set[int]:
-    """Cores that the calling thread may run on; empty where the system does not report them."""
+    """Return the cores that the calling thread may run on; empty if they are not reported."""
     return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
 
 
 def core_count() -> int:
-    """Processor cores this process may use."""
+    """Return the number of processor cores this process may use."""
     return min(len(allowed_cores()) or os.cpu_count() or 1, *_most_cores, sys.maxsize)
 
 
@@ -48,29 +46,27 @@ def _sched_getcpu() -> Callable[[], int] | None:
 
 
 def current_core() -> int | None:
-    """Core that the calling thread runs on at this moment, None where the system does not report
-    it.
-    """
+    """Return the core of the calling thread, or None where the system does not report it."""
     call = _sched_getcpu()
     core = call() if call is not None else -1
     return core if core >= 0 else None
 
 
 def cores_without(core: int | None, allowed: set[int]) -> set[int]:
-    """The allowed cores but one; all of them where nothing would be left."""
+    """Return the allowed cores except one, or all of them if that would leave no core."""
     return (allowed - {core}) or allowed
 
 
 class CoreThreads(ThreadPoolExecutor):
-    """Threads that share the work of another one, on other cores than that.
+    """Threads that share the work of another thread, on other cores than that thread's core.
 
-    A system often wakes a thread on the core of the one that wakes it, where it would wait for that
-    one's work to end.
+    A system often wakes a thread on the core of the thread that wakes it. There it would wait for
+    the end of that thread's work.
 
     Parameters
     ----------
     count
-        How many threads.
+        Number of threads.
     """
 
     def __init__(self, count: int) -> None:
@@ -85,7 +81,7 @@ class CoreThreads(ThreadPoolExecutor):
         self._place(number)
 
     def keep_off(self, core: int | None) -> None:
-        """Let no thread run on this core from now on, where there is another one."""
+        """Keep threads off this core from now on, if there is another core."""
         if core != self._avoided:
             self._avoided = core
             for number in self._numbers:

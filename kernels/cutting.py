@@ -7,8 +7,8 @@ per element::
     dF = -(N A / (2 pi r)) [(K_tc h + K_te) t + (K_rc h + K_re) n + (K_ac h + K_ae) a] share
 
 with every K scaled by (density / reference density) ** exponent of the layer. Elements that do not
-advance do not cut. The share is that of the element's width which lies below the bone's original
-surface, and 0 where an older cut has taken the bone.
+advance do not cut. The share is the part of the element's width that lies below the bone's original
+surface. It is 0 where an older cut has removed the bone.
 """
 
 import warp as wp
@@ -44,14 +44,17 @@ __all__ = [
 wp.set_module_options({"enable_backward": False})
 
 CHIP_FORCE, CHIP_TORQUE, EDGE_FORCE, EDGE_TORQUE, RATE, AREA = 0, 3, 6, 9, 12, 13
-"""Places in the sums. Three each per unit of speed: force [N s/m], torque about the tip [N s];
-three each independent of speed: force [N] and torque [N m]; removal rate per unit of speed [m2];
-engaged area of each layer [m2].
+"""Places in the sums.
+
+Three each per unit of speed: force [N s/m], torque about the tip [N s]. Three each independent of
+speed: force [N] and torque [N m]. Then the removal rate per unit of speed [m2] and the engaged area
+of each layer [m2].
 """
 WIDEST = wp.constant(3.5)  # across the surface, an element is taken as this wide at most [voxel]
 DENSITIES = wp.constant(20001)
-"""Entries of the strength table: densities of 0 to 20,000 kg/m3, the largest that a bone may
-have.
+"""Number of entries of the strength table.
+
+They are for densities of 0 to 20,000 kg/m3, the largest that a bone may have.
 """
 
 
@@ -86,8 +89,9 @@ def cutting_forces(
     seen_out: wp.array2d(dtype=corner8f),  # [chunk, SLOTS + 1], see `kernels.older_cuts.SLOTS`
     sums_out: wp.array2d(dtype=wp.float64),  # [chunk, AREA + layers], tool frame: see CHIP_FORCE
 ):
-    """Sum the forces on one chunk of elements for a motion of unit speed (1 m/s times the given
-    velocities).
+    """Sum the forces on one chunk of elements for a motion of unit speed.
+
+    Unit speed means 1 m/s times the given velocities.
     """
     chunk = wp.tid() + chunk_offset
     for m in range(AREA, sums_out.shape[1]):
@@ -138,8 +142,8 @@ def cutting_forces(
                     engaged = elements.area[e] * met.share
                     rate += engaged * advance
                     sums_out[chunk, AREA + m] += wp.float64(engaged)
-            # In no branch: a compiler keeps in registers what no branch changes, a twentieth of
-            # this kernel's time.
+            # Outside of any branch: a compiler keeps values in registers if no branch changes
+            # them. This saves a twentieth of this kernel's time.
             lever = elements.lever[e]
             chip += (length * advance) * wp.cw_mul(coefficients.chip[m], lever)
             edge += length * wp.cw_mul(coefficients.edge[m], lever)
@@ -151,9 +155,9 @@ def cutting_forces(
 
 @wp.struct
 class Met:
-    """The bone that an element meets."""
+    """Bone in front of an element."""
 
-    share: wp.float32  # of the element's width that cuts, 0 for none
+    share: wp.float32  # share of the element's width that cuts, 0 without bone
     layer: wp.int32
     density: wp.int32  # [kg/m3], an entry of the strength table
 
@@ -175,7 +179,7 @@ def bone_met(
     seen: wp.array2d(dtype=corner8f),
     chunk: int,
 ):
-    """What an element that advances, at ``at`` [voxel], meets."""
+    """Find the bone in front of an advancing element at ``at`` [voxel]."""
     met = Met()
     row, column = remaining_voxel(brick_of, alive, at)
     if row >= 0:
@@ -209,8 +213,9 @@ def bone_met(
 def remaining_voxel(
     brick_of: wp.array3d(dtype=wp.int32), alive: wp.array(dtype=wp.uint64), at: wp.vec3
 ):
-    """Row and column of the voxel at a point [voxel]; row -1 where its block of eight has no
-    bone left.
+    """Return row and column of the voxel at a point [voxel].
+
+    The row is -1 where the voxel's block of eight has no bone left.
     """
     ix = int(wp.floor(at[0]))
     iy = int(wp.floor(at[1]))
@@ -236,8 +241,9 @@ def set_loads(
 
 @wp.func
 def share_below(bone: Bone, outward: wp.vec3, area: float, spacing: float):
-    """Share of an element's width, taken along the slope of the original surface, that lies
-    below that.
+    """Compute the share of an element's width that lies below the original surface.
+
+    The width is taken along the slope of that surface.
     """
     share = float(1.0)
     if bone.distance > -1.9:
@@ -249,11 +255,11 @@ def share_below(bone: Bone, outward: wp.vec3, area: float, spacing: float):
 
 @wp.func
 def force_of(sums: lever16):
-    """Force on the elements whose loads, with their levers, add up to ``sums``."""
+    """Return the force on the elements whose loads, with their levers, sum to ``sums``."""
     return -wp.vec3(sums[0] + sums[5], sums[1] + sums[6], sums[7] + sums[11])
 
 
 @wp.func
 def torque_of(sums: lever16):
-    """Torque about the tip of the same."""
+    """Return the torque about the tip, for the same elements as in `force_of`."""
     return -wp.vec3(sums[2] + sums[8] + sums[12], sums[3] + sums[9] + sums[13], sums[4] + sums[10])

@@ -1,5 +1,7 @@
-"""Elements of a cutter's surface and their travel: which of them advance, where, and which may
-meet bone.
+"""Elements of a cutter's surface and their travel.
+
+The functions here find the elements that advance, their positions, and the elements that may touch
+bone.
 """
 
 import warp as wp
@@ -18,17 +20,21 @@ __all__ = [
 ]
 
 CHUNK = 128
-"""Elements a chunk; chunks are summed in order, so the result does not depend on the number of
-threads.
+"""Elements per chunk.
+
+Chunks are summed in order, so the result does not depend on the number of threads.
 """
 
 
 LANES = 8
-"""Elements whose places and advances are found at once."""
+"""Number of elements whose positions and advances are computed at once."""
 lanes8 = wp.types.vector(length=LANES, dtype=wp.float32)
 lever16 = wp.types.vector(length=16, dtype=wp.float32)
-"""Of an element at r [m]: tangent t (x, y), r x t, normal n, r x n, axis a (z), r x a (x, y), which
-a tangential, a radial and an axial load add to force and torque; two numbers are left over."""
+"""Levers by which tangential, radial and axial loads add to force and torque.
+
+Of an element at r [m]: tangent t (x, y), r x t, normal n, r x n, axis a (z), r x a (x, y). Two
+numbers are unused.
+"""
 
 
 @wp.struct
@@ -52,8 +58,9 @@ class Elements:
 
 @wp.struct
 class Travel:
-    """A pose and the unit motion from there: along the tool's axes, and of them in the grid
-    [voxel/m].
+    """A pose and the unit motion from there.
+
+    The motion is given along the tool's axes; those axes are given in the grid [voxel/m].
     """
 
     tip: wp.vec3  # [voxel]
@@ -70,7 +77,7 @@ class Travel:
 
 @wp.func
 def travel_of(motion: wp.array2d(dtype=wp.float64), spacing: float):
-    """The rows of ``motion`` in single precision, and the limits that follow."""
+    """Convert the rows of ``motion`` to single precision and derive the limits."""
     travel = Travel()
     travel.tip = wp.vec3(float(motion[0, 0]), float(motion[0, 1]), float(motion[0, 2]))
     travel.ex = wp.vec3(float(motion[1, 0]), float(motion[1, 1]), float(motion[1, 2])) / spacing
@@ -97,7 +104,7 @@ def may_cut(
     brick_of: wp.array3d(dtype=wp.int32),
     alive: wp.array(dtype=wp.uint64),
 ):
-    """Whether some element of a chunk may advance, and some bone be where the chunk is."""
+    """Return whether some element of a chunk may advance where there may be bone."""
     cone = elements.chunk_cone[chunk]
     velocity = travel.velocity
     facing = wp.dot(velocity, wp.vec3(cone[0], cone[1], cone[2])) + wp.length(velocity) * cone[3]
@@ -110,7 +117,7 @@ def may_cut(
 
 @wp.func
 def advance_of(elements: Elements, eight: int, travel: Travel):
-    """Speeds of eight elements along their normals, per unit of speed."""
+    """Compute the speeds of eight elements along their normals, per unit of speed."""
     nx = elements.lanes[eight, 3]
     ny = elements.lanes[eight, 4]
     nz = elements.lanes[eight, 5]
@@ -128,7 +135,7 @@ def advance_of(elements: Elements, eight: int, travel: Travel):
 
 @wp.func
 def place_of(elements: Elements, eight: int, travel: Travel, axis: int):
-    """Coordinate along an axis of the grid [voxel] of eight elements."""
+    """Compute the coordinate along an axis of the grid [voxel] of eight elements."""
     along = travel.ex[axis] * elements.lanes[eight, 0] + travel.ey[axis] * elements.lanes[eight, 1]
     return along + travel.ez[axis] * elements.lanes[eight, 2] + lanes8(travel.tip[axis])
 
@@ -140,7 +147,7 @@ def meets_bone(
     middle: wp.vec3,
     radius: float,
 ):
-    """Whether a brick that still holds material meets the box around a ball [voxel]."""
+    """Return whether a brick that still holds material overlaps the box around a ball [voxel]."""
     low = wp.vec3i(0, 0, 0)
     high = wp.vec3i(0, 0, 0)
     for c in range(3):

@@ -1,7 +1,8 @@
-"""What each element of a rotating cutter meets: the same bone as `kernels.cutting.cutting_forces`,
-without a force.
+"""Bone in front of each element of a rotating cutter, without a force.
 
-Its loads for any cutting coefficients follow by sums over the elements, see
+The bone is the same as in `kernels.cutting.cutting_forces`.
+
+Loads for any cutting coefficients follow from sums over the elements, see
 `tissue.models.bone.engagement`.
 """
 
@@ -34,13 +35,14 @@ def engaged_elements(
     alive: wp.array(dtype=wp.uint64),
     # out
     seen_out: wp.array2d(dtype=corner8f),  # as the force kernel's
-    share_out: wp.array(dtype=wp.float32),  # [element] of its width that cuts, 0 for none
+    share_out: wp.array(dtype=wp.float32),  # [element] share of its width that cuts, 0 if none
     advance_out: wp.array(dtype=wp.float32),  # speed along its normal, per unit of speed
     layer_out: wp.array(dtype=wp.int32),
     density_out: wp.array(dtype=wp.int32),  # [kg/m3], an entry of the strength table
 ):
-    """Find what one chunk of elements meets in a motion of unit speed; only of those with a
-    share is the rest set.
+    """Find the bone in front of one chunk of elements in a motion of unit speed.
+
+    All other values are set only for elements with a nonzero share.
     """
     chunk = wp.tid() + chunk_offset
     seen_out[chunk, SLOTS] = corner8f()

@@ -1,12 +1,13 @@
-"""One contact of a compliant body: the force that keeps it out of the tool, by Signorini and
-Coulomb.
+"""Contact force at one point of a compliant body, by the laws of Signorini and Coulomb.
 
-With W the body's compliance at the point, n the tool's normal and f the force on the body: the gap
-is not negative, the force does not pull, and one of them is zero; the tangential force is at most
-``mu`` times the normal force, and reaches that only against the slip. Sticking is a linear system.
-Slipping is ``s = -l f_t`` with ``l >= 0``: without the normal force, ``(S + l I) f_t = -r`` with S
-the tangential Schur complement, and the l with ``|f_t| = mu f_n`` is found by Newton on the
-reciprocals, which are nearly straight lines, kept in its bracket (Jourdan, Alart and Jean 1998,
+The force keeps the point out of the tool.
+
+W is the body's compliance at the point, n the tool's normal and f the force on the body. The gap is
+not negative, the force does not pull, and one of them is zero. The tangential force is at most
+``mu`` times the normal force, and reaches that bound only against the slip. Sticking is a linear
+system. Slipping is ``s = -l f_t`` with ``l >= 0``: without the normal force, ``(S + l I) f_t = -r``
+with S the tangential Schur complement. The l with ``|f_t| = mu f_n`` is found by Newton's method on
+the reciprocals, which are nearly straight lines, kept in its bracket (Jourdan, Alart and Jean 1998,
 Comput. Methods Appl. Mech. Eng. 155:31, for the sweeps that call this; More and Sorensen 1983 for
 the reciprocals).
 """
@@ -29,7 +30,7 @@ TINY = wp.constant(wp.float64(1e-12))
 
 @wp.func
 def safe_inverse(compliance: wp.mat33d):
-    """Inverse of a compliance, also where the point cannot move in one direction."""
+    """Invert a compliance, also where the point cannot move in one direction."""
     size = TINY * wp.trace(compliance)
     inverse = wp.mat33d()
     if size > ZERO:
@@ -45,8 +46,9 @@ def slipping_force(
     drift: wp.vec3d,
     friction: wp.float64,
 ):
-    """Force on the edge of the cone; ``apart`` < 0 and ``drift`` are gap and tangential slip
-    without the force.
+    """Compute the force on the edge of the friction cone.
+
+    Without the force, the gap is ``apart`` < 0 and the tangential slip is ``drift``.
     """
     side = wp.vec3d(ONE, ZERO, ZERO)
     if wp.abs(normal[0]) > wp.float64(0.7):
@@ -116,7 +118,7 @@ def coulomb_force(
     slip: wp.vec3d,  # motion relative to the tool since the last tick, with that force [m]
     friction: wp.float64,
 ):
-    """Force [N] that solves the contact while all others stay."""
+    """Compute the force [N] that solves the contact while all others stay."""
     back = compliance * old
     apart = gap - wp.dot(normal, back)
     force = wp.vec3d()

@@ -1,9 +1,11 @@
-"""Between a grid and the one of twice its edge: cell stiffness up, residuals up, corrections down.
+"""Transfer between a grid and a grid of twice its edge length.
+
+Cell stiffness and residuals go up to the coarse grid, corrections go down to the fine grid.
 
 A coarse cell's trilinear functions are trilinear on each of its eight children, so its stiffness is
-exactly the children's, seen through the interpolation P: ``K = sum P_c^T M K_c M P_c`` with M the
-mask of what may move. The coarse operator is the fine one's Galerkin projection, and one changed
-cell changes one coarse cell.
+exactly the sum of its children's through the interpolation P: ``K = sum P_c^T M K_c M P_c`` with M
+the mask of the components that may move. The coarse operator is the fine one's Galerkin projection,
+and one changed cell changes one coarse cell.
 """
 
 import warp as wp
@@ -18,7 +20,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 @wp.func
 def share(child: int, a: int, parent: int):
-    """Weight of a parent cell's corner in corner a of its child."""
+    """Return the weight of a parent cell's corner in corner a of its child."""
     weight = wp.float64(1.0)
     for axis in range(3):
         at = ((child >> axis) & 1) + ((a >> axis) & 1)  # 0, 1, 2 half edges along the parent
@@ -43,7 +45,7 @@ def coarse_stiffness(
     stiffness_out: wp.array2d(dtype=wp.mat33d),  # [coarse cell, block]
     live_out: wp.array(dtype=wp.uint8),
 ):
-    """Stiffness of the changed coarse cells from their children."""
+    """Compute the stiffness of the changed coarse cells from their children."""
     coarse = changed[wp.tid() + offset]
     for block in range(36):
         stiffness_out[coarse, block] = wp.mat33d()
@@ -82,7 +84,7 @@ def restrict(
     # out
     load_out: wp.array(dtype=wp.vec3f),  # [coarse node]
 ):
-    """Load of the coarse grid: the residual through the transposed interpolation."""
+    """Compute the load of the coarse grid: the residual through the transposed interpolation."""
     coarse = wp.tid() + offset
     total = wp.vec3f()
     for slot in range(27):
@@ -109,8 +111,9 @@ def interpolate(
     # out
     vector_out: wp.array(dtype=wp.vec3f),  # [fine node], corrected in place
 ):
-    """Add the coarse grid's correction, trilinear between its nodes, where the fine grid may
-    move.
+    """Add the coarse grid's correction to the nodes of the fine grid that may move.
+
+    The correction is trilinear between the coarse nodes.
     """
     fine = wp.tid() + offset
     total = wp.vec3f()

@@ -1,12 +1,13 @@
-"""Trilinear hexahedra of a Cartesian grid: shape functions, the packed cell stiffness, and its
-product with a vector.
+"""Trilinear hexahedra of a Cartesian grid.
+
+The module has their shape functions, the packed cell stiffness, and its product with a vector.
 
 Corner ``a = 4 i + 2 j + k`` of a cell lies at ``(i, j, k)`` of its edges. A cell's stiffness, 24 x
-24 and symmetric, is kept as the ``BLOCKS`` 3 x 3 blocks (a, b) with a <= b, row after row; the
-others are their transposes, so that the matrix equals its transpose bit by bit. The product with
-some cells runs without an assembled matrix: each writes its own corner forces, then every node
-gathers those of its up to eight cells in fixed order. No atomics, and the same bits on any number
-of threads.
+24 and symmetric, is kept as the ``BLOCKS`` 3 x 3 blocks (a, b) with a <= b, row after row. The
+other blocks are their transposes, so the matrix equals its transpose bit by bit. The product with
+some cells runs without an assembled matrix. Each cell writes its own corner forces, then every node
+gathers the forces of its up to eight cells in fixed order. There are no atomics, and the result has
+the same bits on any number of threads.
 """
 
 import warp as wp
@@ -25,19 +26,19 @@ __all__ = [
 wp.set_module_options({"enable_backward": False})
 
 BLOCKS = 36
-"""Blocks kept of a cell's 8 x 8."""
+"""Number of blocks kept of a cell's 8 x 8."""
 CornerGradients = wp.types.matrix(shape=(8, 3), dtype=wp.float64)
 
 
 @wp.func
 def block_of(a: int, b: int):
-    """Place of the block of corners a <= b."""
+    """Return the place of the block of corners a <= b."""
     return a * 8 - (a * (a - 1)) / 2 + b - a
 
 
 @wp.func
 def carries(live: wp.array(dtype=wp.uint8), cell: int):
-    """Whether there is a cell, as -1 is none, and it carries load."""
+    """Return whether the cell exists (-1 means no cell) and carries load."""
     if cell < 0:
         return False
     return live[cell] != wp.uint8(0)
@@ -45,7 +46,7 @@ def carries(live: wp.array(dtype=wp.uint8), cell: int):
 
 @wp.func
 def cell_block(stiffness: wp.array2d(dtype=wp.mat33d), cell: int, a: int, b: int):
-    """Stiffness block [N/m] of corners a and b of a cell."""
+    """Return the stiffness block [N/m] of corners a and b of a cell."""
     if a <= b:
         return stiffness[cell, block_of(a, b)]
     return wp.transpose(stiffness[cell, block_of(b, a)])
@@ -53,8 +54,9 @@ def cell_block(stiffness: wp.array2d(dtype=wp.mat33d), cell: int, a: int, b: int
 
 @wp.func
 def corner_gradients(at: wp.vec3d, inverse_edge: wp.float64):
-    """Gradients [1/m] of the eight shape functions at a place in the cell, 0 to 1 along each
-    edge.
+    """Compute the gradients [1/m] of the eight shape functions at a position in the cell.
+
+    The position runs from 0 to 1 along each edge.
     """
     one = wp.float64(1.0)
     gradients = CornerGradients()
@@ -93,7 +95,7 @@ def cell_products(
     # out
     corner_force_out: wp.array2d(dtype=wp.vec3d),  # [place in cells, corner] [N]
 ):
-    """Corner forces ``f_a = sum_b K_ab u_b`` of each cell."""
+    """Compute the corner forces ``f_a = sum_b K_ab u_b`` of each cell."""
     i = wp.tid() + offset
     cell = cells[i]
     at = row[i]
@@ -125,7 +127,7 @@ def gather_cells(
     # out
     force_out: wp.array(dtype=wp.vec3d),  # [node] [N], added to
 ):
-    """Add to the force at each node those of its cells, in the order of their corners."""
+    """Add the forces of its cells to the force at each node, in the order of their corners."""
     i = wp.tid() + offset
     force = force_out[nodes[i]]
     for a in range(8):

@@ -1,5 +1,7 @@
-"""Strips of cells and vectors in lanes: the cells' weights, diagonals, a smoothing step, and
-from nodes and back.
+"""Strips of cells and vectors in lanes.
+
+The module has the cells' weights, diagonals, a smoothing step, and the conversion from nodes and
+back.
 """
 
 from typing import Any
@@ -38,7 +40,7 @@ def cube_weights(
     weight_out: wp.array3d(dtype=wp.float64),
     single_out: wp.array3d(dtype=wp.float32),  # the same in single precision
 ):
-    """Weights of the changed cells in `kernels.cell_strips`."""
+    """Compute the weights of the changed cells in `kernels.cell_strips`."""
     cell = changed[wp.tid() + offset]
     row = strip[cell][0]
     lane = strip[cell][1]
@@ -101,7 +103,7 @@ def from_lanes(
 
 @wp.kernel
 def node_diagonals(
-    nodes: wp.array(dtype=wp.int32),  # those whose cells changed
+    nodes: wp.array(dtype=wp.int32),  # nodes whose cells changed
     node_cells: wp.array2d(dtype=wp.int32),  # [node, corner]
     live: wp.array(dtype=wp.uint8),  # [cell]
     stiffness: wp.array2d(dtype=wp.mat33d),  # [cell, block] [N/m]
@@ -114,7 +116,7 @@ def node_diagonals(
     # [component, slot] [m/N], of the bound times D; 0 if held or empty
     inverse_out: wp.array2d(dtype=wp.float32),
 ):
-    """Diagonal of the nodes' stiffness and its inverse."""
+    """Compute the diagonal of the nodes' stiffness and its inverse."""
     node = nodes[wp.tid() + offset]
     total = wp.vec3d()
     for a in range(8):
@@ -143,7 +145,7 @@ def smooth(
     direction_out: wp.array2d(dtype=LANES_F),  # the next one
     vector_out: wp.array2d(dtype=LANES_F),  # with the last direction
 ):
-    """One step: ``v += d``, ``r -= K d``, ``d = share d + gain D^-1 r``."""
+    """Run one smoothing step: ``v += d``, ``r -= K d``, ``d = share d + gain D^-1 r``."""
     i = wp.tid() + offset
     for c in range(3):
         direction = direction_out[c, i]

@@ -1,11 +1,11 @@
 """Recorded launches that may be split over processor cores.
 
 A Warp launch on a CPU runs on one core but releases the interpreter lock, so the halves of a launch
-can run on two threads. Handing work to a thread costs about 50 us: a launch is split only while its
-last runs took longer than ``SPLIT_ABOVE_S``, where one run that another process interrupted is no
-large launch, and while splitting is measured to gain, see `kernels.split_choice`. A part that no
-thread has begun, because other processes keep its core, is taken back: waiting for it would cost
-milliseconds. Kernels are written so that the split does not change a bit of the result.
+can run on two threads. Handing work to a thread costs about 50 us. A launch is therefore split only
+while its last runs took longer than ``SPLIT_ABOVE_S`` and while splitting is measured to gain, see
+`kernels.split_choice`. One run that another process interrupted does not make a launch large. A
+part that no thread has begun, because other processes keep its core, is taken back. Waiting for it
+would cost milliseconds. Kernels are written so that the split does not change a bit of the result.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,12 +25,12 @@ SPLIT_ABOVE_S = 2.5e-4
 GROWTH = 2.0
 """Factor by which a launch is assumed to grow from one run to the next."""
 FIRST_S = 1e-5
-"""What a launch is assumed to take before its first run [s]."""
+"""Assumed time of a launch before its first run [s]."""
 
 
 @dataclass
 class LaunchCounts:
-    """Launches of this process that were large enough to be split, and those of them that were."""
+    """Counts of this process's launches that were large enough to be split and that were split."""
 
     large: int = 0
     split: int = 0
@@ -40,19 +40,22 @@ _counts = LaunchCounts()
 
 
 def launch_counts() -> LaunchCounts:
-    """Copy of what this process has counted so far."""
+    """Return a copy of this process's counts so far."""
     return LaunchCounts(_counts.large, _counts.split)
 
 
 @cache
 def _pool(threads: int) -> CoreThreads:
-    """The threads that every launch of so many parts shares."""
+    """Return the threads that all launches of this number of parts share."""
     return CoreThreads(threads)
 
 
 @cache
 def _gain(threads: int) -> float:
-    """What the threads gain on this machine, measured once; every launch goes on from there."""
+    """Return the gain of the threads on this machine, measured once for all launches.
+
+    Every launch starts from this gain.
+    """
     return calibrate(_pool(threads), threads + 1)
 
 

@@ -10,7 +10,7 @@ __all__ = ["Mirror"]
 
 
 class Mirror:
-    """A device array and the host array that stands for it; on a CPU both are the same memory.
+    """A device array and its host counterpart; on a CPU both share the same memory.
 
     Parameters
     ----------

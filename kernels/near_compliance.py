@@ -1,10 +1,10 @@
 """Compliance of the nodes near a tool, gathered side by side and kept while they stay near.
 
-Each node nearby has a slot; nodes that may carry load have the first ones, and a row each for their
-three components: what a unit force there moves at every slot, slot by slot, so that a change of
-force is added to all displacements in packs of numbers that follow each other in memory. Read from
-the compliance itself, each of the same blocks lies in three other places. A tick gathers only what
-came near or began to work.
+Each node nearby has a slot. Nodes that may carry load have the first slots, and a row for each of
+their three components. A row holds the displacements of all slots for a unit force, slot by slot. A
+change of force is thus added to all displacements in packs of numbers that follow each other in
+memory. Read from the compliance itself, each of the same blocks lies in three other places. A tick
+gathers only the nodes that came near or began to work.
 """
 
 import numpy as np
@@ -34,8 +34,10 @@ __all__ = [
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 LANES = 16
-"""Numbers in a pack: 0.7 ns a block of nine, against 1.0 with 8, 0.8 with 32 and 3.9 straight
-from the compliance.
+"""Numbers in a pack.
+
+A block of nine takes 0.7 ns with 16, against 1.0 ns with 8, 0.8 ns with 32 and 3.9 ns straight from
+the compliance.
 """
 Pack = wp.types.vector(length=LANES, dtype=wp.float64)
 
@@ -61,7 +63,7 @@ class Patch:
 
 @wp.func
 def moved_at(patch: Patch, slot: int):
-    """Displacement of a slot [m]."""
+    """Return the displacement of a slot [m]."""
     return wp.vec3d(patch.moved[3 * slot], patch.moved[3 * slot + 1], patch.moved[3 * slot + 2])
 
 
@@ -80,8 +82,9 @@ def push(patch: Patch, slot: int, change: wp.vec3d, slots: int):
 
 @wp.func
 def move_all(body: Body, patch: Patch, slots: int):
-    """Displacements of the first slots under all loads, afresh: sums of changes would keep their
-    rounding.
+    """Compute the displacements of the first slots under all loads, afresh.
+
+    Sums of changes would keep their rounding errors.
     """
     for p in range((3 * slots + LANES - 1) // LANES):
         patch.moved_packs[p] = Pack()
@@ -91,8 +94,9 @@ def move_all(body: Body, patch: Patch, slots: int):
 
 @wp.func
 def gather(body: Body, patch: Patch, loaded: int, slot: int):
-    """Put a block where it belongs; one that is not there yet is looked for again in the next
-    tick.
+    """Copy a block of the compliance to its place.
+
+    A block that is not available yet is looked for again in the next tick.
     """
     between = block(body, patch.node[loaded], patch.node[slot])
     for i in range(3):
@@ -104,7 +108,7 @@ def gather(body: Body, patch: Patch, loaded: int, slot: int):
 
 @wp.func
 def gather_again(body: Body, patch: Patch):
-    """All rows anew, after the compliance was scaled or where some of it was missing."""
+    """Gather all rows again, after the compliance was scaled or where some of it was missing."""
     patch.count[STALE] = 0
     for loaded in range(patch.count[LOADED]):
         for slot in range(patch.count[SLOTS]):
@@ -144,7 +148,7 @@ def add_node(body: Body, patch: Patch, node: int):
 
 @wp.func
 def drop_left(patch: Patch, tick: int):
-    """Take the slots of nodes that are no longer nearby; none of them is loaded."""
+    """Free the slots of nodes that are no longer nearby; none of them carries load."""
     slot = patch.count[SLOTS] - 1
     while slot >= patch.count[LOADED]:
         node = patch.node[slot]
@@ -159,7 +163,7 @@ def drop_left(patch: Patch, tick: int):
 
 @wp.func
 def keep_loaded(body: Body, patch: Patch, node: int, tick: int):
-    """Let a node carry load in this tick: a slot among the first, and rows."""
+    """Let a node carry load in this tick; it gets one of the first slots, and rows."""
     patch.loaded_mark[node] = tick
     loaded = patch.count[LOADED]
     slot = patch.slot[node]
@@ -188,10 +192,10 @@ def drop_idle(patch: Patch, tick: int):
 
 
 def new_patch(nodes: int, device: str) -> Patch:
-    """A patch with space for all of a body's nodes.
+    """Return a patch with space for all of a body's nodes.
 
-    Of zeros from NumPy to which nobody writes, no memory is taken: on a CPU it is that of the nodes
-    near the tool.
+    On a CPU the patch takes memory only for the nodes near the tool, because NumPy allocates no
+    memory for zeros until they are written.
     """
     # odd: rows whole pages apart would share their places in a cache
     packs = -(-3 * nodes // LANES) | 1
@@ -211,7 +215,7 @@ def new_patch(nodes: int, device: str) -> Patch:
 
 
 def gather_all_again(patch: Patch) -> None:
-    """Have all rows read anew in the next tick: the compliance was scaled."""
+    """Request that all rows are read again in the next tick, after the compliance was scaled."""
     count = patch.count.numpy()
     count[STALE] = 1
     patch.count.assign(count)

@@ -1,11 +1,13 @@
-"""Stiffness of a grid gathered node by node: rows of 3 x 3 blocks, product, and Gauss-Seidel sweeps
-over eight colours.
+"""Stiffness of a grid gathered node by node.
 
-A row holds one block for each of a node's up to 27 neighbours: those of lower colour, its own,
-those of higher colour. With K = L + D + U so split, the first sweep from rest solves ``(L + D) v =
-f`` and leaves ``f - K v = -U v``: together they read K once. Sums run in fixed order and a sweep
-changes only nodes of one colour, none of which are neighbours: the same bits on any number of
-threads.
+The module has rows of 3 x 3 blocks, their product with a vector, and Gauss-Seidel sweeps over eight
+colours.
+
+A row holds one block for each of a node's up to 27 neighbours: first the neighbours of lower
+colour, then the node itself, then the neighbours of higher colour. With K = L + D + U so split, the
+first sweep from rest solves ``(L + D) v = f`` and leaves ``f - K v = -U v``. Solve and residual
+together read K once. Sums run in fixed order. A sweep changes only nodes of one colour, which are
+never neighbours. The result has the same bits on any number of threads.
 """
 
 import warp as wp
@@ -44,7 +46,10 @@ def assemble_rows(
     # [node], a copy of the node's own block, 1 on held components
     diagonal_out: wp.array(dtype=wp.mat33d),
 ):
-    """Gather rows ``M K M``, M the mask of what may move; held components get no stiffness."""
+    """Gather rows ``M K M``, with M the mask of the components that may move.
+
+    Held components get no stiffness.
+    """
     node = rows[wp.tid() + offset]
     for place in range(row_start[node], row_start[node + 1]):
         block_out[place] = wp.mat33d()
@@ -79,8 +84,9 @@ def invert_diagonal(
     # out
     inverse_out: wp.array(dtype=wp.mat33f),  # [node] [m/N]
 ):
-    """Inverse of each node's own block, zero where a node carries nothing; a trace keeps
-    half-empty blocks regular.
+    """Invert each node's own block; the inverse is zero where a node carries no load.
+
+    A small multiple of the trace keeps half-empty blocks regular.
     """
     node = rows[wp.tid() + offset]
     block = diagonal[node]
@@ -101,7 +107,7 @@ def to_single(
     # out
     block_out: wp.array(dtype=wp.mat33f),
 ):
-    """Rows rounded to single precision, for the preconditioner."""
+    """Round rows to single precision, for the preconditioner."""
     node = rows[wp.tid() + offset]
     for place in range(row_start[node], row_start[node + 1]):
         block_out[place] = wp.mat33f(block[place])
@@ -121,7 +127,10 @@ def first_sweep(
     # out
     vector_out: wp.array(dtype=wp.vec3f),  # [node]
 ):
-    """Gauss-Seidel from rest: only lower colours have moved."""
+    """Run the first Gauss-Seidel sweep, from zero displacements.
+
+    Only nodes of lower colours have moved before a node.
+    """
     node = nodes[wp.tid() + offset]
     left = load[node]
     for place in range(row_start[node], diagonal_block[node]):
@@ -140,7 +149,10 @@ def first_residuals(
     # out
     residual_out: wp.array(dtype=wp.vec3f),  # [node]
 ):
-    """What a first sweep leaves of the load: higher colours moved after the node had."""
+    """Compute the residual of the load after the first sweep.
+
+    It is not zero because nodes of higher colours moved after the node had.
+    """
     node = wp.tid() + offset
     total = wp.vec3f()
     for place in range(diagonal_block[node] + 1, row_start[node + 1]):
@@ -160,7 +172,10 @@ def sweep_colour(
     # out
     vector_out: wp.array(dtype=wp.vec3f),  # [node], corrected in place
 ):
-    """Gauss-Seidel: every node of the colour moves so that its own three equations hold."""
+    """Run a Gauss-Seidel sweep over one colour.
+
+    Every node of the colour moves so that its own three equations hold.
+    """
     node = nodes[wp.tid() + offset]
     left = load[node]
     for place in range(row_start[node], row_start[node + 1]):

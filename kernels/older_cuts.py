@@ -1,12 +1,13 @@
-"""Whether an older cut has taken the bone at a point of the tool's surface, to second order in the
-voxel.
+"""Test whether an older cut has removed the bone at a point of the tool's surface.
+
+The test is of second order in the voxel size.
 
 Every voxel keeps its centre's distance to older cuts, without the present pass (see
-:mod:`kernels.carving`). Between voxel centres the difference of this distance and that to the tool
-now is interpolated: it is 0 where both are the same surface, however they curve, and negative where
-the older cut lies deeper. What was swept is straight along its path and the tool is not, so along
-the path the difference bends as the tool does, and interpolation alone lies below it. Lengths are
-in voxels.
+:mod:`kernels.carving`). The difference between this distance and the distance to the present tool
+is interpolated between voxel centres. It is 0 where both are the same surface, for any curvature,
+and negative where the older cut lies deeper. A swept volume is straight along its path and the tool
+is not. Along the path the difference therefore curves like the tool, and plain interpolation lies
+below it. Lengths are in voxels.
 """
 
 import warp as wp
@@ -26,9 +27,10 @@ SLACK = wp.constant(0.002)
 ROUGH = wp.constant(0.04)  # more than the errors of tables and tangent spheres, and SLACK, together
 FARTHEST = wp.constant(2.0)  # a difference larger than this counts as this
 SLOTS = 64
-"""Blocks of 2 x 2 x 2 voxels whose distances to the tool now a chunk of elements keeps, four along
-each axis, since neighbours ask for the same: indices, distance, bend and slope of each; one more
-place is 1 once there are any.
+"""Number of 2 x 2 x 2 blocks whose distances to the present tool a chunk of elements keeps.
+
+They are four along each axis, because neighbours ask for the same blocks. Each entry holds the
+indices, distance, bend and slope of a block. One more place is 1 once there are any entries.
 """
 NOWHERE = wp.constant(-1.0e9)  # index of no block
 
@@ -49,11 +51,10 @@ def taken_before(
     seen: wp.array2d(dtype=corner8f),
     chunk: int,
 ):
-    """Whether an older cut has taken ``point`` on the tool's surface, in the voxel at ``row`` and
-    ``column``.
+    """Return whether an older cut has removed the bone at ``point`` on the tool's surface.
 
-    There the tool's normal is ``outward``, of length 1, and its curvature ``bend``, see
-    `Revolution`.
+    The point lies in the voxel at ``row`` and ``column``. The tool's normal there is ``outward``,
+    of length 1. The tool's curvature there is ``bend``, see `Revolution`.
     """
     kept = int(older[row, column])
     distance = kept_distance(kept)
@@ -74,7 +75,7 @@ def taken_before(
             stored[c] = int(older[corners.row[c], corners.column[c]])
         away = wp.vec3(float(c >> 2), float((c >> 1) & 1), float(c & 1)) - part
         weight[c] = (1.0 - wp.abs(away[0])) * (1.0 - wp.abs(away[1])) * (1.0 - wp.abs(away[2]))
-        # it lies outside older cuts, more than a voxel off: the others speak for it
+        # it lies outside older cuts, more than a voxel off: the other corners decide
         if stored[c] == NEVER:
             weight[c] = 0.0
         flat += weight[c] * wp.clamp(
@@ -102,7 +103,7 @@ def taken_before(
 
 @wp.func
 def kept_distance(kept: int):
-    """Distance [voxel] of a stored one, see `kernels.carving.swept_steps`."""
+    """Convert a stored distance to a distance [voxel], see `kernels.carving.swept_steps`."""
     return float(kept - 32768) * (1.0 / 4096.0)
 
 
@@ -115,8 +116,9 @@ def tool_distances(
     seen: wp.array2d(dtype=corner8f),
     chunk: int,
 ):
-    """Distances [voxel] of a cell's corners to the tool now, as carving takes them: block by
-    block.
+    """Return distances [voxel] of a cell's corners to the present tool.
+
+    They are computed block by block, as in carving.
     """
     found = corner8f()
     if seen[chunk, SLOTS][0] == 0.0:
@@ -167,8 +169,10 @@ def tool_distances(
 
 @wp.func
 def bend_below(bend: float, heading: wp.vec3, part: wp.vec3):
-    """How far lines between voxel centres lie below what bends as the tool does along
-    ``heading``, of length 1.
+    """Compute how far linear interpolation lies below a surface that curves like the tool.
+
+    The curvature is taken along ``heading``, of length 1; the interpolation is between voxel
+    centres.
     """
     if bend >= EDGE:
         return float(0.0)

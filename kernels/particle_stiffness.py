@@ -6,15 +6,15 @@ g_a the gradient of corner a's shape function at the particle, ``w B^T D B`` has
     K_ab = w [lambda g_a g_b^T + mu g_b g_a^T + mu (g_a . g_b) I]
 
 A cell that is cut, or holds few particles, does not see the modes that vary inside it (a single
-particle gives rank 6 of the 18 that it needs). To it is added a part s of the energy that a full
-cell of its mean shear modulus has in these modes alone (``inner``, which is zero for every linear
-field, so that the patch test stays exact)::
+particle gives rank 6 of the 18 that it needs). A part s of an energy is added to it: the energy
+that a full cell of its mean shear modulus has in these modes alone (``inner``, which is zero for
+every linear field, so that the patch test stays exact)::
 
     K_ab += s (sum w mu / h^3) inner_ab,   s = strength (1 - min(1, min_i 12 sum w (x_i - 1/2)^2 / h^3))
 
 The bracket is the share of the second moment of a full cell that the particles lack: 0 for Gauss
 points, 1 for a single particle in the middle. The idea is hourglass control (Flanagan and
-Belytschko 1981, Int. J. Numer. Methods Eng. 17:679), scaled by what the particles miss.
+Belytschko 1981, Int. J. Numer. Methods Eng. 17:679), scaled by the share that the particles lack.
 
 Springs to the ground at points x of the cell, of 3 x 3 stiffness S, add ``sum N_a(x) N_b(x) S``.
 """  # noqa: E501 a table
@@ -45,14 +45,17 @@ def particle_stiffness(
     # [block] [m], full cell of unit Lame constants less its value at the centre
     inner: wp.array(dtype=wp.mat33d),
     spring_row: wp.array(dtype=wp.int32),  # [cell], its row in the next array, or -1
-    spring: wp.array2d(dtype=wp.mat33d),  # [row, block] [N/m], what springs to the ground add
+    spring: wp.array2d(
+        dtype=wp.mat33d
+    ),  # [row, block] [N/m], contribution of springs to the ground
     offset: int,
     # out
     stiffness_out: wp.array2d(dtype=wp.mat33d),  # [cell, block] [N/m]
     fill_out: wp.array(dtype=wp.float64),  # [cell], volume of its particles over its own
 ):
-    """Sum the stiffness of the changed cells over their particles, upper triangle first, then
-    mirrored.
+    """Sum the stiffness of the changed cells over their particles.
+
+    The upper triangle is summed first and then mirrored.
     """
     cell = changed[wp.tid() + offset]
     for block in range(36):

@@ -17,7 +17,7 @@ THIRD_TURN = wp.constant(wp.float64(2.0943951023931953))
 
 @wp.func
 def principal_values(stress: wp.mat33d):
-    """Eigenvalues of a symmetric matrix, largest first."""
+    """Compute the eigenvalues of a symmetric matrix, largest first."""
     mean = wp.trace(stress) / wp.float64(3.0)
     shifted = stress - wp.diag(wp.vec3d(mean, mean, mean))
     size = wp.sqrt(wp.ddot(shifted, shifted) / wp.float64(6.0))
@@ -46,7 +46,7 @@ def point_stress(
     # out
     stress_out: wp.array2d(dtype=wp.float64),  # [point, 6] [Pa]: xx, yy, zz, yz, xz, xy
 ):
-    """Stress at each point."""
+    """Compute the stress at each point."""
     i = wp.tid() + offset
     row = point[i]
     cell = cell_of[row]
@@ -77,7 +77,7 @@ def invariants(
     von_mises_out: wp.array(dtype=wp.float64),  # [point] [Pa]
     principal_out: wp.array(dtype=wp.vec3d),  # [point] [Pa], largest first
 ):
-    """Von Mises and principal stresses of each stress."""
+    """Compute von Mises and principal stresses of each stress."""
     i = wp.tid() + offset
     yz = components[i, 3]
     xz = components[i, 4]

@@ -1,8 +1,8 @@
 """Signed distance to a tool and the direction in which it grows.
 
 A tool's tip is its lowest point and its z axis runs from the tip to the shank. A sphere touches the
-tip; a cylinder ends in a flat face through the tip with a rounded edge and has no upper end; a
-shell is a set of planes, each taken to be the tool around one of its points.
+tip. A cylinder ends in a flat face through the tip with a rounded edge and has no upper end. A
+shell is a set of planes; each plane represents the tool around one of its points.
 """
 
 import warp as wp
@@ -19,7 +19,7 @@ ZERO = wp.constant(wp.float64(0.0))
 
 @wp.struct
 class Pose:
-    """Where a tool is and where it was a tick ago."""
+    """Pose of a tool now and one tick ago."""
 
     tip: wp.vec3d  # [m]
     turn: wp.mat33d  # tool to world
@@ -29,8 +29,9 @@ class Pose:
 
 @wp.func
 def axis_distance(kind: int, size: wp.vec2d, pose: Pose, point: wp.vec3d):
-    """Distance [m], negative inside, and its gradient; radius ``size[0]``, of a cylinder's edge
-    ``size[1]`` [m].
+    """Compute the distance [m], negative inside, and its gradient.
+
+    ``size[0]`` is the radius and ``size[1]`` the radius of a cylinder's edge [m].
     """
     axis = wp.vec3d(pose.turn[0, 2], pose.turn[1, 2], pose.turn[2, 2])
     arm = point - pose.tip

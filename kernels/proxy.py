@@ -1,10 +1,10 @@
-"""One tick of a proxy: a rigid tool goes as near to where its device is as the things around it
-allow.
+"""One tick of a proxy, a rigid tool that follows its device as closely as obstacles allow.
 
-From its last pose the tool descends in steps no longer than the path that is surely free, or half a
-voxel near something; every step solves the contacts at hand, and one that ends too deep is taken
-back and halved. So the proxy stays on the side of a wall on which it was, however fast the device
-went through (Zilles and Salisbury 1995, IROS; Ruspini, Kolarov and Khatib 1997, SIGGRAPH).
+From its last pose the tool descends in steps. A step is no longer than the path that is surely
+free, or half a voxel near an obstacle. Every step solves the active contacts; a step that ends too
+deep is taken back and halved. The proxy therefore stays on its side of a wall, however fast the
+device passes through the wall (Zilles and Salisbury 1995, IROS; Ruspini, Kolarov and Khatib 1997,
+SIGGRAPH).
 """
 
 import warp as wp
@@ -42,32 +42,37 @@ __all__ = [
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 POSITION, ROTATION, TRAVEL, STATE = 0, 3, 7, 8
-"""Places in the state: position xyz [m], quaternion xyzw, path length [m]; how many there are."""
+"""Places in the state, and its size.
+
+In order: position xyz [m], quaternion xyzw, path length [m]; number of entries.
+"""
 CONVERGED, PRESSING, STEPS, SOLVES, FORCE, MOMENT, CENTRE, REPORT = 0, 1, 2, 3, 4, 7, 10, 13
-"""Places in the report: 1 when converged; contacts that press, steps, solves; three each: force [m]
-and moment [m2] over the stiffness, and centre of pressure from the tool's origin in the world's
-axes [m]; how many there are.
+"""Places in the report, and its size.
+
+In order: 1 if converged; number of pressing contacts, of steps and of solves; three entries each
+for force over stiffness [m], moment over stiffness [m2], and centre of pressure from the tool's
+origin in world axes [m]; number of entries.
 """
 ZERO = wp.constant(wp.float64(0.0))
 HALVINGS = 8
-"""Times that a step is halved before the proxy stays where it is."""
+"""Number of times that a step is halved before the proxy stays where it is."""
 
 
 @wp.func
 def position_in(pose: wp.array(dtype=wp.float64)):
-    """Position [m] in a state or a goal."""
+    """Return the position [m] in a state or a goal."""
     return wp.vec3d(pose[POSITION], pose[POSITION + 1], pose[POSITION + 2])
 
 
 @wp.func
 def rotation_in(pose: wp.array(dtype=wp.float64)):
-    """Rotation in a state or a goal."""
+    """Return the rotation in a state or a goal."""
     return wp.quatd(pose[ROTATION], pose[ROTATION + 1], pose[ROTATION + 2], pose[ROTATION + 3])
 
 
 @wp.func
 def begin_descent(state: wp.array(dtype=wp.float64), tolerance: wp.float64):
-    """Descent whose trial pose is the last tick's."""
+    """Return a descent whose trial pose is the last tick's pose."""
     descent = Descent()
     descent.position = position_in(state)
     descent.rotation = rotation_in(state)
@@ -92,7 +97,7 @@ def write_state(descent: Descent, state_out: wp.array(dtype=wp.float64)):
 
 @wp.func
 def write_reaction(reaction: Reaction, report_out: wp.array(dtype=wp.float64)):
-    """Write what the contacts push, and where."""
+    """Write the reaction of the contacts and its centre of pressure."""
     report_out[PRESSING] = wp.float64(reaction.pressing)
     for c in range(3):
         report_out[FORCE + c] = reaction.force[c]

@@ -1,10 +1,10 @@
-"""Which points of a tool's shell are about to touch, and the plane each of them must stay above.
+"""Search for the shell points of a tool that may touch, and the plane each must stay above.
 
-A point that is far from everything sleeps until the shell has travelled as far as it was away. A
-point of the shell that lies near voxels keeps up to two planes it met before besides the present
-one, because at an inner corner one plane at a time makes it swing from face to face (Zilles and
-Salisbury 1995). A kept plane is dropped as soon as it would cut off space that the present distance
-shows to be free.
+A point that is far from all obstacles sleeps until the shell has travelled the distance to the
+nearest obstacle. A point near voxels keeps up to two earlier planes in addition to the present one.
+With one plane at a time, a point at an inner corner swings from face to face (Zilles and Salisbury
+1995). A kept plane is dropped as soon as it would cut off space that the present distance shows to
+be free.
 """
 
 import warp as wp
@@ -16,14 +16,16 @@ __all__ = ["VOXEL_PLANES", "Contacts", "Shell", "collect"]
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 VOXEL_PLANES = 3
-"""Planes a shell point may hold on voxels: the present one and two it met before."""
+"""Number of planes a shell point may hold on voxels: the present one and two earlier ones."""
 ZERO = wp.constant(wp.float64(0.0))
 FAR = wp.constant(wp.float64(1.0e30))
 AHEAD = wp.constant(wp.float64(4.0))
-"""Steps ahead that a point is looked at again."""
+"""Number of steps ahead at which a point is checked again."""
 LEAST_SLOPE = wp.constant(wp.float64(0.5))
-"""A flatter level is read as one this steep, so that a point is never taken to be farther away
-than a voxel.
+"""Smallest slope assumed for a level.
+
+A flatter level is read as this steep, so that a point is never assumed to be farther away than one
+voxel.
 """
 SAME_DIRECTION = wp.constant(wp.float64(0.99999999))
 SLACK = wp.constant(wp.float64(1.0e-3))
@@ -36,19 +38,20 @@ class Shell:
 
     point: wp.array(dtype=wp.vec3d)  # in the tool's frame [m]
     radius: wp.float64  # [m]
-    reach: wp.float64  # greatest distance of a point from the tool's origin [m]
+    reach: wp.float64  # largest distance of a point from the tool's origin [m]
 
 
 @wp.struct
 class Contacts:
-    """What the shell remembers of its contacts, and memory to solve them. A slot is a point with
-    one solid or plane.
+    """State of the contacts of the shell, and memory to solve them.
+
+    A slot is a point paired with one solid or plane.
     """
 
     slots: int  # a point
     press: wp.array(dtype=wp.float64)  # [slot], normal force over the coupling's stiffness [m]
     wake: wp.array(dtype=wp.float64)  # [point], travel at which it may touch something [m]
-    plane_normal: wp.array2d(dtype=wp.vec3d)  # [point, plane], zero where there is none
+    plane_normal: wp.array2d(dtype=wp.vec3d)  # [point, plane], zero where there is no plane
     plane_offset: wp.array2d(dtype=wp.float64)  # [m]
     # candidates of the present pose
     slot: wp.array(dtype=wp.int32)
@@ -67,7 +70,7 @@ class Contacts:
 def add_candidate(
     contacts: Contacts, count: int, slot: int, arm: wp.vec3d, normal: wp.vec3d, gap: wp.float64
 ):
-    """Note one plane that a point must stay above; the number of candidates."""
+    """Record one plane that a point must stay above, and return the number of candidates."""
     contacts.slot[count] = slot
     contacts.arm[count] = arm
     contacts.normal[count] = normal
@@ -92,7 +95,7 @@ def forget(
 
 @wp.func
 def keep_plane(contacts: Contacts, point: int, first: int):
-    """Move the present plane of a point to where the least is lost."""
+    """Move the present plane of a point to the slot where the loss is smallest."""
     k = int(1)
     if contacts.press[first + 1] > contacts.press[first + 2]:
         k = int(2)
@@ -113,8 +116,9 @@ def collect_voxels(
     step: wp.float64,
     found: int,
 ):
-    """Planes of one point near voxels: number of candidates, its level and how far it is surely
-    away [m].
+    """Find the planes of one point near voxels.
+
+    Return the number of candidates, the level of the point, and its surely free distance [m].
     """
     count = found
     far = voxel_clearance(field, at)
@@ -161,8 +165,9 @@ def collect(
     wanted: wp.float64,
     step: wp.float64,
 ):
-    """All planes within a ``step`` of the shell: their number, the least gap, and the free path of
-    every point [m].
+    """Collect all planes within a ``step`` of the shell.
+
+    Return their number, the smallest gap, and the free path of every point [m].
 
     A point wakes early where its sleep would cut the ``wanted`` path [m] short, but never from
     farther than ``AHEAD``.

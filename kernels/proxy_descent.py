@@ -1,5 +1,6 @@
-"""Steps by which a proxy descends toward its device: a motion that the contacts allow, shortened or
-taken back.
+"""Steps of a proxy's descent toward its device.
+
+A step is a motion that the contacts allow, and may be shortened or taken back.
 
 A trial pose is one motion away from the last pose that was found to be free.
 """
@@ -24,15 +25,16 @@ __all__ = [
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 GOES_ON, AT_REST, OUT_OF_SOLVES = 0, 1, 2
-"""Ends of a step."""
+"""End states of a step."""
 STALLS = 2
-"""Steps in a row that hardly lower the springs' energy: near voxels the proxy swings over
-creases, and may rest.
+"""Number of steps in a row that hardly lower the springs' energy before the proxy may rest.
+
+Near voxels the proxy swings over creases.
 """
 LITTLE = wp.constant(wp.float64(1.0e-4))
-"""Share of the springs' energy by which a step must lower it near voxels."""
+"""Share of the springs' energy that a step near voxels must remove at least."""
 TOO_DEEP = wp.constant(wp.float64(0.1))
-"""Share of a step by which a point may sink in before the step is taken back."""
+"""Share of a step's length that a point may sink in before the step is taken back."""
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 HALF = wp.constant(wp.float64(0.5))
@@ -53,7 +55,7 @@ class DescentSettings:
 
 @wp.struct
 class Descent:
-    """How far a tick's descent has come."""
+    """Progress of a tick's descent."""
 
     position: wp.vec3d  # the last pose found to be free [m]
     rotation: wp.quatd
@@ -62,9 +64,9 @@ class Descent:
     trial_position: wp.vec3d  # [m]
     trial_rotation: wp.quatd
     arrived: int  # 1 where the trial pose is the goal
-    travel: wp.float64  # greatest path length of a point since the proxy was placed [m]
+    travel: wp.float64  # largest path length of a point since the proxy was placed [m]
     deepest: wp.float64  # gap below which the trial is taken back [m]
-    lowest: wp.float64  # least energy of the springs so far, over half their stiffness [m2]
+    lowest: wp.float64  # smallest energy of the springs so far, over half their stiffness [m2]
     near: wp.float64  # change of the friction force at which it is found [m]
     halvings: int
     stalls: int
@@ -85,7 +87,7 @@ class Reaction:
 
 @wp.func
 def first_touch(contacts: Contacts, count: int, shift: wp.vec3d, turn: wp.vec3d):
-    """Share of a motion after which the first plane is met, 2 where none is."""
+    """Return the share of a motion until the first plane is touched, or 2 if no plane is."""
     share = wp.float64(2.0)
     for c in range(count):
         closing = -wp.dot(contacts.normal[c], shift) - wp.dot(contacts.moment[c], turn)
@@ -96,8 +98,10 @@ def first_touch(contacts: Contacts, count: int, shift: wp.vec3d, turn: wp.vec3d)
 
 @wp.func
 def contact_sums(contacts: Contacts, members: int):
-    """How many members press, their normal forces [m] and moments [m2] in sum, and their centre
-    of pressure [m].
+    """Sum the contacts of the set.
+
+    Return the number of members that press, the sums of their normal forces [m] and moments [m2],
+    and their centre of pressure [m].
     """
     pressing = int(0)
     force = wp.vec3d()
@@ -120,7 +124,7 @@ def contact_sums(contacts: Contacts, members: int):
 
 @wp.func
 def halve_motion(before: Descent, reach: wp.float64):
-    """Descent whose trial is half as far from the last free pose."""
+    """Return a descent whose trial pose is half as far from the last free pose."""
     descent = before
     descent.halvings = before.halvings + 1
     descent.arrived = 0
@@ -134,7 +138,7 @@ def halve_motion(before: Descent, reach: wp.float64):
 
 @wp.func
 def accept_trial(before: Descent, gap: wp.float64, step: wp.float64):
-    """Descent whose trial pose is found to be free, with this least gap [m]."""
+    """Return a descent whose trial pose was found to be free, with this smallest gap [m]."""
     descent = before
     descent.halvings = 0
     descent.position = before.trial_position
@@ -151,10 +155,11 @@ def aim_at(
     compliance: wp.float64,
     spacing: wp.float64,
 ):
-    """Descent with the motion that the springs want, and a stall more where their energy has hardly
-    fallen.
+    """Return a descent with the motion that the springs want.
 
-    Beside exact solids, where the ``spacing`` of voxels is 0, no step counts as a stall.
+    It counts one more stall if the springs' energy has hardly fallen.
+
+    Near exact solids, where the ``spacing`` of voxels is 0, no step counts as a stall.
     """
     descent = before
     descent.arrived = 0
@@ -174,9 +179,7 @@ def aim_at(
 def react(
     contacts: Contacts, count: int, settings: DescentSettings, descent: Descent, last: Reaction
 ):
-    """Forces of the contacts on the wanted motion, over the stiffness, and how many solves they
-    took.
-    """
+    """Compute contact forces on the wanted motion, over the stiffness, and the number of solves."""
     reaction = Reaction()
     compliance = settings.compliance
     members, solves, rub, arm = resolve(
@@ -210,9 +213,10 @@ def constrain_motion(
     settings: DescentSettings,
     gap: wp.float64,
 ):
-    """Descent whose motion the contacts allow, their reaction, and 1 where they were solved.
+    """Return a descent with a motion that the contacts allow, their reaction, and a solved flag.
 
-    Friction begins where something is met, so the tool first goes there: then nothing is solved.
+    The flag is 1 where the contacts were solved. Friction begins at the first contact, so the tool
+    first moves there and no contact is solved.
     """
     descent = before
     if settings.friction > ZERO and last.pressing == 0 and gap > settings.tolerance:
@@ -230,8 +234,9 @@ def constrain_motion(
 
 @wp.func
 def next_trial(before: Descent, settings: DescentSettings, size: wp.float64, clear: wp.float64):
-    """Descent with a motion of ``size`` shortened to the ``clear`` path length [m], and its
-    trial pose.
+    """Return a descent and its trial pose.
+
+    The motion of ``size`` is shortened to the ``clear`` path length [m].
     """
     descent = before
     descent.near = settings.tolerance
@@ -260,8 +265,9 @@ def take_step(
     spacing: wp.float64,
     reach: wp.float64,
 ):
-    """One step from a pose that is free: descent and reaction after it, and whether it ends here
-    and how.
+    """Take one step from a free pose.
+
+    Return the descent and reaction after it, and whether and how it ends here.
     """
     if before.solves >= settings.solve_limit:
         return before, last, OUT_OF_SOLVES

@@ -1,10 +1,10 @@
 """Forces that keep a rigid tool above many planes, by an active set of at most eight.
 
-The tool hangs on a spring of stiffness k and, where it may turn, on one of k l^2 in rotation.
-Forces f_i, here over k, move it from where the springs would have it: ``t = t_free + sum f_i`` and
-``w = w_free + sum (r_i x f_i) / l^2``. This is Gauss's principle of least constraint with the
-springs as metric (Ortega, Redon and Coquillart 2007, IEEE Trans. Vis. Comput. Graph. 13:458), so
-what the springs pull is what the contacts push.
+The tool is held by a spring of stiffness k and, where it may turn, by a rotational spring of
+stiffness k l^2. Forces f_i, here divided by k, move it from the pose of zero spring force:
+``t = t_free + sum f_i`` and ``w = w_free + sum (r_i x f_i) / l^2``. This is Gauss's principle of
+least constraint with the springs as metric (Ortega, Redon and Coquillart 2007, IEEE Trans. Vis.
+Comput. Graph. 13:458), so the spring forces equal the contact forces.
 
 The normal forces are the multipliers of that quadratic problem. The plane most violated joins the
 set, the set's linear system is solved, and a force that would turn into a pull leaves it (Lawson
@@ -26,14 +26,15 @@ ROUNDS = 64
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 TINY = wp.constant(wp.float64(1.0e-13))
-"""Share by which the set's matrix is stiffened, so that planes that depend on each other have a
-solution.
-"""
+"""Relative increase of the set's matrix that makes dependent planes solvable."""
 
 
 @wp.func
 def factorise(contacts: Contacts, members: int, compliance: wp.float64):
-    """Cholesky factor of how each plane's force moves the tool along the others' normals."""
+    """Compute the Cholesky factor of the coupling between planes.
+
+    The matrix holds each plane's effect on the tool's motion along the normals of the others.
+    """
     for i in range(members):
         a = contacts.member[i]
         for j in range(i + 1):
@@ -54,8 +55,9 @@ def factorise(contacts: Contacts, members: int, compliance: wp.float64):
 def solve_set(
     contacts: Contacts, members: int, shift: wp.vec3d, turn: wp.vec3d, gaps: wp.float64, column: int
 ):
-    """Forces of the set that undo a shift and a turn, and with ``gaps`` 1 close the gaps, into a
-    column.
+    """Solve for the forces of the set that undo a shift and a turn, into a column.
+
+    With ``gaps`` 1 they also close the gaps.
     """
     for i in range(members):
         c = contacts.member[i]
@@ -77,7 +79,7 @@ def solve_set(
 
 @wp.func
 def drop_member(contacts: Contacts, members: int, place: int):
-    """Take a plane out of the set: how many are left."""
+    """Remove a plane from the set and return the number left."""
     c = contacts.member[place]
     contacts.press[contacts.slot[c]] = ZERO
     contacts.chosen[c] = 0
@@ -89,8 +91,9 @@ def drop_member(contacts: Contacts, members: int, place: int):
 def shrink_set(
     contacts: Contacts, start: int, compliance: wp.float64, shift: wp.vec3d, turn: wp.vec3d
 ):
-    """Forces of the set that close its gaps, pulls leaving it one by one: its size and the
-    solves.
+    """Solve for the forces of the set that close its gaps, removing pulling forces one by one.
+
+    Return the size of the set and the number of solves.
     """
     members = start
     solves = int(0)
@@ -125,7 +128,7 @@ def shrink_set(
 def moved_by_set(
     contacts: Contacts, members: int, compliance: wp.float64, shift: wp.vec3d, turn: wp.vec3d
 ):
-    """Shift and turn once the set's forces act."""
+    """Compute the shift and turn of the tool under the set's forces."""
     moved = shift
     turned = turn
     for m in range(members):
@@ -146,7 +149,10 @@ def normal_forces(
     shift: wp.vec3d,
     turn: wp.vec3d,
 ):
-    """Least normal forces that keep all planes, from the set as it is: its size and the solves."""
+    """Compute the smallest normal forces that keep all planes, starting from the present set.
+
+    Return the size of the set and the number of solves.
+    """
     members, solves = shrink_set(contacts, start, compliance, shift, turn)
     for _ in range(ROUNDS):
         moved, turned = moved_by_set(contacts, members, compliance, shift, turn)

@@ -1,9 +1,9 @@
-"""Friction of all contacts of a rigid tool together, and the whole force of the contacts at hand.
+"""Friction of all contacts of a rigid tool together, and the total force of the contacts.
 
 Friction acts on the resultant: at the centre of pressure, across the resultant normal force, no
-more than ``mu`` times the sum of the normal forces. It holds that point where it can, with every
-normal force answering at once; beyond the cone it works against the slip of the point. A patch does
-not resist a spin about its own normal.
+more than ``mu`` times the sum of the normal forces. It holds that point where it can, while every
+normal force adapts. Beyond the cone it acts against the slip of the point. A patch does not resist
+a spin about its own normal.
 """
 
 import warp as wp
@@ -16,18 +16,19 @@ __all__ = ["friction_force", "resolve"]
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 ROUNDS = 4
-"""Times that friction and normal forces are found in turn."""
+"""Number of rounds in which friction and normal forces are solved in turn."""
 STEPS = 50
 NEWTON_STEPS = 30
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 HALF = wp.constant(wp.float64(0.5))
 SOFT = wp.constant(wp.float64(1.0e-11))
-"""Compliance given to a point that the planes hold, next to about 1 of a free one: its friction
-is not determined.
+"""Compliance given to a point that the planes hold, relative to about 1 of a free point.
+
+The friction of a held point is not determined.
 """
 EXACT = wp.constant(wp.float64(1.0e-13))
-"""Relative change of the friction force at which it is found."""
+"""Relative change of the friction force at which the iteration ends."""
 
 
 @wp.func
@@ -39,8 +40,9 @@ def holding_force(
     v1: wp.float64,
     softer: wp.float64,
 ):
-    """Force that undoes the slip v of a point with compliance W, both made ``softer``: -(W +
-    softer)^-1 v.
+    """Compute the force that undoes the slip v of a point with compliance W: -(W + softer)^-1 v.
+
+    The compliance is increased by ``softer``.
     """
     more = softer + SOFT
     a = w00 + more
@@ -58,8 +60,9 @@ def slipping_force(
     v1: wp.float64,
     bound: wp.float64,
 ):
-    """Force of size ``bound`` against the slip that is left: Newton on reciprocals (More and
-    Sorensen 1983).
+    """Compute the force of size ``bound`` against the remaining slip.
+
+    The solution uses Newton's method on reciprocals (More and Sorensen 1983).
     """
     f0 = wp.float64(0.0)
     f1 = wp.float64(0.0)
@@ -85,8 +88,9 @@ def friction_force(
     turn: wp.vec3d,
     last: wp.vec3d,
 ):
-    """Friction of the set's resultant and its arm from the tool's origin, the normal forces
-    answering linearly.
+    """Compute the friction of the set's resultant and its arm from the tool's origin.
+
+    The normal forces respond linearly.
     """
     total = wp.float64(0.0)
     along = wp.vec3d()
@@ -154,8 +158,9 @@ def resolve(
     last_arm: wp.vec3d,
     near: wp.float64,  # change of the friction at which it is found [m]
 ):
-    """Size of the set, solves, and friction force [m] with its arm; the normal forces are left
-    in ``press``.
+    """Return size of the set, number of solves, and friction force [m] with its arm.
+
+    The normal forces are written to ``press``.
     """
     members = int(0)
     for c in range(count):
@@ -178,7 +183,7 @@ def resolve(
             before = rub
             arm_before = arm
             rub, arm = friction_force(contacts, members, compliance, friction, shift, turn, before)
-            if k > 0:  # halve it, lest two sets of planes take turns
+            if k > 0:  # halve it, so that two sets of planes do not alternate
                 rub = HALF * (rub + before)
                 arm = HALF * (arm + arm_before)
             dragged = turn + compliance * wp.cross(arm, rub)

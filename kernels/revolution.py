@@ -1,5 +1,6 @@
-"""A tool as a surface of revolution: a table of signed distance over radius and height. Lengths
-are in voxels.
+"""Tool as a surface of revolution: a table of signed distance over radius and height.
+
+Lengths are in voxels.
 """
 
 import warp as wp
@@ -7,7 +8,7 @@ import warp as wp
 __all__ = ["EDGE_BEND", "Nearest", "Revolution", "nearest_on", "offset_from"]
 
 EDGE_BEND = 8.0
-"""Stands for the bend near an edge of the profile, where no one plane serves a block of voxels."""
+"""Bend used near an edge of the profile, where no single plane fits a block of voxels."""
 
 
 @wp.struct
@@ -24,16 +25,16 @@ class Revolution:
     low: wp.float32  # lowest and highest height of the body above the tip [voxel]
     high: wp.float32
     convex: wp.int32  # 1 where the body is convex
-    # 1 where it is one smooth piece, so that what is behind it follows from one normal
+    # 1 where it is one smooth piece, so that the volume behind it follows from one normal
     round: wp.int32
 
 
 @wp.struct
 class Nearest:
-    """The tool's surface seen from a point."""
+    """Tool surface nearest to a point."""
 
     distance: wp.float32  # signed distance [voxel]
-    # what curvature adds on average over a block of 2 voxels and inside each voxel [voxel]
+    # average contribution of curvature over a block of 2 voxels and inside each voxel [voxel]
     bend: wp.float32
     # gradient of the distance: outward, of length 1, shorter where two sides are equally near
     slope: wp.vec3
@@ -41,8 +42,9 @@ class Nearest:
 
 @wp.func
 def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
-    """The surface seen from ``offset`` [voxel] off the tip of a tool along ``axis``: bilinear in
-    the table.
+    """Return the tool surface at an ``offset`` [voxel] from the tip of a tool along ``axis``.
+
+    It is interpolated bilinearly in the table.
 
     Over a block of 2 x 2 x 2 voxels the distances at the voxel centres exceed the tangent plane's
     by (k1 + k2) / 8 on average, and the mean over each voxel exceeds its centre's by (k1 + k2) /
@@ -72,8 +74,9 @@ def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
 
 @wp.func
 def offset_from(pose: wp.array2d(dtype=wp.float64), row: int, ix: int, iy: int, iz: int):
-    """Vector [voxel] from the tip of a pose to the low corner of voxel (ix, iy, iz), taken in
-    double precision.
+    """Return the vector [voxel] from the tip of a pose to the low corner of voxel (ix, iy, iz).
+
+    It is computed in double precision.
     """
     return wp.vec3(
         float(wp.float64(ix) - pose[row, 0]),

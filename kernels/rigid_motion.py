@@ -1,4 +1,4 @@
-"""Motions of a rigid body: turns on the group, as unit quaternions, and how far its points go."""
+"""Motions of a rigid body: rotations as unit quaternions, and the path lengths of its points."""
 
 import warp as wp
 
@@ -14,7 +14,7 @@ SMALL = wp.constant(wp.float64(1.0e-8))
 
 @wp.func
 def turned_by(turn: wp.vec3d, rotation: wp.quatd):
-    """Rotation followed by one about the rotation vector ``turn`` [rad]."""
+    """Return a rotation followed by a rotation about the vector ``turn`` [rad]."""
     angle = wp.length(turn)
     share = HALF
     if angle > SMALL:
@@ -27,7 +27,7 @@ def turned_by(turn: wp.vec3d, rotation: wp.quatd):
 
 @wp.func
 def turn_between(start: wp.quatd, goal: wp.quatd):
-    """Rotation vector [rad] of the shortest turn from one rotation to another."""
+    """Compute the rotation vector [rad] of the shortest turn from one rotation to another."""
     turn = goal * wp.quat_inverse(start)
     imaginary = wp.vec3d(turn[0], turn[1], turn[2])
     cosine = turn[3]
@@ -43,7 +43,7 @@ def turn_between(start: wp.quatd, goal: wp.quatd):
 
 @wp.func
 def motion_length(shift: wp.vec3d, turn: wp.vec3d, reach: wp.float64):
-    """Greatest path length of a point within ``reach`` [m] of the tool's origin [m]."""
+    """Return the largest path length of a point within ``reach`` [m] of the tool's origin [m]."""
     return wp.length(shift) + reach * wp.length(turn)
 
 
@@ -55,8 +55,9 @@ def pose_distance(
     goal: wp.quatd,
     reach: wp.float64,
 ):
-    """Greatest path length of a point within ``reach`` [m] to where it is wanted [m]; 0 leaves
-    turns out.
+    """Return the largest path length of a point within ``reach`` [m] to its wanted position [m].
+
+    A ``reach`` of 0 ignores rotations.
     """
     length = wp.length(goal_position - position)
     if reach > ZERO:

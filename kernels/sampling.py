@@ -20,8 +20,9 @@ def sample(
     # out
     fraction_out: wp.array(dtype=wp.float32),
 ):
-    """Filled fraction at each point, trilinear between voxel centres and 0 where nothing is
-    stored.
+    """Sample the filled fraction at each point, trilinear between voxel centres.
+
+    The fraction is 0 where no brick is stored.
     """
     i = wp.tid() + offset
     fraction_out[i] = trilinear(brick_of, remaining, point[i])

@@ -1,5 +1,6 @@
-"""Where the points of a tool's shell meet a triangulated surface: along their normals, the
-nearest triangle.
+"""Projection of a tool's shell points onto a triangulated surface.
+
+The projection follows the normals of the points to the nearest triangle.
 """
 
 import warp as wp
@@ -13,9 +14,9 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 TWICE = wp.constant(wp.float64(2.0))
-"""A corner of a triangle lies within two of its radii from any of its points."""
+"""Multiple of a triangle's radius within which each corner lies from any of its points."""
 GRAZING = wp.constant(wp.float64(0.1))
-"""Cosine between a point's normal and a triangle's inward normal below which they do not meet."""
+"""Cosine between a point's normal and a triangle's inward normal below which they do not touch."""
 EDGE = wp.constant(wp.float64(-1e-9))
 """Barycentric weight down to which a point on an edge belongs to either side."""
 
@@ -35,8 +36,9 @@ def project_shell(
     points_out: Points,
     triangle_out: wp.array(dtype=wp.int32),  # [point], -1 where the point meets nothing
 ):
-    """Place every point on the nearest triangle that its normal's line crosses within reach and
-    its last motion.
+    """Move every point to the nearest triangle that the line along its normal crosses.
+
+    The triangle must lie within reach and within the last motion.
     """
     i = wp.tid() + offset
     pose = pose_of(pose_rows)
@@ -79,7 +81,7 @@ def project_shell(
 
 @wp.kernel
 def link_points(triangle: wp.array(dtype=wp.int32), lists: Lists, points_out: Points):
-    """Chain the points of each nearby triangle; a point that meets nothing carries nothing."""
+    """Chain the points of each nearby triangle; a point without a triangle carries no force."""
     for k in range(lists.count[NEARBY]):
         points_out.first[lists.near[k]] = -1
     for i in range(triangle.shape[0]):

@@ -1,9 +1,9 @@
-"""Whether a launch is split over threads, decided by what splitting gains on this machine at this
-time.
+"""Choice whether to split a launch over threads, by the measured gain on this machine.
 
-Two processors may share one core, and other processes may keep a core busy: then half the work
-takes as long as all of it, and splitting only costs. The gain is measured by a short calibration
-before the first launch, and again while the launches run, at first often and then ever more seldom.
+Two processors may share one core, and other processes may keep a core busy: half the work then
+takes as long as the whole, and splitting only costs time. The gain is measured by a short
+calibration before the first launch. It is measured again while the launches run, at first often and
+then less and less often.
 """
 
 import hashlib
@@ -17,40 +17,44 @@ from kernels.cores import CoreThreads, current_core
 __all__ = ["LEAST_GAIN", "SplitChoice", "calibrate", "run_split"]
 
 LEAST_GAIN = 1.1
-"""Time of whole runs over that of split ones from which a launch is split."""
+"""Ratio of whole to split time above which a launch is split."""
 ORDER = tuple(number.bit_count() % 2 == 1 for number in range(16))
-"""Which runs of a trial are split: as often late as early, and in no rhythm that the work of the
-runs may have.
+"""Choice of the runs of a trial that are split.
+
+Split runs are late as often as early, and follow no rhythm that the work of the runs may have.
 """
 MOST_RATIO = 4.0
-"""A run of a trial counts as at most so many times the median one: one interruption decides
-nothing, several do.
+"""Largest time of a run in a trial, relative to the median; longer runs count as this.
+
+One interruption therefore does not decide the trial, several do.
 """
 KEPT = 4
-"""Trials that count."""
+"""Number of trials that count."""
 FIRST_TRIAL, LAST_TRIAL = 32, 2048
-"""Large runs before the first trial; the number doubles with each trial that confirms the
-choice, up to the second.
+"""Number of large runs before the first trial, and the largest number between trials.
+
+The number doubles with each trial that confirms the choice.
 """
 SAMPLES = 8
-"""Pairs of whole and split work in the calibration."""
+"""Number of pairs of whole and split work in the calibration."""
 CALIBRATION_S = 1.5e-4
-"""Time of one part of the calibration's work [s]: a launch just large enough to be split has two
-of them.
+"""Time of one part of the calibration's work [s].
+
+A launch that is just large enough to be split has two such parts.
 """
 SAMPLE_BYTES = 1 << 16
 
 
 class SplitChoice:
-    """Whether one launch is split.
+    """Decision whether one launch is split.
 
-    The work of a launch changes from run to run, so a trial compares as many whole runs as split
-    ones, mixed.
+    The work of a launch changes from run to run. A trial therefore compares equal numbers of whole
+    and split runs, in mixed order.
 
     Parameters
     ----------
     gain
-        Ratio of whole to split time measured so far, such as that of `calibrate`.
+        Ratio of whole to split time measured so far, such as the ratio from `calibrate`.
     """
 
     def __init__(self, gain: float = 1.0) -> None:
@@ -65,15 +69,15 @@ class SplitChoice:
 
     @property
     def splits(self) -> bool:
-        """Whether splitting gains enough."""
+        """Return whether splitting gains enough."""
         return self.gain >= LEAST_GAIN
 
     def next_run(self) -> bool:
-        """Whether to split the next large run."""
+        """Return whether to split the next large run."""
         return self.splits if self._due > 0 else ORDER[len(self._trial)]
 
     def add(self, seconds: float) -> None:
-        """Take the time of the run that `next_run` was asked about [s]."""
+        """Record the time [s] of the run that was announced by `next_run`."""
         if self._due > 0:
             self._due -= 1
             return
@@ -95,12 +99,13 @@ class SplitChoice:
 
 
 def run_split(pool: CoreThreads, parts: list[Callable[[], object]]) -> int:
-    """Run parts, the first in this thread and the others in a pool's; a part that no thread has
-    begun is taken back.
+    """Run the first part in this thread and the other parts in the threads of a pool.
+
+    A part that no thread has begun is taken back.
 
     Returns
     -------
-    How many parts ran at the same time.
+    Number of parts that ran at the same time.
     """
     pool.keep_off(current_core())
     waiting = [(pool.submit(part), part) for part in parts[1:]]
@@ -116,7 +121,9 @@ def run_split(pool: CoreThreads, parts: list[Callable[[], object]]) -> int:
 
 
 def calibrate(pool: CoreThreads, parts: int, *, now: Callable[[], float] = perf_counter) -> float:
-    """Ratio of whole to split time of work that needs only a core, measured in a few milliseconds.
+    """Measure the ratio of whole to split time of work that needs only a core.
+
+    The measurement takes a few milliseconds.
 
     Parameters
     ----------

@@ -22,23 +22,27 @@ __all__ = [
 wp.set_module_options({"enable_backward": False})
 
 DEPTH_TOLERANCE_M = wp.constant(wp.float64(3.0e-6))
-"""A bound that lies at most this far below the smallest distance is good enough [m]."""
+"""Largest accepted distance of a bound below the smallest distance [m]."""
 CELLS = wp.constant(128)
 """Rows of the stack of cells."""
 CELL_COLUMNS = wp.constant(6)
 MOST_QUERIES = wp.constant(20000)
-"""Closest-point queries after which a search ends with a coarser lower bound, so that a tick
-ends.
+"""Number of closest-point queries after which a search ends with a coarser lower bound.
+
+The limit bounds the time of a tick.
 """
 FAR_M = wp.constant(wp.float64(1.0e3))
 NEAR_M = wp.constant(wp.float64(1.0e-6))
 """Distance from the surface below which rounding spoils the direction to it [m]."""
 OUTSIDE_SIZES = wp.constant(wp.float64(16.0))
-"""Distance of the outer point of a bound from the surface over the size of the cell. A bound lies
-below the distance by about a 32nd of the size where the structure leaves that much space."""
+"""Distance of the outer point of a bound from the surface, over the size of the cell.
+
+A bound lies below the distance by about a 32nd of the size where the structure leaves that much
+space.
+"""
 HULL = wp.constant(8)
 WIDE_RAD = wp.constant(wp.float64(1.0))
-"""Half angle from which on a cell is bounded by its size alone."""
+"""Half angle [rad] above which a cell is bounded by its size alone."""
 
 
 @wp.struct
@@ -55,7 +59,7 @@ class MedialAxis:
 def in_structure(
     motion: wp.array2d(dtype=wp.float64), radius: wp.float64, angle: wp.float64, height: wp.float64
 ):
-    """A point of the tool, in cylindrical coordinates, in the structure's frame."""
+    """Convert a point of the tool, in cylindrical coordinates, to the structure's frame."""
     point_x = radius * wp.cos(angle)
     point_y = radius * wp.sin(angle)
     x = motion[0, 0] + motion[1, 0] * point_x + motion[2, 0] * point_y + motion[3, 0] * height
@@ -72,7 +76,7 @@ def is_in_structure(mesh: wp.uint64, point: wp.vec3d):
 
 @wp.func
 def nearest_on_surface(mesh: wp.uint64, point: wp.vec3d):
-    """Distance from the surface, the nearest point of it and its triangle."""
+    """Find the distance from the surface, the nearest point of it and its triangle."""
     at = wp.vec3(point)
     query = wp.mesh_query_point_no_sign(mesh, at, float(FAR_M))
     foot = wp.vec3d(wp.mesh_eval_position(mesh, query.face, query.u, query.v))
@@ -88,10 +92,10 @@ def hull_corner(
     half_angle: wp.float64,
     k: int,
 ):
-    """Corner `k` of a hull around a cell's centres, and its ball radius.
+    """Return corner `k` of a hull around a cell's centres, and its ball radius.
 
-    The hull is that of the cell's own four corners and of four on the tangents at its middle. A
-    concave function of the centre and the ball radius is smallest at one of them.
+    The hull surrounds the cell's own four corners and four corners on the tangents at its middle. A
+    concave function of the centre and the ball radius is smallest at a corner of the hull.
     """
     ball = wp.where(k < 4, start, end)
     turned = angle + wp.where(k % 2 == 0, -half_angle, half_angle)
@@ -121,11 +125,12 @@ def cell_bounds(
     moved: wp.float64,
     wanted: wp.float64,
 ):
-    """Bounds of the distance over a cell's balls, and the signed distance of the centre of its
-    middle from the surface.
+    """Compute bounds of the distance over the balls of a cell.
 
-    `before` is that signed distance of a point that lies `moved` away. A lower bound above `wanted`
-    is not improved.
+    Also return the signed distance from the surface to the centre of the cell's middle.
+
+    `before` is the same signed distance of a point that lies `moved` away. A lower bound above
+    `wanted` is not improved.
     """
     middle = wp.float64(0.5) * (start + end)
     centre = in_structure(motion, middle[0], angle, middle[1])
@@ -203,8 +208,9 @@ def over_balls(
     # shares of the segment from and to, angle, half angle, bound, signed distance
     cells: wp.array2d(dtype=wp.float64),
 ):
-    """Lower bound of the distance of all balls whose centre lies in the structure, and of `best`
-    [m].
+    """Compute a lower bound [m] of the distance of balls in the structure, at most `best`.
+
+    The balls are all balls of the tool whose centre lies in the structure.
     """
     smallest = best
     lowest = best

@@ -17,18 +17,19 @@ wp.set_module_options({"enable_backward": False})
 NODES, TRIANGLES = wp.constant(256), wp.constant(256)
 """Rows of the stacks of nodes and of triangles."""
 MOST_EVALUATIONS = wp.constant(20000)
-"""Evaluations after which a search ends with a coarser lower bound, so that a tick ends."""
+"""Number of evaluations after which a search ends with a coarser lower bound.
+
+The limit bounds the time of a tick.
+"""
 LEAF = wp.constant(4)
 
 
 @wp.struct
 class Tree:
-    """Triangles in a complete binary tree of boxes: the children of node i are 2 i + 1 and 2 i +
-    2.
-    """
+    """Triangles in a complete binary tree of boxes; node i has the children 2 i + 1 and 2 i + 2."""
 
     centre: wp.array(dtype=wp.vec3d)  # [node] [m]
-    half: wp.array(dtype=wp.vec3d)  # [node] half sides [m], negative where nothing is
+    half: wp.array(dtype=wp.vec3d)  # [node] half sides [m], negative in empty nodes
     corners: wp.array2d(dtype=wp.vec3d)  # [triangle, 3] [m], LEAF triangles a leaf
     first_leaf: wp.int32
 
@@ -44,8 +45,9 @@ def smallest_in_triangle(
     stack: wp.array2d(dtype=wp.vec3d),
     bound: wp.array(dtype=wp.float64),
 ):
-    """Smaller of `best` and the smallest distance over a triangle, the evaluations so far, and
-    what is left open.
+    """Find the smallest distance over a triangle, but at most `best`.
+
+    Return it, the evaluations so far, and the part that is left open.
     """
     smallest = best
     left = wp.float64(1.0e9)
@@ -97,7 +99,7 @@ def smallest_in_triangle(
 
 @wp.func
 def in_tool(motion: wp.array2d(dtype=wp.float64), point: wp.vec3d):
-    """A point of the structure's frame in the tool's frame."""
+    """Convert a point of the structure's frame to the tool's frame."""
     p = point - wp.vec3d(motion[0, 0], motion[0, 1], motion[0, 2])
     x = motion[1, 0] * p[0] + motion[1, 1] * p[1] + motion[1, 2] * p[2]
     y = motion[2, 0] * p[0] + motion[2, 1] * p[1] + motion[2, 2] * p[2]
@@ -107,7 +109,7 @@ def in_tool(motion: wp.array2d(dtype=wp.float64), point: wp.vec3d):
 
 @wp.func
 def node_bound(outline: Outline, tree: Tree, motion: wp.array2d(dtype=wp.float64), node: int):
-    """Lower bound of the distance over a node's box."""
+    """Compute a lower bound of the distance over a node's box."""
     half = tree.half[node]
     bound = wp.float64(1.0e9)
     if half[0] >= wp.float64(0.0):
@@ -139,8 +141,9 @@ def over_surface(
     stack: wp.array2d(dtype=wp.vec3d),
     bounds: wp.array(dtype=wp.float64),
 ):
-    """Lower bound of the smallest distance from the tool over the surface [m], `TOLERANCE_M`
-    below it at most.
+    """Compute a lower bound of the smallest distance [m] from the tool over the surface.
+
+    The bound is at most `TOLERANCE_M` below the smallest distance.
     """
     smallest = wp.float64(1.0e9)
     left = wp.float64(1.0e9)
@@ -195,7 +198,7 @@ def distance_to_structure(
     # rows: tip [m]; tool axes x, y, z, in the structure's frame
     motion: wp.array2d(dtype=wp.float64),
     medial: MedialAxis,
-    # scratch, of which nothing is read afterwards
+    # scratch, not read afterwards
     last_leaf_out: wp.array(dtype=wp.int32),
     nodes_out: wp.array(dtype=wp.int32),
     node_bounds_out: wp.array(dtype=wp.float64),
@@ -206,7 +209,7 @@ def distance_to_structure(
     # out
     distance_out: wp.array(dtype=wp.float64),  # [m], negative where tool and structure overlap
 ):
-    """Lower bound of the distance between tool and structure, run by one thread."""
+    """Compute a lower bound of the distance between tool and structure, in one thread."""
     smallest = over_surface(
         outline, tree, motion, last_leaf_out, nodes_out, node_bounds_out, stack_out, bounds_out
     )

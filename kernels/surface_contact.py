@@ -1,12 +1,14 @@
-"""A tool against triangles of a body whose nodes move by a dense compliance: nonlinear
-Gauss-Seidel, one thread.
+"""Contact of a tool with triangles of a body whose nodes move by a dense compliance.
+
+The solver is a nonlinear Gauss-Seidel iteration on one thread.
 
 The unknowns are the forces at contact points, given on the triangles by barycentric weights. In a
-triangle's turn its points take the force of one contact after the other (``kernels.friction_cone``)
-with distance and normal of the tool where the point is now, so that normals need no outer loop;
-then each of its nodes whose force F_a changed pushes the displacements of all loaded nodes, ``u_b
-+= W_ba dF_a`` (``kernels.near_compliance``). Only triangles that touch or carry force take turns;
-when they rest, all others nearby are looked at again, and those that the tool would enter join.
+triangle's turn, the force of one contact after the other is solved at its points
+(``kernels.friction_cone``). Distance and normal of the tool are taken at the present position of
+the point, so normals need no outer loop. Then each of its nodes whose force F_a changed adds to the
+displacements of all loaded nodes, ``u_b += W_ba dF_a`` (``kernels.near_compliance``). Only
+triangles that touch or carry force take turns. When their points rest, all other nearby triangles
+are checked again, and triangles that the tool would enter join.
 """
 
 import warp as wp
@@ -62,8 +64,9 @@ def turn_of(
     friction: wp.float64,
     triangle: int,
 ):
-    """Solve a triangle's points in turn; the largest step of a point and displacement of a node
-    [m].
+    """Solve a triangle's points in turn.
+
+    Return the largest step of a point and the largest displacement of a node [m].
     """
     a = body.corners[triangle, 0]
     b = body.corners[triangle, 1]
@@ -109,8 +112,9 @@ def turn_of(
 
 @wp.func
 def sum_loads(body: Body, points: Points, lists: Lists, patch: Patch):
-    """Nodal forces and displacements afresh: sums of changes carry rounding, and would leave it
-    behind.
+    """Sum nodal forces and displacements afresh.
+
+    Sums of changes carry rounding errors, which would accumulate.
     """
     for k in range(patch.count[LOADED]):
         body.force[patch.node[k]] = wp.vec3d()
@@ -139,8 +143,9 @@ def report(
     state: int,
     results_out: wp.array(dtype=wp.float64),
 ):
-    """Sum what the tool feels; a penetration that no force can end turns a finished solve into
-    an immovable one.
+    """Sum the force and torque on the tool.
+
+    A penetration that no force can end turns a finished solve into an immovable one.
     """
     force = wp.vec3d()
     torque = wp.vec3d()

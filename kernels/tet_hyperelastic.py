@@ -1,12 +1,12 @@
 """Energy, force and tangent stiffness of tetrahedra under laws of principal stretches, any order.
 
-The laws of ``tissue.materials.hyperelasticity``, their moduli in shares of a cell's shear modulus
-mu. With the deformation gradient ``F = U diag(l) V^T`` at a quadrature point
-(``kernels.tet_nonlinear``), the stretches at constant volume ``b_i = l_i J^(-1/3)``, ``S(alpha) =
-sum_i b_i^alpha`` and ``x = S(2) - 3``:
+The laws are those of ``tissue.materials.hyperelasticity``, with moduli as shares of a cell's shear
+modulus mu. With the deformation gradient ``F = U diag(l) V^T`` at a quadrature point
+(``kernels.tet_nonlinear``), the stretches at constant volume ``b_i = l_i J^(-1/3)``,
+``S(alpha) = sum_i b_i^alpha`` and ``x = S(2) - 3``:
 
-    psi = mu (sum_p (2 s_p / alpha_p^2) (S(alpha_p) - 3) + sum_k c_k x^k) + (kappa / 4) (J^2 - 1 - 2
-    ln J)
+    psi = mu (sum_p (2 s_p / alpha_p^2) (S(alpha_p) - 3) + sum_k c_k x^k)
+        + (kappa / 4) (J^2 - 1 - 2 ln J)
 
 Stress and tangent are its derivatives by ``ln l_i`` in the frames U and V. A turned-over cell's
 energy is infinite.
@@ -32,8 +32,9 @@ IDENTITY = wp.constant(wp.mat33d(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
 
 @wp.func
 def stretches_of(f: wp.mat33d):
-    """Stretches and the frame V of a gradient with det F > 0, by Jacobi rotations of F^T F
-    (Golub and Van Loan 8.5).
+    """Compute the stretches and the frame V of a gradient with det F > 0.
+
+    The method is Jacobi rotations of F^T F (Golub and Van Loan 8.5).
     """
     c = wp.transpose(f) * f
     v = wp.mat33d(IDENTITY)
@@ -62,7 +63,7 @@ def stretches_of(f: wp.mat33d):
 
 @wp.func
 def power_sum(isochoric: wp.vec3d, alpha: wp.float64):
-    """S(alpha) - 3 with its first and second derivatives by the logarithms of the stretches."""
+    """Compute S(alpha) - 3 and its first and second derivatives by the log stretches."""
     power = wp.vec3d(
         wp.pow(isochoric[0], alpha), wp.pow(isochoric[1], alpha), wp.pow(isochoric[2], alpha)
     )
@@ -83,7 +84,7 @@ def derivatives(
     terms: wp.array2d(dtype=wp.float64),
     powers: wp.array(dtype=wp.float64),
 ):
-    """Energy density [Pa], its slope and curvature by the logarithms of the stretches."""
+    """Compute energy density [Pa], its slope and curvature by the logarithms of the stretches."""
     j = stretch[0] * stretch[1] * stretch[2]
     isochoric = stretch / wp.pow(j, ONE / THREE)
     energy = wp.float64(0.25) * bulk * (j * j - ONE - TWO * wp.log(j))
@@ -131,7 +132,7 @@ def stretch_force(
     energy_out: wp.array(dtype=wp.float64),  # [cell] [J]
     force_out: wp.array2d(dtype=wp.vec3d),  # [cell, node of the cell], derivative of the energy [N]
 ):
-    """Energy of each cell and its derivative by the positions of the cell's nodes."""
+    """Compute the energy of each cell and its derivative by the positions of the cell's nodes."""
     cell = wp.tid() + offset
     for a in range(nodes.shape[1]):
         force_out[cell, a] = wp.vec3d()
@@ -159,8 +160,9 @@ def stretch_force(
 
 @wp.func
 def pair_moduli(stretch: wp.vec3d, first: wp.vec3d, second: wp.mat33d):
-    """Moduli of changes of the shear ij along itself and along its transpose, symmetric, the
-    diagonals unused.
+    """Compute moduli of changes of the shear ij along itself and along its transpose.
+
+    The matrices are symmetric and their diagonals are unused.
     """
     along = wp.mat33d()
     across = wp.mat33d()
@@ -200,7 +202,7 @@ def stretch_stiffness(
     # out
     block_out: wp.array2d(dtype=wp.mat33d),  # [cell, pair] [N/m]
 ):
-    """Tangent stiffness of each cell, its upper triangle of blocks."""
+    """Compute the tangent stiffness of each cell, the upper triangle of its blocks."""
     cell = wp.tid() + offset
     for pair in range(pair_first.shape[0]):
         block_out[cell, pair] = wp.mat33d()

@@ -1,18 +1,18 @@
 """Energy, force and tangent stiffness of tetrahedra under large deformation: three laws, any order.
 
-The deformation gradient at a quadrature point is ``F = sum x_a g_a^T``, ``g_a = sum_c reference[q,
-a, c] grad L_c`` the gradient of node a's shape function and ``L_c`` the barycentric coordinates of
-the undeformed corners. With the first Piola-Kirchhoff stress ``P = d psi / dF`` the force is ``f_a
-= sum_q w P g_a``, the tangent ``K_ab = d f_a / d x_b``:
+The deformation gradient at a quadrature point is ``F = sum x_a g_a^T``,
+``g_a = sum_c reference[q, a, c] grad L_c`` the gradient of node a's shape function and ``L_c`` the
+barycentric coordinates of the undeformed corners. With the first Piola-Kirchhoff stress
+``P = d psi / dF`` the force is ``f_a = sum_q w P g_a``, the tangent ``K_ab = d f_a / d x_b``:
 
 linear          psi = mu e:e + (lambda/2) (tr e)^2,              e = sym(F) - I
 corotational    psi = mu |F - R|^2 + (lambda/2) (tr S - 3)^2,    F = R S, R the rotation, S = S^T
 neo-Hookean     psi = (mu/2) (|F|^2 - 3) - mu ln J + (lambda/2) (ln J)^2,   J = det F
 
-Corotational is the linear law in the rotated frame with the rotation's own derivative: with ``R^T
-dR = [w]x``, ``(tr S I - S) w = axial(R^T dF - dF^T R)``. Neo-Hookean: Bonet and Wood 2008,
+Corotational is the linear law in the rotated frame with the rotation's own derivative: with
+``R^T dR = [w]x``, ``(tr S I - S) w = axial(R^T dF - dF^T R)``. Neo-Hookean: Bonet and Wood 2008,
 Nonlinear Continuum Mechanics. All three have the same small-strain limit. The energy of a
-turned-over cell (J <= 0) is infinite but in the linear law.
+turned-over cell (J <= 0) is infinite except in the linear law.
 """
 
 import warp as wp
@@ -43,7 +43,10 @@ IDENTITY = wp.constant(wp.mat33d(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
 
 @wp.func
 def rotation_of(f: wp.mat33d):
-    """Rotation of the polar decomposition, det F > 0, by scaled Newton steps (Higham 1986)."""
+    """Compute the rotation of the polar decomposition, det F > 0.
+
+    It uses scaled Newton steps (Higham 1986).
+    """
     x = f
     for _ in range(POLAR_STEPS):
         y = wp.transpose(wp.inverse(x))
@@ -64,7 +67,7 @@ def gradient_of(
     reference: wp.array3d(dtype=wp.float64),
     corner: wp.array2d(dtype=wp.vec3d),
 ):
-    """Gradient of node a's shape function at a quadrature point [1/m]."""
+    """Compute the gradient of node a's shape function at a quadrature point [1/m]."""
     g = wp.vec3d()
     for c in range(4):
         g += reference[q, a, c] * corner[cell, c]
@@ -80,7 +83,7 @@ def deformation(
     corner: wp.array2d(dtype=wp.vec3d),
     displacement: wp.array(dtype=wp.vec3d),
 ):
-    """Deformation gradient at a quadrature point."""
+    """Compute the deformation gradient at a quadrature point."""
     f = wp.mat33d(IDENTITY)
     for a in range(nodes.shape[1]):
         f += wp.outer(displacement[nodes[cell, a]], gradient_of(cell, q, a, reference, corner))
@@ -107,7 +110,7 @@ def tet_force(
     energy_out: wp.array(dtype=wp.float64),  # [cell] [J]
     force_out: wp.array2d(dtype=wp.vec3d),  # [cell, node of the cell], derivative of the energy [N]
 ):
-    """Energy of each cell and its derivative by the positions of the cell's nodes."""
+    """Compute the energy of each cell and its derivative by the positions of the cell's nodes."""
     cell = wp.tid() + offset
     lam = lame[cell, 0]
     mu = lame[cell, 1]
@@ -169,7 +172,7 @@ def tet_stiffness(
     # out
     block_out: wp.array2d(dtype=wp.mat33d),  # [cell, pair] [N/m]
 ):
-    """Tangent stiffness of each cell, its upper triangle of blocks."""
+    """Compute the tangent stiffness of each cell, the upper triangle of its blocks."""
     cell = wp.tid() + offset
     lam = lame[cell, 0]
     mu = lame[cell, 1]
@@ -239,8 +242,9 @@ def gather_blocks(
     # out
     block_out: wp.array(dtype=wp.mat33d),  # [N/m]
 ):
-    """Sum each pair of nodes over its cells once and write it twice: the matrix is symmetric to
-    the bit.
+    """Sum the cells of each pair of nodes once and write the sum twice.
+
+    The matrix is therefore bitwise symmetric.
     """
     pair = wp.tid() + offset
     total = wp.mat33d()

@@ -1,8 +1,9 @@
-"""Strain and stress in tetrahedra, linear or quadratic, averaged over groups of places in cells.
+"""Strain and stress in linear or quadratic tetrahedra, averaged over groups of places in cells.
 
-At a place of barycentric coordinates l the displacement gradient is ``sum_A u_A (sum_c (slope_Ac .
-l) g_c)^T``, strain its symmetric part, stress D times strain. A group holds the one middle of a
-cell, or a node as each cell around it sees it; places count by the volume of their cells.
+At a place of barycentric coordinates l the displacement gradient is
+``sum_A u_A (sum_c (slope_Ac . l) g_c)^T``, strain is its symmetric part, and stress is D times
+strain. A group holds the middle of a cell, or one place for a node in each cell around it. Places
+are weighted by the volume of their cells.
 """
 
 import warp as wp
@@ -35,7 +36,7 @@ def group_stress(
     von_mises_out: wp.array(dtype=wp.float64),  # [group] [Pa]
     principal_out: wp.array(dtype=wp.vec3d),  # [group] [Pa], largest first
 ):
-    """Mean strain and stress of each group; zero where a group is empty."""
+    """Compute mean strain and stress of each group; zero where a group is empty."""
     group = wp.tid() + offset
     strain = wp.mat33d()
     voigt = wp.vector(length=6, dtype=wp.float64)

@@ -1,5 +1,4 @@
-"""Stiffness of straight-sided tetrahedra, linear and quadratic, summed pair of nodes by pair of
-nodes.
+"""Stiffness of straight-sided tetrahedra, linear and quadratic, summed by pairs of nodes.
 
 The gradients g_c of the barycentric coordinates are constant in a cell, so for shape functions A
 and B the exact integral of the products of their gradients is ``S = V sum_cd w_cd g_c g_d^T`` with
@@ -28,7 +27,7 @@ def cell_gradients(
     gradient_out: wp.array2d(dtype=wp.vec3d),  # [cell, corner] [1/m]
     volume_out: wp.array(dtype=wp.float64),  # [cell] [m3]
 ):
-    """Gradients of the barycentric coordinates and the volume of each cell."""
+    """Compute gradients of the barycentric coordinates and the volume of each cell."""
     cell = wp.tid() + offset
     origin = nodes[cell_nodes[cell, 0]]
     u = nodes[cell_nodes[cell, 1]] - origin
@@ -53,7 +52,7 @@ def gradient_product(
     pair_weight: wp.array2d(dtype=wp.float64),
     gradient: wp.array2d(dtype=wp.vec3d),
 ):
-    """S of a pair in a cell over the cell's volume, transposed where the pair is reversed."""
+    """Compute S of a pair over the cell's volume, transposed where the pair is reversed."""
     entry = contribution
     if contribution < 0:
         entry = -contribution - 1  # its bitwise complement
@@ -113,7 +112,7 @@ def pair_stiffness_isotropic(
     # out
     block_out: wp.array(dtype=wp.mat33d),  # [N/m]
 ):
-    """Blocks of isotropic cells."""
+    """Compute the blocks of isotropic cells."""
     pair = wp.tid() + offset
     last = lame.shape[0] - 1
     first_sum = wp.mat33d()
@@ -130,7 +129,7 @@ def pair_stiffness_isotropic(
 
 @wp.func
 def voigt(i: int, j: int):
-    """Place of a tensor component in the order xx, yy, zz, yz, xz, xy."""
+    """Return the place of a tensor component in the order xx, yy, zz, yz, xz, xy."""
     where = 6 - i - j
     if i == j:
         where = i
@@ -155,7 +154,7 @@ def pair_stiffness(
     # out
     block_out: wp.array(dtype=wp.mat33d),
 ):
-    """Blocks of cells of any linear material."""
+    """Compute the blocks of cells of any linear material."""
     pair = wp.tid() + offset
     last = stiffness.shape[0] - 1
     block = wp.mat33d()

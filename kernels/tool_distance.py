@@ -11,11 +11,11 @@ __all__ = ["TOLERANCE_M", "Outline", "bounds_over", "distance_to_part", "distanc
 wp.set_module_options({"enable_backward": False})
 
 TOLERANCE_M = wp.constant(wp.float64(1.0e-6))
-"""A bound that lies at most this far below the smallest distance is good enough [m]."""
+"""Largest accepted distance of a bound below the smallest distance [m]."""
 STEPS = wp.constant(10)
-"""Steps down the gradient in a triangle before it is halved."""
+"""Number of steps down the gradient in a triangle before it is halved."""
 TIE_M = wp.constant(wp.float64(1.0e-12))
-"""Pieces of the outline whose distances differ by less meet at a corner [m]."""
+"""Difference of distances below which two pieces of the outline form a corner [m]."""
 ARC = wp.constant(1)
 
 
@@ -31,8 +31,9 @@ class Outline:
 
 @wp.func
 def on_line(shape: wp.array2d(dtype=wp.float64), k: int, p: wp.vec2d):
-    """Offset from the nearest point of a straight piece, and the radius of curvature of the
-    distance.
+    """Compute the offset from the nearest point of a straight piece.
+
+    Also return the radius of curvature of the distance.
     """
     start = wp.vec2d(shape[k, 0], shape[k, 1])
     along = wp.vec2d(shape[k, 2], shape[k, 3])
@@ -47,8 +48,9 @@ def on_line(shape: wp.array2d(dtype=wp.float64), k: int, p: wp.vec2d):
 
 @wp.func
 def on_arc(shape: wp.array2d(dtype=wp.float64), k: int, p: wp.vec2d):
-    """Offset from the nearest point of an arc, its normal there, and the radius of curvature of
-    the distance.
+    """Compute the offset from the nearest point of an arc.
+
+    Also return its normal there and the radius of curvature of the distance.
     """
     out = p - wp.vec2d(shape[k, 0], shape[k, 1])
     reach = wp.length(out)
@@ -66,8 +68,9 @@ def on_arc(shape: wp.array2d(dtype=wp.float64), k: int, p: wp.vec2d):
 
 @wp.func
 def distance_to_part(outline: Outline, part: int, point: wp.vec3d):
-    """Signed distance of a point from one part, its gradient, and its smallest radius of
-    curvature.
+    """Compute the signed distance of a point from one part.
+
+    Also return its gradient and its smallest radius of curvature.
     """
     radius = wp.sqrt(point[0] * point[0] + point[1] * point[1])
     p = wp.vec2d(radius, point[2])
@@ -107,7 +110,7 @@ def distance_to_part(outline: Outline, part: int, point: wp.vec3d):
 
 @wp.func
 def distance_to_tool(outline: Outline, point: wp.vec3d):
-    """Signed distance of a point from all parts."""
+    """Compute the signed distance of a point from all parts."""
     least = wp.float64(1.0e9)
     for part in range(outline.convex.shape[0]):
         value, _gradient, _bend = distance_to_part(outline, part, point)
@@ -117,8 +120,9 @@ def distance_to_tool(outline: Outline, point: wp.vec3d):
 
 @wp.func
 def nearest_on_triangle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
-    """Point of a triangle nearest to `p` (Ericson 2005, Real-Time Collision Detection, section
-    5.1.5).
+    """Compute the point of a triangle nearest to `p`.
+
+    See Ericson 2005, Real-Time Collision Detection, section 5.1.5.
     """
     zero = wp.float64(0.0)
     ab = b - a
@@ -150,8 +154,9 @@ def nearest_on_triangle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
 
 @wp.func
 def best_mix(first: wp.vec3d, second: wp.vec3d):
-    """Weighted mean of two linear functions, given at the corners of a triangle, whose smallest
-    value is largest.
+    """Find the weighted mean of two linear functions whose smallest value is largest.
+
+    The functions are given at the corners of a triangle.
     """
     best = first
     if wp.min(second) > wp.min(best):
@@ -171,7 +176,7 @@ def best_mix(first: wp.vec3d, second: wp.vec3d):
 
 @wp.func
 def bounds_over(outline: Outline, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, best: wp.float64):
-    """Lower bound of the distance over a triangle, and an upper bound of its smallest value.
+    """Compute a lower bound of the distance over a triangle, and an upper bound of its minimum.
 
     Steps down the gradient lead toward the smallest value. There one tangent bounds a smooth convex
     distance without a gap, and a mean of tangents bounds one with a crease.

@@ -1,12 +1,12 @@
-"""What a rigid tool can touch: voxels and exact solids as distances with their gradients.
+"""Obstacles of a rigid tool: voxels and exact solids as distances with their gradients.
 
-Voxels carry no stored distance. The distance to their surface is read where it is asked, from what
-is left in the eight voxels around the point: with F the trilinear fraction and h the spacing,
-``(SURFACE - F) h`` vanishes on the surface and grows by about one outward. So carving needs no
-update, however much it removed. ``SURFACE`` lies below one half, because a wall one voxel thick
-that lies across two voxels fills neither by more than half; a shell point is sunk by the difference
-to make up for it. Away from bone, ``clearance`` holds a lower bound of the distance to the bone
-there start, which removal can only raise.
+Voxels carry no stored distance. The distance to their surface is computed on demand from the
+remaining fractions of the eight voxels around the point. With F the trilinear fraction and h the
+spacing, ``(SURFACE - F) h`` vanishes on the surface and grows by about one outward. Carving
+therefore needs no update of distances. ``SURFACE`` lies below one half, because a wall one voxel
+thick that lies across two voxels fills neither by more than half; a shell point is moved inward by
+the difference to compensate. Away from bone, ``clearance`` holds a lower bound of the distance to
+the initial bone, which removal can only increase.
 """
 
 import warp as wp
@@ -61,7 +61,10 @@ class Field:
 
 @wp.func
 def box_distance(half: wp.vec3d, local: wp.vec3d):
-    """Distance to a box about the origin and its gradient; inside, to the nearest face."""
+    """Compute the distance to a box about the origin and its gradient.
+
+    Inside the box, it is the distance to the nearest face.
+    """
     outside = wp.vec3d()
     toward = wp.vec3d()
     deepest = wp.float64(-1.0e30)
@@ -84,7 +87,7 @@ def box_distance(half: wp.vec3d, local: wp.vec3d):
 
 @wp.func
 def solid_distance(field: Field, solid: int, point: wp.vec3d):
-    """Signed distance [m] to a solid, negative inside, and its unit gradient."""
+    """Compute the signed distance [m] to a solid, negative inside, and its unit gradient."""
     local = wp.transpose(field.turn[solid]) * (point - field.centre[solid])
     distance = local[2]
     toward = wp.vec3d(ZERO, ZERO, ONE)
@@ -100,7 +103,7 @@ def solid_distance(field: Field, solid: int, point: wp.vec3d):
 
 @wp.func
 def voxel_clearance(field: Field, point: wp.vec3d):
-    """Lower bound of the distance [m] from a point to bone."""
+    """Return a lower bound of the distance [m] from a point to bone."""
     ux = (point[0] - field.origin[0]) * field.voxels_per_m
     uy = (point[1] - field.origin[1]) * field.voxels_per_m
     uz = (point[2] - field.origin[2]) * field.voxels_per_m
@@ -122,7 +125,7 @@ def voxel_clearance(field: Field, point: wp.vec3d):
 
 @wp.func
 def held(remaining: wp.array2d(dtype=wp.uint16), row: int, ix: int, iy: int, iz: int):
-    """Filled fraction of a voxel in a brick's row, 0 where no brick is stored."""
+    """Return the filled fraction of a voxel in a brick's row, 0 where no brick is stored."""
     fraction = wp.float64(0.0)
     if row >= 0:
         fraction = wp.float64(remaining[row, voxel_column(ix, iy, iz)]) * STEP
@@ -138,8 +141,9 @@ def column_pair(
     iy: int,
     iz: int,
 ):
-    """Filled fractions of a voxel and of the next one along z; ``row`` is the brick's, or -2
-    where it is not known.
+    """Return the filled fractions of a voxel and of the next voxel along z.
+
+    ``row`` is the row of the brick, or -2 where it is not known.
     """
     low = row
     if row < 0:
@@ -152,8 +156,9 @@ def column_pair(
 
 @wp.func
 def voxel_level(field: Field, point: wp.vec3d):
-    """Level [m] of the voxels' surface, positive outside and zero on it, and its gradient, of
-    length about one.
+    """Compute the level [m] of the voxels' surface and its gradient, of length about one.
+
+    The level is positive outside and zero on the surface.
     """
     ux = (point[0] - field.origin[0]) * field.voxels_per_m - HALF
     uy = (point[1] - field.origin[1]) * field.voxels_per_m - HALF
@@ -194,8 +199,9 @@ def field_distance(
     distance_out: wp.array(dtype=wp.float64),  # [m]
     normal_out: wp.array(dtype=wp.vec3d),
 ):
-    """Distance from each point to the nearest solid and the direction out; voxels only as far as
-    they are felt.
+    """Compute the distance from each point to the nearest solid, and the outward direction.
+
+    Voxels count only within the range in which they are felt.
     """
     i = wp.tid()
     least = wp.float64(1.0e30)

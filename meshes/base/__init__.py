@@ -1,1 +1,1 @@
-"""What all of geometry shares: errors, progress, cache, whole files, parsing in a child process."""
+"""Base of all geometry: errors, progress, cache, whole files, parsing in a child process."""

@@ -16,7 +16,5 @@ Singles = NDArray[np.float32]
 
 
 def lattice(*axes: ArrayLike) -> Any:
-    """Return all combinations of coordinates along axes, shape (n, axes), the last one running
-    fastest.
-    """
+    """Return all combinations of coordinates along axes, shape (n, axes), last axis fastest."""
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))

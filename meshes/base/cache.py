@@ -1,4 +1,4 @@
-"""Arrays that are dear to compute, kept on disk by the hash of what they were computed from."""
+"""On-disk cache for expensive arrays, addressed by a hash of their inputs."""
 
 import hashlib
 import json
@@ -21,8 +21,9 @@ Arrays = dict[str, NDArray[np.generic]]
 
 
 def cache_folder() -> Path:
-    """Where computed arrays are kept: ``TISSUE_CACHE`` if it is set, else the user's cache
-    folder.
+    """Return the folder of computed arrays.
+
+    It is ``TISSUE_CACHE`` if that is set, else the user's cache folder.
     """
     named = os.environ.get("TISSUE_CACHE")
     if named:
@@ -35,23 +36,23 @@ def cache_folder() -> Path:
 
 
 def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) -> Arrays:
-    """Arrays from the cache, or made now and put there.
+    """Return arrays from the cache, or compute and store them.
 
     Parameters
     ----------
     kind
-        What they are, in a word: the start of the file's name. Change it with the meaning of the
-        arrays.
+        Kind of the arrays, one word: the start of the file's name. Change it when the meaning of
+        the arrays changes.
     key
-        Everything they depend on: arrays by their bytes, all else by its ``repr``.
+        All inputs of the arrays: arrays by their bytes, other values by their ``repr``.
     make
-        Computes them.
+        Function that computes the arrays.
 
     Notes
     -----
-    A file holds, with its arrays, the version of the code that made them (that of tissue, and
-    the module of ``make``), their kinds, their shapes and a checksum. One that does not fit, or
-    cannot be read, is made again. A folder that cannot be written is done without.
+    A file holds its arrays, the version of the code that made them (the version of tissue,
+    and the module of ``make``), their kinds, their shapes and a checksum. A file that does not
+    match, or cannot be read, is made again. If the folder cannot be written, nothing is stored.
     """
     digest = hashlib.blake2b(digest_size=16)
     for part in key:
@@ -77,8 +78,9 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
 
 
 def read_entry(path: Path) -> str | None:
-    """Text of a cache entry; None where there is none, or one that is damaged or of another
-    version of tissue.
+    """Return the text of a cache entry, or None.
+
+    None stands for an entry that is missing, damaged or of another version of tissue.
     """
     try:
         head, _, text = path.read_bytes().decode("utf-8").partition("\n")
@@ -88,8 +90,9 @@ def read_entry(path: Path) -> str | None:
 
 
 def write_entry(path: Path, text: str) -> None:
-    """Keep text under a first line with the version of tissue and a checksum; a reader never
-    sees half of it.
+    """Write text under a first line with the version of tissue and a checksum.
+
+    The file is written atomically: a reader never gets half of it.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as temporary:
@@ -104,7 +107,7 @@ def _head(text: str) -> str:
 
 
 def _read(path: Path, code: str) -> Arrays | None:
-    """Arrays of a file that is whole and was written by the same code, else None."""
+    """Return the arrays of a file that is complete and was written by the same code, else None."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
@@ -116,7 +119,7 @@ def _read(path: Path, code: str) -> Arrays | None:
 
 
 def _seal(arrays: Arrays, code: str) -> str:
-    """What a file states of its arrays, as JSON: code, kinds, shapes and a checksum."""
+    """Describe the arrays of a file as JSON: code, kinds, shapes and a checksum."""
     checksum = hashlib.blake2b(digest_size=16)
     for array in arrays.values():
         checksum.update(np.ascontiguousarray(array).tobytes())
@@ -127,7 +130,7 @@ def _seal(arrays: Arrays, code: str) -> str:
 
 
 def _code(make: Callable[[], Arrays]) -> str:
-    """Version of tissue and of the module that defines a function."""
+    """Return the version of tissue and of the module that defines a function."""
     module = sys.modules.get(make.__module__)
     try:
         source = (

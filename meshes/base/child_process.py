@@ -1,6 +1,4 @@
-"""Another Python that runs a function of this checkout, and ends with the process that started
-it.
-"""
+"""Child Python process that runs a function of this checkout and ends with its parent."""
 
 import sys
 from pathlib import Path
@@ -12,7 +10,10 @@ _DIE_WITH_PARENT = 1
 
 
 def start_code(module: str, function: str) -> str:
-    """Code that calls a function of this checkout, which finds its arguments in `sys.argv[1:]`."""
+    """Return code that calls a function of this checkout.
+
+    The function finds its arguments in `sys.argv[1:]`.
+    """
     return (
         f"import sys; sys.path.append(sys.argv.pop(1)); from {module} import {function}; "
         f"{function}()"
@@ -20,15 +21,16 @@ def start_code(module: str, function: str) -> str:
 
 
 def python_command(code: str, *arguments: str) -> list[str]:
-    """Command that runs `start_code` in another Python; empty where none can be started."""
+    """Return the command that runs `start_code` in another Python; empty if none can be started."""
     if not sys.executable:
         return []
     return [sys.executable, "-P", "-c", code, str(Path(__file__).resolve().parents[2]), *arguments]
 
 
 def kill_with_parent() -> None:
-    """Let the system kill this process when the thread that started it ends, where it can
-    (Linux).
+    """Make the system kill this process when the thread that started it ends.
+
+    This works on Linux only.
     """
     if sys.platform.startswith("linux"):
         import ctypes

@@ -1,4 +1,4 @@
-"""The error a person sees when an input cannot be used, and the checks that raise it."""
+"""Error for an input that cannot be used, and the checks that raise it."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -40,13 +40,13 @@ class InputError(ValueError):
     Parameters
     ----------
     argument
-        Name of the argument. A whole message where no requirement is given.
+        Name of the argument. If no requirement is given, the whole message.
     requirement
         Requirement on it, which follows "must".
     value
         Value that was given.
     remedy
-        What to do.
+        Instruction for the user.
     unit
         Unit of the value, where neither the name nor the value states it.
     """
@@ -75,23 +75,24 @@ class InputError(ValueError):
 
 
 class DamagedFileError(Exception):
-    """What is wrong inside a file, in words of its format; its reader makes it part of the
-    sentence that refuses it.
+    """Damage inside a file, described in terms of the file's format.
+
+    The file's reader inserts the description into its own error message.
     """
 
 
 def counted(count: int, noun: str) -> str:
-    """A number of things with their noun, in the plural where there are other than one."""
+    """Return a number and its noun, in the plural unless the number is one."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def by(numbers: Iterable[float], form: str = "g") -> str:
-    """Sizes along the axes, such as 3 x 4 x 5."""
+    """Format sizes along the axes, such as 3 x 4 x 5."""
     return " x ".join(format(number, form) for number in numbers)
 
 
 def in_brackets(numbers: Iterable[float], form: str = "g") -> str:
-    """Coordinates, such as (1, 2, 3)."""
+    """Format coordinates, such as (1, 2, 3)."""
     return f"({', '.join(format(number, form) for number in numbers)})"
 
 
@@ -105,7 +106,7 @@ def require_positive(name: str, value: float, remedy: str) -> float:
     value
         The number to check, in that unit.
     remedy
-        What to write instead.
+        Value or text to write instead.
 
     Raises
     ------
@@ -168,14 +169,15 @@ def require_length(
 
 
 def require_ranges(*rows: tuple[str, float, float, float, str]) -> list[float]:
-    """Values that lie in their closed intervals, each row the arguments of `require_range`,
-    which see.
+    """Return values that lie in their closed intervals.
+
+    Each row holds the arguments of one call of `require_range`.
     """
     return [require_range(*row) for row in rows]
 
 
 def as_vector(value: object) -> NDArray[np.float64] | None:
-    """Three finite numbers as an array; None where something else was given."""
+    """Return three finite numbers as an array, or None for any other value."""
     try:
         vector = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -217,7 +219,7 @@ def require_direction(
 
 
 def _short(file: Path) -> str:
-    """A path as a sentence can hold it."""
+    """Shorten a path for use in a sentence."""
     text = str(file)
     return (
         text
@@ -227,7 +229,7 @@ def _short(file: Path) -> str:
 
 
 def is_file(file: Path) -> bool:
-    """Whether a file is there; one whose name the system cannot take is not."""
+    """Return whether a file exists; False if the system does not accept its name."""
     try:
         return file.is_file()
     except OSError:
@@ -235,7 +237,7 @@ def is_file(file: Path) -> bool:
 
 
 def is_folder(path: Path) -> bool:
-    """Whether a folder is there; one whose name the system cannot take is not."""
+    """Return whether a folder exists; False if the system does not accept its name."""
     try:
         return path.is_dir()
     except OSError:
@@ -248,7 +250,7 @@ def require_file(file: Path, content: str) -> None:
     Raises
     ------
     InputError
-        If it is.
+        If the file is missing or empty.
     """
     if not is_file(file):
         raise InputError(
@@ -264,7 +266,7 @@ def require_file(file: Path, content: str) -> None:
 
 
 def _as_number(name: str, value: object, remedy: str) -> float:
-    """Convert to float, refusing what is not a number (booleans among them)."""
+    """Convert to float; raise for values that are not numbers (including booleans)."""
     if isinstance(value, bool):
         raise InputError(name, "be a number", f"{value!r}", remedy)
     try:
@@ -279,8 +281,9 @@ def _as_number(name: str, value: object, remedy: str) -> float:
 
 @contextmanager
 def names_of_caller(names: Mapping[str, str]) -> Iterator[None]:
-    """Give an `InputError` the caller's name of its argument, such as the key of a scene, by the
-    name it has here.
+    """Replace the argument's name in an `InputError` by the caller's name, such as a scene's key.
+
+    `names` maps the argument's name here to the caller's name.
 
     An element, such as ``tau_s[0]``, is named by the whole.
     """

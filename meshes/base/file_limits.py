@@ -33,7 +33,7 @@ _CGROUP = Path("/sys/fs/cgroup")
 
 @contextmanager
 def memory_limit(max_memory_GB: float | None) -> Iterator[None]:
-    """Set the memory that the content of a file may take [GB]; None leaves the limit as it is."""
+    """Set the memory that the content of a file may take [GB]; None leaves the limit unchanged."""
     if max_memory_GB is None:
         yield
         return
@@ -47,13 +47,14 @@ def memory_limit(max_memory_GB: float | None) -> Iterator[None]:
 
 
 def given_limit_GB() -> float | None:
-    """Return the limit that `memory_limit` set [GB]; None without one."""
+    """Return the limit that `memory_limit` set [GB]; None if no limit is set."""
     return _limit_GB.get()
 
 
 def memory_limit_bytes() -> int:
-    """Return the bytes that the content of a file may take: those of `memory_limit`, else half
-    of the free memory.
+    """Return the number of bytes that the content of a file may take.
+
+    It is the limit set by `memory_limit`, else half of the free memory.
     """
     given = _limit_GB.get()
     return int(given * _GB) if given is not None else int(_FREE_SHARE * _free_bytes())
@@ -69,7 +70,7 @@ def require_memory(needed: int, file: str, content: str) -> None:
     file
         Name of the file.
     content
-        What it states, such as "4000 x 4000 x 600 voxels".
+        Stated content, such as "4000 x 4000 x 600 voxels".
 
     Raises
     ------
@@ -89,10 +90,10 @@ def require_memory(needed: int, file: str, content: str) -> None:
 
 
 def require_regular(file: Path) -> Path:
-    """Return a path that leads to a regular file, if it leads to anything.
+    """Return a path that leads to a regular file or does not exist.
 
-    Devices such as /dev/zero have no end, and a named pipe blocks until somebody writes into it. A
-    path that leads to nothing is left to the code that opens it.
+    Devices such as /dev/zero have no end, and a named pipe blocks until a process writes into it. A
+    path that does not exist is left to the code that opens it.
 
     Raises
     ------
@@ -112,8 +113,9 @@ def require_regular(file: Path) -> Path:
 
 
 def read_npz(path: Path) -> dict[str, NDArray[np.generic]]:
-    """Read the arrays of a NumPy archive, after their stated sizes have been compared with the file
-    and the limit.
+    """Read the arrays of a NumPy archive, after checking their stated sizes.
+
+    The sizes are compared with the file and the memory limit.
 
     Raises
     ------
@@ -156,8 +158,9 @@ def _npy_bytes(first: bytes) -> int:
 
 
 def _free_bytes() -> int:
-    """Return the memory that this process may still take: of the machine, its container and its
-    own limit.
+    """Return the memory [byte] that this process may still take.
+
+    It is limited by the machine, its container and the process's own limit.
     """
     import psutil
 

@@ -1,6 +1,4 @@
-"""Which version of its format and of tissue a file carries, and whether this version of tissue
-reads it.
-"""
+"""Version of a file's format and of tissue, and the check whether this tissue reads it."""
 
 from collections.abc import Mapping
 from functools import cache
@@ -14,7 +12,7 @@ __all__ = ["package_version", "require_version"]
 
 @cache
 def package_version() -> str:
-    """Version of this library, which its files carry."""
+    """Return the version of this library, which its files carry."""
     try:
         return version("tissue-sim")
     except PackageNotFoundError:
@@ -36,21 +34,22 @@ def require_version(
     Parameters
     ----------
     what
-        Name of the file as a person knows it.
+        Name of the file for the user.
     held
-        What the file states of itself: its format's version under ``key``, and ``tissue``, the
-        version that wrote it.
+        Version data of the file: its format's version under ``key``, and ``tissue``, the version
+        that wrote it.
     newest, oldest
         Versions that are read.
     where
         The file.
     remedy
-        What to do with one that is older.
+        Instruction for a file that is older.
 
     Raises
     ------
     InputError
-        If the version is none, older or newer; names both versions and what wrote the file.
+        If the version is missing, older or newer. The message names both versions and the version
+        of tissue that wrote the file.
     """
     stated = held.get(key)
     if isinstance(stated, bool) or not isinstance(stated, int) or stated < 1:

@@ -1,5 +1,6 @@
-"""Parse a file in a process of its own: the parsers of some libraries end the process they run in
-on a damaged file.
+"""Parsing of a file in a separate process.
+
+The parsers of some libraries end their process on a damaged file.
 
 The child runs one named function and sends plain numbers back through a pipe: a line of JSON, then
 the bytes of the arrays. It is ended when it takes too long or too much memory, and ends with the
@@ -34,21 +35,23 @@ from meshes.base.file_limits import (
 __all__ = ["Answer", "parse_isolated"]
 
 Facts = dict[str, Any]
-"""What JSON can hold, by name."""
+"""Values that JSON can hold, by name."""
 Answer = tuple[Facts, dict[str, NDArray[np.number]]]
-"""What a parser returns: facts, and arrays by name."""
+"""Result of a parser: facts, and arrays by name."""
 
 _START = start_code("meshes.base.isolated_parser", "_serve")
 _LONGEST_S = 60.0
 _BYTES_A_SECOND = 1_000_000
 _LEAST_BYTES = 2 << 30
 _BYTES_A_BYTE = 64
-"""Memory that a parser may take at least, and for each byte of the file: label images shrink to
-a hundredth.
+"""Bytes of memory allowed for each byte of the file, at least ``_LEAST_BYTES`` in all.
+
+Label images are compressed to a hundredth.
 """
 _LIBRARIES_BYTES = 256 << 20
-"""Memory of the interpreter and its libraries, which does not count against the memory limit of
-files.
+"""Memory of the interpreter and its libraries.
+
+It does not count against the memory limit of files.
 """
 _LOOK_EVERY_S = 0.05
 _LAST_S = 2.0
@@ -63,32 +66,33 @@ def parse_isolated(
     longest_s: float | None = None,
     **options: object,
 ) -> Answer:
-    """Run a parser on a file in a process of its own.
+    """Run a parser on a file in a separate process.
 
     Parameters
     ----------
     parser
         ``module:function`` of this checkout. The function takes the path and the options, and
-        returns a pair: a dictionary of what JSON can hold, and a dictionary of arrays. It may raise
-        InputError, or DamagedFileError with what is wrong; any other exception means that the file
-        is damaged, its text is of no use to a person.
+        returns a pair: a dictionary of values that JSON can hold, and a dictionary of arrays. It
+        may raise InputError, or DamagedFileError with a description of the damage. Any other
+        exception means that the file is damaged; its text is of no use to a user.
     file
         File, or folder of files.
     what, remedy
-        What the file should be ("VTK surface"), and what to do where it is not.
+        Expected kind of file ("VTK surface"), and the instruction for the user if the file is
+        another.
     longest_s
-        How long it may take [s]; None: 60 s and a second for each megabyte.
+        Time limit [s]; None: 60 s and a second for each megabyte.
     options
-        Further arguments of the function, what JSON can hold.
+        Further arguments of the function, values that JSON can hold.
 
     Returns
     -------
-    What the function returns.
+    Result of the function.
 
     Raises
     ------
     InputError
-        As the function; or if it fails, crashes, or takes too long or too much memory.
+        If the function raises it, fails, crashes, or takes too long or too much memory.
     """
     if not sys.executable:
         raise InputError(
@@ -151,8 +155,9 @@ class _Monitor:
         most_bytes = min(most_bytes, memory_limit_bytes() + _LIBRARIES_BYTES)
 
         def end_when_over() -> None:
-            """Look at the process until `done` is set, and kill it with a reason once it is over
-            a limit.
+            """Monitor the process until `done` is set, and kill it if it exceeds a limit.
+
+            The reason for killing it is recorded.
             """
             end = monotonic() + longest_s
             while not self.done.wait(_LOOK_EVERY_S):
@@ -174,7 +179,7 @@ class _Monitor:
 
 
 def _receive(answers: IO[bytes]) -> Answer:
-    """The child's answer; ValueError where it is cut short."""
+    """Return the child's answer; raise ValueError if it is incomplete."""
     answer: Facts = json.loads(answers.readline() or b"{")
     arrays = {}
     for name, kind, shape in answer.get("arrays", ()):
@@ -188,17 +193,18 @@ def _receive(answers: IO[bytes]) -> Answer:
 
 
 def _serve() -> None:
-    """Parse in this process, which is the child, what the command line asks for; answer on the
-    standard output.
+    """Parse the file named on the command line in this child process.
+
+    The answer goes to the standard output.
     """
     request, parent, limit_s = sys.argv[1:]
-    # where nobody is left to end it
+    # where no process is left to end it
     faulthandler.dump_traceback_later(2.0 * float(limit_s), exit=True)
     kill_with_parent()
     if sys.platform.startswith("linux") and os.getppid() != int(parent):
         return
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what the libraries print goes where nobody looks
+    os.dup2(2, 1)  # discards the output of the libraries
     name, file, options, max_memory_GB = json.loads(request)
     module, function = name.split(":")
     arrays: Mapping[str, NDArray[np.number]] = {}

@@ -1,4 +1,4 @@
-"""Results that are kept for as long as they are asked for, by all that they depend on."""
+"""In-memory store of recent results, addressed by all their inputs."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
@@ -10,14 +10,15 @@ Result = TypeVar("Result")
 
 
 class Kept(Generic[Result]):
-    """The results that were asked for last: trials of a study build the same meshes, voxels and
-    tables again and again.
+    """Most recently requested results.
+
+    Trials of a study build the same meshes, voxels and tables again and again.
 
     Parameters
     ----------
     most
-        How many are kept; the one that was asked for longest ago goes first, so that memory does
-        not grow.
+        Number of results kept. The least recently requested result is dropped first, so that memory
+        does not grow.
     """
 
     def __init__(self, most: int) -> None:
@@ -28,9 +29,9 @@ class Kept(Generic[Result]):
         return len(self._results)
 
     def of(self, key: Hashable, make: Callable[[], Result]) -> Result:
-        """The result of a key, made where it is not kept.
+        """Return the result of a key, computed if it is not kept.
 
-        It is shared by all who ask, who must not change it.
+        All callers share the result and must not change it.
         """
         found = self._results.pop(key, None)
         if found is None:

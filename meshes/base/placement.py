@@ -1,4 +1,4 @@
-"""Where the frame of a scene lies in the frame of the file that its anatomy came from."""
+"""Placement of a scene's frame in the frame of the file that its anatomy came from."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _ORTHONORMAL = 1e-6
 class Placement:
     """A rigid motion between a file's frame and the scene's, and the unit of the file.
 
-    The file's frame is that of its coordinates: of a surface as they are stored, of an image its
-    patient frame (LPS).
+    The file's frame is the frame of its coordinates: for a surface the stored coordinates, for an
+    image its patient frame (LPS).
 
     Attributes
     ----------
@@ -39,8 +39,9 @@ class Placement:
 
     @property
     def file_to_scene_mm(self) -> NDArray[np.float64]:
-        """Homogeneous matrix from the file's coordinates, in mm, to the scene's [mm], shape (4,
-        4).
+        """Return the homogeneous matrix from the file's coordinates to the scene's.
+
+        Both are in mm; the matrix has the shape (4, 4).
         """
         matrix = np.eye(4)
         matrix[:3, :3] = self.rotation.T
@@ -48,19 +49,19 @@ class Placement:
         return matrix
 
     def to_file(self, points_mm: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Points of the scene [mm], shape (n, 3), in the file's frame and unit."""
+        """Convert points of the scene [mm], shape (n, 3), to the file's frame and unit."""
         return (
             self.origin_mm + np.asarray(points_mm, dtype=np.float64) @ self.rotation.T
         ) / self.unit_mm
 
     def to_scene(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Points in the file's frame and unit, shape (n, 3), in the scene's frame [mm]."""
+        """Convert points in the file's frame and unit, shape (n, 3), to the scene's frame [mm]."""
         return (
             np.asarray(points, dtype=np.float64) * self.unit_mm - self.origin_mm
         ) @ self.rotation
 
     def to_record(self) -> dict[str, Any]:
-        """Matrix and unit as plain numbers, as a run's summary holds them."""
+        """Return matrix and unit as plain numbers, for a run's summary."""
         return {
             "file_to_scene_mm": self.file_to_scene_mm.tolist(),
             "file_unit_mm": float(self.unit_mm),
@@ -68,7 +69,7 @@ class Placement:
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> Placement:
-        """Placement of a run's summary.
+        """Read a placement from a run's summary.
 
         Raises
         ------

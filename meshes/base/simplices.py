@@ -9,21 +9,25 @@ __all__ = ["compact", "cross_products", "directed_edges", "enclosed_volume", "wi
 def compact(
     points: NDArray[np.float64], cells: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Points that a cell names, shape (n, 3), and the cells, shape (m, k), by their new numbers."""
+    """Return the points that cells name, shape (n, 3), and the cells, shape (m, k), renumbered."""
     used = np.zeros(len(points), dtype=bool)
     used[cells] = True
     return (points, cells) if used.all() else (points[used], (np.cumsum(used) - 1)[cells])
 
 
 def directed_edges(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Start and end of the edges of triangles, shape (3 m, 2): all first edges, all second, all
-    third.
+    """Return start and end of the edges of triangles, shape (3 m, 2).
+
+    All first edges come first, then all second, then all third.
     """
     return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
 
 
 def windings(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
-    """1 or -1 for the two windings of a triangle, 0 where it names a point twice, shape (m,)."""
+    """Return 1 or -1 for the two windings of a triangle, shape (m,).
+
+    It is 0 where a triangle names a point twice.
+    """
     a, b, c = triangles.T
     return np.sign(b - a) * np.sign(c - b) * np.sign(a - c)
 
@@ -31,13 +35,13 @@ def windings(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
 def cross_products(
     points: NDArray[np.float64], triangles: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Normals of triangles, as long as twice their area, shape (m, 3)."""
+    """Compute normals of triangles, as long as twice their area, shape (m, 3)."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
     return np.cross(b - a, c - a)
 
 
 def enclosed_volume(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> float:
-    """Volume that triangles wound outward enclose, in cubed units of the points."""
+    """Compute the volume that triangles wound outward enclose, in cubed units of the points."""
     corners = points - points.mean(axis=0)
     return (
         float(np.einsum("ij,ij->", corners[triangles[:, 0]], cross_products(corners, triangles)))

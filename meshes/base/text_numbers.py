@@ -42,7 +42,7 @@ def require_distinct_columns(names: Iterable[str], what: str, path: Path) -> Non
     Raises
     ------
     InputError
-        If a name is there twice. `what` is the argument or key that names the file.
+        If a name occurs twice. `what` is the argument or key that names the file.
     """
     seen = set[str]()
     for name in names:

@@ -70,7 +70,7 @@ def require_shallow(value: object) -> None:
     Raises
     ------
     RecursionError
-        If they are.
+        If they are nested more deeply.
     """
     level: list[object] = [value]
     for _ in range(DEEPEST):

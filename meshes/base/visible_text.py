@@ -1,5 +1,6 @@
-"""Text from files as a person may see it: what would move a terminal's cursor or colour it is
-shown by its code.
+"""Text from files, made safe for display.
+
+A character that would move a terminal's cursor or colour it is replaced by its code.
 """
 
 import unicodedata
@@ -8,7 +9,10 @@ __all__ = ["visible"]
 
 
 def visible(text: str) -> str:
-    """Text with control and formatting characters but line feeds as escapes, such as ``\\x1b``."""
+    """Replace control and formatting characters by escapes, such as ``\\x1b``.
+
+    Line feeds are kept.
+    """
     if text.isascii() and text.isprintable():
         return text
     return "".join(

@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Atomic writing of files: a file is complete or absent."""
 
 import os
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ class Owner(Protocol):
     """A folder whose files are claimed before they are written."""
 
     def depth(self, path: Path) -> int:
-        """Return how many parts the folder's path has if it holds ``path``, else 0."""
+        """Return the number of parts in the folder's path if it holds ``path``, else 0."""
         ...
 
     def claim(self, path: Path) -> None:
@@ -28,9 +28,7 @@ OWNERS: "WeakSet[Owner]" = WeakSet()
 
 
 def claim(path: Path) -> None:
-    """Announce a file that is about to be written to the innermost folder in `OWNERS` that holds
-    it.
-    """
+    """Announce a file before it is written to the innermost folder in `OWNERS` that holds it."""
     owner = max(list(OWNERS), key=lambda each: each.depth(path), default=None)
     if owner is not None and owner.depth(path):
         owner.claim(path)
@@ -38,11 +36,11 @@ def claim(path: Path) -> None:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """A temporary name in a file's folder, of the same ending, to write to in the block.
+    """Yield a temporary name in a file's folder, of the same ending, to write to in the block.
 
-    What was written takes the file's place in one step when the block ends, and goes when it fails;
-    so no reader sees half of it, and of two writers one wins. A folder in `OWNERS` that holds the
-    file may refuse it.
+    The written content replaces the file in one step when the block ends, and is deleted when it
+    fails; so no reader sees half of it, and of two writers one wins. A folder in `OWNERS` that
+    holds the file may refuse it.
     """
     claim(path)
     temporary = path.with_name(f".{uuid4().hex[:12]}-{path.name}")
@@ -51,7 +49,7 @@ def whole_file(path: Path) -> Iterator[Path]:
         os.replace(temporary, path)
     except OSError as error:
         if error.filename == str(temporary):
-            error.filename = str(path)  # the name that is known to who asked for it
+            error.filename = str(path)  # the name that the caller knows
         raise
     finally:
         with suppress(OSError):

@@ -1,3 +1,1 @@
-"""CT of a person: what an image holds, its labels and their names, and bone out of it with its
-density.
-"""
+"""Patient CT: content of an image, its labels and their names, and bone with its density."""

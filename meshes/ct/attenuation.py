@@ -1,4 +1,4 @@
-"""Attenuation of X-rays of one energy in tissues, and the Hounsfield units that they have in it."""
+"""Attenuation of X-rays of one energy in tissues, and the resulting Hounsfield units."""
 
 import tomllib
 from functools import cache
@@ -16,11 +16,11 @@ ENERGIES_KEV = (30.0, 150.0)
 
 
 def mass_attenuation(material: str, energy_keV: float) -> float:
-    """Mass attenuation coefficient [m2/kg] of a material of ``attenuation.toml``, by its elements'
-    mass fractions.
+    """Compute the mass attenuation coefficient [m2/kg] of a material of ``attenuation.toml``.
 
-    Between the energies of the table by cubic splines of the logarithms, which are within 0.2 % of
-    the finer tables of Elam et al. 2002.
+    It is the sum over the material's elements by their mass fractions. Between the energies of the
+    table, the logarithms are interpolated by cubic splines. These are within 0.2 % of the finer
+    tables of Elam et al. 2002.
 
     Raises
     ------
@@ -39,17 +39,20 @@ def mass_attenuation(material: str, energy_keV: float) -> float:
 
 
 def density_of(material: str) -> float:
-    """Density [kg/m3] of a material of ``attenuation.toml``."""
+    """Return the density [kg/m3] of a material of ``attenuation.toml``."""
     return float(_table()["materials"][material]["density_kg_m3"])
 
 
 def linear_attenuation(material: str, energy_keV: float) -> float:
-    """Linear attenuation coefficient [1/m] of a material of ``attenuation.toml``."""
+    """Compute the linear attenuation coefficient [1/m] of a material of ``attenuation.toml``."""
     return density_of(material) * mass_attenuation(material, energy_keV)
 
 
 def hounsfield(linear_attenuation_1_m: float, energy_keV: float) -> float:
-    """Hounsfield units of a linear attenuation coefficient [1/m]: 0 in water, -1000 in vacuum."""
+    """Convert a linear attenuation coefficient [1/m] to Hounsfield units.
+
+    They are 0 in water and -1000 in vacuum.
+    """
     return 1000.0 * (linear_attenuation_1_m / linear_attenuation("water", energy_keV) - 1.0)
 
 
@@ -60,7 +63,7 @@ def _table() -> dict[str, Any]:
 
 @cache
 def _curves() -> dict[str, Any]:
-    """Logarithm of each element's coefficient [cm2/g] against that of the energy [keV]."""
+    """Return the logarithm of each element's coefficient [cm2/g] over the log energy [keV]."""
     from scipy.interpolate import CubicSpline
 
     table = _table()

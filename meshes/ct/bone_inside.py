@@ -1,5 +1,6 @@
-"""Bones whose inside is known, as anatomies: by the density of a CT, or by a second surface
-around the core.
+"""Bones with a known inside, as anatomies.
+
+The inside comes from the density of a CT, or from a second surface around the core.
 """
 
 from collections.abc import Mapping
@@ -32,26 +33,32 @@ __all__ = [
 
 IMAGED_LAYERS = ("cortical", "subchondral", "trabecular")
 LAW = "density_law"
-"""Key of an image's header that states where its densities come from and how sure they are."""
+"""Header key of an image that states source and uncertainty of its densities."""
 CORTICAL_ABOVE_KG_M3 = 1000.0
-"""Apparent density from which bone is cortical: ash density 0.6 g/cm3, where Keyak (1998) changes
-from trabecular to cortical, over ash to apparent 0.598 (Schileo 2008)."""
+"""Apparent density from which bone is cortical.
+
+It is ash density 0.6 g/cm3, where Keyak (1998) changes from trabecular to cortical, over ash to
+apparent 0.598 (Schileo 2008).
+"""
 _LEAST_KG_M3 = 50.0
 _PLATE_M = 5e-3
-"""Largest depth of a subchondral plate: 1.2 to 2.9 mm on the glenoid (Frich), more where a joint
-is loaded.
+"""Largest depth of a subchondral plate.
+
+It is 1.2 to 2.9 mm on the glenoid (Frich), and more where a joint is loaded.
 """
 _LEAST_COVERED = 0.99
 """Share of a surface at which its image must hold density."""
 _TO_EDGE = 0.501
-"""Distance [voxel] from the centre of an image's last voxel to its edge, where a bone is cut
-off, with rounding.
+"""Distance [voxel] from the centre of an image's last voxel to its edge, with rounding.
+
+A bone is cut off at that edge.
 """
 _FARTHEST_OUT_M = 0.5e-3
-"""Distance by which a core may reach out of the bone, because surfaces are smoothed apart."""
+"""Distance by which a core may extend out of the bone, because surfaces are smoothed separately."""
 _LEAST_TOUCHING = 0.2
-"""Share of a core's points that must lie in the bone or on it: a hollow cortex may be open, as a
-jaw's to its teeth.
+"""Share of a core's points that must lie in the bone or on it.
+
+A hollow cortex may be open, such as a jaw's cortex to its teeth.
 """
 
 
@@ -63,10 +70,10 @@ def imaged_anatomy(
     cortical_above_kg_m3: float = CORTICAL_ABOVE_KG_M3,
     articular_radius_mm: float = 0.0,
 ) -> Anatomy:
-    """Return the anatomy of a bone in the site frame, its density interpolated in an image.
+    """Return the anatomy of a bone in the site frame, with density interpolated in an image.
 
-    Dense bone is cortical; within 5 mm under an articular face it is the subchondral plate; the
-    rest is trabecular.
+    Dense bone is cortical; within 5 mm under an articular face it is the subchondral plate; all
+    other bone is trabecular.
 
     Parameters
     ----------
@@ -78,7 +85,7 @@ def imaged_anatomy(
         Density from which bone is cortical, 300 to 2000 kg/m3.
     articular_radius_mm
         Distance from the site across its normal within which the surface is a joint's [mm], 0 for
-        none.
+        no joint.
 
     Raises
     ------
@@ -103,8 +110,9 @@ def imaged_anatomy(
     first = ((site.centre_m - origin) / spacing).astype(np.float32)
 
     def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
-        """Return layer and density [kg/m3] of points [m], shape (n, 3), at depths [m] below the
-        surface, shape (n,).
+        """Return layer and density [kg/m3] of points at depths below the surface.
+
+        Points [m] have the shape (n, 3) and depths [m] the shape (n,).
         """
         from scipy.ndimage import map_coordinates
 
@@ -140,8 +148,9 @@ def cored_anatomy(
     cortical_density_kg_m3: float = 1800.0,
     trabecular_density_kg_m3: float = 350.0,
 ) -> Anatomy:
-    """Return the anatomy of a bone in the site frame: trabecular within the core, cortical
-    elsewhere.
+    """Return the anatomy of a bone in the site frame.
+
+    The bone is trabecular within the core and cortical elsewhere.
 
     Parameters
     ----------
@@ -182,7 +191,7 @@ def cored_anatomy(
 
 
 def stated_law(path: Path) -> str:
-    """Return what the header of an image of densities states of their law, or an empty text."""
+    """Return the density law stated in the header of a density image, or an empty text."""
     if not path.name.lower().endswith((".nrrd", ".nhdr")):
         return ""
     return header_lines(path, ":", "")[0].get(LAW, "").removeprefix("=").strip()
@@ -216,8 +225,9 @@ def _anatomy(
 
 
 def _require_covered(surface: Surface, density: Image) -> None:
-    """Raise for an image without density at the surface: another bone, another frame or another
-    unit.
+    """Raise for an image without density at the surface.
+
+    The image then belongs to another bone, another frame or another unit.
     """
     origin = np.array(density.origin_mm)
     last = np.array(density.values.shape) - 1

@@ -1,8 +1,7 @@
-"""Density calibration without a phantom: air, fat, muscle and cortex of the same CT are the
-phantom.
+"""Density calibration without a phantom, by air, fat, muscle and cortex of the same CT.
 
 After Michalski et al. 2020 (Med Eng Phys 78:55), written from the paper's method: the effective
-energy is the one at which the attenuation of the reference tissues fits their Hounsfield units
+energy is the energy at which the attenuation of the reference tissues fits their Hounsfield units
 best. Differences from the paper: linear attenuation is fitted, because Hounsfield units are linear
 in it. All unknowns have priors and are found together, so that their uncertainty reaches the
 density. Dense bone of ICRU 44 in marrow leads to apparent density, because relations from K2HPO4 to
@@ -23,10 +22,12 @@ from meshes.images.frame import Image
 __all__ = ["Calibration", "Region", "calibrate", "find_regions", "fit_regions"]
 
 _SPREAD = {"air": 0.0, "adipose": 0.02, "muscle": 0.01, "cortex": 0.04}
-"""Relative standard deviation of a tissue's attenuation between persons. Fat and muscle: half of
-what adipose tissues 1 to 3 and muscles 1 to 3 of Woodard and White 1986 (Br J Radiol 59:1209)
-differ by, with the fat in muscle. Cortex: pores of 3 to 12 % and density of 1.85 to 2.0 g/cm3 where
-it is densest."""
+"""Relative standard deviation of a tissue's attenuation between persons.
+
+Fat and muscle: half of the difference between adipose tissues 1 to 3 and between muscles 1 to 3 of
+Woodard and White 1986 (Br J Radiol 59:1209), with the fat in muscle. Cortex: pores of 3 to 12 % and
+density of 1.85 to 2.0 g/cm3 where it is densest.
+"""
 # prior of the effective energy: clinical tubes of 80 to 140 kV make about 50 to 85 keV
 _ENERGY_KEV = 72.0
 _ENERGY_SD_KEV = 15.0
@@ -36,17 +37,23 @@ _SCALE_SD = 0.01  # error of a scanner's scale
 _MARROW_FAT = 0.6  # fraction of fat in the pores: red marrow has 0.4, yellow 0.8 (ICRP 89)
 _MARROW_FAT_SD = 0.25
 _MINERAL_SD = 0.03
-"""Relative standard deviation of apparent density from mineral: ICRU 44's calcium makes ash 0.57 of
-dense bone, the ratio of Schileo 2008 is 0.598. Half of their difference."""
-# mean squared misfit, in standard deviations, above which the values are no Hounsfield units
+"""Relative standard deviation of apparent density from mineral.
+
+ICRU 44's calcium makes ash 0.57 of dense bone, and the ratio of Schileo 2008 is 0.598. The value is
+half of their difference.
+"""
+# mean squared misfit, in standard deviations, above which the values are not Hounsfield units
 _WORST_FIT = 9.0
 _CHANCE = 0.1  # a misfit less probable than this widens the band
 
 _SLAB_VOXELS = 4e6
 _MOST_VOXELS = 4e7  # only every second, third ... slab of a larger image is used
 _MODES_HU = {"air": (-1060.0, -940.0), "adipose": (-140.0, -45.0), "muscle": (15.0, 95.0)}
-"""Range of a tissue's most frequent value between effective energies of 40 and 120 keV: the tissues
-of ICRU 44 (fat -99 to -57, muscle 45 to 40) and 35 HU to either side."""
+"""Range of a tissue's most frequent value between effective energies of 40 and 120 keV.
+
+The ranges are from the tissues of ICRU 44 (fat -99 to -57, muscle 45 to 40) and 35 HU to either
+side.
+"""
 _BINS_HU = (-1100, 200)
 _SMOOTHING_HU = 4.0
 _LEAST_PEAK = 0.2  # height of a maximum, relative to the highest in the tissue's range
@@ -77,8 +84,8 @@ class Region:
 class Calibration:
     """Density law of Hounsfield units that a calibration found.
 
-    `energy_keV` is the effective energy with its standard deviation, `regions` holds what was found
-    by tissue.
+    `energy_keV` is the effective energy with its standard deviation, `regions` holds the regions
+    found, by tissue.
     """
 
     law: DensityLaw
@@ -88,19 +95,21 @@ class Calibration:
 
 
 def calibrate(image: Image) -> Calibration:
-    """Calibrate a CT in Hounsfield units by its own air, fat, muscle and cortex; raises as
-    `fit_regions`.
+    """Calibrate a CT in Hounsfield units by its own air, fat, muscle and cortex.
+
+    It raises the same errors as `fit_regions`.
     """
     return fit_regions(find_regions(image), source=image.source)
 
 
 def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
-    """Fit effective energy, scanner line and density law to the means of regions, with their
-    uncertainty.
+    """Fit effective energy, scanner line and density law to the means of regions.
+
+    The fit includes the uncertainty of the results.
 
     The unknowns are the energy, the scanner's error of water and scale, the fat in marrow and each
-    tissue's deviation from ICRU 44, as standard normal numbers. The covariance is that of the
-    linearised problem.
+    tissue's deviation from ICRU 44, as standard normal numbers. The covariance is the covariance of
+    the linearised problem.
 
     Raises
     ------
@@ -175,9 +184,7 @@ def _read(attenuation_1_m: float, unknown: Array) -> float:
 
 
 def _density_line(unknown: Array) -> Array:
-    """Compute slope [kg/m3 per HU] and offset [kg/m3] of a volume shared by dense bone and
-    marrow.
-    """
+    """Compute slope [kg/m3 per HU] and offset [kg/m3] of a mixture of dense bone and marrow."""
     energy = _energy(unknown)
     fat = _MARROW_FAT + _MARROW_FAT_SD * unknown[3]
     marrow = fat * linear_attenuation("adipose", energy) + (1.0 - fat) * linear_attenuation(
@@ -192,8 +199,9 @@ def _density_line(unknown: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Slab:
-    """Slices of an image: values, and mean, standard deviation, spread and minimum over 3 x 3 x
-    3 voxels.
+    """Slices of an image with statistics over 3 x 3 x 3 voxels.
+
+    They hold the values, and the mean, standard deviation, spread and minimum.
     """
 
     values: Singles
@@ -206,9 +214,9 @@ class _Slab:
 def find_regions(image: Image) -> dict[str, Region]:
     """Find air, adipose, muscle and cortex in a CT.
 
-    Homogeneous voxels are those whose neighbourhood varies by no more than noise. Air, fat and
-    muscle are their most frequent values in the tissues' ranges. Cortex is the densest tenth of the
-    bone within bone, away from metal.
+    A voxel is homogeneous if its neighbourhood varies by no more than noise. Air, fat and muscle
+    are their most frequent values in the tissues' ranges. Cortex is the densest tenth of the voxels
+    that are surrounded by bone, away from metal.
     """
     thickness = max(int(_SLAB_VOXELS // math.prod(image.values.shape[:2])), 4)
     whole = range(0, image.values.shape[2], thickness)
@@ -224,8 +232,8 @@ def find_regions(image: Image) -> dict[str, Region]:
     dense = []
     for start in starts:
         slab = _filtered(image, start, thickness)
-        # A constant lowest value is what a scanner writes outside its field of view, unless it is
-        # that of air.
+        # A scanner writes a constant lowest value outside its field of view, unless that value is
+        # air.
         held = (slab.sd > 0.0) | (slab.mean != padding) | (padding >= air_low + 45.0)
         even = held & (slab.sd < 1.6 * noise + 1.0) & (slab.spread < 3.0 * noise + 3.0)
         counts += np.histogram(slab.mean[even], bins=len(counts), range=_BINS_HU)[0]
@@ -260,9 +268,9 @@ def _filtered(image: Image, start: int, thickness: int) -> _Slab:
 def _most_frequent(tissue: str, counts: Ints, voxel_mm3: float, noise: float) -> Region | None:
     """Find the maximum of the histogram in the tissue's range, if it holds enough voxels.
 
-    It is the highest maximum. Of muscle it is the lowest that is not small, since organs with
-    contrast medium lie above it. The error grows with the maximum's width, to which several tissues
-    may add.
+    It is the highest maximum. For muscle it is the lowest maximum that is not small, since organs
+    with contrast medium lie above it. The error grows with the maximum's width, which several
+    tissues may increase.
     """
     from scipy.ndimage import gaussian_filter1d
     from scipy.signal import find_peaks, peak_widths

@@ -14,16 +14,19 @@ __all__ = ["ASH_SHARE", "ASH_SHARE_SD", "CT_DENSITY", "DensityLaw", "scanner_law
 
 ASH_SHARE = 0.598
 ASH_SHARE_SD = 0.004
-"""Ash over apparent density of human bone, cortical and trabecular together: 0.598 +- 0.004
-(Schileo et al. 2008, J Biomech 41:2483)."""
+"""Standard deviation of the ratio of ash to apparent density of human bone.
+
+The ratio is for cortical and trabecular bone together: 0.598 +- 0.004 (Schileo et al. 2008, J
+Biomech 41:2483).
+"""
 
 
 @dataclass(frozen=True)
 class DensityLaw:
-    """Apparent density [kg/m3] = slope * grey value + offset, held within limits.
+    """Apparent density [kg/m3] = slope * grey value + offset, limited to a range.
 
-    Apparent density is wet mass over the volume with its pores. The uncertainties are those of the
-    line: the noise of a voxel is not among them, and neither is the blur of thin bone.
+    Apparent density is wet mass over the volume with its pores. The uncertainties belong to the
+    line. They include neither the noise of a voxel nor the blur of thin bone.
 
     Attributes
     ----------
@@ -32,13 +35,13 @@ class DensityLaw:
     lowest_kg_m3, highest_kg_m3
         Limits [kg/m3].
     name, source
-        What people call the line, and where it comes from.
+        Name of the line, and its source.
     covariance
         Variance of the slope, covariance of both, variance of the offset [(kg/m3)^2].
     residual_sd_kg_m3
-        Standard deviation of what was measured from the line [kg/m3].
+        Standard deviation of the measured densities from the line [kg/m3].
     relative_sd
-        Standard deviation of what the whole density is multiplied with, such as the ratio of ash to
+        Relative standard deviation of a factor of the whole density, such as the ratio of ash to
         apparent density.
     """
 
@@ -88,8 +91,9 @@ class DensityLaw:
         return np.clip(density, self.lowest_kg_m3, self.highest_kg_m3).astype(np.float32)
 
     def sd(self, values: NDArray[np.number]) -> Singles:
-        """Compute the standard uncertainty of the density [kg/m3] of mean grey values, before
-        the limits.
+        """Compute the standard uncertainty of the density [kg/m3] of mean grey values.
+
+        It is the uncertainty before the limits are applied.
         """
         values = np.asarray(values, dtype=np.float64)
         slope, both, offset = self.covariance
@@ -100,8 +104,9 @@ class DensityLaw:
         return np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
 
     def band(self, values: NDArray[np.number], share: float = 0.9) -> tuple[Singles, Singles]:
-        """Compute bounds [kg/m3] that hold the density of tissue of mean grey values with
-        probability `share`.
+        """Compute bounds [kg/m3] of the density of tissue of mean grey values.
+
+        The density lies within the bounds with probability `share`.
 
         Raises
         ------
@@ -132,8 +137,9 @@ def scanner_law(
     slope_sd: float,
     offset_sd_kg_m3: float,
 ) -> DensityLaw:
-    """Return the law of one scanner's line to ash density [kg/m3], as uncertain as it is for other
-    scanners.
+    """Return the law of one scanner's line to ash density [kg/m3].
+
+    Its uncertainty includes the difference to other scanners.
 
     Parameters
     ----------
@@ -168,7 +174,8 @@ CT_DENSITY = scanner_law(
     slope_sd=0.27,
     offset_sd_kg_m3=60.0,
 )
-"""Hounsfield units to apparent density by one scanner's line: calibrate before relying on it. Its
-band is as wide as to hold bone by the tables of `meshes.ct.attenuation` at 62 to 80 keV, which is 8
-to 39 % less dense than the line.
+"""Hounsfield units to apparent density by one scanner's line: calibrate before relying on it.
+
+Its band is wide enough to hold bone by the tables of `meshes.ct.attenuation` at 62 to 80 keV, which
+is 8 to 39 % less dense than the line.
 """

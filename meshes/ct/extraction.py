@@ -1,5 +1,6 @@
-"""Bones and structures out of a CT: their smooth surfaces and the density of bone, by a label or
-by a threshold.
+"""Extraction of bones and structures from a CT, by a label or by a threshold.
+
+The results are smooth surfaces and the density of bone.
 """
 
 from collections.abc import Callable
@@ -28,30 +29,33 @@ __all__ = [
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Lowest and highest corner [mm, LPS]."""
 MARGIN = 3
-"""Voxels kept around a bone: its soft tissue, and what interpolation needs."""
+"""Voxels kept around a bone, for its soft tissue and for interpolation."""
 KEPT_MARGIN = 4
 """Voxels around a piece of a structure in which it is smoothed: five standard deviations."""
 SMOOTH_VOXELS = 0.8
-"""Standard deviation of the smoothing of a label [voxel]: less leaves its steps, more takes thin
-parts away. Of a bone it is in its coarsest voxels, of a structure to keep clear of in those along
-each axis."""
-NOISE_VOXELS = 0.5
-"""Standard deviation of the smoothing of grey values before a surface is laid through them
-[voxel].
+"""Standard deviation of the smoothing of a label [voxel].
+
+Smaller values leave the label's steps, larger ones remove thin parts. For a bone it is in its
+coarsest voxels. For a structure to keep clear of it is in the voxels along each axis.
 """
+NOISE_VOXELS = 0.5
+"""Standard deviation [voxel] of the smoothing of grey values before a surface is extracted."""
 CLOSED_MM = 1.5
-"""Gaps up to twice as wide in a cortex are closed: trabecular openings, vessels and partial
-volume.
+"""Half the width of the gaps in a cortex that are closed.
+
+The gaps are trabecular openings, vessels and partial volume.
 """
 SUB = 4
 """Points along each edge of a voxel at which the bone fraction is sampled."""
 LEAST_SHARE = 0.5
-"""Bone fraction from which a voxel's own value counts; others take that of the nearest such
-voxel.
+"""Bone fraction from which a voxel's own value counts.
+
+Other voxels take the value of the nearest such voxel.
 """
 BEYOND_VOXELS = 3
-"""Voxels outside the surface into which the density continues, so that it can be interpolated up
-to the surface.
+"""Voxels outside the surface into which the density continues.
+
+It can thus be interpolated up to the surface.
 """
 _LISTED = 6
 
@@ -90,8 +94,7 @@ class BoneOfImage:
         return enclosed_volume(*self.triangles)
 
     def density(self, law: Callable[[Floats], Singles]) -> Image:
-        """Compute the apparent density [kg/m3] of the bone and of some voxels around it, 0
-        elsewhere.
+        """Compute the apparent density [kg/m3] of the bone and of voxels around it, 0 elsewhere.
 
         A voxel that the surface crosses holds bone and soft tissue, and its grey value is their
         weighted mean. The value of bone follows from it where at least half is bone, and from the
@@ -115,8 +118,9 @@ class BoneOfImage:
         return replace(self.image, values=whole, notes=())
 
     def _share(self) -> Singles:
-        """Compute the bone fraction of each voxel, the field interpolated where the surface
-        crosses.
+        """Compute the bone fraction of each voxel.
+
+        The field is interpolated where the surface crosses a voxel.
         """
         from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
@@ -139,7 +143,7 @@ def cropped(image: Image, box_mm: Box) -> Image:
     Raises
     ------
     InputError
-        If fewer than two remain along an axis.
+        If fewer than two voxels remain along an axis.
     """
     spacing = np.array(image.spacing_mm)
     origin = np.array(image.origin_mm)
@@ -162,11 +166,11 @@ def cropped(image: Image, box_mm: Box) -> Image:
 
 
 def by_label(image: Image, mask: Flags) -> BoneOfImage:
-    """Take the bone out of an image that a label marks; `mask` has the image's shape.
+    """Extract the bone that a label marks from an image; `mask` has the image's shape.
 
-    The steps of the label are smoothed away. The level of the surface leaves as many voxels above
-    it as the label has; the volume within the triangles differs from the label's by under 1 % where
-    voxels are small against the bone.
+    The steps of the label are smoothed away. The level of the surface is chosen to keep the number
+    of voxels of the label. The volume within the triangles differs from the label's by under 1 %
+    where voxels are small against the bone.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -181,7 +185,7 @@ def by_label(image: Image, mask: Flags) -> BoneOfImage:
 
 
 def by_threshold(image: Image, threshold: float) -> BoneOfImage:
-    """Take the largest piece above a grey value out of an image, its marrow filled."""
+    """Extract the largest piece above a grey value from an image, with marrow filled."""
     from scipy.ndimage import binary_dilation, gaussian_filter
 
     above = image.values > threshold
@@ -189,8 +193,8 @@ def by_threshold(image: Image, threshold: float) -> BoneOfImage:
     part, piece = _around(image, piece)
     whole = filled(piece, part)
     field = gaussian_filter(part.values.astype(np.float32), NOISE_VOXELS, mode="nearest")
-    # Inside, marrow below the threshold is bone; outside, what touches no voxel of the piece is not
-    # this bone.
+    # Inside, marrow below the threshold is bone. Outside, voxels that touch no voxel of the piece
+    # are not this bone.
     step = max(0.1 * abs(threshold), 1.0)
     field[whole & (field <= threshold) & ~(binary_dilation(~whole) & ~piece)] = threshold + step
     apart = ~binary_dilation(whole)
@@ -199,8 +203,9 @@ def by_threshold(image: Image, threshold: float) -> BoneOfImage:
 
 
 def _laid(part: Image, field: Singles, level: float, other: float, voxels: int) -> BoneOfImage:
-    """Build the bone where a field is above a level; `other` is the relative size of the next
-    piece.
+    """Build the bone where a field is above a level.
+
+    `other` is the relative size of the next piece.
     """
     imaged = replace(part, values=field)
     cuts = image_cuts(imaged, threshold=level)
@@ -249,8 +254,9 @@ def largest_component(mask: Flags, source: str) -> tuple[Flags, float]:
 
 
 def filled(mask: Flags, image: Image) -> Flags:
-    """Fill marrow and pores of a mask: close gaps of the cortex, then fill what is enclosed in any
-    plane.
+    """Fill marrow and pores of a mask.
+
+    It closes gaps of the cortex, then fills the regions enclosed in any plane.
 
     A bone that the edge of the image cuts off encloses its marrow only in planes of some direction.
     """
@@ -271,8 +277,9 @@ def filled(mask: Flags, image: Image) -> Flags:
 
 
 def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints], tuple[str, ...]]:
-    """Return vertices [mm, LPS], shape (n, 3), and triangles around a label that a tool must keep
-    clear of, and notes.
+    """Return vertices and triangles around a label that a tool must keep clear of, and notes.
+
+    The vertices are in mm, LPS, shape (n, 3).
 
     Every piece is smoothed by itself and keeps its own volume. Where a piece is so thin that
     smoothing would remove it, its voxels are kept as they are.
@@ -330,8 +337,9 @@ def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints]
 
 
 def _smoothed(piece: Flags) -> Singles:
-    """Return a smooth field that is above 0 in as many voxels as a piece has, and near every
-    voxel of it.
+    """Return a smooth field that keeps the number of voxels of a piece above 0.
+
+    It is also above 0 near every voxel of the piece.
     """
     from scipy.ndimage import binary_dilation, gaussian_filter
 

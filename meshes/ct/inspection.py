@@ -1,5 +1,7 @@
-"""Inspection of a CT: Hounsfield units or not, noise, metal, a threshold of bone, and whether
-labels fit the values.
+"""Inspection of a CT image.
+
+It checks for Hounsfield units, noise, metal, a threshold of bone, and whether labels fit the
+values.
 """
 
 from dataclasses import dataclass
@@ -25,8 +27,9 @@ AIR_HU = (-1100, -900)
 SOFT_HU = (-150, 150)
 """Ranges of air, and of fat to muscle, in any CT [HU]."""
 METAL_HU = 3000
-"""No tissue lies above it: enamel, the densest, reaches about 2800 HU at 120 kV (from memory,
-confidence M).
+"""Hounsfield units above which there is no tissue.
+
+Enamel, the densest tissue, reaches about 2800 HU at 120 kV (from memory, confidence M).
 """
 _COARSE_MM = 5.0
 """Distance of slices from which they are reported as coarse."""
@@ -41,20 +44,23 @@ _MAD = 0.6745
 """Median absolute deviation of a normal variable of standard deviation 1."""
 LOWEST_HU = 150.0
 HIGHEST_HU = 600.0
-"""Thresholds of bone in use: 150 for osteoporotic, 226 by common programs, 600 for the cortex
-alone.
+"""Largest threshold of bone in use.
+
+Thresholds are 150 for osteoporotic bone, 226 in common programs, 600 for the cortex alone.
 """
 _SOFT_PEAK_HU = (-50.0, 120.0)
 _MOST_HU = 1600.0
 _EQUAL = 1e-9
-"""Relative difference of two variances that count as equal: rounding of sums over up to 1e9
-voxels.
+"""Relative difference below which two variances count as equal.
+
+It covers the rounding of sums over up to 1e9 voxels.
 """
 _NO_BONE = 0.1
 _LITTLE_BONE = 0.5
-"""Shares of a bone's label above the threshold of bone. The cortex alone is more than a tenth of
-any bone; where marrow is the larger part of the label, as in the humeral head of an old person,
-more than half may lie below.
+"""Shares of a bone's label above the threshold of bone.
+
+The cortex alone is more than a tenth of any bone. Where marrow is the larger part of the label, as
+in the humeral head of an old person, more than half may lie below.
 """
 _SOFT_ORGAN_HU = (-200.0, 300.0)
 """Range of the median of a soft organ in any CT, contrast agent included [HU]."""
@@ -89,8 +95,9 @@ class Histogram:
         return float(self.counts[inside].sum() / self.counts.sum())
 
     def peak(self, low: float, high: float, *, width: int = 15) -> float | None:
-        """Return the most frequent value in a range, counts averaged over `width` values; None
-        where it is empty.
+        """Return the most frequent value in a range; None if the range is empty.
+
+        Counts are averaged over `width` values.
         """
         inside = (self.values >= low) & (self.values <= high)
         if not self.counts[inside].any():
@@ -112,14 +119,14 @@ class Inspection:
     low_mm, high_mm
         Corners of the image [mm, LPS].
     lowest, highest
-        Least and greatest value.
+        Smallest and largest value.
     is_hounsfield
         Whether the values can be Hounsfield units: air about -1000 or soft tissue about 0 to 60.
     noise
-        Standard deviation of soft tissue between neighbours, in units of the values; None where
-        there is none. Noise that neighbours share is not in it.
+        Standard deviation of soft tissue between neighbours, in units of the values; None without
+        soft tissue. It excludes noise that neighbours share.
     metal_mm3, metal_mm
-        Volume above 3000 HU [mm3] and the centre of it [mm, LPS]; None where there is none.
+        Volume above 3000 HU [mm3] and its centre [mm, LPS]; None without metal.
     """
 
     source: str
@@ -211,8 +218,9 @@ def inspect(image: Image) -> Inspection:
 
 
 def _noise(values: NDArray[np.number]) -> float | None:
-    """Estimate the standard deviation of soft tissue between neighbours in a slice, robust
-    against edges.
+    """Estimate the standard deviation of soft tissue between neighbours in a slice.
+
+    The estimate is robust against edges.
     """
     step = max(round(values.size / _MOST_SAMPLED), 1)
     slices = values[:, :, ::step].astype(np.float32)
@@ -225,8 +233,9 @@ def _noise(values: NDArray[np.number]) -> float | None:
 
 
 def suggest_threshold(histogram: Histogram, *, is_hounsfield: bool) -> tuple[float, str]:
-    """Suggest a threshold of bone by Otsu's criterion between soft tissue and bone, with a
-    sentence.
+    """Suggest a threshold of bone, with a sentence that explains it.
+
+    The threshold is from Otsu's criterion between soft tissue and bone.
 
     Of Hounsfield units only values above soft tissue count, and the threshold is kept within 150 to
     600 HU.
@@ -245,11 +254,10 @@ def suggest_threshold(histogram: Histogram, *, is_hounsfield: bool) -> tuple[flo
 
 
 def _otsu(values: Array, counts: Array) -> float:
-    """Return the value that parts a histogram with the largest variance between the parts (Otsu
-    1979).
+    """Return the threshold with the largest variance between both parts of a histogram (Otsu 1979).
 
-    All empty bins between two parts give that variance. The value lies in the middle between the
-    parts.
+    All empty bins between two parts give the same variance. The threshold lies in the middle
+    between the parts.
     """
     weight = np.cumsum(counts)
     mass = np.cumsum(counts * values)
@@ -263,7 +271,7 @@ def _otsu(values: Array, counts: Array) -> float:
 
 
 def bone_label_note(image: Image, mask: Flags, name: str) -> str:
-    """Return a warning where most of a bone's label lies below 150 HU, else an empty text.
+    """Return a warning if most of a bone's label lies below 150 HU, else an empty text.
 
     Parameters
     ----------
@@ -295,10 +303,9 @@ def bone_label_note(image: Image, mask: Flags, name: str) -> str:
 
 
 def soft_label_note(image: Image, mask: Flags, name: str) -> str:
-    """Return a warning where the median under a soft organ's label is not that of soft tissue, else
-    an empty text.
+    """Return a warning if the median under a soft organ's label is not soft tissue, else "".
 
-    Parameters are those of `bone_label_note`.
+    The parameters are the same as in `bone_label_note`.
     """
     low, high = _SOFT_ORGAN_HU
     middle = float(np.median(image.values[mask]))

@@ -1,5 +1,6 @@
-"""Label volumes with the names of their labels: in one file, or one file for each label, as
-programs write them.
+"""Label volumes with the names of their labels, in one file or one file per label.
+
+Both are layouts that programs write.
 """
 
 import re
@@ -26,11 +27,9 @@ __all__ = ["Labels", "header_names", "label_sets", "on_grid_of", "read_labels"]
 _MOST_LABELS = 255
 _HEADER_BYTES = 1 << 20
 _XML_NAME = re.compile(r'<Label Key="(\d+)"[^>]*>\s*<!\[CDATA\[(.*?)\]\]>', re.DOTALL)
-"""A line of the label table that a NIfTI header may carry as an extension (Caret,
-TotalSegmentator).
-"""
+"""Line of the label table in an extension of a NIfTI header (Caret, TotalSegmentator)."""
 _SAME_PLACE = 1e-2
-"""How far grids may lie apart that are the same, in voxels."""
+"""Largest distance between grids that count as equal [voxel]."""
 _SHOWN_NAMES = 12
 
 
@@ -41,7 +40,7 @@ class Labels:
     Attributes
     ----------
     image
-        Whole numbers, 0 for none of them, shape (nx, ny, nz).
+        Whole numbers, 0 for no label, shape (nx, ny, nz).
     names
         Name of each label that the volume holds, by its number.
     """
@@ -55,7 +54,7 @@ class Labels:
         Raises
         ------
         InputError
-            If none has that name; the message lists those that there are.
+            If no label has that name; the message lists the available names.
         """
         found = [
             number for number, each in self.names.items() if each == name or str(number) == name
@@ -71,8 +70,9 @@ class Labels:
         return found[0]
 
     def mask(self, name: str) -> Flags:
-        """Return the voxels of a label, or of all that share its name, shape of the image;
-        raises as `number`.
+        """Return the voxels of a label, or of all labels with its name, shape of the image.
+
+        It raises the same errors as `number`.
         """
         one = self.number(name)
         alike = [number for number, each in self.names.items() if each == self.names[one]]
@@ -84,9 +84,7 @@ class Labels:
 
 @cache
 def label_sets() -> dict[str, tuple[str, ...]]:
-    """Return the names of labels by the program that writes them, in the order of their numbers
-    from 1.
-    """
+    """Return the names of labels by the program that writes them, ordered by number from 1."""
     table = tomllib.loads(files("meshes.ct").joinpath("label_sets.toml").read_text("utf-8"))
     return {name: tuple(entry["names"]) for name, entry in table.items()}
 
@@ -94,7 +92,7 @@ def label_sets() -> dict[str, tuple[str, ...]]:
 def read_labels(
     path: str | Path, *, names: str | Path | None = None, spacing_mm: float | None = None
 ) -> Labels:
-    """Read a label volume, or a folder that holds one mask a label, with the names of its labels.
+    """Read a label volume, or a folder of masks with one mask per label, and the label names.
 
     Parameters
     ----------
@@ -103,14 +101,14 @@ def read_labels(
         `.nii.gz`); or a folder of masks, one a file, each named as its label.
     names
         One of `label_sets`, or a TOML file of a table ``[labels]`` that gives each name its number;
-        None: those in the file's own header, else ``label 1`` and so on.
+        None: the names in the file's own header, else ``label 1`` and so on.
     spacing_mm
         Distance between neighbours [mm] of a file that does not state it.
 
     Raises
     ------
     InputError
-        If a file cannot be used, values are no labels, masks lie on different grids, or a name has
+        If a file cannot be used, values are not labels, masks lie on different grids, or a name has
         no number.
     """
     path = Path(path)
@@ -147,8 +145,9 @@ def read_labels(
 
 
 def on_grid_of(labels: Labels, image: Image) -> Labels:
-    """Return labels on the voxels of another image: unchanged where the grids agree, else the
-    nearest, with a note.
+    """Return labels on the voxels of another image.
+
+    They are unchanged where the grids agree, else the nearest labels, with a note.
     """
     from scipy.ndimage import affine_transform
 
@@ -183,7 +182,7 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
 
 
 def _of_masks(folder: Path) -> Labels:
-    """Read a folder of masks; where two overlap the later name has the voxel, with a note."""
+    """Read a folder of masks; a voxel of two masks takes the later name, with a note."""
     masks = sorted(
         file
         for file in folder.iterdir()

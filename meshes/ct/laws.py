@@ -1,6 +1,4 @@
-"""Density laws that a person names or states, those of a phantom, and a line through its
-measured rods.
-"""
+"""Density laws by name, from a line, from a phantom, or from a phantom's measured rods."""
 
 import math
 from collections.abc import Sequence
@@ -31,8 +29,11 @@ DENSITY_LAWS = {
         ),
     )
 }
-"""Laws by name, each one scanner's: its band holds what bone by the tables is at 62 to 80 keV, -10
-to 47 % off the second line, see `CT_DENSITY`."""
+"""Density laws by name, each of one scanner.
+
+The band of each law holds the tabulated values of bone at 62 to 80 keV, -10 to 47 % off the second
+line, see `CT_DENSITY`.
+"""
 
 _TO_ASH = {
     "apparent": (ASH_SHARE, 0.0, 0.0, "apparent density as stated"),
@@ -45,30 +46,32 @@ _TO_ASH = {
         "ash = 1.06 K2HPO4 + 38.9 kg/m3 (Keyak 1994; slopes of 0.9 to 1.22 are in use)",
     ),
 }
-"""Slope and offset [kg/m3] from what a phantom's rods are equivalent to, to ash density; the
-relative standard deviation of apparent density, and its source. 1.22 K2HPO4 + 52.3 is Les 1994's
-(table 1 of Knowles 2016), 0.9 what the line of Dragomir-Daescu 2011 amounts to; 3 % for HA is what
-ICRU 44's calcium leaves open, see `calibration`.
+"""Conversion from a phantom's equivalent density to ash density.
+
+Each entry holds slope, offset [kg/m3], the relative standard deviation of apparent density, and its
+source. 1.22 K2HPO4 + 52.3 is from Les 1994 (table 1 of Knowles 2016). The factor 0.9 follows from
+the line of Dragomir-Daescu 2011. The 3 % for HA is the uncertainty of ICRU 44's calcium, see
+`calibration`.
 """
 _KIND = "name a phantom's equivalent as apparent, ash, HA or K2HPO4"
 
 
 def density_law(text: str, image: Image) -> DensityLaw:
-    """Return the law that ``--density`` asks for.
+    """Return the law that the option ``--density`` selects.
 
     Parameters
     ----------
     text
         A name of `DENSITY_LAWS`; ``line:SLOPE,OFFSET`` [kg/m3 per Hounsfield unit, kg/m3] of
-        apparent density, or ``line:SLOPE,OFFSET,K2HPO4`` (HA, ash) of what a phantom is equivalent
-        to; or ``internal``, calibrated by the image's own air, fat, muscle and cortex.
+        apparent density, or ``line:SLOPE,OFFSET,K2HPO4`` (HA, ash) of a phantom's equivalent
+        density; or ``internal``, calibrated by the image's own air, fat, muscle and cortex.
     image
         The CT [Hounsfield units].
 
     Raises
     ------
     InputError
-        If the text is none of these, or the image does not hold what a calibration needs.
+        If the text is none of these, or the image lacks tissues that a calibration needs.
     """
     text = text.strip()
     if text.lower() == "internal":
@@ -113,7 +116,7 @@ def phantom_law(
     slope_mg_cm3_per_HU, offset_mg_cm3
         Line from Hounsfield units to the phantom's equivalent density [mg/cm3, which is kg/m3].
     equivalent
-        What the density is of: ``K2HPO4`` or ``HA`` in water, ``ash``, or ``apparent``.
+        Substance of the density: ``K2HPO4`` or ``HA`` in water, ``ash``, or ``apparent``.
     covariance, residual_sd_mg_cm3
         Uncertainty of that line, as in `DensityLaw`.
 
@@ -167,7 +170,7 @@ def rods_law(
     equivalent
         As in `phantom_law`.
     sd_HU
-        Standard error of each mean; None: all alike. Rods are weighted by its inverse square.
+        Standard error of each mean; None: equal for all. Rods are weighted by its inverse square.
 
     Raises
     ------

@@ -28,25 +28,27 @@ def image_volume(
     resample_mm: float | None = None,
     remark: Callable[[str], None] | None = None,
 ) -> VoxelVolume:
-    """Bone voxels of one layer; the origin is the centre of the block's top face, +z upward, its
-    place in LPS kept.
+    """Convert an image to bone voxels of one layer.
+
+    The origin is the centre of the block's top face, with +z upward. The block's place in LPS is
+    kept.
 
     Parameters
     ----------
     threshold
-        Bone is what lies above this grey value.
+        Grey value above which a voxel is bone.
     density_kg_m3
         Density of the bone in a voxel: one value [kg/m3], or a law of the grey value.
     resample_mm
         New voxel size [mm]. Finer: grey values are interpolated first. Coarser: fractions are
         averaged, bone volume kept. None: the file's, or the finest of its three.
     remark
-        Called with each sentence on what was assumed.
+        Called with each sentence on an assumption.
 
     Raises
     ------
     InputError
-        If an option is out of range, or nothing lies above the threshold.
+        If an option is out of range, or no voxel lies above the threshold.
     """
     limit = require_range(
         "anatomy.threshold", threshold, -1e9, 1e9, "use 63 for 8-bit micro-CT, about 200 for CT"
@@ -112,7 +114,7 @@ def _require_size(
 def _refined(
     values: NDArray[np.number], from_mm: tuple[float, float, float], to_mm: float
 ) -> NDArray[np.number]:
-    """Interpolate linearly to `to_mm` along the axes whose spacing is coarser; the others stay."""
+    """Interpolate linearly to `to_mm` along the axes with coarser spacing; keep the other axes."""
     for axis, size in enumerate(from_mm):
         if size <= (1.0 + _ISOTROPY) * to_mm:
             continue
@@ -130,8 +132,9 @@ def _refined(
 
 
 def _averaged(values: NDArray[np.float32], axis: int, ratio: float) -> NDArray[np.float32]:
-    """Mean over runs of `ratio` > 1 voxels along an axis, parts of voxels counted as parts; a
-    rest is dropped.
+    """Average runs of `ratio` > 1 voxels along an axis; parts of voxels count as parts.
+
+    A remainder is dropped.
     """
     if ratio <= 1.0 + _ISOTROPY:
         return values

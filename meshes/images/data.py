@@ -1,6 +1,4 @@
-"""The voxels of an image file: as many as its header states, and where compressed with a
-checksum that fits.
-"""
+"""Voxels of an image file, checked against the header and, if compressed, a checksum."""
 
 import zlib
 from collections.abc import Iterator
@@ -22,8 +20,9 @@ _PIECE = 1 << 17
 
 
 def first_bytes(path: Path, count: int) -> bytes:
-    """The first bytes of a file, decompressed where it starts as gzip does; fewer where it is
-    shorter.
+    """Return the first bytes of a file, decompressed if it starts like gzip.
+
+    They are fewer if the file is shorter.
     """
     found = b""
     for piece in _plain(path, 0, is_gzip(path)):
@@ -54,7 +53,7 @@ def read_voxels(
     Raises
     ------
     InputError
-        If it holds fewer or more bytes than that, or is damaged.
+        If it holds fewer or more bytes than the array, or is damaged.
     """
     needed = dtype.itemsize * int(np.prod(shape, dtype=object))
     require_stated(path, needed, by(shape), compressed=compressed)
@@ -72,8 +71,9 @@ def read_voxels(
 
 
 def require_stated(path: Path, needed: int, shape: str, *, compressed: bool) -> None:
-    """Refuse a header that states more bytes of voxels than its data file can hold, or than the
-    memory limit allows.
+    """Refuse a header that states too many bytes of voxels.
+
+    They may exceed neither the content of the data file nor the memory limit.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def require_stated(path: Path, needed: int, shape: str, *, compressed: bool) -> 
     Raises
     ------
     InputError
-        If it does, or if the path leads to no regular file.
+        If the header states too many bytes, or the path leads to no regular file.
     """
     require_regular(path)
     if needed > (_DENSEST if compressed else 1) * path.stat().st_size:
@@ -98,8 +98,9 @@ def require_stated(path: Path, needed: int, shape: str, *, compressed: bool) -> 
 
 
 def require_size(path: Path, start: int, needed: int, *, compressed: bool) -> None:
-    """Refuse a file whose data from byte `start`, zlib or gzip where `compressed`, are not
-    `needed` bytes.
+    """Refuse a file whose data from byte `start` are not `needed` bytes.
+
+    The data are zlib or gzip if `compressed`.
     """
     found = 0 if compressed else max(path.stat().st_size - start, 0)
     for piece in _plain(path, start, True) if compressed else ():
@@ -111,8 +112,9 @@ def require_size(path: Path, start: int, needed: int, *, compressed: bool) -> No
 
 
 def scaled(values: NDArray[np.number], slope: float, intercept: float) -> NDArray[np.number]:
-    """Values times slope plus intercept; as they are where that changes nothing, else float32 or
-    float64.
+    """Return values times slope plus intercept, in float32 or float64.
+
+    The values are returned unchanged if slope and intercept have no effect.
     """
     if (slope, intercept) == (1.0, 0.0):
         return values
@@ -124,13 +126,16 @@ def scaled(values: NDArray[np.number], slope: float, intercept: float) -> NDArra
 
 
 def is_gzip(path: Path) -> bool:
-    """Whether a file starts as gzip does."""
+    """Return whether a file starts like gzip."""
     with path.open("rb") as stream:
         return stream.read(2) == _GZIP
 
 
 def _plain(path: Path, start: int, compressed: bool) -> Iterator[bytes]:
-    """The bytes of a file from byte `start`, decompressed and held to their checksum, in pieces."""
+    """Yield the bytes of a file from byte `start`, decompressed and checked, in pieces.
+
+    The check is their checksum.
+    """
     with path.open("rb") as stream:
         stream.seek(start)
         if not compressed:

@@ -1,9 +1,10 @@
-"""A DICOM series as one image: headers by pydicom, pixels by GDCM, slices sorted by place into an
-even stack.
+"""DICOM series as one image.
 
-Nothing that names a patient leaves this module: of the headers only `_READ` is read, size, place,
-scale and series, and a message counts files in the order of their names instead of naming them,
-because exporters write names, dates and identifiers into those. The folder's name is the user's.
+Headers are read by pydicom and pixels by GDCM. Slices are sorted by place into an even stack.
+
+No data that identify a patient leave this module. Of the headers only `_READ` is read: size, place,
+scale and series. A message counts files in the order of their names instead of naming them, because
+exporters write names, dates and identifiers into file names. The folder's name is the user's.
 """
 
 import warnings
@@ -78,8 +79,9 @@ _UNDEFINED_LENGTH = 0xFFFFFFFF
 
 
 def read_dicom(folder: Path, *, series: int | None = None) -> StoredImage:
-    """Read the one series that a folder holds, or the one of a number, each slice with its own
-    slope and intercept.
+    """Read the only series of a folder, or the series of a given number.
+
+    Each slice has its own slope and intercept.
 
     Voxels of the padding value take the lowest other value of their slice.
 
@@ -154,8 +156,9 @@ def read_dicom(folder: Path, *, series: int | None = None) -> StoredImage:
 
 
 def _may_be_slice(file: Path) -> bool:
-    """Whether a file of the folder must be a slice: all but the index and what is plainly
-    something else.
+    """Return whether a file of the folder must be a slice.
+
+    These are all files except the index and files that are clearly of another kind.
     """
     known = (
         file.suffix.lower() in _NOT_SLICES
@@ -166,8 +169,9 @@ def _may_be_slice(file: Path) -> bool:
 
 
 def _header(file: Path, place: str) -> Header:
-    """The elements `_READ` of a file by name, but for the pixels, of which only the length is
-    checked.
+    """Return the elements `_READ` of a file by name.
+
+    Only the length of the pixels is checked; they are not returned.
     """
     import pydicom
 
@@ -178,7 +182,7 @@ def _header(file: Path, place: str) -> Header:
             "a DICOM folder", "hold DICOM files only", f"another kind as {place}", "take it out"
         )
     try:
-        with warnings.catch_warnings():  # they quote what they complain of
+        with warnings.catch_warnings():  # the warnings quote header content
             warnings.simplefilter("ignore")
             _require_inflated(file)
             dataset = pydicom.dcmread(file, specific_tags=list(_READ))
@@ -242,8 +246,9 @@ def _damaged(place: str) -> InputError:
 
 
 def _require_one_series(headers: Sequence[Header], folder: Path) -> None:
-    """Refuse several series, distinguished by identifier and number but named by number and
-    slices alone.
+    """Refuse several series.
+
+    Series are distinguished by identifier and number, but named by number and slices alone.
     """
     found = Counter((str(header["SeriesInstanceUID"]), _whole(header)) for header in headers)
     if len(found) > 1:
@@ -256,7 +261,7 @@ def _require_one_series(headers: Sequence[Header], folder: Path) -> None:
 
 
 def _named(headers: Sequence[Header]) -> str:
-    """The series of some headers, by number and slices."""
+    """Describe the series of some headers, by number and slices."""
     found = Counter((str(header["SeriesInstanceUID"]), _whole(header)) for header in headers)
     return ", ".join(
         f"number {number} of {count} slices" for (_, number), count in sorted(found.items())
@@ -264,7 +269,7 @@ def _named(headers: Sequence[Header]) -> str:
 
 
 def _of_series(headers: Sequence[Header], number: int, folder: Path) -> list[int]:
-    """Which files belong to the series of a number."""
+    """Return the indices of the files that belong to the series of a number."""
     chosen = [k for k, header in enumerate(headers) if _whole(header) == str(number)]
     if not chosen:
         raise InputError(
@@ -274,8 +279,9 @@ def _of_series(headers: Sequence[Header], number: int, folder: Path) -> list[int
 
 
 def _whole(header: Header) -> str:
-    """The number of a series; nothing but a short whole number may pass from a header into a
-    message.
+    """Return the number of a series.
+
+    Only a short whole number may pass from a header into a message.
     """
     try:
         number = int(header["SeriesNumber"])
@@ -285,7 +291,7 @@ def _whole(header: Header) -> str:
 
 
 def _slice(header: Header, place: str) -> Slice:
-    """Place and size of a slice."""
+    """Return place and size of a slice."""
     if int(header["NumberOfFrames"] or 1) != 1:
         raise InputError(
             "a DICOM slice",
@@ -314,7 +320,10 @@ def _slice(header: Header, place: str) -> Slice:
 
 
 def _pixels(file: Path, stated: Slice) -> NDArray[np.number]:
-    """Grey values of a slice, slope and intercept applied, shape (1, rows, columns)."""
+    """Return the grey values of a slice, shape (1, rows, columns).
+
+    Slope and intercept are applied.
+    """
     try:
         plane = array_of(itk_reader(file, "GDCMImageIO").Execute())
     except (RuntimeError, MemoryError) as problem:

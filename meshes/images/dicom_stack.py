@@ -1,5 +1,6 @@
-"""Slices of a DICOM series put in order: one even stack, sheared at most by the tilt of the
-gantry that they state.
+"""Ordering of the slices of a DICOM series into one even stack.
+
+It may be sheared only by the tilt of the gantry that the slices state.
 """
 
 import warnings
@@ -27,8 +28,9 @@ __all__ = [
 _PARALLEL = 1e-4
 _UNIT = 1e-3
 _UNEVEN = 0.05
-"""Farthest a slice may lie from its place in an even stack, in spacings: headers round
-positions.
+"""Largest distance of a slice from its place in an even stack, in spacings.
+
+Headers round positions.
 """
 _TILT_DEG = 0.5
 _SHEAR_DEG = 0.05
@@ -56,7 +58,7 @@ class Slice:
     tilt_deg
         Tilt of the gantry as stated [degrees].
     place
-        What a message calls the slice.
+        Name of the slice in a message.
     """
 
     position_mm: NDArray[np.float64]
@@ -71,8 +73,9 @@ class Slice:
 def stack_step(
     slices: Sequence[Slice], source: str
 ) -> tuple[list[int], NDArray[np.float64], list[str]]:
-    """Order of the slices along their normal, the step from one to the next [mm, LPS], and notes on
-    it.
+    """Return the order of slices along their normal, the step between them, and notes.
+
+    The step is in mm, LPS.
 
     Raises
     ------
@@ -121,7 +124,7 @@ def stack_step(
 
 
 def _normal(first: Slice) -> NDArray[np.float64]:
-    """Unit normal of a slice whose directions are sound."""
+    """Return the unit normal of a slice with valid directions."""
     lengths = np.linalg.norm([first.row, first.column], axis=1)
     if np.abs(lengths - 1.0).max() > _UNIT or abs(float(first.row @ first.column)) > _UNIT:
         raise InputError(
@@ -168,7 +171,7 @@ def _require_even(heights: NDArray[np.float64], source: str) -> None:
 def _shear_notes(
     step: NDArray[np.float64], normal: NDArray[np.float64], tilt_deg: float, source: str
 ) -> list[str]:
-    """Note that a tilted gantry is undone; refuse a tilt that the positions do not show."""
+    """Return notes that a tilted gantry is undone; refuse a tilt that the positions do not show."""
     along = float(step @ normal)
     shear_deg = float(np.degrees(np.arctan2(np.linalg.norm(step - along * normal), along)))
     if abs(tilt_deg) > _TILT_DEG and abs(abs(tilt_deg) - shear_deg) > _TILT_DEG:
@@ -189,7 +192,7 @@ def _shear_notes(
 
 
 def numbers(header: Header, key: str, count: int, place: str) -> NDArray[np.float64]:
-    """The finite numbers of an element."""
+    """Return the finite numbers of an element."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -207,13 +210,14 @@ def numbers(header: Header, key: str, count: int, place: str) -> NDArray[np.floa
 
 
 def number(header: Header, key: str, absent: float, place: str) -> float:
-    """One number of an element, or what stands for it where it is absent or empty."""
+    """Return one number of an element, or a default if it is absent or empty."""
     return absent if header[key] in (None, "") else float(numbers(header, key, 1, place)[0])
 
 
 def both_ends(header: Header, place: str) -> float:
-    """Return the sum of the lowest and the highest value that a slice can hold, slope and
-    intercept applied.
+    """Return the sum of the lowest and the highest value that a slice can hold.
+
+    Slope and intercept are applied.
     """
     bits = int(number(header, "BitsStored", 16.0, place))
     signed = int(number(header, "PixelRepresentation", 0.0, place)) == 1
@@ -226,12 +230,13 @@ def both_ends(header: Header, place: str) -> float:
 def upright(
     values: NDArray[np.number], ends: Sequence[float], first: Header, source: str
 ) -> tuple[NDArray[np.number], str]:
-    """Return slices whose low values are displayed as white (MONOCHROME1) with bone as the highest
-    value, and a note.
+    """Return slices with bone as the highest value, and a note.
 
-    The rescale slope and intercept lead to Hounsfield units whatever the display (DICOM PS3.3,
-    C.11.1), so they decide where they put air at -1000. Values that were inverted without a change
-    of the rescale are recognised by their air.
+    The input may hold slices whose low values are displayed as white (MONOCHROME1).
+
+    The rescale slope and intercept lead to Hounsfield units for any display (DICOM PS3.3, C.11.1),
+    so they decide if they put air at -1000. Values that were inverted without a change of the
+    rescale are recognised by their air.
 
     Parameters
     ----------

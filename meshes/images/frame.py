@@ -1,5 +1,6 @@
-"""The world frame of images: LPS in mm. An image stored along other axes is turned, or resampled,
-into it.
+"""World frame of images: LPS in mm.
+
+An image stored along other axes is turned, or resampled, into it.
 
 LPS is the frame of DICOM and ITK: +x towards the patient's left, +y towards the back, +z towards
 the head, in mm.
@@ -28,11 +29,12 @@ _MOST_VOXELS = 1e9
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """Grey values or labels on a regular grid along the axes of LPS: +x left, +y back, +z head, in
-    mm.
+    """Grey values or labels on a regular grid along the axes of LPS, in mm.
 
-    Voxel (i, j, k) is centred at ``origin_mm + spacing_mm * (i, j, k)``, whatever the order and
-    direction of the axes in the file. TIFF slices hold no frame: theirs is that of the array,
+    The axes are +x left, +y back and +z head.
+
+    Voxel (i, j, k) is centred at ``origin_mm + spacing_mm * (i, j, k)``, for any order and
+    direction of the axes in the file. TIFF slices hold no frame. They take the frame of the array:
     columns, rows and slices from (0, 0, 0).
 
     Attributes
@@ -44,7 +46,7 @@ class Image:
     source
         File or folder name.
     notes
-        What was assumed or done, a sentence each.
+        Assumptions and changes, a sentence each.
     origin_mm
         Centre of voxel (0, 0, 0) [mm, LPS].
     """
@@ -58,8 +60,9 @@ class Image:
 
 @dataclass(frozen=True, eq=False)
 class StoredImage:
-    """An image as its file holds it: voxel (i, j, k) is centred at ``origin + directions @ (spacing
-    * (i, j, k))``.
+    """Image as its file holds it.
+
+    Voxel (i, j, k) is centred at ``origin + directions @ (spacing * (i, j, k))``.
 
     Attributes
     ----------
@@ -74,7 +77,7 @@ class StoredImage:
     origin_mm
         Centre of voxel (0, 0, 0) [mm, LPS], shape (3,).
     notes
-        What was assumed, a sentence each.
+        Assumptions, a sentence each.
     """
 
     values: NDArray[np.number]
@@ -87,14 +90,14 @@ class StoredImage:
 def along_lps(stored: StoredImage, source: str, *, labels: bool = False) -> Image:
     """Turn an image into the axes of LPS.
 
-    Axes along those of LPS in any order and direction: the array is transposed and flipped, nothing
-    is interpolated. Others: resampled, grey values by cubic splines and labels to the nearest, with
-    a note; what lies outside the stored image takes its lowest value (labels: 0).
+    If the axes are those of LPS in any order and direction, the array is transposed and flipped
+    without interpolation. Other images are resampled, grey values by cubic splines and labels to
+    the nearest, with a note. Voxels outside the stored image take its lowest value (labels: 0).
 
     Raises
     ------
     InputError
-        If the spacing or origin is no length, the axes lie in one plane, or the resampled image
+        If the spacing or origin is not a length, the axes lie in one plane, or the resampled image
         would not be workable.
     """
     _require_frame(stored, source)
@@ -111,7 +114,7 @@ def along_lps(stored: StoredImage, source: str, *, labels: bool = False) -> Imag
 
 
 def _nearest_axes(directions: NDArray[np.float64]) -> tuple[int, ...]:
-    """For each axis of LPS the array's axis nearest to it, each once."""
+    """Return for each axis of LPS the array's nearest axis, each axis once."""
     return max(
         permutations(range(3)),
         key=lambda order: sum(abs(directions[k, order[k]]) for k in range(3)),
@@ -119,8 +122,9 @@ def _nearest_axes(directions: NDArray[np.float64]) -> tuple[int, ...]:
 
 
 def _resampled(stored: StoredImage, source: str, labels: bool) -> Image:
-    """The image on a grid along LPS that spans the stored one, spaced as that is along each
-    direction.
+    """Resample an image on a grid along LPS that spans it.
+
+    The grid has the spacing of the image along each direction.
     """
     steps = stored.directions * stored.spacing_mm
     inverse = np.linalg.inv(steps)
@@ -158,7 +162,7 @@ def _interpolated(
     offset: NDArray[np.float64],
     shape: tuple[int, ...],
 ) -> NDArray[np.float32]:
-    """Grey values at the points `matrix @ index + offset` of an array by cubic splines.
+    """Interpolate grey values at the points `matrix @ index + offset` by cubic splines.
 
     Linear interpolation lowers the peaks that are thin bone: of a CT's bone surface 2 % are then
     lost by more than half a voxel, by splines 0.2 %. Splines overshoot, so no value leaves the
@@ -190,8 +194,9 @@ def _sampled(
     order: int,
     outside: float | None = 0.0,
 ) -> NDArray[Kind]:
-    """Values at the points `matrix @ index + offset`; outside the array a number, or (None) the
-    nearest voxel's.
+    """Sample values at the points `matrix @ index + offset`.
+
+    Outside the array, the value is a given number, or (None) the nearest voxel's.
     """
     from scipy.ndimage import affine_transform
 
@@ -249,7 +254,7 @@ def _triple(numbers: NDArray[np.float64]) -> tuple[float, float, float]:
 
 
 def box_of(mask: NDArray[np.bool_], margin: int = 0) -> tuple[slice, ...]:
-    """Slices that hold all of a mask that is not empty, and so many voxels around as there are."""
+    """Return slices around a nonempty mask, with a margin of voxels as far as there are any."""
     found = []
     for axis, count in enumerate(mask.shape):
         along = np.flatnonzero(mask.any(axis=tuple(k for k in range(mask.ndim) if k != axis)))
@@ -258,7 +263,7 @@ def box_of(mask: NDArray[np.bool_], margin: int = 0) -> tuple[slice, ...]:
 
 
 def part_of(image: Image, box: tuple[slice, ...]) -> Image:
-    """The image within slices that have a start each, its origin moved along."""
+    """Return the image within slices that each have a start, with its origin moved along."""
     x, y, z = (
         o + s * each.start
         for o, s, each in zip(image.origin_mm, image.spacing_mm, box, strict=True)

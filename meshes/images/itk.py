@@ -1,5 +1,6 @@
-"""Voxels and place of an image file by ITK, and the lines of a text header, of which ITK leaves
-some aside.
+"""Voxels and place of an image file by ITK, and the lines of a text header.
+
+ITK ignores some of those lines.
 """
 
 from __future__ import annotations
@@ -30,8 +31,9 @@ _UNITS_MM: Mapping[str, float] = {
 
 
 def header_lines(path: Path, separator: str, last: str) -> tuple[dict[str, str], int]:
-    """Read the `key separator value` lines of a header, keys in small letters, and the byte behind
-    it.
+    """Read the `key separator value` lines of a header, and the byte after it.
+
+    Keys are in small letters.
 
     Parameters
     ----------
@@ -66,12 +68,12 @@ def header_lines(path: Path, separator: str, last: str) -> tuple[dict[str, str],
 def numbers(
     fields: Mapping[str, str], key: str, path: Path, *, positive: bool = False
 ) -> list[float] | None:
-    """The finite numbers of a header line, None where it is not there.
+    """Return the finite numbers of a header line, or None if the line is missing.
 
     Raises
     ------
     InputError
-        If a word of the line is no finite number, or none above 0 where they have to be.
+        If a word of the line is not a finite number, or not above 0 where it has to be.
     """
     if key not in fields:
         return None
@@ -94,8 +96,9 @@ def numbers(
 
 
 def length_unit_mm(words: Sequence[str], path: Path) -> float:
-    """Millimetres of the unit that a header states for its axes, of all the same one; mm where
-    it states none.
+    """Return the length [mm] of the unit that a header states for its axes.
+
+    All axes must have the same unit; without one it is mm.
     """
     units = {word.strip('"').lower() for word in words}
     if not units <= set(_UNITS_MM) or len({_UNITS_MM[unit] for unit in units}) > 1:
@@ -111,8 +114,9 @@ def length_unit_mm(words: Sequence[str], path: Path) -> float:
 def read_by_itk(
     path: Path, reader_name: str, *, unit_mm: float, notes: tuple[str, ...]
 ) -> StoredImage:
-    """Read an image of one real number a voxel on three axes by a named reader of ITK, whose
-    frame is LPS.
+    """Read an image by a named reader of ITK, whose frame is LPS.
+
+    The image has one real number per voxel on three axes.
     """
     import SimpleITK
 
@@ -144,8 +148,9 @@ def read_by_itk(
 
 
 def itk_reader(path: Path, name: str) -> SimpleITK.ImageFileReader:
-    """A named reader of ITK for a file; its warnings, which may name what a header holds, stay
-    off the terminal.
+    """Return a named reader of ITK for a file.
+
+    Its warnings, which may contain header content, are not printed on the terminal.
     """
     import SimpleITK
 
@@ -157,7 +162,7 @@ def itk_reader(path: Path, name: str) -> SimpleITK.ImageFileReader:
 
 
 def array_of(image: SimpleITK.Image) -> NDArray[np.number]:
-    """Values of an ITK image, shape (ni, nj, nk), first index fastest."""
+    """Return values of an ITK image, shape (ni, nj, nk), first index fastest."""
     import SimpleITK
 
     values: NDArray[np.number] = SimpleITK.GetArrayFromImage(image)

@@ -1,9 +1,9 @@
-"""Labels spread into a smooth share that crosses a half where their surface lies, curved or not.
+"""Spreading of labels into a smooth share that is one half at their surface, curved or not.
 
 A Gaussian less its Laplacian times its variance, ``G - s^2 div grad G``, has no second moment in a
-plane through its centre, so that a curved boundary stays where it is to first order in the
-curvature. With other deviations along each axis the same holds, since an affine map takes curved
-surfaces to curved surfaces.
+plane through its centre, so a curved boundary stays in place to first order in the curvature. The
+same holds for different deviations along the axes, since an affine map takes curved surfaces to
+curved surfaces.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ __all__ = ["spread_labels"]
 
 
 def spread_labels(values: NDArray[np.float32], deviation_voxels: ArrayLike) -> NDArray[np.float32]:
-    """Values, 1 inside and 0 outside, spread by the kernel; outside the array lies nothing.
+    """Spread values, 1 inside and 0 outside, by the kernel; they are 0 outside the array.
 
     Parameters
     ----------

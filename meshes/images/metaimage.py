@@ -1,8 +1,7 @@
-"""MetaImage files, lines of text and an array. We read them ourselves.
+"""MetaImage files, lines of text and an array, read without ITK.
 
-ITK hands out uninitialised memory where compressed voxels are damaged or their size is left out of
-the header, leaves slopes and units aside, takes numbers that are none for 0, and prints on the
-terminal.
+ITK returns uninitialised memory where compressed voxels are damaged or their size is missing from
+the header. It ignores slopes and units, reads invalid numbers as 0, and prints on the terminal.
 """
 
 import math
@@ -34,7 +33,7 @@ _DIRECTIONS = ("transformmatrix", "rotation", "orientation")
 _PLACES = ("offset", "position", "origin")
 _SPACINGS = ("elementspacing", "elementsize")
 _ALONG_LPS = ("RAI", "???")
-"""What MetaImage calls axes that run from right, front (anterior) and feet (inferior)."""
+"""MetaImage names of axes that run from right, front (anterior) and feet (inferior)."""
 
 
 def read_metaimage(path: Path) -> StoredImage:
@@ -43,7 +42,7 @@ def read_metaimage(path: Path) -> StoredImage:
     Raises
     ------
     InputError
-        If the file is cut off or damaged, or states what cannot be honoured.
+        If the file is cut off or damaged, or states values that cannot be applied.
     """
     fields, start = header_lines(path, "=", "elementdatafile")
     if "ndims" not in fields or "elementdatafile" not in fields:
@@ -92,8 +91,10 @@ def _stated(
     *,
     positive: bool = False,
 ) -> list[float]:
-    """The numbers that the first of several names for one thing states, as many as stand for it
-    where it is absent.
+    """Return the numbers of the first of several synonymous keys in a header.
+
+    If the header has none of the keys, return the default. The number of values must be the same as
+    in the default.
     """
     key = next((key for key in keys if key in fields), None)
     found = None if key is None else numbers(fields, key, path, positive=positive)
@@ -107,8 +108,9 @@ def _stated(
 
 
 def _voxels(fields: dict[str, str], path: Path, start: int) -> NDArray[np.number]:
-    """The voxels, from one file, as many as the header states, and where compressed with a
-    checksum that fits.
+    """Return the voxels from one file.
+
+    Their number must be as stated in the header, and a checksum must fit if they are compressed.
     """
     name = fields["elementdatafile"]
     local = name.upper() == "LOCAL"
@@ -153,5 +155,5 @@ def _voxels(fields: dict[str, str], path: Path, start: int) -> NDArray[np.number
 
 
 def _is_true(fields: dict[str, str], key: str, absent: str) -> bool:
-    """Whether a key of a header is true."""
+    """Return whether a key of a header is true."""
     return fields.get(key, absent).lower() in ("true", "1", "t")

@@ -1,5 +1,6 @@
-"""NIfTI images: header by nibabel, every number of it that places or scales the voxels checked
-or honoured.
+"""NIfTI images, with the header read by nibabel.
+
+Every number that places or scales the voxels is checked or applied.
 """
 
 from contextlib import suppress
@@ -28,8 +29,8 @@ _SINGLE_FILE = (b"n+1", b"n+2")
 def read_nifti(path: Path) -> StoredImage:
     """Read a NIfTI-1 or -2 image (`.nii`, `.nii.gz`) with its slope, intercept, units and place.
 
-    The place is that of the sform where its code is above 0, else of the qform. Where neither
-    states one, the axes are taken as LPS from (0, 0, 0).
+    The place is from the sform if its code is above 0, else from the qform. If neither states a
+    place, the axes are taken as LPS from (0, 0, 0).
 
     Raises
     ------
@@ -63,7 +64,7 @@ def read_nifti(path: Path) -> StoredImage:
 
 
 def _header(path: Path) -> Header:
-    """The header, a mapping of its fields."""
+    """Return the header, a mapping of its fields."""
     from io import BytesIO
 
     from nibabel import Nifti1Header, Nifti2Header
@@ -129,7 +130,7 @@ def _dtype(header: Header, path: Path) -> np.dtype[np.number]:
 
 
 def _affine(header: Header, path: Path, notes: list[str]) -> NDArray[np.float64]:
-    """Voxel numbers to coordinates, in the header's unit and its own frame (RAS)."""
+    """Return the matrix from voxel numbers to coordinates, in the header's unit and frame (RAS)."""
     from nibabel.spatialimages import HeaderDataError
 
     spacing = np.array(header["pixdim"][1:4], dtype=np.float64)
@@ -168,7 +169,7 @@ def _affine(header: Header, path: Path, notes: list[str]) -> NDArray[np.float64]
 
 
 def _scaled(values: NDArray[np.number], header: Header, path: Path) -> NDArray[np.number]:
-    """Values times slope plus intercept; a slope of 0 or NaN stands for none."""
+    """Return values times slope plus intercept; a slope of 0 or NaN means no scaling."""
     slope = float(header["scl_slope"])
     intercept = float(header["scl_inter"])
     if slope == 0.0 or (np.isnan(slope) and (np.isnan(intercept) or intercept == 0.0)):

@@ -1,4 +1,4 @@
-"""NRRD images: read by ITK, after what it passes over in silence has been checked."""
+"""NRRD images, read by ITK after checks of errors that ITK ignores silently."""
 
 import re
 from math import prod
@@ -25,8 +25,10 @@ _IN_SPACE = ("domain", "space", "none", "???")
 _CHECKED = ("raw", "gzip", "gz")
 _MOST_PER_BYTE = {"raw": 1.0, "gzip": 1100.0, "gz": 1100.0, "hex": 0.5}
 _MOST_PER_BYTE |= dict.fromkeys(("ascii", "text", "txt"), 4.0)
-"""Bytes of voxels that a byte of a data file can hold: deflate makes at most 1032 bytes of one, and
-text of two characters is one number of at most 8 bytes."""
+"""Bytes of voxels that a byte of a data file can hold.
+
+Deflate makes at most 1032 bytes of one. Text of two characters is one number of at most 8 bytes.
+"""
 _BYTES = {
     **dict.fromkeys(("char", "uchar", "unsigned char", "int8", "int8_t", "uint8", "uint8_t"), 1),
     **dict.fromkeys(("short", "short int", "int16", "int16_t"), 2),
@@ -60,7 +62,7 @@ def read_nrrd(path: Path) -> StoredImage:
     Raises
     ------
     InputError
-        If the file is cut off or damaged, or states what cannot be honoured.
+        If the file is cut off or damaged, or states values that cannot be applied.
     """
     fields, start = header_lines(path, ":", "")
     if not fields.get("first", "").startswith("NRRD"):
@@ -101,7 +103,7 @@ def read_nrrd(path: Path) -> StoredImage:
 
 
 def _notes(fields: dict[str, str], path: Path) -> tuple[str, ...]:
-    """What has to be assumed on the frame."""
+    """Return the assumptions about the frame."""
     space = fields.get("space", "").lower()
     if space in _NO_PATIENT:
         return (
@@ -132,8 +134,9 @@ def _stated_bytes(fields: dict[str, str], path: Path) -> tuple[int, str]:
 
 
 def _data_files(fields: dict[str, str], path: Path) -> list[Path]:
-    """Return the files that hold the voxels: the file itself, the one it names, those of a
-    pattern or of a list.
+    """Return the files that hold the voxels.
+
+    They are the file itself, the file it names, or the files of a pattern or of a list.
     """
     name = fields.get("data file", fields.get("datafile"))
     if name is None:
@@ -161,11 +164,11 @@ def _data_files(fields: dict[str, str], path: Path) -> list[Path]:
 
 
 def _require_data(fields: dict[str, str], path: Path, start: int) -> int:
-    """Refuse voxels that are fewer or more than the header states, and return their bytes.
+    """Refuse voxels that are fewer or more than stated in the header, and return their bytes.
 
-    The check comes before ITK, which allocates what the header states. Of compressed voxels the
-    inflated bytes are counted without being kept. Where bytes are skipped or several files hold the
-    voxels, only the possible size is checked here; ITK refuses fewer.
+    The check comes before ITK, which allocates the stated size. The inflated bytes of compressed
+    voxels are counted without being kept. Where bytes are skipped or several files hold the voxels,
+    only the possible size is checked here; ITK refuses fewer.
     """
     needed, shape = _stated_bytes(fields, path)
     files = [require_regular(file) for file in _data_files(fields, path)]

@@ -1,4 +1,4 @@
-"""Image volumes from files: the reader of each format, and what is refused of all of them."""
+"""Image volumes from files: the reader of each format, and checks common to all formats."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -18,8 +18,9 @@ __all__ = ["Image", "read_image", "require_image_name", "vtk_voxels"]
 
 
 def read_vtk_image(path: Path) -> StoredImage:
-    """Read the active array of a `.vti` image; VTK names no frame of a patient, so its axes are
-    taken as LPS.
+    """Read the active array of a `.vti` image.
+
+    VTK states no frame of a patient, so its axes are taken as LPS.
     """
     facts, arrays = parse_isolated(
         "meshes.images.reading:vtk_voxels", path, what="image volume", remedy="export it again"
@@ -31,8 +32,9 @@ def read_vtk_image(path: Path) -> StoredImage:
 
 
 def vtk_voxels(file: Path) -> Answer:
-    """Array of an image file, first index fastest, with its shape, and the rows of its frame:
-    directions (three), spacing, and the centre of the first voxel.
+    """Return the array of an image file, first index fastest, with its shape and its frame.
+
+    The rows of the frame are three directions, spacing, and the centre of the first voxel.
 
     Raises
     ------
@@ -92,11 +94,11 @@ def read_image(
     labels: bool = False,
     series: int | None = None,
 ) -> Image:
-    """Read an image volume into LPS [mm], whatever the order and direction of the axes in its file.
+    """Read an image volume into LPS [mm], for any order and direction of the axes in its file.
 
-    Origin, directions, units, slope and intercept are those of the file; where it states none, a
-    note states what is assumed. Axes along LPS in any order are turned exactly, oblique ones
-    resampled: `meshes.images.frame.along_lps`.
+    Origin, directions, units, slope and intercept are read from the file. If the file does not
+    state one, a note states the assumption. Axes along LPS in any order are turned exactly, oblique
+    ones resampled: `meshes.images.frame.along_lps`.
 
     Parameters
     ----------
@@ -104,8 +106,8 @@ def read_image(
         Image file; folder with a DICOM series or TIFF slices; or a pattern of TIFF slices
         (`slices/*.tif`). TIFF slices count upward in z in the order of the numbers in their names.
     spacing_mm
-        Distance between neighbours [mm] in all directions; None: what the file states. TIFF files
-        state none.
+        Distance between neighbours [mm] in all directions; None: read from the file. TIFF files
+        state no distance.
     labels
         Whether the values are labels, which are not interpolated.
     series
@@ -115,7 +117,7 @@ def read_image(
     ------
     InputError
         If the file is missing, empty, cut off, not readable, not an image of one number a voxel, or
-        states what cannot be honoured.
+        states values that cannot be applied.
     """
     given = (
         None
@@ -169,7 +171,7 @@ def read_image(
 
 
 def _stored(path: Path, series: int | None) -> StoredImage:
-    """The image of a file or DICOM folder, as stored."""
+    """Return the image of a file or DICOM folder, as stored."""
     if is_folder(path):
         return read_dicom(path, series=series)
     if series is not None:
@@ -183,13 +185,14 @@ def _stored(path: Path, series: int | None) -> StoredImage:
 
 
 def require_image_name(path: Path) -> None:
-    """Refuse a file whose name ends as none of an image volume does; folders and patterns are left
-    to their readers.
+    """Refuse a file whose name does not end like an image volume's.
+
+    Folders and patterns are left to their readers.
 
     Raises
     ------
     InputError
-        Names the formats.
+        If the name does not fit; the message lists the formats.
     """
     known = (*_READERS, ".tif", ".tiff")
     if is_file(path) and not path.name.lower().endswith(known):

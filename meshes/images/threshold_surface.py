@@ -1,4 +1,4 @@
-"""Bone surface of an image volume: where the grey value crosses a threshold."""
+"""Bone surface of an image volume, at a threshold of the grey value."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +12,14 @@ __all__ = ["image_cuts", "image_triangles"]
 def image_triangles(
     image: Image, *, threshold: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices [mm], shape (n, 3), and triangles, shape (m, 3), around what lies above a grey
-    value.
+    """Return vertices [mm] and triangles around the region above a grey value.
+
+    They have the shapes (n, 3) and (m, 3).
 
     Raises
     ------
     InputError
-        If nothing lies above the threshold.
+        If no voxel lies above the threshold.
     """
     from skimage.measure import marching_cubes
 
@@ -39,8 +40,9 @@ def image_triangles(
 
 
 def image_cuts(image: Image, *, threshold: float) -> tuple[NDArray[np.float64], ...]:
-    """Points [m], shape (k, 3), of each face at which the edge of an image cuts off what lies
-    above a grey value.
+    """Return points on each face where the edge of an image cuts off the region above a grey value.
+
+    The points are in m, shape (k, 3).
     """
     from scipy.ndimage import find_objects, label
 

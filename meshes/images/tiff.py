@@ -1,4 +1,4 @@
-"""TIFF slices: which files are slices, in which order, and their grey values."""
+"""TIFF slices: selection and order of the files, and their grey values."""
 
 import re
 from collections import Counter
@@ -58,8 +58,9 @@ class _Planes:
 
 
 def tiff_slices(path: Path) -> list[Path]:
-    """Return the TIFF files that a path means, in the order of their slices; an empty list for
-    other images.
+    """Return the TIFF files of a path, in the order of their slices.
+
+    The list is empty for other images.
 
     Files are ordered by the numbers in their names: ``slice_2`` comes before ``slice_10``.
 
@@ -71,8 +72,7 @@ def tiff_slices(path: Path) -> list[Path]:
     Raises
     ------
     InputError
-        If the path leads to nothing, a file is named unlike the others, or a slice number is
-        missing.
+        If the path does not exist, a file is named unlike the others, or a slice number is missing.
     """
     if any(mark in path.name for mark in _PATTERN_MARKS):
         found = [file for file in path.parent.glob(path.name) if file.is_file()]
@@ -104,7 +104,7 @@ def tiff_slices(path: Path) -> list[Path]:
 def read_tiff_slices(
     files: Sequence[Path], spacing_mm: float, *, labels: bool = False
 ) -> StoredImage:
-    """Read TIFF slices in the order given, the axes of the array along columns, rows and slices.
+    """Read TIFF slices in the given order, with the axes columns, rows and slices.
 
     Values that are stored inverted (MinIsWhite) are inverted back, with a note.
 
@@ -167,9 +167,7 @@ def _natural(file: Path) -> list[tuple[int, str]]:
 
 
 def _require_numbered(files: Sequence[Path], path: Path) -> None:
-    """Refuse a file that is named unlike most others, a number that is missing, and one that is
-    there twice.
-    """
+    """Refuse a file with an unusual name, a missing number, and a number that occurs twice."""
     if len(files) < 2:
         return
     texts = [re.sub(r"\d+", "#", file.stem) for file in files]
@@ -241,7 +239,7 @@ def _planes(file: Path) -> _Planes:
                 int(page.compression) == _UNCOMPRESSED
                 and len(stored.pages) == prod(series.shape) // rows // columns
             )
-    except Exception as problem:  # the reader raises many kinds for a damaged file, none documented
+    except Exception as problem:  # the reader raises many undocumented errors for a damaged file
         raise _damaged(file) from problem
     if samples != 1 or photometric == _RGB or any(axes.get(axis, 1) > 1 for axis in _COLOUR_AXES):
         raise InputError(
@@ -283,7 +281,7 @@ def _decoded(file: Path, planes: _Planes) -> NDArray[np.number]:
 
 
 def _inverted(values: NDArray[np.number], bits: int, source: str) -> NDArray[np.number]:
-    """Return values whose white was their lowest as values whose white is the highest."""
+    """Invert values whose lowest value is white, so that white is the highest."""
     if values.dtype.kind != "u":
         raise InputError(
             "inverted grey values (MinIsWhite)",

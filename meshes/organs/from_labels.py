@@ -1,10 +1,11 @@
-"""Tetrahedra of a segmented organ: a label and, inside it, labels that become parts, such as a
-tumour or a vessel.
+"""Tetrahedra of a segmented organ: a label and, inside it, labels that become parts.
 
-The organ is its label and those of its parts together, so that what lies at the surface belongs to
-it. Where a part reaches the organ's surface, or a part before it, its label goes on beyond for a
-few voxels as the nearest voxel inside has it: its own surface then leaves the organ across, and no
-slivers lie between two surfaces that nearly agree.
+A part is, for example, a tumour or a vessel.
+
+The organ is its own label together with the labels of its parts, so that parts at the surface
+belong to it. Where a part reaches the surface of the organ or of an earlier part, its label is
+extended beyond by a few voxels, each taking the label of the nearest voxel inside. The part's
+surface then crosses the organ's surface, and no slivers lie between two surfaces that nearly agree.
 """
 
 from collections.abc import Sequence
@@ -34,13 +35,17 @@ Mask = NDArray[np.bool_]
 _FEWEST_VOXELS = 64
 """A piece of a part with fewer voxels, 5 across a ball, has no surface of its own."""
 _FLAT_END = 0.5
-"""Share of the largest layer of voxels from which the last one is no rounded end: 0.4 of a ball
-nine slices thick.
+"""Share of the largest layer of voxels above which the last layer counts as a flat end.
+
+It is 0.4 for a ball nine slices thick, which has a rounded end.
 """
 _BEYOND = 4
-"""Voxels for which a part's label goes on beyond the organ."""
+"""Voxels by which a part's label is extended beyond the organ."""
 _ENVELOPE = 0.2
-"""The same over the edge: the mesher moves the organ's surface by half of it."""
+"""Additional distance by which a part's label is extended beyond the organ, over the edge.
+
+The mesher moves the organ's surface by half of it.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,13 +57,13 @@ class LabelledOrgan:
     name
         Name of the organ's label.
     solid
-        Where the organ or a part of it is.
+        Voxels of the organ and its parts.
     parts
-        Where each part is, by name, in the order in which they take their places.
+        Voxels of each part, by name, in order of precedence.
     grid
         Place of the voxels.
     notes
-        What was found and assumed, by what it is about.
+        Findings and assumptions, by the name of the organ or part.
     """
 
     name: str
@@ -78,7 +83,7 @@ class LabelledOrgan:
     def mesh(
         self, edge_mm: float | None = None, *, report: Progress = silent
     ) -> tuple[TetMesh, dict[str, str]]:
-        """Tetrahedra of the organ with its parts, in the frame of the image, and what was found.
+        """Return tetrahedra of the organ with its parts, in the frame of the image, and findings.
 
         Raises
         ------
@@ -102,7 +107,7 @@ class LabelledOrgan:
     def _with_parts(
         self, mesh: TetMesh, edge_mm: float, report: Progress
     ) -> tuple[TetMesh, dict[str, str]]:
-        """The mesh with its parts, and a note on each."""
+        """Return the mesh with its parts, and a note on each part."""
         notes = {}
         before = np.zeros(self.solid.shape, dtype=bool)
         beyond = _BEYOND + int(np.ceil(_ENVELOPE * edge_mm / min(self.grid.spacing_mm)))
@@ -138,8 +143,9 @@ def organ_mesh(
     *,
     report: Progress = silent,
 ) -> tuple[TetMesh, dict[str, str]]:
-    """Tetrahedra of a segmented organ, its parts those of the mesh, and what was found, by what it
-    is about.
+    """Return tetrahedra of a segmented organ, and findings by organ or part.
+
+    The parts of the organ become the parts of the mesh.
 
     Parameters
     ----------
@@ -153,7 +159,7 @@ def organ_mesh(
         Edge of the tetrahedra away from the parts [mm]; without it a fourteenth of the longest
         side.
     report
-        Called with what is being done.
+        Called with the name of the current task.
 
     Returns
     -------
@@ -168,7 +174,10 @@ def organ_mesh(
 
 
 def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> LabelledOrgan:
-    """Find an organ and its parts in a label image; arguments and refusals as of `organ_mesh`."""
+    """Find an organ and its parts in a label image.
+
+    Arguments and errors are the same as in `organ_mesh`.
+    """
     twice = [name for name in parts if name == organ or list(parts).count(name) > 1]
     if twice:
         raise InputError(
@@ -178,7 +187,7 @@ def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> Lab
     whole = labels.mask(organ)
     masks = {name: labels.mask(name) for name in parts}
     body = np.logical_or.reduce([whole, *masks.values()])
-    # A layer of nothing stays around it, but at the edges of the image.
+    # An empty layer stays around it, except at the edges of the image.
     crop = box_of(body, 1)
     grid = grid.within(tuple(each.start for each in crop))
     solid, notes = _one_piece(body[crop], whole[crop], grid, organ)
@@ -189,8 +198,9 @@ def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> Lab
 
 
 def _one_piece(body: Mask, organ: Mask, grid: LabelGrid, name: str) -> tuple[Mask, dict[str, str]]:
-    """The piece that holds most of the organ, its hollows filled, and notes on the rest and on
-    the image's edge.
+    """Return the piece that holds most of the organ, with hollows filled, and notes.
+
+    The notes are on the other pieces and on the image's edge.
     """
     from scipy.ndimage import binary_fill_holes, label
 
@@ -213,7 +223,9 @@ def _one_piece(body: Mask, organ: Mask, grid: LabelGrid, name: str) -> tuple[Mas
 
 
 def _ends(solid: Mask, grid: LabelGrid) -> list[str]:
-    """Notes on where the image cuts an organ off, and on where its labels may end before it
+    """Return notes on the ends of an organ.
+
+    They state where the image cuts the organ off, and where its labels may end before the organ
     does.
     """
     notes = []
@@ -244,8 +256,9 @@ def _ends(solid: Mask, grid: LabelGrid) -> list[str]:
 def _pieces(
     name: str, mask: Mask, solid: Mask, organ: str, grid: LabelGrid, notes: dict[str, str]
 ) -> Mask:
-    """The part's voxels in the organ, without pieces too small for a surface, and a note on what
-    is peculiar.
+    """Return a part's voxels in the organ, without pieces too small for a surface.
+
+    A note on anything unusual is added to `notes`.
     """
     from scipy.ndimage import binary_dilation, label
 
@@ -291,8 +304,10 @@ def _pieces(
 def _part_triangles(
     mask: Mask, solid: Mask, before: Mask, grid: LabelGrid, beyond: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
-    """Surface of a part whose label goes on where the organ ends, and in the parts before it, as
-    the nearest voxel.
+    """Return the surface of a part whose label is extended.
+
+    The extension goes beyond the organ's end and into earlier parts. Each voxel there takes the
+    label of the nearest voxel.
     """
     from scipy.ndimage import distance_transform_edt
 
@@ -310,8 +325,9 @@ def _part_triangles(
 
 
 def _of_volume(mesh: TetMesh, volume_m3: float) -> TetMesh:
-    """The mesh with its surface laid outward by as much as makes its volume right: chords cut
-    round bodies short.
+    """Move the mesh's surface outward until the mesh has the given volume.
+
+    Flat faces cut the corners of round bodies, so their volume is too small.
     """
     nodes = mesh.surface_nodes
     normals = np.zeros(mesh.nodes_m.shape)

@@ -1,4 +1,4 @@
-"""The smooth surface of a label: without the steps of its voxels, of the volume of its voxels."""
+"""Smooth surface of a label, without voxel steps and with the volume of its voxels."""
 
 from dataclasses import dataclass
 
@@ -13,27 +13,32 @@ __all__ = ["LabelGrid", "label_triangles"]
 
 Triangles = tuple[NDArray[np.float64], NDArray[np.int64]]
 _PER_RADIUS = 1.0 / 3.0
-"""Deviation of the smoothing over the label's radius: on ellipsoids less leaves steps, and more
-rounds them off.
+"""Deviation of the smoothing over the label's radius.
+
+On ellipsoids, smaller values leave steps and larger ones round them off.
 """
 _DEVIATIONS = (1.0, 2.0)
-"""Bounds of the deviation [voxel]: beyond 2 the thin edge of an organ of ordinary voxels is
-lost.
+"""Bounds of the deviation [voxel].
+
+Beyond 2, the thin edge of an organ of ordinary voxels is lost.
 """
 _REACH = 4.0
 """Deviations around a label that its share depends on."""
 _LEVELS = (0.25, 0.75)
-"""Shares among which the one is sought that encloses the volume of the voxels."""
+"""Bounds of the level that encloses the volume of the voxels."""
 _SLOPE = -1.0
 """First guess of how the volume's share falls with the level; later ones are secants."""
 _TRIES = 6
 _CLOSE = 2e-4
-"""Meshes by which it is sought, and the share of the volume that is close enough."""
+"""Largest number of meshes in the search for the level, and the accepted volume error.
+
+The volume error is a share of the volume.
+"""
 
 
 @dataclass(frozen=True)
 class LabelGrid:
-    """Where the voxels of a label image lie.
+    """Position of the voxels of a label image.
 
     Attributes
     ----------
@@ -52,7 +57,7 @@ class LabelGrid:
         return float(np.prod(self.spacing_mm))
 
     def within(self, first: tuple[int, ...]) -> "LabelGrid":
-        """The same grid from another first voxel."""
+        """Return the same grid starting at another first voxel."""
         x, y, z = (
             start + side * index
             for start, side, index in zip(self.origin_mm, self.spacing_mm, first, strict=True)
@@ -61,23 +66,24 @@ class LabelGrid:
 
 
 def label_triangles(mask: NDArray[np.bool_], grid: LabelGrid) -> Triangles | None:
-    """Smooth closed surface of a label, wound outward: vertices [m], shape (n, 3), and triangles,
-    shape (m, 3).
+    """Return the smooth closed surface of a label, wound outward.
 
-    The label is spread by a kernel that leaves curved surfaces where they are, two voxels or a
-    third of the label's radius wide; its surface is the level that encloses the volume of the
-    voxels. Where the image ends the label does.
+    It consists of vertices [m], shape (n, 3), and triangles, shape (m, 3).
+
+    The label is spread by a kernel that keeps curved surfaces in place, two voxels or a third of
+    the label's radius wide. The surface is the level that encloses the volume of the voxels. At the
+    end of the image the label ends.
 
     Parameters
     ----------
     mask
-        Where the label is.
+        Voxels of the label.
     grid
         Place of the voxels.
 
     Returns
     -------
-    None where nothing is left of so few voxels.
+    None if the label has too few voxels for a surface.
     """
     from scipy.ndimage import distance_transform_edt
 

@@ -10,11 +10,10 @@ depth               127 mm            M: 100-150 antero-posterior at the right l
 right lobe height   123 mm            M: 105-155 cranio-caudal in the mid-clavicular line (ultrasound)
 volume              1.41 l            M: 1.2-1.8 l adult; 1477 ml for the scanned liver the tests use
 left lobe           22 %              M: 25-40 % of the volume, thinning to a wedge
-==================  ================
-===================================================================
+==================  ================  ===================================================================
 
 The shape is a drawing in signed distances: a dome of two ellipsoids, cut by the slanting visceral
-plane with hollows for stomach, kidney and gall bladder, a groove for the vena cava and spine, a
+plane, with hollows for stomach, kidney and gall bladder, a groove for the vena cava and spine, a
 notch for the round ligament. Vessels and the capsule are not in the mesh.
 """  # noqa: E501 a table
 
@@ -57,16 +56,19 @@ _SIZE = 0.94
 _TRIES = 4
 _NODULE_EDGES = 3.0
 _NODULE_GROWTH = 1.0
-"""Edges across a nodule, and their growth with the distance from it. Cut from cells as long as its
-radius, a nodule of 18 mm lost 13 % of its volume; the force over it was up to 2 % off, a fifth of
-what the nodule adds.
+"""Number of edges across a nodule, and growth of the edges with the distance from it.
+
+Cut from cells as long as its radius, a nodule of 18 mm lost 13 % of its volume. The force over it
+was up to 2 % off, a fifth of the nodule's contribution.
 """
 _NEAR_M = 1e-5
 _PROJECTIONS = 4
 _VISCERAL = (0.33, 0.10, -0.94)
 LIVER_REGIONS = {"below": (_VISCERAL, 55.0), "back": ((0.0, 1.0, 0.0), 45.0)}
-"""Surfaces that hold a liver, as a direction and the angle [degrees] within which they face it: the
-visceral side it rests on, and the bare area with spine and vena cava behind it."""
+"""Surfaces that hold a liver, as a direction and the angle [degrees] within which they face it.
+
+They are the visceral side it rests on, and the bare area with spine and vena cava behind it.
+"""
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ class Nodule:
 
 
 def liver_shape() -> Shape:
-    """Signed distance of the liver in the site frame [m]."""
+    """Return the signed distance of the liver in the site frame [m]."""
     drawn = _drawn()
     low = 0.0
     high = 0.2
@@ -101,8 +103,9 @@ def liver_shape() -> Shape:
 
 
 def liver(*, spacing_m: float = 8.4e-3, nodule: Nodule | None = None) -> TetMesh:
-    """Liver of even tetrahedra in the site frame; a nodule is the part ``nodule``, its surface made
-    of faces.
+    """Build a liver of even tetrahedra in the site frame.
+
+    A nodule is the part ``nodule``, whose surface is made of faces.
 
     Parameters
     ----------
@@ -122,7 +125,7 @@ def liver(*, spacing_m: float = 8.4e-3, nodule: Nodule | None = None) -> TetMesh
 
 
 def onto_liver(points: np.ndarray) -> np.ndarray:
-    """Points of the procedural liver's surface near some points [m], both shape (n, 3)."""
+    """Return the points of the procedural liver's surface near some points [m], shape (n, 3)."""
     shape = liver_shape()
     found = np.array(points, dtype=np.float64)
     steps = _NEAR_M * np.vstack([np.eye(3), -np.eye(3)])
@@ -135,7 +138,7 @@ def onto_liver(points: np.ndarray) -> np.ndarray:
 
 
 def liver_region(mesh: TetMesh, name: str) -> Nodes:
-    """Surface nodes of a named side of the liver: ``below`` or ``back``.
+    """Return surface nodes of a named side of the liver: ``below`` or ``back``.
 
     Raises
     ------
@@ -154,8 +157,9 @@ def slab(
     spacing_m: float = 4.2e-3,
     nodule: Nodule | None = None,
 ) -> TetMesh:
-    """Block of tissue, the origin at the middle of its top face, z up; layers grow from the top
-    down.
+    """Build a block of tissue, with the origin at the middle of its top face and z up.
+
+    Layers grow in thickness from the top down.
 
     Parameters
     ----------
@@ -184,14 +188,15 @@ def slab(
 
 
 def slab_base(mesh: TetMesh) -> Nodes:
-    """Nodes on the lower face of a slab."""
+    """Return nodes on the lower face of a slab."""
     lowest = float(mesh.nodes_m[:, 2].min())
     return nodes_behind_plane(mesh, point_m=(0.0, 0.0, lowest), normal=(0.0, 0.0, 1.0))
 
 
 def _drawn() -> Shape:
-    """The liver about the middle of its visceral side: drawn a little large, then brought to
-    size.
+    """Build the liver about the middle of its visceral side.
+
+    It is drawn a little large and then scaled to size.
     """
     right = ellipsoid((0.082, 0.066, 0.084), (-0.030, 0.0, -0.009))
     left = ellipsoid((0.080, 0.045, 0.039), (0.046, -0.016, 0.024))
@@ -210,8 +215,9 @@ def _drawn() -> Shape:
 
 
 def _with_nodule(mesh: TetMesh, nodule: Nodule, shape: Shape, spacing: float) -> TetMesh:
-    """The mesh with the nodule as a part of the volume of its ball, refused where the mesh could
-    not show it.
+    """Return the mesh with the nodule as a part of the volume of its ball.
+
+    Raise if the mesh is too coarse for the nodule or the nodule is not deep enough.
     """
     radius = require_length("nodule.radius_m", nodule.radius_m, 0.0, math.inf, 0.01)
     if radius < spacing:
@@ -240,9 +246,9 @@ def _with_nodule(mesh: TetMesh, nodule: Nodule, shape: Shape, spacing: float) ->
         return np.asarray(edge + _NODULE_GROWTH * outside)
 
     mesh = bisected(mesh, size_m)
-    # Chords cut a ball's volume short: the surface is laid a little outside it, as much as makes
-    # the volume right. Where nodes change their snapping the volume jumps, so the best of a few
-    # tries is kept.
+    # Flat faces cut the corners of a ball, so the surface is placed a little outside it to match
+    # the volume. The volume jumps where nodes change their snapping, so the best of a few tries is
+    # kept.
     volume = 4.0 / 3.0 * math.pi * radius**3
     laid = radius
     best = mesh

@@ -1,1 +1,1 @@
-"""Paths of tools from files, and how deep below a bone's surface they lead."""
+"""Paths of tools from files, and their depth below a bone's surface."""

@@ -1,5 +1,6 @@
-"""A toolpath as the table of poses that a replayed motion reads: times, tips and orientations in
-the site's frame.
+"""Conversion of a toolpath to the table of poses that a replayed motion reads.
+
+The table holds times, tips and orientations in the site's frame.
 """
 
 import csv
@@ -22,8 +23,9 @@ __all__ = ["POSE_COLUMNS", "ReplayTable", "to_replay"]
 
 POSE_COLUMNS = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
 _TURN_RAD_S = 0.5 * np.pi
-"""Fastest turn of the tool [rad/s]: a hand turns a drill through a right angle in about a
-second.
+"""Fastest turn of the tool [rad/s].
+
+A hand turns a drill through a right angle in about a second.
 """
 _SAME_MM = 1e-6
 _SAME_RAD = 1e-6
@@ -80,13 +82,13 @@ def to_replay(
     path
         The path in the frame of the file in which the site lies.
     site
-        Where the scene's frame lies.
+        Site that defines the scene's frame.
     feed_mm_s
-        Speed where the path states none [mm/s].
+        Speed where the path states no speed [mm/s].
     rapid_mm_s
         Speed of rapid moves and of the approach [mm/s].
     clearance_mm
-        How far from the first point along the tool's axis the tool begins [mm].
+        Distance of the start from the first point, along the tool's axis [mm].
 
     Raises
     ------
@@ -121,7 +123,7 @@ def to_replay(
 
 
 def _towards(axis: Array) -> "Rotation":
-    """Shortest turn that brings z to a unit vector."""
+    """Return the shortest turn that brings z to a unit vector."""
     from scipy.spatial.transform import Rotation
 
     across = np.cross([0.0, 0.0, 1.0], axis)

@@ -47,10 +47,10 @@ class Toolpath:
         Points [mm, LPS], shape (n, 3).
     feeds_mm_s
         Speed to each point from the one before it [mm/s], shape (n,), NaN for rapid moves; None
-        where the file states none. The first is not used.
+        where the file states no speed. The first is not used.
     axes
         Unit vectors from the tip towards the shaft at each point, LPS, shape (n, 3); None where the
-        file states none.
+        file states no axes.
     """
 
     points_mm: Array

@@ -1,4 +1,4 @@
-"""An anatomical site as a shape with layers, and the simplest of them: a block of cortical bone.
+"""Anatomical sites as shapes with layers, and the simplest one, a block of cortical bone.
 
 Site frame of every anatomy: the origin is the centre of the working face on the bone surface, +z
 the outward normal there, so a tool feeds along -z.
@@ -25,14 +25,17 @@ __all__ = ["Anatomy", "Classify", "GridSampler", "cortical_block"]
 Classify = Callable[
     [NDArray[np.floating], NDArray[np.floating]], tuple[NDArray[np.uint8], NDArray[np.floating]]
 ]
-"""Points [m], shape (n, 3), and their depth below the outer surface [m], shape (n,), to the layer
-index, uint8, shape (n,), and the apparent density [kg/m3], shape (n,). Within a layer the density
+"""Layer index and apparent density of points, from their positions and depths.
+
+Input: points [m], shape (n, 3), and their depth below the outer surface [m], shape (n,). Output:
+layer index, uint8, shape (n,), and apparent density [kg/m3], shape (n,). Within a layer the density
 must vary smoothly over a millimetre.
 """
 
 GridSampler = Callable[["Grid"], tuple[NDArray[np.float32], NDArray[np.float32]]]
-"""A grid to the bone fraction, 0 to 1, and the depth [m] of its voxels, both float32 with the
-grid's shape.
+"""Bone fraction, 0 to 1, and depth [m] of the voxels of a grid.
+
+Both are float32 with the grid's shape.
 """
 
 
@@ -43,7 +46,7 @@ class Anatomy:
     Attributes
     ----------
     name
-        What it is, for reports.
+        Name for reports.
     shape
         Outer surface as signed distance [m].
     layer_names
@@ -51,13 +54,12 @@ class Anatomy:
     classify
         Layer and density at points, see `Classify`.
     notes
-        Name and value of what was assumed or found, for reports.
+        Names and values of assumptions and findings, for reports.
     sample
-        Where the signed distance is too dear to ask voxel by voxel (a triangle mesh): fraction and
-        depth of a whole grid at once. None: the shape is sampled.
+        Fraction and depth of a whole grid at once, for shapes whose signed distance is too
+        expensive to evaluate voxel by voxel (a triangle mesh). None: the shape is sampled.
     placement
-        Where the site frame lies in that of the file that it came from; None where it came from
-        none.
+        Placement of the site frame in the frame of its file; None if it is from no file.
     caps_m
         Points [m], shape (k, 3), of each face at which the bone was cut off by the edge of its
         scan.
@@ -65,7 +67,7 @@ class Anatomy:
         Whether layers may pass between the corners of a block of voxels (a root canal): every voxel
         is then classified.
     structures
-        What a tool may have to keep clear of, by name, as signed distance [m].
+        Structures that a tool may have to keep clear of, by name, as signed distance [m].
     """
 
     name: str
@@ -83,8 +85,9 @@ class Anatomy:
 def cortical_block(
     *, size_mm: tuple[float, float, float] = (20.0, 12.0, 8.0), density_kg_m3: float = 1800.0
 ) -> Anatomy:
-    """Block of cortical bone: its top face lies in z = 0 with the origin at its centre; one layer
-    `cortical`.
+    """Build a block of cortical bone with one layer `cortical`.
+
+    Its top face lies in z = 0 with the origin at its centre.
 
     Parameters
     ----------

@@ -1,5 +1,6 @@
-"""The part of a cube that lies behind a plane: the sub-voxel fraction of a voxel that a smooth
-surface crosses.
+"""Part of a cube that lies behind a plane.
+
+It is the sub-voxel fraction of a voxel that a smooth surface crosses.
 """
 
 import itertools
@@ -15,7 +16,7 @@ _SMALLEST_COMPONENT = 1e-5
 def cube_fraction(
     distance: NDArray[np.floating], normal: NDArray[np.floating]
 ) -> NDArray[np.float64]:
-    """Volume of the unit cube about the origin where n·x <= -distance.
+    """Compute the volume of the unit cube about the origin where n·x <= -distance.
 
     With m = |n| / Σ|n| and a = 1/2 - distance / Σ|n| (the plane's height over the cube's lowest
     corner, in units of the cube's extent along n), the volume is Σ_S (-1)^|S| (a - Σ_{i∈S} m_i)₊³ /

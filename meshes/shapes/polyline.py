@@ -9,8 +9,9 @@ Array = NDArray[np.float64]
 
 
 def arc_length(corners: ArrayLike) -> Array:
-    """Path length from the first corner to each, shape (n,), in the unit of the corners, shape
-    (n, 3).
+    """Compute the path length from the first corner to each corner, shape (n,).
+
+    It has the unit of the corners, shape (n, 3).
     """
     return np.concatenate(
         [[0.0], np.cumsum(np.linalg.norm(np.diff(np.asarray(corners), axis=0), axis=1))]
@@ -18,7 +19,10 @@ def arc_length(corners: ArrayLike) -> Array:
 
 
 def points_along(corners: ArrayLike, lengths: ArrayLike) -> Array:
-    """Points at some path lengths from the first corner, shape (m, 3); the ends beyond them."""
+    """Return points at some path lengths from the first corner, shape (m, 3).
+
+    Lengths beyond an end give the end.
+    """
     along = arc_length(corners)
     given = np.asarray(corners)
     at = np.asarray(lengths, dtype=np.float64)
@@ -26,8 +30,9 @@ def points_along(corners: ArrayLike, lengths: ArrayLike) -> Array:
 
 
 def kept_corners(corners: ArrayLike, within: float) -> NDArray[np.int64]:
-    """Places of the corners that are enough, in rising order: every other one lies within a
-    distance of the line through them (Douglas and Peucker 1973).
+    """Return the indices of the corners to keep, ascending (Douglas and Peucker 1973).
+
+    Every other corner lies within a distance of the line through the kept corners.
 
     Parameters
     ----------

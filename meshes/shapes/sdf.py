@@ -1,7 +1,7 @@
-"""Signed distances as sentences: `box(...) - cylinder(...) | sphere(...).translate(...)`.
+"""Signed distances as expressions: `box(...) - cylinder(...) | sphere(...).translate(...)`.
 
 A `Shape` maps points [m] to signed distances [m], negative inside. Every shape made here is
-1-Lipschitz: its value never exceeds the true distance to the surface in magnitude, so a cell whose
+1-Lipschitz: its value never exceeds the true distance to the surface in magnitude. A cell whose
 centre is farther from the surface than its half diagonal is not crossed. Primitives are exact
 unless their docstring states otherwise; a union is exact outside, an intersection or difference
 exact inside, and both are bounds elsewhere. All shapes keep the points' dtype.
@@ -57,7 +57,7 @@ class Shape:
         Points [m], shape (n, 3), float32 or float64, to signed distances [m], shape (n,), same
         dtype, negative inside.
     lower_m, upper_m
-        Corners [m] of an axis-aligned box that holds the solid; infinite where it has no end.
+        Corners [m] of an axis-aligned box that holds the solid; infinite if the solid is unbounded.
     """
 
     distance: Callable[[Points], Distances]
@@ -86,8 +86,9 @@ class Shape:
 
 
 def smooth_minimum(a: Distances, b: Distances, blend_m: float) -> Distances:
-    """Minimum of two distances [m] with the crease rounded where they differ by less than
-    `blend_m`.
+    """Return the minimum of two distances [m], with a rounded crease.
+
+    The crease is rounded where the distances differ by less than `blend_m`.
 
     Quadratic polynomial blend (I. Quilez, "Smooth minimum"). Its gradient is a convex combination
     of both gradients, so the result stays 1-Lipschitz.
@@ -99,12 +100,12 @@ def smooth_minimum(a: Distances, b: Distances, blend_m: float) -> Distances:
 
 
 def smooth_maximum(a: Distances, b: Distances, blend_m: float) -> Distances:
-    """Maximum of two distances [m] with the crease rounded, see `smooth_minimum`."""
+    """Return the maximum of two distances [m] with a rounded crease, see `smooth_minimum`."""
     return -smooth_minimum(-a, -b, blend_m)
 
 
 def union(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
-    """Points in either solid; a positive `blend_m` [m] fills the crease between them."""
+    """Unite two solids; a positive `blend_m` [m] fills the crease between them."""
     grown = 0.25 * blend_m
     lower = np.minimum(a.lower_m, b.lower_m) - grown
     upper = np.maximum(a.upper_m, b.upper_m) + grown
@@ -116,7 +117,7 @@ def union(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
 
 
 def intersection(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
-    """Points in both solids; a positive `blend_m` [m] rounds the edge between them."""
+    """Intersect two solids; a positive `blend_m` [m] rounds the edge between them."""
     lower = np.maximum(a.lower_m, b.lower_m)
     upper = np.minimum(a.upper_m, b.upper_m)
     return Shape(
@@ -127,22 +128,23 @@ def intersection(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
 
 
 def difference(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
-    """Points in `a` but not in `b`; a positive `blend_m` [m] rounds the edge between them."""
+    """Subtract `b` from `a`; a positive `blend_m` [m] rounds the edge between them."""
     return Shape(
         lambda p: smooth_maximum(a.distance(p), -b.distance(p), blend_m), a.lower_m, a.upper_m
     )
 
 
 def sphere(radius_m: float, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
-    """Ball of `radius_m` [m] about `centre_m` [m]."""
+    """Build a ball of `radius_m` [m] about `centre_m` [m]."""
     radius = require_positive("radius_m", radius_m, "use about 5e-3 (5 mm)")
     centre = require_vector("centre_m", centre_m)
     return Shape(lambda p: _norm(p - centre.astype(p.dtype)) - radius, *_around(centre, radius))
 
 
 def box(size_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0), *, rounding_m: float = 0.0) -> Shape:
-    """Box with edge lengths `size_m` [m], shape (3,), its edges rounded with radius `rounding_m`
-    [m].
+    """Build a box with edge lengths `size_m` [m], shape (3,).
+
+    Its edges are rounded with radius `rounding_m` [m].
 
     Raises
     ------
@@ -168,7 +170,7 @@ def box(size_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0), *, rounding_m: float
 
 
 def cylinder(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
-    """Capped cylinder of `radius_m` [m] about the segment from `start_m` to `end_m` [m]."""
+    """Build a capped cylinder of `radius_m` [m] about the segment from `start_m` to `end_m` [m]."""
     radius = require_positive("radius_m", radius_m, "use about 2e-3 (2 mm)")
     start, axis, length = _segment(start_m, end_m)
 
@@ -189,7 +191,10 @@ def cylinder(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
 
 
 def capsule(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
-    """Points within `radius_m` [m] of the segment from `start_m` to `end_m` [m]."""
+    """Build a capsule, the points near the segment from `start_m` to `end_m` [m].
+
+    They lie within `radius_m` [m] of it.
+    """
     radius = require_positive("radius_m", radius_m, "use about 2e-3 (2 mm)")
     start, axis, length = _segment(start_m, end_m)
 
@@ -207,8 +212,9 @@ def capsule(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
 
 
 def ellipsoid(radii_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
-    """Ellipsoid with half axes `radii_m` [m], shape (3,): surface exact, distance only a lower
-    bound of the true one.
+    """Build an ellipsoid with half axes `radii_m` [m], shape (3,).
+
+    The surface is exact; the distance is only a lower bound of the true distance.
 
     (|p/r| - 1)·min(r) is 1-Lipschitz and zero on the surface; along a long half axis it falls short
     by min(r)/r.
@@ -223,7 +229,7 @@ def ellipsoid(radii_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
 
 
 def half_space(normal: Vector, point_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
-    """Everything behind the plane through `point_m` [m] with outward `normal`."""
+    """Build the half space behind the plane through `point_m` [m] with outward `normal`."""
     unit = require_direction("normal", normal)
     point = require_vector("point_m", point_m)
     offset = float(unit @ point)
@@ -238,14 +244,14 @@ def half_space(normal: Vector, point_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
 
 
 def _norm(v: Points) -> Distances:
-    """Length of each row, dtype kept."""
+    """Compute the length of each row, with its dtype."""
     return np.sqrt(v[:, 0] ** 2 + v[:, 1] ** 2 + v[:, 2] ** 2)
 
 
 def _cylindrical(
     p: Points, start: NDArray[np.float64], axis: NDArray[np.float64]
 ) -> tuple[Distances, Distances]:
-    """Height above `start` along `axis` and distance from the axis [m]."""
+    """Compute the height above `start` along `axis` and the distance from the axis [m]."""
     q = p - start.astype(p.dtype)
     along = q @ axis.astype(p.dtype)
     return along, _norm(q - along[:, None] * axis.astype(p.dtype))

@@ -10,14 +10,14 @@ from meshes.shapes.sdf import Shape
 __all__ = ["shape_triangles"]
 
 WANTED_M = 4e-6
-"""Distance of the triangles from the surface that is aimed at [m]."""
+"""Target distance of the triangles from the surface [m]."""
 FIRST_POINTS = 1e5
 MOST_POINTS = 1e6
 """Points of the first and of the finest lattice on which the distance is evaluated."""
 ROUNDS = 3
 DOUBLINGS = 12
 STEP_M = 1e-6
-"""Of the differences that make the gradient of a distance."""
+"""Step of the finite differences for the gradient of a distance [m]."""
 
 
 def shape_triangles(
@@ -37,7 +37,7 @@ def shape_triangles(
     -------
     vertices_m, faces, slack_m
         Vertices [m], shape (n, 3), triangles wound outward, shape (m, 3), and their largest depth
-        below the surface [m]. Sharp convex edges decide it where there are some.
+        below the surface [m]. Sharp convex edges, if any, determine this depth.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def shape_triangles(
         end = np.minimum(middle + half + reach, shape.upper_m)
         low, high = _around_surface(shape, start, end)
         nearest = _nearest(shape, low, high, middle)
-        # What lies farther from the middle than its nearest point and the box together is nearest
+        # A point farther from the middle than its nearest point and the box together is nearest
         # to no point of it. The distance of a shape may be a lower bound, so that the first reach
         # may be too short.
         if half + nearest <= reach:
@@ -74,8 +74,9 @@ def shape_triangles(
 
 
 def _around_surface(shape: Shape, low: Array, high: Array) -> tuple[Array, Array]:
-    """Corners of a box around the cells of a coarse lattice that may hold some of the surface;
-    all of it for none.
+    """Return the corners of a box around the coarse lattice cells that may hold surface.
+
+    If no cell does, the box is the whole lattice.
     """
     if not (low < high).all():
         return low, high
@@ -95,8 +96,9 @@ def _around_surface(shape: Shape, low: Array, high: Array) -> tuple[Array, Array
 
 
 def _nearest(shape: Shape, low: Array, high: Array, middle: Array) -> float:
-    """Distance of a point from the nearest vertex of a coarse surface in a box [m], infinite
-    without any.
+    """Compute the distance [m] of a point from the nearest vertex of a coarse surface in a box.
+
+    It is infinite if there is no vertex.
     """
     if not (low < high).all():
         return np.inf
@@ -107,8 +109,9 @@ def _nearest(shape: Shape, low: Array, high: Array, middle: Array) -> float:
 def _contour(
     shape: Shape, low: Array, high: Array, spacing: float
 ) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_]]:
-    """Closed triangles at distance 0, and which vertices lie on the surface, not where the
-    lattice cuts it off.
+    """Extract closed triangles at distance 0, and flags of the vertices that lie on the surface.
+
+    The other vertices lie where the lattice cuts the surface off.
     """
     from skimage.measure import marching_cubes
 
@@ -128,7 +131,7 @@ def _contour(
 
 
 def _slack(shape: Shape, vertices: Array, faces: NDArray[np.int64]) -> float:
-    """Largest depth of centres and edges of triangles below the surface [m].
+    """Compute the largest depth of centres and edges of triangles below the surface [m].
 
     Triangles outside the surface, in concave edges, make a distance too small, which is the safe
     side.
@@ -141,8 +144,9 @@ def _slack(shape: Shape, vertices: Array, faces: NDArray[np.int64]) -> float:
 
 
 def _to_surface(shape: Shape, points: Array) -> tuple[Array, Array]:
-    """Signed distance from the surface along the gradient [m] and the unit gradient; the value
-    alone is a bound.
+    """Compute the signed distance from the surface along the gradient [m] and the unit gradient.
+
+    The shape's value alone is only a bound.
     """
     value = np.asarray(shape.distance(points), dtype=np.float64)
     slope = np.empty_like(points)

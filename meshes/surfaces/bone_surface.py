@@ -23,12 +23,12 @@ def surface_anatomy(
     cortical_density_kg_m3: float = 1800.0,
     trabecular_density_kg_m3: float = 350.0,
 ) -> Anatomy:
-    """Anatomy of a bone surface in the site frame: a cortical shell of even thickness over
-    trabecular bone.
+    """Build the anatomy of a bone surface in the site frame.
 
-    A surface holds nothing of what is inside: thickness and densities are assumptions, recorded in
-    the notes. The default thickness is the mean of the subchondral plate (1.2-2.9 mm, six glenoids,
-    Frich); densities as in `meshes.surfaces.glenoid`.
+    It is a cortical shell of even thickness over trabecular bone. A surface holds no information on
+    the inside: thickness and densities are assumptions, recorded in the notes. The default
+    thickness is the mean of the subchondral plate (1.2-2.9 mm, six glenoids, Frich). Densities are
+    as in `meshes.surfaces.glenoid`.
 
     Parameters
     ----------

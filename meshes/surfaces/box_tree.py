@@ -1,4 +1,4 @@
-"""Tree of boxes around the triangles of a surface, for searches for the nearest one."""
+"""Tree of boxes around the triangles of a surface, for searches of the nearest triangle."""
 
 from dataclasses import dataclass
 
@@ -27,7 +27,7 @@ class BoxTree:
     ----------
     centres_m, halves_m
         Centre and half sides of a box around all triangles below each node [m], shape (nodes, 3).
-        Half sides are -1 where there are none.
+        Half sides are -1 where there are no triangles.
     corners_m
         Corners of the triangles in the order of the leaves, `LEAF` a leaf [m], shape (triangles, 3,
         3).
@@ -62,16 +62,17 @@ def box_tree(corners_m: Array) -> BoxTree:
 
 
 def cut_long(corners_m: Array, box_m: Array | None = None) -> Array:
-    """Halve triangles across their longest edge until none is long, so that boxes around them are
-    small.
+    """Halve triangles across their longest edge until none is long.
+
+    The boxes around them are then small.
 
     Parameters
     ----------
     corners_m
         Corners of the triangles [m], shape (n, 3, 3).
     box_m
-        Lowest and highest corner of the box from which distances are asked [m], shape (2, 3);
-        triangles far from it may be longer. None for everywhere.
+        Lowest and highest corner of the box of the query points [m], shape (2, 3); triangles far
+        from it may be longer. None for everywhere.
     """
     corners = corners_m
     box = box_m
@@ -105,7 +106,7 @@ def _halves(corners: Array, longest: NDArray[np.intp]) -> Array:
 
 
 def _away(points: Array, box: Array | None) -> Array:
-    """Distance of points from a box [m], 0 inside."""
+    """Compute the distance of points from a box [m], 0 inside."""
     if box is None:
         return np.zeros(len(points))
     outside = np.maximum(np.maximum(box[0] - points, points - box[1]), 0.0)

@@ -1,8 +1,9 @@
-"""A procedural glenoid: concave pear-shaped face, subchondral plate, cortical wall, graded
-trabecular vault.
+"""Procedural glenoid with a concave pear-shaped face.
+
+It has a subchondral plate, a cortical wall and a graded trabecular vault.
 
 Sources, R = read, M = from memory of the literature, with confidence H, M or L. Cartilage is not
-modelled: the face is the bony one that a reamer meets after the cartilage has gone.
+modelled: the face is the bony face that a reamer cuts after the cartilage has gone.
 
 ========================  ==================  =====================================================================
 width x height            27.8 x 37.5 mm      M, M: Churchill 2001 (men; women 23.6 x 32.6)
@@ -15,8 +16,7 @@ cortical wall             1.5 mm              L
 density cortical          1800 kg/m3          M, H
 density plate             1300 kg/m3          L: between cortical and dense trabecular bone
 density trabecular        450 to 300 kg/m3    L: falls below the plate over 5 mm (M Frich 1997: so does strength)
-========================  ==================
-=====================================================================
+========================  ==================  =====================================================================
 """  # noqa: E501 a table
 
 import math
@@ -56,14 +56,20 @@ class _Pear:
         return (self.lower_radius - self.upper_radius) / (self.upper_y - self.lower_y)
 
     def half_width(self, y: float) -> float:
-        """Half width [m] at the height y [m], for y above the lower circle's widest point."""
+        """Compute the half width [m] at the height y [m].
+
+        It holds for y above the lower circle's widest point.
+        """
         cosine = math.sqrt(1.0 - self.sine**2)
         if y <= self.upper_y + self.upper_radius * self.sine:
             return (self.lower_radius - (y - self.lower_y) * self.sine) / cosine
         return math.sqrt(max(self.upper_radius**2 - (y - self.upper_y) ** 2, 0.0))
 
     def distance(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Exact signed distance [m] to the outline (the hull of two circles), negative inside."""
+        """Compute the exact signed distance [m] to the outline, negative inside.
+
+        The outline is the hull of two circles.
+        """
         sine = self.sine
         cosine = math.sqrt(1.0 - sine**2)
         across = np.abs(x)
@@ -77,8 +83,9 @@ class _Pear:
 
 
 def _pear(width: float, height: float, upper_width_ratio: float) -> _Pear:
-    """Outline of the given width and height [m] whose upper half is `upper_width_ratio` as wide at
-    its middle.
+    """Build a pear-shaped outline of the given width and height [m].
+
+    Its upper half is `upper_width_ratio` as wide at its middle as the full width.
 
     The half width there grows with the upper circle's radius, which is found by bisection.
     """
@@ -101,8 +108,9 @@ def _pear(width: float, height: float, upper_width_ratio: float) -> _Pear:
 def _plate_thickness(
     mean: float, variation: float, half_width: float, half_height: float, x: Reals, y: Reals
 ) -> Reals:
-    """Thickness of the subchondral plate [m]: more anterior and posterior, less superior and
-    inferior, 1.2-2.9 mm.
+    """Compute the thickness of the subchondral plate [m], 1.2-2.9 mm.
+
+    It is larger anterior and posterior, and smaller superior and inferior.
     """
     pattern = np.clip((x / half_width) ** 2 - (y / half_height) ** 2, -1.0, 1.0)
     return np.clip(mean * (1.0 + variation * pattern), *_PLATE_RANGE_M)
@@ -125,8 +133,9 @@ def glenoid(
     trabecular_density_kg_m3: float = 300.0,
     trabecular_density_below_plate_kg_m3: float = 450.0,
 ) -> Anatomy:
-    """Glenoid in the site frame: origin on the bone at the face's centre, x anterior, y superior, z
-    outward (lateral).
+    """Build a glenoid in the site frame.
+
+    The origin is on the bone at the face's centre; x is anterior, y superior, z outward (lateral).
 
     Parameters
     ----------
@@ -208,8 +217,9 @@ def glenoid(
 def _checked_pear(
     width: float, height: float, ratio: float, depth: float, taper: float, radius: float
 ) -> _Pear:
-    """Outline of the face, with the combinations refused that close the vault or cut the face
-    off.
+    """Return the outline of the face.
+
+    Raise for combinations that close the vault or cut the face off.
     """
     if radius <= 0.5 * height:
         raise InputError(
@@ -236,8 +246,10 @@ def _checked_pear(
 
 
 def _bone(pear: _Pear, radius: float, depth: float, taper: float, blend: float) -> Shape:
-    """Outer surface: the outline extruded, leaning inward below z = 0, dished by a sphere, cut
-    off at the base.
+    """Build the outer surface.
+
+    It is the outline extruded, leaning inward below z = 0, dished by a sphere, and cut off at the
+    base.
     """
     sine = math.sin(taper)
     cosine = math.cos(taper)
@@ -270,8 +282,9 @@ def _layers(plate: Thickness, radius: float, wall: float, densities: Sequence[fl
     def classify(
         points: NDArray[np.floating], depth: NDArray[np.floating]
     ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
-        """Layer and density [kg/m3], shape (n,), of points [m], shape (n, 3), at depths below
-        the surface [m].
+        """Return layer and density [kg/m3], shape (n,), of points [m], shape (n, 3).
+
+        The depths below the surface are in m.
         """
         x = points[:, 0]
         y = points[:, 1]

@@ -1,4 +1,4 @@
-"""Fill holes of triangle surfaces, and join two surfaces whose edges nearly meet."""
+"""Filling of holes in triangle surfaces, and joining of two surfaces whose edges nearly meet."""
 
 from dataclasses import dataclass
 
@@ -16,8 +16,11 @@ Faces = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Holes:
-    """What `fill_holes` found: holes closed that are small and large, the fans' points of those
-    that a plane need not fit, and the area of the largest."""
+    """Result of `fill_holes`.
+
+    It holds the number of small and large holes closed, the points of the fans that a plane need
+    not fit, and the area of the largest hole.
+    """
 
     filled: int
     large: int
@@ -35,8 +38,8 @@ def fill_holes(
     """Close each loop of unmatched edges by a fan of triangles about its mean point.
 
     A hole that takes more area than `largest` times the surface's counts as large. Its fan is a
-    cap, as is one of more area than `least_cap` over more than a missing triangle, whatever its
-    share of the surface.
+    cap. The fan of any other hole is also a cap if it has more area than `least_cap` and more than
+    one triangle is missing.
     """
     if is_manifold(faces):
         return (vertices, faces), Holes(0, 0, (), 0.0)
@@ -67,7 +70,10 @@ def fill_holes(
 
 
 def _unmatched(vertex_count: int, faces: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Directed edges without their reverse, repeated as often as it is missing, shape (n, 2)."""
+    """Return directed edges without their reverse, shape (n, 2).
+
+    An edge is repeated as often as its reverse is missing.
+    """
     edges = directed_edges(faces)
     low, high = np.sort(edges, axis=1).T
     keys, where = np.unique(low * vertex_count + high, return_inverse=True)
@@ -80,7 +86,10 @@ def _unmatched(vertex_count: int, faces: NDArray[np.int64]) -> NDArray[np.int64]
 
 
 def open_loops(vertex_count: int, faces: Faces) -> list[Faces]:
-    """Loops of unmatched edges that visit no vertex twice, in the direction of their triangles."""
+    """Return loops of unmatched edges that visit no vertex twice.
+
+    The loops run in the direction of their triangles.
+    """
     following: dict[int, list[int]] = {}
     for a, b in _unmatched(vertex_count, faces).tolist():
         following.setdefault(a, []).append(b)
@@ -133,7 +142,7 @@ def close_seams(
 
 
 def _apart(points: Array, others: Array) -> float:
-    """Mean distance of the points of two loops from each other."""
+    """Compute the mean distance of the points of two loops from each other."""
     from scipy.spatial import cKDTree
 
     there = cKDTree(others).query(points)[0]
@@ -142,8 +151,9 @@ def _apart(points: Array, others: Array) -> float:
 
 
 def _ribbon(points: Array, loop: Faces, other: Faces) -> Faces:
-    """Triangles between two loops that run in opposite directions, along the shorter diagonal at
-    every step.
+    """Return triangles between two loops that run in opposite directions.
+
+    Every step takes the shorter diagonal.
     """
     along = other[::-1]
     nearest = int(np.linalg.norm(points[along] - points[loop[0]], axis=1).argmin())

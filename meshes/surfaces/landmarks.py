@@ -48,8 +48,9 @@ _ALIKE = 0.85  # ratio of the second score to the best from which two places are
 
 @dataclass(frozen=True)
 class _Head:
-    """Joint head: name, sphere coverage at which the score is 0 and 1, largest coverage, and
-    whether it has a neck.
+    """Joint head: name, range of sphere coverage, and whether it has a neck.
+
+    The range holds the coverages at which the score is 0 and 1, and the largest coverage.
     """
 
     name: str
@@ -177,7 +178,9 @@ def _search_glenoid(surface: Surface, along: Sequence[float] | None) -> FoundSit
 def _glenoid_score(
     samples: SurfaceSamples, number: int, near: NDArray[np.int64]
 ) -> tuple[Array, float]:
-    """Smoothed normal at a sample, and the likeness of the surface around it to a glenoid, 0 to 1.
+    """Compute the smoothed normal at a sample, and the likeness to a glenoid, 0 to 1.
+
+    The likeness is of the surface around the sample.
 
     The likeness is high where surface that faces one direction covers a disc of 10 mm radius, the
     surface falls off beyond 20 mm, the bone behind is thick, and the disc is not convex.
@@ -208,8 +211,9 @@ def _glenoid_score(
 
 
 def _curvature(offset: Array, normal: Array) -> float:
-    """Curvature [1/m] of the paraboloid fitted to points around the origin, positive where
-    concave.
+    """Compute the curvature [1/m] of the paraboloid fitted to points around the origin.
+
+    It is positive where concave.
     """
     height = offset @ normal
     radial = offset - height[:, None] * normal
@@ -220,12 +224,13 @@ def _curvature(offset: Array, normal: Array) -> float:
 def _face(
     samples: SurfaceSamples, centre: Array, normal: Array
 ) -> tuple[Array, Array, Array, float]:
-    """Centre, axes as rows (long, short, outward), two sides and curvature of an articular face
-    around a start.
+    """Find the articular face around a start.
 
-    The face is what is connected and within 32 degrees of the normal of the plane through it. On
-    two scapulae and a synthetic one, limits of 25 to 37 degrees leave the centre within 2 mm;
-    larger limits leak into the coracoid.
+    Return its centre, axes as rows (long, short, outward), two sides and curvature.
+
+    The face is the connected region within 32 degrees of the normal of the plane through it. On two
+    scapulae and a synthetic one, limits of 25 to 37 degrees leave the centre within 2 mm; larger
+    limits leak into the coracoid.
     """
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
@@ -256,8 +261,9 @@ def _face(
 
 @dataclass(frozen=True, eq=False)
 class _Cap:
-    """Spherical cap: sphere, direction to its middle, coverage of the sphere, RMS misfit,
-    roundness of its outline.
+    """Spherical cap: sphere, direction to its middle, coverage, RMS misfit and roundness.
+
+    The coverage is of the sphere; the roundness is of the cap's outline.
     """
 
     centre: Array
@@ -308,7 +314,7 @@ def _search_head(surface: Surface, kind: _Head) -> FoundSite:
 
 
 def _caps(samples: SurfaceSamples) -> list[_Cap]:
-    """Caps fitted from the centres and radii that most samples vote for along their normals."""
+    """Fit caps from the centres and radii that most samples vote for along their normals."""
     from scipy.sparse import coo_array
     from scipy.spatial import cKDTree
 
@@ -338,8 +344,9 @@ def _caps(samples: SurfaceSamples) -> list[_Cap]:
 
 
 def _fitted(points: Array, normals: Array, centre: Array, radius: float) -> _Cap | None:
-    """Fit a sphere to the samples that lie on it and face outward; None if it leaves the range
-    of radii.
+    """Fit a sphere to the samples that lie on it and face outward.
+
+    Return None if it leaves the range of radii.
     """
     from scipy.spatial import cKDTree
 
@@ -373,8 +380,9 @@ def _fitted(points: Array, normals: Array, centre: Array, radius: float) -> _Cap
 
 
 def _neck_axis(samples: SurfaceSamples, cap: _Cap) -> Array:
-    """Direction from the middle of the neck, 1.1 to 1.5 radii below, to the centre; the cap's
-    axis without a neck.
+    """Return the direction from the middle of the neck to the centre.
+
+    The neck is 1.1 to 1.5 radii below. Without a neck, return the cap's axis.
     """
     axis = cap.axis
     offset = (samples.points - cap.centre) / cap.radius

@@ -1,7 +1,8 @@
-"""Points, lines, curves and planes that 3D Slicer saved: markups ``.mrk.json``, and its older point
-lists ``.fcsv``.
+"""Points, lines, curves and planes that 3D Slicer saved.
 
-Everything comes back in LPS [mm], whichever of LPS and RAS the file states.
+They are markups ``.mrk.json`` and its older point lists ``.fcsv``.
+
+All results are in LPS [mm], whether the file states LPS or RAS.
 """
 
 import csv
@@ -22,7 +23,7 @@ __all__ = ["TO_LPS", "MarkedSite", "Markup", "read_curve", "read_markups", "read
 TO_LPS = {"LPS": np.ones(3), "RAS": np.array([-1.0, -1.0, 1.0])}
 """Factors of x, y and z from each of the two frames of patients to LPS."""
 _FRAMES = {**TO_LPS, "0": TO_LPS["RAS"], "1": TO_LPS["LPS"]}
-"""As `TO_LPS`, with the numbers that files before version 4.11 of 3D Slicer hold."""
+"""`TO_LPS`, with the frame numbers of files before version 4.11 of 3D Slicer."""
 _POINTS = "Fiducial"
 _CURVES = ("Line", "Curve", "ClosedCurve")
 _COLUMNS = ("id", "x", "y", "z")
@@ -42,7 +43,7 @@ class Markup:
     labels
         Their names.
     normal
-        Unit normal of a plane, LPS, shape (3,); None of all others.
+        Unit normal of a plane, LPS, shape (3,); None for all other kinds.
     """
 
     kind: str
@@ -53,7 +54,7 @@ class Markup:
 
 @dataclass(frozen=True, eq=False)
 class MarkedSite:
-    """A site as somebody marked it.
+    """Site marked by a user.
 
     Attributes
     ----------
@@ -74,7 +75,7 @@ def read_markups(path: str | Path) -> tuple[Markup, ...]:
     ------
     InputError
         If the file is missing or of another kind, states neither LPS nor RAS or a unit that is not
-        mm, or a control point is undefined or no three finite numbers.
+        mm, or a control point is undefined or is not three finite numbers.
     """
     file = Path(path)
     require_file(file, "markups")
@@ -97,8 +98,9 @@ def read_markups(path: str | Path) -> tuple[Markup, ...]:
 
 
 def read_site(path: str | Path) -> MarkedSite:
-    """Site that a file marks: a plane's origin and normal, a line from the site inward, or one
-    point.
+    """Read the site that a file marks.
+
+    It is marked by a plane's origin and normal, a line from the site inward, or one point.
 
     Raises
     ------
@@ -137,8 +139,9 @@ def read_site(path: str | Path) -> MarkedSite:
 
 
 def read_curve(path: str | Path) -> NDArray[np.float64]:
-    """Control points [mm, LPS], shape (n, 3), of a file's one curve, or else of its one list of
-    points, in their order.
+    """Read the control points [mm, LPS], shape (n, 3), of a file's one curve.
+
+    Without a curve, they are the points of the file's one list, in their order.
 
     3D Slicer draws a smooth curve through them; here they are joined by straight lines: resample it
     there if they lie far apart. A closed curve ends at its first point.
@@ -164,7 +167,7 @@ def read_curve(path: str | Path) -> NDArray[np.float64]:
 
 
 def _markup(record: dict[str, Any], file: Path) -> Markup:
-    """One markup of a JSON file."""
+    """Read one markup of a JSON file."""
     kind = str(record["type"])
     frame = _frame(record.get("coordinateSystem"), file)
     unit = record.get("coordinateUnits", "mm")
@@ -207,8 +210,10 @@ def _normal(
     frame: NDArray[np.float64],
     file: Path,
 ) -> NDArray[np.float64]:
-    """Unit normal of a plane: as stated, else the third axis of its orientation, else across
-    three points.
+    """Return the unit normal of a plane.
+
+    It is the stated normal, else the third axis of its orientation, else the normal of three
+    points.
     """
     if record.get("normal") is not None:
         normal = frame * _three(record["normal"], "the normal", file)
@@ -229,7 +234,10 @@ def _normal(
 
 
 def _point_list(file: Path) -> Markup:
-    """Points of a .fcsv file; several that were joined to one file repeat its head."""
+    """Read the points of a .fcsv file.
+
+    If several files were joined to one, the file repeats their head.
+    """
     frame: NDArray[np.float64] | None = None
     columns: tuple[str, ...] = _COLUMNS
     points: list[NDArray[np.float64]] = []
@@ -261,7 +269,7 @@ def _point_list(file: Path) -> Markup:
 
 
 def _number(text: str | None) -> float:
-    """The number of a cell, NaN where it holds none."""
+    """Return the number of a cell, NaN if it holds none."""
     try:
         return number_in(text or "")
     except ValueError:

@@ -33,9 +33,7 @@ _RISING = 3.5e-3  # pedicle height over the middle of the body: 5.7 to 12 mm in 
 
 @dataclass(frozen=True, eq=False)
 class _Hole:
-    """Hole in the shadow of a bone: viewing direction, point on the axis of the hole and its
-    area.
-    """
+    """Hole in the shadow of a bone: viewing direction, point on the hole's axis, and area."""
 
     axis: Array
     point: Array
@@ -44,8 +42,9 @@ class _Hole:
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """Directions of a vertebra as columns (left, forward, up) and a point in its canal at the
-    height of the body.
+    """Directions of a vertebra as columns (left, forward, up) and a point in its canal.
+
+    The point is at the height of the body.
     """
 
     axes: Array
@@ -53,8 +52,9 @@ class _Frame:
 
 
 def find_pedicle(surface: Surface, kind: str) -> FoundSite:
-    """Find the canal as the largest hole seen through the bone, and the bridge of bone on each
-    side of it.
+    """Find the canal and the bridge of bone on each side of it.
+
+    The canal is the largest hole seen through the bone.
     """
     longest = max(surface.report.size_mm)
     points = _inner_points(surface)
@@ -94,7 +94,7 @@ def find_pedicle(surface: Surface, kind: str) -> FoundSite:
 
 
 def _inner_points(surface: Surface) -> Array:
-    """Points of a grid of 2 mm inside the bone, shape (n, 3)."""
+    """Return points of a grid of 2 mm inside the bone, shape (n, 3)."""
     low = surface.vertices_m.min(axis=0)
     high = surface.vertices_m.max(axis=0)
     axes = [np.arange(a, b, max(2e-3, (b - a) / 100.0)) for a, b in zip(low, high, strict=True)]
@@ -103,8 +103,9 @@ def _inner_points(surface: Surface) -> Array:
 
 
 def _canal(points: Array) -> _Hole | None:
-    """Largest hole of plausible size seen through a bone, along the mean of the directions that
-    show it, or None.
+    """Return the largest hole of plausible size seen through a bone, or None.
+
+    It is seen along the mean of the directions that show it.
     """
     views = [_hole(points, axis) for axis in spread((np.arange(300) + 0.5) / 300.0, np.eye(3)[2])]
     views = [view for view in views if 0.0 < view.area < _CANAL_AREA[1]]
@@ -123,7 +124,7 @@ def _canal(points: Array) -> _Hole | None:
 
 
 def _hole(points: Array, axis: Array) -> _Hole:
-    """Largest hole in the shadow of points along a direction."""
+    """Find the largest hole in the shadow of points along a direction."""
     from scipy.ndimage import binary_closing, binary_fill_holes, label
 
     u, v = across(axis)
@@ -143,10 +144,10 @@ def _hole(points: Array, axis: Array) -> _Hole:
 
 
 def _vertebra_frame(surface: Surface, inner: Array, canal: _Hole) -> tuple[_Frame | None, str]:
-    """Left, forward and up of a vertebra, or what contradicts one.
+    """Return left, forward and up of a vertebra, or a reason why the bone is not a vertebra.
 
-    The body is in front. The pedicles leave its upper half and the arch hangs, which distinguishes
-    up from down.
+    The body is in front. The pedicles leave its upper half and the arch lies lower, which
+    distinguishes up from down.
     """
     to_middle = inner.mean(axis=0) - canal.point
     forward = to_middle - (to_middle @ canal.axis) * canal.axis
@@ -178,8 +179,9 @@ def _vertebra_frame(surface: Surface, inner: Array, canal: _Hole) -> tuple[_Fram
 
 
 def _sections(surface: Surface, frame: _Frame, sign: float) -> Array:
-    """Centroid [m] and area [mm2] of the largest bone section beside the canal, one for each mm
-    forward, shape (n, 4).
+    """Compute centroid [m] and area [mm2] of the largest bone section next to the canal.
+
+    There is one section for each mm forward, shape (n, 4).
 
     Sections that close the canal belong to the body or the arch and are left out.
     """
@@ -204,8 +206,9 @@ def _sections(surface: Surface, frame: _Frame, sign: float) -> Array:
 
 
 def _pedicle(surface: Surface, frame: _Frame, sign: float) -> tuple[Site, float]:
-    """Site where the axis of a pedicle leaves the bone behind, and the least depth of bone around
-    18 mm of the axis.
+    """Find the site where the axis of a pedicle leaves the bone at the back.
+
+    Also return the smallest depth of bone around 18 mm of the axis.
 
     The axis is the line with the most bone around it, which a surgeon drills along.
     """
@@ -215,13 +218,13 @@ def _pedicle(surface: Surface, frame: _Frame, sign: float) -> tuple[Site, float]
     start = sections[np.argmin(sections[:, 3]), :3]
 
     def line(numbers: Array) -> Array:
-        """Points of the line with an offset [mm] and slopes across the narrowest section."""
+        """Return points of the line with an offset [mm] and slopes across the narrowest section."""
         place = start + 1e-3 * np.array([numbers[0], 0.0, numbers[1]])
         points = place + _ALONG[:, None] * np.array([numbers[2], 1.0, numbers[3]])
         return np.asarray(points @ frame.axes.T + frame.origin)
 
     def cost(numbers: Array) -> float:
-        # Slopes above 0.7 leave the pedicle; the mean decides between lines of equal least depth.
+        # Slopes above 0.7 leave the pedicle; the mean decides between lines of equal depth.
         steep = max(float(np.abs(numbers[2:]).max()) - 0.7, 0.0)
         outside = triangle_distance(surface.vertices_m, surface.faces, line(numbers))
         return 1e3 * float(outside.max() + 0.01 * outside.mean()) + 100.0 * steep

@@ -1,6 +1,4 @@
-"""The working site on a bone surface: its centre and its axes, and samples of the surface around
-it.
-"""
+"""Working site on a bone surface: centre, axes, and samples of the surface around it."""
 
 from __future__ import annotations
 
@@ -42,7 +40,7 @@ _LEAST_ACROSS = 0.02  # sine of the smallest angle between x and the normal: one
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """Where to work on a surface.
+    """Working place on a surface.
 
     Attributes
     ----------
@@ -54,7 +52,7 @@ class Site:
         glenoid that was searched for y is superior, x anterior on a right scapula and posterior on
         a left one.
     confidence
-        How it was found and how sure that is, a sentence.
+        Method and confidence of the search, a sentence.
     """
 
     centre_m: NDArray[np.float64]
@@ -62,16 +60,16 @@ class Site:
     confidence: str
 
     def to_site(self, points_m: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Points [m], shape (n, 3), from the surface's frame to the site frame."""
+        """Convert points [m], shape (n, 3), from the surface's frame to the site frame."""
         return (np.asarray(points_m, dtype=np.float64) - self.centre_m) @ self.rotation
 
     def within(self, outer: Placement) -> Site:
-        """The same site in the frame of the file in which the frame of this one is placed."""
+        """Return this site in the frame of the file in which the site's frame is placed."""
         centre = 1e-3 * outer.origin_mm + outer.rotation @ self.centre_m
         return Site(centre, outer.rotation @ self.rotation, self.confidence)
 
     def placement(self, unit_mm: float) -> Placement:
-        """Where the site lies in a file with units of that length [mm]."""
+        """Return the placement of the site in a file with units of that length [mm]."""
         return Placement(1e3 * self.centre_m, self.rotation, unit_mm)
 
 
@@ -88,7 +86,7 @@ class FoundSite:
     second_score
         Score of the best place well apart from the site, 0 if no other place matches.
     second_centre_mm
-        That place [mm] in the frame of the surface, shape (3,), or None.
+        The second place [mm] in the frame of the surface, shape (3,), or None.
     """
 
     site: Site
@@ -117,8 +115,9 @@ class SurfaceSamples:
 def sample_surface(
     vertices: NDArray[np.float64], faces: NDArray[np.int64], count: int
 ) -> SurfaceSamples:
-    """Spread `count` points evenly by area, the same ones every time (Kronecker sequence within
-    the triangles).
+    """Spread `count` points evenly by area.
+
+    The points are the same in every call (Kronecker sequence within the triangles).
     """
     total = np.cumsum(triangle_areas(vertices, faces))
     chosen = np.searchsorted(total, (np.arange(count) + 0.5) / count * total[-1])
@@ -138,7 +137,7 @@ def sample_surface(
 
 
 def refusal(surface: Surface, what: str, got: str) -> InputError:
-    """Error of a search that did not find its landmark."""
+    """Return the error of a search that did not find its landmark."""
     return InputError(
         "file",
         f"show a {what}",
@@ -148,14 +147,17 @@ def refusal(surface: Surface, what: str, got: str) -> InputError:
 
 
 def across(axis: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Two unit vectors at right angles to an axis and to each other."""
+    """Return two unit vectors at right angles to an axis and to each other."""
     u = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     u /= np.linalg.norm(u)
     return u, np.cross(axis, u)
 
 
 def spread(heights: NDArray[np.floating], axis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit vectors on a golden-angle spiral, given their cosines with an axis, shape (n, 3)."""
+    """Return unit vectors on a golden-angle spiral, shape (n, 3).
+
+    Their cosines with an axis are given.
+    """
     u, v = across(axis)
     angle = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(len(heights))
     around = np.outer(np.cos(angle), u) + np.outer(np.sin(angle), v)
@@ -169,7 +171,7 @@ def place_site(
     normal: Sequence[float] | None = None,
     along: Sequence[float] | None = None,
 ) -> Site:
-    """Site at a given point of any bone.
+    """Return the site at a given point of any bone.
 
     Parameters
     ----------
@@ -210,7 +212,7 @@ def site_along(
     along: Sequence[float] | None = None,
     long_axis: NDArray[np.float64] | None = None,
 ) -> Site:
-    """Site where the line through a point [m] along a unit normal leaves the bone.
+    """Return the site where the line through a point [m] along a unit normal leaves the bone.
 
     Parameters
     ----------
@@ -219,7 +221,7 @@ def site_along(
     centre, normal
         Point [m] and unit normal, shapes (3,).
     note
-        How the site was found.
+        Method that found the site.
     along
         Direction that becomes x. None: y leads along `long_axis`, if any, and away from the middle
         of the bone.
@@ -229,7 +231,7 @@ def site_along(
     Raises
     ------
     InputError
-        If the line leaves the bone nowhere within 10 mm of the point, or `along` is along the
+        If the line does not leave the bone within 10 mm of the point, or `along` is along the
         normal.
     """
     if along is None:
@@ -241,8 +243,9 @@ def site_along(
 
 
 def axes_along(normal: NDArray[np.float64], along: Sequence[float]) -> NDArray[np.float64]:
-    """Axes as columns, shape (3, 3): z the unit vector `normal`, x as close to the direction
-    `along` as it can be.
+    """Return axes as columns, shape (3, 3), with z along a normal.
+
+    z is the unit vector `normal`, x is as close to the direction `along` as possible.
 
     Raises
     ------
@@ -263,8 +266,9 @@ def axes_along(normal: NDArray[np.float64], along: Sequence[float]) -> NDArray[n
 
 
 def normal_near(samples: SurfaceSamples, centre: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean unit normal of the surface within 3 mm of its point nearest to `centre` [m], shape
-    (3,).
+    """Compute the mean unit normal of the surface, shape (3,).
+
+    It is the mean within 3 mm of the surface point nearest to `centre` [m].
     """
     distance = np.linalg.norm(samples.points - centre, axis=1)
     nearest = int(np.argmin(distance))
@@ -279,8 +283,9 @@ def _axes(
     to_middle: NDArray[np.float64],
     long_axis: NDArray[np.float64] | None,
 ) -> NDArray[np.float64]:
-    """Site axes as columns: z along `normal`, y along the face's long axis and away from the middle
-    of the bone.
+    """Return site axes as columns: z along `normal`, y along the face's long axis.
+
+    y points away from the middle of the bone.
 
     The body of the scapula lies below the glenoid, so superior is away from the middle of its
     surface.
@@ -300,8 +305,9 @@ def _axes(
 def exits(
     surface: Surface, point: NDArray[np.float64], rotation: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Heights over a point along the z of `rotation` at which that line leaves the bone [m],
-    shape (k,).
+    """Return heights at which a line leaves the bone [m], shape (k,).
+
+    The line passes through a point along the z of `rotation`.
     """
     on_line = np.array([1e-9])  # off the axis, where edges of symmetric meshes lie
     found = column_crossings(
@@ -313,7 +319,10 @@ def exits(
 def _on_surface(
     surface: Surface, centre: NDArray[np.float64], rotation: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Point where the axis through `centre` leaves the bone, the nearest such within 10 mm."""
+    """Find the point where the axis through `centre` leaves the bone.
+
+    It is the nearest such point within 10 mm.
+    """
     leaving = exits(surface, centre, rotation)
     nearest = float(leaving[np.argmin(np.abs(leaving))]) if len(leaving) else np.inf
     if abs(nearest) > _FARTHEST_M:

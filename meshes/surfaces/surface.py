@@ -1,5 +1,6 @@
-"""A bone surface from a file: read, given a unit, repaired, and refused where it encloses no
-solid.
+"""Bone surface from a file: read, given a unit and repaired.
+
+A surface that encloses no solid is refused.
 """
 
 from dataclasses import dataclass
@@ -27,8 +28,9 @@ _MERGE_TOLERANCE = 1e-6
 _DEBRIS_AREA = 0.01
 _HOLE_AREA = 0.03
 _CAP_M2 = 1e-5
-"""A hole of more area is listed as a cap: what closes it is a guess, which matters where a tool
-goes.
+"""Area above which a hole is listed as a cap [m2].
+
+The shape of a cap is a guess, which matters where a tool works.
 """
 _FLATTEST = 1e-3
 _TURNED = "Turned the surface outward: it was wound inward."
@@ -44,22 +46,22 @@ _TYPICAL_BONE_MM = 140.0
 
 @dataclass(frozen=True)
 class SurfaceReport:
-    """What was found in a surface file and done to it.
+    """Findings in a surface file and changes made to it.
 
     Attributes
     ----------
     source
-        File name, or what the surface was made from.
+        File name, or the origin of the surface.
     scale_mm
         Millimetres per unit of the file.
     unit_guess
-        How the unit was chosen, a phrase.
+        Method that chose the unit, a phrase.
     size_mm
         Sides of the bounding box [mm].
     volume_mm3
         Volume enclosed [mm3].
     repairs, turned
-        What was changed, a sentence each, and how many triangles or whole bodies were turned.
+        Changes, a sentence each, and the number of triangles or whole bodies turned.
     """
 
     source: str
@@ -82,13 +84,13 @@ class Surface:
     faces
         Vertex numbers of the triangles, shape (m, 3), int64.
     report
-        Where it came from and what was done to it.
+        Origin of the surface and changes made to it.
     caps_m
-        Points [m], shape (k, 3), of each face laid over a hole of more than 10 mm2, where the scan
-        of the bone may end.
+        Points [m], shape (k, 3), of each face that closes a hole of more than 10 mm2, where the
+        scan of the bone may end.
     scanned
-        Vertices [m] and triangles without what was laid over holes, from which a site takes its
-        axes.
+        Vertices [m] and triangles without the faces that close holes. A site takes its axes from
+        them.
     """
 
     vertices_m: NDArray[np.float64]
@@ -115,11 +117,11 @@ def read_surface(
         Millimetres per unit of the file; None: guessed from the longest side of the bounding box (5
         to 700: millimetres; 0.005 to 0.7: metres; anything else is refused).
     cut_off
-        Whether the bone may end at the edge of its scan: a large hole is closed by a face, where
-        else it is refused.
+        Whether the bone may end at the edge of its scan. If so, a large hole is closed by a face;
+        otherwise it is refused.
     every_piece
-        Whether loose pieces stay however small they are, where else those below 1 % of the largest
-        one's area go.
+        Whether all loose pieces are kept. If not, pieces below 1 % of the largest piece's area are
+        dropped.
 
     Raises
     ------
@@ -148,8 +150,9 @@ def surface_from_triangles(
     cut_off: bool = False,
     every_piece: bool = False,
 ) -> Surface:
-    """Make triangles enclose a solid: one unit, vertices merged, debris dropped, wound outward,
-    small holes filled.
+    """Make triangles enclose a solid.
+
+    The result has one unit, merged vertices, no debris, outward winding and no small holes.
 
     Parameters
     ----------
@@ -213,9 +216,10 @@ def _repaired(
     tuple[NDArray[np.float64], ...],
     int,
 ]:
-    """Vertices [m] and triangles of a closed surface wound outward, its volume [m3], what was done,
-    how many triangles or bodies were turned, faces over holes, and how many triangles come before
-    these.
+    """Repair a surface so that it is closed and wound outward.
+
+    Return its vertices [m] and triangles, its volume [m3], the changes, the number of triangles or
+    bodies turned, the faces over holes, and the number of triangles before those faces.
     """
     repairs = []
     before = len(vertices)
@@ -276,18 +280,23 @@ def _require_thickness(points: NDArray[np.float64], longest: float, source: str)
 
 
 def _sides(points: NDArray[np.float64]) -> list[float]:
-    """Sides of the bounding box; by column, where NumPy is slow along the rows of many points."""
+    """Compute the sides of the bounding box.
+
+    It works by column, because NumPy is slow along the rows of many points.
+    """
     return [float(column.max() - column.min()) for column in points.T]
 
 
 def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, str]:
-    """Millimetres per file unit and how they were found, for a longest side in file units.
+    """Return millimetres per file unit and how they were found.
+
+    The unit is found from the longest side in file units.
 
     Raises
     ------
     InputError
-        If the scale given makes a bone of impossible size, or none is given where the size leaves
-        the unit open.
+        If the scale given makes a bone of impossible size, or no scale is given and the size does
+        not determine the unit.
     """
     plain = [scale for _, scale, lowest, highest in _UNITS if lowest <= longest <= highest]
     suggestion = plain[0] if plain else float(f"{_TYPICAL_BONE_MM / longest:.2g}")
@@ -328,7 +337,7 @@ def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, s
 
 
 def _length(millimetres: float) -> str:
-    """Length in the unit a person would use."""
+    """Format a length in the unit a user would choose."""
     for name, factor in (("km", 1e6), ("m", 1e3), ("mm", 1.0)):
         if millimetres >= factor:
             return f"{millimetres / factor:.3g} {name}"

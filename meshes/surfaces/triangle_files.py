@@ -18,7 +18,7 @@ __all__ = ["SURFACE_SUFFIXES", "read_triangles", "require_triangles"]
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
 _HEADER = 84
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-"""Of binary STL: bytes before the triangles, and what each holds."""
+"""Binary STL: bytes before the triangles, and the record of a triangle."""
 _IGNORED = frozenset(
     ("vt", "vn", "vp", "p", "l", "g", "s", "mg", "o", "usemtl", "mtllib", "usemap", "maplib", "lod")
 )
@@ -59,8 +59,8 @@ def read_triangles(file: Path) -> Triangles:
     Raises
     ------
     InputError
-        If the file is missing, empty, of unknown format or not readable, or a triangle names no
-        vertex of it.
+        If the file is missing, empty, of unknown format or not readable, or a triangle names a
+        vertex that does not exist.
     """
     if file.suffix.lower() not in SURFACE_SUFFIXES:
         raise InputError(
@@ -94,7 +94,7 @@ def _stored(file: Path) -> tuple[NDArray[np.number], NDArray[np.number]]:
     try:
         import trimesh
 
-        # A PLY file may name a texture that is not there, of which trimesh would print a traceback.
+        # A PLY file may name a missing texture, for which trimesh would print a traceback.
         options: dict[str, Any] = {"skip_materials": True} if kind == "PLY" else {}
         mesh: Any = trimesh.load(file, force="mesh", process=False, **options)
         return mesh.vertices, mesh.faces
@@ -108,7 +108,7 @@ def _stored(file: Path) -> tuple[NDArray[np.number], NDArray[np.number]]:
 
 
 def require_triangles(vertices: NDArray[np.number], faces: NDArray[np.number], source: str) -> None:
-    """Refuse triangles that are none, or that name vertices which are not there."""
+    """Refuse an empty set of triangles, and triangles that name vertices which do not exist."""
     if len(vertices) == 0 or len(faces) == 0:
         raise InputError(
             "file",
@@ -135,7 +135,7 @@ def require_triangles(vertices: NDArray[np.number], faces: NDArray[np.number], s
 
 
 def _read_binary_stl(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
-    """Corners, shape (3 m, 3), and triangles, shape (m, 3), of a file; None of one in text."""
+    """Return corners, shape (3 m, 3), and triangles, shape (m, 3), of a file; None for text."""
     size = file.stat().st_size
     with file.open("rb") as stored:
         head = stored.read(_HEADER)
@@ -158,8 +158,9 @@ def _read_binary_stl(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]
 
 
 def _require_whole_ply(file: Path) -> None:
-    """Refuse a PLY file in text that is not as long as its header states; binary ones are
-    checked as they are read.
+    """Refuse a PLY file in text whose length differs from its header.
+
+    Binary files are checked as they are read.
     """
     with file.open("rb") as stored:
         head = [
@@ -181,8 +182,9 @@ def _require_whole_ply(file: Path) -> None:
 
 
 def _read_obj(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices, shape (n, 3), and triangles, shape (m, 3), of OBJ; polygons become fans about
-    their first corner.
+    """Read vertices, shape (n, 3), and triangles, shape (m, 3), of an OBJ file.
+
+    Polygons become fans about their first corner.
     """
     lines = (
         file.read_bytes().decode("latin-1").replace("\\\r\n", " ").replace("\\\n", " ").splitlines()
@@ -219,7 +221,7 @@ def _vertex(rest: str) -> list[float]:
 
 
 def _polygon(rest: str, count: int) -> list[int]:
-    """Vertex numbers from 0 of a polygon after so many vertices."""
+    """Return the vertex numbers, from 0, of a polygon after `count` vertices."""
     try:
         numbers = [whole_number_in(each) for each in _FURTHER.sub("", rest).split()]
     except ValueError:

@@ -1,9 +1,10 @@
-"""What VTK's readers find in a file; run by `meshes.base.isolated_parser`, since a damaged file can
-end the process.
+"""Reading of files by VTK in a separate process.
 
-The readers complain on VTK's output window and go on with arrays half filled, so a complaint counts
-as a failure here. Cells are checked before any filter sees them, which would copy what lies beyond
-the points.
+It is run by `meshes.base.isolated_parser`, because a damaged file can end the process.
+
+The readers print errors to VTK's output window and continue with half-filled arrays, so every
+printed error counts as a failure here. Cells are checked before any filter runs, because a filter
+would copy memory beyond the points.
 """
 
 import re
@@ -45,7 +46,7 @@ _HEADING = re.compile(
 
 
 def read_vtk(file: Path) -> Any:
-    """Dataset that pyvista reads from a file, its cells checked.
+    """Return the dataset that pyvista reads from a file, with its cells checked.
 
     Raises
     ------
@@ -78,11 +79,12 @@ def read_vtk(file: Path) -> Any:
 
 
 def check_vtk(folder: Path, arrays_by_file: dict[str, list[str]]) -> Answer:
-    """Read files of a folder, and refuse those that are damaged or lack one of the arrays that they
-    should hold.
+    """Read files of a folder, and refuse those that are damaged or incomplete.
 
-    Where ``layer`` is among them, it must count into the field ``layer_names``. What is found is
-    not handed back.
+    A file is incomplete if it lacks one of the arrays that it should hold.
+
+    Where ``layer`` is among them, it must count into the field ``layer_names``. The content is not
+    returned.
     """
     for name, wanted in arrays_by_file.items():
         try:
@@ -103,14 +105,15 @@ def check_vtk(folder: Path, arrays_by_file: dict[str, list[str]]) -> Answer:
 
 
 def vtk_triangles(file: Path) -> Answer:
-    """Arrays ``points``, shape (n, 3), and ``triangles``, shape (m, 3), of the surface of what a
-    file holds.
+    """Return the arrays of the surface of a file.
+
+    They are ``points``, shape (n, 3), and ``triangles``, shape (m, 3).
     """
     return {}, _triangles(read_vtk(file))
 
 
 def vtk_mesh(file: Path) -> Answer:
-    """Arrays of the mesh in a file, as of `mesh_arrays`."""
+    """Return the arrays of the mesh in a file, see `mesh_arrays`."""
     import pyvista
 
     data = read_vtk(file)
@@ -118,7 +121,7 @@ def vtk_mesh(file: Path) -> Answer:
 
 
 def mesh_arrays(data: Any) -> Answer:
-    """Arrays ``points`` and ``tets`` with arrays over them, or else ``points`` and ``triangles``.
+    """Return arrays ``points`` and ``tets`` with cell data, or ``points`` and ``triangles``.
 
     Facts of tetrahedra: ``others``, the number of cells that are not; ``quadratic``, whether some
     had more than corners; ``names`` of the arrays over them, which are ``cells 0``, ``cells 1``,
@@ -167,8 +170,9 @@ def _triangles(data: Any) -> dict[str, NDArray[np.number]]:
 def _require_cells(
     cells: Any, file: Path, point_count: int, kinds: NDArray[np.integer] | None = None
 ) -> None:
-    """Refuse cells that name points which are not there, or have another number of them than
-    their type.
+    """Refuse cells that name points which do not exist.
+
+    Also refuse cells with another number of points than their type.
     """
     from vtkmodules.util.numpy_support import vtk_to_numpy
 

@@ -1,10 +1,11 @@
-"""Tetrahedra halved at their longest edges until they are as small as wanted.
+"""Refinement of tetrahedra by halving them at their longest edges.
 
-An edge that is the longest of every tetrahedron around it is split at its middle, and so are all of
-these: the mesh stays conforming without any repair. Where a tetrahedron with an edge to split has a
-longer one, that one goes first (Rivara 1997, Int. J. Numer. Methods Eng. 40:3313). Shapes stay
-bounded. The surface stays where it was, or its nodes go onto a given one: flat triangles 20 mm long
-lie up to 0.8 mm below a surface of 60 mm radius, however they are divided.
+An edge that is the longest of every tetrahedron around it is split at its middle, and so are these
+tetrahedra. The mesh stays conforming without any repair. Where a tetrahedron with an edge to split
+has a longer edge, the longer edge is split first (Rivara 1997, Int. J. Numer. Methods Eng.
+40:3313). Shapes stay bounded. The surface stays in place, or its nodes are moved onto a given
+surface. Flat triangles 20 mm long lie up to 0.8 mm below a surface of 60 mm radius, for any
+division.
 """
 
 from collections.abc import Callable
@@ -22,8 +23,9 @@ Move = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """Points [m], shape (n, 3), to points [m] of that shape."""
 _MOST_CELLS = 5_000_000
 _LEAST_VOLUME = 0.5
-"""A node goes onto the surface only where every tetrahedron around it keeps this share of its
-volume.
+"""Share of its volume that every tetrahedron around a node must keep when the node is moved.
+
+A node is moved onto the surface only if every tetrahedron does.
 """
 
 
@@ -33,8 +35,9 @@ def bisected(
     *,
     onto: Move | None = None,
 ) -> TetMesh:
-    """Mesh in which no edge is longer than wanted at its middle; nodes of the first keep their
-    numbers.
+    """Return a mesh in which no edge is longer than wanted at its middle.
+
+    Nodes of the first mesh keep their numbers.
 
     Parameters
     ----------
@@ -43,8 +46,8 @@ def bisected(
     size_m
         Longest edge wanted [m], shape (n,), at points [m], shape (n, 3).
     onto
-        Nearest points of the surface that the mesh stands for; its surface nodes, old and new, are
-        moved there.
+        Function that returns the nearest points of the surface that the mesh represents. The mesh's
+        surface nodes, old and new, are moved there.
 
     Raises
     ------
@@ -79,7 +82,7 @@ def bisected(
         longest = np.take_along_axis(edge, place[:, None], axis=1)[:, 0]
         around = np.bincount(edge.ravel(), minlength=len(keys))
         marked = length > wanted
-        while True:  # what blocks a long edge has to go first
+        while True:  # edges that block a long edge are split first
             waiting = np.zeros(len(keys), dtype=bool)
             waiting[longest[marked[edge].any(axis=1)]] = True
             if not (waiting & ~marked).any():
@@ -112,8 +115,9 @@ def bisected(
 def _moved(
     nodes: NDArray[np.float64], cells: NDArray[np.int64], chosen: NDArray[np.int64], onto: Move
 ) -> NDArray[np.float64]:
-    """Nodes with the chosen ones on the surface, but for those whose move would flatten a
-    tetrahedron.
+    """Move the chosen nodes onto the surface.
+
+    Nodes whose move would flatten a tetrahedron stay in place.
     """
     moved = nodes.copy()
     before = signed_volumes(nodes, cells)

@@ -29,16 +29,18 @@ Cells = NDArray[np.int64]
 
 
 def signed_volumes(nodes: Nodes, cells: Cells) -> NDArray[np.float64]:
-    """Volume of each tetrahedron in cubed units of the nodes, negative where it is inverted,
-    shape (m,).
+    """Compute the volume of each tetrahedron in cubed units of the nodes, shape (m,).
+
+    It is negative where a tetrahedron is inverted.
     """
     a, b, c, d = (nodes[cells[:, i]] for i in range(4))
     return np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a)) / 6.0
 
 
 def mean_ratio(nodes: Nodes, cells: Cells) -> NDArray[np.float64]:
-    """Quality of each tetrahedron, shape (m,): 12 (3 V)^(2/3) over the sum of squared edges (Liu
-    and Joe, 1994).
+    """Compute the mean ratio quality of each tetrahedron, shape (m,).
+
+    It is 12 (3 V)^(2/3) over the sum of squared edges (Liu and Joe, 1994).
 
     1 for a regular tetrahedron, 0 for a flat one, negative for an inverted one; 0.84 for the corner
     of a cube.
@@ -51,16 +53,18 @@ def mean_ratio(nodes: Nodes, cells: Cells) -> NDArray[np.float64]:
 
 
 def flatness(nodes: Nodes, cells: Cells) -> NDArray[np.float64]:
-    """Six volumes over the cube of the longest edge, without sign, shape (m,): 0.71 for a
-    regular tetrahedron.
+    """Compute six volumes over the cube of the longest edge, without sign, shape (m,).
+
+    It is 0.71 for a regular tetrahedron.
     """
     longest = np.sqrt(_edge_squares(nodes, cells).max(axis=0))
     return 6.0 * np.abs(signed_volumes(nodes, cells)) / np.maximum(longest, 1e-300) ** 3
 
 
 def cell_faces(cells: Cells) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """All faces of all cells, four a cell, wound outward; the number of each face and how many
-    cells share it.
+    """Return all faces of all cells, four per cell, wound outward.
+
+    Also return the number of each face and the number of cells that share it.
 
     Returns
     -------
@@ -75,8 +79,9 @@ def cell_faces(cells: Cells) -> tuple[NDArray[np.int64], NDArray[np.int64], NDAr
 
 
 def pieces(cells: Cells) -> NDArray[np.int64]:
-    """Number of the piece of each cell, shape (m,): cells of a piece are linked through whole
-    faces.
+    """Return the number of the piece of each cell, shape (m,).
+
+    Cells of a piece are linked through whole faces.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -92,24 +97,24 @@ def pieces(cells: Cells) -> NDArray[np.int64]:
 
 
 def pinched_edges(surface: Cells) -> NDArray[np.int64]:
-    """Edges that more than two of the triangles share, shape (k, 2)."""
+    """Return edges that more than two of the triangles share, shape (k, 2)."""
     edges, uses = np.unique(np.sort(directed_edges(surface), axis=1), axis=0, return_counts=True)
     return edges[uses > 2]
 
 
 def _edge_squares(nodes: Nodes, cells: Cells) -> NDArray[np.float64]:
-    """Squared length of each edge, shape (6, m)."""
+    """Compute the squared length of each edge, shape (6, m)."""
     return np.stack(
         [((nodes[cells[:, i]] - nodes[cells[:, j]]) ** 2).sum(axis=1) for i, j in EDGES]
     )
 
 
 def millimetres(points_m: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Mean of points [m], shape (n, 3), in mm."""
+    """Return the mean of points [m], shape (n, 3), in mm."""
     x, y, z = 1e3 * points_m.mean(axis=0)
     return float(x), float(y), float(z)
 
 
 def place(at_mm: tuple[float, ...]) -> str:
-    """Place [mm] as a person reads it."""
+    """Format a place [mm] for users."""
     return in_brackets(at_mm, ".3g")

@@ -43,21 +43,23 @@ PART_ARRAYS = (
     "material",
     "label",
 )
-"""Arrays of integers over the cells that give the parts, by the names that meshers write, the
-likeliest first.
+"""Names of cell arrays of integers that give the parts, the most likely first.
+
+They are the names that meshers write.
 """
 MOST_PARTS = 64
-"""An array of more values than these is no list of parts."""
+"""Largest number of values of an array that lists parts."""
 SIZES_MM = (1.5, 1500.0)
-"""Longest side of what is pressed [mm]: below it a size in metres is likelier, beyond it one in
-micrometres.
+"""Range of the longest side of a plausible organ [mm].
+
+Below it a size in metres is likelier, above it one in micrometres.
 """
 _NO_FACES = np.zeros((0, 3), dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
 class TetFile:
-    """A mesh read from a file and how it came to be.
+    """Mesh read from a file, with notes on how it was made.
 
     Attributes
     ----------
@@ -66,9 +68,10 @@ class TetFile:
     unit_mm
         Millimetres per unit of the file.
     sentences
-        The unit, what was found and what was done, a sentence each.
+        The unit, findings and changes, a sentence each.
     surface
-        The surface in which the tetrahedra were made here; None of tetrahedra as they were stored.
+        The surface in which the tetrahedra were made here; None for tetrahedra as stored in the
+        file.
     """
 
     mesh: TetMesh
@@ -97,12 +100,12 @@ def read_tets(
     path
         File; its suffix names the format.
     unit_mm
-        Millimetres per unit of the file. None: millimetres or metres, whichever makes the longest
-        side 20 to 450 mm.
+        Millimetres per unit of the file. None: millimetres or metres, the unit that makes the
+        longest side 20 to 450 mm.
     edge_m
         Edge of the tetrahedra that fill a surface [m]; None: about 30,000 of them.
     report
-        Called with what is being done and the share of it that is done (0 to 1).
+        Called with the name of the current task and the finished fraction of it (0 to 1).
 
     Raises
     ------
@@ -143,13 +146,19 @@ def read_tets(
 
 
 def read_stored(file: Path) -> StoredMesh:
-    """What a mesh file holds, in its units and as it numbers its nodes; raises as `read_tets`."""
+    """Read the content of a mesh file, in its units and with its node numbers.
+
+    It raises the same errors as `read_tets`.
+    """
     require_file(file, "a mesh")
     return read_msh(file) if file.suffix.lower() == ".msh" else _from_vtk(file)
 
 
 def _unit(size: NDArray[np.float64], unit_mm: float | None, name: str) -> tuple[float, str]:
-    """Millimetres per file unit and a sentence on how they were found, for a box in file units."""
+    """Return millimetres per file unit, for a box in file units, and a note.
+
+    The note is a sentence on how the unit was found.
+    """
     longest = float(size.max())
     if unit_mm is None:
         for scale, unit in _UNITS:
@@ -176,7 +185,7 @@ def _unit(size: NDArray[np.float64], unit_mm: float | None, name: str) -> tuple[
 
 
 def _from_vtk(file: Path) -> StoredMesh:
-    """A file as pyvista reads it."""
+    """Read a file by pyvista."""
     remedy = "export it as .vtu, .vtk, .msh or .stl"
     found = _of_arrays(
         *parse_isolated("meshes.surfaces.vtk_reading:vtk_mesh", file, what="mesh", remedy=remedy),
@@ -192,7 +201,7 @@ def _from_vtk(file: Path) -> StoredMesh:
 def _of_arrays(
     facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], source: str
 ) -> StoredMesh:
-    """Mesh of what `meshes.surfaces.vtk_reading.mesh_arrays` returns."""
+    """Build a mesh from the arrays of `meshes.surfaces.vtk_reading.mesh_arrays`."""
     none = np.zeros((0, 4), dtype=np.int64)
     tets = arrays.get("tets", none)
     known: dict[int, str] = {}
@@ -211,16 +220,16 @@ def _of_arrays(
 
 @dataclass(frozen=True, eq=False)
 class GivenTets:
-    """A mesh as the caller has it, and as it is solved.
+    """Mesh as given by the caller, and as solved.
 
     Attributes
     ----------
     points_mm
         Points as the caller numbers them [mm], shape (n, 3).
     mesh
-        Tetrahedra, repaired where they had to be [m].
+        Tetrahedra, repaired where necessary [m].
     sentences
-        What was found and done, a sentence each.
+        Findings and changes, a sentence each.
     """
 
     points_mm: NDArray[np.float64]
@@ -231,7 +240,7 @@ class GivenTets:
 def given_tets(
     mesh: object, *, scale_mm: float | None = None, part_names: Mapping[int, str] | None = None
 ) -> GivenTets:
-    """Tetrahedra of whatever holds them.
+    """Return tetrahedra from any supported mesh object or file.
 
     Parameters
     ----------
@@ -241,7 +250,7 @@ def given_tets(
         .mesh). The parts are an array over the cells named ``part`` or as meshers name them, of
         numbers or of names.
     scale_mm
-        Millimetres per unit of the mesh; None: it is in millimetres, which its size must bear out.
+        Millimetres per unit of the mesh; None: the mesh is in millimetres; its size is checked.
     part_names
         Names of numbered parts.
 
@@ -273,13 +282,14 @@ def given_tets(
 
 
 def require_millimetres(name: str, points: NDArray[np.float64], scale_mm: float | None) -> float:
-    """Millimetres per unit of points, shape (n, 3): as given, or 1 where their size is one in
-    millimetres.
+    """Return millimetres per unit of points, shape (n, 3).
+
+    The value is the given one, or 1 if the size of the points is plausible in millimetres.
 
     Raises
     ------
     InputError
-        If it is not, naming the scale that would do.
+        If the size is not plausible. The message names a scale that is.
     """
     if scale_mm is not None:
         return require_positive("scale_mm", scale_mm, "use 1 for millimetres, 1000 for metres")
@@ -296,7 +306,7 @@ def require_millimetres(name: str, points: NDArray[np.float64], scale_mm: float 
 
 
 def _stored(mesh: object) -> StoredMesh:
-    """Points, tetrahedra and parts of whatever holds them."""
+    """Return points, tetrahedra and parts of any supported mesh object."""
     if isinstance(mesh, str | Path):
         with names_of_caller({"file": "mesh"}):
             return read_stored(Path(mesh))
@@ -329,7 +339,10 @@ def _stored(mesh: object) -> StoredMesh:
 
 
 def _of_blocks(mesh: Any) -> StoredMesh:
-    """Tetrahedra of a mesh of meshio: blocks of cells with a type, arrays over them by name."""
+    """Return tetrahedra of a mesh of meshio.
+
+    The mesh holds blocks of cells with a type, and arrays over them by name.
+    """
     chosen = [k for k, block in enumerate(mesh.cells) if block.type in ("tetra", "tetra10")]
     tets = [np.asarray(mesh.cells[k].data)[:, :4] for k in chosen]
     if not tets:
@@ -351,9 +364,9 @@ def _of_blocks(mesh: Any) -> StoredMesh:
 def _parts(
     data: Mapping[str, NDArray[Any]], count: int, named: dict[int, str]
 ) -> tuple[NDArray[np.int64], dict[int, str]]:
-    """Number of each cell's part, shape (m,), and the names of the numbers.
+    """Return the number of each cell's part, shape (m,), and the names of the numbers.
 
-    Names that count from 0 belong to the array ``part``; so do those of meshio to its
+    Names that count from 0 belong to the array ``part``. Names from meshio belong to its array
     ``gmsh:physical``.
     """
     for array in PART_ARRAYS:

@@ -1,5 +1,6 @@
-"""Gmsh files of versions 1 and 2 in text, which the libraries at hand read not at all or only
-with a further one.
+"""Gmsh files of versions 1 and 2 in text.
+
+The available libraries do not read them, or only with an additional library.
 """
 
 from collections.abc import Mapping
@@ -23,7 +24,7 @@ _OPENINGS = {"$NOD": 1, "$MeshFormat": 2}
 
 @dataclass(frozen=True, eq=False)
 class StoredMesh:
-    """What a file holds, in its units.
+    """Content of a file, in its units.
 
     Attributes
     ----------
@@ -34,9 +35,9 @@ class StoredMesh:
     part
         Part of each tetrahedron, 0 for none, shape (m,).
     names
-        Names of the parts that have one.
+        Names of the parts that have a name.
     notes
-        What was left out, a sentence each.
+        Omitted content, a sentence each.
     """
 
     points: NDArray[np.float64]
@@ -121,7 +122,7 @@ def read_msh(file: Path) -> StoredMesh:
 
 
 def _section(lines: list[str], opening: str) -> list[str]:
-    """Lines of a section after its count, as many as the count states."""
+    """Return the lines of a section after its count, as many as the count states."""
     start = lines.index(opening)
     count = whole_number_in(lines[start + 1])
     body = lines[start + 2 : start + 2 + count]
@@ -150,7 +151,7 @@ def _of_kind(
 
 
 def _names(lines: list[str], file: Path) -> dict[int, str]:
-    """Names of physical volumes: dimension, number, "name"."""
+    """Read names of physical volumes: dimension, number, "name"."""
     names: dict[int, str] = {}
     for line in lines:
         dimension, number, name = line.split(maxsplit=2)
@@ -164,12 +165,12 @@ def _names(lines: list[str], file: Path) -> dict[int, str]:
 
 
 def part_name(text: str, known: Mapping[int, str], what: str, remedy: str) -> str:
-    """Name of a part as a file has it, which no other part has.
+    """Return the name of a part as a file has it, which no other part has.
 
     Raises
     ------
     InputError
-        If it is empty, too long, or that of another.
+        If the name is empty, too long, or used by another part.
     """
     shown = visible(text).replace("\n", " ").strip()
     if not shown or len(shown) > _LONGEST_NAME or shown in known.values() or shown == "none":

@@ -1,5 +1,6 @@
-"""Tetrahedra made fit for a stiffness matrix: found, located, repaired by a stated rule, or
-refused.
+"""Check and repair of tetrahedra for use in a stiffness matrix.
+
+Defects are found, located, and repaired by a stated rule or refused.
 
 ==============  =====================================================  ================================================
 what            when                                                   rule
@@ -13,8 +14,7 @@ flat            6 V below 1e-6 of the longest edge cubed               dropped a
 debris          pieces linked by faces, below 1 % of the largest       dropped
 sliver          mean ratio below 0.1                                   inner nodes moved; the rest is kept, reported
 pinched edges   surface edges of more than two triangles               kept and reported
-==============  =====================================================
-================================================
+==============  =====================================================  ================================================
 """  # noqa: E501 a table
 
 from dataclasses import dataclass
@@ -54,8 +54,9 @@ _SMALLEST_STEP = 0.004
 
 @dataclass(frozen=True, eq=False)
 class TetReport:
-    """What was found in a tetrahedral mesh and done to it; places in mm in the frame of the mesh,
-    empty if nowhere.
+    """Defects found in a tetrahedral mesh and repairs made to it.
+
+    Places are in mm in the frame of the mesh, empty if there is no place.
 
     Attributes
     ----------
@@ -89,7 +90,7 @@ class TetReport:
         return int((mean_ratio(self.mesh.nodes_m, self.mesh.cells) < SLIVER).sum())
 
     def sentences(self) -> tuple[str, ...]:
-        """What was found and done, a sentence each; the first describes the mesh itself."""
+        """Describe defects and repairs, a sentence each; the first describes the mesh itself."""
         nodes = self.mesh.nodes_m
         cells = self.mesh.cells
         volumes = self.mesh.volumes_m3
@@ -163,7 +164,7 @@ def repair_tets(
     part: NDArray[np.integer] | None = None,
     part_names: tuple[str, ...] = ("body",),
 ) -> tuple[TetMesh, TetReport]:
-    """Mesh of positive tetrahedra in one piece, and what was done, by the rules above.
+    """Return a mesh of positive tetrahedra in one piece, and the repairs, by the rules above.
 
     Parameters
     ----------
@@ -177,7 +178,8 @@ def repair_tets(
     Raises
     ------
     InputError
-        If nodes are not finite, cells name none or overlap, or flat tetrahedra cannot be repaired.
+        If nodes are not finite, cells name nodes that do not exist or overlap, or flat tetrahedra
+        cannot be repaired.
     """
     nodes = np.asarray(nodes_m, dtype=np.float64)
     tets = np.asarray(cells, dtype=np.int64)
@@ -232,7 +234,7 @@ def _centre_mm(
 def _joined(
     nodes: NDArray[np.float64], cells: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Nodes that no cell uses dropped, nodes on one point joined."""
+    """Drop nodes that no cell uses, and join nodes on one point."""
     points, cells = compact(nodes, cells)
     keys = np.round(
         (points - points.min(axis=0)) / (_COINCIDENT * float(np.ptp(points, axis=0).max()) + 1e-300)
@@ -244,8 +246,9 @@ def _joined(
 def _without_flat(
     nodes: NDArray[np.float64], cells: NDArray[np.int64], parts: NDArray[np.uint8]
 ) -> tuple[NDArray[np.int64], NDArray[np.uint8], int]:
-    """Flat cells with a face on the surface peeled off, as long as no new edge is pinched and no
-    piece comes loose.
+    """Remove flat cells with a face on the surface.
+
+    They are removed as long as no new edge is pinched and no piece comes loose.
     """
     dropped = 0
     while True:
@@ -265,7 +268,7 @@ def _without_flat(
 
 
 def _flat_turned(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Flat cells, whose own volume has no sign, turned where their solid neighbours require it."""
+    """Turn flat cells, whose own volume has no sign, to agree with their solid neighbours."""
     flat = flatness(nodes, cells) < FLAT
     if not flat.any():
         return cells
@@ -277,7 +280,7 @@ def _flat_turned(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> NDArra
 
 
 def _whole(cells: NDArray[np.int64], keep: NDArray[np.bool_]) -> bool:
-    """Whether dropping cells leaves as many pieces and no further pinched edge."""
+    """Return whether dropping cells leaves as many pieces and no further pinched edge."""
     left = cells[keep]
     return pieces(left).max() <= pieces(cells).max() and (
         len(pinched_edges(_surface(left))) <= len(pinched_edges(_surface(cells)))
@@ -292,7 +295,7 @@ def _surface(cells: NDArray[np.int64]) -> NDArray[np.int64]:
 def _without_debris(
     nodes: NDArray[np.float64], cells: NDArray[np.int64], parts: NDArray[np.uint8]
 ) -> tuple[NDArray[np.int64], NDArray[np.uint8], list[float]]:
-    """Pieces of less than 1 % of the largest piece's volume dropped, and their volumes [m3]."""
+    """Drop pieces of less than 1 % of the largest piece's volume; return their volumes [m3]."""
     piece = pieces(cells)
     volumes = np.bincount(piece, weights=np.abs(signed_volumes(nodes, cells)))
     small = np.flatnonzero(volumes < _DEBRIS * volumes.max())
@@ -301,7 +304,7 @@ def _without_debris(
 
 
 def _movable(count: int, cells: NDArray[np.int64], parts: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Nodes inside, away from the surface and from where parts meet, shape (n,)."""
+    """Return flags of the nodes away from the surface and from where parts meet, shape (n,)."""
     inner = np.ones(count, dtype=bool)
     inner[_surface(cells)] = False
     lowest = np.full(count, 255, dtype=np.uint8)
@@ -331,8 +334,9 @@ def _require_numbers(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> No
 
 
 def _require_no_overlap(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> None:
-    """Refuse faces of more than two cells, and neighbours that lie on the same side of their
-    face.
+    """Refuse faces of more than two cells.
+
+    Also refuse neighbours that lie on the same side of their face.
     """
     triangles, where, shared = cell_faces(cells)
     crowded = np.flatnonzero(shared > 2)
@@ -357,7 +361,7 @@ def _require_no_overlap(nodes: NDArray[np.float64], cells: NDArray[np.int64]) ->
 
 
 def _require_volume(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> None:
-    """Refuse what is still flat or inverted."""
+    """Refuse cells that are still flat or inverted."""
     bad = np.flatnonzero((flatness(nodes, cells) < FLAT) | (signed_volumes(nodes, cells) <= 0.0))
     if len(bad):
         at = place(_centre_mm(nodes, cells, bad[0]))
@@ -377,8 +381,9 @@ def smooth(
     movable: NDArray[np.bool_],
     enough: float,
 ) -> tuple[NDArray[np.float64], int]:
-    """Move nodes of cells worse than `enough` by pattern search on the worst mean ratio around
-    each.
+    """Move nodes of cells worse than `enough` by pattern search.
+
+    The search maximises the worst mean ratio around each node.
 
     A move is kept only where the worst cell around the node improves, so no cell falls below the
     worst one next to it.
@@ -390,11 +395,11 @@ def smooth(
     movable
         Whether a node may move, shape (n,).
     enough
-        Mean ratio from which a cell is left alone.
+        Mean ratio above which a cell is not improved.
 
     Returns
     -------
-    Nodes, shape (n, 3), and how many of them moved.
+    Nodes, shape (n, 3), and the number of nodes moved.
     """
     nodes = nodes.copy()
     order = np.argsort(cells.ravel(), kind="stable")
@@ -403,7 +408,7 @@ def smooth(
     for _ in range(_SWEEPS):
         quality = mean_ratio(nodes, cells)
         bad = np.flatnonzero(quality < enough)
-        # Worst cells first: what they gain, their neighbours start from.
+        # Worst cells first: their neighbours start from the improved nodes.
         wanted = cells[bad[np.argsort(quality[bad])]].ravel()
         wanted = wanted[np.sort(np.unique(wanted, return_index=True)[1])]
         changed = 0
@@ -422,7 +427,10 @@ def smooth(
 def _best_place(
     nodes: NDArray[np.float64], star: NDArray[np.int64], node: int, enough: float
 ) -> NDArray[np.float64] | None:
-    """Where the worst of the cells around a node is best; None where it is already."""
+    """Find the place of a node where the worst cell around it is best.
+
+    Return None if no cell around the node needs improvement.
+    """
     corners = nodes[star]
     slot = star == node
     here = nodes[node]

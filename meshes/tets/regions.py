@@ -1,5 +1,6 @@
-"""Nodes of a tetrahedral mesh chosen by place, by direction or by part: where a body is held or
-loaded.
+"""Nodes of a tetrahedral mesh chosen by place, by direction or by part.
+
+A body is held or loaded at these nodes.
 """
 
 from collections.abc import Sequence
@@ -33,12 +34,14 @@ Nodes = NDArray[np.int64]
 def nodes_behind_plane(
     mesh: TetMesh, *, point_m: Sequence[float], normal: Sequence[float]
 ) -> Nodes:
-    """Surface nodes behind the plane through `point_m` [m] with outward `normal`, in rising order.
+    """Return surface nodes behind a plane, in ascending order.
+
+    The plane passes through `point_m` [m] and has the outward normal `normal`.
 
     Raises
     ------
     InputError
-        If none is, naming how far the nearest is.
+        If no node is behind the plane. The message states the distance of the nearest node.
     """
     point = require_vector("point_m", point_m)
     axis = require_direction("normal", normal)
@@ -59,12 +62,14 @@ def nodes_behind_plane(
 
 
 def nodes_facing(mesh: TetMesh, *, direction: Sequence[float], within_deg: float = 60.0) -> Nodes:
-    """Nodes of the surface triangles whose outward normal is within an angle of `direction`.
+    """Return nodes of the surface triangles that face a direction.
+
+    Their outward normal is within an angle of `direction`.
 
     Raises
     ------
     InputError
-        If no triangle faces that direction, naming how far the nearest turns away.
+        If no triangle faces that direction. The message states the angle of the nearest triangle.
     """
     axis = require_direction("direction", direction)
     within = require_range("within_deg", within_deg, 1.0, 180.0, "use 60")
@@ -81,7 +86,7 @@ def nodes_facing(mesh: TetMesh, *, direction: Sequence[float], within_deg: float
 
 
 def nodes_of_part(mesh: TetMesh, name: str) -> Nodes:
-    """All nodes of the part's cells, inside and on the surface.
+    """Return all nodes of the part's cells, inside and on the surface.
 
     Raises
     ------
@@ -99,12 +104,12 @@ def nodes_of_part(mesh: TetMesh, name: str) -> Nodes:
 
 
 def faces_of(mesh: TetMesh, nodes: Nodes) -> NDArray[np.int64]:
-    """Surface triangles with all three corners among the nodes, shape (k, 3)."""
+    """Return surface triangles with all three corners among the nodes, shape (k, 3)."""
     return mesh.surface[np.isin(mesh.surface, nodes).all(axis=1)]
 
 
 def surface_normals(mesh: TetMesh) -> NDArray[np.float64]:
-    """Outward unit normal of each surface triangle, shape (f, 3)."""
+    """Compute the outward unit normal of each surface triangle, shape (f, 3)."""
     normal = cross_products(mesh.nodes_m, mesh.surface)
     return normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
@@ -112,11 +117,11 @@ def surface_normals(mesh: TetMesh) -> NDArray[np.float64]:
 def place_on_surface(
     mesh: TetMesh, point_m: NDArray[np.float64], around_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Point of the surface nearest to a point [m], and the outward normal there, shapes (3,).
+    """Return the surface point nearest to a point [m], and the outward normal there, shapes (3,).
 
-    The normal is the mean of the triangles whose middles lie within `around_m` [m], by their areas
-    and nearness, so that it does not turn with every facet; of the nearest triangle where there are
-    none.
+    The normal is the mean over the triangles whose middles lie within `around_m` [m], weighted by
+    area and nearness. It thus does not turn with every facet. If there is no such triangle, it is
+    the normal of the nearest triangle.
     """
     nearest = nearest_on_triangles(mesh.nodes_m, mesh.surface, point_m[None])[0]
     normals = cross_products(mesh.nodes_m, mesh.surface)  # twice the area long

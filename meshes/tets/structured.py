@@ -19,8 +19,9 @@ __all__ = ["box", "graded", "grid"]
 
 
 def grid(x_m: ArrayLike, y_m: ArrayLike, z_m: ArrayLike) -> TetMesh:
-    """Bricks between the planes at `x_m`, `y_m` and `z_m` [m], each rising, shapes (n + 1,); six
-    tetrahedra a brick.
+    """Build bricks of six tetrahedra each between planes at `x_m`, `y_m` and `z_m` [m].
+
+    The planes are ascending, shapes (n + 1,).
 
     Raises
     ------
@@ -38,8 +39,9 @@ def grid(x_m: ArrayLike, y_m: ArrayLike, z_m: ArrayLike) -> TetMesh:
 
 
 def box(size_m: Sequence[float], cells: Sequence[int]) -> TetMesh:
-    """Box from the origin to `size_m` [m], shape (3,), of `cells` bricks along each axis, six
-    tetrahedra each.
+    """Build a box from the origin to `size_m` [m], shape (3,).
+
+    It has `cells` bricks along each axis, of six tetrahedra each.
     """
     if len(cells) != 3 or min(cells) < 1:
         raise InputError("cells", "be three numbers of at least 1", tuple(cells), "use (4, 4, 4)")
@@ -50,11 +52,12 @@ def box(size_m: Sequence[float], cells: Sequence[int]) -> TetMesh:
 
 
 def graded(start_m: float, end_m: float, first_m: float, growth: float) -> NDArray[np.float64]:
-    """Positions [m] from `start_m` to `end_m`, the first step about `first_m` and each `growth`
-    times the one before.
+    """Return positions [m] from `start_m` to `end_m` with growing steps.
 
-    The last steps are stretched alike so that the end is met exactly. Two of them back to back
-    grade towards a centre.
+    The first step is about `first_m` and each next one is `growth` times longer.
+
+    The last steps are stretched alike so that the end is reached exactly. Two such series back to
+    back grade towards a centre.
 
     Raises
     ------
@@ -78,8 +81,9 @@ def graded(start_m: float, end_m: float, first_m: float, growth: float) -> NDArr
 
 
 def _kuhn(counts: Sequence[int]) -> NDArray[np.int64]:
-    """Cells of a grid with `counts` bricks an axis, nodes numbered with z fastest, shape (6
-    bricks, 4).
+    """Return cells of a grid with `counts` bricks per axis, shape (6 bricks, 4).
+
+    Nodes are numbered with z fastest.
     """
     stride = np.array([(counts[1] + 1) * (counts[2] + 1), counts[2] + 1, 1])
     bricks = np.stack(np.meshgrid(*(np.arange(n) for n in counts), indexing="ij"), axis=-1).reshape(

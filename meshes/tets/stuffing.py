@@ -3,8 +3,8 @@
 Isosurface stuffing (Labelle and Shewchuk, 2007). Lattice nodes that lie close to where the surface
 crosses one of their edges are moved onto the crossing; the edges still crossed are cut there and
 the pieces filled with tetrahedra. The four-sided faces left between pieces are cut from their
-lowest node (Dompierre et al., 1999), so neighbours conform, and the pieces on both sides of a
-surface can be kept: that is how a part inside gets a surface of its own.
+lowest node (Dompierre et al., 1999), so neighbours conform. The pieces on both sides of a surface
+can be kept, which gives a part inside a surface of its own.
 """
 
 import math
@@ -36,8 +36,11 @@ _EDGES = 3.0
 """Edges across a ball, or two across a tube: quadratic ones bend with it."""
 _TRIES = 4
 _CLOSE = 0.01
-"""Meshes of an inclusion that are tried, and the share of its volume that is close enough: of those
-that are the one with the best worst cell is kept, else the nearest."""
+"""Number of meshes of an inclusion that are tried, and the accepted volume error.
+
+The error is a share of the inclusion's volume. Of the meshes within it, the one with the best worst
+cell is kept; if there is none, the mesh with the nearest volume.
+"""
 
 
 def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
@@ -54,7 +57,7 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
     Raises
     ------
     InputError
-        If the shape has no end, or the spacing leaves nothing or too much.
+        If the shape is unbounded, or the spacing gives no tetrahedra or too many.
     """
     longest = max(np.subtract(shape.upper_m, shape.lower_m))
     advised = longest / 20.0 if math.isfinite(longest) else 1e-3
@@ -89,8 +92,9 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
 
 
 def with_part(mesh: TetMesh, shape: Shape, name: str) -> TetMesh:
-    """Make what of the first part lies inside a shape a part of its own, bounded by faces on the
-    shape's surface.
+    """Make the inside of a shape, within the first part, a part of its own.
+
+    The new part is bounded by faces on the shape's surface.
 
     Raises
     ------
@@ -140,8 +144,9 @@ def cut_by(
 
 
 def _crossed_edges(cells: Cells, side: Cells) -> tuple[NDArray[np.bool_], Cells]:
-    """Which cells have nodes on both sides, and the edges of these that do, each once, shape (k,
-    2).
+    """Return flags of the cells with nodes on both sides, and their crossed edges.
+
+    Each edge is listed once, shape (k, 2).
     """
     crossed = (side[cells].min(axis=1) < 0) & (side[cells].max(axis=1) > 0)
     pairs = np.unique(np.sort(cells[crossed][:, EDGES].reshape(-1, 2), axis=1), axis=0)
@@ -149,13 +154,14 @@ def _crossed_edges(cells: Cells, side: Cells) -> tuple[NDArray[np.bool_], Cells]
 
 
 def _turned(nodes: Points, cells: Cells) -> Cells:
-    """Cells with those of negative volume turned over."""
+    """Turn cells of negative volume over."""
     return np.where((signed_volumes(nodes, cells) < 0.0)[:, None], cells[:, [0, 2, 1, 3]], cells)
 
 
 def _filled(corners: Cells, side: Cells, number: dict[tuple[int, int], int]) -> list[list[int]]:
-    """Tetrahedra of the part of a cell where `side` is not negative, some corner of which is
-    positive.
+    """Return tetrahedra of the part of a cell where `side` is not negative.
+
+    Some corner of the cell is positive.
     """
     plus, zero, minus = (corners[side == sign].tolist() for sign in (1, 0, -1))
 
@@ -180,7 +186,7 @@ def _filled(corners: Cells, side: Cells, number: dict[tuple[int, int], int]) -> 
 
 
 def _prism(bottom: list[int], top: list[int]) -> list[list[int]]:
-    """Three tetrahedra of a prism, every four-sided face cut from its lowest node."""
+    """Return three tetrahedra of a prism, every four-sided face cut from its lowest node."""
     if min(top) < min(bottom):
         bottom, top = top, bottom
     k = bottom.index(min(bottom))
@@ -194,8 +200,9 @@ def _prism(bottom: list[int], top: list[int]) -> list[list[int]]:
 def _snapped(
     nodes: Points, cells: Cells, value: NDArray[np.float64], distance: Distance
 ) -> tuple[Points, NDArray[np.float64]]:
-    """Nodes within a share of a crossed edge of the surface moved onto the nearest crossing,
-    where no cell suffers.
+    """Move nodes near the surface onto the nearest crossing, where no cell suffers.
+
+    A node is near if it lies within a share of a crossed edge.
     """
     _, pairs = _crossed_edges(cells, np.sign(value).astype(np.int64))
     node = pairs.T.ravel()
@@ -227,7 +234,10 @@ def _snapped(
 def _crossings(
     nodes: Points, value: NDArray[np.float64], pairs: Cells, distance: Distance
 ) -> Points:
-    """Where the surface crosses the edges, shape (k, 3), by regula falsi (Illinois)."""
+    """Find the points where the surface crosses the edges, shape (k, 3).
+
+    The method is regula falsi (Illinois).
+    """
     a = nodes[pairs[:, 0]]
     b = nodes[pairs[:, 1]]
     low = np.zeros(len(pairs))
@@ -241,7 +251,7 @@ def _crossings(
         t = low - at_low * (high - low) / np.where(slope == 0.0, 1.0, slope)
         here = np.asarray(distance(a + t[:, None] * (b - a)), dtype=np.float64)
         moved = np.where(here * at_low > 0.0, 1.0, -1.0)
-        # The end that stays a second time counts half, else it would stay for ever.
+        # The end that stays a second time counts half, else it would never move.
         again = np.where(moved == last, 0.5, 1.0)
         at_high = np.where(moved > 0.0, at_high * again, here)
         at_low = np.where(moved > 0.0, here, at_low * again)
@@ -252,8 +262,9 @@ def _crossings(
 
 
 def _lattice(lower: Points, upper: Points, spacing: float) -> tuple[Points, Cells]:
-    """Body-centred cubic lattice: a tetrahedron joins two centres of neighbouring cubes and an
-    edge of their face.
+    """Build a body-centred cubic lattice.
+
+    A tetrahedron joins two centres of neighbouring cubes and an edge of their face.
     """
     count = np.ceil((upper - lower) / spacing).astype(np.int64)
     corner = np.stack(np.meshgrid(*(np.arange(n + 1) for n in count), indexing="ij"), axis=-1)
@@ -281,26 +292,27 @@ def with_inclusion(
     volume_m3: float,
     onto: Move | None = None,
 ) -> tuple[TetMesh, str]:
-    """The mesh with what lies in a closed surface as a part of its own, and a note on its volume.
+    """Return the mesh with the inside of a closed surface as a new part, and a volume note.
 
     Edges on the surface are at most twice its volume over its area, a third of a ball's diameter.
-    What a part before it has stays with that.
+    Cells of an earlier part stay in that part.
 
     Parameters
     ----------
     mesh, name
-        Where it lies, and what it is called.
+        Mesh to change, and name of the new part.
     vertices_m, triangles
-        Its surface [m], wound outward, which may go on outside of the mesh.
+        Surface of the part [m], wound outward, which may extend outside the mesh.
     volume_m3
-        Volume of what lies inside the mesh [m3].
+        Volume of the part inside the mesh [m3].
     onto
-        Nearest points of the surface that the mesh stands for; its surface nodes are moved there.
+        Function that returns the nearest points of the surface that the mesh represents. The mesh's
+        surface nodes are moved there.
 
     Raises
     ------
     InputError
-        If it lies outside the mesh.
+        If the surface lies outside the mesh.
     """
 
     def distance(points: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -309,8 +321,8 @@ def with_inclusion(
     area_m2 = area_of(vertices_m, triangles)
     edge_m = 6.0 / _EDGES * volume_m3 / area_m2
     fine = bisected(mesh, lambda points: edge_m + EDGE_GROWTH * np.abs(distance(points)), onto=onto)
-    # Chords cut a round body's volume short: the surface is laid outside it by as much as makes the
-    # volume right.
+    # Flat faces cut the corners of a round body, so the surface is placed outside it to match the
+    # volume.
     laid_m = 0.0
     made = fine
     share = 1.0
@@ -332,5 +344,5 @@ def with_inclusion(
 
 
 def area_of(vertices_m: NDArray[np.float64], triangles: NDArray[np.int64]) -> float:
-    """Area of triangles [m2]."""
+    """Compute the area of triangles [m2]."""
     return 0.5 * float(np.linalg.norm(cross_products(vertices_m, triangles), axis=1).sum())

@@ -37,7 +37,8 @@ class TetMesh:
     Raises
     ------
     InputError
-        If positions are not finite, a cell names no node, or a volume is not positive.
+        If positions are not finite, a cell names a node that does not exist, or a volume is not
+        positive.
     """
 
     nodes_m: NDArray[np.float64]
@@ -91,8 +92,9 @@ class TetMesh:
 
 
 def grid_of(mesh: TetMesh) -> "pyvista.UnstructuredGrid":
-    """A mesh in pyvista [mm], with ``part`` over its cells, which counts into the field
-    ``part_names``.
+    """Convert a mesh to a pyvista grid [mm] with ``part`` over its cells.
+
+    ``part`` counts into the field ``part_names``.
     """
     import pyvista
     from vtkmodules.vtkCommonCore import vtkStringArray
@@ -102,7 +104,7 @@ def grid_of(mesh: TetMesh) -> "pyvista.UnstructuredGrid":
         cells, np.full(len(mesh.cells), _TETRA, dtype=np.uint8), 1e3 * mesh.nodes_m
     )
     grid.cell_data["part"] = mesh.part
-    names = vtkStringArray()  # pyvista's own takes ASCII alone
+    names = vtkStringArray()  # pyvista's own method accepts ASCII only
     names.SetName("part_names")
     for name in mesh.part_names:
         names.InsertNextValue(name)
@@ -111,8 +113,9 @@ def grid_of(mesh: TetMesh) -> "pyvista.UnstructuredGrid":
 
 
 def write_organ(mesh: TetMesh, path: str | Path) -> None:
-    """Write a mesh [mm] with its parts and their names, as ``anatomy.file`` of a scene and
-    `read_tets` read it.
+    """Write a mesh [mm] with its parts and their names.
+
+    ``anatomy.file`` of a scene and `read_tets` read the file.
 
     Raises
     ------

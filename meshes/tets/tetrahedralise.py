@@ -1,9 +1,9 @@
-"""A closed surface filled with tetrahedra by fTetWild (Hu et al., 2020), once, and kept.
+"""Filling of a closed surface with tetrahedra by fTetWild (Hu et al., 2020), cached.
 
 fTetWild keeps the surface within an envelope and takes the inside from the winding number, so a
-surface that crosses itself is filled as the union of what it encloses. Two runs give meshes that
-differ slightly, also on one thread: a mesh is reproducible through the cache, which holds it by the
-content of the surface.
+surface that crosses itself is filled as the union of the enclosed regions. Two runs give meshes
+that differ slightly, also on one thread: a mesh is reproducible through the cache, which holds it
+by the content of the surface.
 """
 
 from dataclasses import replace
@@ -28,21 +28,24 @@ FILL_EDGES = 14.0
 """Edges along the longest side of an organ where no edge is given."""
 _CELLS = 30_000
 _EDGE_PER_CELL = 2.7
-"""Target edge over the cube root of the mean cell volume, as fTetWild came out on a liver."""
+"""Target edge over the cube root of the mean cell volume, measured for fTetWild on a liver."""
 _ENVELOPE = 0.1
 _FARTHEST_M = 4e-4
-"""Distance that the surface may move, over the edge, and at most [m]: less than the voxels of
-the scans behind it.
+"""Distance that the surface may move, over the edge, and largest distance [m].
+
+The largest distance is less than the voxels of the scans behind the surface.
 """
 _VOLUME_OFF = 0.005
-"""Share by which the volume of the mesh may differ before a sentence states it."""
+"""Share by which the volume of the mesh may differ before a note is added."""
 _AT_ONCE = 20_000
 _STEPS = 8
-"""Moves at most: each leaves the square of what was off, or holds nodes of tetrahedra that it
-would flatten.
+"""Largest number of moves.
+
+Each move leaves the square of the remaining error, or holds nodes of tetrahedra that it would
+flatten.
 """
 _OFF = 1e-6
-"""Share of the volume that may be missing after them, else nothing is moved."""
+"""Share of the volume that may be missing after the moves; otherwise no node is moved."""
 _LEAST_KEPT = 0.2
 """Share of its volume that every tetrahedron must keep."""
 
@@ -50,7 +53,7 @@ _LEAST_KEPT = 0.2
 def tetrahedralise(
     surface: Surface, *, edge_m: float | None = None, report: Progress = silent
 ) -> tuple[TetMesh, tuple[str, ...]]:
-    """Fill a closed surface with tetrahedra, from the cache where it has been done before.
+    """Fill a closed surface with tetrahedra, from the cache if it was filled before.
 
     Parameters
     ----------
@@ -59,7 +62,7 @@ def tetrahedralise(
     edge_m
         Target edge [m]; None: about 30,000 tetrahedra.
     report
-        Called with what is being done and the share of it that is done (0 to 1).
+        Called with the name of the current task and the finished fraction of it (0 to 1).
 
     Returns
     -------
@@ -68,7 +71,7 @@ def tetrahedralise(
     Raises
     ------
     InputError
-        If the edge does not suit the surface, or nothing can be meshed.
+        If the edge does not suit the surface, or the surface cannot be meshed.
     """
     volume = surface.report.volume_mm3 * 1e-9
     longest = 1e-3 * max(surface.report.size_mm)
@@ -121,7 +124,7 @@ def tetrahedralise(
 
 
 def _filled(surface: Surface, edge: float, envelope: float) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes [m] and cells by fTetWild."""
+    """Compute nodes [m] and cells by fTetWild."""
     from pytetwild import tetrahedralize  # type: ignore[attr-defined]
 
     left_behind = Path("__tracked_surface.stl")  # fTetWild writes it where it runs
@@ -142,7 +145,7 @@ def _filled(surface: Surface, edge: float, envelope: float) -> tuple[np.ndarray,
 def crossing_triangles(
     vertices: NDArray[np.float64], faces: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Triangles that an edge without a vertex in common passes through, in rising order.
+    """Find triangles that an edge without a vertex in common passes through, in ascending order.
 
     Edges that only touch a triangle, and triangles that overlap in one plane, do not count.
     """
@@ -172,7 +175,7 @@ def crossing_triangles(
 def _pass_through(
     vertices: NDArray[np.float64], triangles: NDArray[np.int64], edges: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """Whether the edge passes through the triangle, pair by pair."""
+    """Return whether the edge passes through the triangle, pair by pair."""
     apart = (triangles[:, :, None] != edges[:, None, :]).all(axis=(1, 2))
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     p = vertices[edges[:, 0]]
@@ -188,19 +191,20 @@ def _pass_through(
 
 
 def with_volume(mesh: TetMesh, volume_m3: float, *, within_m: float) -> TetMesh:
-    """The mesh with its surface moved along the normals by one distance, so that it encloses a
-    volume.
+    """Move the mesh's surface along the normals so that the mesh encloses a volume.
+
+    All surface nodes move by one distance.
 
     Nodes of tetrahedra too small to follow stay where they are.
 
     Parameters
     ----------
     mesh
-        A mesh whose facets cut the corners of what it stands for.
+        A mesh whose facets cut the corners of the body that it represents.
     volume_m3
         Volume to enclose [m3].
     within_m
-        Farthest that the surface may move [m]; where it would move farther, it stays.
+        Largest distance that the surface may move [m]; if it would move farther, it stays in place.
     """
     moved = mesh
     free = np.ones(len(mesh.nodes_m))

@@ -1,11 +1,12 @@
-"""Labels of a tooth in a site's frame, and voxels made of them: by sub-samples, or by interpolated
-shares.
+"""Labels of a tooth in a site's frame, and voxels made of them.
+
+The voxels are made by sub-samples, or by interpolated shares.
 
 `resampled` counts the labels at sub-samples of each voxel, quickly over a whole tooth.
-`LabelShares` is one function of the file, whatever grid samples it: each layer's voxels are spread
-by the kernel of `meshes.images.label_spread` with a standard deviation of 1.5 voxels, and
-interpolated. Labels of planes and balls give their surface back to 0.08 voxels rms, without bias. A
-layer of two voxels becomes a fifth of a voxel thicker on either side.
+`LabelShares` is one function of the file, independent of the grid that samples it. Each layer's
+voxels are spread by the kernel of `meshes.images.label_spread` with a standard deviation of 1.5
+voxels, and interpolated. Labels of planes and balls give their surface back to 0.08 voxels rms,
+without bias. A layer of two voxels becomes a fifth of a voxel thicker on either side.
 """
 
 from __future__ import annotations
@@ -33,19 +34,22 @@ __all__ = ["MOST_SAMPLES", "REACH", "LabelShares", "PlacedLabels", "resampled"]
 MOST_SAMPLES = 6
 """Sub-samples along the edge of a voxel, at most: the 216 of a voxel still fit a byte."""
 SPREAD = 1.5
-"""Standard deviation of the Gaussian [voxel]: with 1.0 planes are off by 0.10 voxels rms, with
-2.0 thin layers more.
+"""Standard deviation of the Gaussian [voxel].
+
+With 1.0, planes are off by 0.10 voxels rms; with 2.0, thin layers are off more.
 """
 REACH = 8
-"""Voxels around a region that its shares depend on: four deviations, one for the Laplacian and
-one to interpolate.
+"""Voxels around a region that its shares depend on.
+
+They are four deviations, one voxel for the Laplacian and one to interpolate.
 """
 _SLAB = 8
 _THREADS = 2
 _POINTS_AT_ONCE = 1 << 18
 _FARTHEST = 1.0
-"""Distance [deviations] up to which the share of a plane is monotonic, so that it gives the
-distance.
+"""Distance [deviations] up to which the share of a plane is monotonic.
+
+Up to there the share gives the distance.
 """
 _SURELY = 0.49
 """A share that differs from a half by more has no surface within a voxel."""
@@ -97,8 +101,9 @@ class PlacedLabels:
         return Placement(1e3 * (self.first_m + self.origin), self.rotation)
 
     def around(self, corners: Array, reach: int) -> tuple[Bytes, Array, Array]:
-        """Return the labels in a box [m] of the site frame and `reach` voxels beyond, and the index
-        of points in them.
+        """Return the labels around a box [m] of the site frame, and the index of points in them.
+
+        The labels reach `reach` voxels beyond the box.
 
         Returns
         -------
@@ -133,17 +138,18 @@ def resampled(
     most_samples: int = MOST_SAMPLES,
     progress: Callable[[float], None] | None = None,
 ) -> VoxelVolume:
-    """Make voxels of edge `size` [m] on whole multiples of it between two corners [m], cropped to
-    the tooth.
+    """Make voxels of edge `size` [m] between two corners [m], cropped to the tooth.
+
+    The voxels lie on whole multiples of the edge.
 
     Fractions and layers come from sub-samples no farther apart than the image's voxels, at most
-    `most_samples` along an axis: the fraction is the part of them in any layer, the layer the
-    commonest, the first of `PRIORITY` of equal ones.
+    `most_samples` along an axis. The fraction is the share of the sub-samples in any layer. The
+    layer is the most frequent one, and among equal ones the first of `PRIORITY`.
 
     Raises
     ------
     InputError
-        If the tooth has nothing between the corners.
+        If no part of the tooth lies between the corners.
     """
     from scipy.ndimage import find_objects
 
@@ -190,7 +196,7 @@ def resampled(
 
 
 def _parts_by_layer(placed: PlacedLabels, grid: Grid, parts: int, layers: Sequence[int]) -> Bytes:
-    """Sub-samples of each voxel in each of up to eight layers, shape (nx, ny, nz, 8).
+    """Count sub-samples of each voxel in each of up to eight layers, shape (nx, ny, nz, 8).
 
     Eight counters of a byte share a word, so one sum counts all layers; `parts`³ fits a byte.
     """
@@ -215,7 +221,7 @@ class LabelShares:
     Attributes
     ----------
     layers
-        Layers that are there, uint8; of equal shares the first has the place.
+        Layers in the box, uint8; among equal shares the first layer wins.
     shares
         Share of each at the voxels, float32, shape (nx, ny, nz) each.
     solid
@@ -246,8 +252,9 @@ class LabelShares:
         start: Array,
         turn: Array,
     ) -> LabelShares:
-        """Spread the layers of labels, shape (nx, ny, nz), of voxels with the sides `voxel_m`,
-        shape (3,).
+        """Spread the layers of labels, shape (nx, ny, nz).
+
+        The voxels have the sides `voxel_m`, shape (3,).
         """
         deviation = SPREAD * float(voxel_m.max())
         there = [layer for layer in layers if (labels == layer).any()]
@@ -263,8 +270,9 @@ class LabelShares:
         )
 
     def sample(self, grid: Grid) -> tuple[Singles, Singles]:
-        """Sample a grid, see `meshes.shapes.anatomy.GridSampler`; the depth is zero, because
-        layers do not use it.
+        """Sample a grid, see `meshes.shapes.anatomy.GridSampler`.
+
+        The depth is zero, because layers do not use it.
         """
         return self.fraction(grid), np.zeros(grid.shape, dtype=np.float32)
 
@@ -286,14 +294,16 @@ class LabelShares:
         return found
 
     def distance(self, points: Floats) -> Array:
-        """Compute the signed distance [m] to the surface at points [m], shape (n, 3); beyond a
-        deviation a bound.
+        """Compute the signed distance [m] to the surface at points [m], shape (n, 3).
+
+        Beyond one deviation it is a bound.
         """
         return -self.deviation_m * np.interp(self._solid_at(points), *_plane_share())
 
     def fraction(self, grid: Grid) -> Singles:
-        """Compute the part of each voxel inside, the surface being a plane in parts no larger
-        than a label's voxel.
+        """Compute the part of each voxel inside the surface.
+
+        The surface is treated as a plane in parts no larger than a label's voxel.
         """
         from scipy.ndimage import binary_dilation
 
@@ -306,7 +316,7 @@ class LabelShares:
         result = (share > 0.5).astype(np.float32)
         side = result.reshape(grid.shape) > 0.5
         mixed = (np.abs(share - 0.5) < _SURELY).reshape(grid.shape)
-        # between neighbours on two sides there is a surface, however thin what it bounds
+        # between neighbours on two sides there is a surface, even around a thin region
         for axis in range(3):
             low, high = ((slice(None),) * axis + (part,) for part in (slice(0, -1), slice(1, None)))
             mixed[low] |= side[low] != side[high]

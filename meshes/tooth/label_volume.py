@@ -1,5 +1,6 @@
-"""A tooth from a label image (segmented micro-CT): placed by its enamel, resampled into the axes
-of its site.
+"""Tooth from a label image (segmented micro-CT).
+
+It is placed by its enamel and resampled into the axes of its site.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ class LabelledTooth:
     finest_mm
         Smallest side of the image's voxels [mm].
     sentences
-        What was found in the image and done to it.
+        Findings in the image and changes made to it.
     """
 
     placed: PlacedLabels
@@ -66,7 +67,7 @@ class LabelledTooth:
 
     @cached_property
     def cavity(self) -> PulpCavity | None:
-        """The cavity of the whole tooth, found in voxels of 0.1 mm; None where there is none."""
+        """Return the cavity of the whole tooth, found in voxels of 0.1 mm, or None."""
         return PulpCavity.of(
             resampled(self.placed, self.placed.corners, _CAVITY_M, most_samples=_CAVITY_SAMPLES)
         )
@@ -89,31 +90,32 @@ class LabelledTooth:
         remark: Callable[[str], None] | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> VoxelVolume:
-        """Make voxels of the tooth in its site frame, with the layers of
-        `meshes.tooth.layers.TOOTH_LAYERS`.
+        """Make voxels of the tooth in its site frame.
 
-        Of the whole tooth fractions and layers come from sub-samples no farther apart than the
-        image's voxels: the fraction is the part of them in any layer, the layer the commonest, of
-        equal ones the first of `PRIORITY`. In a region they, and the distances, are those of the
-        labels' interpolated shares: one surface whatever the voxels. Where no label is the pulp,
-        the empty cavity in the dentin is taken as pulp.
+        The layers are those named in `meshes.tooth.layers.TOOTH_LAYERS`.
+
+        For the whole tooth, fractions and layers come from sub-samples no farther apart than the
+        image's voxels. The fraction is the share of the sub-samples in any layer. The layer is the
+        most frequent one, and among equal ones the first of `PRIORITY`. For a region, fractions,
+        layers and distances come from the labels' interpolated shares, which give one surface for
+        all voxel sizes. If no label is the pulp, the empty cavity in the dentin is taken as pulp.
 
         Parameters
         ----------
         resample_mm
             New voxel size [mm]; None: the image's, or 0.1 where that is finer.
         region_m
-            Lowest and highest corner [m] in the site frame of what is wanted; None: the whole
-            tooth. A voxel has the same content whatever region is asked for.
+            Lowest and highest corner [m] of the region in the site frame; None: the whole tooth.
+            The content of a voxel does not depend on the region.
         remark
-            Called with each sentence on what was assumed, found and dropped.
+            Called with each sentence on assumptions, findings and dropped pieces.
         progress
-            Called with the part done, 0 to 1.
+            Called with the finished fraction, 0 to 1.
 
         Raises
         ------
         InputError
-            If the voxels are too small or too large, or none lies in the tooth.
+            If the voxels are too small or too large, or no voxel lies in the tooth.
         """
         finest = (
             require_positive("resample_mm", resample_mm, "use 0.1")
@@ -135,7 +137,7 @@ class LabelledTooth:
                 [np.maximum(corners[0], region_m[0]), np.minimum(corners[1], region_m[1])]
             )
             if (corners[0] >= corners[1]).any():
-                # a refusal of a tool that misses names where the tooth lies
+                # an error for a tool that misses states the place of the tooth
                 corners = self.placed.corners
         count = float(np.prod(np.ptp(corners, axis=0) / size))
         if count > _MOST_VOXELS:
@@ -166,7 +168,7 @@ class LabelledTooth:
         return volume
 
     def _pulp_note(self) -> tuple[str, ...]:
-        """Describe what is taken as pulp where no label is."""
+        """Describe the region taken as pulp if no label is the pulp."""
         if self.has_pulp:
             return ()
         if self.cavity is None:
@@ -212,12 +214,12 @@ def labelled_tooth(
     labels
         Layer name by label.
     progress
-        Called with what is being done and the share of it that is done (0 to 1).
+        Called with the name of the current task and the finished fraction of it (0 to 1).
 
     Raises
     ------
     InputError
-        If labels are unknown, enamel or dentin is missing, or the size is no tooth's.
+        If labels are unknown, enamel or dentin is missing, or the size is implausible for a tooth.
     """
     require_known(labels.values(), "labels")
     progress("naming the layers of the label volume", 0.0)
@@ -253,13 +255,14 @@ def labelled_tooth(
 
 
 def _layers(image: Image, labels: Mapping[int, str]) -> tuple[Bytes, list[int], list[str]]:
-    """Crop a label image to its tooth, name its labels, and drop pieces that are not connected to
-    the largest by faces.
+    """Crop a label image to its tooth and name its labels.
+
+    Pieces that are not connected to the largest piece by faces are dropped.
 
     Returns
     -------
-    Layer index, `EMPTY` outside the tooth; the voxel of the image that is its first; a note
-    on what was dropped.
+    Layer index, `EMPTY` outside the tooth; the image index of its first voxel; a note on the
+    dropped pieces.
     """
     from scipy.ndimage import find_objects
     from scipy.ndimage import label as label_pieces
@@ -313,7 +316,7 @@ def _layers(image: Image, labels: Mapping[int, str]) -> tuple[Bytes, list[int], 
 
 
 def _placed(layer: Bytes, spacing: Array, first_m: Array) -> tuple[PlacedLabels, str]:
-    """Find the site of a tooth; return its labels placed there, and how it was found."""
+    """Find the site of a tooth; return its labels placed there, and the method as text."""
     layer = np.ascontiguousarray(np.pad(layer, 1, constant_values=EMPTY))
     axes = tooth_axes(
         _points(layer == ENAMEL, spacing), _points((layer != ENAMEL) & (layer != EMPTY), spacing)

@@ -45,7 +45,10 @@ _TOUCH_M = 0.5e-3
 _POINTS_TESTED = 4000
 _NEAR_M = 0.2e-3
 _LEAST_WITHIN = 0.6
-"""Share of the pulp's surface that must lie in the dentin or this near to its surface."""
+"""Share of the pulp's surface that must lie in the dentin or near to the dentin's surface.
+
+Near means within ``_NEAR_M``.
+"""
 _LINES_A_POINT = 2
 
 
@@ -58,7 +61,7 @@ class LayerContact:
     overlap_mm3, gap_mm3
         Volume by pair of layer names, the pairs that have one.
     void_mm3
-        Volume enclosed by the layers and in none of them, gaps left out.
+        Volume enclosed by the layers but in no layer, without gaps.
     gap_layer
         Layer index + 1 of the layer that takes the gap at each lattice point, 0 elsewhere, uint8,
         shape (nx, ny, nz).
@@ -71,10 +74,11 @@ class LayerContact:
 
 
 def inside_surface(vertices: Array, faces: Ints, points: Floats) -> Flags:
-    """Return whether points [m], shape (n, 3), lie within a closed surface, by the vertical line
-    through each.
+    """Return whether points [m], shape (n, 3), lie within a closed surface.
 
-    Points of a grid share their lines, so that far fewer lines than points are crossed.
+    Each point is tested by the vertical line through it.
+
+    Points of a grid share their lines, so far fewer lines than points are tested.
     """
     x, i = np.unique(points[:, 0], return_inverse=True)
     y, j = np.unique(points[:, 1], return_inverse=True)
@@ -120,7 +124,7 @@ def measure_contact(inside: Mapping[str, Flags], priority: Sequence[str]) -> Lay
     inside
         Whether each lattice point lies within the layer, by layer name, all of shape (nx, ny, nz).
     priority
-        Layer names; of two layers, the one named first takes what both hold and the gap between
+        Layer names; of two layers, the layer named first takes their overlap and the gap between
         them.
     """
     from scipy.ndimage import binary_fill_holes
@@ -144,8 +148,9 @@ def measure_contact(inside: Mapping[str, Flags], priority: Sequence[str]) -> Lay
 
 
 def _gaps(label: Bytes, names: list[str]) -> tuple[Bytes, dict[tuple[str, str], int]]:
-    """Return the layer index + 1 that takes each lattice point in a gap, and the number of
-    points by pair of layers.
+    """Return the layer index + 1 that takes each lattice point in a gap.
+
+    Also return the number of points by pair of layers.
     """
     pairs = [pair for pair in combinations(names, 2) if set(pair) in _TOUCHING]
     between = np.zeros_like(label)
@@ -166,8 +171,9 @@ def _gaps(label: Bytes, names: list[str]) -> tuple[Bytes, dict[tuple[str, str], 
 
 
 def _drop_creases(between: Bytes, label: Bytes) -> None:
-    """Clear, in place, spaces nowhere deeper than a gap is wide: the crease in which two layers
-    meet from outside.
+    """Clear, in place, spaces that are nowhere deeper than a gap is wide.
+
+    Such a space is the crease in which two layers meet from outside.
     """
     from scipy.ndimage import distance_transform_edt
     from scipy.ndimage import label as connected
@@ -180,8 +186,9 @@ def _drop_creases(between: Bytes, label: Bytes) -> None:
 
 
 def _neighbours(label: Bytes, axis: int) -> tuple[Bytes, Bytes, NDArray[np.int16]]:
-    """Return labels of the nearest filled points before and after each along an axis (0: none),
-    and their distance.
+    """Return labels of the nearest filled points before and after each point along an axis.
+
+    A label is 0 where there is no filled point. Also return the distance of the points.
     """
     count = label.shape[axis]
     place = np.arange(count, dtype=np.int16).reshape([-1 if k == axis else 1 for k in range(3)])
@@ -237,8 +244,7 @@ def require_touching(points_m: Mapping[str, Array], solids: Mapping[str, Triangl
 
 
 def require_pulp_within(pulp_m: Array, dentin: Triangles, dentin_samples_m: Array) -> None:
-    """Raise for a pulp if less than 60 % of its surface lies within the dentin or 0.2 mm from the
-    dentin's surface.
+    """Raise if less than 60 % of a pulp's surface is in the dentin or 0.2 mm from its surface.
 
     Parameters
     ----------

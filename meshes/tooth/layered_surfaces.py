@@ -1,5 +1,6 @@
-"""A tooth from one closed surface per layer: placed, its overlaps and gaps measured and
-resolved, a socket added.
+"""Tooth from one closed surface per layer.
+
+The surfaces are placed, their overlaps and gaps are measured and resolved, and a socket is added.
 """
 
 from __future__ import annotations
@@ -86,7 +87,7 @@ class Lattice:
 
 @dataclass(frozen=True, eq=False)
 class LayeredSolid:
-    """Surfaces of the layers in the site frame, and what fills the space between and around them.
+    """Surfaces of the layers in the site frame, with their gaps and socket.
 
     Attributes
     ----------
@@ -110,8 +111,9 @@ class LayeredSolid:
     socket: Lattice | None
 
     def distance(self, points: Floats) -> Floats:
-        """Compute the signed distance [m] of points [m], shape (n, 3), from layers and socket,
-        negative inside.
+        """Compute the signed distance [m] of points [m], shape (n, 3), from layers and socket.
+
+        It is negative inside.
         """
         away = triangle_distance(*self.union, points)
         if self.socket is not None:
@@ -119,8 +121,9 @@ class LayeredSolid:
         return away.astype(points.dtype)
 
     def sample(self, grid: Grid) -> tuple[Singles, Singles]:
-        """Compute fraction and depth of the voxels of a grid, see
-        `meshes.shapes.anatomy.GridSampler`.
+        """Compute fraction and depth of the voxels of a grid.
+
+        See `meshes.shapes.anatomy.GridSampler`.
         """
         fraction, depth = TriangleSampler(*self.union)(grid)
         if self.gap is None and self.socket is None:
@@ -145,8 +148,9 @@ class LayeredSolid:
         return fraction, depth
 
     def classify(self, points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
-        """Return the layer that holds each point, by priority, else the layer that takes the
-        gap, or the nearest.
+        """Return the layer that holds each point, by priority.
+
+        A point in no layer takes the layer that takes the gap, or the nearest layer.
         """
         layer = np.full(len(points), len(TOOTH_LAYERS), dtype=np.uint8)
         left = np.arange(len(points))
@@ -182,13 +186,14 @@ def joined(solids: Sequence[Triangles]) -> Triangles:
 
 
 def _socket(ligament: Array, others: Array, margin: float) -> Lattice:
-    """Tabulate the distance [m] from bone within `margin` of the ligament and nearer to it than to
-    the other layers.
+    """Tabulate the distance [m] from socket bone.
+
+    The bone lies within `margin` of the ligament and nearer to it than to the other layers.
 
     Parameters
     ----------
     ligament, others
-        Points of the ligament's surface and of those of the other layers [m], shape (n, 3).
+        Points of the ligament's surface and of the other layers' surfaces [m], shape (n, 3).
     """
     from scipy.spatial import cKDTree
 
@@ -260,11 +265,11 @@ def layered_anatomy(
 ) -> Anatomy:
     """Build a tooth from closed surfaces by layer name, in the site frame of teeth.
 
-    The origin is where the tooth's long axis through the middle of the enamel leaves the enamel:
-    where a thin bur that comes down that axis first touches. z points from the roots to the crown,
-    x along the wider direction of the roots. A voxel shared by layers belongs to the one that holds
-    its centre, so it is full; the layers keep their volumes. Of two layers the first of
-    `meshes.tooth.layers.PRIORITY` has what both claim and the gap between them.
+    The origin is the point where the tooth's long axis through the middle of the enamel leaves the
+    enamel. A thin bur that moves down that axis first touches there. z points from the roots to the
+    crown, x along the wider direction of the roots. A voxel shared by layers belongs to the layer
+    that holds its centre, so it is full, and the layers keep their volumes. Of two layers, the
+    first of `meshes.tooth.layers.PRIORITY` takes their overlap and the gap between them.
 
     Parameters
     ----------
@@ -273,7 +278,7 @@ def layered_anatomy(
         pulp.
     socket_mm
         Thickness of bone added around the ligament [mm], 0 (none) to 10: the points nearer to the
-        ligament than to the rest of the tooth.
+        ligament than to all other layers of the tooth.
     at_lesion
         Whether the origin lies over the lesion, see `meshes.tooth.site.lesion_site`.
     at
@@ -282,8 +287,9 @@ def layered_anatomy(
     Raises
     ------
     InputError
-        If a layer is unknown, enamel or dentin is missing, the size is no tooth's, layers do not
-        touch, the pulp lies outside the dentin, or a socket is asked for without a ligament.
+        If a layer is unknown, enamel or dentin is missing, the size is implausible for a tooth,
+        layers do not touch, the pulp lies outside the dentin, or a socket is asked for without a
+        ligament.
     """
     require_known(surfaces, "surfaces")
     margin = 1e-3 * require_range("socket_mm", socket_mm, 0.0, 10.0, "use 2.5, or 0 for none")
@@ -339,8 +345,9 @@ def _solid(
     gap: Lattice | None,
     margin: float,
 ) -> LayeredSolid:
-    """Combine layers placed in the site frame, the first with the highest priority, and a socket
-    of a margin [m].
+    """Combine layers placed in the site frame and a socket of a margin [m].
+
+    The first layer has the highest priority.
     """
     from scipy.spatial import cKDTree
 
@@ -373,8 +380,9 @@ def _spread(surface: Surface) -> Array:
 def _site(
     surfaces: Mapping[str, Surface], samples: Mapping[str, Array]
 ) -> tuple[Array, Array, str]:
-    """Find origin [m] and axes of the tooth's site in the frame of the surfaces; the text states
-    how.
+    """Find origin [m] and axes of the tooth's site in the frame of the surfaces.
+
+    The returned text states the method.
     """
     body = np.concatenate(
         [points for name, points in samples.items() if name not in ("enamel", "bone")]

@@ -9,8 +9,7 @@ pulp       1000 kg/m3         M, M: soft tissue, nearly water
 caries     2100 to 1300       M, L: infected dentin keeps about a third of its mineral (after Angker 2004)
 ligament   1100 kg/m3         M, M: fibrous soft tissue
 bone       1800 kg/m3         M, H: alveolar bone taken as cortical throughout
-=========  =================
-==========================================================================
+=========  =================  ==========================================================================
 """  # noqa: E501 a table
 
 from collections.abc import Callable, Iterable
@@ -52,14 +51,15 @@ LAYER_DENSITY_KG_M3 = {
     "ligament": 1100.0,
     "bone": 1800.0,
 }
-"""Density of each layer [kg/m3]; that of `caries` stands for a lesion of unknown softness (one
-half).
+"""Density of each layer [kg/m3].
+
+The density of `caries` is for a lesion of unknown softness (one half).
 """
 
 EMPTY = 255
 """Layer index outside the tooth."""
 PRIORITY = ("caries", "pulp", "enamel", "dentin", "ligament", "bone")
-"""Of two layers that claim a place, the one named first has it."""
+"""Order of layers that claim the same place: the first one takes it."""
 
 _SOUND_KG_M3 = 2100.0
 _INFECTED_KG_M3 = 1300.0
@@ -70,15 +70,17 @@ _TYPICAL_MM = 18.0
 
 
 def caries_density(softness: Floats) -> Floats:
-    """Compute the density [kg/m3] of decayed dentin from its softness, 0 (sound) to 1 (fully
-    softened), linear.
+    """Compute the density [kg/m3] of decayed dentin from its softness.
+
+    It is linear in the softness, 0 (sound) to 1 (fully softened).
     """
     return _SOUND_KG_M3 - (_SOUND_KG_M3 - _INFECTED_KG_M3) * softness
 
 
 def caries_softness(density_kg_m3: Floats) -> Floats:
-    """Compute the softness of the layer `caries` from its density [kg/m3]: (2100 - density)/800,
-    kept within 0 to 1.
+    """Compute the softness of the layer `caries` from its density [kg/m3].
+
+    It is (2100 - density)/800, limited to 0 to 1.
 
     0 is sound dentin, 1 fully softened, infected dentin. Only for voxels of that layer: sound
     tissues have densities of their own.
@@ -113,8 +115,9 @@ def require_known(names: Iterable[str], argument: str) -> None:
 
 
 def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: float) -> None:
-    """Raise for a longest side [mm] that no tooth has, and suggest a value of the argument that
-    sets it.
+    """Raise if the longest side [mm] is not a tooth's.
+
+    The message suggests a value of the argument that sets it.
 
     Parameters
     ----------

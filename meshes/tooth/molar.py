@@ -1,5 +1,6 @@
-"""A procedural lower first molar: cusped enamel, dentin, pulp with horns and canals, ligament, bone
-socket, caries.
+"""Procedural lower first molar with ligament, bone socket and caries.
+
+It has cusped enamel, dentin, and pulp with horns and canals.
 
 Sources, M = from memory of the literature, with confidence H, M or L.
 
@@ -17,8 +18,7 @@ root trunk                     3.2 mm         M, M: cervix to furcation, 3 bucca
 canals                         2 + 1          M, H: two mesial, one distal
 ligament                       0.22 mm        M, H: 0.15 to 0.38
 cervical line to bone          1.5 mm         M, H: 1 to 2 in health
-=============================  =============
-======================================================================
+=============================  =============  ======================================================================
 """  # noqa: E501 a table
 
 from collections.abc import Callable
@@ -73,7 +73,7 @@ class MolarSizes(Ranged):
     root_length_mm
         Buccal cervical line to the apices [mm].
     enamel_thickness_mm
-        Thickness over the highest cusp along z [mm]; 62 % of it in the fossa, none at the cervical
+        Thickness over the highest cusp along z [mm]; 62 % of it in the fossa, 0 at the cervical
         line.
     cusp_height_mm
         Central fossa to the highest cusp tip [mm].
@@ -171,8 +171,9 @@ def molar(**sizes_mm: float) -> Anatomy:
 
 
 def _require_fit(depth: float, roof: float, line: float) -> None:
-    """Raise for a lesion too shallow or too near to the pulp, and for a chamber that reaches into
-    the roots.
+    """Raise for a lesion of impossible depth, and for a chamber that reaches into the roots.
+
+    A lesion must be neither too shallow nor too near to the pulp.
 
     Parameters
     ----------
@@ -218,8 +219,9 @@ def _layers(
     ligament: float,
     lesion: tuple[float, float] | None,
 ) -> Classify:
-    """Classify by the parts' distances: pulp within dentin within enamel, ligament and bone
-    around the roots.
+    """Classify by the parts' distances.
+
+    Pulp lies within dentin within enamel; ligament and bone lie around the roots.
     """
     crest = crown.cervix - _CREST_M
 
@@ -242,8 +244,8 @@ def _layers(
         outside = distance >= 0.0
         crowned = points[:, 2] > crown.cervical_line(points[:, 0])
         layer[outside & crowned] = ENAMEL
-        # A voxel that the crest cuts may have its centre in the air above it: what lies nearer to
-        # the crest is bone.
+        # A voxel that the crest cuts may have its centre in the air above it: points nearer to the
+        # crest are bone.
         embedded = np.flatnonzero(outside & ~crowned & (points[:, 2] - crest < distance))
         layer[embedded] = around(points[embedded], distance[embedded])
         inside = np.flatnonzero(~outside)
@@ -251,8 +253,9 @@ def _layers(
         return layer
 
     def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
-        """Return layer and density [kg/m3], shape (n,), of points [m], shape (n, 3), at any
-        depth.
+        """Return layer and density [kg/m3], shape (n,), of points at any depth.
+
+        The points [m] have the shape (n, 3).
         """
         layer = in_chunks(layer_of, points)
         density = _DENSITY[layer]
@@ -267,8 +270,9 @@ def _layers(
 
 
 def _softness(points: Floats, diameter: float, depth: float) -> Floats:
-    """Compute the softness (1 - r²)², r relative to an ellipsoid that hangs from the fossa; 0
-    outside.
+    """Compute the softness (1 - r²)², with r relative to an ellipsoid; 0 outside.
+
+    The ellipsoid extends from the fossa down.
     """
     across = (points[:, 0] ** 2 + points[:, 1] ** 2) * (4.0 / diameter**2)
     along = (points[:, 2] + 0.5 * depth) ** 2 * (4.0 / depth**2)
@@ -280,8 +284,9 @@ def _true_distance(
     points: Floats,
     value: Floats,
 ) -> Floats:
-    """Compute the first-order distance [m] near the surface: value over slope, by differences of
-    20 µm.
+    """Compute the first-order distance [m] near the surface.
+
+    It is value over slope, by differences of 20 µm.
     """
     step = points.dtype.type(20e-6)
     slopes = []

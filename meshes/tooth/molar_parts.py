@@ -1,9 +1,10 @@
-"""The parts of a procedural lower first molar: crown, roots and pulp, in the site frame of
-`meshes.tooth.molar`.
+"""Parts of a procedural lower first molar: crown, roots and pulp.
+
+They are in the site frame of `meshes.tooth.molar`.
 
 Lengths in metres. The crown is a side wall of superelliptic sections under an occlusal surface of
-cones, one a cusp, that meet in the grooves; roots and canals are round cones about bent axes,
-flattened along x.
+cones, one for each cusp, that meet in the grooves. Roots and canals are round cones about bent
+axes, flattened along x.
 """
 
 from dataclasses import dataclass
@@ -24,8 +25,10 @@ _CUSPS = (
     (0.76, 0.0, 0.45),  # mesial marginal ridge
     (-0.74, -0.20, 0.42),  # distal marginal ridge
 )
-"""Tip over half the crown's width and length, x mesial and y buccal, and height over the highest
-cusp's.
+"""Positions and heights of the cusp tips.
+
+Each has the tip over half the crown's width and length, x mesial and y buccal, and the height over
+the highest cusp's height.
 """
 _TRUE_CUSPS = 5
 _TIP_RADIUS_M = 0.5e-3
@@ -85,8 +88,9 @@ class Crown:
         return np.array(_CUSPS[:_TRUE_CUSPS]) * scale
 
     def occlusal_height(self, x: Floats, y: Floats) -> Floats:
-        """Height of the chewing surface [m]; each cusp is a cone with a round tip that falls to
-        the fossa.
+        """Compute the height of the chewing surface [m].
+
+        Each cusp is a cone with a round tip that falls to the fossa.
         """
         surface = np.full_like(x, -np.inf)
         for along, across, relative in _CUSPS:
@@ -100,20 +104,29 @@ class Crown:
 
     @property
     def _fossa(self) -> float:
-        """Height at which the blended grooves of seven cones that all fall to 0 meet [m]."""
+        """Compute the height [m] at which the blended grooves of seven cones meet.
+
+        All cones fall to 0.
+        """
         level = 0.0
         for _ in _CUSPS[1:]:
             level = float(smooth_maximum(np.array([level]), np.array([0.0]), _GROOVE_M)[0])
         return level
 
     def cervical_line(self, x: Floats) -> Floats:
-        """Height of the cervical line [m], which rises on the mesial and distal sides."""
+        """Compute the height of the cervical line [m].
+
+        It rises on the mesial and distal sides.
+        """
         return self.cervix + _CERVICAL_CURVE_M * np.minimum(
             (x / (_CERVIX[0] * self.half_width)) ** 2, 1.0
         )
 
     def wall(self, p: Floats) -> Floats:
-        """Horizontal distance from the side wall of crown and root trunk [m], negative inside."""
+        """Compute the horizontal distance from the side wall of crown and root trunk [m].
+
+        It is negative inside.
+        """
         height = (p[:, 2] - self.cervix) * (1.0 / self.height)
         below = np.maximum(-height, 0.0) * (self.height * _TRUNK_TAPER)
         half = [
@@ -127,21 +140,28 @@ class Crown:
 
     @staticmethod
     def _bulge(height: Floats, axis: int) -> Floats:
-        """Half width over the widest, at heights of 0 (cervix) to 1 (cusp tips)."""
+        """Compute the half width over the widest half width, at some heights.
+
+        Heights are 0 (cervix) to 1 (cusp tips).
+        """
         widest = _BULGE[axis]
         low = np.clip((widest - height) / widest, 0.0, 1.0)
         high = np.clip((height - widest) / (1.0 - widest), 0.0, 1.2)
         return 1.0 - (1.0 - _CERVIX[axis]) * low * low - (1.0 - _TABLE[axis]) * high * high
 
     def outside(self, p: Floats) -> Floats:
-        """Distance from crown and trunk [m], taken along z under the chewing surface,
-        horizontally at the wall.
+        """Compute the distance from crown and trunk [m].
+
+        It is taken along z under the chewing surface, and horizontally at the wall.
         """
         top = p[:, 2] - self.occlusal_height(p[:, 0], p[:, 1])
         return smooth_maximum(self.wall(p), top, _EDGE_M)
 
     def outside_dentin(self, p: Floats) -> Floats:
-        """As `outside` for the dentin under the enamel; the same below the cervical line."""
+        """Compute the distance like `outside`, for the dentin under the enamel.
+
+        It equals `outside` below the cervical line.
+        """
         height = self.occlusal_height(p[:, 0], p[:, 1])
         relative = np.clip(height / self.cusp_height, 0.0, 1.0)
         over = self.enamel * (_FOSSA_ENAMEL + (1.0 - _FOSSA_ENAMEL) * relative)
@@ -176,18 +196,21 @@ class Root:
 
     @property
     def reach_x(self) -> float:
-        """Farthest from the tooth's long axis that the root goes along x [m]."""
+        """Largest distance of the root from the tooth's long axis along x [m]."""
         u = np.linspace(0.0, 1.0, 33)
         axis = self.axis[0] + u * (self.axis[1] + u * self.axis[2])
         return float(np.max(np.abs(axis) + self.radius + u * (self.apex_radius - self.radius)))
 
     def centre_x(self, z: Floats) -> Floats:
-        """x of the axis [m] at the heights z [m]."""
+        """Compute x of the axis [m] at the heights z [m]."""
         u = np.clip((self.top - z) * (1.0 / self.length), 0.0, 1.0)
         return self.axis[0] + u * (self.axis[1] + u * self.axis[2])
 
     def distance(self, p: Floats) -> Floats:
-        """Distance bound [m], negative inside: exact along x, short along y by the flattening."""
+        """Compute a bound of the distance [m], negative inside.
+
+        It is exact along x, and short along y by the flattening.
+        """
         across = np.sqrt((p[:, 0] - self.centre_x(p[:, 2])) ** 2 + (self.flattening * p[:, 1]) ** 2)
         return _round_cone(
             across,
@@ -198,8 +221,9 @@ class Root:
         )
 
     def canal(self, p: Floats, *, radius: float, offset: tuple[float, float]) -> Floats:
-        """Distance [m] from a canal along the root's axis, shifted along y by `offset` at its
-        top and apex [m].
+        """Compute the distance [m] from a canal along the root's axis.
+
+        The canal is shifted along y by `offset` at its top and apex [m].
         """
         depth = self.top + _CANAL_RISE_M - p[:, 2]
         u = np.clip(depth * (1.0 / self.length), 0.0, 1.0)
@@ -211,7 +235,10 @@ class Root:
 
 
 def mandibular_roots(crown: Crown, root_length: float) -> tuple[Root, Root]:
-    """Mesial and distal root [m]; both apices end `root_length` below the buccal cervical line."""
+    """Build the mesial and distal root [m].
+
+    Both apices end `root_length` below the buccal cervical line.
+    """
     top = crown.cervix - 1.5e-3
     length = root_length - 1.5e-3
     side = crown.half_width / 5.5e-3
@@ -226,8 +253,9 @@ def mandibular_roots(crown: Crown, root_length: float) -> tuple[Root, Root]:
 
 
 def tooth_distance(crown: Crown, roots: tuple[Root, Root], p: Floats, *, dentin: bool) -> Floats:
-    """Distance [m] from the whole tooth, or from its dentin with the pulp filled in; negative
-    inside.
+    """Compute the distance [m] from the whole tooth, or from its dentin with the pulp filled in.
+
+    It is negative inside.
     """
     head = crown.outside_dentin(p) if dentin else crown.outside(p)
     furcation = (crown.cervix - _TRUNK_M) - p[:, 2]
@@ -237,7 +265,10 @@ def tooth_distance(crown: Crown, roots: tuple[Root, Root], p: Floats, *, dentin:
 
 
 def outer_shape(crown: Crown, roots: tuple[Root, Root]) -> Shape:
-    """The tooth as a shape; its distance is divided by its steepest slope, so it is a bound."""
+    """Build the tooth as a shape.
+
+    Its distance is divided by its steepest slope, so it is a bound.
+    """
     low = (-1.1 * crown.half_width, -1.1 * crown.half_length, roots[0].top - roots[0].length)
     high = (1.1 * crown.half_width, 1.1 * crown.half_length, 1.02 * crown.cusp_height)
     return Shape(
@@ -246,7 +277,10 @@ def outer_shape(crown: Crown, roots: tuple[Root, Root]) -> Shape:
 
 
 def pulp_shape(crown: Crown, roots: tuple[Root, Root], roof: float) -> Shape:
-    """Chamber with a horn under each cusp, two canals in the mesial root and one in the distal [m].
+    """Build the pulp [m].
+
+    It has a chamber with a horn under each cusp, two canals in the mesial root and one in the
+    distal root.
 
     Parameters
     ----------
@@ -275,8 +309,9 @@ def pulp_shape(crown: Crown, roots: tuple[Root, Root], roof: float) -> Shape:
 def _round_cone(
     across: Floats, along: Floats, radius: float, end_radius: float, length: float
 ) -> Floats:
-    """Distance [m] from the hull of two balls on an axis, the second `length` farther along (I.
-    Quilez).
+    """Compute the distance [m] from the hull of two balls on an axis (I. Quilez).
+
+    The second ball is `length` farther along.
     """
     sine = (radius - end_radius) / length
     cosine = float(np.sqrt(1.0 - sine * sine))

@@ -14,31 +14,37 @@ from meshes.voxels.volume import FULL, VoxelVolume
 __all__ = ["PulpCavity", "with_pulp"]
 
 _WIDEST_OPENING_M = 0.8e-3
-"""Diameter of the widest opening of a pulp cavity: the major foramina of molars and premolars are
-about 0.4 to
-0.7 mm wide (Green 1960, Oral Surg 13:728)."""
+"""Diameter of the widest opening of a pulp cavity.
+
+The major foramina of molars and premolars are about 0.4 to 0.7 mm wide (Green 1960, Oral Surg
+13:728).
+"""
 _LARGEST_MOUTH_M2 = 1.0e-6
 """A round opening of 0.8 mm has 0.5 mm2; its staircase of voxels has up to twice as much."""
 _CROWN_LEAK_M2 = 0.05e-6
-"""Five faces of voxels: what a segmentation leaks."""
+"""Largest area of openings in the crown [m2], for leaks of a segmentation: five faces of voxels."""
 _VOLUME_M3 = (1e-9, 200e-9)
-"""Mean volumes are 6 mm3 (lower incisors) to 68 mm3 (upper first molars; Fanibunda 1986, Int Endod
-J 19:194). Old pulps are several times smaller, those of teeth with open roots several times
-larger."""
-_LEAST_DENTIN = 0.5
-"""Share of the wall that is dentin: the rest may be caries, and enamel where a crown is worn."""
-_ENAMEL_PERCENT = 2.0
-"""Part of the enamel that may lie below the neck of the tooth, such as pieces that were
-mislabelled.
+"""Bounds of the volume of a pulp cavity.
+
+Mean volumes are 6 mm3 (lower incisors) to 68 mm3 (upper first molars; Fanibunda 1986, Int Endod J
+19:194). Old pulps are several times smaller, and pulps of teeth with open roots several times
+larger.
 """
+_LEAST_DENTIN = 0.5
+"""Smallest share of the wall that is dentin.
+
+The remainder may be caries, and enamel where a crown is worn.
+"""
+_ENAMEL_PERCENT = 2.0
+"""Part of the enamel [%] that may lie below the neck of the tooth, such as mislabelled pieces."""
 
 
 @dataclass(frozen=True, eq=False)
 class PulpCavity:
     """The void in the dentin of a whole tooth that can be its pulp.
 
-    A void is the pulp cavity if it has a plausible volume, lies in dentin, and is closed but for
-    apical foramina: no ball wider than 0.8 mm enters it, and its openings lie in the roots and are
+    A void is the pulp cavity if it has a plausible volume, lies in dentin, and is closed except for
+    apical foramina. No ball wider than 0.8 mm enters it, and its openings lie in the roots and are
     at most 1 mm2 each. Fissures and grooves open into the mouth along their length, clefts between
     roots along theirs.
 
@@ -58,9 +64,7 @@ class PulpCavity:
 
     @classmethod
     def of(cls, tooth: VoxelVolume) -> PulpCavity | None:
-        """Find the cavity of a whole tooth whose crown points along +z; None where there is
-        none.
-        """
+        """Find the cavity of a whole tooth whose crown points along +z, or return None."""
         from scipy.ndimage import distance_transform_edt, find_objects, label
 
         margin = int(np.ceil(_WIDEST_OPENING_M / tooth.spacing_m)) + 1
@@ -94,12 +98,13 @@ class PulpCavity:
 
     @property
     def volume_m3(self) -> float:
-        """Its volume [m3]."""
+        """Volume of the cavity [m3]."""
         return float(np.count_nonzero(self.inside)) * self.tooth.voxel_volume_m3
 
     def voxels(self, volume: VoxelVolume) -> Flags:
-        """Voxels of the same tooth, of any size, that lie in the cavity: bool, shape of the
-        volume.
+        """Return the voxels of the same tooth, of any size, that lie in the cavity.
+
+        The result is bool with the shape of the volume.
         """
         index = np.nonzero(volume.fraction < FULL / 2)
         cavity = np.zeros(volume.shape, dtype=bool)
@@ -109,7 +114,10 @@ class PulpCavity:
         return cavity
 
     def holds(self, empty_m: Array) -> Flags:
-        """Whether points outside all layers [m], shape (3, n), lie in the cavity, shape (n,)."""
+        """Return whether points outside all layers lie in the cavity, shape (n,).
+
+        The points [m] have the shape (3, n).
+        """
         from scipy.ndimage import map_coordinates
 
         at = (empty_m - self.tooth.origin_m[:, None]) / self.tooth.spacing_m - 0.5
@@ -124,15 +132,16 @@ class PulpCavity:
 
     @cached_property
     def _near(self) -> Flags:
-        """Its voxels and those that touch them by a face."""
+        """Voxels of the cavity and the voxels that touch them by a face."""
         from scipy.ndimage import binary_dilation
 
         return np.asarray(binary_dilation(self.inside))
 
 
 def with_pulp(volume: VoxelVolume, cavity: Flags) -> VoxelVolume:
-    """The volume with its cavity filled by pulp, and the voxels along the cavity's wall filled
-    up as what they are.
+    """Return the volume with its cavity filled by pulp.
+
+    The voxels along the cavity's wall are filled up with their own layers.
     """
     from scipy.ndimage import binary_dilation
 

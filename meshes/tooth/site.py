@@ -1,9 +1,11 @@
-"""Sites of a tooth: by its long axis, crown upward, and over its lesion, straight in from the
+"""Sites of a tooth, by its long axis or over its lesion.
+
+By the long axis, the crown points upward. Over the lesion, the site points straight in from the
 nearest surface.
 
-The long axis is the principal axis of all the tooth's points that leans least from the line between
-the middles of dentin and enamel; where none comes within 25 degrees of that line (a crown without
-roots), the line itself.
+The long axis is the principal axis of all the tooth's points with the smallest angle to the line
+between the middles of dentin and enamel. If no principal axis is within 25 degrees of that line (a
+crown without roots), the long axis is the line itself.
 """
 
 import math
@@ -20,7 +22,7 @@ from meshes.voxels.volume import FULL, VoxelVolume
 __all__ = ["ToothAxes", "lesion_site", "tooth_axes"]
 
 _LEAST_RISE_M = 0.4e-3
-"""Least distance between the middles of enamel and dentin."""
+"""Smallest distance between the middles of enamel and dentin."""
 _MOST_LEANING = math.cos(math.radians(25.0))
 _SMOOTH_M = 0.3e-3
 _AROUND_M = 0.5e-3
@@ -41,7 +43,7 @@ class ToothAxes:
     middle_m
         Middle of the enamel [m], shape (3,); the site's origin lies above or below it along z.
     note
-        How the long axis was found, a sentence.
+        Method that found the long axis, a sentence.
     """
 
     rotation: Array
@@ -50,8 +52,9 @@ class ToothAxes:
 
 
 def tooth_axes(enamel_m: Array, body_m: Array) -> ToothAxes:
-    """Find the orientation of a tooth from points spread evenly over its enamel and over the rest
-    of it.
+    """Find the orientation of a tooth from points on its enamel and on its other layers.
+
+    The points are spread evenly.
 
     Parameters
     ----------
@@ -61,7 +64,7 @@ def tooth_axes(enamel_m: Array, body_m: Array) -> ToothAxes:
     Raises
     ------
     InputError
-        If the enamel does not lie to one side of the rest.
+        If the enamel does not lie to one side of the other layers.
     """
     middle = enamel_m.mean(axis=0)
     rise = middle - body_m.mean(axis=0)
@@ -109,10 +112,10 @@ def _widest(points: Array, up: Array) -> Array:
 def lesion_site(tooth: VoxelVolume) -> Site:
     """Find the site over the middle of a tooth's largest lesion.
 
-    The outward normal is that of the outer surface, smoothed over 0.3 mm, at its point nearest to
-    the lesion's middle; the origin is where the line along it through the middle leaves the tooth.
-    Where the normal leans far from the tooth's axis y points to the crown, else x lies as in the
-    tooth's frame.
+    The outward normal is the normal of the outer surface, smoothed over 0.3 mm, at the point
+    nearest to the lesion's middle. The origin is the point where the line along the normal through
+    the middle leaves the tooth. If the normal leans far from the tooth's axis, y points to the
+    crown; otherwise x is as in the tooth's frame.
 
     Parameters
     ----------
@@ -161,8 +164,9 @@ def lesion_site(tooth: VoxelVolume) -> Site:
 
 
 def _outward(smooth: Singles, middle: Array, spacing: float) -> tuple[Array, Array]:
-    """Return the mean outward normal around the point of the surface nearest to the middle, and
-    that point [voxel].
+    """Return the mean outward normal around the surface point nearest to the middle.
+
+    Also return that point [voxel].
     """
     shell = np.argwhere((smooth > 0.3) & (smooth < 0.7)).astype(np.float64)
     nearest = shell[np.argmin(np.linalg.norm(shell - middle, axis=1))]

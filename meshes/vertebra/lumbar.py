@@ -1,8 +1,8 @@
-"""A procedural lumbar vertebra (L4): body with endplates, pedicles, lamina, processes, spinal
-canal.
+"""Procedural lumbar vertebra (L4).
 
-Sources, M = from memory of the literature, with confidence H, M or L; L4 where nothing else is
-stated.
+It has a body with endplates, pedicles, lamina, processes and spinal canal.
+
+Sources, M = from memory of the literature, with confidence H, M or L; L4 unless stated otherwise.
 
 =============================  =============  ======================================================================
 body width, depth, height      48, 34.5, 25   M, M: Panjabi 1992, means of upper and lower endplate; height posterior
@@ -16,8 +16,7 @@ cortex of the pedicle          1.0 mm         M, M: medial 1.2 to lateral 0.7, L
 cortex of the body, endplate   0.4, 0.6 mm    M, M: Silva 1994, Edwards 2001
 spinous, transverse process    32, 21 mm      M, L: lengths; Panjabi 1992 gives 69 and 80 over all
 trabecular density             180 kg/m3      M, M: Keaveny 2001, lumbar bodies 100 to 300; cortex 1800
-=============================  =============
-======================================================================
+=============================  =============  ======================================================================
 
 Facets, accessory processes and the wedge of the body are not modelled.
 """  # noqa: E501 a table
@@ -49,8 +48,9 @@ _BLEND_M = 3e-3
 _SPINOUS_M = 32e-3
 _TRANSVERSE_M = 21e-3
 _ENTRY_M = 19e-3
-"""From the back wall of the body to the entry behind the pedicle, along its axis: pedicle and
-pars, a prior.
+"""Distance from the back wall of the body to the entry behind the pedicle, along its axis.
+
+It covers pedicle and pars and is a prior.
 """
 _REACH_M = 75e-3
 
@@ -70,13 +70,14 @@ class _HalfSizes:
 
     @property
     def canal_y(self) -> float:
-        """Centre of the canal behind that of the body [m]."""
+        """Centre of the canal behind the centre of the body [m]."""
         return self.depth + self.canal_depth
 
     @property
     def isthmus(self) -> Array:
-        """Middle of the narrowest part of the left pedicle [m]: beside the canal, cortex to
-        cortex.
+        """Middle of the narrowest part of the left pedicle [m].
+
+        It lies next to the canal, midway from cortex to cortex.
         """
         return np.array(
             [
@@ -93,7 +94,7 @@ class _HalfSizes:
 
     @property
     def entry(self) -> Array:
-        """Point of the axis behind the pedicle that is about the entry [m]."""
+        """Point of the axis behind the pedicle, near the entry [m]."""
         return self.isthmus + (_ENTRY_M - 4e-3) * self.axis
 
 
@@ -127,12 +128,12 @@ class VertebraSizes(Ranged):
 
 
 def lumbar_vertebra(**sizes: float) -> Anatomy:
-    """Build a lumbar vertebra in the site frame of its left pedicle; its structure `canal` is the
-    spinal canal.
+    """Build a lumbar vertebra in the site frame of its left pedicle.
 
-    The origin lies on the bone where the axis of the left pedicle leaves it behind, z points
-    backward out of the bone along that axis, y upward, x across, so that the canal lies at positive
-    x.
+    Its structure `canal` is the spinal canal.
+
+    The origin is the point at the back where the axis of the left pedicle leaves the bone. z points
+    backward out of the bone along that axis, y upward and x across. The canal lies at positive x.
 
     Parameters
     ----------
@@ -235,8 +236,9 @@ def _body(sizes: _HalfSizes, p: Floats) -> Floats:
 
 
 def _pedicles(sizes: _HalfSizes, p: Floats) -> Floats:
-    """Compute the distance from elliptic columns along both axes, from within the body to the
-    entry [m].
+    """Compute the distance [m] from elliptic columns along both pedicle axes.
+
+    They reach from within the body to the entry.
     """
     centre = sizes.isthmus.astype(p.dtype)
     axis = sizes.axis.astype(p.dtype)
@@ -251,8 +253,9 @@ def _pedicles(sizes: _HalfSizes, p: Floats) -> Floats:
 
 
 def _arch(sizes: _HalfSizes, p: Floats) -> Floats:
-    """Compute the distance from the lamina, a wall around the canal behind the middle of the
-    pedicles [m].
+    """Compute the distance [m] from the lamina.
+
+    The lamina is a wall around the canal behind the middle of the pedicles.
     """
     y = p[:, 1] - sizes.canal_y
     outer = _ellipse(p[:, 0], y, sizes.canal_width + _LAMINA_M, sizes.canal_depth + _LAMINA_M)
@@ -270,8 +273,9 @@ def _canal(sizes: _HalfSizes) -> Shape:
 
 
 def _ellipse(x: Floats, y: Floats, a: float | Floats, b: float | Floats) -> Floats:
-    """Compute the signed distance from an ellipse of half axes a and b [m] by three steps, to 1e-5
-    of its size.
+    """Compute the signed distance from an ellipse of half axes a and b [m].
+
+    Three steps give an error of 1e-5 of its size.
 
     Each step takes the ellipse for its circle of curvature at the last point (A. Nash, "Computing
     the distance between a point and an ellipse"), from the direction of 45 degrees.
@@ -294,13 +298,15 @@ def _ellipse(x: Floats, y: Floats, a: float | Floats, b: float | Floats) -> Floa
 
 
 def _layers(sizes: _HalfSizes, cortex: float, turn: Array, origin: Array) -> Classify:
-    """Classify by depth: thin shell and endplates around the body, a thicker cortex around the
-    rest.
+    """Classify by depth.
+
+    A thin shell and endplates surround the body, a thicker cortex surrounds the other parts.
     """
 
     def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
-        """Layer and density [kg/m3], shape (n,), of points [m], shape (n, 3), at depths below
-        the surface [m].
+        """Return layer and density [kg/m3], shape (n,), of points [m], shape (n, 3).
+
+        The depths below the surface are in m.
         """
         p = points @ turn.T.astype(points.dtype) + origin.astype(points.dtype)
         behind = np.clip((p[:, 1] - sizes.depth + 4e-3) / 4e-3, 0.0, 1.0)
@@ -317,8 +323,9 @@ def _layers(sizes: _HalfSizes, cortex: float, turn: Array, origin: Array) -> Cla
 
 
 def _placed(shape: Shape, turn: Array, origin: Array) -> Shape:
-    """Move a shape from the body's frame to the site frame, whose axes are the columns of
-    `turn`.
+    """Move a shape from the body's frame to the site frame.
+
+    The columns of `turn` are the axes of the site frame.
     """
     corners = np.array(
         np.meshgrid(*np.clip(np.array([shape.lower_m, shape.upper_m]), -_REACH_M, _REACH_M).T)

@@ -1,1 +1,1 @@
-"""Grids of voxels and how they are filled."""
+"""Grids of voxels and their filling."""

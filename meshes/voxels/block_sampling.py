@@ -35,8 +35,9 @@ _LOCAL = lattice(*[np.arange(BLOCK)] * 3)
 
 @dataclass(frozen=True, eq=False)
 class VoxelArrays:
-    """The arrays of a `VoxelVolume` while they are filled, over a blocked grid, all of its
-    shape.
+    """Arrays of a `VoxelVolume` while they are filled, over a blocked grid.
+
+    All have the shape of the grid.
     """
 
     fraction: Bytes
@@ -46,12 +47,12 @@ class VoxelArrays:
 
     @classmethod
     def empty(cls, shape: tuple[int, ...]) -> VoxelArrays:
-        """Arrays without bone."""
+        """Return arrays without bone."""
         bytes_, words = (np.zeros(shape, dtype) for dtype in (np.uint8, np.uint16))
         return cls(bytes_, np.zeros_like(bytes_), words, np.full(shape, OUTSIDE, np.uint8))
 
     def slab(self, start: int, stop: int) -> VoxelArrays:
-        """Views of the part with the x numbers `start` to `stop`."""
+        """Return views of the part with the x numbers `start` to `stop`."""
         part = slice(start, stop)
         return VoxelArrays(
             self.fraction[part], self.layer[part], self.density[part], self.surface[part]
@@ -147,7 +148,7 @@ def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
         layer, density = anatomy.classify(points, -depth)
         where = np.unravel_index(chosen, blocks[0].shape[:3])
         surface = surface_steps(depth / np.float32(grid.spacing_m))
-        # beyond the surface too: what lies between voxel centres is asked of both sides
+        # beyond the surface too: points between voxel centres read both sides
         present = surface < OUTSIDE
         filled = np.rint(fraction * FULL), layer * present, np.rint(density) * present, surface
         for block, values in zip(blocks, filled, strict=True):
@@ -179,15 +180,16 @@ def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[Flags, tuple[Bytes, F
 
 
 def _over_windows(combine: np.ufunc, values: Bytes) -> Bytes:
-    """Combine each window of 4 x 4 x 4 lattice points, the corners of a block and of its
-    neighbours.
+    """Combine each window of 4 x 4 x 4 lattice points.
+
+    A window holds the corners of a block and of its neighbours.
     """
     windows = np.lib.stride_tricks.sliding_window_view(values, (4, 4, 4))
     return np.asarray(combine.reduce(windows, axis=(3, 4, 5)), dtype=np.uint8)
 
 
 def _interpolated(corners: Floats, grid: Grid, chosen: Flags) -> Singles:
-    """Trilinear interpolation to the voxel centres of the chosen blocks, shape (n, 8, 8, 8)."""
+    """Interpolate trilinearly to the voxel centres of the chosen blocks, shape (n, 8, 8, 8)."""
     bx, by, bz = np.unravel_index(np.flatnonzero(chosen), [n // BLOCK for n in grid.shape])
     values = np.empty((len(bx), 2, 2, 2), dtype=np.float32)
     for i, j, k in np.ndindex(2, 2, 2):
@@ -201,14 +203,15 @@ def _interpolated(corners: Floats, grid: Grid, chosen: Flags) -> Singles:
 
 
 def centres_of(index: Ints, spacing_m: float, shift: float) -> Singles:
-    """Return coordinates [m] of voxel numbers shifted by `shift` spacings, float32, shape (n,
-    3), stored by columns.
+    """Return coordinates [m] of voxel numbers shifted by `shift` spacings.
+
+    They are float32, shape (n, 3), stored by columns.
     """
     return (index.T.astype(np.float32) + np.float32(shift)).T * np.float32(spacing_m)
 
 
 def _by_blocks(array: NDArray[np.generic]) -> NDArray[np.generic]:
-    """View of a blocked array with the shape (bx, by, bz, 8, 8, 8)."""
+    """Return a view of a blocked array with the shape (bx, by, bz, 8, 8, 8)."""
     nx, ny, nz = (n // BLOCK for n in array.shape)
     return array.reshape(nx, BLOCK, ny, BLOCK, nz, BLOCK).transpose(0, 2, 4, 1, 3, 5)
 

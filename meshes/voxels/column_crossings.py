@@ -1,4 +1,4 @@
-"""Where vertical lines cross the triangles of a solid's surface."""
+"""Crossings of vertical lines with the triangles of a solid's surface."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ _PAIRS_AT_ONCE = 2_000_000
 
 @dataclass(frozen=True, eq=False)
 class ColumnCrossings:
-    """Where vertical lines enter and leave the solid, sorted by line, then upward.
+    """Heights at which vertical lines enter and leave the solid, sorted by line, then upward.
 
     Attributes
     ----------
@@ -37,8 +37,9 @@ class ColumnCrossings:
 
 
 def column_crossings(vertices: Array, faces: Ints, x: Array, y: Array) -> ColumnCrossings:
-    """Cross the vertical lines through each (x, y) with the triangles and keep where the winding
-    number turns positive.
+    """Cross the vertical lines through each (x, y) with the triangles.
+
+    Crossings where the winding number starts or ceases to be positive are kept.
 
     An edge shared by two triangles is tested with the same arithmetic for both, so a line passes
     through one of them.
@@ -73,10 +74,10 @@ def column_crossings(vertices: Array, faces: Ints, x: Array, y: Array) -> Column
 
 
 def inside_scattered(vertices: Array, faces: Ints, points: Floats) -> Flags:
-    """Whether points [m], shape (n, 3), lie where the winding number is positive, each by the
-    vertical line through it.
+    """Return whether points [m], shape (n, 3), lie where the winding number is positive.
 
-    Triangles are sorted into square columns, so that a point is tested against those of its column.
+    Each point is tested by the vertical line through it. Triangles are sorted into square columns,
+    so that a point is tested only against the triangles of its column.
     """
     points = np.asarray(points, dtype=np.float64)
     inside = np.zeros(len(points), dtype=bool)
@@ -117,8 +118,9 @@ def inside_scattered(vertices: Array, faces: Ints, points: Floats) -> Flags:
 
 
 def _by_column(corners: Array, low: Array, edge: Array, count: int) -> tuple[Ints, Ints]:
-    """Triangles whose box meets each of count x count columns, column after column, and where
-    each begins.
+    """Return triangles whose box overlaps each of count x count columns, column after column.
+
+    Also return the start of each column.
     """
     boxes = np.stack([corners[:, :, :2].min(axis=1), corners[:, :, :2].max(axis=1)])
     first, last = np.clip(np.floor((boxes - low) / edge), 0, count - 1).astype(np.int64)
@@ -134,7 +136,7 @@ def _by_column(corners: Array, low: Array, edge: Array, count: int) -> tuple[Int
 
 
 def triangles_meeting(vertices: Array, faces: Ints, axis: int, low: float, high: float) -> Ints:
-    """Triangles whose box meets an interval along an axis."""
+    """Return triangles whose box overlaps an interval along an axis."""
     below = vertices[:, axis] < low
     above = vertices[:, axis] > high
     a, b, c = faces.T
@@ -143,8 +145,9 @@ def triangles_meeting(vertices: Array, faces: Ints, axis: int, low: float, high:
 
 
 def _covered(corners: Array, x: Array, y: Array) -> tuple[Ints, Ints]:
-    """First line and number of lines along x and y within each triangle's box, each shape (m,
-    2).
+    """Return first line and number of lines along x and y within each triangle's box.
+
+    Each has the shape (m, 2).
     """
     boxes = [lowest_and_highest(*corners[:, :, k].T) for k in range(2)]
     first = [np.searchsorted(axis, low) for axis, (low, _) in zip((x, y), boxes, strict=True)]
@@ -156,8 +159,9 @@ def _covered(corners: Array, x: Array, y: Array) -> tuple[Ints, Ints]:
 
 
 def lowest_and_highest(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
-    """Lowest and highest of three arrays, element by element; NumPy is slow along an axis of
-    three.
+    """Return lowest and highest of three arrays, element by element.
+
+    NumPy is slow along an axis of three.
     """
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
@@ -170,8 +174,9 @@ def _crossed(
     x: Array,
     y: Array,
 ) -> tuple[Ints, Array, Ints]:
-    """Line, height and sign (+1 entering) of each crossing of the triangles with the lines in
-    their boxes.
+    """Return line, height and sign (+1 entering) of each crossing of triangles and lines.
+
+    Only the lines in a triangle's box are tested.
     """
     pairs = counts[:, 0] * counts[:, 1]
     triangle = np.repeat(np.arange(len(pairs)), pairs)
@@ -189,8 +194,9 @@ def _met(
     px: Array,
     py: Array,
 ) -> tuple[Flags, Array, Ints]:
-    """Which vertical lines through (px, py) meet their triangle; height and sign (+1 entering)
-    of those that do.
+    """Return flags of the vertical lines through (px, py) that cross their triangle.
+
+    Also return height and sign (+1 entering) of the crossings.
     """
     edge_normal = np.empty((3, len(triangle)))
     hit = np.ones(len(triangle), dtype=bool)

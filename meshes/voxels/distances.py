@@ -1,7 +1,7 @@
 """Distances of voxels to the bone's surface, in bytes.
 
-Between voxel centres they are interpolated, so that a surface or a change of layer lies where it is
-to second order in the spacing, and not where the nearest voxel gives.
+They are interpolated between voxel centres. A surface or a change of layer is thus located to
+second order in the spacing, not to the nearest voxel.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 SURFACE_STEPS = 63
-"""Steps a voxel; they reach two voxels."""
+"""Stored steps per voxel; stored distances reach two voxels."""
 SURFACE_ZERO = 128
 INSIDE = 2
 OUTSIDE = 254
@@ -46,8 +46,8 @@ def near_the_surface(
 ) -> tuple[Bytes, Bytes, NDArray[np.uint16], Bytes]:
     """Return surface distance, layer, density and boundary distance of a volume, each of its shape.
 
-    Layer and density go on beyond the surface, as far as its distance is known: a point between the
-    last voxel centre in the bone and the first one outside lies in a layer too.
+    Layer and density continue beyond the surface, as far as its distance is known: a point between
+    the last voxel centre in the bone and the first one outside lies in a layer too.
     """
     surface = (
         volume.surface_distance
@@ -65,8 +65,9 @@ def near_the_surface(
 def carried_beyond(
     fraction: Bytes, surface: Bytes, layer: Bytes, density: NDArray[np.uint16]
 ) -> tuple[Bytes, NDArray[np.uint16], Flags]:
-    """Carry layer and density of the outermost voxels on beyond the surface; return also where
-    they are known.
+    """Extend layer and density of the outermost voxels beyond the surface.
+
+    Also return flags of the voxels where they are known.
     """
     layer = layer.copy()
     density = density.copy()
@@ -84,14 +85,15 @@ def carried_beyond(
 
 
 def surface_of_fractions(fraction: Bytes) -> Bytes:
-    """Compute the stored surface distance of voxels from their filled fractions, uint8, shape (nx,
-    ny, nz).
+    """Compute the stored surface distance of voxels from their filled fractions.
 
-    In each voxel that the surface crosses, or beside which it passes, the plane that leaves the
-    fraction behind it, its direction the gradient of the fractions; near those, the mean over their
-    planes. Beyond the array there is no bone. Round a ball that mean lies below the distance and
-    what is interpolated between centres above it: of either bias, a twelfth of the principal
-    curvatures' sum, the interpolated surface keeps a quarter.
+    The result is uint8, shape (nx, ny, nz).
+
+    Each voxel that the surface crosses or passes next to has a plane. The plane leaves the voxel's
+    fraction behind it, and its direction is the gradient of the fractions. Voxels near those take
+    the mean over their planes. There is no bone beyond the array. On a ball the mean lies below the
+    true distance and the interpolation between centres lies above it. Each bias is a twelfth of the
+    principal curvatures' sum; the interpolated surface keeps a quarter of it.
     """
     padded = np.pad(fraction, 3)
     result = np.where(padded > 127, INSIDE, OUTSIDE).astype(np.uint8)
@@ -106,7 +108,7 @@ def surface_of_fractions(fraction: Bytes) -> Bytes:
     known[crossed] = np.arange(planes, dtype=np.int32)
     near = np.argwhere(_grown(_grown(crossed)))
     summed, weights = np.zeros((2, len(near)))
-    # A full or an empty voxel beside the surface bounds its distance and does not give it.
+    # A full or an empty voxel next to the surface bounds its distance and does not give it.
     trust = np.where((share > 0.0) & (share < 1.0), 1.0, np.where(total > 0.0, 1e-3, 0.0))
     for offset in np.vstack([np.zeros((1, 3), dtype=int), _OFFSETS]):
         there = tuple(np.clip(near + offset, 0, np.array(padded.shape) - 1).T)
@@ -123,8 +125,9 @@ def surface_of_fractions(fraction: Bytes) -> Bytes:
 
 
 def _plane_distance(share: Floats, normal: Floats) -> Array:
-    """Compute the signed distance of unit cubes' centres from the plane that leaves a share of
-    them behind it.
+    """Compute the signed distance of unit cubes' centres from a plane.
+
+    The plane leaves a given share of the cube behind it.
     """
     half = 0.5 * np.abs(normal).sum(axis=1)
     low = -half
@@ -138,8 +141,9 @@ def _plane_distance(share: Floats, normal: Floats) -> Array:
 
 
 def _outward(fraction: Bytes, at: Ints) -> Array:
-    """Return unit vectors down the gradient of the fractions in 3 x 3 x 3 voxels, shape (n, 3);
-    z where it is zero.
+    """Return unit vectors down the gradient of the fractions in 3 x 3 x 3 voxels, shape (n, 3).
+
+    The vector is z where the gradient is zero.
     """
     slope = np.zeros((len(at), 3))
     for offset in np.array(list(np.ndindex(3, 3, 3))) - 1:

@@ -1,5 +1,6 @@
-"""A regular grid of voxels whose lines lie on whole multiples of the spacing, whatever region it
-covers.
+"""Regular grid of voxels whose lines lie on whole multiples of the spacing.
+
+This holds for any region that it covers.
 """
 
 from __future__ import annotations
@@ -46,7 +47,10 @@ class Grid:
         return np.array(self.first) * self.spacing_m
 
     def blocked(self) -> Grid:
-        """Smallest grid of whole blocks, counted from the frame's origin, that holds this one."""
+        """Return the smallest grid of whole blocks that holds this grid.
+
+        Blocks are counted from the frame's origin.
+        """
         low = [f // BLOCK * BLOCK for f in self.first]
         high = [-(-e // BLOCK) * BLOCK for e in self.last]
         return Grid(
@@ -56,7 +60,7 @@ class Grid:
         )
 
     def slab(self, start: int, stop: int) -> Grid:
-        """Part with the local x numbers `start` to `stop`."""
+        """Return the part with the local x numbers `start` to `stop`."""
         return Grid(
             self.spacing_m,
             (self.first[0] + start, *self.first[1:]),
@@ -64,8 +68,9 @@ class Grid:
         )
 
     def block_firsts(self) -> Ints:
-        """Number of the lowest voxel of each block of a blocked grid, shape (n, 3), in C order
-        of the blocks.
+        """Return the number of the lowest voxel of each block of a blocked grid, shape (n, 3).
+
+        The blocks are in C order.
         """
         axes = [np.arange(f, e, BLOCK) for f, e in zip(self.first, self.last, strict=True)]
         firsts: Ints = lattice(*axes)

@@ -1,8 +1,9 @@
-"""Distances of voxels to the nearest change of layer, in bytes: from the layer at any point, or
-from labels alone.
+"""Distances of voxels to the nearest change of layer, in bytes.
 
-Only voxels in a cell of eight centres of which two lie in different layers have one: no other is
-asked for it.
+They come from the layer at any point, or from labels alone.
+
+Only voxels in a cell of eight centres with two different layers have a distance. The distance of
+other voxels is never used.
 """
 
 from __future__ import annotations
@@ -18,30 +19,33 @@ from meshes.base.arrays import Array, Bytes, Flags, Floats, Ints, Singles
 __all__ = ["FAR", "LayerAt", "boundary_of_layers", "layer_boundary"]
 
 BOUNDARY_STEPS = 127
-"""Steps a voxel; they reach two voxels."""
+"""Stored steps per voxel; stored distances reach two voxels."""
 FAR = 254
-"""Stored distance where no layer changes within two voxels, or in no cell that the voxel is a
-corner of.
+"""Stored distance of voxels that are far from any change of layer.
+
+No layer changes within two voxels, or in any cell that the voxel is a corner of.
 """
 _UNKNOWN = 255
 _PADDED = 6
 _AT_ONCE = 1 << 18
 _STRIDE = 0.5
 _HALVINGS = 5
-"""Steps [voxel] that bracket a change along a direction, and how often the bracket is halved."""
+"""Steps [voxel] that bracket a change along a direction, and number of bisections."""
 _WIDE = 6.0
 _NARROW = 3.0
 """Radii of the balls [voxel] whose shares give the distance."""
 _DISAGREES = 0.25
 _REACH = 2
-"""A label this far [voxel] from its place makes the narrow ball count in this reach [voxel]."""
+"""Deviation [voxel] of a label above which the narrow ball counts, and reach of that [voxel]."""
 
 LayerAt = Callable[[Singles], Bytes]
 """Points [voxel], shape (n, 3), to their layers, shape (n,)."""
 
 
 def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
-    """Stored distance of each voxel's centre to the nearest change of layer, shape (nx, ny, nz).
+    """Compute the stored distance of voxel centres to the nearest change of layer.
+
+    The result has the shape (nx, ny, nz).
 
     The voxels of other layers around a voxel give the direction; along it the change is bracketed
     in half voxels, then halved.
@@ -76,13 +80,13 @@ def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
 
 
 def boundary_of_layers(layer: Bytes, known: Flags) -> Bytes:
-    """Stored distance to the nearest change of layer of voxels of which only the layer is known.
+    """Compute the stored distance to the nearest change of layer from labels alone.
 
-    From the share of a voxel's layer in the ball of six voxels around it, see `_ball`; of three
-    voxels where labels disagree with that by a quarter voxel, at corners and thin layers. Each
-    voxel's centre stays in its layer, so that no boundary moves by more than half a voxel. A voxel
-    most of whose neighbours lie in other layers keeps up to half a voxel around its centre: a layer
-    of one voxel does not vanish.
+    The distance follows from the share of a voxel's layer in the ball of six voxels around it, see
+    `_ball`. A ball of three voxels is used where labels disagree with that distance by a quarter
+    voxel, at corners and thin layers. Each voxel's centre stays in its layer, so that no boundary
+    moves by more than half a voxel. A voxel with most neighbours in other layers keeps up to half a
+    voxel around its centre, so that a layer of one voxel does not vanish.
     """
     codes = _codes(layer, known)
     chosen = _in_mixed_cells(codes)
@@ -100,20 +104,27 @@ def boundary_of_layers(layer: Bytes, known: Flags) -> Bytes:
 
 
 def _codes(layer: Bytes, known: Flags) -> Bytes:
-    """Layers with a border around them, 255 there and where they are not known."""
+    """Return layers with a border around them.
+
+    They are 255 in the border and where they are not known.
+    """
     return np.pad(np.where(known, layer, np.uint8(_UNKNOWN)), _PADDED, constant_values=_UNKNOWN)
 
 
 def _stored(codes: Bytes, chosen: NDArray[np.intp], distance: Floats) -> Bytes:
-    """Distances [voxel] of the chosen voxels as bytes, `FAR` elsewhere, without the border."""
+    """Return distances [voxel] of the chosen voxels as bytes, without the border.
+
+    Other voxels are `FAR`.
+    """
     result = np.full(codes.shape, FAR, dtype=np.uint8)
     result.ravel()[chosen] = np.rint(np.minimum(BOUNDARY_STEPS * distance, FAR))
     return np.ascontiguousarray(result[(slice(_PADDED, -_PADDED),) * 3])
 
 
 def _in_mixed_cells(codes: Bytes) -> NDArray[np.intp]:
-    """Flat indices of the known voxels in cells, 2 x 2 x 2 voxels, in which two neighbours
-    differ in layer.
+    """Return flat indices of the known voxels in cells with two layers.
+
+    A cell has 2 x 2 x 2 voxels. Two neighbours in it differ in layer.
     """
     flat = codes.ravel()
     steps = _strides(codes)
@@ -133,8 +144,9 @@ def _in_mixed_cells(codes: Bytes) -> NDArray[np.intp]:
 def _sums(
     codes: Bytes, at: NDArray[np.intp], offsets: Ints, weights: NDArray[np.generic]
 ) -> tuple[Singles, Singles]:
-    """Weighted sums over the known voxels around each, of its own layer and of others, each shape
-    (rows, n).
+    """Compute weighted sums over the known voxels around each voxel, shapes (rows, n).
+
+    One sum is over the voxel's own layer, the other over other layers.
 
     ``weights`` has the shape (rows, offsets); whole numbers up to 2**24 in all are summed exactly,
     on any machine.
@@ -154,8 +166,9 @@ def _sums(
 
 
 def _distance_of_share(codes: Bytes, at: NDArray[np.intp], radius: float) -> Array:
-    """Distance [voxel] to the plane that leaves a voxel's own share of a ball around it;
-    negative beyond the plane.
+    """Compute the distance [voxel] to the plane that leaves a voxel's own share of a ball.
+
+    The ball is around the voxel. The distance is negative beyond the plane.
     """
     offsets, weights, share, distance = _ball(radius)
     same, other = (sums[0].astype(np.float64) for sums in _sums(codes, at, offsets, weights))
@@ -164,13 +177,15 @@ def _distance_of_share(codes: Bytes, at: NDArray[np.intp], radius: float) -> Arr
 
 @cache
 def _ball(radius: float) -> tuple[Ints, Array, Array, Array]:
-    """Offsets and weights in a ball, and the share that lies behind a plane at a distance from its
-    centre [voxel].
+    """Compute offsets and weights in a ball, and the share behind a plane.
+
+    The share is a function of the plane's distance [voxel] from the centre.
 
     The weight (1 - r²)² (1 - 5/2 r²), r relative to the radius, has no second moment in a plane
-    through the centre: the share behind a surface through it does not change with the curvature, to
-    first order. The share grows with the distance t up to the weight's turning point, t² = 1/5; the
-    weight summed over the plane at t is, but for a factor, (1 - t²)³ (5/8 (1 - t²) - 1/2).
+    through the centre. The share behind a surface through the centre therefore does not change with
+    the curvature, to first order. The share grows with the distance t up to the weight's turning
+    point, t² = 1/5. The weight summed over the plane at t is, up to a factor, (1 - t²)³ (5/8 (1 -
+    t²) - 1/2).
     """
     offsets = _offsets(radius)
     r2 = (offsets**2).sum(axis=1) / radius**2
@@ -185,20 +200,21 @@ def _ball(radius: float) -> tuple[Ints, Array, Array, Array]:
 
 
 def _offsets(radius: float) -> Ints:
-    """Whole offsets shorter than a radius [voxel], shape (n, 3)."""
+    """Return whole offsets shorter than a radius [voxel], shape (n, 3)."""
     reach = int(radius)
     offsets = np.array(list(np.ndindex((2 * reach + 1,) * 3))) - reach
     return offsets[(offsets**2).sum(axis=1) < radius**2]
 
 
 def _strides(array: Bytes) -> Ints:
-    """Steps along each axis in the flat array."""
+    """Return steps along each axis in the flat array."""
     return np.array([array.shape[1] * array.shape[2], array.shape[2], 1])
 
 
 def _distance(at: Ints, this: Bytes, direction: Singles, layer_at: LayerAt) -> Singles:
-    """Distance [voxel] from voxel centres along a direction to where the layer changes, at most
-    2, shape (n,).
+    """Compute the distance [voxel] from voxel centres along a direction to the change of layer.
+
+    It is at most 2, shape (n,).
     """
     centre = at.astype(np.float32) + np.float32(0.5)
     low, high = np.zeros((2, len(at)), dtype=np.float32)

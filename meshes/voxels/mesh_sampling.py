@@ -1,9 +1,9 @@
 """Bone fraction and depth of voxels under a triangle surface.
 
-Fraction: each voxel column holds 3 x 3 lines along z; where a line crosses the triangles its
-winding number changes, and the lengths with a positive winding number are the bone in it. Exact
-along z, a quadrature of nine lines across. Depth: the distance to the surface on a lattice of 0.4
-mm or a voxel, interpolated to the voxels.
+Fraction: each voxel column holds 3 x 3 lines along z. A line's winding number changes where it
+crosses the triangles, and its parts with a positive winding number are bone. This is exact along z
+and a quadrature of nine lines across. Depth: the distance to the surface on a lattice of 0.4 mm or
+a voxel, interpolated to the voxels.
 """
 
 from dataclasses import dataclass
@@ -49,8 +49,9 @@ class TriangleSampler:
         return lowest_and_highest(*np.ascontiguousarray(self.vertices_m[:, 0])[self.faces].T)
 
     def _within(self, grid: Grid, margin: float, axes: int) -> Ints:
-        """Triangles whose box meets that of the grid, grown by a margin [m], along its first
-        `axes` axes.
+        """Return triangles whose box overlaps the grid's box along its first `axes` axes.
+
+        The grid's box is grown by a margin [m].
         """
         low = np.array(grid.first) * grid.spacing_m - margin
         high = np.array(grid.last) * grid.spacing_m + margin
@@ -60,9 +61,11 @@ class TriangleSampler:
         return faces
 
     def __call__(self, grid: Grid) -> tuple[Singles, Singles]:
-        """Fraction 0 to 1 and depth [m], positive inside, float32, shape of the blocked grid.
+        """Compute bone fraction, 0 to 1, and depth [m], positive inside.
 
-        The depth is found only in lattice cells with bone in them; elsewhere it means nothing.
+        Both are float32 with the shape of the blocked grid.
+
+        The depth is computed only in lattice cells that hold bone; elsewhere it is meaningless.
         """
         fraction = self._fraction(grid)
         return fraction, self._depth(grid, fraction)
@@ -123,8 +126,9 @@ class TriangleSampler:
 
 
 def _beyond(vertices: Array, faces: Ints, points: Floats, threshold: float) -> tuple[Flags, Flags]:
-    """Which points, shape (n, 3), are surely farther from the triangles than a threshold [m], and
-    which surely nearer.
+    """Return flags of the points that are surely farther from the triangles than a threshold [m].
+
+    Also return flags of the points that are surely nearer. Points have the shape (n, 3).
 
     No point of a triangle is farther from its nearest corner than its longest side over the root of
     three (Jung).
@@ -141,7 +145,7 @@ def _beyond(vertices: Array, faces: Ints, points: Floats, threshold: float) -> t
 
 
 def _corners_of(cells: Flags) -> Flags:
-    """Lattice points at the corners of cells."""
+    """Return lattice points at the corners of cells."""
     points = np.zeros(np.add(cells.shape, 1), dtype=bool)
     for i, j, k in np.ndindex(2, 2, 2):
         points[i : i + cells.shape[0], j : j + cells.shape[1], k : k + cells.shape[2]] |= cells
@@ -149,13 +153,14 @@ def _corners_of(cells: Flags) -> Flags:
 
 
 def _whole_cells(points: Flags) -> Flags:
-    """Cells all of whose corners are among the lattice points."""
+    """Return cells with all corners among the lattice points."""
     return ~_corners_of(~points)[1:-1, 1:-1, 1:-1]
 
 
 def triangle_distance(vertices: Array, faces: Ints, points: Floats) -> Array:
-    """Signed distance [m] of points [m], shape (n, 3), from the surface, negative inside, shape
-    (n,).
+    """Compute the signed distance [m] of points from the surface, negative inside, shape (n,).
+
+    The points [m] have the shape (n, 3).
     """
     import pyvista
 
@@ -168,7 +173,7 @@ def triangle_distance(vertices: Array, faces: Ints, points: Floats) -> Array:
 
 
 def nearest_on_triangles(vertices: Array, faces: Ints, points: Array) -> Array:
-    """Point of the surface nearest to each point [m], shape (n, 3)."""
+    """Return the point of the surface nearest to each point [m], shape (n, 3)."""
     import pyvista
 
     if len(points) == 0:

@@ -1,4 +1,4 @@
-"""Bone as voxels: how full, which layer, how dense."""
+"""Bone as voxels with fraction, layer and density."""
 
 from dataclasses import dataclass
 
@@ -35,14 +35,13 @@ class VoxelVolume:
     layer_names
         Name of each layer.
     placement
-        Where the frame lies in that of the file that the bone came from; None where it came from
-        none.
+        Placement of the frame in the frame of the bone's file; None if the bone is from no file.
     surface_distance
         Signed distance of each voxel's centre to the bone's surface, see `meshes.voxels.distances`,
-        uint8, shape (nx, ny, nz); None: taken from the fractions when it is wanted.
+        uint8, shape (nx, ny, nz); None: computed from the fractions when needed.
     layer_distance
-        Distance of each voxel's centre to the nearest change of layer, likewise; None: taken from
-        the layers.
+        Distance of each voxel's centre to the nearest change of layer, likewise; None: computed
+        from the layers when needed.
 
     Raises
     ------
@@ -95,7 +94,7 @@ class VoxelVolume:
         return self.origin_m, self.origin_m + self.spacing_m * np.array(self.shape)
 
     def volume_m3(self, layer: str | None = None) -> float:
-        """Bone volume [m3], of one named layer or of all.
+        """Compute the bone volume [m3], of one named layer or of all.
 
         Raises
         ------
@@ -112,7 +111,7 @@ class VoxelVolume:
         )
 
     def centres_m(self, axis: int) -> Array:
-        """Coordinates [m] of the voxel centres along one axis, shape (n_axis,)."""
+        """Return coordinates [m] of the voxel centres along one axis, shape (n_axis,)."""
         return self.origin_m[axis] + self.spacing_m * (np.arange(self.shape[axis]) + 0.5)
 
 

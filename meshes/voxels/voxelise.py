@@ -1,5 +1,6 @@
-"""An anatomy to voxels: sub-voxel bone fraction, layer and density over a region of the site
-frame.
+"""Conversion of an anatomy to voxels over a region of the site frame.
+
+Each voxel has a sub-voxel bone fraction, a layer and a density.
 """
 
 import os
@@ -44,15 +45,15 @@ def voxelise(
 ) -> VoxelVolume:
     """Convert an anatomy to voxels, in its site frame.
 
-    Grid lines lie on whole multiples of the spacing, so a voxel has the same content whatever
-    region is asked for. A voxel that the surface crosses holds the part of its cube behind the
-    surface's tangent plane (an error of second order in the spacing over the volume; where two
-    surfaces cross in a voxel, of first order there).
+    Grid lines lie on whole multiples of the spacing, so the content of a voxel does not depend on
+    the region. A voxel that the surface crosses holds the part of its cube behind the surface's
+    tangent plane (an error of second order in the spacing over the volume; where two surfaces cross
+    in a voxel, of first order there).
 
     Parameters
     ----------
     anatomy
-        What to voxelise.
+        Anatomy to convert.
     spacing_m
         Edge of a voxel [m].
     region_m
@@ -121,14 +122,18 @@ def voxelise(
 
 
 def _layer_at(anatomy: Anatomy, grid: Grid, depth: Singles) -> LayerAt:
-    """The anatomy's layer at points in voxels of the grid, the depth interpolated where the
-    anatomy samples it.
+    """Return the anatomy's layer at points in voxels of the grid.
+
+    The depth is interpolated where the anatomy samples it.
     """
     first = np.array(grid.first, dtype=np.float32)
     spacing = np.float32(grid.spacing_m)
 
     def layer_at(points: Singles) -> Bytes:
-        """Layer, shape (n,), at points in voxels from the grid's first corner, shape (n, 3)."""
+        """Return the layer, shape (n,), at points in voxels from the grid's first corner.
+
+        The points have the shape (n, 3).
+        """
         at = np.asfortranarray((points + first) * spacing)
         if anatomy.sample is None:
             return anatomy.classify(at, -anatomy.shape.distance(at))[0]
@@ -141,8 +146,9 @@ def _layer_at(anatomy: Anatomy, grid: Grid, depth: Singles) -> LayerAt:
 
 
 def _grid(anatomy: Anatomy, spacing: float, region_m: Region | None) -> Grid:
-    """Grid over the region, or over the anatomy's bounding box and beyond, on whole multiples of
-    the spacing.
+    """Build the grid over the region, or over the anatomy's bounding box and a margin.
+
+    Its lines lie on whole multiples of the spacing.
     """
     around = AROUND_VOXELS * spacing
     lower = np.array(anatomy.shape.lower_m) - around
@@ -181,8 +187,9 @@ def _corners(region_m: Region) -> tuple[Array, Array]:
 def _fill_from_samples(
     anatomy: Anatomy, sample: GridSampler, grid: Grid, out: VoxelArrays
 ) -> Singles:
-    """Fill `out` from an anatomy that gives fraction and depth for a whole grid; returns the
-    depth [m].
+    """Fill `out` from an anatomy that gives fraction and depth for a whole grid.
+
+    Return the depth [m].
     """
     fraction, depth = sample(grid)
     out.fraction[...] = np.rint(fraction * FULL)
@@ -196,9 +203,7 @@ def _fill_from_samples(
 
 
 def _take_out(minus: Shape, grid: Grid, out: VoxelArrays) -> None:
-    """Take the part of each voxel inside `minus` out of the fraction and of the surface
-    distance.
-    """
+    """Subtract the solid `minus` from the fraction and the surface distance of each voxel."""
     lower = np.floor(np.array(minus.lower_m) / grid.spacing_m) - np.array(grid.first)
     upper = np.ceil(np.array(minus.upper_m) / grid.spacing_m) - np.array(grid.first)
     if (lower >= grid.shape).any() or (upper <= 0).any():
