@@ -16,7 +16,7 @@ __all__ = ["Cutter", "DistanceTable", "PointShell", "spiral"]
 TABLE_ERROR_VOXELS = 2.0e-4
 """Error of the distance table [voxel], curvature x cell^2 / 8.
 
-The table meets this error within the limits of its resolution.
+The limits of its resolution take precedence.
 """
 CELLS_PER_VOXEL = 2.0, 6.0
 """Smallest and largest resolution of the distance table."""

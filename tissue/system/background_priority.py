@@ -49,7 +49,7 @@ class BackgroundPriority:
     number
         Id of the process.
     returns
-        Whether a thread may leave the idle priority. By default, `may_return_from_idle` tests it.
+        True if a thread may leave the idle priority. By default, `may_return_from_idle` tests it.
     """
 
     def __init__(self, number: int, *, returns: bool | None = None) -> None:

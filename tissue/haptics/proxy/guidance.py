@@ -14,7 +14,7 @@ __all__ = ["CompensatedPath", "Thrust"]
 SHARE = 0.35
 """Share of the visible error that each correction adds, for a tool that follows the hand; assumed.
 
-At 0.5, milling overshoots: the tool is pushed aside by as much as it is to press.
+At 0.5, milling overshoots: the tool is pushed aside as far as it should press.
 """
 LEAST_YIELD = 0.6
 """Smallest ratio of tool motion to hand motion that an operator assumes; assumed.

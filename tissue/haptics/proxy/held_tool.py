@@ -75,7 +75,7 @@ class HeldTool(ABC):
     def lands(self, response: Response, heading: Array) -> bool:
         """Return whether the response at the new position requires another step within the tick.
 
-        It does if the tool has met more than it had known.
+        It does if the tool has engaged more material than the last response had shown.
         """
 
 
@@ -86,7 +86,7 @@ class PressingTool(HeldTool):
     the force F and the stiffness K of the last tick: x' = x + (k + K)^-1 (k (x_device - x) + F).
     For a tissue without a known K, an isotropic stiffness is estimated from the change of force
     along the last motions of the tip. A larger value is used at once, a smaller one gradually. If
-    the tissue would have to pull where it has pushed, there is no balance. The tip is then at the
+    the balance required the tissue to pull instead of push, it is not used. The tip is then at the
     device, as it is without contact.
     """
 

@@ -19,7 +19,7 @@ def write_measured(path: Path, name: str, test: SelfTest) -> None:
     """Write the rate and latency of a device as constants with their ranges.
 
     The rate is the mean rate. It is the tick rate if nearly every tick has a sample. The low end of
-    its range is the rate that 99 % of the intervals meet. The latency is the round trip, or the
+    its range is the rate that 99 % of the intervals reach. The latency is the round trip, or the
     duration of the calls if the device does not report one.
     """
     most = 1.0 / TICK_S

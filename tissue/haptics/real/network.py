@@ -154,7 +154,7 @@ class NetworkAdapter:
                 peer = adapter.session.peer
                 dropped = adapter.happened()
                 place = adapter.address
-        except ValueError as error:  # an address, a port that is taken, or what is not installed
+        except ValueError as error:  # invalid address, used port or missing package
             return [FoundDevice(name="network", problem=str(error))]
         if peer is not None:
             detail = f"listens at {place}"

@@ -66,7 +66,7 @@ class NetworkSession:
         self._newest: HardwareSample | None = None
         self._seen = 0  # newest sequence number of the device
         self._sent = 0
-        self._shown = 0  # newest of ours that the device has shown
+        self._shown = 0  # newest of our packets that the device has shown
         self._sent_at = [nan] * KEPT
         # sequence number and time of the hello that was accepted
         self._greeting = (0, nan)

@@ -21,10 +21,8 @@ LONGEST_MESSAGE = 4096
 CLOSE_S = 0.2
 """Longest time of each step of a close [s].
 
-The steps: the device receives its last packets, ends its connection, and is cut off.
-
-Together they take less than the second after which a run gives up a device that does not
-close.
+The steps: the device receives its last packets, ends its connection, and is cut off. Together
+they take less than the second after which a run gives up a device that does not close.
 """
 SEND_S = 0.25
 """Longest time for which a device may receive no packets before its connection is ended [s]."""

@@ -151,7 +151,7 @@ class OpenHapticsAdapter:
         self.close()
 
     def poll(self) -> HardwareSample | None:
-        """Return the newest pose of the vendor's thread; None without a new one since the last call.
+        """Return the newest pose of the vendor's thread; None if it has not changed.
 
         Raises
         ------

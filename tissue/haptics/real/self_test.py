@@ -57,7 +57,10 @@ class SelfTest:
 
     @property
     def delay_s(self) -> float:
-        """Latency of the device in addition to the hold [s]: round trip, or else duration of its calls."""
+        """Latency of the device in addition to the hold [s].
+
+        It is the round trip, or else the duration of its calls.
+        """
         return self.round_trip_s if isfinite(self.round_trip_s) else self.call_s
 
     @property
