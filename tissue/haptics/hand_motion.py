@@ -35,7 +35,33 @@ Speeds are averaged because encoder positions change in steps.
 
 @dataclass(frozen=True, kw_only=True)
 class Rendering:
-    """Force rendering, from the positions of device and tool to the played force."""
+    """Force rendering, from the positions of device and tool to the played force.
+
+    Attributes
+    ----------
+    law
+        Law that renders the force at the device from device and tool [N].
+    loop
+        Loop of device and law. Its delay is used to book the energy, and its filters of force and
+        velocity are applied. Without a velocity filter, the velocity of the sample is used. Its
+        tick is the time between two samples of the device.
+    margin
+        Stability margin: share of the critical stiffness that is left.
+    turning_law
+        Law that renders the torque at the device [N m]; None for a device without torque.
+    delay_ticks
+        Ticks by which the force is delayed here.
+    model_ticks
+        Ticks for which one answer of the tissue holds.
+    predictor
+        Predictor of the force; None plays the present force.
+    lead_ticks
+        Prediction horizon [ticks].
+    prediction_gain
+        Share of the step from the present to the predicted force that is played.
+    played
+        Later changes of the force; default the limits of the device alone.
+    """
 
     law: Renderer
     loop: WallLoop

@@ -111,7 +111,7 @@ class Motion(Protocol):
 
 
 def first_off_unit(quaternions: Array) -> int | None:
-    """Return the index of the first quaternion far from unit length; None if there is no such one.
+    """Return the index of the first quaternion that is far from unit length, or None.
 
     Parameters
     ----------

@@ -106,6 +106,17 @@ class ReplayPoses(GivenPoses):
     """Recorded motion through poses at given times.
 
     Positions are interpolated linearly, and orientations on the shortest arc.
+
+    Parameters
+    ----------
+    times_s
+        Increasing times [s], shape (n,).
+    tips_m
+        Tip positions [m], shape (n, 3).
+    quaternions
+        Orientations (x, y, z, w), shape (n, 4).
+    step_s
+        Length of a tick [s]. The table is resampled to ticks once, before the run.
     """
 
     def __init__(self, times_s: Array, tips_m: Array, quaternions: Array, *, step_s: float) -> None:

@@ -83,7 +83,30 @@ class SpeedSearch:
 
 
 class PushAlongAxis(Motion):
-    """Force-driven motion: a thrust pushes the tool along its axis against the cutting force."""
+    """Force-driven motion: a thrust pushes the tool along its axis against the cutting force.
+
+    The feed follows from the balance of thrust and cutting force. The cutting force increases so
+    steeply with the feed (up to 1e5 N s/m) that an explicit step is unstable for steps longer than
+    2 m / c. The balance is therefore solved for the new speed, with drag c and edge force at the
+    new pose::
+
+        m (v' - v) / dt = thrust - c(x + v' dt) v' - edge(x + v' dt),    v' in [0, largest feed]
+
+    The force therefore never exceeds thrust + m v / dt. `advance` starts from the drag of the
+    previous tick, and `correct` tries poses until speed and forces agree. If the thrust is below
+    the edge force, the tool stays at rest and the bone balances the thrust.
+
+    Parameters
+    ----------
+    start_m
+        Start position of the tip [m].
+    axis
+        Direction from tip to shank; the tool moves in the opposite direction.
+    thrust_N, mass_kg, max_feed_m_s
+        Thrust [N], moving mass [kg] and largest feed [m/s].
+    depth_m
+        Coordinate along ``-axis`` from the site's origin at which the feed stops [m].
+    """
 
     balances = True
 
@@ -198,7 +221,10 @@ class PushAlongAxis(Motion):
         return max(min(self._max_feed, (self._longest - self._travel_before) / self._step), 0.0)
 
     def _balanced(self, drag: float, edge: float) -> float:
-        """Return the balanced speed at the end of this tick, within the limits [m/s]."""
+        """Return the balanced speed at the end of this tick, within the limits [m/s].
+
+        It balances thrust, inertia, drag and edge force.
+        """
         thrust = self._thrust - edge
         free = implicit_speed(
             self._speed_before, thrust=thrust, drag=drag, mass=self._mass, step_s=self._step

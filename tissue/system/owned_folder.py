@@ -24,7 +24,7 @@ __all__ = [
 ]
 
 MARKER = ".tissue.json"
-"""Name of the file that lists the files written by tissue in a folder."""
+"""Name of the marker file, which lists the files that tissue wrote into a folder."""
 FORMAT, VERSION = "tissue output folder", 1
 """Format and version that the marker states."""
 LONGEST_MARKER = 1 << 24
@@ -37,7 +37,7 @@ Files = dict[str, set[str]]
 
 
 class OwnedFolder:
-    """An output folder that one command holds against other processes and fills.
+    """Output folder that one command locks and fills.
 
     The marker lists each file before it is written. Only files that the marker lists are replaced
     or removed. While the folder is held, `whole_file` claims each file in it, so that no writer can
@@ -188,7 +188,19 @@ def require_folder(
     shared: Iterable[str] = (),
     adopted: Collection[str] = (),
 ) -> set[str]:
-    """Check that a folder can take an output, without any change; see `OwnedFolder`."""
+    """Check that a folder can take an output, without any change.
+
+    For the parameters, see `OwnedFolder`.
+
+    Returns
+    -------
+    Files of an earlier output of this kind, which the new output replaces.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written, or holds another output or foreign files under these names.
+    """
     require_place(path, folder=True)
     files = listed_files(path)
     listed = files.get(kind, set(adopted))
@@ -278,7 +290,7 @@ def _present(path: Path, names: Iterable[str]) -> set[str]:
 
 
 def _has_foreign_parent(path: Path, name: str) -> bool:
-    """Return whether a part of a name before the last one is there and is no plain folder."""
+    """Return whether a part of a name before the last one exists and is not a plain folder."""
     parents = [
         path.joinpath(*PurePosixPath(name).parts[:count])
         for count in range(1, len(PurePosixPath(name).parts))

@@ -1,4 +1,7 @@
-"""Priority of the thread that runs ticks in real time."""
+"""Priority of the thread that runs ticks in real time.
+
+The priority is raised if the system permits it, and restored afterwards.
+"""
 
 import os
 import sys

@@ -138,10 +138,12 @@ class DeviceParameters:
         Time from a sample to the force that answers it, in addition to the zero-order hold [s].
     amplifier_Hz
         Bandwidth of the amplifiers; infinite for no lag.
-    inertia_kg_m2, damping_Nm_s_rad, friction_Nm, encoder_step_rad, torque_limit_Nm,
-    torque_slew_Nm_ms
-        Parameters of rotation, as above. A torque limit of 0 defines a device with three degrees of
-        freedom, whose rotation follows the hand freely.
+    inertia_kg_m2, damping_Nm_s_rad, friction_Nm, encoder_step_rad
+        Apparent inertia [kg m2], viscous friction [N m s/rad], Coulomb friction [N m] and encoder
+        resolution [rad] of the rotation.
+    torque_limit_Nm, torque_slew_Nm_ms
+        Largest torque [N m] and its largest change [N m/ms]. A torque limit of 0 defines a device
+        with three degrees of freedom, whose rotation follows the hand freely.
     stiffness_limit_N_m, damping_limit_N_s_m, stiffness_limit_Nm_rad
         Limits of the vendor's software; reported, not enforced.
     workspace_width_m, workspace_height_m, workspace_depth_m

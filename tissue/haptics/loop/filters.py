@@ -124,7 +124,10 @@ class ConstantAcceleration:
 
 
 class DelayLine:
-    """Exact delay of a vector by a whole number of samples, initially zero."""
+    """Exact delay of a vector by a whole number of samples.
+
+    The output is zero until the first value has passed.
+    """
 
     def __init__(self, samples: int, *, size: int = 3) -> None:
         require_range("samples", samples, 0, 1e6, "count whole samples")

@@ -120,7 +120,10 @@ class WebTransport:
         lines = self._lines
 
         class Line(ServerConnection):
-            """Connection that is known from its first byte, so that it can be ended early."""
+            """Connection that is known from its first byte.
+
+            It can therefore be ended before it is a WebSocket.
+            """
 
             def connection_made(self, transport: asyncio.BaseTransport) -> None:
                 """Store the connection."""
