@@ -1,6 +1,4 @@
-"""A tool's whole body, its pegs and its inside included, as distances to structures are measured
-from it.
-"""
+"""Whole body of a tool, including pegs and inside, used to measure distances to structures."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -17,17 +15,16 @@ __all__ = ["OutlineTable", "body_points", "convex_parts", "outline_table"]
 
 ON_SURFACE = 3000
 INSIDE = 1000
-"""About as many points on the surface and in the inside at most."""
+"""Approximate largest number of points on the surface and inside."""
 CONVEX = 1e-9
 
 
 def body_points(profile: Profile, *, spacing_m: float) -> Array:
-    """Points of a body of revolution [m], shape (n, 3), origin at the tip, for pictures and
-    bounding boxes.
+    """Return points of a body of revolution for pictures and bounding boxes [m], shape (n, 3).
 
-    They cover what cuts and what does not, up to the profile's top, every ring at which the outline
-    bends, and the inside on a lattice. They lie `spacing_m` [m] apart on the surface, or farther
-    where there would be too many.
+    The origin is at the tip. The points cover the cutting and the smooth surface up to the top of
+    the profile, every ring at which the outline bends, and the inside on a lattice. They are
+    `spacing_m` [m] apart on the surface, or farther apart to limit their number.
     """
     spacing = max(spacing_m, (sum(piece.area_m2 for piece in profile.pieces) / ON_SURFACE) ** 0.5)
     parts = [spiral(piece, spacing_m=spacing)[0] for piece in profile.pieces]
@@ -40,14 +37,14 @@ def body_points(profile: Profile, *, spacing_m: float) -> Array:
 
 
 def _ring(radius: float, height: float, count: int) -> Array:
-    """Points evenly on a circle around the axis."""
+    """Return evenly spaced points on a circle around the axis."""
     turn = np.arange(count) * (2.0 * pi / count)
     circle = radius * np.column_stack([np.cos(turn), np.sin(turn)])
     return np.column_stack([circle, np.full(count, height)])
 
 
 def _inside(profile: Profile, spacing: float) -> Array:
-    """Points of a cubic lattice inside a profile, deeper than half their distance."""
+    """Return points of a cubic lattice inside a profile, deeper than half their spacing."""
     reach = profile.radius_m
     (low, high) = profile.height_range_m
     pitch = max(2.0 * spacing, (pi * reach**2 * (high - low) / INSIDE) ** (1.0 / 3.0))
@@ -59,15 +56,15 @@ def _inside(profile: Profile, spacing: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class OutlineTable:
-    """Half sections of the convex parts of a tool as numbers, for `kernels.tool_distance.Outline`.
+    """Half sections of the convex parts of a tool as arrays, for `kernels.tool_distance.Outline`.
 
     Attributes
     ----------
     kind
         0 for a line, 1 for an arc, shape (pieces,).
     shape
-        Of a line: start, unit direction, length. Of an arc: centre, radius, direction of its
-        middle, cosine of its half angle, directions of its ends. Shape (pieces, 10), [m].
+        Geometry of the pieces, shape (pieces, 10), [m]. Line: start, unit direction, length. Arc:
+        centre, radius, direction of its middle, cosine of its half angle, directions of its ends.
     first
         First piece of each part, and the number of pieces, shape (parts + 1,).
     convex
@@ -81,8 +78,9 @@ class OutlineTable:
 
 
 def outline_table(profile: Profile) -> OutlineTable:
-    """Split a tool into convex parts, a peg apart from what it guides, and write their outlines
-    as numbers.
+    """Split a tool into convex parts and return their outlines as arrays.
+
+    A peg is separate from the cutter that it guides.
     """
     parts = convex_parts(profile)
     rows = [_row(piece) for part in parts for piece in part]
@@ -98,7 +96,7 @@ def outline_table(profile: Profile) -> OutlineTable:
 
 
 def _row(piece: Piece) -> list[float]:
-    """One piece as ten numbers."""
+    """Return one piece as ten numbers."""
     if isinstance(piece, Arc):
         half = 0.5 * (piece.last - piece.first)
         angles = np.array([piece.first + half, piece.first, piece.last])
@@ -109,8 +107,9 @@ def _row(piece: Piece) -> list[float]:
 
 
 def convex_parts(profile: Profile) -> list[tuple[Piece, ...]]:
-    """Split a tool into convex outlines of which it is the union; a peg reaches through the tool
-    to its top.
+    """Split a tool into convex outlines whose union is the tool.
+
+    A peg extends through the tool to its top.
     """
     pieces = profile.pieces
     first = next((k for k, piece in enumerate(pieces) if piece.cutting), 0)
@@ -125,7 +124,7 @@ def convex_parts(profile: Profile) -> list[tuple[Piece, ...]]:
 
 
 def _is_convex(pieces: tuple[Piece, ...]) -> bool:
-    """Whether an outline turns only to its left."""
+    """Return whether an outline turns only to its left."""
     ends = np.array([0.0, 1.0])
     normals = [piece.at(ends)[1] for piece in pieces]
     for before, after in pairwise(normals):

@@ -1,4 +1,4 @@
-"""A cutter: a profile with flutes, as a distance table for carving and a point shell for forces."""
+"""Cutter: a profile with flutes, as a distance table for carving and a point shell for forces."""
 
 from dataclasses import dataclass
 from math import ceil, pi, sqrt
@@ -14,20 +14,25 @@ from tissue.cutters.profile import Piece, Profile
 __all__ = ["Cutter", "DistanceTable", "PointShell", "spiral"]
 
 TABLE_ERROR_VOXELS = 2.0e-4
-"""Error of the distance table, curvature x cell^2 / 8, between these limits of its cells."""
+"""Error of the distance table [voxel], curvature x cell^2 / 8.
+
+The limits of its resolution take precedence.
+"""
 CELLS_PER_VOXEL = 2.0, 6.0
-"""Least and greatest resolution of the distance table."""
+"""Smallest and largest resolution of the distance table."""
 EDGE_REACH_VOXELS = 3.0
-"""Voxels this close to an edge of the profile are cut one by one: more than the half diagonal of
-a block.
+"""Distance from an edge of the profile within which voxels are cut one by one.
+
+It is larger than the half diagonal of a block.
 """
 PATCH = 128
-"""Elements that lie together on the surface: they face the same direction and meet the same
-voxels.
+"""Number of neighbouring surface elements in a patch.
+
+They face similar directions and touch the same voxels.
 """
 GOLDEN = 0.6180339887498949
 MARGIN_VOXELS = 10.0
-"""The table reaches this far beyond the tool: more than the half diagonal of a brick."""
+"""Margin of the table around the tool; larger than the half diagonal of a brick."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +71,7 @@ class DistanceTable:
     high: float
 
     def bend_at(self, radius: Array, height: Array) -> Singles:
-        """The bend at points given by radius and height above the tip [voxel], shape (n,)."""
+        """Return the bend at points with radius and height above the tip [voxel], shape (n,)."""
         u = radius * self.cells_per_voxel
         v = (height - self.height_min) * self.cells_per_voxel
         last = self.bend.shape[0] - 2, self.bend.shape[1] - 2
@@ -75,18 +80,18 @@ class DistanceTable:
 
 @dataclass(frozen=True)
 class Cutter:
-    """A rotating cutter.
+    """Rotating cutter.
 
     Attributes
     ----------
     profile
-        Its half section.
+        Half section of the cutter.
     flute_count
-        Cutting edges N around the axis.
+        Number N of cutting edges around the axis.
     spin_rad_s
         Angular velocity about the axis [rad/s], by the right-hand rule about the axis from tip to
-        shank. A common right-hand drill or mill turns clockwise as seen from its shank: negative. A
-        tool that cuts turns.
+        shank. A common right-hand drill or mill turns clockwise as seen from its shank, which is
+        negative. A cutting tool has a non-zero spin.
     """
 
     profile: Profile
@@ -108,7 +113,7 @@ class Cutter:
 
     @property
     def tooth_passing_Hz(self) -> float:
-        """Rate at which edges pass a fixed point [Hz]."""
+        """Rate at which cutting edges pass a fixed point [Hz]."""
         return self.flute_count * abs(self.spin_rad_s) / (2.0 * pi)
 
     @property
@@ -117,25 +122,25 @@ class Cutter:
         return sum(piece.area_m2 for piece in self.profile.pieces if piece.cutting)
 
     def shell(self, *, spacing_m: float) -> PointShell:
-        """Point shell with elements about ``spacing_m`` apart, denser toward the axis.
+        """Return a point shell with elements about ``spacing_m`` apart, denser toward the axis.
 
-        Elements lie on golden-angle spirals, a Fibonacci lattice over each piece: no two share a
-        height, so the rim of a cut never meets many at once, and sums over part of the surface
-        converge almost as fast as over all of it.
+        Elements lie on golden-angle spirals, a Fibonacci lattice over each piece. No two elements
+        share a height, so that the rim of a cut never reaches many elements at once. Sums over part
+        of the surface converge almost as fast as sums over the whole surface.
         """
         return _shells.of((self.profile, spacing_m), lambda: self._shell(spacing_m))
 
     @property
     def has_smooth_surface(self) -> bool:
-        """Whether some of its surface, such as a peg or a flat top, does not cut."""
+        """True if some of the surface, such as a peg or a flat top, does not cut."""
         return not all(piece.cutting for piece in self.profile.pieces)
 
     def smooth_shell(self, *, spacing_m: float) -> PointShell:
-        """Point shell of the surface that does not cut, as of `shell`."""
+        """Return a point shell of the surface that does not cut; see `shell`."""
         return self._shell(spacing_m, cutting=False)
 
     def _shell(self, spacing_m: float, *, cutting: bool = True) -> PointShell:
-        """The same, made anew."""
+        """Compute the point shell of the cutting or the smooth surface, without the cache."""
         parts = [
             spiral(piece, spacing_m=spacing_m)
             for piece in self.profile.pieces
@@ -149,11 +154,11 @@ class Cutter:
         return PointShell(points, normals, areas, np.hypot(points[:, 0], points[:, 1]))
 
     def table(self, *, spacing_m: float) -> DistanceTable:
-        """Distance table in voxels of ``spacing_m``."""
+        """Return the distance table in voxels of ``spacing_m``."""
         return _tables.of((self.profile, spacing_m), lambda: self._table(spacing_m))
 
     def _table(self, spacing_m: float) -> DistanceTable:
-        """The same, made anew."""
+        """Compute the distance table, without the cache."""
         low, high = (h / spacing_m for h in self.profile.height_range_m)
         reach = self.profile.radius_m / spacing_m
         cells = float(
@@ -188,16 +193,16 @@ class Cutter:
 
 _tables: Kept[DistanceTable] = Kept(8)
 _shells: Kept[PointShell] = Kept(8)
-"""By the profile and the spacing, of voxels or of elements."""
+"""Caches by profile and spacing of voxels or elements."""
 
 
 def spiral(piece: Piece, *, spacing_m: float) -> tuple[Array, Array, Array]:
-    """Positions [m], normals and areas [m2] of elements of equal area over one piece."""
+    """Return positions [m], normals and areas [m2] of surface elements of one piece."""
     count = max(ceil(piece.area_m2 / spacing_m**2), 16)
     share = np.linspace(0.0, 1.0, 4097)
     radius = piece.at(share)[0][:, 0]
-    # Half of the elements follow the area, half the profile's length: edge forces weigh a ring by
-    # its width alone.
+    # Half of the elements follow the area, half the length of the profile: edge forces weigh a
+    # ring by its width alone.
     density = radius / radius.mean() + 1.0
     below = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
     at = np.interp((np.arange(count) + 0.5) / count, below / below[-1], share)
@@ -212,8 +217,9 @@ def spiral(piece: Piece, *, spacing_m: float) -> tuple[Array, Array, Array]:
 
 
 def _patches(points: Array, chosen: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-    """Indices of points in patches of `PATCH`, the last smaller, by halving along the longest
-    side.
+    """Return indices of points in patches of `PATCH`, by halving along the longest side.
+
+    The last patch may be smaller.
     """
     if len(chosen) <= PATCH:
         return [chosen]

@@ -1,4 +1,4 @@
-"""Medial axis of a tool: the centres of the largest balls in it, of which the tool is the union."""
+"""Medial axis of a tool: centres of the largest inscribed balls, whose union is the tool."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,23 +14,27 @@ from tissue.cutters.profile import Piece, Profile
 __all__ = ["MEDIAL_TOLERANCE_M", "MedialAxis", "medial_axis"]
 
 MEDIAL_TOLERANCE_M = 4e-6
-"""Most by which a ball of the true medial axis reaches out of the balls of the polylines [m]."""
+"""Largest distance from a ball of the true axis to the balls of the polylines [m].
+
+It is the distance by which the ball extends beyond their union.
+"""
 STRAIGHT_M = 1e-6
-"""Largest deviation of the polylines in the space of radius, height and ball radius [m]; a fourth
-of the tolerance. A ball reaches out by at most twice the deviation, and two steps, sampling and
-merging, each deviate.
+"""Largest deviation of the polylines in the space of radius, height and ball radius [m].
+
+It is a fourth of the tolerance. A ball extends by at most twice the deviation, and the two steps,
+sampling and merging, each add one deviation.
 """
 FIRST_SAMPLES = 9
 HALVINGS = 26
-"""Samples of each piece at first, and how often the intervals between them are halved at most."""
+"""Initial samples of each piece, and largest number of halvings of the intervals between them."""
 BISECTIONS = 44
 TOUCH_M = 1e-10
-"""A ball may reach out of the outline by this [m]."""
+"""Distance by which a ball may extend beyond the outline [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class MedialAxis:
-    """Segments of the half section's medial axis.
+    """Segments of the medial axis of a half section.
 
     Attributes
     ----------
@@ -38,8 +42,8 @@ class MedialAxis:
         Radius, height and ball radius at both ends of each segment [m], shape (segments, 3). The
         ball radius is linear in between.
     across
-        1 where a ball lies in no convex part of the tool alone, as at the foot of a peg, shape
-        (segments,).
+        1 where no single convex part of the tool contains the ball, as at the foot of a peg,
+        shape (segments,).
     """
 
     starts_m: Array
@@ -67,12 +71,13 @@ def medial_axis(profile: Profile) -> MedialAxis:
 
 
 Touch = Callable[[Array], tuple[Array, Array]]
-"""Shares in [0, 1] to points of the outline [m] and outward normals, each of shape (n, 2)."""
+"""Map from shares in [0, 1] to outline points [m] and outward normals, each of shape (n, 2)."""
 
 
 def _touches(pieces: tuple[Piece, ...]) -> list[Touch]:
-    """Ways in which a ball can touch an outline from inside: each piece, and each corner that
-    juts into the tool.
+    """Return the contacts of an inscribed ball: each piece, and each reentrant corner.
+
+    A reentrant corner points into the tool.
     """
     touches: list[Touch] = [piece.at for piece in pieces]
     ends = np.array([0.0, 1.0])
@@ -87,7 +92,7 @@ def _touches(pieces: tuple[Piece, ...]) -> list[Touch]:
 
 
 def _fan(corner: Array, first: float, turn: float) -> Touch:
-    """Normals between those of the two pieces that meet at a corner."""
+    """Return the contact at a corner, with normals between the normals of its two pieces."""
 
     def touch(share: Array) -> tuple[Array, Array]:
         angle = first + share * turn
@@ -99,7 +104,7 @@ def _fan(corner: Array, first: float, turn: float) -> Touch:
 
 
 def _chain(profile: Profile, touch: Touch) -> Array:
-    """Polyline of ball centres and radii along one piece, shape (n, 3)."""
+    """Return the polyline of ball centres and radii along one piece, shape (n, 3)."""
     share = np.linspace(0.0, 1.0, FIRST_SAMPLES)
     balls = _balls(profile, *touch(share))
     is_open = np.ones(len(share) - 1, dtype=bool)
@@ -118,8 +123,9 @@ def _chain(profile: Profile, touch: Touch) -> Array:
 
 
 def _balls(profile: Profile, points: Array, normals: Array) -> Array:
-    """Largest balls that touch the outline from inside: radius and height of the centre, ball
-    radius, shape (n, 3).
+    """Return the largest inscribed balls that touch given points of the outline, shape (n, 3).
+
+    The columns are radius and height of the centre, and the ball radius.
     """
     low, high = profile.height_range_m
     least = np.zeros(len(points))
@@ -127,8 +133,8 @@ def _balls(profile: Profile, points: Array, normals: Array) -> Array:
     for _ in range(BISECTIONS):
         size = 0.5 * (least + most)
         centres = points - size[:, None] * normals
-        # A centre that has left the tool is nearer to where it left, so that no sign is needed.
-        # Beyond the axis a ball is nearer to the other side of the outline.
+        # A centre outside the tool is closer to the crossing point, so that no sign is needed.
+        # Beyond the axis, a ball is closer to the other side of the outline.
         nearest = np.min([piece.seen_from(centres)[0] for piece in profile.pieces], axis=0)
         fits = (centres[:, 0] >= -TOUCH_M) & (nearest >= size - TOUCH_M)
         least = np.where(fits, size, least)
@@ -139,7 +145,10 @@ def _balls(profile: Profile, points: Array, normals: Array) -> Array:
 
 
 def _deviation(balls: Array, starts: Array, ends: Array) -> Array:
-    """Distance of balls from segments in the space of radius, height and ball radius [m]."""
+    """Return the distances of balls from segments [m].
+
+    Distances are in the space of radius, height and ball radius.
+    """
     along = ends - starts
     squared = np.maximum(np.einsum("ij,ij->i", along, along), 1e-30)
     share = np.clip(np.einsum("ij,ij->i", balls - starts, along) / squared, 0.0, 1.0)
@@ -147,7 +156,7 @@ def _deviation(balls: Array, starts: Array, ends: Array) -> Array:
 
 
 def _merged(balls: Array) -> NDArray[np.intp]:
-    """Samples of a polyline that stands for all of them (Douglas and Peucker 1973)."""
+    """Return the samples that represent a polyline (Douglas and Peucker 1973)."""
     kept = {0, len(balls) - 1}
     spans = [(0, len(balls) - 1)]
     while spans:

@@ -1,7 +1,8 @@
-"""Profiles of cutters: the half section that turns around the tool's axis.
+"""Profiles of cutters: the half section that is revolved around the tool's axis.
 
 A profile runs in the (radius, height) half plane from the axis at the tip to the axis at the top,
-with the material to its left. Heights are measured from the tip, the point that a tool pose places.
+with the material to its left. Heights are measured from the tip, the reference point of a tool
+pose.
 """
 
 from collections.abc import Sequence
@@ -29,13 +30,14 @@ __all__ = [
 SMOOTH = 0.999
 """Cosine of the angle between normals above which an outline counts as smooth."""
 AXIS_M = 1e-9
-"""Points closer to the axis lie on it [m]."""
+"""Distance below which points count as lying on the axis [m]."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """Straight piece from ``start`` to ``end``, each (radius, height) [m]; ``cutting`` where it
-    carries edges.
+    """Straight piece from ``start`` to ``end``, each (radius, height) [m].
+
+    ``cutting`` is True if the piece has cutting edges.
     """
 
     start: tuple[float, float]
@@ -53,8 +55,9 @@ class Line:
         return pi * (self.start[0] + self.end[0]) * self.length_m
 
     def at(self, share: Array) -> tuple[Array, Array]:
-        """Points, shape (n, 2) [m], and outward normals, shape (n, 2), at shares of the length
-        in [0, 1].
+        """Return points [m] and outward normals, each of shape (n, 2).
+
+        ``share`` is the share of the length, in [0, 1].
         """
         a = np.asarray(self.start)
         b = np.asarray(self.end)
@@ -64,8 +67,9 @@ class Line:
         )
 
     def seen_from(self, points: Array) -> tuple[Array, Array]:
-        """Distance [m] and meridional curvature [1/m] of the parallel curve at ``points``, shape
-        (n, 2).
+        """Return the distance [m] of ``points``, shape (n, 2), and a curvature.
+
+        The curvature is the meridional curvature of the parallel curve at the points [1/m].
         """
         a = np.asarray(self.start)
         b = np.asarray(self.end)
@@ -75,14 +79,15 @@ class Line:
         return distance, np.where(ends, 1.0 / np.maximum(distance, 1e-12), 0.0)
 
     def corners(self) -> list[tuple[float, float]]:
-        """Points that outline the piece, its end left out."""
+        """Return the points that outline the piece, without its end."""
         return [self.start]
 
 
 @dataclass(frozen=True)
 class Arc:
-    """Circular piece around ``centre`` from angle ``first`` to ``last`` [rad] (0 outward, -pi/2
-    toward the tip).
+    """Circular piece around ``centre`` from angle ``first`` to ``last`` [rad].
+
+    The angle is 0 outward and -pi/2 toward the tip.
     """
 
     centre: tuple[float, float]
@@ -103,16 +108,18 @@ class Arc:
         return 2.0 * pi * (self.centre[0] * self.length_m + self.radius * climb)
 
     def at(self, share: Array) -> tuple[Array, Array]:
-        """Points, shape (n, 2) [m], and outward normals, shape (n, 2), at shares of the length
-        in [0, 1].
+        """Return points [m] and outward normals, each of shape (n, 2).
+
+        ``share`` is the share of the length, in [0, 1].
         """
         angle = self.first + share * (self.last - self.first)
         normal = np.column_stack([np.cos(angle), np.sin(angle)])
         return np.asarray(self.centre) + self.radius * normal, normal
 
     def seen_from(self, points: Array) -> tuple[Array, Array]:
-        """Distance [m] and meridional curvature [1/m] of the parallel curve at ``points``, shape
-        (n, 2).
+        """Return the distance [m] of ``points``, shape (n, 2), and a curvature.
+
+        The curvature is the meridional curvature of the parallel curve at the points [1/m].
         """
         from_centre = points - np.asarray(self.centre)
         reach = np.linalg.norm(from_centre, axis=1)
@@ -126,7 +133,7 @@ class Arc:
         return distance, 1.0 / np.maximum(np.where(within, reach, to_ends), 1e-12)
 
     def corners(self) -> list[tuple[float, float]]:
-        """Points that outline the piece to 1e-5 of its radius, its end left out."""
+        """Return the points that outline the piece to 1e-5 of its radius, without its end."""
         share = np.linspace(0.0, 1.0, max(int((self.last - self.first) / 0.009), 2), endpoint=False)
         return [(float(r), float(z)) for r, z in self.at(share)[0]]
 
@@ -136,13 +143,13 @@ Piece = Line | Arc
 
 @dataclass(frozen=True)
 class Profile:
-    """Half section of a body of revolution, tip to top."""
+    """Half section of a body of revolution, from tip to top."""
 
     pieces: tuple[Piece, ...]
     convex: bool
 
     def __post_init__(self) -> None:
-        # what is made of a profile is kept by it
+        # a tuple is hashable: a profile is the key of caches
         object.__setattr__(self, "pieces", tuple(self.pieces))
 
     @property
@@ -163,8 +170,9 @@ class Profile:
 
     @property
     def edges(self) -> Array:
-        """Points where the outline is not smooth, the axis mirrored, shape (n, 2): radius and
-        height [m].
+        """Points where the outline is not smooth, shape (n, 2): radius and height [m].
+
+        At the axis, the outline is continued by its mirror image.
         """
         ends = np.array([0.0, 1.0])
         starts = [piece.at(ends) for piece in self.pieces]
@@ -181,8 +189,9 @@ class Profile:
         return np.array(found).reshape(-1, 2)
 
     def distance(self, points: Array) -> tuple[Array, Array]:
-        """Signed distance [m], negative inside, and meridional curvature [1/m] seen from
-        (radius, height) points.
+        """Return the signed distance [m], negative inside, and the meridional curvature [1/m].
+
+        Both are evaluated at (radius, height) points.
         """
         seen = [piece.seen_from(points) for piece in self.pieces]
         distances = np.stack([distance for distance, _ in seen])
@@ -194,8 +203,9 @@ class Profile:
 
 
 def _inside(outline: Array, points: Array) -> Flags:
-    """Whether (radius, height) points lie inside a closed outline: crossing number along
-    +radius.
+    """Return whether (radius, height) points are inside a closed outline.
+
+    The method counts crossings along +radius.
     """
     inside = np.zeros(len(points), dtype=bool)
     for (r0, z0), (r1, z1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
@@ -208,13 +218,13 @@ def _inside(outline: Array, points: Array) -> Flags:
 
 
 def ball_burr(*, diameter_m: float) -> Profile:
-    """Full ball, tip at its lowest point."""
+    """Return a full ball with the tip at its lowest point."""
     r = 0.5 * diameter_m
     return Profile((Arc((0.0, r), r, -0.5 * pi, 0.5 * pi),), convex=True)
 
 
 def cylinder(*, diameter_m: float, length_m: float) -> Profile:
-    """Flat-ended cylinder (end mill): end and side cut."""
+    """Return a flat-ended cylinder (end mill) that cuts with end and side."""
     r = 0.5 * diameter_m
     return Profile(
         (
@@ -227,7 +237,10 @@ def cylinder(*, diameter_m: float, length_m: float) -> Profile:
 
 
 def twist_drill(*, diameter_m: float, length_m: float, point_angle_rad: float) -> Profile:
-    """Twist drill: conical lips with the included ``point_angle_rad`` and a cylindrical margin."""
+    """Return a twist drill with conical lips and a cylindrical margin.
+
+    ``point_angle_rad`` is the included angle of the lips.
+    """
     r = 0.5 * diameter_m
     shoulder = r / tan(0.5 * point_angle_rad)
     return Profile(
@@ -241,9 +254,7 @@ def twist_drill(*, diameter_m: float, length_m: float, point_angle_rad: float) -
 
 
 def _peg(radius: float, length: float, top: float) -> list[Piece]:
-    """Non-cutting guide peg that ends ``length`` below the tip and meets the cutter at height
-    ``top``.
-    """
+    """Return a smooth guide peg from ``length`` below the tip up to the height ``top``."""
     return [
         Line((0, -length), (radius, -length), False),
         Line((radius, -length), (radius, top), False),
@@ -253,7 +264,10 @@ def _peg(radius: float, length: float, top: float) -> list[Piece]:
 def hemispherical_reamer(
     *, diameter_m: float, peg_diameter_m: float = 0.0, peg_length_m: float = 0.0
 ) -> Profile:
-    """Hemisphere that cuts with its face, with a central guide peg where its diameter is not 0."""
+    """Return a hemisphere that cuts with its face.
+
+    It has a central guide peg if the diameter of the peg is not 0.
+    """
     r = 0.5 * diameter_m
     q = 0.5 * peg_diameter_m
     first = -0.5 * pi if q == 0.0 else -float(np.arccos(q / r))
@@ -265,8 +279,9 @@ def hemispherical_reamer(
 def flat_reamer(
     *, diameter_m: float, length_m: float, peg_diameter_m: float = 0.0, peg_length_m: float = 0.0
 ) -> Profile:
-    """Disc ``length_m`` thick that cuts with face and rim, with a central guide peg where its
-    diameter is not 0.
+    """Return a disc ``length_m`` thick that cuts with face and rim.
+
+    It has a central guide peg if the diameter of the peg is not 0.
     """
     r = 0.5 * diameter_m
     q = 0.5 * peg_diameter_m
@@ -279,7 +294,7 @@ def flat_reamer(
 
 
 def pear_bur(*, diameter_m: float, length_m: float) -> Profile:
-    """Pear-shaped bur: a ball at the tip, widest there, tapering to half its width at the neck."""
+    """Return a pear-shaped bur: a ball at the tip, tapering to half its width at the neck."""
     r = 0.5 * diameter_m
     slope = float(np.arctan2(0.5 * r, length_m - r))  # angle of the flank to the axis
     flank = Line((r * cos(slope), r + r * sin(slope)), (0.5 * r, length_m))

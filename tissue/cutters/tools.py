@@ -1,6 +1,4 @@
-"""Rotating cutters in the units of their makers' catalogues: millimetres, flutes and turns a
-minute.
-"""
+"""Rotating cutters in the units of catalogues: millimetres, flutes and turns per minute."""
 
 from collections.abc import Callable
 from functools import partial
@@ -22,7 +20,7 @@ __all__ = [
 ]
 
 FASTEST_RPM = 1e6
-"""Turns a minute at most: an air turbine has 400,000."""
+"""Highest spin [turns per minute]; an air turbine has 400,000."""
 
 
 def ball_burr(*, diameter_mm: float, flutes: int, spin_rpm: float) -> Cutter:
@@ -33,9 +31,9 @@ def ball_burr(*, diameter_mm: float, flutes: int, spin_rpm: float) -> Cutter:
     diameter_mm
         Diameter [mm], 0.1 to 200.
     flutes
-        Cutting edges, 1 to 200.
+        Number of cutting edges, 1 to 200.
     spin_rpm
-        Turns a minute, clockwise as seen from the shank; a negative one turns anticlockwise.
+        Turns per minute, clockwise as seen from the shank; negative for anticlockwise.
 
     Raises
     ------
@@ -46,16 +44,19 @@ def ball_burr(*, diameter_mm: float, flutes: int, spin_rpm: float) -> Cutter:
 
 
 def pear_bur(*, diameter_mm: float, length_mm: float, flutes: int, spin_rpm: float) -> Cutter:
-    """Return a dental pear: a ball at the tip, a taper to the neck `length_mm` [mm] above; the
-    rest as `ball_burr`.
+    """Return a dental pear bur: a ball at the tip and a taper to the neck.
+
+    `length_mm` [mm] is the height of the neck above the tip. For the other parameters see
+    `ball_burr`.
     """
     _require_longer(length_mm, 0.5 * diameter_mm, "the radius of its ball")
     return _cutter(profile.pear_bur, flutes, spin_rpm, diameter_mm=diameter_mm, length_mm=length_mm)
 
 
 def cylinder(*, diameter_mm: float, length_mm: float, flutes: int, spin_rpm: float) -> Cutter:
-    """Return a flat end mill that cuts with face and side, `length_mm` [mm] long; the rest as
-    `ball_burr`.
+    """Return a flat end mill that cuts with face and side, `length_mm` [mm] long.
+
+    For the other parameters see `ball_burr`.
     """
     return _cutter(profile.cylinder, flutes, spin_rpm, diameter_mm=diameter_mm, length_mm=length_mm)
 
@@ -68,8 +69,9 @@ def twist_drill(
     flutes: int = 2,
     spin_rpm: float,
 ) -> Cutter:
-    """Return a twist drill `length_mm` [mm] long, its point of 60 to 170 degrees; the rest as
-    `ball_burr`.
+    """Return a twist drill `length_mm` [mm] long with a point angle of 60 to 170 degrees.
+
+    For the other parameters see `ball_burr`.
     """
     angle = radians(require_range("point_angle_deg", point_angle_deg, 60.0, 170.0, "use 118"))
     _require_longer(length_mm, 0.5 * diameter_mm / tan(0.5 * angle), "the height of its point")
@@ -85,8 +87,9 @@ def hemispherical_reamer(
     flutes: int,
     spin_rpm: float,
 ) -> Cutter:
-    """Return a reamer shaped as half a ball, with a smooth peg ahead of it where its sizes are
-    given [mm].
+    """Return a reamer shaped as half a ball.
+
+    It has a smooth peg at its front if the sizes of the peg are given [mm].
     """
     peg = _peg(peg_diameter_mm, peg_length_mm, diameter_mm)
     return _cutter(
@@ -103,16 +106,18 @@ def flat_reamer(
     flutes: int,
     spin_rpm: float,
 ) -> Cutter:
-    """Return a disc `length_mm` [mm] high that cuts with its face, with a smooth peg where its
-    sizes are given [mm].
+    """Return a disc `length_mm` [mm] high that cuts with its face and rim.
+
+    It has a smooth peg if the sizes of the peg are given [mm].
     """
     make = partial(profile.flat_reamer, **_peg(peg_diameter_mm, peg_length_mm, diameter_mm))
     return _cutter(make, flutes, spin_rpm, diameter_mm=diameter_mm, length_mm=length_mm)
 
 
 def of_profile(shape: Profile, *, flutes: int, spin_rpm: float) -> Cutter:
-    """Return a cutter of any half section, see `tissue.cutters.profile.Profile`; flutes and spin
-    as `ball_burr`.
+    """Return a cutter with any half section, see `tissue.cutters.profile.Profile`.
+
+    For flutes and spin see `ball_burr`.
     """
     if isinstance(flutes, bool) or not isinstance(flutes, int) or not 1 <= flutes <= 200:
         raise InputError(
@@ -134,7 +139,7 @@ def of_profile(shape: Profile, *, flutes: int, spin_rpm: float) -> Cutter:
 def _cutter(
     make: Callable[..., Profile], flutes: int, spin_rpm: float, **lengths_mm: float
 ) -> Cutter:
-    """Return the cutter of a profile whose lengths are given in millimetres."""
+    """Return the cutter of a profile, with lengths in millimetres."""
     lengths_m = {
         name.removesuffix("_mm") + "_m": 1e-3
         * require_range(name, length, 0.1, 200.0, "give it in millimetres")
@@ -151,9 +156,7 @@ def _require_longer(length_mm: float, least_mm: float, what: str) -> None:
 
 
 def _peg(diameter_mm: float, length_mm: float, tool_mm: float) -> dict[str, float]:
-    """Return diameter and length of a peg [m] by the profile's arguments, none of them for no
-    peg.
-    """
+    """Return the arguments for a profile with a peg, in metres; empty without a peg."""
     if diameter_mm == 0.0 and length_mm == 0.0:
         return {}
     require_positive("peg_diameter_mm", diameter_mm, "give both sizes of the peg, or neither")

@@ -1,3 +1,1 @@
-"""Between a hand and a tissue: devices, hands, what keeps their loop stable, how a contact
-becomes a force.
-"""
+"""Haptic devices, models of the hand, stability of the haptic loop, and force rendering."""

@@ -1,6 +1,4 @@
-"""Columns that a device, a prediction and a perception add to the trace, and where each lies
-among them.
-"""
+"""Trace columns of a device, a prediction and a perception model, and their indices."""
 
 __all__ = [
     "CUE",
@@ -35,28 +33,38 @@ MEASURES = (
     "margin",
     *(f"raw_force_{c}_N" for c in "xyz"),
 )
-"""Columns of a device: its pose, what it played, the filtered force before it was brought into the
-device's range [N at the device], whether that compressed it or the torque, the energy taken from
-the device, the share of the critical stiffness that is left, and the force of the renderer, before
-prediction, filter and delay.
+"""Trace columns of a device.
+
+In this order: pose of the device [mm, quaternion]; played force [N] and torque [N m]; filtered
+force before it is scaled into the device's range [N at the device]; 1 if the range compressed the
+force or the torque; energy taken from the device [J]; stability margin, the share of the critical
+stiffness that is left; raw force of the renderer, before prediction, filter and delay [N].
 """
 PREDICTED = (*(f"predicted_force_{c}_N" for c in "xyz"), "prediction_residual_N", "predicted_by")
-"""Columns of a prediction: force, size of the last one-tick error, and whose it is: 1 the
-predictor's, 0 what it falls back on."""
+"""Trace columns of a prediction.
+
+The predicted force, the size of the last one-tick error, and the source of the prediction: 1 for
+the predictor, 0 for its fallback.
+"""
 PERCEIVED = ("estimated_force_N", "perceived", "perceived_spread", "above_threshold")
-"""Columns of a perception: see `tissue.perception.Perception`."""
+"""Trace columns of a perception model; see `tissue.perception.Perception`."""
 VIBRATION = tuple(f"vibration_{c}_N" for c in "xyz")
-"""Columns of a spinning cutter's vibration: what the device's force holds of it; no other column
-of a force does.
+"""Trace columns of the vibration of a spinning cutter.
+
+The vibration is part of the device force. No other force column contains it.
 """
 CUE = tuple(f"cue_{c}_N" for c in "xyz")
-"""Columns of the event cues, which are part of the device force."""
+"""Trace columns of the event cues, which are part of the device force."""
 TRUE = tuple(f"device_true_{c}_mm" for c in "xyz")
-"""Columns of a device that knows where it is, which its encoders only step through."""
+"""Trace columns of the true device position, for devices that know it.
+
+The encoders report this position in steps.
+"""
 HAND_FORCE = tuple(f"hand_force_{c}_N" for c in "xyz")
-"""Columns of the same devices: the force with which the device pushes the hand, mean over the tick
-before: that of the motors after latency, range and amplifier, less the device's friction and what
-moves its own mass.
+"""Trace columns of the force with which the device pushes the hand, mean over the previous tick.
+
+For devices that know their true position. The force is the motor force after latency, range and
+amplifier, minus the friction of the device and the force that accelerates its own mass.
 """
 
 POSITION, QUATERNION = slice(0, 3), slice(3, 7)

@@ -1,4 +1,4 @@
-"""A hand on a device as what moves a tool: samples in, forces out, once a tick."""
+"""Motion of a tool held on a haptic device: one device sample in and one force out per tick."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -27,39 +27,40 @@ from tissue.prediction.predictor import Predictor
 __all__ = ["HandMotion", "Rendering", "Script"]
 
 SMOOTH_S, SMOOTH_SAMPLES = 0.01, 5
-"""Shortest time [s], and fewest samples, over which the speed of a free tool is estimated:
-encoders step.
+"""Shortest time [s] and smallest number of samples used to estimate the speed of a free tool.
+
+Speeds are averaged because encoder positions change in steps.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rendering:
-    """From the position of device and tool to the played force.
+    """Force rendering, from the positions of device and tool to the played force.
 
     Attributes
     ----------
     law
-        Renders the force at the device from device and tool [N].
+        Law that renders the force at the device from device and tool [N].
     loop
-        Loop of device and law: its delay books the energy, and its filters of force and velocity
-        are applied. Without a velocity filter the velocity of the sample is used. Its tick is the
-        time between two samples of the device.
+        Loop of device and law. Its delay is used to book the energy, and its filters of force and
+        velocity are applied. Without a velocity filter, the velocity of the sample is used. Its
+        tick is the time between two samples of the device.
     margin
-        Share of the critical stiffness that is left.
+        Stability margin: share of the critical stiffness that is left.
     turning_law
-        Renders the torque at the device [N m]; None for a device without torque.
+        Law that renders the torque at the device [N m]; None for a device without torque.
     delay_ticks
         Ticks by which the force is delayed here.
     model_ticks
         Ticks for which one answer of the tissue holds.
     predictor
-        Predicts the force; None plays the present force.
+        Predictor of the force; None plays the present force.
     lead_ticks
-        Prediction horizon.
+        Prediction horizon [ticks].
     prediction_gain
         Share of the step from the present to the predicted force that is played.
     played
-        Changes to the force after that; default the limits of the device alone.
+        Later changes of the force; default the limits of the device alone.
     """
 
     law: Renderer
@@ -81,7 +82,7 @@ class Script:
     Attributes
     ----------
     motion
-        Gives start, orientation, region and duration.
+        Provides start, orientation, region and duration.
     motion_scale
         Metres at the tool for each metre at the device.
     stray_m
@@ -89,8 +90,8 @@ class Script:
     after_s
         Additional time of the hand: to react, to move and to correct [s].
     device_origin_m
-        Position of the tool when the device is at its origin [m]; None lets both start at the same
-        place.
+        Position of the tool when the device is at its origin [m]. With None, both start at the same
+        position.
     """
 
     motion: Motion
@@ -101,33 +102,41 @@ class Script:
 
 
 class HandMotion(Motion):
-    """A tool that hangs on a device, and the force that the device plays for it.
+    """Tool coupled to a haptic device, and the force that the device plays.
 
-    Every tick: the sample is judged; the tool follows the device as far as the tissue of the last
-    tick lets it; the tissue answers, and a free tool that has gone into it is brought back within
-    the tick; device and tool give the renderer's force, which passes prediction, low-pass, delay
-    and what is made of it for a person, is limited and changes no faster than the device's slew. So
-    the force answers the sample of its own tick. Without a good sample the tool rests, the renderer
-    pauses and the force fades to zero. A tissue that answers only every ``model_ticks`` leaves tool
-    and renderer's force as they are in between; a predictor then goes on by the device alone.
+    Each tick has these steps:
 
-    Tool and device start at the same place; from there the tool goes ``motion_scale`` metres for
-    each of the device. With a device that plays torque the tool hangs on it by a spring of
-    rotation, too, turned by the tissue's torque of the last tick; its torque passes low-pass and
-    delay and is played. The cutting speed of turning is left out.
+    1. Validate the device sample.
+    2. Move the tool towards the device, as far as the tissue response of the last tick allows.
+    3. Compute the tissue response. A free tool that has entered the tissue is moved back within the
+       tick.
+    4. Render the force from the positions of device and tool.
+    5. Apply prediction, low-pass, delay and perceptual scaling, then limit the force and its slew
+       rate.
+
+    The played force therefore answers the sample of its own tick. Without a valid sample the tool
+    rests, the renderer pauses and the force fades to zero. A tissue that answers only every
+    ``model_ticks`` ticks leaves the tool and the rendered force unchanged in between. A predictor
+    then continues from the device motion alone.
+
+    Tool and device start at the same position. From there, the tool moves ``motion_scale`` metres
+    for each metre of the device. With a device that plays torque, a rotational spring also couples
+    the tool to the device. The tissue torque of the last tick turns the tool. The rendered torque
+    passes low-pass and delay before it is played. The cutting speed due to rotation is not
+    modelled.
 
     Parameters
     ----------
     device
         Device in the hand.
     tool
-        Law of the tool's balance.
+        Law of the tool's force balance.
     limits
-        Largest force and torque of the device, and their largest change.
+        Largest force and torque of the device, and their largest rates of change.
     rendering
-        From device and tool to the played force.
+        Force rendering, from the positions of device and tool to the played force.
     script
-        The scripted motion, and how the hand departs from it.
+        Scripted motion, and how far the hand departs from it.
     """
 
     def __init__(
@@ -153,8 +162,8 @@ class HandMotion(Motion):
         self._contact: Renderer = rendering.law
         self._control = None
         if predictor is not None and isinstance(rendering.law, PassivityRenderer):
-            # A controller's step in one tick is no trend of the force: it comes after the
-            # prediction.
+            # The correction of a controller within one tick is not a trend of the force.
+            # It is therefore added after the prediction.
             self._contact = rendering.law.inner
             self._control = rendering.law.control
         self._scripted = script.motion
@@ -170,7 +179,7 @@ class HandMotion(Motion):
         self.contact = partial(seen_contact, tool, loop.stiffness_N_m, self._scale, self._shift)
         self._low_pass = LowPass(loop.filter_s, step_s=TICK_S)
         self._delay = DelayLine(rendering.delay_ticks)
-        # One filter for device and tool: their difference stays zero while both move together.
+        # One filter for device and tool: the difference stays zero while both move together.
         memory = loop.velocity_memory
         self._speeds = None if memory is None else ConstantAcceleration(memory, step_s=loop.tick_s)
         self._samples = NewSamples(loop.tick_s)
@@ -179,7 +188,7 @@ class HandMotion(Motion):
         self._turning_law = rendering.turning_law
         self._torques = ForceRange(limit_N=limits.torque_limit_Nm or 1.0)
         lag_s = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
-        # The booked force has passed the delay that is made here.
+        # The observer books the force after the delay line, so that its delay is subtracted here.
         self.observer = PassivityObserver(
             delay_ticks=max(lag_s / TICK_S - rendering.delay_ticks, 0.0)
         )
@@ -197,7 +206,7 @@ class HandMotion(Motion):
 
     @property
     def device(self) -> Device:
-        """What the hand moves."""
+        """Device that the hand moves."""
         return self.held.device
 
     @device.setter
@@ -216,7 +225,10 @@ class HandMotion(Motion):
         self.measures[at.MARGIN] = self._margin
 
     def sweep_m(self) -> Array:
-        """Positions of the scripted motion [m], and the same a stray to every side."""
+        """Return the positions of the scripted motion [m], with copies shifted by ``stray_m``.
+
+        The copies are shifted along +x, -x, +y and -y.
+        """
         tips = self._scripted.sweep_m()
         if self._stray == 0.0:
             return tips
@@ -224,17 +236,17 @@ class HandMotion(Motion):
         return np.concatenate([tips, *(tips + shift for shift in aside)])
 
     def rotations(self) -> Array:
-        """Orientations of the scripted motion at those positions."""
+        """Return the orientations of the scripted motion at the positions of `sweep_m`."""
         turns = self._scripted.rotations()
         return turns if self._stray == 0.0 else np.concatenate([turns] * 5)
 
     def begin(self, motion: ToolMotion) -> None:
-        """Begin where the scripted motion starts."""
+        """Begin at the start of the scripted motion."""
         self._scripted.begin(motion)
         self.measures[at.POSITION] = 1e3 * motion.tip_m
 
     def happened(self) -> list[tuple[float, str]]:
-        """Every change between good samples and bad, and how the device kept up."""
+        """Return the changes between valid and invalid samples, and the timing of the device."""
         return self.guard.events + self.held.happened()
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
@@ -242,7 +254,7 @@ class HandMotion(Motion):
         sample = self.guard.validate_sample(self.held.read(time_s), time_s)
         if self.held.released:
             self.held.released = False
-            self.guard.share = 0.0  # the force comes back from there
+            self.guard.share = 0.0  # the force fades in again from zero
         self._fresh = self._ticks % self.model_ticks == 0
         self._ticks += 1
         self._sample = None
@@ -257,8 +269,9 @@ class HandMotion(Motion):
             self._follow(sample, response, motion)
 
     def correct(self, response: Response, motion: ToolMotion) -> bool:
-        """Bring a free tool that has gone into the tissue to where both balance, or to the speed
-        at which they do.
+        """Move a free tool that has entered the tissue to its force balance.
+
+        A tool that moves against resistance also takes its balanced speed.
         """
         if self._sample is None or not self.tool.lands(response, motion.heading[0]):
             return False
@@ -280,7 +293,7 @@ class HandMotion(Motion):
         self._set_speed(motion, self._went)
 
     def play(self, response: Response) -> None:
-        """Give the device the force that answers its sample."""
+        """Command the force that answers the sample of this tick."""
         wanted = None
         torque = None
         compressed = False
@@ -331,8 +344,9 @@ class HandMotion(Motion):
         row[at.ENERGY] = self.observer.energy_J
 
     def raw_force_N(self) -> Array:
-        """The renderer's force of a tick in which nothing is played, shape (3,); without a
-        sample that of the last.
+        """Return the rendered force of a tick without playing it, shape (3,).
+
+        Without a valid sample it is the force of the last tick.
         """
         if self._sample is not None:
             self._render(self._sample)
@@ -341,7 +355,7 @@ class HandMotion(Motion):
         return self._raw
 
     def _render(self, sample: Sample) -> tuple[Array, Array]:
-        """Find the force between device and tool; position and velocity of the device."""
+        """Update the rendered force; return the device position and velocity."""
         both = self._both
         both[:3] = here = np.array(sample.position_m)
         both[3:] = tip = (self.tool.tip_m - self._shift) / self._scale
@@ -358,7 +372,7 @@ class HandMotion(Motion):
         return here, speed
 
     def _pause(self) -> None:
-        """Nothing is known of the device in this tick."""
+        """Reset the parts that depend on consecutive device samples."""
         for part in (
             self.law,
             self._turning_law,
@@ -374,7 +388,10 @@ class HandMotion(Motion):
         self._turning_delay.step(self._turning.value)
 
     def _set_speed(self, motion: ToolMotion, went_m_s: Array) -> None:
-        """Heading and speed: of the balance, or estimated where the tool goes with the device."""
+        """Write the direction of motion and the speed of the tool.
+
+        Both follow from the force balance, or are estimated for a tool that follows the device.
+        """
         self._velocity += self._smoothing * (went_m_s - self._velocity)
         velocity = self._velocity
         heading = self._velocity

@@ -1,6 +1,4 @@
-"""From the force that a loop has found to the one that a device plays: scaled, in range, with
-vibration and cues.
-"""
+"""Last stages of force rendering: perceptual scaling, device range, vibration and cues."""
 
 import numpy as np
 
@@ -17,25 +15,25 @@ __all__ = ["PlayedForce"]
 
 
 class PlayedForce:
-    """The last stages of a force before its device, each of which may be left out.
+    """Last stages of a force before the device. Every stage except the range is optional.
 
     Parameters
     ----------
     limits
-        Gives the device's greatest force.
+        Provides the largest force of the device.
     perception
-        The person for whom the force is scaled; without it newtons stay newtons.
+        Perception model that scales the force. Without it, the force is not scaled.
     vibration
-        Of the cutter's teeth, added to what is played.
+        Vibration of the cutter's teeth, added to the played force.
     cues
-        Transients of contact, layers and punctures, added to what is played.
+        Transients of contact, layers and punctures, added to the played force.
 
     Attributes
     ----------
     names
         Columns of the trace.
     measures
-        Their values in this tick.
+        Values of these columns in this tick.
     """
 
     def __init__(
@@ -60,8 +58,7 @@ class PlayedForce:
         self._cued = slice(self._shaken.stop, self._shaken.stop + len(cued))
 
     def step(self, force_N: Array, response: Response) -> tuple[Array, bool]:
-        """The force that is played for one at the device [N], shape (3,), and whether the device's
-        range compressed it.
+        """Return the force to play [N], shape (3,), and whether the device's range compressed it.
 
         Raises
         ------
@@ -89,7 +86,7 @@ class PlayedForce:
         return wanted, compressed
 
     def pause(self) -> None:
-        """Nothing is known of the device in this tick, and nothing is played."""
+        """Reset all stages after a tick without a valid device sample and a played force."""
         for part in (self._person, self._vibration, self._cues):
             if part is not None:
                 part.pause()

@@ -1,4 +1,4 @@
-"""How a contact becomes a force: laws between a device and its proxy, behind one contract."""
+"""Force rendering laws between a device and its proxy, behind one interface."""
 
 from collections.abc import Callable
 from math import inf, pi
@@ -27,26 +27,24 @@ __all__ = [
 
 
 class Renderer(Protocol):
-    """A law for the force on a device whose proxy is elsewhere."""
+    """Force law between a device and its proxy."""
 
     def render(
         self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float
     ) -> Array:
-        """Force on the device [N], shape (3,), from positions [m], velocities [m/s] and the step
-        [s].
+        """Return the force on the device [N], shape (3,).
 
-        Where the positions are the same the device is free and the force is zero. For a rotation
-        the positions are rotation vectors [rad] and the force is a torque [N m].
+        The arguments are positions [m], velocities [m/s] and the step [s]. Where both positions are
+        equal, the device is free and the force is zero. For a rotation, the positions are rotation
+        vectors [rad] and the force is a torque [N m].
         """
 
     def pause(self) -> None:
-        """No sample came, so that nothing is known of the motion until the next one."""
+        """Handle a missing sample: the motion until the next sample is unknown."""
 
 
 class SpringDamper:
-    """The numbers of a spring and a damper between a device and its proxy; nothing is kept from
-    tick to tick.
-    """
+    """Stiffness and damping between a device and its proxy, without internal state."""
 
     def __init__(self, stiffness_N_m: float, damping_N_s_m: float = 0.0) -> None:
         self.stiffness_N_m = require_positive(
@@ -57,21 +55,21 @@ class SpringDamper:
         )
 
     def pause(self) -> None:
-        """Nothing is kept from tick to tick."""
+        """Do nothing, because the law has no internal state."""
 
 
 class PenaltyRenderer(SpringDamper):
-    """Spring and damper between the device and the nearest point of the surface: F = k d - b (v .
-    n) n, n = d / |d|.
+    """Spring and damper between the device and the nearest point of the surface.
 
-    The damper acts on the device's own velocity, along the penetration only, so it rubs on a
-    surface that moves with the device. The force never pulls into the surface.
+    The law is F = k d - b (v . n) n, n = d / |d|. The damper acts on the velocity of the device,
+    along the penetration only. It therefore also damps a device that moves together with the
+    surface. The force never pulls into the surface.
     """
 
     def render(
         self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float
     ) -> Array:
-        """Force on the device [N]."""
+        """Return the force on the device [N]."""
         gap = proxy - device
         square = float(gap.dot(gap))
         if square == 0.0:
@@ -81,18 +79,18 @@ class PenaltyRenderer(SpringDamper):
 
 
 class ProxyRenderer(SpringDamper):
-    """Spring and damper between device and god-object: F = k (p_proxy - p) + b (v_proxy - v)
-    (Colgate et al. 1995).
+    """Spring and damper between device and god-object (Colgate et al. 1995).
 
-    The damper acts on the relative velocity, so the pair can only lose energy: a published form
-    with ``+ b v_device`` alone creates the energy b v^2 every second (E9 of the project's list of
-    errors). It is off where the device is free.
+    The law is F = k (p_proxy - p) + b (v_proxy - v). The damper acts on the relative velocity, so
+    the pair can only lose energy. A published form with ``+ b v_device`` alone creates the energy b
+    v^2 every second (E9 of the project's list of errors). The damper is off where the device is
+    free.
     """
 
     def render(
         self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float
     ) -> Array:
-        """Force on the device [N]."""
+        """Return the force on the device [N]."""
         if not any((proxy - device).tolist()):
             return np.zeros(3)
         return self.stiffness_N_m * (proxy - device) + self.damping_N_s_m * (
@@ -101,11 +99,11 @@ class ProxyRenderer(SpringDamper):
 
 
 class PassivityRenderer:
-    """Another law, with an observer that makes a controller pay for the energy it creates.
+    """Renderer with a passivity observer and a controller that dissipates the energy it creates.
 
-    Measured at the motors on walls of up to 1.5 kN/m with latencies of up to 8 ms: never ahead by
-    more than 0.3 mJ. It does not see a force that fades while samples are missing; what was taken
-    before such a gap counts for nothing.
+    Measured at the motors on walls of up to 1.5 kN/m with latencies of up to 8 ms, the net energy
+    given to the device never exceeded 0.3 mJ. The observer does not see a force that fades while
+    samples are missing. Energy taken before such a gap is not counted.
     """
 
     def __init__(
@@ -124,21 +122,24 @@ class PassivityRenderer:
     def render(
         self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float
     ) -> Array:
-        """Force on the device [N]."""
+        """Return the force on the device [N]."""
         force = self.inner.render(device, device_velocity, proxy, proxy_velocity, dt)
         return self.control.step(force, device, device_velocity, dt)
 
     def pause(self) -> None:
-        """The motion to the next sample is not booked: another force was played on it."""
+        """Skip the energy of the motion to the next sample.
+
+        Another force was played during this motion.
+        """
         self.control.pause()
 
 
 class TurningRenderer:
-    """The same laws for a rotation: the gap is the shortest rotation vector from the device to its
-    proxy.
+    """Force laws applied to a rotation.
 
-    The device's turns are summed as rotation vectors from tick to tick, so that an observer within
-    books the work of the torque on them.
+    The gap is the shortest rotation vector from the device to its proxy. The rotations of the
+    device are summed as rotation vectors from tick to tick, so that a passivity observer in the
+    inner law can book the work of the torque.
     """
 
     def __init__(self, inner: Renderer) -> None:
@@ -156,7 +157,10 @@ class TurningRenderer:
         proxy_spin: Array,
         dt: float,
     ) -> Array:
-        """Torque on the device [N m] from unit quaternions (x, y, z, w) and spins [rad/s]."""
+        """Return the torque on the device [N m].
+
+        The arguments are unit quaternions (x, y, z, w) and spins [rad/s].
+        """
         if self._before is not None:
             self._turned = self._turned + turn_between(self._before, device)
         self._before = device
@@ -164,20 +168,20 @@ class TurningRenderer:
         return self._inner.render(self._turned, device_spin, self._turned + gap, proxy_spin, dt)
 
     def pause(self) -> None:
-        """Pass it on."""
+        """Pause the inner law."""
         self._inner.pause()
 
 
 def penalty(loop: WallLoop) -> PenaltyRenderer:
-    """The penalty law for the wall of a loop, with its stiffness and damping."""
+    """Return the penalty law for the wall of a loop, with its stiffness and damping."""
     return PenaltyRenderer(loop.stiffness_N_m, loop.wall_damping_N_s_m)
 
 
 def passivity(loop: WallLoop) -> PassivityRenderer:
-    """The penalty law for the wall of a loop, with a passivity controller.
+    """Return the penalty law for the wall of a loop, with a passivity controller.
 
-    The loop gives its mass, its lag (delay and amplifier) and the damping that they leave it, a
-    half of m / (T + lag).
+    The loop provides the mass and the lag (delay, filter and amplifier). The damping limit is half
+    of m / (T + lag).
     """
     lag = loop.delay_s + loop.filter_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
     limit = 0.5 * loop.mass_kg / (loop.tick_s + lag)
@@ -190,17 +194,17 @@ def passivity(loop: WallLoop) -> PassivityRenderer:
 
 
 def proxy(loop: WallLoop) -> ProxyRenderer:
-    """The god-object's law for the wall of a loop, with its stiffness and damping."""
+    """Return the god-object law for the wall of a loop, with its stiffness and damping."""
     return ProxyRenderer(loop.stiffness_N_m, loop.wall_damping_N_s_m)
 
 
 def renderer(kind: str, loop: WallLoop) -> Renderer:
-    """A renderer by its name in `RENDERERS`, for the wall of a loop.
+    """Return a renderer by its name in `RENDERERS`, for the wall of a loop.
 
     Raises
     ------
     InputError
-        If the name is none of these.
+        If the name is unknown.
     """
     built_in: dict[str, Callable[[WallLoop], Renderer]] = {
         "penalty": penalty,

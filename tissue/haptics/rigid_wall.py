@@ -1,6 +1,4 @@
-"""A hand presses a device onto a rigid wall, tick by tick: what a loop does where nothing but
-the wall is simulated.
-"""
+"""Simulation of a hand that presses a device onto a rigid wall, tick by tick, without a tissue."""
 
 from dataclasses import dataclass, replace
 
@@ -24,19 +22,20 @@ DEPTH_M, JERK_N, JERK_S, LASTS_S = 5e-3, 2.0, (0.8, 0.82), 1.3
 
 @dataclass(frozen=True)
 class WallRun:
-    """What happened on the wall z = 0, whose free side is z > 0; n ticks.
+    """Record of a run on the wall z = 0, whose free side is z > 0; n ticks.
 
     Attributes
     ----------
     time_s
         Start of every tick [s], shape (n,).
     position_m, velocity_m_s
-        As the device sampled them, shape (n, 3); of the last good sample where there was none.
+        Position [m] and velocity [m/s] as sampled by the device, shape (n, 3). Without a valid
+        sample, the last position is kept and the velocity is zero.
     force_N
-        Commanded from the tick on, on the device, shape (n, 3).
+        Force commanded to the device from the tick on [N], shape (n, 3).
     taken_J
-        Energy that the loop has taken from the device up to the tick [J], shape (n,), by the
-        positions it sampled.
+        Energy that the loop has taken from the device up to the tick [J], shape (n,), computed from
+        the sampled positions.
     """
 
     time_s: Array
@@ -46,7 +45,7 @@ class WallRun:
     taken_J: Array
 
     def ripple_N(self, last_s: float) -> float:
-        """Root mean square of the force about its mean in the last seconds of the run [N]."""
+        """Return the RMS deviation of the force from its mean in the last seconds [N]."""
         last = self.time_s > self.time_s[-1] - last_s
         return float(np.linalg.norm(self.force_N[last].std(axis=0)))
 
@@ -59,11 +58,12 @@ def press_wall(
     tick_s: float = TICK_S,
     guard: SampleGuard | None = None,
 ) -> WallRun:
-    """Run device, proxy on the plane, renderer and guard for a time [s].
+    """Run device, proxy on the plane, renderer and guard for ``duration_s``.
 
-    The proxy of a plane is the device's point where it is free and its foot on the plane elsewhere;
-    its velocity is the part along the plane. Without a guard every sample is valid and no sample
-    means no force. Whatever ends the run, the device is left without force.
+    A free device and its proxy coincide. Inside the wall, the proxy is the projection of the device
+    onto the plane, and its velocity is the component along the plane. Without a guard, every sample
+    is valid and a missing sample means zero force. However the run ends, the device is left with
+    zero force.
     """
     ticks = round(duration_s / tick_s)
     position, velocity, force = np.zeros((3, ticks, 3))
@@ -109,9 +109,9 @@ def knock(
     *,
     damping_N_s_m: float = 0.0,
 ) -> tuple[WallRun, SimulatedDevice]:
-    """Move onto a wall, hold 5 mm into it, and be jerked off it after 0.8 s (2 N for 20 ms).
+    """Simulate a hand that moves 5 mm into a wall and is jerked off it after 0.8 s (2 N for 20 ms).
 
-    The hand is without noise and tremor, so that what moves after the jerk is the loop's own.
+    The hand has no noise and no tremor. Motion after the jerk is therefore caused by the loop.
     """
     quiet = replace(hand, endpoint_noise=0.0, force_noise=0.0, tremor_m=0.0)
     path = waypoints(np.array([0.0, 1e-3]), np.array([[0.0, 0.0, DEPTH_M], [0.0, 0.0, -DEPTH_M]]))

@@ -1,4 +1,4 @@
-"""What a loop shows a predictor of the contact behind the force of a tick."""
+"""Contact that the loop passes to a predictor together with the force of a tick."""
 
 from meshes.base.arrays import Array
 from tissue.haptics.proxy.cutting_tool import CuttingTool
@@ -12,19 +12,21 @@ __all__ = ["seen_contact"]
 def seen_contact(
     tool: HeldTool, stiffness_N_m: float, scale: float, shift_m: Array, response: Response
 ) -> Contact:
-    """The contact at the device: a length there is one at the tool over m, a force f times as
-    great.
+    """Convert the contact at the tool to the contact at the device.
+
+    Lengths at the device are lengths at the tool divided by m. Forces at the device are f times the
+    forces at the tool, with f = ``stiffness_N_m`` / (m · tool stiffness).
 
     Parameters
     ----------
     tool
-        On its spring.
+        Tool coupled to the device by a spring.
     stiffness_N_m
-        Stiffness of the coupling at the device; it is m f of the tool's.
+        Stiffness of the coupling at the device [N/m]. It is m f times the stiffness at the tool.
     scale, shift_m
-        The device at x has the tool at m x + shift [m], shape (3,).
+        Scale m and shift [m], shape (3,): a device at x has the tool at m x + shift.
     response
-        The tissue's answer to the tool.
+        Tissue response to the tool.
     """
     felt = stiffness_N_m / (scale * tool.stiffness_N_m)
     known = response.stiffness_N_m

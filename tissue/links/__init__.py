@@ -1,3 +1,1 @@
-"""Links by which other programs see a run while it goes on: 3D Slicer by OpenIGTLink, ROS 2 by
-CRTK names.
-"""
+"""Links to other programs during a run: 3D Slicer (OpenIGTLink) and ROS 2 (CRTK names)."""

@@ -1,6 +1,4 @@
-"""The checksum of an OpenIGTLink message: CRC-64 of its body, for bodies of many megabytes in
-NumPy.
-"""
+"""Checksum of OpenIGTLink messages: CRC-64 of the body, vectorised with NumPy for large bodies."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,17 +6,17 @@ from numpy.typing import NDArray
 __all__ = ["crc64"]
 
 POLYNOMIAL = 0x42F0E1EBA9EA3693
-"""ECMA-182, highest bit first, begun at zero and not inverted."""
+"""Polynomial of ECMA-182, highest bit first, initial value zero, not inverted."""
 LANES = 4096
-"""Parts of a long body that are gone through beside each other, a power of two."""
+"""Number of parts of a long body that are processed in parallel; a power of two."""
 LONG = 2 * LANES
-"""Bytes from which that is faster than byte by byte."""
+"""Body length from which the parallel method is faster than a loop over bytes [bytes]."""
 MASK = 0xFFFFFFFFFFFFFFFF
 Words = NDArray[np.uint64]
 
 
 def _entries() -> list[int]:
-    """Remainder of every byte that is followed by eight zero bytes."""
+    """Return the remainder of every byte followed by eight zero bytes."""
     found = []
     for byte in range(256):
         value = byte << 56
@@ -35,10 +33,11 @@ BITS: Words = np.arange(64, dtype=np.uint64)
 
 
 def crc64(body: bytes | bytearray | memoryview) -> int:
-    """The checksum of a message's body.
+    """Return the checksum of a message body.
 
-    The remainder is linear in the body: a long one is cut into `LANES` parts, whose remainders are
-    found at once and then joined in pairs, the earlier of two moved on by the length of the later.
+    The remainder is linear in the body. A long body is split into `LANES` parts, whose remainders
+    are computed in parallel and then joined in pairs. The earlier of two remainders is first
+    advanced by the length of the later part.
     """
     if len(body) < LONG:
         value = 0
@@ -47,7 +46,7 @@ def crc64(body: bytes | bytearray | memoryview) -> int:
         return value
     width = -(-len(body) // LANES)
     padded = np.zeros(LANES * width, dtype=np.uint8)
-    # zeros in front change nothing
+    # leading zeros do not change the remainder
     padded[len(padded) - len(body) :] = np.frombuffer(body, dtype=np.uint8)
     found = np.zeros(LANES, dtype=np.uint64)
     moved = np.uint64(1) << BITS
@@ -61,6 +60,6 @@ def crc64(body: bytes | bytearray | memoryview) -> int:
 
 
 def _through(moved: Words, words: Words) -> Words:
-    """Words under the linear map that takes bit i to ``moved[i]``."""
+    """Apply the linear map that takes bit i to ``moved[i]`` to words."""
     chosen = ((words[:, None] >> BITS) & np.uint64(1)) * moved
     return np.asarray(np.bitwise_xor.reduce(chosen, axis=1))

@@ -1,7 +1,8 @@
-"""OpenIGTLink messages: header, CRC and the bodies that a run sends and takes, byte for byte.
+"""OpenIGTLink messages: header, CRC and the bodies that a run sends and receives.
 
-All numbers are big-endian but for the voxels of an image. A header of version 2 is followed by an
-extended one, and the body by metadata. Lengths are mm, and 3D Slicer takes all of them as RAS.
+All numbers are big-endian, except the voxels of an image. A header of version 2 is followed by an
+extended header, and the body is followed by metadata. Lengths are in mm, and 3D Slicer interprets
+all of them as RAS.
 """
 
 import struct
@@ -38,44 +39,43 @@ __all__ = [
 HEADER = struct.Struct(">H12s20sIIQQ")
 HEADER_BYTES = HEADER.size
 EXTENDED = struct.Struct(">HHII")
-"""Size of the extended header, of the metadata's header and of the metadata, and the message's
-number.
-"""
+"""Sizes of the extended header, metadata header and metadata, and the number of the message."""
 ENTRY = struct.Struct(">HHI")
 """Length of a key, encoding and length of its value."""
 NEWEST = 3
-"""Highest version of a header whose layout is known; those from 2 on have the extended header."""
+"""Highest header version with a known layout; versions from 2 on have the extended header."""
 STATUS_OK, STATUS_SHUT_DOWN = 1, 19
 ASCII, UTF8 = 3, 106
-"""Encodings by their numbers at IANA."""
+"""IANA numbers of the encodings."""
 LONGEST_TEXT = 0xFFFF
 SCALARS = {"i1": 2, "u1": 3, "i2": 4, "u2": 5, "i4": 6, "u4": 7, "f4": 10, "f8": 11}
-"""Numbers of the types of scalars."""
+"""Type numbers of scalars."""
 UNITS = {"m": 0x01, "g": 0x02, "s": 0x03, "Hz": 0x0A, "N": 0x0B, "Pa": 0x0C}
-"""Codes of units that are used here."""
+"""Codes of the supported units."""
 POINT_SCALARS = 0x00
 LITTLE, RAS = 2, 1
-"""Order of the bytes of an image's voxels, the only ones that are not big-endian, and the frame
-it is in.
+"""Byte order and frame of an image.
+
+The voxels of an image are the only numbers that are not big-endian.
 """
 
 
 class IgtlError(ValueError):
-    """Bytes that are no OpenIGTLink message; the text is half a sentence."""
+    """Error for bytes that are not an OpenIGTLink message; its text is half a sentence."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Header:
-    """The header of a message.
+    """Header of a message.
 
     Attributes
     ----------
     version
         1 without, 2 with extended header and metadata.
     kind, name
-        Type of the message, and name of the device that it is from.
+        Type of the message, and name of the sending device.
     time_s
-        When it was sent, seconds since 1970.
+        Time of sending, in seconds since 1970.
     body_bytes, crc
         Length and checksum of the body.
     """
@@ -97,8 +97,9 @@ def packed(
     metadata: Mapping[str, str] | None = None,
     number: int = 0,
 ) -> bytes:
-    """A whole message; with metadata its header is of version 2, and ``number`` is that of the
-    message.
+    """Return a whole message.
+
+    With metadata, the header is of version 2, and ``number`` is the number of the message.
     """
     version = 1
     if metadata is not None:
@@ -120,12 +121,12 @@ def packed(
 
 
 def parse_header(header: bytes | bytearray) -> Header:
-    """The header in the first bytes of a message.
+    """Parse the header in the first bytes of a message.
 
     Raises
     ------
     IgtlError
-        If they are none.
+        If the bytes are not a header.
     """
     version, kind, name, seconds, fraction, size, crc = HEADER.unpack(header[:HEADER_BYTES])
     if not 1 <= version <= NEWEST:
@@ -145,12 +146,12 @@ def parse_header(header: bytes | bytearray) -> Header:
 
 
 def content_of(header: Header, body: bytes | bytearray) -> bytes:
-    """What a message holds, without extended header and metadata.
+    """Return the content of a message, without extended header and metadata.
 
     Raises
     ------
     IgtlError
-        If the checksum is another, or the sizes contradict each other.
+        If the checksum does not match, or the sizes contradict each other.
     """
     if crc64(body) != header.crc:
         raise IgtlError("a message with another checksum than its body has")
@@ -166,17 +167,20 @@ def content_of(header: Header, body: bytes | bytearray) -> bytes:
 
 
 def transform_body(matrix: ArrayLike) -> bytes:
-    """TRANSFORM of a homogeneous matrix [mm], shape (4, 4): its columns without the last row."""
+    """Return the TRANSFORM body of a homogeneous matrix [mm], shape (4, 4).
+
+    The body contains the columns of the matrix without its last row.
+    """
     return np.asarray(matrix, dtype=float)[:3].T.astype(">f4").tobytes()
 
 
 def parse_transform(content: bytes) -> NDArray[np.float64]:
-    """The homogeneous matrix of a TRANSFORM [mm], shape (4, 4).
+    """Return the homogeneous matrix of a TRANSFORM [mm], shape (4, 4).
 
     Raises
     ------
     IgtlError
-        If it is of another length or not finite.
+        If the content has the wrong length or is not finite.
     """
     if len(content) != 48:
         raise IgtlError(f"a TRANSFORM of {len(content)} bytes instead of 48")
@@ -189,7 +193,7 @@ def parse_transform(content: bytes) -> NDArray[np.float64]:
 
 
 def status_body(code: int, message: str, *, subcode: int = 0, name: str = "") -> bytes:
-    """STATUS with a code such as `STATUS_OK`, and its message."""
+    """Return a STATUS body with a code such as `STATUS_OK` and a message."""
     return (
         struct.pack(">Hq20s", code, subcode, _short(name, 20))
         + message.encode("ascii", "replace")
@@ -198,20 +202,23 @@ def status_body(code: int, message: str, *, subcode: int = 0, name: str = "") ->
 
 
 def string_body(text: str) -> bytes:
-    """STRING, in UTF-8 where ASCII does not do; what is over 65535 bytes is cut off."""
+    """Return a STRING body in ASCII, or in UTF-8 if necessary, truncated to 65535 bytes."""
     code, encoded = _encoded(text)
     encoded = encoded[:LONGEST_TEXT].decode("utf-8", "ignore").encode()
     return struct.pack(">HH", code, len(encoded)) + encoded
 
 
 def sensor_body(values: ArrayLike, unit: int) -> bytes:
-    """SENSOR of at most 255 values in one unit, see `si_unit`."""
+    """Return a SENSOR body of at most 255 values in one unit, see `si_unit`."""
     data = np.asarray(values, dtype=">f8").ravel()
     return struct.pack(">BBQ", len(data), 0, unit) + data.tobytes()
 
 
 def si_unit(*powers: tuple[str, int]) -> int:
-    """A product of powers of units as SENSOR holds it, such as ``si_unit(("N", 1), ("m", 1))``."""
+    """Return the SENSOR code of a product of powers of units.
+
+    For example, ``si_unit(("N", 1), ("m", 1))`` is the code of N m.
+    """
     held = 0
     for place, (unit, exponent) in enumerate(powers):
         held |= (UNITS[unit] << 4 | exponent & 0xF) << (10 * (5 - place))
@@ -219,7 +226,7 @@ def si_unit(*powers: tuple[str, int]) -> int:
 
 
 def ndarray_body(values: ArrayLike) -> bytes:
-    """NDARRAY of an array of numbers, last axis fastest."""
+    """Return an NDARRAY body of an array of numbers, last axis fastest."""
     data = np.asarray(values)
     head = struct.pack(f">BB{data.ndim}H", _scalar(data), data.ndim, *data.shape)
     return head + data.astype(data.dtype.newbyteorder(">")).tobytes()
@@ -231,14 +238,14 @@ def polydata_body(
     *,
     scalars: Mapping[str, NDArray[np.floating]] | None = None,
 ) -> bytes:
-    """POLYDATA of polygons that all have as many points.
+    """Return a POLYDATA body of polygons that all have the same number of points.
 
     Parameters
     ----------
     points_mm
         Points [mm], shape (n, 3).
     polygons
-        Numbers of the points of each polygon, shape (m, k).
+        Point indices of each polygon, shape (m, k).
     scalars
         Values at the points by name, shape (n,) each.
     """
@@ -258,15 +265,15 @@ def polydata_body(
 
 
 def image_body(voxels: NDArray[np.generic], ijk_to_ras_mm: ArrayLike) -> bytes:
-    """IMAGE of a scalar volume in RAS.
+    """Return an IMAGE body of a scalar volume in RAS.
 
     Parameters
     ----------
     voxels
         Values by their indices i, j, k, shape (ni, nj, nk).
     ijk_to_ras_mm
-        Homogeneous matrix from indices to places [mm], shape (4, 4); the message holds the volume's
-        middle instead of its first voxel.
+        Homogeneous matrix from indices to positions [mm], shape (4, 4). The message contains the
+        centre of the volume instead of its first voxel.
     """
     matrix = np.asarray(ijk_to_ras_mm, dtype=float)
     shape = voxels.shape
@@ -284,7 +291,7 @@ def image_body(voxels: NDArray[np.generic], ijk_to_ras_mm: ArrayLike) -> bytes:
 
 
 def _scalar(values: NDArray[np.generic]) -> int:
-    """Number of the type of an array's scalars."""
+    """Return the type number of the scalars of an array."""
     kind = f"{values.dtype.kind}{values.dtype.itemsize}"
     if kind not in SCALARS:
         raise InputError("values", "be of a type that OpenIGTLink has", values.dtype, "use float64")
@@ -292,12 +299,12 @@ def _scalar(values: NDArray[np.generic]) -> int:
 
 
 def _encoded(text: str) -> tuple[int, bytes]:
-    """Encoding and bytes of a text."""
+    """Return the encoding and the bytes of a text."""
     return (ASCII if text.isascii() else UTF8), text.encode()
 
 
 def _short(text: str, size: int) -> bytes:
-    """A text as a field of fixed size; one that is longer would be cut off unseen."""
+    """Return a text as a field of fixed size; a text that does not fit raises an error."""
     field = text.encode("ascii", "replace")
     if len(field) > size:
         raise InputError(

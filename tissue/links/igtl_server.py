@@ -1,6 +1,4 @@
-"""A server of OpenIGTLink that waits for nobody: any number of clients, each with what it has
-yet to be sent.
-"""
+"""Non-blocking OpenIGTLink server for several clients, each with its own send queue."""
 
 import selectors
 import socket
@@ -20,26 +18,26 @@ Result = TypeVar("Result")
 
 LOCAL = "127.0.0.1"
 LARGEST = 1 << 16
-"""Bytes of the largest body that is read; a larger one is left out, see `OVERLARGE`."""
+"""Size of the largest body that is read [bytes]; a larger body is skipped, see `OVERLARGE`."""
 OVERLARGE = 1 << 34
-"""Bytes from which a body is taken for garbage."""
+"""Body size above which a message counts as invalid [bytes]."""
 PIECE = 1 << 16
-"""Bytes that are read of a client at a time."""
+"""Bytes read from a client at a time."""
 STALLED_S = 10.0
-"""How long a client may take nothing of what waits for it [s]."""
+"""Longest time for which a client may take no data from its send queue [s]."""
 MOST_CLIENTS = 16
 
 
 @dataclass(frozen=True, kw_only=True)
 class Received:
-    """A message that has come.
+    """Received message.
 
     Attributes
     ----------
     client
-        From whom.
+        Sender of the message.
     header, content
-        Its header, and what it holds without extended header and metadata.
+        Header, and content without extended header and metadata.
     """
 
     client: "Client"
@@ -48,14 +46,14 @@ class Received:
 
 
 class Client:
-    """One connection, which is read and written as far as that does not block.
+    """Connection to a client, with non-blocking reads and writes.
 
     Attributes
     ----------
     name
-        Address and port of its other end.
+        Address and port of the client.
     wants
-        Types of messages that it has asked for.
+        Message types that the client has requested.
     """
 
     def __init__(self, connection: socket.socket, name: str) -> None:
@@ -69,22 +67,22 @@ class Client:
 
     @property
     def waits(self) -> bool:
-        """Whether it has yet to take what was sent before."""
+        """True if the send queue is not empty."""
         return bool(self._outbox)
 
     def put(self, message: bytes) -> None:
-        """Send a message once those before it are gone."""
+        """Append a message to the send queue."""
         if not self._outbox:
             self._moved_s = perf_counter()
         self._outbox.append(memoryview(message))
 
     def write(self) -> None:
-        """Write what the connection takes now.
+        """Send the part of the queue that the connection accepts now.
 
         Raises
         ------
         OSError
-            If it is closed, or nothing of it was taken for `STALLED_S`.
+            If the connection is closed, or the client took no data for `STALLED_S`.
         """
         while self._outbox:
             try:
@@ -99,14 +97,14 @@ class Client:
                 self._outbox.popleft()
 
     def read(self) -> list[tuple[Header, bytes]]:
-        """Header and content of every message that is complete now.
+        """Return header and content of all messages that are complete now.
 
         Raises
         ------
         OSError
             If the connection is closed.
         IgtlError
-            If what came is no OpenIGTLink.
+            If the received bytes are not OpenIGTLink.
         """
         with suppress(BlockingIOError):
             came = self.connection.recv(PIECE)
@@ -137,31 +135,33 @@ class Client:
 
 
 class IgtlServer:
-    """Listens on a port of this machine, sends to all clients, and takes what they send.
+    """Server that listens on a port of this machine, sends to all clients and receives messages.
 
-    Nothing of it blocks: what a client does not take at once waits for it, and a client that sends
-    what is no OpenIGTLink, or takes nothing for `STALLED_S`, is disconnected.
+    No call blocks on a client. Data that a client does not take at once waits in its send queue. A
+    client that sends anything but OpenIGTLink, or takes no data for `STALLED_S`, is disconnected.
 
     Parameters
     ----------
     port
-        Port to listen on; 0 for a free one.
+        Port to listen on; 0 for a free port.
     host
-        Address to listen on; only programs of this machine reach the default.
+        Address to listen on. Only programs of this machine can reach the default.
 
     Attributes
     ----------
     clients
-        Who is connected.
+        Connected clients.
     happened
-        Who came and went and why, a sentence each, until they are taken from the list.
+        Connections and disconnections with their reasons, one sentence each. The caller empties the
+        list.
     accepted, refused
-        Clients that have come, and those that were disconnected for what they sent or did not take.
+        Number of accepted clients. Number of clients that were refused, or disconnected for invalid
+        messages or for taking no data.
 
     Raises
     ------
     InputError
-        If the port is taken, or the address is not one of this machine.
+        If the port is taken, or the address does not belong to this machine.
     """
 
     def __init__(self, port: int, *, host: str = LOCAL) -> None:
@@ -184,13 +184,14 @@ class IgtlServer:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Address and port that it listens on."""
+        """Address and port of the listener."""
         host, port = self._listener.getsockname()
         return host, port
 
     def poll(self, timeout_s: float) -> tuple[list[Client], list[Received]]:
-        """Write and read what can be, and wait for news until a time is over; new clients, and
-        what has come.
+        """Write and read without blocking; return new clients and received messages.
+
+        The call waits up to ``timeout_s`` for new data.
         """
         for client in list(self.clients):
             self._try(client, client.write)
@@ -211,10 +212,10 @@ class IgtlServer:
     def send(
         self, message: bytes, *, to: list[Client] | None = None, is_stream: bool = False
     ) -> int:
-        """Send a message to all clients, or to some; to how many it went.
+        """Send a message to all clients, or to some, and return the number of receivers.
 
-        One of a stream is left out where the client has not yet taken what was before it: the next
-        is newer.
+        A stream message is skipped for a client with a non-empty send queue, because a newer one
+        will follow.
         """
         sent = 0
         for client in list(self.clients if to is None else to):
@@ -232,10 +233,10 @@ class IgtlServer:
         self._listener.close()
 
     def _accept(self) -> list[Client]:
-        """Take in who waits at the port."""
+        """Accept the next client that waits at the port."""
         try:
             connection, (host, port) = self._listener.accept()
-        except OSError:  # gone again meanwhile
+        except OSError:  # the client has left in the meantime
             return []
         if len(self.clients) >= MOST_CLIENTS:
             connection.close()
@@ -252,7 +253,7 @@ class IgtlServer:
         return [client]
 
     def _try(self, client: Client, call: Callable[[], Result]) -> Result | None:
-        """Call something of a client, which is disconnected where that fails."""
+        """Call a method of a client, and disconnect the client on failure."""
         try:
             return call()
         except (IgtlError, TimeoutError) as error:
@@ -266,7 +267,7 @@ class IgtlServer:
         return None
 
     def _leave(self, client: Client) -> None:
-        """Forget a client."""
+        """Remove a client and close its connection."""
         self.clients.remove(client)
         self._selector.unregister(client.connection)
         client.connection.close()

@@ -1,5 +1,6 @@
-"""Publishes a live run on topics of ROS 2, run by ``python -m tissue.links.ros2 FOLDER`` in a
-process.
+"""Publisher of a live run on ROS 2 topics.
+
+Run in its own process by ``python -m tissue.links.ros2 FOLDER``.
 """
 
 import json
@@ -19,31 +20,34 @@ from tissue.simulation.live.shared import SharedArrays
 __all__ = ["Ros2Publisher"]
 
 NAMESPACE = "tissue"
-"""Topics are /tissue/measured_cp and so on."""
+"""Namespace of the topics, such as /tissue/measured_cp."""
 FRAME = "tissue_scene"
-"""Frame of poses and the axes of the rest: that of the scene."""
+"""Frame of poses and of all vectors: the frame of the scene."""
 DEPTH = 10
-"""Messages that are kept for a reader that is slow, as CRTK's client keeps them."""
+"""Queue length for slow readers, as in CRTK's client [messages]."""
 STATE_S = 1.0
-"""Time between two messages of a state that stays [s]."""
+"""Interval between repeated messages of an unchanged state [s]."""
 PAUSED_S = 0.5
 """Time without a tick after which the run counts as paused [s]."""
 LOOK_S = 1e-3
-"""Time between two looks for a new row [s]."""
+"""Interval between two checks for a new row [s]."""
 NICE = 5
-"""On a busy machine the ticks come first."""
+"""Niceness of the process, so that the ticks take precedence on a busy machine."""
 POSE = (*(f"tool_{c}_mm" for c in "xyz"), *(f"tool_q{c}" for c in "xyzw"))
 TWIST = (*(f"velocity_{c}_mm_s" for c in "xyz"), *(f"angular_velocity_{c}_rad_s" for c in "xyz"))
 WRENCH = (*(f"model_force_{c}_N" for c in "xyz"), *(f"model_torque_{c}_Nm" for c in "xyz"))
 
 
 class Ros2Publisher:
-    """A run while it goes on, by the names of CRTK, in m, m/s, rad/s, N and N m.
+    """Publisher of a live run with CRTK names, in m, m/s, rad/s, N and N m.
 
-    ``measured_cp``: the tool's tip, z from tip to shank. ``measured_cv``: its velocity.
-    ``measured_cf``: what the tissue does to the tool, torques about the tip. ``operating_state``,
-    where crtk_msgs is installed: ENABLED while the ticks go on, PAUSED while they do not, DISABLED
-    at the end.
+    Topics:
+
+    - ``measured_cp``: pose of the tool tip, z from tip to shank.
+    - ``measured_cv``: velocity of the tool.
+    - ``measured_cf``: load of the tissue on the tool, torques about the tip.
+    - ``operating_state``, if crtk_msgs is installed: ENABLED while ticks run, PAUSED while they
+      pause, DISABLED at the end.
 
     Parameters
     ----------
@@ -53,7 +57,7 @@ class Ros2Publisher:
     Attributes
     ----------
     topics
-        What is published.
+        Names of the published topics.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -87,18 +91,18 @@ class Ros2Publisher:
         except ImportError:
             return
         qos = import_module("rclpy.qos")
-        # for those that come later
+        # keep the last state for readers that connect later
         last = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
         self._states = self._node.create_publisher(self._new_state, "operating_state", last)
         self.topics.append("operating_state")
 
     @property
     def over(self) -> bool:
-        """Whether the ticks have ended."""
+        """True if the ticks have ended."""
         return bool(self._arrays["ended"][0])
 
     def step(self) -> None:
-        """Publish what is new."""
+        """Publish a new row, and the state if it is due."""
         now = perf_counter()
         found = self._arrays.read("row")
         if found is not None and found[0] != self._turn:
@@ -110,7 +114,7 @@ class Ros2Publisher:
             self._publish_state(state)
 
     def end(self) -> None:
-        """Publish that the run has ended, and leave ROS 2."""
+        """Publish the end of the run and shut down ROS 2."""
         self._publish_state("DISABLED")
         self._node.destroy_node()
         self._rclpy.try_shutdown()
@@ -159,8 +163,8 @@ def _fill(message: Any, names: Any, values: Any) -> None:
 
 
 def _main(folder: str) -> None:
-    """Join ROS 2, report the topics on the standard output, and publish until the ticks end."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the ticks decide when it ends
+    """Connect to ROS 2, report the topics on standard output, and publish until the ticks end."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the ticks determine the end of this process
     if hasattr(os, "nice"):
         os.nice(NICE)
     standard_output = os.fdopen(os.dup(1), "w", encoding="utf-8")
@@ -168,7 +172,7 @@ def _main(folder: str) -> None:
     try:
         publisher = Ros2Publisher(Path(folder))
     except Exception as error:
-        # rclpy raises kinds of its own; the last line printed is what a person reads
+        # rclpy raises its own error types; the user reads the last printed line
         sys.exit(f"{type(error).__name__}: {' '.join(str(error).split())}")
     topics = ", ".join(f"/{NAMESPACE}/{topic}" for topic in publisher.topics)
     print(f"ready {topics}", file=standard_output, flush=True)

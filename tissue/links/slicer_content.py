@@ -1,6 +1,4 @@
-"""What 3D Slicer is sent of a run: messages of its rows, its tool, its tissue and its image, in
-RAS and mm.
-"""
+"""Messages for 3D Slicer: rows, tool, tissue and image of a run, in RAS and mm."""
 
 from time import time
 from typing import TYPE_CHECKING, Any
@@ -31,22 +29,22 @@ FORCE, TORQUE, WRENCH, WORDS, STATE = (
     "tissue-force-text",
     "tissue",
 )
-"""Names of what is sent, as 3D Slicer names its nodes."""
+"""Names of the messages, used by 3D Slicer as names of its nodes."""
 
 
 class SlicerContent:
-    """Makes the messages of a run.
+    """Builder of the messages of a run.
 
     Parameters
     ----------
     scene
-        What is run.
+        Scene of the run.
     columns
         Names of the values of a row.
     frame
-        Where the scene lies in RAS.
+        Frame of the scene in RAS.
     start
-        What the ticks have given to begin with.
+        Initial data from the ticks.
     """
 
     def __init__(
@@ -66,8 +64,9 @@ class SlicerContent:
         self._number = 0
 
     def scene_messages(self) -> list[bytes]:
-        """What does not change: the tool's shape in its own frame, the voxels as an image, faces
-        without a body.
+        """Return the constant messages: tool shape, voxel image, and faces without a body.
+
+        The tool shape is in its own frame.
         """
         messages = []
         tool = tool_surface(self._scene.tool)
@@ -91,7 +90,10 @@ class SlicerContent:
         return messages
 
     def surface_message(self, tissue: BoneSurface | OrganSurface) -> bytes:
-        """The tissue's surface as it is now, with the layer of a bone as values at the points."""
+        """Return the current surface of the tissue.
+
+        The surface of a bone has the layer as values at the points.
+        """
         surface = tissue.surface
         if not isinstance(tissue, BoneSurface) or not surface.n_cells:
             return self._packed("POLYDATA", TISSUE, self._mesh(surface.triangulate()))
@@ -102,15 +104,16 @@ class SlicerContent:
         return self._packed("POLYDATA", TISSUE, self._mesh(surface, layer=layers))
 
     def pose_message(self, row: Array) -> bytes | None:
-        """The pose of the tool's tip; None before it has one."""
+        """Return the pose of the tool tip; None if the row has no pose yet."""
         if not row[self._turn].any():
             return None
         pose = self._frame.pose(row[self._tip], matrix_of(row[self._turn]))
         return self._packed("TRANSFORM", TOOL, igtl.transform_body(pose))
 
     def force_messages(self, row: Array, kind: str) -> list[bytes]:
-        """The tissue's load on the tool, as SENSOR of force and of torque or as one NDARRAY,
-        with simulated time.
+        """Return the load of the tissue on the tool, with the simulated time.
+
+        The load is a SENSOR of force and a SENSOR of torque, or one NDARRAY.
         """
         force, torque = self._load(row)
         self._number += 1
@@ -131,7 +134,7 @@ class SlicerContent:
         ]
 
     def words_message(self, row: Array) -> bytes:
-        """The same in words, which 3D Slicer shows."""
+        """Return the load of the tissue on the tool as a text that 3D Slicer shows."""
         force, torque = self._load(row)
         x, y, z = force
         text = (
@@ -142,8 +145,9 @@ class SlicerContent:
         return self._packed("STRING", WORDS, igtl.string_body(text))
 
     def status_message(self, row: Array) -> bytes:
-        """That the run goes on, and how well the ticks keep up; an empty row is that of a run
-        before its first tick.
+        """Return a status message with the simulated time and the number of missed deadlines.
+
+        An empty row means that the first tick has not run yet.
         """
         text = f"{self._scene.name}: begins"
         if row.size:
@@ -154,22 +158,22 @@ class SlicerContent:
         return self._packed("STATUS", STATE, igtl.status_body(igtl.STATUS_OK, text, name="OK"))
 
     def event_message(self, text: str) -> bytes:
-        """What has happened."""
+        """Return the message of an event."""
         return self._packed("STRING", "tissue-events", igtl.string_body(text))
 
     def end_message(self) -> bytes:
-        """That the run has ended."""
+        """Return the message that the run has ended."""
         body = igtl.status_body(
             igtl.STATUS_SHUT_DOWN, f"{self._scene.name}: the run has ended", name="SHUT_DOWN"
         )
         return self._packed("STATUS", STATE, body)
 
     def _load(self, row: Array) -> tuple[Array, Array]:
-        """Force [N] and torque [N m] in RAS."""
+        """Return force [N] and torque [N m] in RAS."""
         return self._frame.vector(row[self._force]), self._frame.vector(row[self._torque])
 
     def _mesh(self, mesh: "pyvista.PolyData", **scalars: Array) -> bytes:
-        triangles = mesh.regular_faces.reshape(-1, 3)  # of a mesh without any the shape is lost
+        triangles = mesh.regular_faces.reshape(-1, 3)  # an empty mesh loses its shape
         return igtl.polydata_body(self._frame.points(mesh.points), triangles, scalars=scalars)
 
     def _packed(self, kind: str, name: str, body: bytes, **options: Any) -> bytes:

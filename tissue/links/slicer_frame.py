@@ -1,4 +1,4 @@
-"""Where a scene lies in 3D Slicer, whose frame is RAS; that of files of anatomies is LPS."""
+"""Frame of a scene in 3D Slicer, which uses RAS; anatomy files use LPS."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,20 +9,20 @@ __all__ = ["SlicerFrame"]
 
 Array = NDArray[np.float64]
 LPS_TO_RAS: Array = np.diag([-1.0, -1.0, 1.0])
-"""To the left and to the back become to the right and to the front; a rotation by half a turn."""
+"""Rotation by half a turn from LPS to RAS: left and back become right and front."""
 
 
 class SlicerFrame:
-    """A rigid motion from the scene's frame [mm] to RAS [mm], and back.
+    """Rigid transform between the scene frame [mm] and RAS [mm].
 
-    A scene whose anatomy comes from a file lies on that file. Another one, whose frame is that of
-    no patient, lies where 3D Slicer puts the files of its run, such as ``bone.nrrd``, which it
-    takes as LPS.
+    A scene whose anatomy comes from a file is aligned with that file. Any other scene has no
+    patient frame. It is placed where 3D Slicer shows the files of its run, such as ``bone.nrrd``,
+    which 3D Slicer interprets as LPS.
 
     Parameters
     ----------
     placement
-        Where the scene's frame lies in that of the file; None for a scene without one.
+        Placement of the scene frame in the frame of the file; None for a scene without a file.
     """
 
     def __init__(self, placement: Placement | None) -> None:
@@ -40,16 +40,17 @@ class SlicerFrame:
         return matrix
 
     def points(self, points_mm: ArrayLike) -> Array:
-        """Points of the scene [mm], shape (n, 3), in RAS [mm]."""
+        """Return points of the scene [mm], shape (n, 3), in RAS [mm]."""
         return np.asarray(points_mm, dtype=np.float64) @ self._turn.T + self._origin
 
     def vector(self, vector: ArrayLike) -> Array:
-        """A force, a torque or another vector of the scene in RAS, shape (3,)."""
+        """Return a force, a torque or another vector of the scene in RAS, shape (3,)."""
         return np.asarray(self._turn @ np.asarray(vector, dtype=np.float64))
 
     def pose(self, tip_mm: ArrayLike, rotation: ArrayLike) -> Array:
-        """From a tool's frame to RAS [mm], shape (4, 4), by tip [mm] and orientation, shape (3,
-        3), in the scene.
+        """Return the matrix from a tool frame to RAS [mm], shape (4, 4).
+
+        The arguments are the tip [mm] and the orientation, shape (3, 3), in the scene.
         """
         matrix = np.eye(4)
         matrix[:3, :3] = self._turn @ np.asarray(rotation, dtype=np.float64)
@@ -57,8 +58,9 @@ class SlicerFrame:
         return matrix
 
     def pose_in_scene(self, matrix: ArrayLike) -> tuple[Array, Array]:
-        """Tip [mm] and orientation, shape (3, 3), in the scene of a tool with a pose in RAS
-        [mm], shape (4, 4).
+        """Return tip [mm] and orientation, shape (3, 3), in the scene from a tool pose in RAS.
+
+        The pose is a homogeneous matrix [mm], shape (4, 4).
         """
         given = np.asarray(matrix, dtype=np.float64)
         return self._turn.T @ (given[:3, 3] - self._origin), self._turn.T @ given[:3, :3]

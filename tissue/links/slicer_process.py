@@ -1,5 +1,6 @@
-"""Publishes a live run for 3D Slicer, run by ``python -m tissue.links.slicer_process FOLDER`` in
-a process.
+"""Publisher of a live run for 3D Slicer.
+
+Run in its own process by ``python -m tissue.links.slicer_process FOLDER``.
 """
 
 import json
@@ -26,25 +27,22 @@ from tissue.simulation.live.surfaces import Start, tissue_surface
 __all__ = ["Publisher"]
 
 FRAME_S = 0.02
-"""Time between two poses [s]."""
+"""Interval between two poses [s]."""
 WORDS_S, STATUS_S, SURFACE_S = 0.2, 1.0, 1.0
-"""Least time between two texts of the force, two states and two surfaces [s]."""
+"""Shortest interval between two force texts, two states and two surfaces [s]."""
 WAIT_S = 0.005
-"""How long the server may be waited for at a time [s]."""
+"""Longest wait for the server at a time [s]."""
 LINGERS_S = 2.0
-"""How long the last messages may take once the run has ended [s]."""
+"""Longest time to send the last messages after the end of the run [s]."""
 STREAMS = ("SENSOR", "NDARRAY")
-"""What a client has to ask for, for 3D Slicer takes neither and would report each one as an
-error.
-"""
+"""Streams that a client must request, because 3D Slicer would report each one as an error."""
 NICE = 5
-"""On a busy machine the ticks come first."""
+"""Niceness of the process, so that the ticks take precedence on a busy machine."""
 Array = NDArray[np.float64]
 
 
 class Publisher:
-    """A run while it goes on, at a port: the newest row, events, and the tissue's surface as it
-    changes.
+    """Server of a live run: newest row, events and the changing surface of the tissue.
 
     Parameters
     ----------
@@ -54,7 +52,7 @@ class Publisher:
     Attributes
     ----------
     server
-        Who is connected.
+        OpenIGTLink server with the connected clients.
 
     Raises
     ------
@@ -78,7 +76,7 @@ class Publisher:
         self._lasting = self._content.scene_messages()
         self._surface = b"" if self._tissue is None else self._content.surface_message(self._tissue)
         self._behind: set[Client] = set()
-        """Clients that have yet to get the newest surface."""
+        """Clients that do not have the newest surface yet."""
         self._row = np.zeros(0)
         self._turn = 0
         self._event = 0
@@ -87,11 +85,11 @@ class Publisher:
 
     @property
     def over(self) -> bool:
-        """Whether the ticks have ended."""
+        """True if the ticks have ended."""
         return bool(self._arrays["ended"][0])
 
     def step(self) -> None:
-        """Send what is due and take what has come."""
+        """Send due messages and handle received messages."""
         fresh, received = self.server.poll(WAIT_S)
         for client in fresh:
             for message in [self._content.status_message(self._row), *self._lasting]:
@@ -105,7 +103,7 @@ class Publisher:
         self._count()
 
     def end(self) -> None:
-        """Send what is left and that the run has ended, and close."""
+        """Send the remaining messages and the end of the run, and close the server."""
         self._take_row()
         self._send_events()
         self._send(self._content.end_message())
@@ -119,13 +117,16 @@ class Publisher:
         self.server.close()
 
     def _count(self) -> None:
-        """Report what was sent, and that this process works."""
+        """Write the message counts and increment the frame counter.
+
+        The frame counter shows that this process works.
+        """
         counts = self._sent, self.server.accepted, self.server.refused, self._target.ignored
         self._arrays["counts"][:] = counts
         self._arrays["frames"][0] += 1
 
     def _take(self, received: Received) -> None:
-        """Take a message of a client: a question, or where it wants the tool; others are left."""
+        """Handle a message of a client: a request or a tool target; other messages are ignored."""
         kind = received.header.kind
         client = received.client
         verb, _, stream = kind.partition("_")
@@ -142,7 +143,7 @@ class Publisher:
                 self._arrays.write("target", wanted)
 
     def _take_row(self) -> None:
-        """Send the newest row, as far as that is due."""
+        """Send the newest row if it is due."""
         now = perf_counter()
         if now - self._posed < FRAME_S:
             return
@@ -165,7 +166,7 @@ class Publisher:
             self._send(self._content.status_message(self._row), is_stream=True)
 
     def _send_events(self) -> None:
-        """Send the events that are new, as far as they are still held."""
+        """Send the new events that are still stored."""
         count = int(self._arrays["events_count"][0])
         held = self._arrays["events"]
         for number in range(max(self._event, count - len(held)), count):
@@ -174,7 +175,7 @@ class Publisher:
         self._event = count
 
     def _send_surface(self) -> None:
-        """Send the tissue's surface where it has changed, once a second at most."""
+        """Send the surface of the tissue if it has changed, at most once a second."""
         if self._tissue is None:
             return
         if perf_counter() - self._drawn >= SURFACE_S:
@@ -187,7 +188,7 @@ class Publisher:
         self._behind -= set(ready)
 
     def _send_to(self, client: Client, stream: str) -> None:
-        """Send the force to a client that has asked for it."""
+        """Send the force to a client that has requested it."""
         for message in self._content.force_messages(self._row, stream):
             self._sent += self.server.send(message, to=[client], is_stream=True)
 
@@ -196,8 +197,8 @@ class Publisher:
 
 
 def _main(folder: str) -> None:
-    """Open the port, report it on the standard output, and publish until the ticks end."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the ticks decide when it ends
+    """Open the port, report it on standard output, and publish until the ticks end."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the ticks determine the end of this process
     if hasattr(os, "nice"):
         os.nice(NICE)
     standard_output = os.fdopen(os.dup(1), "w", encoding="utf-8")

@@ -1,6 +1,4 @@
-"""Where a client wants the tool: its transform judged, brought into the scene's frame and into
-the tool's box.
-"""
+"""Target pose of the tool from a client: validated, in the scene frame, within the tool's box."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,26 +14,27 @@ Array = NDArray[np.float64]
 TARGET = "tissue-target"
 """Name of the transform that moves the tool."""
 OFF = 0.01
-"""How far the product of a rotation with its transpose may be from the identity; single
-precision is 1e-7.
+"""Largest deviation of a rotation times its transpose from the identity.
+
+Single precision has a deviation of 1e-7.
 """
 
 
 class SlicerTarget:
-    """Takes transforms named `TARGET` of one client at a time.
+    """Receiver of transforms named `TARGET` from one client at a time.
 
     Parameters
     ----------
     frame
-        Where the scene lies in RAS.
+        Frame of the scene in RAS.
     start
-        ``low_m``, ``high_m``: the box of the tip [m]; ``start_turn``: the tool's first orientation,
-        shape (3, 3); ``drives``: whether a client may move the tool.
+        ``low_m``, ``high_m``: box of the tip [m]. ``start_turn``: first orientation of the tool,
+        shape (3, 3). ``drives``: True if a client may move the tool.
 
     Attributes
     ----------
     ignored
-        Transforms of that name that were not taken.
+        Number of ignored transforms with that name.
     """
 
     def __init__(self, frame: SlicerFrame, start: Start) -> None:
@@ -48,11 +47,12 @@ class SlicerTarget:
         self.ignored = 0
 
     def wanted(self, received: Received, clients: list[Client]) -> Array | None:
-        """The pose of a transform: tip [mm] in the scene, and turn from the first orientation (x,
-        y, z, w), shape (7,).
+        """Return the target pose of a transform, shape (7,), or None.
 
-        None for a transform of another name, and for one that is ignored: no rigid motion, or of a
-        second client while the one that came first is connected.
+        The pose is the tip [mm] in the scene and the rotation from the first orientation (x, y, z,
+        w). The result is None for a transform with another name, and for an ignored transform. A
+        transform is ignored if it is not a rigid motion, or comes from a second client while the
+        first client is connected, or the scene does not allow clients to move the tool.
         """
         if received.header.name != TARGET:
             return None

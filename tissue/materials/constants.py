@@ -1,6 +1,4 @@
-"""Cited constants, read from the data files next to this one, and the cutting coefficients made
-of them.
-"""
+"""Cited material constants from the data files of this package, and cutting coefficients."""
 
 import tomllib
 from collections.abc import Mapping
@@ -33,12 +31,12 @@ CUT_AS = {
     "pulp": "soft",
     "ligament": "soft",
 }
-"""Material whose cutting coefficients a layer of a tooth has; all others have those of bone."""
+"""Material that provides the cutting coefficients of a tooth layer; other layers use bone."""
 
 
 @dataclass(frozen=True)
 class Constant:
-    """A cited number: value, plausible range and source, in the unit of its name."""
+    """Cited constant with value, plausible range and source, in the unit of its name."""
 
     value: float
     low: float
@@ -48,7 +46,7 @@ class Constant:
 
 
 class Entry(TypedDict):
-    """A cited number as a file has it."""
+    """Cited constant in the layout of a file."""
 
     value: float
     range: list[float]
@@ -75,7 +73,7 @@ class CuttingCoefficients:
 
 @cache
 def constants(table: str, material: str) -> dict[str, Constant]:
-    """Constants of a material in ``table.toml``, by their names with units.
+    """Return the constants of a material in ``table.toml``, by their names with units.
 
     Raises
     ------
@@ -100,12 +98,12 @@ def constants(table: str, material: str) -> dict[str, Constant]:
 
 
 def listed(table: str) -> tuple[str, ...]:
-    """Materials of ``table.toml``, in its order."""
+    """Return the materials of ``table.toml``, in the order of the file."""
     return tuple(_table(table))
 
 
 def add_material(table: str, material: str, entries: dict[str, Entry]) -> None:
-    """Add a material to those of ``table.toml``, until the process ends.
+    """Add a material to the table of ``table.toml``, until the process ends.
 
     Raises
     ------
@@ -121,7 +119,7 @@ def add_material(table: str, material: str, entries: dict[str, Entry]) -> None:
 
 
 def remove_material(table: str, material: str) -> None:
-    """Forget a material that was added."""
+    """Remove a material that was added."""
     del _table(table)[material]
     constants.cache_clear()
 
@@ -132,8 +130,9 @@ def _table(table: str) -> dict[str, dict[str, Entry]]:
 
 
 def cutting_coefficients(material: str, **changes: float | None) -> CuttingCoefficients:
-    """Coefficients of a material in SI; ``changes`` replace single constants, named with their
-    units as in the file.
+    """Return the cutting coefficients of a material in SI units.
+
+    ``changes`` replace single constants, named with their units as in the file.
 
     Raises
     ------
@@ -146,7 +145,9 @@ def cutting_coefficients(material: str, **changes: float | None) -> CuttingCoeff
 def changed_coefficients(
     cited: Mapping[str, Constant], changes: Mapping[str, float | None]
 ) -> CuttingCoefficients:
-    """Coefficients of cutting constants in SI; `changes` replace single ones.
+    """Return the cutting coefficients of cutting constants in SI units.
+
+    ``changes`` replace single constants.
 
     Raises
     ------

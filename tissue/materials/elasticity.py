@@ -1,9 +1,8 @@
-"""Linear elastic stiffness: isotropic, transversely isotropic, orthotropic, and turned to follow a
-fibre field.
+"""Linear elastic stiffness: isotropic, transversely isotropic, orthotropic and rotated to fibres.
 
-Voigt order xx, yy, zz, yz, xz, xy with engineering shear strains (twice the tensor's), so stress =
-D strain. Material axes are 1, 2, 3 = x, y, z until they are turned; the fibre of a transversely
-isotropic material is axis 3.
+The Voigt order is xx, yy, zz, yz, xz, xy with engineering shear strains, which are twice the tensor
+components, so that stress = D strain. The material axes 1, 2, 3 are x, y, z until they are rotated.
+The fibre of a transversely isotropic material is axis 3.
 """
 
 import numpy as np
@@ -26,17 +25,19 @@ __all__ = [
 
 
 VOIGT = np.array([[0, 0], [1, 1], [2, 2], [1, 2], [0, 2], [0, 1]])
-"""Row and column of the tensor component at each Voigt place."""
+"""Row and column of the tensor component at each Voigt index."""
 
 SYMMETRIC = 1e-9
-"""Asymmetry allowed, relative to the largest entry: rounding of an inverse of contrast up to a
-million.
+"""Allowed asymmetry relative to the largest entry.
+
+It covers the rounding of an inverse with a contrast of up to a million.
 """
 
 
 def lame(young_Pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
-    """Lame constants lambda, mu [Pa], shape (..., 2), of Young's modulus [Pa] and Poisson's ratio,
-    which broadcast.
+    """Return the Lamé constants lambda, mu [Pa], shape (..., 2).
+
+    Young's modulus [Pa] and Poisson's ratio broadcast.
 
     Raises
     ------
@@ -58,7 +59,7 @@ def lame(young_Pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
 
 
 def stiffness_of_lame(lame_Pa: ArrayLike) -> Array:
-    """Stiffness matrices [Pa], shape (..., 6, 6), of Lame constants [Pa], shape (..., 2)."""
+    """Return stiffness matrices [Pa], shape (..., 6, 6), of Lamé constants [Pa], shape (..., 2)."""
     pair = np.asarray(lame_Pa, dtype=np.float64)
     matrix = np.zeros((*pair.shape[:-1], 6, 6))
     matrix[..., :3, :3] = pair[..., 0, None, None]
@@ -68,7 +69,7 @@ def stiffness_of_lame(lame_Pa: ArrayLike) -> Array:
 
 
 def orthotropic(*, young_Pa: ArrayLike, shear_Pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
-    """Stiffness matrix [Pa], shape (6, 6), of a material with three planes of symmetry.
+    """Return the stiffness matrix [Pa], shape (6, 6), of an orthotropic material.
 
     Parameters
     ----------
@@ -77,13 +78,13 @@ def orthotropic(*, young_Pa: ArrayLike, shear_Pa: ArrayLike, poisson_ratio: Arra
     shear_Pa
         G12, G13, G23 [Pa].
     poisson_ratio
-        nu12, nu13, nu23; nu12 is the contraction along 2 of a pull along 1, and nu21 = nu12 E2 /
-        E1.
+        nu12, nu13, nu23. nu12 is the contraction along 2 under tension along 1, and nu21 = nu12 E2
+        / E1.
 
     Raises
     ------
     InputError
-        If a modulus is not positive, or the ratios do not leave the matrix positive definite.
+        If a modulus is not positive, or the ratios make the matrix indefinite.
     """
     young = _positive("young_Pa", young_Pa, 3)
     shear = _positive("shear_Pa", shear_Pa, 3)
@@ -117,24 +118,25 @@ def transversely_isotropic(
     poisson_fibre: float,
     poisson_across: float,
 ) -> Array:
-    """Stiffness matrix [Pa], shape (6, 6), of a material alike in all directions across its fibre,
-    which is axis 3.
+    """Return the stiffness matrix [Pa], shape (6, 6), of a transversely isotropic material.
+
+    The fibre is axis 3.
 
     Parameters
     ----------
     young_fibre_Pa, young_across_Pa
         Young's modulus along and across the fibre [Pa].
     shear_fibre_Pa
-        Shear modulus in planes that hold the fibre [Pa].
+        Shear modulus in planes that contain the fibre [Pa].
     poisson_fibre
-        Contraction across of a pull along the fibre.
+        Contraction across the fibre under tension along the fibre.
     poisson_across
-        Contraction across of a pull across; in (-1, 1).
+        Contraction across the fibre under tension across the fibre; in (-1, 1).
 
     Raises
     ------
     InputError
-        As of `orthotropic`.
+        As in `orthotropic`.
     """
     across, fibre = (
         float(_positive(name, value))
@@ -155,12 +157,11 @@ def transversely_isotropic(
 
 
 def volume_preserving_ratio(*, poisson_ratio: float, modulus_ratio: float) -> float:
-    """Compute Poisson's ratio across fibres at which they leave the bulk modulus as it is without
-    them.
+    """Compute Poisson's ratio across fibres at which the fibres do not change the bulk modulus.
 
-    Take a transversely isotropic material with moduli E across and r E along its fibres,
-    contraction nu of a pull along them and nu_across of a pull across them. Under a pressure its
-    volume changes by the sum of its compliances::
+    Take a transversely isotropic material with moduli E across and r E along its fibres. Its
+    Poisson's ratio is nu under tension along the fibres, and nu_across under tension across them.
+    Under a pressure, its volume changes by the sum of its compliances::
 
         1 / K = (2 (1 - nu_across) + (1 - 4 nu) / r) / E
 
@@ -169,19 +170,18 @@ def volume_preserving_ratio(*, poisson_ratio: float, modulus_ratio: float) -> fl
     Parameters
     ----------
     poisson_ratio
-        Poisson's ratio without fibres, and of a pull along them.
+        Poisson's ratio without fibres, and under tension along the fibres.
     modulus_ratio
-        Young's modulus along the fibres over that across them.
+        Young's modulus along the fibres over Young's modulus across them.
     """
     return 3.0 * poisson_ratio - 0.5 + (1.0 - 4.0 * poisson_ratio) / (2.0 * modulus_ratio)
 
 
 def fibre_ratio_range(poisson_ratio: float) -> tuple[float, float]:
-    """Compute the open range of modulus ratios in which `volume_preserving_ratio` leaves a material
-    stable.
+    """Compute the open range of modulus ratios for which `volume_preserving_ratio` is stable.
 
-    Stable means 1 - nu_across > 2 nu^2 / r, which is r > (1 - 2 nu) / 3, and nu_across > -1, which
-    bounds r from below where nu > 1/4 and from above where nu < -1/6.
+    Stability requires 1 - nu_across > 2 nu^2 / r, which is r > (1 - 2 nu) / 3, and nu_across > -1.
+    The second condition bounds r from below for nu > 1/4 and from above for nu < -1/6.
     """
     low = (1.0 - 2.0 * poisson_ratio) / 3.0
     high = np.inf
@@ -194,13 +194,12 @@ def fibre_ratio_range(poisson_ratio: float) -> tuple[float, float]:
 
 
 def checked_stiffness(stiffness_Pa: ArrayLike) -> Array:
-    """Stiffness matrices [Pa], shape (6, 6) or (m, 6, 6), if finite, symmetric and positive
-    definite.
+    """Return stiffness matrices [Pa], shape (6, 6) or (m, 6, 6), after validation.
 
     Raises
     ------
     InputError
-        If one is not.
+        If a matrix is not finite, symmetric and positive definite.
     """
     matrix = np.asarray(stiffness_Pa, dtype=np.float64)
     if matrix.ndim not in (2, 3) or matrix.shape[-2:] != (6, 6):
@@ -224,7 +223,7 @@ def checked_stiffness(stiffness_Pa: ArrayLike) -> Array:
             "use its mean with its transpose",
         )
     try:
-        np.linalg.cholesky(each)  # a tenth of the time of eigenvalues
+        np.linalg.cholesky(each)  # takes a tenth of the time of eigenvalues
     except np.linalg.LinAlgError as problem:
         least = np.linalg.eigvalsh(each)[:, 0]
         raise InputError(
@@ -237,22 +236,22 @@ def checked_stiffness(stiffness_Pa: ArrayLike) -> Array:
 
 
 def rotated(stiffness_Pa: ArrayLike, axes: ArrayLike) -> Array:
-    """Stiffness matrices [Pa], shape (m, 6, 6), of a material turned to follow a fibre field (Bond
-    1943).
+    """Return stiffness matrices [Pa], shape (m, 6, 6), rotated to a fibre field (Bond 1943).
 
     Parameters
     ----------
     stiffness_Pa
-        In material axes [Pa], shape (6, 6) or (m, 6, 6).
+        Stiffness in material axes [Pa], shape (6, 6) or (m, 6, 6).
     axes
-        Fibre directions, shape (m, 3), of a material that is transversely isotropic about axis 3;
-        or the material axes 1, 2, 3 as columns, shape (m, 3, 3), orthonormal and right-handed.
+        Fibre directions, shape (m, 3), for a material that is transversely isotropic about axis 3.
+        Otherwise the material axes 1, 2, 3 as columns, shape (m, 3, 3), orthonormal and
+        right-handed.
 
     Raises
     ------
     InputError
         If a direction has no length, axes are not a rotation, or one fibre does not fix the
-        material's axes.
+        material axes.
     """
     matrix = np.asarray(stiffness_Pa, dtype=np.float64)
     frame = np.asarray(axes, dtype=np.float64)
@@ -283,8 +282,9 @@ def rotated(stiffness_Pa: ArrayLike, axes: ArrayLike) -> Array:
 
 
 def elasticity_rows(elasticity: ArrayLike, cell_count: int) -> Array:
-    """An elasticity as rows of one for all cells or one a cell: Lame pairs (1 | m, 2) or matrices
-    (1 | m, 6, 6) [Pa].
+    """Return an elasticity as rows, one for all cells or one per cell.
+
+    Rows are Lamé pairs (1 | m, 2) or matrices (1 | m, 6, 6) [Pa].
 
     Raises
     ------
@@ -331,7 +331,7 @@ def _positive(name: str, value: ArrayLike, count: int | None = None) -> Array:
 
 
 def _frames(fibre: Array) -> Array:
-    """Right-handed frames whose third column is the fibre."""
+    """Return right-handed frames whose third column is the fibre."""
     length = np.linalg.norm(fibre, axis=1)
     if not (length > 0.0).all():
         bad = int(np.flatnonzero(~(length > 0.0))[0])
@@ -346,8 +346,9 @@ def _frames(fibre: Array) -> Array:
 
 
 def _turned(matrix: Array, rotation: Array) -> Array:
-    """D' = M D M^T with M the rotation of stresses in Voigt order; symmetrised, since products
-    round.
+    """Return D' = M D M^T, where M rotates stresses in Voigt order.
+
+    The result is symmetrised because of rounding in the products.
     """
     i = VOIGT[:, 0][:, None]
     j = VOIGT[:, 1][:, None]

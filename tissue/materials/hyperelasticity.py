@@ -1,16 +1,19 @@
 """Hyperelastic laws of isotropic soft tissue: energy, first Piola-Kirchhoff stress and its tangent.
 
-Neo-Hookean, Mooney-Rivlin, Yeoh and Ogden are one family here. With the principal stretches l_i of
-the deformation gradient F, J = l_1 l_2 l_3, the stretches at constant volume b_i = l_i J^(-1/3),
-S(alpha) = sum_i b_i^alpha and x = S(2) - 3:
+Neo-Hookean, Mooney-Rivlin, Yeoh and Ogden laws form one family here. The principal stretches of the
+deformation gradient F are l_i, with J = l_1 l_2 l_3. The isochoric stretches are b_i = l_i
+J^(-1/3), with S(alpha) = sum_i b_i^alpha and x = S(2) - 3::
 
-    psi = sum_p (2 mu_p / alpha_p^2) (S(alpha_p) - 3) + sum_k c_k x^k + (kappa / 4) (J^2 - 1 - 2 ln
-    J)
+    psi = sum_p (2 mu_p / alpha_p^2) (S(alpha_p) - 3) + sum_k c_k x^k
+          + (kappa / 4) (J^2 - 1 - 2 ln J)
 
-The shear modulus of small strains is sum mu_p, kappa their bulk modulus. The volumetric part (Simo
-and Miehe 1992) is apart from the rest, so shear feels no kappa. Stress and tangent follow from the
-derivatives by ln l_i in the frame of the singular vectors of F. Ogden 1984, Non-Linear Elastic
-Deformations; Yeoh 1993, Rubber Chemistry and Technology 66.
+The shear modulus at small strains is sum mu_p, and the bulk modulus is kappa. The volumetric part
+(Simo and Miehe 1992) is separate from the isochoric part, so that shear does not depend on kappa.
+Stress and tangent follow from the derivatives with respect to ln l_i in the frame of the singular
+vectors of F.
+
+References: Ogden 1984, Non-Linear Elastic Deformations; Yeoh 1993, Rubber Chemistry and Technology
+66.
 """
 
 from dataclasses import dataclass
@@ -24,23 +27,24 @@ from meshes.base.errors import InputError
 __all__ = ["Hyperelastic"]
 
 EQUAL = 1e-5
-"""Relative difference below which two stretches count as equal: the limit's error, its square,
-is that of rounding.
+"""Relative difference below which two stretches count as equal.
+
+The error of the limit is the square of this value, close to rounding.
 """
 
 
 @dataclass(frozen=True)
 class Hyperelastic:
-    """An isotropic hyperelastic law.
+    """Isotropic hyperelastic law.
 
     Parameters
     ----------
     bulk_Pa
-        Bulk modulus kappa of small strains [Pa].
+        Bulk modulus kappa at small strains [Pa].
     terms
         Pairs mu_p [Pa], alpha_p of the sum over powers of stretches.
     powers_Pa
-        c_2, c_3, ... of the powers of I1 - 3 [Pa].
+        Coefficients c_2, c_3, ... of the powers of I1 - 3 [Pa].
 
     Raises
     ------
@@ -67,27 +71,28 @@ class Hyperelastic:
 
     @classmethod
     def neo_hookean(cls, shear_Pa: float, *, bulk_Pa: float) -> "Hyperelastic":
-        """Law (mu / 2) (I1 - 3) at constant volume."""
+        """Return the law (mu / 2) (I1 - 3), isochoric part."""
         return cls(bulk_Pa, ((shear_Pa, 2.0),))
 
     @classmethod
     def mooney_rivlin(cls, c10_Pa: float, c01_Pa: float, *, bulk_Pa: float) -> "Hyperelastic":
-        """Law c10 (I1 - 3) + c01 (I2 - 3) at constant volume."""
+        """Return the law c10 (I1 - 3) + c01 (I2 - 3), isochoric part."""
         return cls(bulk_Pa, ((2.0 * c10_Pa, 2.0), (2.0 * c01_Pa, -2.0)))
 
     @classmethod
     def yeoh(cls, c1_Pa: float, c2_Pa: float, c3_Pa: float, *, bulk_Pa: float) -> "Hyperelastic":
-        """Law c1 (I1 - 3) + c2 (I1 - 3)^2 + c3 (I1 - 3)^3 at constant volume."""
+        """Return the law c1 (I1 - 3) + c2 (I1 - 3)^2 + c3 (I1 - 3)^3, isochoric part."""
         return cls(bulk_Pa, ((2.0 * c1_Pa, 2.0),), (c2_Pa, c3_Pa))
 
     @property
     def shear_Pa(self) -> float:
-        """Shear modulus of small strains [Pa]."""
+        """Shear modulus at small strains [Pa]."""
         return float(sum(mu for mu, _ in self.terms))
 
     def energy(self, gradient: ArrayLike) -> Array:
-        """Energy per undeformed volume [J/m^3], shape (...), of gradients (..., 3, 3); infinite
-        where J <= 0.
+        """Return the energy per undeformed volume [J/m^3], shape (...), of gradients (..., 3, 3).
+
+        The energy is infinite where J <= 0.
         """
         f = np.asarray(gradient, dtype=np.float64)
         upright = np.linalg.det(f) > 0.0
@@ -97,15 +102,17 @@ class Hyperelastic:
         )
 
     def stress(self, gradient: ArrayLike) -> Array:
-        """First Piola-Kirchhoff stress [Pa], shape (..., 3, 3), of gradients (..., 3, 3) with J
-        > 0.
+        """Return the first Piola-Kirchhoff stress [Pa], shape (..., 3, 3).
+
+        The gradients have shape (..., 3, 3) and J > 0.
         """
         u, stretch, v = np.linalg.svd(_upright(gradient))
         return np.asarray((u * (self._derivatives(stretch)[1] / stretch)[..., None, :]) @ v)
 
     def tangent(self, gradient: ArrayLike) -> Array:
-        """Derivatives dP_ij / dF_kl [Pa], shape (..., 3, 3, 3, 3), of gradients (..., 3, 3) with
-        J > 0.
+        """Return the derivatives dP_ij / dF_kl [Pa], shape (..., 3, 3, 3, 3).
+
+        The gradients have shape (..., 3, 3) and J > 0.
         """
         u, stretch, v = np.linalg.svd(_upright(gradient))
         _, slope, curvature = self._derivatives(stretch)
@@ -133,8 +140,9 @@ class Hyperelastic:
         )
 
     def _derivatives(self, stretch: Array) -> tuple[Array, Array, Array]:
-        """Energy (...), its slope (..., 3) and curvature (..., 3, 3) by the logarithms of the
-        stretches.
+        """Return energy (...), slope (..., 3) and curvature (..., 3, 3).
+
+        Derivatives are with respect to the logarithms of the stretches.
         """
         volume = stretch.prod(axis=-1)
         isochoric = stretch / np.cbrt(volume)[..., None]
@@ -164,7 +172,10 @@ class Hyperelastic:
 
 
 def _power_sum(isochoric: Array, alpha: float) -> tuple[Array, Array, Array]:
-    """S(alpha) - 3 with its first and second derivatives by the logarithms of the stretches."""
+    """Return S(alpha) - 3 with its first and second derivatives.
+
+    Derivatives are with respect to the logarithms of the stretches.
+    """
     power = isochoric**alpha
     mean = power.mean(axis=-1, keepdims=True)
     mixed = (power[..., :, None] + power[..., None, :] - mean[..., None]) / 3.0

@@ -1,5 +1,6 @@
-"""The prior of a cited constant: a smooth, increasing map of a standard normal number through
-its value and range.
+"""Prior of a cited constant: a smooth, increasing map of a standard normal number.
+
+The map passes through the value and the range of the constant.
 """
 
 from dataclasses import dataclass
@@ -18,39 +19,47 @@ __all__ = ["Prior"]
 Z_95 = 1.6448536269514722
 """95 % quantile of a standard normal number."""
 W_95 = 1.959963984540054
-"""95 % quantile of its absolute value."""
+"""95 % quantile of the absolute value of a standard normal number."""
 BOUNDS = {
     "poisson_ratio": (0.0, 0.49995),
     "prony_g1": (0.0, 0.5),
     "prony_g2": (0.0, 0.5),
     "heat_share": (0.0, 1.0),
 }
-"""Least and greatest value that a scene can be built with, by the name of a constant whose range
-comes near them: solids close to incompressible, and shares of relaxation whose sum stays below
-one."""
+"""Smallest and largest value with which a scene can be built, by the name of a constant.
+
+Only constants whose range is close to these limits are listed: nearly incompressible solids, and
+relaxation shares whose sum must stay below one.
+"""
 NEAR_ZERO = 0.05
-"""Where a range begins at zero, values below this share of the cited one are squeezed above
-zero.
+"""Threshold of the soft limit above zero, as a share of the cited value.
+
+If a range begins at zero, values below this threshold are compressed so that they stay above zero.
 """
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Distribution of a constant: `value` is its median, `low` and `high` its 5 and 95 % quantiles.
+    """Distribution of a constant with median `value` and 5 and 95 % quantiles `low` and `high`.
 
-    A number z ~ N(0, 1) becomes y = y_value + c (exp(g z) - 1), the shifted log-normal (or normal)
-    through the three quantiles, and y the constant x: y = ln x where the range is positive, y = x
-    where it holds negative numbers, y = logit of x between `bounds` where there are any. A range
-    from zero has y = s ln(exp(x / s) - 1), which is x where x is well above s = 0.05 value, and
-    keeps x positive: its `low` is 0.035 value. A value at one end of its range has a half-normal
-    law on the other side, 95 % of it inside.
+    A number z ~ N(0, 1) is mapped to y = y_value + c (exp(g z) - 1). This is the shifted log-normal
+    (or normal) distribution through the three quantiles. The constant x follows from y:
+
+    - With `bounds`: y = logit of x between the bounds.
+    - With a positive range: y = ln x.
+    - With a range that contains negative numbers: y = x.
+    - With a range from zero: y = s ln(exp(x / s) - 1) with s = 0.05 value. Then y is close to x
+      where x is well above s, and x stays positive. The quantile `low` is 0.035 value.
+
+    If the value is at one end of its range, the distribution is half-normal on the other side, with
+    95 % of it inside the range.
 
     Attributes
     ----------
     value, low, high
-        In the unit of the constant.
+        Median and quantiles in the unit of the constant.
     bounds
-        Least and greatest value, which no draw leaves; None for a constant without.
+        Smallest and largest value of any draw; None without bounds.
 
     Raises
     ------
@@ -74,14 +83,15 @@ class Prior:
 
     @classmethod
     def of(cls, constant: Constant, name: str) -> "Prior":
-        """Prior of a cited constant.
+        """Return the prior of a cited constant.
 
         Parameters
         ----------
         constant
             Value and range.
         name
-            Its name, such as ``soft.liver.poisson_ratio``: its last part decides the bounds.
+            Name of the constant, such as ``soft.liver.poisson_ratio``. The last part selects the
+            bounds.
         """
         bounds = BOUNDS.get(name.rpartition(".")[2])
         is_inside = bounds is not None and bounds[0] < constant.low and constant.high < bounds[1]
@@ -89,29 +99,27 @@ class Prior:
 
     @property
     def fixed(self) -> bool:
-        """Whether the range is a single number, so that there is nothing to identify."""
+        """True if the range is a single number, so that there is nothing to identify."""
         return self.low == self.high
 
     @property
     def is_one_sided(self) -> bool:
-        """Whether the value is an end of its range."""
+        """True if the value is an end of its range."""
         return not self.fixed and self.value in (self.low, self.high)
 
     def mirrored(self) -> "Prior":
-        """Return the two-sided prior whose other half is that of a one-sided prior, reflected at
-        its value.
-        """
+        """Return a two-sided prior: a one-sided prior together with its reflection at the value."""
         low, value, high = self._knots
         outer = [min(low, 2.0 * value - high), max(high, 2.0 * value - low)]
         ends = self._from_y(np.array(outer)).tolist()
         return Prior(self.value, min(ends[0], self.low), max(ends[1], self.high), self.bounds)
 
     def x(self, z: ArrayLike) -> Array:
-        """Value of the constant for standard normal numbers, of any shape."""
+        """Return the values of the constant for standard normal numbers, of any shape."""
         return self._from_y(self._y(np.asarray(z, dtype=float)))
 
     def slope(self, z: ArrayLike) -> Array:
-        """Derivative dx/dz, of the shape of z."""
+        """Return the derivative dx/dz, with the shape of z."""
         z = np.asarray(z, dtype=float)
         x = self.x(z)
         slope_y = self._slope_y(z)
@@ -125,7 +133,7 @@ class Prior:
         return slope_y
 
     def z(self, x: ArrayLike) -> Array:
-        """Standard normal numbers of values, of any shape; infinite outside the support."""
+        """Return the standard normal numbers of values; infinite outside the support."""
         x = np.asarray(x, dtype=float)
         if self.fixed:
             return np.zeros(x.shape)
@@ -155,19 +163,20 @@ class Prior:
 
     @cached_property
     def _knots(self) -> tuple[float, float, float]:
-        """The coordinate y of low, value and high."""
+        """Coordinates y of low, value and high."""
         low, value, high = self._to_y(np.array([self.low, self.value, self.high])).tolist()
         return (0.0 if self._is_near_zero else low), value, high
 
     @cached_property
     def _skewed(self) -> float:
-        """Shift over span of the log-normal law, which every value needs."""
+        """Factor between shift and span of the log-normal distribution, cached for all values."""
         return float(_relative(self._skew))
 
     @cached_property
     def _span(self) -> float:
-        """From the value to the end of the range, in y; the upper end, or the only one on
-        another side.
+        """Signed distance in y from the value to the upper end of the range.
+
+        If the value is the upper end, it is the distance to the lower end.
         """
         low, value, high = self._knots
         return low - value if self.value == self.high else high - value
@@ -216,13 +225,16 @@ class Prior:
 
 
 def _relative(power: ArrayLike) -> Array:
-    """(exp(power) - 1) / power, one at zero."""
+    """Return (exp(power) - 1) / power, which is one at zero."""
     power = np.asarray(power, dtype=float)
     small = np.abs(power) < 1e-9
     return np.where(small, 1.0 + 0.5 * power, np.expm1(power) / np.where(small, 1.0, power))
 
 
 def _absolute(z: Array) -> Array:
-    """The absolute value of a normal number, by its quantile: increasing in z, from zero."""
+    """Return the absolute value of a normal number as a function of its quantile.
+
+    The function increases with z and starts from zero.
+    """
     upper = -ndtri(0.5 * ndtr(-np.maximum(z, 0.0)))
     return np.where(z > 0.0, upper, np.sqrt(2.0) * erfinv(ndtr(np.minimum(z, 0.0))))

@@ -1,16 +1,17 @@
-"""Prony series: how the stiffness of a soft tissue relaxes, and how its compliance creeps.
+"""Prony series: stress relaxation and creep of a soft tissue.
 
 The relaxation modulus over its instantaneous value is ``s(t) = g_inf + sum g_i exp(-t / tau_i)``,
-``s(0) = 1``. Stress is the hereditary integral of the strain rate with s; strain is that of the
-stress rate with the creep compliance ``j(t) = 1 + sum j_k (1 - exp(-t / lambda_k))``, where ``p
-s~(p) p j~(p) = 1`` in Laplace space. With the dashpots' strains as state, creep is ``y' = -B y + c
-sigma``, ``B = diag(1 / tau) - c c^T``, ``c_i = sqrt(g_i / tau_i)``: the retardation times are the
-inverse eigenvalues of a symmetric matrix, one below each relaxation rate (Gross 1953, Mathematical
-Structure of the Theories of Viscoelasticity; Tschoegl 1989).
+with ``s(0) = 1``. Stress is the hereditary integral of the strain rate with s. Strain is the
+hereditary integral of the stress rate with the creep compliance ``j(t) = 1 + sum j_k (1 - exp(-t /
+lambda_k))``, where ``p s~(p) p j~(p) = 1`` in Laplace space. With the dashpot strains as state,
+creep is ``y' = -B y + c sigma``, where ``B = diag(1 / tau) - c c^T`` and ``c_i = sqrt(g_i /
+tau_i)``. The retardation times are the inverse eigenvalues of the symmetric matrix B. One
+eigenvalue lies below each relaxation rate (Gross 1953, Mathematical Structure of the Theories of
+Viscoelasticity; Tschoegl 1989).
 
-Both integrals take one exponential a term and step. Exact where the input is linear between the
-steps, hence of second order for a smooth one (Taylor, Pister and Goudreau 1970, Int. J. Numer.
-Methods Eng. 2:45).
+Both integrals need one exponential per term and step. They are exact for an input that is linear
+within each step, and therefore of second order for a smooth input (Taylor, Pister and Goudreau
+1970, Int. J. Numer. Methods Eng. 2:45).
 """
 
 import math
@@ -28,12 +29,12 @@ __all__ = ["HereditaryIntegral", "Prony", "Spectrum"]
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """A response of ``1 + sum amplitude_k (1 - exp(-t / time_k))`` to a unit step.
+    """Step response ``1 + sum amplitude_k (1 - exp(-t / time_k))``.
 
     Attributes
     ----------
     amplitude
-        Late share of each term, shape (k,); negative where the response relaxes.
+        Delayed share of each term, shape (k,); negative for a relaxing response.
     time_s
         Time of each term [s], shape (k,).
     """
@@ -49,15 +50,15 @@ class Prony:
     Attributes
     ----------
     g
-        Share of each relaxing term, each positive, together below 1.
+        Share of each relaxing term. Each share is positive, and their sum is below 1.
     tau_s
         Relaxation time of each term [s].
 
     Raises
     ------
     InputError
-        If the lengths differ, a share or a time is not positive and finite, or nothing is left
-        after relaxation.
+        If the lengths differ, a share or a time is not positive and finite, or the modulus relaxes
+        to zero.
     """
 
     g: tuple[float, ...]
@@ -85,8 +86,9 @@ class Prony:
 
     @cached_property
     def retardation(self) -> Spectrum:
-        """Spectrum of the creeping compliance: amplitudes that sum to 1 / g_inf - 1, retardation
-        times.
+        """Spectrum of the creep compliance.
+
+        The amplitudes sum to 1 / g_inf - 1, and the times are the retardation times.
         """
         rate = 1.0 / np.array(self.tau_s)
         drive = np.sqrt(np.array(self.g) * rate)
@@ -95,11 +97,11 @@ class Prony:
 
 
 class HereditaryIntegral:
-    """The integral of a spectrum's step response over an input that is linear within each step.
+    """Integral of a spectrum's step response over an input that is linear within each step.
 
-    With ``x`` the input, the response at the end of a step is ``y = instant_factor x + history``.
-    The history is known before the step, so that x may be found from a condition on y (such as a
-    contact) without iterating. Nothing is allocated after construction.
+    With the input ``x``, the response at the end of a step is ``y = instant_factor x + history``.
+    The history is known before the step. A condition on y, such as a contact, therefore determines
+    x without iteration. Nothing is allocated after construction.
 
     Parameters
     ----------
@@ -123,18 +125,17 @@ class HereditaryIntegral:
         fall = -np.expm1(-ratio)
         mean = fall / ratio
         self.instant_factor = float(1.0 + spectrum.amplitude @ (1.0 - mean))
-        """Response at the end of a step to a unit of input reached there, 1 for a short step."""
+        """Response at the end of a step to a unit input reached there; 1 for a short step."""
         self._keep = 1.0 - fall
         self._gain = spectrum.amplitude * mean * fall
         self._terms = np.zeros((len(ratio), *shape))
         self._scaled = np.zeros(shape)
         self.history = np.zeros(shape)
-        """Response at the end of the next step to all inputs so far, if the input then were
-        zero.
+        """Response at the end of the next step to all previous inputs, if the input there is zero.
         """
 
     def advance(self, value: ArrayLike) -> None:
-        """End a step at this input."""
+        """End a step with this input."""
         for term, keep, gain in zip(self._terms, self._keep, self._gain, strict=True):
             term *= keep
             np.multiply(value, gain, out=self._scaled)

@@ -1,4 +1,4 @@
-"""Constants of a scene: the cited ones, with those of a file in their place."""
+"""Constants of a scene: cited constants, replaced by the constants of a file."""
 
 import difflib
 import tomllib
@@ -31,24 +31,24 @@ TABLES = ("cutting", "tooth", "soft", "needle", "devices", "hands")
 """Tables whose constants a file may replace."""
 ENERGY = "tangential_chip_N_mm2"
 HARD_LIMITS = {"poisson_ratio": 0.5, "heat_share": 1.0}
-"""Largest value of a constant, by its name; a ratio of one half cannot be solved."""
+"""Largest value of a constant, by its name; a Poisson's ratio of one half cannot be solved."""
 
 
 @dataclass(frozen=True)
 class Materials:
-    """Constants that a scene rests on.
+    """Constants used by a scene.
 
     Attributes
     ----------
     given
-        Constants of a person's file by their names ``TABLE.MATERIAL.NAME``; in the table
-        ``cutting`` a layer may stand for the material, and its constants come before those of its
-        material.
+        Constants of a user's file by their names ``TABLE.MATERIAL.NAME``. In the table ``cutting``,
+        a layer may stand for the material. Constants of the layer take precedence over constants of
+        the material.
     names, matrix
-        Correlation of constants as the file states it: of the normal numbers of
-        `tissue.materials.prior.Prior`.
+        Names and correlation matrix of constants in the file. The correlation applies to the normal
+        numbers of `tissue.materials.prior.Prior`.
     file
-        Where they were read; nothing where all are cited.
+        Path of the file; empty if all constants are cited.
     """
 
     given: Mapping[str, Constant] = field(default_factory=dict)
@@ -60,13 +60,12 @@ class Materials:
 
     @classmethod
     def read(cls, file: str | PathLike[str]) -> "Materials":
-        """Constants of a TOML file, over the cited ones.
+        """Read the constants of a TOML file, which replace cited constants.
 
         Raises
         ------
         InputError
-            If the file cannot be read, or holds a table, a material, a constant or a number that
-            cannot be meant.
+            If the file cannot be read, or contains an invalid table, material, constant or number.
         """
         path = require_regular(Path(file))
         try:
@@ -79,13 +78,12 @@ class Materials:
 
     @classmethod
     def of(cls, given: "str | PathLike[str] | Materials | None") -> "Materials":
-        """Constants that a caller gives, by their file or as they are; None for the cited ones;
-        raises as `read`.
+        """Return the constants from a file, from a `Materials` object, or the cited ones for None.
 
         Raises
         ------
         InputError
-            If it is neither.
+            As in `read`, or if the argument has another type.
         """
         if given is None:
             return cls.cited
@@ -101,11 +99,10 @@ class Materials:
         return cls.read(given)
 
     def constants(self, table: str, material: str) -> dict[str, Constant]:
-        """Constants of a material by their names, those of the file in place of the cited ones;
-        raises as `constants`.
+        """Return the constants of a material by name, with the constants of the file first.
 
-        The names of the cited ones are all there; a layer of the table ``cutting`` is no material,
-        see `coefficients`.
+        Raises as `constants`. All names of the cited constants are present. A layer of the table
+        ``cutting`` is not a material, see `coefficients`.
         """
         start = f"{table}.{material}."
         found = constants(table, material)
@@ -116,21 +113,26 @@ class Materials:
         )
 
     def layer_constants(self, layer: str, *, bone: str = "bone") -> dict[str, Constant]:
-        """Cutting constants of a layer: of its material, or `bone`, and over them its own."""
+        """Return the cutting constants of a layer.
+
+        They are the constants of its material, or of `bone`, replaced by the constants of the
+        layer.
+        """
         found = self.constants("cutting", CUT_AS.get(layer, bone))
         return {name: self.given.get(f"cutting.{layer}.{name}", one) for name, one in found.items()}
 
     def coefficients(
         self, layer_names: Sequence[str], changes: Mapping[str, float | None], *, bone: str = "bone"
     ) -> tuple[CuttingCoefficients, ...]:
-        """Cutting coefficients of layers in SI.
+        """Return the cutting coefficients of layers in SI units.
 
         Parameters
         ----------
         layer_names
-            Enamel, dentin, caries, pulp and ligament are cut as such, all others as `bone`.
+            Enamel, dentin, caries, pulp and ligament have their own materials. Other layers use
+            `bone`.
         changes
-            Single constants in place of those of the materials, in all layers.
+            Single constants that replace the material constants in all layers.
         bone
             Material of bone.
 
@@ -145,8 +147,9 @@ class Materials:
     def numbers(
         self, table: str, numbers: Mapping[str, float], *materials: str
     ) -> dict[str, float]:
-        """Numbers of a device or a hand with those of the file in their place, later materials
-        over earlier ones.
+        """Return the numbers of a device or a hand, replaced by the numbers of the file.
+
+        Later materials take precedence over earlier ones.
         """
         found = dict(numbers)
         for material in materials:
@@ -159,14 +162,15 @@ class Materials:
         return found
 
     def origin(self, table: str, material: str, name: str) -> str:
-        """Whether a constant is cited or comes from the file, in a word for a note."""
+        """Return the origin of a constant for a note: its file, or "cited"."""
         return (
             f"of {Path(self.file).name}" if f"{table}.{material}.{name}" in self.given else "cited"
         )
 
     def correlation(self, names: Sequence[str]) -> Array:
-        """Correlation of constants by their names, shape (n, n): ones on the diagonal, zero
-        where the file has none.
+        """Return the correlation of constants by name, shape (n, n).
+
+        The diagonal is one. Pairs that are not in the file have zero correlation.
         """
         found = np.eye(len(names))
         place = {name: at for at, name in enumerate(self.names)}
@@ -178,7 +182,7 @@ class Materials:
 
     @property
     def key(self) -> str:
-        """What they hold, as text: what a cache of anything computed with them goes by."""
+        """Content of the constants as text, used as cache key; empty if all constants are cited."""
         return repr((sorted(self.given.items()), self.names, self.matrix)) if self.given else ""
 
 
@@ -241,7 +245,7 @@ def _require_known(what: str, name: str, known: Iterable[str], path: str) -> Non
 
 
 class _Entry(BaseModel, strict=True, extra="forbid"):
-    """One constant of a file."""
+    """Constant in a file."""
 
     value: FiniteFloat
     range: Annotated[list[Annotated[FiniteFloat, Field(ge=0.0)]], Field(min_length=2, max_length=2)]
@@ -250,7 +254,7 @@ class _Entry(BaseModel, strict=True, extra="forbid"):
 
 
 class _Correlation(BaseModel, strict=True, extra="forbid"):
-    """Correlation of constants of a file."""
+    """Correlation of constants in a file."""
 
     names: list[str]
     matrix: list[list[FiniteFloat]]
@@ -273,7 +277,7 @@ def _checked(model: type[Checked], found: object, name: str, path: str) -> Check
 
 
 def checked_constant(full: str, found: object, path: str) -> Constant:
-    """Return one constant of a file, checked."""
+    """Return a constant of a file after validation."""
     entry = _checked(_Entry, found, full, path)
     low, high = entry.range
     most = HARD_LIMITS.get(full.rpartition(".")[2], np.inf)
@@ -332,8 +336,9 @@ def energy_note(
     bone: str = "bone",
     stated: float | None = None,
 ) -> str:
-    """Describe the specific cutting energy of each layer, its tangential chip coefficient, with
-    range and origin.
+    """Describe the specific cutting energy of each layer, with range and origin.
+
+    The specific cutting energy is the tangential chip coefficient.
 
     Parameters
     ----------
@@ -344,7 +349,7 @@ def energy_note(
     bone
         Material of bone.
     stated
-        Coefficient that the scene states in place of all of them [N/mm2].
+        Coefficient in the scene that replaces all others [N/mm2].
     """
     if stated is not None:
         return f"{1e-3 * stated:g} J/mm3, as the scene states"

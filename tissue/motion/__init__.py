@@ -1,1 +1,1 @@
-"""What moves a tool: paths, thrust, recorded poses; rotations."""
+"""Motions of a tool (paths, thrust, recorded poses) and rotations."""

@@ -1,5 +1,6 @@
-"""Recordings in the layout of volumetric_drilling, by the note on data and the recorder of
-LCSR-SICKKIDS.
+"""Reader for recordings of the volumetric_drilling simulator.
+
+The layout follows the data note and the recorder of LCSR-SICKKIDS.
 """
 
 from dataclasses import dataclass
@@ -17,18 +18,21 @@ from tissue.motion.motion import first_off_unit
 __all__ = ["EVENTS", "POSES", "SHAFT_TO_X", "DrillingRecording", "read_drilling"]
 
 POSES = "physics_data/continuous_data/high_frequency_poses"
-"""Group with a group of poses for each object."""
+"""HDF5 group that contains one group of poses for each object."""
 EVENTS = "physics_data/intermittent_data"
-"""Group of what the simulator reports now and then: removed voxels, burr, force."""
+"""HDF5 group of intermittent events: removed voxels, burr changes and forces."""
 OLD_POSES = "high_frequency_poses"
-"""Where files of the older layout have their poses; the other groups lie at the root, too."""
+"""Group of the poses in files of the older layout, whose event groups also lie at the root."""
 SHAFT_TO_X = Rotation.from_quat([0.5, 0.5, 0.5, 0.5])
-"""Turn of our tool's frame, whose z runs from tip to shank, to their drill's, whose x does."""
+"""Rotation from our tool frame to the recorded drill frame.
+
+The axis from tip to shank is z in our frame and x in the recorded frame.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class DrillingRecording:
-    """What a recording holds, in our tool's frame and from the first pose on.
+    """Content of a recording, in our tool's frame and with times that start at the first pose.
 
     Attributes
     ----------
@@ -39,12 +43,12 @@ class DrillingRecording:
     quaternions
         Orientations (x, y, z, w), the tool's z axis from tip to shank, shape (n, 4).
     load_times_s
-        Times of the loads on the poses' clock [s], shape (m,); None of a recording without.
+        Times of the loads on the clock of the poses [s], shape (m,); None without recorded loads.
     loads
-        Forces on the tool in the world [N] and, where they are no copy of these, torques [N m],
-        shape (m, 3 or 6).
+        Forces on the tool in the world [N], shape (m, 3). With torques [N m] that are not a copy of
+        the forces, shape (m, 6).
     notes
-        What was found or assumed, in sentences.
+        Findings and assumptions, one sentence each.
     """
 
     times_s: Array
@@ -56,25 +60,25 @@ class DrillingRecording:
 
 
 def read_drilling(path: Path, *, what: str) -> DrillingRecording:
-    """Read a recording of volumetric_drilling, of its present layout or of the older one.
+    """Read a recording of volumetric_drilling in the present or the older layout.
 
-    Its drill's pose lies at the centre of the burr with x towards the shank; it is brought to the
-    tip by half the burr's size where the file states that, else it counts as the tip. The recorder
-    hears each pose twice and out of turn now and then: samples are sorted, and the first of one
-    time is kept. Its plugin turns the force into the camera's axes; where the file has a camera it
-    is turned back.
+    The recorded pose is at the centre of the burr, with x towards the shank. It is moved to the tip
+    by half the burr size if the file contains the size. Otherwise the recorded point is used as the
+    tip. The recorder sometimes receives a pose twice or out of order. Samples are therefore sorted,
+    and the first sample of each time is kept. The recorder's plugin rotates forces into the camera
+    axes. If the file contains one camera, forces are rotated back into the world.
 
     Parameters
     ----------
     path
         HDF5 file.
     what
-        What names it in errors, such as ``motion.file``.
+        Name of the file in errors, such as ``motion.file``.
 
     Raises
     ------
     InputError
-        If what reads it is not installed, or it is no whole recording of this kind.
+        If h5py is not installed, or the file is not a complete recording of this kind.
     """
     try:
         import h5py
@@ -99,7 +103,7 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
 
 @dataclass(frozen=True)
 class _Where:
-    """A file and what names it in errors."""
+    """File and its name in errors."""
 
     path: Path
     what: str
@@ -161,7 +165,7 @@ def _read(file: Any, where: _Where) -> DrillingRecording:
 
 
 def _samples(file: Any, group: str, name: str, width: int, where: _Where) -> tuple[Array, Array]:
-    """Increasing times [s], shape (n,), and values at them, shape (n, width)."""
+    """Return increasing times [s], shape (n,), and the values at these times, shape (n, width)."""
     times, values = (_numbers(file, f"{group}/{each}", where) for each in ("time_stamp", name))
     values = values[:, None] if values.ndim == 1 and width == 1 else values
     if times.ndim != 1 or values.shape != (len(times), width):
@@ -191,7 +195,7 @@ def _numbers(file: Any, name: str, where: _Where) -> Array:
 
 
 def _turns(pose: Array, name: str, where: _Where) -> Rotation:
-    """Orientations of poses, shape (n, 7)."""
+    """Return the orientations of poses of shape (n, 7)."""
     if len(pose) == 0:
         raise where.error("hold poses", f"none for {name}", "record it again")
     if (wrong := first_off_unit(pose[:, 3:])) is not None:

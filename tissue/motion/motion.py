@@ -1,5 +1,6 @@
-"""Motion of a tool along a given path; rotations of a tool, matrices, as quaternions (x, y, z,
-w).
+"""Motion of a tool along a path, and conversions between rotation matrices and quaternions.
+
+Quaternions are (x, y, z, w).
 """
 
 from dataclasses import dataclass
@@ -31,16 +32,17 @@ LONGEST_S = 3600.0
 
 @dataclass(frozen=True)
 class FeedLimit:
-    """Time for which the feed limit, and not the thrust, set the speed of a tool in contact.
+    """Time in contact during which the feed limit, not the thrust, sets the speed of a tool.
 
     Attributes
     ----------
     max_feed_mm_s
-        The limit.
+        Feed limit [mm/s].
     active_s
-        Time in contact with the limit active; the tissue then resists with less than the thrust.
+        Time in contact with the limit active [s]. The tissue then resists with less than the
+        thrust.
     first_s
-        When it was first active; None if it never was.
+        Time of the first activation [s]; None without any.
     """
 
     max_feed_mm_s: float
@@ -49,75 +51,72 @@ class FeedLimit:
 
 
 class Motion(Protocol):
-    """Drives a tool: `begin` writes its first pose, then `advance` the pose of every tick and
-    `play` its answer.
+    """Motion of a tool.
+
+    `begin` writes the first pose, `advance` the pose of every tick, and `play` handles the tissue
+    response.
     """
 
     duration_s: float
-    """How long the motion lasts by itself [s]."""
+    """Duration of the motion itself [s]."""
     after_s: float = 0.0
-    """How much of that is a hand's being late [s]."""
+    """Part of the duration that is the delay of a hand [s]."""
     measure_names: tuple[str, ...] = ()
     """Names, with units, of the motion's own columns in the trace."""
     measures: Array = np.zeros(0)
-    """Their values at the present tick."""
+    """Values of these columns at the present tick."""
     model_ticks: int = 1
     """Ticks for which one answer of the tissue holds."""
     balances: bool = False
-    """Whether the pose follows from the force at that pose; `correct` then searches for it
-    before a cut is made.
+    """True if the pose depends on the force at that pose.
+
+    `correct` then searches for the pose before a cut is made.
     """
 
     @property
     def feed_limit(self) -> FeedLimit | None:
-        """Time for which a limit of the feed, and not a thrust, set the speed; None for a motion
-        without a thrust.
-        """
+        """Time during which the feed limit sets the speed; None for a motion without a thrust."""
         return None
 
     def sweep_m(self) -> Array:
-        """Tip positions that outline where the tool can go [m], shape (n, 3)."""
+        """Return tip positions that outline the region of the motion [m], shape (n, 3)."""
         ...
 
     def rotations(self) -> Array:
-        """Tool to world at those positions, shape (n, 3, 3)."""
+        """Return the rotations from tool to world at the points of `sweep_m`, shape (n, 3, 3)."""
         ...
 
     def begin(self, motion: ToolMotion) -> None:
-        """Write the pose at the start and the heading there into ``motion``, at rest."""
+        """Write the pose and the direction of motion at the start into ``motion``, at rest."""
         ...
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Write the pose at ``time_s``, given the response at the previous tick, into
-        ``motion``.
-        """
+        """Write the pose at ``time_s`` into ``motion``, given the response at the previous tick."""
         ...
 
     def correct(self, response: Response, motion: ToolMotion) -> bool:
-        """Move the tool once more within the tick, if the answer to its new pose asks for that;
-        whether it did.
+        """Move the tool again within the tick if the response at its new pose requires it.
 
-        A motion that `balances` is asked until it returns False.
+        Return True if the tool moved. A motion that `balances` is asked until it returns False.
         """
         return False
 
     def play(self, response: Response) -> None:
-        """Do what follows from the tissue's answer at the present tick."""
+        """Handle the tissue response at the present tick."""
         return
 
     def happened(self) -> list[tuple[float, str]]:
-        """What has happened so far: time [s] and a sentence each."""
+        """Return the events so far, each as time [s] and a sentence."""
         return []
 
 
 def first_off_unit(quaternions: Array) -> int | None:
-    """Return the place of the first quaternion that is far from unit length; None where all are
-    near it.
+    """Return the index of the first quaternion that is far from unit length, or None.
 
     Parameters
     ----------
     quaternions
-        Shape (n, 4), finite.
+        Quaternions, shape (n, 4), finite.
     """
     off: Array = np.abs(np.einsum("ij,ij->i", quaternions, quaternions) - 1.0)
     wrong = np.flatnonzero(off > OFF_UNIT)
@@ -125,8 +124,9 @@ def first_off_unit(quaternions: Array) -> int | None:
 
 
 def frame_along(axis: tuple[float, float, float]) -> Array:
-    """Rotation whose third column is the unit vector along ``axis`` and whose first lies as
-    close to x as it can.
+    """Return a rotation whose third column is along ``axis`` and whose first is close to x.
+
+    If ``axis`` lies within about 26° of the x axis, the first column is close to y instead.
     """
     z = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
     helper = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
@@ -136,7 +136,7 @@ def frame_along(axis: tuple[float, float, float]) -> Array:
 
 
 def matrix_of(quaternion: Array) -> Array:
-    """Rotation matrix of a unit quaternion, shape (3, 3)."""
+    """Return the rotation matrix of a unit quaternion, shape (3, 3)."""
     x, y, z, w = quaternion.tolist()
     return np.array(
         [
@@ -148,10 +148,10 @@ def matrix_of(quaternion: Array) -> Array:
 
 
 def quaternion_of(rotation: Array) -> Array:
-    """Unit quaternion with w >= 0 of a rotation matrix, shape (3, 3).
+    """Return the unit quaternion with w >= 0 of a rotation matrix, shape (3, 3).
 
-    From the largest of its four components, so that no small number is divided by (Shepperd 1978,
-    J. Guid. Control 1:223).
+    The largest of the four components is computed first, which avoids division by a small number
+    (Shepperd 1978, J. Guid. Control 1:223).
     """
     (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
     squares = (1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i, 1.0 + a + e + i)
@@ -167,14 +167,14 @@ def quaternion_of(rotation: Array) -> Array:
 
 
 class FollowPath(Motion):
-    """Position-driven: the tip follows straight lines at a given feed, then stays.
+    """Position-driven motion: the tip follows straight lines at a given feed, then stays.
 
     Parameters
     ----------
     points_m
         Corners of the path [m], shape (n, 3).
     feed_m_s
-        Speed along it [m/s].
+        Speed along the path [m/s].
     axis
         Direction of the tool's axis from tip to shank.
     """
@@ -204,11 +204,11 @@ class FollowPath(Motion):
         self._points = points_m
 
     def sweep_m(self) -> Array:
-        """Corners of the path [m]."""
+        """Return the corners of the path [m]."""
         return self._points
 
     def rotations(self) -> Array:
-        """The fixed orientation at every corner."""
+        """Return the fixed orientation at every corner."""
         return np.broadcast_to(self._rotation, (len(self._points), 3, 3))
 
     def begin(self, motion: ToolMotion) -> None:
@@ -218,7 +218,7 @@ class FollowPath(Motion):
         motion.heading[0] = self._headings[0]
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Go along the path."""
+        """Move the tool along the path."""
         motion.rotation[:] = self._rotation
         while self._leg < len(self._ends_s) and time_s > self._ends_s[self._leg] + 1e-9:
             self._leg += 1

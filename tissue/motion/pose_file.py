@@ -1,6 +1,4 @@
-"""Files of poses that a cutter was brought to: with the bone before the first cut, all that a
-cavity needs.
-"""
+"""Files of cutter poses, which together with the uncut bone define a cavity."""
 
 from pathlib import Path
 
@@ -15,13 +13,13 @@ from meshes.voxels.volume import VoxelVolume
 __all__ = ["COLUMNS", "poses_of_trace", "read_poses", "write_poses"]
 
 COLUMNS = 13
-"""Of a pose: tick, tip [m], axis, heading of tip and pose."""
+"""Columns of a pose: tick, tip [m], axis, and rate of the pose over speed (linear, angular)."""
 FORMAT = 1
 """Version of the file of poses."""
 
 
 def write_poses(path: Path, poses: NDArray[np.float64], volume: VoxelVolume) -> None:
-    """Write poses and the place of the voxels that they cut to a .npz file."""
+    """Write poses, and origin and spacing of the voxels that they cut, to a .npz file."""
     with whole_file(path) as temporary, temporary.open("wb") as file:
         arrays = {
             "poses": poses,
@@ -32,8 +30,9 @@ def write_poses(path: Path, poses: NDArray[np.float64], volume: VoxelVolume) -> 
 
 
 def read_poses(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Read what `write_poses` wrote: poses, origin of the voxels [m], shape (3,), and their spacing
-    [m].
+    """Read poses, the origin of the voxels [m], shape (3,), and their spacing [m].
+
+    The file was written by `write_poses`.
 
     Raises
     ------
@@ -75,8 +74,9 @@ def read_poses(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], fl
 def poses_of_trace(
     tips_m: NDArray[np.float64], axes: NDArray[np.float64], velocities: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Poses of a run of which only the trace is left: the bone is then right within what a tool
-    goes between two cuts.
+    """Build the poses of a run from its trace, where the file of poses is missing.
+
+    The shape of the bone is then accurate to the distance that a tool moves between two cuts.
 
     Parameters
     ----------

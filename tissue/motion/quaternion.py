@@ -1,6 +1,4 @@
-"""Rotations inside the tick: unit quaternions (x, y, z, w) and rotation vectors [rad] as plain
-floats.
-"""
+"""Rotations inside a tick: unit quaternions (x, y, z, w) and rotation vectors [rad], as floats."""
 
 from collections.abc import Sequence
 from math import atan2, cos, inf, sin, sqrt
@@ -23,13 +21,11 @@ Quaternion = tuple[float, float, float, float]
 Triple = tuple[float, float, float]
 """Three components of a vector."""
 OFF_UNIT = 0.02
-"""Largest difference from one of the square of a quaternion's length, for a rotation that was
-rounded.
-"""
+"""Tolerance of the squared length of a quaternion around one, for a rounded rotation."""
 
 
 def product(left: Quaternion, right: Quaternion) -> Quaternion:
-    """The rotation ``right`` followed by ``left``."""
+    """Return the rotation ``right`` followed by ``left``."""
     a, b, c, d = left
     e, f, g, h = right
     return (
@@ -41,28 +37,26 @@ def product(left: Quaternion, right: Quaternion) -> Quaternion:
 
 
 def conjugate(rotation: Quaternion) -> Quaternion:
-    """The inverse rotation."""
+    """Return the inverse rotation."""
     x, y, z, w = rotation
     return -x, -y, -z, w
 
 
 def unit(rotation: Quaternion) -> Quaternion | None:
-    """The quaternion at unit length; None where it has none (zero, infinite or not a number)."""
+    """Return the quaternion scaled to unit length; None if its length is zero, infinite or NaN."""
     x, y, z, w = rotation
     size = sqrt(x * x + y * y + z * z + w * w)
     return (x / size, y / size, z / size, w / size) if 1e-6 < size < inf else None
 
 
 def is_nearly_unit(rotation: Quaternion) -> bool:
-    """Return whether the square of the quaternion's length differs from one by at most
-    `OFF_UNIT`.
-    """
+    """Return whether the squared length of the quaternion is within `OFF_UNIT` of one."""
     x, y, z, w = rotation
     return abs(x * x + y * y + z * z + w * w - 1.0) <= OFF_UNIT
 
 
 def exponential(vector: Triple) -> Quaternion:
-    """The rotation about ``vector`` by its length."""
+    """Return the rotation about ``vector`` by the length of ``vector``."""
     x, y, z = vector
     angle = sqrt(x * x + y * y + z * z)
     share = sin(0.5 * angle) / angle if angle > 1e-8 else 0.5
@@ -70,7 +64,7 @@ def exponential(vector: Triple) -> Quaternion:
 
 
 def logarithm(rotation: Quaternion) -> Triple:
-    """The shortest rotation vector of a unit quaternion, no longer than pi."""
+    """Return the shortest rotation vector of a unit quaternion, of length pi or less."""
     x, y, z, w = rotation
     if w < 0.0:
         x = -x
@@ -83,17 +77,18 @@ def logarithm(rotation: Quaternion) -> Triple:
 
 
 def turn_between(start: Quaternion, goal: Quaternion) -> Triple:
-    """Rotation vector [rad] of the shortest turn that brings quaternion ``start`` to ``goal``.
+    """Return the rotation vector [rad] of the shortest rotation from ``start`` to ``goal``.
 
-    The logarithm of ``goal start^-1``, in the world's axes; at half a turn one of two equal ones is
-    returned.
+    It is the logarithm of ``goal start^-1``, in the world's axes. At half a turn, one of two equal
+    rotations is returned.
     """
     return logarithm(product(goal, conjugate(start)))
 
 
 def of_matrix(rows: Sequence[Sequence[float]]) -> Quaternion:
-    """The unit quaternion of a rotation matrix, given by its rows; the largest of four
-    components is found first.
+    """Return the unit quaternion of a rotation matrix, given by its rows.
+
+    The largest of the four components is computed first.
     """
     (a, b, c), (d, e, f), (g, h, i) = rows
     trace = a + e + i

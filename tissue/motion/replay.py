@@ -1,4 +1,4 @@
-"""Recorded motion: a table of poses or a recording of volumetric_drilling, replayed."""
+"""Recorded motion: replay of a table of poses or of a recording of volumetric_drilling."""
 
 import csv
 from math import isfinite
@@ -19,17 +19,20 @@ __all__ = ["GivenPoses", "ReplayPoses", "read_replay"]
 
 Array = NDArray[np.float64]
 RECORDINGS = (".hdf5", ".h5")
-"""Ends of the names of recordings."""
+"""File name suffixes of HDF5 recordings."""
 
 
 FARTHEST_M = 10.0
-"""Largest distance between two poses along an axis [m]: tools in a patient move by less than a
-metre.
+"""Largest distance between two poses along an axis [m].
+
+Tools in a patient move by less than a metre.
 """
 
 
 class GivenPoses(Motion):
-    """Poses one by one, one a tick; the velocity at a pose is the difference to the pose before it.
+    """Motion through given poses, one per tick.
+
+    The velocity at a pose is its difference to the previous pose over the tick length.
 
     Parameters
     ----------
@@ -49,7 +52,7 @@ class GivenPoses(Motion):
     def __init__(self, times_s: Array, tips_m: Array, turns: Rotation) -> None:
         extent_m = float(np.ptp(tips_m, axis=0).max())
         if extent_m > FARTHEST_M:
-            # The carving visits all that a tool sweeps, and one damaged number would make that
+            # The carving visits the whole swept region, which one damaged number would make
             # endless.
             raise InputError(
                 "poses",
@@ -74,21 +77,21 @@ class GivenPoses(Motion):
         )
 
     def sweep_m(self) -> Array:
-        """All positions [m]."""
+        """Return all positions [m]."""
         return self._tips
 
     def rotations(self) -> Array:
-        """All orientations."""
+        """Return all orientations."""
         return self._rotations
 
     def begin(self, motion: ToolMotion) -> None:
-        """Take the first pose."""
+        """Write the first pose."""
         motion.tip_m[:] = self._tips[0]
         motion.rotation[:] = self._rotations[0]
         motion.heading[:] = self._headings[0]
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Take the pose of the tick; after the last one the tool rests."""
+        """Write the pose of the tick; after the last pose the tool rests."""
         tick = round(time_s / step_s)
         count = len(self._tips)
         at = min(tick, count - 1)
@@ -100,7 +103,9 @@ class GivenPoses(Motion):
 
 
 class ReplayPoses(GivenPoses):
-    """Recorded motion: poses at given times, linear and on the shortest arc between them.
+    """Recorded motion through poses at given times.
+
+    Positions are interpolated linearly, and orientations on the shortest arc.
 
     Parameters
     ----------
@@ -111,7 +116,7 @@ class ReplayPoses(GivenPoses):
     quaternions
         Orientations (x, y, z, w), shape (n, 4).
     step_s
-        Length of a tick [s]; the table is brought to ticks once, before the run.
+        Length of a tick [s]. The table is resampled to ticks once, before the run.
     """
 
     def __init__(self, times_s: Array, tips_m: Array, quaternions: Array, *, step_s: float) -> None:
@@ -124,8 +129,9 @@ class ReplayPoses(GivenPoses):
 
 
 def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
-    """Read poses: a CSV with ``time_s`` and the tool's pose in the columns of ``trace.csv``, or a
-    recording in HDF5.
+    """Read poses from a CSV table or an HDF5 recording.
+
+    The CSV table needs ``time_s`` and the pose columns of ``trace.csv``.
 
     Raises
     ------
@@ -191,7 +197,7 @@ def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
 
 
 def _require_short(lasts_s: float, path: Path) -> None:
-    """Refuse what lasts longer than a run may."""
+    """Check that the motion is not longer than `LONGEST_S`."""
     if lasts_s > LONGEST_S:
         raise InputError(
             "motion.file", f"last at most {LONGEST_S:g} s", f"{lasts_s:g} in {path}", "cut it"
@@ -199,7 +205,7 @@ def _require_short(lasts_s: float, path: Path) -> None:
 
 
 def _pose(row: dict[str, str], line: int, path: Path) -> list[float]:
-    """Time and pose of one row."""
+    """Return time and pose of one row."""
     values = []
     for name in ("time_s", *POSE_COLUMNS):
         try:

@@ -1,6 +1,4 @@
-"""A motion that stays where it starts: what gives a tool on a device its place, orientation and
-region.
-"""
+"""Motion that stays at its start, to define pose and region of a tool on a device."""
 
 from math import inf
 
@@ -14,12 +12,12 @@ __all__ = ["StaysAt"]
 
 
 class StaysAt(Motion):
-    """A tool at rest.
+    """Motion of a tool at rest.
 
     Parameters
     ----------
     start_m
-        Where its tip is [m].
+        Position of the tip [m].
     axis
         Direction from tip to shank.
     """
@@ -31,17 +29,17 @@ class StaysAt(Motion):
         self._rotation = frame_along(axis)
 
     def sweep_m(self) -> Array:
-        """The one place [m]."""
+        """Return the only position [m]."""
         return self._start[None]
 
     def rotations(self) -> Array:
-        """The one orientation."""
+        """Return the only orientation."""
         return self._rotation[None]
 
     def begin(self, motion: ToolMotion) -> None:
-        """Take the pose."""
+        """Write the pose."""
         motion.tip_m[:] = self._start
         motion.rotation[:] = self._rotation
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Stay."""
+        """Leave the tool at rest."""

@@ -1,4 +1,4 @@
-"""Motion of a tool that a thrust pushes along its axis, in balance with the force of the tissue."""
+"""Motion of a tool pushed along its axis by a thrust, in balance with the force of the tissue."""
 
 import numpy as np
 
@@ -10,38 +10,41 @@ from tissue.motion.motion import FeedLimit, Motion, frame_along
 __all__ = ["PushAlongAxis", "SpeedSearch", "implicit_speed"]
 
 TOLERANCE = 0.01
-"""Largest difference between the speed that led to a pose and the speed that balances the forces
-there, relative to the larger of both. The balance itself is exact: the tolerance is one of the
-pose, a hundredth of a tick's travel.
+"""Relative tolerance of the speed that led to a pose against the balanced speed at that pose.
+
+The difference is relative to the larger of both speeds. The force balance itself is exact. The
+tolerance applies to the pose and is a hundredth of the travel in a tick.
 """
 MOST_POSES = 10
-"""Poses that are tried in a tick. Halving the interval of possible speeds 7 times brings it to a
-hundredth.
+"""Largest number of poses tried in a tick.
+
+Halving the interval of possible speeds 7 times reduces it to a hundredth.
 """
 
 
 def implicit_speed(
     speed: float, *, thrust: float, drag: float, mass: float, step_s: float
 ) -> float:
-    """Speed [m/s] one implicit Euler step later of a mass under ``thrust`` [N] and a viscous
-    ``drag`` [N s/m].
+    """Return the speed [m/s] of a mass after one implicit Euler step.
+
+    The mass is under ``thrust`` [N] and a viscous ``drag`` [N s/m].
     """
     return (mass * speed / step_s + thrust) / (mass / step_s + drag)
 
 
 class SpeedSearch:
-    """Search for the speed of a tick that balances the forces at the pose to which this speed
-    leads.
+    """Search for the speed of a tick that balances the forces at the resulting pose.
 
-    The balanced speed S(v) at the pose of a tried speed v lies within the allowed speeds, so that
-    S(v) - v changes its sign between them. The balanced speed itself is tried next. If two of them
-    have not come close, the interval with the change of sign is halved. Where the force jumps, as
-    at the first contact of a flat reamer, the search ends on the side of the larger force.
+    The balanced speed S(v) at the pose of a tried speed v lies within the allowed speeds. S(v) - v
+    therefore changes its sign between them. The balanced speed is tried next. If the balanced and
+    the tried speed are not close after two tries, the interval with the change of sign is halved.
+    Where the force jumps, as at the first contact of a flat reamer, the search ends on the side of
+    the larger force.
 
     Attributes
     ----------
     tried
-        Speed whose pose is to be evaluated next [m/s].
+        Speed of the next pose to evaluate [m/s].
     """
 
     def __init__(self) -> None:
@@ -57,8 +60,9 @@ class SpeedSearch:
         self._poses = 0
 
     def accepts(self, balanced: float) -> bool:
-        """Return whether the pose of `tried` is the one, given the balanced speed there; else
-        set `tried` anew.
+        """Return whether the pose of `tried` balances the forces, given the balanced speed there.
+
+        Otherwise, update `tried`.
         """
         self._poses += 1
         tried = self.tried
@@ -79,27 +83,27 @@ class SpeedSearch:
 
 
 class PushAlongAxis(Motion):
-    """Force-driven: a thrust pushes the tool down its axis; the feed follows from the balance with
-    the cutting force.
+    """Force-driven motion: a thrust pushes the tool along its axis against the cutting force.
 
-    The cutting force grows so fast with the feed (up to 1e5 N s/m) that an explicit step is
-    unstable for steps longer than 2 m / c. The balance is solved for the new speed instead, with
-    drag c and edge force at the new pose::
+    The feed follows from the balance of thrust and cutting force. The cutting force increases so
+    steeply with the feed (up to 1e5 N s/m) that an explicit step is unstable for steps longer than
+    2 m / c. The balance is therefore solved for the new speed, with drag c and edge force at the
+    new pose::
 
-        m (v' - v) / dt = thrust - c(x + v' dt) v' - edge(x + v' dt),    v' in [0, greatest feed]
+        m (v' - v) / dt = thrust - c(x + v' dt) v' - edge(x + v' dt),    v' in [0, largest feed]
 
-    So the force never exceeds thrust + m v / dt. `advance` starts from the drag of the previous
-    tick, and `correct` tries poses until one agrees. Below the edge force the tool stays where it
-    is and the bone answers the thrust.
+    The force therefore never exceeds thrust + m v / dt. `advance` starts from the drag of the
+    previous tick, and `correct` tries poses until speed and forces agree. If the thrust is below
+    the edge force, the tool stays at rest and the bone balances the thrust.
 
     Parameters
     ----------
     start_m
-        Where the tip starts [m].
+        Start position of the tip [m].
     axis
-        Direction from tip to shank; the tool moves against it.
+        Direction from tip to shank; the tool moves in the opposite direction.
     thrust_N, mass_kg, max_feed_m_s
-        Push, moving mass and greatest feed.
+        Thrust [N], moving mass [kg] and largest feed [m/s].
     depth_m
         Coordinate along ``-axis`` from the site's origin at which the feed stops [m].
     """
@@ -143,15 +147,15 @@ class PushAlongAxis(Motion):
         self.duration_s = 4.0 * self._longest / max_feed_m_s
 
     def sweep_m(self) -> Array:
-        """Start and deepest position [m]."""
+        """Return start and deepest position [m]."""
         return np.stack([self._start, self._start + self._longest * self._heading])
 
     def rotations(self) -> Array:
-        """The fixed orientation at both."""
+        """Return the fixed orientation at both positions."""
         return np.broadcast_to(self._rotation, (2, 3, 3))
 
     def begin(self, motion: ToolMotion) -> None:
-        """Begin at the start."""
+        """Begin at the start position."""
         motion.tip_m[:] = self._start
         motion.rotation[:] = self._rotation
         motion.heading[0] = self._heading
@@ -178,9 +182,7 @@ class PushAlongAxis(Motion):
         self._set_speed(motion, edge)
 
     def correct(self, response: Response, motion: ToolMotion) -> bool:
-        """Try another pose until its forces balance, then set the speed that balances them
-        exactly.
-        """
+        """Try another pose until its forces balance, then set the exactly balanced speed."""
         if self._settled:
             return False
         drag, edge = self._resisting(response)
@@ -192,7 +194,7 @@ class PushAlongAxis(Motion):
         return True
 
     def happened(self) -> list[tuple[float, str]]:
-        """Return when the feed limit was first active in contact, and for how long in all."""
+        """Return the time of the first active feed limit in contact, and its total duration."""
         if self._limited_s == 0.0:
             return []
         what = (
@@ -209,18 +211,19 @@ class PushAlongAxis(Motion):
         return FeedLimit(1e3 * self._max_feed, round(self._limited_s, 6), first_s)
 
     def _resisting(self, response: Response) -> tuple[float, float]:
-        """Drag [N s/m] and edge force [N] against the heading."""
+        """Return drag [N s/m] and edge force [N] against the direction of motion."""
         drag = max(-float(response.resistance[:3].dot(self._heading)), 0.0)
         edge = max(-float(response.edge[:3].dot(self._heading)), 0.0)
         return drag, edge
 
     def _highest(self) -> float:
-        """Highest speed of this tick [m/s], by the feed limit and the depth that is left."""
+        """Return the highest speed of this tick [m/s], from feed limit and remaining depth."""
         return max(min(self._max_feed, (self._longest - self._travel_before) / self._step), 0.0)
 
     def _balanced(self, drag: float, edge: float) -> float:
-        """Speed at the end of this tick that balances thrust, inertia, drag and edge force,
-        within the limits [m/s].
+        """Return the balanced speed at the end of this tick, within the limits [m/s].
+
+        It balances thrust, inertia, drag and edge force.
         """
         thrust = self._thrust - edge
         free = implicit_speed(
@@ -230,7 +233,7 @@ class PushAlongAxis(Motion):
         return max(min(free, self._highest()), 0.0)
 
     def _place(self, motion: ToolMotion, speed: float) -> None:
-        """Bring the tool to the pose to which a speed leads in this tick."""
+        """Move the tool to the pose that results from a speed in this tick."""
         self._travel = self._travel_before + speed * self._step
         motion.tip_m[:] = self._start + self._travel * self._heading
 

@@ -1,3 +1,1 @@
-"""Processes of this machine and the files they write: helpers, workers, signals, locks, drawing
-off screen.
-"""
+"""Processes of this machine and their files: helpers, workers, signals, locks, offscreen images."""

@@ -1,4 +1,4 @@
-"""Priority and cores of a process that works beside the ticks."""
+"""Priority and processor cores of a process that runs concurrently with the ticks."""
 
 import os
 import threading
@@ -10,13 +10,14 @@ from kernels.cores import allowed_cores, cores_without, current_core
 __all__ = ["BackgroundPriority", "may_return_from_idle"]
 
 LOWEST = 19
-"""Niceness of a process that takes what others leave."""
+"""Lowest niceness: the process runs when no other process needs the processor."""
 
 
 @cache
 def may_return_from_idle() -> bool:
-    """Whether this system lets a thread leave the idle priority again; tried with a thread that
-    then ends.
+    """Return whether this system lets a thread leave the idle priority again.
+
+    A short-lived thread tries it.
     """
     if not hasattr(os, "SCHED_IDLE"):
         return False
@@ -35,20 +36,20 @@ def may_return_from_idle() -> bool:
 
 
 class BackgroundPriority:
-    """Puts the main thread of another process of ours behind the ticks, and lets it hurry when it
-    is awaited.
+    """Priority of a background process relative to the ticks.
 
-    While the ticks go on it runs at idle priority, on the cores that the ticks do not run on. Where
-    a thread may not leave the idle priority again it has the lowest of the ordinary ones instead:
-    on a machine that others keep busy a process that is awaited at idle priority would hardly ever
-    run. What a system refuses or lacks is left out.
+    While the ticks run, the main thread of the process has idle priority and avoids the core of the
+    ticks. It gets normal priority when the ticks wait for it. If a thread cannot leave the idle
+    priority again, it gets the lowest ordinary priority instead. On a busy machine, an awaited
+    process at idle priority would hardly ever run. Settings that the system refuses or lacks are
+    skipped.
 
     Parameters
     ----------
     number
-        The process's id.
+        Id of the process.
     returns
-        Whether a thread may leave the idle priority; default: tried.
+        True if a thread may leave the idle priority. By default, `may_return_from_idle` tests it.
     """
 
     def __init__(self, number: int, *, returns: bool | None = None) -> None:
@@ -60,7 +61,7 @@ class BackgroundPriority:
 
     @property
     def described(self) -> str:
-        """What is asked of the system, in words."""
+        """Description of the requested priority and cores."""
         priority = (
             "idle priority"
             if self._idles
@@ -71,7 +72,7 @@ class BackgroundPriority:
         return priority + (", off the ticks' core" if len(self._allowed) > 1 else "")
 
     def step_back(self) -> None:
-        """The ticks go on, on the core of the calling thread."""
+        """Lower the priority while the ticks run on the core of the calling thread."""
         with suppress(OSError):
             if self._idles:
                 os.sched_setscheduler(self._number, os.SCHED_IDLE, os.sched_param(0))
@@ -81,14 +82,14 @@ class BackgroundPriority:
         self._move(cores_without(current_core(), self._allowed))
 
     def hurry(self) -> None:
-        """The ticks wait for it."""
+        """Raise the priority while the ticks wait for the process."""
         with suppress(OSError):
             if self._idles:
                 os.sched_setscheduler(self._number, os.SCHED_OTHER, os.sched_param(0))
         self._move(self._allowed)
 
     def _move(self, cores: set[int]) -> None:
-        """Let it run on these cores; a call that changes nothing is spared."""
+        """Restrict the process to these cores, unless it already has them."""
         if cores != self._cores:
             self._cores = cores
             with suppress(OSError):

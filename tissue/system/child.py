@@ -1,5 +1,6 @@
-"""Start another Python that finds this checkout's packages, ends with this one, and is not
-waited for in vain.
+"""Start of child Python processes that use this checkout and end with this process.
+
+`HangDetector` detects child processes that no longer work.
 """
 
 import os
@@ -25,40 +26,46 @@ __all__ = [
 
 START = start_code("tissue.system.child", "_main")
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-"""Environment of a process with one thread for linear algebra: sums are then the same on every
-machine, and processes do not block each other."""
+"""Environment that limits linear algebra to one thread.
+
+Sums are then equal on every machine, and processes do not compete for cores.
+"""
 CHECK_S = 1.0
-"""Time between two looks at a process that is waited for [s]."""
+"""Time between two checks of an awaited process [s]."""
 IDLE_S = 30.0
-"""How long a process that is waited for may do nothing [s]."""
+"""Longest idle time of an awaited process [s]."""
 WORK_S = 0.05
-"""Processor time that counts as having done something [s]; monitoring the parent's end takes
-less.
+"""Processor time that counts as work [s]; the check for the end of the parent process takes less.
 """
 
 
 class HelperLostError(RuntimeError):
-    """A helper process ended, was stopped or hangs; the message is half a sentence."""
+    """Error of a lost helper process: it ended, was stopped or hangs.
+
+    The message is half a sentence.
+    """
 
 
 def child_command(module: str, *arguments: str) -> list[str]:
-    """Command that runs ``python -m module arguments`` and ends with this process; empty where
-    none can be started.
+    """Return the command that runs ``python -m module arguments`` and ends with this process.
+
+    The command is empty if no Python can be started.
     """
     strictly = threading.current_thread() is threading.main_thread()
     return python_command(START, str(os.getpid()), str(int(strictly)), module, *arguments)
 
 
 def end_with(parent: int, *, strictly: bool) -> None:
-    """End this process when another has ended, whatever ended that.
+    """End this process when the parent process has ended for any reason.
 
     Parameters
     ----------
     parent
-        Number of the process that started this one.
+        Id of the process that started this one.
     strictly
-        Let the system do it, too, where it can (Linux): then it ends though it was stopped. The
-        system goes by the thread that started this process, which must not end before its process.
+        Also let the system end this process, where it can (Linux). It then ends even if it was
+        stopped. The system observes the thread that started this process. That thread must not end
+        before its process.
     """
     if strictly:
         kill_with_parent()
@@ -78,19 +85,19 @@ def _await_end(parent: int) -> None:
 
 
 class HangDetector:
-    """Judges whether processes that are waited for still work.
+    """Detector for awaited processes that no longer work.
 
-    They are given up when they have done nothing for a while, or at the latest after a given time.
-    Time counts by checks, so that it does not pass while this process itself was stopped.
+    A process is given up when it has been idle too long, or has taken longer than a given time.
+    Time is counted in checks, so that time during which this process was stopped does not count.
 
     Parameters
     ----------
     processes
-        Gives the numbers of the processes; what they have started counts with them.
+        Returns the ids of the processes. Their child processes are included.
     longest_s
-        How long they may work [s]; None for as long as they do.
+        Longest working time [s]; None for no limit.
     idle_s
-        How long they may do nothing [s]; default 30.
+        Longest idle time [s]; default 30.
     """
 
     def __init__(
@@ -108,7 +115,7 @@ class HangDetector:
         self._work_s = -WORK_S
 
     def check(self) -> str | None:
-        """Why to give up, in half a sentence, or None; to be called every `CHECK_S`."""
+        """Return the reason to give up, in half a sentence, or None; call it every `CHECK_S`."""
         self._waited_s += CHECK_S
         work_s, stopped = _work_of(self._processes())
         if abs(work_s - self._work_s) >= WORK_S:
@@ -127,21 +134,21 @@ class HangDetector:
 def await_ready(
     child: "subprocess.Popen[str]", *, longest_s: float, closes_s: float
 ) -> tuple[str, str | None]:
-    """Wait until a process prints a line with the word ready first.
+    """Wait until a process prints a line that starts with the word ready.
 
     Parameters
     ----------
     child
         The process, with its standard output as a pipe.
     longest_s
-        How long it may take [s].
+        Longest waiting time [s].
     closes_s
-        How long one that printed something else may take to end [s].
+        Longest time to end for a process that printed something else [s].
 
     Returns
     -------
-    What stands behind the word, and None; or nothing and why it is not ready, in half a
-    sentence, which is empty where it has ended.
+    The text after the word, and None. If the process is not ready: an empty text, and the reason in
+    half a sentence, which is empty if the process has ended.
     """
     stdout = child.stdout
     first = SimpleQueue[str]()
@@ -164,9 +171,7 @@ def await_ready(
 
 
 def _work_of(processes: Iterable[int]) -> tuple[float, bool]:
-    """Processor time of processes and all that they started [s], and whether one of them is
-    stopped.
-    """
+    """Return the processor time of processes and their children [s], and whether one is stopped."""
     import psutil
 
     work_s = 0.0
@@ -184,9 +189,7 @@ def _work_of(processes: Iterable[int]) -> tuple[float, bool]:
 
 
 def _main() -> None:
-    """Run the module that the command line names, as long as the process that asked for it is
-    there.
-    """
+    """Run the module named on the command line while the parent process lives."""
     parent, strictly, module = (sys.argv.pop(1) for _ in range(3))
     end_with(int(parent), strictly=strictly == "1")
     runpy.run_module(module, run_name="__main__")

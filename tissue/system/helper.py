@@ -1,4 +1,4 @@
-"""A helper process that is sent messages and answers, and that is never waited for in vain."""
+"""Helper process that receives messages and answers, with detection of lost helpers."""
 
 import os
 import pickle
@@ -17,35 +17,36 @@ from tissue.system.child import CHECK_S, ONE_THREAD, HangDetector, HelperLostErr
 __all__ = ["Helper", "HelperLostError"]
 
 ENDS_S = 10.0
-"""How long a helper may take to end once there is nothing more for it [s]."""
+"""Longest time for a helper to end after its input was closed [s]."""
 Job = Callable[[], None]
 
 
 class Helper:
-    """Another Python that takes pickled messages on its standard input and answers on its standard
-    output.
+    """Child Python process that receives pickled messages and answers them.
 
-    It ends with this process and has one thread for linear algebra. Sending never blocks: a thread
-    does it, and the same thread reads while an answer is awaited, so that nothing takes the
-    interpreter from what runs in between.
+    Messages go to its standard input, and answers come from its standard output. It ends with this
+    process and has one thread for linear algebra. Sending never blocks, because a separate thread
+    writes. The same thread also reads the awaited answer. The code that runs in between therefore
+    keeps the interpreter.
 
     Parameters
     ----------
     module
-        What it runs.
+        Module that the helper runs.
     does
-        What it does, for sentences: "the process that DOES ...".
+        Description of its task for messages: "the process that DOES ...".
 
     Attributes
     ----------
     priority
-        Puts it behind the ticks, or lets it hurry.
+        Priority of the helper relative to the ticks.
     """
 
     def __init__(self, module: str, *, does: str) -> None:
         pipe = subprocess.PIPE
-        # In a group of its own Ctrl-C does not reach it; in a session of its own its priority would
-        # not count against this process, since Linux may share the processor among sessions first.
+        # An own process group keeps Ctrl-C from the helper. An own session would make its priority
+        # ineffective against this process, because Linux may first share the processor among
+        # sessions.
         self._process = subprocess.Popen(
             child_command(module),
             stdin=pipe,
@@ -59,34 +60,34 @@ class Helper:
         self._jobs: SimpleQueue[Job | None] = SimpleQueue()
         threading.Thread(target=_work, args=(self._jobs,), daemon=True).start()
         self.kill = weakref.finalize(self, _kill, self._process, self._jobs)
-        """End it at once; a second call does nothing."""
+        """Kill the helper; a second call does nothing."""
 
     @property
     def number(self) -> int:
-        """Its process id."""
+        """Process id of the helper."""
         return self._process.pid
 
     def send(self, message: object) -> None:
-        """Send a message, without waiting until it is taken."""
+        """Send a message without waiting for its receipt."""
         data = pickle.dumps(message, protocol=5)
         stream = self._process.stdin
         assert stream is not None
 
         def write() -> None:
-            with suppress(OSError, ValueError):  # it has ended: the next answer shows it
-                stream.write(data)  # at once: in parts it wakes the other too early
+            with suppress(OSError, ValueError):  # the helper has ended; `receive` reports it
+                stream.write(data)  # in one write: a part would wake the helper too early
                 stream.flush()
 
         self._jobs.put(write)
 
     def receive(self, *, longest_s: float) -> Any:
-        """Await the next answer; an error in the other process is raised here.
+        """Wait for the next answer. An error in the helper is raised here.
 
         Raises
         ------
         HelperLostError
-            If the process has ended, does nothing any more, or works for more than ``longest_s``;
-            it is ended then.
+            If the helper has ended, is idle too long, or works for more than ``longest_s``. The
+            helper is then killed.
         """
         stream = self._process.stdout
         answers = self._answers
@@ -114,7 +115,7 @@ class Helper:
                     self.kill()
                     raise HelperLostError(f"the process that {self._does} {why}") from None
             except BaseException:
-                # such as Ctrl-C: the answer would be taken for that to the next message
+                # such as Ctrl-C: the answer would be mistaken for the answer to the next message
                 self.kill()
                 raise
         if isinstance(answer, _Ended):
@@ -130,7 +131,7 @@ class Helper:
         return answer
 
     def end(self) -> None:
-        """Let it end, as it does when its standard input does."""
+        """Close the standard input of the helper, which ends it."""
         assert self._process.stdin is not None
         with suppress(OSError, ValueError):
             self._process.stdin.close()
@@ -140,7 +141,7 @@ class Helper:
 
 
 def _how_ended(code: int) -> str:
-    """How a process ended, by its exit code."""
+    """Describe the end of a process from its exit code."""
     if code >= 0:
         return f"ended with exit code {code}"
     name = next((each.name for each in signal.Signals if each == -code), f"signal {-code}")
@@ -148,7 +149,7 @@ def _how_ended(code: int) -> str:
 
 
 class _Ended(str):
-    """In place of an answer that did not come."""
+    """Substitute for a missing answer."""
 
 
 def _work(jobs: "SimpleQueue[Job | None]") -> None:

@@ -1,4 +1,4 @@
-"""HTML files that need no other file: pictures embedded, one plain style for light and dark."""
+"""Self-contained HTML files with embedded pictures and one style for light and dark mode."""
 
 from base64 import b64encode
 from collections.abc import Sequence
@@ -82,9 +82,7 @@ def script_element(text: str, *, module: bool = False) -> str:
 
 
 def _plain_lines(text: str) -> str:
-    """Return a text with line feeds alone, because a browser normalises them before it computes
-    a hash.
-    """
+    """Return a text with line feeds only, as a browser normalises it before it computes a hash."""
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -94,7 +92,7 @@ def _hash(text: str) -> str:
 
 
 def html_picture(title: str, png: bytes) -> str:
-    """A picture within the file."""
+    """Return an image element with the embedded picture."""
     return (
         f'<img alt="{escape(title)}" '
         f'src="data:image/png;base64,{b64encode(png).decode("ascii")}">\n'

@@ -1,4 +1,4 @@
-"""How late the machine itself is: gaps in what a thread that only looks at the clock sees."""
+"""Scheduling gaps of this machine, measured by a thread that only reads the clock."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,21 +7,19 @@ from time import perf_counter
 __all__ = ["LEAST_GAP_S", "MachineGaps", "spin"]
 
 LEAST_GAP_S = 2e-4
-"""Time between two looks at the clock from which the machine did something else [s]; a look
-takes 0.1 us.
-"""
+"""Shortest interval between two clock readings that counts as a gap [s]; a reading takes 0.1 us."""
 
 
 @dataclass(frozen=True)
 class MachineGaps:
-    """Gaps of a spinning clock.
+    """Scheduling gaps measured by a spinning clock.
 
     Attributes
     ----------
     spun_s
-        How long the clock was looked at [s].
+        Measurement time [s].
     gaps_s
-        The gaps of at least `LEAST_GAP_S` [s].
+        Gaps of at least `LEAST_GAP_S` [s].
     """
 
     spun_s: float = 0.0
@@ -31,27 +29,27 @@ class MachineGaps:
         return MachineGaps(self.spun_s + other.spun_s, self.gaps_s + other.gaps_s)
 
     def expected(self, seconds: float) -> float:
-        """Gaps that as many seconds of work would meet."""
+        """Return the expected number of gaps in a given time [s]."""
         return len(self.gaps_s) / self.spun_s * seconds if self.spun_s > 0.0 else 0.0
 
     @property
     def lost_share(self) -> float:
-        """Share of the time that the gaps took."""
+        """Share of the measurement time lost in gaps."""
         return sum(self.gaps_s) / self.spun_s if self.spun_s > 0.0 else 0.0
 
     @property
     def longest_s(self) -> float:
-        """The longest gap [s], 0 without any."""
+        """Longest gap [s]; 0 without gaps."""
         return max(self.gaps_s, default=0.0)
 
 
 def spin(seconds: float, *, now: Callable[[], float] = perf_counter) -> MachineGaps:
-    """Look at the clock for some seconds.
+    """Read the clock repeatedly for some seconds and return the gaps.
 
     Parameters
     ----------
     seconds
-        How long [s].
+        Measurement time [s].
     now
         Clock [s].
     """

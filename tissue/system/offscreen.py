@@ -1,5 +1,6 @@
-"""Draw in 3D without a display, in a process of its own: VTK ends the process where a graphics
-library is missing.
+"""Offscreen 3D drawing in a separate process.
+
+VTK ends the process if a graphics library is missing.
 """
 
 import ctypes
@@ -32,10 +33,10 @@ REMEDY = (
     "install libegl1 and libgl1-mesa-dri (Debian, Ubuntu) or mesa-libEGL and mesa-dri-drivers "
     "(Fedora)"
 )
-"""What gives a bare Linux machine OpenGL in software."""
+"""Packages that provide OpenGL in software on a bare Linux machine."""
 LONGEST_S = 120.0
 DISPLAY_S, ANSWERS_S = 30.0, 5.0
-"""How long a display is waited for, and how long it may take for one answer [s]."""
+"""Longest waiting time for a display, and longest time for one answer of it [s]."""
 _drawing: "set[subprocess.Popen[bytes]]" = set()
 
 
@@ -46,29 +47,28 @@ def draw_apart(
     longest_s: float = LONGEST_S,
     drawn: Callable[[float], None] | None = None,
 ) -> str | None:
-    """Run ``python -m module arguments`` where it may draw, and return half a sentence on why it
-    could not.
+    """Run ``python -m module arguments`` in a process that can draw, and return a failure reason.
 
     Parameters
     ----------
     module, arguments
-        What to run.
+        Module to run and its arguments.
     prepare
-        Called once while the process starts, for what it reads from its standard input. In a file a
-        patient's anatomy would stay behind if both processes were killed.
+        Called once while the process starts. Returns the data for the standard input of the
+        process. A file could leave a patient's anatomy on disk if both processes were killed.
     longest_s
-        How long it may draw [s].
+        Longest drawing time [s].
     drawn
-        Called with how much is drawn, 0 to 1, as the process prints it, a line each.
+        Called with the progress, 0 to 1, which the process prints, one value per line.
 
     Returns
     -------
-    None if it ended well, else the reason and the remedy.
+    None on success, otherwise the reason and the remedy in half a sentence.
 
     Raises
     ------
     InputError
-        If the process ended by one.
+        If the process ended with an InputError.
     """
     command = child_command(module, *arguments)
     if not command:
@@ -117,7 +117,7 @@ def draw_apart(
 
 
 def end_drawing() -> None:
-    """End all that is drawn just now, in whatever thread it is awaited."""
+    """Kill all drawing processes, from any thread."""
     while _drawing:
         _drawing.pop().kill()
 
@@ -128,7 +128,7 @@ def _report(drawn: Callable[[float], None] | None, printed: Path) -> None:
 
 
 def _last_share(printed: Path) -> float:
-    """The last whole line that a process printed of how much is drawn, 0 to 1."""
+    """Return the progress in the last complete line that a process printed, 0 to 1."""
     for line in reversed(printed.read_text("utf-8", "replace").split("\n")[:-1]):
         with suppress(ValueError):
             return min(max(float(line), 0.0), 1.0)
@@ -138,11 +138,12 @@ def _last_share(printed: Path) -> float:
 def _awaited(
     process: "subprocess.Popen[bytes]", sent: bytes, longest_s: float, poll: Callable[[], object]
 ) -> tuple[str, str | None]:
-    """Let a process draw: its output, and why it was ended, or None; ``poll`` is called
-    meanwhile.
+    """Wait for a drawing process and return its output and the reason if it was killed.
+
+    The reason is None otherwise. ``poll`` is called during the wait.
     """
     detector = HangDetector(lambda: [process.pid], longest_s=longest_s)
-    # In a thread, since `communicate` forgets the rest of what is sent once it has timed out.
+    # In a thread, because `communicate` drops the rest of its input after a timeout.
     stream = process.stdin
     process.stdin = None
     threading.Thread(target=_send, args=(stream, sent), daemon=True).start()
@@ -158,15 +159,16 @@ def _awaited(
 
 
 def _send(stream: IO[bytes] | None, sent: bytes) -> None:
-    """Write to the standard input of a process, which may end before it has read all."""
+    """Write to the standard input of a process, which may end before it has read everything."""
     assert stream is not None
     with suppress(OSError, ValueError), stream:
         stream.write(sent)
 
 
 def display_problem() -> str | None:
-    """Why no window can be opened here, or None; asks before VTK does, which would end the
-    process.
+    """Return the reason that no window can be opened, or None.
+
+    The check runs before VTK opens a window, because VTK would end the process.
     """
     if not sys.platform.startswith("linux"):
         return None
@@ -184,12 +186,12 @@ def display_problem() -> str | None:
 
 
 def await_display(*, longest_s: float = DISPLAY_S) -> str | None:
-    """As `display_problem`, but a display that does not answer yet is waited for.
+    """Wait for a display that does not answer yet, then return the result of `display_problem`.
 
     Raises
     ------
     InputError
-        If it does not answer in time.
+        If the display does not answer in time.
     """
     until = monotonic() + longest_s
     while (problem := display_problem()) is not None and problem.endswith("does not answer"):
@@ -205,8 +207,9 @@ def await_display(*, longest_s: float = DISPLAY_S) -> str | None:
 
 
 def _answers(library: ctypes.CDLL, name: str) -> bool:
-    """Whether a display can be opened; one that takes the call and does not answer would keep it
-    for ever.
+    """Return whether a display can be opened.
+
+    The call runs in a thread, because a display that accepts it without an answer would block it.
     """
     output: SimpleQueue[bool] = SimpleQueue()
     library.XOpenDisplay.restype = ctypes.c_void_p
@@ -226,15 +229,13 @@ def _answers(library: ctypes.CDLL, name: str) -> bool:
 
 
 def drawing_environments() -> Iterator[dict[str, str]]:
-    """What to change in the environment of a process that draws off screen; the next is for
-    where the last failed.
-    """
+    """Yield environment changes for an offscreen drawing process, each as fallback for the last."""
     for window in _windows():
         yield {"VTK_DEFAULT_OPENGL_WINDOW": window} if window else {}
 
 
 def _windows() -> Iterator[str]:
-    """Kinds of VTK window to try, by class name; empty is VTK's own choice."""
+    """Yield the class names of VTK windows to try; an empty name is the default of VTK."""
     if not sys.platform.startswith("linux") or "VTK_DEFAULT_OPENGL_WINDOW" in os.environ:
         yield ""
         return

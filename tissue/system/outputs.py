@@ -33,26 +33,24 @@ __all__ = [
 ]
 
 LOCK = ".lock"
-"""Name of the lock in a folder; of a file's, the end of the hidden name next to it."""
+"""Name of the lock of a folder, and suffix of the hidden lock next to an output file."""
 FAR = 1 << 30
-"""Byte that is locked where locked bytes cannot be read (Windows): far beyond the process id."""
+"""Locked byte on Windows, where locked bytes cannot be read; far behind the process id."""
 LONGEST_LOCK = 32
-"""Longest content of a lock [characters]: the number of a process and the end of its line."""
+"""Longest content of a lock [characters]: a process id and the end of its line."""
 NO_LINK = getattr(os, "O_NOFOLLOW", 0)
-"""Flag of the system that opens no symbolic link."""
+"""Flag of the system that refuses to open a symbolic link."""
 SAME_S = 5.0
-"""Most by which the start of one process may differ between two looks [s]: the clock behind it
-may be set.
+"""Largest difference between two readings of the start time of one process [s].
+
+The system clock may be set in between.
 """
 HELD = (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
-"""The system's error for a lock that another has; anything else means that the file system has
-no locks.
-"""
+"""Error codes of a lock held by another process; other codes mean that locks are not supported."""
 
 
 def require_new_file(path: Path, *, overwrite: bool, name: str = "out") -> None:
-    """Check that a file can be written where none is, or in place of a regular file that may be
-    replaced.
+    """Check that a file can be written as a new file or in place of a replaceable regular file.
 
     Parameters
     ----------
@@ -66,8 +64,8 @@ def require_new_file(path: Path, *, overwrite: bool, name: str = "out") -> None:
     Raises
     ------
     InputError
-        If there is a file that may not be replaced, something else that is no regular file, or no
-        folder to write to.
+        If a file exists that may not be replaced, the path is not a regular file, or the folder
+        does not exist.
     """
     other = "another --out" if name == "out" else f"another file for --{name}"
     require_place(path, folder=False, name=name)
@@ -82,12 +80,12 @@ def require_new_file(path: Path, *, overwrite: bool, name: str = "out") -> None:
 
 
 def require_place(path: Path, *, folder: bool, name: str = "out") -> None:
-    """Check the name of an output and the folder above it, and change nothing.
+    """Check the name of an output and the folder above it, without any change.
 
     Raises
     ------
     InputError
-        If no such file or folder can be made there.
+        If such a file or folder cannot be created there.
     """
     other = "another --out" if name == "out" else f"another file for --{name}"
     text = str(path)
@@ -118,7 +116,7 @@ def require_place(path: Path, *, folder: bool, name: str = "out") -> None:
 
 
 def write_columns(path: Path, columns: Mapping[str, ArrayLike]) -> None:
-    """Write columns of equal length as CSV, by their names, with all digits."""
+    """Write columns of equal length as CSV with their names, with all digits."""
     rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
     lines = [",".join(columns), *(",".join(map(repr, row)) for row in rows)]
     with whole_file(path) as temporary:
@@ -126,22 +124,21 @@ def write_columns(path: Path, columns: Mapping[str, ArrayLike]) -> None:
 
 
 class OutputLock:
-    """Hold a folder or a file against every other writer until `release`, or until the process ends
-    for any reason.
+    """Exclusive lock on an output folder or file, until `release` or the end of the process.
 
     Parameters
     ----------
     out
-        Folder or file that is going to be written.
+        Output folder or file.
     folder
-        Whether it is a folder, which is made where there is none; an empty one that was made so
-        goes with the lock.
+        True for a folder. A missing folder is created. If it stays empty, it is removed with the
+        lock.
 
     Raises
     ------
     InputError
-        If another process, or another writer in this one, holds it, or it cannot be a folder or lie
-        in one.
+        If another process, or another writer in this process, holds the lock, or the folder cannot
+        be created.
     """
 
     def __init__(self, out: Path, *, folder: bool) -> None:
@@ -151,12 +148,12 @@ class OutputLock:
         place.mkdir(parents=True, exist_ok=True)
         path = place / (LOCK if folder else f".{out.name}{LOCK}")
         self.release = weakref.finalize(self, _let_go, _taken(path, out), path, made)
-        """Let go of it; a second call does nothing."""
+        """Release the lock; a second call does nothing."""
 
 
 @contextmanager
 def output_locked(out: Path, *, folder: bool) -> Iterator[None]:
-    """Hold an output while the block runs; see `OutputLock`."""
+    """Lock an output while the block runs; see `OutputLock`."""
     lock = OutputLock(out, folder=folder)
     try:
         yield
@@ -165,7 +162,7 @@ def output_locked(out: Path, *, folder: bool) -> Iterator[None]:
 
 
 def _taken(path: Path, out: Path) -> TextIO:
-    """The lock's file, locked, with this process's id in it."""
+    """Return the locked lock file, with the id of this process in it."""
     while True:
         file = _opened(path)
         if not _lock(file):
@@ -181,7 +178,7 @@ def _taken(path: Path, out: Path) -> TextIO:
         with suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(file.fileno()), path.stat()):
                 break
-        file.close()  # its last holder took it away in between
+        file.close()  # the previous holder removed it in between
     file.truncate(0)
     file.write(f"{os.getpid()}\n")
     file.flush()
@@ -189,7 +186,7 @@ def _taken(path: Path, out: Path) -> TextIO:
 
 
 def _opened(path: Path) -> TextIO:
-    """Open the lock's file, and refuse a file of the user that has its name."""
+    """Open the lock file, and refuse a file of the user with the same name."""
     plain = not path.is_symlink() and (path.is_file() or not path.exists())
     if plain:
         file = os.fdopen(
@@ -209,19 +206,19 @@ def _opened(path: Path) -> TextIO:
 
 
 def _is_lock(file: TextIO) -> bool:
-    """Return whether a file holds the number of a process or nothing, as a lock's file does."""
+    """Return whether a file is empty or contains only a process id, as a lock file does."""
     try:
         file.seek(0)
         held = file.read(LONGEST_LOCK + 1)
     except UnicodeDecodeError:
         return False
-    except OSError:  # locked bytes cannot be read on Windows: another writer holds it
+    except OSError:  # locked bytes cannot be read on Windows: another writer holds the lock
         return True
     return not held or (held.strip().isdecimal() and len(held) <= LONGEST_LOCK)
 
 
 def _lock(file: TextIO) -> bool:
-    """Lock an open file if nobody else has; a file system without locks lets everybody."""
+    """Lock an open file, and return whether it succeeded or the file system has no locks."""
     try:
         if sys.platform == "win32":
             os.lseek(file.fileno(), FAR, os.SEEK_SET)
@@ -234,11 +231,12 @@ def _lock(file: TextIO) -> bool:
 
 
 def _let_go(file: TextIO, path: Path, made: list[Path]) -> None:
-    """Take the lock's file away while nobody else can have it, then let go; folders that stayed
-    empty go, too.
+    """Remove and release the lock file, and remove the created folders that stayed empty.
+
+    The file is removed while no other process can lock it.
     """
     if sys.platform == "win32":
-        file.close()  # an open file cannot be taken away there, another's neither
+        file.close()  # Windows cannot remove an open file, of this or another process
     with suppress(OSError):
         path.unlink()
     with suppress(OSError):
@@ -249,7 +247,7 @@ def _let_go(file: TextIO, path: Path, made: list[Path]) -> None:
 
 
 def identity() -> dict[str, int | float | str]:
-    """Number and start [s since 1970] of this process, and the machine it runs on."""
+    """Return the id and start time [s since 1970] of this process, and its machine."""
     import psutil
 
     return {
@@ -260,8 +258,9 @@ def identity() -> dict[str, int | float | str]:
 
 
 def is_alive(process: object) -> bool:
-    """Whether a process of that `identity` still runs; one of another machine cannot be looked
-    up, so counts.
+    """Return whether the process of an `identity` still runs.
+
+    A process of another machine cannot be checked and counts as running.
     """
     import psutil
 

@@ -24,7 +24,7 @@ __all__ = [
 ]
 
 MARKER = ".tissue.json"
-"""Name of the file that lists the files which tissue wrote into a folder."""
+"""Name of the marker file, which lists the files that tissue wrote into a folder."""
 FORMAT, VERSION = "tissue output folder", 1
 """Format and version that the marker states."""
 LONGEST_MARKER = 1 << 24
@@ -33,11 +33,11 @@ LONGEST_MARKER = 1 << 24
 _claimed: set[Path] = set()
 """Folders for which this process has listed a file."""
 Files = dict[str, set[str]]
-"""Names of files relative to their folder, by the kind of output to which they belong."""
+"""Names of files relative to their folder, by kind of output."""
 
 
 class OwnedFolder:
-    """An output folder that one command holds against other processes and fills.
+    """Output folder that one command locks and fills.
 
     The marker lists each file before it is written. Only files that the marker lists are replaced
     or removed. While the folder is held, `whole_file` claims each file in it, so that no writer can
@@ -89,8 +89,8 @@ class OwnedFolder:
         self._lock = OutputLock(path, folder=True)
 
     def begin(self) -> None:
-        """Remove the files of an earlier output and mark the folder as one of tissue."""
-        replaced = self._check()  # another process may have written here since
+        """Remove the files of an earlier output and mark the folder as an output of tissue."""
+        replaced = self._check()  # another process may have written here since the first check
         self._files = listed_files(self._path)
         listed = self._files.setdefault(self._kind, set(self._adopted))
         self._write_marker()
@@ -131,9 +131,9 @@ class OwnedFolder:
             _claimed.add(self._place)
 
     def release(self) -> None:
-        """Let go of the folder; a second call does nothing."""
+        """Release the folder; a second call does nothing."""
         if self in OWNERS and not any(self._files.values()):
-            # nothing was written: the folder is as it was
+            # nothing was written: restore the previous state of the folder
             (self._path / MARKER).unlink(missing_ok=True)
         OWNERS.discard(self)
         self._lock.release()
@@ -188,8 +188,9 @@ def require_folder(
     shared: Iterable[str] = (),
     adopted: Collection[str] = (),
 ) -> set[str]:
-    """Check that a folder can take an output, and change nothing; see `OwnedFolder` for the
-    parameters.
+    """Check that a folder can take an output, without any change.
+
+    For the parameters, see `OwnedFolder`.
 
     Returns
     -------
@@ -232,12 +233,12 @@ def require_listed(path: Path, kind: str, name: str) -> None:
 
 
 def listed_files(path: Path) -> Files:
-    """Read which files of a folder tissue wrote, by kind of output; none where there is no marker.
+    """Read the names of files written by tissue, by kind of output; empty without a marker.
 
     Raises
     ------
     InputError
-        If the marker is not one that tissue wrote.
+        If the marker was not written by tissue.
     """
     marker = path / MARKER
     if not os.path.lexists(marker):
@@ -276,9 +277,7 @@ def _is_inside(name: object) -> bool:
 
 
 def _present(path: Path, names: Iterable[str]) -> set[str]:
-    """Return the entries of a folder that carry one of these names; a link counts whether it
-    leads somewhere or not.
-    """
+    """Return the entries of a folder that match one of these names, including broken links."""
     found = set()
     for name in names:
         if "*" in name or "[0-9]" in name:
@@ -291,7 +290,7 @@ def _present(path: Path, names: Iterable[str]) -> set[str]:
 
 
 def _has_foreign_parent(path: Path, name: str) -> bool:
-    """Return whether a part of a name before the last one is there and is no plain folder."""
+    """Return whether a part of a name before the last one exists and is not a plain folder."""
     parents = [
         path.joinpath(*PurePosixPath(name).parts[:count])
         for count in range(1, len(PurePosixPath(name).parts))
@@ -302,14 +301,14 @@ def _has_foreign_parent(path: Path, name: str) -> bool:
 
 
 def _is_foreign(path: Path, name: str) -> bool:
-    """Return whether what carries a listed name cannot be the file that tissue wrote."""
+    """Return whether the entry with a listed name cannot be the file that tissue wrote."""
     entry = path / name
     changed = os.path.lexists(entry) and (entry.is_symlink() or not entry.is_file())
     return changed or _has_foreign_parent(path, name)
 
 
 def _foreign(path: Path, name: str, files: Mapping[str, set[str]]) -> InputError:
-    """Return the refusal of a folder with a file that is not of this kind of output."""
+    """Return the error for a folder with a file that is not part of this kind of output."""
     owner = next(
         (
             f", which belongs to another kind of output ({kind})"

@@ -1,6 +1,4 @@
-"""Where work of many processes runs: on this machine, or on those of a Dask scheduler, behind
-one standard executor.
-"""
+"""Executors for parallel work: processes of this machine or workers of a Dask scheduler."""
 
 import asyncio
 import logging
@@ -16,30 +14,31 @@ from tissue.system.workers import worker_pool
 __all__ = ["LOST", "executor"]
 
 SCHEMES = {"tcp": "tcp", "tls": "tls", "dask": "tcp"}
-"""Kinds of address, and as what Dask knows them."""
+"""Supported address schemes, and their names in Dask."""
 CERTIFICATES = ("ca-file", "client.cert", "client.key")
-"""Files that Dask's configuration must name for a client of a scheduler with TLS, below
-``distributed.comm.tls``.
+"""Certificate files that Dask's configuration must name for a TLS client.
+
+The entries are below ``distributed.comm.tls``.
 """
 LOST = (BrokenExecutor, CancelledError, ConnectionError, TimeoutError)
-"""Errors that mean that workers are gone, and not that the work is wrong."""
+"""Errors of lost workers, in contrast to errors of the work."""
 
 
 def executor(
     workers: int, scheduler: str | None, *, patience_s: float
 ) -> AbstractContextManager[Executor]:
-    """Own processes, or those of a Dask scheduler.
+    """Return an executor with processes of this machine or workers of a Dask scheduler.
 
     Parameters
     ----------
     workers
-        Own processes.
+        Number of processes of this machine.
     scheduler
-        Address of a Dask scheduler as it prints it, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``
-        (``dask://`` stands for ``tcp://``), or None. Certificates for the latter are those of
-        Dask's own configuration.
+        Address that a Dask scheduler prints, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``
+        (``dask://`` stands for ``tcp://``), or None. A ``tls`` address uses the certificates of
+        Dask's configuration.
     patience_s
-        How long a scheduler may take to answer [s].
+        Longest time for an answer of the scheduler [s].
 
     Raises
     ------
@@ -54,7 +53,7 @@ def executor(
 
 @contextmanager
 def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
-    """Workers of a Dask scheduler."""
+    """Yield the executor of a Dask scheduler."""
     kind, _, place = scheduler.partition("://")
     if kind not in SCHEMES or not place:
         raise InputError(
@@ -76,7 +75,7 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
         ) from None
     if SCHEMES[kind] == "tls":
         _require_certificates(scheduler)
-    # losses are reported by who hands out the work
+    # the code that submits the work reports losses
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     try:
         client = Client(address, timeout=f"{patience_s:g}s", set_as_default=False)
@@ -88,7 +87,7 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
         except OSError as error:
             raise ConnectionError(f"the Dask scheduler at {address} was lost") from error
         for worker, version in versions.items():
-            # A worker that is lost while it is asked is no reason to stop.
+            # A worker lost during the query is not a reason to stop.
             if version != package_version() and not isinstance(version, OSError):
                 raise InputError(
                     "workers",
@@ -99,14 +98,12 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
         try:
             yield client.get_executor(pure=False)
         except (asyncio.CancelledError, CommClosedError) as error:
-            # not of the kinds that executors raise
+            # executors do not raise errors of these types
             raise ConnectionError(f"the Dask scheduler at {address} was lost") from error
 
 
 def _require_certificates(scheduler: str) -> None:
-    """Refuse an address with TLS where Dask's configuration names no files for it, or files that
-    are not there.
-    """
+    """Check that Dask's configuration names existing certificate files for TLS."""
     import dask.config
 
     for entry in CERTIFICATES:

@@ -1,4 +1,4 @@
-"""A request of the system to end as an exception, met like Ctrl-C: files are kept, helpers end."""
+"""Conversion of stop signals into an exception, so that files are kept and helpers end."""
 
 import signal
 import sys
@@ -15,22 +15,24 @@ STOPS = tuple(
     for name in ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK")
     if hasattr(signal, name)
 )
-"""What asks a process to end, as far as the system has it: SIGHUP comes from a terminal that was
-closed or lost, SIGQUIT and SIGBREAK from a key."""
+"""Signals that ask a process to end, where the system has them.
+
+SIGHUP comes from a closed or lost terminal, SIGQUIT and SIGBREAK from a key.
+"""
 
 AGAIN_S = 0.01
-"""When a stop that Python dropped comes once more [s]."""
+"""Delay before a stop signal that Python dropped is sent again [s]."""
 
 
 class Terminated(KeyboardInterrupt):
-    """The process was asked to end by a signal, one of `STOPS`.
+    """Exception for a process that a signal of `STOPS` asked to end.
 
     Attributes
     ----------
     name
-        Of the signal, such as ``SIGTERM``.
+        Name of the signal, such as ``SIGTERM``.
     exit_code
-        With which a command ends that was asked so: 128 and the signal's number.
+        Exit code of a command that this signal ended: 128 plus the number of the signal.
     """
 
     def __init__(self, number: int = signal.SIGTERM) -> None:
@@ -40,25 +42,25 @@ class Terminated(KeyboardInterrupt):
 
 @contextmanager
 def terminated_as_exception() -> Iterator[None]:
-    """Raise `Terminated` in the main thread on one of `STOPS` while the block runs; elsewhere
-    nothing changes.
+    """Raise `Terminated` in the main thread on one of `STOPS` while the block runs.
 
-    Native code that a signal meets may make an error of its own of what is raised, as pydantic's
-    does: after a stop, Ctrl-C included, any error that leaves the block leaves it as that stop. And
-    Python drops what is raised within a callback, such as that of a weak reference: the stop then
-    comes once more, a moment later.
+    Outside the main thread, nothing changes. Native code interrupted by a signal may replace the
+    raised exception by an error of its own, as pydantic does. After a stop, including Ctrl-C, any
+    error that leaves the block is therefore replaced by the stop. Python drops an exception raised
+    in a callback, such as the callback of a weak reference. The stop signal is then sent again a
+    moment later.
     """
     received: list[KeyboardInterrupt] = []
 
     def stop(number: int, frame: FrameType | None) -> None:
-        # a shell that ends sends it again, amid what is put in order
+        # an ending shell sends SIGHUP again, which would interrupt the cleanup
         if number == getattr(signal, "SIGHUP", None):
             signal.signal(number, signal.SIG_IGN)
         received.append(KeyboardInterrupt() if number == signal.SIGINT else Terminated(number))
         raise received[-1]
 
     def dropped(what: "sys.UnraisableHookArgs") -> None:
-        """Send again a signal whose exception was raised where nothing could catch it."""
+        """Send a signal again if its exception was raised where it could not be caught."""
         if isinstance(what.exc_value, KeyboardInterrupt):
             number = signal.SIGTERM if isinstance(what.exc_value, Terminated) else signal.SIGINT
             threading.Timer(AGAIN_S, _send, (number,)).start()
@@ -82,8 +84,9 @@ def terminated_as_exception() -> Iterator[None]:
 
 
 def interrupt_is_free() -> bool:
-    """Whether Ctrl-C raises KeyboardInterrupt, by Python's own handler or by
-    `terminated_as_exception`.
+    """Return whether Ctrl-C raises KeyboardInterrupt.
+
+    The handler is Python's default or the one of `terminated_as_exception`.
     """
     handler = signal.getsignal(signal.SIGINT)
     return handler is signal.default_int_handler or getattr(handler, "__module__", None) == __name__
@@ -93,10 +96,10 @@ def interrupt_is_free() -> bool:
 def signals_handled(
     numbers: tuple[int, ...], handler: Callable[[int, FrameType | None], None]
 ) -> Iterator[None]:
-    """Call a handler on these signals while the block runs, in the main thread alone.
+    """Handle these signals while the block runs, in the main thread only.
 
-    A signal that is ignored stays so, as under ``nohup``; and so does one that is handled outside
-    Python.
+    A signal that is ignored, as under ``nohup``, stays ignored. A signal handled outside Python
+    keeps its handler.
     """
     before: dict[int, Callable[[int, FrameType | None], object] | int] = {}
     if threading.current_thread() is threading.main_thread():
@@ -112,7 +115,7 @@ def signals_handled(
 
 
 def _send(number: int) -> None:
-    """Send a signal to the main thread, awake or asleep."""
+    """Send a signal to the main thread, even while it sleeps."""
     if hasattr(signal, "pthread_kill"):
         signal.pthread_kill(threading.main_thread().ident or 0, number)
     else:

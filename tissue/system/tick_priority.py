@@ -1,5 +1,6 @@
-"""Priority of the thread that runs ticks against the wall clock: raised where the system grants
-it, and put back.
+"""Priority of the thread that runs ticks in real time.
+
+The priority is raised if the system permits it, and restored afterwards.
 """
 
 import os
@@ -10,32 +11,29 @@ from contextlib import suppress
 __all__ = ["TickPriority"]
 
 REALTIME = 20
-"""Priority among real-time threads of Linux, 1 to 99; threads of the kernel that serve devices
-have 50.
-"""
+"""Real-time priority on Linux, 1 to 99; kernel threads that serve devices have 50."""
 NICE = -10
-"""Niceness that is asked for where no real-time priority is granted."""
+"""Niceness requested if no real-time priority is granted."""
 USER_INTERACTIVE, DEFAULT = 0x21, 0x15
-"""Classes of quality of service of macOS, as in its header sys/qos.h."""
+"""Quality-of-service classes of macOS, from its header sys/qos.h."""
 HIGH = 0x80
-"""HIGH_PRIORITY_CLASS of Windows, as in its header winbase.h."""
+"""HIGH_PRIORITY_CLASS of Windows, from its header winbase.h."""
 USUAL = "ordinary priority"
 
 
 class TickPriority:
-    """Raises the priority of the calling thread, as far as the system lets this person, and puts it
-    back.
+    """Priority of the calling thread, raised while ticks run and restored afterwards.
 
-    Linux: real-time (SCHED_FIFO), which its user may be granted as ``rtprio`` in
-    /etc/security/limits.conf, else a niceness below 0; of the thread alone, and neither threads nor
-    processes that it starts inherit the first. Windows: the process is of high priority. macOS: the
-    thread is of the class of what a person interacts with. What is not granted is noted in
-    `granted` and never ends a run.
+    Linux: real-time priority (SCHED_FIFO), which needs the permission ``rtprio`` in
+    /etc/security/limits.conf, otherwise a niceness below 0. Both apply to the thread only. Threads
+    and processes that it starts do not inherit the real-time priority. Windows: high priority of
+    the process. macOS: the quality-of-service class of user interaction. Whatever the system does
+    not grant is noted in `granted` and never ends a run.
 
     Attributes
     ----------
     granted
-        What the ticks run at, in words.
+        Description of the current priority.
     """
 
     def __init__(self) -> None:
@@ -56,7 +54,7 @@ class TickPriority:
             self._begin_linux()
 
     def end(self) -> None:
-        """Put it back, from any thread; of a thread that has ended there is nothing to put back."""
+        """Restore the priority, from any thread; a thread that has ended is skipped."""
         before = self._before
         self._before = None
         if before is None:
@@ -82,7 +80,7 @@ class TickPriority:
                 os.sched_getscheduler(self._thread),
                 os.sched_getparam(self._thread).sched_priority,
             )
-            flag = os.SCHED_RESET_ON_FORK  # what the thread starts does not inherit it
+            flag = os.SCHED_RESET_ON_FORK  # threads and processes started here do not inherit it
             os.sched_setscheduler(self._thread, os.SCHED_FIFO | flag, os.sched_param(REALTIME))
             self._before = ("policy", *before)
             self.granted = f"real-time priority {REALTIME} (SCHED_FIFO)"
@@ -121,8 +119,10 @@ class TickPriority:
 
 
 def _schedule(thread: int, policy: int, priority: int) -> None:
-    """Put a thread's policy back; who may not clear the mark that nothing inherits it keeps the
-    mark, which does no harm."""
+    """Restore the scheduling policy of a thread.
+
+    Without permission to clear SCHED_RESET_ON_FORK, the thread keeps this harmless flag.
+    """
     try:
         os.sched_setscheduler(thread, policy, os.sched_param(priority))
     except PermissionError:
@@ -130,7 +130,7 @@ def _schedule(thread: int, policy: int, priority: int) -> None:
 
 
 def _windows_class(value: int) -> int:
-    """Set the class of this process's priority and return the one before."""
+    """Set the priority class of this process and return the previous class."""
     import psutil
 
     process = psutil.Process()
@@ -140,7 +140,7 @@ def _windows_class(value: int) -> int:
 
 
 def _macos_class(value: int) -> None:
-    """Set the quality of service of the calling thread."""
+    """Set the quality-of-service class of the calling thread."""
     import ctypes
 
     refused = ctypes.CDLL(None).pthread_set_qos_class_self_np(value, 0)

@@ -1,4 +1,4 @@
-"""Calls that may block, given up after a time."""
+"""Calls with a time limit."""
 
 import threading
 from collections.abc import Callable
@@ -8,8 +8,9 @@ __all__ = ["returned_within"]
 
 
 def returned_within(seconds: float, call: Callable[[], object]) -> bool:
-    """Whether a call, made in a thread of its own that is left behind if it blocks, returned in
-    time without error.
+    """Return whether a call returned within a time [s] and without an error.
+
+    The call runs in a thread, which is abandoned if it blocks.
     """
     returned = threading.Event()
 

@@ -1,4 +1,4 @@
-"""Processes of this machine that share work, end with this one, and are not waited for in vain."""
+"""Worker processes of this machine, which end with this process, and detection of hung workers."""
 
 import multiprocessing
 import os
@@ -19,7 +19,7 @@ Result = TypeVar("Result")
 
 @contextmanager
 def worker_pool(workers: int) -> Iterator[Executor]:
-    """Some worker processes, which end with this one, whatever ends it."""
+    """Start worker processes, which end with this process for any reason."""
     kept = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(ONE_THREAD)
     others = set(multiprocessing.active_children())
@@ -32,13 +32,13 @@ def worker_pool(workers: int) -> Iterator[Executor]:
     )
     try:
         with _interrupted_later():
-            pool.submit(int)  # starts all of them
+            pool.submit(int)  # starts all workers
         yield pool
         pool.shutdown()
     finally:
         for child in set(multiprocessing.active_children()) - others:
-            child.kill()  # one that was stopped would not take a request to end
-        # its thread takes leave of them: two that do would miss each other
+            child.kill()  # a stopped worker would not handle a request to end
+        # the executor's thread joins the workers: two threads that do so would conflict
         pool.shutdown(cancel_futures=True)
         for name, value in kept.items():
             os.environ.pop(name)
@@ -49,20 +49,19 @@ def worker_pool(workers: int) -> Iterator[Executor]:
 def first_done(
     pool: Executor, futures: Collection["Future[Result]"], report: Progress
 ) -> "set[Future[Result]]":
-    """Await work until some of it is done; workers that have stopped working are ended, and what
-    they did is lost.
+    """Wait until some of the work is done; kill workers that hang, and lose their work.
 
     Parameters
     ----------
     pool, futures
-        Who works, and at what; of processes elsewhere their scheduler knows whether they still
-        work.
+        Executor and its work. Only local processes are checked. A scheduler checks its own workers.
     report
-        Called with why workers were ended.
+        Called with the reason why workers were killed.
 
     Returns
     -------
-    What is done; its results raise `concurrent.futures.BrokenExecutor` where the workers are gone.
+    The finished futures. Their results raise `concurrent.futures.BrokenExecutor` if the workers are
+    lost.
     """
     detector = HangDetector(
         lambda: [number for child in multiprocessing.active_children() if (number := child.pid)]
@@ -80,8 +79,10 @@ def first_done(
 
 @contextmanager
 def _interrupted_later() -> Iterator[None]:
-    """Hold Ctrl-C back while processes start, which inherit that and would print it before they
-    can ignore it.
+    """Block Ctrl-C while processes start.
+
+    They inherit the block. Without it, they would print a traceback before they can ignore the
+    signal.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -94,8 +95,9 @@ def _interrupted_later() -> Iterator[None]:
 
 
 def _begin_worker(parent: int, strictly: bool) -> None:
-    """Leave Ctrl-C to the process that began this one, and end when it ends: killed, it could
-    not ask for it.
+    """Ignore Ctrl-C in a worker, and end the worker when its parent process ends.
+
+    A killed parent could not end the worker.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with(parent, strictly=strictly)

@@ -1,3 +1,1 @@
-"""Haptic devices: their contract, real limits, simulated, recorded and faulty ones, and safe
-operation.
-"""
+"""Haptic devices: interface, published limits, safe operation, simulated and recorded devices."""

@@ -1,4 +1,4 @@
-"""What a haptic device is to a loop, and the published numbers of some."""
+"""Interface of haptic devices, and published parameters of some devices."""
 
 from dataclasses import dataclass, replace
 from math import inf
@@ -27,7 +27,7 @@ __all__ = [
 
 
 class Sample(NamedTuple):
-    """The sample of a device at a time: pose and its rate of change, in the world frame."""
+    """Sample of a device at a time: pose and its rate of change, in the world frame."""
 
     time_s: float
     position_m: Triple
@@ -37,24 +37,25 @@ class Sample(NamedTuple):
 
 
 class DeviceError(InputError):
-    """A device that does not do what a device has to: one sentence with the call, what it did
-    and what to check.
+    """Error of a device that violates the interface.
+
+    The message is one sentence with the call, the observed behaviour and what to check.
     """
 
 
 class Device(Protocol):
-    """A haptic device: position in, force out.
+    """Haptic device: position in, force out.
 
-    These two are all that a loop needs; `tissue.haptics.device.safe_device.SafeDevice` is how it
-    holds a device. One that is a context manager is entered before its first read and left after
-    its last command, which is zero: give it to a run without a ``with`` of your own, which would
-    open it twice, or as ``with SafeDevice(device) as held``. A device may have ``close()``, which
-    takes all force off it by other means and may be called from another thread: it is used where
-    ``command`` fails.
+    A loop needs only these two methods. It holds a device by
+    `tissue.haptics.device.safe_device.SafeDevice`. A device that is a context manager is entered
+    before its first read and left after its last command, which is zero. Pass such a device to a
+    run without a ``with`` of your own, which would open it twice, or use ``with SafeDevice(device)
+    as held``. A device may have a method ``close()``, which removes all force by other means. It
+    may be called from another thread and is used if ``command`` fails.
     """
 
     def read(self, time_s: float) -> Sample | None:
-        """The newest sample at a time; None where there is none."""
+        """Return the newest sample at a time; None without a sample."""
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
         """Play a force and a torque, on the hand and in the world frame, until the next command."""
@@ -62,8 +63,9 @@ class Device(Protocol):
 
 @runtime_checkable
 class KnowsTruth(Protocol):
-    """A device that knows where it is and what the hand feels, as a simulated one does: samples
-    are encoder steps.
+    """Device that knows its true position and the force on the hand, such as a simulated device.
+
+    The samples of such a device are quantised by the encoders.
     """
 
     @property
@@ -73,15 +75,16 @@ class KnowsTruth(Protocol):
 
     @property
     def hand_force_N(self) -> Triple:
-        """Force with which the device pushes the hand, mean over the tick before the last sample
-        [N].
+        """Force with which the device pushes the hand [N].
+
+        It is the mean over the tick before the last sample.
         """
         ...
 
 
 @runtime_checkable
 class StatesPlayed(Protocol):
-    """A device that plays less than it is commanded for reasons of its own, and states what."""
+    """Device that may play less than the command, and reports the played force."""
 
     @property
     def played(self) -> tuple[Array, Array]:
@@ -89,17 +92,15 @@ class StatesPlayed(Protocol):
         ...
 
     def happened(self) -> list[tuple[float, str]]:
-        """What it has found so far, time [s] and a sentence each."""
+        """Return the events so far, each as time [s] and a sentence."""
         ...
 
 
 class ComputedDevice:
-    """What the devices that are computed here have in common: they answer at once, and end at
-    zero.
-    """
+    """Base of computed devices: they answer at once, and end with zero force."""
 
     in_process = True
-    """Whether read and command only compute, so that they cannot block."""
+    """True if read and command only compute, so that they cannot block."""
 
     def __enter__(self) -> Self:
         return self
@@ -113,36 +114,38 @@ class ComputedDevice:
         self.command(np.zeros(3), np.zeros(3))
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
-        """Take a force and a torque and forget them, for a device without motors."""
+        """Ignore a force and a torque, for a device without motors."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceParameters:
-    """Physics and limits of a device; the same in all directions.
+    """Physical parameters and limits of a device, equal in all directions.
 
     Attributes
     ----------
     mass_kg, damping_N_s_m, friction_N
-        Apparent mass, viscous and Coulomb friction at the tip.
+        Apparent mass [kg], viscous friction [N s/m] and Coulomb friction [N] at the tip.
     encoder_step_m
-        Step in which positions are read [m]; 0 for exact ones.
+        Position resolution of the encoders [m]; 0 for exact positions.
     force_limit_N
-        Greatest force [N].
+        Largest force [N].
     force_slew_N_ms
-        Greatest change of the force that it is commanded [N/ms].
+        Largest change of the commanded force [N/ms].
     rate_Hz
-        Samples and force updates a second. The loop reads a faster device once a tick, and each
-        force is held until the next sample of a slower one.
+        Samples and force updates per second. The loop reads a faster device once a tick. For a
+        slower device, each force is held until its next sample.
     transport_delay_s
-        From a sample to the force that answers it, besides the hold [s].
+        Time from a sample to the force that answers it, in addition to the zero-order hold [s].
     amplifier_Hz
-        Bandwidth of the amplifiers; infinite for none.
-    inertia_kg_m2, damping_Nm_s_rad, friction_Nm, encoder_step_rad, torque_limit_Nm,
-    torque_slew_Nm_ms
-        The same for rotation; a torque limit of 0 makes a device of three degrees of freedom, whose
-        rotation moves freely with the hand.
+        Bandwidth of the amplifiers; infinite for no lag.
+    inertia_kg_m2, damping_Nm_s_rad, friction_Nm, encoder_step_rad
+        Apparent inertia [kg m2], viscous friction [N m s/rad], Coulomb friction [N m] and encoder
+        resolution [rad] of the rotation.
+    torque_limit_Nm, torque_slew_Nm_ms
+        Largest torque [N m] and its largest change [N m/ms]. A torque limit of 0 defines a device
+        with three degrees of freedom, whose rotation follows the hand freely.
     stiffness_limit_N_m, damping_limit_N_s_m, stiffness_limit_Nm_rad
-        What the vendor's software allows for; reported, not enforced.
+        Limits of the vendor's software; reported, not enforced.
     workspace_width_m, workspace_height_m, workspace_depth_m
         Box in which the tip can be moved [m].
     """
@@ -200,8 +203,9 @@ class DeviceParameters:
         filter_s: float = 0.0,
         model_ticks: int = 1,
     ) -> WallLoop:
-        """Return the loop by which a wall on this device is judged, without friction, encoder
-        and hand.
+        """Return the loop used to judge the stability of a wall on this device.
+
+        The loop contains no friction, encoders and hand.
         """
         return WallLoop(
             mass_kg=self.mass_kg,
@@ -227,18 +231,19 @@ class DeviceParameters:
         filter_s: float = 0.0,
         model_ticks: int = 1,
     ) -> WallLoop:
-        """The same for a rotation, in its units."""
+        """Return the loop used to judge the stability of a rotation, in rotational units."""
         loop = self.loop(stiffness_Nm_rad, filter_s=filter_s, model_ticks=model_ticks)
         return replace(loop, mass_kg=self.inertia_kg_m2, damping_N_s_m=self.damping_Nm_s_rad)
 
 
 def device_parameters(name: str, constants: Materials = Materials.cited) -> DeviceParameters:
-    """Numbers of a device by its name in `DEVICES`, with those of a scene's own constants in their
-    place.
+    """Return the parameters of a device by its name in `DEVICES`.
+
+    The scene's own constants replace cited ones.
 
     Raises
     ------
     InputError
-        If the device is not one of these.
+        If the name is unknown.
     """
     return DeviceParameters(**constants.numbers("devices", DEVICES[name].numbers, name))

@@ -1,4 +1,4 @@
-"""Faults of a device by schedule, for loops that must survive them."""
+"""Scheduled faults of a device, to test the robustness of loops."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -16,12 +16,12 @@ __all__ = ["Fault", "FaultKind", "FaultyDevice"]
 FaultKind = Literal["dropped", "late", "duplicated", "non-finite", "wild"]
 WILD_M = 1e9
 LATE_READS = 5
-"""How many reads a late sample is behind."""
+"""Delay of a late sample [reads]."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """What goes wrong with the samples from one time to another [s]."""
+    """Fault of the samples between two times [s]."""
 
     kind: FaultKind
     start_s: float
@@ -29,8 +29,9 @@ class Fault:
 
 
 class FaultyDevice:
-    """A device whose samples are dropped, late, repeated, not numbers or wild (1e9 m) at given
-    times.
+    """Device with faulty samples at given times.
+
+    Samples are dropped, late, repeated, non-finite or wild (1e9 m).
     """
 
     def __init__(self, device: Device, faults: Sequence[Fault]) -> None:
@@ -41,7 +42,7 @@ class FaultyDevice:
 
     @property
     def in_process(self) -> bool:
-        """Whether the device only computes."""
+        """True if the device only computes."""
         return bool(getattr(self._device, "in_process", False))
 
     def __enter__(self) -> Self:
@@ -59,7 +60,7 @@ class FaultyDevice:
             self._device.__exit__(kind, error, trace)
 
     def read(self, time_s: float) -> Sample | None:
-        """A sample, or what the fault of the time makes of it."""
+        """Return a sample, modified by the fault at this time."""
         sample = self._device.read(time_s)
         self._past.append(sample)
         kind = next(
@@ -78,5 +79,5 @@ class FaultyDevice:
         return sample
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
-        """Commands pass."""
+        """Pass the command to the device."""
         self._device.command(force_N, torque_Nm)

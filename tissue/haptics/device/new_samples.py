@@ -1,4 +1,4 @@
-"""Recognise new samples of a device that is slower than the loop."""
+"""Detection of new samples from a device that is slower than the loop."""
 
 from math import ceil, nan
 
@@ -10,22 +10,22 @@ from tissue.models.tissue_model import TICK_S
 __all__ = ["NewSamples", "guard_of"]
 
 ROUNDING = 1e-9
-"""Difference of two times that counts as none [s], and over a tick."""
+"""Tolerance for equal times [s], and for a number of ticks."""
 OLDEST = 2.5
-"""Age of a sample that counts as missing, over the time between two samples."""
+"""Age at which a sample counts as missing, relative to the time between two samples."""
 
 
 class NewSamples:
-    """Recognise the ticks in which a device has a new sample.
+    """Detector for the ticks in which a device has a new sample.
 
-    A device with a clock of its own dates its samples. Other devices repeat the last pose with the
-    time of the tick. A pose that has changed is then new, and so is a pose that has stayed for as
-    long as a sample lasts.
+    A device with its own clock dates its samples. Other devices repeat the last pose with the time
+    of the tick. A changed pose is then new, and so is a pose that has stayed for the length of a
+    sample.
 
     Parameters
     ----------
     sample_s
-        Time between two samples [s]. With a sample in every tick each sample is new.
+        Time between two samples [s]. With a sample in every tick, each sample is new.
     """
 
     def __init__(self, sample_s: float) -> None:
@@ -34,9 +34,7 @@ class NewSamples:
         self._last = Sample(nan, (nan, nan, nan))
 
     def is_new(self, sample: Sample, time_s: float) -> bool:
-        """Return whether the sample of the tick at a time [s] differs from the one of the last
-        tick.
-        """
+        """Return whether the sample of the tick at a time [s] differs from the previous one."""
         if self._ticks <= 1:
             return True
         last = self._last
@@ -53,7 +51,7 @@ class NewSamples:
 
 
 def guard_of(device: Device, limits: DeviceParameters, *, sample_s: float) -> SampleGuard:
-    """Return the guard of a device, for so much time between two samples [s]."""
+    """Return the guard of a device with ``sample_s`` between two samples [s]."""
     guard = SampleGuard(
         GuardLimits(oldest_s=OLDEST * sample_s),
         force_limit_N=limits.force_limit_N,

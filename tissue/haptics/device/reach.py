@@ -1,4 +1,4 @@
-"""Bound the positions of a device by its workspace: positions in millimetres leave it at once."""
+"""Bound on the positions of a device from its workspace, which detects positions in millimetres."""
 
 from math import dist, isfinite
 
@@ -10,21 +10,24 @@ from tissue.motion.quaternion import Triple
 __all__ = ["Reach", "reach_of"]
 
 FURTHER = 3.0
-"""Reach of an arm over the diagonal of its stated workspace: the Touch states 160 x 120 x 70 mm,
-and its arm moves in 431 x 348 x 165 mm. Positions in millimetres exceed it after 0.6 mm."""
+"""Reach of an arm relative to the diagonal of its stated workspace.
+
+The Touch has a stated workspace of 160 x 120 x 70 mm, and its arm moves in 431 x 348 x 165 mm.
+Positions in millimetres exceed this reach after 0.6 mm.
+"""
 UNSTATED_M = 3.0
 """Reach of a device without a stated workspace [m]."""
 MOST_WRONG = 20
-"""Samples beyond the reach, one after the other, from which they are no single faulty ones."""
+"""Number of consecutive samples beyond the reach that counts as an error of the device."""
 
 
 class Reach:
-    """Check that a device stays where its arm can be.
+    """Check that a device stays within the reach of its arm.
 
     Parameters
     ----------
     limits
-        Give the workspace.
+        Device parameters with the workspace.
 
     Attributes
     ----------
@@ -40,13 +43,14 @@ class Reach:
         self._wrong = 0
 
     def restart(self) -> None:
-        """Take the next position as the first one."""
+        """Use the next position as the first one."""
         self._first = None
         self._wrong = 0
 
     def require(self, position_m: Triple, *, samples: int = MOST_WRONG) -> None:
-        """Take a position [m] and refuse the device once so many samples in a row lie beyond its
-        reach.
+        """Check a position [m], and refuse a device that stays beyond its reach.
+
+        ``samples`` is the number of consecutive positions beyond the reach at which it is refused.
 
         Raises
         ------
@@ -76,5 +80,5 @@ class Reach:
 
 
 def reach_of(device: object, limits: DeviceParameters) -> Reach | None:
-    """Return the reach of a device; None for one that bounds its positions itself or has no arm."""
+    """Return the reach of a device; None if it bounds its positions itself or has no arm."""
     return None if getattr(device, "bounds_itself", False) else Reach(limits)

@@ -1,4 +1,4 @@
-"""Devices that play no force: recorded motion, and a mouse in a window."""
+"""Devices without force output: recorded motion, and a mouse in a window."""
 
 from math import exp
 
@@ -16,19 +16,20 @@ NOT_TURNED: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
 class RecordedDevice(ComputedDevice):
-    """A table of poses, replayed; forces are taken and forgotten.
+    """Device that replays a table of poses and ignores commanded forces.
 
     Parameters
     ----------
     times_s
-        Increasing times [s], shape (n,). Before the first and after the last one there is no
+        Increasing times [s], shape (n,). Before the first and after the last time there is no
         sample.
     positions_m
         Positions [m], shape (n, 3).
     quaternions
         Orientations (x, y, z, w), shape (n, 4).
     rate_Hz
-        Samples a second, between which positions are linear and orientations on the shortest arc.
+        Samples per second. Between the given times, positions are interpolated linearly, and
+        orientations on the shortest arc.
 
     Raises
     ------
@@ -91,7 +92,7 @@ class RecordedDevice(ComputedDevice):
         ]
 
     def read(self, time_s: float) -> Sample | None:
-        """The last recorded sample that is not after a time; None outside the record."""
+        """Return the last recorded sample that is not after a time; None outside the recording."""
         if not self._first - 1e-9 <= time_s <= self._last + 1e-9:
             return None
         return self._samples[
@@ -100,23 +101,22 @@ class RecordedDevice(ComputedDevice):
 
 
 class MouseDevice(ComputedDevice):
-    """Positions that a window pushes in at its own rate, smoothed to a motion that a tissue can be
-    met with.
+    """Device driven by positions from a window, smoothed to a continuous motion.
 
-    Between two pushes the pose follows the last one as a critically damped second-order system,
-    exactly for a target that is held, so that position, orientation and their speeds are continuous
-    at any rate of the window.
+    The window pushes positions at its own rate. Between two pushes, the pose follows the last one
+    as a critically damped second-order system. The step is exact for a constant target. Position,
+    orientation and their speeds are therefore continuous at any rate of the window.
 
     Parameters
     ----------
     position_m
-        Where it starts [m].
+        Start position [m].
     response_s
-        Time constant with which a push is followed [s].
+        Time constant of the response to a push [s].
     """
 
     bounds_itself = True
-    """A mouse has no arm that bounds its pointer."""
+    """No reach is applied, because the pointer of a mouse is not bounded by an arm."""
 
     def __init__(self, position_m: Triple = (0.0, 0.0, 0.0), *, response_s: float = 0.03) -> None:
         self._response = require_positive("response_s", response_s, "use 0.03")
@@ -125,14 +125,15 @@ class MouseDevice(ComputedDevice):
         self._sample = Sample(0.0, position_m)
 
     def push(self, position_m: Triple, quaternion: Quaternion = NOT_TURNED) -> None:
-        """Where the pointer is now [m], and how it is turned; may be called from a window's
-        thread.
+        """Set the position [m] and orientation of the pointer.
+
+        A window's thread may call it.
         """
         self._target = position_m
         self._turned = quaternion
 
     def read(self, time_s: float) -> Sample | None:
-        """Follow the last push up to a time."""
+        """Follow the last push up to a time, and return the sample."""
         last = self._sample
         target = self._target
         turned = self._turned
@@ -159,7 +160,7 @@ class MouseDevice(ComputedDevice):
         return self._sample
 
     def _followed(self, away: float, speed: float, step_s: float) -> tuple[float, float]:
-        """Distance from a target and speed, a step later."""
+        """Return the distance from a target and the speed, one step later."""
         fade = exp(-step_s / self._response)
         rate = 1.0 / self._response
         slope = speed + rate * away

@@ -1,40 +1,40 @@
-"""Recognise samples that leap to and fro as nothing that a hand holds can."""
+"""Detection of samples whose noise exceeds any motion of a handheld device."""
 
 __all__ = ["Roughness"]
 
 MEMORY = 8.0
-"""New samples over which roughness is averaged."""
+"""Number of new samples over which roughness is averaged."""
 STALE = 0.25
 """Weight of a sample that only repeats the last one."""
 ROUGH, SMOOTH = 0.5, 0.05
-"""Share of rough samples from which a course is noise, and below which it is none any more."""
+"""Share of rough samples above which a signal is noise, and below which it is valid again."""
 SHORTEST_S = 2e-3
-"""Shortest span of three samples that is judged by itself [s]: encoders step, and clocks jitter."""
+"""Shortest span of three samples [s]: encoder steps and clock jitter disturb shorter ones."""
 
 Place = tuple[float, float, float, float, float]
 """Time [s] and up to four coordinates."""
 
 
 class Roughness:
-    """Whether a course of samples is noise, by the acceleration that it would take.
+    """Detector of noise in a sequence of samples, from the implied acceleration.
 
-    The middle one of three samples lies off the straight line between its neighbours by a T^2 / 2
-    for steps of T at the acceleration a, and by no more in between. A sample is rough where that is
-    more than the limit allows; a course is noise once more than half of its last samples
-    (exponential mean over 8 of them) are rough, and is valid again when fewer than a twentieth are.
-    One leap, a lost sample, an encoder's step or a blow are rough for two samples at most. White
-    noise is recognised from a standard deviation of about a quarter of the limit times (1 ms)^2 an
-    axis.
+    The middle one of three samples deviates from the straight line between its neighbours. For
+    steps of T at the acceleration a, the deviation is at most a T^2 / 2. A sample is rough if it
+    deviates more than the limit allows. The signal becomes noise when more than half of its last
+    samples (exponential mean over 8 samples) are rough. It is valid again when fewer than a
+    twentieth are rough. One jump, a lost sample, an encoder step or a blow is rough for two samples
+    at most. White noise is detected from a standard deviation of about a quarter of the limit times
+    (1 ms)^2 per axis.
 
     Parameters
     ----------
     limit
-        Greatest acceleration, in the unit of the samples over s^2.
+        Largest acceleration, in the unit of the samples over s^2.
 
     Attributes
     ----------
     noisy
-        Whether the course is noise.
+        True if the signal is noise.
     share
         Share of rough samples among the last ones.
     """
@@ -47,7 +47,7 @@ class Roughness:
         self._middle: Place | None = None
 
     def observe(self, time_s: float, x: float, y: float, z: float, w: float = 0.0) -> bool:
-        """Take a sample with its time [s]; whether the course is noise."""
+        """Process a sample with its time [s], and return whether the signal is noise."""
         first = self._first
         middle = self._middle
         if (

@@ -1,6 +1,4 @@
-"""A device as a loop holds it: entered, timed, limited in how fast its force changes, and never
-left pushing.
-"""
+"""Safe operation of a device in a loop: timed, slew-limited and always left without force."""
 
 import threading
 from collections.abc import Iterator
@@ -22,52 +20,52 @@ from tissue.system.timeout import returned_within
 __all__ = ["GIVE_UP_S", "RAMP_S", "STALL_S", "SafeDevice"]
 
 RAMP_S = 0.03
-"""Time in which the last force is taken off a device whose loop still runs [s]."""
+"""Time in which the last force is ramped to zero on a device whose loop still runs [s]."""
 STALL_S = 0.05
-"""How long a force is left on a device without another command [s]."""
+"""Longest time without a command before a force is removed [s]."""
 GIVE_UP_S = 1.0
-"""How long a read or a command may take before the device counts as lost [s]."""
+"""Longest duration of a read or a command before the device counts as lost [s]."""
 OPENING_S = 10.0
-"""The same of opening a device, which may have to be searched, reached and woken [s]."""
+"""Longest duration of opening a device, including search, connection and wake-up [s]."""
 ANSWER_S = 0.2
-"""How long a command of zero from a second thread, or a close, may take [s]."""
+"""Longest duration of a zero command from a second thread, or of a close [s]."""
 OPENED = ", and give it without `with`: the run opens and closes it"
 IDLE = ("", inf)
-"""No call is running."""
+"""Marker for no running call."""
 
 
 class SafeDevice:
-    """Holds a device so that zero force and torque are its last command, whatever ends the block.
+    """Wrapper of a device that guarantees zero force and torque as the last command.
 
-    ``with SafeDevice(device) as held:`` enters the device if it is a context manager. The force is
-    ramped to zero in `RAMP_S` at a normal end and after `stop`, and is zero at once after an
-    exception. Where zero cannot be sent, the device is closed, if it has ``close``. An exception of
-    the device becomes a `DeviceError`.
+    ``with SafeDevice(device) as held:`` enters the device if it is a context manager. At a normal
+    end and after `stop`, the force is ramped to zero in `RAMP_S`. After an exception, it is zero at
+    once. If zero cannot be sent, the device is closed, if it has ``close``. An exception of the
+    device becomes a `DeviceError`.
 
-    A loop that is given ``held`` in place of the device finds it entered and leaves it so, without
-    force: one block can hold a device for many runs.
+    A loop can receive ``held`` in place of the device. It finds the device entered, and leaves it
+    entered and without force. One block can therefore hold a device for many runs.
 
-    A device that is not ``in_process`` may block. A thread that calls `stop_if_stuck` often sends
-    zero once no command came for `STALL_S`, and gives the device up once a call has lasted
-    `GIVE_UP_S`, or opening it `OPENING_S`.
+    A device that is not ``in_process`` may block. A thread must then call `stop_if_stuck`
+    frequently. It sends zero if no command came for `STALL_S`. It gives the device up once a call
+    has lasted `GIVE_UP_S`, or opening it `OPENING_S`.
 
     Parameters
     ----------
     device
-        The device; ``read`` and ``command`` are all it needs. Or one that is held.
+        Device with ``read`` and ``command``, or a `SafeDevice` that holds one.
     tick_s
         Time between two commands [s].
     limits
-        Gives the greatest change of force and torque; without it they may change at once.
+        Largest slew of force and torque; without limits, they may change at once.
 
     Attributes
     ----------
     entered
-        Whether the block goes on.
+        True inside the block.
     released
-        Whether zero was sent by another thread since the last read that was in time.
+        True if another thread has sent zero since the last timely read.
     slow_reads, slowest_read_s
-        Reads that took longer than a tick, and the longest of them [s].
+        Number of reads that took longer than a tick, and the longest of them [s].
     """
 
     def __init__(
@@ -93,15 +91,16 @@ class SafeDevice:
         self._torque = SlewLimit(inf if limits is None else tick_ms * limits.torque_slew_Nm_ms)
         self._lock = threading.Lock()
         self._stack = ExitStack()
-        self._call = IDLE  # name of the call that is running, and since when
-        self._played = inf  # when the last command that was not zero was sent
+        self._call = IDLE  # name and start time of the running call
+        self._played = inf  # time of the last command that was not zero
         self._stop: BaseException | None = None
         self._lost: DeviceError | None = None
         self._closed = False
 
     def happened(self) -> list[tuple[float, str]]:
-        """Slow reads, limited changes and what the device states so far, time [s] and a sentence
-        each.
+        """Return slow reads, limited changes and events of the device.
+
+        Each entry is a time [s] and a sentence.
         """
         found = []
         if self.slow_reads:
@@ -150,14 +149,14 @@ class SafeDevice:
             raise problem
 
     def read(self, time_s: float) -> Sample | None:
-        """The device's newest sample; None after a read that took so long that its sample is old.
+        """Return the device's newest sample; None if the read took so long that the sample is old.
 
         Raises
         ------
         DeviceError
             If the device raised, or was given up.
         BaseException
-            What `stop` was given.
+            The exception passed to `stop`.
         """
         self._time_s = time_s
         if self._stop is not None:
@@ -176,8 +175,7 @@ class SafeDevice:
         return sample if took <= 2.5 * self._tick else None
 
     def play(self, force_N: Array, torque_Nm: Array) -> tuple[Array, Array]:
-        """Command a force [N] and a torque [N m], brought within the limits of slew; what is played
-        of it.
+        """Command a force [N] and a torque [N m] within the slew limits; return the played values.
 
         Raises
         ------
@@ -190,7 +188,7 @@ class SafeDevice:
             if self._lost is not None:
                 raise self._lost
             self._command(force, torque)
-            # it was given up meanwhile, and has just begun to push again
+            # the device was given up during the command, and may have started to push again
             if self._lost is not None:
                 with suppress(Exception):
                     self.device.command(np.zeros(3), np.zeros(3))
@@ -198,12 +196,13 @@ class SafeDevice:
         return (force, torque) if self._states is None else self._states.played
 
     def stop(self, reason: BaseException) -> None:
-        """Let the next read raise ``reason``; the force is then ramped to zero."""
+        """Make the next read raise ``reason``; the force is then ramped to zero."""
         self._stop = reason
 
     def stop_if_stuck(self) -> DeviceError | None:
-        """Look after a device whose loop runs in another thread; the error once the device is
-        given up.
+        """Monitor a device whose loop runs in another thread.
+
+        Return the error once the device is given up.
         """
         now = perf_counter()
         if now - self._played > STALL_S:
@@ -222,7 +221,7 @@ class SafeDevice:
         return self._lost
 
     def release(self) -> None:
-        """Send zero from a second thread; where that cannot be, close the device."""
+        """Send zero from a second thread, or close the device if that fails."""
         self._played = inf
         self.released = True
         self._releases += 1
@@ -245,7 +244,7 @@ class SafeDevice:
         )
 
     def _command(self, force: Array, torque: Array) -> None:
-        """One command, timed."""
+        """Send one command and record its time."""
         if not self.in_process:
             self._played = perf_counter() if any(force.tolist()) or any(torque.tolist()) else inf
         with self._calling("command"):
@@ -253,7 +252,7 @@ class SafeDevice:
 
     @contextmanager
     def _calling(self, name: str) -> Iterator[None]:
-        """A call of the device, timed; what it raises becomes one sentence."""
+        """Time a call of the device, and convert its exception into one sentence."""
         self._call = (name, perf_counter())
         try:
             yield
@@ -263,8 +262,9 @@ class SafeDevice:
             self._call = IDLE
 
     def _ramp(self) -> None:
-        """Take the last force off in a straight line; a device in this process does not wait for
-        the wall clock.
+        """Ramp the last force linearly to zero.
+
+        A device in this process does not wait in real time.
         """
         force = self._force.value
         torque = self._torque.value
@@ -283,7 +283,7 @@ class SafeDevice:
                 self._command(share * force, share * torque)
 
     def _zero(self) -> DeviceError | None:
-        """Command zero, at last by closing the device; what went wrong."""
+        """Command zero, or close the device if that fails; return the error."""
         problem = None
         while not self._closed:
             try:
@@ -292,7 +292,7 @@ class SafeDevice:
                     self._torque.value = np.zeros(3)
                     self._command(np.zeros(3), np.zeros(3))
             except KeyboardInterrupt:
-                continue  # a second Ctrl-C does not keep the first one from ending well
+                continue  # a second Ctrl-C must not disturb the orderly end after the first
             except DeviceError as error:
                 problem = error
                 self._close()
@@ -300,7 +300,7 @@ class SafeDevice:
         return problem
 
     def _close(self) -> str:
-        """Close the device for good; the error, if any."""
+        """Close the device permanently, and return the outcome as half a sentence."""
         close = getattr(self.device, "close", None)
         if self._closed:
             return ""
@@ -316,7 +316,7 @@ class SafeDevice:
         )
 
     def _failed(self, name: str, error: Exception) -> DeviceError:
-        """An exception of the device as one sentence."""
+        """Return an exception of the device as a DeviceError of one sentence."""
         if isinstance(error, InputError):
             return DeviceError(str(error))
         message = " ".join(str(error).split())

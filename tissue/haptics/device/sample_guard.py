@@ -1,5 +1,6 @@
-"""Samples that a loop accepts: those that a hand could have made; without them the force fades
-to nothing.
+"""Validation of device samples; without valid samples the force fades to zero.
+
+A sample is valid if a hand could have made it.
 """
 
 from dataclasses import dataclass, fields
@@ -18,13 +19,13 @@ __all__ = ["GuardLimits", "SampleGuard"]
 
 NO_TORQUE = np.zeros(3)
 MOST_EVENTS = 200
-"""Changes between good samples and bad that are kept one by one."""
+"""Largest number of listed changes between valid and invalid samples."""
 PARTS, LENGTHS = ("position_m", "velocity_m_s", "quaternion", "spin_rad_s"), [3, 3, 4, 3]
-"""Vectors of a sample and how many numbers each has."""
+"""Vectors of a sample, and their lengths."""
 PLAIN = {float, int, np.float64}
-"""Types of numbers that are taken as they are; a bool is none."""
+"""Types of numbers that are accepted unchanged; bool is excluded."""
 HALF_TURN = 1e-3
-"""How far a component of a quaternion may be from one in a half-turn about its axis."""
+"""Tolerance around one for a quaternion component in a half-turn about its axis."""
 W_FIRST = (
     "the first orientation is half a turn about x. A quaternion is (x, y, z, w); a device that "
     "gives w first starts so"
@@ -33,21 +34,22 @@ W_FIRST = (
 
 @dataclass(frozen=True, kw_only=True)
 class GuardLimits:
-    """What counts as valid.
+    """Limits of valid samples.
 
     Attributes
     ----------
     fastest_m_s, fastest_rad_s
-        Greatest speed of a hand [m/s], [rad/s]; a sample with a greater one, or is further away
-        than that from the last good one, is refused.
+        Largest speed of a hand [m/s], [rad/s]. A sample is refused if its speed is larger, or if
+        its distance from the last valid sample requires a larger speed.
     oldest_s
-        Age above which a sample counts as missing, and how far ahead of now it may be dated [s].
+        Age above which a sample counts as missing, and largest time by which it may be dated ahead
+        [s].
     roughest_m_s2, roughest_rad_s2
-        Greatest acceleration of what a hand holds [m/s^2], [rad/s^2]; samples that ask for more
-        again and again are noise. A hand, a contact and a device's motors reach about 200 m/s^2, a
-        blow for a tick or two 1000 m/s^2.
+        Largest acceleration of a handheld object [m/s^2], [rad/s^2]. Samples that repeatedly
+        require more are noise. A hand, a contact and a device's motors reach about 200 m/s^2, and a
+        blow 1000 m/s^2 for a tick or two.
     fade_s
-        Time in which a force fades to zero once samples are missing, and comes back after them [s].
+        Time in which a force fades to zero without valid samples, and returns after them [s].
     """
 
     fastest_m_s: float = 5.0
@@ -63,33 +65,33 @@ class GuardLimits:
 
 
 class SampleGuard:
-    """Judges every sample and limits the force that follows from it.
+    """Validation of every sample, and limits of the resulting force.
 
-    Call `validate_sample` with the device's sample, then `limit_force` with the force that the loop
-    has found for a good sample, or with None after a bad one. A bad sample makes the last good
-    force fade in a straight line, to exactly zero after ``fade_s``; good ones bring the force back
-    as slowly. Forces are bounded always. What is not a sample at all, by its type or its number of
-    entries, is a mistake in the device's class and not a fault of the moment: it is an error.
+    Call `validate_sample` with the device's sample. Then call `limit_force` with the force for a
+    valid sample, or with None after an invalid one. After an invalid sample, the last valid force
+    fades linearly, to exactly zero after ``fade_s``. Valid samples bring the force back at the same
+    rate. Forces are always bounded. An object of a wrong type or with a wrong number of entries is
+    a mistake in the device class, not a temporary fault. It raises an error.
 
     Parameters
     ----------
     limits
-        Which samples are valid.
+        Limits of valid samples.
     force_limit_N, torque_limit_Nm
-        Greatest force and torque that pass, in their own direction; a zero torque limit lets none
-        pass.
+        Largest force and torque, applied to the length of the vector. A torque limit of zero blocks
+        all torque.
 
     Attributes
     ----------
     share
         Share of the force that is played now, 0 to 1.
     events
-        Time [s] and a sentence for every change between good and bad, and every other kind of
-        fault; the first 200.
+        Time [s] and a sentence for every change between valid and invalid samples, and for every
+        change of the kind of fault; the first 200.
     bad_ticks
-        Samples that were not valid.
+        Number of invalid samples.
     reach
-        Bounds the positions of valid samples by the device's workspace; None for no bound.
+        Bound on the positions of valid samples from the device's workspace; None for no bound.
     """
 
     def __init__(
@@ -118,12 +120,12 @@ class SampleGuard:
         self._turned: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
     def validate_sample(self, sample: Sample | None, time_s: float) -> Sample | None:
-        """The sample if a hand can have made it, with its quaternion at unit length; else None.
+        """Return the sample, with a unit quaternion, if a hand can have made it; else None.
 
         Raises
         ------
         DeviceError
-            If it is no `Sample`, a part of it is not the right number of numbers, or the device
+            If it is not a `Sample`, a part of it has the wrong number of numbers, or the device
             leaves its reach.
         """
         total: float | None = nan
@@ -154,8 +156,9 @@ class SampleGuard:
     def limit_force(
         self, force_N: Array | None, torque_Nm: Array | None = None
     ) -> tuple[Array, Array]:
-        """Force and torque to play now; None or a wrench that is not finite is a fault of this
-        tick.
+        """Return the force and torque to play now.
+
+        None or a non-finite wrench counts as a fault of this tick.
         """
         change = self._step / self._limits.fade_s
         torque = NO_TORQUE if torque_Nm is None else torque_Nm
@@ -177,7 +180,7 @@ class SampleGuard:
             self.events.append((time_s, "faults go on, and are not listed from here"))
 
     def _fault_of(self, sample: Sample | None, turned: Quaternion | None, time_s: float) -> str:
-        """What is wrong with a sample, or nothing; and its quaternion at unit length."""
+        """Return the fault of a sample as a text; empty for a valid sample."""
         limits = self._limits
         good = self._good
         if sample is None:
@@ -226,8 +229,9 @@ class SampleGuard:
 
 
 def _total(sample: Sample) -> float | None:
-    """Sum of all numbers of a sample, finite where they all are; None if it is not made of
-    numbers as it should be.
+    """Return the sum of all numbers of a sample, which is finite only if all numbers are finite.
+
+    None means that the sample does not consist of the right numbers.
     """
     if not isinstance(sample, Sample):
         raise DeviceError(
@@ -246,15 +250,13 @@ def _total(sample: Sample) -> float | None:
 
 
 def _repaired(sample: Sample) -> Sample:
-    """The sample with every vector as a tuple of floats, such as one that was given as an array."""
+    """Return the sample with every vector as a tuple of floats, for example from an array."""
     vectors = [_numbers(*each) for each in zip(PARTS, sample[1:], LENGTHS, strict=True)]
     return Sample(_numbers("time_s", sample.time_s, 1)[0], *vectors)  # type: ignore[arg-type]
 
 
 def _numbers(part: str, given: object, count: int) -> tuple[float, ...]:
-    """A number or a vector as a tuple of floats; what looks like a number, such as "1" or True,
-    is none.
-    """
+    """Return a number or a vector as a tuple of floats; text and bool such as "1" or True raise."""
     try:
         numbers = np.asarray(given)
         parts: list[object] = [given] if count == 1 else list(given)  # type: ignore[call-overload]
@@ -274,6 +276,6 @@ def _numbers(part: str, given: object, count: int) -> tuple[float, ...]:
 
 
 def _capped(vector: Array, limit: float) -> Array:
-    """A vector no longer than a limit."""
+    """Return a vector shortened to a limit."""
     size = sqrt(vector.dot(vector))
     return vector * (limit / size) if size > limit else np.array(vector)

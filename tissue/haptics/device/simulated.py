@@ -1,4 +1,4 @@
-"""A device that is simulated between its ticks, with the hand that holds it."""
+"""Device simulated between its ticks, together with the hand that holds it."""
 
 from collections import deque
 from math import ceil, isfinite, sqrt
@@ -24,38 +24,38 @@ NOTHING: Triple = (0.0, 0.0, 0.0)
 
 
 class SimulatedDevice(ComputedDevice):
-    """A device of known physics in a simulated hand.
+    """Device with known physics in a simulated hand.
 
-    It has ticks of its own. At each it is sampled by its encoders and its velocity is the
-    difference to the sample before; the command that was given since then is held and reaches the
-    motors after the transport delay, exactly, also where that is no whole number of ticks. Between
-    ticks the plant is integrated in finer steps.
+    The device has its own ticks. At each tick, its encoders sample the position, and its velocity
+    is the difference to the previous sample. The last command is held and reaches the motors after
+    the transport delay. The delay is exact even if it is not a whole number of ticks. Between
+    ticks, the plant is integrated in smaller steps.
 
-    A command beyond the device's greatest force or torque is brought down to it in its own
-    direction, and counted; one that is not finite is played as zero, and counted.
+    A command beyond the largest force or torque is shortened to it and counted. A non-finite
+    command is played as zero and counted.
 
     Parameters
     ----------
     parameters
-        The device.
+        Device parameters.
     hand
-        What holds it; None for nothing.
+        Hand that holds the device; None for no hand.
     position_m
-        Where it starts [m].
+        Start position [m].
     substeps
-        Fine steps of the plant a tick; they matter for friction alone.
+        Integration steps of the plant per tick; they affect only friction.
 
     Attributes
     ----------
     translation, rotation
-        The moving parts; the truth that encoders only step through.
+        Moving parts with the true state, which the encoders quantise.
     orientation
-        The true orientation.
+        True orientation.
     hand_force_N
-        Force with which the device pushes the hand, mean over the tick before the last sample [N];
-        zeros for nothing.
+        Force with which the device pushes the hand [N], mean over the tick before the last sample;
+        zeros without a hand.
     saturated_ticks, refused_commands
-        How often a command was beyond the device, and how often it was not finite.
+        Number of commands beyond the limits, and number of non-finite commands.
     """
 
     def __init__(
@@ -103,23 +103,23 @@ class SimulatedDevice(ComputedDevice):
 
     @property
     def six_dof(self) -> bool:
-        """Whether the device can play a torque."""
+        """True if the device can play a torque."""
         return self.parameters.torque_limit_Nm > 0.0
 
     @property
     def true_position_m(self) -> Triple:
-        """Where the tip is, which the encoders only step through [m]."""
+        """True position of the tip, which the encoders quantise [m]."""
         return self.translation.position
 
     def read(self, time_s: float) -> Sample | None:
-        """Go on to the last tick of the device that is not after ``time_s`` and give its sample."""
+        """Advance to the last device tick that is not after ``time_s``, and return its sample."""
         due = int(time_s * self.parameters.rate_Hz + 1e-6)
         while self._tick < due:
             self._advance()
         return self._sample
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
-        """Play a force and a torque from the next span on, until another command comes."""
+        """Play a force and a torque from the next span on, until the next command."""
         limits = self.parameters
         self._given = (
             self._limited(force_N, limits.force_limit_N),
@@ -127,7 +127,7 @@ class SimulatedDevice(ComputedDevice):
         )
 
     def _limited(self, wanted: Array, limit: float) -> Triple:
-        """A vector no longer than a limit."""
+        """Return a vector shortened to a limit."""
         x, y, z = np.asarray(wanted).tolist()
         size = sqrt(x * x + y * y + z * z)
         if not isfinite(size):
@@ -140,7 +140,7 @@ class SimulatedDevice(ComputedDevice):
         return share * x, share * y, share * z
 
     def _advance(self) -> None:
-        """One tick of the device: the hand acts, the plants move, the encoders are read."""
+        """Advance one tick of the device: move the hand and the plants, and read the encoders."""
         at = self._tick * self._step
         action = (
             HandAction() if self._hand is None else self._hand.act(at, self.translation.position)
@@ -148,7 +148,7 @@ class SimulatedDevice(ComputedDevice):
         if action.grip != self._grip:
             self._hold(action.grip)
         self._commands.append(self._given)
-        # Three numbers are quicker one by one than as vectors.
+        # Scalar arithmetic on three numbers is faster than vectors.
         stiffness = self._grip.stiffness_N_m
         damping = self._grip.damping_N_s_m
         (ax, ay, az) = action.aim_m
@@ -168,8 +168,8 @@ class SimulatedDevice(ComputedDevice):
         went = self.translation.velocity
         for length, back, fine in self._spans:
             force, torque = self._commands[-1 - back]
-            # The aim moves on within the tick; at its middle the spring's mean pull is right to
-            # second order.
+            # The aim moves within the tick; the mean pull of the spring is second-order accurate
+            # at its middle.
             midpoint = stiffness * (time - at + 0.5 * length)
             pull = x + midpoint * u, y + midpoint * v, z + midpoint * w
             self.translation.advance(length, command=force, external=pull, substeps=fine)
@@ -199,8 +199,10 @@ class SimulatedDevice(ComputedDevice):
     def _feel(
         self, external: Triple, aim_velocity_m_s: Triple, where: Triple, went: Triple
     ) -> None:
-        """What the hand felt in this tick: by the momentum of what moves with it, against its
-        spring and damper.
+        """Compute the force on the hand in this tick.
+
+        It follows from the momentum of the mass that moves with the hand, and from its spring and
+        damper.
         """
         grip = self._grip
         moves = self.translation
@@ -225,7 +227,7 @@ class SimulatedDevice(ComputedDevice):
         )
 
     def _hold(self, grip: Grip) -> None:
-        """Take the device into a hand, or out of it."""
+        """Attach the device to a grip, or release it."""
         self._grip = grip
         self.translation.hold(
             stiffness_N_m=grip.stiffness_N_m, damping_N_s_m=grip.damping_N_s_m, mass_kg=grip.mass_kg
@@ -237,11 +239,11 @@ class SimulatedDevice(ComputedDevice):
         )
 
     def _read_position(self) -> Triple:
-        """The position that the encoders read [m]."""
+        """Return the position that the encoders read [m]."""
         return _stepped(self.translation.position, self.parameters.encoder_step_m)
 
     def _read_orientation(self) -> Quaternion:
-        """The orientation that the encoders read."""
+        """Return the orientation that the encoders read."""
         if self.parameters.encoder_step_rad == 0.0:
             return self.orientation
         return exponential(_stepped(logarithm(self.orientation), self.parameters.encoder_step_rad))
@@ -252,7 +254,7 @@ def _times(factor: float, vector: Triple) -> Triple:
 
 
 def _stepped(vector: Triple, step: float) -> Triple:
-    """The nearest point of a grid."""
+    """Return the nearest point of a grid."""
     if step == 0.0:
         return vector
     return (

@@ -1,4 +1,4 @@
-"""A loop with a device in a thread of its own, while this thread looks after both."""
+"""Run of a loop with a device in a separate thread, supervised by the calling thread."""
 
 import contextvars
 import signal
@@ -12,17 +12,17 @@ from tissue.system.stopping import STOPS, Terminated, interrupt_is_free, signals
 __all__ = ["run_held"]
 
 POLL_S = 0.01
-"""Time between two looks [s]; each costs the ticks some microseconds."""
+"""Interval between two checks [s]; each check costs the ticks some microseconds."""
 
 
 def run_held(work: Callable[[], None], held: SafeDevice) -> None:
-    """Run ``work``, the loop of a device, and see to it that the device is not left pushing.
+    """Run ``work``, the loop of a device, so that the device is not left pushing.
 
-    With a device that may block the work runs in a second thread, because nothing can interrupt a
-    call that blocks. This one sends zero where the loop stops, and gives up a device that does not
-    answer: the work is then left behind. Ctrl-C and what asks the process to end, such as SIGTERM
-    and the SIGHUP of a closed terminal, let the loop end after its tick; handlers are as before
-    when this returns.
+    A device that may block runs in a second thread, because a blocked call cannot be interrupted.
+    The calling thread sends zero if the loop stops, and gives up a device that does not answer. The
+    work is then abandoned. Ctrl-C and signals that ask the process to end, such as SIGTERM and the
+    SIGHUP of a closed terminal, end the loop after its tick. The signal handlers are restored
+    before this function returns.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def _supervise(work: Callable[[], None], held: SafeDevice) -> None:
     raised: list[BaseException] = []
 
     def run() -> None:
-        """Work, and keep what it raised for the thread that waits."""
+        """Run the work, and store its exception for the waiting thread."""
         try:
             work()
         except BaseException as error:
@@ -63,7 +63,7 @@ def _supervise(work: Callable[[], None], held: SafeDevice) -> None:
     def stop(number: int, frame: FrameType | None) -> None:
         held.stop(Terminated(number) if number in STOPS else KeyboardInterrupt())
 
-    # Ctrl-C where nobody else takes it
+    # handle Ctrl-C only if no other code does
     taken = (*STOPS, signal.SIGINT) if interrupt_is_free() else STOPS
     with signals_handled(taken, stop):
         thread.start()

@@ -1,4 +1,4 @@
-"""A hand that holds a device: grip, aim, reflex, tremor and the noise of muscles."""
+"""Simulated hand that holds a device: grip, aim, reflex, tremor and muscle noise."""
 
 from collections import deque
 from collections.abc import Callable
@@ -20,14 +20,15 @@ __all__ = ["Grip", "Hand", "HandAction", "HandParameters", "HoldingHand", "hand_
 
 
 BLOCK = 500
-"""Ticks whose random numbers are drawn at once."""
+"""Number of ticks whose random numbers are drawn at once."""
 NOTHING: Triple = (0.0, 0.0, 0.0)
 UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
 class Grip(NamedTuple):
-    """Linear part of a hand, at the device: translation and rotation; all zeros for a hand that
-    has let go.
+    """Linear part of a hand at the device, in translation and rotation.
+
+    All values are zero for a hand that has let go.
     """
 
     stiffness_N_m: float = 0.0
@@ -39,7 +40,7 @@ class Grip(NamedTuple):
 
 
 class HandAction(NamedTuple):
-    """What a hand does in a tick: where its grip pulls to, and what it pushes with besides."""
+    """Action of a hand in a tick: target of its grip, and additional push."""
 
     aim_m: Triple = NOTHING
     aim_velocity_m_s: Triple = NOTHING
@@ -49,35 +50,35 @@ class HandAction(NamedTuple):
 
 
 class HoldingHand(Protocol):
-    """Whatever holds a device."""
+    """Interface of a model that holds a device."""
 
     def act(self, time_s: float, position_m: Triple) -> HandAction:
-        """What the hand does from this time on until asked again, the device being at
-        ``position_m``.
+        """Return the action of the hand from this time to the next call.
+
+        ``position_m`` is the position of the device [m].
         """
 
 
 @dataclass(frozen=True, kw_only=True)
 class HandParameters:
-    """A person's hand.
+    """Parameters of a hand.
 
     Attributes
     ----------
     reaction_s, submovement_s, correction_s
-        Time until a change is answered, length of a submovement, time between two of them [s].
+        Reaction time to a change, duration of a submovement, interval between submovements [s].
     endpoint_noise, force_noise, force_noise_s
-        Standard deviation of a submovement's end per distance and of the force per force;
-        correlation time of the latter [s].
+        Standard deviation of a submovement's end per distance, and of the force per force.
+        Correlation time of the force noise [s].
     tremor_m, tremor_Hz, tremor_width_Hz
-        Amplitude of the tremor in every axis (root mean square) [m], its frequency and its width
-        [Hz].
+        Amplitude of the tremor in every axis (root mean square) [m], its frequency and its
+        bandwidth [Hz].
     stiffness_N_m, damping_N_s_m, mass_kg
         Grip as the device feels it [N/m], [N s/m], [kg].
     turning_stiffness_Nm_rad, turning_damping_Nm_s_rad, inertia_kg_m2
-        The same for rotation.
+        Grip in rotation.
     reflex_share, reflex_s
-        Share of the grip's stiffness that acts on what was felt a reflex earlier, and that delay
-        [s].
+        Share of the grip stiffness that acts with the delay of the reflex, and this delay [s].
     """
 
     reaction_s: float
@@ -108,7 +109,7 @@ class HandParameters:
 
     @property
     def grip(self) -> Grip:
-        """The linear part, by which a loop is judged; the reflex is left out of it."""
+        """Linear part of the hand, without the reflex, used in the stability analysis of a loop."""
         return Grip(
             self.stiffness_N_m,
             self.damping_N_s_m,
@@ -120,41 +121,45 @@ class HandParameters:
 
 
 def hand_parameters(name: str, constants: Materials = Materials.cited) -> HandParameters:
-    """Parameters of a hand by its name in `HANDS`, with those of a scene's own constants in their
-    place.
+    """Return the parameters of a hand by its name in `HANDS`.
+
+    The scene's own constants replace cited ones.
 
     Raises
     ------
     InputError
-        If the hand is not one of these.
+        If the name is unknown.
     """
     return HandParameters(**constants.numbers("hands", HANDS[name], "any", name))
 
 
 class Hand:
-    """A hand that follows a path; the same generator state gives the same movement.
+    """Hand that follows a path, reproducible for the same state of its random generator.
 
-    The grip is a spring, damper and mass between the aim and the device and is stepped with the
-    device. Added to it come a reflex on the deviation of a reflex time ago, an intended push, noise
-    in proportion to the force that the hand exerts, and a tremor of the aim: a narrow band of
-    Gaussian noise about its frequency.
+    The grip is a spring, damper and mass between the aim and the device. It is stepped with the
+    device. Four further contributions are added:
+
+    - A reflex on the deviation one reflex time earlier.
+    - An intended push.
+    - Noise in proportion to the force that the hand exerts.
+    - A tremor of the aim: a narrow band of Gaussian noise around its frequency.
 
     Parameters
     ----------
     parameters
-        The person.
+        Parameters of the hand.
     path
-        Where to be when [m], or what moves the aim instead.
+        Target position over time [m], or an object that moves the aim.
     rng
         Random generator of this hand.
     step_s
         Time between two calls [s].
     push
-        Intended force over time [N], shape (3,); a jerk is a short and strong one.
+        Intended force over time [N], shape (3,); a jerk is a short and strong force.
     turn
         Intended orientation over time, a unit quaternion (x, y, z, w).
     let_go_s
-        When the hand opens [s].
+        Time at which the hand opens [s].
     """
 
     def __init__(
@@ -200,7 +205,7 @@ class Hand:
         self._drawn: list[list[float]] = []
 
     def act(self, time_s: float, position_m: Triple) -> HandAction:
-        """What the hand does from now on, the device being at ``position_m`` [m]."""
+        """Return the action of the hand with the device at ``position_m`` [m]."""
         if time_s >= self._let_go:
             return HandAction()
         (x, y, z), (u, v, w) = self._aim.at(time_s)

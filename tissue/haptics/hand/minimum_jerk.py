@@ -1,6 +1,4 @@
-"""Where a hand aims: minimum-jerk submovements, one upon the other, each correcting what is seen
-of the last ones.
-"""
+"""Aim of a hand: superposed minimum-jerk submovements, each of which corrects visible errors."""
 
 from collections.abc import Callable
 from math import sqrt
@@ -15,15 +13,14 @@ from tissue.motion.quaternion import Triple
 __all__ = ["Aim", "Aiming", "Path", "minimum_jerk", "waypoints"]
 
 Path = Callable[[float], Array]
-"""Position [m], shape (3,), over time [s]."""
+"""Function from time [s] to position [m], shape (3,)."""
 
 
 def minimum_jerk(share: float) -> tuple[float, float]:
-    """Position and speed of a minimum-jerk movement (Flash and Hogan, 1985) at a share of its
-    duration, from 0 to 1.
+    """Return position and speed of a minimum-jerk movement (Flash and Hogan, 1985).
 
-    Position 10 s^3 - 15 s^4 + 6 s^5, speed its derivative by the share; at rest before 0 and after
-    1.
+    The position at a share s of the duration, from 0 to 1, is 10 s^3 - 15 s^4 + 6 s^5. The speed is
+    its derivative with respect to s. The movement is at rest before 0 and after 1.
     """
     if share <= 0.0:
         return 0.0, 0.0
@@ -36,8 +33,9 @@ def minimum_jerk(share: float) -> tuple[float, float]:
 
 
 def waypoints(times_s: Array, points_m: Array) -> Path:
-    """A path through points [m], shape (n, 3), at increasing times [s], straight between them and
-    at rest outside.
+    """Return a path through points [m], shape (n, 3), at increasing times [s].
+
+    It is straight between the points and at rest outside.
 
     Raises
     ------
@@ -57,27 +55,27 @@ def waypoints(times_s: Array, points_m: Array) -> Path:
 
 @runtime_checkable
 class Aiming(Protocol):
-    """What moves the aim of a hand."""
+    """Interface of a model that moves the aim of a hand."""
 
     def at(self, time_s: float) -> tuple[Triple, Triple]:
-        """Position [m] and velocity [m/s] of the aim; times must not decrease."""
+        """Return position [m] and velocity [m/s] of the aim; times must not decrease."""
         ...
 
 
 class Aim:
-    """Movement of the aim along a path that the person knows ahead.
+    """Movement of the aim along a path that is known in advance.
 
-    Every ``correction_s`` a submovement of ``submovement_s`` begins, towards where the path will be
-    half a correction before it ends; the next one has begun by then, so that a steady movement
-    neither leads nor lags. Submovements add up (Flash and Henis, 1991), so that the aim is smooth
-    to its acceleration. The muscles miss by a share of the distance (signal-dependent noise, Harris
-    and Wolpert, 1998); an error is seen, and corrected, a reaction time later. The first
-    submovement begins a reaction time after the start.
+    Every ``correction_s``, a submovement of ``submovement_s`` begins. Its target is the path
+    position half a correction before it ends. The next one has begun by then, so that a steady
+    movement neither leads nor lags. Submovements add up (Flash and Henis, 1991), so that the
+    acceleration of the aim is continuous. The muscles miss the target by a share of the distance
+    (signal-dependent noise, Harris and Wolpert, 1998). An error is seen and corrected after a
+    reaction time. The first submovement begins a reaction time after the start.
 
     Parameters
     ----------
     path
-        Where to be when.
+        Target position over time.
     reaction_s, submovement_s, correction_s
         Times [s].
     endpoint_noise
@@ -107,7 +105,7 @@ class Aim:
         self._next = self._reaction
 
     def at(self, time_s: float) -> tuple[Triple, Triple]:
-        """Position [m] and velocity [m/s] of the aim; times must not decrease."""
+        """Return position [m] and velocity [m/s] of the aim; times must not decrease."""
         if time_s >= self._next:
             self._begin(time_s)
         (x, y, z) = self._rest
@@ -126,7 +124,7 @@ class Aim:
         return (x, y, z), (u, v, w)
 
     def _begin(self, time_s: float) -> None:
-        """Begin the next submovement and forget those that have ended and been seen."""
+        """Begin the next submovement, and remove submovements that have ended and been seen."""
         self._next += self._interval
         memory = time_s - max(self._duration, self._reaction)
         while self._moves and self._moves[0][0] <= memory:

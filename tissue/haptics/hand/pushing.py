@@ -1,6 +1,4 @@
-"""A hand that pushes with a rising force, notices that what it pushes on has given in, and
-stops.
-"""
+"""Hand that pushes with an increasing force and stops when it notices that the tissue yields."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -18,25 +16,27 @@ from tissue.motion.quaternion import Triple
 __all__ = ["FeltDrop", "PushingHand"]
 
 THRESHOLDS = 2.0
-"""Discrimination thresholds by which the felt force has fallen when a person acts on it; assumed:
-at one of them an answer is right in 75 %, which is too little to end a push that should go on."""
+"""Drop of the felt force on which a participant acts, in discrimination thresholds; assumed.
+
+At one threshold, an answer is right in 75 % of cases, which is too unreliable to end a push.
+"""
 EASED = 0.2
-"""Share of its speed with which an aim goes on after a cue; assumed."""
+"""Relative speed of an aim after a cue; assumed."""
 
 
 @dataclass
 class FeltDrop:
-    """Notices that a force has fallen below the greatest one that was felt.
+    """Detector of a drop of the force below its largest felt value.
 
-    A person feels the mean over ``integration_s`` and notices when it lies `THRESHOLDS` thresholds
-    kappa (F + F0) below the greatest mean F so far.
+    A participant feels the mean over ``integration_s``. A drop is noticed when the mean lies
+    `THRESHOLDS` thresholds kappa (F + F0) below the largest previous mean F.
 
     Attributes
     ----------
     kappa, offset_N
-        Weber's fraction and its term for low forces [N].
+        Weber fraction, and its term F0 for low forces [N].
     integration_s
-        Time over which a force is averaged [s].
+        Averaging time of the force [s].
     step_s
         Time between two forces [s].
     """
@@ -54,9 +54,7 @@ class FeltDrop:
         self._sum = self._greatest = 0.0
 
     def feel(self, force_N: float) -> bool:
-        """Take in the next force [N], positive against the push; whether it is noticed to have
-        fallen.
-        """
+        """Add a force [N], positive against the push, and return whether a drop is noticed."""
         self._last.append(force_N)
         self._sum += force_N - self._last.popleft()
         mean = self._sum / len(self._last)
@@ -65,39 +63,40 @@ class FeltDrop:
 
 
 class PushingHand:
-    """A hand that raises its push along a line at a rate, until it is to stop.
+    """Hand that increases its push along a line at a constant rate, until it stops.
 
-    The aim a(t) leads the device's advance s(t) along the line. Its grip pushes with K (a - s), K
-    the grip's stiffness with its reflex, so the aim goes with the device, as it was felt to go, and
-    gains on it by rate / K::
+    The aim a(t) leads the advance s(t) of the device along the line. The grip pushes with K (a -
+    s), where K is the stiffness of grip and reflex. The aim follows the felt motion of the device
+    and advances relative to it by rate / K::
 
         da/dt = (s(t - r) - s(t - r - w)) / w + rate / K
 
-    with the reaction time r and the time w over which a person averages. On a tissue of steady
-    stiffness the force so rises at ``rate``; what the device does of a sudden is answered by
-    stiffness, damping and mass of the grip at once, by the reflex a reflex time later and by the
-    aim a reaction later. A reaction after something was noticed (the fall of the felt force, or
-    what `see` reports) the hand stops: by one minimum-jerk submovement the aim goes from where it
-    is to where the device is then. A reaction after a cue the aim goes on at `EASED` of its speed.
-    Noise and tremor are those of `tissue.haptics.hand.hand.Hand`.
+    Here r is the reaction time and w the averaging time of a participant. On a tissue of constant
+    stiffness, the force increases at ``rate``. Stiffness, damping and mass of the grip respond at
+    once to a sudden motion of the device. The reflex responds a reflex time later, and the aim a
+    reaction time later.
 
-    The force that is felt is the one that skin and tendons carry: that of grip, reflex and noise on
-    the device.
+    The hand stops a reaction time after an event is noticed (a drop of the felt force, or a report
+    to `see`). The aim then moves by one minimum-jerk submovement to the position of the device at
+    that time. A reaction time after a cue, the aim continues at `EASED` of its speed. Noise and
+    tremor are as in `tissue.haptics.hand.hand.Hand`.
+
+    The felt force is the force that skin and tendons carry: grip, reflex and noise on the device.
 
     Parameters
     ----------
     parameters
-        The person's hand.
+        Parameters of the hand.
     start_m
-        Where the device starts [m], shape (3,).
+        Start position of the device [m], shape (3,).
     direction
-        Where it pushes to, a unit vector, shape (3,).
+        Unit direction of the push, shape (3,).
     rate_N_s
-        Rise of the force [N/s].
+        Rate of increase of the force [N/s].
     felt
-        What notices a fall of the force; without it none is noticed.
+        Detector of a drop of the force; without it, no drop is noticed.
     integration_s
-        Time over which motion is averaged [s].
+        Averaging time of the motion [s].
     rng
         Random generator of this hand.
     step_s
@@ -110,8 +109,7 @@ class PushingHand:
     aim_m, advance_m
         Advance of the aim and of the device along the push [m].
     noticed_s, stop_s, eased_s
-        When something was noticed, when the hand stops and when a cue slows it [s]; infinite for
-        not yet.
+        Times at which an event is noticed, the hand stops and a cue slows it [s]; infinite before.
     """
 
     def __init__(
@@ -143,21 +141,21 @@ class PushingHand:
         self._hand = Hand(parameters, self, rng=rng, step_s=step_s)
 
     def see(self, time_s: float) -> None:
-        """What is seen at a time makes the hand stop a reaction later, unless it does already."""
+        """Make the hand stop a reaction time after a visible event, unless it already does."""
         if time_s < self.noticed_s:
             self.noticed_s = time_s
             self.stop_s = time_s + self._person.reaction_s
 
     def stop(self, time_s: float) -> None:
-        """Stop at a time without a reaction, as no person can."""
+        """Stop at a time without a reaction time, which no human can do."""
         self.noticed_s = self.stop_s = time_s
 
     def cue(self, time_s: float) -> None:
-        """A cue at a time slows the hand a reaction later."""
+        """Slow the hand a reaction time after a cue."""
         self.eased_s = time_s + self._person.reaction_s
 
     def at(self, time_s: float) -> tuple[Triple, Triple]:
-        """Position [m] and velocity [m/s] of the aim."""
+        """Return position [m] and velocity [m/s] of the aim."""
         (x, y, z) = self._start
         (i, j, k) = self._line
         aim = self.aim_m
@@ -165,7 +163,7 @@ class PushingHand:
         return (x + aim * i, y + aim * j, z + aim * k), (speed * i, speed * j, speed * k)
 
     def act(self, time_s: float, position_m: Triple) -> HandAction:
-        """What the hand does from now on, the device being at ``position_m`` [m]."""
+        """Return the action of the hand with the device at ``position_m`` [m]."""
         before = self.advance_m
         (i, j, k) = self._line
         (x, y, z) = self._start
@@ -189,7 +187,7 @@ class PushingHand:
         return action
 
     def _lead(self, time_s: float) -> None:
-        """Speed of the aim from now on."""
+        """Update the speed of the aim."""
         if time_s < self.stop_s:
             follows = (self._past[self._window] - self._past[0]) / (self._window * self._step)
             self._speed = (EASED if time_s >= self.eased_s else 1.0) * (follows + self._gain)

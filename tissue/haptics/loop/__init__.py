@@ -1,1 +1,1 @@
-"""The sampled loop of a device and a hand: its filters, delays, stability and passivity."""
+"""Sampled loop of a device and a hand: filters, delays, stability and passivity."""

@@ -1,5 +1,6 @@
-"""Whether a wall is stable on a device, known before it runs: eigenvalues of the sampled loop
-with its exact delay.
+"""Stability of a wall on a device before it runs, from eigenvalues of the sampled loop.
+
+The delay is exact.
 """
 
 from collections.abc import Sequence
@@ -22,35 +23,38 @@ __all__ = [
 ]
 
 SOFTEST_N_M, STIFFEST_N_M = 1e-2, 1e8
-"""Range in which the critical stiffness is looked for [N/m]."""
+"""Search range of the critical stiffness [N/m]."""
 STEPS, NARROW_STEPS = 4, 24
-"""In a decade of that search, and where there may be a narrow window: where a loop rings at half of
-its vibration's frequency. Over 5-60 Hz and shares to 1 on a touch, the windows that 24 steps miss
-grow by less than a part in 5000 a tick, of those that 16 miss some by a part in 700."""
+"""Search steps per decade, and smaller steps where a narrow window of instability may exist.
+
+A window may exist where the loop rings at half the frequency of its vibration. Over 5-60 Hz and
+shares up to 1 on a touch device, the windows missed by 24 steps grow by less than a part in 5000
+per tick. Some windows missed by 16 steps grow by a part in 700.
+"""
 ON_THE_CIRCLE = 1e-12
-"""Eigenvalues closer to 1 than this count as settling: rounding, and a wall so soft that nothing
-moves.
+"""Distance to 1 below which eigenvalues count as stable.
+
+It covers rounding, and a wall so soft that nothing moves.
 """
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is known of a loop before it runs.
+    """Stability of a loop before it runs.
 
     Attributes
     ----------
     stable
-        Whether every mode settles, in every hand that was asked for.
+        True if every mode decays, in every given hand.
     margin
-        Share of the critical stiffness that is left, 1 - K / K_critical: 0 at the boundary,
-        negative beyond it.
+        Stability margin 1 - K / K_critical: 0 at the boundary, negative beyond it.
     critical_N_m
-        Stiffness at which the first mode stops settling, in the worst of the hands [N/m].
+        Stiffness at which the first mode stops decaying, in the worst hand [N/m].
     nearest_N_m
-        The given stiffness if it is stable, else the nearest stable one, rounded down to three
-        digits [N/m].
+        The given stiffness if it is stable, otherwise the nearest stable stiffness, rounded down to
+        three digits [N/m].
     spectral_radius
-        Growth over one tick of the slowest mode, in the worst of the hands.
+        Growth of the slowest mode over one tick, in the worst hand.
     """
 
     stable: bool
@@ -60,7 +64,7 @@ class Verdict:
     spectral_radius: float
 
     def sentence(self, stiffness_N_m: float) -> str:
-        """The verdict in words."""
+        """Return the verdict as a sentence."""
         if self.stable:
             return (
                 f"stiffness {stiffness_N_m:.4g} N/m is stable, {100.0 * self.margin:.1f} % below "
@@ -78,8 +82,9 @@ class Verdict:
 
 
 def in_hands(loop: WallLoop, hands: Sequence[tuple[float, float, float]]) -> tuple[WallLoop, ...]:
-    """The loop in several hands, each of stiffness [N/m], damping [N s/m] and mass [kg]; no hand
-    is (0, 0, 0).
+    """Return the loop in several hands, each with stiffness [N/m], damping [N s/m] and mass [kg].
+
+    No hand is (0, 0, 0).
     """
     return tuple(
         replace(loop, hand_stiffness_N_m=stiffness, hand_damping_N_s_m=damping, hand_mass_kg=mass)
@@ -88,20 +93,21 @@ def in_hands(loop: WallLoop, hands: Sequence[tuple[float, float, float]]) -> tup
 
 
 def critical_stiffness_N_m(loop: WallLoop) -> float:
-    """Lowest stiffness at which the loop stops settling [N/m]; 0 if the softest wall is unstable,
-    inf if none is.
+    """Return the lowest stiffness at which the loop is unstable [N/m].
 
-    Looked for upwards, in `STEPS` or `NARROW_STEPS` a decade, then between the last two by Brent's
-    method to rounding. What lies above a first unstable stiffness is never called stable, also
-    where a window of it might be.
+    It is 0 if the softest wall is unstable, and inf if no wall is. The search goes upwards in
+    `STEPS` or `NARROW_STEPS` per decade, and then between the last two values by Brent's method to
+    rounding. Stiffness above the first unstable value is never called stable, even where a stable
+    window may exist.
     """
     return _critical_N_m(loop.with_stiffness(SOFTEST_N_M))
 
 
 @lru_cache(maxsize=64)
 def _critical_N_m(loop: WallLoop) -> float:
-    """The same, found once for loops that differ in their stiffness alone: a choice is followed
-    by its verdict.
+    """Return the critical stiffness, cached for loops that differ only in their stiffness.
+
+    The choice of a stiffness and its verdict then need one search.
     """
     low = 0.0
     high = SOFTEST_N_M
@@ -118,8 +124,9 @@ def _critical_N_m(loop: WallLoop) -> float:
 
 
 def _steps(stiffness_N_m: float, loop: WallLoop) -> int:
-    """Steps in a decade from a stiffness on: narrow ones from where the undamped mass rings at f
-    / 4.
+    """Return the search steps per decade from a stiffness on.
+
+    Steps are smaller where the undamped mass rings at f / 4 or above.
     """
     if loop.vibration is None:
         return STEPS
@@ -129,7 +136,7 @@ def _steps(stiffness_N_m: float, loop: WallLoop) -> int:
 
 
 def nearest_stable_N_m(critical_N_m: float) -> float:
-    """A stable stiffness below the critical one, rounded down to three digits [N/m]."""
+    """Return a stable stiffness below the critical one, rounded down to three digits [N/m]."""
     if not 0.0 < critical_N_m < inf:
         return critical_N_m
     unit = 10.0 ** (floor(log10(critical_N_m)) - 2)
@@ -137,8 +144,9 @@ def nearest_stable_N_m(critical_N_m: float) -> float:
 
 
 def judge(loop: WallLoop, hands: Sequence[tuple[float, float, float]] | None = None) -> Verdict:
-    """Judge a loop; with ``hands`` (see `in_hands`) in the worst of them, instead of the loop's
-    own.
+    """Judge the stability of a loop.
+
+    With ``hands`` (see `in_hands`), the worst of these hands replaces the hand of the loop.
     """
     loops = (loop,) if hands is None else in_hands(loop, hands)
     critical = min(critical_stiffness_N_m(each) for each in loops)
@@ -157,7 +165,7 @@ def require_stable(
     Raises
     ------
     InputError
-        If the wall is unstable in one of the hands; the sentence names the margin and the nearest
+        If the wall is unstable in one of the hands. The message contains the margin and the nearest
         stable stiffness.
     """
     verdict = judge(loop, hands)
@@ -179,7 +187,5 @@ def require_stable(
 
 
 def _beyond(stiffness_N_m: float, loop: WallLoop) -> float:
-    """How far the largest eigenvalue lies beyond what counts as settling; below zero no mode
-    grows.
-    """
+    """Return the largest eigenvalue minus the limit of stability; no mode grows below zero."""
     return largest_eigenvalue(loop.with_stiffness(stiffness_N_m)) - (1.0 - ON_THE_CIRCLE)

@@ -1,4 +1,4 @@
-"""Short transients that mark what happens at the tool: first contact, another layer, a puncture."""
+"""Short force transients for events at the tool: first contact, another layer, a puncture."""
 
 from math import pi, sin, sqrt
 
@@ -11,23 +11,23 @@ from tissue.models.tissue_model import Response
 __all__ = ["CUE_HZ", "Cues", "TouchEvents"]
 
 CUE_HZ = 125.0
-"""Frequency of a transient [Hz]: within the band of the receptors for vibration, 50 to 500 Hz
-(Johansson and Flanagan, 2009), and an eighth of the tick's rate, so that it is played smoothly."""
-PERIODS = 5
-"""Periods of a transient under a Hann window: 40 ms, with a bandwidth of 50 Hz at half its
-height.
+"""Frequency of a transient [Hz].
+
+It lies within the band of vibration receptors, 50 to 500 Hz (Johansson and Flanagan, 2009). It is
+an eighth of the tick rate, so that it is played smoothly.
 """
+PERIODS = 5
+"""Periods of a transient under a Hann window: 40 ms, with a half-height bandwidth of 50 Hz."""
 APART_S = 0.1
-"""Time without contact before a touch counts as the first one, and between two transients [s]."""
+"""Time without contact before a first contact, and shortest time between two transients [s]."""
 SETTLED_S = 0.01
-"""Time for which another layer has to be the one that is met most [s]."""
+"""Time for which another layer must have the largest contact area [s]."""
 
 
 class TouchEvents:
-    """Whether something was just touched, or another layer is met: by the areas of layers that the
-    tool meets.
+    """Detector of first contact and of changes of layer, from the contact area of each layer.
 
-    A puncture is a change of layer, from a membrane to what lies behind it.
+    A puncture is a change of layer, from a membrane to the tissue behind it.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class TouchEvents:
         self._for = 0
 
     def step(self, engaged_m2: Array) -> bool:
-        """Whether an event begins in this tick, for areas by layer [m2], shape (layers,)."""
+        """Return whether an event begins in this tick, for areas by layer [m2], shape (layers,)."""
         self._quiet += 1
         layer = int(engaged_m2.argmax())
         if not engaged_m2[layer] > 0.0:
@@ -63,19 +63,18 @@ class TouchEvents:
 
 
 class Cues:
-    """The transient of each event, added to the force that a device plays along its direction: a
-    burst without a mean.
+    """Transient of each event, added to the device force along its direction, with zero mean.
 
-    It does not depend on the force after it has begun, so that it takes nothing from the loop's
-    stability.
+    After its start, a transient does not depend on the force. It therefore does not affect the
+    stability of the loop.
 
     Parameters
     ----------
     amplitude_N
-        Greatest force of a transient [N].
+        Largest force of a transient [N].
     limit_N, slew_N
-        Greatest force of the device and its greatest change in a tick [N]: the transient is made
-        smaller to fit.
+        Largest force of the device and its largest change in a tick [N]. The transient is reduced
+        to fit.
     tick_s
         Time between two steps [s].
     """
@@ -92,7 +91,7 @@ class Cues:
         self._along = np.zeros(3)
 
     def step(self, force_N: Array, response: Response) -> Array:
-        """What is added in a tick in which this force is played [N], both of shape (3,)."""
+        """Return the force to add in a tick in which ``force_N`` is played [N], shape (3,)."""
         if self._events.step(response.engaged_m2):
             self._left = len(self._burst)
             self._along = np.zeros(3)
@@ -109,5 +108,5 @@ class Cues:
         return min(max(value, -left_N), left_N) * self._along
 
     def pause(self) -> None:
-        """No sample came: a transient under way ends."""
+        """End a running transient, because a sample is missing."""
         self._left = 0

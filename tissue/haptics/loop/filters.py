@@ -1,6 +1,4 @@
-"""What a force passes before a device: low-pass, exact delay, relaxation, the device's range and
-its slew.
-"""
+"""Stages of a force before a device: low-pass, delay, relaxation, force range and slew limit."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -25,18 +23,19 @@ __all__ = [
 ]
 
 VELOCITY_MEMORY = 0.85
-"""Of the filter for a device's velocity: over the hands of all scenes the least error among those
-that are no more than 4 ms late, 41 % of the velocity where the raw difference is off by 212 %; see
+"""Memory of the velocity filter of a device.
+
+Over the hands of all scenes, this value has the smallest error among filters with at most 4 ms of
+delay. The error is 41 % of the velocity, against 212 % for the raw difference; see
 tests/bench/bench_velocity.py.
 """
 
 
 def low_pass_gain(time_constant_s: float, step_s: float) -> float:
-    """Share of the gap that 1 / (1 + a s) closes in a step: 1 - exp(-T / a), and 1 without a filter
-    (a = 0).
+    """Return the step gain of 1 / (1 + a s): 1 - exp(-T / a), and 1 without a filter (a = 0).
 
-    The time constant is in seconds; the frequency at which the amplitude has fallen to 1 / sqrt(2)
-    is `cutoff_Hz`.
+    It is the share of the gap that the filter closes in a step. The time constant is in seconds.
+    The amplitude falls to 1 / sqrt(2) at the frequency `cutoff_Hz`.
     """
     require_range(
         "time_constant_s", time_constant_s, 0.0, 10.0, "use 0 for no filter, or 1e-3 for 159 Hz"
@@ -46,24 +45,24 @@ def low_pass_gain(time_constant_s: float, step_s: float) -> float:
 
 
 def cutoff_Hz(time_constant_s: float) -> float:
-    """Frequency [Hz] at which 1 / (1 + a s) has lost half of its power: 1 / (2 pi a)."""
+    """Return the frequency [Hz] at which 1 / (1 + a s) has lost half of its power: 1 / (2 pi a)."""
     return 1.0 / (2.0 * pi * time_constant_s) if time_constant_s > 0.0 else inf
 
 
 def relaxation_bound(delay_samples: int) -> float:
-    """Gain below which F <- F + gain (F_wanted - F delayed by d samples) settles: 2 sin(pi / (2 (2
-    d + 1))).
+    """Return the gain below which F <- F + gain (F_wanted - F) settles with a delayed F.
 
-    Without delay it is 2, with one sample 1, and it falls as 1 / d from there (Levin and May,
-    1976).
+    For F delayed by d samples, the bound is 2 sin(pi / (2 (2 d + 1))). Without delay it is 2, with
+    one sample 1, and for large d it decreases as 1 / d (Levin and May, 1976).
     """
     require_range("delay_samples", delay_samples, 0, 1e6, "count whole samples")
     return 2.0 * sin(pi / (2.0 * (2 * delay_samples + 1)))
 
 
 class LowPass:
-    """First-order low-pass of a vector, exact for an input that is held over a step: y += (1 -
-    exp(-T / a)) (u - y).
+    """First-order low-pass of a vector: y += (1 - exp(-T / a)) (u - y).
+
+    The step is exact for an input that is held over it.
     """
 
     def __init__(self, time_constant_s: float, *, step_s: float, size: int = 3) -> None:
@@ -71,18 +70,18 @@ class LowPass:
         self.value: Array = np.zeros(size)
 
     def step(self, target: Array) -> Array:
-        """Go one step towards the target; a copy of the new value, shape (size,)."""
+        """Advance one step towards the target, and return a copy of the value, shape (size,)."""
         self.value += self.gain * (target - self.value)
         return self.value.copy()
 
 
 def constant_acceleration_map(memory: float) -> tuple[Array, Array]:
-    """Matrix M (3, 3) and gains g (3,) of s+ = M s + g x: place, its change a tick and that one's,
-    after a position x.
+    """Return the matrix M (3, 3) and gains g (3,) of the filter s+ = M s + g x.
 
-    The filter of Morrison (1969) that fits a parabola to all samples so far, each weighed by
-    `memory` to the power of its age: an alpha-beta-gamma filter with all three poles at the memory,
-    without delay for a constant acceleration.
+    The state s is the position, its change per tick and the change of that change, after a position
+    x. The filter of Morrison (1969) fits a parabola to all previous samples, each weighted by
+    `memory` to the power of its age. It is an alpha-beta-gamma filter with all three poles at the
+    memory, without delay for a constant acceleration.
     """
     require_range("memory", memory, 0.0, 0.99, "use 0.85")
     fresh = 1.0 - memory
@@ -92,12 +91,12 @@ def constant_acceleration_map(memory: float) -> tuple[Array, Array]:
 
 
 class ConstantAcceleration:
-    """Velocity of a vector from its samples, as `constant_acceleration_map` has it.
+    """Velocity of a vector from its samples, with the filter `constant_acceleration_map`.
 
     Parameters
     ----------
     memory
-        Weight of a sample over that of the next one.
+        Weight of a sample relative to the next one.
     step_s
         Time between two samples [s].
     """
@@ -108,7 +107,10 @@ class ConstantAcceleration:
         self._state: Array | None = None
 
     def step(self, position: Array) -> Array:
-        """Velocity after a sample, per second, shape (3,); the first sample is taken at rest."""
+        """Return the velocity after a sample, per second, shape (3,).
+
+        The first sample is at rest.
+        """
         if self._state is None:
             self._state = np.zeros((3, len(position)))
             self._state[0] = position
@@ -117,13 +119,14 @@ class ConstantAcceleration:
         return self._rate * self._state[1]
 
     def pause(self) -> None:
-        """Samples are missing: the next one is taken at rest."""
+        """Reset after missing samples: the next sample is at rest."""
         self._state = None
 
 
 class DelayLine:
-    """A vector delayed by a whole number of samples, exactly; zeros come out before the first
-    one has passed.
+    """Exact delay of a vector by a whole number of samples.
+
+    The output is zero until the first value has passed.
     """
 
     def __init__(self, samples: int, *, size: int = 3) -> None:
@@ -131,25 +134,25 @@ class DelayLine:
         self._queue = deque([np.zeros(size)] * int(samples))
 
     def step(self, value: Array) -> Array:
-        """Put a value in and take out the one that is due."""
+        """Append a value, and return the delayed one."""
         self._queue.append(np.array(value, dtype=float))
         return self._queue.popleft()
 
 
 class SlewLimit:
-    """A vector that changes by no more than a limit a step, straight towards what is wanted.
+    """Vector whose change per step is limited, straight towards the target.
 
     Parameters
     ----------
     most
-        Greatest size of the change in a step; infinite for no limit.
+        Largest change in a step; infinite for no limit.
 
     Attributes
     ----------
     value
-        Where the vector is, shape (3,).
+        Present value, shape (3,).
     limited
-        Steps in which the limit has acted.
+        Number of steps in which the limit was active.
     """
 
     def __init__(self, most: float) -> None:
@@ -158,7 +161,7 @@ class SlewLimit:
         self.limited = 0
 
     def step(self, wanted: Array) -> Array:
-        """The new value: ``wanted`` itself where that is near enough."""
+        """Return the new value, which is ``wanted`` if it is within the limit."""
         change = wanted - self.value
         square = float(change.dot(change))
         if square <= self._most * self._most:
@@ -171,25 +174,25 @@ class SlewLimit:
 
 @dataclass(frozen=True, kw_only=True)
 class ForceRange:
-    """The stated law by which a force is brought into what a device can play.
+    """Compression of a force into the range of a device.
 
-    The direction stays. The size F' = scale F passes unchanged up to a knee; above it the rest is
-    compressed, so that a greater force stays a greater one and the limit is approached but not
-    passed::
+    The direction is kept. The magnitude F' = scale F is unchanged up to a knee. Above the knee, it
+    is compressed, so that a larger force remains larger and the limit is approached but not
+    exceeded::
 
         F'                                                              F' <= knee
         knee + (limit - knee) (1 - exp(-(F' - knee) / (limit - knee)))  otherwise
 
-    The law is smooth to its first derivative and can be inverted for every force it gives out.
+    The law has a continuous first derivative and can be inverted for every output.
 
     Attributes
     ----------
     limit_N
-        Greatest force of the device [N], or torque [N m].
+        Largest force of the device [N], or torque [N m].
     scale
         Device newtons per newton.
     knee_share
-        Share of the limit that passes unchanged, below 1.
+        Share of the limit that is unchanged, below 1.
     """
 
     limit_N: float
@@ -202,7 +205,7 @@ class ForceRange:
         require_range("knee_share", self.knee_share, 0.0, 0.99, "use 0.7")
 
     def play(self, force: Array) -> tuple[Array, bool]:
-        """Force as the device plays it, and whether it lay above the knee and was compressed.
+        """Return the force that the device plays, and whether it was above the knee and compressed.
 
         Raises
         ------

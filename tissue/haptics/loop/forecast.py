@@ -1,6 +1,4 @@
-"""A predictor near a contact at rest, as the linear map that the judge of stability puts into
-its loop.
-"""
+"""Linear map of a predictor near a contact at rest, used in the stability analysis of the loop."""
 
 import pickle
 from copy import deepcopy
@@ -21,33 +19,32 @@ if TYPE_CHECKING:
 __all__ = ["Forecast", "forecast_of"]
 
 PROBES = (1e-5, 1e-3, 1e-3)
-"""Changes by which a predictor is probed: position [m], velocity [m/s], force [N]."""
+"""Changes used to probe a predictor: position [m], velocity [m/s], force [N]."""
 LONGEST = 512
-"""Most ticks for which one change is followed."""
+"""Largest number of ticks for which the response to a change is recorded."""
 FADED = 1e-3
-"""Share of the largest answer below which an answer has faded."""
+"""Share of the largest response below which a response has decayed."""
 RIGID = 1e6
-"""Stiffness over the coupling's of what the tool rests on while a predictor is probed."""
+"""Stiffness of the tissue under the tool during a probe, relative to the coupling stiffness."""
 SETTLING = 300
 """Ticks of a contact at rest before a predictor is probed."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Forecast:
-    """How the predicted force answers what was seen: F(t) = sum over ages a of taps . (x, v, F)(t -
-    a).
+    """Linear response of the predicted force: F(t) = sum over ages a of taps . (x, v, F)(t - a).
 
     Attributes
     ----------
     taps
-        Answers, shape (phases, ages, 3), to position [N/m], velocity [N s/m] and force [N/N]; the
-        phase is that of the tick in which it was seen, counted from the last one in which the model
-        gave its force; later phases see none.
+        Responses, shape (phases, ages, 3), to position [N/m], velocity [N s/m] and force [N/N]. The
+        phase is the tick of the observation, counted from the last model force. Only phase 0
+        contains a force.
     gain
-        C of F + C (F_ahead - F): 0 plays the force as it is, 1 the one that is ahead.
+        Gain C of F + C (F_ahead - F): 0 plays the present force, 1 the predicted force.
     stiffness_N_m
-        Of the coupling that the predictor was shown, with which its answers to place and speed
-        grow; None for one that is shown none.
+        Coupling stiffness in the contact shown to the predictor. Its responses to position and
+        velocity are proportional to this stiffness. None for a predictor without contact.
     """
 
     taps: Array
@@ -55,9 +52,7 @@ class Forecast:
     stiffness_N_m: float | None = None
 
     def __eq__(self, other: object) -> bool:
-        """By value, so that a loop that was judged with another copy of the same predictor is
-        not judged again.
-        """
+        """Compare by value, so that an equal predictor does not need another analysis."""
         return isinstance(other, Forecast) and self._value == other._value
 
     def __hash__(self) -> int:
@@ -69,13 +64,13 @@ class Forecast:
 
     @property
     def memory(self) -> tuple[int, int]:
-        """How many positions and forces before the present ones it takes."""
+        """Number of previous positions and forces that the forecast uses."""
         ages = self.taps.shape[1]
         return ages if self.taps[:, :, :2].any() else 0, ages
 
 
 _forecasts: Kept["Forecast"] = Kept(64)
-"""Those of a study's methods in some tens of trials."""
+"""Cache for the methods of a study in tens of trials."""
 
 
 def forecast_of(
@@ -88,30 +83,30 @@ def forecast_of(
     axis: Array | None = None,
     gain: float = 1.0,
 ) -> Forecast:
-    """Linearise a predictor about a contact at rest, by small changes of what it is shown.
+    """Linearise a predictor about a contact at rest, by small changes of its inputs.
 
-    What was found for a predictor with the same contents is kept: a scene is judged again and
-    again, by its stiffness, for its run and for its reference.
+    Results are cached by the contents of the predictor, because a scene is judged several times:
+    for its stiffness, its run and its reference.
 
     Parameters
     ----------
     predictor
-        It is copied and stays as it is.
+        Predictor, which is copied and stays unchanged.
     lead_ticks
-        How far ahead it is asked.
+        Prediction horizon [ticks].
     stiffness_N_m, depth_m
-        Of the contact: the force is their product.
+        Stiffness and depth of the contact. The force is their product.
     model_ticks
-        Ticks between two forces that it observes.
+        Ticks between two observed forces.
     axis
-        Direction out of the tissue, unit, shape (3,); z without it.
+        Unit direction out of the tissue, shape (3,); default z.
     gain
         See `Forecast`.
 
     Raises
     ------
     InputError
-        If a change is not forgotten: the predictor is no stable filter there.
+        If the response to a change does not decay: the predictor is not a stable filter there.
     """
     out = np.array([0.0, 0.0, 1.0]) if axis is None else np.asarray(axis, dtype=np.float64)
     try:
@@ -120,7 +115,7 @@ def forecast_of(
         TypeError,
         AttributeError,
         pickle.PicklingError,
-    ):  # one of a user's own that cannot be compared with another
+    ):  # a user's predictor that cannot be compared with another one
         return _linearised(predictor, lead_ticks, stiffness_N_m, model_ticks, depth_m, out, gain)
     key = contents, lead_ticks, stiffness_N_m, model_ticks, depth_m, out.tobytes(), gain
     return _forecasts.of(
@@ -138,7 +133,7 @@ def _linearised(
     out: Array,
     gain: float,
 ) -> Forecast:
-    """The same, found anew."""
+    """Compute the forecast, without the cache."""
     still = -depth_m * out
     rest = np.zeros(3)
     force = stiffness_N_m * depth_m * out
@@ -190,9 +185,7 @@ def _answers(
     model_ticks: int,
     out: Array,
 ) -> Array:
-    """Forces predicted along the axis from a settled state on, one of what is seen being changed
-    in one tick [N].
-    """
+    """Return the predicted forces along the axis after a change of one input in one tick [N]."""
     forces = np.zeros(LONGEST + 1 + model_ticks)
     for tick in range(len(forces)):
         shown = [
@@ -207,7 +200,7 @@ def _answers(
 
 
 def _faded(taps: Array) -> Array:
-    """Answers up to where they have faded."""
+    """Return the responses up to the age at which they have decayed."""
     sizes = np.abs(taps) / np.maximum(np.abs(taps).max(axis=(0, 1)), 1e-300)
     ages = sizes.max(axis=(0, 2))
     if not np.isfinite(ages).all() or ages[-1] > FADED:

@@ -1,6 +1,4 @@
-"""The path of a force to the motor, through low-pass, latency, transport, hold and amplifier:
-delay and force.
-"""
+"""Path of a force to the motor: low-pass, latency, transport, hold and amplifier."""
 
 from math import exp, inf, pi
 
@@ -15,8 +13,7 @@ __all__ = ["force_later_N", "mean_over_ticks_N", "motor_force_N", "motor_lag_tic
 
 
 def motor_lag_ticks(loop: WallLoop) -> float:
-    """Delay of a force from its sample to the motor [ticks], that of a force which rises along a
-    straight line.
+    """Return the delay of a linearly increasing force from its sample to the motor [ticks].
 
     The low-pass y += (1 - p) (u - y) delays by p / (1 - p) ticks, the loop by its delay, the hold
     by half a tick and the amplifier of bandwidth f by 1 / (2 pi f) seconds.
@@ -26,18 +23,19 @@ def motor_lag_ticks(loop: WallLoop) -> float:
 
 
 def motor_force_N(loop: WallLoop, force_N: Array) -> Array:
-    """Mean force of the motor over every tick [N], shape (n, 3): the impulse that a hand receives,
-    over the tick.
+    """Return the mean force of the motor over every tick [N], shape (n, 3).
 
-    Exact, also where the delay is no whole number of ticks: each force is filtered, held for a tick
-    from its delay on, and followed by the amplifier.
+    It is the impulse on the hand divided by the tick. The result is exact even if the delay is not
+    a whole number of ticks. Each force is filtered, held for a tick after its delay, and passed
+    through the amplifier.
 
     Parameters
     ----------
     loop
-        Gives tick, low-pass, delay and amplifier.
+        Loop with tick, low-pass, delay and amplifier.
     force_N
-        A force a tick before the low-pass [N], shape (n, 3); before the first one there was none.
+        One force per tick before the low-pass [N], shape (n, 3). Before the first force, it is
+        zero.
     """
     gain = low_pass_gain(loop.filter_s, loop.tick_s)
     delay = loop.delay_s / loop.tick_s
@@ -49,8 +47,8 @@ def motor_force_N(loop: WallLoop, force_N: Array) -> Array:
     amplifier = _amplifier_ticks(loop)
     if amplifier == 0.0:
         return part * older + (1.0 - part) * newer
-    # From m the motor goes to u + (m - u) exp(-s / a) in s ticks; first towards the older command,
-    # then the newer one.
+    # From m, the motor reaches u + (m - u) exp(-s / a) after s ticks, first towards the older
+    # command, then towards the newer one.
     first = exp(-part / amplifier)
     second = exp(-(1.0 - part) / amplifier)
     driven = second * (1.0 - first) * older + (1.0 - second) * newer
@@ -61,27 +59,29 @@ def motor_force_N(loop: WallLoop, force_N: Array) -> Array:
 
 
 def mean_over_ticks_N(force_N: Array) -> Array:
-    """Mean over every tick of a force that is known at its ends and straight between them [N],
-    shape (n - 1, 3).
+    """Return the mean over every tick of a force given at the ticks [N], shape (n - 1, 3).
+
+    The force is linear between the ticks.
     """
     return 0.5 * (force_N[:-1] + force_N[1:])
 
 
 def force_later_N(force_N: Array, ticks: float) -> Array:
-    """The force so many ticks later [N], shape (n, 3): straight between ticks, the last one
-    beyond the end.
+    """Return the force ``ticks`` later, linear between ticks [N], shape (n, 3).
+
+    The last force is kept beyond the end.
     """
     at = np.arange(len(force_N))
     return np.column_stack([np.interp(at + ticks, at, axis) for axis in force_N.T])
 
 
 def _amplifier_ticks(loop: WallLoop) -> float:
-    """Time constant of the amplifier [ticks]."""
+    """Return the time constant of the amplifier [ticks]."""
     return 0.0 if loop.amplifier_Hz == inf else 1.0 / (2.0 * pi * loop.amplifier_Hz * loop.tick_s)
 
 
 def _held_back(force_N: Array, ticks: int) -> Array:
-    """The force so many ticks before, none at first [N]."""
+    """Return the force delayed by ``ticks``, initially zero [N]."""
     return np.concatenate(
         [np.zeros((min(ticks, len(force_N)), 3)), force_N[: max(len(force_N) - ticks, 0)]]
     )

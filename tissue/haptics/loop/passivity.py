@@ -11,36 +11,38 @@ from meshes.base.errors import require_positive, require_range
 __all__ = ["RELEASE_RAD_S", "PassivityControl", "PassivityObserver"]
 
 SPEED_TICKS = 3
-"""Ticks over which the speed is taken."""
+"""Number of ticks over which the speed is averaged."""
 RELEASE_M_S, RELEASE_RAD_S = (0.03, 0.1), (1.2, 4.0)
-"""Outward speeds from which a force without energy begins to be taken off, and is taken off whole:
-far above those of an encoder's steps, and of a hand that rests on a wall. In radians for a handle
-of 25 mm."""
+"""Outward speeds at which the removal of an unpaid force begins and is complete [m/s], [rad/s].
+
+They are far above the speeds of encoder steps and of a hand that rests on a wall. The rotational
+values correspond to a handle of 25 mm.
+"""
 LEAST_N = 1e-6
-"""Force that counts as none [N], such as the end of a low-pass."""
+"""Force below which a force counts as zero [N], such as the tail of a low-pass."""
 STILL = 1e-6
-"""Speed below which nothing can be paid [m/s]."""
+"""Speed below which no energy can be dissipated [m/s]."""
 
 
 class PassivityObserver:
-    """Books the energy that a sampled environment has taken from the device, exactly for a force
-    that is held.
+    """Observer of the energy taken from the device, exact for a force that is held.
 
     A force F on the device that is held while the device moves by dx takes -F . dx from it. With
-    the force of the last tick and the displacement since then the sum is exact, and shows what the
-    hold leaks: a spring K that is entered and left at speed v gives back K (v T)^2 more for every
-    sample of depth than it took, half in and half out. A force that acts later works on a later
-    displacement; with a known delay that is booked exactly, too.
+    the force of the last tick and the displacement since then, the sum is exact. It includes the
+    energy that the hold leaks. A spring K that is entered and left at speed v returns K (v T)^2
+    more per sample of depth than it took, half on entry and half on exit. A delayed force works on
+    a later displacement. A known delay is also booked exactly.
 
     Parameters
     ----------
     delay_ticks
-        From the sample to the force at the motor, besides the hold [ticks]; any real number.
+        Delay from the sample to the force at the motor, in addition to the hold [ticks]; any real
+        number.
 
     Attributes
     ----------
     energy_J
-        Taken so far [J]; below zero, the environment has created energy.
+        Energy taken so far [J]. If it is negative, the environment has created energy.
     """
 
     def __init__(self, *, delay_ticks: float = 0.0) -> None:
@@ -52,7 +54,7 @@ class PassivityObserver:
         self._forces: deque[Array] = deque([np.zeros(3)] * (whole + 2), maxlen=whole + 2)
 
     def observe(self, position_m: Array) -> float:
-        """Book what the acting forces did up to this position [m]; the energy [J]."""
+        """Book the work of the acting forces up to this position [m]; return the energy [J]."""
         if self._position is not None:
             moved = position_m - self._position
             self.energy_J -= (1.0 - self._delay) * float(self._forces[1].dot(moved))
@@ -61,19 +63,18 @@ class PassivityObserver:
         return self.energy_J
 
     def hold(self, force_N: Array) -> None:
-        """The force [N] that is sent out now."""
+        """Record the force [N] that is sent now."""
         self._forces.append(np.array(force_N))
 
     def pause(self) -> None:
-        """Samples are missing: what happens until the next one is not booked, and no force is
-        pending then.
-        """
+        """Skip the motion to the next sample after missing samples; clear the pending forces."""
         self._position = None
         self._forces.extend([np.zeros(3)] * len(self._forces))
 
     def waiting_N(self) -> Array:
-        """Forces that were sent out and have not acted yet, each by its share of a tick, oldest
-        first, shape (n, 3).
+        """Return the pending forces, oldest first, shape (n, 3).
+
+        Each force is weighted by its share of a tick.
         """
         waiting = np.array(self._forces)[1:]
         waiting[0] *= self._delay
@@ -81,40 +82,40 @@ class PassivityObserver:
 
 
 class PassivityControl:
-    """Holds back what an environment is about to create, and pays back what it has created.
+    """Controller that dissipates energy that an environment would create or has created.
 
-    A force acts when the pending ones have acted. Until then they go on pushing the device, so its
-    speed along the force is predicted as v + sum F T / m with the device's own mass, which
-    overstates what a held device does. The work that the pending forces and the new one would do at
-    those speeds, as far as they drive the device out, must not exceed the energy E in the
-    observer's ledger. What exceeds it is taken off the new force: where the device will move out
-    fast, as far as to nothing; and a damper -d v is added, which also pays a debt while going in. d
-    has an upper bound, because damping is sampled, too: beyond m / T it would itself be unstable.
-    Near rest nothing can be paid and the debt waits. v is the mean speed over the last ticks, for
-    encoders step.
+    A force acts after the pending forces have acted. Until then, these forces push the device. Its
+    speed along the force is therefore predicted as v + sum F T / m with the device's own mass,
+    which overestimates the motion of a held device. The outward work of the pending forces and the
+    new force at these speeds must not exceed the observed energy E. The excess is subtracted from
+    the new force. If the device will move out fast, up to the whole force is removed. A damper -d v
+    is added, which also dissipates a debt during entry. Damping is sampled too and would itself be
+    unstable above m / T, so that d has an upper bound. Near rest no energy can be dissipated, and
+    the debt remains. v is the mean speed over the last ticks, because encoder positions change in
+    steps.
 
-    An environment that exerts no force stores nothing, so what was taken until then has been
-    dissipated: it is struck off, lest a later contact should live on it. A debt stays.
+    An environment without force stores no energy. The energy taken until then has been dissipated.
+    It is discarded, so that a later contact cannot use it. A debt remains.
 
     Parameters
     ----------
     damping_limit_N_s_m
-        Upper bound of d [N s/m]; a half of m / (T + t_d) is safe.
+        Upper bound of d [N s/m]; half of m / (T + t_d) is safe.
     delay_ticks
         See `PassivityObserver`.
     mass_kg
-        What the forces move [kg]; infinite for a motion that they do not change.
+        Mass moved by the forces [kg]; infinite for a motion that they do not change.
 
     Attributes
     ----------
     observer
-        The ledger, which books the force that was played.
+        Energy observer, which books the played force.
     dissipated_J
-        What the control has planned to dissipate so far [J].
+        Energy that the controller has planned to dissipate so far [J].
     damping_N_s_m
-        What was taken off over the predicted speed in the last step [N s/m].
+        Force removed in the last step over the predicted speed [N s/m].
     release_speeds
-        Outward speeds between which the force may be taken off whole.
+        Outward speeds between which the removable share of the force rises from zero to one.
     """
 
     def __init__(
@@ -130,7 +131,7 @@ class PassivityControl:
         self._places: deque[Array] = deque(maxlen=SPEED_TICKS + 1)
 
     def step(self, force_N: Array, position_m: Array, velocity_m_s: Array, step_s: float) -> Array:
-        """The force [N] to play instead of ``force_N`` for a step [s]."""
+        """Return the force [N] to play instead of ``force_N`` for a step [s]."""
         observer = self.observer
         places = self._places
         energy = observer.observe(position_m)
@@ -148,7 +149,7 @@ class PassivityControl:
         pushes = np.append(observer.waiting_N() @ direction, size)
         gained = (step_s / self._mass) * pushes
         speeds = float(velocity_m_s.dot(direction)) + np.cumsum(gained) - 0.5 * gained
-        speeds[-1] -= 0.5 * gained[-1]  # a device at rest feels its spring
+        speeds[-1] -= 0.5 * gained[-1]  # a device at rest is subject to its spring
         speed = float(speeds[-1])
         left = energy - step_s * float(pushes.dot(np.maximum(speeds, 0.0)))
         played = force_N
@@ -164,10 +165,10 @@ class PassivityControl:
         return played
 
     def pause(self) -> None:
-        """Samples are missing: nothing is known of the motion until the next one.
+        """Handle missing samples: the motion until the next sample is unknown.
 
-        The force fades then and comes back slowly, so that less is taken while going in than is
-        booked: what was taken until now is struck off, lest going out should spend it.
+        The force then fades and returns slowly, so that entry takes less energy than is booked. The
+        energy taken until now is discarded so that exit cannot release it.
         """
         self.observer.pause()
         self.observer.energy_J = min(self.observer.energy_J, 0.0)

@@ -1,6 +1,4 @@
-"""The moving part of a device in a hand: three equal axes, stepped exactly, with friction that
-does not chatter.
-"""
+"""Moving part of a device in a hand: equal axes, exact steps, and friction without chatter."""
 
 from math import inf, sqrt
 
@@ -12,24 +10,23 @@ __all__ = ["Plant"]
 
 
 class Plant:
-    """A mass with viscous and Coulomb friction behind an amplifier, held by a spring and a damper:
-    x, y and z alike.
+    """Mass with viscous and Coulomb friction behind an amplifier, held by a spring and a damper.
 
-    Between changes of its inputs the linear part is stepped with the matrix exponential. Coulomb
-    friction is one force against the velocity vector, no more than ``friction_N``; it is found
-    implicitly, as the force which, acting over the substep, either stops the mass or has its full
-    size against the velocity the mass would have without it. A mass at rest stays exactly where it
-    is until the other forces exceed the friction.
+    The axes x, y and z have equal parameters. Between changes of its inputs, the linear part is
+    stepped with the matrix exponential. Coulomb friction is one force against the velocity vector,
+    of at most ``friction_N``. It is computed implicitly: acting over the substep, it either stops
+    the mass or has its full magnitude against the velocity that the mass would have without it. A
+    mass at rest stays exactly at its position until the other forces exceed the friction.
 
-    For a rotation read rotation vector [rad], kg m2, N m s/rad and N m. Plain floats, because for
-    three axes they are several times quicker than arrays.
+    For a rotation, the units are rotation vector [rad], kg m2, N m s/rad and N m. The code uses
+    plain floats, which for three axes are several times faster than arrays.
 
     Parameters
     ----------
     mass_kg, damping_N_s_m, friction_N
-        Apparent mass, viscous and Coulomb friction of the device.
+        Apparent mass [kg], viscous friction [N s/m] and Coulomb friction [N] of the device.
     amplifier_Hz
-        Bandwidth of the amplifier [Hz]; infinite for none.
+        Bandwidth of the amplifier [Hz]; infinite for no lag.
 
     Attributes
     ----------
@@ -58,15 +55,16 @@ class Plant:
         self._hand: Triple = (0.0, 0.0, 0.0)
 
     def hold(self, *, stiffness_N_m: float, damping_N_s_m: float, mass_kg: float) -> None:
-        """Put the plant into a linear hand; zeros let it go. The hand's aim enters as an
-        external force.
+        """Attach the plant to a linear hand, or release it with zeros.
+
+        The aim of the hand enters as an external force.
         """
         self._hand = (stiffness_N_m, damping_N_s_m, mass_kg)
 
     def advance(
         self, step_s: float, *, command: Triple, external: Triple, substeps: int = 1
     ) -> None:
-        """Go a step on with both forces held [N]; the friction is found anew in every substep."""
+        """Advance one step with both forces held [N]; friction is computed in every substep."""
         if self._amplifier == inf:
             self.motor_force = command
         stiffness, damping, mass = self._hand
@@ -102,7 +100,7 @@ class Plant:
                 q1 = (1.0 - share) * q1
                 q2 = (1.0 - share) * q2
                 if share == 1.0 and v0 == v1 == v2 == 0.0:
-                    # friction follows a motor force that changes within the substep
+                    # static friction follows a motor force that changes within the substep
                     p0 = x0
                     p1 = x1
                     p2 = x2

@@ -1,6 +1,4 @@
-"""The loop that holds a device against a virtual wall, as one linear map from model step to
-model step.
-"""
+"""Loop of a device against a virtual wall, as one linear map from model step to model step."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
@@ -29,45 +27,47 @@ __all__ = [
 ]
 
 MOST_TICKS = 400
-"""Longest delay and longest model step that are judged [ticks]: the map has one state for every
-tick of delay.
+"""Longest delay and longest model step that are analysed [ticks].
+
+The map has one state per tick of delay.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class WallLoop:
-    """A mass on a virtual wall, one degree of freedom; for a rotation read kg m2, N m s/rad and N
-    m/rad.
+    """Mass on a virtual wall with one degree of freedom.
+
+    For a rotation, the units are kg m2, N m s/rad and N m/rad.
 
     Attributes
     ----------
     mass_kg, damping_N_s_m
-        What the motor moves: apparent mass and viscous friction of the device [kg], [N s/m].
+        Apparent mass [kg] and viscous friction [N s/m] of the device.
     stiffness_N_m, wall_damping_N_s_m
-        The wall, F = -K x - B v [N/m], [N s/m].
+        Stiffness [N/m] and damping [N s/m] of the wall, F = -K x - B v.
     velocity_memory
-        Of the filter that gives v, see `constant_acceleration_map`; None for the difference of
-        positions between model steps, and between ticks for a forecast.
+        Memory of the filter for v, see `constant_acceleration_map`. With None, v is the difference
+        of positions between model steps, and between ticks for a forecast.
     tick_s
-        Time between two forces at the device [s]: for a device that is slower than the loop,
+        Time between two forces at the device [s]. For a device that is slower than the loop, time
         between its samples.
     delay_s
-        From the sample to the force, besides the hold [s]; any real number of ticks.
+        Delay from the sample to the force, in addition to the hold [s]; any real number of ticks.
     model_ticks
         Ticks for which one force of the model is held: 1, or 10 for a model at 100 Hz in a loop at
         1 kHz.
     filter_s
-        Time constant of the low-pass after the model [s]; 0 for none.
+        Time constant of the low-pass after the model [s]; 0 for no filter.
     amplifier_Hz
-        Bandwidth of the amplifier [Hz]; infinite for none.
+        Bandwidth of the amplifier [Hz]; infinite for no lag.
     hand_stiffness_N_m, hand_damping_N_s_m, hand_mass_kg
-        A linear hand that holds the device [N/m], [N s/m], [kg]; zeros for a hand that has let go.
+        Linear hand that holds the device [N/m], [N s/m], [kg]; zeros for a hand that has let go.
     forecast
-        What a predictor makes of what was seen, before the low-pass; None for none. Its phases are
-        those of `model_ticks`.
+        Linear predictor of the force before the low-pass; None for no predictor. Its phases belong
+        to `model_ticks`.
     vibration
-        What is played of a cutter's teeth besides, in proportion to the force, after the low-pass;
-        None for none.
+        Vibration of a cutter's teeth that is played in proportion to the force, after the low-pass;
+        None for no vibration.
     """
 
     mass_kg: float
@@ -123,9 +123,7 @@ class WallLoop:
 
     @property
     def vibration_factors(self) -> Array:
-        """What the envelope of the force is multiplied by, for ticks of the model and its steps,
-        (model_ticks, n).
-        """
+        """Factors of the force envelope for ticks and model steps, shape (model_ticks, n)."""
         return (
             np.zeros((self.model_ticks, 1))
             if self.vibration is None
@@ -133,7 +131,7 @@ class WallLoop:
         )
 
     def with_stiffness(self, stiffness_N_m: float) -> "WallLoop":
-        """The same loop on another wall."""
+        """Return the loop with another wall stiffness."""
         return replace(self, stiffness_N_m=stiffness_N_m)
 
 
@@ -141,12 +139,11 @@ class WallLoop:
 def plant_step(
     mass_kg: float, damping_N_s_m: float, stiffness_N_m: float, amplifier_Hz: float, step_s: float
 ) -> tuple[tuple[float, ...], ...]:
-    """Exact step of a mass, spring and damper behind an amplifier, for inputs that are held over
-    it.
+    """Return the exact step of a mass, spring and damper behind an amplifier, for held inputs.
 
-    Rows give position, velocity and motor force after the step; columns take position, velocity,
-    motor force, commanded force and external force before it. Shape (3, 5), as tuples. Without lag
-    the motor force is the command.
+    Rows are position, velocity and motor force after the step. Columns are position, velocity,
+    motor force, commanded force and external force before the step. Shape (3, 5), as tuples.
+    Without lag, the motor force is the command.
     """
     generator = np.zeros((5, 5))
     generator[0, 1] = 1.0
@@ -162,14 +159,14 @@ def plant_step(
 
 
 def loop_matrix(loop: WallLoop) -> Array:
-    """Map of the loop's whole state over one step of the model, or over all of a period of its
-    vibration, square.
+    """Return the map of the loop's state over one model step, or over a period of its vibration.
 
-    The state holds position, velocity and motor force, the position at the last model step, the
-    filtered force, the forces that are still pending, the velocity's filter and, with a forecast,
-    the positions, velocities and forces that it has seen, with a vibration also the force's
-    envelope. The map is what the loop does to the columns of a unit matrix, tick by tick; over a
-    period, the product of its steps' maps, whose eigenvalues decide (Floquet).
+    The map is a square matrix. The state contains position, velocity and motor force, the position
+    at the last model step, the filtered force, the pending forces and the velocity filter. With a
+    forecast, it also contains the observed positions, velocities and forces, and with a vibration
+    the envelope of the force. The map is the response of the loop to the columns of a unit matrix,
+    tick by tick. Over a period, it is the product of the maps of its steps, whose eigenvalues
+    determine stability (Floquet).
     """
     whole = int(loop.delay_s / loop.tick_s + 1e-9)
     delay = max(loop.delay_s - whole * loop.tick_s, 0.0)
@@ -224,14 +221,14 @@ def loop_matrix(loop: WallLoop) -> Array:
 
 
 class SampledVelocity:
-    """The filter of a loop's velocity for several positions at once.
+    """Velocity filter of a loop for several positions at once.
 
     Parameters
     ----------
     loop
-        With or without a filter.
+        Loop with or without a filter.
     state
-        Of the filter, shape (3, n), or (0, n) without one.
+        State of the filter, shape (3, n), or (0, n) without a filter.
     """
 
     def __init__(self, loop: WallLoop, state: Array) -> None:
@@ -244,7 +241,7 @@ class SampledVelocity:
         )
 
     def step(self, position: Array) -> Array | None:
-        """Velocity after a tick's positions, shape (n,) both; None without a filter."""
+        """Return the velocities after a tick's positions, shape (n,); None without a filter."""
         if self._filter is None:
             return None
         onward, gains = self._filter
@@ -253,16 +250,15 @@ class SampledVelocity:
 
 
 class ForecastMemory:
-    """What a loop's forecast has seen, newest first: one value, or one row or column of them, a
-    tick.
+    """Observations of a loop's forecast, newest first: one value, row or column per tick.
 
     Parameters
     ----------
     loop
-        With or without a forecast.
+        Loop with or without a forecast.
     positions, speeds, forces
-        What was seen before, as many as the forecast remembers [m], [m/s], [N]; speeds of a loop
-        that filters them.
+        Previous observations, up to the memory of the forecast [m], [m/s], [N]. Speeds only for a
+        loop with a velocity filter.
     """
 
     def __init__(
@@ -274,8 +270,9 @@ class ForecastMemory:
         self.forces = forces
 
     def predict(self, position: Array, speed: Array | None, model: Array, tick: int) -> Array:
-        """Force to be played, from position, filtered speed and the model's force at a tick of
-        the model's step.
+        """Return the force to play at a tick of the model step.
+
+        It follows from the position, the filtered speed and the model force.
         """
         forecast = self._loop.forecast
         if forecast is None:
@@ -304,11 +301,11 @@ class ForecastMemory:
 
 
 def largest_eigenvalue(loop: WallLoop) -> float:
-    """Growth of the slowest mode over one step of the model: the largest eigenvalue of
-    `loop_matrix`.
+    """Return the growth of the slowest mode over one step of the model.
 
-    One thread is at work: a second one gains nothing on so few states, and on a machine with other
-    work both wait for each other, ten times as long and more.
+    It is the largest eigenvalue of `loop_matrix`. The computation uses one thread. A second thread
+    gains nothing for so few states. On a busy machine, both threads wait for each other and take
+    ten times as long or more.
     """
     with _thread_pools().limit(limits=1, user_api="blas"):
         largest = float(np.abs(np.linalg.eigvals(loop_matrix(loop))).max())
@@ -316,11 +313,14 @@ def largest_eigenvalue(loop: WallLoop) -> float:
 
 
 def spectral_radius(loop: WallLoop) -> float:
-    """Growth of the loop's slowest mode over one tick: below 1 it settles, above 1 it grows."""
+    """Return the growth of the slowest mode over one tick.
+
+    Below 1 the loop is stable, above 1 it is unstable.
+    """
     return float(largest_eigenvalue(loop) ** (1.0 / loop.model_ticks))
 
 
 @lru_cache
 def _thread_pools() -> ThreadpoolController:
-    """Those of the libraries that NumPy has loaded."""
+    """Return the thread pools of the libraries that NumPy has loaded."""
     return ThreadpoolController()

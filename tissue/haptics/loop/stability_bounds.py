@@ -1,7 +1,8 @@
-"""Lines that theory draws into a stability map: simple bounds on the stiffness of a virtual wall.
+"""Theoretical bounds on the stiffness of a virtual wall, drawn as lines in a stability map.
 
-None of them judges a run; the eigenvalues in `tissue.haptics.loop.critical_stiffness` do. Each
-takes the same `WallLoop`; a hand adds its damping to the device's where the bound has damping.
+The bounds do not judge a run. The eigenvalues in `tissue.haptics.loop.critical_stiffness` do. Each
+bound takes the same `WallLoop`. A hand adds its damping to the damping of the device if the bound
+contains damping.
 """
 
 from math import ceil, inf, pi
@@ -16,15 +17,15 @@ __all__ = ["delay_bound_N_m", "pade_bound_N_m", "passive_bound_N_m", "quantised_
 
 
 def passive_bound_N_m(loop: WallLoop) -> float:
-    """Stiffness up to which the wall is passive and so stable in any passive hand (Colgate and
-    Schenkel, 1997) [N/m].
+    """Return the stiffness up to which the wall is passive (Colgate and Schenkel, 1997) [N/m].
 
-    Their condition b > T / 2 Re{(1 - exp(-j w T)) H} / (1 - cos w T), solved for K on a grid of w,
-    where H holds wall, filter and a delay of whole steps: a fraction counts as a whole one, and the
-    amplifier's lag as delay. Only the device's own damping counts. Without delay and filter it is 2
-    (b - |B|) / T for either sign of B; T is the time for which a force is held, so a slow model
-    counts with its own step, and with one more of delay if a filter moves the held force within it.
-    0 where B, delay and filter leave nothing.
+    A passive wall is stable in any passive hand. The condition b > T / 2 Re{(1 - exp(-j w T)) H} /
+    (1 - cos w T) is solved for K on a grid of w. H contains wall, filter and a delay of whole
+    steps. A fraction of a step counts as a whole step, and the lag of the amplifier as delay. Only
+    the device's own damping counts. Without delay and filter, the bound is 2 (b - |B|) / T for
+    either sign of B. T is the time for which a force is held, so that a slow model counts with its
+    own step. One more step of delay is added if a filter changes the held force within the step.
+    The result is 0 if B, delay and filter leave no passive stiffness.
     """
     step = loop.tick_s * loop.model_ticks
     lag = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
@@ -47,16 +48,18 @@ def passive_bound_N_m(loop: WallLoop) -> float:
 
 
 def delay_bound_N_m(loop: WallLoop) -> float:
-    """K = (b + B) / (T / 2 + t_d) (Gil et al., 2009), a first-order guide with delay [N/m]; it
-    can be unsafe.
+    """Return K = (b + B) / (T / 2 + t_d) (Gil et al., 2009) [N/m].
+
+    It is a first-order guide with delay and can be unsafe.
     """
     damping = loop.damping_N_s_m + loop.hand_damping_N_s_m + loop.wall_damping_N_s_m
     return max(damping / (0.5 * loop.tick_s * loop.model_ticks + loop.delay_s), 0.0)
 
 
 def quantised_bound_N_m(loop: WallLoop, *, friction_N: float, encoder_m: float) -> float:
-    """K = min(2 b / T, 2 f_c / D) (Abbott and Okamura, 2005) for Coulomb friction f_c and
-    encoder step D [N/m].
+    """Return K = min(2 b / T, 2 f_c / D) (Abbott and Okamura, 2005) [N/m].
+
+    f_c is the Coulomb friction and D the encoder step.
     """
     require_range(
         "friction_N", friction_N, 0.0, 1e3, "give the device's Coulomb friction, 0 for none"
@@ -68,12 +71,12 @@ def quantised_bound_N_m(loop: WallLoop, *, friction_N: float, encoder_m: float) 
 
 
 def pade_bound_N_m(loop: WallLoop, *, hold: bool = True) -> float:
-    """Critical stiffness if hold and delay are read as one delay t and that as (1 - t s / 2) / (1 +
-    t s / 2) [N/m].
+    """Return the critical stiffness with a first-order Padé approximation of the delay [N/m].
 
-    From Routh's criterion on the third-order polynomial. With ``hold`` the delay is t_d + T / 2,
-    without it t_d alone, as in a continuous model of the loop; infinite where neither is left. Hand
-    stiffness is left out.
+    Hold and delay are combined into one delay t, approximated as (1 - t s / 2) / (1 + t s / 2). The
+    bound follows from Routh's criterion for the third-order polynomial. With ``hold`` the delay is
+    t_d + T / 2, without it t_d alone, as in a continuous model of the loop. The result is infinite
+    if the delay is zero. Hand stiffness is ignored.
     """
     delay = loop.delay_s + (0.5 * loop.tick_s * loop.model_ticks if hold else 0.0)
     if delay == 0.0:

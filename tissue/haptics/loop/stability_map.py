@@ -1,6 +1,4 @@
-"""Where a wall stops being stable, measured by letting it run, against the eigenvalues and the
-lines of theory.
-"""
+"""Stability limit of a wall by simulation, against eigenvalues and theoretical bounds."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -31,27 +29,27 @@ __all__ = [
 
 SOFTEST_N_M, STIFFEST_N_M = 0.1, 1e6
 BISECTIONS = 15
-"""Seven decades halved fifteen times: 0.05 %."""
+"""Number of bisections of seven decades: resolution 0.05 %."""
 
 
 @dataclass(frozen=True)
 class StabilityChart:
-    """Stiffness against one other quantity.
+    """Chart of critical stiffness against one other quantity.
 
     Attributes
     ----------
     along
-        The field of `WallLoop` that is varied.
+        Field of `WallLoop` that is varied.
     values
-        What it is set to, shape (n,).
+        Values of the field, shape (n,).
     measured_N_m, exact_N_m
-        Critical stiffness by running the loop and by its eigenvalues, shape (n,).
+        Critical stiffness by simulation of the loop and by its eigenvalues, shape (n,).
     lines_N_m
-        Bounds of theory by name, each of shape (n,).
+        Theoretical bounds by name, each of shape (n,).
     stiffnesses_N_m
         Rows of the grid, shape (k,).
     growth
-        Spectral radius on the grid, shape (k, n): below 1 settles.
+        Spectral radius on the grid, shape (k, n); stable below 1.
     """
 
     along: str
@@ -76,12 +74,12 @@ class StabilityMap:
 def growth_while_running(
     loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, ticks: int = 4000
 ) -> Array:
-    """Growth of the amplitude between two windows of a run from a push, for several loops at once,
-    shape (n,).
+    """Return the growth of the amplitude between two windows of a simulated run, shape (n,).
 
-    The loops share tick, model ticks, velocity, forecast and vibration, and run as they would on a
-    device: sample, velocity, force, filter, delay, hold. Amplitude is the root of kinetic and
-    stored energy, weighed by windows around 45 and 85 % of the run. Infinite where it overflows.
+    Several loops run at once after a push. They share tick, model ticks, velocity, forecast and
+    vibration. They run as on a device: sample, velocity, force, filter, delay, hold. The amplitude
+    is the root of kinetic and stored energy, weighted by windows around 45 and 85 % of the run. The
+    growth is infinite on overflow.
     """
     first = loops[0]
     tick = first.tick_s
@@ -148,10 +146,10 @@ def growth_while_running(
 
 
 def measured_critical_N_m(loops: Sequence[WallLoop], *, ticks: int = 4000) -> Array:
-    """Stiffness above which a run grows instead of fading, by bisection for all loops at once
-    [N/m], shape (n,).
+    """Return the stiffness above which a run grows instead of decaying [N/m], shape (n,).
 
-    Zero where the softest wall (0.1 N/m) grows already.
+    It is found by bisection for all loops at once. It is zero if the softest wall (0.1 N/m) already
+    grows.
     """
     low = np.full(len(loops), SOFTEST_N_M)
     high = np.full(len(loops), STIFFEST_N_M)
@@ -172,11 +170,11 @@ def stability_map(
     rows: int = 60,
     ticks: int = 4000,
 ) -> StabilityMap:
-    """Stiffness against the wall's damping and against delay, around a chosen loop.
+    """Compute stability charts over wall damping and over delay, around a chosen loop.
 
-    By default the damping goes from none to what stops the mass within a step and the delay, well
-    past the best one; the delay goes to eight ticks. The chart's rows reach from a twentieth of the
-    lowest to three times the highest critical stiffness.
+    By default, the damping ranges from zero to the value that stops the mass within a step and the
+    delay, which is well above the best one. The delay ranges to eight ticks. The rows of the chart
+    range from a twentieth of the lowest to three times the highest critical stiffness.
     """
     most = (chosen.mass_kg + chosen.hand_mass_kg) / (
         chosen.tick_s * chosen.model_ticks + chosen.delay_s
@@ -197,7 +195,7 @@ def stability_map(
 
 
 def _chart(along: str, loops: list[WallLoop], rows: int, ticks: int) -> StabilityChart:
-    """One chart, over loops that differ in one field."""
+    """Return one chart, over loops that differ in one field."""
     exact = np.array([critical_stiffness_N_m(each) for each in loops])
     found = np.append(exact[(exact > 0.0) & (exact < inf)], loops[0].stiffness_N_m or 100.0)
     stiffnesses = np.geomspace(0.05 * found.min(), 3.0 * found.max(), rows)

@@ -1,4 +1,4 @@
-"""The vibration of a cutter's teeth, within the band that a haptic loop can carry."""
+"""Vibration of a cutter's teeth within the bandwidth of a haptic loop."""
 
 from fractions import Fraction
 from math import cos, inf, lcm, pi, sin, sqrt
@@ -11,34 +11,38 @@ from tissue.haptics.loop.filters import LowPass
 __all__ = ["BAND_LIMIT_HZ", "PlayedVibration", "Vibration"]
 
 BAND_LIMIT_HZ = 250.0
-"""Highest frequency rendered [Hz]: a quarter of the tick rate, where vibration is felt best
-(Pacinian receptors).
+"""Highest rendered frequency [Hz]: a quarter of the tick rate.
+
+Vibration is felt best near this frequency (Pacinian receptors).
 """
 ENVELOPE_S = 0.05
-"""Time over which the force is averaged that a device's vibration goes with [s]: a loop that may
-ring at 10 Hz and more gets a third of it back at most, moved to 250 Hz, where a hand and a device
-hardly move."""
+"""Averaging time of the force envelope that scales the vibration [s].
+
+A loop that may ring at 10 Hz and above gets at most a third of the ringing back, moved to 250 Hz,
+where a hand and a device hardly move.
+"""
 MOST_PERIOD_TICKS = 200
-"""Longest period by which a loop is judged [ticks]: from 5 Hz at 1 kHz on, off by half a per
-cent of f at most.
+"""Longest period used in the stability analysis of a loop [ticks].
+
+It covers frequencies from 5 Hz at 1 kHz, with an error of at most half a per cent of f.
 """
 SLEW_SHARE = 0.5
 """Share of the device's slew that the vibration may use."""
 
 
 class Vibration:
-    """A zero-mean modulation of the cutting force.
+    """Zero-mean modulation of the cutting force.
 
-    A cutter with N edges that turns omega / 2 pi times a second meets the tissue with a ripple at f
-    = N omega / 2 pi. Sampled at the tick rate R, a ripple above R / 2 comes back as a false slow
-    force at the distance of f from the nearest multiple of R. Here the model's force is the average
-    over a revolution, which holds no ripple, and the vibration is added at a frequency below the
-    band's limit: its own where that is lower, else the limit.
+    A cutter with N edges that turns omega / 2 pi times per second causes a force ripple at f = N
+    omega / 2 pi. Sampled at the tick rate R, a ripple above R / 2 aliases to a false slow force, at
+    the distance of f from the nearest multiple of R. Here the model force is the average over a
+    revolution, which contains no ripple. The vibration is added at f, or at the band limit if f is
+    higher.
 
     Parameters
     ----------
     tooth_passing_Hz
-        Rate at which edges pass [Hz].
+        Tooth passing frequency [Hz].
     share
         Amplitude relative to the average force.
     step_s
@@ -51,15 +55,14 @@ class Vibration:
         self._turns = self.frequency_Hz * step_s
 
     def factor(self, tick: int) -> float:
-        """What the average force is multiplied by and added to itself at a tick."""
+        """Return the factor of the average force that is added to the force at a tick."""
         return self.share * cos(2.0 * pi * self._turns * tick)
 
     def period(self, model_ticks: int = 1) -> Array:
-        """Factors of all ticks until it and a model of so many ticks begin together again, shape
-        (model_ticks, n).
+        """Return the factors over the common period of vibration and model, shape (model_ticks, n).
 
-        Of the nearest vibration with a period of at most `MOST_PERIOD_TICKS` ticks where its own is
-        longer.
+        If the period of the vibration is longer than `MOST_PERIOD_TICKS` ticks, the nearest
+        vibration with a shorter period is used.
         """
         turns = Fraction(self._turns).limit_denominator(MOST_PERIOD_TICKS) or Fraction(
             1, MOST_PERIOD_TICKS
@@ -69,22 +72,23 @@ class Vibration:
 
 
 class PlayedVibration:
-    """What a device plays of it, added to the force that it plays.
+    """Vibration as played by a device, added to its force.
 
-    Amplitude and direction are those of the force over the last tenth of a second: F_v = share E
-    cos(2 pi f t) with E' = (F - E) / tau. So within a period it does not depend on the state of the
-    loop. A change of the force comes back through it by at most share / sqrt(1 + (2 pi f tau)^2),
-    at frequencies f to either side of the vibration's own: the loop's judge knows it
-    (`tissue.haptics.loop.sampled_loop`), without limit and slew, which only make it smaller. The
-    amplitude leaves the sum within the device's greatest force, and half of the device's slew to
-    the force itself: a loop whose slew is used up rings.
+    Amplitude and direction follow the force averaged with a time constant tau of 0.05 s: F_v =
+    share E cos(2 pi f t) with E' = (F - E) / tau. Within a period, the vibration therefore does not
+    depend on the state of the loop. A change of the force returns through it by at most share /
+    sqrt(1 + (2 pi f tau)^2), at frequencies f to either side of the frequency of the vibration. The
+    stability analysis (`tissue.haptics.loop.sampled_loop`) includes the vibration without limit and
+    slew, which only reduce it. The amplitude is limited so that the sum stays within the largest
+    force of the device. It leaves half of the slew to the force itself, because a loop at its slew
+    limit rings.
 
     Parameters
     ----------
     vibration
-        Its frequency and share.
+        Frequency and share of the vibration.
     limit_N, slew_N
-        Greatest force of the device and its greatest change in a tick [N].
+        Largest force of the device and its largest change in a tick [N].
     step_s
         Length of a tick [s].
     """
@@ -99,7 +103,7 @@ class PlayedVibration:
         self._tick = 0
 
     def step(self, force_N: Array) -> Array:
-        """The vibration in a tick in which this force is played [N], shape (3,)."""
+        """Return the vibration in a tick in which ``force_N`` is played [N], shape (3,)."""
         self._tick += 1
         level = self._envelope.step(force_N)
         amplitude = self._vibration.share * sqrt(level.dot(level))
@@ -108,6 +112,6 @@ class PlayedVibration:
         return level * (factor if amplitude <= most else factor * most / amplitude)
 
     def pause(self) -> None:
-        """Nothing is played in a tick without a sample, so that it begins from nothing again."""
+        """Reset the envelope after a tick without a sample, in which no force is played."""
         self._tick += 1
         self._envelope.value = np.zeros(3)

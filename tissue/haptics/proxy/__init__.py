@@ -1,1 +1,1 @@
-"""The proxy on the voxel map and the virtual coupling to it."""
+"""Proxy of a tool on the voxel map, and its virtual coupling to the device."""

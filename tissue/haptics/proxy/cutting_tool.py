@@ -1,6 +1,4 @@
-"""Where a tool is that cuts and hangs on a device by a spring: the balance along its feed and
-across it.
-"""
+"""Quasi-static force balance of a cutting tool coupled to a haptic device."""
 
 from math import sqrt
 
@@ -16,95 +14,108 @@ from tissue.motion.quaternion import Quaternion
 __all__ = ["CuttingTool"]
 
 LEAST_N, LEAST_N_s_m = 1e-3, 1.0
-"""Force and resistance that count as none."""
+"""Force [N] and resistance [N s/m] below which both count as zero."""
 LEAST_M = 2e-7
-"""Motion of a tick that counts as rest [m]: so near the cut that it lies in, voxels do not show
-what a tool meets.
+"""Motion per tick below which a tool counts as resting [m].
+
+So close to the previous cut surface, the voxels do not resolve the engagement of the tool.
 """
 CONE = 0.3
-"""Pull across what has resisted, over that along it, below which a resting tool presses and does
-not slide: Coulomb's coefficient of metal on bone, see `tissue.haptics.proxy.probing_tool`."""
-PRESS = 0.02
-"""Share by which the heading of a tool that presses turns to the pull a tick: one that slides on
-after the next step of its device's encoders, in about 10 ms, goes on as it did."""
-VISCOUS = 30.0
-"""Resistance over stiffness and step from which a motion is slow by itself, so that no creeping
-counts as rest.
+"""Tangential over normal pull below which a resting tool presses and does not slide.
+
+The direction of the felt resistance is the normal. The value is Coulomb's coefficient of metal on
+bone, see `tissue.haptics.proxy.probing_tool`.
 """
+PRESS = 0.02
+"""Share per tick by which the direction of motion of a pressing tool turns to the pull.
+
+A tool that slides again after the next encoder step of its device, in about 10 ms, keeps its
+direction.
+"""
+VISCOUS = 30.0
+"""Resistance over stiffness and step above which slow motion does not count as rest."""
 CAREFUL_M = 5e-6
-"""Longest motion of a tool's first tick, each further one being at most twice as long [m]: what was
-cut on another heading is free up to its surface, and full bone a micrometre on."""
+"""Longest motion of a tool in its first tick [m]; each further motion is at most twice as long.
+
+Material cut in another direction is free up to its surface, and full bone a micrometre behind it.
+"""
 TOO_MUCH = 1.2
-"""Force of a cut over the spring's pull from which the balance is found anew: they differ by
-what changes in a tick.
+"""Ratio of cutting force to spring pull above which the balance is solved again.
+
+Both differ by the changes within a tick.
 """
 SMALL_RAD = 5e-3
-"""Turn of the heading below which a change of the force is laid to the place rather than to the
-heading.
-"""
+"""Turn of the direction of motion below which a force change is attributed to the position."""
 LARGE_RAD = 0.1
-"""Turn of the heading from which the tissue is asked again before the tool moves: half the width
-of a shallow cut.
+"""Turn of the direction of motion above which the tissue is evaluated again before the tool moves.
+
+It is half the width of a shallow cut.
 """
 STEADY = 0.2
-"""Share of a change of the torque that the spring of rotation is given a tick: it jumps as the tool
-rests and goes on, which the tool's turn has no part in."""
+"""Share of a torque change that is applied to the spring of rotation in a tick.
+
+The torque jumps when the tool rests and starts again, which is unrelated to its rotation.
+"""
 SLOWLY = 0.9
-"""Share of a slope that is still reckoned with a tick after a smaller one was found."""
+"""Factor per tick by which a remembered slope decays after a smaller slope."""
 DAMPED = 6.0
-"""Slope of the resistance in a Newton step over the one found: the motion that it is multiplied by
-turns with the heading. Of 1 to 12 it is where a reamer does not shake in its seat and milling does
-not turn too late.
+"""Slope of the resistance in a Newton step, relative to the measured slope.
+
+The motion multiplied by it turns with the direction of motion. Among values from 1 to 12, a reamer
+does not vibrate in its seat with this value, and milling does not turn too late.
 """
 SMOOTH_S = 0.2
-"""Time over which the tool's velocity is smoothed for the damper [s]. On three runs of milling and
-one of caries the forces of a tool at the device's true and at its measured positions differ by 15
-and 6 %, in the mean; with 0.07 s by 18 and 5, with 0.6 s by 13 and 8 %. A damper to the device's
-velocity leaves 11 and 12 %, but a tenth of what the tissue meets would not be felt while a tool is
-being slowed."""
+"""Smoothing time of the tool velocity for the damper [s].
+
+On three milling runs and one caries run, the forces with the true and with the measured device
+positions differ by 15 and 6 % on average. With 0.07 s they differ by 18 and 5 %, with 0.6 s by 13
+and 8 %. A damper to the device velocity gives 11 and 12 %. However, a tenth of the tissue force
+would then not be felt while a tool is slowed.
+"""
 NEAREST = 0.2
-"""Least share of the pull along the heading that a turn of the heading leaves."""
+"""Smallest share of the pull along the direction of motion that remains after a turn."""
 
 
 class CuttingTool(HeldTool):
-    """A tool in a tissue that yields only by being cut, such as bone.
+    """Tool in a tissue that yields only to cutting, such as bone.
 
-    In a step T the tip moves by s u, and spring and cut balance as vectors at its end::
+    In a step T, the tip moves by s u. Spring and cutting force balance as vectors at its end::
 
         k (x_device - x - s u) + b (V - s u / T) = E(u) + C(u) s / T,    s >= 0
 
-    with the edge force E and the resistance C that the tissue gives for the unit heading u. The
-    damper b acts against what differs from the tool's own smoothed velocity V: none at a steady
-    pace or at rest. Without it a tool that spins, whose edge force acts across its motion, runs
-    about on its spring, and any difference grows.
+    E is the edge force and C the resistance of the tissue for the unit direction of motion u. The
+    damper b acts on the difference from the tool's own smoothed velocity V. It is zero at a steady
+    speed or at rest. Without the damper, a spinning tool, whose edge force acts across its motion,
+    moves erratically on its spring, and any difference grows.
 
-    Along the heading this is implicit in s, for resistances up to 1e5 N s/m; below the edge force
-    the tool rests, and the tissue answers the spring in full, and with the share of the edges'
-    torque that it pulls of their force. Across it the unknown is the heading: a cutter that leans
-    into the tissue is pushed out of it, so that a small turn of it changes the force far more than
-    a tick's motion changes the spring's. What is missing across, r, turns the heading by one Newton
-    step a tick, also at rest::
+    Along the direction of motion, the balance is implicit in s, for resistances up to 1e5 N s/m.
+    Below the edge force, the tool rests. The tissue then balances the spring in full. The edge
+    torque is scaled by the share of the edge force that the spring pulls. Across this direction,
+    the unknown is the direction itself. A cutter that leans into the tissue is pushed out of it. A
+    small turn therefore changes the force far more than the motion of a tick changes the spring
+    force. The force residual r across turns the direction by one Newton step per tick, also at
+    rest::
 
         u' ~ u + r / S,    S = |dE/du| + (6 |dC/du| / T + k + b / T) s
 
-    The slopes are how far E and C have changed with the last headings, at least E and C themselves
-    for each radian; a greater one counts at once, a smaller one gradually. Before a large turn, or
-    where the pull is away from the heading that the tissue was asked about, the tool waits and the
-    tissue is asked again within the tick. No step is longer than the stretch along its heading, so
-    the spring gives energy to the tool and never takes any; nor, against what resists, than twice
+    The slopes are the changes of E and C with the last directions, at least E and C themselves per
+    radian. A larger slope is used at once, a smaller one gradually. Before a large turn, or if the
+    pull points away from the evaluated direction, the tool waits and the tissue is evaluated again
+    within the tick. No step is longer than the stretch along its direction. The spring therefore
+    gives energy to the tool and never takes any. Against resistance, no step is longer than twice
     the last one.
 
-    What has resisted is remembered as a vector, which fades over some ticks of motion: straight on
-    all of it counts, straight back nothing. Then the tip goes to where the device is, what is left
-    of the stretch fading as fast. So a device whose encoder steps does not jump between air and
-    bone.
+    The felt resistance is stored as a vector and fades over some ticks of motion. All of it acts on
+    motion straight ahead, and it does not act on motion straight back. The tip then moves to the
+    device, and the remaining stretch fades at the same rate. A device with encoder steps therefore
+    does not jump between air and bone.
 
     Parameters
     ----------
     stiffness_N_m, tip_m, turn
         See `HeldTool`.
     damping_N_s_m
-        Of the damper, in the tissue's newtons [N s/m].
+        Coefficient of the damper, in the tissue's newtons [N s/m].
     """
 
     def __init__(
@@ -134,9 +145,7 @@ class CuttingTool(HeldTool):
     def follow(
         self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float
     ) -> Array:
-        """Solve the balance along the heading, move, and turn the heading by what is missing
-        across.
-        """
+        """Solve the balance along the direction of motion, move, and turn by the residual."""
         self._torque_Nm += STEADY * (response.wrench[3:] - self._torque_Nm)
         self._turn.follow(device, self._torque_Nm if self.driven else response.wrench[3:])
         # [N], [N/m]
@@ -189,8 +198,10 @@ class CuttingTool(HeldTool):
         return self.tip_m
 
     def lands(self, response: Response, heading: Array) -> bool:
-        """Whether the cut takes more than the spring pulls, or answers a new heading; what is
-        cut stays cut.
+        """Return whether the cut requires another evaluation within the tick.
+
+        It does if the cutting force exceeds the pull of the spring, or a new direction was
+        requested. Material that has been cut is not restored.
         """
         force = response.wrench[:3]
         met = -float(force.dot(heading)) if self.driven else sqrt(force.dot(force))
@@ -199,8 +210,9 @@ class CuttingTool(HeldTool):
         return self._again
 
     def _pace_m_s(self, step_s: float) -> Array:
-        """The smoothed velocity of the tool, which a second answer in a tick leaves as it is
-        [m/s].
+        """Return the smoothed velocity of the tool [m/s].
+
+        A second evaluation in a tick does not change it.
         """
         if not self._again:
             if self.driven:
@@ -214,9 +226,7 @@ class CuttingTool(HeldTool):
         return self._speed_m_s
 
     def _feel(self, resisted: Array, twist_Nm: Array, heading: Array) -> list[float]:
-        """Keep what resists, and how it has changed with the heading; sizes of what is kept [N],
-        [N/m].
-        """
+        """Store the resistance and its change with direction; return its sizes [N], [N/m]."""
         turned = heading - self._asked
         square = float(turned.dot(turned))
         share = sqrt(square) / (square + SMALL_RAD**2)
@@ -239,7 +249,7 @@ class CuttingTool(HeldTool):
         return sizes
 
     def _wait(self, stretch: Array, asks: bool) -> Array:
-        """Stay, held by the spring; the tip."""
+        """Rest, held by the spring, and return the tip."""
         self._asks = asks
         self._left_m = stretch
         if not asks:
@@ -254,8 +264,9 @@ class CuttingTool(HeldTool):
         return self.tip_m
 
     def _presses(self, stretch: Array) -> bool:
-        """Whether the pull lies in the cone about what has resisted in which a tool on bone does
-        not slide.
+        """Return whether the pull lies in the friction cone around the felt resistance.
+
+        A tool on bone does not slide within this cone.
         """
         edge = self._felt[0]
         normal = float(stretch.dot(edge))
@@ -264,7 +275,7 @@ class CuttingTool(HeldTool):
         )
 
     def _let_go(self, stretch: Array) -> None:
-        """Go to the device, but for a rest of the stretch that was left."""
+        """Move to the device, except for a fading rest of the stretch."""
         left = FADE * self._left_m
         if (
             float((stretch - left).dot(left)) < 0.0
@@ -276,7 +287,7 @@ class CuttingTool(HeldTool):
 
 
 def _turned(heading: Array, turn: Array, stretch: Array) -> Array:
-    """A heading that has turned, so far as that leaves some of the stretch along it."""
+    """Return the turned direction, limited so that some of the stretch remains along it."""
     along = float(heading.dot(stretch))
     more = float(turn.dot(stretch))
     if along + more < NEAREST * along:
@@ -287,9 +298,9 @@ def _turned(heading: Array, turn: Array, stretch: Array) -> Array:
 
 
 def _furthest(stretch: Array, heading: Array, moved: Array) -> float:
-    """Longest step s from which the spring still pulls along all that was moved in a tick.
+    """Return the longest step s for which the spring pulls along the whole motion of a tick.
 
-    (stretch - s u) . (moved + s u) >= 0.
+    The condition is (stretch - s u) . (moved + s u) >= 0.
     """
     more = float(stretch.dot(heading)) - float(moved.dot(heading))
     return 0.5 * (more + sqrt(more * more + 4.0 * max(float(stretch.dot(moved)), 0.0)))

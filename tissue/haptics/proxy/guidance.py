@@ -1,6 +1,4 @@
-"""Where a person leads a tool that resists: farther than it shall go, by what is seen and by
-what is meant to push.
-"""
+"""Guidance of a resisting tool by an operator, who corrects visible errors or applies a thrust."""
 
 from dataclasses import dataclass, field
 from math import sqrt
@@ -14,33 +12,36 @@ from tissue.haptics.proxy.held_tool import HeldTool
 __all__ = ["CompensatedPath", "Thrust"]
 
 SHARE = 0.35
-"""Share of what is seen missing that is added in every correction, where the tool goes as far as
-the hand; assumed. At
-0.5 one that mills overshoots: it is pushed aside by as much as it is to press."""
+"""Share of the visible error that each correction adds, for a tool that follows the hand; assumed.
+
+At 0.5, milling overshoots: the tool is pushed aside as far as it should press.
+"""
 LEAST_YIELD = 0.6
-"""Least motion of a tool for each of the hand that a person reckons with; assumed. Of 1 to 0.2 it
-is where reaming is nearly finished (0.2 mm are missing instead of 0.5) before milling
-overshoots."""
+"""Smallest ratio of tool motion to hand motion that an operator assumes; assumed.
+
+Among values from 1 to 0.2, reaming is nearly finished (0.2 mm are missing instead of 0.5) before
+milling overshoots.
+"""
 
 
 @dataclass
 class CompensatedPath:
-    """A path on which the tool, not the hand, is brought to where it shall be.
+    """Path on which the tool, not the hand, reaches its target.
 
-    A hand that only went where the tool shall be would stop where spring and resistance balance. At
-    every correction this one goes farther by a share of what the tool is seen to lack, and by the
-    more the less of its last motions the tool has made.
+    A hand that moved only to the target would stop where spring and resistance balance. At every
+    correction, this hand moves farther by a share of the visible error of the tool. The share
+    increases if the tool has made less of its last motions.
 
     Attributes
     ----------
     path
-        Where the tool shall be.
+        Target position of the tool.
     tool
-        Where it is.
+        Held tool, with its present position.
     lead_s
-        How far ahead of the present an aim asks for its path [s].
+        Time by which an aim requests its path in advance [s].
     furthest_m
-        Farthest that the hand is led beyond the path [m].
+        Largest distance by which the hand moves beyond the path [m].
     """
 
     path: Path
@@ -53,7 +54,7 @@ class CompensatedPath:
     _yields: float = 1.0
 
     def __call__(self, time_s: float) -> Array:
-        """Where to aim at a time [s]; each call is a correction."""
+        """Return the aim at a time [s]; each call is a correction."""
         if time_s > self.lead_s:
             self._learn()
             self.beyond_m += (
@@ -67,8 +68,9 @@ class CompensatedPath:
         return aim
 
     def _learn(self) -> None:
-        """Take the tool's last motion for each of the hand's, which was aimed at two corrections
-        ago.
+        """Update the ratio of tool motion to hand motion.
+
+        The hand motion was aimed at two corrections ago.
         """
         if len(self._aims_m) == 3:
             went = self.tool.tip_m - self._tip_m
@@ -82,19 +84,20 @@ class CompensatedPath:
 
 @dataclass
 class Thrust:
-    """A push of given size along a line until the tool has gone its path; the hand goes with the
-    tool.
+    """Push of given size along a line until the tool has completed its path.
+
+    The hand follows the tool.
 
     Attributes
     ----------
     start_m, path_m
-        Where the tool starts and how it shall go [m], shape (3,).
+        Start position and path vector of the tool [m], shape (3,).
     tool
-        Where it is.
+        Held tool, with its present position.
     push_N
-        At the device [N].
+        Push at the device [N].
     stretch_m
-        How far the device is ahead of the tool while that pushes [m].
+        Lead of the device over the tool under this push [m].
     """
 
     start_m: Array
@@ -105,14 +108,14 @@ class Thrust:
 
     @property
     def share(self) -> float:
-        """Share of the path that the tool has gone, 0 to 1."""
+        """Share of the path that the tool has completed, 0 to 1."""
         gone = float((self.tool.tip_m - self.start_m) @ self.path_m) / float(
             self.path_m @ self.path_m
         )
         return min(max(gone, 0.0), 1.0)
 
     def path(self, time_s: float) -> Array:
-        """Where to aim at a time [s]: at the device that the tool hangs on."""
+        """Return the aim at a time [s]: the position of the device that holds the tool."""
         share = self.share
         if time_s <= 0.0 or share == 1.0:
             return self.start_m + share * self.path_m
@@ -123,7 +126,7 @@ class Thrust:
         )
 
     def push(self, time_s: float) -> Array:
-        """Intended force at a time [N]."""
+        """Return the intended force at a time [N]."""
         if self.share == 1.0:
             return np.zeros(3)
         force: Array = self.push_N * self.path_m / sqrt(self.path_m @ self.path_m)

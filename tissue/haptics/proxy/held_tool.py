@@ -1,6 +1,4 @@
-"""Where a tool is that hangs on a device by a spring: in balance with what it cuts, or with what
-pushes it back.
-"""
+"""Quasi-static force balance of a tool coupled to a haptic device by a spring."""
 
 from abc import ABC, abstractmethod
 
@@ -16,39 +14,37 @@ from tissue.motion.quaternion import Quaternion
 __all__ = ["FADE", "HeldTool", "PressingTool"]
 
 FADE = 0.8
-"""Share of a resistance that is still reckoned with a tick after it is gone."""
+"""Factor per tick by which a remembered resistance decays."""
 LEAST_M = 2e-6
-"""Displacement from which the stiffness of a tissue is learnt [m]."""
+"""Smallest displacement for an estimate of the tissue stiffness [m]."""
 
 
 class HeldTool(ABC):
-    """A law for the pose of a tool; the spring's pull is the stiffness times the distance to the
-    device.
+    """Law for the pose of a tool; its spring force is stiffness times distance to the device.
 
-    The device is where it would have the tool: its position in the tool's metres, its turn from its
-    first orientation.
+    The device pose is expressed as the desired tool pose: position in metres of the tool, and
+    rotation from the first orientation.
 
     Parameters
     ----------
     stiffness_N_m
-        Of the spring, in the tissue's newtons [N/m].
+        Stiffness of the spring, in the tissue's newtons [N/m].
     tip_m
-        Where the tip starts [m], shape (3,).
+        Start position of the tip [m], shape (3,).
     turn
-        Spring of rotation; without it the tool turns as its device does.
+        Spring of rotation; without it, the tool turns with the device.
 
     Attributes
     ----------
     tip_m
-        Where the tip is [m], shape (3,).
+        Position of the tip [m], shape (3,).
     push
-        Force [N] and torque [N m] on a driven tool that rests, but those of the tissue, shape (6,);
-        else zero.
+        Force [N] and torque [N m] on a driven tool at rest, without the load of the tissue, shape
+        (6,); otherwise zero.
     driven
-        Whether its last motion was made against resistance, and so at a speed and with a heading of
-        its own.
+        True if the last motion was made against resistance, with its own speed and direction.
     heading
-        Where it goes, or would go, when it is driven: a unit vector, shape (3,).
+        Unit direction of motion of a driven tool, or its intended direction at rest, shape (3,).
     """
 
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
@@ -63,33 +59,35 @@ class HeldTool(ABC):
 
     @property
     def quaternion(self) -> Quaternion:
-        """The tool's turn from its first orientation."""
+        """Rotation of the tool from its first orientation."""
         return self._turn.quaternion
 
     @abstractmethod
     def follow(
         self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float
     ) -> Array:
-        """Go a step towards the device [m], given the last response and the unit heading it was
-        given for; the tip.
+        """Move a step towards the device [m], and return the tip.
+
+        ``response`` is the last tissue response, evaluated for the unit direction ``heading``.
         """
 
     @abstractmethod
     def lands(self, response: Response, heading: Array) -> bool:
-        """Whether this answer to its new place shows that it has met more than it knew of, so
-        that it follows anew.
+        """Return whether the response at the new position requires another step within the tick.
+
+        It does if the tool has engaged more material than the last response had shown.
         """
 
 
 class PressingTool(HeldTool):
-    """A tool on a tissue that pushes it back, such as an organ or a wall.
+    """Tool on a tissue that pushes back, such as an organ or a wall.
 
-    The tip is where spring and tissue balance, k (x_device - x) + F(x) = 0, by one Newton step a
-    tick from the force F and stiffness K of the last one: x' = x + (k + K)^-1 (k (x_device - x) +
-    F). A tissue that does not know its K is taken as alike in all directions, as stiff as its force
-    has changed along the tip's last motions; a greater value counts at once, a smaller one
-    gradually. A balance in which the tissue would pull where it has pushed is none: the tip is
-    where the device is, and so it is where nothing touches.
+    The tip balances spring and tissue, k (x_device - x) + F(x) = 0. One Newton step per tick uses
+    the force F and the stiffness K of the last tick: x' = x + (k + K)^-1 (k (x_device - x) + F).
+    For a tissue without a known K, an isotropic stiffness is estimated from the change of force
+    along the last motions of the tip. A larger value is used at once, a smaller one gradually. If
+    the balance required the tissue to pull instead of push, it is not used. The tip is then at the
+    device, as it is without contact.
     """
 
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
@@ -103,7 +101,7 @@ class PressingTool(HeldTool):
     def follow(
         self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float
     ) -> Array:
-        """Make a Newton step of the balance."""
+        """Take a Newton step of the balance."""
         self._turn.follow(device, response.wrench[3:])
         force = response.wrench[:3]
         tip = self.tip_m
@@ -128,11 +126,11 @@ class PressingTool(HeldTool):
         return tip
 
     def lands(self, response: Response, heading: Array) -> bool:
-        """Whether a free tool has gone into the tissue."""
+        """Return whether a free tool has entered the tissue."""
         return self._free and any(response.wrench[:3].tolist())
 
     def _learn(self, force_N: Array) -> None:
-        """Take the stiffness from what the last motion has changed."""
+        """Update the estimated stiffness from the last motion."""
         moved = self.tip_m - self._before_m
         changed = force_N - self._before_N
         square = float(moved.dot(moved))

@@ -1,6 +1,4 @@
-"""How a tool is turned that hangs on a device by a spring of rotation: in balance with the
-torque of what it meets.
-"""
+"""Quasi-static torque balance of a tool coupled to a haptic device by a spring of rotation."""
 
 from math import inf, sqrt
 
@@ -14,27 +12,27 @@ __all__ = ["UPRIGHT", "HeldTurn"]
 
 UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
 FADE = 0.8
-"""Share of a stiffness that is still reckoned with a tick after it is gone."""
+"""Factor per tick by which a remembered stiffness decays."""
 LEAST_RAD = 1e-5
-"""Turn from which the stiffness of a tissue is learnt [rad]; a tool of 20 mm moves 0.2 um."""
+"""Smallest rotation for an estimate of the tissue stiffness [rad]; a tool of 20 mm moves 0.2 um."""
 FURTHEST_RAD = 2.5
-"""Greatest turn of the spring [rad]: at pi it would pull to either side."""
+"""Largest rotation of the spring [rad]: at pi it would pull to either side."""
 
 
 class HeldTurn:
-    """The tool's turn from its first orientation, as a unit quaternion next to the device's.
+    """Rotation of the tool from its first orientation, as a unit quaternion.
 
-    Spring and tissue balance, k theta + T = 0, with theta the rotation vector from tool to device
-    and T the torque on the tool about its tip, by one Newton step a tick from the torque of the
-    last one. The tissue is taken as alike about all axes, as stiff as its torque has changed along
-    the tool's last turns; a greater value counts at once, a smaller one gradually. Where nothing
-    turns the tool it is as the device is.
+    Spring and tissue balance, k theta + T = 0. Here theta is the rotation vector from tool to
+    device, and T the torque on the tool about its tip. One Newton step per tick uses the torque of
+    the last tick. An isotropic stiffness of the tissue is estimated from the change of torque along
+    the last rotations of the tool. A larger value is used at once, a smaller one gradually. Without
+    a torque, the tool has the orientation of the device.
 
     Parameters
     ----------
     stiffness_Nm_rad
-        Of the spring, in the tissue's newton metres [N m/rad]; infinite for a tool that turns as
-        its device does.
+        Stiffness of the spring, in the tissue's newton metres [N m/rad]; infinite for a tool that
+        turns with its device.
     """
 
     def __init__(self, stiffness_Nm_rad: float = inf) -> None:
@@ -47,8 +45,9 @@ class HeldTurn:
         self._torque = np.zeros(3)
 
     def follow(self, device: Quaternion, torque_Nm: Array) -> Quaternion:
-        """Make a Newton step of the balance with the torque on the tool [N m], shape (3,); the
-        tool's turn.
+        """Take a Newton step of the balance, and return the rotation of the tool.
+
+        ``torque_Nm`` is the torque on the tool [N m], shape (3,).
         """
         spring = self.stiffness_Nm_rad
         if spring == inf or not any(torque_Nm.tolist()):
@@ -67,7 +66,7 @@ class HeldTurn:
         return self.quaternion
 
     def _learn(self, torque_Nm: Array) -> None:
-        """Take the stiffness from what the last turn has changed."""
+        """Update the estimated stiffness from the last rotation."""
         turned = np.array(turn_between(self._before, self.quaternion))
         square = float(turned.dot(turned))
         if square > LEAST_RAD**2:

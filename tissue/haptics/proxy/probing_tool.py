@@ -1,6 +1,4 @@
-"""A tool that does not turn: it cuts nothing, and the hand feels the rigid bone with its
-surface.
-"""
+"""Tool that does not spin or cut; its surface is in contact with rigid bone."""
 
 from math import inf, sqrt
 
@@ -22,20 +20,22 @@ from tissue.motion.quaternion import Quaternion
 __all__ = ["ProbedBone", "ProbingTool"]
 
 FRICTION = 0.3
-"""Coulomb's coefficient of smooth metal on bone, 0.2 to 0.6 (Shirazi-Adl et al., 1993, from
-memory: confidence L).
+"""Coulomb's coefficient of smooth metal on bone, 0.2 to 0.6.
+
+Source: Shirazi-Adl et al., 1993, from memory: confidence L.
 """
 RIGID_LEVER_M = 10.0
-"""Lever of the spring of rotation for a device that imposes its turn [m]: a hundred times what
-any tool has.
+"""Lever of the spring of rotation for a device that imposes its rotation [m].
+
+It is a hundred times the lever of any tool.
 """
 
 
 class ProbingTool(HeldTool):
-    """The god-object of a tool of any shape: where it would be if nothing could be pushed into.
+    """God-object of a tool of any shape: its pose without penetration.
 
-    Contacts of the shell's points with the bone balance the springs of translation and rotation,
-    see :class:`tissue.haptics.proxy.proxy.Proxy`; the bone is read in place, in voxels that others
+    Contacts of the shell points with the bone balance the springs of translation and rotation, see
+    :class:`tissue.haptics.proxy.proxy.Proxy`. The bone is read in place, in voxels that other parts
     may carve.
     """
 
@@ -56,13 +56,14 @@ class ProbingTool(HeldTool):
         self.proxy: Proxy | None = None
 
     def meet(self, shell: ToolShell, field: ContactField) -> Proxy:
-        """Begin where the tool starts, before what it may touch; the shell is in the world's axes
-        there.
+        """Place the tool at its start, with the field that it may touch.
+
+        There, the shell is in the world's axes.
 
         Raises
         ------
         InputError
-            If the tool would lie in something.
+            If the tool would lie in a solid.
         """
         self.proxy = Proxy(shell, field, lever_m=self.lever_m, friction=self.friction)
         self.proxy.place(self.tip_m, np.array(self.quaternion))
@@ -71,7 +72,7 @@ class ProbingTool(HeldTool):
     def follow(
         self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float
     ) -> Array:
-        """Go as near to the device as the contacts allow; the tip."""
+        """Move as close to the device as the contacts allow, and return the tip."""
         assert self.proxy is not None, "a probing tool must meet something first"
         result = self.proxy.advance(device_m, np.array(device))
         self.tip_m[:] = result.position_m
@@ -80,27 +81,27 @@ class ProbingTool(HeldTool):
         return self.tip_m
 
     def lands(self, response: Response, heading: Array) -> bool:
-        """It never goes into anything."""
+        """Return False, because the tool never enters a solid."""
         return False
 
 
 class ProbedBone(FreeSpace):
-    """Voxels under a tool that does not cut: rigid, and as they were.
+    """Rigid and unchanged voxels under a tool that does not cut.
 
-    Its measures are the number of contacts that press, and whether the god-object ran out of steps
-    before it settled. ``engaged_m2`` is a shell point's share of the surface for every contact,
-    booked to the layer at their centre of pressure.
+    Its measures are the number of pressing contacts, and 1 if the god-object ran out of steps
+    before it settled. ``engaged_m2`` is the share of the surface per shell point times the number
+    of contacts. It is booked to the layer at the centre of pressure.
 
     Parameters
     ----------
     volume
-        The bone.
+        Bone.
     shell
-        The tool's surface, in its own frame.
+        Surface of the tool, in its own frame.
     area_m2
         Area of that surface [m2].
     tool
-        What is pressed against the bone.
+        Tool that is pressed against the bone.
     device
         Warp device name.
     """
@@ -129,12 +130,12 @@ class ProbedBone(FreeSpace):
         self._field = ContactField(store=self.store)
 
     def place(self, motion: ToolMotion) -> None:
-        """Put the tool where it starts.
+        """Place the tool at its start.
 
         Raises
         ------
         InputError
-            If that is inside the bone.
+            If the start is inside the bone.
         """
         turn = motion.rotation.T
         shell = ToolShell(self._shell.points_m @ turn, self._shell.normals @ turn)
@@ -146,7 +147,7 @@ class ProbedBone(FreeSpace):
             ) from error
 
     def respond(self, motion: ToolMotion) -> Response:
-        """What the contacts push, and its torque about the tip."""
+        """Return the contact force, and its torque about the tip."""
         response = self._response
         proxy = self._tool.proxy
         assert proxy is not None, "a tool must be placed before it is asked"
@@ -164,7 +165,10 @@ class ProbedBone(FreeSpace):
         return response
 
     def _layer_under(self, point_m: Array, push_m: Array) -> int:
-        """Layer of the voxel behind a point of the surface, half a voxel against the push [m]."""
+        """Return the layer of the voxel half a voxel behind a surface point.
+
+        ``push_m`` is the push at the point [m], which points outward.
+        """
         volume = self._volume
         size = float(np.sqrt(push_m @ push_m))
         inward = -0.5 * volume.spacing_m / size * push_m if size > 0.0 else 0.0

@@ -1,11 +1,10 @@
-"""The god-object: where a tool would be if nothing could be pushed into, in three or six degrees of
-freedom.
+"""God-object: pose of a tool without penetration, in three or six degrees of freedom.
 
-The device goes where the hand moves it, through walls if it must; the proxy follows as far as it
-can and stays outside. What holds them together, see `tissue.haptics.renderer.ProxyRenderer`, is the
-force that the hand feels. The proxy is the tool's static equilibrium between the coupling's springs
-and the contacts, reached by local descent from the last proxy: a search for the nearest free point
-would come out on the far side of a thin wall.
+The device follows the hand, even through walls. The proxy follows the device as far as possible and
+stays outside. The coupling between both, see `tissue.haptics.renderer.ProxyRenderer`, is the force
+on the hand. The proxy is the static equilibrium of the tool between the coupling springs and the
+contacts. It is reached by local descent from the last proxy. A search for the nearest free point
+would end on the far side of a thin wall.
 """
 
 from dataclasses import dataclass
@@ -46,8 +45,9 @@ STEP_M = 2.5e-4
 STEP_VOXELS = 0.5
 """Longest step near voxels [voxel]."""
 TOLERANCE_M, TOLERANCE_VOXELS = 1e-12, 1e-3
-"""Step below which the proxy has settled: rounding near exact solids, a thousandth voxel near
-voxels.
+"""Step below which the proxy has settled [m], [voxel].
+
+The first value covers rounding near exact solids. The second is a thousandth voxel near voxels.
 """
 _POSITION = slice(POSITION, POSITION + 3)
 _ROTATION = slice(ROTATION, ROTATION + 4)
@@ -58,7 +58,7 @@ _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 class ProxyOutcome(Enum):
-    """How a tick ended; the value holds the remedy."""
+    """Outcome of a tick; the value contains the remedy."""
 
     FREE = "the proxy is where the device is: nothing to do"
     CONTACT = "the proxy rests against something: render the coupling's force"
@@ -70,26 +70,27 @@ class ProxyOutcome(Enum):
 
 @dataclass
 class ProxyResult:
-    """Where the proxy is, reused from tick to tick.
+    """State of the proxy, reused from tick to tick.
 
     Attributes
     ----------
     position_m
-        Of the tool's origin [m], shape (3,).
+        Position of the tool's origin [m], shape (3,).
     quaternion
-        Tool to world (x, y, z, w), shape (4,).
+        Rotation from tool to world (x, y, z, w), shape (4,).
     outcome
-        How the tick ended.
+        Outcome of the tick.
     contacts
-        Contacts that press.
+        Number of pressing contacts.
     push_m, push_moment_m2
-        Sum of the contact forces on the tool and of their moments about its origin, both over the
-        coupling's stiffness k: times k they are N and N m. They balance the coupling's springs once
-        the proxy has settled.
+        Sum of the contact forces on the tool, and of their moments about its origin, both divided
+        by the coupling stiffness k. Multiplied by k, they are in N and N m. They balance the
+        coupling springs once the proxy has settled.
     arm_m
-        Centre of pressure from the tool's origin, in the world's axes [m], shape (3,).
+        Vector from the tool's origin to the centre of pressure, in the world's axes [m], shape
+        (3,).
     steps, solves
-        Steps of the descent and solves of the active set that the tick took.
+        Number of descent steps and of active-set solves in the tick.
     """
 
     position_m: Array
@@ -104,26 +105,26 @@ class ProxyResult:
 
 
 class Proxy:
-    """A rigid tool that follows a device and never enters anything.
+    """Rigid tool that follows a device and never enters a solid.
 
     Parameters
     ----------
     shell
-        The tool.
+        Surface of the tool.
     field
-        What it may touch.
+        Solids and bone that the tool may touch.
     lever_m
         Square root of the coupling's rotational stiffness over its stiffness [m]; None for three
-        degrees of freedom, in which the tool keeps the orientation it was placed with.
+        degrees of freedom, in which the tool keeps its initial orientation.
     friction
         Coulomb's coefficient.
     step_limit, solve_limit
-        Bounds of the work of a tick; what is left is done in the next one.
+        Largest number of steps and solves in a tick. The rest is done in the next tick.
 
     Raises
     ------
     InputError
-        If a number is out of range, or a shell of balls is to touch voxels.
+        If a number is out of range, or a shell of balls is used with voxels.
     """
 
     def __init__(
@@ -172,7 +173,7 @@ class Proxy:
         self._state = Mirror(STATE, dtype=wp.float64, device=device)
         self._report = Mirror(REPORT, dtype=wp.float64, device=device)
         self._goal.host[_ROTATION] = self._state.host[_ROTATION] = _IDENTITY
-        self._field = field  # its arrays are read by the recorded launch
+        self._field = field  # the recorded launch reads its arrays
         self._launch = wp.launch(
             advance_proxy,
             dim=1,
@@ -186,12 +187,12 @@ class Proxy:
         )
 
     def place(self, position_m: Array, quaternion: Array = _IDENTITY) -> ProxyResult:
-        """Put the proxy at a pose, which must be free, and forget all contacts.
+        """Place the proxy at a free pose, and clear all contacts.
 
         Raises
         ------
         InputError
-            If a number is not finite or the tool would lie in something.
+            If a number is not finite or the tool would lie in a solid.
         """
         self._aim(position_m, quaternion)
         self._state.host[:TRAVEL] = self._goal.host
@@ -213,20 +214,21 @@ class Proxy:
         return self.result
 
     def advance(self, position_m: Array, quaternion: Array = _IDENTITY) -> ProxyResult:
-        """Follow the device to its pose [m], (x, y, z, w); the returned object is overwritten by
-        the next call.
+        """Follow the device to its pose [m], (x, y, z, w).
+
+        The next call overwrites the returned object.
 
         Raises
         ------
         InputError
-            If a number is not finite; the proxy stays where it was.
+            If a number is not finite; the proxy then keeps its pose.
         """
         self._aim(position_m, quaternion)
         self._run()
         return self.result
 
     def _aim(self, position_m: Array, quaternion: Array) -> None:
-        """Take the device's pose as the goal."""
+        """Set the pose of the device as the goal."""
         if not isfinite(float(position_m.sum()) + float(quaternion.sum())):
             raise InputError(
                 "the device's pose",
@@ -239,7 +241,7 @@ class Proxy:
         self._goal.push()
 
     def _run(self) -> None:
-        """Launch the tick and read what it found."""
+        """Launch the tick and read its results."""
         self._launch.launch()
         self._state.pull()
         self._report.pull()
@@ -261,7 +263,7 @@ class Proxy:
 
 
 def _contacts(points: int, field: ContactField, *, device: str) -> Contacts:
-    """Memory for every contact that a shell of so many points can have."""
+    """Allocate memory for all possible contacts of a shell with ``points`` points."""
     slots = field.solid_count + (VOXEL_PLANES if field.spacing_m > 0.0 else 0)
     contacts = Contacts()
     contacts.slots = slots

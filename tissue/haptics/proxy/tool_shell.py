@@ -1,4 +1,4 @@
-"""A tool of any shape as points on its surface."""
+"""Tool of any shape as points on its surface."""
 
 from dataclasses import dataclass
 
@@ -12,18 +12,17 @@ __all__ = ["ToolShell"]
 
 @dataclass(frozen=True, eq=False)
 class ToolShell:
-    """Points of a tool's surface in the tool's frame: origin at the tip, z from the tip to the
-    shank.
+    """Surface points of a tool in its own frame: origin at the tip, z from tip to shank.
 
     Attributes
     ----------
     points_m
         Positions [m], shape (n, 3).
     normals
-        Outward unit normals, shape (n, 3); zero where a point has none.
+        Outward unit normals, shape (n, 3); zero where a point has no normal.
     radius_m
-        Radius of a ball around every point [m]. Several balls are a tool that is exact on solids;
-        on voxels only points are felt.
+        Radius of a ball around every point [m]. A tool of several balls is exact on solids. Voxels
+        are tested only against points.
     """
 
     points_m: Array
@@ -34,18 +33,19 @@ class ToolShell:
     def ball(
         cls, radius_m: float = 0.0, *, centre_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ) -> "ToolShell":
-        """One exact ball of ``radius_m`` [m], or with radius 0 the point of the classical
-        god-object.
+        """Return one exact ball of ``radius_m`` [m].
+
+        With radius 0, it is the point of the classical god-object.
         """
         return cls(np.array([centre_m], dtype=np.float64), np.zeros((1, 3)), radius_m)
 
     @classmethod
     def of_cutter(cls, cutter: Cutter, *, point_count: int = 700) -> "ToolShell":
-        """About ``point_count`` points over the cutting surface of a cutter."""
+        """Return about ``point_count`` points over the cutting surface of a cutter."""
         shell = cutter.shell(spacing_m=(cutter.cutting_area_m2 / point_count) ** 0.5)
         return cls(shell.points_m, shell.normals)
 
     @property
     def reach_m(self) -> float:
-        """Greatest distance of the surface from the tool's origin [m]."""
+        """Largest distance of the surface from the tool's origin [m]."""
         return float(np.linalg.norm(self.points_m, axis=1).max()) + self.radius_m

@@ -1,9 +1,9 @@
-"""What a rigid tool may touch: bone in voxels, and exact half-spaces, boxes and balls.
+"""Contact fields for a rigid tool: bone in voxels, and exact half-spaces, boxes and balls.
 
-The voxels are read in place, in the store that a cutter carves: nothing is copied and nothing has
-to be brought up to date, see :mod:`kernels.voxmap`. A deformable organ does not belong here: its
-contact moves the surface as well as the tool and is solved where the organ's compliance is known,
-so there the tool itself is the proxy.
+The voxels are read in place, in the store that a cutter carves. No copy has to be updated, see
+:mod:`kernels.voxmap`. A deformable organ is not part of such a field. Its contact moves both the
+surface and the tool, and is solved with the compliance of the organ. There, the tool itself is the
+proxy.
 """
 
 from dataclasses import dataclass, field
@@ -21,20 +21,20 @@ from tissue.models.bone.bricks import BrickStore
 __all__ = ["Ball", "Box", "ContactField", "HalfSpace", "Solid"]
 
 FELT_VOXELS = 0.5 * sqrt(3.0)
-"""How far from a voxel its fraction is felt at most, trilinear between centres [voxel]."""
+"""Largest distance from a voxel at which its trilinear fraction is not zero [voxel]."""
 NOWHERE_M = 1e30
 
 
 @dataclass(frozen=True, eq=False)
 class HalfSpace:
-    """Everything behind a plane.
+    """Half-space behind a plane.
 
     Attributes
     ----------
     point_m
-        A point of the plane [m], shape (3,).
+        Point of the plane [m], shape (3,).
     normal
-        The direction out, shape (3,); any length but 0.
+        Outward direction, shape (3,), of any length except 0.
     """
 
     point_m: Array
@@ -43,16 +43,16 @@ class HalfSpace:
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A box.
+    """Box.
 
     Attributes
     ----------
     centre_m
-        Its centre [m], shape (3,).
+        Centre of the box [m], shape (3,).
     size_m
         Edge lengths [m], shape (3,).
     rotation
-        Box to world, shape (3, 3).
+        Rotation from box to world, shape (3, 3).
     """
 
     centre_m: Array
@@ -62,7 +62,7 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class Ball:
-    """A ball about ``centre_m`` [m], shape (3,), of ``radius_m`` [m]."""
+    """Ball with centre ``centre_m`` [m], shape (3,), and radius ``radius_m`` [m]."""
 
     centre_m: Array
     radius_m: float
@@ -72,18 +72,19 @@ Solid = HalfSpace | Box | Ball
 
 
 class ContactField:
-    """Solids and, where a store is given, the bone in it, as the proxy's kernels read them.
+    """Solids, and optionally the bone in a store, as arrays for the proxy kernels.
 
     Parameters
     ----------
     *solids
-        Exact convex solids. A concave thing is several of them: an inner corner is two half-spaces.
+        Exact convex solids. A concave object consists of several solids: an inner corner is two
+        half-spaces.
     store
-        Bone that may be carved while it is touched. Its surface is where the trilinear fraction is
-        1/4, about a quarter of a voxel outside the true one, which a tool with normals makes up
-        for; see :mod:`kernels.voxmap`.
+        Bone that may be carved during contact. Its surface is where the trilinear fraction is 1/4,
+        about a quarter of a voxel outside the true surface. A tool with normals corrects for this
+        offset; see :mod:`kernels.voxmap`.
     device
-        Warp device name; a store's own device takes its place.
+        Warp device name; the device of a store takes precedence.
     """
 
     def __init__(
@@ -92,7 +93,7 @@ class ContactField:
         self.device = str(store.remaining.device) if store is not None else device
         self.spacing_m = store.grid.spacing_m if store is not None else 0.0
         self.sink_m = (0.5 - SURFACE) * self.spacing_m
-        """How far shell points are sunk into the tool [m]."""
+        """Offset of shell points into the tool [m]."""
         self.solid_count = len(solids)
         arrays = Field()
         kinds, centres, turns, sizes = (
@@ -113,11 +114,11 @@ class ContactField:
         self.arrays = arrays
 
     def distance(self, points_m: Array) -> tuple[Array, Array]:
-        """Distance [m] to the nearest solid, shape (n,), and the direction out, shape (n, 3), at
-        points, shape (n, 3).
+        """Return distances to the nearest solid [m] and outward directions at points.
 
-        Exact for solids. For voxels the distance to where their surface is felt, first order in it
-        within half a voxel; farther off a lower bound and the direction (0, 0, 0).
+        The shapes are (n,) for distances, and (n, 3) for directions and points. The distances are
+        exact for solids. For voxels, the distance to the contact surface is first-order accurate
+        within half a voxel of it. Farther away, it is a lower bound and the direction is (0, 0, 0).
         """
         points = np.ascontiguousarray(points_m, dtype=np.float64)
         distance = wp.zeros(len(points), dtype=wp.float64, device=self.device)
@@ -134,7 +135,7 @@ class ContactField:
 
 
 def _solid(solid: Solid) -> tuple[int, Array, Array, Array]:
-    """Kind, centre, rotation and size of a solid as the kernels read it."""
+    """Return kind, centre, rotation and size of a solid for the kernels."""
     match solid:
         case HalfSpace():
             z = np.asarray(solid.normal, dtype=np.float64) / np.linalg.norm(solid.normal)
@@ -149,8 +150,9 @@ def _solid(solid: Solid) -> tuple[int, Array, Array, Array]:
 
 
 def _clearance(holds: NDArray[np.bool_], spacing_m: float) -> NDArray[np.float32]:
-    """Lower bound of the distance [m] from anywhere in each cell of voxels to where bone is
-    felt.
+    """Return a lower bound of the distance from cells of voxels to the contact range of bone [m].
+
+    The bound holds anywhere in each cell.
     """
     counts = [ceil(n / CELL) for n in holds.shape]
     padded = np.pad(

@@ -1,3 +1,1 @@
-"""Real haptic devices: one adapter a file, the workspace that they are mapped to, and what is
-found on this machine.
-"""
+"""Real haptic devices: adapters, workspace mapping, and search for connected devices."""

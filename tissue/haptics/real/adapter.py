@@ -1,4 +1,4 @@
-"""What an adapter of a real haptic device is, and what a search for devices finds."""
+"""Interface of adapters for real haptic devices, and results of a device search."""
 
 from dataclasses import dataclass
 from types import TracebackType
@@ -12,7 +12,7 @@ __all__ = ["FoundDevice", "HardwareAdapter", "HardwareSample"]
 
 
 class HardwareSample(NamedTuple):
-    """The newest sample of a device, in the device's own frame as SI units."""
+    """Newest sample of a device, in the device's own frame and SI units."""
 
     position_m: Triple
     velocity_m_s: Triple = (0.0, 0.0, 0.0)
@@ -23,15 +23,15 @@ class HardwareSample(NamedTuple):
 
 
 class HardwareAdapter(Protocol):
-    """A real device in its own frame; a `MappedDevice` makes a `Device` of it.
+    """Real device in its own frame; a `MappedDevice` turns it into a `Device`.
 
-    Entering opens it; leaving takes all force off it and closes it. ``close`` takes all force off
-    it by other means than ``push`` and may be called from another thread.
+    Entering the adapter opens the device. Leaving it removes all force and closes the device.
+    ``close`` removes all force by other means than ``push`` and may be called from another thread.
 
     Attributes
     ----------
     limits
-        What the device can do, by which the loop is judged and forces are limited.
+        Limits of the device, used to judge the loop and to limit forces.
     """
 
     limits: DeviceParameters
@@ -46,31 +46,31 @@ class HardwareAdapter(Protocol):
     ) -> None: ...
 
     def poll(self) -> HardwareSample | None:
-        """The newest sample; None where none came since the last call."""
+        """Return the newest sample; None if there is no new one since the last call."""
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
         """Play a force and a torque on the hand, in the device's frame, until the next call."""
 
     def close(self) -> None:
-        """Take all force off the device."""
+        """Remove all force from the device."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FoundDevice:
-    """A device that was found, or why its adapter cannot look for it.
+    """Device found by a search, or the reason that its adapter cannot search.
 
     Attributes
     ----------
     name
-        What a scene's ``device`` is set to.
+        Value of a scene's key ``device``.
     where
-        Address, serial number or path of the library; empty where nothing was found.
+        Address, serial number or path of the library; empty without a device.
     detail
-        Model and firmware, as the device states them.
+        Model and firmware, as stated by the device.
     limits
-        What it can do; None where nothing was found.
+        Limits of the device; None without a device.
     problem
-        One sentence of what is missing and how to get it; empty where the device can be opened.
+        One sentence with the missing part and its source; empty if the device can be opened.
     """
 
     name: str

@@ -1,8 +1,8 @@
-"""Force Dimension's devices by forcedimension-core, which loads the vendor's library at run time.
+"""Adapters for devices of Force Dimension, with forcedimension-core.
 
-Read in forcedimension-core 1.0.0: every call takes the device's number, returns -1 for an error,
-and fills a buffer. Positions are in m, matrices hold the axes of the handle as columns; x points to
-the hand, y to its right, z up.
+The package loads the vendor's library at run time. Facts from forcedimension-core 1.0.0: every call
+takes the number of the device, returns -1 for an error, and fills a buffer. Positions are in m.
+Matrices contain the axes of the handle as columns. x points to the hand, y to its right, z up.
 """
 
 from collections import Counter
@@ -22,11 +22,9 @@ if TYPE_CHECKING:
 __all__ = ["ForceDimensionAdapter", "SigmaAdapter"]
 
 FAILED, UNCHANGED = -1, 1
-"""What a call returns: an error, or that the device was not asked again so soon after the last
-call (TIMEGUARD).
-"""
+"""Return values of a call: error, and no new data so soon after the last call (TIMEGUARD)."""
 MOST_FAILURES = 100
-"""Failed calls one after the other after which the device is lost."""
+"""Number of consecutive failed calls after which the device counts as lost."""
 FIRST = -1
 MISSING = (
     "must be installed for a device of Force Dimension, got none: pip install "
@@ -36,29 +34,29 @@ MISSING = (
 
 
 _OPEN: Counter[int] = Counter()
-"""How many adapters of this process have a device open, by the library's number."""
+"""Number of adapters of this process that have a device open, by the library's number."""
 
 
 class ForceDimensionAdapter:
-    """A device of Force Dimension whose wrist, if any, has no motors, such as the omega.6.
+    """Device of Force Dimension whose wrist, if any, has no motors, such as the omega.6.
 
-    Each call asks the device by USB and returns within a fraction of a millisecond, so that the
-    loop's thread makes them; a wrist without motors is read.
+    Each call queries the device by USB and returns within a fraction of a millisecond. The calls
+    therefore run in the loop's thread. The orientation of a wrist without motors is read.
 
     Parameters
     ----------
     hardware
-        Its ``address`` is the device's serial number; empty for the first one.
+        Its ``address`` is the device's serial number; empty for the first device.
 
     Raises
     ------
     InputError
-        If the address is no number.
+        If the address is not a number.
     """
 
     name = "forcedimension"
     has_motors = False
-    """Whether the wrist has motors."""
+    """True if the wrist has motors."""
 
     def __init__(self, hardware: "Hardware | None" = None) -> None:
         address = hardware.address if hardware else ""
@@ -82,8 +80,9 @@ class ForceDimensionAdapter:
 
     @classmethod
     def find(cls, address: str = "") -> list[FoundDevice]:
-        """Devices of this kind that are connected, or why there are none; each is opened for a
-        moment.
+        """Return the connected devices of this kind, or the reason for none.
+
+        Each device is opened for a moment.
         """
         try:
             dhd = _library()
@@ -102,7 +101,7 @@ class ForceDimensionAdapter:
                 serial = str(dhd.getSerialNumber(number))
                 model = dhd.getSystemName(number) or "unknown model"
             finally:
-                if not _OPEN[number]:  # it would end the run of the adapter that has it open
+                if not _OPEN[number]:  # closing would end the run of an adapter that uses it
                     dhd.close(number)
             if address in ("", serial):
                 found.append(
@@ -160,12 +159,12 @@ class ForceDimensionAdapter:
         self.close()
 
     def poll(self) -> HardwareSample | None:
-        """The newest pose; None where the device was not asked again, or did not answer.
+        """Return the newest pose; None if the device was not queried again, or did not answer.
 
         Raises
         ------
         DeviceError
-            If it has not answered for long.
+            If it has not answered for too long.
         """
         dhd = self._dhd
         number = self._id
@@ -176,8 +175,8 @@ class ForceDimensionAdapter:
         self._count(answer)
         if answer in (FAILED, UNCHANGED):
             return None
-        # Both need two positions within their window and fail before: the device then counts as
-        # resting.
+        # Both calls need two positions within their window, and fail before. The device then
+        # counts as resting.
         moves = dhd.getLinearVelocity(self._velocity, number) != FAILED
         turns = self._has_wrist and dhd.getAngularVelocityRad(self._spin, number) != FAILED
         (x, y, z) = self._position
@@ -192,21 +191,18 @@ class ForceDimensionAdapter:
         )
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Play a force and, with motors in the wrist, a torque; the device holds them until the
-        next ones.
+        """Play a force and, with motors in the wrist, a torque, until the next call.
 
         Raises
         ------
         DeviceError
-            If it has not taken one for long.
+            If the device has not accepted a force for too long.
         """
         torque = torque_Nm.tolist() if self.has_motors else (0.0, 0.0, 0.0)
         self._count(self._dhd.setForceAndTorque(force_N.tolist(), torque, self._id))
 
     def close(self) -> None:
-        """Take all force off by switching the motors off, and close the device, unless another
-        adapter uses it.
-        """
+        """Switch the motors off and close the device, unless another adapter uses it."""
         dhd = self._dhd
         self._dhd = None
         if dhd is None:
@@ -226,18 +222,21 @@ class ForceDimensionAdapter:
 
 
 class SigmaAdapter(ForceDimensionAdapter):
-    """One whose wrist has motors, such as the sigma.7: torque is played too."""
+    """Device of Force Dimension whose wrist has motors, such as the sigma.7.
+
+    It also plays torque.
+    """
 
     name = "sigma-7"
     has_motors = True
 
 
 def _library() -> Any:
-    """The functions of the vendor's library by which one device is used."""
+    """Return the functions of the vendor's library for a single device."""
     try:
         from forcedimension_core import dhd
     except Exception as error:
-        # it raises ImportError without the vendor's library, and others for one that is damaged
+        # ImportError without the vendor's library, other errors for a damaged one
         what = (
             "forcedimension-core"
             if isinstance(error, ModuleNotFoundError)
@@ -248,7 +247,7 @@ def _library() -> Any:
 
 
 def _refused(dhd: Any) -> str:
-    """The last error of the library as a sentence."""
+    """Return the last error of the library as a sentence."""
     return (
         f"the device must answer, got {dhd.errorGetLastStr()}: check power, cable and that no "
         "other program uses it"

@@ -1,8 +1,7 @@
-"""Haply's Inverse3 by its Inverse Service: three degrees of freedom with force, orientation and
-buttons by the handle.
+"""Adapter for Haply's Inverse3 with the Inverse Service.
 
-Not for clinical use. Tested against a stand-in that speaks the documented protocol, not against the
-device.
+The device plays force in three degrees of freedom. Its handle provides orientation and buttons. Not
+for clinical use. Tested with a stand-in that uses the documented protocol, not with the device.
 """
 
 from types import TracebackType
@@ -23,17 +22,16 @@ NAME = "haply"
 
 
 class HaplyAdapter:
-    """An Inverse3 in its own frame: x to the right, y forward, z up.
+    """Inverse3 in its own frame: x to the right, y forward, z up.
 
     `poll` and `push` only exchange numbers with the thread of a `HaplyLink`, so that they never
-    wait. A torque is not played. Whatever ends the block, zero is the last force that the service
-    is sent.
+    wait. Torque is not played. However the block ends, the last force sent to the service is zero.
 
     Parameters
     ----------
     hardware
-        Its ``address`` is that of the service, ``ws://HOST:PORT``, with ``#DEVICE`` for one of
-        several devices.
+        Its ``address`` is the address of the service, ``ws://HOST:PORT``, with ``#DEVICE`` for one
+        of several devices.
     """
 
     def __init__(self, hardware: Hardware | None = None) -> None:
@@ -56,39 +54,37 @@ class HaplyAdapter:
         self._link.end()
 
     def poll(self) -> HardwareSample | None:
-        """The newest sample; None where none came since the last call.
+        """Return the newest sample; None if there is no new one since the last call.
 
         Raises
         ------
         DeviceError
-            If the service or the device is lost for good.
+            If the service or the device is permanently lost.
         """
         return self._link.newest()
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Let a force be sent, at once and again every millisecond for as long as it is pushed
-        again.
-        """
+        """Send a force now, and again every millisecond while it is renewed."""
         x, y, z = force_N.tolist()
         force: Triple = (x, y, z)
         self._link.play(force)
 
     def close(self) -> None:
-        """Send zero and leave the service, which forgets a force that is not sent again."""
+        """Send zero and disconnect from the service, which drops a force that is not sent again."""
         self._link.end()
 
     @property
     def releases(self) -> int:
-        """How often the exchange has taken the force off by itself."""
+        """Number of times that the link has removed the force by itself."""
         return self._link.releases
 
     def happened(self) -> tuple[str, ...]:
-        """What the exchange with the service has found so far, in sentences."""
+        """Return the events of the exchange with the service so far, as sentences."""
         return tuple(self._link.events)
 
     @staticmethod
     def find(address: str = "") -> list[FoundDevice]:
-        """The devices of a service, or why there are none."""
+        """Return the devices of a service, or the reason for none."""
         try:
             link = HaplyLink(address)
             link.open()

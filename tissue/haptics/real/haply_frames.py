@@ -1,9 +1,9 @@
-"""The frames of Haply's Inverse Service: what it sends merged and read, and what it is sent.
+"""Frames of Haply's Inverse Service: merge received frames, and build frames to send.
 
-Facts: the vendor's pages websocket-protocol, control-commands, json-conventions and http of the
-Inverse SDK 3.5, read. Metres, m/s and newtons in a right-handed frame with x to the right, y
-forward and z up. The first frame holds all of every device; later ones may hold less of it.
-Quaternions come as w, x, y, z by name.
+Source: the vendor's pages websocket-protocol, control-commands, json-conventions and http of the
+Inverse SDK 3.5, read. Units are m, m/s and N in a right-handed frame with x to the right, y forward
+and z up. The first frame contains the whole state of every device. Later frames may contain parts
+of it. Quaternions are w, x, y, z by name.
 """
 
 import json
@@ -18,25 +18,22 @@ from tissue.motion.quaternion import Quaternion, Triple
 __all__ = ["ServiceState", "force_frame", "opening_frame", "spelling_of", "version_in"]
 
 GRIPS = ("wireless_verse_grip", "verse_grip", "custom_verse_grip")
-"""Handles that give orientation and buttons, in the order in which they are looked for."""
+"""Handles with orientation and buttons, in search order."""
 VECTOR_SINCE = (3, 5)
-"""Version of the service from which a force is called ``vector``; before it is called
-``values``.
-"""
+"""First service version that names a force ``vector``; earlier versions use ``values``."""
 MOST = 1e6
-"""A number of this size or more is none that a device states."""
+"""Bound on valid numbers: a number of this size or more is not a value of a device."""
 PROFILE = "tissue:simulation"
-"""Name under which the vendor's window shows the session."""
+"""Name of the session in the vendor's window."""
 
 
 class ServiceState:
-    """What is known of the devices of a service: the first frame, and what later frames have
-    changed of it.
+    """State of the devices of a service: the first frame, updated by later frames.
 
     Attributes
     ----------
     device_id
-        The device that is used: the first one that was listed, or the one that was asked for.
+        Id of the used device: the first one that was listed, or the requested one.
     """
 
     def __init__(self, device_id: str = "") -> None:
@@ -44,10 +41,9 @@ class ServiceState:
         self._known: dict[str, dict[str, dict[str, Any]]] = {}
 
     def take(self, text: str | bytes) -> bool:
-        """Merge a frame; whether it holds something of the device's state, so that it gives a new
-        sample.
+        """Merge a frame, and return whether it contains a state of the device, for a new sample.
 
-        What is no JSON, or not built as a frame is, changes nothing.
+        Invalid JSON, or a frame of another structure, is ignored.
         """
         try:
             frame = read_json(text)
@@ -68,21 +64,22 @@ class ServiceState:
 
     @property
     def device_ids(self) -> tuple[str, ...]:
-        """The devices that were listed."""
+        """Ids of the listed devices."""
         return tuple(self._known.get("inverse3", {}))
 
     @property
     def device(self) -> dict[str, Any]:
-        """All that is known of the device; empty where it is not listed."""
+        """All entries of the device; empty if it is not listed."""
         return self._known.get("inverse3", {}).get(self.device_id, {})
 
     def status(self, name: str) -> object:
-        """An entry of the device's status; None where it was not stated."""
+        """Return an entry of the device's status; None if it was not stated."""
         return _part(self.device, "status").get(name)
 
     def sample(self) -> HardwareSample | None:
-        """The device's sample with orientation and buttons of the handle; None where a number is
-        missing or none.
+        """Return the device's sample with orientation and buttons of the handle.
+
+        It is None if a number is missing or invalid.
         """
         state = _part(self.device, "state")
         grip = self._grip()
@@ -95,14 +92,14 @@ class ServiceState:
         return HardwareSample(position, velocity or (0.0, 0.0, 0.0), turned, buttons=_buttons(held))
 
     def _grip(self) -> dict[str, Any]:
-        """The first handle that is listed; empty where there is none."""
+        """Return the first listed handle; empty without one."""
         for group in GRIPS:
             for grip in self._known.get(group, {}).values():
                 return grip
         return {}
 
     def model(self) -> str:
-        """Type, identity, firmware and hand of the device in words, as far as they were stated."""
+        """Return type, id, firmware and handedness of the device as a text, as far as stated."""
         config = _part(self.device, "config")
         info = _part(config, "device_info")
         parts = [str(config.get("type", "inverse3")), self.device_id]
@@ -114,8 +111,9 @@ class ServiceState:
 
 
 def spelling_of(version: tuple[int, int] | None, *, has_session: bool) -> str:
-    """Name of the force in a command, ``vector`` or ``values``: by the version; where it is
-    unknown, by a session.
+    """Return the name of the force in a command, ``vector`` or ``values``.
+
+    The version decides. If it is unknown, the presence of a session decides.
     """
     return (
         "vector" if (version >= VECTOR_SINCE if version is not None else has_session) else "values"
@@ -123,9 +121,7 @@ def spelling_of(version: tuple[int, int] | None, *, has_session: bool) -> str:
 
 
 def version_in(text: str | bytes) -> tuple[int, int] | None:
-    """Major and minor version in what the service answers to ``/version``; None where there is
-    none.
-    """
+    """Return the major and minor version in an answer to ``/version``; None without one."""
     try:
         answer = read_json(text)
     except ValueError:
@@ -139,8 +135,9 @@ def version_in(text: str | bytes) -> tuple[int, int] | None:
 
 
 def force_frame(device_id: str, force_N: Triple, spelling: str) -> str:
-    """The command of a force in the device's frame, which the service forgets unless it is sent
-    again.
+    """Return the command for a force in the device's frame.
+
+    The service drops a force that is not sent again.
     """
     x, y, z = force_N
     vector = f'{{"x":{x:.6f},"y":{y:.6f},"z":{z:.6f}}}'
@@ -151,13 +148,13 @@ def force_frame(device_id: str, force_N: Triple, spelling: str) -> str:
 
 
 def opening_frame(device_id: str, spelling: str) -> str:
-    """The first frame that is sent: the session's name, and no force."""
+    """Return the first frame to send: the name of the session, and zero force."""
     frame = read_json(force_frame(device_id, (0.0, 0.0, 0.0), spelling))
     return json.dumps({"session": {"configure": {"profile": {"name": PROFILE}}}} | frame)
 
 
 def _listed(group: object) -> list[dict[str, Any]]:
-    """The devices of a group that are built as devices are."""
+    """Return the entries of a group that have the structure of a device."""
     devices = group if isinstance(group, list) else []
     return [
         each
@@ -167,7 +164,7 @@ def _listed(group: object) -> list[dict[str, Any]]:
 
 
 def _merge(known: dict[str, Any], news: Mapping[str, Any]) -> None:
-    """Put what is new into what is known, entry by entry."""
+    """Merge new entries into known ones, entry by entry."""
     for name, value in news.items():
         if isinstance(value, dict) and isinstance(known.get(name), dict):
             _merge(known[name], value)
@@ -176,13 +173,13 @@ def _merge(known: dict[str, Any], news: Mapping[str, Any]) -> None:
 
 
 def _part(whole: object, name: str) -> dict[str, Any]:
-    """A table in a table; empty where there is none."""
+    """Return a table within a table; empty without one."""
     part = whole.get(name) if isinstance(whole, Mapping) else None
     return part if isinstance(part, dict) else {}
 
 
 def _numbers(table: object, names: str) -> list[float] | None:
-    """Finite numbers of a table by their names; None where one is missing or none."""
+    """Return finite numbers of a table by name; None if one is missing or invalid."""
     found = [table.get(name) for name in names] if isinstance(table, dict) else [None]
     if not all(
         isinstance(each, int | float) and not isinstance(each, bool) and abs(each) < MOST
@@ -207,7 +204,10 @@ def _quaternion(table: object) -> Quaternion:
 
 
 def _buttons(state: Mapping[str, Any]) -> int:
-    """Bit i for the i-th button by name; a handle with one alone calls it ``button``."""
+    """Return the buttons with bit i for the i-th button by name.
+
+    A handle with a single button calls it ``button``.
+    """
     buttons = state.get("buttons")
     held = (
         [buttons[name] for name in sorted(buttons)]

@@ -1,11 +1,10 @@
-"""The exchange of frames with Haply's Inverse Service in a thread of its own: newest force out,
-newest state in.
+"""Exchange of frames with Haply's Inverse Service in a separate thread.
 
-The service answers every frame that it is sent with one state, and plays a force for as long as it
-is sent again. So at most one frame waits for its answer, which belongs to the force before it, and
-a sample is no older than its exchange. A late answer ends that, because no frame states what it
-answers: zero is sent, and nothing more until as many answers have come as were asked for, or are
-given up.
+The thread sends the newest force and receives the newest state. The service answers every frame
+with one state, and plays a force while it is sent again. At most one frame therefore waits for its
+answer. The answer belongs to the previous force, and a sample is no older than its exchange. Frames
+do not identify the request that they answer. After a late answer, zero is sent. The thread then
+sends nothing more until all pending answers have arrived or are given up.
 """
 
 import socket
@@ -31,48 +30,48 @@ __all__ = ["HaplyLink"]
 PERIOD_S = 1e-3
 """Longest time between an answer and the next frame [s]."""
 ANSWER_S = 0.02
-"""How long an answer may take [s]."""
+"""Longest time for an answer [s]."""
 LOST_S = 0.5
-"""Silence after which answers that are late count as lost [s]."""
+"""Silence after which late answers count as lost [s]."""
 PATIENCE_S = 0.01
-"""How long the thread waits before it looks whether it is to end [s]."""
+"""Interval at which the thread checks whether it must end [s]."""
 HOLD_S = 0.03
-"""How long a force is sent again that the loop has not commanded again [s]."""
+"""Longest time for which a force is sent again without a new command of the loop [s]."""
 GIVE_UP_S = 3.0
-"""How long a run goes on without a sample [s]."""
+"""Longest time for which a run continues without a sample [s]."""
 AGAIN_S = 2.5
-"""How long the service is tried to be reached again [s]."""
+"""Longest time for attempts to reconnect to the service [s]."""
 MOST_EVENTS = 100
-"""Events that are kept one by one."""
+"""Largest number of stored events."""
 MOST_BEHIND = 20
-"""Frames that are taken at once, where a service sends more than it is asked for."""
+"""Largest number of frames read at once, if a service sends more than requested."""
 OPEN_S = 2.0
-"""How long the service may take to open and to send its first frame [s]."""
+"""Longest time for the service to open and to send its first frame [s]."""
 NO_FORCE: Triple = (0.0, 0.0, 0.0)
 START_IT = "start the Inverse Service (it runs while Haply Hub is open), or set hardware.address"
 
 
 class HaplyLink:
-    """A session with the service.
+    """Session with the service.
 
     Parameters
     ----------
     address
-        Address of the service, with the device's identity behind a #; empty for the usual one and
-        the first device.
+        Address of the service, with the id of the device after a #. Empty for the default address
+        and the first device.
 
     Attributes
     ----------
     url
         Address of the service.
     state
-        What the service has stated of its devices.
+        State of the devices, as stated by the service.
     version
-        Major and minor version of the service; None where it does not state it.
+        Major and minor version of the service; None if not stated.
     events
-        What has happened, in sentences.
+        Events so far, as sentences.
     releases
-        How often the force was taken off here: what comes on again has to begin at zero.
+        Number of times that the force was removed here. A new force must then begin at zero.
     """
 
     def __init__(self, address: str = "") -> None:
@@ -95,15 +94,15 @@ class HaplyLink:
         self._wake = threading.Event()
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
-        self._sending = threading.Lock()  # nothing follows the zero of the end
+        self._sending = threading.Lock()  # no frame may follow the zero of the end
 
     @property
     def version_text(self) -> str:
-        """The service's version in words."""
+        """Version of the service as a text."""
         return "of unknown version" if self.version is None else "{}.{}".format(*self.version)
 
     def open(self) -> None:
-        """Reach the service and take its first frame.
+        """Connect to the service and receive its first frame.
 
         Raises
         ------
@@ -142,12 +141,12 @@ class HaplyLink:
         self._spelling = spelling_of(self.version, has_session=b"session_id" in _bytes(first))
 
     def start(self) -> None:
-        """Begin to exchange frames, without force, and wait for the first sample.
+        """Start to exchange frames, without force, and wait for the first sample.
 
         Raises
         ------
         InputError
-            If the device cannot be used as it is.
+            If the device cannot be used in its present state.
         """
         if problem := problem_of(self.state):
             self._disconnect()
@@ -163,15 +162,15 @@ class HaplyLink:
         self._thread.start()
         until = perf_counter() + OPEN_S
         while self._sample is None and not self._problem and perf_counter() < until:
-            sleep(PERIOD_S)  # what the first frame stated may be old by now
+            sleep(PERIOD_S)  # the state in the first frame may be old by now
 
     def newest(self) -> HardwareSample | None:
-        """The newest sample; None where none came since the last call.
+        """Return the newest sample; None if there is no new one since the last call.
 
         Raises
         ------
         DeviceError
-            If the service or the device is lost for good.
+            If the service or the device is permanently lost.
         """
         sample = self._sample
         self._sample = None
@@ -191,14 +190,15 @@ class HaplyLink:
         return sample
 
     def play(self, force_N: Triple) -> None:
-        """Let this be the force that is sent from now on."""
+        """Set the force to send from now on."""
         self._force = force_N
         self._pushed_s = perf_counter()
         self._wake.set()
 
     def end(self) -> None:
-        """Send zero as the last force and leave the service; may be called from any thread, and
-        again.
+        """Send zero as the last force and disconnect.
+
+        It may be called repeatedly and from any thread.
         """
         self._force = NO_FORCE
         self._ended.set()
@@ -208,14 +208,14 @@ class HaplyLink:
         zero = force_frame(self.state.device_id, NO_FORCE, self._spelling)
         is_read = self._thread is None
         if self._thread is not None and self._sending.acquire(timeout=0.05):
-            # On a busy machine the thread may not have come to it; a service that reads no more
+            # On a busy machine, the thread may not have sent it. A service that no longer reads
             # would block it.
             is_read = returned_within(0.1, lambda: self._open_socket.send(zero))
             self._sending.release()
         self._disconnect(cut=not is_read)
 
     def _run(self) -> None:
-        """Exchange frames until the end, and reach a service that was restarted."""
+        """Exchange frames until the end, and reconnect to a restarted service."""
         from websockets.exceptions import WebSocketException
 
         goes_on = True
@@ -227,7 +227,7 @@ class HaplyLink:
                     " ".join(str(error).split())
                 )
             except Exception as error:
-                # nothing may leave the loop waiting for a thread that is gone
+                # the loop must not wait for a thread that has ended
                 self._problem = (
                     f"haply must send frames as documented, got {type(error).__name__} "
                     f"({error}): report it"
@@ -238,7 +238,7 @@ class HaplyLink:
         self._disconnect()
 
     def _exchange(self) -> None:
-        """Frame by frame."""
+        """Exchange frames one by one."""
         self._asked_s = perf_counter()
         self._open_socket.send(opening_frame(self.state.device_id, self._spelling))
         while not self._ended.is_set():
@@ -259,7 +259,7 @@ class HaplyLink:
             self._open_socket.send(force_frame(self.state.device_id, sent, self._spelling))
 
     def _receive(self, seconds: float) -> bool:
-        """Take the answer and all that came behind it; whether there was one in time."""
+        """Receive the answer and all frames behind it, and return whether it came in time."""
         link = self._open_socket
         answered = False
         with suppress(TimeoutError):
@@ -269,7 +269,7 @@ class HaplyLink:
         return answered
 
     def _take(self, text: str | bytes) -> None:
-        """Merge a frame, and make the new sample of it."""
+        """Merge a frame, and store its new sample."""
         if not self.state.take(text):
             return
         if problem := problem_of(self.state):
@@ -279,7 +279,7 @@ class HaplyLink:
             was_wrong = self._order.is_wrong
             now = perf_counter()
             if not self._order.observe(sample, now):
-                # this thread may have stood still before it took the answer
+                # this thread may have been suspended before it received the answer
                 if now - self._asked_s < ANSWER_S:
                     self._sample = sample
                     self._sampled_s = now
@@ -287,9 +287,7 @@ class HaplyLink:
                 self._log("states of the service come in a wrong order: the force is taken off")
 
     def _await_answers(self) -> None:
-        """Take the force off, and wait for the answers that are late, of which none is a new
-        sample.
-        """
+        """Remove the force, and wait for the late answers, which are not used as samples."""
         self._force = NO_FORCE
         self._sample = None
         self.releases += 1
@@ -307,7 +305,7 @@ class HaplyLink:
                 until = perf_counter() + LOST_S
 
     def _reached_again(self, why: str) -> bool:
-        """Reach a service that was restarted; whether it answers before it is given up."""
+        """Reconnect to a restarted service, and return whether it answers in time."""
         self._force = NO_FORCE
         self._sample = None
         self.releases += 1
@@ -328,7 +326,7 @@ class HaplyLink:
 
     @property
     def _open_socket(self) -> "ClientConnection":
-        """The connection, unless another thread has ended it."""
+        """Connection, if no other thread has ended it."""
         if self._socket is None:
             raise OSError("the session was ended")
         return self._socket
@@ -338,7 +336,7 @@ class HaplyLink:
             self.events.append(what)
 
     def _disconnect(self, *, cut: bool = False) -> None:
-        """Close the connection; cut it first if a frame waits for a service that reads no more."""
+        """Close the connection, and cut it first if the service no longer reads a pending frame."""
         stack = self._stack
         link = self._socket
         self._stack = ExitStack()

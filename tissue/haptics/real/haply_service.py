@@ -1,4 +1,4 @@
-"""Where Haply's Inverse Service is, which version it has, and why its device cannot be used."""
+"""Address, version and device problems of Haply's Inverse Service."""
 
 from contextlib import suppress
 from http.client import HTTPConnection, HTTPException
@@ -12,21 +12,18 @@ __all__ = ["asked_version", "problem_of", "service_address"]
 
 USUAL = "ws://localhost:10001"
 ANSWER_S, STATED_S = 0.5, 2.0
-"""How long the service may be silent before it states its version, and how long that may take in
-all [s].
-"""
+"""Longest silence of the service before it states its version, and longest total time [s]."""
 LONGEST = 65_536
-"""Bytes that are read of what states the version."""
+"""Largest number of bytes read from a version answer."""
 
 
 def service_address(address: str) -> tuple[str, str, int, str]:
-    """Address of the WebSocket, its host and port, and the device's identity, of
-    ``hardware.address``.
+    """Return URL, host, port and device id of ``hardware.address``.
 
     Raises
     ------
     InputError
-        If it is none.
+        If the address is invalid.
     """
     parts = urlsplit(address or USUAL)
     try:
@@ -45,7 +42,7 @@ def service_address(address: str) -> tuple[str, str, int, str]:
 
 
 def problem_of(state: ServiceState) -> str:
-    """Why the device cannot be used, in one sentence; nothing where it can."""
+    """Return the reason that the device cannot be used, in one sentence; empty if it can."""
     name = state.device_id
     ids = state.device_ids
     if not ids:
@@ -69,16 +66,14 @@ def problem_of(state: ServiceState) -> str:
 
 
 def asked_version(host: str, port: int) -> tuple[int, int] | None:
-    """Return the service's version, as it states it at the same port by HTTP; None where it does
-    not in time.
-    """
+    """Return the service's version from HTTP at the same port; None without a timely answer."""
     found: list[tuple[int, int]] = []
     returned_within(STATED_S, lambda: found.extend(_versions(host, port)))
     return found[0] if found else None
 
 
 def _versions(host: str, port: int) -> list[tuple[int, int]]:
-    """Return the versions that are stated at the usual paths, at most one."""
+    """Return the versions stated at the usual paths, at most one."""
     for path in ("/version", "/3.1/version"):
         with suppress(OSError, HTTPException):
             connection = HTTPConnection(host, port, timeout=ANSWER_S)

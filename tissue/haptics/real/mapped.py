@@ -1,6 +1,4 @@
-"""A real device in the scene's frame: its workspace turned and placed, its force limited, faded
-in and taken off.
-"""
+"""Real device in the scene's frame, with limits, fading and removal of its force."""
 
 from collections.abc import Callable
 from math import sqrt
@@ -22,37 +20,37 @@ __all__ = ["MappedDevice"]
 
 STILL: Triple = (0.0, 0.0, 0.0)
 MOST_EVENTS = 100
-"""Events that are kept one by one."""
+"""Largest number of stored events."""
 
 
 class MappedDevice:
-    """What a run holds of a real device: an adapter with a workspace in the scene and what protects
-    the hand.
+    """Real device as used by a run: an adapter, its workspace in the scene, and safety functions.
 
-    The first sample is where the tool starts; scale is ``coupling.motion_scale`` of the run and not
-    made here. Without a new sample the last one is repeated until the watchdog ends; then there is
-    none, and the force is zero at once. The force is the commanded one, no longer than the cap,
-    times a share that rises in a straight line from 0 to 1 in the ramp: after the start, a lost
-    device, the clutch, and the force button; while there is no reason for force, such as a clutch
-    that is held, the share is 0.
+    The first sample is placed at the start of the tool. The scale is ``coupling.motion_scale`` of
+    the run and not applied here. Without a new sample, the last one is repeated until the watchdog
+    time ends. Then there is no sample, and the force is zero at once.
+
+    The force is the commanded one, shortened to the cap, times a share. The share rises linearly
+    from 0 to 1 during the ramp: after the start, a lost device, the clutch, and the force button.
+    While there must be no force, for example while the clutch is held, the share is 0.
 
     Parameters
     ----------
     adapter
-        The device in its own frame. It may have ``releases``, how often it has taken the force off
-        by itself, after which the ramp begins anew, and ``happened()``, sentences of what it has
-        found.
+        Device in its own frame. It may have ``releases``, the number of times that it has removed
+        the force by itself, after which the ramp restarts. It may have ``happened()``, which
+        returns its events as sentences.
     hardware
-        How its workspace lies in the scene, and the limits.
+        Placement of the workspace in the scene, and limits.
     start_m
-        Where the tool starts, in the scene [m].
+        Start position of the tool in the scene [m].
     now
         Clock of the watchdog [s].
 
     Attributes
     ----------
     limits
-        What the device can do.
+        Limits of the device.
     played
         Force [N] and torque [N m] on the hand since the last command, in the world frame.
     share
@@ -61,9 +59,9 @@ class MappedDevice:
 
     in_process = False
     real_time = True
-    """Whether a run has to follow the wall clock."""
+    """True if a run must follow real time."""
     bounds_itself = True
-    """Its workspace bounds the device's own positions; with a clutch the tool may go further."""
+    """The workspace bounds the positions of the device; with a clutch, the tool may go further."""
 
     def __init__(
         self,
@@ -114,17 +112,18 @@ class MappedDevice:
             self._adapter.__exit__(kind, error, trace)
 
     def close(self) -> None:
-        """Take all force off the device by other means than a command."""
+        """Remove all force from the device by other means than a command."""
         self._adapter.close()
 
     def read(self, time_s: float) -> Sample | None:
-        """The newest sample in the world frame, where the clutch leaves it; None once the watchdog
-        has ended.
+        """Return the newest sample in the world frame, held by the clutch.
+
+        It is None after the watchdog time.
 
         Raises
         ------
         DeviceError
-            If the device leaves its reach, as one does that reports millimetres.
+            If the device leaves its reach, as a device that reports millimetres does.
         """
         if time_s < self._time or not self._space.is_placed:
             self._begin(time_s)
@@ -165,9 +164,7 @@ class MappedDevice:
         return Sample(time_s, position, velocity, quaternion, spin)
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
-        """Play a force and a torque of the world frame, as much of them as share and cap let
-        through.
-        """
+        """Play a force and a torque of the world frame, limited by share and cap."""
         size = sqrt(force_N.dot(force_N))
         share = self.share * (self._cap / size if size > self._cap else 1.0)
         self.played = share * force_N, self.share * torque_Nm
@@ -176,14 +173,12 @@ class MappedDevice:
         )
 
     def happened(self) -> list[tuple[float, str]]:
-        """What the watchdog and the adapter have found so far, time [s] and a sentence each."""
+        """Return the events of watchdog and adapter so far, each as time [s] and a sentence."""
         self._note()
         return self._events
 
     def _begin(self, time_s: float) -> None:
-        """A run begins: the next sample is where its tool starts, and the force comes on from
-        zero.
-        """
+        """Start a run: place the next sample at the tool's start, and ramp the force from zero."""
         self.share = 0.0
         self._time = time_s
         self._space.forget()
@@ -191,11 +186,11 @@ class MappedDevice:
             self._reach.restart()
 
     def _ramped(self, elapsed_s: float) -> float:
-        """The share after so much more time."""
+        """Return the share after ``elapsed_s`` more."""
         return min(self.share + elapsed_s / self._ramp, 1.0) if self._ramp > 0.0 else 1.0
 
     def _note(self) -> None:
-        """Take over what the adapter has found since this was called last."""
+        """Store the new events of the adapter."""
         found: tuple[str, ...] = getattr(self._adapter, "happened", tuple)()
         for what in found[self._noted :]:
             self._log(what)
@@ -207,5 +202,5 @@ class MappedDevice:
 
 
 def _held(buttons: int, button: int | None, *, otherwise: bool) -> bool:
-    """Whether a button is held; ``otherwise`` where none is named."""
+    """Return whether a button is held; ``otherwise`` without a button number."""
     return otherwise if button is None else bool(buttons >> button & 1)

@@ -1,4 +1,4 @@
-"""What a self-test measured, as a file of constants that a scene's key ``materials`` takes."""
+"""File of constants from a self-test, for a scene's key ``materials``."""
 
 from datetime import date
 from pathlib import Path
@@ -10,17 +10,17 @@ from tissue.models.tissue_model import TICK_S
 __all__ = ["write_measured"]
 
 EVERY_TICK = 0.95
-"""Share of the ticks with a new sample from which on the device counts as one of our rate."""
+"""Share of ticks with a new sample above which the device counts as running at our rate."""
 SLOWEST_HZ, LONGEST_S = 10.0, 0.2
-"""What `tissue.haptics.device.device.DeviceParameters` takes at least and at most."""
+"""Smallest rate and longest delay that `tissue.haptics.device.device.DeviceParameters` accepts."""
 
 
 def write_measured(path: Path, name: str, test: SelfTest) -> None:
-    """Write rate and latency of a device as constants of it, with their ranges.
+    """Write the rate and latency of a device as constants with their ranges.
 
-    The rate is the mean one, and that of our ticks where nearly every tick has a sample; the low
-    end of its range is what 99 % of the intervals keep. The latency is the round trip, or what the
-    calls take where the device shows none.
+    The rate is the mean rate. It is the tick rate if nearly every tick has a sample. The low end of
+    its range is the rate that 99 % of the intervals reach. The latency is the round trip, or the
+    duration of the calls if the device does not report one.
     """
     most = 1.0 / TICK_S
     rate, low = (

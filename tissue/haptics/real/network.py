@@ -1,5 +1,6 @@
-"""A user's device over UDP or a WebSocket, by the packets of
-`tissue.haptics.real.network_protocol`.
+"""Adapter for a user's device over UDP or a WebSocket.
+
+The packets are defined in `tissue.haptics.real.network_protocol`.
 """
 
 import socket
@@ -23,44 +24,44 @@ if TYPE_CHECKING:
 __all__ = ["USUAL", "NetworkAdapter", "Transport", "UdpTransport"]
 
 USUAL = "udp://127.0.0.1:24930"
-"""Where a device is awaited unless the scene states another address."""
+"""Default address at which a device is awaited."""
 MOST_READS = 256
-"""Packets that one poll takes; what a device sends in a quarter of a second, in about 2 ms."""
+"""Largest number of packets per poll: a quarter of a second of a device, in about 2 ms."""
 LONGEST_PACKET = 1024
 LOOK_S = 0.6
-"""How long a search waits for a device to ask [s]; it asks ten times a second."""
+"""Longest time for which a search waits for a device [s]; a device asks ten times a second."""
 
 
 class Transport(Protocol):
-    """What carries packets: opened at once, read and written without waiting."""
+    """Transport of packets: opened at once, read and written without waiting."""
 
     address: str
-    """Where it listens."""
+    """Address of the listener."""
 
     def read(self) -> None:
-        """Give the session all packets that have come."""
+        """Pass all received packets to the session."""
 
     def send(self, peer: Hashable, data: bytes) -> None:
-        """Send a packet to the device; what cannot be sent is dropped."""
+        """Send a packet to the device; a packet that cannot be sent is dropped."""
 
     def close(self) -> None:
         """Stop listening."""
 
 
 class UdpTransport:
-    """Packets as datagrams, read where they are polled for.
+    """Packets as datagrams, read when they are polled.
 
     Parameters
     ----------
     host, port
-        Where to listen; port 0 for any free one.
+        Address to listen on; port 0 for any free port.
     session
-        Takes what comes.
+        Receiver of the packets.
 
     Raises
     ------
     InputError
-        If it cannot listen there.
+        If the address cannot be used.
     """
 
     def __init__(self, host: str, port: int, session: NetworkSession) -> None:
@@ -82,13 +83,13 @@ class UdpTransport:
         self.address = f"udp://{host}:{self._socket.getsockname()[1]}"
 
     def read(self) -> None:
-        """Give the session all packets that have come."""
+        """Pass all received packets to the session."""
         for _ in range(MOST_READS):
             try:
                 data, sender = self._socket.recvfrom(LONGEST_PACKET)
             except BlockingIOError:
                 return
-            except ConnectionError:  # Windows reports here that an earlier packet reached nobody
+            except ConnectionError:  # Windows reports that an earlier packet had no receiver
                 continue
             except OSError:
                 if self._closed:
@@ -98,8 +99,9 @@ class UdpTransport:
                 self.send(sender, reply)
 
     def send(self, peer: Hashable, data: bytes) -> None:
-        """Send a packet; one that the system does not take at once is dropped, and the device
-        falls silent to zero.
+        """Send a packet, and drop it if the system does not accept it at once.
+
+        Without packets, the device fades to zero force.
         """
         with suppress(OSError):
             self._socket.sendto(data, peer)  # type: ignore[call-overload]
@@ -111,23 +113,23 @@ class UdpTransport:
 
 
 class NetworkAdapter:
-    """A user's device that sends its pose and is sent a wrench.
+    """User's device that sends its pose and receives a wrench.
 
     Parameters
     ----------
     hardware
-        Its ``address`` is ``udp://HOST:PORT`` or ``ws://HOST:PORT``, where this program listens;
+        Its ``address`` is ``udp://HOST:PORT`` or ``ws://HOST:PORT``, on which this program listens;
         empty for `USUAL`.
 
     Attributes
     ----------
     session
-        Who is connected, and how many packets were dropped for what reason.
+        Connected device, and number of dropped packets by reason.
 
     Raises
     ------
     InputError
-        If the address cannot be meant.
+        If the address is invalid.
     """
 
     def __init__(self, hardware: "Hardware | None" = None) -> None:
@@ -140,7 +142,7 @@ class NetworkAdapter:
 
     @staticmethod
     def find(address: str = "") -> list[FoundDevice]:
-        """The device that asks to be used within `LOOK_S`, or why there is none."""
+        """Return the device that asks to be used within `LOOK_S`, or the reason for none."""
         from tissue.scene.hardware import Hardware
 
         try:
@@ -152,7 +154,7 @@ class NetworkAdapter:
                 peer = adapter.session.peer
                 dropped = adapter.happened()
                 place = adapter.address
-        except ValueError as error:  # an address, a port that is taken, or what is not installed
+        except ValueError as error:  # invalid address, used port or missing package
             return [FoundDevice(name="network", problem=str(error))]
         if peer is not None:
             detail = f"listens at {place}"
@@ -166,7 +168,7 @@ class NetworkAdapter:
 
     @property
     def address(self) -> str:
-        """Where it listens, with the port that was taken for 0."""
+        """Address of the listener, with the port that replaced 0."""
         return (
             self._transport.address
             if self._transport
@@ -175,11 +177,11 @@ class NetworkAdapter:
 
     @property
     def round_trip_s(self) -> float:
-        """From a wrench to the first packet of the device that has seen it [s]; nan before."""
+        """Time from a wrench to the first packet of the device that has seen it [s]; nan before."""
         return self.session.round_trip_s
 
     def happened(self) -> list[str]:
-        """What was dropped or lost on the line so far, in a sentence, or nothing."""
+        """Return the dropped and lost packets so far, in one sentence or none."""
         good = ("poses", "heartbeats", "hellos")
         found = [
             f"{count} as {what}"
@@ -206,19 +208,19 @@ class NetworkAdapter:
         self.close()
 
     def poll(self) -> HardwareSample | None:
-        """The newest pose; None where none came since the last call."""
+        """Return the newest pose; None if there is no new one since the last call."""
         if (transport := self._transport) is None:
             return None
         transport.read()
         return self.session.take()
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Send a force and a torque; the device plays them until the next ones, or for 50 ms."""
+        """Send a force and a torque; the device plays them until the next packet, or for 50 ms."""
         (fx, fy, fz) = force_N.tolist()
         (tx, ty, tz) = torque_Nm.tolist()
         transport = self._transport
         sending = self.session.wrench(((fx, fy, fz), (tx, ty, tz)))
-        # after a close the packet's number would be an old one
+        # after a close, the number of the packet would be old
         if transport is not None and sending is not None:
             transport.send(*sending)
 
@@ -235,7 +237,7 @@ class NetworkAdapter:
 
 
 def _parsed(address: str) -> tuple[str, str, int]:
-    """Scheme, host and port of an address."""
+    """Return scheme, host and port of an address."""
     try:
         parts = urlsplit(address)
         host = parts.hostname
@@ -261,7 +263,7 @@ def _parsed(address: str) -> tuple[str, str, int]:
 
 
 def _cannot_listen(address: str, error: OSError) -> InputError:
-    """Why an address cannot be listened at."""
+    """Return the error of an address that cannot be listened on."""
     why = (error.strerror or str(error)).lower()
     return InputError(
         "hardware.address",

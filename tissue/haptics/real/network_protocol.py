@@ -1,6 +1,4 @@
-"""Packets between this program and a user's device: a header, a payload and a checksum,
-little-endian.
-"""
+"""Packets between this program and a user's device: header, payload and checksum, little-endian."""
 
 import struct
 import zlib
@@ -32,32 +30,30 @@ HEADER = struct.Struct("<4sBBHIId")
 """Magic, version, kind, bytes of the payload, sequence number, echo, sender's time [s]."""
 CHECKSUM = struct.Struct("<I")
 POSE = struct.Struct("<13dII")
-"""Position [m], quaternion (x, y, z, w), velocity [m/s], spin [rad/s], buttons, and four bytes
-that are zero.
-"""
+"""Position [m], quaternion (x, y, z, w), velocity [m/s], spin [rad/s], buttons, four zero bytes."""
 WRENCH = struct.Struct("<6d")
 """Force [N] and torque [N m]."""
 LONGEST_REASON = 400
-"""Bytes of a refusal's sentence."""
+"""Largest length of the sentence in a refusal [bytes]."""
 HALF, WHOLE = 1 << 31, 1 << 32
-"""Half of the sequence numbers that there are, and all of them."""
+"""Half of the number of sequence numbers, and their number."""
 
 
 class Kind(IntEnum):
-    """What a packet is."""
+    """Kind of a packet."""
 
     HELLO = 1
-    """The device asks to be the one that is used, or has been taken."""
+    """The device asks to be used, or has been accepted."""
     POSE = 2
-    """Where the device is."""
+    """Pose of the device."""
     WRENCH = 3
-    """What it shall play."""
+    """Force and torque to play."""
     HEARTBEAT = 4
-    """The sender is there and has nothing else to send."""
+    """The sender is active and has nothing else to send."""
     BYE = 5
     """The sender ends."""
     REFUSED = 6
-    """The device is not taken, with a sentence."""
+    """The device is refused, with a sentence."""
 
 
 LENGTHS = {
@@ -67,32 +63,32 @@ LENGTHS = {
     Kind.HEARTBEAT: 0,
     Kind.BYE: 0,
 }
-"""Bytes of the payload; a refusal has a sentence of any length."""
+"""Bytes of the payload; the sentence of a refusal has any length."""
 Wrench = tuple[Triple, Triple]
 """Force [N] and torque [N m] on the hand, in the device's frame."""
 NO_WRENCH: Wrench = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 class PacketError(Exception):
-    """A packet that cannot be used; its text is the name under which it is counted."""
+    """Error of an unusable packet; its text is the name under which it is counted."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Packet:
-    """One packet.
+    """Packet of the protocol.
 
     Attributes
     ----------
     kind
-        What it is.
+        Kind of the packet.
     sequence
-        Number of the packet among those of its sender, from 1; after 4294967295 comes 0.
+        Number of the packet among the packets of its sender, from 1; 0 follows 4294967295.
     echo
         Sequence number of the newest packet that the sender has received; 0 before the first.
     time_s
-        Sender's clock, from any start [s].
+        Clock of the sender, with any start [s].
     sample, wrench, reason
-        Of a pose, a wrench, a refusal.
+        Content of a pose, a wrench or a refusal.
     """
 
     kind: Kind
@@ -105,7 +101,7 @@ class Packet:
 
 
 def packed(packet: Packet) -> bytes:
-    """A packet as bytes."""
+    """Return a packet as bytes."""
     payload = b""
     if packet.kind is Kind.POSE and packet.sample is not None:
         at = packet.sample
@@ -123,13 +119,13 @@ def packed(packet: Packet) -> bytes:
 
 
 def unpacked(data: bytes) -> Packet:
-    """Bytes as a packet, checked.
+    """Return a validated packet from bytes.
 
     Raises
     ------
     PacketError
-        Under what it is counted: ``foreign``, ``version``, ``length``, ``checksum``, ``kind`` or
-        ``number``.
+        With the name under which it is counted: ``foreign``, ``version``, ``length``, ``checksum``,
+        ``kind`` or ``number``.
     """
     if data[:4] != MAGIC:
         raise PacketError("foreign")
@@ -168,14 +164,12 @@ def unpacked(data: bytes) -> Packet:
 
 
 def is_newer(sequence: int, before: int) -> bool:
-    """Whether a sequence number comes after another, also where they have started again from 0
-    in between.
-    """
+    """Return whether a sequence number follows another, including a restart from 0 in between."""
     return 0 < (sequence - before) % WHOLE < HALF
 
 
 def _sample(payload: bytes) -> HardwareSample:
-    """The sample of a pose; a quaternion that is nearly of unit length passes as it is."""
+    """Return the sample of a pose; a quaternion of nearly unit length is not changed."""
     x, y, z, qx, qy, qz, qw, vx, vy, vz, wx, wy, wz, buttons, _ = POSE.unpack(payload)
     total = x + y + z + vx + vy + vz + wx + wy + wz
     if not isfinite(total) or not is_nearly_unit((qx, qy, qz, qw)):

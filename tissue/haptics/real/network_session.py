@@ -1,6 +1,4 @@
-"""What passes between this program and one device on a network: who it is, what is new, what is
-dropped and counted.
-"""
+"""Session with one network device: identity, new samples, and counts of dropped packets."""
 
 import threading
 from collections import Counter
@@ -24,9 +22,9 @@ from tissue.haptics.real.network_protocol import (
 __all__ = ["SILENCE_S", "NetworkSession"]
 
 SILENCE_S = 0.5
-"""Silence after which a device is given up and another may take its place [s]."""
+"""Silence after which a device is given up and another one may connect [s]."""
 KEPT = 1024
-"""Wrenches whose time of sending is kept, by which round trips are measured; a power of two."""
+"""Number of wrenches whose send time is stored for round trips; a power of two."""
 BUSY = (
     "one device must be used at a time, got a second: end the first, or wait half a second after "
     "it has stopped"
@@ -34,25 +32,25 @@ BUSY = (
 
 
 class NetworkSession:
-    """Takes the packets of one device and makes those for it; nothing here waits or reads a socket.
+    """Session with one device: receives its packets and builds packets for it, without waiting.
 
-    The first device that asks is taken; others are refused until it has ended or was silent for
-    `SILENCE_S`. A pose that is late, repeated, damaged or not finite is dropped and counted.
+    The session does not read a socket. The first device that asks is accepted. Others are refused
+    until it has ended or was silent for `SILENCE_S`. A pose that is late, repeated, damaged or not
+    finite is dropped and counted.
 
     Parameters
     ----------
     clock
-        Seconds from any start.
+        Clock with any start [s].
 
     Attributes
     ----------
     peer
-        Address of the device that was taken; None where there is none.
+        Address of the accepted device; None without a device.
     counts
-        Packets by what became of them: ``poses``, ``heartbeats``, ``hellos``, ``lost`` on the line,
-        and those that were dropped as ``foreign``, ``version``, ``length``, ``checksum``, ``kind``,
-        ``number``, ``late``, ``repeated``, ``stranger`` or ``refused``; ``silences`` counts devices
-        that were given up.
+        Packets by outcome: ``poses``, ``heartbeats``, ``hellos``, ``lost`` on the line, and dropped
+        ones as ``foreign``, ``version``, ``length``, ``checksum``, ``kind``, ``number``, ``late``,
+        ``repeated``, ``stranger`` or ``refused``. ``silences`` counts devices that were given up.
     round_trip_s
         Time from the newest wrench that the device has seen to the first packet that shows it [s];
         nan before.
@@ -68,13 +66,13 @@ class NetworkSession:
         self._newest: HardwareSample | None = None
         self._seen = 0  # newest sequence number of the device
         self._sent = 0
-        self._shown = 0  # newest of ours that the device has shown
+        self._shown = 0  # newest of our packets that the device has shown
         self._sent_at = [nan] * KEPT
-        # sequence number and time of the hello by which the device was taken
+        # sequence number and time of the hello that was accepted
         self._greeting = (0, nan)
 
     def receive(self, data: bytes, sender: Hashable) -> bytes | None:
-        """Take a packet; what to send back to its sender, None for nothing."""
+        """Process a packet, and return the reply to its sender; None without a reply."""
         with self._lock:
             try:
                 return self._receive(unpacked(data), sender)
@@ -83,7 +81,7 @@ class NetworkSession:
                 return None
 
     def take(self) -> HardwareSample | None:
-        """The newest pose; None where none came since the last call."""
+        """Return the newest pose; None if there is no new one since the last call."""
         with self._lock:
             self._forget_silent()
             newest = self._newest
@@ -91,7 +89,7 @@ class NetworkSession:
             return newest
 
     def wrench(self, wrench: Wrench) -> tuple[Hashable, bytes] | None:
-        """Where a wrench goes, and its packet; None without a device."""
+        """Return the receiver and the packet of a wrench; None without a device."""
         with self._lock:
             self._forget_silent()
             if self.peer is None:
@@ -99,9 +97,7 @@ class NetworkSession:
             return self.peer, self._packet(Kind.WRENCH, wrench)
 
     def bye(self) -> tuple[Hashable, bytes] | None:
-        """Where the last packet goes, and that packet; the device is then free. None without a
-        device.
-        """
+        """Return the receiver and the last packet, and free the device; None without a device."""
         with self._lock:
             if self.peer is None:
                 return None
@@ -111,7 +107,7 @@ class NetworkSession:
             return peer, data
 
     def leave(self, sender: Hashable) -> None:
-        """Forget a device whose connection has ended."""
+        """Remove a device whose connection has ended."""
         with self._lock:
             if sender == self.peer:
                 self._forget()
@@ -142,7 +138,7 @@ class NetworkSession:
         return None
 
     def _hello(self, packet: Packet, sender: Hashable) -> bytes:
-        """Take a device, or the same one that has started again; refuse any other."""
+        """Accept a device, or the same device after a restart; refuse any other."""
         if self.peer is not None and sender != self.peer:
             self.counts["refused"] += 1
             return packed(Packet(kind=Kind.REFUSED, sequence=0, echo=packet.sequence, reason=BUSY))
@@ -152,7 +148,7 @@ class NetworkSession:
             self._seen = packet.sequence
             self._newest = None
             self._greeting = packet.sequence, packet.time_s
-        else:  # it came twice: poses from before it must not pass as new
+        else:  # a repeated hello: earlier poses must not count as new
             self.counts["repeated"] += 1
         self._heard = self._clock()
         return self._packet(Kind.HELLO)
@@ -166,7 +162,7 @@ class NetworkSession:
         )
 
     def _measure(self, echo: int) -> None:
-        """Note the round trip where a packet is the first to show one of our wrenches."""
+        """Record the round trip if a packet is the first to show one of our wrenches."""
         if is_newer(echo, self._shown) and 0 <= (self._sent - echo) % WHOLE < KEPT:
             self._shown = echo
             if not isnan(sent := self._sent_at[echo % KEPT]):

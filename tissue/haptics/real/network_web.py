@@ -1,4 +1,4 @@
-"""The network protocol's packets as binary messages of a WebSocket, in a thread beside the loop."""
+"""Packets of the network protocol as binary WebSocket messages, in a separate thread."""
 
 import asyncio
 import threading
@@ -16,39 +16,42 @@ if TYPE_CHECKING:
 __all__ = ["WebTransport"]
 
 OPEN_S = 5.0
-"""How long the thread may take to listen, and to end [s]."""
+"""Longest time for the thread to start listening, and to end [s]."""
 LONGEST_MESSAGE = 4096
 CLOSE_S = 0.2
-"""How long a device may take to take its last packets, to end its connection, and to be cut off
-[s]. The three together stay under the second after which a run gives up a device that does not
-close."""
+"""Longest time of each step of a close [s].
+
+The steps: the device receives its last packets, ends its connection, and is cut off. Together
+they take less than the second after which a run gives up a device that does not close.
+"""
 SEND_S = 0.25
-"""How long a device may take no packets before its connection is ended [s]."""
+"""Longest time for which a device may receive no packets before its connection is ended [s]."""
 HANDSHAKE_S = 2.0
-"""How long a connection may take to become a WebSocket [s]."""
+"""Longest time for a connection to become a WebSocket [s]."""
 MOST_WAITING = 2
-"""Packets that wait for the thread; a wrench more takes the place of the oldest. Zero and
-goodbye both wait.
+"""Largest number of packets that wait for the thread; a further wrench replaces the oldest.
+
+Zero and goodbye can wait together.
 """
 
 
 class WebTransport:
-    """Packets as messages; the newest wrenches go out, older ones that wait are dropped.
+    """Packets as messages; the newest wrenches are sent, and older waiting ones are dropped.
 
-    Connections with an ``Origin``, as every browser sends it, are refused: a page must not move a
-    tool.
+    Connections with an ``Origin``, as sent by every browser, are refused, because a web page must
+    not move a tool.
 
     Parameters
     ----------
     host, port
-        Where to listen; port 0 for any free one.
+        Address to listen on; port 0 for any free port.
     session
-        Takes what comes, from the thread.
+        Receiver of the packets, called from the thread.
 
     Raises
     ------
     InputError
-        If it cannot listen there, or websockets is not installed.
+        If the address cannot be used, or websockets is not installed.
     """
 
     def __init__(self, host: str, port: int, session: NetworkSession) -> None:
@@ -64,7 +67,7 @@ class WebTransport:
         self._session = session
         self._waiting = deque[tuple[Hashable, bytes]](maxlen=MOST_WAITING)
         self._connections: dict[Hashable, ServerConnection] = {}
-        # also those that are no WebSocket yet
+        # also connections that are not WebSockets yet
         self._lines: dict[ServerConnection, asyncio.BaseTransport] = {}
         self._ready = threading.Event()
         self._failed = list[OSError]()
@@ -87,16 +90,16 @@ class WebTransport:
             )
 
     def read(self) -> None:
-        """Do nothing: the thread gives the session what comes."""
+        """Do nothing: the thread passes packets to the session."""
 
     def send(self, peer: Hashable, data: bytes) -> None:
-        """Let the thread send a packet, in place of an older one that it has not sent."""
+        """Queue a packet for the thread, in place of an older one that waits."""
         self._waiting.append((peer, data))
         with suppress(RuntimeError):  # the thread has ended
             self._loop.call_soon_threadsafe(self._news.set)
 
     def close(self) -> None:
-        """Send what waits and stop listening."""
+        """Send waiting packets and stop listening."""
         with suppress(RuntimeError):
             self._loop.call_soon_threadsafe(self._stop.set)
         if threading.current_thread() is not self._thread:
@@ -117,17 +120,18 @@ class WebTransport:
         lines = self._lines
 
         class Line(ServerConnection):
-            """A connection that is known from its first byte on, so that it can be ended before
-            it is a WebSocket.
+            """Connection that is known from its first byte.
+
+            It can therefore be ended before it is a WebSocket.
             """
 
             def connection_made(self, transport: asyncio.BaseTransport) -> None:
-                """Note the connection."""
+                """Store the connection."""
                 super().connection_made(transport)
                 lines[self] = transport
 
             def connection_lost(self, exc: Exception | None) -> None:
-                """Forget the connection."""
+                """Remove the connection."""
                 lines.pop(self, None)
                 super().connection_lost(exc)
 
@@ -147,7 +151,7 @@ class WebTransport:
         sending = asyncio.ensure_future(self._send_news())
         await self._stop.wait()
         sending.cancel()
-        with suppress(TimeoutError):  # of a device that no longer reads
+        with suppress(TimeoutError):  # a device that no longer reads
             async with asyncio.timeout(CLOSE_S):
                 await self._send_waiting()
         for connection, line in list(lines.items()):
@@ -164,7 +168,7 @@ class WebTransport:
         self._ready.set()
 
     async def _talk(self, connection: "ServerConnection") -> None:
-        """Take the messages of one connection until it ends."""
+        """Receive the messages of one connection until it ends."""
         from websockets.exceptions import ConnectionClosed
 
         self._connections[connection.id] = connection
@@ -196,20 +200,20 @@ class WebTransport:
                 try:
                     async with asyncio.timeout(SEND_S):
                         await connection.send(data)
-                except TimeoutError:  # nobody reads there any more, and others must not wait for it
+                except TimeoutError:  # the device no longer reads, and others must not wait
                     _abort(connection.transport)
                 except ConnectionClosed:
                     pass
 
 
 def _abort(line: asyncio.BaseTransport) -> None:
-    """End a connection at once, whatever waits to be sent."""
+    """End a connection at once, even with unsent data."""
     if isinstance(line, asyncio.WriteTransport):
         line.abort()
 
 
 async def _ended_within(seconds: float) -> None:
-    """Wait until all other tasks of the thread have ended, or for some seconds."""
+    """Wait until all other tasks of the thread have ended, for at most some seconds."""
     others = asyncio.all_tasks() - {asyncio.current_task()}
     if others:
         await asyncio.wait(others, timeout=seconds)

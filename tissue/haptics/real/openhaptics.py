@@ -1,15 +1,15 @@
-"""3D Systems' Touch devices by pyOpenHaptics, which loads the vendor's OpenHaptics at run time.
+"""Adapter for 3D Systems' Touch devices with pyOpenHaptics.
 
-Read in pyOpenHaptics 1.0.1: a transform is in mm, with the axes of the handle in its first three
-rows and the position in the fourth; x points right, y up, z to the hand. The library calls a
-function in a thread of its own, a thousand times a second, and only inside it may the device be
-read or driven. That thread and the loop's share a few attributes, each replaced whole. The class
-HapticDevice of the package does not report a device that is missing, so its functions are called
-one by one.
+The package loads the vendor's OpenHaptics at run time. Facts from pyOpenHaptics 1.0.1: a transform
+is in mm, with the axes of the handle in its first three rows and the position in the fourth. x
+points right, y up, z to the hand. The library calls a function in its own thread, a thousand times
+a second. The device may be read or driven only inside this function. This thread and the loop's
+thread share a few attributes, each replaced as a whole. The class HapticDevice of the package does
+not report a missing device, so that its functions are called one by one.
 
-All devices of a process share the library's scheduler: the first one starts it and the last one
-stops it. The package opens a frame of whichever device is current, so each function that is called
-makes its own device current first.
+All devices of a process share the scheduler of the library. The first device starts it, and the
+last one stops it. The package opens a frame of the current device. Each scheduled function
+therefore first makes its own device current.
 """
 
 import threading
@@ -32,17 +32,17 @@ if TYPE_CHECKING:
 __all__ = ["OpenHapticsAdapter"]
 
 USUAL = "Default Device"
-"""Name that the vendor's configuration gives a single device."""
+"""Name of a single device in the vendor's configuration."""
 NONE = (None, 0x0104, 0xFFFFFFFF)
-"""What is returned in place of a device."""
+"""Values returned in place of a device."""
 HELD_S = 0.05
-"""How long a force is played without another one [s]."""
+"""Longest time for which a force is played without a new one [s]."""
 REST_S = 0.05
-"""How long an end waits for the vendor's thread to have played zero [s]."""
+"""Longest time for the vendor's thread to play zero at the end [s]."""
 ROUND_S = 5e-3
-"""Time in which the vendor's thread has called the functions of all devices once more [s]."""
+"""Time in which the vendor's thread calls the functions of all devices at least once [s]."""
 WINDOW = 10
-"""Calls of the vendor's thread over which velocities are taken, 10 ms."""
+"""Number of calls of the vendor's thread over which velocities are computed, 10 ms."""
 MISSING = (
     "must be installed for a Touch device, got none: pip install 'tissue-sim[openhaptics]', "
     "and OpenHaptics with the "
@@ -57,12 +57,12 @@ _OPENING = threading.Lock()
 
 
 class OpenHapticsAdapter:
-    """A Touch, Touch X or Omni: the pose with six degrees of freedom, force with three.
+    """Touch, Touch X or Omni: pose in six degrees of freedom, force in three.
 
     Parameters
     ----------
     hardware
-        Its ``address`` is the device's name in the vendor's setup; empty for the one that is alone.
+        Its ``address`` is the name of the device in the vendor's setup; empty for a single device.
     """
 
     def __init__(self, hardware: "Hardware | None" = None) -> None:
@@ -70,10 +70,10 @@ class OpenHapticsAdapter:
         self.limits: DeviceParameters = device_parameters("openhaptics")
         self._hd: Any = None
         self._id = 0
-        self._callback: object = None  # the library keeps none, and would call what was freed
+        self._callback: object = None  # must be kept: the library does not hold a reference
         self._sample: HardwareSample | None = None
         self._taken: HardwareSample | None = None
-        self._force: tuple[list[float], float] = ([0.0, 0.0, 0.0], 0.0)  # and when it was pushed
+        self._force: tuple[list[float], float] = ([0.0, 0.0, 0.0], 0.0)  # with its time [s]
         self._past: deque[tuple[float, HardwareSample]] = deque(maxlen=WINDOW)
         self._problem = ""
         self._ended = True
@@ -81,13 +81,13 @@ class OpenHapticsAdapter:
 
     @staticmethod
     def find(address: str = "") -> list[FoundDevice]:
-        """The device of that name, or why there is none; it is opened for a moment."""
+        """Return the device of that name, or the reason for none; it is opened for a moment."""
         name = address or USUAL
         try:
             hd = _library()[0]
         except InputError as error:
             return [FoundDevice(name="openhaptics", problem=str(error))]
-        if name in _OPEN.values():  # to open it again and close it would end the other one's run
+        if name in _OPEN.values():  # opening and closing it again would end the run that uses it
             detail = "in use by this program"
             return [
                 FoundDevice(
@@ -121,7 +121,7 @@ class OpenHapticsAdapter:
         self._taken = None
         self._problem = ""
         self._past.clear()
-        with redirect_stdout(StringIO()):  # the package prints what it does
+        with redirect_stdout(StringIO()):  # the package prints progress
             number = hd.init_device(self._name)
             if number in NONE:
                 raise InputError(f"a device named {self._name}", "be connected", "none", NO_DEVICE)
@@ -151,7 +151,7 @@ class OpenHapticsAdapter:
         self.close()
 
     def poll(self) -> HardwareSample | None:
-        """The newest pose of the vendor's thread; None where it has none since the last call.
+        """Return the newest pose of the vendor's thread; None if it has not changed.
 
         Raises
         ------
@@ -167,14 +167,16 @@ class OpenHapticsAdapter:
         return sample
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Let the vendor's thread play a force until the next one, or for `HELD_S`; no motor
-        plays a torque.
+        """Set the force of the vendor's thread until the next call, or for `HELD_S`.
+
+        Torque is not played, because the device has no motors for it.
         """
         self._force = (force_N.tolist(), perf_counter())
 
     def close(self) -> None:
-        """Let the vendor's thread play zero once more, and close the device; the last device
-        stops the thread.
+        """Play zero once more in the vendor's thread, and close the device.
+
+        The last device stops the thread.
         """
         if self._ended:
             return
@@ -190,14 +192,15 @@ class OpenHapticsAdapter:
             with suppress(Exception):
                 hd.stop_scheduler()
         else:
-            # until another device is current, so that no frame is opened of this one
+            # wait until another device is current, so that no frame is opened for this device
             sleep(ROUND_S)
         with suppress(Exception):
             hd.close_device(self._id)
 
     def _serve(self) -> None:
-        """Read and drive the device; called in the vendor's thread, which an exception would end
-        without a word.
+        """Read and drive the device, in the vendor's thread.
+
+        An exception would end that thread silently.
         """
         try:
             hd = self._hd
@@ -219,8 +222,9 @@ class OpenHapticsAdapter:
             )
 
     def _make_current(self, hd: Any) -> None:
-        """Leave the frame of another device, which the package has opened, for one of this
-        device.
+        """Replace the open frame of another device by a frame of this device.
+
+        The package opens a frame of the current device.
         """
         current = hd.get_current_device()
         if current != self._id:
@@ -245,14 +249,14 @@ class OpenHapticsAdapter:
 
 
 def _library() -> tuple[ModuleType, ModuleType]:
-    """The modules of the package that use a device, and that schedule a function."""
+    """Return the modules of the package for device access and for scheduling."""
     try:
         from pyOpenHaptics import hd, hd_callback
     except (
         ImportError,
         OSError,
         NameError,
-    ) as error:  # OSError without the vendor's, NameError on macOS, which has none
+    ) as error:  # OSError without the vendor's library, NameError on macOS, which has no library
         what = (
             "pyOpenHaptics"
             if isinstance(error, ModuleNotFoundError)

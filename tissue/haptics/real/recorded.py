@@ -1,4 +1,4 @@
-"""A recorded motion as a device in the loop: one pose a tick, and no force."""
+"""Recorded motion as a device in the loop: one pose per tick, without force."""
 
 from pathlib import Path
 from types import TracebackType
@@ -21,26 +21,25 @@ __all__ = ["RecordedAdapter"]
 
 
 class RecordedAdapter:
-    """The poses of a file, one for each call of `poll`; after the last there is none, and the force
-    fades.
+    """Poses of a file, one for each call of `poll`; after the last one, the force fades.
 
-    A run plays them where they were recorded: its tool starts at the first pose. Unlike
-    ``motion.kind = "replay"``, which moves the tool itself, the poses move the device: coupling,
-    prediction and what is commanded are those of a hand that moves so.
+    A run plays the poses at their recorded positions: its tool starts at the first pose. Unlike
+    ``motion.kind = "replay"``, which moves the tool itself, the poses move the device. Coupling,
+    prediction and commanded force are those for a hand with this motion.
 
     Parameters
     ----------
     hardware
-        Its ``address`` is the file: what ``motion.file`` takes, such as a run's trace.csv.
+        Its ``address`` is a file as for ``motion.file``, such as a run's trace.csv.
 
     Raises
     ------
     InputError
-        If the file is missing, or is none of poses.
+        If the file is missing, or does not contain poses.
     """
 
     bounds_itself = True
-    """A file has no arm that bounds its positions."""
+    """No reach is applied, because a file has no arm that bounds its positions."""
 
     def __init__(self, hardware: "Hardware | None" = None) -> None:
         address = hardware.address if hardware else ""
@@ -57,7 +56,7 @@ class RecordedAdapter:
 
     @staticmethod
     def find(address: str = "") -> list[FoundDevice]:
-        """The file as a device, or why it is none."""
+        """Return the file as a device, or the reason for none."""
         from tissue.scene.hardware import Hardware
 
         try:
@@ -87,22 +86,22 @@ class RecordedAdapter:
         self.close()
 
     def poll(self) -> HardwareSample | None:
-        """The pose of the next tick; None after the last."""
+        """Return the pose of the next tick; None after the last one."""
         if self._next >= len(self._samples):
             return None
         self._next += 1
         return self._samples[self._next - 1]
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Take a force and a torque and forget them."""
+        """Ignore a force and a torque."""
 
     def close(self) -> None:
-        """End the record."""
+        """End the recording."""
         self._next = len(self._samples)
 
 
 def _samples(path: Path) -> list[HardwareSample]:
-    """Poses of a file at every tick, with their rates of change."""
+    """Return the poses of a file at every tick, with their rates of change."""
     from scipy.spatial.transform import Rotation
 
     with names_of_caller({"motion.file": "hardware.address"}):

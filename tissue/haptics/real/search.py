@@ -1,4 +1,4 @@
-"""Adapters of real devices by their names, and a search for the devices that this machine has."""
+"""Adapters of real devices by name, and a search for connected devices."""
 
 from collections.abc import Callable
 from importlib import import_module
@@ -28,8 +28,7 @@ def adapter_class(name: str) -> Callable[..., Any]:
 
 
 def devices() -> list[FoundDevice]:
-    """Return the real devices of this machine; for each kind without one, a sentence of what is
-    missing.
+    """Return the real devices of this machine, and the reason for each kind without one.
 
     A search takes seconds: it opens each device for a moment and waits for one on the network.
     """

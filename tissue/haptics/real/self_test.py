@@ -1,6 +1,4 @@
-"""What a device in hand does: how often it gives a sample, how evenly, its latency, and a push
-that can be felt.
-"""
+"""Self-test of a device: sample rate, regularity, latency, and a perceptible push."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -18,31 +16,31 @@ from tissue.models.tissue_model import TICK_S
 __all__ = ["BUMP_N", "BUMP_S", "Bump", "SelfTest", "bump", "self_test"]
 
 BUMP_N, BUMP_S = 0.5, 0.3
-"""Greatest force of the push [N] and how long it lasts [s]."""
+"""Largest force of the push [N] and its duration [s]."""
 FEWEST = 20
-"""Samples without which nothing can be stated."""
+"""Smallest number of samples for a result."""
 PAUSE_S = 5e-5
-"""Pause between two calls [s]: short against a tick, and other threads run in it."""
+"""Pause between two calls [s]: short against a tick, and other threads can run."""
 START_S = 5.0
-"""How long the first sample may take [s]."""
+"""Longest time for the first sample [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SelfTest:
-    """What was measured while zero was commanded each tick.
+    """Measurements of a device while zero is commanded in each tick.
 
     Attributes
     ----------
     seconds
-        How long it was measured [s].
+        Duration of the measurement [s].
     samples, rate_Hz
-        How many new samples came, and how many a second [Hz].
+        Number of new samples, and their rate [Hz].
     interval_s, interval_99_s, longest_s
         Time between two samples [s]: median, 99 %, longest.
     call_s, call_99_s
-        Time that reading and commanding take together [s]: median and 99 %.
+        Time of reading and commanding together [s]: median and 99 %.
     round_trip_s, round_trip_99_s
-        From a command to the first sample that has seen it [s]: median and 99 %; nan where the
+        Time from a command to the first sample that has seen it [s]: median and 99 %; nan if the
         device does not show it.
     """
 
@@ -59,20 +57,21 @@ class SelfTest:
 
     @property
     def delay_s(self) -> float:
-        """Latency of the device besides the hold [s]: the round trip, or else what its calls
-        take.
+        """Latency of the device in addition to the hold [s].
+
+        It is the round trip, or else the duration of its calls.
         """
         return self.round_trip_s if isfinite(self.round_trip_s) else self.call_s
 
     @property
     def delay_99_s(self) -> float:
-        """The same, 99 %."""
+        """99 % value of the latency [s]."""
         return self.round_trip_99_s if isfinite(self.round_trip_s) else self.call_99_s
 
 
 @dataclass(frozen=True)
 class Bump:
-    """How far the handle moved in a push, along it and in all [m]."""
+    """Motion of the handle in a push, along the push and in total [m]."""
 
     along_m: float
     moved_m: float
@@ -85,22 +84,22 @@ def self_test(
     clock: Callable[[], float] = perf_counter,
     pause: Callable[[float], None] = sleep,
 ) -> SelfTest:
-    """Measure an adapter that is open, without force on the hand.
+    """Measure an open adapter, without force on the hand.
 
     Parameters
     ----------
     adapter
-        The device; where it has ``round_trip_s``, that is taken with each sample.
+        Device. If it has ``round_trip_s``, this value is stored with each sample.
     seconds
-        How long to measure, from the first sample on [s].
+        Duration of the measurement, from the first sample [s].
     clock, pause
-        Give the time [s], and wait.
+        Functions that return the time [s], and that wait.
 
     Raises
     ------
     InputError
-        If too few samples come, or as `DeviceError` if positions leave the device's reach, as
-        millimetres do.
+        If too few samples come. `DeviceError` if positions leave the device's reach, as millimetres
+        do.
     """
     require_range("seconds", seconds, 0.1, 600.0, "use 2")
     zero = np.zeros(3)
@@ -153,13 +152,14 @@ def bump(
     clock: Callable[[], float] = perf_counter,
     pause: Callable[[float], None] = sleep,
 ) -> Bump:
-    """Push the hand by at most `BUMP_N` along the device's z, rising and falling as half a sine;
-    zero whatever ends it.
+    """Push the hand by at most `BUMP_N` along the device's z, as half a sine over `BUMP_S`.
+
+    However the push ends, the last force is zero.
 
     Raises
     ------
     InputError
-        If no sample comes meanwhile.
+        If no sample comes during the push.
     """
     places = []
     start = clock()

@@ -1,6 +1,4 @@
-"""Recognise states that come in another order than that in which they were measured, though
-nothing numbers them.
-"""
+"""Detection of states that arrive in a wrong order, without sequence numbers."""
 
 from math import exp, hypot
 
@@ -9,28 +7,31 @@ from tissue.haptics.real.adapter import HardwareSample
 __all__ = ["StateOrder"]
 
 MEMORY_S, LONGEST_S = 0.024, 0.005
-"""Time over which contradictions are averaged, so that a velocity may lag 6 ms behind a blow, and
-the longest time for which one state counts [s]."""
+"""Averaging time of contradictions, and longest time for which one state counts [s].
+
+With this averaging time, a velocity may lag 6 ms behind a blow.
+"""
 WRONG, RIGHT = 0.25, 0.05
-"""Share of contradictions from which the order is wrong, and below which it is right again."""
+"""Share of contradictions above which the order is wrong, and below which it is right again."""
 LEAST_M, LEAST_M_S = 2e-4, 0.05
-"""Shortest step and least speed that are judged: below them a wrong order moves nothing that is
-felt.
+"""Smallest step [m] and speed [m/s] that are judged.
+
+Below them, a wrong order has no perceptible effect.
 """
 AGAINST = -0.5
 """Cosine of the angle between step and velocity below which they contradict each other."""
 
 
 class StateOrder:
-    """Whether the steps between states go where the states' own velocities go.
+    """Comparison of the steps between states with the velocities of the states.
 
-    A state that is older than the one before it steps back against the velocity of both. Of states
-    in a random order about half do, and a share of a quarter is reached within 17 ms.
+    A state that is older than the previous one steps back against the velocity of both. In a random
+    order, about half of the states do. A share of a quarter is reached within 17 ms.
 
     Attributes
     ----------
     is_wrong
-        Whether the states of late came in a wrong order.
+        True if recent states came in a wrong order.
     """
 
     def __init__(self) -> None:
@@ -39,7 +40,7 @@ class StateOrder:
         self._last: HardwareSample | None = None
 
     def observe(self, sample: HardwareSample, time_s: float) -> bool:
-        """Take a state that came at a time [s]; whether the order is wrong."""
+        """Process a state that came at a time [s], and return whether the order is wrong."""
         last = self._last
         elapsed = min(time_s - self._came_s, LONGEST_S)
         self._last = sample

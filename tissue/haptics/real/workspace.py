@@ -1,6 +1,4 @@
-"""Where a device's workspace lies in the scene: its turn, its place, and what a clutch makes of
-both.
-"""
+"""Mapping of a device's workspace into the scene: rotation, translation and clutch."""
 
 from math import isfinite, radians
 
@@ -24,24 +22,25 @@ NO_TURN: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
 class Workspace:
-    """Turns and places the poses of a device, and turns forces back into its axes.
+    """Mapping of device poses into the scene, and of forces back into the device axes.
 
-    Positions become ``R x + d``: the turn R is constant, and d is where the first pose is the
-    tool's start. While the clutch is held the pose in the scene stays, and d and the first
-    orientation are chosen anew when it is let go, so that the pose goes on without a jump. As R is
-    a rotation, force times velocity is the same power in both frames.
+    Positions become ``R x + d``. The rotation R is constant, and d places the first pose at the
+    start of the tool. While the clutch is held, the pose in the scene stays. When it is released, d
+    and the reference orientation are updated, so that the pose continues without a jump. As R is a
+    rotation, force times velocity is the same power in both frames.
 
     Parameters
     ----------
     turn_deg
-        Turn of the device's axes into the world's, about the world's x, then y, then z.
+        Rotation of the device's axes into the world's, about the world's x, then y, then z
+        [degrees].
     start_m
-        Where the first pose lies [m].
+        Position of the first pose in the scene [m].
 
     Attributes
     ----------
     is_placed
-        Whether there was a first pose.
+        True after the first pose.
     """
 
     def __init__(self, turn_deg: Triple, start_m: Triple) -> None:
@@ -56,7 +55,7 @@ class Workspace:
         self.forget()
 
     def forget(self) -> None:
-        """Let the next pose be the first one."""
+        """Make the next pose the first one."""
         self.is_placed = False
         self._clutched = False
         self._shift: Triple = (0.0, 0.0, 0.0)
@@ -65,7 +64,7 @@ class Workspace:
         self._onto = NO_TURN
 
     def turned(self, vector: Triple) -> Triple:
-        """A vector of the device's axes in the world's."""
+        """Return a vector in the device's axes in the world's axes."""
         a, b, c = vector
         x, y, z = self._rows
         return (
@@ -75,14 +74,15 @@ class Workspace:
         )
 
     def at_device(self, vector: Array) -> Array:
-        """A vector of the world's axes in the device's, shape (3,)."""
+        """Return a vector in the world's axes in the device's axes, shape (3,)."""
         return vector @ self._matrix
 
     def pose(
         self, position_m: Triple, quaternion: Quaternion, *, clutched: bool
     ) -> tuple[Triple, Quaternion]:
-        """Position [m] and orientation in the scene, which starts without a turn, of those of
-        the device.
+        """Return position [m] and orientation in the scene for a device pose.
+
+        The orientation in the scene starts without a rotation.
         """
         if clutched and self.is_placed:
             self._clutched = True
