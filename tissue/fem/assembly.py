@@ -72,8 +72,9 @@ def assemble(space: Space, elasticity: ArrayLike) -> bsr_array:
 
 @cache
 def pair_tables(order: int) -> tuple[NDArray[np.int32], Array]:
-    """Two corners of each shape function of each pair in a cell, and weights of their products,
-    shapes (p, 4).
+    """Return the corners of the shape functions of each pair in a cell, and their weights.
+
+    Both arrays have shape (p, 4).
 
     The corners of A are i, j and those of B k, n; weights belong to the products ik, in, jk, jn of
     the gradients.

@@ -19,7 +19,7 @@ __all__ = [
 
 
 class SolverOutcome(Enum):
-    """How a solve ended; the value holds the cause and the remedy."""
+    """Outcome of a solve. The value holds the cause and the remedy."""
 
     CONVERGED = "the displacement holds to the tolerance"
     NOT_CONVERGED = (
@@ -43,20 +43,20 @@ class SolverOutcome(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Displacement and how it was reached.
+    """Displacement and the outcome of its solve.
 
     Attributes
     ----------
     displacement_m
         Nodal displacements [m], shape (n, 3); the last iterate where the outcome is not CONVERGED.
     outcome
-        How the solve ended.
+        Outcome of the solve.
     iterations
-        Iterations; 0 where the path does not iterate.
+        Iterations; 0 for a solver that does not iterate.
     residual
-        Norm of ``f - K u`` over the free components, relative to that of f. For a reduced basis the
-        relative error in the energy norm instead: what it leaves out moves little and weighs much
-        in f.
+        Norm of ``f - K u`` over the free components, relative to the norm of f. For a reduced basis
+        it is the relative error in the energy norm instead: the modes left out change the
+        displacement little, but they change f a lot.
     """
 
     displacement_m: Array
@@ -66,12 +66,12 @@ class Solution:
 
     @property
     def converged(self) -> bool:
-        """Whether the displacement may be used."""
+        """True if the solve converged, so that the displacement may be used."""
         return self.outcome is SolverOutcome.CONVERGED
 
 
 LEAST_SHARE = 1e-13
-"""Residuals below this share of the load are rounding."""
+"""Residuals below this share of the load are rounding errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,16 +89,20 @@ class IterativeSolution(Solution):
 
 @dataclass(eq=False)
 class Iterate:
-    """Where the iterations are.
+    """State of the iterations.
 
     Attributes
     ----------
-    found, residual
-        Displacement, and load less stiffness times it.
+    found
+        Displacement.
+    residual
+        Load minus the stiffness times the displacement.
     slopes
-        ``r . B r`` of this and of all residuals before.
-    factors, lengths
-        Share of the last direction in the next one, and steps along the directions so far.
+        ``r . B r`` of the present residual and of all residuals before.
+    factors
+        Share of the last direction in the next direction, for each step so far.
+    lengths
+        Step lengths along the directions so far.
     """
 
     found: Array
@@ -188,5 +192,5 @@ def conjugate_gradients(
 
 
 def dot(a: Array, b: Array) -> float:
-    """Scalar product, summed in the same order on any number of cores."""
+    """Return the scalar product, summed in an order that does not depend on the number of cores."""
     return float(np.einsum("i,i->", a.ravel(), b.ravel()))

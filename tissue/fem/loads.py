@@ -1,4 +1,4 @@
-"""Loads on nodes that do the same work as gravity and traction do on the displacement."""
+"""Nodal loads that are work-equivalent to gravity and traction."""
 
 import numpy as np
 from numpy.typing import ArrayLike

@@ -1,7 +1,7 @@
-"""Where the 3x3 blocks of an assembled matrix lie, and which cells each one is summed from.
+"""Positions of the 3x3 blocks of an assembled matrix, and the cells that contribute to each block.
 
-Pairs of nodes are grouped by two stable counting sorts, linear in their number; SciPy's conversion
-of one compressed row into columns is such a sort. Each pair occurs once, lower node first; its
+Pairs of nodes are grouped by two stable counting sorts, linear in their number. SciPy's conversion
+of one compressed row into columns is such a sort. Each pair occurs once, lower node first. Its
 mirror image gets a place, not a sum.
 """
 
@@ -20,7 +20,7 @@ Integers = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """Blocks of a symmetric matrix over nodes, with both triangles stored in rows.
+    """Block pattern of a symmetric matrix over nodes, with both triangles stored by rows.
 
     Attributes
     ----------
@@ -91,8 +91,9 @@ def local_pairs(nodes_a_cell: int) -> Ints:
 
 
 def grouped(first: Integers, second: Integers, count: int) -> tuple[Integers, Ints]:
-    """Order that sorts pairs of numbers below `count` stably, and where each new pair starts in
-    it, shape (p + 1,).
+    """Return the stable order that sorts pairs of numbers, and the start of each pair.
+
+    The numbers are below `count`. The starts have shape (p + 1,).
     """
     every = np.arange(len(first), dtype=np.int32)
     order = _sorted_by(first, _sorted_by(second, every, count), count)

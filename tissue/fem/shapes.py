@@ -25,15 +25,16 @@ EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
 """Corners of the edges of a tetrahedron in the order of their middle nodes, VTK's order."""
 
 TRIANGLE_EDGES = EDGES[:3]
-"""The same for a triangle."""
+"""Corners of each edge of a triangle."""
 
 GAUSS = 0.13819660112501052
 """Barycentric coordinate of the four Gauss points that integrate quadratics: (5 - sqrt 5) / 20."""
 
 
 def gauss_points(order: int) -> Array:
-    """Barycentric coordinates of a tetrahedron's points of equal weight, shape (1, 4) or,
-    quadratic, (4, 4).
+    """Return barycentric coordinates of a tetrahedron's Gauss points, which have equal weights.
+
+    Shape (1, 4) for linear cells, (4, 4) for quadratic cells.
     """
     return np.full((1, 4), 0.25) if order == 1 else GAUSS + (1.0 - 4.0 * GAUSS) * np.eye(4)
 

@@ -65,7 +65,7 @@ class Space:
 
     @cached_property
     def nodes_m(self) -> Array:
-        """Node positions [m], shape (n, 3): those of the mesh, then the middles of its edges."""
+        """Node positions [m]: nodes of the mesh, then middles of its edges, shape (n, 3)."""
         corners = self.mesh.nodes_m
         if self.order == 1:
             return corners
@@ -89,8 +89,9 @@ class Space:
         return self.with_middles(self.mesh.surface)
 
     def with_middles(self, triangles: Ints) -> Ints:
-        """Triangles that are faces of cells, shape (f, 3), with their middle nodes where the
-        space is quadratic.
+        """Return triangles with their middle nodes where the space is quadratic.
+
+        The triangles are faces of cells, shape (f, 3).
         """
         if self.order == 1:
             return triangles
@@ -102,7 +103,7 @@ class Space:
 
     @cached_property
     def pattern(self) -> Pattern:
-        """Where the blocks of a matrix on this space lie."""
+        """Positions of the blocks of a matrix on this space."""
         return Pattern.of(self.cell_nodes, self.node_count)
 
     @cached_property
@@ -136,9 +137,7 @@ class Space:
 
     @cached_property
     def _edges(self) -> tuple[Ints, Ints]:
-        """Corners of each edge in rising order, shape (e, 2), and the edges of each cell, shape
-        (m, 6).
-        """
+        """Corners of each edge in rising order, (e, 2), and edges of each cell, (m, 6)."""
         ends = np.sort(self.mesh.cells[:, EDGES].reshape(-1, 2), axis=1).astype(np.int32)
         order, start = grouped(ends[:, 0], ends[:, 1], len(self.mesh.nodes_m))
         edge_of = np.empty(len(order), dtype=np.int64)

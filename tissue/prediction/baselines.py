@@ -16,11 +16,15 @@ from tissue.prediction.predictor import AffineMap, interpolated
 __all__ = ["Kalman", "Linear", "LinearControl", "kalman_gains"]
 
 WINDOW = 10
-"""Ticks over which a slope is taken: of 3 to 30 the best on the recorded wall at 4 to 8 ms but for
-8, and better on the slower scenes than that; a shorter one takes an encoder's step for a slope."""
+"""Ticks over which a slope is estimated.
+
+Of 3 to 30 it is the best value on the recorded wall at 4 to 8 ms, except for 8. It is better than 8
+on the slower scenes. A shorter window mistakes an encoder step for a slope.
+"""
 JERKINESS = 1e-3
-"""Variance of the force's third difference over that of its noise: of 1e-8 to 1e-2 the best on
-the recorded wall.
+"""Variance of the force's third difference over the variance of its noise.
+
+Of 1e-8 to 1e-2 it is the best value on the recorded wall.
 """
 
 
@@ -65,10 +69,10 @@ class Linear:
 
 @lru_cache
 def kalman_gains(ticks: int, jerkiness: float) -> Array:
-    """Steady gains for force, its rate a tick and that one's, shape (3,), with a force every so
-    many ticks.
+    """Return the steady Kalman gains for force, its rate and its second rate, shape (3,).
 
-    Of the process F''' = white noise, by the discrete Riccati equation (Kalman 1960).
+    A force is observed every `ticks` ticks. The process is F''' = white noise. The gains solve the
+    discrete Riccati equation (Kalman 1960).
     """
     from scipy.linalg import solve_discrete_are
 
@@ -84,8 +88,9 @@ def kalman_gains(ticks: int, jerkiness: float) -> Array:
 
 
 class Kalman:
-    """A force with constant acceleration, but for white noise, seen with white noise; gains are
-    those it settles to.
+    """Steady Kalman filter for a force of constant acceleration.
+
+    The process and the observations have white noise.
     """
 
     residual_N = 0.0
@@ -121,10 +126,9 @@ class Kalman:
 
 
 class LinearControl:
-    """Linear dynamic mode decomposition with control (Proctor, Brunton & Kutz 2016): F+ = A F + B
-    (x, v) + offset.
+    """Linear dynamic mode decomposition with control: F+ = A F + B (x, v) + offset.
 
-    The device goes on at its present speed over the ticks ahead.
+    Source: Proctor, Brunton & Kutz 2016. The device keeps its present speed over the ticks ahead.
 
     Parameters
     ----------
@@ -154,7 +158,10 @@ class LinearControl:
         self._at_lead = self._maps[0]
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Take in the device and the force, or go a tick on by what was known."""
+        """Update with the device and the force.
+
+        In a tick without a force, the force predicted for this tick is used.
+        """
         known = self._known
         expected = self.predict(1)
         if force_N is not None:
@@ -178,7 +185,7 @@ class LinearControl:
         return predicted + offset
 
     def _map(self, ticks: int) -> AffineMap:
-        """From what is known to the force after so many ticks."""
+        """Return the map from the known values to the force after a number of ticks."""
         while len(self._maps) <= ticks:
             matrix, offset = self._maps[-1]
             # Position enters at its value after the ticks gone by: x + k T v.

@@ -1,12 +1,12 @@
-"""Compliance of the nodes that may be touched: ``W = H K^-1 H^T``, found once and kept on disk.
+"""Compliance of the touchable nodes, ``W = H K^-1 H^T``, computed once and kept on disk.
 
-With it a contact solve knows nothing of the inside (Duriez et al. 2006, IEEE Trans. Vis. Comput.
-Graph. 12:36). It is read off one factor, or found by back-substitutions where that factor would be
-too large to be taken apart.
+With W, a contact solve needs no unknowns inside the body (Duriez et al. 2006, IEEE Trans. Vis.
+Comput. Graph. 12:36). W is read off one factor. Where that factor would need too much memory to be
+inverted in part, W is computed by back-substitutions.
 
 One factor: with the touchable unknowns t last, ``K = L L^T`` has the Schur complement ``S = K_tt -
 K_tr K_rr^-1 K_rt = L_tt L_tt^T`` in its last block, and ``W = S^-1``. No back-substitution is made:
-on 36,000 unknowns, 1,350 of them touchable, those took twenty times as long.
+on 36,000 unknowns, 1,350 of them touchable, back-substitutions took twenty times as long.
 """
 
 from collections.abc import Callable
@@ -25,13 +25,14 @@ from tissue.fem.solvers.held_body import ColumnSolver, HeldBody
 __all__ = ["LIMIT_BYTES", "SCHUR_UNKNOWNS", "compliance_bytes", "surface_compliance_m_N"]
 
 LIMIT_BYTES = 2_000_000_000
-"""Dense matrices above this are refused; columns are then found where the tool is, by
-``LazyCompliance``.
+"""Largest dense matrix allowed.
+
+Beyond it, ``LazyCompliance`` computes columns where the tool is.
 """
 SCHUR_UNKNOWNS = 100_000
 """Above this the factor is not taken apart: copies of both halves would take more than 4 GB."""
 CHUNK = 8
-"""Nodes whose columns one thread finds at a time."""
+"""Nodes per task: one thread computes the columns of this number of nodes at a time."""
 
 
 def compliance_bytes(touchable_count: int) -> int:
@@ -47,8 +48,9 @@ def surface_compliance_m_N(
     solver: Callable[[], ColumnSolver] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Array:
-    """W [m/N] from the cache, or found from a factor; symmetric bitwise, shape (3t, 3t), x, y, z
-    node by node.
+    """Return W [m/N] from the cache, or compute it from a factor.
+
+    It is bitwise symmetric, shape (3t, 3t), x, y, z node by node.
 
     Parameters
     ----------

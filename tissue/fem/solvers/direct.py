@@ -1,9 +1,9 @@
 """Sparse factorisation: exact to rounding, many right sides for one factor.
 
-Multifrontal Cholesky over nested dissection of the coordinates; at 35,000 unknowns it takes a
-quarter of the time of SuperLU in the same order (`python tests/bench/bench_factor.py`). A stiffness
-that is not positive definite to rounding is left to SuperLU of scipy on diagonal pivots, and its
-solutions are judged as any other.
+Multifrontal Cholesky over nested dissection of the coordinates. At 35,000 unknowns it takes a
+quarter of the time of SuperLU with an equal order of elimination (`python
+tests/bench/bench_factor.py`). A stiffness that is not positive definite to rounding is factorised
+by SciPy's SuperLU on diagonal pivots. The check of the residual applies to its solutions too.
 
 The order of elimination is nested dissection by coordinates, which keeps a factor sparse (George
 1973, SIAM J. Numer. Anal. 10:345).
@@ -52,9 +52,7 @@ class SuperLUFactor:
         return found
 
     def inverse_of_last(self, count: int) -> Array:
-        """Rows and columns of the inverse that belong to the last unknowns, shape (count,
-        count).
-        """
+        """Return the block of the inverse of the last unknowns, shape (count, count)."""
         upper = self._factor.U[-count:, -count:].toarray()
         # S = U^T D^-1 U with D the diagonal of U: its inverse is V D V^T with V the inverse of U.
         # D has negative entries where the matrix is indefinite.
@@ -122,14 +120,15 @@ def dissected(nodes_m: Array, graph: csr_array, *, leaf: int = LEAF) -> list[Int
 
 
 def _touches(graph: csr_array, nodes: Ints, marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which of the nodes have a marked neighbour."""
+    """Return a mask of the nodes that have a marked neighbour."""
     rows = graph[nodes]
     return np.asarray(rows @ marked.astype(np.int32) > 0)
 
 
 def _along_curve(nodes_m: Array) -> Ints:
-    """Nodes along a curve that passes each octant of a box before the next (Morton 1966), shape
-    (n,).
+    """Return the nodes in the order of a Morton curve (Morton 1966), shape (n,).
+
+    The curve passes each octant of a box before the next.
     """
     low = nodes_m.min(axis=0)
     steps = (
@@ -147,15 +146,13 @@ TOGETHER = 48
 
 
 class Factor(Protocol):
-    """What a factorisation leaves, unknowns in order of elimination."""
+    """Result of a factorisation, unknowns in order of elimination."""
 
     def solve(self, right: Array) -> Array:
         """The solution for one or several right sides, shape (n,) or (n, m)."""
 
     def inverse_of_last(self, count: int) -> Array:
-        """Rows and columns of the inverse that belong to the last unknowns, shape (count,
-        count).
-        """
+        """Return the block of the inverse of the last unknowns, shape (count, count)."""
 
 
 class DirectSolver:
@@ -211,8 +208,9 @@ class DirectSolver:
         return Solution(self.body.whole(found[place]), outcome, 0, left)
 
     def columns(self, unknowns: Ints, *, together: int = TOGETHER) -> Array:
-        """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for
-        held ones.
+        """Return displacements of all unknowns [m/N] for unit forces on some, shape (3n, k).
+
+        Rows of held unknowns are zero.
         """
         answers = np.zeros((len(self._position), len(unknowns)))
         for start in range(0, len(unknowns), together):
@@ -227,7 +225,7 @@ class DirectSolver:
         """Compute the compliance [m/N] between nodes, x, y, z node by node, shape (3k, 3k).
 
         Zero for held nodes. For nodes that were eliminated last it is read off the last block of
-        the factor, which is that of their Schur complement. Other nodes take back-substitutions.
+        the factor, the factor of their Schur complement. Other nodes take back-substitutions.
         """
         if not np.isin(nodes, self.last).all():
             unknowns = (3 * nodes[:, None] + np.arange(3)).ravel()

@@ -1,4 +1,4 @@
-"""What holds the body of ``K u = f``, and what finds columns of its inverse."""
+"""Body of ``K u = f`` with its supports, and the interface of solvers for its inverse."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,14 +28,15 @@ class ColumnSolver(Protocol):
     body: "HeldBody"
 
     def columns(self, unknowns: Ints) -> Array:
-        """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for
-        held ones.
+        """Return displacements of all unknowns [m/N] for unit forces on some, shape (3n, k).
+
+        Rows of held unknowns are zero.
         """
 
 
 @dataclass(frozen=True, eq=False)
 class HeldBody:
-    """A stiffness and what holds it, found to leave no part free to move.
+    """Stiffness and supports of a body, checked to leave no part free to move.
 
     Attributes
     ----------
@@ -44,13 +45,13 @@ class HeldBody:
     nodes_m
         Node positions [m], shape (n, 3).
     fixed
-        Components that are held where they are at rest, shape (n, 3).
+        Components with zero displacement, shape (n, 3).
 
     Raises
     ------
     InputError
-        If shapes do not fit, K is not finite, nothing is held, what is held belongs to no cell, or
-        a connected part may move as a rigid body: the sentence names the free motions.
+        If shapes do not fit, K is not finite, nothing is held, a held node belongs to no cell, or
+        a connected part may move as a rigid body. The message names the free motions.
     """
 
     stiffness: bsr_array
@@ -147,7 +148,7 @@ class HeldBody:
         return np.asarray(load.ravel()[self.free])
 
     def whole(self, free_m: Array) -> Array:
-        """Displacements of all nodes [m], shape (n, 3), from those of the free unknowns."""
+        """Return displacements of all nodes [m] from the free unknowns, shape (n, 3)."""
         displacement = np.zeros(self.nodes_m.shape)
         displacement.ravel()[self.free] = free_m
         return displacement

@@ -61,8 +61,9 @@ class LazyCompliance:
         self._ended = False
 
     def want(self, nodes: Ints) -> None:
-        """Ask for nodes, most urgent first; what was asked for before and is not found yet is
-        dropped.
+        """Request nodes, most urgent first.
+
+        Earlier requests that are not computed yet are dropped.
 
         Raises
         ------
@@ -88,15 +89,15 @@ class LazyCompliance:
                 self._changed.notify_all()
 
     def pour(self, matrix_m_N: Array) -> int:
-        """Write one node that is newly there into a matrix of all touchable nodes, shape (3t, 3t).
+        """Write one newly computed node into a matrix of all touchable nodes, shape (3t, 3t).
 
-        Blocks between it and all nodes that are there are written, the same on every visit; others
-        are left. One node a call keeps a tick short.
+        The method writes the blocks between this node and all computed nodes, with equal values on
+        every call. Other blocks stay unchanged. One node per call keeps a tick short.
 
         Returns
         -------
         int
-            Nodes still to be poured.
+            Nodes still to be written.
 
         Raises
         ------
@@ -139,7 +140,7 @@ class LazyCompliance:
             self._find(node)
 
     def start(self) -> None:
-        """Let a thread find what is wanted from now on."""
+        """Start the background thread that computes the requested nodes."""
         if self._thread is None:
             self._thread = Thread(target=self._serve, name="compliance", daemon=True)
             self._thread.start()
@@ -173,8 +174,9 @@ class LazyCompliance:
             return self._waiting.popleft() if self._waiting else None
 
     def _find(self, node: int) -> None:
-        """Columns of one node, three right sides; a factor releases the interpreter lock
-        meanwhile.
+        """Compute the columns of one node, three right sides.
+
+        A factor releases the interpreter lock during the solve.
         """
         unknowns = 3 * self._touchable[node] + np.arange(3)
         columns = self._solver.columns(unknowns)[self._rows].reshape(-1, 3, 3).transpose(0, 2, 1)

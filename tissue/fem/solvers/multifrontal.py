@@ -22,7 +22,7 @@ __all__ = ["Front", "Multifrontal", "NotPositiveDefiniteError", "fronts_of"]
 
 @dataclass(frozen=True, eq=False)
 class Front:
-    """A block of unknowns that is eliminated at once.
+    """Block of unknowns that is eliminated at once.
 
     Attributes
     ----------
@@ -136,10 +136,9 @@ class Multifrontal:
         return found.reshape(np.shape(right))
 
     def inverse_of_last(self, count: int) -> Array:
-        """Rows and columns of the inverse that belong to the last unknowns, symmetric bitwise,
-        shape (count, count).
+        """Return the block of the inverse that belongs to the last unknowns, shape (count, count).
 
-        At most the block that is eliminated last is asked for.
+        It is bitwise symmetric. The count must not exceed the block that is eliminated last.
         """
         inverse, _ = dpotri(self._diagonal[-1], lower=1)
         inverse = inverse[-count:, -count:]
@@ -199,10 +198,10 @@ class _Rows:
 
 
 def _add(target: Array, rows: _Rows, columns: _Rows, block: Array) -> None:
-    """Add a block to some rows and columns of a matrix in place; of a square one at least the lower
-    triangle.
+    """Add a block to some rows and columns of a matrix in place.
 
-    Run by run of rows, which lie together in memory, where runs are long.
+    Of a square block, the lower triangle is added; the upper triangle may be added too. Long runs
+    of rows, which are contiguous in memory, are added run by run.
     """
     if not block.size:
         return

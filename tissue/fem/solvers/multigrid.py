@@ -1,8 +1,8 @@
 """Conjugate gradients preconditioned by smoothed aggregation with the six rigid motions.
 
-For large meshes: memory and time of one right side grow linearly. The matrix is scaled by its
-diagonal, so that cells of any size count alike, and kept in blocks of 3x3, so that nodes are
-aggregated and not components (Vanek, Mandel, Brezina 1996, Computing 56:179).
+For large meshes: memory and time of one right side increase linearly. The matrix is scaled by its
+diagonal, so that cells of all sizes have equal weight. It is kept in blocks of 3x3, so that nodes
+are aggregated and not components (Vanek, Mandel, Brezina 1996, Computing 56:179).
 """
 
 import warnings
@@ -27,7 +27,7 @@ from tissue.fem.solvers.held_body import HeldBody
 __all__ = ["MultigridSolver"]
 
 COARSEST_NODES = 50
-"""Levels of at most so many aggregates are solved directly."""
+"""Largest number of aggregates of a level that is solved directly."""
 WEAK = 0.05
 """Couplings below this share of their nodes' own do not join an aggregate: a third fewer
 iterations than with all.
@@ -88,8 +88,9 @@ class MultigridSolver:
         self._least = 1.0
 
     def _scaled(self) -> bsr_matrix:
-        """D^-1/2 K D^-1/2 with held components cut out to the identity, indices of 32 bits as
-        pyamg wants.
+        """Return D^-1/2 K D^-1/2 with the identity at held components.
+
+        The indices have 32 bits, as pyamg requires.
         """
         scale = diags_array(self._scale)
         scaled = (scale @ self.body.stiffness @ scale + diags_array(1.0 - self._free)).tobsr((3, 3))
@@ -123,8 +124,9 @@ class MultigridSolver:
         )
 
     def columns(self, unknowns: Ints) -> Array:
-        """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for held
-        ones.
+        """Return displacements of all unknowns [m/N] for unit forces on some, shape (3n, k).
+
+        Rows of held unknowns are zero.
 
         Raises
         ------
@@ -156,8 +158,9 @@ class MultigridSolver:
         )
 
     def _error(self, now: Iterate, right: Array) -> float:
-        """Estimated relative error in the energy norm; where it might be the last one,
-        eigenvalues are met anew.
+        """Estimate the relative error in the energy norm.
+
+        Where the error might satisfy the tolerance, the smallest eigenvalue is estimated anew.
         """
         energy = dot(now.found, right - now.residual)
         slope = now.slopes[-1]

@@ -1,11 +1,12 @@
-"""A reduced basis: the few shapes that a touched surface mostly takes.
+"""Reduced basis: the few shapes that a touched surface mostly takes.
 
-Proper orthogonal decomposition in the energy of the answers to all unit forces on the touchable
-nodes. Their Gram matrix is the compliance W itself, so with ``W = V L V^T`` the modes are ``U V
-L^-1/2``, U the answers: orthonormal in K, and the reduced compliance is W cut to its largest
-eigenvalues, the best of its rank (Eckart and Young 1936, Psychometrika 1:211). What is left out
-gives mostly where it is touched; its blocks at single nodes replace it, as residual flexibility
-does for modes left out (MacNeal 1971, Comput. Struct. 1:581).
+Proper orthogonal decomposition, in the energy norm, of the displacements for all unit forces on the
+touchable nodes. Their Gram matrix is the compliance W itself. With ``W = V L V^T`` the modes are
+``U V L^-1/2``, where U are the displacements. The modes are orthonormal in K. The reduced
+compliance is W cut to its largest eigenvalues, the best matrix of its rank (Eckart and Young 1936,
+Psychometrika 1:211). The part left out yields mostly at the touched nodes. Its blocks at single
+nodes replace it, like the residual flexibility for omitted modes (MacNeal 1971, Comput. Struct.
+1:581).
 """
 
 import numpy as np

@@ -53,12 +53,13 @@ class Dictionary(ABC):
 
     @abstractmethod
     def extra_rates(self, states: Array, rates: Array) -> Array:
-        """Time derivatives of `extra` where the states change with these rates, shape (...,
-        extra_size).
+        """Return the time derivatives of `extra` for given rates, shape (..., extra_size).
+
+        The rates are the time derivatives of the states.
         """
 
     def size(self, state_size: int) -> int:
-        """Number of observables of a state of so many entries."""
+        """Return the number of observables of a state with a given number of entries."""
         return state_size * (self.lags + 1) + self.extra_size(state_size * (self.lags + 1))
 
     def lift(self, states: Array) -> Array:
@@ -99,11 +100,11 @@ class Delays(Dictionary):
     inner: Dictionary = Identity()
 
     def extra_size(self, state_size: int) -> int:
-        """What the inner dictionary adds to the window."""
+        """Return the number of observables that the inner dictionary adds to the window."""
         return self.inner.extra_size(state_size)
 
     def extra(self, states: Array) -> Array:
-        """What the inner dictionary adds to the windows."""
+        """Return the observables that the inner dictionary adds to the windows."""
         return self.inner.extra(states)
 
     def extra_rates(self, states: Array, rates: Array) -> Array:
@@ -113,12 +114,14 @@ class Delays(Dictionary):
 
 @dataclass(frozen=True)
 class Polynomials(Dictionary):
-    """All monomials of degree 2 to `order` of the state's entries; degree 1 is the state itself.
+    """All monomials of degree 2 to `order` of the state's entries.
+
+    Degree 1 is the state itself.
 
     Parameters
     ----------
     order
-        Highest degree, at least 2.
+        Highest degree, 2 or more.
     columns
         Entries of the state (of the window, with delays) to multiply; empty for all.
     """
@@ -152,8 +155,10 @@ class Polynomials(Dictionary):
         return np.concatenate(found, axis=-1)
 
     def _levels(self, factors: Array) -> Iterator[tuple[Array, Array, Indices, Indices]]:
-        """Monomials of each degree from 2, those of the degree below, and which of these times
-        which entry they are.
+        """Yield the monomials of each degree from 2 and the factors they are made of.
+
+        Each item holds the monomials, the monomials of the degree below, and for each monomial the
+        index of its factor of the degree below and the index of its entry.
         """
         level = factors
         for parents, entries in monomials(factors.shape[-1], self.order):
@@ -171,8 +176,10 @@ class Polynomials(Dictionary):
 
 @lru_cache(maxsize=64)
 def monomials(entry_count: int, order: int) -> tuple[tuple[Indices, Indices], ...]:
-    """For each degree from 2, which monomial of the degree below and which entry make each
-    monomial.
+    """Return, for each degree from 2, the two factors of each monomial.
+
+    The first factor is the index of a monomial of the degree below, the second the index of an
+    entry.
     """
     last = list(range(entry_count))
     levels = []
@@ -218,8 +225,9 @@ class _Radial(Dictionary):
         columns: Sequence[int] = (),
         **options: float,
     ) -> Self:
-        """Centres spread over recorded states (rows) by k-means, distances measured in their
-        standard deviations.
+        """Return a dictionary whose centres are spread over recorded states (rows) by k-means.
+
+        Distances are measured in standard deviations of the states.
 
         Raises
         ------
@@ -278,8 +286,9 @@ class _Radial(Dictionary):
 
 @dataclass(frozen=True)
 class Gaussians(_Radial):
-    """exp(-r² / (2 width²)) of the scaled distance r to each centre; see `_Radial` for the other
-    parameters.
+    """Gaussians exp(-r² / (2 width²)) of the scaled distance r to each centre.
+
+    See `_Radial` for the other parameters.
     """
 
     width: float = 1.0
@@ -295,8 +304,9 @@ class Gaussians(_Radial):
 
 @dataclass(frozen=True)
 class ThinPlates(_Radial):
-    """r² ln r of the scaled distance r to each centre (Duchon 1977); it grows outside the data,
-    where Gaussians end.
+    """Thin-plate splines r² ln r of the scaled distance r to each centre (Duchon 1977).
+
+    They grow outside the data, where Gaussians vanish.
     """
 
     def extra(self, states: Array) -> Array:
@@ -312,12 +322,11 @@ class ThinPlates(_Radial):
 
 @dataclass(frozen=True)
 class GapProducts(Dictionary):
-    """What contact adds to a state, with the gap g = normal · x + distance and the overlap p =
-    max(0, -g).
+    """Observables of unilateral contact with a gap g and an overlap p = max(0, -g).
 
-    The overlap p and its square; for each of `columns` the product p x_j, and x_j while the gap is
-    closed. With the velocity among the columns the force of a unilateral spring and damper is a
-    combination of p and of that velocity.
+    The gap is g = normal · x + distance. The observables are p and p², and for each entry x_j of
+    `columns` the product p x_j and the entry x_j while the gap is closed. With the velocity among
+    the columns, the force of a unilateral spring and damper is a combination of p and the velocity.
 
     Parameters
     ----------
@@ -326,7 +335,7 @@ class GapProducts(Dictionary):
     distance
         Gap at the state zero, in the gap's unit.
     columns
-        Entries of the state to multiply, the gap's own entry not among them: that would repeat the
+        Entries of the state to multiply. Leave out the gap's own entry, which would repeat the
         overlap.
     """
 
@@ -347,7 +356,10 @@ class GapProducts(Dictionary):
         )
 
     def extra_rates(self, states: Array, rates: Array) -> Array:
-        """Their time derivatives away from the switch, where they have none."""
+        """Return the time derivatives of the observables.
+
+        At the switch of the contact they do not exist.
+        """
         gap = self._gap(states)
         closed = (gap < 0.0)[..., None]
         overlap = np.maximum(0.0, -gap)[..., None]

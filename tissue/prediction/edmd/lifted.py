@@ -16,14 +16,15 @@ __all__ = ["FitStatistics", "Generator", "LiftedMap", "Operator", "cap_spectrum"
 
 @dataclass(frozen=True)
 class FitStatistics:
-    """How a fit went.
+    """Statistics of a fit.
 
     Attributes
     ----------
     samples, episodes
-        Pairs of neighbouring states learnt from, and the episodes they come from.
+        Number of pairs of neighbouring training states, and of the episodes they come from.
     rank, condition
-        Singular values kept of the scaled regressors; largest over smallest of them.
+        Number of singular values kept of the scaled regressors, and the ratio of the largest to the
+        smallest of them.
     residual_rms
         One-step error of each observable on the training data, in its unit, shape (D,); of its rate
         for a generator.
@@ -32,7 +33,7 @@ class FitStatistics:
     capped
         Number of eigenvalues that were shrunk.
     cap_change
-        Frobenius norm of what the cap changed, in scaled observables.
+        Frobenius norm of the change by the cap, in scaled observables.
     """
 
     samples: int
@@ -47,7 +48,7 @@ class FitStatistics:
 
 @dataclass(frozen=True)
 class LiftedMap:
-    """φ → A φ + B u + offset, in the units of the observables.
+    """Affine map of observables, φ → A φ + B u + offset, in the units of the observables.
 
     Attributes
     ----------
@@ -58,14 +59,14 @@ class LiftedMap:
     middle, scale
         Mean and standard deviation of the observables in training, shape (D,).
     input_middle, input_scale
-        The same of the inputs, shape (m,).
+        Mean and standard deviation of the inputs in training, shape (m,).
     moments
         Mean outer product of the scaled regressors [φ, u, 1] (without the 1 if there is no offset),
         shape (p, p).
     lowest, highest
         Corners of the box of the training states, without their delays, shape (d,).
     statistics
-        How the fit went.
+        Statistics of the fit.
     """
 
     dictionary: Dictionary
@@ -93,7 +94,9 @@ class LiftedMap:
         return values[np.argsort(-np.abs(values), kind="stable")]
 
     def lift(self, states: Array) -> Array:
-        """Observables, shape (D,), of a state, or of a state and those before it as rows, oldest
+        """Return the observables of a state, shape (D,).
+
+        With delays, the state is an array of rows: the state and the states before it, oldest
         first.
         """
         return self.dictionary.lift(np.atleast_2d(states)[::-1].ravel())
@@ -113,8 +116,9 @@ class Operator(LiftedMap):
         return advanced if inputs is None else advanced + inputs @ self.B.T
 
     def predict(self, state: Array, inputs: Array | None, horizon: int) -> Array:
-        """States 1 to `horizon` steps ahead, shape (horizon, d): lifted once, advanced linearly,
-        decoded.
+        """Predict states 1 to `horizon` steps ahead, shape (horizon, d).
+
+        The state is lifted once, advanced linearly and decoded.
 
         Parameters
         ----------
@@ -122,7 +126,7 @@ class Operator(LiftedMap):
             Present state, shape (d,); with delays the last lags + 1 states, oldest first, shape
             (lags + 1, d).
         inputs
-            What acts over each step, shape (horizon, m), or (m,) if the same over all; None without
+            Inputs over each step, shape (horizon, m), or (m,) for constant inputs; None without
             inputs.
         horizon
             Number of steps.
@@ -157,11 +161,10 @@ class Operator(LiftedMap):
         return advanced
 
     def capped(self, limit: float) -> Self:
-        """The operator with no eigenvalue larger than `limit`, turned about the training data's
-        mean.
+        """Return the operator with no eigenvalue larger than `limit`.
 
-        A mode at exactly 1 still drifts under a constant force, in proportion to time; below 1 it
-        stays bounded.
+        The shrunk operator acts about the mean of the training data. A mode at exactly 1 still
+        drifts under a constant force, in proportion to time. Below 1 it stays bounded.
         """
         matrix = self.A / self.scale[:, None] * self.scale
         shrunk, count = cap_spectrum(matrix, limit)
@@ -179,13 +182,14 @@ class Operator(LiftedMap):
         )
 
     def generator(self) -> "Generator":
-        """The rate whose exact zero-order hold is this operator: the principal logarithm of [A B c;
-        0 1 0; 0 0 1].
+        """Return the rate whose exact zero-order hold is this operator.
+
+        It is the principal logarithm of [A B c; 0 1 0; 0 0 1].
 
         Raises
         ------
         InputError
-            If an eigenvalue is zero or negative: no real generator has that operator.
+            If an eigenvalue is zero or negative: then no real generator exists.
         """
         from scipy.linalg import logm
 
@@ -251,16 +255,16 @@ def spectral_radius(matrix: Array) -> float:
 
 
 def cap_spectrum(matrix: Array, limit: float = 1.0) -> tuple[Array, int]:
-    """The matrix with eigenvalues larger than `limit` shrunk to that size, and how many were.
+    """Return the matrix with eigenvalues larger than `limit` shrunk to that size, and their number.
 
-    In the real Schur form with the small eigenvalues leading, A = Q T Qᵀ, only the diagonal blocks
-    of the large ones are scaled. So what starts in the invariant subspace of the small ones moves
-    exactly as before, their eigenvalues stay, frequencies of the large ones too, and the change |A'
-    - A| is no more than what the large eigenvalues exceed the limit by (times a block's own
-    departure from normality). Q being orthogonal, no eigenvectors are inverted: the condition
-    number of theirs does not enter. Right eigenvectors of the small stay, left ones may turn.
-    Several modes capped to one size may share an eigenvector: at 1 they then grow in proportion to
-    the steps, not as a power; below 1 they settle.
+    The real Schur form A = Q T Qᵀ has the small eigenvalues leading. Only the diagonal blocks of
+    the large eigenvalues are scaled. A state in the invariant subspace of the small eigenvalues
+    therefore moves exactly as before. The small eigenvalues and the frequencies of the large ones
+    do not change. The change |A' - A| is at most the excess of the large eigenvalues over the limit
+    (times a block's own departure from normality). Q is orthogonal, so no matrix of eigenvectors is
+    inverted and its condition number has no effect. Right eigenvectors of the small eigenvalues
+    stay, left ones may turn. Several modes capped to one size may share an eigenvector: at 1 they
+    then grow in proportion to the steps, not as a power; below 1 they settle.
 
     Raises
     ------

@@ -40,7 +40,7 @@ FORMAT = "tissue predictor"
 VERSION = 2
 ARRAYS = ("A", "B", "offset", "middle", "scale", "input_middle", "input_scale", "moments")
 BOX = ("lowest", "highest")
-"""Arrays of an operator, and those that a file keeps as of its training."""
+"""Arrays of an operator, and arrays of its training range, that a file keeps."""
 KINDS: dict[object, Callable[..., Dictionary]] = {
     kind.__name__: kind
     for kind in (Identity, Polynomials, Gaussians, ThinPlates, GapProducts, Delays)
@@ -49,7 +49,7 @@ KINDS: dict[object, Callable[..., Dictionary]] = {
 
 @dataclass(frozen=True)
 class StoredPredictor:
-    """What a predictor file holds.
+    """Contents of a predictor file.
 
     Attributes
     ----------
@@ -58,9 +58,9 @@ class StoredPredictor:
     operators
         Operators by name.
     header
-        Further numbers and names, as they were given.
+        Additional numbers and names, as passed to the writer.
     arrays
-        Further arrays, as they were given.
+        Additional arrays, as passed to the writer.
     """
 
     scene: str
@@ -126,7 +126,7 @@ def write_predictor(
 
 
 def read_predictor(path: str | Path, *, scene: str | None = None) -> StoredPredictor:
-    """Read what `write_predictor` wrote; nothing in the file is ever run.
+    """Read a file of `write_predictor`; no code in the file is run.
 
     Raises
     ------
