@@ -18,8 +18,8 @@ __all__ = ["Kalman", "Linear", "LinearControl", "kalman_gains"]
 WINDOW = 10
 """Ticks over which a slope is estimated.
 
-Of 3 to 30 it is the best value on the recorded wall at 4 to 8 ms, except for 8. It is better than 8
-on the slower scenes. A shorter window mistakes an encoder step for a slope.
+Of 3 to 30 it is the best value on the recorded wall at 4 to 8 ms, except for a window of 8. It is
+better than 8 on the slower scenes. A shorter window mistakes an encoder step for a slope.
 """
 JERKINESS = 1e-3
 """Variance of the force's third difference over the variance of its noise.

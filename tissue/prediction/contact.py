@@ -47,7 +47,7 @@ class Contact:
     cuts: bool = False
 
     def row(self) -> Array:
-        """Return all values as one row, shape (CONTACT_WIDTH,), with NaN for an unknown stiffness."""
+        """Return all values as one row, shape (CONTACT_WIDTH,); NaN for an unknown stiffness."""
         stiffness = np.full(9, nan) if self.stiffness_N_m is None else self.stiffness_N_m.ravel()
         return np.concatenate(
             (

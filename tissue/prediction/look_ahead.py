@@ -24,9 +24,9 @@ Its causes are curvature and friction.
 DRIFT_PER_M = 50.0
 """Increase of a slope's variance per metre of motion.
 
-A slope of 1 is unknown again after 20 mm, a slope of 0.1 after 0.2 mm. Of 0.5 to 500, values from 50
-on differ little: on palpation they leave 0.40 to 0.68 of the excess error of the zero-order hold,
-and 0.5 leaves 0.72.
+A slope of 1 is unknown again after 20 mm, a slope of 0.1 after 0.2 mm. Of 0.5 to 500, values from
+50 on differ little: on palpation they leave 0.40 to 0.68 of the excess error of the zero-order
+hold, and 0.5 leaves 0.72.
 """
 UNKNOWN = 1.0
 """Variance of an unknown slope; the slope is 1 for a tissue as stiff as the coupling."""

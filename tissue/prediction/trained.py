@@ -32,8 +32,8 @@ class Trained:
         Operator of the lifted predictors, on displacement and stretch of an axis [m], see
         `tissue.prediction.paths`.
     control
-        Operator of linear dynamic mode decomposition; states are the force, inputs position and velocity of
-        the device.
+        Operator of linear dynamic mode decomposition; states are the force, inputs position and
+        velocity of the device.
     growth
         Mean square of the scaled windows above which the operator is outside its training range.
     fallback
