@@ -1,5 +1,6 @@
-"""Distance of the tool from structures that it must not touch, at every tick, with breaches as
-events.
+"""Distance of the tool from structures that it must not touch, at every tick.
+
+Breaches are reported as events.
 """
 
 from collections.abc import Callable, Mapping
@@ -42,7 +43,7 @@ class Structure:
     faces
         Triangles wound outward, shape (m, 3).
     slack_m
-        Largest distance between the triangles and the surface that they stand for [m]. It is
+        Largest distance between the triangles and the surface that they approximate [m]. It is
         subtracted from every distance.
     """
 
@@ -53,7 +54,7 @@ class Structure:
 
 @dataclass
 class _Breach:
-    """A structure and what the tool has done to it."""
+    """Structure and the breaches of the tool into it."""
 
     name: str
     least_m: float = inf
@@ -67,10 +68,10 @@ class _Breach:
 class KeepClear:
     """Distance of a tool's whole body from each of some structures.
 
-    The body is that of the cutter as it is simulated, peg, flank and back included; a shaft behind
-    it is not. The distance is the smallest sum, over all points of space, of the signed distances
-    from the tool and from the structure. It is the gap where both are apart. Where they overlap it
-    is negative, and its magnitude is the depth.
+    The body is the body of the simulated cutter, including peg, flank and back; a shaft behind it
+    is not included. The distance is the smallest sum, over all points of space, of the signed
+    distances from the tool and from the structure. It is the gap where both are apart. Where they
+    overlap it is negative, and its magnitude is the depth.
 
     Parameters
     ----------
@@ -91,7 +92,7 @@ class KeepClear:
     Attributes
     ----------
     points_m, distances
-        As given.
+        Values of the parameters.
     names
         Columns of a trace: ``distance_NAME_mm``, negative inside.
     measures
@@ -99,7 +100,7 @@ class KeepClear:
         distance. It lies below by at most the slack of the structure and 0.001 mm where both are
         apart, 0.01 mm where they overlap.
     notices
-        What has happened, a sentence each; the loop takes them out as it logs them.
+        Events, a sentence each; the loop removes them as it logs them.
     """
 
     def __init__(
@@ -171,8 +172,9 @@ class KeepClear:
                 self._leave(breach, "still in")
 
     def summary(self) -> dict[str, dict[str, float | None]]:
-        """Least distance [mm], depth [mm], duration [s] and first time [s] of a breach, by
-        structure.
+        """Return distance, depth, duration and first time of a breach, by structure.
+
+        The values are the smallest distance [mm], depth [mm], duration [s] and first time [s].
         """
         return {
             breach.name: {

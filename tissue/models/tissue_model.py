@@ -31,8 +31,9 @@ __all__ = [
 TICK_S = 1e-3
 """Length of a tick [s]."""
 SLOW = "longer than its interval"
-"""Words of the notice that a solve beside the ticks was too slow: of the machine, not of the
-tissue.
+"""Words of the notice that a background solve was too slow.
+
+The cause is the machine, not the tissue.
 """
 
 
@@ -52,13 +53,13 @@ class ToolMotion:
         speed [rad/m], shape (3,), in the world frame; the tool's spin about its own axis is not
         part of it.
     speed_m_s
-        Speed that scales the heading [m/s].
+        Speed that scales `heading` [m/s].
     pressed
-        Share of the edge force that holds a tool at rest against the bone, 0 (it does not press) to
-        1 (about to cut).
+        Share of the edge force that holds a tool at rest against the bone, 0 (no pressure) to 1
+        (about to cut).
     push
         Force [N] and torque [N m] on a resting tool that the bone answers in full, shape (6,); zero
-        for a tool that is led, of which only `pressed` is known.
+        for a tool on a prescribed path, for which only `pressed` is known.
     """
 
     tip_m: Array = field(default_factory=lambda: np.zeros(3))
@@ -71,31 +72,30 @@ class ToolMotion:
 
 @dataclass
 class Response:
-    """What a tissue does to a tool, reused from tick to tick.
+    """Response of a tissue to a tool, reused from tick to tick.
 
     Forces act on the tool, torques about its tip, in the world frame.
 
     Attributes
     ----------
     resistance
-        Force [N s/m] and torque [N s] per unit of speed along the heading, shape (6,).
+        Force [N s/m] and torque [N s] per unit of speed along the direction of motion, shape (6,).
     edge
-        Force [N] and torque [N m] that arise as soon as the tool moves, whatever its speed, shape
-        (6,).
+        Force [N] and torque [N m] that arise as soon as the tool moves, for any speed, shape (6,).
     wrench
         Force [N] and torque [N m] at the motion's speed, shape (6,).
     removal_rate_m3_s
         Rate at which the tool's elements sweep filled volume [m3/s].
     engaged_m2
-        Area of the tool that meets tissue, by layer [m2], shape (layers,).
+        Area of the tool in contact with tissue, by layer [m2], shape (layers,).
     measures
         Further columns of the tissue, in the order and units of its `measure_names`.
     stiffness_N_m
-        How the force on a resting tool falls with its position, -dF/dx [N/m], shape (3, 3); None
-        where the tissue does not know it.
+        Decrease of the force on a resting tool with its position, -dF/dx [N/m], shape (3, 3); None
+        where the tissue does not provide it.
     gap_m, normal
-        Distance of a tool that touches nothing from the tissue's surface [m], and the unit
-        direction out of it, shape (3,); infinite where the tissue does not know it.
+        Distance of a free tool from the tissue's surface [m], infinite where the tissue does not
+        provide it, and the unit direction out of the surface, shape (3,).
     """
 
     resistance: Array
@@ -121,13 +121,14 @@ class Response:
 
 
 class TissueModel(Protocol):
-    """A tissue that a tool moves through: what every model has. What only some have are the
-    protocols below.
+    """Tissue that a tool moves through: the interface of every model.
 
-    `place` puts the tool where it starts. Every tick `advance` lets it take away what it reaches at
-    its new pose, then `respond` gives the force at that pose. Neither allocates device memory. A
-    thrust that pushes a cutter calls `respond` first, at poses that it tries, and `advance` once at
-    the pose where the forces balance: `respond` must change nothing.
+    The protocols below add members that only some models have.
+
+    `place` puts the tool at its start. Every tick `advance` removes the tissue that the tool
+    reaches at its new pose, then `respond` returns the force at that pose. Neither allocates device
+    memory. A thrust that pushes a cutter calls `respond` first, at trial poses, and `advance` once
+    at the pose where the forces balance. `respond` must therefore change nothing.
     """
 
     @property
@@ -153,20 +154,19 @@ class TissueModel(Protocol):
         """Bring the tool to its new pose."""
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Force and torque on the tool at its pose; the returned object is overwritten by the
-        next call.
+        """Return force and torque on the tool at its pose.
+
+        The next call overwrites the returned object.
         """
 
 
 @runtime_checkable
 class SchedulesBackground(Protocol):
-    """A tissue that works beside the ticks."""
+    """Tissue that computes in the background."""
 
     @property
     def scheduling(self) -> str:
-        """With what priority and on which cores, in words; empty where nothing works beside
-        them.
-        """
+        """Priority and cores of the background work, in words; empty without background work."""
         ...
 
 
@@ -180,7 +180,7 @@ class HasNotices(Protocol):
 
 @runtime_checkable
 class HasSummary(Protocol):
-    """A tissue that adds figures of its own to the summary of a run."""
+    """Tissue that adds its own figures to the summary of a run."""
 
     def summary(self) -> dict[str, object]:
         """Return the entries by their names."""
@@ -202,8 +202,9 @@ class HasHeat(Protocol):
 
     @property
     def heat_balance_J(self) -> dict[str, float] | None:
-        """Energy of cutting and where it went [J], by what took it; None where the scene asks
-        for no heat.
+        """Energy of cutting and its distribution [J], by receiver.
+
+        None where the scene has no heat.
         """
 
 
@@ -217,10 +218,10 @@ class HasVoxels(Protocol):
 
 @runtime_checkable
 class WaitsForBackground(Protocol):
-    """A tissue whose work in the background has a result that is due at a certain tick."""
+    """Tissue whose background work has a result that is due at a certain tick."""
 
     def wait_for_background(self, time_s: float) -> None:
-        """Wait, before a tick and outside it, for work whose result is due at that time."""
+        """Wait for work whose result is due at a time; called before a tick and outside it."""
 
 
 @runtime_checkable

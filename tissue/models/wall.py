@@ -13,18 +13,18 @@ __all__ = ["WallModel"]
 
 
 class WallModel:
-    """A linear unilateral spring along z over the plane z = 0: F = k depth, without friction.
+    """Linear unilateral spring along z over the plane z = 0: F = k depth, without friction.
 
-    Its measure is the depth of the ball's deepest point [mm]; ``engaged_m2`` is the circle in which
-    ball and plane cross. The response holds its stiffness, by which a tool on a device finds its
-    balance at once.
+    Its measure is the depth of the ball's deepest point [mm]. ``engaged_m2`` is the area of the
+    circle where the plane cuts the ball. The response holds the wall's stiffness, so that a tool on
+    a device finds its balance at once.
 
     Parameters
     ----------
     stiffness_N_m
-        Of the wall [N/m].
+        Stiffness of the wall [N/m].
     radius_m
-        Of the ball [m]; its tip is a radius from its centre, against the tool's axis.
+        Radius of the ball [m]; its tip is a radius from its centre, against the tool's axis.
     """
 
     layer_names: tuple[str, ...] = ("wall",)
@@ -78,5 +78,5 @@ class WallModel:
         return response
 
     def _depth_m(self, motion: ToolMotion) -> float:
-        """How far the ball's lowest point lies below the plane [m]; negative above it."""
+        """Return the depth of the ball's lowest point below the plane [m]; negative above it."""
         return float(-motion.tip_m[2] + self._radius * (1.0 - motion.rotation[2, 2]))

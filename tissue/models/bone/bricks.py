@@ -25,7 +25,7 @@ STEPS = FULL // 255
 
 @dataclass(frozen=True, eq=False)
 class BrickGrid:
-    """The lattice of bricks of a bone, most of which may be empty or not made yet.
+    """Lattice of the bricks of a bone, most of which may be empty or not made yet.
 
     Attributes
     ----------
@@ -46,20 +46,21 @@ class BrickGrid:
 
 
 class BrickStore:
-    """Voxels on a device, in the layout of :mod:`kernels.bricks`: of a volume, or of parts that are
-    added one by one.
+    """Voxels on a device, in the layout of :mod:`kernels.bricks`.
+
+    They are the voxels of a volume, or of parts that are added one by one.
 
     Parameters
     ----------
     grid
-        Lattice on which the bricks lie.
+        Lattice of the bricks.
     device
         Warp device name.
 
     Attributes
     ----------
     grid
-        The same.
+        Lattice of the bricks.
     volume
         The volume it was made from; its fractions are the state before any cut. None where parts
         were added.
@@ -73,7 +74,8 @@ class BrickStore:
         Distance of each voxel's centre to the solid that the tool has swept, uint16, shape
         (capacity, 512).
     older
-        The same of older cuts: before the tool last came within reach, or turned.
+        Distance to the solid of older cuts, uint16, shape (capacity, 512): before the tool last
+        came within reach, or turned.
     material
         Density and layer before any cut in one word, uint32, shape (capacity, 512).
     nearby
@@ -83,7 +85,7 @@ class BrickStore:
         One bit for each block of 2 x 2 x 2 voxels that may hold bone or lies within two voxels of
         it, uint64, shape (capacity,).
     touched
-        1 for each brick that lost something since `take_touched`, uint8, shape (capacity,).
+        1 for each brick that lost material since `take_touched`, uint8, shape (capacity,).
     places
         Grid position of each stored brick, shape (bricks, 3).
     """
@@ -112,21 +114,20 @@ class BrickStore:
         return store
 
     def add(self, volume: VoxelVolume, *, at: tuple[int, int, int], margin: int = 0) -> bool:
-        """Store bricks of a volume that lies on the grid, where none is stored yet.
+        """Store the bricks of a volume on the grid, where none is stored yet.
 
         Parameters
         ----------
         volume
             Voxels of the grid's spacing and layers.
         at
-            Place of its first brick on the grid.
+            Position of its first brick on the grid.
         margin
-            Bricks at each of its faces that are not stored: what lies in them only shows how the
-            bone goes on.
+            Bricks at each of its faces that are not stored. They only show how the bone continues.
 
         Returns
         -------
-        Whether the device arrays are others now, so that launches have to be recorded again.
+        True if the device arrays were replaced, so that launches have to be recorded again.
         """
         counts = tuple(-(-n // BRICK) for n in volume.shape)
         surface, layer, density, boundary = near_the_surface(volume)
@@ -176,8 +177,9 @@ class BrickStore:
         return grown
 
     def _append(self, rows: dict[str, NDArray[Any]]) -> bool:
-        """Write rows behind those that are stored; whether the arrays had to grow, to twice what
-        is needed.
+        """Write rows after the stored ones and return True if the arrays had to grow.
+
+        They grow to twice the needed length.
         """
         first = len(self.places)
         count = len(rows["alive"])
@@ -204,10 +206,9 @@ class BrickStore:
         return grows
 
     def take_touched(self) -> tuple[NDArray[np.intp], NDArray[np.uint16]]:
-        """Rows of the bricks that lost something since the last call, and a copy of what is stored
-        in them.
+        """Return rows and a copy of the content of bricks that lost material since the last call.
 
-        Costs by those bricks, so that a tick can afford it.
+        The cost is proportional to the number of these bricks, so that a tick can afford it.
         """
         rows = np.flatnonzero(self.touched.numpy()[: len(self.places)])
         if self.touched.device.is_cpu:
@@ -217,8 +218,9 @@ class BrickStore:
         return rows, self.remaining.numpy()[rows]
 
     def sample(self, points_m: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Filled fraction at points [m], shape (n, 3), trilinear between voxel centres, 0 where
-        nothing is stored.
+        """Return the filled fraction at points [m], shape (n, 3), trilinear between voxel centres.
+
+        It is 0 where nothing is stored.
         """
         voxels = (np.asarray(points_m, dtype=np.float64) - self.grid.origin_m) / self.grid.spacing_m
         device = self.remaining.device
@@ -229,7 +231,10 @@ class BrickStore:
         return np.asarray(found.numpy())
 
     def write_fraction(self, fraction: NDArray[np.uint8], rows: NDArray[np.intp]) -> None:
-        """Write what remains in some bricks into an array of the volume's shape, 255 = full."""
+        """Write the remaining fraction of some bricks into an array, 255 = full.
+
+        The array has the volume's shape.
+        """
         bricks = _bricks(_nearest(self.remaining.numpy()[rows]))
         for (x, y, z), brick in zip(BRICK * self.places[rows], bricks, strict=True):
             part = fraction[x : x + BRICK, y : y + BRICK, z : z + BRICK]
@@ -245,12 +250,14 @@ class BrickStore:
         )
 
     def part(self, first: tuple[int, ...], last: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Remaining fraction of the voxels of some bricks, 255 = full, 0 where none is stored.
+        """Return the remaining fraction of the voxels of some bricks, 255 = full.
+
+        It is 0 where no brick is stored.
 
         Parameters
         ----------
         first, last
-            Place of the first brick, and one after that of the last.
+            Position of the first brick, and one after the position of the last.
         """
         brick_of = self.brick_of.numpy()[tuple(map(slice, first, last))]
         nx, ny, nz = (BRICK * n for n in brick_of.shape)
@@ -272,10 +279,10 @@ class BrickStore:
 def voxels_of(
     places: NDArray[np.int64], rows: NDArray[np.intp], steps: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Indices of the voxels whose value in ``steps``, shape (rows, 512), is not 0, shape (n, 3),
-    and that value.
+    """Return the indices and values of the voxels whose value is not 0.
 
-    ``places`` are those of the store's bricks, of which ``rows`` names some.
+    ``steps`` holds the values, shape (rows, 512). The indices have shape (n, 3). ``places`` are the
+    positions of the store's bricks, and ``rows`` names some of these bricks.
     """
     row, column = np.nonzero(steps)
     block = column >> 3

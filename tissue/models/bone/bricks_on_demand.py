@@ -1,5 +1,6 @@
-"""Bone whose bricks are made where a tool first reaches: a whole tibia at 0.1 mm would be 2e9
-voxels.
+"""Bone whose bricks are made where a tool first reaches.
+
+A whole tibia at 0.1 mm would have 2e9 voxels.
 """
 
 from collections.abc import Iterator
@@ -21,7 +22,7 @@ __all__ = ["Boxes", "BricksOnDemand"]
 Boxes = tuple[Array, Array]
 """Lowest and highest corners of boxes [m], shape (n, 3) both."""
 PATCH = 4
-"""Bricks along the edge of what is made at once."""
+"""Bricks along the edge of a patch, the unit that is made at once."""
 MARGIN = 1
 """Bricks voxelised around a patch and not kept: more than the distances that its voxels store."""
 BYTES_WHILE_MADE = 3 * BYTES_PER_VOXEL
@@ -126,17 +127,17 @@ class BricksOnDemand:
             )
 
     def has(self, low_m: Array, high_m: Array) -> bool:
-        """Whether all bricks that a box touches are made; corners [m], shape (3,) each."""
+        """Return True if all bricks that a box touches are made; corners [m], shape (3,) each."""
         patch_m = PATCH * self._brick_m
         low = np.floor(low_m / patch_m - self._first / PATCH).astype(np.int64).clip(0)
         high = np.floor(high_m / patch_m - self._first / PATCH).astype(np.int64) + 1
         return bool(self._made[low[0] : high[0], low[1] : high[1], low[2] : high[2]].all())
 
     def cut_parts(self) -> Iterator[tuple[VoxelVolume, NDArray[np.uint8]]]:
-        """What tools have cut so far: bone before any cut, and what is left of it, 255 = full.
+        """Yield the parts that tools have cut: bone before any cut, and its remainder, 255 = full.
 
         The parts are boxes that share one layer of voxels, so that a surface between voxel centres
-        goes on from one to the next.
+        continues from one part to the next.
         """
         at = self.store.places[np.flatnonzero(self.store.touched.numpy()[: len(self.store.places)])]
         wanted = np.zeros_like(self._made)
@@ -191,8 +192,9 @@ class BricksOnDemand:
 
 
 def _box_of(wanted: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First and one after the last patch of a box of wanted ones, grown from the first along z,
-    then y, then x.
+    """Return the first and one after the last patch of a box of wanted patches.
+
+    The box is grown from the first wanted patch along z, then y, then x.
     """
     first = np.argwhere(wanted)[0]
     last = first + 1

@@ -1,5 +1,6 @@
-"""Take away the bone that a moving tool reaches: the same bricks of voxels after the same poses,
-bit for bit.
+"""Removal of the bone that a moving tool reaches.
+
+The bricks after equal poses are bitwise equal.
 """
 
 from dataclasses import dataclass
@@ -25,12 +26,13 @@ __all__ = ["Carver", "CarverState", "Removal"]
 Removal = Literal["subvoxel", "binary"]
 
 CARVE_LAG_M = 2.0e-5
-"""How far the tool may move between two visits of a brick, at most a quarter voxel [m]."""
+"""Largest motion of the tool between two visits of a brick, at most a quarter voxel [m]."""
 LONGEST_STEP_VOXELS = 0.5
 """Longest step between two carvings; a faster tool is carved in parts of a tick."""
 TURN = 0.9
-"""The tool turns where it moves on with a heading that keeps less than this share of that since
-it last turned.
+"""Share of the stored feed direction below which the tool counts as turned.
+
+The share is the projection of the present feed direction on the direction stored at the last turn.
 """
 WORKERS_CPU = 32
 WORKERS_GPU = 2048
@@ -39,18 +41,18 @@ WORKERS_GPU = 2048
 
 @dataclass(frozen=True, eq=False)
 class CarverState:
-    """Copy of all that later carving depends on, see :meth:`Carver.state`.
+    """Copy of the state that later carving depends on, see :meth:`Carver.state`.
 
     Attributes
     ----------
     remaining, swept, older, alive
         Device arrays of the brick store.
     poses
-        Pose now and at the last visit of every group of bricks, shape (1 + groups, 6).
+        Present pose, and pose at the last visit of every group of bricks, shape (1 + groups, 6).
     heading
-        Heading since the tool last turned, shape (2, 3).
+        Feed direction at the last turn of the tool, shape (2, 3).
     counts
-        Next group, visits owed, groups that have not seen the present pose.
+        Next group, visits owed, groups that have not been visited at the present pose.
     """
 
     remaining: Any
@@ -63,7 +65,7 @@ class CarverState:
 
 
 class Carver:
-    """A cutter that removes voxels of a brick store.
+    """Cutter that removes voxels of a brick store.
 
     Parameters
     ----------
@@ -72,8 +74,8 @@ class Carver:
     cutter
         The tool.
     removal
-        ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` whole voxels by their
-        centres.
+        ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` removes whole voxels by
+        their centres.
     device
         Warp device name.
     cores
@@ -86,7 +88,7 @@ class Carver:
     removed_steps
         Stored steps removed so far, by layer, shape (layers,).
     changes
-        How often the bone was visited, or restored: as long as it stays, the bone is the same.
+        Number of visits and restores of the bone: while it is constant, the bone does not change.
     """
 
     def __init__(
@@ -129,7 +131,7 @@ class Carver:
         self.record()
 
     def record(self) -> None:
-        """Record the launch on the store's arrays as they are now."""
+        """Record the launch on the present arrays of the store."""
         store = self.store
         self._carve = SplitLaunch(
             carve,
@@ -157,14 +159,15 @@ class Carver:
         )
 
     def place(self, motion: ToolMotion) -> None:
-        """Carve all that lies inside the tool at its first pose."""
+        """Carve all bone inside the tool at its first pose."""
         self._pose.host[:] = self._pose_of(motion)
         self._heading[:] = motion.heading
         self._visit(PHASES, every_side=True)
 
     def advance(self, motion: ToolMotion) -> None:
-        """Carve what the tool reaches at its new pose; a slow tool's carving is spread over
-        ticks.
+        """Carve the bone that the tool reaches at its new pose.
+
+        A slow tool's carving is spread over ticks.
         """
         now = self._pose_of(motion)
         moved = now - self._pose.host[0]
@@ -234,7 +237,7 @@ class Carver:
         self._next_group, self._debt, self._behind = state.counts
 
     def _visit(self, groups: int, *, every_side: bool = False, turned: bool = False) -> None:
-        """Carve ``groups`` groups of bricks at the current pose and book what they lost."""
+        """Carve ``groups`` groups of bricks at the current pose and add up their loss."""
         self.changes += 1
         first = self._next_group
         plan = self._plan.host

@@ -25,12 +25,12 @@ COEFFICIENTS = 6
 
 
 class EngagedElements:
-    """Find which elements of a cutter meet bone, and what bone.
+    """Search for the elements of a cutter that engage bone, and the bone they engage.
 
     Parameters
     ----------
     bone
-        The model whose cutter and bone they are.
+        Bone model with the cutter and the bone.
     device
         Warp device name.
     cores
@@ -71,12 +71,13 @@ class EngagedElements:
 
     @property
     def nowhere(self) -> tuple[Array, Array, Array]:
-        """What `cutting` returns of a cutter that meets no bone."""
+        """Return the result of `cutting` for a cutter without contact."""
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
 
     def find(self, motion: ToolMotion) -> tuple[Array, ...]:
-        """Return, of every element, the share that cuts, the advance per unit of speed, the
-        layer and the density.
+        """Return the share that cuts, the advance per unit of speed, the layer and the density.
+
+        Each array has a value for every element.
         """
         self.bone.take(motion)
         self._launch()
@@ -114,13 +115,14 @@ class EngagedElements:
 
 
 class EngagedBone:
-    """A bone model that is carved as ever, and gives loads for any coefficients in place of a
-    force.
+    """Bone model that gives loads for any coefficients in place of a force.
+
+    It is carved like the given model.
 
     Parameters
     ----------
     bone
-        The model; its own coefficients count for nothing.
+        The model; its own coefficients are not used.
     device
         Warp device name.
     cores
@@ -131,11 +133,11 @@ class EngagedBone:
     nodes
         Densities of each layer at which loads are given.
     unit_loads
-        Of each layer: force [N] and torque about the tip [N m] on the tool in the world for a unit
-        of each coefficient [Pa, then N/m], weighed as `DensityNodes` has it, shape (nodes, 6, 6);
-        of the last `respond`.
+        For each layer: force [N] and torque about the tip [N m] on the tool in the world frame for
+        a unit of each coefficient [Pa, then N/m], weighed as by `DensityNodes`, shape (nodes, 6,
+        6), of the last `respond`.
     asked
-        Whether `respond` is to give them.
+        True if `respond` is to compute them.
     """
 
     def __init__(self, bone: BoneModel, *, device: str = "cpu", cores: int | None = None) -> None:
@@ -179,7 +181,7 @@ class EngagedBone:
         self.bone.place(motion)
 
     def advance(self, motion: ToolMotion) -> None:
-        """Carve what the tool reaches at its new pose."""
+        """Carve the bone that the tool reaches at its new pose."""
         self.bone.advance(motion)
 
     def finish(self) -> None:
@@ -187,8 +189,9 @@ class EngagedBone:
         self.bone.finish()
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Engaged areas and rate of removal, without a force; `unit_loads` are those at the
-        motion's speed.
+        """Return engaged areas and rate of removal, without a force.
+
+        `unit_loads` are computed at the motion's speed.
         """
         response = self._response
         if not self.asked:
@@ -214,8 +217,9 @@ class EngagedBone:
 
 
 def _sums(weights: Array, levers: Array, shares: Array, motion: ToolMotion) -> Array:
-    """Loads of elements with weights of chip and edge, (n, 2), levers, (n, 18), and shares at
-    nodes, (n, nodes).
+    """Return the loads of elements, summed by node density.
+
+    `weights` of chip and edge have shape (n, 2), `levers` (n, 18) and `shares` at nodes (n, nodes).
     """
     columns = (weights[:, :, None] * levers[:, None, :]).reshape(len(weights), 2 * levers.shape[1])
     sums = (shares.T @ columns).reshape(shares.shape[1], COEFFICIENTS, 2, 3)

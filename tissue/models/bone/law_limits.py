@@ -71,7 +71,7 @@ class SmoothSurface:
         self.record()
 
     def record(self) -> None:
-        """Record the launch on the store's arrays as they are now."""
+        """Record the launch on the present arrays of the store."""
         store = self._store
         self._launch = SplitLaunch(
             cutting_forces,
@@ -105,22 +105,22 @@ class SmoothSurface:
 
 
 class LawLimits:
-    """Feed per tooth and smooth surface of a tool in bone, watched at every answer.
+    """Check of the feed per tooth and of the smooth surface of a tool in bone, at every answer.
 
     Parameters
     ----------
     cutter
         The tool.
     smooth
-        Its surface that does not cut; None without any.
+        Its surface that does not cut; None without such a surface.
 
     Attributes
     ----------
     notices
-        A sentence at the first time that each limit is passed; the loop takes them out as it logs
+        A sentence at the first time that each limit is passed; the loop removes them as it logs
         them.
     passed
-        All these sentences, by what they are about.
+        All these sentences, by subject.
     thickest_m
         Largest feed per tooth in bone so far [m].
     """

@@ -109,7 +109,7 @@ class BoneModel:
         self._record()
 
     def _record(self) -> None:
-        """Record the launch of the forces on the store's arrays as they are now."""
+        """Record the launch of the forces on the present arrays of the store."""
         store = self.store
         self._answered = None
         self._forces = SplitLaunch(
@@ -172,13 +172,14 @@ class BoneModel:
         return np.asarray(self.removed_steps * self.step_m3, dtype=np.float64)
 
     def place(self, motion: ToolMotion) -> None:
-        """Carve all that lies inside the tool at its first pose."""
+        """Carve all bone inside the tool at its first pose."""
         self._answered = None
         self.carver.place(motion)
 
     def advance(self, motion: ToolMotion) -> None:
-        """Carve what the tool reaches at its new pose; a slow tool's carving is spread over
-        ticks.
+        """Carve the bone that the tool reaches at its new pose.
+
+        A slow tool's carving is spread over ticks.
         """
         self.carver.advance(motion)
 
@@ -192,8 +193,9 @@ class BoneModel:
         self._motion.push()
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Cutting force at the motion's pose, as a part that grows with speed and a part that
-        does not.
+        """Return the cutting force at the motion's pose.
+
+        It has a part that increases with speed and a part that does not.
         """
         self.take(motion)
         asked = self._motion.host.tobytes(), self.carver.changes

@@ -1,4 +1,4 @@
-"""What a needle meets along its axis: membranes, tissue that is cut, friction along the shaft."""
+"""Needle parameters along its axis: membranes, cut tissue and shaft friction."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -11,7 +11,7 @@ from tissue.materials.scene_constants import Materials
 __all__ = ["Membrane", "NeedleTissue", "ShaftFriction", "needle_tissue", "vessel_wall"]
 
 GREATEST_N = 1e4
-"""Greatest force that a parameter may name [N]; a greater one is a mistaken unit."""
+"""Largest force that a parameter may have [N]; a larger force is a mistaken unit."""
 GREATEST_N_M = 1e6
 """Likewise for a force per length [N/m], and for its viscous part [N s/m2]."""
 
@@ -23,15 +23,14 @@ class Membrane:
     Attributes
     ----------
     name
-        As events and layers call it.
+        Name in events and layers.
     depth_m
-        Where it lies [m], along the needle's axis from the undeformed surface; 0 for the organ's
-        capsule.
+        Depth [m] along the needle's axis from the undeformed surface; 0 for the organ's capsule.
     puncture_N
         Force of the tip at which it breaks [N].
     hold_N
         Force with which the edge of its hole clings to the shaft [N], in or out: the elastic force
-        that is left after the puncture.
+        that remains after the puncture.
     """
 
     name: str
@@ -173,8 +172,9 @@ class NeedleTissue:
             )
 
     def pull_N(self, deflection_m: float) -> float:
-        """Force of the organ on the needle, positive against insertion; the same outwards as
-        inwards [N].
+        """Return the force of the organ on the needle [N], positive against insertion.
+
+        It is antisymmetric in the deflection.
         """
         return (self.linear_N_m + self.quadratic_N_m2 * abs(deflection_m)) * deflection_m
 
@@ -196,10 +196,10 @@ def vessel_wall(
     hold_N: float | None = None,
     constants: Materials = Materials.cited,
 ) -> Membrane:
-    """A wall of a vessel, or another membrane inside an organ, at a depth [m]; forces that are None
-    are the constants'.
+    """Return a vessel's wall, or another membrane inside an organ, at a depth [m].
 
-    The constants of a vessel's wall have no source.
+    Forces that are None are taken from the constants. The constants of a vessel's wall have no
+    source.
     """
     wall = {key: entry.value for key, entry in constants.constants("needle", "vessel_wall").items()}
     return Membrane(
@@ -213,10 +213,9 @@ def vessel_wall(
 def needle_tissue(
     *, walls: Sequence[Membrane] = (), constants: Materials = Materials.cited
 ) -> NeedleTissue:
-    """Bovine liver under its capsule by its constants, with membranes inside it, from the surface
-    downwards.
+    """Return bovine liver under its capsule, with membranes inside it, from the surface downwards.
 
-    The numbers hold for one needle in one organ (Okamura 2004).
+    The constants hold for one needle in one organ (Okamura 2004).
 
     Raises
     ------

@@ -21,13 +21,17 @@ __all__ = ["FACTOR_UNKNOWNS", "CompliancePath", "Factor", "compliance_of"]
 FACTOR_UNKNOWNS = 200_000
 """Above this, frames are solved by multigrid: a factor would take gigabytes."""
 CompliancePath = Literal["condensed", "lazy", "reduced"]
-"""How the compliance is had: taken from a factor of its own and kept on disk, column by column
-while the tool moves, or from a reduced basis."""
+"""Method used to compute the compliance.
+
+It is taken from its own factor and kept on disk, computed column by column while the tool moves, or
+taken from a reduced basis.
+"""
 
 
 class Factor:
-    """A sparse factor that is made when it is first needed; where it would be too large,
-    multigrid.
+    """Sparse factor that is made when it is first needed.
+
+    Where it would need too much memory, multigrid replaces it.
     """
 
     def __init__(self, body: HeldBody) -> None:
@@ -42,8 +46,9 @@ class Factor:
         return DirectSolver(self._body, last=self._last)
 
     def expect(self, nodes: Ints) -> None:
-        """Have the compliance between some nodes read off the factor, where it is yet to be made
-        and not too large.
+        """Request that the compliance between some nodes is read off the factor.
+
+        This applies only where the factor is not made yet and not too large.
         """
         if "solver" not in self.__dict__ and len(self._body.free) <= SCHUR_UNKNOWNS:
             self._last = np.union1d(self._last, nodes)
@@ -70,8 +75,10 @@ def compliance_of(
     basis_size: int,
     report: Progress,
 ) -> tuple[Array, LazyCompliance | None]:
-    """Compliance of the touchable nodes [m/N], shape (3t, 3t), and what fills it while the tool
-    moves.
+    """Return the compliance of the touchable nodes [m/N] and the object that fills it.
+
+    The compliance has shape (3t, 3t). The object fills it while the tool moves; it is None where
+    the compliance is complete.
     """
     doing = "condensing the compliance to the surface that can be touched"
     if path == "condensed":

@@ -34,7 +34,7 @@ __all__ = ["ContactOutcome", "ContactResult", "SurfaceContact"]
 
 
 class ContactOutcome(Enum):
-    """How a contact solve ended; the value holds the remedy."""
+    """Outcome of a contact solve. The value holds the remedy."""
 
     CONVERGED = "the forces hold to the tolerance"
     NOT_CONVERGED = (
@@ -52,7 +52,7 @@ class ContactOutcome(Enum):
 
 @dataclass
 class ContactResult:
-    """What a contact does to tool and organ, reused from solve to solve; world frame.
+    """Forces and penetration of a contact, reused from solve to solve; world frame.
 
     Attributes
     ----------
@@ -63,15 +63,15 @@ class ContactResult:
     nodal_forces_N
         Forces on the organ's touchable nodes [N], shape (s, 3).
     outcome
-        How the solve ended.
+        Outcome of the solve.
     iterations
         Gauss-Seidel sweeps.
     contacts
-        Contact points that carry force.
+        Number of contact points that carry force.
     area_m2
-        Area of the organ's surface, or of the shell, that these points stand for [m2].
+        Area of the organ's surface, or of the shell, that these points represent [m2].
     penetration_m
-        Deepest penetration left [m].
+        Deepest remaining penetration [m].
     """
 
     force_N: Array
@@ -86,8 +86,10 @@ class ContactResult:
     compliance_scale: float = field(default=1.0, repr=False)
 
     def displacement_m(self) -> Array:
-        """Displacement of the touchable nodes under the contact forces [m], shape (s, 3); for
-        drawing.
+        """Return the displacement of the touchable nodes under the contact forces [m], shape (s,
+        3).
+
+        It is for drawing.
         """
         loaded = np.flatnonzero(self.nodal_forces_N.any(axis=1))
         columns = (3 * loaded[:, None] + np.arange(3)).ravel()
@@ -100,16 +102,16 @@ class ContactResult:
 OUTCOMES = tuple(ContactOutcome)
 """In the order of the kernel's states."""
 START_M = 1e-6
-"""How far a tool may enter the organ where it starts [m]."""
+"""Largest penetration of the organ by the tool at its start [m]."""
 REACH_M = 1e-4
 """Distance beyond the largest displacement at which triangles are searched [m]."""
 
 
 class SurfaceContact:
-    """A tool and the surface of an organ that answers by its compliance.
+    """Contact between a tool and the surface of an organ, given the organ's compliance.
 
-    Each solve is one tick: what slipped and what stuck follows from the tool's path since the last
-    solve, so call it once for every pose. Unilateral contact with Coulomb friction, implicit: slip
+    Each solve is one tick: slip and stick follow from the tool's path since the last solve, so call
+    it once for every pose. The contact is unilateral with Coulomb friction. It is implicit: slip
     counts over the whole tick.
 
     Parameters
@@ -119,9 +121,9 @@ class SurfaceContact:
     faces
         Triangles between them, counter-clockwise seen from outside, shape (f, 3).
     compliance_m_N
-        W = H K^-1 H^T [m/N], symmetric, float64, shape (3s, 3s). On a CPU it is used where it lies
-        and may be filled while contacts go on, block by block, with NaN in what is not there; a
-        block that is there must not change.
+        W = H K^-1 H^T [m/N], symmetric, float64, shape (3s, 3s). On a CPU it is used in place and
+        may be filled during contacts, block by block, with NaN in missing blocks; a filled block
+        must not change.
     probe
         The tool.
     friction
@@ -131,9 +133,9 @@ class SurfaceContact:
         under a sphere the force is within 1 % at 1e-3 and 0.2 % at 1e-4; `bench_liver_contact`
         shows error and cost.
     sweeps
-        Most Gauss-Seidel sweeps in a solve.
+        Largest number of Gauss-Seidel sweeps in a solve.
     spacing_m
-        Widest spacing of contact points on the organ [m]; by default what the tool asks for.
+        Widest spacing of contact points on the organ [m]; default: the tool's spacing.
     device
         Warp device name.
     cores
@@ -142,8 +144,8 @@ class SurfaceContact:
     Raises
     ------
     InputError
-        If shapes do not fit, a triangle names no node, positions are not finite, or friction is
-        negative.
+        If shapes do not fit, a triangle has a node that does not exist, positions are not finite,
+        or friction is negative.
     """
 
     def __init__(
@@ -272,8 +274,9 @@ class SurfaceContact:
         self._read(np.zeros(RESULTS))
 
     def scale_compliance(self, factor: float) -> None:
-        """Take the compliance times a factor, such as a viscous organ's share of it within a
-        tick.
+        """Multiply the compliance by a factor.
+
+        Example: the share of the compliance that a viscous organ has within a tick.
         """
         self.result.compliance_scale = require_positive("factor", factor, "use 1 to leave it")
         self._body.scale = wp.float64(factor)
@@ -282,11 +285,11 @@ class SurfaceContact:
         self._stages = self._recorded()
 
     def change_compliance(self, compliance_m_N: Array) -> None:
-        """Take another compliance from the next solve on [m/N], shape (3s, 3s), written over the
-        one before.
+        """Replace the compliance from the next solve on [m/N], shape (3s, 3s), in place.
 
-        By how much the present forces then move nodes less, that is where they lie without contact,
-        for friction to find them where they were; shift them so for the next solve.
+        With the new compliance the present forces displace the nodes by a different amount. This
+        difference is added to the positions without contact, so that friction finds the nodes
+        unmoved. Shift the positions by the difference in the next solve too.
         """
         before = self.result.displacement_m()
         self.result.compliance_m_N[:] = compliance_m_N
@@ -307,14 +310,15 @@ class SurfaceContact:
         self._shifted = True
 
     def nodes_in_reach(self, tip_m: Array, rotation: Array, margin_m: float) -> Ints:
-        """Touchable nodes whose triangles come within a margin [m] of the tool at rest: fill
-        their compliance first.
+        """Return the touchable nodes whose triangles come within a margin [m] of the tool at rest.
+
+        Fill their compliance first.
         """
         distance, _ = self.probe.distance((self._centres - tip_m) @ rotation)
         return np.unique(self.faces[distance < self._radii + margin_m])
 
     def solve(self, tip_m: Array, rotation: Array) -> ContactResult:
-        """Bring the tool to its next pose and find the forces.
+        """Move the tool to its next pose and solve for the forces.
 
         Parameters
         ----------
@@ -326,7 +330,7 @@ class SurfaceContact:
         Returns
         -------
         ContactResult
-            The same object every time.
+            One object, overwritten by every call.
 
         Raises
         ------
@@ -372,8 +376,9 @@ class SurfaceContact:
 
 
 def _require_surface(nodes_m: Array, faces: Ints, compliance_m_N: Array) -> None:
-    """Refuse nodes that are not finite, triangles that name none of them, and a compliance of
-    another size.
+    """Check the nodes, the triangles and the size of the compliance.
+
+    Nodes must be finite, triangles must use existing nodes, and the compliance must fit the nodes.
     """
     count = len(nodes_m)
     if np.shape(compliance_m_N) != (3 * count, 3 * count) or compliance_m_N.dtype != np.float64:

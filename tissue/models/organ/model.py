@@ -37,37 +37,39 @@ from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 __all__ = ["LiverModel"]
 
 LINEAR_ERROR = ((0.37, 0.05), (0.57, 0.1))
-"""Depth over the ball's radius at which the linear force is off a neo-Hookean one by so much, on a
-block, a procedural and a scanned liver (0.36-0.39, 0.56-0.585): `python
-tests/bench/chart_liver.py`."""
+"""Depth over the ball's radius, and error of the linear force there against a neo-Hookean force.
+
+The values hold on a block, a procedural and a scanned liver (0.36-0.39, 0.56-0.585): `python
+tests/bench/chart_liver.py`.
+"""
 LOOK_EVERY = 20
-"""Ticks between two looks for nodes whose compliance will be wanted."""
+"""Ticks between two searches for nodes whose compliance will be needed."""
 LOOK_M = 5e-3
 """Distance around the tool within which they are looked for [m]."""
 
 
 class LiverModel:
-    """A soft organ that a probe presses.
+    """Soft organ under a probe.
 
     Parameters
     ----------
     contact
         The probe on the organ's touchable surface.
     space, touchable
-        The organ's nodes and cells, and the nodes that the contact knows, shape (t,).
+        The organ's nodes and cells, and the touchable nodes of the contact, shape (t,).
     fields
         Fields of the whole organ.
     prony
-        How every modulus relaxes; None for an elastic organ. The contact's compliance is the
+        Relaxation of every modulus; None for an elastic organ. The contact's compliance is the
         instantaneous one.
     lazy
-        What fills the contact's compliance while the tool moves; None where it is whole.
+        Object that fills the contact's compliance while the tool moves; None where it is complete.
     law
-        How far a hyperelastic organ is from the contact's compliance; None for a linear one.
-        Without `prony`.
+        Offset of a hyperelastic organ from the contact's compliance; None for a linear organ. It
+        cannot be combined with `prony`.
     ball_radius_m
-        Radius of a ball that presses [m], for which it is known where linear elasticity stops being
-        enough.
+        Radius of the ball that presses [m]; the depth at which linear elasticity is no longer
+        enough is known for a ball only.
     step_s
         Length of a tick [s].
     """
@@ -203,8 +205,9 @@ class LiverModel:
         self._fields.notices.clear()
 
     def summary(self) -> dict[str, object]:
-        """Return the figures of a hyperelastic law for the run's summary; empty for a linear
-        organ.
+        """Return the figures of a hyperelastic law for the run's summary.
+
+        They are empty for a linear organ.
         """
         if self._law is None:
             return {}
@@ -218,12 +221,13 @@ class LiverModel:
 
     @property
     def law_note(self) -> str:
-        """How the law is followed; nothing for a linear organ."""
+        """Description of how the law is followed; empty for a linear organ."""
         return "" if self._law is None else self._law.note
 
     def displacement_m(self) -> Array:
-        """Displacement of the touchable nodes in the last tick [m], shape (t, 3); NaN where it
-        is not known.
+        """Return the displacement of the touchable nodes in the last tick [m], shape (t, 3).
+
+        It is NaN where it is not known.
         """
         moved = self.contact.result.displacement_m()
         if self._law is not None:
@@ -231,9 +235,7 @@ class LiverModel:
         return moved if self._creep is None else moved + self._creep.history
 
     def _depth_m(self, motion: ToolMotion) -> float:
-        """How far the tool has gone on along its axis from where it touched last [m]; 0 without
-        contact.
-        """
+        """Return the tool's travel along its axis since it last touched [m]; 0 without contact."""
         if np.isnan(self._touched_m[0]):
             return 0.0
         return float((self._touched_m - motion.tip_m) @ motion.rotation[:, 2])

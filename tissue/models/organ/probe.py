@@ -24,7 +24,7 @@ SPACINGS = 2.0
 
 
 class ProbeShape(ABC):
-    """What the contact asks of a tool."""
+    """Interface of a tool in contact."""
 
     kind: int
     """Kind of distance, see `kernels.probe_distance`."""
@@ -43,8 +43,9 @@ class ProbeShape(ABC):
 
     @abstractmethod
     def distance(self, points_m: Array) -> tuple[Array, Array]:
-        """Signed distance [m], shape (n,), and its gradient, shape (n, 3), at points in the
-        tool's frame [m].
+        """Return the signed distance [m], shape (n,), and its gradient, shape (n, 3), at points.
+
+        The points are in the tool's frame [m].
         """
 
 
@@ -84,14 +85,14 @@ class SphereProbe(ProbeShape):
 
 @dataclass(frozen=True)
 class CylinderProbe(ProbeShape):
-    """A flat punch: a face through the tip, a rounded edge, and a side without an upper end.
+    """Flat punch: a face through the tip, a rounded edge, and a side without an upper end.
 
     Attributes
     ----------
     radius_m
         Radius of the side [m].
     edge_m
-        Radius of the edge's rounding, below that of the side [m].
+        Radius of the edge's rounding, smaller than the radius of the side [m].
     """
 
     radius_m: float
@@ -142,8 +143,9 @@ class CylinderProbe(ProbeShape):
 
 @dataclass(frozen=True, eq=False)
 class ShellProbe(ProbeShape):
-    """A tool of any shape, as points on its surface; lay them no farther apart than the organ's
-    edges are long.
+    """Tool of any shape, as points on its surface.
+
+    Space the points no farther apart than the length of the organ's edges.
 
     Attributes
     ----------
@@ -152,7 +154,7 @@ class ShellProbe(ProbeShape):
     normals
         Outward unit normals, shape (n, 3).
     areas_m2
-        Area that each point stands for [m2], shape (n,).
+        Area that each point represents [m2], shape (n,).
     """
 
     points_m: Array
@@ -241,8 +243,9 @@ class ShellProbe(ProbeShape):
 
 
 def _thinned(centres: Array, normals: Array, areas: Array, side: float) -> tuple[Ints, Array]:
-    """One point for each cube of a side and each side that its surface faces, shape (k,), and
-    the areas of these.
+    """Return one point for each cube and each direction that its surface faces, and their areas.
+
+    `side` is the edge of a cube. The points have shape (k,).
     """
     normal = np.abs(normals).argmax(axis=1)
     faces = 2 * normal + (np.take_along_axis(normals, normal[:, None], axis=1)[:, 0] > 0.0)
