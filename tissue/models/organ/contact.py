@@ -86,10 +86,9 @@ class ContactResult:
     compliance_scale: float = field(default=1.0, repr=False)
 
     def displacement_m(self) -> Array:
-        """Return the displacement of the touchable nodes under the contact forces [m], shape (s,
-        3).
+        """Return the displacement of the touchable nodes under the contact forces [m].
 
-        It is for drawing.
+        The shape is (s, 3). It is for drawing.
         """
         loaded = np.flatnonzero(self.nodal_forces_N.any(axis=1))
         columns = (3 * loaded[:, None] + np.arange(3)).ravel()
@@ -301,8 +300,9 @@ class SurfaceContact:
         gather_all_again(self._patch)
 
     def shift(self, offset_m: Array) -> None:
-        """Set how far nodes lie from rest without contact in the next solve [m], shape (s, 3):
-        what has crept.
+        """Set the displacement of the nodes without contact in the next solve [m], shape (s, 3).
+
+        It is the creep of the tissue.
         """
         self._body.free.assign(self.nodes_m + offset_m)
         self._results.host[LARGEST] += float(np.linalg.norm(offset_m, axis=1).max())

@@ -35,8 +35,9 @@ TOLERANCE = 0.02
 STEPS = 30
 """Unbalanced force at the end of a solve, over the largest nodal force; largest number of steps."""
 MISSED = 0.05
-"""Deviation of an equilibrium from the expected one, over the displacement, that renews the
-compliance.
+"""Deviation of an equilibrium from the expected one above which the compliance is renewed.
+
+The deviation is relative to the displacement.
 
 A compliance that is kept too long lets forces wander from interval to interval.
 """
@@ -49,7 +50,7 @@ FARTHEST = 2.0
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """The offset over the depth, shapes (t, 3), within a reach."""
+    """Offset as a linear function of the depth, shapes (t, 3), within a reach."""
 
     at_m: Array
     slope: Array
@@ -57,7 +58,7 @@ class _Line:
     reach_m: float
 
     def into(self, out: Array, depth_m: float, share: float) -> None:
-        """Add a share of it at a depth."""
+        """Add a share of the offset at a depth to `out`."""
         beyond = min(max(depth_m - self.depth_m, -self.reach_m), self.reach_m)
         out += share * self.at_m
         out += (share * beyond) * self.slope
@@ -111,7 +112,10 @@ class LawOffset:
         self._late = False
 
     def offset_m(self, time_s: float, depth_m: float) -> Array:
-        """Return the present offset of the touchable nodes [m], shape (t, 3), in one reused array."""
+        """Return the present offset of the touchable nodes [m], shape (t, 3).
+
+        Every call returns one reused array.
+        """
         share = min((time_s - self._changed_s) / self.interval_s, 1.0)
         self._offset[:] = 0.0
         self._before.into(self._offset, depth_m, 1.0 - share)
@@ -120,12 +124,12 @@ class LawOffset:
 
     @property
     def note(self) -> str:
-        """How it follows the law."""
+        """Description of how the law is followed."""
         return f"solved every {1e3 * self.interval_s:g} ms"
 
     @property
     def latest_m(self) -> Array:
-        """The offset of the last tick [m], shape (t, 3)."""
+        """Offset of the last tick [m], shape (t, 3)."""
         return self._offset
 
     def renew(self, time_s: float, depth_m: float, contact: SurfaceContact) -> None:
@@ -167,9 +171,7 @@ class LawOffset:
         self._report(found.residual, perf_counter() - started, first=indefinite == 0)
 
     def _springs(self, forces_N: Array, load_N: Array) -> Springs:
-        """Build springs that hold the nodes under the tool near their positions in the last
-        contact.
-        """
+        """Build springs that hold the nodes under the tool near their last contact positions."""
         loaded = np.flatnonzero(forces_N.any(axis=1))
         if not len(loaded):
             return Springs.none(self._fixed.size)
@@ -193,8 +195,9 @@ class LawOffset:
         return there
 
     def _change_compliance(self, contact: SurfaceContact, forces_N: Array, depth_m: float) -> None:
-        """Use the compliance of the stiffness that was factorised last; no node moves by the
-        change.
+        """Use the compliance of the stiffness that was factorised last.
+
+        No node moves by the change.
         """
         if self._at_rest is None:
             self._at_rest = contact.result.compliance_m_N.copy()

@@ -29,8 +29,9 @@ PER_RELAXATION = 5
 POSES = 60
 """Poses along the press at which the surface is looked for."""
 CLEARANCES = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 4.0)
-"""Distances from the place at which the tool may start, over its size: the first where it is
-clear of the organ.
+"""Possible start distances of the tool from the target, over its size.
+
+The first distance at which the tool is clear of the organ is used.
 """
 SLANTED = 0.5
 """Largest distance before the target at which a tool may first touch, over its size.
@@ -201,7 +202,10 @@ def _require_place(probe: ProbeShape, before_m: float) -> None:
 
 
 def _first_touch(contact: SurfaceContact, start_m: Array, end_m: Array, rotation: Array) -> Array:
-    """Return the tip position at the first touch [m], shape (3,): contact there, no contact before."""
+    """Return the tip position at the first touch [m], shape (3,).
+
+    There is contact at this position and no contact just before it.
+    """
 
     def touches(share: float) -> bool:
         contact.forget()

@@ -39,10 +39,10 @@ MARGIN_EDGES = 0.25
 def touchable_patch(
     space: Space, probe: ProbeShape, tips_m: Array, rotations: Array
 ) -> tuple[Ints, Ints]:
-    """Return surface nodes near a tool's path, shape (t,), and triangles between them, shape (f,
-    3).
+    """Return surface nodes near a tool's path, and the triangles between them.
 
-    The triangles hold the positions of their nodes in the first array.
+    The nodes have shape (t,), the triangles (f, 3). The triangles hold the positions of their nodes
+    in the first array.
 
     Parameters
     ----------
@@ -264,7 +264,7 @@ class SoftOrgan:
 
     @cached_property
     def factor(self) -> Factor:
-        """What solves for the whole organ, made when it is first asked."""
+        """Solver for the whole organ, made at the first use."""
         return Factor(self.body)
 
     @cached_property

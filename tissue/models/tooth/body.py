@@ -43,13 +43,13 @@ def solve_cells(
     tolerance: float,
     limit: int,
 ) -> IterativeSolution:
-    """Solve ``K u = f``; stops where the error's energy norm is below ``tolerance`` times that of
-    the solution.
+    """Solve ``K u = f`` to a relative error of ``tolerance`` in the energy norm.
 
-    The latter is ``sqrt(u . f)``. The former is taken as ``sqrt(r . B r)``, the preconditioner's
-    estimate, or ``sqrt(r . D^-1 r / 24)`` if that is more, with D the diagonal: a lower bound,
-    since a cell's 24 eigenvalues of ``D^-1 K`` are not negative and sum to 24. It sees a load on a
-    motion that nothing resists and the preconditioner leaves out.
+    The energy norm of the solution is ``sqrt(u . f)``. The energy norm of the error is estimated by
+    the larger of two values. The first is ``sqrt(r . B r)``, the preconditioner's estimate. The
+    second is ``sqrt(r . D^-1 r / 24)`` with D the diagonal. It is a lower bound, since a cell's 24
+    eigenvalues of ``D^-1 K`` are not negative and sum to 24. It detects a load on a motion without
+    resistance that the preconditioner leaves out.
 
     Parameters
     ----------
@@ -102,13 +102,13 @@ def supported_cells(
     springs: PointSprings,
     springs_cell: NDArray[np.int32],
 ) -> NDArray[np.bool_]:
-    """Cells of ``filled``, shape (c,), that a support holds against all six rigid motions, given
-    the springs' cells.
+    """Return a mask of the cells that the supports hold against all six rigid motions.
 
-    Cells that share a face move together. A part made of such cells is carried if its supports, and
-    the nodes it shares with parts that are carried, leave it no rigid motion. A part that meets the
-    rest in one node or one edge only is not carried: it would turn about it freely, and the
-    stiffness would be singular.
+    ``filled`` has shape (c,). ``springs_cell`` holds the springs' cells. Cells that share a face
+    move together. A part made of such cells is carried if its supports, and the nodes it shares
+    with carried parts, leave it no rigid motion. A part that is connected to the rest by one node
+    or one edge only is not carried: it would rotate freely about it, and the stiffness would be
+    singular.
     """
     at = tuple(grid.cell_place.T)
     box = np.zeros(grid.cell_place.max(axis=0) + 1, dtype=np.bool_)
@@ -147,7 +147,7 @@ def _members(grid: HexGrid, part_of: NDArray[np.integer], count: int) -> list[ND
 def _restrained(
     grid: HexGrid, nodes: NDArray[np.integer], held: NDArray[np.bool_], springs: PointSprings
 ) -> bool:
-    """Whether what holds these nodes, and springs at points between them, leave no rigid motion."""
+    """Return True if held nodes, and springs at points between them, leave no rigid motion."""
     some = nodes[held[nodes].any(axis=1)]
     if len(some) + len(springs.position_m) == 0:
         return False
@@ -172,12 +172,15 @@ def _restrained(
 
 
 INNER_STRENGTH = 0.1
-"""Least that leaves no cell singular at an error next to that of no stabilisation (table of
-test_tooth_sphere.py).
+"""Strength of the inner stabilisation.
+
+It is the smallest value that leaves no cell singular, at an error next to the error without
+stabilisation (table of test_tooth_sphere.py).
 """
 LEAST_FILL = 1e-3
-"""Fill below which a cell carries nothing: its share of the stiffness is below what one
-particle's place decides.
+"""Fill below which a cell carries no load.
+
+Its share of the stiffness is then smaller than the effect of one particle's position.
 """
 MORE_ITERATIONS = 1.5
 """Growth of the iteration count at which the coarsest grid is solved anew."""
@@ -186,15 +189,14 @@ TOLERANCE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What an update did.
+    """Result of a stiffness update.
 
     Attributes
     ----------
     cells
         Cells whose stiffness changed, shape (k,).
     debris
-        Particles that no longer hang on a support and did before, by the caller's index, shape
-        (d,).
+        Particles that have lost their connection to a support, by the caller's index, shape (d,).
     """
 
     cells: NDArray[np.int32]
@@ -280,8 +282,9 @@ class ParticleBody:
         return self._particles_in(self._is_debris)
 
     def set_remaining(self, particles: NDArray[np.integer], steps: NDArray[np.integer]) -> None:
-        """Set what is left of particles, by the caller's index, in steps of 1/65535; `update`
-        makes it count.
+        """Set the remaining fraction of particles, by the caller's index, in steps of 1/65535.
+
+        `update` applies the change to the stiffness.
         """
         rows = self.cells.rank[particles]
         left = self.cells.remaining
@@ -290,8 +293,9 @@ class ParticleBody:
         self._touched[self.cells.particle_cell[rows[changed]]] = True
 
     def update(self) -> Change:
-        """Bring stiffness, islands and preconditioner up to what remains; only cells that were
-        touched are summed.
+        """Update stiffness, islands and preconditioner after changes of the remaining particles.
+
+        Only cells that were touched are summed.
         """
         touched = np.flatnonzero(self._touched).astype(np.int32)
         self._touched[touched] = False
@@ -327,7 +331,7 @@ class ParticleBody:
         return Change(cells, self._particles_in(self._is_debris & ~was_debris))
 
     def _particles_in(self, cells: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """What is left of the particles of these cells, by the caller's index."""
+        """Return the remaining particles of these cells, by the caller's index."""
         if not cells.any():
             return np.zeros(0, dtype=np.int64)
         return np.sort(
@@ -335,15 +339,16 @@ class ParticleBody:
         )
 
     def spread(self, point_m: Array, force_N: Array) -> Array:
-        """Nodal forces [N], shape (n, 3), of forces at points, each on the live cell that holds it
-        or lies nearest.
+        """Return nodal forces [N], shape (n, 3), of forces at points.
+
+        Each force acts on the live cell that holds its point or lies nearest.
 
         Parameters
         ----------
         point_m
             A point, shape (3,), or points, shape (k, 3) [m].
         force_N
-            The force at each [N], same shape.
+            The force at each point [N], with the shape of the points.
         """
         live = np.flatnonzero(self.cells.live)
         points = np.atleast_2d(point_m)
@@ -367,13 +372,13 @@ class ParticleBody:
         return np.stack(load, axis=1)
 
     def spread_over(self, point_m: Array, force_N: Array, *, radius_m: float) -> Array:
-        """Nodal forces [N], shape (n, 3), of a force spread over the particles within a radius of a
-        point.
+        """Return nodal forces [N], shape (n, 3), of a force spread over particles near a point.
 
-        Each takes a share by what is left of its volume and by `ball_weight`. A force on a fixed
-        patch gives a stress that converges with the cells beside it, where that of a point grows
-        without bound. Where no particle is so near, as in a grid much coarser than the patch, the
-        force acts at the point.
+        The particles lie within a radius of the point. Each takes a share by its remaining volume
+        and by `ball_weight`. A force on a fixed patch gives a stress that converges with the cells
+        next to it, whereas the stress of a point force increases without bound. Where no particle
+        lies within the radius, as in a grid much coarser than the patch, the force acts at the
+        point.
         """
         near = np.array(self._tree.query_ball_point(point_m, radius_m), dtype=np.int64)
         near = near[self.cells.live[self.cells.particle_cell[self.cells.rank[near]]] > 0]
@@ -387,8 +392,9 @@ class ParticleBody:
         )
 
     def product(self, displacement_m: Array) -> Array:
-        """Nodal forces [N] for nodal displacements [m], springs included, supports not, shapes
-        (n, 3).
+        """Return nodal forces [N] for nodal displacements [m], shapes (n, 3).
+
+        Springs are included, supports are not.
         """
         return self.cells.product(displacement_m)
 
@@ -451,8 +457,9 @@ class ParticleBody:
         return self._hierarchy(residual) * self._free
 
     def matrix(self) -> csr_matrix:
-        """Assembled stiffness, springs included and held components empty [N/m], shape (3 n, 3
-        n).
+        """Return the assembled stiffness [N/m], shape (3 n, 3 n).
+
+        Springs are included. Rows and columns of held components are empty.
         """
         return self._hierarchy.finest.matrix()
 

@@ -1,5 +1,6 @@
-"""Cartesian grid of trilinear hexahedra, of which only the cells that hold material particles
-exist.
+"""Cartesian grid of trilinear hexahedra.
+
+Only the cells that hold material particles exist.
 """
 
 from dataclasses import dataclass
@@ -100,7 +101,7 @@ class HexGrid:
 
     @cached_property
     def node_cells(self) -> Index:
-        """The cell of which a node is corner a, or -1, int32, shape (n, 8)."""
+        """Cell that has a node as its corner a, or -1, int32, shape (n, 8)."""
         cells = np.full((self.node_count, 8), -1, dtype=np.int32)
         for corner in range(8):
             cells[self.cell_nodes[:, corner], corner] = np.arange(self.cell_count, dtype=np.int32)
@@ -108,8 +109,9 @@ class HexGrid:
 
     @cached_property
     def node_neighbours(self) -> Index:
-        """Nodes that share a cell with a node, in the order of `NEIGHBOURS`, or -1, int32, shape
-        (n, 27).
+        """Nodes that share a cell with a node, or -1, int32, shape (n, 27).
+
+        They are in the order of `NEIGHBOURS`.
         """
         found = np.full((self.node_count, 27), -1, dtype=np.int32)
         for corner in range(8):
@@ -120,8 +122,8 @@ class HexGrid:
 
     @property
     def node_colour(self) -> NDArray[np.int64]:
-        """One of eight colours of each node, such that no two nodes of a cell share one, shape
-        (n,).
+        """One of eight colours of each node, shape (n,): no two nodes of a cell have an equal
+        colour.
         """
         return np.asarray((self.node_place & 1) @ (4, 2, 1))
 
@@ -150,16 +152,18 @@ class HexGrid:
         return _find_places(self.node_place, place, self.node_place.max(axis=0) + 1)
 
     def locate(self, position_m: Array) -> tuple[Index, Array]:
-        """Cell that holds each point, or -1, shape (n,), and the place in it, 0 to 1 along each
-        edge, shape (n, 3).
+        """Return the cell that holds each point, or -1, shape (n,), and the position in it.
+
+        The position is 0 to 1 along each edge, shape (n, 3).
         """
         scaled = (np.atleast_2d(position_m) - self.origin_m) / self.edge_m
         place = np.floor(scaled)
         return self.find_cells(place.astype(np.int64)), scaled - place
 
     def coarse(self) -> tuple["HexGrid", Index]:
-        """Grid of twice the edge over the same cells, and its cell of each cell, int32, shape
-        (c,).
+        """Return the grid of twice the edge over these cells, and its cell of each cell.
+
+        The cells are int32, shape (c,).
         """
         grid = HexGrid.of_cells(
             self.cell_place >> 1, origin_m=self.origin_m, edge_m=2.0 * self.edge_m
@@ -168,8 +172,9 @@ class HexGrid:
 
 
 def shape_values(place: Array) -> Array:
-    """Trilinear shape functions of the eight corners at places in a cell, shapes (n, 3) to (n,
-    8).
+    """Return the trilinear shape functions of the eight corners at points in a cell.
+
+    Points of shape (n, 3) give values of shape (n, 8).
     """
     factors = np.where(CORNERS == 1, place[:, None, :], 1.0 - place[:, None, :])
     return np.asarray(factors.prod(axis=2))
@@ -202,12 +207,12 @@ def _find_keys(
 
 
 FULL_STEPS = 65535
-"""Steps of a whole particle, the same as of a whole voxel."""
+"""Steps of a whole particle, equal to the steps of a whole voxel."""
 
 
 @dataclass(frozen=True, eq=False)
 class ParticleSet:
-    """Particles of a body, in the order in which the caller knows them.
+    """Particles of a body, in the caller's order.
 
     Attributes
     ----------
@@ -222,7 +227,7 @@ class ParticleSet:
     layer
         Layer, uint8, shape (n,).
     remaining
-        What is left of each particle, in steps of 1/65535, uint16, shape (n,).
+        Remaining fraction of each particle, in steps of 1/65535, uint16, shape (n,).
     """
 
     position_m: Array

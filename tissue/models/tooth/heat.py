@@ -1,6 +1,6 @@
-"""Heat conduction in a tooth whose material is removed while it warms.
+"""Heat conduction in a tooth from which material is removed.
 
-The grid is rectilinear: fine where the bur can go, coarser away from there.
+The grid is rectilinear: fine in the reach of the bur, coarser outside.
 """
 
 from dataclasses import dataclass
@@ -20,15 +20,16 @@ from tissue.materials.scene_constants import Materials
 __all__ = ["Conduction", "HeatGrid"]
 
 GROWTH = (1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 4, 5, 6)
-"""Voxels that the cells outside the fine part are wide, from there outward; the last goes on."""
+"""Widths of the cells outside the fine part in voxels, outward; the last width repeats."""
 LEAST_FILLED = 0.02
 """Share of material below which a cell is left out or emptied: its heat capacity no longer
 matters.
 """
 
 SAME_FACE = 1e-6
-"""Places this close to each other are the same face of a voxel [voxel]: far from the origin they
-are rounded.
+"""Distance below which two positions are one face of a voxel [voxel].
+
+Positions far from the origin are rounded.
 """
 
 
@@ -69,7 +70,7 @@ class HeatGrid:
         tooth
             The whole tooth. Its voxels are the cells of the fine part.
         reach_m
-            Lowest and highest corner of the box that is to be fine [m], shape (3,) each.
+            Lowest and highest corner of the fine box [m], shape (3,) each.
         constants
             Thermal constants of the layers.
         """
@@ -114,10 +115,10 @@ class HeatGrid:
         return np.asarray(x[:, None, None] * y[:, None] * z)
 
     def conductances_W_K(self) -> tuple[Array, ...]:
-        """Conductances from each full cell to the next one along x, y and z [W/K], each of the
-        shape of the grid.
+        """Return the conductances from each full cell to the next one along x, y and z [W/K].
 
-        Half cells in series: area / (d / 2k + d' / 2k'). The last plane along each axis is 0.
+        Each array has the shape of the grid. Half cells are in series: area / (d / 2k + d' / 2k').
+        The last plane along each axis is 0.
         """
         found = []
         conductivity = self.conductivity_W_mK
@@ -164,8 +165,9 @@ class HeatGrid:
         return np.concatenate(inner), np.concatenate(outer), np.concatenate(weights)
 
     def cells_at(self, points_m: Array) -> NDArray[np.intp]:
-        """Flat indices of the cells that hold points, shape (n, 3); the nearest cell for a point
-        outside.
+        """Return the flat indices of the cells that hold points, shape (n, 3).
+
+        For a point outside it is the nearest cell.
         """
         at = [
             np.clip(np.searchsorted(edges, points, side="right") - 1, 0, len(edges) - 2)
@@ -174,16 +176,16 @@ class HeatGrid:
         return np.ravel_multi_index(at, self.filled.shape)
 
     def share_out(self, corners_m: Array, size_m: float, volumes_m3: Array) -> Array:
-        """Share volumes in cubes out among the cells, by the overlap of each cube with each cell.
+        """Distribute volumes in cubes among the cells, by the overlap of each cube with each cell.
 
         Parameters
         ----------
         corners_m
             Corners of the cubes with the lowest coordinates [m], shape (n, 3).
         size_m
-            Edge of a cube [m], at most that of a cell.
+            Edge of a cube [m], at most the edge of a cell.
         volumes_m3
-            Volume that is shared out from each cube [m3], shape (n,).
+            Volume distributed from each cube [m3], shape (n,).
 
         Returns
         -------

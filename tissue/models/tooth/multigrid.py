@@ -1,11 +1,10 @@
-"""Multigrid on the cells' grid: every coarser grid has twice the edge, and the exact Galerkin
-projection.
+"""Multigrid on the cells' grid: coarser grids of twice the edge by exact Galerkin projection.
 
-A change of a few cells is carried up through the few coarse cells over them, so that the hierarchy
-is always that of the present body. One symmetric V-cycle in single precision is the preconditioner
-of conjugate gradients; it smooths by Chebyshev's polynomial on the finest grid, which has no
-assembled rows, and by Gauss-Seidel over eight colours, in reverse after, on the coarser ones.
-(Trottenberg, Oosterlee, Schueller 2001, Multigrid, ch. 2.)
+A change of a few cells is transferred up through the few coarse cells over them, so that the
+hierarchy always belongs to the present body. One symmetric V-cycle in single precision is the
+preconditioner of conjugate gradients. It smooths by Chebyshev's polynomial on the finest grid,
+which has no assembled rows. On the coarser grids it smooths by Gauss-Seidel over eight colours, in
+reverse order afterwards. (Trottenberg, Oosterlee, Schueller 2001, Multigrid, ch. 2.)
 """
 
 from typing import Any, Protocol
@@ -27,12 +26,12 @@ __all__ = ["GridHierarchy", "GridTransfer", "TransferLevel"]
 
 
 class TransferLevel(Protocol):
-    """What a transfer needs of a grid: its cells and nodes as Warp arrays.
+    """Grid data for a transfer: its cells and nodes as Warp arrays.
 
     Attributes
     ----------
     cell_nodes, live, stiffness
-        Of the cells, as in :class:`tissue.models.tooth.stiffness.CellStiffness`.
+        Arrays of the cells, as in :class:`tissue.models.tooth.stiffness.CellStiffness`.
     free
         1 where a component may move, vec3d, shape (n,).
     vector, residual
@@ -142,8 +141,9 @@ would double the count of iterations to 1e-6."""
 SPLIT_NODES = 4000
 """Launches on grids of at most this many nodes run on one core."""
 NULL_CUT = 1e-13
-"""Scaled eigenvalues of the coarsest grid below this share of the largest are motions that no
-finer node takes.
+"""Relative cut of the scaled eigenvalues of the coarsest grid.
+
+Eigenvalues below this share of the largest belong to motions that no finer node takes.
 """
 
 
@@ -153,8 +153,8 @@ class GridLevel:
     Attributes
     ----------
     load, vector, residual
-        Warp arrays of vec3f: forces to solve for [N], displacement found [m] and what it leaves
-        [N], shape (n,).
+        Warp arrays of vec3f: forces to solve for [N], displacement found [m] and its residual [N],
+        shape (n,).
     """
 
     def __init__(self, grid: HexGrid, *, device: str, cores: int | None) -> None:
@@ -239,12 +239,12 @@ class GridHierarchy:
     Parameters
     ----------
     cells, supports
-        The body's stiffness on its grid, and what holds it.
+        The body's stiffness on its grid, and its supports.
 
     Attributes
     ----------
     finest, coarser
-        The body's grid, and those of doubling edge, of which the last is solved directly.
+        The body's grid, and the grids of doubling edge; the last one is solved directly.
     """
 
     def __init__(self, cells: CellStiffness, supports: NodeSupports) -> None:

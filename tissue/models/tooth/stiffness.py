@@ -1,6 +1,4 @@
-"""Stiffness of the cells of a grid from the particles they hold, kept up to date as particles
-lose volume.
-"""
+"""Stiffness of the cells of a grid from their particles, updated as particles lose volume."""
 
 from typing import Any
 
@@ -21,15 +19,17 @@ CENTRE = np.full(3, 0.5)
 
 
 class CellStiffness:
-    """Packed stiffness of every cell, summed over its particles by
-    :mod:`kernels.particle_stiffness`.
+    """Packed stiffness of every cell, summed over its particles.
+
+    The sum is computed by :mod:`kernels.particle_stiffness`.
 
     Parameters
     ----------
     particles, grid
         The body, and a grid whose cells hold all of its particles.
     inner_strength
-        Share of a full cell's inner stiffness that replaces what the particles of a cell miss.
+        Share of a full cell's inner stiffness that replaces the missing stiffness of a cell's
+        particles.
     springs
         Springs to the ground at points of the cells; default none.
     cores
@@ -44,11 +44,12 @@ class CellStiffness:
     particle_cell
         Cell of each sorted particle, int32, shape (p,).
     strips
-        The cells in strips, by which the product runs; springs, and cells of other particles, are
+        The cells in strips, which the product runs over; springs, and cells of other particles, are
         added to it.
     others
         Adds to ``force`` the product of these other cells, their springs included, with
-        ``displacement``, both Warp arrays of vec3d, shape (n,); None where there are none.
+        ``displacement``, both Warp arrays of vec3d, shape (n,); None where there are no other
+        cells.
     """
 
     def __init__(
@@ -128,7 +129,7 @@ class CellStiffness:
 
     @property
     def remaining(self) -> NDArray[np.uint16]:
-        """What is left of each sorted particle, steps of 1/65535."""
+        """Remaining fraction of each sorted particle, in steps of 1/65535."""
         return np.asarray(self.remaining_on.numpy())
 
     @property
@@ -142,7 +143,7 @@ class CellStiffness:
         return np.asarray(self.live_on.numpy())
 
     def set_remaining(self, rows: NDArray[np.integer], steps: NDArray[np.uint16]) -> None:
-        """Set what is left of sorted particles; `update` their cells to make it count."""
+        """Set the remaining fraction of sorted particles; `update` of their cells applies it."""
         left = self.remaining
         left[rows] = steps
         if self.device != "cpu":
@@ -155,7 +156,7 @@ class CellStiffness:
         self._weigh(changed)
 
     def run(self, kernel: Any, dim: int, inputs: list[Any], outputs: list[Any]) -> None:
-        """Launch a kernel whose last input is the first thread's index, once."""
+        """Launch a kernel once; its last input is the first thread's index."""
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
     def update(self, cells: NDArray[np.int32]) -> None:
@@ -190,8 +191,9 @@ class CellStiffness:
             )
 
     def product(self, displacement_m: Array) -> Array:
-        """Nodal forces [N] that hold nodal displacements [m], shapes (n, 3), without an
-        assembled matrix.
+        """Return the nodal forces [N] for nodal displacements [m], without an assembled matrix.
+
+        Both have shape (n, 3).
         """
         self.displacement.assign(displacement_m)
         self.strips.product(self.displacement, self.force)
@@ -251,8 +253,9 @@ def strain_matrix(place: Array, edge_m: float) -> Array:
 
 
 def _inner_stiffness(edge_m: float) -> Array:
-    """Stiffness of a full cell of unit Lame constants less that of its centre alone, shape (24,
-    24).
+    """Return the stiffness of a full cell minus the stiffness of its centre point, shape (24, 24).
+
+    The Lame constants are 1.
     """
     gauss = 0.5 + (CORNERS - 0.5) / np.sqrt(3.0)
     volume = edge_m**3
