@@ -86,7 +86,7 @@ def capsule_stiffness(
 
 
 def _summed(shares: Array, pattern: Pattern, unknown_count: int) -> bsr_array:
-    """Blocks summed over faces in their order, then mirrored."""
+    """Return the blocks summed over faces in their order, then mirrored."""
     turned = pattern.contribution < 0
     ordered = shares[np.where(turned, ~pattern.contribution, pattern.contribution)]
     ordered[turned] = ordered[turned].swapaxes(1, 2)

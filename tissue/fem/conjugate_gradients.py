@@ -76,7 +76,7 @@ LEAST_SHARE = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class IterativeSolution(Solution):
-    """Displacement and how it was reached, with an estimate of its error.
+    """Displacement and the outcome of its solve, with an estimate of its error.
 
     Attributes
     ----------
@@ -126,8 +126,8 @@ def conjugate_gradients(
 ) -> IterativeSolution:
     """Solve ``K u = f`` for a symmetric positive definite K, on arrays of any shape.
 
-    The direction's factor is Polak and Ribiere's, which forgives a preconditioner that is not quite
-    symmetric, or is in single precision (Golub and Ye 1999, SIAM J. Sci. Comput. 21:1305).
+    The factor of the direction is Polak and Ribiere's. It tolerates a preconditioner that is not
+    quite symmetric, or is in single precision (Golub and Ye 1999, SIAM J. Sci. Comput. 21:1305).
 
     Parameters
     ----------
@@ -142,12 +142,13 @@ def conjugate_gradients(
     limit
         Iterations allowed.
     start
-        First guess; zero without it.
+        First guess; default: zero.
     least_curvature
-        Below this ``p . K p`` of a direction p is rounding, and K not positive definite.
+        Below this value ``p . K p`` of a direction p is a rounding error, and K is not positive
+        definite.
     correct_last
-        Add the last residual's correction, which is there, to what has converged: it lessens the
-        error where no eigenvalue of ``B K`` is above 2.
+        Add the correction for the last residual, which is already computed, to the converged
+        solution. It reduces the error where no eigenvalue of ``B K`` is above 2.
     """
     norm = np.sqrt(dot(load, load))
     if norm == 0.0:

@@ -1,8 +1,8 @@
 """Tetrahedra under large deformation: energy, nodal forces and tangent stiffness.
 
-The nonlinear laws judge where the linear one stops being enough; nothing of them runs in a 1 kHz
-tick. Linear tetrahedra lock as Poisson's ratio nears 0.5; quadratic ones, with four Gauss points,
-do not.
+The nonlinear laws show where the linear law is no longer enough. They do not run in a 1 kHz tick.
+Linear tetrahedra lock as Poisson's ratio nears 0.5. Quadratic tetrahedra with four Gauss points do
+not.
 """
 
 from enum import Enum
@@ -26,7 +26,7 @@ __all__ = ["Law", "NonlinearBody"]
 
 
 class Law(Enum):
-    """Elastic laws with one small-strain limit; the value states what each holds for."""
+    """Elastic laws with one small-strain limit; the value states the range of validity."""
 
     LINEAR = "small strain and small rotation"
     COROTATIONAL = (

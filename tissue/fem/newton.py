@@ -39,20 +39,20 @@ __all__ = [
 
 
 class RigidSphere:
-    """Sphere against the nodes of a surface.
+    """Rigid sphere in contact with the nodes of a surface.
 
     Parameters
     ----------
     nodes
         Nodes that may touch it, shape (s,).
     penalty_N_m
-        Penalty of each of them [N/m], shape (s,); ten times their own stiffness is a good one.
+        Penalty of each node [N/m], shape (s,); ten times the node's own stiffness works well.
     radius_m
         Radius [m].
     centre_m
         Centre [m], shape (3,).
     tolerance
-        Depth of a node, or gap of a pressed one, that is allowed at the end, over the radius.
+        Allowed final depth of a node, or gap of a pressed node, over the radius.
 
     Raises
     ------
@@ -77,17 +77,20 @@ class RigidSphere:
         self.move_to(centre_m)
 
     def move_to(self, centre_m: Array) -> None:
-        """Put the centre here [m], shape (3,); multipliers stay, as a first guess."""
+        """Move the centre to a position [m], shape (3,); multipliers stay, as a first guess."""
         self.centre_m = centre_m
 
     def energy_and_force(self, positions_m: Array) -> tuple[float, Array]:
-        """Energy [J], and its derivative by the positions of ``nodes`` [N], shape (s, 3)."""
+        """Return the energy [J] and its derivative by the positions of ``nodes`` [N].
+
+        The derivative has shape (s, 3).
+        """
         pressed, outward, _ = self._pressed(positions_m)
         energy = 0.5 * np.sum((pressed**2 - self._multiplier**2) / self._penalty)
         return float(energy), -pressed[:, None] * outward
 
     def blocks(self, positions_m: Array) -> Array:
-        """Second derivative of the energy for each of ``nodes`` [N/m], shape (s, 3, 3)."""
+        """Return the second derivative of the energy by ``nodes`` [N/m], shape (s, 3, 3)."""
         pressed, outward, distance = self._pressed(positions_m)
         along = outward[:, :, None] * outward[:, None]
         stiff = np.where(pressed > 0.0, self._penalty, 0.0)
@@ -96,7 +99,7 @@ class RigidSphere:
         )
 
     def force_N(self, positions_m: Array) -> Array:
-        """Force of the body on the sphere [N], shape (3,)."""
+        """Return the force of the body on the sphere [N], shape (3,)."""
         return self.energy_and_force(positions_m)[1].sum(axis=0)
 
     def settled(self, positions_m: Array) -> bool:
@@ -109,7 +112,7 @@ class RigidSphere:
         return False
 
     def _pressed(self, positions_m: Array) -> tuple[Array, Array, Array]:
-        """Force on each node [N], direction away from the centre, distance from it [m]."""
+        """Return force on each node [N], direction from the centre, and distance to it [m]."""
         from_centre = positions_m[self.nodes] - self.centre_m
         distance = np.maximum(np.linalg.norm(from_centre, axis=1), 1e-3 * self.radius_m)
         pressed = np.maximum(0.0, self._multiplier + self._penalty * (self.radius_m - distance))
@@ -120,9 +123,12 @@ HALVINGS = 30
 ARMIJO = 1e-4
 ROUNDING = 1e-12
 POSITIONS = 4e-13
-"""Rounding of nodal forces over stiffness times size of the body."""
+"""Rounding error of nodal forces, over stiffness times size of the body."""
 CORRECTIONS = 60
-"""Corrections of a sphere's multipliers: each leaves a tenth of the penetration or less."""
+"""Largest number of corrections of a sphere's multipliers.
+
+Each correction leaves a tenth of the penetration or less.
+"""
 LINEAR_LIMIT = 500
 
 
@@ -192,7 +198,7 @@ class NewtonSolver:
         rest = body.stiffness(np.zeros(held.shape))
         self.rest_diagonal = rest.diagonal()
         """Diagonal of the stiffness at rest [N/m], shape (3n,)."""
-        # A turned body without stress has forces of rounding alone, and no other to compare them
+        # A rotated body without stress has only rounding errors as forces, and no others to compare
         # with.
         extent = float(np.ptp(body.nodes_m, axis=0).max())
         self._rounding_N = POSITIONS * float(self.rest_diagonal.max()) * extent
@@ -256,8 +262,9 @@ class NewtonSolver:
     def _minimum(
         self, now: Array, sphere: RigidSphere | None
     ) -> tuple[Array, SolverOutcome, float, int]:
-        """Newton's method from here with the sphere's multipliers kept: place, outcome, residual
-        and steps.
+        """Minimise the energy by Newton's method, with the sphere's multipliers kept.
+
+        Return displacement, outcome, residual and number of steps.
         """
         energy, size, slope = self._state(now, sphere)
         if not np.isfinite(energy):
@@ -308,7 +315,7 @@ class NewtonSolver:
         return energy, float(size), np.where(self.held, 0.0, slope)
 
     def _whole(self, displacement: Array, sphere: RigidSphere | None) -> bsr_array:
-        """Second derivative of the energy."""
+        """Return the second derivative of the energy."""
         tangent = self.body.stiffness(displacement)
         if sphere is not None:
             row = np.repeat(np.arange(self.body.space.node_count), np.diff(tangent.indptr))
@@ -317,7 +324,10 @@ class NewtonSolver:
         return tangent
 
     def _direction(self, whole: bsr_array, load: Array, accuracy: float) -> Array:
-        """Conjugate gradients for the free components, ended early at negative curvature."""
+        """Solve for the free components by conjugate gradients.
+
+        The iterations end early at negative curvature.
+        """
         free = self._free
         full = np.zeros(self.held.size)
 
@@ -339,7 +349,7 @@ class NewtonSolver:
 
 
 def _at_rest(body: HeldBody) -> Callable[[Array], Array]:
-    """Displacements of the free components by the stiffness at rest."""
+    """Return a function that solves for the free components with the stiffness at rest."""
     solver = DirectSolver(body)
     return lambda force: solver.solve(body.whole(force)).displacement_m.ravel()[body.free]
 

@@ -48,7 +48,7 @@ class Pattern:
 
     @classmethod
     def of(cls, cell_nodes: Ints, node_count: int) -> "Pattern":
-        """Pattern of cells with the nodes `cell_nodes`, shape (m, k)."""
+        """Return the pattern of cells with the nodes `cell_nodes`, shape (m, k)."""
         a, b = local_pairs(cell_nodes.shape[1]).T
         nodes = cell_nodes.astype(np.int32)
         first = nodes[:, a].ravel()
@@ -86,7 +86,7 @@ class Pattern:
 
 
 def local_pairs(nodes_a_cell: int) -> Ints:
-    """Pairs a <= b of a cell's nodes, row by row, shape (k (k + 1) / 2, 2)."""
+    """Return the pairs a <= b of a cell's nodes, row by row, shape (k (k + 1) / 2, 2)."""
     return np.stack(np.triu_indices(nodes_a_cell), axis=1)
 
 
@@ -107,7 +107,7 @@ def grouped(first: Integers, second: Integers, count: int) -> tuple[Integers, In
 
 
 def _sorted_by(key: Integers, order: Integers, count: int) -> Integers:
-    """Indices `order` sorted stably by their keys below `count`, in time linear in both."""
+    """Return `order` sorted stably by keys below `count`, in time linear in both."""
     row = csr_array(
         (order, key[order], np.array([0, len(order)], dtype=np.int32)), shape=(1, count)
     )

@@ -26,7 +26,7 @@ from tissue.fem.solvers.multifrontal import NotPositiveDefiniteError
 __all__ = ["Followed", "QuasiNewton", "Springs"]
 
 MEMORY = 12
-"""Steps whose curvature is kept."""
+"""Number of steps whose curvature pairs are kept."""
 HALVINGS = 12
 ARMIJO = 1e-4
 ROUNDING = 1e-12
@@ -70,7 +70,7 @@ class Springs:
 
     @classmethod
     def holding(cls, shares: csr_array, compliance_m_N: Array, target_m: Array) -> "Springs":
-        """Hold points near places in all directions, each as stiffly as the body itself.
+        """Return springs that hold points near given positions, each as stiff as the body itself.
 
         Parameters
         ----------
@@ -203,7 +203,7 @@ class QuasiNewton:
             if steps % MANY == 0:
                 self.take_stiffness()
         if worst > max(tolerance * size, at_start):
-            # A law that softens has no least energy: the steps may have led far away. Stay at the
+            # A softening law has no energy minimum: the steps may have led far away. Stay at the
             # last equilibrium.
             self._displacement, self._energy, self._internal = start
             self._take_factor(self.at_rest)
@@ -249,7 +249,7 @@ class QuasiNewton:
         return self._springs.energy_and_force(moved_m)[0] - float(np.sum(load_N * moved_m))
 
     def take_stiffness(self) -> None:
-        """Factorise the stiffness of this place, made stiffer where it is not positive definite.
+        """Factorise the stiffness at the present displacement, made positive definite if needed.
 
         The springs are added first. Where they are not enough, the tangent is mixed with the
         stiffness at rest.
@@ -320,7 +320,7 @@ class QuasiNewton:
         return free - self.factor.solve(pull.reshape(-1, 3)).displacement_m
 
     def _inverse(self, left_N: Array) -> Array:
-        """Apply the inverse of the stiffness about here to forces (two loops of Nocedal 1980)."""
+        """Apply the inverse of the present stiffness to forces (two loops of Nocedal 1980)."""
         forces = left_N.copy()
         shares = []
         for change, force, inverse in reversed(self._pairs):

@@ -1,5 +1,6 @@
-"""Displacement spaces on tetrahedra: linear (P1) with nodes at corners, quadratic (P2) with
-middles of edges too.
+"""Displacement spaces on tetrahedra: linear (P1) and quadratic (P2).
+
+Linear spaces have nodes at corners, quadratic spaces also in the middles of edges.
 """
 
 from dataclasses import dataclass
@@ -74,8 +75,9 @@ class Space:
 
     @cached_property
     def cell_nodes(self) -> Ints:
-        """Nodes of each cell, shape (m, 4) or (m, 10): corners, then the middles of `EDGES` in
-        VTK's order.
+        """Nodes of each cell, shape (m, 4) or (m, 10).
+
+        Corners come first, then the middles of `EDGES` in VTK's order.
         """
         if self.order == 1:
             return self.mesh.cells
@@ -83,8 +85,9 @@ class Space:
 
     @cached_property
     def faces(self) -> Ints:
-        """Nodes of each face of the surface, shape (f, 3) or (f, 6): corners as in the mesh,
-        then middles.
+        """Nodes of each face of the surface, shape (f, 3) or (f, 6).
+
+        Corners as in the mesh come first, then middles.
         """
         return self.with_middles(self.mesh.surface)
 
@@ -108,8 +111,9 @@ class Space:
 
     @cached_property
     def gradients(self) -> tuple[wp.array[object], wp.array[object]]:
-        """On the device: gradients of the barycentric coordinates [1/m], vectors (m, 4), and
-        volumes [m3], (m,).
+        """Gradients of the barycentric coordinates [1/m] and volumes [m3] on the device.
+
+        The gradients are vectors of shape (m, 4), the volumes have shape (m,).
         """
         count = self.cell_count
         nodes: wp.array[object] = wp.array(self.mesh.nodes_m, dtype=wp.vec3d, device=self.device)

@@ -10,7 +10,7 @@ from tissue.fem.space import Space
 __all__ = ["surface_transfer"]
 
 NONE = 1e-9
-"""Shares below this are rounding."""
+"""Shares below this are rounding errors."""
 
 
 def surface_transfer(space: Space, points_m: Array) -> csr_array:

@@ -27,9 +27,9 @@ from tissue.models.tissue_model import TICK_S, ToolMotion
 __all__ = ["Distance", "KeepClear", "Structure"]
 
 Distance = Callable[[NDArray[np.float64]], NDArray[np.floating]]
-"""Points [m], shape (n, 3), to their signed distance [m], shape (n,), negative inside."""
+"""Function from points [m], shape (n, 3), to signed distances [m], shape (n,), negative inside."""
 DEVICE = "cpu"
-"""One thread searches, wherever the tissue is computed."""
+"""Device of the search: one thread on the CPU, for any device of the tissue."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +126,7 @@ class KeepClear:
         self._structures = [_Search(outline, medial, each, box_m) for each in structures.values()]
 
     def measure(self, tool: ToolMotion, *, placed: bool = False) -> None:
-        """Measure at a tool's pose; `placed` before the first tick."""
+        """Measure at a tool's pose; set `placed` before the first tick."""
         for number, search in enumerate(self._structures):
             distance_m = search(tool)
             self.measures[number] = 1e3 * distance_m
@@ -136,13 +136,13 @@ class KeepClear:
 
     @property
     def _now_s(self) -> float:
-        """Time of the present tick, or of the last one that was measured [s]."""
+        """Return the time of the present tick, or of the last measured tick [s]."""
         if self._times_s is None:
             return self._tick * TICK_S
         return float(self._times_s[min(self._tick, len(self._times_s) - 1)])
 
     def _follow(self, breach: _Breach, distance_m: float) -> None:
-        """Note where a structure is entered and left."""
+        """Record the tool's entry into a structure and its exit."""
         breach.least_m = min(breach.least_m, distance_m)
         if distance_m < 0.0:
             if breach.began_s is None:
@@ -156,7 +156,7 @@ class KeepClear:
             self._leave(breach, "left")
 
     def _leave(self, breach: _Breach, how: str) -> None:
-        """Note the end of a breach."""
+        """Record the end of a breach."""
         assert breach.began_s is not None
         lasted_s = self._now_s - breach.began_s
         breach.lasted_s += lasted_s
@@ -189,7 +189,7 @@ class KeepClear:
 
 
 class _Search:
-    """Search for the distance between a tool and one structure, with all its memory."""
+    """Search for the distance between a tool and one structure, with all its buffers."""
 
     def __init__(
         self, outline: Any, medial: Any, structure: Structure, box_m: Array | None
@@ -245,7 +245,7 @@ class _Search:
 
 
 def _outline(profile: Profile) -> Any:
-    """The tool's outline as the kernel reads it."""
+    """Return the tool's outline in the format of the kernel."""
     table = outline_table(profile)
     outline: Any = Outline()
     outline.kind = wp.array(table.kind, dtype=wp.int32, device=DEVICE)
@@ -256,7 +256,7 @@ def _outline(profile: Profile) -> Any:
 
 
 def _medial(profile: Profile) -> Any:
-    """The tool's medial axis as the kernel reads it."""
+    """Return the tool's medial axis in the format of the kernel."""
     axis = medial_axis(profile)
     medial: Any = MedialAxis()
     medial.starts = wp.array(axis.starts_m, dtype=wp.vec3d, device=DEVICE)
@@ -267,7 +267,7 @@ def _medial(profile: Profile) -> Any:
 
 
 def _tree(made: BoxTree) -> Any:
-    """A tree as the kernel reads it."""
+    """Return a tree in the format of the kernel."""
     tree: Any = Tree()
     tree.centre = wp.array(made.centres_m, dtype=wp.vec3d, device=DEVICE)
     tree.half = wp.array(made.halves_m, dtype=wp.vec3d, device=DEVICE)

@@ -1,4 +1,4 @@
-"""The contract between a moving tool and the tissue it meets, and the tissue that is not there."""
+"""Interface between a moving tool and a tissue, and the empty tissue."""
 
 from dataclasses import dataclass, field
 from math import inf
@@ -110,7 +110,7 @@ class Response:
 
     @classmethod
     def empty(cls, layer_count: int, measure_count: int = 0) -> "Response":
-        """No contact."""
+        """Return a response without contact."""
         return cls(
             np.zeros(6),
             np.zeros(6),
@@ -151,7 +151,7 @@ class TissueModel(Protocol):
         """Put the tool at its first pose, before the first tick."""
 
     def advance(self, motion: ToolMotion) -> None:
-        """Bring the tool to its new pose."""
+        """Move the tool to its new pose."""
 
     def respond(self, motion: ToolMotion) -> Response:
         """Return force and torque on the tool at its pose.
@@ -172,10 +172,10 @@ class SchedulesBackground(Protocol):
 
 @runtime_checkable
 class HasNotices(Protocol):
-    """A tissue that reports what has happened."""
+    """Tissue that reports events."""
 
     notices: list[str]
-    """A sentence each; the loop takes them out as it logs them."""
+    """Events, a sentence each; the loop removes them as it logs them."""
 
 
 @runtime_checkable
@@ -183,22 +183,22 @@ class HasSummary(Protocol):
     """Tissue that adds its own figures to the summary of a run."""
 
     def summary(self) -> dict[str, object]:
-        """Return the entries by their names."""
+        """Return the entries of the summary by name."""
         ...
 
 
 @runtime_checkable
 class HasFields(Protocol):
-    """A tissue that shows displacement and stress over time."""
+    """Tissue with fields of displacement and stress over time."""
 
     @property
     def fields(self) -> FieldSeries | None:
-        """Frames so far; None where the scene asks for none."""
+        """Frames so far; None where the scene requests no frames."""
 
 
 @runtime_checkable
 class HasHeat(Protocol):
-    """A tissue that is warmed by cutting."""
+    """Tissue that is warmed by cutting."""
 
     @property
     def heat_balance_J(self) -> dict[str, float] | None:
@@ -210,10 +210,10 @@ class HasHeat(Protocol):
 
 @runtime_checkable
 class HasVoxels(Protocol):
-    """A tissue of voxels that a tool removes."""
+    """Tissue of voxels that a tool removes."""
 
     def remaining(self) -> NDArray[np.uint8]:
-        """Tissue left in every voxel, 255 = full, shape of the voxel volume."""
+        """Return the remaining tissue in every voxel, 255 = full, shape of the voxel volume."""
 
 
 @runtime_checkable
@@ -226,22 +226,22 @@ class WaitsForBackground(Protocol):
 
 @runtime_checkable
 class StartsBackground(Protocol):
-    """A tissue with work of a slower rate than the ticks."""
+    """Tissue with work at a lower rate than the ticks."""
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Do that work, or start it in the background; called at the end of every tick."""
+        """Do this work, or start it in the background; called at the end of every tick."""
 
 
 @runtime_checkable
 class Finishes(Protocol):
-    """A tissue with work that is spread over ticks."""
+    """Tissue with work that is spread over ticks."""
 
     def finish(self) -> None:
-        """Complete it, after the last tick; once more changes nothing."""
+        """Complete the work after the last tick; a second call changes nothing."""
 
 
 class FreeSpace:
-    """Nothing: the baseline that every law of a tissue model must hold for."""
+    """Free space: the baseline that satisfies every requirement on a tissue model."""
 
     layer_names: tuple[str, ...] = ("nothing",)
     measure_names: tuple[str, ...] = ()
@@ -252,11 +252,11 @@ class FreeSpace:
         self.removed_m3 = np.zeros(1)
 
     def place(self, motion: ToolMotion) -> None:
-        """There is nothing to reach."""
+        """Do nothing: free space has no surface."""
 
     def advance(self, motion: ToolMotion) -> None:
-        """There is nothing to remove."""
+        """Do nothing: free space has nothing to remove."""
 
     def respond(self, motion: ToolMotion) -> Response:
-        """No force."""
+        """Return zero force."""
         return self._response

@@ -1,5 +1,6 @@
-"""A stiff flat wall that a ball presses: the hardest thing a device is asked to play, and one
-known in closed form.
+"""Stiff flat wall that a ball presses.
+
+It is the hardest task of a device, and its force is known in closed form.
 """
 
 from math import pi
@@ -41,7 +42,7 @@ class WallModel:
         self._response.normal[2] = 1.0
 
     def place(self, motion: ToolMotion) -> None:
-        """Put the ball where it starts.
+        """Put the ball at its start.
 
         Raises
         ------
@@ -58,10 +59,10 @@ class WallModel:
             )
 
     def advance(self, motion: ToolMotion) -> None:
-        """A spring keeps nothing from tick to tick."""
+        """Do nothing: a spring has no internal state."""
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Force on the ball, and its torque about the tip."""
+        """Return the force on the ball, and its torque about the tip."""
         response = self._response
         depth = self._depth_m(motion)
         response.gap_m = max(-depth, 0.0)

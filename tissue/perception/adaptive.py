@@ -1,5 +1,6 @@
-"""Estimation of one person: threshold by adaptive comparisons (QUEST+), Stevens' law by
-magnitude estimation.
+"""Estimation of one person's parameters.
+
+The threshold is estimated by adaptive comparisons (QUEST+), Stevens' law by magnitude estimation.
 """
 
 from dataclasses import dataclass
@@ -106,7 +107,7 @@ class ThresholdPrior:
 
     @property
     def webers(self) -> Array:
-        """Middles of those cells, shape (cells,)."""
+        """Centres of the cells of the Weber fraction, shape (cells,)."""
         edges = self.weber_edges
         return np.sqrt(edges[1:] * edges[:-1])
 
@@ -205,7 +206,7 @@ class AdaptiveThreshold:
         return np.argmax(marginal - self._entropy @ self.posterior, axis=0)
 
     def answer(self, asked: NDArray[np.intp], correct: NDArray[np.bool_]) -> None:
-        """Take one answer of each observer, right or wrong, to the comparison that it was asked."""
+        """Update with one answer of each observer, right or wrong, to its comparison."""
         likelihood = self._right[np.asarray(asked)].T
         self.posterior *= np.where(np.asarray(correct), likelihood, 1.0 - likelihood)
         self.posterior /= self.posterior.sum(axis=0)

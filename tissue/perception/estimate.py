@@ -1,5 +1,6 @@
-"""Estimates of a force: the most probable one behind one noisy look, the recursive one, and
-their errors.
+"""Estimates of a force and their errors.
+
+They are the most probable force behind one noisy observation, and the recursive estimate.
 """
 
 from dataclasses import dataclass
@@ -52,8 +53,9 @@ From memory of the literature (Jones and Hunter 1983).
 def log_posterior(
     log_force: Array, seen_N: Array, noise_N: Array, log_median: Array, log_spread: Array
 ) -> Array:
-    """Logarithm of the density of F at u = ln F, up to a constant: -(u - m)^2 / 2 s^2 - u - (y -
-    e^u)^2 / 2 r^2.
+    """Return the logarithm of the density of F at u = ln F, up to a constant.
+
+    It is -(u - m)^2 / 2 s^2 - u - (y - e^u)^2 / 2 r^2.
     """
     off = (log_force - log_median) / log_spread
     missed = (seen_N - np.exp(log_force)) / noise_N
@@ -156,7 +158,10 @@ def require_prior_fits(
 
 
 def _root(low: Array, high: Array, y: Array, r: Array, m: Array, s: Array) -> Array:
-    """Find the zero of the slope within brackets on which it falls; an end without a zero."""
+    """Return the zero of the slope within brackets on which it falls.
+
+    For a bracket without a zero it is an end of the bracket.
+    """
     low = low.copy()
     high = high.copy()
     u = 0.5 * (low + high)
@@ -202,7 +207,7 @@ class LocalLevel:
         require_positive("noise", self.noise, "use the variance of one observation")
 
     def step(self, level: Level, variance: float, seen: Level) -> tuple[Level, float]:
-        """Return the level, or many levels, and variance after one more observation."""
+        """Return the level, or many levels, and the variance after one more observation."""
         predicted = variance + self.wander
         gain = predicted / (predicted + self.noise)
         return level + gain * (seen - level), gain * self.noise
@@ -296,7 +301,7 @@ def recursive_estimate_errors(
 def _followed(
     assumed: str, law: LocalLevel, level: Array, seen: Array, best: float
 ) -> AssumptionResult:
-    """Follow runs by a filter, and return its errors over their second half."""
+    """Filter runs, and return the errors over their second half."""
     estimate = seen[0]
     variance = law.noise
     off = []

@@ -1,5 +1,6 @@
-"""Many observers as one population: a hierarchy by Hamiltonian Monte Carlo, and whether it
-converged.
+"""Hierarchical model of many observers as one population, by Hamiltonian Monte Carlo.
+
+It includes diagnostics of convergence.
 """
 
 from dataclasses import dataclass
@@ -41,7 +42,7 @@ VARIANCE_SHAPE = 10.0
 People differ by a third of sigma squared (assumed, see perception.toml).
 """
 CHAINS = 2
-"""Chains of a fit: one cannot be compared with another."""
+"""Number of chains of a fit; at least two are needed for a comparison."""
 R_HAT = 1.01
 ESS = 400.0
 """Largest R-hat and smallest effective sample size of a converged fit (Vehtari et al., 2021)."""
@@ -72,8 +73,9 @@ class PopulationTrials:
     number: Array
 
     def counts(self) -> tuple[Index, Array, Array, Index, Index]:
-        """Comparisons summed up: person, base and step [N], how often asked and how often
-        answered rightly.
+        """Return the comparisons in summary.
+
+        They are person, base and step [N], number of trials and number of right answers.
         """
         rows = np.column_stack([self.who_compared, self.base_N, self.step_N])
         unique, which = np.unique(rows, axis=0, return_inverse=True)

@@ -1,5 +1,7 @@
-"""Psychophysical laws: Stevens' power law, Weber's law with a low-level term, two-interval
-psychometric functions.
+"""Psychophysical laws for intensity and threshold.
+
+They are Stevens' power law, Weber's law with a low-level term, and two-interval psychometric
+functions.
 """
 
 from dataclasses import dataclass
@@ -28,7 +30,7 @@ __all__ = [
 ]
 
 D_PRIME_75 = 0.9538725524089894
-"""Distance d' of two intervals at which 75 % of the answers are right: sqrt(2) Phi^-1(0.75)."""
+"""Distance d' of two intervals for 75 % right answers: sqrt(2) Phi^-1(0.75)."""
 QUANTITIES = {"force": "offset_N", "torque": "offset_Nm", "stiffness": "offset_N_m"}
 """Quantities with known thresholds, and the name and unit of their low-level term."""
 
@@ -49,8 +51,9 @@ def with_lapse(share: ArrayLike, lapse: ArrayLike) -> Array:
 
 
 def correct_of_d_prime(d_prime: ArrayLike) -> Array:
-    """Return the share of right answers in two intervals: Phi(d' / sqrt(2)) (Green and Swets,
-    1966).
+    """Return the share of right answers in two intervals, Phi(d' / sqrt(2)).
+
+    Source: Green and Swets, 1966.
     """
     return ndtr(np.asarray(d_prime, dtype=float) / np.sqrt(2.0))
 

@@ -13,7 +13,7 @@ from tissue.perception.mapping import ForceMap
 __all__ = ["Deadband", "PerceivedForce", "Sense", "held_back"]
 
 REST_SHARE = 0.5
-"""Share of the smallest force that can be felt at all, below which zero is played."""
+"""Share of the smallest force that can be felt. Below this share of it, zero is played."""
 BLOCK = 512
 """Number of ticks whose random numbers are drawn at once."""
 
@@ -127,12 +127,12 @@ class Sense:
         self._level = self.force_N = 0.0
 
     def at(self, force_N: float) -> LocalLevel:
-        """Return the filter that this sense is at a force [N]."""
+        """Return the filter of this sense at a force [N]."""
         noise = (self._noise_ratio * self._kappa * (force_N + self._offset)) ** 2
         return LocalLevel(wander=self.gain**2 * noise / (1.0 - self.gain), noise=noise)
 
     def step(self, force_N: float) -> float:
-        """Look at a force [N] once; the new estimate."""
+        """Observe a force [N] once and return the new estimate."""
         if not self._drawn:
             self._drawn = self._rng.standard_normal(BLOCK).tolist()
         seen = (

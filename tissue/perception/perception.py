@@ -1,4 +1,4 @@
-"""Contract of a perceptual model of the person who feels."""
+"""Interface of a perceptual model of the observer."""
 
 from typing import Protocol
 
@@ -20,7 +20,7 @@ class Perception(Protocol):
     perceived: float
     """Mean intensity of the commanded force, in units of the reference observer's."""
     perceived_spread: float
-    """Standard deviation of that intensity."""
+    """Standard deviation of the intensity of the commanded force."""
     steepest: float
     """Largest slope of command over force, a factor on the stiffness of a wall for stability."""
     sentence: str

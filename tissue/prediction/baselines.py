@@ -1,5 +1,6 @@
-"""The simple predictors: a straight line, a steady-state Kalman filter, and a linear model that
-the device drives.
+"""Baseline predictors: a straight line, a steady-state Kalman filter, and a linear model.
+
+The input of the linear model is the device motion.
 """
 
 from collections import deque
@@ -29,7 +30,7 @@ Of 1e-8 to 1e-2 it is the best value on the recorded wall.
 
 
 class Linear:
-    """The straight line through the newest force and one a window of ticks before it."""
+    """Straight line through the newest force and the force one window of ticks before it."""
 
     residual_N = 0.0
     is_primary = trusted = True
@@ -43,7 +44,7 @@ class Linear:
         self._slope = np.zeros(3)
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Take in the force; the device is not looked at."""
+        """Update with the force; the device is not used."""
         self._clock += 1
         if force_N is None:
             return
@@ -57,12 +58,12 @@ class Linear:
         self._slope = (force_N - first) / max(self._clock - since, self._window)
 
     def predict(self, ticks: float) -> Array:
-        """Along the line."""
+        """Return the force on the line."""
         since, force = self._seen[-1]
         return force + (self._clock - since + ticks) * self._slope
 
     def pause(self) -> None:
-        """A line needs what belongs together: begin anew from the newest force."""
+        """Restart the line from the newest force, because its points must belong together."""
         self._seen = deque([(self._clock, self._seen[-1][1])])
         self._slope = np.zeros(3)
 
@@ -104,7 +105,7 @@ class Kalman:
         self._force = np.zeros(3)
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Go a tick on and correct by the force; the device is not looked at."""
+        """Advance by a tick and correct by the force; the device is not used."""
         state = self._state = self._onward.dot(self._state)
         self._since += 1
         if force_N is not None:
@@ -115,13 +116,16 @@ class Kalman:
             self._force = force_N.copy()
 
     def predict(self, ticks: float) -> Array:
-        """Along the parabola; 0 ahead of a force that was just observed, that force."""
+        """Return the force on the parabola.
+
+        At 0 ticks after an observed force, it is that force.
+        """
         if ticks == 0 and self._since == 0:
             return self._force
         return np.array((1.0, ticks, 0.5 * ticks * ticks)) @ self._state
 
     def pause(self) -> None:
-        """Rates of another motion are of no use."""
+        """Reset the rates, which belong to the earlier motion."""
         self._state[1:] = 0.0
 
 
@@ -172,7 +176,10 @@ class LinearControl:
         known[6:] = velocity_m_s
 
     def predict(self, ticks: float) -> Array:
-        """Powers of the operator, the device going on; on a straight line between two of them."""
+        """Return the force by powers of the operator, with the device at its present speed.
+
+        Between two powers the force is interpolated linearly.
+        """
         whole = int(ticks)
         if ticks == whole:
             matrix, offset = self._map(whole)
@@ -188,7 +195,7 @@ class LinearControl:
         """Return the map from the known values to the force after a number of ticks."""
         while len(self._maps) <= ticks:
             matrix, offset = self._maps[-1]
-            # Position enters at its value after the ticks gone by: x + k T v.
+            # Position enters at its value after the elapsed ticks: x + k T v.
             acting = self._B.copy()
             acting[:, 3:] += (len(self._maps) - 1) * self._step * self._B[:, :3]
             onward = self._A @ matrix
@@ -197,4 +204,4 @@ class LinearControl:
         return self._maps[ticks]
 
     def pause(self) -> None:
-        """The next sample is the last one."""
+        """Treat the next sample as the last one."""

@@ -11,7 +11,7 @@ from meshes.base.arrays import Array
 __all__ = ["CONTACT_WIDTH", "Contact", "SeesContact"]
 
 CONTACT_WIDTH = 21
-"""Numbers of a contact in a recording."""
+"""Number of values of a contact in a recording."""
 
 
 @dataclass

@@ -26,7 +26,7 @@ WORSE = 1.5
 Smaller differences are noise. The value is a prior, not a measurement.
 """
 LEAST_N = 3e-3
-"""Error that is never counted as worse [N]."""
+"""Error that never counts as worse [N]."""
 LONG_MEMORY = 0.999
 """Factor per tick on past errors in the comparison with the zero-order hold: about a second.
 
@@ -38,7 +38,7 @@ MOST_DEBT = 20.0
 Three seconds without cost compensate it.
 """
 PROBATION = 50
-"""Ticks for which a predictor must be trusted before it is asked again."""
+"""Ticks for which a predictor must be trusted before it is used again."""
 
 
 class Judged(Predictor, Protocol):
@@ -124,8 +124,8 @@ class Guarded:
         self.is_primary = self._share > 0.5
 
     def predict(self, ticks: float) -> Array:
-        """Between both, by the share."""
-        # Three numbers are quicker one by one than as arrays.
+        """Return the blend of both forces, by the share."""
+        # Three scalars are faster than arrays.
         u, v, w = self.inner.predict(ticks).tolist()
         x, y, z = self.instead.predict(ticks).tolist()
         u = u - x
@@ -151,7 +151,7 @@ class Guarded:
         now = fx, fy, fz
         if self._lead and len(self._kept) == ceil(self._lead):
             kept = self._kept[0]
-            # The force lay between the last two that were seen when what was predicted was due.
+            # The prediction was due between the last two observed forces: interpolate between them.
             back = (len(self._kept) - self._lead) / self._age
             bx, by, bz = self._seen
             fx = fx + back * (bx - fx)
@@ -163,7 +163,7 @@ class Guarded:
             self._over_held = min(
                 self._over_held + (1.0 - LONG_MEMORY) * (primary - held), MOST_DEBT * LEAST_N**2
             )
-            # A touch that is foreseen is not held against who foresees it.
+            # A predicted touch does not count as an error of the predictor.
             if any(kept[1]) and any(now):
                 self._missed[0] += (1.0 - MEMORY) * primary
                 self._missed[1] += (1.0 - MEMORY) * other
@@ -171,7 +171,7 @@ class Guarded:
         self._age = 0
 
     def _keep(self, ticks: float, primary: Triple, safe: Triple) -> None:
-        """Keep what both predicted until that force is there."""
+        """Store both predictions until the force that they predict is observed."""
         self._asked = True
         if ticks != self._lead:
             self._lead = ticks

@@ -99,8 +99,8 @@ class Koopman:
             self._begun = position_m.copy()
             self._surface = position_m.copy()
         elif touched and not touches:
-            # Contact ended at the start of a tick's motion; tissue that lets go deeper than it was
-            # met has been cut.
+            # Contact ended at the start of a tick's motion. Where it ended deeper than it began,
+            # the tissue has been cut.
             self._surface = self._position.copy()
             self._known = abs(float(self._normal @ (self._surface - self._begun))) < LEAST_DEPTH_M
         if touches:

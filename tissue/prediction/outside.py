@@ -1,6 +1,4 @@
-"""A predictor from outside the package: two methods, and what else a loop asks of one made of
-them.
-"""
+"""External predictors: a complete predictor made from one with two methods."""
 
 from collections.abc import Callable
 from typing import Any, Protocol

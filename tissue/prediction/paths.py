@@ -26,7 +26,7 @@ MOST_LEADS = 16
 
 
 class Path(Protocol):
-    """Predicts the displacement of a device."""
+    """Predictor of the displacement of a device."""
 
     @property
     def trusted(self) -> bool:
@@ -34,8 +34,9 @@ class Path(Protocol):
         ...
 
     def observe(self, position_m: Array, stretch_m: Array) -> None:
-        """Take in a tick: the device's position and its coupling's force over the coupling's
-        stiffness, shape (3,).
+        """Update with a tick: the device's position and the coupling's stretch, shape (3,).
+
+        The stretch is the coupling's force over its stiffness.
         """
         ...
 
@@ -51,12 +52,12 @@ class Path(Protocol):
         ...
 
     def pause(self) -> None:
-        """The next position does not follow the last."""
+        """Pause after a missing sample: the next position does not follow the last."""
         ...
 
 
 class FilteredPath:
-    """Constant acceleration by a Kalman filter in steady state; the stretch stays."""
+    """Constant acceleration by a steady-state Kalman filter; the stretch is assumed constant."""
 
     trusted = True
 
@@ -69,7 +70,7 @@ class FilteredPath:
         self._position, self._stretch = np.zeros((2, 3))
 
     def observe(self, position_m: Array, stretch_m: Array) -> None:
-        """Go a tick on and correct by the position."""
+        """Advance by a tick and correct by the position."""
         self._stretch = stretch_m.copy()
         if self._state is None:
             self._state = np.zeros((3, 3))
@@ -79,17 +80,17 @@ class FilteredPath:
         self._position = position_m.copy()
 
     def displacement_m(self, ticks: float) -> Array:
-        """Along the parabola."""
+        """Return the displacement on the parabola."""
         if self._state is None:
             return np.zeros(3)
         return np.array((1.0, ticks, 0.5 * ticks * ticks)).dot(self._state) - self._position
 
     def stretch_m(self, ticks: float) -> Array:
-        """The last one."""
+        """Return the last stretch."""
         return self._stretch
 
     def pause(self) -> None:
-        """Begin anew."""
+        """Reset the filter."""
         self._state = None
 
 
@@ -161,11 +162,14 @@ class OperatorPath:
         return stretch
 
     def pause(self) -> None:
-        """The window is filled anew from the next state on, and not trusted until it is full."""
+        """Clear the window.
+
+        It is filled anew from the next state on, and not trusted until it is full.
+        """
         self._ticks = 0
 
     def _later(self, ticks: float) -> Array:
-        """Displacement and stretch, shape (STATE, 3)."""
+        """Return displacement and stretch, shape (STATE, 3)."""
         found = self._maps.get(ticks)
         if found is None:
             low = floor(ticks)

@@ -40,12 +40,12 @@ class Predictor(Protocol):
         ...
 
     def pause(self) -> None:
-        """No sample came, so that the next one does not follow the last."""
+        """Pause after a missing sample: the next sample does not follow the last."""
         ...
 
 
 class Hold:
-    """The baseline: the last force stays."""
+    """Zero-order hold: the baseline that keeps the last force."""
 
     residual_N = 0.0
     is_primary = True
@@ -54,18 +54,18 @@ class Hold:
         self._force = np.zeros(3)
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Keep the force."""
+        """Store the force."""
         if force_N is not None:
             change = force_N - self._force
             self.residual_N = float(np.sqrt(change @ change))
             self._force = force_N.copy()
 
     def predict(self, ticks: float) -> Array:
-        """The last force."""
+        """Return the last force."""
         return self._force
 
     def pause(self) -> None:
-        """Nothing depends on the ticks between forces."""
+        """Do nothing: the hold does not depend on the ticks between forces."""
 
 
 def interpolated(before: AffineMap, after: AffineMap, share: float) -> AffineMap:

@@ -15,9 +15,11 @@ __all__ = ["VALIDATED_AT", "Trained", "is_trained", "shipped_file"]
 SHIPPED = Path(__file__).parent / "trained"
 """Folder of the predictors that ship with the engine, one file a scene."""
 VALIDATED_AT = 6
-"""Whole ticks ahead at which predictors are compared in training: the lead of 4 ms of latency,
-which is 6.11 ticks on a touch with its path to the motor, see
-`tissue.simulation.builders.loop.lead_ticks`."""
+"""Lead in whole ticks at which predictors are compared in training.
+
+It is the lead for 4 ms of latency, which is 6.11 ticks on a touch with its path to the motor, see
+`tissue.simulation.builders.loop.lead_ticks`.
+"""
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,9 @@ class Trained:
         return bool(errors[kind][at] > errors["hold"][at])
 
     def write(self, path: Path, *, overwrite: bool = False) -> Path:
-        """Write it; operators in single precision and without moments, which keeps the file small.
+        """Write the predictors to a file.
+
+        Operators are written in single precision and without moments, which keeps the file small.
 
         Raises
         ------
@@ -78,7 +82,7 @@ class Trained:
 
     @classmethod
     def read(cls, path: Path, *, scene: str | None = None) -> "Trained":
-        """Read one, of the given scene.
+        """Read the trained predictors of a scene.
 
         Raises
         ------
@@ -128,8 +132,9 @@ def shipped_file(scene: str) -> Path:
 
 
 def is_trained(scene: str, file: str = "") -> bool:
-    """Return whether a trained predictor is known for a scene: its own file, or one that ships
-    with the engine.
+    """Return True if a trained predictor is known for a scene.
+
+    It is the scene's own file, or one that ships with the engine.
     """
     return bool(file) or (SHIPPED / f"{scene}.npz").is_file()
 

@@ -30,13 +30,16 @@ LIMIT_BYTES = 2_000_000_000
 Beyond it, ``LazyCompliance`` computes columns where the tool is.
 """
 SCHUR_UNKNOWNS = 100_000
-"""Above this the factor is not taken apart: copies of both halves would take more than 4 GB."""
+"""Largest number of unknowns for which W is read off the factor.
+
+Above it, copies of both halves would take more than 4 GB.
+"""
 CHUNK = 8
 """Nodes per task: one thread computes the columns of this number of nodes at a time."""
 
 
 def compliance_bytes(touchable_count: int) -> int:
-    """Memory of a compliance: 8 bytes an entry."""
+    """Return the memory of a compliance [bytes], 8 bytes an entry."""
     return 8 * (3 * touchable_count) ** 2
 
 

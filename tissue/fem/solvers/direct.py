@@ -28,12 +28,12 @@ __all__ = ["DirectSolver", "SuperLUFactor", "dissected", "dissection", "factoris
 
 
 class SuperLUFactor:
-    """A factor of a symmetric matrix, made once.
+    """Factor of a symmetric matrix, made once.
 
     Parameters
     ----------
     matrix
-        In order of elimination, shape (n, n).
+        Matrix in order of elimination, shape (n, n).
 
     Raises
     ------
@@ -47,7 +47,7 @@ class SuperLUFactor:
         )
 
     def solve(self, right: Array) -> Array:
-        """The solution for one or several right sides, shape (n,) or (n, m)."""
+        """Return the solution for one or several right sides, shape (n,) or (n, m)."""
         found: Array = self._factor.solve(np.asfortranarray(right))
         return found
 
@@ -63,21 +63,21 @@ class SuperLUFactor:
 
 
 LEVELS = 10
-"""Halvings of the box that the curve follows."""
+"""Number of halvings of the box along the curve."""
 LEAF = 32
-"""Sets of at most this many nodes are not cut further."""
+"""Largest number of nodes of a set that is not cut further."""
 
 
 def dissection(nodes_m: Array, graph: csr_array) -> Ints:
-    """Nodes in order of elimination, shape (n,); parameters as of `dissected`."""
+    """Return the nodes in order of elimination, shape (n,); parameters as of `dissected`."""
     return np.concatenate(dissected(nodes_m, graph))
 
 
 def dissected(nodes_m: Array, graph: csr_array, *, leaf: int = LEAF) -> list[Ints]:
-    """Sets of nodes in order of elimination: of each cut first both sides, then what parts them.
+    """Return sets of nodes in order of elimination: both sides of each cut, then their separator.
 
-    A set is cut at the median of its longest extent; the nodes of one side that touch the other
-    come last.
+    A set is cut at the median of its longest extent. The nodes of one side that touch the other
+    side form the separator.
 
     Parameters
     ----------
@@ -142,31 +142,31 @@ def _along_curve(nodes_m: Array) -> Ints:
 
 
 TOGETHER = 48
-"""Right sides in one back-substitution: of 48, each takes a ninth of the time of one alone."""
+"""Right sides in one back-substitution: with 48, each takes a ninth of the time of a single one."""
 
 
 class Factor(Protocol):
     """Result of a factorisation, unknowns in order of elimination."""
 
     def solve(self, right: Array) -> Array:
-        """The solution for one or several right sides, shape (n,) or (n, m)."""
+        """Return the solution for one or several right sides, shape (n,) or (n, m)."""
 
     def inverse_of_last(self, count: int) -> Array:
         """Return the block of the inverse of the last unknowns, shape (count, count)."""
 
 
 class DirectSolver:
-    """Solves by a factor that is made once.
+    """Direct solver with a factor that is made once.
 
     Parameters
     ----------
     body
-        The stiffness and what holds it.
+        The stiffness and its supports.
     last
         Nodes that are eliminated last, so that the compliance between them can be read off the
         factor.
     definite
-        Refuse a stiffness that is not positive definite, instead of leaving it to SuperLU.
+        Refuse a stiffness that is not positive definite, instead of using SuperLU for it.
 
     Raises
     ------
@@ -190,7 +190,10 @@ class DirectSolver:
         self._position[self._order] = np.arange(len(self._order))
 
     def solve(self, load_N: Array, *, start_m: Array | None = None) -> Solution:
-        """Displacement under nodal forces [N], shape (n, 3); ``start_m`` is ignored."""
+        """Solve for the displacement under nodal forces [N], shape (n, 3).
+
+        ``start_m`` is ignored.
+        """
         right = self.body.right_side(load_N)
         norm = float(np.linalg.norm(right))
         if norm == 0.0:
@@ -247,16 +250,16 @@ class DirectSolver:
 def factorised(
     body: HeldBody, blocks: list[Ints], *, definite: bool = False
 ) -> tuple[Ints, csc_array, Factor]:
-    """The free unknowns in order of elimination, the matrix between them, and its factor.
+    """Return the free unknowns in order of elimination, their matrix, and its factor.
 
     Parameters
     ----------
     body
-        The stiffness and what holds it.
+        The stiffness and its supports.
     blocks
-        Nodes that are eliminated together, in order; each node is of one block.
+        Nodes that are eliminated together, in order; each node belongs to one block.
     definite
-        Refuse a matrix that is not positive definite, instead of leaving it to SuperLU.
+        Refuse a matrix that is not positive definite, instead of using SuperLU for it.
 
     Raises
     ------
@@ -275,7 +278,7 @@ def factorised(
     from threadpoolctl import threadpool_limits
 
     try:
-        # Threads on small blocks took five times as long on a busy machine.
+        # Threads on small blocks took five times longer on a busy machine.
         with threadpool_limits(1, "blas"):
             return kept, matrix, Multifrontal(matrix, np.cumsum([0, *map(len, parts)]))
     except NotPositiveDefiniteError:

@@ -17,12 +17,12 @@ __all__ = ["ColumnSolver", "HeldBody", "held_nodes", "pointwise_graph"]
 
 
 class ColumnSolver(Protocol):
-    """A path that finds columns of the inverse, for a compliance or a basis.
+    """Solver for columns of the inverse, for a compliance or a basis.
 
     Attributes
     ----------
     body
-        The stiffness and what holds it.
+        The stiffness and its supports.
     """
 
     body: "HeldBody"
@@ -120,11 +120,11 @@ class HeldBody:
 
     @cached_property
     def free(self) -> Ints:
-        """Unknowns that are solved for."""
+        """Indices of the free unknowns."""
         return np.flatnonzero((~self.fixed & self.carrying[:, None]).ravel())
 
     def right_side(self, load_N: Array) -> Array:
-        """Forces on the free unknowns [N] of a load, shape (f,).
+        """Return the forces of a load on the free unknowns [N], shape (f,).
 
         Raises
         ------
@@ -155,12 +155,12 @@ class HeldBody:
 
 
 def held_nodes(held: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """All three components of the nodes that are held, shape (n, 3), of shape (n,)."""
+    """Return the mask of held components, shape (n, 3), for a mask of held nodes, (n,)."""
     return np.repeat(held[:, None], 3, axis=1)
 
 
 def pointwise_graph(stiffness: bsr_array) -> csr_array:
-    """Nodes that share a cell, as a sparse matrix of shape (n, n)."""
+    """Return the nodes that share a cell, as a sparse matrix of shape (n, n)."""
     blocks = stiffness.tobsr((3, 3))
     count = blocks.shape[0] // 3
     return csr_array(

@@ -1,4 +1,7 @@
-"""Compliance where the tool is: columns found on demand, in the background, in a bounded buffer."""
+"""Compliance where the tool is: columns computed on demand in a bounded buffer.
+
+They are computed in the background.
+"""
 
 from collections import OrderedDict, deque
 from threading import Condition, Thread
@@ -13,17 +16,17 @@ __all__ = ["LazyCompliance"]
 
 
 class LazyCompliance:
-    """Columns of ``W = H K^-1 H^T`` for the nodes that were asked for last.
+    """Columns of ``W = H K^-1 H^T`` for the nodes that were requested last.
 
-    Nodes are named by their place among the touchable ones. ``want`` names the nodes near the tool;
-    ``fill`` finds their columns in the caller's thread, before the ticks, and ``start`` has a
-    thread do so in parallel. Nothing but copying happens in ``pour``. The node wanted longest ago
+    Nodes are named by their position among the touchable nodes. ``want`` requests the nodes near
+    the tool. ``fill`` computes their columns in the caller's thread, before the ticks. ``start``
+    lets a thread compute them in parallel. ``pour`` only copies. The node with the oldest request
     is dropped first.
 
     Parameters
     ----------
     solver
-        What finds the columns: a factor, or multigrid where it would not fit.
+        Solver for the columns: a factor, or multigrid where a factor would not fit.
     touchable
         Nodes that may be touched, shape (t,).
     capacity_bytes
@@ -135,7 +138,7 @@ class LazyCompliance:
         return left
 
     def fill(self) -> None:
-        """Find all that is wanted, in this thread."""
+        """Compute all requested columns in this thread."""
         while (node := self._next()) is not None:
             self._find(node)
 
@@ -146,7 +149,7 @@ class LazyCompliance:
             self._thread.start()
 
     def stop(self) -> None:
-        """End the thread after the node it is at."""
+        """End the thread after its present node."""
         with self._changed:
             self._ended = True
             self._changed.notify_all()
@@ -182,7 +185,7 @@ class LazyCompliance:
         columns = self._solver.columns(unknowns)[self._rows].reshape(-1, 3, 3).transpose(0, 2, 1)
         with self._changed:
             if self._slot[node] >= 0:
-                return  # found in the meantime: it was asked for again while it was being found
+                return  # already computed: it was requested again during its computation
             if not self._spare and node not in self._wanted:
                 return  # the tool has moved on
             if not self._spare:

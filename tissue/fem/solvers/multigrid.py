@@ -29,21 +29,22 @@ __all__ = ["MultigridSolver"]
 COARSEST_NODES = 50
 """Largest number of aggregates of a level that is solved directly."""
 WEAK = 0.05
-"""Couplings below this share of their nodes' own do not join an aggregate: a third fewer
-iterations than with all.
+"""Coupling, relative to its nodes' own, below which nodes do not join an aggregate.
+
+It saves a third of the iterations with all couplings.
 """
 
 
 class MultigridSolver:
-    """Iterates; set up once, warm starts welcome.
+    """Iterative solver by multigrid, set up once; it accepts warm starts.
 
     Parameters
     ----------
     body
-        The stiffness and what holds it.
+        The stiffness and its supports.
     tolerance
         Relative error in the energy norm. It is estimated as ``sqrt(r . B r / l)``, r the residual,
-        B a cycle, and l the smallest eigenvalue of B K that the iterations have met (Meurant and
+        B a cycle, and l the smallest eigenvalue of B K that the iterations have found (Meurant and
         Strakos 2006, Acta Numer. 15:471).
     limit
         Iterations allowed.
@@ -76,7 +77,7 @@ class MultigridSolver:
             modes / size, self._scale[:, None], out=np.zeros_like(modes), where=self._free[:, None]
         )
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # small coarse grids bring remarks on their rank
+            warnings.simplefilter("ignore")  # small coarse grids cause warnings about their rank
             self._hierarchy = smoothed_aggregation_solver(
                 self._matrix,
                 B=near_null,
@@ -99,7 +100,7 @@ class MultigridSolver:
         return bsr_matrix((scaled.data, indices, starts), shape=scaled.shape)
 
     def solve(self, load_N: Array, *, start_m: Array | None = None) -> IterativeSolution:
-        """Displacement under nodal forces [N], shape (n, 3), from a guess [m], shape (n, 3).
+        """Solve for the displacement under nodal forces [N] from a guess [m], shapes (n, 3).
 
         Raises
         ------
@@ -146,7 +147,7 @@ class MultigridSolver:
         return answers
 
     def _iterate(self, right: Array, start: Array | None = None) -> IterativeSolution:
-        """Conjugate gradients on the scaled matrix."""
+        """Solve with the scaled matrix by conjugate gradients."""
         return conjugate_gradients(
             lambda u: self._matrix @ u,
             right,

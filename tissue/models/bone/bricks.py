@@ -16,9 +16,9 @@ from meshes.voxels.volume import VoxelVolume
 __all__ = ["BYTES_PER_VOXEL", "BrickGrid", "BrickStore", "voxels_of"]
 
 BYTES_PER_VOXEL = 12
-"""Stored per voxel of a brick: remaining 2, swept 2, older 2, material 4, nearby 2."""
+"""Bytes stored per voxel of a brick: remaining 2, swept 2, older 2, material 4, nearby 2."""
 NEVER_SWEPT = 65535
-"""Stored distance of a voxel that the tool has not come near."""
+"""Stored distance of a voxel that the tool has never reached."""
 STEPS = FULL // 255
 """Stored steps per step of the volume's 8-bit fraction."""
 
@@ -140,7 +140,7 @@ class BrickStore:
         kept[inner] = holds[inner]
         first = len(self.places)
         if first == 0 and not kept.any():
-            kept[inner][0, 0, 0] = True  # kernels want a brick
+            kept[inner][0, 0, 0] = True  # kernels need at least one brick
 
         def stored(array: NDArray[Any]) -> NDArray[Any]:
             return _rows(_blocked(array, counts).transpose(0, 2, 4, 1, 3, 5)[kept])
@@ -241,7 +241,10 @@ class BrickStore:
             part[:] = brick[: part.shape[0], : part.shape[1], : part.shape[2]]
 
     def fraction(self) -> NDArray[np.uint8]:
-        """Remaining fraction of every voxel of the grid, 255 = full; of a volume, in its shape."""
+        """Return the remaining fraction of every voxel of the grid, 255 = full.
+
+        For a volume it has the volume's shape.
+        """
         whole = self.part((0, 0, 0), self.grid.counts)
         return (
             whole
@@ -267,7 +270,7 @@ class BrickStore:
         return np.ascontiguousarray(dense.transpose(0, 3, 1, 4, 2, 5).reshape(nx, ny, nz))
 
     def steps_by_layer(self) -> NDArray[np.int64]:
-        """Stored steps that remain in each layer, shape (layers,)."""
+        """Return the stored steps that remain in each layer, shape (layers,)."""
         count = len(self.places)
         remaining = self.remaining.numpy()[:count]
         layer = self.material.numpy()[:count].astype(np.uint8)
@@ -293,15 +296,16 @@ def voxels_of(
 
 
 def _nearest(remaining: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """Stored steps as 8-bit fractions."""
+    """Return stored steps as 8-bit fractions."""
     return ((remaining.astype(np.uint32) + np.uint32(STEPS // 2)) // np.uint32(STEPS)).astype(
         np.uint8
     )
 
 
 def _filled_up(surface: NDArray[np.uint8], counts: tuple[int, ...]) -> NDArray[np.uint8]:
-    """Stored surface distance padded to whole bricks: at each face a voxel farther out, and
-    outside in any case.
+    """Return the stored surface distance padded to whole bricks.
+
+    The padding of each face lies one voxel farther out, and is outside in any case.
     """
     pad = [(0, BRICK * count - n) for count, n in zip(counts, surface.shape, strict=True)]
     padded = np.pad(surface, pad, mode="edge")
@@ -312,7 +316,7 @@ def _filled_up(surface: NDArray[np.uint8], counts: tuple[int, ...]) -> NDArray[n
 
 
 def _blocked(array: NDArray[Any], counts: tuple[int, ...]) -> NDArray[Any]:
-    """View of an array, padded to whole bricks, with axes (bx, 8, by, 8, bz, 8)."""
+    """Return a view of an array, padded to whole bricks, with axes (bx, 8, by, 8, bz, 8)."""
     pad = [(0, BRICK * count - n) for count, n in zip(counts, array.shape, strict=True)]
     padded = np.pad(array, pad) if any(after for _, after in pad) else array
     bx, by, bz = counts
@@ -320,7 +324,7 @@ def _blocked(array: NDArray[Any], counts: tuple[int, ...]) -> NDArray[Any]:
 
 
 def _rows(bricks: NDArray[Any]) -> NDArray[Any]:
-    """Bricks, shape (n, 8, 8, 8), as stored rows, shape (n, 512), block after block."""
+    """Return bricks, shape (n, 8, 8, 8), as stored rows, shape (n, 512), block after block."""
     return (
         bricks.reshape(-1, 4, 2, 4, 2, 4, 2)
         .transpose(0, 1, 3, 5, 2, 4, 6)
@@ -329,7 +333,7 @@ def _rows(bricks: NDArray[Any]) -> NDArray[Any]:
 
 
 def _bricks(rows: NDArray[Any]) -> NDArray[Any]:
-    """Stored rows, shape (n, 512), as bricks, shape (n, 8, 8, 8)."""
+    """Return stored rows, shape (n, 512), as bricks, shape (n, 8, 8, 8)."""
     return (
         rows.reshape(-1, 4, 4, 4, 2, 2, 2)
         .transpose(0, 1, 4, 2, 5, 3, 6)

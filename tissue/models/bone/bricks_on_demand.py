@@ -24,11 +24,17 @@ Boxes = tuple[Array, Array]
 PATCH = 4
 """Bricks along the edge of a patch, the unit that is made at once."""
 MARGIN = 1
-"""Bricks voxelised around a patch and not kept: more than the distances that its voxels store."""
+"""Bricks voxelised around a patch and not kept.
+
+They are wider than the distances that its voxels store.
+"""
 BYTES_WHILE_MADE = 3 * BYTES_PER_VOXEL
-"""Of memory for a voxel that is made: stored, space to grow, and the arrays from which it comes."""
+"""Bytes of memory per voxel while it is made.
+
+They cover the stored voxel, space to grow, and the source arrays.
+"""
 MOST_BRICKS = 2.5e8
-"""Bricks of the lattice at most: 1 GB."""
+"""Largest number of bricks of the lattice: 1 GB."""
 
 
 class BricksOnDemand:
@@ -84,7 +90,7 @@ class BricksOnDemand:
         self._made = np.zeros(self._patches, dtype=bool)
 
     def make(self, boxes: Boxes) -> bool:
-        """Make all bricks that boxes touch; whether launches have to be recorded again.
+        """Make all bricks that boxes touch; return True if launches have to be recorded again.
 
         Parameters
         ----------
@@ -106,7 +112,7 @@ class BricksOnDemand:
         return grown
 
     def _require_memory(self, patches: int) -> None:
-        """Refuse patches that would not fit the memory that is free now."""
+        """Check that patches fit the memory that is free now."""
         if patches == 0:
             return
         import psutil
@@ -172,14 +178,14 @@ class BricksOnDemand:
             yield volume, left
 
     def _voxels(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> VoxelVolume:
-        """Voxels of the bricks from one place to another, before any cut."""
+        """Return the voxels of the bricks from one position to another, before any cut."""
         corners: Array = (self._first + np.stack([low, high])) * np.float64(self._brick_m)
         region = corners[0], corners[1]
         spacing_m = self.store.grid.spacing_m
         return voxelise(self.anatomy, spacing_m=spacing_m, region_m=region, minus=self._minus)
 
     def _wanted(self, boxes: Boxes) -> NDArray[np.bool_]:
-        """Patches that boxes touch and that are not made yet."""
+        """Return the patches that boxes touch and that are not made yet."""
         patch_m = PATCH * self._brick_m
         low, high = (
             np.floor(corner / patch_m - self._first / PATCH).astype(np.int64) for corner in boxes

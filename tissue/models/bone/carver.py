@@ -36,7 +36,7 @@ The share is the projection of the present feed direction on the direction store
 """
 WORKERS_CPU = 32
 WORKERS_GPU = 2048
-"""Workers that share a carving launch."""
+"""Number of workers that share a carving launch."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,11 +114,11 @@ class Carver:
         self._lag = min(CARVE_LAG_M / spacing, 0.25)
         self._lever = max(abs(table.low), abs(table.high))
         self._next_group = 0
-        # Groups follow the world's lattice, so that the same cut in a larger region is visited at
+        # Groups follow the world's lattice, so that an equal cut in a larger region is visited at
         # the same ticks.
         self._first_group = int(np.rint(self._origin / (BRICK * spacing)).sum()) % PHASES
         self._debt = 0.0  # visits owed for the path so far
-        self._behind = 0  # groups that have not seen the present pose
+        self._behind = 0  # groups not visited at the present pose
         self._heading = np.zeros((2, 3))
         self._now = np.zeros(6)
         workers = WORKERS_CPU if device == "cpu" else WORKERS_GPU
@@ -177,7 +177,7 @@ class Carver:
         elif step > 0.0 and np.vdot(motion.heading, self._heading) < TURN * np.vdot(
             self._heading, self._heading
         ):
-            self._visit(PHASES, turned=True)  # first complete what it cut on its old path
+            self._visit(PHASES, turned=True)  # first complete the cut on the old path
             self._heading[:] = motion.heading
         if step > LONGEST_STEP_VOXELS:
             self._sweep(now, parts=ceil(step / LONGEST_STEP_VOXELS))
@@ -189,10 +189,10 @@ class Carver:
             if groups > 0:
                 self._visit(groups)
         elif self._behind > 0:
-            self._visit(1)  # the tool rests: bring the other bricks to its pose, one group a tick
+            self._visit(1)  # the tool rests: carve the other bricks at its pose, one group a tick
 
     def _pose_of(self, motion: ToolMotion) -> NDArray[np.float64]:
-        """Tip [voxel] and axis of a motion, in an array that the next call overwrites."""
+        """Return tip [voxel] and axis of a motion, in an array that the next call overwrites."""
         now = self._now
         np.subtract(motion.tip_m, self._origin, out=now[:3])
         now[:3] /= self._spacing
@@ -226,7 +226,7 @@ class Carver:
         )
 
     def restore(self, state: CarverState) -> None:
-        """Return to a copied state; the booked removal stays."""
+        """Return to a copied state; the counted removal stays."""
         self.changes += 1
         wp.copy(self.store.remaining, state.remaining)
         wp.copy(self.store.swept, state.swept)
@@ -260,7 +260,7 @@ class Carver:
 
 
 def _revolution(table: DistanceTable, profile: Profile, *, device: str) -> Revolution:
-    """The cutter's distance table on a device."""
+    """Return the cutter's distance table on a device."""
     tool: Any = Revolution()
     tool.distance = wp.array(table.distance, dtype=wp.float32, device=device)
     tool.slope = wp.array(table.slope, dtype=wp.vec2, device=device)

@@ -37,7 +37,7 @@ MOST_NODES = 64
 
 @dataclass(frozen=True, eq=False)
 class DensityNodes:
-    """The nodes of one layer.
+    """Density nodes of one layer.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class DensityNodes:
 
     @classmethod
     def of(cls, least_kg_m3: int, most_kg_m3: int) -> "DensityNodes":
-        """Nodes for densities in a range; one where it is a single number."""
+        """Return the nodes for densities in a range; one node for a single density."""
         least, most = (min(max(each, 1), DENSITIES - 1) for each in (least_kg_m3, most_kg_m3))
         if least == most:
             return cls(np.array([float(least)]), np.ones((DENSITIES, 1)))
@@ -73,13 +73,17 @@ class DensityNodes:
         return float(np.exp(np.log(self.densities_kg_m3).mean()))
 
     def strengths(self, exponent: float, *, reference_kg_m3: float, factor: float = 1.0) -> Array:
-        """Weights of the M_j in the sum of (factor density / reference) ** exponent, shape (k,)."""
+        """Return weights of the M_j for a density exponent, shape (k,).
+
+        The M_j sum to (factor density / reference) ** exponent.
+        """
         tilt = (self.densities_kg_m3 / self.middle_kg_m3) ** -MIDDLE
         return np.asarray((factor * self.densities_kg_m3 / reference_kg_m3) ** exponent * tilt)
 
     def logarithms(self, *, reference_kg_m3: float, factor: float = 1.0) -> Array:
-        """ln(factor density / reference) of the nodes, shape (k,): what an exponent's derivative
-        multiplies by.
+        """Return ln(factor density / reference) of the nodes, shape (k,).
+
+        It is the factor in the derivative by the exponent.
         """
         return np.asarray(np.log(factor * self.densities_kg_m3 / reference_kg_m3))
 

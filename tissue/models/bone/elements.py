@@ -17,7 +17,7 @@ The loads are tangential, radial and axial.
 
 
 def elements_of(shell: PointShell, cutter: Cutter, *, spacing_m: float, device: str) -> Elements:
-    """The cutter's point shell on a device."""
+    """Return the cutter's point shell on a device."""
     elements = Elements()
     elements.point = wp.array(shell.points_m, dtype=wp.vec3, device=device)
     missing = (0, -len(shell.areas_m2) % LANES), (0, 0)  # elements without a normal do not advance
@@ -61,7 +61,7 @@ def levers_of(shell: PointShell, cutter: Cutter) -> Array:
 
 
 def edge_lengths_m(shell: PointShell, cutter: Cutter) -> Array:
-    """Mean length of cutting edge in each element, N A / (2 pi r) [m], shape (n,)."""
+    """Return the mean length of cutting edge in each element, N A / (2 pi r) [m], shape (n,)."""
     return np.asarray(cutter.flute_count * shell.areas_m2 / (2.0 * np.pi * shell.radii_m))
 
 

@@ -1,6 +1,4 @@
-"""Bone that answers with what its force is made of: the loads of a unit of each cutting
-coefficient.
-"""
+"""Bone model that gives the loads of a unit of each cutting coefficient in place of a force."""
 
 import numpy as np
 import warp as wp
@@ -21,7 +19,7 @@ from tissue.models.tissue_model import Response, ToolMotion
 __all__ = ["COEFFICIENTS", "EngagedBone", "EngagedElements"]
 
 COEFFICIENTS = 6
-"""Tangential, radial and axial chip, then edge coefficients."""
+"""Number of coefficients: tangential, radial and axial chip, then edge coefficients."""
 
 
 class EngagedElements:
@@ -86,11 +84,10 @@ class EngagedElements:
         return tuple(each.host for each in self._found)
 
     def cutting(self, motion: ToolMotion) -> tuple[Array, Array, Array]:
-        """Return where the cutter cuts: points in the world [m], normals out of the cutter, and
-        relative powers.
+        """Return points where the cutter cuts, normals out of the cutter, and relative powers.
 
-        The power of an element is its tangential force times its speed, which is the spin times its
-        radius.
+        Points [m] are in the world frame. The power of an element is its tangential force times its
+        speed, which is the spin times its radius.
         """
         share, advance, layer, density = self.find(motion)
         met = np.flatnonzero(share)
@@ -163,7 +160,7 @@ class EngagedBone:
 
     @property
     def engaged_m2(self) -> Array:
-        """Area of the tool that met each layer at the last `respond` [m2], shape (layers,)."""
+        """Area of the tool in contact with each layer at the last `respond` [m2], (layers,)."""
         return self._response.engaged_m2
 
     @property

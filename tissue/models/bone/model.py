@@ -24,10 +24,10 @@ from tissue.models.tissue_model import Response, ToolMotion
 __all__ = ["BoneModel", "Removal"]
 
 SHELL_ELEMENTS = 6000
-"""Elements over the cutting surface: a twentieth of a ball's radius apart. The force of a slot in
-flat bone is within
-0.5 % where it is half a millimetre deep, and within 3 % where it is 0.1 mm deep, see
-`tests/verification`.
+"""Number of elements over the cutting surface: a twentieth of a ball's radius apart.
+
+The force of a slot in flat bone is within 0.5 % where it is half a millimetre deep, and within 3 %
+where it is 0.1 mm deep, see `tests/verification`.
 """
 
 
@@ -55,7 +55,7 @@ class BoneModel:
     Attributes
     ----------
     limits
-        Watches whether the cutting law holds: chips that are too thick, smooth surfaces in bone.
+        Check of the cutting law's validity: chips that are too thick, smooth surfaces in bone.
     """
 
     def __init__(
@@ -148,7 +148,7 @@ class BoneModel:
 
     @property
     def motion_rows(self) -> Any:
-        """Device array of the pose and motion that `take` was last given, see the force kernel."""
+        """Device array of the pose and motion of the last `take`, see the force kernel."""
         return self._motion.device
 
     @property
@@ -200,7 +200,7 @@ class BoneModel:
         self.take(motion)
         asked = self._motion.host.tobytes(), self.carver.changes
         is_new = asked != self._answered
-        if is_new:  # a tool that rests meets what it met
+        if is_new:  # the contact of a resting tool does not change
             self._answered = asked
             self._forces()
             self._sums.pull()
@@ -223,16 +223,18 @@ class BoneModel:
         self.carver.finish()
 
     def remaining(self) -> NDArray[np.uint8]:
-        """Bone left in every voxel, 255 = full, shape of the volume."""
+        """Return the remaining bone in every voxel, 255 = full, shape of the volume."""
         return self.store.fraction()
 
 
 def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) -> Coefficients:
-    """Cutting coefficients on a device, one entry a layer."""
+    """Return cutting coefficients on a device, one entry a layer."""
     arrays = Coefficients()
 
     def at_levers(names: tuple[str, ...]) -> Any:
-        """Tangential, radial and axial coefficients of each layer at their places in a lever."""
+        """Return tangential, radial and axial coefficients of each layer at their positions in a
+        lever.
+        """
         parts = [[getattr(layer, name) for name in names] for layer in coefficients]
         values = np.pad(np.repeat(parts, (5, 6, 3), axis=1), ((0, 0), (0, 2)))
         return wp.array(values, dtype=lever16, device=device)

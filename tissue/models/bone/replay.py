@@ -55,7 +55,10 @@ class CarvingReplay:
         self._cut = np.zeros(0, dtype=np.intp)  # bricks that differ from the start
 
     def at(self, tick: int) -> NDArray[np.uint8]:
-        """Bone at the end of a tick, see `fraction`; going back begins again at the first pose."""
+        """Return the bone at the end of a tick, see `fraction`.
+
+        A tick before the last one restarts the replay at the first pose.
+        """
         last = int(np.searchsorted(self._poses[:, 0], tick, side="right"))
         if last < self._next:
             self._carver.restore(self._start)

@@ -41,7 +41,7 @@ GROWTH = 0.75
 The distance is measured from the track.
 """
 ON_TRACK_M = 1e-9
-"""Rounding of a node's place [m]."""
+"""Rounding error of a node's position [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,21 +118,22 @@ def needle_block(track: Track) -> tuple[TetMesh, Ints, Array]:
 class NeedleFields:
     """Displacement, strain, stress and reaction of a block around a needle's first track.
 
-    A frame costs a tick a copy of three numbers; the fields are computed when the run has ended. Of
-    other tracks nothing is shown: the block is at rest then.
+    A frame costs a tick a copy of three numbers. The fields are computed after the end of the run.
+    Other tracks are not shown: the block is at rest then.
 
-    The cells are linear: Poisson's ratio should keep away from 0.5. Right at the shaft strain and
-    stress depend on the edges of the mesh, for a line that is moved through an elastic body has no
-    limit; so does the force it takes.
+    The cells are linear, so Poisson's ratio should not be near 0.5. Right at the shaft strain and
+    stress depend on the edges of the mesh, because a line that moves through an elastic body has no
+    limit. The force on the line has none either.
 
     Parameters
     ----------
     track
-        Where the needle goes in.
+        Entry, direction and depth of the needle.
     elasticity
         Lame constants [Pa], shape (2,).
     near_m
-        How far an entry may lie from the track's to be of it [m], such as the needle's diameter.
+        Largest distance of an entry from the track's entry at which it belongs to the track [m],
+        such as the needle's diameter.
     interval_s
         Time between two frames [s].
     """
@@ -198,7 +199,7 @@ class NeedleFields:
         self._kept.append((time_s, deflection_m, inserted_m) if here else (time_s, 0.0, 0.0))
 
     def compute(self) -> None:
-        """Solve the frames that were kept."""
+        """Solve the stored frames."""
         for time_s, deflection, inserted in self._kept:
             force = self.forces_N(deflection, inserted)[:, None] * self._inward
             self._fields.keep(time_s, force, force)

@@ -147,7 +147,7 @@ class Insertion:
         return held
 
     def _push(self, quick: bool) -> None:
-        """Slide in while the pull exceeds what resists, from one stop to the next."""
+        """Slide in while the pull exceeds the resistance, from one stop to the next."""
         tissue = self.tissue
         friction = self.tissue.friction
         while True:
@@ -179,14 +179,14 @@ class Insertion:
             self.sliding = 0
 
     def _next_stop_m(self) -> float:
-        """Inserted length at which what resists rises: the track's end or a membrane."""
+        """Return the inserted length [m] of the next rise of resistance: track end or membrane."""
         deeper = [depth for depth in self._depths if depth > self.inserted_m]
         if self.cut_m > self.inserted_m:
             deeper.append(self.cut_m)
         return min(deeper, default=inf)
 
     def _draw(self, quick: bool) -> None:
-        """Slide out while the organ, drawn along, pulls back with more than what holds it."""
+        """Slide out while the organ, dragged along, pulls back with more than the holding force."""
         tissue = self.tissue
         friction = self.tissue.friction
         while self.inserted_m > 0.0:

@@ -1,4 +1,4 @@
-"""A needle in an organ, as a tissue that a tool moves through."""
+"""Needle in an organ, as a tissue that a tool moves through."""
 
 from math import isfinite, pi
 from typing import TYPE_CHECKING
@@ -17,8 +17,10 @@ if TYPE_CHECKING:
 __all__ = ["NeedleModel"]
 
 LEAST_COSINE = 0.17
-"""The needle's axis must meet the surface at more than 10 degrees: the model has no force across
-the axis.
+"""Smallest cosine between the needle's axis and the surface normal.
+
+The axis must meet the surface at more than 10 degrees, because the model has no force across the
+axis.
 """
 
 
@@ -95,7 +97,7 @@ class NeedleModel:
         return None if self._fields is None else self._fields.series
 
     def place(self, motion: ToolMotion) -> None:
-        """Put the needle where it starts, outside the organ."""
+        """Put the needle at its start, outside the organ."""
         travel = self._travel_m(motion)
         if travel > 0.0:
             raise InputError(
@@ -127,7 +129,7 @@ class NeedleModel:
             self.notices.append("the needle has left the organ")
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Force on the needle along its axis."""
+        """Return the force on the needle along its axis."""
         insertion = self.insertion
         response = self._response
         axis = motion.rotation[:, 2]
@@ -150,7 +152,7 @@ class NeedleModel:
         return response
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Keep the deflection where a frame is due."""
+        """Store the deflection where a frame is due."""
         if self._fields is not None and time_s >= self._fields.next_s - 1e-9:
             insertion = self.insertion
             self._fields.keep(
@@ -188,8 +190,9 @@ class NeedleModel:
         return below
 
     def _touch(self, motion: ToolMotion, travel_m: float) -> Insertion:
-        """The track at the point where the needle meets the surface: the last one if it is
-        there, or a new one.
+        """Return the track at the point where the needle meets the surface.
+
+        It is the last track if that lies there, else a new one.
         """
         entry = motion.tip_m + travel_m * motion.rotation[:, 2]
         if not float(np.linalg.norm(entry - self._entry_m)) <= self._diameter_m:
@@ -198,7 +201,7 @@ class NeedleModel:
         return self.insertion
 
     def _layer(self) -> int:
-        """Layer that the tip touches."""
+        """Return the layer that the tip touches."""
         insertion = self.insertion
         if insertion.blocked:
             number = insertion.punctured

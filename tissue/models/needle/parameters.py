@@ -13,7 +13,7 @@ __all__ = ["Membrane", "NeedleTissue", "ShaftFriction", "needle_tissue", "vessel
 GREATEST_N = 1e4
 """Largest force that a parameter may have [N]; a larger force is a mistaken unit."""
 GREATEST_N_M = 1e6
-"""Likewise for a force per length [N/m], and for its viscous part [N s/m2]."""
+"""Largest force per length of a parameter [N/m], and of its viscous part [N s/m2]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,20 +62,21 @@ class Membrane:
 
 @dataclass(frozen=True, kw_only=True)
 class ShaftFriction:
-    """Karnopp's friction along the inserted length, as Okamura (2004) modified it: other numbers in
-    than out.
+    """Karnopp's friction along the inserted length, as modified by Okamura (2004).
+
+    Its numbers differ between insertion and withdrawal.
 
     Attributes
     ----------
     sliding_in_N_m, sliding_out_N_m
         Coulomb friction while the shaft slides, C_p and the size of C_n [N/m].
     viscous_in_N_s_m2, viscous_out_N_s_m2
-        What its speed adds, b_p and the size of b_n [N s/m2].
+        Viscous friction coefficients, b_p and the size of b_n [N s/m2].
     static_in_N_m, static_out_N_m
         Friction at which a shaft at rest breaks away, D_p and the size of D_n [N/m].
     stick_band_m_s
-        Width of the band of speeds around zero that counts as rest [m/s]; slower than half of it
-        the shaft creeps under the static friction.
+        Width of the band of speeds around zero that counts as rest [m/s]. Below half of it the
+        shaft creeps under the static friction.
     """
 
     sliding_in_N_m: float
@@ -109,7 +110,7 @@ class ShaftFriction:
 
 @dataclass(frozen=True, kw_only=True)
 class NeedleTissue:
-    """An organ as a needle feels it along its axis.
+    """Needle parameters of an organ along the needle's axis.
 
     Attributes
     ----------
@@ -119,14 +120,14 @@ class NeedleTissue:
     cutting_N
         Force of the tip that cuts the tissue between membranes [N].
     friction
-        Along the inserted length.
+        Friction along the inserted length.
     membranes
-        From the surface downwards.
+        Membranes, from the surface downwards.
 
     Raises
     ------
     InputError
-        If a number cannot be meant, membranes are out of order, or friction grows faster with the
+        If a number is not plausible, membranes are out of order, or friction grows faster with the
         inserted length than the organ's pull: a needle that is drawn back would then jump out.
     """
 
@@ -179,12 +180,12 @@ class NeedleTissue:
         return (self.linear_N_m + self.quadratic_N_m2 * abs(deflection_m)) * deflection_m
 
     def deflection_m(self, pull_N: float) -> float:
-        """Deflection at which the organ pulls with a force that is not negative [m]."""
+        """Return the deflection at which the organ pulls with a force that is not negative [m]."""
         return positive_root(self.quadratic_N_m2, self.linear_N_m, pull_N)
 
 
 def positive_root(a: float, b: float, c: float) -> float:
-    """The x >= 0 with a x² + b x = c for a >= 0 and b > 0; 0 where c is negative."""
+    """Return the x >= 0 with a x² + b x = c for a >= 0 and b > 0; 0 where c is negative."""
     return 2.0 * c / (b + sqrt(b * b + 4.0 * a * c)) if c > 0.0 else 0.0
 
 

@@ -1,5 +1,6 @@
-"""Compliance of the nodes that a tool may touch: whole, column by column where the tool is, or
-from a reduced basis.
+"""Compliance of the nodes that a tool may touch.
+
+It is complete, computed column by column where the tool is, or taken from a reduced basis.
 """
 
 from functools import cached_property
@@ -19,7 +20,10 @@ from tissue.fem.solvers.reduced import ReducedSolver
 __all__ = ["FACTOR_UNKNOWNS", "CompliancePath", "Factor", "compliance_of"]
 
 FACTOR_UNKNOWNS = 200_000
-"""Above this, frames are solved by multigrid: a factor would take gigabytes."""
+"""Largest number of unknowns for which frames are solved by a factor.
+
+Above it multigrid is used, because a factor would take gigabytes.
+"""
 CompliancePath = Literal["condensed", "lazy", "reduced"]
 """Method used to compute the compliance.
 
@@ -40,7 +44,7 @@ class Factor:
 
     @cached_property
     def solver(self) -> DirectSolver | MultigridSolver:
-        """The solver."""
+        """Solver of the organ."""
         if len(self._body.free) > FACTOR_UNKNOWNS:
             return MultigridSolver(self._body)
         return DirectSolver(self._body, last=self._last)
@@ -54,11 +58,11 @@ class Factor:
             self._last = np.union1d(self._last, nodes)
 
     def solve_all(self, loads_N: Array) -> Array:
-        """Displacements [m] under several loads [N], shape (loads, n, 3) both."""
+        """Return displacements [m] under several loads [N], shape (loads, n, 3) both."""
         return np.stack([self.solve(load) for load in loads_N])
 
     def solve(self, load_N: Array) -> Array:
-        """Displacement [m] under a load [N], shape (n, 3)."""
+        """Return the displacement [m] under a load [N], shape (n, 3)."""
         found = self.solver.solve(load_N)
         if not found.converged:
             raise RuntimeError(f"the organ could not be solved: {found.outcome.value}")

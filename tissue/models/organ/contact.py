@@ -99,11 +99,11 @@ class ContactResult:
 
 
 OUTCOMES = tuple(ContactOutcome)
-"""In the order of the kernel's states."""
+"""Outcomes in the order of the kernel's states."""
 START_M = 1e-6
 """Largest penetration of the organ by the tool at its start [m]."""
 REACH_M = 1e-4
-"""Distance beyond the largest displacement at which triangles are searched [m]."""
+"""Distance beyond the largest displacement within which triangles are searched [m]."""
 
 
 class SurfaceContact:
@@ -188,10 +188,10 @@ class SurfaceContact:
         self.result = ContactResult(
             np.zeros(3), np.zeros(3), self._body.force.numpy(), compliance_m_N
         )
-        """The last solve's result, the object that every solve returns."""
+        """Result of the last solve, the object that every solve returns."""
 
     def _recorded(self) -> list[Callable[[], None]]:
-        """Launches of a tick in their order, recorded with the compliance's scale of now."""
+        """Record the launches of a tick, in their order, with the present compliance scale."""
         device = self._device
         probe = self.probe
         size = wp.vec2d(*self.probe.size_m)
@@ -234,7 +234,7 @@ class SurfaceContact:
         return stages
 
     def place(self, tip_m: Array, rotation: Array) -> None:
-        """Put the tool where it starts, outside the organ: no force, nothing stuck.
+        """Put the tool at its start, outside the organ: no force, no sticking contact.
 
         Raises
         ------
@@ -265,7 +265,7 @@ class SurfaceContact:
         self._keep(tip_m, rotation)
 
     def forget(self) -> None:
-        """Drop all forces and the tool's path so far."""
+        """Reset all forces and the tool's path."""
         self._points.force.zero_()
         self._body.force.zero_()
         self._patch.moved.zero_()
@@ -356,13 +356,13 @@ class SurfaceContact:
         return self.result
 
     def _keep(self, tip_m: Array, rotation: Array) -> None:
-        """The pose that the next solve's path starts from."""
+        """Store the pose at which the path of the next solve starts."""
         self._placed = True
         self._pose.host[4] = tip_m
         self._pose.host[5:8] = rotation
 
     def _read(self, values: Array) -> None:
-        """Bring the kernel's results into the result."""
+        """Copy the kernel's values into the result."""
         result = self.result
         result.force_N[:] = values[FORCE : FORCE + 3]
         result.torque_Nm[:] = values[TORQUE : TORQUE + 3]

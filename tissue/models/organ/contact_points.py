@@ -12,7 +12,7 @@ from tissue.models.organ.probe import ProbeShape, ShellProbe
 __all__ = ["body_arrays", "contact_points", "list_arrays", "point_arrays", "put"]
 
 MOST_DIVISIONS = 16
-"""Contact points along the edge of a triangle."""
+"""Largest number of contact points along the edge of a triangle."""
 
 
 def contact_points(
@@ -87,7 +87,7 @@ def contact_points(
 
 
 def put(values: NDArray[np.generic], dtype: type, device: str) -> wp.array[object]:
-    """Copy of an array on a device."""
+    """Return a copy of an array on a device."""
     return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
 
 

@@ -29,16 +29,16 @@ PLACES = np.array([[0, 0], [1, 1], [2, 2], [1, 2], [0, 2], [0, 1]])
 
 
 class LargeFields:
-    """Answers of an organ to forces on its surface.
+    """Fields of an organ with a hyperelastic law under forces on its surface.
 
     Parameters
     ----------
     space
         Nodes and cells.
     law, cell_factors
-        The law, and what its moduli are multiplied by in each cell, shape (m,).
+        The law, and the factor on its moduli in each cell, shape (m,).
     follower
-        Makes what finds the equilibria; called when the first is asked for.
+        Function that makes the equilibrium solver; called at the first use.
     touchable
         Nodes on which forces act, shape (t,).
     """
@@ -96,14 +96,14 @@ class LargeFields:
 def cauchy_stress(
     space: Space, displacement_m: Array, law: Hyperelastic, cell_factors: Array
 ) -> StressState:
-    """Cauchy stress and logarithmic strain in the middle of each cell, in the frame of space.
+    """Return Cauchy stress and logarithmic strain at the centre of each cell, in the spatial frame.
 
     Parameters
     ----------
     space, displacement_m
-        Nodes and cells, and how far the nodes are moved [m], shape (n, 3).
+        Nodes and cells, and the displacement of the nodes [m], shape (n, 3).
     law, cell_factors
-        The law, and what its moduli are multiplied by in each cell, shape (m,).
+        The law, and the factor on its moduli in each cell, shape (m,).
     """
     corners = np.asarray(space.gradients[0].numpy())
     shape = np.einsum("aci,i->ac", gradient_slopes(4, space.order), np.full(4, 0.25))
@@ -125,9 +125,9 @@ def cauchy_stress(
 
 
 Solve = Callable[[Array], Array]
-"""Displacements [m] of all nodes under several loads [N], shape (loads, n, 3) both."""
+"""Function that returns displacements [m] of all nodes under loads [N], (loads, n, 3) both."""
 BATCH = 16
-"""Frames solved at once."""
+"""Number of frames solved at once."""
 
 
 class OrganFields:
@@ -208,7 +208,7 @@ class OrganFields:
         self._kept.append((time_s, force_N.copy(), moved.copy()))
 
     def compute(self) -> None:
-        """Solve the frames that were kept."""
+        """Solve the stored frames."""
         if self._large is not None:
             for time_s, force, touched in self._kept:
                 moved, stress, reaction = self._large.under(force, touched)
@@ -285,7 +285,7 @@ class OrganFields:
 
 
 def _edge_ends(space: Space) -> Ints:
-    """Corners at the ends of each edge that has a middle node, shape (edges, 2)."""
+    """Return the corners at the ends of each edge that has a middle node, shape (edges, 2)."""
     corners = len(space.mesh.nodes_m)
     ends = np.zeros((space.node_count - corners, 2), dtype=np.int64)
     for middle, pair in zip(space.cell_nodes[:, 4:].T, EDGES, strict=False):
@@ -294,8 +294,9 @@ def _edge_ends(space: Space) -> Ints:
 
 
 def equivalent_strain(strain: Array) -> Array:
-    """Von Mises equivalent of strain tensors xx, yy, zz, yz, xz, xy, shape (n, 6): sqrt(2/3 e :
-    e), e the deviator.
+    """Return the von Mises equivalent of strain tensors xx, yy, zz, yz, xz, xy, shape (n, 6).
+
+    It is sqrt(2/3 e : e) with e the deviator.
     """
     mean = strain[:, :3].mean(axis=1, keepdims=True)
     deviator = strain[:, :3] - mean

@@ -217,7 +217,7 @@ class LawOffset:
         return self._follower.indefinite
 
     def _report(self, residual: float, took_s: float, *, first: bool) -> None:
-        """Count the solve, and report what happens for the first time."""
+        """Count the solve, and report events that happen for the first time."""
         self.solves += 1
         self.unsettled += residual > TOLERANCE
         if first and self.indefinite:

@@ -1,9 +1,8 @@
-"""A soft organ under a probe: contact at every tick, displacement and stress of the whole where a
-frame is due.
+"""Soft organ under a probe: contact at every tick, and fields where a frame is due.
 
-Where every modulus of the body relaxes by one Prony series, Poisson's ratio is constant and the
-supports are rigid, the elastic-viscoelastic correspondence gives the displacement of the surface
-under any history of nodal forces f::
+Three conditions are assumed: every modulus of the body relaxes by one Prony series, Poisson's ratio
+is constant and the supports are rigid. The elastic-viscoelastic correspondence then gives the
+displacement of the surface under any history of nodal forces f::
 
     u(t) = integral j(t - s) d(W f)(s),    W the instantaneous elastic compliance, j the creep function
 
@@ -13,13 +12,16 @@ term::
     u = instant_factor W f + offset,
 
 where the offset per surface node is known before the tick. A contact solver uses the scaled
-compliance, adds the offset to the free surface and needs nothing else: any unilateral condition,
-with or without friction, for a contact that grows, shrinks, moves or lifts off. The shortcut of
-relaxing the elastic force instead is right only while the contact grows (Lee and Radok 1960, J.
-Appl. Mech. 27:438; Ting 1966, J. Appl. Mech. 33:845): when the tool retreats, it pulls where the
-surface, slow to rise, has let go. Both hold for small strains without inertia. Neither holds where
-parts relax by different series, nor where the shear modulus relaxes alone, unless the bulk modulus
-is so large that it does not show (Poisson's ratio near 0.5).
+compliance, adds the offset to the free surface and needs no other change. It may have any
+unilateral condition, with or without friction, for a contact that grows, shrinks, moves or lifts
+off.
+
+The usual shortcut, to relax the elastic force, is right only while the contact grows (Lee and Radok
+1960, J. Appl. Mech. 27:438; Ting 1966, J. Appl. Mech. 33:845). When the tool retreats, this
+shortcut pulls on the tool although the surface, which rises slowly, has separated. Both methods
+hold for small strains without inertia. Neither holds where parts relax by different series. Neither
+holds where the shear modulus relaxes alone, unless the bulk modulus is so large that this has no
+effect (Poisson's ratio near 0.5).
 """  # noqa: E501 a table
 
 import numpy as np
@@ -45,7 +47,7 @@ tests/bench/chart_liver.py`.
 LOOK_EVERY = 20
 """Ticks between two searches for nodes whose compliance will be needed."""
 LOOK_M = 5e-3
-"""Distance around the tool within which they are looked for [m]."""
+"""Distance around the tool within which these nodes are searched [m]."""
 
 
 class LiverModel:
@@ -120,11 +122,11 @@ class LiverModel:
 
     @property
     def fields(self) -> FieldSeries:
-        """Displacement, strain, stress and reaction; computed when the run has ended."""
+        """Displacement, strain, stress and reaction; computed after the end of the run."""
         return self._fields.series
 
     def place(self, motion: ToolMotion) -> None:
-        """Put the probe where it starts, outside the organ."""
+        """Put the probe at its start, outside the organ."""
         self.contact.place(motion.tip_m, motion.rotation)
         if self._lazy is not None:
             self._search_contacts(motion)
@@ -134,7 +136,7 @@ class LiverModel:
             self._lazy.start()
 
     def advance(self, motion: ToolMotion) -> None:
-        """Press, slide or lift off."""
+        """Move the probe to its new pose: press, slide or lift off."""
         if self._lazy is not None:
             self._lazy.pour(self.contact.result.compliance_m_N)
             if self._ticks % LOOK_EVERY == 0:
@@ -157,7 +159,7 @@ class LiverModel:
             self.notices.append(f"the contact did not settle: {result.outcome.value}")
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Force and torque on the probe."""
+        """Return force and torque on the probe."""
         result = self.contact.result
         response = self._response
         response.wrench[:3] = result.force_N
@@ -182,7 +184,7 @@ class LiverModel:
         return response
 
     def wait_for_background(self, time_s: float) -> None:
-        """Solve a hyperelastic law where that is due."""
+        """Solve a hyperelastic law where a solve is due."""
         if self._law is not None:
             depth_m = 1e-3 * float(self._response.measures[0])
             self._law.renew(time_s, depth_m, self.contact)
@@ -190,7 +192,7 @@ class LiverModel:
             self._law.notices.clear()
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Keep the forces where a frame is due."""
+        """Store the forces where a frame is due."""
         if time_s >= self._fields.next_s - 1e-9:
             force = self.contact.result.nodal_forces_N
             moved = self._crept_N if self._creep is not None else force
@@ -241,13 +243,13 @@ class LiverModel:
         return float((self._touched_m - motion.tip_m) @ motion.rotation[:, 2])
 
     def _search_contacts(self, motion: ToolMotion) -> None:
-        """Ask for the compliance of the nodes around the tool."""
+        """Request the compliance of the nodes around the tool."""
         assert self._lazy is not None
         self._lazy.want(self.contact.nodes_in_reach(motion.tip_m, motion.rotation, LOOK_M))
 
 
 def _parts_at(space: Space, nodes: Ints) -> Ints:
-    """Part of a cell at each node, shape (t,)."""
+    """Return the part of a cell at each node, shape (t,)."""
     part = np.zeros(space.node_count, dtype=np.int64)
     part[space.cell_nodes] = space.mesh.part[:, None]
     return part[nodes]

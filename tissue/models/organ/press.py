@@ -1,6 +1,4 @@
-"""One press of a tool on a soft organ: straight in, step by step from where it first touches,
-and held.
-"""
+"""One press of a tool on a soft organ: straight in from the first touch, then held."""
 
 from dataclasses import dataclass
 from math import ceil
@@ -20,14 +18,17 @@ from tissue.models.tissue_model import ToolMotion
 __all__ = ["PressCurve", "press"]
 
 STEPS = 100
-"""Fewest steps from the first touch to the depth."""
+"""Smallest number of steps from the first touch to the depth."""
 TOLERANCE = 1e-5
 SWEEPS = 5000
-"""Of the contact, which has no tick to keep: a rod under a flat punch has its stress within 1 %."""
+"""Largest number of sweeps of the contact, which has no tick to keep.
+
+A rod under a flat punch then has its stress within 1 %.
+"""
 PER_RELAXATION = 5
-"""Steps within the shortest relaxation time of an organ that relaxes."""
+"""Number of steps within the shortest relaxation time of an organ that relaxes."""
 POSES = 60
-"""Poses along the press at which the surface is looked for."""
+"""Number of poses along the press at which the touchable surface is searched."""
 CLEARANCES = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 4.0)
 """Possible start distances of the tool from the target, over its size.
 
@@ -159,7 +160,7 @@ def press(
 
 
 def _steps(organ: SoftOrgan, press_s: float) -> tuple[int, float]:
-    """Steps of the press and the length of each [s]."""
+    """Return the number of steps of the press and the length of each [s]."""
     fewest = STEPS
     if organ.prony is not None:
         fewest = max(fewest, ceil(PER_RELAXATION * press_s / min(organ.prony.tau_s)))

@@ -1,4 +1,4 @@
-"""A soft organ at rest, ready to be pressed: its mesh, materials, supports and weight."""
+"""Soft organ at rest, ready to be pressed: its mesh, materials, supports and weight."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ from tissue.models.tissue_model import TICK_S
 __all__ = ["KeptColumns", "Membrane", "SoftOrgan", "linear_triangles", "touchable_patch"]
 
 MARGIN_EDGES = 0.25
-"""Edges of the mesh beyond the tool's path within which the surface may be touched."""
+"""Distance from the tool's path, in mesh edges, within which the surface may be touched."""
 
 
 def touchable_patch(
@@ -98,7 +98,7 @@ TOGETHER = 16
 More columns are not faster, and threads on small blocks are slower.
 """
 LIMIT_BYTES = 1_000_000_000
-"""Memory above which the columns of earlier places are dropped."""
+"""Memory above which the columns of earlier places are dropped [bytes]."""
 
 
 class KeptColumns:
@@ -119,7 +119,7 @@ class KeptColumns:
         self._columns: dict[int, Array] = {}
 
     def between(self, nodes: Ints) -> Array:
-        """Compliance between some nodes of the surface [m/N], symmetric, shape (3t, 3t)."""
+        """Return the compliance between some surface nodes [m/N], symmetric, shape (3t, 3t)."""
         solver = self._factor.solver
         if isinstance(solver, DirectSolver) and np.isin(nodes, solver.last).all():
             return solver.compliance_between(nodes)

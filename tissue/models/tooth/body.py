@@ -1,6 +1,4 @@
-"""An elastic body of particles on a grid: supports, removal, islands, and solves that start from
-the last state.
-"""
+"""Elastic body of particles on a grid: supports, removal, islands, and warm-started solves."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -29,8 +27,11 @@ from tissue.models.tooth.supports import NodeSupports, PointSprings
 __all__ = ["Change", "ParticleBody", "solve_cells", "supported_cells"]
 
 LEAST_CURVATURE = 1e-12
-"""Share of ``p . D p``, D the diagonal, below which ``p . K p`` is rounding: p is then a motion
-that nothing resists. A tooth of 1e5 nodes in a ligament a million times softer has 1e-8."""
+"""Share of ``p . D p``, D the diagonal, below which ``p . K p`` is a rounding error.
+
+Then p is a motion without resistance. A tooth of 1e5 nodes in a ligament a million times softer has
+1e-8.
+"""
 
 
 def solve_cells(
@@ -89,10 +90,12 @@ def solve_cells(
 
 
 LEAST_RESTRAINT = 1e-9
-"""Share of the largest eigenvalue of a part's restraint below which it can move: rounding is 1e-16,
-a part held at three corners of a cell 1e-2."""
+"""Eigenvalue of a part's restraint, over the largest, below which the part can move.
+
+Rounding is 1e-16; a part held at three corners of a cell has 1e-2.
+"""
 ENOUGH = 200
-"""Springs spread over a part that are tried before all of them."""
+"""Number of springs, spread over a part, that are tried before all of them."""
 
 
 def supported_cells(
@@ -132,7 +135,7 @@ def supported_cells(
 
 
 def _members(grid: HexGrid, part_of: NDArray[np.integer], count: int) -> list[NDArray[np.int64]]:
-    """Nodes of each part."""
+    """Return the nodes of each part."""
     cells = np.argsort(part_of, kind="stable")
     starts = np.searchsorted(part_of[cells], np.arange(count + 1))
     members = []
@@ -151,7 +154,7 @@ def _restrained(
     some = nodes[held[nodes].any(axis=1)]
     if len(some) + len(springs.position_m) == 0:
         return False
-    if len(springs.position_m) > 2 * ENOUGH:  # what some of them restrain, all of them do
+    if len(springs.position_m) > 2 * ENOUGH:  # restrained by some implies restrained by all
         few = np.zeros(len(springs.position_m), dtype=np.bool_)
         few[:: len(few) // ENOUGH] = True
         if _restrained(grid, nodes[:0], held, springs.chosen(few)):
@@ -183,7 +186,7 @@ LEAST_FILL = 1e-3
 Its share of the stiffness is then smaller than the effect of one particle's position.
 """
 MORE_ITERATIONS = 1.5
-"""Growth of the iteration count at which the coarsest grid is solved anew."""
+"""Growth factor of the iteration count at which the coarsest grid is solved anew."""
 TOLERANCE = 1e-4
 
 
@@ -213,16 +216,16 @@ class ParticleBody:
     grid
         Cells that hold all particles, from :meth:`HexGrid.around`.
     supports, springs
-        What holds the grid's nodes, and springs to the ground at points of its cells, which go with
-        their cells.
+        Supports of the grid's nodes, and springs to the ground at points of its cells, which are
+        removed with their cells.
     inner_strength
         Stabilisation of cells with few particles, see :mod:`kernels.particle_stiffness`; 0 switches
         it off.
     drop_islands
-        Whether parts that nothing holds are taken out. Without it the stiffness may be singular.
+        Remove parts without support. Otherwise the stiffness may be singular.
     device, cores
-        Warp device, and processor cores to split launches over (default all). The cores do not
-        change a bit.
+        Warp device, and processor cores to split launches over (default all). The results are
+        bitwise independent of the cores.
 
     Attributes
     ----------
@@ -231,7 +234,7 @@ class ParticleBody:
     carrying
         Nodes that a live cell gives stiffness, bool, shape (n,).
     displacement_m
-        Displacement of the last solve [m], shape (n, 3), from which the next one starts.
+        Displacement of the last solve [m], shape (n, 3), from which the next solve starts.
     """
 
     def __init__(
@@ -278,7 +281,7 @@ class ParticleBody:
 
     @property
     def debris(self) -> NDArray[np.int64]:
-        """Particles, by the caller's index, that are there but hang on nothing."""
+        """Particles without support that still have volume, by the caller's index."""
         return self._particles_in(self._is_debris)
 
     def set_remaining(self, particles: NDArray[np.integer], steps: NDArray[np.integer]) -> None:
@@ -407,7 +410,7 @@ class ParticleBody:
         cold: bool = False,
         start_m: Array | None = None,
     ) -> IterativeSolution:
-        """Displacement under nodal forces [N], shape (n, 3).
+        """Solve for the displacement under nodal forces [N], shape (n, 3).
 
         Parameters
         ----------
@@ -464,5 +467,5 @@ class ParticleBody:
         return self._hierarchy.finest.matrix()
 
     def reactions(self, displacement_m: Array, load_N: Array) -> Array:
-        """Forces of the held nodes on the body [N], shape (n, 3)."""
+        """Return the forces of the held nodes on the body [N], shape (n, 3)."""
         return np.asarray(np.where(self.supports.fixed, self.product(displacement_m) - load_N, 0.0))

@@ -46,7 +46,10 @@ class SupportCompliance:
 
 
 def rigid_motions(position_m: Array, reference_m: Array) -> Array:
-    """Displacements of nodes under unit rigid motions about a point, shapes (n, 3) to (n, 3, 6)."""
+    """Return nodal displacements of unit rigid motions about a point.
+
+    Positions of shape (n, 3) give shape (n, 3, 6).
+    """
     motions = np.zeros((len(position_m), 3, 6))
     motions[:, :, :3] = np.eye(3)
     motions[:, :, 3:] = np.cross(np.eye(3)[None], (position_m - reference_m)[:, None, :]).transpose(

@@ -18,11 +18,12 @@ from tissue.models.tooth.heat import Conduction, HeatGrid
 __all__ = ["PULP_LIMIT_K", "CuttingHeat"]
 
 PULP_LIMIT_K = 5.5
-"""Rise of the pulp's temperature that it may not survive (Zach and Cohen 1965)."""
+"""Temperature rise that the pulp may not survive [K] (Zach and Cohen 1965)."""
 RECEIVES = 0.5
 """Smallest fill of a surface cell that receives heat; an emptier cell would not conduct well."""
 DEPTHS = 4
-"""Half cells from the surface inward among which the cell that receives the heat is looked for."""
+"""Number of half cells inward from the surface in the search for the cell that receives the heat.
+"""
 
 
 class CuttingHeat:
@@ -155,7 +156,7 @@ class CuttingHeat:
         self.go_to(1.0)
 
     def _lost_fraction(self, rows: NDArray[np.intp], left: NDArray[np.uint16]) -> Array:
-        """Fraction of each cell that was cut since the last interval, flat."""
+        """Return the fraction of each cell that was cut since the last interval, flat."""
         store = self._milling.store
         steps = self._before[rows].astype(np.int64) - left
         self._before[rows] = left
@@ -199,7 +200,7 @@ class CuttingHeat:
                 cells[at] = self._nearest(points_m[at])
             total = float(weights.sum())
             # A bur that stands at the end of an interval has no power there: its heat enters along
-            # all that it touches.
+            # its whole contact area.
             shares = weights / total if total > 0.0 else np.full(len(weights), 1.0 / len(weights))
             power += np.bincount(cells, self._power_W * shares, minlength=len(power))
             # Half the temperature difference across the material of the cell, for a flux that

@@ -56,7 +56,7 @@ class FirstGuess:
         ).reshape(len(kept), len(kept))
 
     def add(self, displacement_m: Array, load_N: Array) -> None:
-        """Keep a solution and its load [m], [N], shape (n, 3), in place of the oldest."""
+        """Store a solution and its load [m], [N], shape (n, 3), in place of the oldest."""
         if not load_N.any():
             return
         if len(self._solutions) == self._most:
@@ -79,7 +79,7 @@ class FirstGuess:
         )
 
     def __call__(self, load_N: Array) -> Array:
-        """Guess of the displacement [m] for a load [N], shapes (n, 3)."""
+        """Return a guess of the displacement [m] for a load [N], shapes (n, 3)."""
         guess = np.zeros(load_N.size)
         load = load_N.ravel()
         scale = 1.0 / np.sqrt(np.maximum(np.diag(self._energy), np.finfo(float).tiny))
@@ -101,10 +101,11 @@ TOOTH = ("enamel", "dentin", "pulp", "caries")
 The ligament is a bed of springs, and the bone behind it does not move.
 """
 VTK_ORDER = (0, 4, 6, 2, 1, 5, 7, 3)
-"""Corners of a cell in the order that VTK numbers a hexahedron."""
+"""Corners of a cell in VTK's order for a hexahedron."""
 INFECTED_SHARE = 0.05
-"""Modulus of fully softened dentin relative to sound dentin: 1 of 18.6 GPa (infected 0.1-5 GPa,
-low confidence).
+"""Modulus of fully softened dentin relative to sound dentin.
+
+It is 1 of 18.6 GPa (infected 0.1-5 GPa, low confidence).
 """
 
 TOLERANCE = 7e-4
@@ -233,7 +234,7 @@ class StressField:
 
     @property
     def unknown_count(self) -> int:
-        """Displacement components."""
+        """Number of displacement components."""
         return 3 * self.body.grid.node_count
 
     def remove(
@@ -244,13 +245,13 @@ class StressField:
         origin_m: NDArray[np.float64],
         spacing_m: float,
     ) -> None:
-        """Take from the particles what finer voxels have lost since the last call.
+        """Remove from the particles the loss of the finer voxels since the last call.
 
         Parameters
         ----------
         voxels, steps
-            Indices of the finer voxels, shape (n, 3), and what each lost in steps of 1/65535, shape
-            (n,).
+            Indices of the finer voxels, shape (n, 3), and the loss of each in steps of 1/65535,
+            shape (n,).
         origin_m, spacing_m
             Corner of their voxel (0, 0, 0) and their edge [m]; lines of both grids lie on multiples
             of it.
@@ -308,7 +309,7 @@ class StressField:
     def load(
         self, force_N: NDArray[np.float64], point_m: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Nodal forces [N], shape (n, 3), of the cutter's force at a point."""
+        """Return nodal forces [N], shape (n, 3), of the cutter's force at a point."""
         return self.body.spread_over(point_m, force_N, radius_m=self._contact_m)
 
     def recover(
@@ -362,7 +363,7 @@ def _particles(tooth: VoxelVolume, places: NDArray[np.int64], constants: Materia
 
 
 def _bed_layers(tooth: VoxelVolume) -> list[int]:
-    """Layers that a tooth rests in."""
+    """Return the layers that support the tooth."""
     return [i for i, name in enumerate(tooth.layer_names) if name in ("ligament", "bone")]
 
 

@@ -211,7 +211,7 @@ class FinestLevel:
         self._give_found = launch(from_lanes, count, [slot, self._found.single], [self.vector])
 
     def update(self, nodes: NDArray[np.int32]) -> None:
-        """Take the diagonal of these nodes again."""
+        """Update the diagonal of these nodes."""
         if len(nodes) == 0:
             return
         rows: Any = wp.array(nodes, dtype=wp.int32, device=self.device)
@@ -256,7 +256,9 @@ class FinestLevel:
             each.single.zero_()
 
     def solve(self, load_N: Array, correct: Callable[[], None]) -> Array:
-        """Smoothed, corrected and smoothed displacement [m] for a load [N], shapes (n, 3).
+        """Return the displacement [m] for a load [N], smoothed, corrected and smoothed again.
+
+        Both have shape (n, 3).
 
         ``correct`` takes ``residual`` and adds the coarser grids' correction to ``vector``.
         """

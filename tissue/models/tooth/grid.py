@@ -15,9 +15,9 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int32]
 
 CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-"""Corners of a cell in its edges, shape (8, 3)."""
+"""Corners of a cell, in edges, shape (8, 3)."""
 NEIGHBOURS = np.array([[i, j, k] for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])
-"""Steps to the nodes around a node, itself in the middle, shape (27, 3)."""
+"""Steps to the nodes around a node, with the node itself in the middle, shape (27, 3)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class HexGrid:
     def of_cells(
         cls, cell_place: NDArray[np.integer], *, origin_m: Array, edge_m: float
     ) -> "HexGrid":
-        """Grid of the cells at ``cell_place``, shape (c, 3), which may repeat."""
+        """Return the grid of the cells at ``cell_place``, shape (c, 3), which may repeat."""
         if not edge_m > 0.0:
             raise ValueError(f"edge_m must be positive, got {edge_m:g}: 2e-4 to 1e-3 suits a tooth")
         low = cell_place.min(axis=0)
@@ -64,7 +64,7 @@ class HexGrid:
     def around(
         cls, position_m: Array, *, edge_m: float, origin_m: Array | None = None
     ) -> "HexGrid":
-        """Grid of the cells that hold the points ``position_m`` [m], shape (n, 3).
+        """Return the grid of the cells that hold the points ``position_m`` [m], shape (n, 3).
 
         The cells' corners lie at ``origin_m`` plus multiples of the edge; by default half an edge
         below the lowest point.
@@ -138,7 +138,7 @@ class HexGrid:
         return np.concatenate(pairs).astype(np.int32)
 
     def find_cells(self, place: NDArray[np.integer]) -> Index:
-        """Cells at places of the box, shape (n, 3), or -1."""
+        """Return the cells at positions in the box, shape (n, 3), or -1."""
         shape, keys = self._cell_keys
         return _find_keys(keys, place, shape)
 
@@ -148,7 +148,7 @@ class HexGrid:
         return shape, _keys(self.cell_place, shape)
 
     def find_nodes(self, place: NDArray[np.integer]) -> Index:
-        """Nodes at places of the box, shape (n, 3), or -1."""
+        """Return the nodes at positions in the box, shape (n, 3), or -1."""
         return _find_places(self.node_place, place, self.node_place.max(axis=0) + 1)
 
     def locate(self, position_m: Array) -> tuple[Index, Array]:
@@ -193,7 +193,7 @@ def _unique_places(place: NDArray[np.integer], shape: NDArray[np.integer]) -> In
 
 
 def _find_places(known: Index, place: NDArray[np.integer], shape: NDArray[np.integer]) -> Index:
-    """Row of each place in the ordered places ``known``, or -1."""
+    """Return the row of each position in the ordered positions ``known``, or -1."""
     return _find_keys(_keys(known, shape), place, shape)
 
 
@@ -274,7 +274,7 @@ class ParticleSet:
     def uniform(
         cls, position_m: Array, *, volume_m3: float, modulus_Pa: float, poisson_ratio: float = 0.3
     ) -> "ParticleSet":
-        """Whole particles of one size and one material."""
+        """Return whole particles of one size and one material."""
         count = len(position_m)
         return cls(
             np.asarray(position_m, dtype=np.float64),

@@ -1,4 +1,4 @@
-"""The periodontal ligament as a bed of springs on the roots."""
+"""Periodontal ligament as a bed of springs on the roots."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +14,11 @@ Array = NDArray[np.float64]
 def bed_stiffness(
     modulus_Pa: float, poisson_ratio: float, thickness_m: float
 ) -> tuple[float, float]:
-    """Stiffness of a thin layer bonded on both sides, across it and along it [N/m3].
+    """Return the stiffness of a thin layer bonded on both sides, across it and along it [N/m3].
 
-    A layer much thinner than it is wide cannot bulge: across it the confined modulus E (1 - v) /
-    ((1 + v) (1 - 2 v)) acts, along it the shear modulus (a Winkler bed; its error is of the order
-    of thickness over width).
+    A layer much thinner than it is wide cannot bulge. Across it the confined modulus E (1 - v) /
+    ((1 + v) (1 - 2 v)) acts, along it the shear modulus. This is a Winkler bed; its error is of the
+    order of thickness over width.
     """
     confined = (
         modulus_Pa * (1.0 - poisson_ratio) / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))

@@ -1,6 +1,4 @@
-"""A tooth under a bur: milled like bone, with the distance to the pulp and, if asked for, the
-stress.
-"""
+"""Tooth under a bur: milled like bone, with the distance to the pulp and optional stress."""
 
 import numpy as np
 import warp as wp
@@ -27,7 +25,7 @@ BUR_COLUMNS = ("tooth_at_bur_x_um", "tooth_at_bur_y_um", "tooth_at_bur_z_um")
 It is the displacement of the point that the bur touches, by translation and rotation of the tooth.
 """
 HEAT_TICKS = 20
-"""Ticks of an interval of the heat."""
+"""Number of ticks in an interval of the heat."""
 WARN_M = (1.0e-3, 0.5e-3)
 """Thicknesses of dentin over the pulp at which its loss is reported [m].
 
@@ -144,7 +142,7 @@ class ToothModel:
         self._measure_pulp(motion)
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Force and torque on the bur, and the tooth's own measures."""
+        """Return force and torque on the bur, and the tooth's own measures."""
         response = self.milling.respond(motion)
         if response is not self._response:
             self._response = response
@@ -188,7 +186,7 @@ class ToothModel:
             self._await()
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Every interval: begin the next solve, on a copy of what changed."""
+        """Begin the next solve at the end of an interval, on a copy of the changes."""
         if self.heat is not None:
             self._warm(motion)
         if self.stress is None or self._stress_lost or time_s < self._next_s - 1e-9:
@@ -301,7 +299,7 @@ class ToothModel:
         )
 
     def remaining(self) -> NDArray[np.uint8]:
-        """Tooth left in every voxel, 255 = full, shape of the volume."""
+        """Return the remaining tooth in every voxel, 255 = full, shape of the volume."""
         return self.milling.remaining()
 
     def _measure_pulp(self, motion: ToolMotion) -> None:

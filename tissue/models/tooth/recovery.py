@@ -104,13 +104,15 @@ It is about the radius of a bur, and the bur's force is spread over this radius 
 the error at cells of 0.3 mm is 6 %, and it decreases with the cells.
 """
 CELLS_A_REACH = 2.0
-"""Cells in the reach from which the particles of a cell are taken together: their mean stress is
-that at their centre of mass up to the second order in the cell's edge, as is all of the recovery's
-error."""
+"""Cells in the reach from which on the particles of a cell are averaged.
+
+Their mean stress equals the stress at their centre of mass up to the second order in the cell's
+edge. The whole recovery has an error of this order.
+"""
 
 
 def ball_weight(distance_m: Array, reach_m: float) -> Array:
-    """Weight 1 - (d / R)^2 of points in a ball, 0 outside."""
+    """Return the weight 1 - (d / R)^2 of points in a ball, 0 outside."""
     return np.asarray(np.maximum(1.0 - (distance_m / reach_m) ** 2, 0.0))
 
 
@@ -192,9 +194,9 @@ class StressRecovery:
         return np.asarray(np.bincount(self._group, weights=values))
 
     def __call__(self, displacement_m: Array) -> Array:
-        """Mean stress xx, yy, zz, yz, xz, xy [Pa], shape (k, 6), at nodal displacements [m].
+        """Return the mean stress xx, yy, zz, yz, xz, xy [Pa] at nodal displacements [m].
 
-        It is not a number where nothing of the layer is left within reach.
+        Its shape is (k, 6). It is NaN where no particle of the layer remains within reach.
         """
         left = self._total(self._volume * self._cells.remaining) * (
             self._cells.live[self._cell] > 0

@@ -111,7 +111,7 @@ class CellStiffness:
         def packed(
             cells: NDArray[np.integer], rows: NDArray[np.integer], blocks: Any
         ) -> PackedProduct | None:
-            """Product of some cells with the displacement, None where there are none."""
+            """Return the product of some cells with the displacement, None without cells."""
             given: dict[str, Any] = {
                 "live": self.live_on,
                 "vector": self.displacement,
@@ -134,7 +134,7 @@ class CellStiffness:
 
     @property
     def fill(self) -> Array:
-        """Volume of each cell's particles over its own."""
+        """Volume of each cell's particles over the volume of the cell."""
         return np.asarray(self.fill_on.numpy())
 
     @property
@@ -203,7 +203,7 @@ class CellStiffness:
         return np.array(self.force.numpy())
 
     def cell_matrices(self) -> Array:
-        """Full stiffness of every cell [N/m], shape (c, 24, 24)."""
+        """Return the full stiffness of every cell [N/m], shape (c, 24, 24)."""
         packed = self.stiffness.numpy()
         full = np.zeros((len(packed), 8, 3, 8, 3))
         for block, (a, b) in enumerate(_pairs()):
@@ -215,7 +215,9 @@ class CellStiffness:
 def full_cell_stiffness(
     edge_m: float, points: Array, weights: Array, *, first_Pa: float, shear_Pa: float
 ) -> Array:
-    """Stiffness [N/m] of a cell from B^T D B at points in it, shape (24, 24); plain NumPy.
+    """Return the stiffness [N/m] of a cell from B^T D B at points in it, shape (24, 24).
+
+    It uses plain NumPy.
 
     Parameters
     ----------
@@ -238,8 +240,9 @@ def full_cell_stiffness(
 
 
 def strain_matrix(place: Array, edge_m: float) -> Array:
-    """B at a place in a cell [1/m]: strain xx, yy, zz, yz, xz, xy (engineering shear) from 24
-    displacements.
+    """Return B at a position in a cell [1/m], for 24 displacements.
+
+    The strain components are xx, yy, zz, yz, xz, xy (engineering shear).
     """
     factors = np.where(CORNERS == 1, place, 1.0 - place)
     signs = np.where(CORNERS == 1, 1.0, -1.0) / edge_m

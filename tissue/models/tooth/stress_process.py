@@ -54,16 +54,16 @@ class Drilled:
 
 
 class StressSolver(Protocol):
-    """Solves that are begun in a tick and awaited outside it.
+    """Solves that start in a tick and are awaited outside it.
 
     Attributes
     ----------
     compliance
-        How the tooth gives in its ligament, about ``reference_m``.
+        Compliance of the tooth in its ligament, about ``reference_m``.
     root_guessed
-        Whether the data hold neither ligament nor bone.
+        True if the data hold neither ligament nor bone.
     series
-        Mesh and frames; all frames are there once it is finished.
+        Mesh and frames; it holds all frames once it is finished.
     records
         Cost and outcome of every solve awaited so far.
     """
@@ -80,11 +80,11 @@ class StressSolver(Protocol):
         ...
 
     def begin(self, state: Drilled) -> None:
-        """Begin a solve; the last one was awaited."""
+        """Begin a solve; the last solve must have been awaited."""
         ...
 
     def wait(self) -> SolveRecord | None:
-        """Cost and outcome of the solve that was begun, None where none was."""
+        """Wait for the solve that was begun; return its cost and outcome, None without a solve."""
         ...
 
     def finish(self) -> None:
@@ -93,7 +93,7 @@ class StressSolver(Protocol):
 
 
 class InlineStressSolver:
-    """Solves in this process, when they are awaited.
+    """Stress solver in this process, which solves in `wait`.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ class InlineStressSolver:
     store
         Bricks of the finer voxels that are drilled.
     options
-        What else `StressField` takes.
+        Further arguments of `StressField`.
     """
 
     def __init__(self, whole: VoxelVolume, store: BrickStore, **options: Any) -> None:
@@ -181,7 +181,7 @@ class StressProcess:
 
     @property
     def scheduling(self) -> str:
-        """With what priority and on which cores it solves, in words."""
+        """Priority and cores of the solves, in words."""
         return self._helper.priority.described
 
     def begin(self, state: Drilled) -> None:
@@ -192,7 +192,7 @@ class StressProcess:
         self._begun = True
 
     def wait(self) -> SolveRecord | None:
-        """Await the solve that was begun."""
+        """Wait for the solve that was begun."""
         if not self._begun:
             return None
         self._begun = False
@@ -222,7 +222,7 @@ def _bricks_of(store: BrickStore) -> dict[str, Any]:
 
 
 def _drilled(time_s: float, rows: bytes, left: bytes, force_N: bytes, point_m: bytes) -> Drilled:
-    """A state from the bytes of its arrays, which are quicker to send than arrays."""
+    """Return a state from the bytes of its arrays, which are faster to send than arrays."""
     steps = np.frombuffer(left, dtype=np.uint16).reshape(-1, BRICK_VOXELS)
     return Drilled(
         time_s,

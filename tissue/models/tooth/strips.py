@@ -1,5 +1,6 @@
-"""Products of the stiffness of a grid's cells with a vector: in strips of eight cells along z,
-or packed.
+"""Products of the stiffness of a grid's cells with a vector.
+
+They run in strips of eight cells along z, or over packed cells.
 """
 
 from typing import Any
@@ -84,7 +85,7 @@ class PackedProduct:
 
 
 AT_CUBE = 1e-6
-"""Distance from a cube's centre, in edges, within which a particle's place is rounding."""
+"""Distance of a particle from a cube's centre, in edges, that counts as rounding."""
 
 
 class StripLayout:
@@ -314,7 +315,10 @@ def _pencil_keys(place: NDArray[np.int32], width: int) -> NDArray[np.int64]:
 def _pencils(
     place: NDArray[np.int32], width: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Key of each pencil and its lowest and highest place along z, of places in order."""
+    """Return the key of each pencil and its lowest and highest position along z.
+
+    The positions are in order.
+    """
     keys, first = np.unique(_pencil_keys(place, width), return_index=True)
     last = np.append(first[1:], len(place)) - 1
     return keys, place[first, 2].astype(np.int64), place[last, 2].astype(np.int64)

@@ -22,7 +22,7 @@ class NodeSupports:
     fixed
         Components that are held, bool, shape (n, 3).
     displacement_m
-        Where they are held [m], shape (n, 3); read only where fixed.
+        Prescribed displacement [m], shape (n, 3); read only where fixed.
     """
 
     fixed: NDArray[np.bool_]
@@ -61,8 +61,9 @@ class NodeSupports:
 
 @dataclass(frozen=True, eq=False)
 class PointSprings:
-    """Springs to the ground at points of a body, in any direction: a point that moves by u is
-    pushed back by S u.
+    """Springs to the ground at points of a body, in any direction.
+
+    A point that moves by u has the restoring force S u.
 
     Attributes
     ----------
@@ -90,11 +91,11 @@ class PointSprings:
 
     @classmethod
     def none(cls) -> "PointSprings":
-        """No springs."""
+        """Return an empty set of springs."""
         return cls(np.zeros((0, 3)), np.zeros((0, 3, 3)))
 
     def chosen(self, these: NDArray[np.bool_]) -> "PointSprings":
-        """Some of the springs, those where ``these``, shape (k,), is true."""
+        """Return the springs where ``these``, shape (k,), is true."""
         return PointSprings(self.position_m[these], self.stiffness_N_m[these])
 
     def force(self, grid: HexGrid, displacement_m: Array) -> Array:

@@ -17,8 +17,9 @@ from tissue.prediction.edmd.lifted import FitStatistics, Generator, LiftedMap, O
 __all__ = ["Edmd", "HorizonErrors", "Regression", "horizon_errors", "regress", "triangle"]
 
 DEPENDENT = 1e-13
-"""Singular values below this share of the largest are rounding of the factor: their columns
-depend on the others.
+"""Singular values below this share of the largest are rounding errors of the factor.
+
+Their columns depend on the other columns.
 """
 
 
@@ -58,12 +59,12 @@ class Edmd:
             raise InputError("cap", "be positive and finite", self.cap, "use 1, or None for no cap")
 
     def fit(self, episodes: Sequence[Episode]) -> Operator:
-        """The operator over one step that fits all pairs of neighbouring samples.
+        """Fit the operator over one step to all pairs of neighbouring samples.
 
         Raises
         ------
         InputError
-            If the episodes cannot be learnt from (`check_episodes`), observables overflow, or
+            If the episodes are not usable for a fit (`check_episodes`), observables overflow, or
             columns are collinear and neither ridge nor rank is set.
         """
         ready = check_episodes(episodes, self.dictionary.lags)
@@ -71,20 +72,21 @@ class Edmd:
         return operator if self.cap is None else operator.capped(self.cap)
 
     def fit_generator(self, episodes: Sequence[Episode]) -> Generator:
-        """The generator that fits the observables' rates ∇φ · dx/dt (gEDMD, Klus et al. 2020); cap
-        does not apply.
+        """Fit the generator to the observables' rates ∇φ · dx/dt.
+
+        Source: gEDMD, Klus et al. 2020. The cap does not apply.
 
         Raises
         ------
         InputError
-            As `fit`.
+            As for `fit`.
         """
         return Generator(
             **vars(self._fit(check_episodes(episodes, self.dictionary.lags), rates=True))
         )
 
     def _fit(self, episodes: list[Episode], *, rates: bool) -> LiftedMap:
-        """The map, in the units of the observables."""
+        """Fit the map, in the units of the observables."""
         state_size = episodes[0].states.shape[1]
         lead = int(self.offset)
         count = self.dictionary.size(state_size)

@@ -11,11 +11,12 @@ from meshes.base.errors import InputError
 __all__ = ["Episode", "blocks", "check_episodes", "window"]
 
 BLOCK = 2048
-"""Rows lifted and factored at a time: they and their factor stay in the cache, whatever the
-length of a trace.
+"""Number of rows lifted and factored at a time.
+
+The rows and their factor stay in the cache for any length of a trace.
 """
 STILL = 1e-12
-"""A column that varies by less than this share of its size is constant: rounding."""
+"""Relative variation below which a column counts as constant; smaller ones are rounding errors."""
 
 
 class Episode(NamedTuple):
@@ -90,7 +91,7 @@ def check_episodes(
 
 
 def window(states: Array, lags: int) -> Array:
-    """Each row with the rows before it, newest first, shape (n - lags, (lags + 1) d)."""
+    """Return each row with the rows before it, newest first, shape (n - lags, (lags + 1) d)."""
     if lags == 0:
         return states
     count = len(states) - lags
@@ -113,7 +114,7 @@ def blocks(episode: Episode, lags: int) -> Iterator[tuple[Array, Array]]:
 
 
 def _refuse_constant(name: str, tables: list[Array]) -> None:
-    """Refuse a column that never varies: it cannot be separated from the constant."""
+    """Check that every column varies: a constant one cannot be separated from the offset."""
     for index, column in enumerate(np.concatenate(tables).T if tables else ()):
         if np.ptp(column) <= STILL * np.abs(column).max():
             raise InputError(

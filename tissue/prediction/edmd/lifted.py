@@ -104,14 +104,18 @@ class LiftedMap:
 
 @dataclass(frozen=True)
 class Operator(LiftedMap):
-    """The discrete operator: φ one step later, inputs held over the step (an exact zero-order
-    hold).
+    """Discrete operator: φ one step later.
+
+    Inputs are held over the step (an exact zero-order hold).
     """
 
     step_s: float
 
     def advance(self, lifted: Array, inputs: Array | None = None) -> Array:
-        """Observables one step later; any leading axes. None for inputs that are zero."""
+        """Return the observables one step later, for any leading axes.
+
+        Use None for inputs that are zero.
+        """
         advanced = lifted @ self.A.T + self.offset
         return advanced if inputs is None else advanced + inputs @ self.B.T
 
@@ -151,8 +155,9 @@ class Operator(LiftedMap):
         return states
 
     def predicted_states(self, horizon: int) -> list[tuple[Array, Array]]:
-        """Matrix M (d, D) and offset c (d,) for 1 to `horizon` steps: the state then is M φ + c,
-        without inputs.
+        """Return matrices M (d, D) and offsets c (d,) for 1 to `horizon` steps.
+
+        The state after the steps is M φ + c, without inputs.
         """
         advanced = [(self.A[: self.state_size], self.offset[: self.state_size])]
         while len(advanced) < horizon:
@@ -211,11 +216,12 @@ class Operator(LiftedMap):
 
 @dataclass(frozen=True)
 class Generator(LiftedMap):
-    """The rate of the observables: dφ/dt = A φ + B u + offset."""
+    """Rate of the observables: dφ/dt = A φ + B u + offset."""
 
     def discrete(self, step_s: float) -> Operator:
-        """The operator over a step [s] with inputs held: the exponential of [A B c; 0 0 0; 0 0
-        0] (Van Loan 1978).
+        """Return the operator over a step [s] with inputs held.
+
+        It is the exponential of [A B c; 0 0 0; 0 0 0] (Van Loan 1978).
         """
         from scipy.linalg import expm
 
@@ -226,7 +232,7 @@ class Generator(LiftedMap):
 
 
 def _scaled(lifted: LiftedMap) -> Array:
-    """[A B c] of the observables and inputs in units of their deviations, shape (D, D + m + 1)."""
+    """Return [A B c] in units of the standard deviations, shape (D, D + m + 1)."""
     rows = lifted.scale[:, None]
     return np.hstack(
         (
@@ -238,7 +244,7 @@ def _scaled(lifted: LiftedMap) -> Array:
 
 
 def _unscaled(lifted: LiftedMap, whole: Array) -> LiftedMap:
-    """The map that takes scaled [φ u 1] to `whole` times it."""
+    """Return the map that takes scaled [φ u 1] to `whole` times it."""
     count = len(lifted.offset)
     kept = LiftedMap(**{name: getattr(lifted, name) for name in LiftedMap.__dataclass_fields__})
     return replace(
@@ -250,7 +256,7 @@ def _unscaled(lifted: LiftedMap, whole: Array) -> LiftedMap:
 
 
 def spectral_radius(matrix: Array) -> float:
-    """Largest size of an eigenvalue."""
+    """Return the largest modulus of an eigenvalue."""
     return float(np.abs(np.linalg.eigvals(matrix)).max(initial=0.0))
 
 
@@ -284,8 +290,8 @@ def cap_spectrum(matrix: Array, limit: float = 1.0) -> tuple[Array, int]:
     if spectral_radius(matrix) <= limit:
         return matrix, 0
     try:
-        # SciPy prints an error of its own when a stop is raised in its callback. Python raises
-        # stops in the main thread alone, so that the callback runs in another one.
+        # SciPy prints its own error when a stop is raised in its callback. Python raises
+        # stops in the main thread alone, so the callback runs in another thread.
         with ThreadPoolExecutor(1) as pool:
             ordered = pool.submit(
                 schur, matrix, output="real", sort=lambda re, im: re**2 + im**2 <= limit**2

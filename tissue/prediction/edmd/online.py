@@ -73,11 +73,11 @@ class Online:
         self._turn = 0
 
     def update(self, lifted: Array, inputs: Array | None, lifted_after: Array) -> float:
-        """Learn from one step: observables (D,), inputs (m,) that acted, and the observables after
-        it.
+        """Update the operator with one step and return the error before the update.
 
-        Returns the root mean square of the scaled one-step error before learning; NaN, and nothing
-        is learnt, if a number is not finite.
+        The step is given by the observables (D,), the inputs (m,) and the observables after it. The
+        error is the root mean square of the scaled one-step error. If a number is not finite, the
+        error is NaN and the operator does not change.
         """
         given = self._regressors
         given[: self._count] = lifted
