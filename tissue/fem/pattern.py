@@ -36,7 +36,7 @@ class Pattern:
     place
         Block of each pair with the lower node as its row, shape (p,).
     mirror
-        Block of its transpose, shape (p,); the same on the diagonal.
+        Block of its transpose, shape (p,); equal to `place` on the diagonal.
     """
 
     row_start: Integers

@@ -52,7 +52,7 @@ class Springs:
     Attributes
     ----------
     points
-        Displacements of the points from those of all components, shape (p, 3n).
+        Matrix from the displacements of all components to those of the points, shape (p, 3n).
     stiffness_N_m
         Stiffness of each spring [N/m], shape (p,).
     target_m

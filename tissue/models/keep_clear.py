@@ -136,7 +136,7 @@ class KeepClear:
 
     @property
     def _now_s(self) -> float:
-        """Return the time of the present tick, or of the last measured tick [s]."""
+        """Time of the present tick, or of the last measured tick [s]."""
         if self._times_s is None:
             return self._tick * TICK_S
         return float(self._times_s[min(self._tick, len(self._times_s) - 1)])

@@ -58,8 +58,8 @@ class ToolMotion:
         Share of the edge force that holds a tool at rest against the bone, 0 (no pressure) to 1
         (about to cut).
     push
-        Force [N] and torque [N m] on a resting tool that the bone answers in full, shape (6,); zero
-        for a tool on a prescribed path, for which only `pressed` is known.
+        Force [N] and torque [N m] on a resting tool that the bone balances in full, shape (6,);
+        zero for a tool on a prescribed path, for which only `pressed` is known.
     """
 
     tip_m: Array = field(default_factory=lambda: np.zeros(3))

@@ -112,7 +112,7 @@ class ThresholdPrior:
         return np.sqrt(edges[1:] * edges[:-1])
 
     def parameters(self) -> tuple[Array, Array, Array, Array]:
-        """Weber fractions, low-force terms [N], lapses and prior masses of the grid's points.
+        """Return Weber fractions, low-force terms [N], lapses and prior masses of the grid.
 
         Each array has shape (n,).
         """

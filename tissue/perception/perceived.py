@@ -100,14 +100,13 @@ def held_back(wanted: Array, law: Weber) -> tuple[Array, Array]:
 
 
 class Sense:
-    """Estimate of a force by a person: a noisy observation every tick, averaged by the steady
-    filter.
+    """Estimate of a force by a person: noisy observations, averaged by the steady filter.
 
-    The gain 1 - exp(-T / tau) follows from the time over which force is averaged. The noise of an
-    observation makes the estimate of a constant force scatter by the threshold: a change of one
-    threshold is d' = 0.954 from no change. For this gain G and scatter s an observation has the
-    variance r = s^2 (2 - G) / G, and the filter assumes that the force wanders by q = G^2 r / (1 -
-    G) a tick.
+    The person observes the force once a tick. The gain 1 - exp(-T / tau) follows from the time over
+    which force is averaged. The noise of an observation makes the estimate of a constant force
+    scatter by the threshold: a change of one threshold is d' = 0.954 from no change. For this gain
+    G and scatter s an observation has the variance r = s^2 (2 - G) / G, and the filter assumes that
+    the force wanders by q = G^2 r / (1 - G) a tick.
 
     Attributes
     ----------

@@ -85,8 +85,8 @@ class LookAhead:
     Both are linear about the last tick.
 
     With the coupling's stiffness k, the tool's tip p, the tissue's force f on it and that force's
-    slope -df/dp = K, a device at x has its tool at the solution p' of k (x - p') + f - K (p' - p) =
-    0. The force on the device is k (p' - x). A tissue force that would pull is replaced by zero. A
+    slope -df/dp = K, a device at x has its tool at p', where k (x - p') + f - K (p' - p) = 0.
+    The force on the device is k (p' - x). A tissue force that would pull is replaced by zero. A
     free tool reaches the surface after the gap that the tissue provides. Beyond the surface the
     tissue has the stiffness of the last contact. If the tissue provides no slope, the slope is
     learnt (`ContactSlope`).

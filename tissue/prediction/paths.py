@@ -136,7 +136,7 @@ class OperatorPath:
         return float(scaled.dot(scaled)) <= self._growth
 
     def observe(self, position_m: Array, stretch_m: Array) -> None:
-        """Put a state before the window.
+        """Add the newest state to the window.
 
         The first state fills the window, as if the device had been still.
         """

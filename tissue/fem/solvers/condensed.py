@@ -58,21 +58,21 @@ def surface_compliance_m_N(
     Parameters
     ----------
     body
-        The stiffness and what holds it.
+        The stiffness and its supports.
     touchable
         Nodes that a tool may touch, each once, shape (t,).
     limit_bytes
-        Memory above which it is refused.
+        Largest memory of W [bytes].
     solver
-        Makes what solves for the body where the cache has no answer. Default: a factor of its own.
+        Function that makes the solver of the body if W is not in the cache. Default: a new factor.
     progress
-        Called with the share that is done, in (0, 1].
+        Called with the completed share, in (0, 1].
 
     Raises
     ------
     InputError
-        If there is nothing to touch, a node does not exist, is not in the body or is named twice,
-        the memory exceeds the limit.
+        If there is no touchable node, a node does not exist, is not in the body or is named
+        twice, or the memory exceeds the limit.
     """
     _require_nodes(touchable, body)
     needed = compliance_bytes(len(touchable))

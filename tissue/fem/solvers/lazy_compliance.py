@@ -71,7 +71,7 @@ class LazyCompliance:
         Raises
         ------
         InputError
-            If more nodes are asked for than the buffer holds.
+            If more nodes are requested than the buffer holds.
         """
         if len(nodes) > self.capacity:
             raise InputError(

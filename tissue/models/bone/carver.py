@@ -52,7 +52,7 @@ class CarverState:
     heading
         Feed direction at the last turn of the tool, shape (2, 3).
     counts
-        Next group, visits owed, groups that have not been visited at the present pose.
+        Next group, number of visits due, number of groups not yet visited at the present pose.
     """
 
     remaining: Any

@@ -69,7 +69,7 @@ class EngagedElements:
 
     @property
     def nowhere(self) -> tuple[Array, Array, Array]:
-        """Return the result of `cutting` for a cutter without contact."""
+        """Result of `cutting` for a cutter without contact."""
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
 
     def find(self, motion: ToolMotion) -> tuple[Array, ...]:

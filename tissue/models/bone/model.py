@@ -43,10 +43,10 @@ class BoneModel:
     coefficients
         Cutting coefficients of each of the bone's layers, in their order.
     removal
-        ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` whole voxels by their
-        centres.
+        ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` removes whole voxels by
+        their centres.
     shell_spacing_m
-        Distance between the cutter's elements [m]; by default such that there are 6000.
+        Distance between the cutter's elements [m]; the default gives 6000 elements.
     device
         Warp device name.
     cores
@@ -232,8 +232,9 @@ def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) ->
     arrays = Coefficients()
 
     def at_levers(names: tuple[str, ...]) -> Any:
-        """Return tangential, radial and axial coefficients of each layer at their positions in a
-        lever.
+        """Return the coefficients of each layer at their positions in a lever.
+
+        They are tangential, radial and axial.
         """
         parts = [[getattr(layer, name) for name in names] for layer in coefficients]
         values = np.pad(np.repeat(parts, (5, 6, 3), axis=1), ((0, 0), (0, 2)))

@@ -50,7 +50,7 @@ class CarvingReplay:
         self._start = self._carver.state()
         self.fraction = volume.fraction.copy()
         self._next = 0  # first pose that was not carved yet
-        # bricks whose fraction differs from what is stored in them
+        # bricks whose entry in `fraction` is out of date
         self._changed = np.zeros(0, dtype=np.intp)
         self._cut = np.zeros(0, dtype=np.intp)  # bricks that differ from the start
 

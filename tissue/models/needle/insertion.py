@@ -18,9 +18,9 @@ class Insertion:
 
     The tip cuts with a constant force, only deeper than it has been. The edges of the holes in the
     membranes cling with a constant force. Friction increases with L. While the pull is smaller than
-    these, needle and organ move together: the shaft sticks, L stays, and the pull is the applied
-    force that Karnopp's law compares with the static friction. Beyond it the shaft slides, u
-    follows from the balance in closed form, and L from z. An intact membrane stops the tip until
+    these, needle and organ move together. The shaft sticks and L stays. The pull is then the
+    applied force that Karnopp's law compares with the static friction. Beyond it the shaft slides,
+    u follows from the balance in closed form, and L from z. An intact membrane stops the tip until
     the pull exceeds its puncture force too. Then the organ springs back along the shaft at once, to
     the u of the remaining balance. Before the puncture the force is therefore Okamura's polynomial.
     After it the deflection, its elastic force and the inserted length are all larger than zero.

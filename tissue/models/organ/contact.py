@@ -312,7 +312,7 @@ class SurfaceContact:
     def nodes_in_reach(self, tip_m: Array, rotation: Array, margin_m: float) -> Ints:
         """Return the touchable nodes whose triangles come within a margin [m] of the tool at rest.
 
-        Fill their compliance first.
+        Compute the compliance of these nodes first.
         """
         distance, _ = self.probe.distance((self._centres - tip_m) @ rotation)
         return np.unique(self.faces[distance < self._radii + margin_m])

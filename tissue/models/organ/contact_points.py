@@ -18,8 +18,7 @@ MOST_DIVISIONS = 16
 def contact_points(
     nodes_m: Array, faces: Ints, spacing_m: float
 ) -> tuple[NDArray[np.int32], Array, Array]:
-    """Return contact points on triangles: corners, and a lattice inside triangles with longer
-    edges.
+    """Return contact points on triangles: corners, and a lattice inside large triangles.
 
     A triangle whose longest edge spans n spacings, n > 1, has the centres of its n^2 equal parts.
 

@@ -205,7 +205,7 @@ def _require_place(probe: ProbeShape, before_m: float) -> None:
 def _first_touch(contact: SurfaceContact, start_m: Array, end_m: Array, rotation: Array) -> Array:
     """Return the tip position at the first touch [m], shape (3,).
 
-    There is contact at this position and no contact just before it.
+    The tool has contact at this position and no contact just before it.
     """
 
     def touches(share: float) -> bool:

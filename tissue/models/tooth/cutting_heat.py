@@ -34,9 +34,9 @@ class CuttingHeat:
     Material that is removed later takes along the heat that has reached it by then. The share is a
     prior of low confidence; the temperature rise is proportional to it.
 
-    Work is done in intervals. `begin` takes energy and cuts of the interval that has ended. `go_to`
-    spreads the steps over the next interval, so that no tick does them all. The temperature is late
-    by one interval.
+    The heat is computed in intervals. `begin` takes energy and cuts of the last interval. `go_to`
+    spreads the time steps over the next interval, so that no tick runs them all. The temperature
+    lags by one interval.
 
     Parameters
     ----------

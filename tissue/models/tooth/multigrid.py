@@ -275,7 +275,7 @@ class GridHierarchy:
         self._stale = True
 
     def diagonal(self) -> Array:
-        """Diagonal of the finest stiffness [N/m], shape (n, 3)."""
+        """Return the diagonal of the finest stiffness [N/m], shape (n, 3)."""
         return np.asarray(self.finest.diagonal.numpy())
 
     def refresh(self) -> None:

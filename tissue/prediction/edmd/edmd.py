@@ -153,7 +153,7 @@ def _rows(
 ) -> Iterator[Array]:
     """Yield rows [1, φ, u, new] of some thousand samples at a time.
 
-    The ones are left out if `lead` is 0.    `new` are the observables of the next step that are not
+    The ones are left out if `lead` is 0. `new` are the observables of the next step that are not
     among φ. Of delayed states, only the newest one is new. For a generator, `new` are the rates of
     all observables.
     """

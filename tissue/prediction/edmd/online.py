@@ -16,11 +16,11 @@ class Online:
     """Recursive least squares for an operator's A, B and offset, at a fixed cost a sample.
 
     It works in scaled observables. With plain forgetting, the covariance of regressors that are not
-    excited grows without bound, and the next surprise destroys the operator. Here each sample also
-    adds a little information about one regressor in turn, which keeps the current weights there.
-    This follows the cyclic leakage of Gunnarsson (1996). The share is chosen so that the covariance
-    never exceeds 4 gain_limit². The gain P g / (1 + g·P g) is at most half the root of the
-    covariance, so it never exceeds gain_limit.
+    excited grows without bound, and the next large error destroys the operator. Here each sample
+    also adds a little information about one regressor in turn, which keeps the current weights
+    there. This follows the cyclic leakage of Gunnarsson (1996). The share is chosen so that the
+    covariance never exceeds 4 gain_limit². The gain P g / (1 + g·P g) is at most half the root of
+    the covariance, so it never exceeds gain_limit.
 
     Parameters
     ----------
