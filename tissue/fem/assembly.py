@@ -19,15 +19,15 @@ __all__ = ["assemble", "pair_tables"]
 
 
 def assemble(space: Space, elasticity: ArrayLike) -> bsr_array:
-    """Stiffness matrix [N/m] of linear elastic cells, shape (unknowns, unknowns), in blocks of 3x3.
+    """Return the stiffness matrix [N/m] of linear elastic cells, in blocks of 3x3.
 
-    Both triangles are stored and equal each other bitwise, on any number of cores. Integrals are
-    exact.
+    Its shape is (unknowns, unknowns). Both triangles are stored and are bitwise equal, on any
+    number of cores. Integrals are exact.
 
     Parameters
     ----------
     space
-        Nodes and cells; where the blocks lie is found once and kept there.
+        Nodes and cells; it stores the positions of the blocks after the first call.
     elasticity
         Lame constants [Pa], shape (2,) or (m, 2), or stiffness matrices [Pa], shape (6, 6) or (m,
         6, 6), as `tissue.materials.elasticity` makes them.
@@ -72,8 +72,9 @@ def assemble(space: Space, elasticity: ArrayLike) -> bsr_array:
 
 @cache
 def pair_tables(order: int) -> tuple[NDArray[np.int32], Array]:
-    """Two corners of each shape function of each pair in a cell, and weights of their products,
-    shapes (p, 4).
+    """Return the corners of the shape functions of each pair in a cell, and their weights.
+
+    Both arrays have shape (p, 4).
 
     The corners of A are i, j and those of B k, n; weights belong to the products ik, in, jk, jn of
     the gradients.

@@ -1,16 +1,16 @@
-"""A capsule: a thin elastic membrane on the surface, in plane stress, that resists stretch and not
-bending.
+"""Stiffness of a capsule: a thin elastic membrane on the surface, in plane stress.
 
-With P = I - n n^T the projection on a face and g_c its gradients, the strain is ``P sym(grad u) P``
-and the block of a pair ``t (lambda' S + mu S^T + mu tr(S) P)`` with lambda' = E nu / (1 - nu^2):
-the membrane's counterpart of the cells' formula in `kernels.tetrahedra`.
+The membrane resists stretch but not bending. Bending of a capsule, for example around a needle, is
+not modelled.
 
-On a curved body prefer linear cells under a stiff capsule: quadratic cells with straight edges have
-nodes in the middle of flat pieces of membrane, which carry no pressure, so that the corners are
-pulled in too far (by 8 % where capsule and body are equally stiff, at 7 cells a quadrant; the mean
-motion is off by 2 %).
+With P = I - n n^T the projection on a face and g_c its gradients, the strain is ``P sym(grad u)
+P``. The block of a pair of nodes is ``t (lambda' S + mu S^T + mu tr(S) P)`` with lambda' = E nu /
+(1 - nu^2). It is the membrane's counterpart of the formula for cells in `kernels.tetrahedra`.
 
-What a capsule adds by bending, as around a needle, is not in it.
+Prefer linear cells under a stiff capsule on a curved body. Quadratic cells with straight edges have
+nodes in the middle of flat pieces of membrane. These pieces carry no pressure, so the corners are
+pulled in too far: by 8 % where capsule and body are equally stiff, at 7 cells a quadrant. The mean
+displacement is off by 2 %.
 """
 
 import numpy as np
@@ -35,8 +35,9 @@ def capsule_stiffness(
     poisson_ratio: float,
     faces: Ints | None = None,
 ) -> bsr_array:
-    """Stiffness matrix [N/m] of a membrane on faces of the surface, to be added to that of the
-    cells.
+    """Return the stiffness matrix [N/m] of a membrane on faces of the surface.
+
+    Add it to the stiffness matrix of the cells.
 
     Shape (unknowns, unknowns), in blocks of 3x3. It equals its transpose bitwise, and so does its
     sum with the matrix of the cells.
@@ -85,7 +86,7 @@ def capsule_stiffness(
 
 
 def _summed(shares: Array, pattern: Pattern, unknown_count: int) -> bsr_array:
-    """Blocks summed over faces in their order, then mirrored."""
+    """Return the blocks summed over faces in their order, then mirrored."""
     turned = pattern.contribution < 0
     ordered = shares[np.where(turned, ~pattern.contribution, pattern.contribution)]
     ordered[turned] = ordered[turned].swapaxes(1, 2)

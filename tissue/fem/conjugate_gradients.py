@@ -19,7 +19,7 @@ __all__ = [
 
 
 class SolverOutcome(Enum):
-    """How a solve ended; the value holds the cause and the remedy."""
+    """Outcome of a solve. The value holds the cause and the remedy."""
 
     CONVERGED = "the displacement holds to the tolerance"
     NOT_CONVERGED = (
@@ -43,20 +43,20 @@ class SolverOutcome(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Displacement and how it was reached.
+    """Displacement and the outcome of its solve.
 
     Attributes
     ----------
     displacement_m
         Nodal displacements [m], shape (n, 3); the last iterate where the outcome is not CONVERGED.
     outcome
-        How the solve ended.
+        Outcome of the solve.
     iterations
-        Iterations; 0 where the path does not iterate.
+        Iterations; 0 for a solver that does not iterate.
     residual
-        Norm of ``f - K u`` over the free components, relative to that of f. For a reduced basis the
-        relative error in the energy norm instead: what it leaves out moves little and weighs much
-        in f.
+        Norm of ``f - K u`` over the free components, relative to the norm of f. For a reduced basis
+        it is the relative error in the energy norm instead: the modes left out change the
+        displacement little, but they change f a lot.
     """
 
     displacement_m: Array
@@ -66,17 +66,17 @@ class Solution:
 
     @property
     def converged(self) -> bool:
-        """Whether the displacement may be used."""
+        """True if the solve converged, so that the displacement may be used."""
         return self.outcome is SolverOutcome.CONVERGED
 
 
 LEAST_SHARE = 1e-13
-"""Residuals below this share of the load are rounding."""
+"""Residuals below this share of the load are rounding errors."""
 
 
 @dataclass(frozen=True, eq=False)
 class IterativeSolution(Solution):
-    """Displacement and how it was reached, with an estimate of its error.
+    """Displacement and the outcome of its solve, with an estimate of its error.
 
     Attributes
     ----------
@@ -89,16 +89,20 @@ class IterativeSolution(Solution):
 
 @dataclass(eq=False)
 class Iterate:
-    """Where the iterations are.
+    """State of the iterations.
 
     Attributes
     ----------
-    found, residual
-        Displacement, and load less stiffness times it.
+    found
+        Displacement.
+    residual
+        Load minus the stiffness times the displacement.
     slopes
-        ``r . B r`` of this and of all residuals before.
-    factors, lengths
-        Share of the last direction in the next one, and steps along the directions so far.
+        ``r . B r`` of the present residual and of all residuals before.
+    factors
+        Share of the last direction in the next direction, for each step so far.
+    lengths
+        Step lengths along the directions so far.
     """
 
     found: Array
@@ -122,8 +126,8 @@ def conjugate_gradients(
 ) -> IterativeSolution:
     """Solve ``K u = f`` for a symmetric positive definite K, on arrays of any shape.
 
-    The direction's factor is Polak and Ribiere's, which forgives a preconditioner that is not quite
-    symmetric, or is in single precision (Golub and Ye 1999, SIAM J. Sci. Comput. 21:1305).
+    The factor of the direction is Polak and Ribiere's. It tolerates a preconditioner that is not
+    quite symmetric, or is in single precision (Golub and Ye 1999, SIAM J. Sci. Comput. 21:1305).
 
     Parameters
     ----------
@@ -138,12 +142,13 @@ def conjugate_gradients(
     limit
         Iterations allowed.
     start
-        First guess; zero without it.
+        First guess; default: zero.
     least_curvature
-        Below this ``p . K p`` of a direction p is rounding, and K not positive definite.
+        Below this value ``p . K p`` of a direction p is a rounding error, and K is not positive
+        definite.
     correct_last
-        Add the last residual's correction, which is there, to what has converged: it lessens the
-        error where no eigenvalue of ``B K`` is above 2.
+        Add the correction for the last residual, which is already computed, to the converged
+        solution. It reduces the error where no eigenvalue of ``B K`` is above 2.
     """
     norm = np.sqrt(dot(load, load))
     if norm == 0.0:
@@ -188,5 +193,5 @@ def conjugate_gradients(
 
 
 def dot(a: Array, b: Array) -> float:
-    """Scalar product, summed in the same order on any number of cores."""
+    """Return the scalar product, summed in an order that does not depend on the number of cores."""
     return float(np.einsum("i,i->", a.ravel(), b.ravel()))

@@ -1,4 +1,4 @@
-"""Fields over a mesh that change with time: what a finite element model shows of itself."""
+"""Time series of fields on a finite element mesh, for display and export."""
 
 from dataclasses import dataclass, field
 
@@ -32,7 +32,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class FieldSeries:
-    """A mesh and the frames computed on it so far.
+    """Mesh and the frames computed on it so far.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class FieldSeries:
     frames
         Frames in the order of time.
     node_sets
-        Nodes by what they are: ``held``, ``touchable``.
+        Nodes by role: ``held``, ``touchable``.
     """
 
     nodes_m: Array
@@ -61,14 +61,14 @@ class FieldSeries:
 
 @dataclass(frozen=True, eq=False)
 class StressState:
-    """Strain and stress at places.
+    """Strain and stress at points.
 
     Attributes
     ----------
     strain
-        Tensor components xx, yy, zz, yz, xz, xy, shape (n, 6).
+        Tensor components xx, yy, zz, yz, xz, xy of the strain, shape (n, 6).
     stress_Pa
-        The same of the stress [Pa], shape (n, 6).
+        Tensor components of the stress [Pa] in the order of the strain, shape (n, 6).
     von_mises_Pa
         Von Mises stress [Pa], shape (n,).
     principal_Pa

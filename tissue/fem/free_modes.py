@@ -1,4 +1,4 @@
-"""Rigid motions of a body: all six, and those that its supports leave free, by name."""
+"""Rigid motions of a body, and the names of the motions that its supports leave free."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,16 +8,15 @@ from meshes.base.arrays import Array
 __all__ = ["free_modes", "rigid_modes"]
 
 LEAST_HOLD = 1e-6
-"""A motion that moves the held components by less than this share of the body's own motion is
-free.
-"""
+"""Largest motion of the held components in a free motion, relative to the body's own motion."""
 STRAIGHT = 1e-4
-"""Directions closer to an axis than this are called by its letter."""
+"""Largest distance of a unit direction from an axis at which the axis' letter names it."""
 
 
 def rigid_modes(nodes_m: Array, about_m: Array) -> Array:
-    """Displacements of nodes under three unit translations and three unit rotations, shape (n,
-    3, 6).
+    """Return nodal displacements of the six unit rigid motions, shape (n, 3, 6).
+
+    Three translations come first, then three rotations.
     """
     modes = np.zeros((len(nodes_m), 3, 6))
     modes[:, :, :3] = np.eye(3)
@@ -26,8 +25,9 @@ def rigid_modes(nodes_m: Array, about_m: Array) -> Array:
 
 
 def free_modes(nodes_m: Array, held: NDArray[np.bool_]) -> list[str]:
-    """Rigid motions that leave all held components where they are, in words; empty if the body is
-    supported.
+    """Return the names of the rigid motions that move no held component.
+
+    The list is empty if the body is supported.
 
     Parameters
     ----------
@@ -47,7 +47,10 @@ def free_modes(nodes_m: Array, held: NDArray[np.bool_]) -> list[str]:
 
 
 def _reduced(rows: Array) -> Array:
-    """Row echelon form, so that motions along and about the axes are separate where they can."""
+    """Return the row echelon form.
+
+    It separates motions along and about the axes if possible.
+    """
     rows = rows.copy()
     done = 0
     for column in range(6):
@@ -65,7 +68,10 @@ def _reduced(rows: Array) -> Array:
 
 
 def _named(rows: Array, centre: Array, size: float) -> list[str]:
-    """Words for motions given as rotation and translation of the scaled body, rotations first."""
+    """Return names of motions given as rotation and translation of the scaled body.
+
+    Rotations come first.
+    """
     turns = []
     slides = []
     for row in rows:
@@ -85,7 +91,7 @@ def _named(rows: Array, centre: Array, size: float) -> list[str]:
 
 
 def _direction(vector: Array) -> str:
-    """The letter of an axis, or the components of a unit vector."""
+    """Return the letter of an axis, or the components of a unit vector."""
     unit = vector / np.linalg.norm(vector)
     unit = unit if unit[np.abs(unit).argmax()] > 0.0 else -unit
     main = int(np.abs(unit).argmax())

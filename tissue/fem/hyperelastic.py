@@ -1,8 +1,8 @@
 """Tetrahedra under large deformation: energy, nodal forces and tangent stiffness.
 
-The nonlinear laws judge where the linear one stops being enough; nothing of them runs in a 1 kHz
-tick. Linear tetrahedra lock as Poisson's ratio nears 0.5; quadratic ones, with four Gauss points,
-do not.
+The nonlinear laws show where the linear law is no longer enough. They do not run in a 1 kHz tick.
+Linear tetrahedra lock as Poisson's ratio nears 0.5. Quadratic tetrahedra with four Gauss points do
+not.
 """
 
 from enum import Enum
@@ -26,7 +26,7 @@ __all__ = ["Law", "NonlinearBody"]
 
 
 class Law(Enum):
-    """Elastic laws with one small-strain limit; the value states what each holds for."""
+    """Elastic laws with one small-strain limit; the value states the range of validity."""
 
     LINEAR = "small strain and small rotation"
     COROTATIONAL = (
@@ -36,7 +36,7 @@ class Law(Enum):
 
 
 class NonlinearBody:
-    """A meshed body under one law.
+    """Meshed body with one elastic law.
 
     Parameters
     ----------
@@ -49,14 +49,12 @@ class NonlinearBody:
     law
         Elastic law.
     cell_factors
-        What the moduli of a hyperelastic law are multiplied by in each cell, shape (m,); None for
-        1.
+        Factor on the moduli of a hyperelastic law in each cell, shape (m,); None for 1.
 
     Raises
     ------
     InputError
-        If the constants have another shape or are not those of a stable material, or are given
-        twice.
+        If the constants have another shape, do not describe a stable material, or are given twice.
     """
 
     def __init__(
@@ -149,8 +147,9 @@ class NonlinearBody:
         )
 
     def energy_and_force(self, displacement_m: Array) -> tuple[float, Array]:
-        """Elastic energy [J], infinite where a cell is turned over, and its derivative, shape
-        (n, 3) [N].
+        """Return the elastic energy [J] and its derivative, shape (n, 3) [N].
+
+        The energy is infinite where a cell is turned over.
         """
         self._displacement.assign(np.ascontiguousarray(displacement_m, dtype=np.float64))
         for run in self._force_launches:
@@ -158,8 +157,9 @@ class NonlinearBody:
         return float(self._energy.numpy().sum()), self._force.numpy().copy()
 
     def stiffness(self, displacement_m: Array) -> bsr_array:
-        """Tangent stiffness [N/m] at a displacement that turns no cell over, symmetric to the
-        bit, shape (3n, 3n).
+        """Return the tangent stiffness [N/m] at a displacement, shape (3n, 3n).
+
+        The matrix is bitwise symmetric. The displacement must not turn a cell over.
         """
         self._displacement.assign(np.ascontiguousarray(displacement_m, dtype=np.float64))
         for run in self._stiffness_launches:
@@ -174,7 +174,11 @@ class NonlinearBody:
 def _constants(
     lame_Pa: ArrayLike | None, law: Law | Hyperelastic, count: int, factors: Array | None
 ) -> tuple[int | Array, ...]:
-    """What the law's kernels take: its number and Lame constants, or moduli, terms and powers."""
+    """Return the arguments of the law's kernels.
+
+    They are the law's number and Lame constants, or for a hyperelastic law moduli, terms and
+    powers.
+    """
     if isinstance(law, Hyperelastic):
         if lame_Pa is not None:
             raise InputError(

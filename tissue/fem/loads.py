@@ -1,4 +1,4 @@
-"""Loads on nodes that do the same work as gravity and traction do on the displacement."""
+"""Nodal loads that are work-equivalent to gravity and traction."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,7 +21,7 @@ def gravity(
     density_kg_m3: ArrayLike,
     acceleration_m_s2: ArrayLike = (0.0, 0.0, -STANDARD_GRAVITY_M_S2),
 ) -> Array:
-    """Weight of the cells on the nodes [N], shape (n, 3).
+    """Return the weight of the cells on the nodes [N], shape (n, 3).
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def gravity(
 
 
 def traction(space: Space, traction_Pa: ArrayLike, *, faces: Ints | None = None) -> Array:
-    """Traction on faces of the surface as forces on nodes [N], shape (n, 3).
+    """Return traction on faces of the surface as forces on nodes [N], shape (n, 3).
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def traction(space: Space, traction_Pa: ArrayLike, *, faces: Ints | None = None)
 
 
 def _spread(space: Space, nodes: Ints, force: Array, share: Array) -> Array:
-    """Sum of each row's force, shape (r, 3), times the share of each of its nodes, shape (k,)."""
+    """Sum each row's force, shape (r, 3), times the share of each of its nodes, shape (k,)."""
     each = (force[:, None, :] * share[:, None]).reshape(-1, 3)
     rows = nodes.ravel()
     return np.stack(

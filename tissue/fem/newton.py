@@ -1,17 +1,16 @@
-"""Static equilibrium of a nonlinear body: Newton's method on its energy, with a rigid sphere if one
-presses.
+"""Static equilibrium of a nonlinear body by Newton's method, with an optional rigid sphere.
 
 Each Newton step solves with the tangent by conjugate gradients, preconditioned by one factorisation
-of the stiffness at rest, and stops at a direction of negative curvature (Steihaug 1983, SIAM J.
-Numer. Anal. 20:626): the direction always lowers the energy. The step is halved until energy and
-slope fall; a step that turns a cell over has infinite energy and is never taken. A sphere's
-multipliers are corrected between such solves.
+of the stiffness at rest. The iterations stop at a direction of negative curvature (Steihaug 1983,
+SIAM J. Numer. Anal. 20:626), so the direction always lowers the energy. The step is halved until
+energy and slope decrease. A step that turns a cell over has infinite energy and is never taken. The
+multipliers of a sphere are corrected between such solves.
 
 The sphere is rigid and without friction. It enters as an augmented Lagrangian on the surface nodes
-(Simo and Laursen 1992, Comput. Struct. 42:97): with g how deep a node lies in the sphere, k a
-penalty and p a multiplier [N], the energy is ``sum (max(0, p + k g)^2 - p^2) / 2 k``, and after
-each equilibrium ``p <- max(0, p + k g)``. At the end g <= 0 where p = 0 and g = 0 where p > 0,
-whatever the penalty.
+(Simo and Laursen 1992, Comput. Struct. 42:97). With g the depth of a node in the sphere, k a
+penalty and p a multiplier [N], the energy is ``sum (max(0, p + k g)^2 - p^2) / 2 k``. After each
+equilibrium ``p <- max(0, p + k g)``. At the end g <= 0 where p = 0 and g = 0 where p > 0, for any
+penalty.
 """
 
 from collections.abc import Callable
@@ -40,20 +39,20 @@ __all__ = [
 
 
 class RigidSphere:
-    """Sphere against the nodes of a surface.
+    """Rigid sphere in contact with the nodes of a surface.
 
     Parameters
     ----------
     nodes
         Nodes that may touch it, shape (s,).
     penalty_N_m
-        Penalty of each of them [N/m], shape (s,); ten times their own stiffness is a good one.
+        Penalty of each node [N/m], shape (s,); ten times the node's own stiffness works well.
     radius_m
         Radius [m].
     centre_m
         Centre [m], shape (3,).
     tolerance
-        Depth of a node, or gap of a pressed one, that is allowed at the end, over the radius.
+        Allowed final depth of a node, or gap of a pressed node, over the radius.
 
     Raises
     ------
@@ -78,17 +77,20 @@ class RigidSphere:
         self.move_to(centre_m)
 
     def move_to(self, centre_m: Array) -> None:
-        """Put the centre here [m], shape (3,); multipliers stay, as a first guess."""
+        """Move the centre to a position [m], shape (3,); multipliers stay, as a first guess."""
         self.centre_m = centre_m
 
     def energy_and_force(self, positions_m: Array) -> tuple[float, Array]:
-        """Energy [J], and its derivative by the positions of ``nodes`` [N], shape (s, 3)."""
+        """Return the energy [J] and its derivative by the positions of ``nodes`` [N].
+
+        The derivative has shape (s, 3).
+        """
         pressed, outward, _ = self._pressed(positions_m)
         energy = 0.5 * np.sum((pressed**2 - self._multiplier**2) / self._penalty)
         return float(energy), -pressed[:, None] * outward
 
     def blocks(self, positions_m: Array) -> Array:
-        """Second derivative of the energy for each of ``nodes`` [N/m], shape (s, 3, 3)."""
+        """Return the second derivative of the energy by ``nodes`` [N/m], shape (s, 3, 3)."""
         pressed, outward, distance = self._pressed(positions_m)
         along = outward[:, :, None] * outward[:, None]
         stiff = np.where(pressed > 0.0, self._penalty, 0.0)
@@ -97,11 +99,11 @@ class RigidSphere:
         )
 
     def force_N(self, positions_m: Array) -> Array:
-        """Force of the body on the sphere [N], shape (3,)."""
+        """Return the force of the body on the sphere [N], shape (3,)."""
         return self.energy_and_force(positions_m)[1].sum(axis=0)
 
     def settled(self, positions_m: Array) -> bool:
-        """Whether the nodes lie as they must to the tolerance; if not, correct the multipliers."""
+        """Return True if the nodes satisfy the contact conditions, else correct the multipliers."""
         pressed, _, distance = self._pressed(positions_m)
         violation = np.maximum(self.radius_m - distance, -self._multiplier / self._penalty)
         if np.abs(violation).max() <= self._tolerance_m:
@@ -110,7 +112,7 @@ class RigidSphere:
         return False
 
     def _pressed(self, positions_m: Array) -> tuple[Array, Array, Array]:
-        """Force on each node [N], direction away from the centre, distance from it [m]."""
+        """Return force on each node [N], direction from the centre, and distance to it [m]."""
         from_centre = positions_m[self.nodes] - self.centre_m
         distance = np.maximum(np.linalg.norm(from_centre, axis=1), 1e-3 * self.radius_m)
         pressed = np.maximum(0.0, self._multiplier + self._penalty * (self.radius_m - distance))
@@ -121,25 +123,28 @@ HALVINGS = 30
 ARMIJO = 1e-4
 ROUNDING = 1e-12
 POSITIONS = 4e-13
-"""Rounding of nodal forces over stiffness times size of the body."""
+"""Rounding error of nodal forces, over stiffness times size of the body."""
 CORRECTIONS = 60
-"""Corrections of a sphere's multipliers: each leaves a tenth of the penetration or less."""
+"""Largest number of corrections of a sphere's multipliers.
+
+Each correction leaves a tenth of the penetration or less.
+"""
 LINEAR_LIMIT = 500
 
 
 @dataclass(frozen=True, eq=False)
 class NewtonSolution(Solution):
-    """Displacement and how it was reached, in how many steps of Newton's method.
+    """Displacement, outcome and forces of a solve by Newton's method.
 
-    The residual is the largest force that nothing balances, over the largest that something does.
+    The residual is the largest unbalanced force over the largest balanced force.
 
     Attributes
     ----------
     force_N
-        Derivative of the elastic energy [N], shape (n, 3): what the supports and the sphere push
-        with.
+        Derivative of the elastic energy [N], shape (n, 3): the force of the supports and of the
+        sphere on the body.
     tool_force_N
-        Force that the body pushes the sphere with [N], shape (3,); zero without one.
+        Force of the body on the sphere [N], shape (3,); zero without a sphere.
     """
 
     force_N: Array
@@ -147,26 +152,26 @@ class NewtonSolution(Solution):
 
 
 class NewtonSolver:
-    """Equilibria of a body with held components.
+    """Solver for equilibria of a body with held components.
 
     Parameters
     ----------
     body
         The body.
     held
-        Components whose displacement is prescribed, shape (n, 3).
+        Components with a prescribed displacement, shape (n, 3).
     tolerance
         Residual force allowed, over the largest force in the body.
     step_limit
         Newton steps allowed in a solve.
     precondition
-        Close to the inverse of the stiffness at rest of the free components, on vectors; default:
-        its factorisation.
+        Approximate inverse of the stiffness at rest of the free components, applied to vectors;
+        default: the factorisation of that stiffness.
 
     Raises
     ------
     InputError
-        If what is held leaves a part free to move, or the shape is wrong.
+        If the held components leave a part free to move, or the shape is wrong.
     """
 
     def __init__(
@@ -193,14 +198,15 @@ class NewtonSolver:
         rest = body.stiffness(np.zeros(held.shape))
         self.rest_diagonal = rest.diagonal()
         """Diagonal of the stiffness at rest [N/m], shape (3n,)."""
-        # A turned body without stress has forces of rounding alone, and no other to compare them
+        # A rotated body without stress has only rounding errors as forces, and no others to compare
         # with.
         extent = float(np.ptp(body.nodes_m, axis=0).max())
         self._rounding_N = POSITIONS * float(self.rest_diagonal.max()) * extent
         self._rounding_J = ROUNDING * 1e-2 * float(self.rest_diagonal.max()) * extent**2
         self.precondition = precondition or _at_rest(HeldBody(rest, body.nodes_m, held))
-        """Close to the inverse of the stiffness at rest; another solver with the same supports
-        may use it.
+        """Approximate inverse of the stiffness at rest.
+
+        Another solver with the same supports may use it.
         """
 
     def solve(
@@ -210,10 +216,10 @@ class NewtonSolver:
         sphere: RigidSphere | None = None,
         start_m: Array | None = None,
     ) -> NewtonSolution:
-        """Equilibrium with held components at ``held_m`` [m], shape (n, 3), from ``start_m`` [m];
-        default: zero.
+        """Solve for the equilibrium with held components at ``held_m`` [m], shape (n, 3).
 
-        With a sphere, its multipliers are corrected until it is settled.
+        The solve starts from ``start_m`` [m]; the default of both is zero. With a sphere, its
+        multipliers are corrected until the contact conditions are satisfied.
 
         Raises
         ------
@@ -245,8 +251,9 @@ class NewtonSolver:
         return NewtonSolution(now, outcome, steps, residual, force, push)
 
     def _moved_on(self, start: Array, move: Array) -> Array:
-        """The start with held components moved and the free ones following to first order, if no
-        cell turns over.
+        """Return the start with held components moved and free components following to first order.
+
+        If that turns a cell over, only the held components move.
         """
         tangent = self.body.stiffness(start)
         following = start + move + self._direction(tangent, -(tangent @ move.ravel()), 1e-3)
@@ -255,8 +262,9 @@ class NewtonSolver:
     def _minimum(
         self, now: Array, sphere: RigidSphere | None
     ) -> tuple[Array, SolverOutcome, float, int]:
-        """Newton's method from here with the sphere's multipliers kept: place, outcome, residual
-        and steps.
+        """Minimise the energy by Newton's method, with the sphere's multipliers kept.
+
+        Return displacement, outcome, residual and number of steps.
         """
         energy, size, slope = self._state(now, sphere)
         if not np.isfinite(energy):
@@ -291,8 +299,9 @@ class NewtonSolver:
         return now, SolverOutcome.NOT_CONVERGED, residual, self._step_limit
 
     def _state(self, displacement: Array, sphere: RigidSphere | None) -> tuple[float, float, Array]:
-        """Energy [J], largest force in the body [N], and the energy's derivative, zero where
-        held [N].
+        """Return energy [J], largest force in the body [N] and the energy's derivative [N].
+
+        The derivative is zero at held components.
         """
         energy, force = self.body.energy_and_force(displacement)
         size = np.abs(force).max()
@@ -306,7 +315,7 @@ class NewtonSolver:
         return energy, float(size), np.where(self.held, 0.0, slope)
 
     def _whole(self, displacement: Array, sphere: RigidSphere | None) -> bsr_array:
-        """Second derivative of the energy."""
+        """Return the second derivative of the energy."""
         tangent = self.body.stiffness(displacement)
         if sphere is not None:
             row = np.repeat(np.arange(self.body.space.node_count), np.diff(tangent.indptr))
@@ -315,7 +324,10 @@ class NewtonSolver:
         return tangent
 
     def _direction(self, whole: bsr_array, load: Array, accuracy: float) -> Array:
-        """Conjugate gradients for the free components, ended early at negative curvature."""
+        """Solve for the free components by conjugate gradients.
+
+        The iterations end early at negative curvature.
+        """
         free = self._free
         full = np.zeros(self.held.size)
 
@@ -337,7 +349,7 @@ class NewtonSolver:
 
 
 def _at_rest(body: HeldBody) -> Callable[[Array], Array]:
-    """Displacements of the free components by the stiffness at rest."""
+    """Return a function that solves for the free components with the stiffness at rest."""
     solver = DirectSolver(body)
     return lambda force: solver.solve(body.whole(force)).displacement_m.ravel()[body.free]
 
@@ -345,7 +357,7 @@ def _at_rest(body: HeldBody) -> Callable[[Array], Array]:
 STIFFER = 10.0
 """Penalty of a surface node over its own stiffness."""
 NODES = 1e-5
-"""How far a node may be off the sphere, over its radius."""
+"""Largest distance allowed between a node and the sphere, over the radius of the sphere."""
 LONGEST = 0.3
 """Longest step of the sphere over its radius."""
 
@@ -358,25 +370,26 @@ def press_at(
     radius_m: float,
     tolerance: float = NODES,
 ) -> tuple[NewtonSolution, RigidSphere, float]:
-    """Equilibrium with a rigid sphere that comes straight to its place, the body being at rest
-    before.
+    """Solve for the equilibrium with a rigid sphere that moves in a straight line to its place.
+
+    The body is at rest before.
 
     Parameters
     ----------
     solver
         Solver of the body.
     tip_m, direction
-        Foremost point of the sphere at its place [m], and the unit direction that it comes along,
+        Foremost point of the sphere at its final place [m], and the unit direction of its motion,
         shapes (3,).
     radius_m
         Radius of the sphere [m].
     tolerance
-        Depth of a node in the sphere that is allowed, over the radius.
+        Allowed depth of a node in the sphere, over the radius.
 
     Returns
     -------
-    The equilibrium, the first that did not converge if one does not; the sphere; its path
-    from the first touch [m], not positive where it does not reach the body.
+    The equilibrium, or the first solution that did not converge; the sphere; its path from the
+    first touch [m], not positive where it does not reach the body.
 
     Raises
     ------
@@ -398,8 +411,9 @@ def press_at(
 def resting_sphere(
     solver: NewtonSolver, point_m: Array, direction: Array, radius_m: float, tolerance: float
 ) -> tuple[RigidSphere, float]:
-    """A sphere aimed at a point [m] where it first touches a node, and how far beyond the point
-    its centre is [m].
+    """Return a sphere aimed at a point [m], placed where it first touches a node.
+
+    The second value is the distance of its centre beyond the point [m].
     """
     radius = require_positive("radius_m", radius_m, "use 0.01")
     body = solver.body

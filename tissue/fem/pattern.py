@@ -1,7 +1,7 @@
-"""Where the 3x3 blocks of an assembled matrix lie, and which cells each one is summed from.
+"""Positions of the 3x3 blocks of an assembled matrix, and the cells that contribute to each block.
 
-Pairs of nodes are grouped by two stable counting sorts, linear in their number; SciPy's conversion
-of one compressed row into columns is such a sort. Each pair occurs once, lower node first; its
+Pairs of nodes are grouped by two stable counting sorts, linear in their number. SciPy's conversion
+of one compressed row into columns is such a sort. Each pair occurs once, lower node first. Its
 mirror image gets a place, not a sum.
 """
 
@@ -20,7 +20,7 @@ Integers = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """Blocks of a symmetric matrix over nodes, with both triangles stored in rows.
+    """Block pattern of a symmetric matrix over nodes, with both triangles stored by rows.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Pattern:
     place
         Block of each pair with the lower node as its row, shape (p,).
     mirror
-        Block of its transpose, shape (p,); the same on the diagonal.
+        Block of its transpose, shape (p,); equal to `place` on the diagonal.
     """
 
     row_start: Integers
@@ -48,7 +48,7 @@ class Pattern:
 
     @classmethod
     def of(cls, cell_nodes: Ints, node_count: int) -> "Pattern":
-        """Pattern of cells with the nodes `cell_nodes`, shape (m, k)."""
+        """Return the pattern of cells with the nodes `cell_nodes`, shape (m, k)."""
         a, b = local_pairs(cell_nodes.shape[1]).T
         nodes = cell_nodes.astype(np.int32)
         first = nodes[:, a].ravel()
@@ -86,13 +86,14 @@ class Pattern:
 
 
 def local_pairs(nodes_a_cell: int) -> Ints:
-    """Pairs a <= b of a cell's nodes, row by row, shape (k (k + 1) / 2, 2)."""
+    """Return the pairs a <= b of a cell's nodes, row by row, shape (k (k + 1) / 2, 2)."""
     return np.stack(np.triu_indices(nodes_a_cell), axis=1)
 
 
 def grouped(first: Integers, second: Integers, count: int) -> tuple[Integers, Ints]:
-    """Order that sorts pairs of numbers below `count` stably, and where each new pair starts in
-    it, shape (p + 1,).
+    """Return the stable order that sorts pairs of numbers, and the start of each pair.
+
+    The numbers are below `count`. The starts have shape (p + 1,).
     """
     every = np.arange(len(first), dtype=np.int32)
     order = _sorted_by(first, _sorted_by(second, every, count), count)
@@ -106,7 +107,7 @@ def grouped(first: Integers, second: Integers, count: int) -> tuple[Integers, In
 
 
 def _sorted_by(key: Integers, order: Integers, count: int) -> Integers:
-    """Indices `order` sorted stably by their keys below `count`, in time linear in both."""
+    """Return `order` sorted stably by keys below `count`, in time linear in both."""
     row = csr_array(
         (order, key[order], np.array([0, len(order)], dtype=np.int32)), shape=(1, count)
     )

@@ -1,13 +1,12 @@
-"""Equilibrium of a nonlinear body under nodal forces that change little by little: L-BFGS on one
-factor.
+"""Equilibrium of a nonlinear body under slowly changing nodal forces, by L-BFGS.
 
-Each step needs one evaluation of the internal forces and one solve with a factor, at first of the
-stiffness at rest. What the last steps found of the curvature (Liu and Nocedal 1989, Math. Program.
-45:503) belongs to the body alone, not to the forces, so it stays from one load to the next. Where
-steps become many, the stiffness there is factorised.
+Each step needs one evaluation of the internal forces and one solve with a factor, at first the
+factor of the stiffness at rest. The curvature pairs of the last steps (Liu and Nocedal 1989, Math.
+Program. 45:503) depend on the body alone, not on the forces, so they stay valid from one load to
+the next. When a solve needs many steps, the stiffness at the present displacement is factorised.
 
-Springs may hold some points near prescribed displacements. Tissue that a tool presses deep can be
-stable only because the tool is rigid: under the same forces without the tool its tangent is
+Springs may hold some points near prescribed displacements. Tissue under a deep press of a tool can
+be stable only because the tool is rigid. Under equal forces without the tool its tangent is
 indefinite and no equilibrium is near.
 """
 
@@ -27,32 +26,33 @@ from tissue.fem.solvers.multifrontal import NotPositiveDefiniteError
 __all__ = ["Followed", "QuasiNewton", "Springs"]
 
 MEMORY = 12
-"""Steps whose curvature is kept."""
+"""Number of steps whose curvature pairs are kept."""
 HALVINGS = 12
 ARMIJO = 1e-4
 ROUNDING = 1e-12
 SMALL = 1e-3
-"""Share of the greatest load so far below which a load counts as that much: less need not be
+"""Share of the largest load so far. A smaller load counts as this share, so it need not be
 balanced.
 """
 MANY = 8
-"""Steps of a solve after which the stiffness of where it is takes the place of the one before."""
+"""Steps of a solve after which the stiffness at the present displacement is factorised anew."""
 SPRING = 1.0
 """Stiffness of a spring over the stiffness of the point that it holds."""
 SHARES = (1.0, 0.5, 0.2)
-"""Shares of an indefinite tangent that are tried; the stiffness at rest makes up the rest and is
-positive definite.
+"""Shares of an indefinite tangent that are tried in turn.
+
+The remaining share is the stiffness at rest, which is positive definite.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Springs:
-    """Springs between points of a body and places that do not move.
+    """Springs between points of a body and fixed points.
 
     Attributes
     ----------
     points
-        Displacements of the points from those of all components, shape (p, 3n).
+        Matrix from the displacements of all components to those of the points, shape (p, 3n).
     stiffness_N_m
         Stiffness of each spring [N/m], shape (p,).
     target_m
@@ -70,7 +70,7 @@ class Springs:
 
     @classmethod
     def holding(cls, shares: csr_array, compliance_m_N: Array, target_m: Array) -> "Springs":
-        """Hold points near places in all directions, each as stiffly as the body itself.
+        """Return springs that hold points near given positions, each as stiff as the body itself.
 
         Parameters
         ----------
@@ -104,7 +104,7 @@ class Springs:
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """An equilibrium, or how near to one it came.
+    """An equilibrium, or the closest approach to one.
 
     Attributes
     ----------
@@ -113,8 +113,7 @@ class Followed:
     load_N
         Load and forces of the springs [N], shape (n, 3).
     residual
-        Largest force that nothing balances, over the largest of the load and of what was carried
-        before.
+        Largest unbalanced force, over the largest force of the load and of the loads before.
     steps
         Steps taken.
     """
@@ -127,24 +126,24 @@ class Followed:
 
 
 class QuasiNewton:
-    """Follows a load.
+    """Solver that follows the equilibrium of a body under a changing load.
 
     Parameters
     ----------
     body
         The body.
     fixed
-        Components that are held where they are, shape (n, 3).
+        Components with zero displacement, shape (n, 3).
     at_rest
         Factor of the stiffness at rest.
     factorise
-        Makes that of another stiffness [N/m]; raises `NotPositiveDefiniteError` where it has no
-        Cholesky factor.
+        Function that factorises another stiffness [N/m]; raises `NotPositiveDefiniteError` where
+        it has no Cholesky factor.
 
     Attributes
     ----------
     factor
-        The factor of last, of the stiffness at rest or of a place that was passed since.
+        Factor in use, of the stiffness at rest or at a later displacement.
     indefinite
         Number of tangents so far that were not positive definite.
     """
@@ -173,7 +172,7 @@ class QuasiNewton:
     def follow(
         self, load_N: Array, *, tolerance: float, step_limit: int, springs: Springs | None = None
     ) -> Followed:
-        """Go on to the equilibrium under a load [N], shape (n, 3), from where the last one ended.
+        """Solve for the equilibrium under a load, starting from the last solution.
 
         Parameters
         ----------
@@ -204,7 +203,7 @@ class QuasiNewton:
             if steps % MANY == 0:
                 self.take_stiffness()
         if worst > max(tolerance * size, at_start):
-            # A law that softens has no least energy: the steps may have led far away. Stay at the
+            # A softening law has no energy minimum: the steps may have led far away. Stay at the
             # last equilibrium.
             self._displacement, self._energy, self._internal = start
             self._take_factor(self.at_rest)
@@ -214,15 +213,14 @@ class QuasiNewton:
         return Followed(self._displacement, self._internal, acting, residual, steps)
 
     def _left(self, load_N: Array) -> tuple[Array, Array]:
-        """Compute load and springs together, and what of them nothing balances [N], shape (n, 3)
-        both.
-        """
+        """Return the load with springs and its unbalanced part [N], shape (n, 3) both."""
         acting = load_N + self._springs.energy_and_force(self._displacement)[1]
         return acting, np.where(self._fixed, 0.0, acting - self._internal)
 
     def _advance(self, step: Array, load_N: Array, slope: float) -> bool:
-        """Take a step, shortened until the energy falls; return False where no length of it
-        does.
+        """Take a step, shortened until the energy decreases.
+
+        Return False if no length decreases the energy.
         """
         if slope <= 0.0:
             return False
@@ -251,7 +249,7 @@ class QuasiNewton:
         return self._springs.energy_and_force(moved_m)[0] - float(np.sum(load_N * moved_m))
 
     def take_stiffness(self) -> None:
-        """Factorise the stiffness of this place, made stiffer where it is not positive definite.
+        """Factorise the stiffness at the present displacement, made positive definite if needed.
 
         The springs are added first. Where they are not enough, the tangent is mixed with the
         stiffness at rest.
@@ -271,14 +269,14 @@ class QuasiNewton:
         return self._take_factor(self.at_rest)
 
     def _take_factor(self, factor: DirectSolver) -> None:
-        """Go on with a factor and without what the last steps found."""
+        """Replace the factor and discard the curvature pairs of the last steps."""
         self.factor = factor
         self._memory.clear()
         self._pairs.clear()
         self._hold_back()
 
     def _spring_up(self, springs: Springs) -> None:
-        """Go on with other springs; what was found of the body's curvature stays."""
+        """Replace the springs and keep the curvature pairs of the body."""
         self._springs = springs
         self._hold_back()
         self._pairs.clear()
@@ -286,8 +284,9 @@ class QuasiNewton:
             self._pair(change, force)
 
     def _pair(self, change: Array, force: Array) -> None:
-        """Take a change and that of the body's forces as curvature, where it is positive with
-        the springs.
+        """Store a change of displacement and of the body's force as a curvature pair.
+
+        The pair is stored only if its curvature is positive with the springs.
         """
         whole = force + np.where(self._fixed, 0.0, self._springs.product(change))
         curved = float(np.sum(change * whole))
@@ -296,8 +295,9 @@ class QuasiNewton:
             del self._pairs[:-MEMORY]
 
     def _hold_back(self) -> None:
-        """Prepare what the springs take off the displacements of the factor (Woodbury's
-        identity).
+        """Prepare the correction of the factor's displacements for the springs.
+
+        It uses Woodbury's identity.
         """
         points = self._springs.points
         self._held_back = None
@@ -320,7 +320,7 @@ class QuasiNewton:
         return free - self.factor.solve(pull.reshape(-1, 3)).displacement_m
 
     def _inverse(self, left_N: Array) -> Array:
-        """Apply the inverse of the stiffness about here to forces (two loops of Nocedal 1980)."""
+        """Apply the inverse of the present stiffness to forces (two loops of Nocedal 1980)."""
         forces = left_N.copy()
         shares = []
         for change, force, inverse in reversed(self._pairs):

@@ -1,10 +1,10 @@
 """Shape functions of straight-sided simplices, linear and quadratic, in barycentric coordinates.
 
-On a straight simplex the gradients g_c of the barycentric coordinates l_c are constant, and the
-gradient of shape function A is ``sum_c sum_i slope[A, c, i] l_i g_c``: g_A (linear) or ``(4 l_A -
-1) g_A`` (quadratic) for a corner, with 1 = sum l_i, and ``4 (l_i g_j + l_j g_i)`` for the middle of
-edge ij. Products integrate exactly by ``mean(l_i l_j) = (1 + delta_ij) / ((d + 1) (d + 2))``, so
-that no quadrature is needed.
+On a straight simplex the gradients g_c of the barycentric coordinates l_c are constant. The
+gradient of shape function A is ``sum_c sum_i slope[A, c, i] l_i g_c``. It is g_A (linear) or ``(4
+l_A - 1) g_A`` (quadratic) for a corner, with 1 = sum l_i, and ``4 (l_i g_j + l_j g_i)`` for the
+middle of edge ij. Products integrate exactly by ``mean(l_i l_j) = (1 + delta_ij) / ((d + 1) (d +
+2))``, so that no quadrature is needed.
 """
 
 import numpy as np
@@ -25,22 +25,24 @@ EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
 """Corners of the edges of a tetrahedron in the order of their middle nodes, VTK's order."""
 
 TRIANGLE_EDGES = EDGES[:3]
-"""The same for a triangle."""
+"""Corners of each edge of a triangle."""
 
 GAUSS = 0.13819660112501052
 """Barycentric coordinate of the four Gauss points that integrate quadratics: (5 - sqrt 5) / 20."""
 
 
 def gauss_points(order: int) -> Array:
-    """Barycentric coordinates of a tetrahedron's points of equal weight, shape (1, 4) or,
-    quadratic, (4, 4).
+    """Return barycentric coordinates of a tetrahedron's Gauss points, which have equal weights.
+
+    Shape (1, 4) for linear cells, (4, 4) for quadratic cells.
     """
     return np.full((1, 4), 0.25) if order == 1 else GAUSS + (1.0 - 4.0 * GAUSS) * np.eye(4)
 
 
 def gradient_slopes(corners: int, order: int) -> Array:
-    """Slopes of the gradients, shape (nodes, corners, corners): by shape function, by g_c and by
-    l_i.
+    """Return the slopes of the gradients, shape (nodes, corners, corners).
+
+    The axes are shape function, g_c and l_i.
     """
     edges = _edges(corners, order)
     slope = np.zeros((corners + len(edges), corners, corners))
@@ -53,8 +55,9 @@ def gradient_slopes(corners: int, order: int) -> Array:
 
 
 def gradient_products(corners: int, order: int) -> Array:
-    """Means over the simplex, shape (nodes, nodes, corners, corners): [A, B, c, d] multiplies
-    g_c g_d^T.
+    """Return means of gradient products over the simplex, shape (nodes, nodes, corners, corners).
+
+    [A, B, c, d] multiplies g_c g_d^T.
     """
     slope = gradient_slopes(corners, order)
     mean = (1.0 + np.eye(corners)) / (corners * (corners + 1))
@@ -62,7 +65,9 @@ def gradient_products(corners: int, order: int) -> Array:
 
 
 def mean_shape(corners: int, order: int) -> Array:
-    """Means of the shape functions over the simplex, shape (nodes,): shares of a uniform load."""
+    """Return means of the shape functions over the simplex, shape (nodes,): shares of a uniform
+    load.
+    """
     if order == 1:
         return np.full(corners, 1.0 / corners)
     middle = 4.0 / (corners * (corners + 1))

@@ -1,5 +1,6 @@
-"""Displacement spaces on tetrahedra: linear (P1) with nodes at corners, quadratic (P2) with
-middles of edges too.
+"""Displacement spaces on tetrahedra: linear (P1) and quadratic (P2).
+
+Linear spaces have nodes at corners, quadratic spaces also in the middles of edges.
 """
 
 from dataclasses import dataclass
@@ -65,7 +66,7 @@ class Space:
 
     @cached_property
     def nodes_m(self) -> Array:
-        """Node positions [m], shape (n, 3): those of the mesh, then the middles of its edges."""
+        """Node positions [m]: nodes of the mesh, then middles of its edges, shape (n, 3)."""
         corners = self.mesh.nodes_m
         if self.order == 1:
             return corners
@@ -74,8 +75,9 @@ class Space:
 
     @cached_property
     def cell_nodes(self) -> Ints:
-        """Nodes of each cell, shape (m, 4) or (m, 10): corners, then the middles of `EDGES` in
-        VTK's order.
+        """Nodes of each cell, shape (m, 4) or (m, 10).
+
+        Corners come first, then the middles of `EDGES` in VTK's order.
         """
         if self.order == 1:
             return self.mesh.cells
@@ -83,14 +85,16 @@ class Space:
 
     @cached_property
     def faces(self) -> Ints:
-        """Nodes of each face of the surface, shape (f, 3) or (f, 6): corners as in the mesh,
-        then middles.
+        """Nodes of each face of the surface, shape (f, 3) or (f, 6).
+
+        Corners as in the mesh come first, then middles.
         """
         return self.with_middles(self.mesh.surface)
 
     def with_middles(self, triangles: Ints) -> Ints:
-        """Triangles that are faces of cells, shape (f, 3), with their middle nodes where the
-        space is quadratic.
+        """Return triangles with their middle nodes where the space is quadratic.
+
+        The triangles are faces of cells, shape (f, 3).
         """
         if self.order == 1:
             return triangles
@@ -102,13 +106,14 @@ class Space:
 
     @cached_property
     def pattern(self) -> Pattern:
-        """Where the blocks of a matrix on this space lie."""
+        """Positions of the blocks of a matrix on this space."""
         return Pattern.of(self.cell_nodes, self.node_count)
 
     @cached_property
     def gradients(self) -> tuple[wp.array[object], wp.array[object]]:
-        """On the device: gradients of the barycentric coordinates [1/m], vectors (m, 4), and
-        volumes [m3], (m,).
+        """Gradients of the barycentric coordinates [1/m] and volumes [m3] on the device.
+
+        The gradients are vectors of shape (m, 4), the volumes have shape (m,).
         """
         count = self.cell_count
         nodes: wp.array[object] = wp.array(self.mesh.nodes_m, dtype=wp.vec3d, device=self.device)
@@ -136,9 +141,7 @@ class Space:
 
     @cached_property
     def _edges(self) -> tuple[Ints, Ints]:
-        """Corners of each edge in rising order, shape (e, 2), and the edges of each cell, shape
-        (m, 6).
-        """
+        """Corners of each edge in rising order, (e, 2), and edges of each cell, (m, 6)."""
         ends = np.sort(self.mesh.cells[:, EDGES].reshape(-1, 2), axis=1).astype(np.int32)
         order, start = grouped(ends[:, 0], ends[:, 1], len(self.mesh.nodes_m))
         edge_of = np.empty(len(order), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Strain and stress of a displacement: in the middle of cells."""
+"""Strain and stress of a displacement at the cell centres."""
 
 import numpy as np
 import warp as wp
@@ -17,7 +17,7 @@ __all__ = ["cell_stress", "group_stress"]
 
 
 def cell_stress(space: Space, displacement_m: Array, elasticity: ArrayLike) -> StressState:
-    """Stress in the middle of each cell, which is its mean over the cell.
+    """Return the stress at the centre of each cell, which is its mean over the cell.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def group_stress(
     member: NDArray[np.int32],
     places: Array,
 ) -> StressState:
-    """Mean stress of groups of cells at places in them, by the cells' volumes.
+    """Return the mean stress of groups of cells at points in them, weighted by the cells' volumes.
 
     Parameters as of `kernels.tet_stress.group_stress`, errors as of `cell_stress`.
     """

@@ -1,4 +1,4 @@
-"""From the nodes of one mesh to points on the surface of another mesh of the same body."""
+"""Transfer from the nodes of one mesh to points on the surface of another mesh of one body."""
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -10,21 +10,21 @@ from tissue.fem.space import Space
 __all__ = ["surface_transfer"]
 
 NONE = 1e-9
-"""Shares below this are rounding."""
+"""Shares below this are rounding errors."""
 
 
 def surface_transfer(space: Space, points_m: Array) -> csr_array:
-    """Shares of the nodes in what points of the surface have, shape (k, n).
+    """Return the shares of the nodes in points of the surface, shape (k, n).
 
-    Times displacements of the nodes it gives those of the points; its transpose takes forces on the
-    points to forces on the nodes that do the same work.
+    The matrix times nodal displacements gives the displacements of the points. Its transpose turns
+    forces on the points into work-equivalent forces on the nodes.
 
     Parameters
     ----------
     space
         Nodes and cells.
     points_m
-        Points [m], shape (k, 3); each takes part as the point of the surface that is nearest to it.
+        Points [m], shape (k, 3). Each point is replaced by the nearest point of the surface.
     """
     import pyvista
 

@@ -1,1 +1,1 @@
-"""Tissue models, all of one contract: bone, tooth, organ, needle in layers, wall."""
+"""Tissue models with one interface: bone, tooth, organ, needle in layers, wall."""

@@ -1,5 +1,6 @@
-"""Distance of the tool from structures that it must not touch, at every tick, with breaches as
-events.
+"""Distance of the tool from structures that it must not touch, at every tick.
+
+Breaches are reported as events.
 """
 
 from collections.abc import Callable, Mapping
@@ -26,9 +27,9 @@ from tissue.models.tissue_model import TICK_S, ToolMotion
 __all__ = ["Distance", "KeepClear", "Structure"]
 
 Distance = Callable[[NDArray[np.float64]], NDArray[np.floating]]
-"""Points [m], shape (n, 3), to their signed distance [m], shape (n,), negative inside."""
+"""Function from points [m], shape (n, 3), to signed distances [m], shape (n,), negative inside."""
 DEVICE = "cpu"
-"""One thread searches, wherever the tissue is computed."""
+"""Device of the search: one thread on the CPU, for any device of the tissue."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +43,7 @@ class Structure:
     faces
         Triangles wound outward, shape (m, 3).
     slack_m
-        Largest distance between the triangles and the surface that they stand for [m]. It is
+        Largest distance between the triangles and the surface that they approximate [m]. It is
         subtracted from every distance.
     """
 
@@ -53,7 +54,7 @@ class Structure:
 
 @dataclass
 class _Breach:
-    """A structure and what the tool has done to it."""
+    """Structure and the breaches of the tool into it."""
 
     name: str
     least_m: float = inf
@@ -67,10 +68,10 @@ class _Breach:
 class KeepClear:
     """Distance of a tool's whole body from each of some structures.
 
-    The body is that of the cutter as it is simulated, peg, flank and back included; a shaft behind
-    it is not. The distance is the smallest sum, over all points of space, of the signed distances
-    from the tool and from the structure. It is the gap where both are apart. Where they overlap it
-    is negative, and its magnitude is the depth.
+    The body is the body of the simulated cutter, including peg, flank and back; a shaft behind it
+    is not included. The distance is the smallest sum, over all points of space, of the signed
+    distances from the tool and from the structure. It is the gap where both are apart. Where they
+    overlap it is negative, and its magnitude is the depth.
 
     Parameters
     ----------
@@ -91,7 +92,7 @@ class KeepClear:
     Attributes
     ----------
     points_m, distances
-        As given.
+        Values of the parameters.
     names
         Columns of a trace: ``distance_NAME_mm``, negative inside.
     measures
@@ -99,7 +100,7 @@ class KeepClear:
         distance. It lies below by at most the slack of the structure and 0.001 mm where both are
         apart, 0.01 mm where they overlap.
     notices
-        What has happened, a sentence each; the loop takes them out as it logs them.
+        Events, a sentence each; the loop removes them as it logs them.
     """
 
     def __init__(
@@ -125,7 +126,7 @@ class KeepClear:
         self._structures = [_Search(outline, medial, each, box_m) for each in structures.values()]
 
     def measure(self, tool: ToolMotion, *, placed: bool = False) -> None:
-        """Measure at a tool's pose; `placed` before the first tick."""
+        """Measure at a tool's pose; set `placed` before the first tick."""
         for number, search in enumerate(self._structures):
             distance_m = search(tool)
             self.measures[number] = 1e3 * distance_m
@@ -135,13 +136,13 @@ class KeepClear:
 
     @property
     def _now_s(self) -> float:
-        """Time of the present tick, or of the last one that was measured [s]."""
+        """Time of the present tick, or of the last measured tick [s]."""
         if self._times_s is None:
             return self._tick * TICK_S
         return float(self._times_s[min(self._tick, len(self._times_s) - 1)])
 
     def _follow(self, breach: _Breach, distance_m: float) -> None:
-        """Note where a structure is entered and left."""
+        """Record the tool's entry into a structure and its exit."""
         breach.least_m = min(breach.least_m, distance_m)
         if distance_m < 0.0:
             if breach.began_s is None:
@@ -155,7 +156,7 @@ class KeepClear:
             self._leave(breach, "left")
 
     def _leave(self, breach: _Breach, how: str) -> None:
-        """Note the end of a breach."""
+        """Record the end of a breach."""
         assert breach.began_s is not None
         lasted_s = self._now_s - breach.began_s
         breach.lasted_s += lasted_s
@@ -171,8 +172,9 @@ class KeepClear:
                 self._leave(breach, "still in")
 
     def summary(self) -> dict[str, dict[str, float | None]]:
-        """Least distance [mm], depth [mm], duration [s] and first time [s] of a breach, by
-        structure.
+        """Return distance, depth, duration and first time of a breach, by structure.
+
+        The values are the smallest distance [mm], depth [mm], duration [s] and first time [s].
         """
         return {
             breach.name: {
@@ -187,7 +189,7 @@ class KeepClear:
 
 
 class _Search:
-    """Search for the distance between a tool and one structure, with all its memory."""
+    """Search for the distance between a tool and one structure, with all its buffers."""
 
     def __init__(
         self, outline: Any, medial: Any, structure: Structure, box_m: Array | None
@@ -243,7 +245,7 @@ class _Search:
 
 
 def _outline(profile: Profile) -> Any:
-    """The tool's outline as the kernel reads it."""
+    """Return the tool's outline in the format of the kernel."""
     table = outline_table(profile)
     outline: Any = Outline()
     outline.kind = wp.array(table.kind, dtype=wp.int32, device=DEVICE)
@@ -254,7 +256,7 @@ def _outline(profile: Profile) -> Any:
 
 
 def _medial(profile: Profile) -> Any:
-    """The tool's medial axis as the kernel reads it."""
+    """Return the tool's medial axis in the format of the kernel."""
     axis = medial_axis(profile)
     medial: Any = MedialAxis()
     medial.starts = wp.array(axis.starts_m, dtype=wp.vec3d, device=DEVICE)
@@ -265,7 +267,7 @@ def _medial(profile: Profile) -> Any:
 
 
 def _tree(made: BoxTree) -> Any:
-    """A tree as the kernel reads it."""
+    """Return a tree in the format of the kernel."""
     tree: Any = Tree()
     tree.centre = wp.array(made.centres_m, dtype=wp.vec3d, device=DEVICE)
     tree.half = wp.array(made.halves_m, dtype=wp.vec3d, device=DEVICE)

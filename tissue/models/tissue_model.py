@@ -1,4 +1,4 @@
-"""The contract between a moving tool and the tissue it meets, and the tissue that is not there."""
+"""Interface between a moving tool and a tissue, and the empty tissue."""
 
 from dataclasses import dataclass, field
 from math import inf
@@ -31,8 +31,9 @@ __all__ = [
 TICK_S = 1e-3
 """Length of a tick [s]."""
 SLOW = "longer than its interval"
-"""Words of the notice that a solve beside the ticks was too slow: of the machine, not of the
-tissue.
+"""Words of the notice that a background solve was too slow.
+
+The cause is the machine, not the tissue.
 """
 
 
@@ -52,13 +53,13 @@ class ToolMotion:
         speed [rad/m], shape (3,), in the world frame; the tool's spin about its own axis is not
         part of it.
     speed_m_s
-        Speed that scales the heading [m/s].
+        Speed that scales `heading` [m/s].
     pressed
-        Share of the edge force that holds a tool at rest against the bone, 0 (it does not press) to
-        1 (about to cut).
+        Share of the edge force that holds a tool at rest against the bone, 0 (no pressure) to 1
+        (about to cut).
     push
-        Force [N] and torque [N m] on a resting tool that the bone answers in full, shape (6,); zero
-        for a tool that is led, of which only `pressed` is known.
+        Force [N] and torque [N m] on a resting tool that the bone balances in full, shape (6,);
+        zero for a tool on a prescribed path, for which only `pressed` is known.
     """
 
     tip_m: Array = field(default_factory=lambda: np.zeros(3))
@@ -71,31 +72,30 @@ class ToolMotion:
 
 @dataclass
 class Response:
-    """What a tissue does to a tool, reused from tick to tick.
+    """Response of a tissue to a tool, reused from tick to tick.
 
     Forces act on the tool, torques about its tip, in the world frame.
 
     Attributes
     ----------
     resistance
-        Force [N s/m] and torque [N s] per unit of speed along the heading, shape (6,).
+        Force [N s/m] and torque [N s] per unit of speed along the direction of motion, shape (6,).
     edge
-        Force [N] and torque [N m] that arise as soon as the tool moves, whatever its speed, shape
-        (6,).
+        Force [N] and torque [N m] that arise as soon as the tool moves, for any speed, shape (6,).
     wrench
         Force [N] and torque [N m] at the motion's speed, shape (6,).
     removal_rate_m3_s
         Rate at which the tool's elements sweep filled volume [m3/s].
     engaged_m2
-        Area of the tool that meets tissue, by layer [m2], shape (layers,).
+        Area of the tool in contact with tissue, by layer [m2], shape (layers,).
     measures
         Further columns of the tissue, in the order and units of its `measure_names`.
     stiffness_N_m
-        How the force on a resting tool falls with its position, -dF/dx [N/m], shape (3, 3); None
-        where the tissue does not know it.
+        Decrease of the force on a resting tool with its position, -dF/dx [N/m], shape (3, 3); None
+        where the tissue does not provide it.
     gap_m, normal
-        Distance of a tool that touches nothing from the tissue's surface [m], and the unit
-        direction out of it, shape (3,); infinite where the tissue does not know it.
+        Distance of a free tool from the tissue's surface [m], infinite where the tissue does not
+        provide it, and the unit direction out of the surface, shape (3,).
     """
 
     resistance: Array
@@ -110,7 +110,7 @@ class Response:
 
     @classmethod
     def empty(cls, layer_count: int, measure_count: int = 0) -> "Response":
-        """No contact."""
+        """Return a response without contact."""
         return cls(
             np.zeros(6),
             np.zeros(6),
@@ -121,13 +121,14 @@ class Response:
 
 
 class TissueModel(Protocol):
-    """A tissue that a tool moves through: what every model has. What only some have are the
-    protocols below.
+    """Tissue that a tool moves through: the interface of every model.
 
-    `place` puts the tool where it starts. Every tick `advance` lets it take away what it reaches at
-    its new pose, then `respond` gives the force at that pose. Neither allocates device memory. A
-    thrust that pushes a cutter calls `respond` first, at poses that it tries, and `advance` once at
-    the pose where the forces balance: `respond` must change nothing.
+    The protocols below add members that only some models have.
+
+    `place` puts the tool at its start. Every tick `advance` removes the tissue that the tool
+    reaches at its new pose, then `respond` returns the force at that pose. Neither allocates device
+    memory. A thrust that pushes a cutter calls `respond` first, at trial poses, and `advance` once
+    at the pose where the forces balance. `respond` must therefore change nothing.
     """
 
     @property
@@ -150,97 +151,97 @@ class TissueModel(Protocol):
         """Put the tool at its first pose, before the first tick."""
 
     def advance(self, motion: ToolMotion) -> None:
-        """Bring the tool to its new pose."""
+        """Move the tool to its new pose."""
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Force and torque on the tool at its pose; the returned object is overwritten by the
-        next call.
+        """Return force and torque on the tool at its pose.
+
+        The next call overwrites the returned object.
         """
 
 
 @runtime_checkable
 class SchedulesBackground(Protocol):
-    """A tissue that works beside the ticks."""
+    """Tissue that computes in the background."""
 
     @property
     def scheduling(self) -> str:
-        """With what priority and on which cores, in words; empty where nothing works beside
-        them.
-        """
+        """Priority and cores of the background work, in words; empty without background work."""
         ...
 
 
 @runtime_checkable
 class HasNotices(Protocol):
-    """A tissue that reports what has happened."""
+    """Tissue that reports events."""
 
     notices: list[str]
-    """A sentence each; the loop takes them out as it logs them."""
+    """Events, a sentence each; the loop removes them as it logs them."""
 
 
 @runtime_checkable
 class HasSummary(Protocol):
-    """A tissue that adds figures of its own to the summary of a run."""
+    """Tissue that adds its own figures to the summary of a run."""
 
     def summary(self) -> dict[str, object]:
-        """Return the entries by their names."""
+        """Return the entries of the summary by name."""
         ...
 
 
 @runtime_checkable
 class HasFields(Protocol):
-    """A tissue that shows displacement and stress over time."""
+    """Tissue with fields of displacement and stress over time."""
 
     @property
     def fields(self) -> FieldSeries | None:
-        """Frames so far; None where the scene asks for none."""
+        """Frames so far; None where the scene requests no frames."""
 
 
 @runtime_checkable
 class HasHeat(Protocol):
-    """A tissue that is warmed by cutting."""
+    """Tissue that is warmed by cutting."""
 
     @property
     def heat_balance_J(self) -> dict[str, float] | None:
-        """Energy of cutting and where it went [J], by what took it; None where the scene asks
-        for no heat.
+        """Energy of cutting and its distribution [J], by receiver.
+
+        None where the scene has no heat.
         """
 
 
 @runtime_checkable
 class HasVoxels(Protocol):
-    """A tissue of voxels that a tool removes."""
+    """Tissue of voxels that a tool removes."""
 
     def remaining(self) -> NDArray[np.uint8]:
-        """Tissue left in every voxel, 255 = full, shape of the voxel volume."""
+        """Return the remaining tissue in every voxel, 255 = full, shape of the voxel volume."""
 
 
 @runtime_checkable
 class WaitsForBackground(Protocol):
-    """A tissue whose work in the background has a result that is due at a certain tick."""
+    """Tissue whose background work has a result that is due at a certain tick."""
 
     def wait_for_background(self, time_s: float) -> None:
-        """Wait, before a tick and outside it, for work whose result is due at that time."""
+        """Wait for work whose result is due at a time; called before a tick and outside it."""
 
 
 @runtime_checkable
 class StartsBackground(Protocol):
-    """A tissue with work of a slower rate than the ticks."""
+    """Tissue with work at a lower rate than the ticks."""
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Do that work, or start it in the background; called at the end of every tick."""
+        """Do this work, or start it in the background; called at the end of every tick."""
 
 
 @runtime_checkable
 class Finishes(Protocol):
-    """A tissue with work that is spread over ticks."""
+    """Tissue with work that is spread over ticks."""
 
     def finish(self) -> None:
-        """Complete it, after the last tick; once more changes nothing."""
+        """Complete the work after the last tick; a second call changes nothing."""
 
 
 class FreeSpace:
-    """Nothing: the baseline that every law of a tissue model must hold for."""
+    """Free space: the baseline that satisfies every requirement on a tissue model."""
 
     layer_names: tuple[str, ...] = ("nothing",)
     measure_names: tuple[str, ...] = ()
@@ -251,11 +252,11 @@ class FreeSpace:
         self.removed_m3 = np.zeros(1)
 
     def place(self, motion: ToolMotion) -> None:
-        """There is nothing to reach."""
+        """Do nothing: free space has no surface."""
 
     def advance(self, motion: ToolMotion) -> None:
-        """There is nothing to remove."""
+        """Do nothing: free space has nothing to remove."""
 
     def respond(self, motion: ToolMotion) -> Response:
-        """No force."""
+        """Return zero force."""
         return self._response

@@ -1,5 +1,6 @@
-"""A stiff flat wall that a ball presses: the hardest thing a device is asked to play, and one
-known in closed form.
+"""Stiff flat wall that a ball presses.
+
+It is the hardest task of a device, and its force is known in closed form.
 """
 
 from math import pi
@@ -13,18 +14,18 @@ __all__ = ["WallModel"]
 
 
 class WallModel:
-    """A linear unilateral spring along z over the plane z = 0: F = k depth, without friction.
+    """Linear unilateral spring along z over the plane z = 0: F = k depth, without friction.
 
-    Its measure is the depth of the ball's deepest point [mm]; ``engaged_m2`` is the circle in which
-    ball and plane cross. The response holds its stiffness, by which a tool on a device finds its
-    balance at once.
+    Its measure is the depth of the ball's deepest point [mm]. ``engaged_m2`` is the area of the
+    circle where the plane cuts the ball. The response holds the wall's stiffness, so that a tool on
+    a device finds its balance at once.
 
     Parameters
     ----------
     stiffness_N_m
-        Of the wall [N/m].
+        Stiffness of the wall [N/m].
     radius_m
-        Of the ball [m]; its tip is a radius from its centre, against the tool's axis.
+        Radius of the ball [m]; its tip is a radius from its centre, against the tool's axis.
     """
 
     layer_names: tuple[str, ...] = ("wall",)
@@ -41,7 +42,7 @@ class WallModel:
         self._response.normal[2] = 1.0
 
     def place(self, motion: ToolMotion) -> None:
-        """Put the ball where it starts.
+        """Put the ball at its start.
 
         Raises
         ------
@@ -58,10 +59,10 @@ class WallModel:
             )
 
     def advance(self, motion: ToolMotion) -> None:
-        """A spring keeps nothing from tick to tick."""
+        """Do nothing: a spring has no internal state."""
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Force on the ball, and its torque about the tip."""
+        """Return the force on the ball, and its torque about the tip."""
         response = self._response
         depth = self._depth_m(motion)
         response.gap_m = max(-depth, 0.0)
@@ -78,5 +79,5 @@ class WallModel:
         return response
 
     def _depth_m(self, motion: ToolMotion) -> float:
-        """How far the ball's lowest point lies below the plane [m]; negative above it."""
+        """Return the depth of the ball's lowest point below the plane [m]; negative above it."""
         return float(-motion.tip_m[2] + self._radius * (1.0 - motion.rotation[2, 2]))

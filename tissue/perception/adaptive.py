@@ -1,5 +1,6 @@
-"""Estimation of one person: threshold by adaptive comparisons (QUEST+), Stevens' law by
-magnitude estimation.
+"""Estimation of one person's parameters.
+
+The threshold is estimated by adaptive comparisons (QUEST+), Stevens' law by magnitude estimation.
 """
 
 from dataclasses import dataclass
@@ -24,33 +25,35 @@ __all__ = [
 ]
 
 EDGE_MASS = 0.05
-"""Posterior mass in the outermost cells of the Weber fraction's grid from which on the prior,
-not the data, decides.
+"""Posterior mass in the outermost cells above which the prior decides, not the data.
+
+The cells are those of the Weber fraction's grid.
 """
 BASES_N = (0.3, 0.8, 2.0)
 STEP_COUNT = 25
-"""Smaller forces of the pairs that are asked [N], and steps at each of them."""
+"""Smaller forces of the pairs [N], and number of steps at each of them."""
 STEPS = (0.005, 1.5)
-"""Least and greatest step that is asked, as shares of the base force plus `LOW_FORCE_N`."""
+"""Smallest and largest step of a pair, as shares of the base force plus `LOW_FORCE_N`."""
 LOW_FORCE_N = 0.2
-"""Force at which Weber's law falls short, for the choice of steps and as the median of the prior
-[N]: between 0.1 and
-0.3 N (memory of the literature, low confidence)."""
+"""Low-force term of Weber's law, for the choice of steps and as the median of the prior [N].
+
+It lies between 0.1 and 0.3 N (memory of the literature, low confidence).
+"""
 GREATEST_LAPSE = 0.2
 LAPSE_POWER = 2.5
 LAPSE_PRIOR = (0.5, 5.0)
-"""Greatest lapse of the grid, by what power its cells grow towards it, and the parameters of its
-Beta distribution.
+"""Largest lapse of the grid, exponent of its cell growth, and Beta parameters of the lapse prior.
 """
 
 
 MAGNITUDE_FORCES_N = (0.3, 0.5, 0.8, 1.3, 2.0, 3.2)
-"""Forces that are given numbers [N]: equal ratios over what a desktop device plays."""
+"""Forces that the observer rates with numbers [N]: equal ratios over a desktop device's range."""
 PRIOR_MEAN = (0.0, 1.4)
 """Prior mean of ln alpha and of beta: between palm pressure (1.1) and muscle force (1.7)."""
 PRIOR_WEIGHT = 1.0 / 16.0
-"""Precision of both, in units of that of one report: at a scatter of 0.25 their standard
-deviation is 1.
+"""Prior precision of ln alpha and of beta, in units of the precision of one report.
+
+At a scatter of 0.25 their standard deviation is 1.
 """
 PRIOR_SHAPE = 2.0
 PRIOR_SCALE = 0.12
@@ -59,21 +62,19 @@ PRIOR_SCALE = 0.12
 
 @dataclass(frozen=True, kw_only=True)
 class ThresholdPrior:
-    """Prior knowledge of Weber fraction, low-force term and lapse before the first trial, on a
-    grid.
+    """Prior of Weber fraction, low-force term and lapse before the first trial, on a grid.
 
-    The Weber fraction is log-normal between two bounds, the low-force term log-normal around 0.2 N
-    (factor 1.65) within
-    0.05 to 0.8 N, the lapse Beta(0.5, 5) up to 0.2: the mean of the Beta(1, 10) of Schuett et al.
-    (2016), with half its weight. Cells of the Weber fraction are equal in its logarithm; those of
-    the lapse are narrow at small ones, for a grid without people who hardly lapse has their
-    thresholds 12 % low.
+    The Weber fraction is log-normal between two bounds. The low-force term is log-normal around 0.2
+    N (factor 1.65) within 0.05 to 0.8 N. The lapse is Beta(0.5, 5) up to 0.2: the mean of the
+    Beta(1, 10) of Schuett et al. (2016), with half its weight. Cells of the Weber fraction are
+    equal in its logarithm. Cells of the lapse are narrow at small lapses: a grid without observers
+    who hardly lapse estimates their thresholds 12 % too low.
 
     Attributes
     ----------
     weber
-        Median of the Weber fraction: 7 % is Pang, Tan and Durlach's (1991), at low forces it is up
-        to four times that.
+        Median of the Weber fraction. 7 % is the value of Pang, Tan and Durlach (1991); at low
+        forces the fraction is up to four times larger.
     weber_log_spread
         Standard deviation of its logarithm.
     lowest, highest
@@ -106,13 +107,14 @@ class ThresholdPrior:
 
     @property
     def webers(self) -> Array:
-        """Middles of those cells, shape (cells,)."""
+        """Centres of the cells of the Weber fraction, shape (cells,)."""
         edges = self.weber_edges
         return np.sqrt(edges[1:] * edges[:-1])
 
     def parameters(self) -> tuple[Array, Array, Array, Array]:
-        """Weber fractions, low-force terms [N], lapses and prior masses of the grid's points,
-        each of shape (n,).
+        """Return Weber fractions, low-force terms [N], lapses and prior masses of the grid.
+
+        Each array has shape (n,).
         """
         offsets = (
             np.geomspace(0.05, 0.8, self.offset_cells)
@@ -134,15 +136,16 @@ class ThresholdPrior:
 def comparisons(
     bases_N: tuple[float, ...] = BASES_N, *, force_limit_N: float = 3.3
 ) -> tuple[Array, Array]:
-    """Base forces and steps [N] that can be asked, each of shape (n,): steps of equal ratio at
-    every base force.
+    """Return base forces and steps [N] of the possible pairs, each of shape (n,).
+
+    The steps have equal ratios at every base force.
 
     Parameters
     ----------
     bases_N
         Smaller forces of the pairs [N].
     force_limit_N
-        Greatest force of the device; no pair goes above it [N].
+        Largest force of the device; no pair exceeds it [N].
     """
     bases = np.repeat(bases_N, STEP_COUNT)
     steps = np.tile(np.geomspace(*STEPS, STEP_COUNT), len(bases_N)) * (bases + LOW_FORCE_N)
@@ -151,23 +154,22 @@ def comparisons(
 
 
 class AdaptiveThreshold:
-    """Posterior over the threshold of one or many observers, and the most informative next
-    comparison for each.
+    """Posterior of observers' thresholds, and the most informative next comparisons.
 
-    The least expected entropy is the greatest mutual information of answer and parameters,
-    H(answer) minus the mean entropy of the answer at known parameters. With the likelihoods of the
-    comparisons at the grid's points (rows and columns of a matrix) and their entropies held ready,
-    a trial costs two matrix-vector products. The choice is that of QUEST+ (Watson, 2017); the
-    arrangement is this project's.
+    The smallest expected entropy is the largest mutual information of answer and parameters:
+    H(answer) minus the mean entropy of the answer at known parameters. The likelihoods of the
+    comparisons at the grid's points (rows and columns of a matrix) and their entropies are computed
+    in advance. A trial then costs two matrix-vector products. The choice is that of QUEST+ (Watson,
+    2017); the arrangement is this project's.
 
     Parameters
     ----------
     prior
-        Belief before the first trial.
+        Prior before the first trial.
     stimuli
-        Base forces and steps [N] that can be asked; default `comparisons()`.
+        Base forces and steps [N] of the possible pairs; default `comparisons()`.
     observers
-        How many observers answer side by side, each with a posterior of its own.
+        Number of observers that answer in parallel, each with its own posterior.
 
     Attributes
     ----------
@@ -195,15 +197,16 @@ class AdaptiveThreshold:
         self._entropy = -(self._right * np.log(self._right) + wrong * np.log(wrong))
 
     def propose(self) -> NDArray[np.intp]:
-        """Return the index of the comparison with the least expected entropy of the posterior,
-        shape (observers,).
+        """Return the index of the most informative comparison, shape (observers,).
+
+        It has the smallest expected entropy of the posterior.
         """
         right = np.clip(self._right @ self.posterior, 1e-12, 1.0 - 1e-12)
         marginal = -(right * np.log(right) + (1.0 - right) * np.log1p(-right))
         return np.argmax(marginal - self._entropy @ self.posterior, axis=0)
 
     def answer(self, asked: NDArray[np.intp], correct: NDArray[np.bool_]) -> None:
-        """Take one answer of each observer, right or wrong, to the comparison that it was asked."""
+        """Update with one answer of each observer, right or wrong, to its comparison."""
         likelihood = self._right[np.asarray(asked)].T
         self.posterior *= np.where(np.asarray(correct), likelihood, 1.0 - likelihood)
         self.posterior /= self.posterior.sum(axis=0)
@@ -213,14 +216,16 @@ class AdaptiveThreshold:
         return self.posterior.reshape(self.prior.cells, -1, self.posterior.shape[1]).sum(axis=1)
 
     def threshold_N(self, base_N: float) -> tuple[Array, Array]:
-        """Mean threshold at a base force [N] and standard deviation of its logarithm, each of
-        shape (observers,).
+        """Return the mean and log standard deviation of the threshold at a base force [N].
+
+        The second value is the standard deviation of its logarithm. Each has shape (observers,).
         """
         return self._log_moments(self._weber * (base_N + self._offset))
 
     def weber(self) -> tuple[Array, Array]:
-        """Geometric mean of the Weber fraction and standard deviation of its logarithm, each of
-        shape (observers,).
+        """Return the geometric mean and log standard deviation of the Weber fraction.
+
+        The second value is the standard deviation of its logarithm. Each has shape (observers,).
         """
         return self._log_moments(self._weber)
 
@@ -229,8 +234,9 @@ class AdaptiveThreshold:
         return self._log_moments(self._offset)[0]
 
     def _log_moments(self, values: Array) -> tuple[Array, Array]:
-        """Geometric mean of a positive figure of the grid's points, and standard deviation of
-        its logarithm.
+        """Return geometric mean and standard deviation of the logarithm of a positive quantity.
+
+        `values` holds the quantity at the grid's points.
         """
         logs = np.log(values)
         mean = logs @ self.posterior
@@ -241,8 +247,9 @@ class AdaptiveThreshold:
         return self._lapse @ self.posterior
 
     def weber_quantiles(self, shares: Array) -> Array:
-        """Quantiles of the Weber fraction, shape (shares, observers), linear in its logarithm
-        within a cell.
+        """Return quantiles of the Weber fraction, shape (shares, observers).
+
+        They are linear in its logarithm within a cell.
         """
         edges = np.log(self.prior.weber_edges)
         below = np.vstack(
@@ -251,8 +258,9 @@ class AdaptiveThreshold:
         return np.exp(np.column_stack([np.interp(shares, column, edges) for column in below.T]))
 
     def edge_mass(self) -> tuple[Array, Array]:
-        """Posterior mass in the two cells at the lower and at the upper bound of the Weber
-        fraction, (observers,).
+        """Return the posterior mass in the two cells at each bound of the Weber fraction.
+
+        The first array belongs to the lower bound, the second to the upper; shapes (observers,).
         """
         masses = self.weber_masses()
         return masses[:2].sum(axis=0), masses[-2:].sum(axis=0)
@@ -260,8 +268,9 @@ class AdaptiveThreshold:
 
 @dataclass(frozen=True)
 class MagnitudePosterior:
-    """Normal-inverse-gamma posterior of ln S = ln alpha + beta ln F + sigma e (Gelman et al., 2013,
-    section 14.2).
+    """Normal-inverse-gamma posterior of ln S = ln alpha + beta ln F + sigma e.
+
+    Source: Gelman et al., 2013, section 14.2.
 
     Attributes
     ----------
@@ -270,7 +279,7 @@ class MagnitudePosterior:
     precision
         Their precision in units of 1 / sigma^2, shape (2, 2).
     shape, scale
-        Of the inverse-gamma posterior of sigma^2.
+        Shape and scale of the inverse-gamma posterior of sigma^2.
     """
 
     mean: Array
@@ -296,16 +305,16 @@ class MagnitudePosterior:
 
 
 def fit_magnitudes(forces_N: ArrayLike, numbers: ArrayLike) -> MagnitudePosterior:
-    """Compute the posterior after some reports; without any it is the prior.
+    """Compute the posterior after some reports; without reports it is the prior.
 
-    The factor is that of a person's numbers: it cannot be separated from how the person uses them.
+    The factor alpha depends on the observer's use of numbers and cannot be separated from it.
 
     Parameters
     ----------
     forces_N
         Forces [N], positive, shape (n,).
     numbers
-        Numbers that were given to them, positive, shape (n,).
+        Numbers reported for the forces, positive, shape (n,).
     """
     log_forces = np.log(forces_N)
     logarithms = np.log(numbers)

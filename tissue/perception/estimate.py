@@ -1,5 +1,6 @@
-"""Estimates of a force: the most probable one behind one noisy look, the recursive one, and
-their errors.
+"""Estimates of a force and their errors.
+
+They are the most probable force behind one noisy observation, and the recursive estimate.
 """
 
 from dataclasses import dataclass
@@ -26,34 +27,35 @@ __all__ = [
 Level = TypeVar("Level", float, NDArray[np.float64])
 
 MOST_STEPS = 200
-"""Steps after which a bracket has shrunk to rounding by bisection alone."""
+"""Number of steps after which bisection alone has shrunk a bracket to rounding."""
 FAR = 6.0
-"""Standard deviations beyond which a prior excludes what was seen."""
+"""Number of standard deviations beyond which a prior excludes an observation."""
 MEDIAN_N = 1.0
 LOG_SPREAD = 1.0
 NOISE_N = 0.3
-"""What single looks are tried on: forces as the prior of ``perception.toml``, a look that
-scatters as at 4 N.
+"""Test case of single observations.
+
+The forces have the prior of ``perception.toml``; an observation scatters as at 4 N.
 """
 WANDER = 1e-4
 NOISE = 1.0
 TICKS = 2000
-"""Variances of level and look that the recursion is tried on, and for how long."""
+"""Test case of the recursion: variances of level and observation, and number of ticks."""
 TAIL = 3.0
-"""Degrees of freedom of Student's t for heavy tails; its variance is brought to that of the
-Gaussian.
-"""
+"""Degrees of freedom of Student's t for heavy tails, scaled to the variance of the Gaussian."""
 FATIGUE = 0.1
-"""Share by which a force feels stronger after long pressing, memory of the literature (Jones and
-Hunter 1983).
+"""Relative increase of the felt force after long pressing.
+
+From memory of the literature (Jones and Hunter 1983).
 """
 
 
 def log_posterior(
     log_force: Array, seen_N: Array, noise_N: Array, log_median: Array, log_spread: Array
 ) -> Array:
-    """Logarithm of the density of F at u = ln F, up to a constant: -(u - m)^2 / 2 s^2 - u - (y -
-    e^u)^2 / 2 r^2.
+    """Return the logarithm of the density of F at u = ln F, up to a constant.
+
+    It is -(u - m)^2 / 2 s^2 - u - (y - e^u)^2 / 2 r^2.
     """
     off = (log_force - log_median) / log_spread
     missed = (seen_N - np.exp(log_force)) / noise_N
@@ -67,23 +69,23 @@ def map_force_N(
     median_N: ArrayLike | None = None,
     log_spread: ArrayLike | None = None,
 ) -> Array:
-    """Estimate the force [N] of largest posterior density, for observations that may be zero or
-    negative (E7).
+    """Estimate the force [N] of largest posterior density, for any real observation (E7).
 
-    In u = ln F the slope g(u) = -(u - m) / s^2 - 1 + (y - e^u) e^u / r^2 falls, rises and falls
-    again, or only falls: between are at most two points, the roots of 2 w^2 - y w + r^2 / s^2 in w
-    = e^u. Every falling piece that holds a root holds one maximum. Each is found by Newton's steps
-    held within its bracket, and the higher one is kept.
+    Observations may be zero or negative. In u = ln F the slope g(u) = -(u - m) / s^2 - 1 + (y -
+    e^u) e^u / r^2 either falls, rises and falls again, or only falls. The pieces are separated by
+    at most two points, the roots of 2 w^2 - y w + r^2 / s^2 in w = e^u. Every falling piece with a
+    root of g has one maximum. Each maximum is found by Newton's method within its bracket. The
+    higher maximum is returned.
 
     Parameters
     ----------
     seen_N
-        What was observed [N], any real numbers; all arguments broadcast.
+        Observation [N], any real numbers; all arguments broadcast.
     noise_N
         Standard deviation of the observation [N], positive.
     median_N, log_spread
-        Median [N] of the prior and the standard deviation of its logarithm; by default those of
-        ``perception.toml``.
+        Median [N] of the prior and the standard deviation of its logarithm; by default the values
+        of ``perception.toml``.
 
     Returns
     -------
@@ -132,8 +134,9 @@ def map_force_N(
 def require_prior_fits(
     seen_N: float, noise_N: float, *, median_N: float, log_spread: float
 ) -> None:
-    """Refuse a prior that excludes what was seen: further than six standard deviations of both
-    laws.
+    """Check that the prior does not exclude the observation.
+
+    It does if the observation lies beyond six standard deviations of both laws.
 
     Raises
     ------
@@ -155,7 +158,10 @@ def require_prior_fits(
 
 
 def _root(low: Array, high: Array, y: Array, r: Array, m: Array, s: Array) -> Array:
-    """Find the zero of the slope within brackets on which it falls; an end without a zero."""
+    """Return the zero of the slope within brackets on which it falls.
+
+    For a bracket without a zero it is an end of the bracket.
+    """
     low = low.copy()
     high = high.copy()
     u = 0.5 * (low + high)
@@ -178,13 +184,14 @@ def _root(low: Array, high: Array, y: Array, r: Array, m: Array, s: Array) -> Ar
 
 @dataclass(frozen=True, kw_only=True)
 class LocalLevel:
-    """A level that wanders by a variance q a step and is observed with a variance r (Kalman 1960;
-    E8)::
+    """Level that wanders by a variance q a step and is observed with a variance r.
+
+    Source: Kalman 1960; E8::
 
         P = sigma^2 + q,   G = P / (P + r),   level += G (seen - level),   sigma^2 = G r
 
-    The printed sigma^2 = q r / (q + r) leaves the last variance out of P: 0.5 at q = r = 1, where
-    the filter's steady state is (-q + sqrt(q^2 + 4 q r)) / 2 = 0.618.
+    The printed sigma^2 = q r / (q + r) leaves the last variance out of P. It gives 0.5 at q = r =
+    1, where the filter's steady state is (-q + sqrt(q^2 + 4 q r)) / 2 = 0.618.
 
     Attributes
     ----------
@@ -200,7 +207,7 @@ class LocalLevel:
         require_positive("noise", self.noise, "use the variance of one observation")
 
     def step(self, level: Level, variance: float, seen: Level) -> tuple[Level, float]:
-        """Return the level, or many levels, and variance after one more observation."""
+        """Return the level, or many levels, and the variance after one more observation."""
         predicted = variance + self.wander
         gain = predicted / (predicted + self.noise)
         return level + gain * (seen - level), gain * self.noise
@@ -213,18 +220,18 @@ class LocalLevel:
 
 @dataclass(frozen=True, kw_only=True)
 class AssumptionResult:
-    """An assumption and what it costs.
+    """An assumption and the error that it causes.
 
     Attributes
     ----------
     assumed
-        What is taken for granted, or what is true instead.
+        Assumption, or the truth that differs from it.
     error
-        Root mean square error: of one look in units of its noise, of the recursion in units of the
-        right filter's standard deviation.
+        Root mean square error: of one observation in units of its noise, of the recursion in units
+        of the right filter's standard deviation.
     held
-        Share of true levels within 1.96 standard deviations of the recursion; not a number for one
-        look.
+        Share of true levels within 1.96 standard deviations of the recursion; NaN for one
+        observation.
     """
 
     assumed: str
@@ -233,8 +240,9 @@ class AssumptionResult:
 
 
 def map_estimate_errors(rng: np.random.Generator, *, count: int = 20_000) -> list[AssumptionResult]:
-    """Return the errors of the estimate from one look at each of ``count`` forces, by what is
-    assumed.
+    """Return the errors of the estimate from one observation of each force, by assumption.
+
+    `count` is the number of forces.
     """
     truth = MEDIAN_N * np.exp(LOG_SPREAD * rng.standard_normal(count))
     gaussian = NOISE_N * rng.standard_normal(count)
@@ -268,8 +276,9 @@ def map_estimate_errors(rng: np.random.Generator, *, count: int = 20_000) -> lis
 def recursive_estimate_errors(
     rng: np.random.Generator, *, runs: int = 200
 ) -> list[AssumptionResult]:
-    """Return the errors of the recursive estimate of a wandering level in ``runs`` runs, by what
-    is assumed.
+    """Return the errors of the recursive estimate of a wandering level, by assumption.
+
+    `runs` is the number of runs.
     """
     right = LocalLevel(wander=WANDER, noise=NOISE)
     level = 5.0 + np.cumsum(np.sqrt(WANDER) * rng.standard_normal((TICKS, runs)), axis=0)
@@ -292,7 +301,7 @@ def recursive_estimate_errors(
 def _followed(
     assumed: str, law: LocalLevel, level: Array, seen: Array, best: float
 ) -> AssumptionResult:
-    """Follow runs by a filter, and return its errors over their second half."""
+    """Filter runs, and return the errors over their second half."""
     estimate = seen[0]
     variance = law.noise
     off = []

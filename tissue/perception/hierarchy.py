@@ -1,5 +1,6 @@
-"""Many observers as one population: a hierarchy by Hamiltonian Monte Carlo, and whether it
-converged.
+"""Hierarchical model of many observers as one population, by Hamiltonian Monte Carlo.
+
+It includes diagnostics of convergence.
 """
 
 from dataclasses import dataclass
@@ -31,19 +32,20 @@ HYPER = (
     "log_offset",
     "log_offset_spread",
 )
-"""Parameters of the population: means and standard deviations between people, and the mean of
-sigma squared.
+"""Parameters of the population.
+
+They are means and standard deviations between people, and the mean of sigma squared.
 """
 VARIANCE_SHAPE = 10.0
-"""Shape of the inverse-gamma law of sigma squared over people: they differ by a third of it
-(assumed, see perception.toml)."""
+"""Shape of the inverse-gamma law of sigma squared over people.
+
+People differ by a third of sigma squared (assumed, see perception.toml).
+"""
 CHAINS = 2
-"""Chains of a fit: one cannot be compared with another."""
+"""Number of chains of a fit; at least two are needed for a comparison."""
 R_HAT = 1.01
 ESS = 400.0
-"""Greatest R-hat and least effective sample size of a fit that counts as converged (Vehtari et
-al., 2021).
-"""
+"""Largest R-hat and smallest effective sample size of a converged fit (Vehtari et al., 2021)."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +55,12 @@ class PopulationTrials:
     Attributes
     ----------
     observers
-        How many people.
+        Number of people.
     who_compared, base_N, step_N, right
-        For each comparison: index of the person, smaller force and difference [N], and whether the
-        answer was right.
+        For each comparison: index of the person, smaller force and difference [N], and True for a
+        right answer.
     who_rated, force_N, number
-        For each number that was given: index of the person, force [N], number.
+        For each reported number: index of the person, force [N], number.
     """
 
     observers: int
@@ -71,8 +73,9 @@ class PopulationTrials:
     number: Array
 
     def counts(self) -> tuple[Index, Array, Array, Index, Index]:
-        """Comparisons summed up: person, base and step [N], how often asked and how often
-        answered rightly.
+        """Return the comparisons in summary.
+
+        They are person, base and step [N], number of trials and number of right answers.
         """
         rows = np.column_stack([self.who_compared, self.base_N, self.step_N])
         unique, which = np.unique(rows, axis=0, return_inverse=True)
@@ -83,7 +86,7 @@ class PopulationTrials:
 
 @dataclass(frozen=True)
 class PopulationFit:
-    """Draws of the posterior, and what decides whether they can be trusted.
+    """Posterior draws and their convergence diagnostics.
 
     Attributes
     ----------
@@ -94,7 +97,7 @@ class PopulationFit:
         Split R-hat and effective sample size of each of `HYPER`, and the worst over the people's
         parameters as ``people``.
     divergences
-        Transitions that diverged.
+        Number of divergent transitions.
     """
 
     draws: dict[str, Array]
@@ -122,8 +125,9 @@ class PopulationFit:
         return found
 
     def interval(self, name: str) -> tuple[float, float, float]:
-        """Return the lower end, median and upper end of the central 95 % interval of a
-        population's parameter.
+        """Return lower end, median and upper end of a parameter's central 95 % interval.
+
+        The parameter is one of the population's.
         """
         low, middle, high = np.quantile(self.draws[name], [0.025, 0.5, 0.975]).tolist()
         return low, middle, high
@@ -137,23 +141,24 @@ def fit_hierarchy(
     draws: int = 600,
     progress: bool = False,
 ) -> PopulationFit:
-    """Sample the posterior of the population and of each person by NUTS (Hoffman and Gelman, 2014)
-    in NumPyro.
+    """Sample the posterior of the population and of each person by NUTS in NumPyro.
 
-    People: ln alpha, beta, ln kappa and ln offset are normal over people, sigma squared
-    inverse-gamma, lapses Beta(1, 10). The means over people have wide priors around what is
-    published, the standard deviations half-normal ones. Thresholds are written as offsets from the
-    mean, for a simple geometry where a person's trials inform little; factor and exponent, which
-    every person's trials inform well, are not.
+    Source: Hoffman and Gelman, 2014.
+
+    Between people, ln alpha, beta, ln kappa and ln offset are normal, sigma squared is
+    inverse-gamma, and lapses are Beta(1, 10). The means over people have wide priors around
+    published values, the standard deviations half-normal priors. Thresholds are written as offsets
+    from the mean, for a simple geometry where a person's trials inform little. Factor and exponent
+    are not, because every person's trials inform them well.
 
     Parameters
     ----------
     trials
-        What was asked of three people or more, and answered.
+        Trials of three people or more.
     seed
-        Of the draws.
+        Seed of the draws.
     warm_up, draws
-        Draws a chain that are spent on tuning, and that are kept.
+        Number of draws a chain for tuning, and number of draws that are kept.
     progress
         Show a bar for each chain.
 
@@ -212,8 +217,9 @@ def _model(
     def person(
         name: str, mean: "Distribution", spread: "Distribution", *, is_well_known: bool
     ) -> "JaxArray":
-        """Sample a normal parameter of each person around the population's; an offset where
-        trials are few.
+        """Sample a normal parameter of each person around the population's mean.
+
+        Where trials are few, it is written as an offset from the mean.
         """
         centre = numpyro.sample(name, mean)
         width = numpyro.sample(f"{name}_spread", spread)

@@ -1,5 +1,7 @@
-"""Psychophysical laws: Stevens' power law, Weber's law with a low-level term, two-interval
-psychometric functions.
+"""Psychophysical laws for intensity and threshold.
+
+They are Stevens' power law, Weber's law with a low-level term, and two-interval psychometric
+functions.
 """
 
 from dataclasses import dataclass
@@ -28,19 +30,20 @@ __all__ = [
 ]
 
 D_PRIME_75 = 0.9538725524089894
-"""Distance d' of two intervals at which 75 % of the answers are right: sqrt(2) Phi^-1(0.75)."""
+"""Distance d' of two intervals for 75 % right answers: sqrt(2) Phi^-1(0.75)."""
 QUANTITIES = {"force": "offset_N", "torque": "offset_Nm", "stiffness": "offset_N_m"}
-"""What thresholds are known of, and the name and unit of its low-level term."""
+"""Quantities with known thresholds, and the name and unit of their low-level term."""
 
 
 def with_lapse(share: ArrayLike, lapse: ArrayLike) -> Array:
-    """Return the share of right answers 1/2 + (1/2 - lapse) share in two intervals (Wichmann and
-    Hill, 2001).
+    """Return the share of right answers 1/2 + (1/2 - lapse) share in two intervals.
+
+    Source: Wichmann and Hill, 2001.
 
     Parameters
     ----------
     share
-        Share that is felt rightly without guesses and lapses, in [0, 1], any shape.
+        Share of stimuli that is felt rightly without guesses and lapses, in [0, 1], any shape.
     lapse
         Share of strong stimuli that is answered wrongly, in [0, 1/2).
     """
@@ -48,8 +51,9 @@ def with_lapse(share: ArrayLike, lapse: ArrayLike) -> Array:
 
 
 def correct_of_d_prime(d_prime: ArrayLike) -> Array:
-    """Return the share of right answers in two intervals: Phi(d' / sqrt(2)) (Green and Swets,
-    1966).
+    """Return the share of right answers in two intervals, Phi(d' / sqrt(2)).
+
+    Source: Green and Swets, 1966.
     """
     return ndtr(np.asarray(d_prime, dtype=float) / np.sqrt(2.0))
 
@@ -61,20 +65,20 @@ def two_interval(
     offset_N: ArrayLike,
     lapse: ArrayLike = 0.0,
 ) -> Array:
-    """Return the share of right answers to which of two forces was greater, `base_N` or `base_N +
-    step_N`.
+    """Return the share of right answers when an observer chooses the larger of two forces.
 
-    The distance d' grows with the step and is 0.954 (75 %) at the threshold weber (base + offset),
-    which is Weber's law with its term for low forces. Arguments broadcast.
+    The forces are `base_N` and `base_N + step_N`. The distance d' increases with the step. It is
+    0.954 (75 %) at the threshold weber (base + offset), which is Weber's law with its term for low
+    forces. Arguments broadcast.
 
     Parameters
     ----------
     base_N, step_N
-        The smaller force, and how much greater the other is [N], at least 0.
+        The smaller force, and the difference to the larger force [N], 0 or more.
     weber
         Weber fraction, positive.
     offset_N
-        Force that Weber's law is short of at low forces [N].
+        Low-force term of Weber's law [N].
     lapse
         Share of strong stimuli that is answered wrongly.
     """
@@ -86,20 +90,19 @@ def two_interval(
 
 @dataclass(frozen=True, kw_only=True)
 class Intensity:
-    """Intensity S = alpha (F / 1 N)^beta (1 + sigma e) of a person of whom (ln alpha, beta) is
-    known as a normal law.
+    """Intensity S = alpha (F / 1 N)^beta (1 + sigma e) of a person with uncertain parameters.
 
-    With x = ln F, m = E[ln alpha] + E[beta] x and v = Var[ln alpha + beta x], which is quadratic in
-    x, the posterior predictive has closed moments::
+    The posterior of (ln alpha, beta) is normal. With x = ln F, m = E[ln alpha] + E[beta] x and v =
+    Var[ln alpha + beta x], which is quadratic in x, the posterior predictive has closed moments::
 
         E[S]   = exp(m + v / 2)
         Var[S] = E[S]^2 (exp(v) (1 + E[sigma^2]) - 1)
 
-    The scatter is relative and Gaussian, where a fit of reported numbers has it in ln S: to first
-    order the same, and with sigma squared inverse-gamma over people the mean of a log-normal
-    scatter does not exist. What it would add to E[S], a factor exp(sigma^2 / 2), is alike for all
-    forces, so ratios do not depend on it. The unit of intensity is what the reference observer
-    feels at 1 N.
+    The scatter is relative and Gaussian, whereas a fit of reported numbers has it in ln S. Both are
+    equal to first order. With sigma squared inverse-gamma over people, the mean of a log-normal
+    scatter does not exist. Its contribution to E[S], a factor exp(sigma^2 / 2), is equal for all
+    forces, so ratios do not depend on it. The unit of intensity is the reference observer's
+    intensity at 1 N.
 
     Attributes
     ----------
@@ -132,16 +135,15 @@ class Intensity:
         return np.where(np.isfinite(x), deviation, 0.0)
 
     def force_N(self, intensity: ArrayLike) -> Array:
-        """Return the force [N] whose expected intensity is the one given, for intensities of any
-        shape; 0 for 0.
+        """Return the force [N] with a given expected intensity, for any shape; 0 for 0.
 
-        ln E[S] is quadratic in ln F with curvature Var[beta] >= 0; the branch that rises with the
-        force is taken.
+        ln E[S] is quadratic in ln F with curvature Var[beta] >= 0. The branch that rises with the
+        force is used.
 
         Raises
         ------
         InputError
-            If an intensity is negative, or below what any force is expected to evoke.
+            If an intensity is negative, or below the smallest expected intensity of any force.
         """
         wanted = np.asarray(intensity, dtype=float)
         if not (wanted >= 0.0).all():
@@ -191,9 +193,9 @@ def _logarithm(force_N: ArrayLike) -> Array:
 class Weber:
     """Threshold kappa (level + offset), discriminated in 75 % of two-interval trials (E6).
 
-    Weber's law alone, kappa level, lets every change be felt at a level of zero; the offset is the
-    level at which the threshold, as a share of the level, has doubled. Both are positive, so that
-    every threshold is.
+    Weber's law alone, kappa level, has a threshold of zero at a level of zero, so every change
+    would be felt there. The offset is the level at which the threshold, as a share of the level,
+    has doubled. Both are positive, so every threshold is positive.
 
     Attributes
     ----------
@@ -227,13 +229,14 @@ class Weber:
 
 
 def weber(quantity: str) -> Weber:
-    """Return the population's median threshold of force [N], torque [N m] or stiffness [N/m], from
-    ``perception.toml``.
+    """Return the population's median threshold of a quantity, from ``perception.toml``.
+
+    The quantities are force [N], torque [N m] and stiffness [N/m].
 
     Raises
     ------
     InputError
-        If the quantity is none of these.
+        If the quantity is not one of these.
     """
     if quantity not in QUANTITIES:
         raise InputError(
@@ -244,10 +247,10 @@ def weber(quantity: str) -> Weber:
 
 
 def weber_of(observer: Observer, *, quantile: float = 0.5) -> Weber:
-    """Return an observer's threshold of force [N], at a quantile of what is known of the fraction.
+    """Return an observer's threshold of force [N], at a quantile of the Weber fraction's posterior.
 
-    A quantile below one half gives a threshold that is rather too small than too great: at 0.1 the
-    person's own lies above it with a probability of 90 %.
+    A quantile below one half gives a threshold that is rather too small than too large. At 0.1 the
+    person's own threshold lies above it with a probability of 90 %.
     """
     spread = float(np.sqrt(max(observer.covariance[2, 2], 0.0)))
     return Weber(

@@ -1,6 +1,4 @@
-"""The force to command so that an observer feels what the reference observer would, as a table
-built once.
-"""
+"""Map from force to command, tabulated once, that matches the reference observer's intensity."""
 
 from math import exp, log
 
@@ -14,23 +12,25 @@ from tissue.perception.laws import Intensity
 __all__ = ["ForceMap", "LogTable"]
 
 NODES = 4097
-"""Nodes of a table: over five decades the error of log-linear interpolation is below 1e-6 for every
-observer whose exponent is known to 0.5."""
+"""Nodes of a table.
+
+Over five decades the error of log-linear interpolation is below 1e-6 for every observer whose
+exponent is known to 0.5.
+"""
 
 
 class LogTable:
-    """A positive function of force, tabulated over ln F and interpolated linearly in its own
-    logarithm.
+    """Positive function of force, tabulated over ln F and interpolated linearly in its logarithm.
 
-    Exact for a power law. Below the first node it falls linearly to zero, above the last it goes on
-    linearly.
+    Exact for a power law. Below the first node it falls linearly to zero; above the last it
+    continues linearly.
 
     Parameters
     ----------
     forces_N
         Nodes [N], rising in equal ratios.
     values
-        The function there, positive.
+        Values of the function at the nodes, positive.
     """
 
     def __init__(self, forces_N: Array, values: Array) -> None:
@@ -47,7 +47,7 @@ class LogTable:
         self._above = float(values[-1]) / self._last
 
     def at(self, force_N: float) -> float:
-        """Return the function at a force of at least 0 [N]."""
+        """Return the function at a force [N], 0 or more."""
         if force_N < self._first:
             return self._below * force_N
         if force_N >= self._last:
@@ -59,30 +59,31 @@ class LogTable:
 
 
 class ForceMap:
-    """Command by E5: the force whose expected intensity for this observer is the reference
-    observer's at gain x force.
+    """Command by E5: the force whose expected intensity for this observer matches the reference.
 
-    Stevens' law is homogeneous, so a common factor on all forces keeps every ratio of intensities,
-    and is the only law that does. The stated law for a device's range is therefore a factor: 1
-    where the observer needs no more force than the reference at the strongest force that the device
-    plays uncompressed (``knee_N``), and below 1 just so that this force is commanded there where he
-    needs more. Up to the knee then
+    The reference is the reference observer's intensity at gain x force.
+
+    Stevens' law is homogeneous, so a common factor on all forces keeps every ratio of intensities.
+    No other law does. The stated law for a device's range is therefore a factor. ``knee_N`` is the
+    strongest force that the device plays uncompressed. The factor is 1 where the observer needs no
+    more force than the reference at ``knee_N``. Where the observer needs more force, the factor is
+    below 1, so that exactly ``knee_N`` is commanded there. Up to the knee then
 
         E[S | command(F1)] / E[S | command(F2)] = (F1 / F2)^beta of the reference
 
     Beyond it `tissue.haptics.loop.filters.ForceRange` compresses, and reports it.
 
-    Neither law has been measured far below the observer's low-force term: below it the map is
-    continued in a straight line to zero, which also bounds its slope there, so that a contact does
-    not begin infinitely stiff.
+    Neither law has been measured far below the observer's low-force term. Below this term the map
+    continues in a straight line to zero. The line also bounds the slope of the map there, so that
+    the stiffness at the start of a contact is finite.
 
     Parameters
     ----------
     reference, observer
-        Whose intensity is wanted, and who feels.
+        Observer whose intensity is matched, and observer who feels the command.
     lowest_N, knee_N
-        Where the straight line ends [N], above 0, and the strongest force that the device plays
-        uncompressed [N], above that.
+        Upper end of the straight line [N], above 0, and the strongest force that the device plays
+        uncompressed [N], above that end.
 
     Attributes
     ----------
@@ -91,12 +92,12 @@ class ForceMap:
     table, intensity, spread
         Command [N] over force, and mean and standard deviation of intensity over command.
     steepest
-        Greatest slope of the map: how many times stiffer a contact can feel to the loop.
+        Largest slope of the map: the largest factor on a contact's stiffness in the loop.
 
     Raises
     ------
     InputError
-        If the observer is known too badly for the map to rise with the force.
+        If the observer's posterior is too wide for the map to rise with the force.
     """
 
     def __init__(
@@ -125,8 +126,9 @@ class ForceMap:
         self.spread = LogTable(felt, np.maximum(observer.spread(felt), 1e-12))
 
     def command_N(self, force_N: ArrayLike) -> Array:
-        """Return the sizes of force to command [N] for sizes of force at the device [N],
-        exactly, of any shape.
+        """Return the force sizes to command [N] for force sizes at the device [N].
+
+        The result is exact, for arrays of any shape.
         """
         forces = np.asarray(force_N, dtype=float)
         first = self.forces_N[0]

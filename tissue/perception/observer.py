@@ -1,6 +1,4 @@
-"""Observers of force: knowledge about one person, the file that keeps it, and the population of
-people.
-"""
+"""Observers of force: posterior of one person, its file format, and the population."""
 
 import json
 from collections.abc import Mapping
@@ -32,10 +30,13 @@ __all__ = [
 ]
 
 PARAMETERS = ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
-"""Stevens' factor and exponent, Weber's fraction and low-force term [N], share of lapses, and
-relative scatter of a reported intensity: S = alpha (F / 1 N)^beta (1 + sigma e), with e of unit
-variance; a change of kappa (F + offset) is discriminated in 75 % of two-interval trials, lapses
-apart."""
+"""Names of an observer's parameters.
+
+They are Stevens' factor and exponent, Weber's fraction and low-force term [N], share of lapses, and
+relative scatter of a reported intensity. The intensity is S = alpha (F / 1 N)^beta (1 + sigma e),
+with e of unit variance. A change of kappa (F + offset) is discriminated in 75 % of two-interval
+trials without lapses.
+"""
 BOUNDS = {
     "alpha": (1e-3, 1e3),
     "beta": (0.05, 5.0),
@@ -44,41 +45,39 @@ BOUNDS = {
     "lapse": (1e-6, 0.5),
     "sigma": (1e-4, 2.0),
 }
-"""Plausible medians of a person; what lies outside is an error of units or of a fit."""
+"""Plausible medians of a person. A median outside is an error of units or of a fit."""
 FORMAT = "tissue observer"
 VERSION = 1
 COORDINATES = ("ln alpha", "beta", "ln kappa", "ln offset_N", "logit lapse", "ln sigma")
 TO_COORDINATE = dict.fromkeys(PARAMETERS, np.log) | {"beta": np.asarray, "lapse": logit}
 WIDEST = 10.0
-"""Greatest standard deviation of a coordinate: beyond it nothing is known, and it is an error of
-a fit.
-"""
+"""Largest standard deviation of a coordinate. A larger one means that the fit failed."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observer:
-    """Knowledge about a person: a normal posterior of (ln alpha, beta, ln kappa, ln offset, logit
-    lapse, ln sigma).
+    """Normal posterior of one person's parameters.
 
-    In these coordinates every draw is a possible person: factor, thresholds and scatter are
-    positive (E6), lapses lie between 0 and 1.
+    The coordinates are (ln alpha, beta, ln kappa, ln offset, logit lapse, ln sigma). In these
+    coordinates every draw is a possible person: factor, thresholds and scatter are positive (E6),
+    lapses lie between 0 and 1.
 
     Attributes
     ----------
     name
-        Who it is.
+        Name of the observer.
     mean
         Mean of the coordinates, shape (6,), in the order of `PARAMETERS`.
     covariance
         Their covariance, shape (6, 6), symmetric and without negative eigenvalues; zeros for a
         person known exactly.
     trials
-        How many trials this rests on; 0 for a prior.
+        Number of trials that the posterior is based on; 0 for a prior.
 
     Raises
     ------
     InputError
-        If a number is not finite, a median is not plausible, or the covariance is none.
+        If a number is not finite, a median is not plausible, or the covariance is not valid.
     """
 
     name: str
@@ -135,8 +134,9 @@ class Observer:
         trials: int = 0,
         **medians: float,
     ) -> "Observer":
-        """Return an observer by the medians of all `PARAMETERS` and the independent spreads of
-        their coordinates.
+        """Return an observer with given medians and independent spreads of its coordinates.
+
+        The medians of all `PARAMETERS` are needed.
         """
         spreads = []
         for parameter in PARAMETERS:
@@ -153,8 +153,9 @@ class Observer:
 
     @classmethod
     def from_draws(cls, name: str, draws: Mapping[str, Array], *, trials: int) -> "Observer":
-        """The normal posterior with the mean and covariance of draws, each of shape (n,), by
-        parameter's name.
+        """Return the normal posterior with the mean and covariance of draws.
+
+        `draws` holds an array of shape (n,) by parameter name.
         """
         rows = np.array([TO_COORDINATE[parameter](draws[parameter]) for parameter in PARAMETERS])
         return cls(name=name, mean=rows.mean(axis=1), covariance=np.cov(rows), trials=trials)
@@ -198,13 +199,14 @@ class Observer:
 
 
 def write_observer(observer: Observer, path: Path, *, overwrite: bool = False) -> None:
-    """Write an observer as JSON; a file that is there is replaced only where asked for, and then in
-    one step.
+    """Write an observer as JSON, in one step.
+
+    An existing file is replaced only if `overwrite` is set.
 
     Raises
     ------
     InputError
-        If the file is there and may not be replaced, or its folder cannot be written to.
+        If the file exists and may not be replaced, or its folder is not writable.
     """
     require_new_file(path, overwrite=overwrite)
     stored = {
@@ -285,12 +287,12 @@ def _from(parameter: str, coordinate: Array | np.float64) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Population:
-    """Law by which people differ: alpha log-normal with mean 1, beta normal, sigma squared
-    inverse-gamma.
+    """Distribution of the parameters over people.
 
-    The mean of alpha is 1, because the unit of intensity is free: it is what people feel at 1 N on
-    the average. Weber's fraction and low-force term are log-normal, so that thresholds are positive
-    (E6); the lapse is logit-normal.
+    alpha is log-normal with mean 1, beta is normal, and sigma squared is inverse-gamma. The mean of
+    alpha is 1, because the unit of intensity is free: it is the average intensity at 1 N. Weber's
+    fraction and low-force term are log-normal, so that thresholds are positive (E6). The lapse is
+    logit-normal.
 
     Attributes
     ----------
@@ -318,9 +320,7 @@ class Population:
     sigma_shape: float
 
     def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
-        """Return the parameters of so many people, each of shape (count,), by the names of an
-        observer's parameters.
-        """
+        """Return the parameters of `count` random people, by parameter name, (count,) each."""
         normal = rng.standard_normal((5, count))
         scale = (self.sigma_shape - 1.0) * self.sigma**2
         return {
@@ -336,7 +336,7 @@ class Population:
         """Return an observer for an unknown person: the population in the coordinates of an
         observer.
 
-        All is exact but for sigma, of whose logarithm mean and variance are kept.
+        The conversion is exact except for sigma: mean and variance of its logarithm are kept.
         """
         scale = (self.sigma_shape - 1.0) * self.sigma**2
         mean = [
@@ -372,8 +372,9 @@ def population_observer() -> Observer:
 
 
 def reference_observer() -> Observer:
-    """The person whose intensities others are brought to: the population's medians, known
-    exactly, and alpha 1.
+    """Return the reference observer: the population's medians, known exactly, and alpha 1.
+
+    The intensities of other observers are matched to it.
     """
     people = population()
     given = {name: getattr(people, name) for name in PARAMETERS if name != "alpha"}

@@ -1,6 +1,4 @@
-"""Perceptual scaling tick by tick: force map, deadband, and the estimate that a person makes of
-the force.
-"""
+"""Perceptual scaling in each tick: force map, deadband, and a person's estimate of the force."""
 
 from math import exp, inf, sqrt
 
@@ -15,41 +13,41 @@ from tissue.perception.mapping import ForceMap
 __all__ = ["Deadband", "PerceivedForce", "Sense", "held_back"]
 
 REST_SHARE = 0.5
-"""Share of the smallest force that can be felt at all, below which zero is played."""
+"""Share of the smallest force that can be felt. Below this share of it, zero is played."""
 BLOCK = 512
-"""Ticks whose random numbers are drawn at once."""
+"""Number of ticks whose random numbers are drawn at once."""
 
 
 class Deadband:
-    """Holds a vector while its distance to the wanted one is under the threshold at the held size;
-    then takes the new.
+    """Deadband: keep the held vector until its distance to the wanted vector exceeds the threshold.
 
-    The distance is that of vectors, so turning counts as well as growing. What is played is the
-    wanted vector itself whenever it changes, never a sum of steps, so that errors cannot
-    accumulate: at every tick the error is below the threshold. Noise that stays within the
-    threshold of what is held is not played at all.
+    The threshold is evaluated at the held size. Then the wanted vector is taken.
 
-    What is weaker than half of what can be felt from nothing is played as zero, so that nothing
-    pulls in free air.
+    The distance is that of vectors, so a change of direction counts as well as a change of size. At
+    a change the wanted vector itself is played, never a sum of steps, so errors cannot accumulate:
+    at every tick the error is below the threshold. Noise within the threshold of the held vector is
+    not played at all.
 
-    A force that is held while it should fall gives energy to the device: over a cycle as much as a
-    Coulomb friction of half the threshold with the wrong sign. A friction of more than that in the
-    device, or the damping of a hand, pays.
+    A vector below half of the threshold at zero is played as zero, so that no force pulls in free
+    air.
+
+    A force that is held while it should fall gives energy to the device. Over a cycle it gives the
+    energy of a Coulomb friction of half the threshold with the wrong sign. A larger friction of the
+    device, or the damping of a hand, dissipates it.
 
     Parameters
     ----------
     law
         Threshold of the size.
     widest
-        What the distance never exceeds, in the unit of the vector, however great the threshold; at
-        least 0.
+        Upper bound of the distance, in the unit of the vector, for any threshold; 0 or more.
 
     Attributes
     ----------
     held
-        What is played, shape (3,).
+        Vector that is played, shape (3,).
     changed
-        Whether the last vector was far enough from what was held, and so is played.
+        True if the last vector was beyond the threshold, and so is played.
     """
 
     def __init__(self, law: Weber, *, widest: float = inf) -> None:
@@ -63,7 +61,7 @@ class Deadband:
         self.changed = False
 
     def step(self, x: float, y: float, z: float) -> bool:
-        """Take the wanted vector in; whether `held` is another now."""
+        """Update with the wanted vector; return True if `held` has changed."""
         size = sqrt(x * x + y * y + z * z)
         if rest := size < REST_SHARE * self._least:
             x = y = z = size = 0.0
@@ -88,8 +86,9 @@ class Deadband:
 
 
 def held_back(wanted: Array, law: Weber) -> tuple[Array, Array]:
-    """Apply a deadband to recorded vectors, shape (n, 3); return them and where they changed,
-    shape (n,).
+    """Apply a deadband to recorded vectors, shape (n, 3).
+
+    Return the played vectors and a mask of the changes, shape (n,).
     """
     deadband = Deadband(law)
     played = np.empty_like(wanted, dtype=float)
@@ -101,12 +100,13 @@ def held_back(wanted: Array, law: Weber) -> tuple[Array, Array]:
 
 
 class Sense:
-    """Estimate of a force by a person: a noisy look every tick, averaged by the steady filter.
+    """Estimate of a force by a person: noisy observations, averaged by the steady filter.
 
-    The gain is that of the time over which force is averaged, 1 - exp(-T / tau), and the noise of a
-    look is such that the estimate of a constant force scatters by the threshold: a change of one
-    threshold is d' = 0.954 from none. For this gain G and scatter s a look has the variance r = s^2
-    (2 - G) / G, and the filter assumes that the force wanders by q = G^2 r / (1 - G) a tick.
+    The person observes the force once a tick. The gain 1 - exp(-T / tau) follows from the time over
+    which force is averaged. The noise of an observation makes the estimate of a constant force
+    scatter by the threshold: a change of one threshold is d' = 0.954 from no change. For this gain
+    G and scatter s an observation has the variance r = s^2 (2 - G) / G, and the filter assumes that
+    the force wanders by q = G^2 r / (1 - G) a tick.
 
     Attributes
     ----------
@@ -126,12 +126,12 @@ class Sense:
         self._level = self.force_N = 0.0
 
     def at(self, force_N: float) -> LocalLevel:
-        """Return the filter that this sense is at a force [N]."""
+        """Return the filter of this sense at a force [N]."""
         noise = (self._noise_ratio * self._kappa * (force_N + self._offset)) ** 2
         return LocalLevel(wander=self.gain**2 * noise / (1.0 - self.gain), noise=noise)
 
     def step(self, force_N: float) -> float:
-        """Look at a force [N] once; the new estimate."""
+        """Observe a force [N] once and return the new estimate."""
         if not self._drawn:
             self._drawn = self._rng.standard_normal(BLOCK).tolist()
         seen = (
@@ -143,23 +143,24 @@ class Sense:
 
 
 class PerceivedForce:
-    """Perceptual scaling by the contract `tissue.perception.perception.Perception`.
+    """Perceptual scaling that implements `tissue.perception.perception.Perception`.
 
     Parameters
     ----------
     law
         Command for a force, and the intensity of a command.
     deadband
-        Holds the command until its change can be felt.
+        Deadband that holds the command until its change can be felt.
     sense
-        What the observer takes the command for.
+        The observer's estimate of the command.
     sentence
-        Who feels, and what is done to the force for that; reported before a run.
+        Description of the observer and of the scaling, reported before a run.
 
     Attributes
     ----------
     steepest
-        Greatest slope of command over force: a loop is as stable as on a wall that much stiffer.
+        Largest slope of command over force. For stability, the stiffness of a wall is multiplied by
+        this factor.
     """
 
     def __init__(self, law: ForceMap, deadband: Deadband, sense: Sense, *, sentence: str) -> None:

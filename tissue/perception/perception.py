@@ -1,4 +1,4 @@
-"""Contract of a perceptual model of the person who feels."""
+"""Interface of a perceptual model of the observer."""
 
 from typing import Protocol
 
@@ -10,31 +10,26 @@ __all__ = ["Perception", "PerceptionMaker"]
 
 
 class Perception(Protocol):
-    """Turns a force that shall be felt into the force to command, for one observer; direction
-    stays.
+    """Map from a force to be felt to the force to command, for one observer.
 
-    `step` is called once a tick and costs microseconds.
+    The direction does not change. `step` is called once a tick and costs microseconds.
     """
 
     estimated_N: float
-    """The force as the observer's sense of it is estimated, after the recursive update [N]."""
+    """Estimate of the force that the observer feels, after the recursive update [N]."""
     perceived: float
-    """Mean of the intensity that the commanded force evokes, in units of the reference
-    observer's.
-    """
+    """Mean intensity of the commanded force, in units of the reference observer's."""
     perceived_spread: float
-    """Standard deviation of that intensity."""
+    """Standard deviation of the intensity of the commanded force."""
     steepest: float
-    """Greatest slope of command over force: a loop is as stable as on a wall that much stiffer."""
+    """Largest slope of command over force, a factor on the stiffness of a wall for stability."""
     sentence: str
-    """Who feels, and what is done to the force for that; reported before a run."""
+    """Description of the observer and of the scaling, reported before a run."""
     above: bool
-    """Whether the last change was above the observer's threshold, and so was rendered."""
+    """True if the last change was above the observer's threshold, and so was rendered."""
 
     def step(self, force_N: Array) -> Array:
-        """Return the force to command [N], shape (3,), for a force at the device [N], shape
-        (3,).
-        """
+        """Return the force to command [N] for a force at the device [N], shapes (3,)."""
         ...
 
     def pause(self) -> None:
@@ -43,7 +38,7 @@ class Perception(Protocol):
 
 
 class PerceptionMaker(Protocol):
-    """Makes a perception on a device."""
+    """Factory of perceptual scalings for a device."""
 
     def __call__(
         self,
@@ -59,11 +54,11 @@ class PerceptionMaker(Protocol):
         Parameters
         ----------
         argument
-            What follows the colon of a name such as ``observer:FILE``; empty for one without.
+            Text after the colon of a name such as ``observer:FILE``; empty without a colon.
         rng
             Random generator of the noise in the observer's sense.
         force_limit_N, friction_N
-            Greatest force and Coulomb friction of the device [N].
+            Largest force and Coulomb friction of the device [N].
         tick_s
             Time between two steps [s].
         """

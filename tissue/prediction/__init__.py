@@ -1,3 +1,4 @@
-"""Force and state some milliseconds ahead: lifted linear operators, and the simple predictors
-they have to beat.
+"""Prediction of force and state some milliseconds ahead.
+
+It contains lifted linear operators and the simple predictors that serve as baselines.
 """

@@ -1,5 +1,6 @@
-"""The simple predictors: a straight line, a steady-state Kalman filter, and a linear model that
-the device drives.
+"""Baseline predictors: a straight line, a steady-state Kalman filter, and a linear model.
+
+The input of the linear model is the device motion.
 """
 
 from collections import deque
@@ -16,16 +17,20 @@ from tissue.prediction.predictor import AffineMap, interpolated
 __all__ = ["Kalman", "Linear", "LinearControl", "kalman_gains"]
 
 WINDOW = 10
-"""Ticks over which a slope is taken: of 3 to 30 the best on the recorded wall at 4 to 8 ms but for
-8, and better on the slower scenes than that; a shorter one takes an encoder's step for a slope."""
+"""Ticks over which a slope is estimated.
+
+Of 3 to 30 it is the best value on the recorded wall at 4 to 8 ms, except for a window of 8. It is
+better than 8 on the slower scenes. A shorter window mistakes an encoder step for a slope.
+"""
 JERKINESS = 1e-3
-"""Variance of the force's third difference over that of its noise: of 1e-8 to 1e-2 the best on
-the recorded wall.
+"""Variance of the force's third difference over the variance of its noise.
+
+Of 1e-8 to 1e-2 it is the best value on the recorded wall.
 """
 
 
 class Linear:
-    """The straight line through the newest force and one a window of ticks before it."""
+    """Straight line through the newest force and the force one window of ticks before it."""
 
     residual_N = 0.0
     is_primary = trusted = True
@@ -39,7 +44,7 @@ class Linear:
         self._slope = np.zeros(3)
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Take in the force; the device is not looked at."""
+        """Update with the force; the device is not used."""
         self._clock += 1
         if force_N is None:
             return
@@ -53,22 +58,22 @@ class Linear:
         self._slope = (force_N - first) / max(self._clock - since, self._window)
 
     def predict(self, ticks: float) -> Array:
-        """Along the line."""
+        """Return the force on the line."""
         since, force = self._seen[-1]
         return force + (self._clock - since + ticks) * self._slope
 
     def pause(self) -> None:
-        """A line needs what belongs together: begin anew from the newest force."""
+        """Restart the line from the newest force, because its points must belong together."""
         self._seen = deque([(self._clock, self._seen[-1][1])])
         self._slope = np.zeros(3)
 
 
 @lru_cache
 def kalman_gains(ticks: int, jerkiness: float) -> Array:
-    """Steady gains for force, its rate a tick and that one's, shape (3,), with a force every so
-    many ticks.
+    """Return the steady Kalman gains for force, its rate and its second rate, shape (3,).
 
-    Of the process F''' = white noise, by the discrete Riccati equation (Kalman 1960).
+    A force is observed every `ticks` ticks. The process is F''' = white noise. The gains solve the
+    discrete Riccati equation (Kalman 1960).
     """
     from scipy.linalg import solve_discrete_are
 
@@ -84,8 +89,9 @@ def kalman_gains(ticks: int, jerkiness: float) -> Array:
 
 
 class Kalman:
-    """A force with constant acceleration, but for white noise, seen with white noise; gains are
-    those it settles to.
+    """Steady Kalman filter for a force of constant acceleration.
+
+    The process and the observations have white noise.
     """
 
     residual_N = 0.0
@@ -99,7 +105,7 @@ class Kalman:
         self._force = np.zeros(3)
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Go a tick on and correct by the force; the device is not looked at."""
+        """Advance by a tick and correct by the force; the device is not used."""
         state = self._state = self._onward.dot(self._state)
         self._since += 1
         if force_N is not None:
@@ -110,21 +116,23 @@ class Kalman:
             self._force = force_N.copy()
 
     def predict(self, ticks: float) -> Array:
-        """Along the parabola; 0 ahead of a force that was just observed, that force."""
+        """Return the force on the parabola.
+
+        At 0 ticks after an observed force, it is that force.
+        """
         if ticks == 0 and self._since == 0:
             return self._force
         return np.array((1.0, ticks, 0.5 * ticks * ticks)) @ self._state
 
     def pause(self) -> None:
-        """Rates of another motion are of no use."""
+        """Reset the rates, which belong to the earlier motion."""
         self._state[1:] = 0.0
 
 
 class LinearControl:
-    """Linear dynamic mode decomposition with control (Proctor, Brunton & Kutz 2016): F+ = A F + B
-    (x, v) + offset.
+    """Linear dynamic mode decomposition with control: F+ = A F + B (x, v) + offset.
 
-    The device goes on at its present speed over the ticks ahead.
+    Source: Proctor, Brunton & Kutz 2016. The device keeps its present speed over the ticks ahead.
 
     Parameters
     ----------
@@ -154,7 +162,10 @@ class LinearControl:
         self._at_lead = self._maps[0]
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Take in the device and the force, or go a tick on by what was known."""
+        """Update with the device and the force.
+
+        In a tick without a force, the force predicted for this tick is used.
+        """
         known = self._known
         expected = self.predict(1)
         if force_N is not None:
@@ -165,7 +176,10 @@ class LinearControl:
         known[6:] = velocity_m_s
 
     def predict(self, ticks: float) -> Array:
-        """Powers of the operator, the device going on; on a straight line between two of them."""
+        """Return the force by powers of the operator, with the device at its present speed.
+
+        Between two powers the force is interpolated linearly.
+        """
         whole = int(ticks)
         if ticks == whole:
             matrix, offset = self._map(whole)
@@ -178,10 +192,10 @@ class LinearControl:
         return predicted + offset
 
     def _map(self, ticks: int) -> AffineMap:
-        """From what is known to the force after so many ticks."""
+        """Return the map from the known values to the force after a number of ticks."""
         while len(self._maps) <= ticks:
             matrix, offset = self._maps[-1]
-            # Position enters at its value after the ticks gone by: x + k T v.
+            # Position enters at its value after the elapsed ticks: x + k T v.
             acting = self._B.copy()
             acting[:, 3:] += (len(self._maps) - 1) * self._step * self._B[:, :3]
             onward = self._A @ matrix
@@ -190,4 +204,4 @@ class LinearControl:
         return self._maps[ticks]
 
     def pause(self) -> None:
-        """The next sample is the last one."""
+        """Treat the next sample as the last one."""

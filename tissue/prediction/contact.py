@@ -1,6 +1,4 @@
-"""What a loop knows of its tool's contact in a tick, for predictors that ask the tissue's own
-law.
-"""
+"""Contact data of a tick, for predictors that use the tissue's own law."""
 
 from dataclasses import dataclass, field
 from math import inf, isnan, nan
@@ -13,30 +11,31 @@ from meshes.base.arrays import Array
 __all__ = ["CONTACT_WIDTH", "Contact", "SeesContact"]
 
 CONTACT_WIDTH = 21
-"""Numbers of a contact in a recording."""
+"""Number of values of a contact in a recording."""
 
 
 @dataclass
 class Contact:
-    """A tool that hangs on a device by a spring, and the tissue's local law, in metres and newtons
-    at the device.
+    """A tool coupled to a device by a spring, and the local law of the tissue.
+
+    All values are in metres and newtons at the device.
 
     Attributes
     ----------
     spring_N_m
         Stiffness of the coupling.
     tip_m
-        Where the tool is [m], shape (3,); where nothing acts on it, the device is there, too.
+        Position of the tool [m], shape (3,). Where no force acts on the tool, it is at the device.
     force_N
         Force of the tissue on the tool there, shape (3,).
     stiffness_N_m
-        How that force falls with the tool's position, -dF/dx [N/m], shape (3, 3); None where the
-        tissue does not know it.
+        Decrease of that force with the tool's position, -dF/dx [N/m], shape (3, 3); None where the
+        tissue does not provide it.
     gap_m, normal
-        Distance of a free tool from the tissue's surface [m], and the unit direction out of it,
-        shape (3,); infinite where the tissue does not know it.
+        Distance of a free tool from the tissue's surface [m], infinite where the tissue does not
+        provide it, and the unit direction out of the surface, shape (3,).
     cuts
-        Whether the tool cuts, so that nothing pushes it back to where it was.
+        True if the tool cuts. Then no force pushes it back to its earlier position.
     """
 
     spring_N_m: float
@@ -48,7 +47,7 @@ class Contact:
     cuts: bool = False
 
     def row(self) -> Array:
-        """All of it as numbers, shape (CONTACT_WIDTH,); NaN for a stiffness that is not known."""
+        """Return all values as one row, shape (CONTACT_WIDTH,); NaN for an unknown stiffness."""
         stiffness = np.full(9, nan) if self.stiffness_N_m is None else self.stiffness_N_m.ravel()
         return np.concatenate(
             (
@@ -64,7 +63,7 @@ class Contact:
 
     @classmethod
     def of_row(cls, row: Array) -> "Contact":
-        """The contact that `row` was made of."""
+        """Return the contact of a row made by `row`."""
         stiffness = None if isnan(row[7]) else row[7:16].reshape(3, 3)
         return cls(
             float(row[0]), row[1:4], row[4:7], stiffness, float(row[16]), row[17:20], bool(row[20])
@@ -73,8 +72,8 @@ class Contact:
 
 @runtime_checkable
 class SeesContact(Protocol):
-    """A predictor that is shown the contact of a tick before it observes the tick."""
+    """Predictor that receives the contact of a tick before it observes the tick."""
 
     def meet(self, contact: Contact) -> None:
-        """Take in the contact; it belongs to the next observation, and is not kept by reference."""
+        """Store the contact of the next observation, not by reference."""
         ...

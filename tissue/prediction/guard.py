@@ -1,4 +1,4 @@
-"""When a predictor is trusted, and what is played while it is not."""
+"""Guard that replaces a predictor by a fallback while its predictions cannot be trusted."""
 
 from collections import deque
 from math import ceil, isfinite, sqrt
@@ -15,57 +15,60 @@ __all__ = ["Guarded", "Judged"]
 
 Triple = tuple[float, float, float]
 BLEND = 10
-"""Ticks over which one predictor's force goes over into the other's."""
+"""Ticks over which the force fades from one predictor to the other."""
 ABSURD = 1e6
-"""Metres, metres a second or newtons that no device has."""
+"""Limit of plausible values of a device [m, m/s or N]."""
 MEMORY = 0.98
-"""Share of what was missed that is still reckoned with a tick later: about 50 ticks, a touch and
-what follows it.
-"""
+"""Factor per tick on past prediction errors: about 50 ticks, a touch and its aftermath."""
 WORSE = 1.5
-"""Times the other's error from which a predictor is not trusted: below, both are noise; a prior."""
+"""Largest ratio of a trusted predictor's error to the fallback's error.
+
+Smaller differences are noise. The value is a prior, not a measurement.
+"""
 LEAST_N = 3e-3
-"""Error that is never counted as worse [N]."""
+"""Error that never counts as worse [N]."""
 LONG_MEMORY = 0.999
-"""The same where a predictor is compared with holding the force, by what it has cost or saved in
-all: a second.
+"""Factor per tick on past errors in the comparison with the zero-order hold: about a second.
+
+The comparison sums the cost or gain of the predictor over that time.
 """
 MOST_DEBT = 20.0
-"""Times `LEAST_N`^2 that a predictor may have cost beyond holding: three seconds of no cost make
-up for all of it.
+"""Largest cost of a predictor beyond the zero-order hold that is counted, in units of `LEAST_N`^2.
+
+Three seconds without cost compensate it.
 """
 PROBATION = 50
-"""Ticks for which a predictor must be trusted before it is asked again."""
+"""Ticks for which a predictor must be trusted before it is used again."""
 
 
 class Judged(Predictor, Protocol):
-    """A predictor that knows whether it can be trusted."""
+    """Predictor that reports if it can be trusted."""
 
     @property
     def trusted(self) -> bool:
-        """Whether what it would predict now follows from what it has learnt."""
+        """True if a prediction now is within the range of the training data."""
         ...
 
 
 class Guarded:
-    """A predictor for as long as it can be trusted, and another one in its place: no step in
-    between.
+    """Predictor with a fallback: the force fades between both without a step.
 
-    The force is the fallback's plus a share of the difference to the predictor's. Trust ends when
-    the predictor itself doubts, when its predictions have lately missed the force that came by more
-    than the other's did, or when over a longer time holding the last force would have missed less,
-    false touches included; then the share falls from 1 to 0 over some ticks, and it rises as slowly
-    after a while of trust. The difference is bounded, and where it is not finite the last one is
-    kept, so a handover changes the force by no more than the bound over those ticks.
+    The force is the fallback's force plus a share of the difference between both forces. The
+    predictor loses trust in three cases: it reports that it is not trusted; its recent predictions
+    have missed the measured force by more than the fallback's predictions; or over a longer time a
+    zero-order hold would have missed the force by less. False touches count in the last case. Then
+    the share falls from 1 to 0 over some ticks. It rises as slowly after a period of trust. The
+    difference is bounded. Where it is not finite, the last difference is kept. A handover therefore
+    changes the force by at most the bound over those ticks.
 
     Parameters
     ----------
     inner
         The predictor to guard.
     instead
-        What is asked while it is not trusted.
+        Fallback predictor while the inner one is not trusted.
     reach_N
-        Greatest difference between both [N].
+        Largest difference between both forces [N].
     """
 
     residual_N = 0.0
@@ -88,12 +91,15 @@ class Guarded:
         self._over_held = 0.0
 
     def meet(self, contact: Contact) -> None:
-        """Pass it on to those that look at it."""
+        """Pass the contact to the predictors that use it."""
         for each in self._shown:
             each.meet(contact)
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Pass the sample on and judge; one that is not finite, or absurd, counts as none."""
+        """Pass the sample to both predictors and update the trust.
+
+        A sample that is not finite or not plausible counts as missing.
+        """
         if not (_sane(position_m) and _sane(velocity_m_s) and (force_N is None or _sane(force_N))):
             self.pause()
             return
@@ -118,8 +124,8 @@ class Guarded:
         self.is_primary = self._share > 0.5
 
     def predict(self, ticks: float) -> Array:
-        """Between both, by the share."""
-        # Three numbers are quicker one by one than as arrays.
+        """Return the blend of both forces, by the share."""
+        # Three scalars are faster than arrays.
         u, v, w = self.inner.predict(ticks).tolist()
         x, y, z = self.instead.predict(ticks).tolist()
         u = u - x
@@ -140,14 +146,12 @@ class Guarded:
         return np.array((x + share * u, y + share * v, z + share * w))
 
     def _compare(self, force_N: Array) -> None:
-        """Add what both missed of the force that was predicted for now, or for the time since
-        the last tick.
-        """
+        """Add the errors of the predictions for the time since the last tick with a force."""
         fx, fy, fz = force_N.tolist()
         now = fx, fy, fz
         if self._lead and len(self._kept) == ceil(self._lead):
             kept = self._kept[0]
-            # The force lay between the last two that were seen when what was predicted was due.
+            # The prediction was due between the last two observed forces: interpolate between them.
             back = (len(self._kept) - self._lead) / self._age
             bx, by, bz = self._seen
             fx = fx + back * (bx - fx)
@@ -159,7 +163,7 @@ class Guarded:
             self._over_held = min(
                 self._over_held + (1.0 - LONG_MEMORY) * (primary - held), MOST_DEBT * LEAST_N**2
             )
-            # A touch that is foreseen is not held against who foresees it.
+            # A predicted touch does not count as an error of the predictor.
             if any(kept[1]) and any(now):
                 self._missed[0] += (1.0 - MEMORY) * primary
                 self._missed[1] += (1.0 - MEMORY) * other
@@ -167,7 +171,7 @@ class Guarded:
         self._age = 0
 
     def _keep(self, ticks: float, primary: Triple, safe: Triple) -> None:
-        """Keep what both predicted until that force is there."""
+        """Store both predictions until the force that they predict is observed."""
         self._asked = True
         if ticks != self._lead:
             self._lead = ticks
@@ -175,13 +179,13 @@ class Guarded:
         self._kept.append((primary, safe, self._seen))
 
     def pause(self) -> None:
-        """Pass it on; what was predicted belongs to no force any more."""
+        """Pause both predictors and discard their pending predictions."""
         self._kept.clear()
         self.inner.pause()
         self.instead.pause()
 
 
 def _sane(vector: Array) -> bool:
-    """Whether three numbers are finite and not absurd."""
+    """Return True if the three numbers are finite and of plausible size."""
     x, y, z = vector.tolist()
     return abs(x) < ABSURD and abs(y) < ABSURD and abs(z) < ABSURD

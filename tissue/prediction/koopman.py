@@ -1,5 +1,6 @@
-"""The lifted linear predictor in the loop: powers of an operator on what a device has moved and
-how it was pulled.
+"""Lifted linear predictor in the loop: powers of an operator on displacements and stretches.
+
+The displacements are the device's, the stretches are the coupling's.
 """
 
 from math import sqrt
@@ -13,34 +14,35 @@ from tissue.prediction.paths import OperatorPath
 __all__ = ["Koopman"]
 
 LEAST_DEPTH_M = 2e-4
-"""Depth from which a contact's stiffness is read off, and by which a surface is another: four
-steps of an encoder.
+"""Smallest depth at which a contact's stiffness is estimated [m]: four encoder steps.
+
+A surface that moves by more than this depth counts as a new surface.
 """
 
 RELEASED = 20
-"""Ticks without force after which a contact is over: a shorter gap is chatter of a cut, which
-leaves no surface.
+"""Ticks without force after which a contact ends.
+
+A shorter gap is chatter of a cut, which leaves no surface.
 """
 REMEMBERED = 0.95
-"""Share of the forces so far that still counts a tick later for their direction: a force that
-fades has none.
-"""
+"""Factor per tick on past forces in the estimate of their direction: a decaying force has none."""
 
 
 class Koopman:
-    """Predicts the force on a device by an operator on its recent displacements and stretches,
-    without the tissue.
+    """Force prediction from recent displacements and stretches of a device, without the tissue.
 
-    The force is the coupling's stiffness times the stretch that the operator gives so far ahead; a
-    force that would turn against the present one is none. A device that has been free for a while
-    has none either, until its path comes to the surface: the plane through the place where the last
-    contact ended, across the force there, if it had begun there, too. From there on it counts for
-    as stiff as that contact was.
+    The force is the coupling's stiffness times the stretch that the operator predicts. A predicted
+    force that opposes the present force is replaced by zero.
+
+    A device that has been free for some ticks has zero force until its path reaches the surface of
+    the last contact. The surface is the plane through the end of that contact, normal to its force.
+    The plane is used only if the contact also began there. Beyond the plane, the tissue has the
+    stiffness of that contact.
 
     Parameters
     ----------
     path
-        What foresees displacement and stretch.
+        Predictor of displacement and stretch.
     """
 
     residual_N = 0.0
@@ -59,20 +61,20 @@ class Koopman:
 
     @property
     def trusted(self) -> bool:
-        """Whether its path is, and whether it knows the coupling's stiffness."""
+        """True if the path is trusted and the coupling's stiffness is known."""
         return self._spring > 0.0 and self.path.trusted
 
     def meet(self, contact: Contact) -> None:
-        """Take the coupling's stiffness; the tissue is not looked at."""
+        """Store the coupling's stiffness; the tissue's law is not used."""
         self._spring = contact.spring_N_m
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Take in the device and the force, or in a tick without a force what the contact gives as
-        the device goes on.
+        """Update with the device and the force.
 
-        Not what the operator expects: a stretch that is fed back to it beside displacements that
-        are measured is no trajectory of it, and grew beyond all bounds within seconds where a
-        tissue answers every tenth tick.
+        In a tick without a force, the last contact gives the force at the new device position. The
+        operator's own prediction is not fed back: a predicted stretch together with measured
+        displacements is no trajectory of the operator. Where a tissue answers every tenth tick,
+        such a stretch grew beyond all bounds within seconds.
         """
         if self._spring == 0.0:
             if force_N is not None:
@@ -97,8 +99,8 @@ class Koopman:
             self._begun = position_m.copy()
             self._surface = position_m.copy()
         elif touched and not touches:
-            # Contact ended at the start of a tick's motion; tissue that lets go deeper than it was
-            # met has been cut.
+            # Contact ended at the start of a tick's motion. Where it ended deeper than it began,
+            # the tissue has been cut.
             self._surface = self._position.copy()
             self._known = abs(float(self._normal @ (self._surface - self._begun))) < LEAST_DEPTH_M
         if touches:
@@ -111,7 +113,7 @@ class Koopman:
         self.path.observe(position_m, self._force / self._spring)
 
     def predict(self, ticks: float) -> Array:
-        """The stretch so far ahead times the coupling's stiffness."""
+        """Return the predicted stretch times the coupling's stiffness."""
         if ticks == 0.0 or self._spring == 0.0:
             return self._force.copy()
         if any(self._force.tolist()):
@@ -120,11 +122,11 @@ class Koopman:
         return self._touched_N(self._position + self.path.displacement_m(ticks))
 
     def pause(self) -> None:
-        """The window is filled anew."""
+        """Clear the window, so that it is filled anew."""
         self.path.pause()
 
     def _moved_N(self, position_m: Array) -> Array:
-        """The force on a device that has gone on since the tissue's last answer."""
+        """Return the force on a device that has moved since the tissue's last answer."""
         if not any(self._answer.tolist()):
             return self._touched_N(position_m)
         into = float(self._normal @ (self._answered - position_m))
@@ -132,8 +134,9 @@ class Koopman:
         return force if float(force @ self._answer) > 0.0 else np.zeros(3)
 
     def _touched_N(self, at_m: Array) -> Array:
-        """The force where a free device comes to the surface of the last contact; zero if it
-        knows none.
+        """Return the force on a free device beyond the surface of the last contact.
+
+        It is zero if no surface is known.
         """
         if not self._known or self._free < RELEASED:
             return np.zeros(3)

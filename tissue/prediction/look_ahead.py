@@ -1,5 +1,6 @@
-"""Force of the tissue's own law at the predicted place of the device, and the slope of that law,
-learnt in contact.
+"""Force of the tissue's own law at the predicted device position.
+
+Where the tissue gives no slope of its law, the slope is learnt in contact.
 """
 
 from math import isfinite, sqrt
@@ -14,29 +15,31 @@ from tissue.prediction.paths import Path
 __all__ = ["ContactSlope", "LookAhead"]
 
 RIGID = 1e3
-"""Stiffness over the coupling's of a tissue that is known to be near and that nothing has
-touched yet.
-"""
+"""Stiffness, over the coupling's, of a nearby tissue that has not been touched yet."""
 NOISE_M = 1e-6
-"""What a force, over the coupling's stiffness, is off a linear law in a tick [m]: curvature and
-friction.
+"""Deviation of a force, over the coupling's stiffness, from a linear law in a tick [m].
+
+Its causes are curvature and friction.
 """
 DRIFT_PER_M = 50.0
-"""Variance that a slope gains for each metre of motion: one of 1 is unknown again after 20 mm, one
-of 0.1 after 0.2 mm. Of 0.5 to 500 it hardly matters from here on: on palpation 0.40 to 0.68 of
-hold's excess error, 0.72 at 0.5.
+"""Increase of a slope's variance per metre of motion.
+
+A slope of 1 is unknown again after 20 mm, a slope of 0.1 after 0.2 mm. Of 0.5 to 500, values from
+50 on differ little: on palpation they leave 0.40 to 0.68 of the excess error of the zero-order
+hold, and 0.5 leaves 0.72.
 """
 UNKNOWN = 1.0
-"""Variance of a slope of which nothing is known; that of a tissue as stiff as the coupling is 1."""
+"""Variance of an unknown slope; the slope is 1 for a tissue as stiff as the coupling."""
 
 
 class ContactSlope:
-    """The matrix S of df = -S dp, force f over the coupling's stiffness and position p both in
-    metres, shape (3, 3).
+    """Estimate of the matrix S of df = -S dp, shape (3, 3).
 
-    A random walk of S, corrected by every tick's changes (recursive least squares with a forgetting
-    that counts motion, not time, so that what a resting tool has learnt stays). Alike in all
-    directions: it turns with the motion.
+    The force f is divided by the coupling's stiffness, so f and the position p are both in metres.
+
+    S is a random walk, corrected by the changes of every tick (recursive least squares). Forgetting
+    counts motion, not time, so the estimate of a resting tool stays. No direction is preferred: the
+    estimate turns with the motion.
     """
 
     def __init__(self) -> None:
@@ -45,7 +48,7 @@ class ContactSlope:
         self._before: tuple[Array, Array] | None = None
 
     def observe(self, tip_m: Array, force_m: Array) -> None:
-        """Take in a tick of a contact, or of none where the force is zero."""
+        """Update with a tick in contact; a zero force ends the contact."""
         if not any(force_m.tolist()):
             self.pause()
             return
@@ -62,13 +65,14 @@ class ContactSlope:
         self._before = tip_m.copy(), force_m.copy()
 
     def pause(self) -> None:
-        """What was learnt is a first guess of the next contact."""
+        """Keep the estimate as a first guess for the next contact."""
         self._before = None
         self._spread = UNKNOWN * np.eye(3)
 
     def _bound(self) -> None:
-        """Keep the spread below that of the unknown; its trace, so that no direction is
-        preferred.
+        """Limit the spread to the spread of an unknown slope.
+
+        Its trace is limited, so that no direction is preferred.
         """
         size = sum(self._spread.flat[::4].tolist())
         if size > 3.0 * UNKNOWN:
@@ -76,26 +80,28 @@ class ContactSlope:
 
 
 class LookAhead:
-    """Goes on along the device's path and asks the contact there: coupling and tissue, both linear
-    about the last tick.
+    """Force at the predicted device position, from linearised coupling and tissue.
+
+    Both are linear about the last tick.
 
     With the coupling's stiffness k, the tool's tip p, the tissue's force f on it and that force's
-    slope -df/dp = K, a device at x has the tool where k (x - p') + f - K (p' - p) = 0, and feels k
-    (p' - x). Tissue that would pull has let go. A tool that is free comes to the surface by the gap
-    that the tissue knows of, if it does, and from there on counts for as stiff as it was last. A
-    slope that the tissue does not know is learnt (`ContactSlope`).
+    slope -df/dp = K, a device at x has its tool at p', where k (x - p') + f - K (p' - p) = 0.
+    The force on the device is k (p' - x). A tissue force that would pull is replaced by zero. A
+    free tool reaches the surface after the gap that the tissue provides. Beyond the surface the
+    tissue has the stiffness of the last contact. If the tissue provides no slope, the slope is
+    learnt (`ContactSlope`).
 
-    A tool that cuts has no place to go back to: its stretch is what the path foresees. A law of the
-    last tick did not serve there: on the operator's path in milling, mixed with the stretch that
-    the operator foresees, a tip that stays left 1.3 of the excess error of holding the force, and
-    one that goes on 1.6.
+    A cutting tool is not pushed back, so its stretch is the stretch that the path predicts. A law
+    of the last tick did not work there. On the operator's path in milling, mixed with the
+    operator's stretch, a tip that stays left 1.3 of the excess error of the zero-order hold. A tip
+    that moves on left 1.6.
 
-    What the coupling's damper adds to the spring now, it adds at the end of the path, too.
+    The coupling's damper force is assumed constant up to the end of the path.
 
     Parameters
     ----------
     path
-        What foresees the device's path.
+        Predictor of the device's path.
     """
 
     residual_N = 0.0
@@ -112,11 +118,11 @@ class LookAhead:
 
     @property
     def trusted(self) -> bool:
-        """Whether its path is, and whether it was shown a contact."""
+        """True if the path is trusted and a contact is known."""
         return self._contact is not None and self.path.trusted
 
     def meet(self, contact: Contact) -> None:
-        """Take in the law of this tick."""
+        """Store the contact law of this tick."""
         spring = contact.spring_N_m
         self._contact = Contact(
             spring,
@@ -128,7 +134,7 @@ class LookAhead:
             contact.cuts,
         )
         if contact.cuts:
-            return  # no law of the tissue is asked
+            return  # the law of the tissue is not used
         force = self._contact.force_N
         touches = any(force.tolist())
         if contact.stiffness_N_m is None:
@@ -142,7 +148,7 @@ class LookAhead:
             )
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Take in the device, and the force in ticks in which the tissue has answered."""
+        """Update with the device, and with the force in ticks with a tissue answer."""
         contact = self._contact
         if contact is None:
             if force_N is not None:
@@ -164,7 +170,7 @@ class LookAhead:
         self._expected = self.predict(1.0)
 
     def predict(self, ticks: float) -> Array:
-        """Force of the law at the end of the path."""
+        """Return the force of the contact law at the end of the path."""
         if ticks == 0.0 or self._contact is None:
             return self._force.copy()
         if self._contact.cuts:
@@ -174,12 +180,12 @@ class LookAhead:
         return self._at(self._position + self.path.displacement_m(ticks))
 
     def pause(self) -> None:
-        """The path and the contact begin anew."""
+        """Reset the path and the contact."""
         self.path.pause()
         self._slope.pause()
 
     def _at(self, device_m: Array) -> Array:
-        """The force on a device that is there [N]."""
+        """Return the force on a device at a position [N]."""
         contact = self._contact
         assert contact is not None
         force = contact.force_N

@@ -1,6 +1,4 @@
-"""A predictor from outside the package: two methods, and what else a loop asks of one made of
-them.
-"""
+"""External predictors: a complete predictor made from one with two methods."""
 
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -17,37 +15,39 @@ __all__ = ["GuardedMaker", "Observes", "Outside"]
 
 
 class Observes(Protocol):
-    """The least that predicts a force.
+    """Minimal interface of a force predictor.
 
-    What it has besides is used: ``pause()`` after a sample that did not come, ``trusted``, false
-    while its prediction should not be played, and ``meet(contact)``, which shows it what the tool
-    touches in a tick (`tissue.prediction.contact.Contact`). It is copied and probed before a run,
-    to judge the loop: its answer to a small change must fade within half a second. `predict`
-    changes nothing, and is asked more than once a tick.
+    Three optional members are used where they exist. ``pause()`` is called after a missing sample.
+    ``trusted`` is false while the prediction should not be played. ``meet(contact)`` receives the
+    contact of the tool in a tick (`tissue.prediction.contact.Contact`). The predictor is copied and
+    probed before a run, to check the stability of the loop: its response to a small change must
+    fade within half a second. `predict` must not change the predictor. It is called more than once
+    a tick.
     """
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Take in the device's position [m] and velocity [m/s], shape (3,), and the force on it
-        [N], or None.
+        """Update with the device's position [m] and velocity [m/s], shape (3,), and the force [N].
+
+        The force acts on the device. It is None in a tick without a force.
         """
         ...
 
     def predict(self, ticks: float) -> Array:
-        """Force to be expected so many ticks after the last observation [N], shape (3,)."""
+        """Predict the force a number of ticks after the last observation [N], shape (3,)."""
         ...
 
 
 class Outside:
-    """A whole predictor around one with `observe` and `predict` alone.
+    """Complete predictor around one that has only `observe` and `predict`.
 
-    Its last error is what it expected a tick ahead less the force that came.
+    Its last error is the force it expected one tick ahead minus the observed force.
 
     Parameters
     ----------
     inner
         The predictor.
     name
-        What messages call it.
+        Name of the predictor in messages.
     """
 
     is_primary = True
@@ -63,13 +63,14 @@ class Outside:
 
     @property
     def trusted(self) -> bool:
-        """What the predictor states of itself; without that it is trusted, and the guard alone
-        judges.
+        """Trust as the predictor reports it.
+
+        A predictor without ``trusted`` is always trusted, and only the guard judges it.
         """
         return bool(getattr(self.inner, "trusted", True))
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Pass a sample on, as copies."""
+        """Pass copies of a sample to the predictor."""
         force = None if force_N is None else force_N.copy()
         if force is not None and self._seen:
             missed = self.predict(1.0) - force
@@ -78,7 +79,7 @@ class Outside:
         self._seen = self._seen or force is not None
 
     def predict(self, ticks: float) -> Array:
-        """Its force, as a copy."""
+        """Return a copy of the predictor's force."""
         force = np.array(self.inner.predict(ticks), dtype=np.float64)
         if force.shape != (3,):
             raise InputError(
@@ -90,23 +91,24 @@ class Outside:
         return force
 
     def pause(self) -> None:
-        """Pass it on to one that wants to know."""
+        """Pause a predictor that has the method."""
         if self._pause is not None:
             self._pause()
 
 
 class GuardedMaker:
-    """Makes a predictor from outside under the guard, which holds the last force where it is not to
-    be trusted.
+    """Factory of an external predictor under the guard.
+
+    The fallback of the guard is the zero-order hold.
 
     Parameters
     ----------
     name
         Its name.
     make
-        Makes it: called with what was trained for the scene, or with nothing.
+        Function that makes it, called with the data trained for the scene, or without arguments.
     trained
-        Whether it is given what was trained.
+        Call `make` with the trained data.
     """
 
     def __init__(self, name: str, make: Callable[..., Any], *, trained: bool = False) -> None:
@@ -115,7 +117,7 @@ class GuardedMaker:
         self.trained = trained
 
     def __call__(self, trained: Trained | None, force_limit_N: float) -> Predictor:
-        """A new one, for a device of so great a force [N]."""
+        """Return a new predictor for a device with a given force limit [N]."""
         inner = self.make(trained) if self.trained else self.make()
         missing = [
             each for each in ("observe", "predict") if not callable(getattr(inner, each, None))

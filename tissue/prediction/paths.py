@@ -1,6 +1,4 @@
-"""Where a device will be: its displacement some ticks ahead, from the positions that its
-encoders gave.
-"""
+"""Predicted displacement of a device, from encoder positions."""
 
 from math import floor
 from typing import Protocol
@@ -15,48 +13,51 @@ from tissue.prediction.edmd.lifted import Operator
 __all__ = ["STATE", "FilteredPath", "OperatorPath", "Path"]
 
 STATE = 2
-"""Entries of an axis' state: what the device has moved in the last tick, and the stretch of its
-coupling, both [m].
-"""
+"""Entries of an axis' state [m]: device displacement in the last tick, and coupling stretch."""
 JERKINESS = 3e-5
-"""Variance of the position's third difference over that of its noise: of 1e-6 to 1e-3 the best on
-the wall and on palpation together, 1e-4 for the one and 1e-5 for the other."""
+"""Variance of the position's third difference over the variance of its noise.
+
+Of 1e-6 to 1e-3 it is the best value on the wall and on palpation together: 1e-4 for the wall and
+1e-5 for palpation alone.
+"""
 
 MOST_LEADS = 16
-"""Times ahead whose maps are kept: a loop asks for one, and for the next tick."""
+"""Number of leads whose maps are kept: a loop asks for one lead, and for the next tick."""
 
 
 class Path(Protocol):
-    """Predicts the displacement of a device."""
+    """Predictor of the displacement of a device."""
 
     @property
     def trusted(self) -> bool:
-        """Whether what it would predict now follows from what it was made for."""
+        """True if a prediction now is within the range that the path was made for."""
         ...
 
     def observe(self, position_m: Array, stretch_m: Array) -> None:
-        """Take in a tick: the device's position and its coupling's force over the coupling's
-        stiffness, shape (3,).
+        """Update with a tick: the device's position and the coupling's stretch, shape (3,).
+
+        The stretch is the coupling's force over its stiffness.
         """
         ...
 
     def displacement_m(self, ticks: float) -> Array:
-        """From the position that was observed last to the one to be expected after so many
-        ticks, shape (3,).
+        """Predict the displacement from the last observed position, shape (3,).
+
+        `ticks` is the number of ticks ahead.
         """
         ...
 
     def stretch_m(self, ticks: float) -> Array:
-        """The coupling's stretch to be expected after so many ticks, shape (3,)."""
+        """Predict the coupling's stretch after a number of ticks, shape (3,)."""
         ...
 
     def pause(self) -> None:
-        """The next position does not follow the last."""
+        """Pause after a missing sample: the next position does not follow the last."""
         ...
 
 
 class FilteredPath:
-    """Constant acceleration by a Kalman filter in steady state; the stretch stays."""
+    """Constant acceleration by a steady-state Kalman filter; the stretch is assumed constant."""
 
     trusted = True
 
@@ -69,7 +70,7 @@ class FilteredPath:
         self._position, self._stretch = np.zeros((2, 3))
 
     def observe(self, position_m: Array, stretch_m: Array) -> None:
-        """Go a tick on and correct by the position."""
+        """Advance by a tick and correct by the position."""
         self._stretch = stretch_m.copy()
         if self._state is None:
             self._state = np.zeros((3, 3))
@@ -79,35 +80,34 @@ class FilteredPath:
         self._position = position_m.copy()
 
     def displacement_m(self, ticks: float) -> Array:
-        """Along the parabola."""
+        """Return the displacement on the parabola."""
         if self._state is None:
             return np.zeros(3)
         return np.array((1.0, ticks, 0.5 * ticks * ticks)).dot(self._state) - self._position
 
     def stretch_m(self, ticks: float) -> Array:
-        """The last one."""
+        """Return the last stretch."""
         return self._stretch
 
     def pause(self) -> None:
-        """Begin anew."""
+        """Reset the filter."""
         self._state = None
 
 
 class OperatorPath:
-    """Displacement and stretch by powers of one operator on the delayed states of an axis, alike
-    for all axes.
+    """Displacement and stretch by powers of one operator on the delayed states of an axis.
 
-    States are displacements and stretches, not places, and the operator has no offset; so what is
-    predicted moves with the motion, turns with it, and stays the same whatever the newtons are.
-    States are shape (STATE,) an axis.
+    All axes use one operator. States are displacements and stretches, not positions, and the
+    operator has no offset. The prediction is therefore invariant to translation and rotation of the
+    motion, and does not depend on the scale of the forces. States have shape (STATE,) an axis.
 
     Parameters
     ----------
     operator
-        On `STATE` states with delays, without inputs and offset.
+        Operator on `STATE` states with delays, without inputs and offset.
     growth
-        Mean square of the scaled states of a window, all axes together, above which it is out of
-        training.
+        Mean square of the scaled states of a window, all axes together, above which it is outside
+        the training range.
     """
 
     def __init__(self, operator: Operator, *, growth: float) -> None:
@@ -129,15 +129,16 @@ class OperatorPath:
 
     @property
     def trusted(self) -> bool:
-        """Whether the window is full, and its states in the range of training."""
+        """True if the window is full and its states are in the range of training."""
         if self._ticks <= self._operator.dictionary.lags:
             return False
         scaled = (self._window * self._inverse).ravel()
         return float(scaled.dot(scaled)) <= self._growth
 
     def observe(self, position_m: Array, stretch_m: Array) -> None:
-        """Put a state before the window; the first one fills it, as if the device had been
-        still.
+        """Add the newest state to the window.
+
+        The first state fills the window, as if the device had been still.
         """
         window = self._window
         if self._ticks == 0:
@@ -151,21 +152,24 @@ class OperatorPath:
         self._ticks += 1
 
     def displacement_m(self, ticks: float) -> Array:
-        """The sum of what the operator moves in the ticks ahead."""
+        """Return the sum of the operator's displacements over the ticks ahead."""
         displacement: Array = self._later(ticks)[0]
         return displacement
 
     def stretch_m(self, ticks: float) -> Array:
-        """The coupling's stretch after so many ticks, shape (3,)."""
+        """Return the coupling's stretch after a number of ticks, shape (3,)."""
         stretch: Array = self._later(ticks)[1]
         return stretch
 
     def pause(self) -> None:
-        """The window is filled anew from the next state on, and not trusted until it is full."""
+        """Clear the window.
+
+        It is filled anew from the next state on, and not trusted until it is full.
+        """
         self._ticks = 0
 
     def _later(self, ticks: float) -> Array:
-        """Displacement and stretch, shape (STATE, 3)."""
+        """Return displacement and stretch, shape (STATE, 3)."""
         found = self._maps.get(ticks)
         if found is None:
             low = floor(ticks)
@@ -177,7 +181,10 @@ class OperatorPath:
         return later
 
     def _power(self, ticks: int) -> Array:
-        """From a window to what is so many whole ticks ahead, shape (STATE, states)."""
+        """Return the matrix from a window to the state some whole ticks ahead.
+
+        Its shape is (STATE, states).
+        """
         if not self._powers:
             self._powers.append(
                 np.eye(STATE, len(self._operator.offset)) * np.array([[0.0], [1.0]])

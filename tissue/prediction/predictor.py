@@ -1,4 +1,4 @@
-"""What a loop asks of a predictor, and the one that knows nothing but the last force."""
+"""Interface of a force predictor in a loop, and the zero-order hold."""
 
 from typing import Protocol
 
@@ -13,41 +13,39 @@ AffineMap = tuple[Array, Array]
 
 
 class Predictor(Protocol):
-    """Predicts the force on a device some ticks ahead of what has been seen of it.
+    """Predictor of the force on a device some ticks ahead of the last observation.
 
-    Once a tick `observe` gets where the device is and, in ticks in which the tissue has answered,
-    the force; then `predict` gives the force to be expected. Both keep to a fixed cost.
+    Once a tick `observe` receives the device position and velocity and, in ticks with a tissue
+    answer, the force. Then `predict` returns the expected force. Both have a fixed cost.
     """
 
     residual_N: float
-    """Size of the last one-tick error [N]: what was expected for the newest force, less that
-    force.
-    """
+    """Size of the last one-tick error [N]: expected minus measured newest force."""
     is_primary: bool
-    """Whether the last predicted force is the predictor's, not that of its fallback."""
+    """True if the last predicted force is the predictor's own, not its fallback's."""
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Take in the device's position [m] and velocity [m/s], shape (3,), and the force on it
-        [N], or None.
+        """Update with the device's position [m] and velocity [m/s], shape (3,), and the force [N].
+
+        The force acts on the device. It is None in a tick without a force.
         """
         ...
 
     def predict(self, ticks: float) -> Array:
-        """Force to be expected so many ticks after the last observation [N], shape (3,); 0 is the
-        present one.
+        """Predict the force a number of ticks after the last observation [N], shape (3,).
 
-        Ticks need not be whole: what delays a force on its path to the motor is not, see
-        `tissue.haptics.loop.motor_path`.
+        Zero ticks give the present force. The number of ticks need not be whole, because the delay
+        of a force on its path to the motor is not, see `tissue.haptics.loop.motor_path`.
         """
         ...
 
     def pause(self) -> None:
-        """No sample came, so that the next one does not follow the last."""
+        """Pause after a missing sample: the next sample does not follow the last."""
         ...
 
 
 class Hold:
-    """The baseline: the last force stays."""
+    """Zero-order hold: the baseline that keeps the last force."""
 
     residual_N = 0.0
     is_primary = True
@@ -56,24 +54,22 @@ class Hold:
         self._force = np.zeros(3)
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Keep the force."""
+        """Store the force."""
         if force_N is not None:
             change = force_N - self._force
             self.residual_N = float(np.sqrt(change @ change))
             self._force = force_N.copy()
 
     def predict(self, ticks: float) -> Array:
-        """The last force."""
+        """Return the last force."""
         return self._force
 
     def pause(self) -> None:
-        """Nothing depends on the ticks between forces."""
+        """Do nothing: the hold does not depend on the ticks between forces."""
 
 
 def interpolated(before: AffineMap, after: AffineMap, share: float) -> AffineMap:
-    """The map at a share of the step from one to the next, on a straight line; exactly theirs at
-    0 and 1.
-    """
+    """Return the linear interpolation of two maps, exact at the shares 0 and 1."""
     return (1.0 - share) * before[0] + share * after[0], (1.0 - share) * before[1] + share * after[
         1
     ]

@@ -1,6 +1,4 @@
-"""What training leaves behind for a scene: operators, their range, and what is asked beyond it,
-in a file.
-"""
+"""Trained predictors of a scene in a file: operators, their range and the fallback outside it."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,9 +15,11 @@ __all__ = ["VALIDATED_AT", "Trained", "is_trained", "shipped_file"]
 SHIPPED = Path(__file__).parent / "trained"
 """Folder of the predictors that ship with the engine, one file a scene."""
 VALIDATED_AT = 6
-"""Whole ticks ahead at which predictors are compared in training: the lead of 4 ms of latency,
-which is 6.11 ticks on a touch with its path to the motor, see
-`tissue.simulation.builders.loop.lead_ticks`."""
+"""Lead in whole ticks at which predictors are compared in training.
+
+It is the lead for 4 ms of latency, which is 6.11 ticks on a touch with its path to the motor, see
+`tissue.simulation.builders.loop.lead_ticks`.
+"""
 
 
 @dataclass(frozen=True)
@@ -31,17 +31,18 @@ class Trained:
     scene
         Name of the scene.
     operator
-        Of the lifted predictors, on displacement and stretch of an axis [m], see
+        Operator of the lifted predictors, on displacement and stretch of an axis [m], see
         `tissue.prediction.paths`.
     control
-        Of linear dynamic mode decomposition; states are the force, inputs position and velocity of
-        the device.
+        Operator of linear dynamic mode decomposition; states are the force, inputs position and
+        velocity of the device.
     growth
-        Mean square of the scaled windows above which the operator is out of its training.
+        Mean square of the scaled windows above which the operator is outside its training range.
     fallback
-        Name of the predictor that is asked then: the best of those without an operator.
+        Name of the predictor used outside the training range: the best predictor without an
+        operator.
     facts
-        How it was trained and validated: numbers and names.
+        Numbers and names that describe training and validation.
     """
 
     scene: str
@@ -52,8 +53,9 @@ class Trained:
     facts: dict[str, Any] = field(default_factory=dict)
 
     def loses(self, kind: str) -> bool:
-        """Whether holding the force missed less on the runs that validated a predictor, a loop's
-        usual lead ahead.
+        """Return True if the zero-order hold had a smaller error than a predictor in validation.
+
+        The errors are compared at a loop's usual lead.
         """
         if "validation" not in self.facts:
             return False
@@ -63,7 +65,9 @@ class Trained:
         return bool(errors[kind][at] > errors["hold"][at])
 
     def write(self, path: Path, *, overwrite: bool = False) -> Path:
-        """Write it; operators in single precision and without moments, which keeps the file small.
+        """Write the predictors to a file.
+
+        Operators are written in single precision and without moments, which keeps the file small.
 
         Raises
         ------
@@ -78,7 +82,7 @@ class Trained:
 
     @classmethod
     def read(cls, path: Path, *, scene: str | None = None) -> "Trained":
-        """Read one, of the given scene.
+        """Read the trained predictors of a scene.
 
         Raises
         ------
@@ -108,12 +112,12 @@ class Trained:
 
 
 def shipped_file(scene: str) -> Path:
-    """Where the predictor of a built-in scene lies.
+    """Return the path of the predictor of a built-in scene.
 
     Raises
     ------
     InputError
-        If there is none.
+        If the scene has no built-in predictor.
     """
     path = SHIPPED / f"{scene}.npz"
     if not path.is_file():
@@ -128,16 +132,15 @@ def shipped_file(scene: str) -> Path:
 
 
 def is_trained(scene: str, file: str = "") -> bool:
-    """Return whether a trained predictor is known for a scene: its own file, or one that ships
-    with the engine.
+    """Return True if a trained predictor is known for a scene.
+
+    It is the scene's own file, or one that ships with the engine.
     """
     return bool(file) or (SHIPPED / f"{scene}.npz").is_file()
 
 
 def _rounded(operator: Operator) -> Operator:
-    """The operator with its matrices in single precision, and without the moments that only
-    `Online` needs.
-    """
+    """Return the operator in single precision, without the moments that only `Online` needs."""
     short = {
         name: getattr(operator, name).astype(np.float32).astype(np.float64) for name in ("A", "B")
     }

@@ -1,12 +1,12 @@
-"""Compliance of the nodes that may be touched: ``W = H K^-1 H^T``, found once and kept on disk.
+"""Compliance of the touchable nodes, ``W = H K^-1 H^T``, computed once and kept on disk.
 
-With it a contact solve knows nothing of the inside (Duriez et al. 2006, IEEE Trans. Vis. Comput.
-Graph. 12:36). It is read off one factor, or found by back-substitutions where that factor would be
-too large to be taken apart.
+With W, a contact solve needs no unknowns inside the body (Duriez et al. 2006, IEEE Trans. Vis.
+Comput. Graph. 12:36). W is read off one factor. Where that factor would need too much memory to be
+inverted in part, W is computed by back-substitutions.
 
 One factor: with the touchable unknowns t last, ``K = L L^T`` has the Schur complement ``S = K_tt -
 K_tr K_rr^-1 K_rt = L_tt L_tt^T`` in its last block, and ``W = S^-1``. No back-substitution is made:
-on 36,000 unknowns, 1,350 of them touchable, those took twenty times as long.
+on 36,000 unknowns, 1,350 of them touchable, back-substitutions took twenty times as long.
 """
 
 from collections.abc import Callable
@@ -25,17 +25,21 @@ from tissue.fem.solvers.held_body import ColumnSolver, HeldBody
 __all__ = ["LIMIT_BYTES", "SCHUR_UNKNOWNS", "compliance_bytes", "surface_compliance_m_N"]
 
 LIMIT_BYTES = 2_000_000_000
-"""Dense matrices above this are refused; columns are then found where the tool is, by
-``LazyCompliance``.
+"""Largest dense matrix allowed.
+
+Beyond it, ``LazyCompliance`` computes columns where the tool is.
 """
 SCHUR_UNKNOWNS = 100_000
-"""Above this the factor is not taken apart: copies of both halves would take more than 4 GB."""
+"""Largest number of unknowns for which W is read off the factor.
+
+Above it, copies of both halves would take more than 4 GB.
+"""
 CHUNK = 8
-"""Nodes whose columns one thread finds at a time."""
+"""Nodes per task: one thread computes the columns of this number of nodes at a time."""
 
 
 def compliance_bytes(touchable_count: int) -> int:
-    """Memory of a compliance: 8 bytes an entry."""
+    """Return the memory of a compliance [bytes], 8 bytes an entry."""
     return 8 * (3 * touchable_count) ** 2
 
 
@@ -47,27 +51,28 @@ def surface_compliance_m_N(
     solver: Callable[[], ColumnSolver] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Array:
-    """W [m/N] from the cache, or found from a factor; symmetric bitwise, shape (3t, 3t), x, y, z
-    node by node.
+    """Return W [m/N] from the cache, or compute it from a factor.
+
+    It is bitwise symmetric, shape (3t, 3t), x, y, z node by node.
 
     Parameters
     ----------
     body
-        The stiffness and what holds it.
+        The stiffness and its supports.
     touchable
         Nodes that a tool may touch, each once, shape (t,).
     limit_bytes
-        Memory above which it is refused.
+        Largest memory of W [bytes].
     solver
-        Makes what solves for the body where the cache has no answer. Default: a factor of its own.
+        Function that makes the solver of the body if W is not in the cache. Default: a new factor.
     progress
-        Called with the share that is done, in (0, 1].
+        Called with the completed share, in (0, 1].
 
     Raises
     ------
     InputError
-        If there is nothing to touch, a node does not exist, is not in the body or is named twice,
-        the memory exceeds the limit.
+        If there is no touchable node, a node does not exist, is not in the body or is named
+        twice, or the memory exceeds the limit.
     """
     _require_nodes(touchable, body)
     needed = compliance_bytes(len(touchable))

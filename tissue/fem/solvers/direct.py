@@ -1,9 +1,9 @@
 """Sparse factorisation: exact to rounding, many right sides for one factor.
 
-Multifrontal Cholesky over nested dissection of the coordinates; at 35,000 unknowns it takes a
-quarter of the time of SuperLU in the same order (`python tests/bench/bench_factor.py`). A stiffness
-that is not positive definite to rounding is left to SuperLU of scipy on diagonal pivots, and its
-solutions are judged as any other.
+Multifrontal Cholesky over nested dissection of the coordinates. At 35,000 unknowns it takes a
+quarter of the time of SuperLU with an equal order of elimination (`python
+tests/bench/bench_factor.py`). A stiffness that is not positive definite to rounding is factorised
+by SciPy's SuperLU on diagonal pivots. The check of the residual applies to its solutions too.
 
 The order of elimination is nested dissection by coordinates, which keeps a factor sparse (George
 1973, SIAM J. Numer. Anal. 10:345).
@@ -28,12 +28,12 @@ __all__ = ["DirectSolver", "SuperLUFactor", "dissected", "dissection", "factoris
 
 
 class SuperLUFactor:
-    """A factor of a symmetric matrix, made once.
+    """Factor of a symmetric matrix, made once.
 
     Parameters
     ----------
     matrix
-        In order of elimination, shape (n, n).
+        Matrix in order of elimination, shape (n, n).
 
     Raises
     ------
@@ -47,14 +47,12 @@ class SuperLUFactor:
         )
 
     def solve(self, right: Array) -> Array:
-        """The solution for one or several right sides, shape (n,) or (n, m)."""
+        """Return the solution for one or several right sides, shape (n,) or (n, m)."""
         found: Array = self._factor.solve(np.asfortranarray(right))
         return found
 
     def inverse_of_last(self, count: int) -> Array:
-        """Rows and columns of the inverse that belong to the last unknowns, shape (count,
-        count).
-        """
+        """Return the block of the inverse of the last unknowns, shape (count, count)."""
         upper = self._factor.U[-count:, -count:].toarray()
         # S = U^T D^-1 U with D the diagonal of U: its inverse is V D V^T with V the inverse of U.
         # D has negative entries where the matrix is indefinite.
@@ -65,21 +63,21 @@ class SuperLUFactor:
 
 
 LEVELS = 10
-"""Halvings of the box that the curve follows."""
+"""Number of halvings of the box along the curve."""
 LEAF = 32
-"""Sets of at most this many nodes are not cut further."""
+"""Largest number of nodes of a set that is not cut further."""
 
 
 def dissection(nodes_m: Array, graph: csr_array) -> Ints:
-    """Nodes in order of elimination, shape (n,); parameters as of `dissected`."""
+    """Return the nodes in order of elimination, shape (n,); parameters as of `dissected`."""
     return np.concatenate(dissected(nodes_m, graph))
 
 
 def dissected(nodes_m: Array, graph: csr_array, *, leaf: int = LEAF) -> list[Ints]:
-    """Sets of nodes in order of elimination: of each cut first both sides, then what parts them.
+    """Return sets of nodes in order of elimination: both sides of each cut, then their separator.
 
-    A set is cut at the median of its longest extent; the nodes of one side that touch the other
-    come last.
+    A set is cut at the median of its longest extent. The nodes of one side that touch the other
+    side form the separator.
 
     Parameters
     ----------
@@ -122,14 +120,15 @@ def dissected(nodes_m: Array, graph: csr_array, *, leaf: int = LEAF) -> list[Int
 
 
 def _touches(graph: csr_array, nodes: Ints, marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which of the nodes have a marked neighbour."""
+    """Return a mask of the nodes that have a marked neighbour."""
     rows = graph[nodes]
     return np.asarray(rows @ marked.astype(np.int32) > 0)
 
 
 def _along_curve(nodes_m: Array) -> Ints:
-    """Nodes along a curve that passes each octant of a box before the next (Morton 1966), shape
-    (n,).
+    """Return the nodes in the order of a Morton curve (Morton 1966), shape (n,).
+
+    The curve passes each octant of a box before the next.
     """
     low = nodes_m.min(axis=0)
     steps = (
@@ -143,33 +142,31 @@ def _along_curve(nodes_m: Array) -> Ints:
 
 
 TOGETHER = 48
-"""Right sides in one back-substitution: of 48, each takes a ninth of the time of one alone."""
+"""Right sides in one back-substitution: with 48, each takes a ninth of the time of a single one."""
 
 
 class Factor(Protocol):
-    """What a factorisation leaves, unknowns in order of elimination."""
+    """Result of a factorisation, unknowns in order of elimination."""
 
     def solve(self, right: Array) -> Array:
-        """The solution for one or several right sides, shape (n,) or (n, m)."""
+        """Return the solution for one or several right sides, shape (n,) or (n, m)."""
 
     def inverse_of_last(self, count: int) -> Array:
-        """Rows and columns of the inverse that belong to the last unknowns, shape (count,
-        count).
-        """
+        """Return the block of the inverse of the last unknowns, shape (count, count)."""
 
 
 class DirectSolver:
-    """Solves by a factor that is made once.
+    """Direct solver with a factor that is made once.
 
     Parameters
     ----------
     body
-        The stiffness and what holds it.
+        The stiffness and its supports.
     last
         Nodes that are eliminated last, so that the compliance between them can be read off the
         factor.
     definite
-        Refuse a stiffness that is not positive definite, instead of leaving it to SuperLU.
+        Refuse a stiffness that is not positive definite, instead of using SuperLU for it.
 
     Raises
     ------
@@ -193,7 +190,10 @@ class DirectSolver:
         self._position[self._order] = np.arange(len(self._order))
 
     def solve(self, load_N: Array, *, start_m: Array | None = None) -> Solution:
-        """Displacement under nodal forces [N], shape (n, 3); ``start_m`` is ignored."""
+        """Solve for the displacement under nodal forces [N], shape (n, 3).
+
+        ``start_m`` is ignored.
+        """
         right = self.body.right_side(load_N)
         norm = float(np.linalg.norm(right))
         if norm == 0.0:
@@ -211,8 +211,9 @@ class DirectSolver:
         return Solution(self.body.whole(found[place]), outcome, 0, left)
 
     def columns(self, unknowns: Ints, *, together: int = TOGETHER) -> Array:
-        """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for
-        held ones.
+        """Return displacements of all unknowns [m/N] for unit forces on some, shape (3n, k).
+
+        Rows of held unknowns are zero.
         """
         answers = np.zeros((len(self._position), len(unknowns)))
         for start in range(0, len(unknowns), together):
@@ -227,7 +228,7 @@ class DirectSolver:
         """Compute the compliance [m/N] between nodes, x, y, z node by node, shape (3k, 3k).
 
         Zero for held nodes. For nodes that were eliminated last it is read off the last block of
-        the factor, which is that of their Schur complement. Other nodes take back-substitutions.
+        the factor, the factor of their Schur complement. Other nodes take back-substitutions.
         """
         if not np.isin(nodes, self.last).all():
             unknowns = (3 * nodes[:, None] + np.arange(3)).ravel()
@@ -249,16 +250,16 @@ class DirectSolver:
 def factorised(
     body: HeldBody, blocks: list[Ints], *, definite: bool = False
 ) -> tuple[Ints, csc_array, Factor]:
-    """The free unknowns in order of elimination, the matrix between them, and its factor.
+    """Return the free unknowns in order of elimination, their matrix, and its factor.
 
     Parameters
     ----------
     body
-        The stiffness and what holds it.
+        The stiffness and its supports.
     blocks
-        Nodes that are eliminated together, in order; each node is of one block.
+        Nodes that are eliminated together, in order; each node belongs to one block.
     definite
-        Refuse a matrix that is not positive definite, instead of leaving it to SuperLU.
+        Refuse a matrix that is not positive definite, instead of using SuperLU for it.
 
     Raises
     ------
@@ -277,7 +278,7 @@ def factorised(
     from threadpoolctl import threadpool_limits
 
     try:
-        # Threads on small blocks took five times as long on a busy machine.
+        # Threads on small blocks took five times longer on a busy machine.
         with threadpool_limits(1, "blas"):
             return kept, matrix, Multifrontal(matrix, np.cumsum([0, *map(len, parts)]))
     except NotPositiveDefiniteError:

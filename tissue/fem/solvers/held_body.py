@@ -1,4 +1,4 @@
-"""What holds the body of ``K u = f``, and what finds columns of its inverse."""
+"""Body of ``K u = f`` with its supports, and the interface of solvers for its inverse."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,25 +17,26 @@ __all__ = ["ColumnSolver", "HeldBody", "held_nodes", "pointwise_graph"]
 
 
 class ColumnSolver(Protocol):
-    """A path that finds columns of the inverse, for a compliance or a basis.
+    """Solver for columns of the inverse, for a compliance or a basis.
 
     Attributes
     ----------
     body
-        The stiffness and what holds it.
+        The stiffness and its supports.
     """
 
     body: "HeldBody"
 
     def columns(self, unknowns: Ints) -> Array:
-        """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for
-        held ones.
+        """Return displacements of all unknowns [m/N] for unit forces on some, shape (3n, k).
+
+        Rows of held unknowns are zero.
         """
 
 
 @dataclass(frozen=True, eq=False)
 class HeldBody:
-    """A stiffness and what holds it, found to leave no part free to move.
+    """Stiffness and supports of a body, checked to leave no part free to move.
 
     Attributes
     ----------
@@ -44,13 +45,13 @@ class HeldBody:
     nodes_m
         Node positions [m], shape (n, 3).
     fixed
-        Components that are held where they are at rest, shape (n, 3).
+        Components with zero displacement, shape (n, 3).
 
     Raises
     ------
     InputError
-        If shapes do not fit, K is not finite, nothing is held, what is held belongs to no cell, or
-        a connected part may move as a rigid body: the sentence names the free motions.
+        If shapes do not fit, K is not finite, nothing is held, a held node belongs to no cell, or
+        a connected part may move as a rigid body. The message names the free motions.
     """
 
     stiffness: bsr_array
@@ -119,11 +120,11 @@ class HeldBody:
 
     @cached_property
     def free(self) -> Ints:
-        """Unknowns that are solved for."""
+        """Indices of the free unknowns."""
         return np.flatnonzero((~self.fixed & self.carrying[:, None]).ravel())
 
     def right_side(self, load_N: Array) -> Array:
-        """Forces on the free unknowns [N] of a load, shape (f,).
+        """Return the forces of a load on the free unknowns [N], shape (f,).
 
         Raises
         ------
@@ -147,19 +148,19 @@ class HeldBody:
         return np.asarray(load.ravel()[self.free])
 
     def whole(self, free_m: Array) -> Array:
-        """Displacements of all nodes [m], shape (n, 3), from those of the free unknowns."""
+        """Return displacements of all nodes [m] from the free unknowns, shape (n, 3)."""
         displacement = np.zeros(self.nodes_m.shape)
         displacement.ravel()[self.free] = free_m
         return displacement
 
 
 def held_nodes(held: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """All three components of the nodes that are held, shape (n, 3), of shape (n,)."""
+    """Return the mask of held components, shape (n, 3), for a mask of held nodes, (n,)."""
     return np.repeat(held[:, None], 3, axis=1)
 
 
 def pointwise_graph(stiffness: bsr_array) -> csr_array:
-    """Nodes that share a cell, as a sparse matrix of shape (n, n)."""
+    """Return the nodes that share a cell, as a sparse matrix of shape (n, n)."""
     blocks = stiffness.tobsr((3, 3))
     count = blocks.shape[0] // 3
     return csr_array(

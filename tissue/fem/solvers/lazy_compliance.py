@@ -1,4 +1,7 @@
-"""Compliance where the tool is: columns found on demand, in the background, in a bounded buffer."""
+"""Compliance where the tool is: columns computed on demand in a bounded buffer.
+
+They are computed in the background.
+"""
 
 from collections import OrderedDict, deque
 from threading import Condition, Thread
@@ -13,17 +16,17 @@ __all__ = ["LazyCompliance"]
 
 
 class LazyCompliance:
-    """Columns of ``W = H K^-1 H^T`` for the nodes that were asked for last.
+    """Columns of ``W = H K^-1 H^T`` for the nodes that were requested last.
 
-    Nodes are named by their place among the touchable ones. ``want`` names the nodes near the tool;
-    ``fill`` finds their columns in the caller's thread, before the ticks, and ``start`` has a
-    thread do so in parallel. Nothing but copying happens in ``pour``. The node wanted longest ago
+    Nodes are named by their position among the touchable nodes. ``want`` requests the nodes near
+    the tool. ``fill`` computes their columns in the caller's thread, before the ticks. ``start``
+    lets a thread compute them in parallel. ``pour`` only copies. The node with the oldest request
     is dropped first.
 
     Parameters
     ----------
     solver
-        What finds the columns: a factor, or multigrid where it would not fit.
+        Solver for the columns: a factor, or multigrid where a factor would not fit.
     touchable
         Nodes that may be touched, shape (t,).
     capacity_bytes
@@ -61,13 +64,14 @@ class LazyCompliance:
         self._ended = False
 
     def want(self, nodes: Ints) -> None:
-        """Ask for nodes, most urgent first; what was asked for before and is not found yet is
-        dropped.
+        """Request nodes, most urgent first.
+
+        Earlier requests that are not computed yet are dropped.
 
         Raises
         ------
         InputError
-            If more nodes are asked for than the buffer holds.
+            If more nodes are requested than the buffer holds.
         """
         if len(nodes) > self.capacity:
             raise InputError(
@@ -88,15 +92,15 @@ class LazyCompliance:
                 self._changed.notify_all()
 
     def pour(self, matrix_m_N: Array) -> int:
-        """Write one node that is newly there into a matrix of all touchable nodes, shape (3t, 3t).
+        """Write one newly computed node into a matrix of all touchable nodes, shape (3t, 3t).
 
-        Blocks between it and all nodes that are there are written, the same on every visit; others
-        are left. One node a call keeps a tick short.
+        The method writes the blocks between this node and all computed nodes, with equal values on
+        every call. Other blocks stay unchanged. One node per call keeps a tick short.
 
         Returns
         -------
         int
-            Nodes still to be poured.
+            Nodes still to be written.
 
         Raises
         ------
@@ -134,18 +138,18 @@ class LazyCompliance:
         return left
 
     def fill(self) -> None:
-        """Find all that is wanted, in this thread."""
+        """Compute all requested columns in this thread."""
         while (node := self._next()) is not None:
             self._find(node)
 
     def start(self) -> None:
-        """Let a thread find what is wanted from now on."""
+        """Start the background thread that computes the requested nodes."""
         if self._thread is None:
             self._thread = Thread(target=self._serve, name="compliance", daemon=True)
             self._thread.start()
 
     def stop(self) -> None:
-        """End the thread after the node it is at."""
+        """End the thread after its present node."""
         with self._changed:
             self._ended = True
             self._changed.notify_all()
@@ -173,14 +177,15 @@ class LazyCompliance:
             return self._waiting.popleft() if self._waiting else None
 
     def _find(self, node: int) -> None:
-        """Columns of one node, three right sides; a factor releases the interpreter lock
-        meanwhile.
+        """Compute the columns of one node, three right sides.
+
+        A factor releases the interpreter lock during the solve.
         """
         unknowns = 3 * self._touchable[node] + np.arange(3)
         columns = self._solver.columns(unknowns)[self._rows].reshape(-1, 3, 3).transpose(0, 2, 1)
         with self._changed:
             if self._slot[node] >= 0:
-                return  # found in the meantime: it was asked for again while it was being found
+                return  # already computed: it was requested again during its computation
             if not self._spare and node not in self._wanted:
                 return  # the tool has moved on
             if not self._spare:

@@ -1,10 +1,11 @@
-"""Multifrontal Cholesky factorisation (Duff and Reid 1983, ACM Trans. Math. Softw. 9:302) in dense
-blocks.
+"""Multifrontal Cholesky factorisation in dense blocks.
 
-Blocks of unknowns are eliminated one after the other, each in a dense front ``[[A, B^T], [B, C]]``
-of its unknowns and of the later ones that it changes: ``A = L L^T``, ``B L^-T`` is kept, and ``C -
-B A^-1 B^T`` is added to the front that eliminates the first of those. Nearly all of the time is
-then spent in LAPACK and in BLAS of level 3.
+Source: Duff and Reid 1983, ACM Trans. Math. Softw. 9:302.
+
+Blocks of unknowns are eliminated one after the other. Each is eliminated in a dense front ``[[A,
+B^T], [B, C]]`` of its unknowns and of the later unknowns that it changes. ``A = L L^T``, ``B L^-T``
+is kept, and ``C - B A^-1 B^T`` is added to the front that eliminates the first of the later
+unknowns. Nearly all of the time is then spent in LAPACK and in BLAS of level 3.
 """
 
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ __all__ = ["Front", "Multifrontal", "NotPositiveDefiniteError", "fronts_of"]
 
 @dataclass(frozen=True, eq=False)
 class Front:
-    """A block of unknowns that is eliminated at once.
+    """Block of unknowns that is eliminated at once.
 
     Attributes
     ----------
@@ -41,7 +42,7 @@ class Front:
 
 
 def fronts_of(lower: csc_array, starts: Ints) -> list[Front]:
-    """Fronts of blocks of unknowns, in order of elimination: children come before their parents.
+    """Return the fronts of blocks of unknowns in order of elimination, children before parents.
 
     Parameters
     ----------
@@ -69,17 +70,17 @@ def fronts_of(lower: csc_array, starts: Ints) -> list[Front]:
 
 
 FEW_RUNS = 16
-"""Pairs of runs of consecutive rows and columns up to which a block is added pair by pair."""
+"""Largest number of pairs of consecutive runs for which a block is added pair by pair."""
 SHORT = 6
-"""Rows of a run, in the mean, below which a block is added entry by entry."""
+"""Mean number of rows of a run below which a block is added entry by entry."""
 
 
 class NotPositiveDefiniteError(ArithmeticError):
-    """A matrix has no Cholesky factor."""
+    """Error for a matrix without a Cholesky factor."""
 
 
 class Multifrontal:
-    """A Cholesky factor of a symmetric matrix, made once.
+    """Cholesky factor of a symmetric matrix, made once.
 
     Parameters
     ----------
@@ -112,11 +113,11 @@ class Multifrontal:
 
     @property
     def entries(self) -> int:
-        """Numbers that the factor keeps."""
+        """Number of entries of the factor."""
         return sum(part.size for part in [*self._diagonal, *self._under])
 
     def solve(self, right: Array) -> Array:
-        """The solution for one or several right sides, shape (n,) or (n, m)."""
+        """Return the solution for one or several right sides, shape (n,) or (n, m)."""
         found = np.array(right, dtype=np.float64, order="C").reshape(
             self._count, int(np.prod(np.shape(right)[1:]))
         )
@@ -136,10 +137,9 @@ class Multifrontal:
         return found.reshape(np.shape(right))
 
     def inverse_of_last(self, count: int) -> Array:
-        """Rows and columns of the inverse that belong to the last unknowns, symmetric bitwise,
-        shape (count, count).
+        """Return the block of the inverse that belongs to the last unknowns, shape (count, count).
 
-        At most the block that is eliminated last is asked for.
+        It is bitwise symmetric. The count must not exceed the block that is eliminated last.
         """
         inverse, _ = dpotri(self._diagonal[-1], lower=1)
         inverse = inverse[-count:, -count:]
@@ -187,7 +187,7 @@ class Multifrontal:
 
 @dataclass(frozen=True)
 class _Rows:
-    """Rising rows of a matrix, and where runs of consecutive ones start and stop among them."""
+    """Rising rows of a matrix, with the start and end of each run of consecutive rows."""
 
     at: Ints
     runs: list[tuple[int, int]]
@@ -199,10 +199,10 @@ class _Rows:
 
 
 def _add(target: Array, rows: _Rows, columns: _Rows, block: Array) -> None:
-    """Add a block to some rows and columns of a matrix in place; of a square one at least the lower
-    triangle.
+    """Add a block to some rows and columns of a matrix in place.
 
-    Run by run of rows, which lie together in memory, where runs are long.
+    Of a square block, the lower triangle is added; the upper triangle may be added too. Long runs
+    of rows, which are contiguous in memory, are added run by run.
     """
     if not block.size:
         return

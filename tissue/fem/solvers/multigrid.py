@@ -1,8 +1,8 @@
 """Conjugate gradients preconditioned by smoothed aggregation with the six rigid motions.
 
-For large meshes: memory and time of one right side grow linearly. The matrix is scaled by its
-diagonal, so that cells of any size count alike, and kept in blocks of 3x3, so that nodes are
-aggregated and not components (Vanek, Mandel, Brezina 1996, Computing 56:179).
+For large meshes: memory and time of one right side increase linearly. The matrix is scaled by its
+diagonal, so that cells of all sizes have equal weight. It is kept in blocks of 3x3, so that nodes
+are aggregated and not components (Vanek, Mandel, Brezina 1996, Computing 56:179).
 """
 
 import warnings
@@ -27,23 +27,24 @@ from tissue.fem.solvers.held_body import HeldBody
 __all__ = ["MultigridSolver"]
 
 COARSEST_NODES = 50
-"""Levels of at most so many aggregates are solved directly."""
+"""Largest number of aggregates of a level that is solved directly."""
 WEAK = 0.05
-"""Couplings below this share of their nodes' own do not join an aggregate: a third fewer
-iterations than with all.
+"""Coupling, relative to its nodes' own, below which nodes do not join an aggregate.
+
+It saves a third of the iterations with all couplings.
 """
 
 
 class MultigridSolver:
-    """Iterates; set up once, warm starts welcome.
+    """Iterative solver by multigrid, set up once; it accepts warm starts.
 
     Parameters
     ----------
     body
-        The stiffness and what holds it.
+        The stiffness and its supports.
     tolerance
         Relative error in the energy norm. It is estimated as ``sqrt(r . B r / l)``, r the residual,
-        B a cycle, and l the smallest eigenvalue of B K that the iterations have met (Meurant and
+        B a cycle, and l the smallest eigenvalue of B K that the iterations have found (Meurant and
         Strakos 2006, Acta Numer. 15:471).
     limit
         Iterations allowed.
@@ -76,7 +77,7 @@ class MultigridSolver:
             modes / size, self._scale[:, None], out=np.zeros_like(modes), where=self._free[:, None]
         )
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # small coarse grids bring remarks on their rank
+            warnings.simplefilter("ignore")  # small coarse grids cause warnings about their rank
             self._hierarchy = smoothed_aggregation_solver(
                 self._matrix,
                 B=near_null,
@@ -88,8 +89,9 @@ class MultigridSolver:
         self._least = 1.0
 
     def _scaled(self) -> bsr_matrix:
-        """D^-1/2 K D^-1/2 with held components cut out to the identity, indices of 32 bits as
-        pyamg wants.
+        """Return D^-1/2 K D^-1/2 with the identity at held components.
+
+        The indices have 32 bits, as pyamg requires.
         """
         scale = diags_array(self._scale)
         scaled = (scale @ self.body.stiffness @ scale + diags_array(1.0 - self._free)).tobsr((3, 3))
@@ -98,7 +100,7 @@ class MultigridSolver:
         return bsr_matrix((scaled.data, indices, starts), shape=scaled.shape)
 
     def solve(self, load_N: Array, *, start_m: Array | None = None) -> IterativeSolution:
-        """Displacement under nodal forces [N], shape (n, 3), from a guess [m], shape (n, 3).
+        """Solve for the displacement under nodal forces [N] from a guess [m], shapes (n, 3).
 
         Raises
         ------
@@ -123,8 +125,9 @@ class MultigridSolver:
         )
 
     def columns(self, unknowns: Ints) -> Array:
-        """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for held
-        ones.
+        """Return displacements of all unknowns [m/N] for unit forces on some, shape (3n, k).
+
+        Rows of held unknowns are zero.
 
         Raises
         ------
@@ -144,7 +147,7 @@ class MultigridSolver:
         return answers
 
     def _iterate(self, right: Array, start: Array | None = None) -> IterativeSolution:
-        """Conjugate gradients on the scaled matrix."""
+        """Solve with the scaled matrix by conjugate gradients."""
         return conjugate_gradients(
             lambda u: self._matrix @ u,
             right,
@@ -156,8 +159,9 @@ class MultigridSolver:
         )
 
     def _error(self, now: Iterate, right: Array) -> float:
-        """Estimated relative error in the energy norm; where it might be the last one,
-        eigenvalues are met anew.
+        """Estimate the relative error in the energy norm.
+
+        Where the error might satisfy the tolerance, the smallest eigenvalue is estimated anew.
         """
         energy = dot(now.found, right - now.residual)
         slope = now.slopes[-1]

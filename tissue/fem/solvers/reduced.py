@@ -1,11 +1,12 @@
-"""A reduced basis: the few shapes that a touched surface mostly takes.
+"""Reduced basis: the few shapes that a touched surface mostly takes.
 
-Proper orthogonal decomposition in the energy of the answers to all unit forces on the touchable
-nodes. Their Gram matrix is the compliance W itself, so with ``W = V L V^T`` the modes are ``U V
-L^-1/2``, U the answers: orthonormal in K, and the reduced compliance is W cut to its largest
-eigenvalues, the best of its rank (Eckart and Young 1936, Psychometrika 1:211). What is left out
-gives mostly where it is touched; its blocks at single nodes replace it, as residual flexibility
-does for modes left out (MacNeal 1971, Comput. Struct. 1:581).
+Proper orthogonal decomposition, in the energy norm, of the displacements for all unit forces on the
+touchable nodes. Their Gram matrix is the compliance W itself. With ``W = V L V^T`` the modes are
+``U V L^-1/2``, where U are the displacements. The modes are orthonormal in K. The reduced
+compliance is W cut to its largest eigenvalues, the best matrix of its rank (Eckart and Young 1936,
+Psychometrika 1:211). The part left out yields mostly at the touched nodes. Its blocks at single
+nodes replace it, like the residual flexibility for omitted modes (MacNeal 1971, Comput. Struct.
+1:581).
 """
 
 import numpy as np
@@ -18,22 +19,22 @@ from tissue.fem.solvers.held_body import ColumnSolver, HeldBody
 __all__ = ["ReducedSolver"]
 
 CHUNK = 96
-"""Columns found at a time."""
+"""Number of columns computed at once."""
 
 
 class ReducedSolver:
-    """Solves in a basis of K-orthonormal modes: two products a solve.
+    """Solver in a basis of K-orthonormal modes: two products a solve.
 
     Parameters
     ----------
     solver
-        What finds the answers.
+        Solver for the displacements under unit forces.
     touchable
         Nodes that carry load, shape (t,).
     size
         Number of modes, at most 3t.
     tolerance
-        Relative error in the energy norm up to which a solution counts as converged.
+        Largest relative error in the energy norm of a converged solution.
 
     Raises
     ------
@@ -65,7 +66,7 @@ class ReducedSolver:
         self._vectors = vectors[:, ::-1]
         kept = int((self.values_m_N > 1e-13 * self.values_m_N[0]).sum())
         self.size = min(size, kept)
-        """Number of modes; fewer than asked for where touchable components are held."""
+        """Number of modes; smaller than requested where touchable components are held."""
         leading = self._vectors[:, : self.size] / np.sqrt(self.values_m_N[: self.size])
         self.modes = answers @ leading
         """Modes [m/sqrt(J)], orthonormal in K, shape (3n, k)."""
@@ -73,10 +74,10 @@ class ReducedSolver:
         self._carries[rows] = True
 
     def solve(self, load_N: Array, *, start_m: Array | None = None) -> Solution:
-        """Displacement under nodal forces [N], shape (n, 3); ``start_m`` is ignored.
+        """Solve for the displacement under nodal forces [N], shape (n, 3); ``start_m`` is ignored.
 
-        For loads on touchable nodes the error in the energy norm is known, by W over the modes left
-        out. Every other load is answered OUTSIDE_BASIS, with a share of 1.
+        For loads on touchable nodes the error in the energy norm is known, from W over the omitted
+        modes. Every other load has the outcome OUTSIDE_BASIS, with a relative error of 1.
         """
         right = self.body.right_side(load_N)
         flat = self.body.whole(right).ravel()
@@ -94,7 +95,10 @@ class ReducedSolver:
         return Solution(displacement, outcome, 0, error)
 
     def compliance_m_N(self, size: int | None = None) -> Array:
-        """W in the basis [m/N] with residual blocks at each node, symmetric, shape (3t, 3t)."""
+        """Return W in the basis [m/N] with residual blocks at each node, shape (3t, 3t).
+
+        It is symmetric.
+        """
         cut = self._cut(self.size if size is None else size)
         nodes = np.arange(len(self.touchable))
         view = cut.reshape(len(nodes), 3, len(nodes), 3)

@@ -16,16 +16,16 @@ from meshes.voxels.volume import VoxelVolume
 __all__ = ["BYTES_PER_VOXEL", "BrickGrid", "BrickStore", "voxels_of"]
 
 BYTES_PER_VOXEL = 12
-"""Stored per voxel of a brick: remaining 2, swept 2, older 2, material 4, nearby 2."""
+"""Bytes stored per voxel of a brick: remaining 2, swept 2, older 2, material 4, nearby 2."""
 NEVER_SWEPT = 65535
-"""Stored distance of a voxel that the tool has not come near."""
+"""Stored distance of a voxel that the tool has never reached."""
 STEPS = FULL // 255
 """Stored steps per step of the volume's 8-bit fraction."""
 
 
 @dataclass(frozen=True, eq=False)
 class BrickGrid:
-    """The lattice of bricks of a bone, most of which may be empty or not made yet.
+    """Lattice of the bricks of a bone, most of which may be empty or not made yet.
 
     Attributes
     ----------
@@ -46,20 +46,21 @@ class BrickGrid:
 
 
 class BrickStore:
-    """Voxels on a device, in the layout of :mod:`kernels.bricks`: of a volume, or of parts that are
-    added one by one.
+    """Voxels on a device, in the layout of :mod:`kernels.bricks`.
+
+    They are the voxels of a volume, or of parts that are added one by one.
 
     Parameters
     ----------
     grid
-        Lattice on which the bricks lie.
+        Lattice of the bricks.
     device
         Warp device name.
 
     Attributes
     ----------
     grid
-        The same.
+        Lattice of the bricks.
     volume
         The volume it was made from; its fractions are the state before any cut. None where parts
         were added.
@@ -73,7 +74,8 @@ class BrickStore:
         Distance of each voxel's centre to the solid that the tool has swept, uint16, shape
         (capacity, 512).
     older
-        The same of older cuts: before the tool last came within reach, or turned.
+        Distance to the solid of older cuts, uint16, shape (capacity, 512): before the tool last
+        came within reach, or turned.
     material
         Density and layer before any cut in one word, uint32, shape (capacity, 512).
     nearby
@@ -83,7 +85,7 @@ class BrickStore:
         One bit for each block of 2 x 2 x 2 voxels that may hold bone or lies within two voxels of
         it, uint64, shape (capacity,).
     touched
-        1 for each brick that lost something since `take_touched`, uint8, shape (capacity,).
+        1 for each brick that lost material since `take_touched`, uint8, shape (capacity,).
     places
         Grid position of each stored brick, shape (bricks, 3).
     """
@@ -112,21 +114,20 @@ class BrickStore:
         return store
 
     def add(self, volume: VoxelVolume, *, at: tuple[int, int, int], margin: int = 0) -> bool:
-        """Store bricks of a volume that lies on the grid, where none is stored yet.
+        """Store the bricks of a volume on the grid, where none is stored yet.
 
         Parameters
         ----------
         volume
             Voxels of the grid's spacing and layers.
         at
-            Place of its first brick on the grid.
+            Position of its first brick on the grid.
         margin
-            Bricks at each of its faces that are not stored: what lies in them only shows how the
-            bone goes on.
+            Bricks at each of its faces that are not stored. They only show how the bone continues.
 
         Returns
         -------
-        Whether the device arrays are others now, so that launches have to be recorded again.
+        True if the device arrays were replaced, so that launches have to be recorded again.
         """
         counts = tuple(-(-n // BRICK) for n in volume.shape)
         surface, layer, density, boundary = near_the_surface(volume)
@@ -139,7 +140,7 @@ class BrickStore:
         kept[inner] = holds[inner]
         first = len(self.places)
         if first == 0 and not kept.any():
-            kept[inner][0, 0, 0] = True  # kernels want a brick
+            kept[inner][0, 0, 0] = True  # kernels need at least one brick
 
         def stored(array: NDArray[Any]) -> NDArray[Any]:
             return _rows(_blocked(array, counts).transpose(0, 2, 4, 1, 3, 5)[kept])
@@ -176,8 +177,9 @@ class BrickStore:
         return grown
 
     def _append(self, rows: dict[str, NDArray[Any]]) -> bool:
-        """Write rows behind those that are stored; whether the arrays had to grow, to twice what
-        is needed.
+        """Write rows after the stored ones and return True if the arrays had to grow.
+
+        They grow to twice the needed length.
         """
         first = len(self.places)
         count = len(rows["alive"])
@@ -204,10 +206,9 @@ class BrickStore:
         return grows
 
     def take_touched(self) -> tuple[NDArray[np.intp], NDArray[np.uint16]]:
-        """Rows of the bricks that lost something since the last call, and a copy of what is stored
-        in them.
+        """Return rows and a copy of the content of bricks that lost material since the last call.
 
-        Costs by those bricks, so that a tick can afford it.
+        The cost is proportional to the number of these bricks, so that a tick can afford it.
         """
         rows = np.flatnonzero(self.touched.numpy()[: len(self.places)])
         if self.touched.device.is_cpu:
@@ -217,8 +218,9 @@ class BrickStore:
         return rows, self.remaining.numpy()[rows]
 
     def sample(self, points_m: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Filled fraction at points [m], shape (n, 3), trilinear between voxel centres, 0 where
-        nothing is stored.
+        """Return the filled fraction at points [m], shape (n, 3), trilinear between voxel centres.
+
+        It is 0 where nothing is stored.
         """
         voxels = (np.asarray(points_m, dtype=np.float64) - self.grid.origin_m) / self.grid.spacing_m
         device = self.remaining.device
@@ -229,14 +231,20 @@ class BrickStore:
         return np.asarray(found.numpy())
 
     def write_fraction(self, fraction: NDArray[np.uint8], rows: NDArray[np.intp]) -> None:
-        """Write what remains in some bricks into an array of the volume's shape, 255 = full."""
+        """Write the remaining fraction of some bricks into an array, 255 = full.
+
+        The array has the volume's shape.
+        """
         bricks = _bricks(_nearest(self.remaining.numpy()[rows]))
         for (x, y, z), brick in zip(BRICK * self.places[rows], bricks, strict=True):
             part = fraction[x : x + BRICK, y : y + BRICK, z : z + BRICK]
             part[:] = brick[: part.shape[0], : part.shape[1], : part.shape[2]]
 
     def fraction(self) -> NDArray[np.uint8]:
-        """Remaining fraction of every voxel of the grid, 255 = full; of a volume, in its shape."""
+        """Return the remaining fraction of every voxel of the grid, 255 = full.
+
+        For a volume it has the volume's shape.
+        """
         whole = self.part((0, 0, 0), self.grid.counts)
         return (
             whole
@@ -245,12 +253,14 @@ class BrickStore:
         )
 
     def part(self, first: tuple[int, ...], last: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Remaining fraction of the voxels of some bricks, 255 = full, 0 where none is stored.
+        """Return the remaining fraction of the voxels of some bricks, 255 = full.
+
+        It is 0 where no brick is stored.
 
         Parameters
         ----------
         first, last
-            Place of the first brick, and one after that of the last.
+            Position of the first brick, and one after the position of the last.
         """
         brick_of = self.brick_of.numpy()[tuple(map(slice, first, last))]
         nx, ny, nz = (BRICK * n for n in brick_of.shape)
@@ -260,7 +270,7 @@ class BrickStore:
         return np.ascontiguousarray(dense.transpose(0, 3, 1, 4, 2, 5).reshape(nx, ny, nz))
 
     def steps_by_layer(self) -> NDArray[np.int64]:
-        """Stored steps that remain in each layer, shape (layers,)."""
+        """Return the stored steps that remain in each layer, shape (layers,)."""
         count = len(self.places)
         remaining = self.remaining.numpy()[:count]
         layer = self.material.numpy()[:count].astype(np.uint8)
@@ -272,10 +282,10 @@ class BrickStore:
 def voxels_of(
     places: NDArray[np.int64], rows: NDArray[np.intp], steps: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Indices of the voxels whose value in ``steps``, shape (rows, 512), is not 0, shape (n, 3),
-    and that value.
+    """Return the indices and values of the voxels whose value is not 0.
 
-    ``places`` are those of the store's bricks, of which ``rows`` names some.
+    ``steps`` holds the values, shape (rows, 512). The indices have shape (n, 3). ``places`` are the
+    positions of the store's bricks, and ``rows`` names some of these bricks.
     """
     row, column = np.nonzero(steps)
     block = column >> 3
@@ -286,15 +296,16 @@ def voxels_of(
 
 
 def _nearest(remaining: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """Stored steps as 8-bit fractions."""
+    """Return stored steps as 8-bit fractions."""
     return ((remaining.astype(np.uint32) + np.uint32(STEPS // 2)) // np.uint32(STEPS)).astype(
         np.uint8
     )
 
 
 def _filled_up(surface: NDArray[np.uint8], counts: tuple[int, ...]) -> NDArray[np.uint8]:
-    """Stored surface distance padded to whole bricks: at each face a voxel farther out, and
-    outside in any case.
+    """Return the stored surface distance padded to whole bricks.
+
+    The padding of each face lies one voxel farther out, and is outside in any case.
     """
     pad = [(0, BRICK * count - n) for count, n in zip(counts, surface.shape, strict=True)]
     padded = np.pad(surface, pad, mode="edge")
@@ -305,7 +316,7 @@ def _filled_up(surface: NDArray[np.uint8], counts: tuple[int, ...]) -> NDArray[n
 
 
 def _blocked(array: NDArray[Any], counts: tuple[int, ...]) -> NDArray[Any]:
-    """View of an array, padded to whole bricks, with axes (bx, 8, by, 8, bz, 8)."""
+    """Return a view of an array, padded to whole bricks, with axes (bx, 8, by, 8, bz, 8)."""
     pad = [(0, BRICK * count - n) for count, n in zip(counts, array.shape, strict=True)]
     padded = np.pad(array, pad) if any(after for _, after in pad) else array
     bx, by, bz = counts
@@ -313,7 +324,7 @@ def _blocked(array: NDArray[Any], counts: tuple[int, ...]) -> NDArray[Any]:
 
 
 def _rows(bricks: NDArray[Any]) -> NDArray[Any]:
-    """Bricks, shape (n, 8, 8, 8), as stored rows, shape (n, 512), block after block."""
+    """Return bricks, shape (n, 8, 8, 8), as stored rows, shape (n, 512), block after block."""
     return (
         bricks.reshape(-1, 4, 2, 4, 2, 4, 2)
         .transpose(0, 1, 3, 5, 2, 4, 6)
@@ -322,7 +333,7 @@ def _rows(bricks: NDArray[Any]) -> NDArray[Any]:
 
 
 def _bricks(rows: NDArray[Any]) -> NDArray[Any]:
-    """Stored rows, shape (n, 512), as bricks, shape (n, 8, 8, 8)."""
+    """Return stored rows, shape (n, 512), as bricks, shape (n, 8, 8, 8)."""
     return (
         rows.reshape(-1, 4, 4, 4, 2, 2, 2)
         .transpose(0, 1, 4, 2, 5, 3, 6)

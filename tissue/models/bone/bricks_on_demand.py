@@ -1,5 +1,6 @@
-"""Bone whose bricks are made where a tool first reaches: a whole tibia at 0.1 mm would be 2e9
-voxels.
+"""Bone whose bricks are made where a tool first reaches.
+
+A whole tibia at 0.1 mm would have 2e9 voxels.
 """
 
 from collections.abc import Iterator
@@ -21,13 +22,19 @@ __all__ = ["Boxes", "BricksOnDemand"]
 Boxes = tuple[Array, Array]
 """Lowest and highest corners of boxes [m], shape (n, 3) both."""
 PATCH = 4
-"""Bricks along the edge of what is made at once."""
+"""Bricks along the edge of a patch, the unit that is made at once."""
 MARGIN = 1
-"""Bricks voxelised around a patch and not kept: more than the distances that its voxels store."""
+"""Bricks voxelised around a patch and not kept.
+
+They are wider than the distances that its voxels store.
+"""
 BYTES_WHILE_MADE = 3 * BYTES_PER_VOXEL
-"""Of memory for a voxel that is made: stored, space to grow, and the arrays from which it comes."""
+"""Bytes of memory per voxel while it is made.
+
+They cover the stored voxel, space to grow, and the source arrays.
+"""
 MOST_BRICKS = 2.5e8
-"""Bricks of the lattice at most: 1 GB."""
+"""Largest number of bricks of the lattice: 1 GB."""
 
 
 class BricksOnDemand:
@@ -83,7 +90,7 @@ class BricksOnDemand:
         self._made = np.zeros(self._patches, dtype=bool)
 
     def make(self, boxes: Boxes) -> bool:
-        """Make all bricks that boxes touch; whether launches have to be recorded again.
+        """Make all bricks that boxes touch; return True if launches have to be recorded again.
 
         Parameters
         ----------
@@ -105,7 +112,7 @@ class BricksOnDemand:
         return grown
 
     def _require_memory(self, patches: int) -> None:
-        """Refuse patches that would not fit the memory that is free now."""
+        """Check that patches fit the memory that is free now."""
         if patches == 0:
             return
         import psutil
@@ -126,17 +133,17 @@ class BricksOnDemand:
             )
 
     def has(self, low_m: Array, high_m: Array) -> bool:
-        """Whether all bricks that a box touches are made; corners [m], shape (3,) each."""
+        """Return True if all bricks that a box touches are made; corners [m], shape (3,) each."""
         patch_m = PATCH * self._brick_m
         low = np.floor(low_m / patch_m - self._first / PATCH).astype(np.int64).clip(0)
         high = np.floor(high_m / patch_m - self._first / PATCH).astype(np.int64) + 1
         return bool(self._made[low[0] : high[0], low[1] : high[1], low[2] : high[2]].all())
 
     def cut_parts(self) -> Iterator[tuple[VoxelVolume, NDArray[np.uint8]]]:
-        """What tools have cut so far: bone before any cut, and what is left of it, 255 = full.
+        """Yield the parts that tools have cut: bone before any cut, and its remainder, 255 = full.
 
         The parts are boxes that share one layer of voxels, so that a surface between voxel centres
-        goes on from one to the next.
+        continues from one part to the next.
         """
         at = self.store.places[np.flatnonzero(self.store.touched.numpy()[: len(self.store.places)])]
         wanted = np.zeros_like(self._made)
@@ -171,14 +178,14 @@ class BricksOnDemand:
             yield volume, left
 
     def _voxels(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> VoxelVolume:
-        """Voxels of the bricks from one place to another, before any cut."""
+        """Return the voxels of the bricks from one position to another, before any cut."""
         corners: Array = (self._first + np.stack([low, high])) * np.float64(self._brick_m)
         region = corners[0], corners[1]
         spacing_m = self.store.grid.spacing_m
         return voxelise(self.anatomy, spacing_m=spacing_m, region_m=region, minus=self._minus)
 
     def _wanted(self, boxes: Boxes) -> NDArray[np.bool_]:
-        """Patches that boxes touch and that are not made yet."""
+        """Return the patches that boxes touch and that are not made yet."""
         patch_m = PATCH * self._brick_m
         low, high = (
             np.floor(corner / patch_m - self._first / PATCH).astype(np.int64) for corner in boxes
@@ -191,8 +198,9 @@ class BricksOnDemand:
 
 
 def _box_of(wanted: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First and one after the last patch of a box of wanted ones, grown from the first along z,
-    then y, then x.
+    """Return the first and one after the last patch of a box of wanted patches.
+
+    The box is grown from the first wanted patch along z, then y, then x.
     """
     first = np.argwhere(wanted)[0]
     last = first + 1

@@ -1,5 +1,6 @@
-"""Take away the bone that a moving tool reaches: the same bricks of voxels after the same poses,
-bit for bit.
+"""Removal of the bone that a moving tool reaches.
+
+The bricks after equal poses are bitwise equal.
 """
 
 from dataclasses import dataclass
@@ -25,32 +26,33 @@ __all__ = ["Carver", "CarverState", "Removal"]
 Removal = Literal["subvoxel", "binary"]
 
 CARVE_LAG_M = 2.0e-5
-"""How far the tool may move between two visits of a brick, at most a quarter voxel [m]."""
+"""Largest motion of the tool between two visits of a brick, at most a quarter voxel [m]."""
 LONGEST_STEP_VOXELS = 0.5
 """Longest step between two carvings; a faster tool is carved in parts of a tick."""
 TURN = 0.9
-"""The tool turns where it moves on with a heading that keeps less than this share of that since
-it last turned.
+"""Share of the stored feed direction below which the tool counts as turned.
+
+The share is the projection of the present feed direction on the direction stored at the last turn.
 """
 WORKERS_CPU = 32
 WORKERS_GPU = 2048
-"""Workers that share a carving launch."""
+"""Number of workers that share a carving launch."""
 
 
 @dataclass(frozen=True, eq=False)
 class CarverState:
-    """Copy of all that later carving depends on, see :meth:`Carver.state`.
+    """Copy of the state that later carving depends on, see :meth:`Carver.state`.
 
     Attributes
     ----------
     remaining, swept, older, alive
         Device arrays of the brick store.
     poses
-        Pose now and at the last visit of every group of bricks, shape (1 + groups, 6).
+        Present pose, and pose at the last visit of every group of bricks, shape (1 + groups, 6).
     heading
-        Heading since the tool last turned, shape (2, 3).
+        Feed direction at the last turn of the tool, shape (2, 3).
     counts
-        Next group, visits owed, groups that have not seen the present pose.
+        Next group, number of visits due, number of groups not yet visited at the present pose.
     """
 
     remaining: Any
@@ -63,7 +65,7 @@ class CarverState:
 
 
 class Carver:
-    """A cutter that removes voxels of a brick store.
+    """Cutter that removes voxels of a brick store.
 
     Parameters
     ----------
@@ -72,8 +74,8 @@ class Carver:
     cutter
         The tool.
     removal
-        ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` whole voxels by their
-        centres.
+        ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` removes whole voxels by
+        their centres.
     device
         Warp device name.
     cores
@@ -86,7 +88,7 @@ class Carver:
     removed_steps
         Stored steps removed so far, by layer, shape (layers,).
     changes
-        How often the bone was visited, or restored: as long as it stays, the bone is the same.
+        Number of visits and restores of the bone: while it is constant, the bone does not change.
     """
 
     def __init__(
@@ -112,11 +114,11 @@ class Carver:
         self._lag = min(CARVE_LAG_M / spacing, 0.25)
         self._lever = max(abs(table.low), abs(table.high))
         self._next_group = 0
-        # Groups follow the world's lattice, so that the same cut in a larger region is visited at
+        # Groups follow the world's lattice, so that an equal cut in a larger region is visited at
         # the same ticks.
         self._first_group = int(np.rint(self._origin / (BRICK * spacing)).sum()) % PHASES
         self._debt = 0.0  # visits owed for the path so far
-        self._behind = 0  # groups that have not seen the present pose
+        self._behind = 0  # groups not visited at the present pose
         self._heading = np.zeros((2, 3))
         self._now = np.zeros(6)
         workers = WORKERS_CPU if device == "cpu" else WORKERS_GPU
@@ -129,7 +131,7 @@ class Carver:
         self.record()
 
     def record(self) -> None:
-        """Record the launch on the store's arrays as they are now."""
+        """Record the launch on the present arrays of the store."""
         store = self.store
         self._carve = SplitLaunch(
             carve,
@@ -157,14 +159,15 @@ class Carver:
         )
 
     def place(self, motion: ToolMotion) -> None:
-        """Carve all that lies inside the tool at its first pose."""
+        """Carve all bone inside the tool at its first pose."""
         self._pose.host[:] = self._pose_of(motion)
         self._heading[:] = motion.heading
         self._visit(PHASES, every_side=True)
 
     def advance(self, motion: ToolMotion) -> None:
-        """Carve what the tool reaches at its new pose; a slow tool's carving is spread over
-        ticks.
+        """Carve the bone that the tool reaches at its new pose.
+
+        A slow tool's carving is spread over ticks.
         """
         now = self._pose_of(motion)
         moved = now - self._pose.host[0]
@@ -174,7 +177,7 @@ class Carver:
         elif step > 0.0 and np.vdot(motion.heading, self._heading) < TURN * np.vdot(
             self._heading, self._heading
         ):
-            self._visit(PHASES, turned=True)  # first complete what it cut on its old path
+            self._visit(PHASES, turned=True)  # first complete the cut on the old path
             self._heading[:] = motion.heading
         if step > LONGEST_STEP_VOXELS:
             self._sweep(now, parts=ceil(step / LONGEST_STEP_VOXELS))
@@ -186,10 +189,10 @@ class Carver:
             if groups > 0:
                 self._visit(groups)
         elif self._behind > 0:
-            self._visit(1)  # the tool rests: bring the other bricks to its pose, one group a tick
+            self._visit(1)  # the tool rests: carve the other bricks at its pose, one group a tick
 
     def _pose_of(self, motion: ToolMotion) -> NDArray[np.float64]:
-        """Tip [voxel] and axis of a motion, in an array that the next call overwrites."""
+        """Return tip [voxel] and axis of a motion, in an array that the next call overwrites."""
         now = self._now
         np.subtract(motion.tip_m, self._origin, out=now[:3])
         now[:3] /= self._spacing
@@ -223,7 +226,7 @@ class Carver:
         )
 
     def restore(self, state: CarverState) -> None:
-        """Return to a copied state; the booked removal stays."""
+        """Return to a copied state; the counted removal stays."""
         self.changes += 1
         wp.copy(self.store.remaining, state.remaining)
         wp.copy(self.store.swept, state.swept)
@@ -234,7 +237,7 @@ class Carver:
         self._next_group, self._debt, self._behind = state.counts
 
     def _visit(self, groups: int, *, every_side: bool = False, turned: bool = False) -> None:
-        """Carve ``groups`` groups of bricks at the current pose and book what they lost."""
+        """Carve ``groups`` groups of bricks at the current pose and add up their loss."""
         self.changes += 1
         first = self._next_group
         plan = self._plan.host
@@ -257,7 +260,7 @@ class Carver:
 
 
 def _revolution(table: DistanceTable, profile: Profile, *, device: str) -> Revolution:
-    """The cutter's distance table on a device."""
+    """Return the cutter's distance table on a device."""
     tool: Any = Revolution()
     tool.distance = wp.array(table.distance, dtype=wp.float32, device=device)
     tool.slope = wp.array(table.slope, dtype=wp.vec2, device=device)

@@ -1,5 +1,4 @@
-"""Loads of bone of many densities, held as those at a few: enough for every exponent of the
-density.
+"""Loads of bone of many densities, stored at a few node densities, for any density exponent.
 
 Every coefficient of an element is scaled by (density / reference) ** exponent. Summed over elements
 of density rho with weights w, f(p) = sum w rho**p is needed for any p. Between nodes rho_j,
@@ -8,9 +7,9 @@ by polynomials L_j of ln rho, so that::
 
     f(p) = sum_j rho_j**(p - c) M_j,    M_j = sum w rho**c L_j(ln rho)
 
-The interpolation of exp(a x) on [-1, 1] by n points is off by about 4 I_n(a) (Trefethen 2013,
-Approximation Theory and Approximation Practice, ch. 3); n is the least for which that is below
-`ERROR` of the smallest value, exp(-a).
+The interpolation of exp(a x) on [-1, 1] by n points has an error of about 4 I_n(a) (Trefethen 2013,
+Approximation Theory and Approximation Practice, ch. 3). n is the smallest number whose error is
+below `ERROR` of the smallest value, exp(-a).
 """
 
 from dataclasses import dataclass
@@ -26,18 +25,19 @@ from meshes.base.arrays import Array
 __all__ = ["HIGHEST_EXPONENT", "DensityNodes"]
 
 HIGHEST_EXPONENT = 5.0
-"""Exponents from 0 to this: what a scene accepts."""
+"""Largest density exponent that a scene accepts; the smallest is 0."""
 MIDDLE = 0.5 * HIGHEST_EXPONENT
 ERROR = 1e-8
-"""Greatest relative error of the factor of an element, a hundredth of what reweighed loads are
-held to.
+"""Largest relative error of the factor of an element.
+
+It is a hundredth of the tolerance of reweighed loads.
 """
 MOST_NODES = 64
 
 
 @dataclass(frozen=True, eq=False)
 class DensityNodes:
-    """The nodes of one layer.
+    """Density nodes of one layer.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class DensityNodes:
 
     @classmethod
     def of(cls, least_kg_m3: int, most_kg_m3: int) -> "DensityNodes":
-        """Nodes for densities in a range; one where it is a single number."""
+        """Return the nodes for densities in a range; one node for a single density."""
         least, most = (min(max(each, 1), DENSITIES - 1) for each in (least_kg_m3, most_kg_m3))
         if least == most:
             return cls(np.array([float(least)]), np.ones((DENSITIES, 1)))
@@ -69,30 +69,38 @@ class DensityNodes:
 
     @property
     def middle_kg_m3(self) -> float:
-        """The density whose logarithm lies in the middle of the range's."""
+        """Geometric mean of the smallest and largest density of the range [kg/m3]."""
         return float(np.exp(np.log(self.densities_kg_m3).mean()))
 
     def strengths(self, exponent: float, *, reference_kg_m3: float, factor: float = 1.0) -> Array:
-        """Weights of the M_j in the sum of (factor density / reference) ** exponent, shape (k,)."""
+        """Return weights of the M_j for a density exponent, shape (k,).
+
+        The M_j sum to (factor density / reference) ** exponent.
+        """
         tilt = (self.densities_kg_m3 / self.middle_kg_m3) ** -MIDDLE
         return np.asarray((factor * self.densities_kg_m3 / reference_kg_m3) ** exponent * tilt)
 
     def logarithms(self, *, reference_kg_m3: float, factor: float = 1.0) -> Array:
-        """ln(factor density / reference) of the nodes, shape (k,): what an exponent's derivative
-        multiplies by.
+        """Return ln(factor density / reference) of the nodes, shape (k,).
+
+        It is the factor in the derivative by the exponent.
         """
         return np.asarray(np.log(factor * self.densities_kg_m3 / reference_kg_m3))
 
 
 def _count(a: float) -> int:
-    """Points that interpolate exp(a x) on [-1, 1] within `ERROR` of its least value."""
+    """Return the number of points that interpolate exp(a x) on [-1, 1].
+
+    The error is at most `ERROR` of the smallest value.
+    """
     counts = np.arange(2, MOST_NODES)
     return int(counts[np.argmax(4.0 * iv(counts, a) * np.exp(a) < ERROR)])
 
 
 def densities_of(material: NDArray[np.uint32], layer: int) -> NDArray[np.int64]:
-    """Least and greatest density in a layer of stored voxels [kg/m3], by their words; of none
-    two zeros.
+    """Return the smallest and largest density in a layer of stored voxels [kg/m3].
+
+    `material` holds the words of the voxels. Without voxels both densities are zero.
     """
     density = (material[(material & 255) == layer] >> 16).astype(np.int64)
     density = density[density > 0]

@@ -1,6 +1,4 @@
-"""The elements of a cutter's surface on a device, and what a load on each adds to force and
-torque.
-"""
+"""Elements of a cutter's surface on a device, and their contributions to force and torque."""
 
 import numpy as np
 import warp as wp
@@ -12,13 +10,14 @@ from tissue.cutters.cutter import Cutter, PointShell
 __all__ = ["edge_lengths_m", "elements_of", "levers_of"]
 
 LEVER = [0, 1, 3, 4, 5, 6, 7, 8, 9, 10, 11, 14, 15, 16]
-"""Components of the forces and torques of tangential, radial and axial loads that are not 0 on
-every element.
+"""Components of the forces and torques of element loads that are not 0 on every element.
+
+The loads are tangential, radial and axial.
 """
 
 
 def elements_of(shell: PointShell, cutter: Cutter, *, spacing_m: float, device: str) -> Elements:
-    """The cutter's point shell on a device."""
+    """Return the cutter's point shell on a device."""
     elements = Elements()
     elements.point = wp.array(shell.points_m, dtype=wp.vec3, device=device)
     missing = (0, -len(shell.areas_m2) % LANES), (0, 0)  # elements without a normal do not advance
@@ -44,10 +43,9 @@ def elements_of(shell: PointShell, cutter: Cutter, *, spacing_m: float, device: 
 
 
 def levers_of(shell: PointShell, cutter: Cutter) -> Array:
-    """Directions of a tangential, a radial and an axial load on each element, each with its moment
-    about the tip [m].
+    """Return the directions of a tangential, a radial and an axial load on each element, (n, 18).
 
-    Shape (n, 18).
+    Each direction is followed by its moment about the tip [m].
     """
     around = np.column_stack(
         [-shell.points_m[:, 1], shell.points_m[:, 0], np.zeros(len(shell.radii_m))]
@@ -63,15 +61,15 @@ def levers_of(shell: PointShell, cutter: Cutter) -> Array:
 
 
 def edge_lengths_m(shell: PointShell, cutter: Cutter) -> Array:
-    """Mean length of cutting edge in each element, N A / (2 pi r) [m], shape (n,)."""
+    """Return the mean length of cutting edge in each element, N A / (2 pi r) [m], shape (n,)."""
     return np.asarray(cutter.flute_count * shell.areas_m2 / (2.0 * np.pi * shell.radii_m))
 
 
 def _chunk_bounds(shell: PointShell) -> tuple[Array, Array]:
-    """A ball around each chunk's points, centre and radius [m], and a cone around its normals; each
-    shape (chunks, 4).
+    """Return a bounding ball and a cone of normals for each chunk of points.
 
-    A cone is its axis and the sine of its half angle, 2 where it is wider than a half space.
+    Each array has shape (chunks, 4).    A ball is its centre and radius [m]. A cone is its axis and
+    the sine of its half angle, 2 where it is wider than a half space.
     """
     balls = []
     cones = []

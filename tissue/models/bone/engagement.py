@@ -1,6 +1,4 @@
-"""Bone that answers with what its force is made of: the loads of a unit of each cutting
-coefficient.
-"""
+"""Bone model that gives the loads of a unit of each cutting coefficient in place of a force."""
 
 import numpy as np
 import warp as wp
@@ -21,16 +19,16 @@ from tissue.models.tissue_model import Response, ToolMotion
 __all__ = ["COEFFICIENTS", "EngagedBone", "EngagedElements"]
 
 COEFFICIENTS = 6
-"""Tangential, radial and axial chip, then edge coefficients."""
+"""Number of coefficients: tangential, radial and axial chip, then edge coefficients."""
 
 
 class EngagedElements:
-    """Find which elements of a cutter meet bone, and what bone.
+    """Search for the elements of a cutter that engage bone, and the bone they engage.
 
     Parameters
     ----------
     bone
-        The model whose cutter and bone they are.
+        Bone model with the cutter and the bone.
     device
         Warp device name.
     cores
@@ -71,12 +69,13 @@ class EngagedElements:
 
     @property
     def nowhere(self) -> tuple[Array, Array, Array]:
-        """What `cutting` returns of a cutter that meets no bone."""
+        """Result of `cutting` for a cutter without contact."""
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
 
     def find(self, motion: ToolMotion) -> tuple[Array, ...]:
-        """Return, of every element, the share that cuts, the advance per unit of speed, the
-        layer and the density.
+        """Return the share that cuts, the advance per unit of speed, the layer and the density.
+
+        Each array has a value for every element.
         """
         self.bone.take(motion)
         self._launch()
@@ -85,11 +84,10 @@ class EngagedElements:
         return tuple(each.host for each in self._found)
 
     def cutting(self, motion: ToolMotion) -> tuple[Array, Array, Array]:
-        """Return where the cutter cuts: points in the world [m], normals out of the cutter, and
-        relative powers.
+        """Return points where the cutter cuts, normals out of the cutter, and relative powers.
 
-        The power of an element is its tangential force times its speed, which is the spin times its
-        radius.
+        Points [m] are in the world frame. The power of an element is its tangential force times its
+        speed, which is the spin times its radius.
         """
         share, advance, layer, density = self.find(motion)
         met = np.flatnonzero(share)
@@ -114,13 +112,14 @@ class EngagedElements:
 
 
 class EngagedBone:
-    """A bone model that is carved as ever, and gives loads for any coefficients in place of a
-    force.
+    """Bone model that gives loads for any coefficients in place of a force.
+
+    It is carved like the given model.
 
     Parameters
     ----------
     bone
-        The model; its own coefficients count for nothing.
+        The model; its own coefficients are not used.
     device
         Warp device name.
     cores
@@ -131,11 +130,11 @@ class EngagedBone:
     nodes
         Densities of each layer at which loads are given.
     unit_loads
-        Of each layer: force [N] and torque about the tip [N m] on the tool in the world for a unit
-        of each coefficient [Pa, then N/m], weighed as `DensityNodes` has it, shape (nodes, 6, 6);
-        of the last `respond`.
+        For each layer: force [N] and torque about the tip [N m] on the tool in the world frame for
+        a unit of each coefficient [Pa, then N/m], weighed as by `DensityNodes`, shape (nodes, 6,
+        6), of the last `respond`.
     asked
-        Whether `respond` is to give them.
+        True if `respond` is to compute them.
     """
 
     def __init__(self, bone: BoneModel, *, device: str = "cpu", cores: int | None = None) -> None:
@@ -161,7 +160,7 @@ class EngagedBone:
 
     @property
     def engaged_m2(self) -> Array:
-        """Area of the tool that met each layer at the last `respond` [m2], shape (layers,)."""
+        """Area of the tool in contact with each layer at the last `respond` [m2], (layers,)."""
         return self._response.engaged_m2
 
     @property
@@ -179,7 +178,7 @@ class EngagedBone:
         self.bone.place(motion)
 
     def advance(self, motion: ToolMotion) -> None:
-        """Carve what the tool reaches at its new pose."""
+        """Carve the bone that the tool reaches at its new pose."""
         self.bone.advance(motion)
 
     def finish(self) -> None:
@@ -187,8 +186,9 @@ class EngagedBone:
         self.bone.finish()
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Engaged areas and rate of removal, without a force; `unit_loads` are those at the
-        motion's speed.
+        """Return engaged areas and rate of removal, without a force.
+
+        `unit_loads` are computed at the motion's speed.
         """
         response = self._response
         if not self.asked:
@@ -214,8 +214,9 @@ class EngagedBone:
 
 
 def _sums(weights: Array, levers: Array, shares: Array, motion: ToolMotion) -> Array:
-    """Loads of elements with weights of chip and edge, (n, 2), levers, (n, 18), and shares at
-    nodes, (n, nodes).
+    """Return the loads of elements, summed by node density.
+
+    `weights` of chip and edge have shape (n, 2), `levers` (n, 18) and `shares` at nodes (n, nodes).
     """
     columns = (weights[:, :, None] * levers[:, None, :]).reshape(len(weights), 2 * levers.shape[1])
     sums = (shares.T @ columns).reshape(shares.shape[1], COEFFICIENTS, 2, 3)

@@ -1,4 +1,4 @@
-"""Watch whether a cutting tool stays within the range in which its cutting law holds."""
+"""Check of whether a cutting tool stays within the range of validity of its cutting law."""
 
 from math import pi
 from typing import Any
@@ -21,19 +21,22 @@ from tissue.models.tissue_model import ToolMotion
 __all__ = ["THICKEST_M", "LawLimits", "SmoothSurface"]
 
 THICKEST_M = 1e-4
-"""Feed per tooth up to which the law holds [m]. Cortical bone is sheared at depths of cut of 10 to
-50 um and breaks off in pieces above 100 um (Luo et al. 2022, Chinese Journal of Mechanical
-Engineering 35)."""
+"""Largest feed per tooth for which the law holds [m].
+
+Cortical bone is sheared at depths of cut of 10 to 50 um and breaks off in pieces above 100 um (Luo
+et al. 2022, Chinese Journal of Mechanical Engineering 35).
+"""
 SMOOTH_ELEMENTS = 500
-"""Elements over the surface that does not cut."""
+"""Number of elements over the surface that does not cut."""
 BLOCKED = 0.25
-"""Share of the smooth end's area that has to meet bone before it counts: a peg touches the rim
-of its pilot hole.
+"""Share of the smooth end's area in contact with bone above which it is reported.
+
+A peg touches the rim of its pilot hole.
 """
 
 
 class SmoothSurface:
-    """Area of a tool's surface that does not cut and is pushed into bone.
+    """Area of a tool's non-cutting surface that is pushed into bone.
 
     Parameters
     ----------
@@ -71,7 +74,7 @@ class SmoothSurface:
         self.record()
 
     def record(self) -> None:
-        """Record the launch on the store's arrays as they are now."""
+        """Record the launch on the present arrays of the store."""
         store = self._store
         self._launch = SplitLaunch(
             cutting_forces,
@@ -98,29 +101,29 @@ class SmoothSurface:
 
     @property
     def is_blocked(self) -> bool:
-        """Return whether so much of the surface is pushed into bone that a force is missing."""
+        """True if too much of the surface is pushed into bone, so that a force is missing."""
         self._launch()
         self._sums.pull()
         return float(self._sums.host[:, AREA:].sum()) > self.blocked_m2
 
 
 class LawLimits:
-    """Feed per tooth and smooth surface of a tool in bone, watched at every answer.
+    """Check of the feed per tooth and of the smooth surface of a tool in bone, at every answer.
 
     Parameters
     ----------
     cutter
         The tool.
     smooth
-        Its surface that does not cut; None without any.
+        Its surface that does not cut; None without such a surface.
 
     Attributes
     ----------
     notices
-        A sentence at the first time that each limit is passed; the loop takes them out as it logs
+        A sentence at the first time that each limit is passed; the loop removes them as it logs
         them.
     passed
-        All these sentences, by what they are about.
+        All these sentences, by subject.
     thickest_m
         Largest feed per tooth in bone so far [m].
     """
@@ -133,7 +136,7 @@ class LawLimits:
         self.thickest_m = 0.0
 
     def restart(self) -> None:
-        """Forget which limits were passed."""
+        """Reset the limits that were passed."""
         self.notices.clear()
         self.passed.clear()
         self.thickest_m = 0.0
@@ -144,7 +147,10 @@ class LawLimits:
             self._smooth.record()
 
     def check(self, motion: ToolMotion, engaged_m2: float, *, is_new: bool) -> None:
-        """Check one answer; `is_new` where the tool or the bone have changed since the last."""
+        """Check one answer.
+
+        `is_new` is True if the tool or the bone has changed since the last answer.
+        """
         if motion.speed_m_s == 0.0:
             return
         if engaged_m2 > 0.0:
@@ -173,13 +179,13 @@ class LawLimits:
             )
 
     def _pass(self, about: str, sentence: str) -> None:
-        """Note a limit that is passed."""
+        """Record a limit that is passed."""
         self.passed[about] = sentence
         self.notices.append(sentence)
 
 
 def _no_force(layers: int, *, device: str) -> Coefficients:
-    """Cutting coefficients of 0 for each layer."""
+    """Return cutting coefficients of 0 for each layer."""
     arrays = Coefficients()
     arrays.chip = wp.zeros(layers, dtype=lever16, device=device)
     arrays.edge = wp.zeros(layers, dtype=lever16, device=device)

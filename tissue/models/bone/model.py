@@ -24,10 +24,10 @@ from tissue.models.tissue_model import Response, ToolMotion
 __all__ = ["BoneModel", "Removal"]
 
 SHELL_ELEMENTS = 6000
-"""Elements over the cutting surface: a twentieth of a ball's radius apart. The force of a slot in
-flat bone is within
-0.5 % where it is half a millimetre deep, and within 3 % where it is 0.1 mm deep, see
-`tests/verification`.
+"""Number of elements over the cutting surface: a twentieth of a ball's radius apart.
+
+The force of a slot in flat bone is within 0.5 % where it is half a millimetre deep, and within 3 %
+where it is 0.1 mm deep, see `tests/verification`.
 """
 
 
@@ -43,10 +43,10 @@ class BoneModel:
     coefficients
         Cutting coefficients of each of the bone's layers, in their order.
     removal
-        ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` whole voxels by their
-        centres.
+        ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` removes whole voxels by
+        their centres.
     shell_spacing_m
-        Distance between the cutter's elements [m]; by default such that there are 6000.
+        Distance between the cutter's elements [m]; the default gives 6000 elements.
     device
         Warp device name.
     cores
@@ -55,7 +55,7 @@ class BoneModel:
     Attributes
     ----------
     limits
-        Watches whether the cutting law holds: chips that are too thick, smooth surfaces in bone.
+        Check of the cutting law's validity: chips that are too thick, smooth surfaces in bone.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class BoneModel:
         self._record()
 
     def _record(self) -> None:
-        """Record the launch of the forces on the store's arrays as they are now."""
+        """Record the launch of the forces on the present arrays of the store."""
         store = self.store
         self._answered = None
         self._forces = SplitLaunch(
@@ -148,7 +148,7 @@ class BoneModel:
 
     @property
     def motion_rows(self) -> Any:
-        """Device array of the pose and motion that `take` was last given, see the force kernel."""
+        """Device array of the pose and motion of the last `take`, see the force kernel."""
         return self._motion.device
 
     @property
@@ -172,13 +172,14 @@ class BoneModel:
         return np.asarray(self.removed_steps * self.step_m3, dtype=np.float64)
 
     def place(self, motion: ToolMotion) -> None:
-        """Carve all that lies inside the tool at its first pose."""
+        """Carve all bone inside the tool at its first pose."""
         self._answered = None
         self.carver.place(motion)
 
     def advance(self, motion: ToolMotion) -> None:
-        """Carve what the tool reaches at its new pose; a slow tool's carving is spread over
-        ticks.
+        """Carve the bone that the tool reaches at its new pose.
+
+        A slow tool's carving is spread over ticks.
         """
         self.carver.advance(motion)
 
@@ -192,13 +193,14 @@ class BoneModel:
         self._motion.push()
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Cutting force at the motion's pose, as a part that grows with speed and a part that
-        does not.
+        """Return the cutting force at the motion's pose.
+
+        It has a part that increases with speed and a part that does not.
         """
         self.take(motion)
         asked = self._motion.host.tobytes(), self.carver.changes
         is_new = asked != self._answered
-        if is_new:  # a tool that rests meets what it met
+        if is_new:  # the contact of a resting tool does not change
             self._answered = asked
             self._forces()
             self._sums.pull()
@@ -221,16 +223,19 @@ class BoneModel:
         self.carver.finish()
 
     def remaining(self) -> NDArray[np.uint8]:
-        """Bone left in every voxel, 255 = full, shape of the volume."""
+        """Return the remaining bone in every voxel, 255 = full, shape of the volume."""
         return self.store.fraction()
 
 
 def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) -> Coefficients:
-    """Cutting coefficients on a device, one entry a layer."""
+    """Return cutting coefficients on a device, one entry a layer."""
     arrays = Coefficients()
 
     def at_levers(names: tuple[str, ...]) -> Any:
-        """Tangential, radial and axial coefficients of each layer at their places in a lever."""
+        """Return the coefficients of each layer at their positions in a lever.
+
+        They are tangential, radial and axial.
+        """
         parts = [[getattr(layer, name) for name in names] for layer in coefficients]
         values = np.pad(np.repeat(parts, (5, 6, 3), axis=1), ((0, 0), (0, 2)))
         return wp.array(values, dtype=lever16, device=device)

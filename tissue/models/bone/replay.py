@@ -1,4 +1,4 @@
-"""The bone at any tick of a run: the tool's poses, carved again by the same kernel."""
+"""Bone at any tick of a run: the tool's poses, carved again by the kernel of the run."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,18 +14,18 @@ __all__ = ["CarvingReplay"]
 
 
 class CarvingReplay:
-    """Bone at the end of any tick, as a run that stopped there would have left it, bit for bit.
+    """Bone at the end of any tick, bitwise equal to the bone of a run that stops there.
 
     Parameters
     ----------
     volume
         The bone before the first cut.
     cutter, removal
-        The tool, and how it removes.
+        The tool and its mode of removal.
     poses
         Poses of the run, see `tissue.simulation.loop.PoseLog`.
     device
-        Warp device name; that of the run gives the same bits.
+        Warp device name; the device of the run gives bitwise equal results.
 
     Attributes
     ----------
@@ -50,12 +50,15 @@ class CarvingReplay:
         self._start = self._carver.state()
         self.fraction = volume.fraction.copy()
         self._next = 0  # first pose that was not carved yet
-        # bricks whose fraction differs from what is stored in them
+        # bricks whose entry in `fraction` is out of date
         self._changed = np.zeros(0, dtype=np.intp)
         self._cut = np.zeros(0, dtype=np.intp)  # bricks that differ from the start
 
     def at(self, tick: int) -> NDArray[np.uint8]:
-        """Bone at the end of a tick, see `fraction`; going back begins again at the first pose."""
+        """Return the bone at the end of a tick, see `fraction`.
+
+        A tick before the last one restarts the replay at the first pose.
+        """
         last = int(np.searchsorted(self._poses[:, 0], tick, side="right"))
         if last < self._next:
             self._carver.restore(self._start)
@@ -77,11 +80,11 @@ class CarvingReplay:
         return self.fraction
 
     def removals(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Indices of the voxels that fall below half during the run, shape (n, 3), and the tick of
-        each, increasing.
+        """Return the voxels that fall below half during the run, and the tick of each, increasing.
 
-        Removal is fractional; a voxel that was below half before the first cut is none of them. A
-        slow tool's bricks take turns, so that a voxel may be up to 20 µm of the tool's path late.
+        The indices have shape (n, 3). Removal is fractional; a voxel that was below half before the
+        first cut is not included. A slow tool's bricks take turns, so that a voxel may be up to 20
+        µm of the tool's path late.
         """
         self._carver.restore(self._start)
         self._store.take_touched()

@@ -1,11 +1,10 @@
-"""Displacement, strain and stress of a block of the organ that a needle drags along: a picture of
-what it does to it.
+"""Displacement, strain and stress of a tissue block that a needle drags along, for display.
 
-The needle's own model (`tissue.models.needle.insertion`) is one-dimensional: it knows how far the
-organ is deflected at the needle and how much of the needle is in it. Here a linear-elastic block
-around the first track answers that deflection: its nodes along the inserted shaft, before the
-puncture the one at the entry, are moved by it along the needle's axis, by whatever forces that
-takes. The force on the needle never comes from here.
+The needle's own model (`tissue.models.needle.insertion`) is one-dimensional. It gives the
+deflection of the organ at the needle and the inserted length. Here a linear-elastic block around
+the first track responds to that deflection. The nodes along the inserted shaft, before the puncture
+the node at the entry, are displaced by the deflection along the needle's axis, by the forces that
+this requires. The force on the needle never comes from this block.
 """
 
 from dataclasses import dataclass, replace
@@ -37,25 +36,26 @@ BELOW_M = 0.03
 COARSE_M = 0.01
 FINE_M = 2.2e-3
 GROWTH = 0.75
-"""Bricks of the block [m], longest edge on the track [m], and how much edges grow with the
-distance from it.
+"""Bricks of the block [m], longest edge on the track [m], and growth of edges with the distance.
+
+The distance is measured from the track.
 """
 ON_TRACK_M = 1e-9
-"""Rounding of a node's place [m]."""
+"""Rounding error of a node's position [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Where a needle goes in, its direction and depth.
+    """Entry, direction and depth of a needle.
 
     Attributes
     ----------
     entry_m
-        Where its axis meets the surface z = 0 [m], shape (3,).
+        Intersection of the needle's axis with the surface z = 0 [m], shape (3,).
     outward
         Unit vector along its axis from tip to shank, shape (3,).
     deepest_m
-        Greatest travel of the tip beyond the surface, along the axis [m].
+        Largest travel of the tip beyond the surface, along the axis [m].
     """
 
     entry_m: Array
@@ -64,8 +64,9 @@ class Track:
 
     @classmethod
     def first_of(cls, tips_m: Array, outward: Array, *, diameter_m: float) -> "Track | None":
-        """The first track of a motion; None where the needle stays outside, starts inside or lies
-        flat.
+        """Return the first track of a motion.
+
+        It is None where the needle stays outside, starts inside or lies flat.
 
         Parameters
         ----------
@@ -73,7 +74,7 @@ class Track:
             Tip positions that outline the motion [m] and the needle's axis there, shape (n, 3)
             both.
         diameter_m
-            Distance of two entries within which they are one [m].
+            Distance of two entries within which they count as one [m].
         """
         steep = outward[:, 2] >= LEAST_COSINE
         travel = np.where(steep, -tips_m[:, 2] / np.where(steep, outward[:, 2], 1.0), -np.inf)
@@ -86,11 +87,11 @@ class Track:
 
 
 def needle_block(track: Track) -> tuple[TetMesh, Ints, Array]:
-    """Block of tissue around a track, its nodes on it from the surface down, shape (k,), and their
-    depths [m], (k,).
+    """Return a block of tissue around a track, its nodes on the track and their depths [m].
 
-    A slab sheared so that its middle line is the needle's axis; depths count along the axis. Top
-    face at z = 0.
+    The nodes, shape (k,), are ordered from the surface down; the depths have shape (k,). The block
+    is a slab sheared so that its middle line is the needle's axis. Depths count along the axis. The
+    top face is at z = 0.
     """
     drop = track.deepest_m * float(track.outward[2])
     block = slab(size_m=(SIDE_M, SIDE_M, drop + BELOW_M), spacing_m=COARSE_M)
@@ -117,21 +118,22 @@ def needle_block(track: Track) -> tuple[TetMesh, Ints, Array]:
 class NeedleFields:
     """Displacement, strain, stress and reaction of a block around a needle's first track.
 
-    A frame costs a tick a copy of three numbers; the fields are computed when the run has ended. Of
-    other tracks nothing is shown: the block is at rest then.
+    A frame costs a tick a copy of three numbers. The fields are computed after the end of the run.
+    Other tracks are not shown: the block is at rest then.
 
-    The cells are linear: Poisson's ratio should keep away from 0.5. Right at the shaft strain and
-    stress depend on the edges of the mesh, for a line that is moved through an elastic body has no
-    limit; so does the force it takes.
+    The cells are linear, so Poisson's ratio should not be near 0.5. Right at the shaft strain and
+    stress depend on the edges of the mesh, because a line that moves through an elastic body has no
+    limit. The force on the line has none either.
 
     Parameters
     ----------
     track
-        Where the needle goes in.
+        Entry, direction and depth of the needle.
     elasticity
         Lame constants [Pa], shape (2,).
     near_m
-        How far an entry may lie from the track's to be of it [m], such as the needle's diameter.
+        Largest distance of an entry from the track's entry at which it belongs to the track [m],
+        such as the needle's diameter.
     interval_s
         Time between two frames [s].
     """
@@ -175,8 +177,9 @@ class NeedleFields:
         interval_s: float,
         constants: Materials = Materials.cited,
     ) -> "NeedleFields":
-        """Fields in a liver of its modulus; Poisson's ratio is the least cited, for linear cells
-        lock at more.
+        """Return the fields in a liver with the cited modulus.
+
+        Poisson's ratio is the smallest cited value, because linear cells lock at larger values.
         """
         cited = constants.constants("soft", "liver")
         elasticity = lame(1e3 * cited["modulus_kPa"].value, cited["poisson_ratio"].low)
@@ -190,15 +193,13 @@ class NeedleFields:
     def keep(
         self, time_s: float, *, deflection_m: float, inserted_m: float, entry_m: Array
     ) -> None:
-        """Remember the organ's deflection and the needle's inserted length [m], and where it
-        went in.
-        """
+        """Store the organ's deflection, the needle's inserted length and its entry [m]."""
         self.next_s += self._fields.interval_s
         here = float(np.linalg.norm(entry_m - self.track.entry_m)) <= self._near_m
         self._kept.append((time_s, deflection_m, inserted_m) if here else (time_s, 0.0, 0.0))
 
     def compute(self) -> None:
-        """Solve the frames that were kept."""
+        """Solve the stored frames."""
         for time_s, deflection, inserted in self._kept:
             force = self.forces_N(deflection, inserted)[:, None] * self._inward
             self._fields.keep(time_s, force, force)
@@ -206,8 +207,9 @@ class NeedleFields:
         self._fields.compute()
 
     def note(self, tissue: NeedleTissue) -> str:
-        """A sentence on what the fields are, and the force of their block besides that of the
-        needle's model.
+        """Return a sentence that describes the fields.
+
+        It also states the force of the block next to the force of the needle's model.
         """
         puncture = tissue.membranes[0].puncture_N if tissue.membranes else tissue.cutting_N
         moved = tissue.deflection_m(puncture)
@@ -228,8 +230,9 @@ class NeedleFields:
         )
 
     def forces_N(self, deflection_m: float, inserted_m: float) -> Array:
-        """Forces along the axis, inwards, that move the track's nodes down to a depth by a
-        deflection [N], (k,).
+        """Return axial forces [N], inwards, that move the track's nodes by a deflection.
+
+        The nodes down to the inserted length are moved. The shape is (k,).
         """
         moved = self._depths_m <= inserted_m + ON_TRACK_M
         forces = np.zeros(len(self.nodes))
@@ -239,8 +242,9 @@ class NeedleFields:
         return forces
 
     def _axial_columns(self, solver: DirectSolver) -> Array:
-        """Displacement of all nodes by a unit force inwards along the axis at each node of the
-        track, (k, n, 3).
+        """Return displacements of all nodes by a unit axial force at each node of the track.
+
+        The shape is (k, n, 3). The force acts inwards.
         """
         found = np.zeros((len(self.nodes), len(solver.body.nodes_m), 3))
         for component in np.flatnonzero(self._inward):

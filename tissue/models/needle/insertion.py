@@ -11,41 +11,40 @@ class Insertion:
     """One track of a needle, in one dimension.
 
     With z the travel of the tip beyond the undeformed surface, u the deflection of the organ and L
-    the length of needle that is in it, z = u + L. The organ is carried by nothing but the needle,
-    so its pull equals the needle's force::
+    the inserted length of the needle, z = u + L. Only the needle carries the organ, so the organ's
+    pull equals the needle's force::
 
         a1 u + a2 u|u|  =  tip + hold + friction
 
-    where the tip cuts with a constant force (only deeper than it has been), the edges of the holes
-    in the membranes cling with a constant force, and friction grows with L. While the pull is
-    smaller, needle and organ move together: the shaft sticks, L stays, and the pull is the applied
-    force that Karnopp's law compares with the static friction. Beyond it the shaft slides, u
-    follows from the balance in closed form, and L from z. An intact membrane stops the tip until
-    the pull exceeds its puncture force too; then the organ springs back along the shaft at once, to
-    the u of the balance that is left. So before the puncture the force is Okamura's polynomial, and
-    after it the deflection, the elastic force in it and the inserted length are all greater than
-    zero.
+    The tip cuts with a constant force, only deeper than it has been. The edges of the holes in the
+    membranes cling with a constant force. Friction increases with L. While the pull is smaller than
+    these, needle and organ move together. The shaft sticks and L stays. The pull is then the
+    applied force that Karnopp's law compares with the static friction. Beyond it the shaft slides,
+    u follows from the balance in closed form, and L from z. An intact membrane stops the tip until
+    the pull exceeds its puncture force too. Then the organ springs back along the shaft at once, to
+    the u of the remaining balance. Before the puncture the force is therefore Okamura's polynomial.
+    After it the deflection, its elastic force and the inserted length are all larger than zero.
 
-    A shaft sticks when its motion stops, turns round, falls below half the band of speeds that
-    counts as rest, or when the tip meets something that stops it. Viscous friction acts on the
-    needle but does not deflect the organ, so that the state depends on where the needle has been
-    not on how finely its path was cut. The tissue is punctured, cut and rubbed, never healed; the
-    work of every one of these is lost, and only the organ's energy can come back.
+    A shaft sticks when its motion stops or reverses, when its speed falls below half the band of
+    speeds that counts as rest, or when an obstacle stops the tip. Viscous friction acts on the
+    needle but does not deflect the organ. The state therefore depends on the path of the needle,
+    not on the number of steps of the path. The tissue is punctured, cut and rubbed, never healed.
+    The work of all three is lost. Only the elastic energy of the organ is recovered.
 
     Not modelled: relaxation at rest, mass of the organ, force across the axis, bending, and
-    stiffness that changes with depth. The organ moves as one piece with its surface, an inner
-    membrane with it: it has a puncture force but no stiffness of its own. Behind it the tissue is
-    parenchyma again. The polynomial was fitted to deflections of up to 17 mm inwards; that the
-    organ pulls back alike when drawn outwards is assumed.
+    stiffness that changes with depth. The organ moves as one piece with its surface, and so does an
+    inner membrane: it has a puncture force but no stiffness of its own. Behind it the tissue is
+    parenchyma again. The polynomial was fitted to deflections of up to 17 mm inwards. The response
+    to outward deflection is assumed to be equal.
 
     Attributes
     ----------
     travel_m, inserted_m, deflection_m
         z, L and u [m].
     cut_m
-        Greatest inserted length so far [m]: the track that needs no cutting.
+        Largest inserted length so far [m]: the part of the track that needs no cutting.
     punctured
-        Number of membranes that are broken, from the surface downwards.
+        Number of broken membranes, from the surface downwards.
     sliding
         1 while the shaft slides in, -1 while it slides out, 0 while it sticks or creeps.
     punctures
@@ -65,7 +64,7 @@ class Insertion:
         self._holds = tuple(membrane.hold_N for membrane in tissue.membranes)
 
     def advance(self, travel_m: float, speed_m_s: float) -> None:
-        """Bring the tip to a travel at a speed, whose sign does not matter."""
+        """Move the tip to a travel at a speed; the sign of the speed has no effect."""
         moved = travel_m - self.travel_m
         self.travel_m = travel_m
         quick = abs(speed_m_s) >= 0.5 * self.tissue.friction.stick_band_m_s
@@ -80,7 +79,7 @@ class Insertion:
 
     @property
     def blocked(self) -> bool:
-        """Whether an intact membrane stops the tip."""
+        """True if an intact membrane stops the tip."""
         return (
             self.punctured < len(self._depths) and self._depths[self.punctured] == self.inserted_m
         )
@@ -101,12 +100,12 @@ class Insertion:
         )
 
     def shares_N(self) -> tuple[float, float, float]:
-        """Elastic, cutting and friction part of the pull [N]; they add up to it.
+        """Return the elastic, cutting and friction part of the pull [N]; they add up to the pull.
 
-        While the shaft slides they are what the membranes hold, the tip cuts and the shaft rubs.
-        While it sticks only the pull is known: up to the sliding force it is shared in the same
-        proportion, what goes beyond is reported as elastic before an intact membrane and as
-        friction elsewhere.
+        While the shaft slides, these parts are the holding force of the membranes, the cutting
+        force of the tip and the friction of the shaft. While it sticks, only the pull is known. Up
+        to the sliding force it is divided in equal proportion to the sliding case. The excess is
+        reported as elastic before an intact membrane and as friction elsewhere.
         """
         pull = self.pull_N
         length = self.inserted_m
@@ -136,8 +135,9 @@ class Insertion:
         )
 
     def _hold_N(self, *, inwards: bool) -> float:
-        """What the holes around the shaft hold; one right at the tip holds only what goes
-        inwards.
+        """Return the holding force of the holes around the shaft [N].
+
+        A hole right at the tip resists only inward motion.
         """
         length = self.inserted_m
         held = 0.0
@@ -147,7 +147,7 @@ class Insertion:
         return held
 
     def _push(self, quick: bool) -> None:
-        """Slide in while the pull exceeds what resists, from one stop to the next."""
+        """Slide in while the pull exceeds the resistance, from one stop to the next."""
         tissue = self.tissue
         friction = self.tissue.friction
         while True:
@@ -179,14 +179,14 @@ class Insertion:
             self.sliding = 0
 
     def _next_stop_m(self) -> float:
-        """Inserted length at which what resists rises: the track's end or a membrane."""
+        """Return the inserted length [m] of the next rise of resistance: track end or membrane."""
         deeper = [depth for depth in self._depths if depth > self.inserted_m]
         if self.cut_m > self.inserted_m:
             deeper.append(self.cut_m)
         return min(deeper, default=inf)
 
     def _draw(self, quick: bool) -> None:
-        """Slide out while the organ, drawn along, pulls back with more than what holds it."""
+        """Slide out while the organ, dragged along, pulls back with more than the holding force."""
         tissue = self.tissue
         friction = self.tissue.friction
         while self.inserted_m > 0.0:

@@ -1,4 +1,4 @@
-"""A needle in an organ, as a tissue that a tool moves through."""
+"""Needle in an organ, as a tissue that a tool moves through."""
 
 from math import isfinite, pi
 from typing import TYPE_CHECKING
@@ -17,43 +17,45 @@ if TYPE_CHECKING:
 __all__ = ["NeedleModel"]
 
 LEAST_COSINE = 0.17
-"""The needle's axis must meet the surface at more than 10 degrees: the model has no force across
-the axis.
+"""Smallest cosine between the needle's axis and the surface normal.
+
+The axis must meet the surface at more than 10 degrees, because the model has no force across the
+axis.
 """
 
 
 class NeedleModel:
-    """An organ under the plane z = 0 that a needle is pushed into and drawn out of, along the
-    needle's axis.
+    """Organ under the plane z = 0 with a needle that moves in and out along its axis.
 
-    The force follows `tissue.models.needle.insertion.Insertion` and acts along the needle's axis;
-    moving the needle sideways inside the organ, or turning it, costs nothing. Depths count along
-    the axis, from where it meets the undeformed surface. Only the latest track is remembered: a
-    needle that leaves and comes back within a diameter of where it went in finds it open, elsewhere
-    the organ is whole.
+    The force follows `tissue.models.needle.insertion.Insertion` and acts along the needle's axis.
+    Sideways motion or rotation of the needle inside the organ has no resistance. Depths count along
+    the axis, from its intersection with the undeformed surface. Only the latest track is stored. A
+    needle that leaves and re-enters within a diameter of its last entry finds an open track.
+    Elsewhere the organ is intact.
 
-    The response's ``edge`` is the pull of the organ, which is there at rest too and whatever the
+    The response's ``edge`` is the pull of the organ, which also acts at rest and does not depend on
     speed; ``resistance`` is the viscous friction of a sliding shaft. ``engaged_m2`` is the
-    cross-section of the tip, in the layer it touches. Measures: length of needle in the organ and
-    deflection of the organ [mm], then the parts of the axial force that are held by membranes, cut
-    by the tip and rubbed along the shaft [N]; they add up to it, positive against insertion.
+    cross-section of the tip, in the layer it touches. The measures are the inserted length and the
+    deflection of the organ [mm], then three parts of the axial force [N]: the holding force of
+    membranes, the cutting force of the tip and the friction along the shaft. These parts add up to
+    the axial force, positive against insertion.
 
     Parameters
     ----------
     tissue
-        What the needle meets.
+        Tissue along the needle's axis.
     diameter_m
-        Of the needle [m]. It sets the area of the tip, and how far from the last track a new one
-        begins.
+        Diameter of the needle [m]. It sets the area of the tip, and the distance from the last
+        track at which a new track begins.
     fields
-        What shows displacement and stress around the needle; the force does not depend on it. None
+        Displacement and stress around the needle for display; the force does not depend on it. None
         shows nothing.
 
     Raises
     ------
     InputError
-        If the needle's diameter cannot be meant; later, if the needle starts inside the organ, lies
-        almost flat on it, or is nowhere.
+        If the needle's diameter is not plausible; later, if the needle starts inside the organ,
+        lies almost flat on it, or has a pose that is not finite.
     """
 
     measure_names: tuple[str, ...] = (
@@ -88,13 +90,14 @@ class NeedleModel:
 
     @property
     def fields(self) -> FieldSeries | None:
-        """Displacement, strain, stress and reaction of a block around the needle; computed when
-        the run has ended.
+        """Displacement, strain, stress and reaction of a block around the needle.
+
+        They are computed after the end of the run.
         """
         return None if self._fields is None else self._fields.series
 
     def place(self, motion: ToolMotion) -> None:
-        """Put the needle where it starts, outside the organ."""
+        """Put the needle at its start, outside the organ."""
         travel = self._travel_m(motion)
         if travel > 0.0:
             raise InputError(
@@ -126,7 +129,7 @@ class NeedleModel:
             self.notices.append("the needle has left the organ")
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Force on the needle along its axis."""
+        """Return the force on the needle along its axis."""
         insertion = self.insertion
         response = self._response
         axis = motion.rotation[:, 2]
@@ -149,7 +152,7 @@ class NeedleModel:
         return response
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Keep the deflection where a frame is due."""
+        """Store the deflection where a frame is due."""
         if self._fields is not None and time_s >= self._fields.next_s - 1e-9:
             insertion = self.insertion
             self._fields.keep(
@@ -165,8 +168,9 @@ class NeedleModel:
             self._fields.compute()
 
     def _travel_m(self, motion: ToolMotion) -> float:
-        """How far the tip lies beyond the surface, along the needle's axis [m]; negative
-        outside.
+        """Return the depth of the tip beyond the surface, along the needle's axis [m].
+
+        It is negative outside.
         """
         below = -float(motion.tip_m[2])
         cosine = float(motion.rotation[2, 2])
@@ -186,8 +190,9 @@ class NeedleModel:
         return below
 
     def _touch(self, motion: ToolMotion, travel_m: float) -> Insertion:
-        """The track at the point where the needle meets the surface: the last one if it is
-        there, or a new one.
+        """Return the track at the point where the needle meets the surface.
+
+        It is the last track if that lies there, else a new one.
         """
         entry = motion.tip_m + travel_m * motion.rotation[:, 2]
         if not float(np.linalg.norm(entry - self._entry_m)) <= self._diameter_m:
@@ -196,7 +201,7 @@ class NeedleModel:
         return self.insertion
 
     def _layer(self) -> int:
-        """Layer that the tip touches."""
+        """Return the layer that the tip touches."""
         insertion = self.insertion
         if insertion.blocked:
             number = insertion.punctured

@@ -1,4 +1,4 @@
-"""What a needle meets along its axis: membranes, tissue that is cut, friction along the shaft."""
+"""Needle parameters along its axis: membranes, cut tissue and shaft friction."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -11,9 +11,9 @@ from tissue.materials.scene_constants import Materials
 __all__ = ["Membrane", "NeedleTissue", "ShaftFriction", "needle_tissue", "vessel_wall"]
 
 GREATEST_N = 1e4
-"""Greatest force that a parameter may name [N]; a greater one is a mistaken unit."""
+"""Largest force that a parameter may have [N]; a larger force is a mistaken unit."""
 GREATEST_N_M = 1e6
-"""Likewise for a force per length [N/m], and for its viscous part [N s/m2]."""
+"""Largest force per length of a parameter [N/m], and of its viscous part [N s/m2]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,15 +23,14 @@ class Membrane:
     Attributes
     ----------
     name
-        As events and layers call it.
+        Name in events and layers.
     depth_m
-        Where it lies [m], along the needle's axis from the undeformed surface; 0 for the organ's
-        capsule.
+        Depth [m] along the needle's axis from the undeformed surface; 0 for the organ's capsule.
     puncture_N
         Force of the tip at which it breaks [N].
     hold_N
         Force with which the edge of its hole clings to the shaft [N], in or out: the elastic force
-        that is left after the puncture.
+        that remains after the puncture.
     """
 
     name: str
@@ -63,20 +62,21 @@ class Membrane:
 
 @dataclass(frozen=True, kw_only=True)
 class ShaftFriction:
-    """Karnopp's friction along the inserted length, as Okamura (2004) modified it: other numbers in
-    than out.
+    """Karnopp's friction along the inserted length, as modified by Okamura (2004).
+
+    Its numbers differ between insertion and withdrawal.
 
     Attributes
     ----------
     sliding_in_N_m, sliding_out_N_m
         Coulomb friction while the shaft slides, C_p and the size of C_n [N/m].
     viscous_in_N_s_m2, viscous_out_N_s_m2
-        What its speed adds, b_p and the size of b_n [N s/m2].
+        Viscous friction coefficients, b_p and the size of b_n [N s/m2].
     static_in_N_m, static_out_N_m
         Friction at which a shaft at rest breaks away, D_p and the size of D_n [N/m].
     stick_band_m_s
-        Width of the band of speeds around zero that counts as rest [m/s]; slower than half of it
-        the shaft creeps under the static friction.
+        Width of the band of speeds around zero that counts as rest [m/s]. Below half of it the
+        shaft creeps under the static friction.
     """
 
     sliding_in_N_m: float
@@ -110,7 +110,7 @@ class ShaftFriction:
 
 @dataclass(frozen=True, kw_only=True)
 class NeedleTissue:
-    """An organ as a needle feels it along its axis.
+    """Needle parameters of an organ along the needle's axis.
 
     Attributes
     ----------
@@ -120,14 +120,14 @@ class NeedleTissue:
     cutting_N
         Force of the tip that cuts the tissue between membranes [N].
     friction
-        Along the inserted length.
+        Friction along the inserted length.
     membranes
-        From the surface downwards.
+        Membranes, from the surface downwards.
 
     Raises
     ------
     InputError
-        If a number cannot be meant, membranes are out of order, or friction grows faster with the
+        If a number is not plausible, membranes are out of order, or friction grows faster with the
         inserted length than the organ's pull: a needle that is drawn back would then jump out.
     """
 
@@ -173,18 +173,19 @@ class NeedleTissue:
             )
 
     def pull_N(self, deflection_m: float) -> float:
-        """Force of the organ on the needle, positive against insertion; the same outwards as
-        inwards [N].
+        """Return the force of the organ on the needle [N], positive against insertion.
+
+        It is antisymmetric in the deflection.
         """
         return (self.linear_N_m + self.quadratic_N_m2 * abs(deflection_m)) * deflection_m
 
     def deflection_m(self, pull_N: float) -> float:
-        """Deflection at which the organ pulls with a force that is not negative [m]."""
+        """Return the deflection at which the organ pulls with a force that is not negative [m]."""
         return positive_root(self.quadratic_N_m2, self.linear_N_m, pull_N)
 
 
 def positive_root(a: float, b: float, c: float) -> float:
-    """The x >= 0 with a x² + b x = c for a >= 0 and b > 0; 0 where c is negative."""
+    """Return the x >= 0 with a x² + b x = c for a >= 0 and b > 0; 0 where c is negative."""
     return 2.0 * c / (b + sqrt(b * b + 4.0 * a * c)) if c > 0.0 else 0.0
 
 
@@ -196,10 +197,10 @@ def vessel_wall(
     hold_N: float | None = None,
     constants: Materials = Materials.cited,
 ) -> Membrane:
-    """A wall of a vessel, or another membrane inside an organ, at a depth [m]; forces that are None
-    are the constants'.
+    """Return a vessel's wall, or another membrane inside an organ, at a depth [m].
 
-    The constants of a vessel's wall have no source.
+    Forces that are None are taken from the constants. The constants of a vessel's wall have no
+    source.
     """
     wall = {key: entry.value for key, entry in constants.constants("needle", "vessel_wall").items()}
     return Membrane(
@@ -213,10 +214,9 @@ def vessel_wall(
 def needle_tissue(
     *, walls: Sequence[Membrane] = (), constants: Materials = Materials.cited
 ) -> NeedleTissue:
-    """Bovine liver under its capsule by its constants, with membranes inside it, from the surface
-    downwards.
+    """Return bovine liver under its capsule, with membranes inside it, from the surface downwards.
 
-    The numbers hold for one needle in one organ (Okamura 2004).
+    The constants hold for one needle in one organ (Okamura 2004).
 
     Raises
     ------

@@ -1,5 +1,6 @@
-"""Compliance of the nodes that a tool may touch: whole, column by column where the tool is, or
-from a reduced basis.
+"""Compliance of the nodes that a tool may touch.
+
+It is complete, computed column by column where the tool is, or taken from a reduced basis.
 """
 
 from functools import cached_property
@@ -19,15 +20,22 @@ from tissue.fem.solvers.reduced import ReducedSolver
 __all__ = ["FACTOR_UNKNOWNS", "CompliancePath", "Factor", "compliance_of"]
 
 FACTOR_UNKNOWNS = 200_000
-"""Above this, frames are solved by multigrid: a factor would take gigabytes."""
+"""Largest number of unknowns for which frames are solved by a factor.
+
+Above it multigrid is used, because a factor would take gigabytes.
+"""
 CompliancePath = Literal["condensed", "lazy", "reduced"]
-"""How the compliance is had: taken from a factor of its own and kept on disk, column by column
-while the tool moves, or from a reduced basis."""
+"""Method used to compute the compliance.
+
+It is taken from its own factor and kept on disk, computed column by column while the tool moves, or
+taken from a reduced basis.
+"""
 
 
 class Factor:
-    """A sparse factor that is made when it is first needed; where it would be too large,
-    multigrid.
+    """Sparse factor that is made when it is first needed.
+
+    Where it would need too much memory, multigrid replaces it.
     """
 
     def __init__(self, body: HeldBody) -> None:
@@ -36,24 +44,25 @@ class Factor:
 
     @cached_property
     def solver(self) -> DirectSolver | MultigridSolver:
-        """The solver."""
+        """Solver of the organ."""
         if len(self._body.free) > FACTOR_UNKNOWNS:
             return MultigridSolver(self._body)
         return DirectSolver(self._body, last=self._last)
 
     def expect(self, nodes: Ints) -> None:
-        """Have the compliance between some nodes read off the factor, where it is yet to be made
-        and not too large.
+        """Request that the compliance between some nodes is read off the factor.
+
+        This applies only where the factor is not made yet and not too large.
         """
         if "solver" not in self.__dict__ and len(self._body.free) <= SCHUR_UNKNOWNS:
             self._last = np.union1d(self._last, nodes)
 
     def solve_all(self, loads_N: Array) -> Array:
-        """Displacements [m] under several loads [N], shape (loads, n, 3) both."""
+        """Return displacements [m] under several loads [N], shape (loads, n, 3) both."""
         return np.stack([self.solve(load) for load in loads_N])
 
     def solve(self, load_N: Array) -> Array:
-        """Displacement [m] under a load [N], shape (n, 3)."""
+        """Return the displacement [m] under a load [N], shape (n, 3)."""
         found = self.solver.solve(load_N)
         if not found.converged:
             raise RuntimeError(f"the organ could not be solved: {found.outcome.value}")
@@ -70,8 +79,10 @@ def compliance_of(
     basis_size: int,
     report: Progress,
 ) -> tuple[Array, LazyCompliance | None]:
-    """Compliance of the touchable nodes [m/N], shape (3t, 3t), and what fills it while the tool
-    moves.
+    """Return the compliance of the touchable nodes [m/N] and the object that fills it.
+
+    The compliance has shape (3t, 3t). The object fills it while the tool moves; it is None where
+    the compliance is complete.
     """
     doing = "condensing the compliance to the surface that can be touched"
     if path == "condensed":

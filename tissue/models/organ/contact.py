@@ -34,7 +34,7 @@ __all__ = ["ContactOutcome", "ContactResult", "SurfaceContact"]
 
 
 class ContactOutcome(Enum):
-    """How a contact solve ended; the value holds the remedy."""
+    """Outcome of a contact solve. The value holds the remedy."""
 
     CONVERGED = "the forces hold to the tolerance"
     NOT_CONVERGED = (
@@ -52,7 +52,7 @@ class ContactOutcome(Enum):
 
 @dataclass
 class ContactResult:
-    """What a contact does to tool and organ, reused from solve to solve; world frame.
+    """Forces and penetration of a contact, reused from solve to solve; world frame.
 
     Attributes
     ----------
@@ -63,15 +63,15 @@ class ContactResult:
     nodal_forces_N
         Forces on the organ's touchable nodes [N], shape (s, 3).
     outcome
-        How the solve ended.
+        Outcome of the solve.
     iterations
         Gauss-Seidel sweeps.
     contacts
-        Contact points that carry force.
+        Number of contact points that carry force.
     area_m2
-        Area of the organ's surface, or of the shell, that these points stand for [m2].
+        Area of the organ's surface, or of the shell, that these points represent [m2].
     penetration_m
-        Deepest penetration left [m].
+        Deepest remaining penetration [m].
     """
 
     force_N: Array
@@ -86,8 +86,9 @@ class ContactResult:
     compliance_scale: float = field(default=1.0, repr=False)
 
     def displacement_m(self) -> Array:
-        """Displacement of the touchable nodes under the contact forces [m], shape (s, 3); for
-        drawing.
+        """Return the displacement of the touchable nodes under the contact forces [m].
+
+        The shape is (s, 3). It is for drawing.
         """
         loaded = np.flatnonzero(self.nodal_forces_N.any(axis=1))
         columns = (3 * loaded[:, None] + np.arange(3)).ravel()
@@ -98,18 +99,18 @@ class ContactResult:
 
 
 OUTCOMES = tuple(ContactOutcome)
-"""In the order of the kernel's states."""
+"""Outcomes in the order of the kernel's states."""
 START_M = 1e-6
-"""How far a tool may enter the organ where it starts [m]."""
+"""Largest penetration of the organ by the tool at its start [m]."""
 REACH_M = 1e-4
-"""Distance beyond the largest displacement at which triangles are searched [m]."""
+"""Distance beyond the largest displacement within which triangles are searched [m]."""
 
 
 class SurfaceContact:
-    """A tool and the surface of an organ that answers by its compliance.
+    """Contact between a tool and the surface of an organ, given the organ's compliance.
 
-    Each solve is one tick: what slipped and what stuck follows from the tool's path since the last
-    solve, so call it once for every pose. Unilateral contact with Coulomb friction, implicit: slip
+    Each solve is one tick: slip and stick follow from the tool's path since the last solve, so call
+    it once for every pose. The contact is unilateral with Coulomb friction. It is implicit: slip
     counts over the whole tick.
 
     Parameters
@@ -119,9 +120,9 @@ class SurfaceContact:
     faces
         Triangles between them, counter-clockwise seen from outside, shape (f, 3).
     compliance_m_N
-        W = H K^-1 H^T [m/N], symmetric, float64, shape (3s, 3s). On a CPU it is used where it lies
-        and may be filled while contacts go on, block by block, with NaN in what is not there; a
-        block that is there must not change.
+        W = H K^-1 H^T [m/N], symmetric, float64, shape (3s, 3s). On a CPU it is used in place and
+        may be filled during contacts, block by block, with NaN in missing blocks; a filled block
+        must not change.
     probe
         The tool.
     friction
@@ -131,9 +132,9 @@ class SurfaceContact:
         under a sphere the force is within 1 % at 1e-3 and 0.2 % at 1e-4; `bench_liver_contact`
         shows error and cost.
     sweeps
-        Most Gauss-Seidel sweeps in a solve.
+        Largest number of Gauss-Seidel sweeps in a solve.
     spacing_m
-        Widest spacing of contact points on the organ [m]; by default what the tool asks for.
+        Widest spacing of contact points on the organ [m]; default: the tool's spacing.
     device
         Warp device name.
     cores
@@ -142,8 +143,8 @@ class SurfaceContact:
     Raises
     ------
     InputError
-        If shapes do not fit, a triangle names no node, positions are not finite, or friction is
-        negative.
+        If shapes do not fit, a triangle has a node that does not exist, positions are not finite,
+        or friction is negative.
     """
 
     def __init__(
@@ -187,10 +188,10 @@ class SurfaceContact:
         self.result = ContactResult(
             np.zeros(3), np.zeros(3), self._body.force.numpy(), compliance_m_N
         )
-        """The last solve's result, the object that every solve returns."""
+        """Result of the last solve, the object that every solve returns."""
 
     def _recorded(self) -> list[Callable[[], None]]:
-        """Launches of a tick in their order, recorded with the compliance's scale of now."""
+        """Record the launches of a tick, in their order, with the present compliance scale."""
         device = self._device
         probe = self.probe
         size = wp.vec2d(*self.probe.size_m)
@@ -233,7 +234,7 @@ class SurfaceContact:
         return stages
 
     def place(self, tip_m: Array, rotation: Array) -> None:
-        """Put the tool where it starts, outside the organ: no force, nothing stuck.
+        """Put the tool at its start, outside the organ: no force, no sticking contact.
 
         Raises
         ------
@@ -264,7 +265,7 @@ class SurfaceContact:
         self._keep(tip_m, rotation)
 
     def forget(self) -> None:
-        """Drop all forces and the tool's path so far."""
+        """Reset all forces and the tool's path."""
         self._points.force.zero_()
         self._body.force.zero_()
         self._patch.moved.zero_()
@@ -272,8 +273,9 @@ class SurfaceContact:
         self._read(np.zeros(RESULTS))
 
     def scale_compliance(self, factor: float) -> None:
-        """Take the compliance times a factor, such as a viscous organ's share of it within a
-        tick.
+        """Multiply the compliance by a factor.
+
+        Example: the share of the compliance that a viscous organ has within a tick.
         """
         self.result.compliance_scale = require_positive("factor", factor, "use 1 to leave it")
         self._body.scale = wp.float64(factor)
@@ -282,11 +284,11 @@ class SurfaceContact:
         self._stages = self._recorded()
 
     def change_compliance(self, compliance_m_N: Array) -> None:
-        """Take another compliance from the next solve on [m/N], shape (3s, 3s), written over the
-        one before.
+        """Replace the compliance from the next solve on [m/N], shape (3s, 3s), in place.
 
-        By how much the present forces then move nodes less, that is where they lie without contact,
-        for friction to find them where they were; shift them so for the next solve.
+        With the new compliance the present forces displace the nodes by a different amount. This
+        difference is added to the positions without contact, so that friction finds the nodes
+        unmoved. Shift the positions by the difference in the next solve too.
         """
         before = self.result.displacement_m()
         self.result.compliance_m_N[:] = compliance_m_N
@@ -298,8 +300,9 @@ class SurfaceContact:
         gather_all_again(self._patch)
 
     def shift(self, offset_m: Array) -> None:
-        """Set how far nodes lie from rest without contact in the next solve [m], shape (s, 3):
-        what has crept.
+        """Set the displacement of the nodes without contact in the next solve [m], shape (s, 3).
+
+        It is the creep of the tissue.
         """
         self._body.free.assign(self.nodes_m + offset_m)
         self._results.host[LARGEST] += float(np.linalg.norm(offset_m, axis=1).max())
@@ -307,14 +310,15 @@ class SurfaceContact:
         self._shifted = True
 
     def nodes_in_reach(self, tip_m: Array, rotation: Array, margin_m: float) -> Ints:
-        """Touchable nodes whose triangles come within a margin [m] of the tool at rest: fill
-        their compliance first.
+        """Return the touchable nodes whose triangles come within a margin [m] of the tool at rest.
+
+        Compute the compliance of these nodes first.
         """
         distance, _ = self.probe.distance((self._centres - tip_m) @ rotation)
         return np.unique(self.faces[distance < self._radii + margin_m])
 
     def solve(self, tip_m: Array, rotation: Array) -> ContactResult:
-        """Bring the tool to its next pose and find the forces.
+        """Move the tool to its next pose and solve for the forces.
 
         Parameters
         ----------
@@ -326,7 +330,7 @@ class SurfaceContact:
         Returns
         -------
         ContactResult
-            The same object every time.
+            One object, overwritten by every call.
 
         Raises
         ------
@@ -352,13 +356,13 @@ class SurfaceContact:
         return self.result
 
     def _keep(self, tip_m: Array, rotation: Array) -> None:
-        """The pose that the next solve's path starts from."""
+        """Store the pose at which the path of the next solve starts."""
         self._placed = True
         self._pose.host[4] = tip_m
         self._pose.host[5:8] = rotation
 
     def _read(self, values: Array) -> None:
-        """Bring the kernel's results into the result."""
+        """Copy the kernel's values into the result."""
         result = self.result
         result.force_N[:] = values[FORCE : FORCE + 3]
         result.torque_Nm[:] = values[TORQUE : TORQUE + 3]
@@ -372,8 +376,9 @@ class SurfaceContact:
 
 
 def _require_surface(nodes_m: Array, faces: Ints, compliance_m_N: Array) -> None:
-    """Refuse nodes that are not finite, triangles that name none of them, and a compliance of
-    another size.
+    """Check the nodes, the triangles and the size of the compliance.
+
+    Nodes must be finite, triangles must use existing nodes, and the compliance must fit the nodes.
     """
     count = len(nodes_m)
     if np.shape(compliance_m_N) != (3 * count, 3 * count) or compliance_m_N.dtype != np.float64:

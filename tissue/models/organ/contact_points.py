@@ -12,13 +12,13 @@ from tissue.models.organ.probe import ProbeShape, ShellProbe
 __all__ = ["body_arrays", "contact_points", "list_arrays", "point_arrays", "put"]
 
 MOST_DIVISIONS = 16
-"""Contact points along the edge of a triangle."""
+"""Largest number of contact points along the edge of a triangle."""
 
 
 def contact_points(
     nodes_m: Array, faces: Ints, spacing_m: float
 ) -> tuple[NDArray[np.int32], Array, Array]:
-    """Contact points on triangles: their corners, and inside those with longer edges a lattice.
+    """Return contact points on triangles: corners, and a lattice inside large triangles.
 
     A triangle whose longest edge spans n spacings, n > 1, has the centres of its n^2 equal parts.
 
@@ -29,7 +29,7 @@ def contact_points(
     faces
         Triangles, shape (f, 3).
     spacing_m
-        Widest spacing wanted [m].
+        Widest allowed spacing [m].
 
     Returns
     -------
@@ -38,7 +38,7 @@ def contact_points(
     weights
         Barycentric weights, shape (p, 3).
     areas_m2
-        Area that a point stands for [m2], shape (p,); 0 for corners of divided triangles.
+        Area that a point represents [m2], shape (p,); 0 for corners of divided triangles.
 
     Raises
     ------
@@ -86,13 +86,14 @@ def contact_points(
 
 
 def put(values: NDArray[np.generic], dtype: type, device: str) -> wp.array[object]:
-    """Copy of an array on a device."""
+    """Return a copy of an array on a device."""
     return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
 
 
 def body_arrays(nodes_m: Array, faces: Ints, compliance_m_N: Array, device: str) -> Body:
-    """The touchable surface at rest, without force; on a CPU the compliance is used where it
-    lies.
+    """Return the touchable surface at rest, without force.
+
+    On a CPU the compliance is used in place.
     """
     body = Body()
     body.free = put(nodes_m, wp.vec3d, device)
@@ -110,13 +111,14 @@ def body_arrays(nodes_m: Array, faces: Ints, compliance_m_N: Array, device: str)
 def point_arrays(
     nodes_m: Array, faces: Ints, probe: ProbeShape, spacing_m: float | None, device: str
 ) -> Points:
-    """Contact points without force, chained by triangle: a shell's own, or some spread over the
-    triangles.
+    """Return contact points without force, chained by triangle.
+
+    They are a shell's own points, or points spread over the triangles.
 
     Parameters
     ----------
     spacing_m
-        Widest spacing of points on the triangles [m]; None: what the tool asks for.
+        Widest spacing of points on the triangles [m]; None: the tool's spacing.
     """
     if isinstance(probe, ShellProbe):
         face = np.zeros(0, dtype=np.int32)
@@ -142,7 +144,7 @@ def point_arrays(
 
 
 def list_arrays(triangles: int, device: str) -> Lists:
-    """Empty work lists for so many triangles."""
+    """Return empty work lists for a number of triangles."""
     lists = Lists()
     lists.count = wp.zeros(3, dtype=wp.int32, device=device)
     for name in ("near", "working", "working_mark"):

@@ -1,6 +1,4 @@
-"""Displacement, strain, stress and reaction of a whole organ, computed from the forces on its
-surface.
-"""
+"""Displacement, strain, stress and reaction of a whole organ from the forces on its surface."""
 
 from collections.abc import Callable
 from functools import cached_property
@@ -22,24 +20,25 @@ __all__ = ["LargeFields", "OrganFields", "cauchy_stress", "equivalent_strain"]
 
 TOLERANCE = 1e-3
 STEPS = 100
-"""Of a frame's equilibrium: greatest force that is not balanced over the greatest of the load;
-most steps.
+"""Residual and number of steps allowed for a frame's equilibrium.
+
+The residual is the largest unbalanced force over the largest force of the load.
 """
 PLACES = np.array([[0, 0], [1, 1], [2, 2], [1, 2], [0, 2], [0, 1]])
 """Rows and columns of the components xx, yy, zz, yz, xz, xy."""
 
 
 class LargeFields:
-    """Answers of an organ to forces on its surface.
+    """Fields of an organ with a hyperelastic law under forces on its surface.
 
     Parameters
     ----------
     space
         Nodes and cells.
     law, cell_factors
-        The law, and what its moduli are multiplied by in each cell, shape (m,).
+        The law, and the factor on its moduli in each cell, shape (m,).
     follower
-        Makes what finds the equilibria; called when the first is asked for.
+        Function that makes the equilibrium solver; called at the first use.
     touchable
         Nodes on which forces act, shape (t,).
     """
@@ -58,15 +57,16 @@ class LargeFields:
         self._touchable = touchable
         self._make = follower
         self.frames = self.unsettled = 0
-        """Frames so far, and those whose equilibrium was not reached."""
+        """Numbers of frames so far, and of frames whose equilibrium was not reached."""
 
     @cached_property
     def _follower(self) -> QuasiNewton:
         return self._make()
 
     def under(self, forces_N: Array, moved_m: Array) -> tuple[Array, StressState, Array]:
-        """Compute displacement [m], stress in the middle of each cell, and reaction of the supports
-        [N], both (n, 3).
+        """Compute displacement [m], stress at the cell centres, and reaction of the supports [N].
+
+        Displacement and reaction have shape (n, 3).
 
         Parameters
         ----------
@@ -96,14 +96,14 @@ class LargeFields:
 def cauchy_stress(
     space: Space, displacement_m: Array, law: Hyperelastic, cell_factors: Array
 ) -> StressState:
-    """Cauchy stress and logarithmic strain in the middle of each cell, in the frame of space.
+    """Return Cauchy stress and logarithmic strain at the centre of each cell, in the spatial frame.
 
     Parameters
     ----------
     space, displacement_m
-        Nodes and cells, and how far the nodes are moved [m], shape (n, 3).
+        Nodes and cells, and the displacement of the nodes [m], shape (n, 3).
     law, cell_factors
-        The law, and what its moduli are multiplied by in each cell, shape (m,).
+        The law, and the factor on its moduli in each cell, shape (m,).
     """
     corners = np.asarray(space.gradients[0].numpy())
     shape = np.einsum("aci,i->ac", gradient_slopes(4, space.order), np.full(4, 0.25))
@@ -125,16 +125,16 @@ def cauchy_stress(
 
 
 Solve = Callable[[Array], Array]
-"""Displacements [m] of all nodes under several loads [N], shape (loads, n, 3) both."""
+"""Function that returns displacements [m] of all nodes under loads [N], (loads, n, 3) both."""
 BATCH = 16
-"""Frames solved at once."""
+"""Number of frames solved at once."""
 
 
 class OrganFields:
     """Displacement, strain, stress and reaction of a whole organ from the forces of its contact.
 
-    A frame costs a tick a copy of the contact's forces; the fields are computed when the run has
-    ended.
+    A frame costs a tick a copy of the contact's forces. The fields are computed after the end of
+    the run.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ class OrganFields:
     solve
         Displacement under loads, supports held.
     product
-        Stiffness times displacements, shape (n, 3), supports not held: what is left over the load
+        Stiffness times displacements, shape (n, 3), supports not held: the product minus the load
         is the reaction.
     touchable
         Nodes that the tool can reach, shape (s,).
@@ -154,9 +154,9 @@ class OrganFields:
     held
         Nodes of the mesh that are held.
     interval_s
-        Time between two frames [s]; infinite for none.
+        Time between two frames [s]; infinite for no frames.
     large
-        What answers in place of `solve` where the organ has a hyperelastic law; there is no weight
+        Solver that replaces `solve` where the organ has a hyperelastic law; the organ has no weight
         then.
     """
 
@@ -194,21 +194,21 @@ class OrganFields:
         self.notices: list[str] = []
 
     def keep(self, time_s: float, force_N: Array, moved: Array) -> None:
-        """Keep the state of a frame that is due.
+        """Store the state of a frame that is due.
 
         Parameters
         ----------
         time_s, force_N
             Time [s] and forces on the touchable nodes [N], shape (t, 3).
         moved
-            Force whose elastic answer is the displacement [N]; for a hyperelastic law the
+            Force whose elastic response is the displacement [N]; for a hyperelastic law the
             displacements of the touchable nodes [m].
         """
         self.next_s += self.interval_s
         self._kept.append((time_s, force_N.copy(), moved.copy()))
 
     def compute(self) -> None:
-        """Solve the frames that were kept."""
+        """Solve the stored frames."""
         if self._large is not None:
             for time_s, force, touched in self._kept:
                 moved, stress, reaction = self._large.under(force, touched)
@@ -245,8 +245,10 @@ class OrganFields:
         return load
 
     def _frame(self, time_s: float, force_N: Array, strained_m: Array, displaced_m: Array) -> Frame:
-        """Stress belongs to the force that acts, strain and displacement to how far the tissue
-        has crept.
+        """Return a frame of an organ that creeps.
+
+        Stress belongs to the force that acts; strain and displacement belong to the tissue after
+        creep.
         """
         stress = cell_stress(self._space, strained_m + self._rest_m, self._elasticity)
         strain = stress.strain
@@ -260,8 +262,9 @@ class OrganFields:
     def _shown(
         self, time_s: float, moved_m: Array, stress: StressState, strain: Array, reaction: Array
     ) -> Frame:
-        """A frame of displacements [m] and reactions [N] of all nodes, and of stress and strain
-        of the cells.
+        """Return a frame of displacements [m], reactions [N], stress and strain.
+
+        Displacements and reactions belong to the nodes, stress and strain to the cells.
         """
         corners = len(self._space.mesh.nodes_m)
         for end in self._ends.T:  # a middle node's reaction is shown half at each end of its edge
@@ -282,7 +285,7 @@ class OrganFields:
 
 
 def _edge_ends(space: Space) -> Ints:
-    """Corners at the ends of each edge that has a middle node, shape (edges, 2)."""
+    """Return the corners at the ends of each edge that has a middle node, shape (edges, 2)."""
     corners = len(space.mesh.nodes_m)
     ends = np.zeros((space.node_count - corners, 2), dtype=np.int64)
     for middle, pair in zip(space.cell_nodes[:, 4:].T, EDGES, strict=False):
@@ -291,8 +294,9 @@ def _edge_ends(space: Space) -> Ints:
 
 
 def equivalent_strain(strain: Array) -> Array:
-    """Von Mises equivalent of strain tensors xx, yy, zz, yz, xz, xy, shape (n, 6): sqrt(2/3 e :
-    e), e the deviator.
+    """Return the von Mises equivalent of strain tensors xx, yy, zz, yz, xz, xy, shape (n, 6).
+
+    It is sqrt(2/3 e : e) with e the deviator.
     """
     mean = strain[:, :3].mean(axis=1, keepdims=True)
     deviator = strain[:, :3] - mean

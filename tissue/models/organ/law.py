@@ -26,14 +26,14 @@ __all__ = ["OrganLaw", "large_fields_of", "law_offset_of"]
 
 @dataclass(frozen=True, eq=False)
 class OrganLaw:
-    """A hyperelastic law of an organ.
+    """Hyperelastic law of an organ.
 
     Attributes
     ----------
     law
-        The law of a cell whose factor is 1.
+        Law of a cell whose factor is 1.
     cell_factors
-        What its moduli are multiplied by in each cell, shape (m,).
+        Factor on its moduli in each cell, shape (m,).
     interval_s
         Time between two solves, between ticks [s].
     coarser
@@ -48,8 +48,9 @@ class OrganLaw:
 
 
 def law_offset_of(organ: "SoftOrgan", law: OrganLaw, touchable: Ints) -> LawOffset:
-    """Build the offset of the touchable nodes of an organ, shape (t,), that follows its law between
-    ticks.
+    """Build the offset of the touchable nodes of an organ that follows its law between ticks.
+
+    The nodes have shape (t,).
 
     Raises
     ------
@@ -65,8 +66,9 @@ def law_offset_of(organ: "SoftOrgan", law: OrganLaw, touchable: Ints) -> LawOffs
 
 
 def large_fields_of(organ: "SoftOrgan", law: OrganLaw, touchable: Ints) -> LargeFields:
-    """Displacement, strain and stress of an organ under forces on its touchable nodes, on its
-    mesh.
+    """Return displacement, strain and stress of an organ under forces on its touchable nodes.
+
+    They are computed on the organ's own mesh.
     """
     factors = law.cell_factors
     return LargeFields(
@@ -81,8 +83,9 @@ def large_fields_of(organ: "SoftOrgan", law: OrganLaw, touchable: Ints) -> Large
 def _follower(
     organ: "SoftOrgan", law: Hyperelastic, cell_factors: Array, nodes: Ints
 ) -> QuasiNewton:
-    """What follows the equilibria of an organ; its factors know the compliance between some
-    nodes.
+    """Return the solver that follows the equilibria of an organ.
+
+    Its factors hold the compliance between some nodes.
     """
     at_rest = organ.factor.solver
     if not isinstance(at_rest, DirectSolver):

@@ -1,20 +1,20 @@
-"""A hyperelastic organ at 1 kHz: a compliance for every tick, and between ticks how far the law is
-from it.
+"""Hyperelastic organ at 1 kHz: a compliance for every tick, and an offset solved between ticks.
 
 Under nodal forces f the surface of the organ moves by u(f). Near an equilibrium u_k, f_k, with W a
 compliance::
 
     u(f) = W f + offset_k,    offset_k = u_k - W f_k
 
-so that a contact on W with this offset is in equilibrium with the law as soon as f_k are the forces
-that act. At the end of every interval the equilibrium of the forces of that moment is found; the
-offset goes over to the new one within the next interval, without a step. It follows the depth of
-the tool by its change since the last one. W is that of rest until the equilibria are far from it;
-then that of the tangent stiffness where the tissue is (Newton's method).
+A contact on W with this offset is therefore in equilibrium with the law as soon as the acting
+forces are f_k. At the end of every interval the equilibrium of the forces of that moment is solved.
+The offset changes to the new one within the next interval, without a step. It follows the depth of
+the tool by the change of the offset since the last equilibrium. W is the compliance at rest until
+the equilibria are far from it. Then W is the compliance of the tangent stiffness at the present
+displacement (Newton's method).
 
 Equilibria may be solved on a coarser mesh: u = W_rest f + T (u_c - K_c^-1 T^T f), with T from its
-nodes to those that can be touched, and W = W_rest + T (K_t^-1 - K_c^-1) T^T. Its errors are nearly
-the same with the law and without.
+nodes to the touchable nodes, and W = W_rest + T (K_t^-1 - K_c^-1) T^T. Its errors are nearly equal
+with and without the law.
 """
 
 from dataclasses import dataclass
@@ -33,21 +33,24 @@ __all__ = ["LawOffset"]
 
 TOLERANCE = 0.02
 STEPS = 30
-"""Of the forces that nothing balances at the end of a solve, over the greatest nodal force; most
-steps of a solve.
-"""
+"""Unbalanced force at the end of a solve, over the largest nodal force; largest number of steps."""
 MISSED = 0.05
-"""Share of the displacement by which an equilibrium is off what was expected, from which the
-compliance is made anew: one that is kept too long lets forces wander from interval to interval."""
+"""Deviation of an equilibrium from the expected one above which the compliance is renewed.
+
+The deviation is relative to the displacement.
+
+A compliance that is kept too long lets forces wander from interval to interval.
+"""
 APART_M = 2e-4
-"""Least change of depth from which the change of the offset with it is taken [m]."""
+"""Smallest change of depth from which the slope of the offset is computed [m]."""
 FARTHEST = 2.0
-"""How far that is followed, over the change of depth that it was taken from."""
+"""Longest extrapolation of the offset, over the change of depth that its slope was computed from.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """The offset over the depth, shapes (t, 3), within a reach."""
+    """Offset as a linear function of the depth, shapes (t, 3), within a reach."""
 
     at_m: Array
     slope: Array
@@ -55,24 +58,24 @@ class _Line:
     reach_m: float
 
     def into(self, out: Array, depth_m: float, share: float) -> None:
-        """Add a share of it at a depth."""
+        """Add a share of the offset at a depth to `out`."""
         beyond = min(max(depth_m - self.depth_m, -self.reach_m), self.reach_m)
         out += share * self.at_m
         out += (share * beyond) * self.slope
 
 
 class LawOffset:
-    """How far the touchable nodes of an organ are from where a compliance has them.
+    """Difference between the touchable nodes of an organ and their positions by a compliance.
 
     Parameters
     ----------
     follower
-        The law's equilibria.
+        Solver for the law's equilibria.
     fixed
-        Components of that mesh's nodes that are held, shape (n, 3).
+        Components of the solver's mesh that are held, shape (n, 3).
     transfer
-        Shares of that mesh's nodes in those that the contact knows, shape (t, n); the follower's
-        factors know the compliance between all nodes that have one.
+        Shares of the nodes of the solver's mesh in the touchable nodes of the contact, shape
+        (t, n); the follower's factors hold the compliance between all nodes with a share.
     interval_s
         Time between two solves [s].
     """
@@ -105,11 +108,14 @@ class LawOffset:
         self._next_s = interval_s
         self.notices: list[str] = []
         self.solves = self.unsettled = 0
-        """Solves so far, and those whose equilibrium was not reached."""
+        """Numbers of solves so far, and of solves whose equilibrium was not reached."""
         self._late = False
 
     def offset_m(self, time_s: float, depth_m: float) -> Array:
-        """The offset of the touchable nodes now [m], shape (t, 3), the same array each time."""
+        """Return the present offset of the touchable nodes [m], shape (t, 3).
+
+        Every call returns one reused array.
+        """
         share = min((time_s - self._changed_s) / self.interval_s, 1.0)
         self._offset[:] = 0.0
         self._before.into(self._offset, depth_m, 1.0 - share)
@@ -118,17 +124,18 @@ class LawOffset:
 
     @property
     def note(self) -> str:
-        """How it follows the law."""
+        """Description of how the law is followed."""
         return f"solved every {1e3 * self.interval_s:g} ms"
 
     @property
     def latest_m(self) -> Array:
-        """The offset of the last tick [m], shape (t, 3)."""
+        """Offset of the last tick [m], shape (t, 3)."""
         return self._offset
 
     def renew(self, time_s: float, depth_m: float, contact: SurfaceContact) -> None:
-        """Where an interval ends, find the equilibrium of the forces of a contact, and how it
-        goes on from there.
+        """Solve for the equilibrium under the contact forces at the end of an interval.
+
+        The solution sets the offset of the next interval. Within an interval nothing is done.
         """
         if time_s < self._next_s - 1e-9:
             return
@@ -164,9 +171,7 @@ class LawOffset:
         self._report(found.residual, perf_counter() - started, first=indefinite == 0)
 
     def _springs(self, forces_N: Array, load_N: Array) -> Springs:
-        """Build springs that hold the nodes under the tool near the places that the last contact
-        gave them.
-        """
+        """Build springs that hold the nodes under the tool near their last contact positions."""
         loaded = np.flatnonzero(forces_N.any(axis=1))
         if not len(loaded):
             return Springs.none(self._fixed.size)
@@ -182,15 +187,17 @@ class LawOffset:
         return Springs.holding(self._transfer[loaded], compliance, held_m[loaded])
 
     def _off(self, moved_m: Array, forces_N: Array) -> Array:
-        """Offset of the touchable nodes [m] by displacements of the solved nodes under forces on
-        them.
+        """Return the offset of the touchable nodes [m] from a solution.
+
+        The solution is given by the displacements of the solved nodes and the forces on them.
         """
         there: Array = self._near @ (moved_m - (self._between @ forces_N.ravel()).reshape(-1, 3))
         return there
 
     def _change_compliance(self, contact: SurfaceContact, forces_N: Array, depth_m: float) -> None:
-        """Go on with the compliance of the stiffness that was factorised last; nothing moves by
-        that.
+        """Use the compliance of the stiffness that was factorised last.
+
+        No node moves by the change.
         """
         if self._at_rest is None:
             self._at_rest = contact.result.compliance_m_N.copy()
@@ -210,7 +217,7 @@ class LawOffset:
         return self._follower.indefinite
 
     def _report(self, residual: float, took_s: float, *, first: bool) -> None:
-        """Count the solve, and report what happens for the first time."""
+        """Count the solve, and report events that happen for the first time."""
         self.solves += 1
         self.unsettled += residual > TOLERANCE
         if first and self.indefinite:

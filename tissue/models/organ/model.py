@@ -1,9 +1,8 @@
-"""A soft organ under a probe: contact at every tick, displacement and stress of the whole where a
-frame is due.
+"""Soft organ under a probe: contact at every tick, and fields where a frame is due.
 
-Where every modulus of the body relaxes by one Prony series, Poisson's ratio is constant and the
-supports are rigid, the elastic-viscoelastic correspondence gives the displacement of the surface
-under any history of nodal forces f::
+Three conditions are assumed: every modulus of the body relaxes by one Prony series, Poisson's ratio
+is constant and the supports are rigid. The elastic-viscoelastic correspondence then gives the
+displacement of the surface under any history of nodal forces f::
 
     u(t) = integral j(t - s) d(W f)(s),    W the instantaneous elastic compliance, j the creep function
 
@@ -13,13 +12,16 @@ term::
     u = instant_factor W f + offset,
 
 where the offset per surface node is known before the tick. A contact solver uses the scaled
-compliance, adds the offset to the free surface and needs nothing else: any unilateral condition,
-with or without friction, for a contact that grows, shrinks, moves or lifts off. The shortcut of
-relaxing the elastic force instead is right only while the contact grows (Lee and Radok 1960, J.
-Appl. Mech. 27:438; Ting 1966, J. Appl. Mech. 33:845): when the tool retreats, it pulls where the
-surface, slow to rise, has let go. Both hold for small strains without inertia. Neither holds where
-parts relax by different series, nor where the shear modulus relaxes alone, unless the bulk modulus
-is so large that it does not show (Poisson's ratio near 0.5).
+compliance, adds the offset to the free surface and needs no other change. It may have any
+unilateral condition, with or without friction, for a contact that grows, shrinks, moves or lifts
+off.
+
+The usual shortcut, to relax the elastic force, is right only while the contact grows (Lee and Radok
+1960, J. Appl. Mech. 27:438; Ting 1966, J. Appl. Mech. 33:845). When the tool retreats, this
+shortcut pulls on the tool although the surface, which rises slowly, has separated. Both methods
+hold for small strains without inertia. Neither holds where parts relax by different series. Neither
+holds where the shear modulus relaxes alone, unless the bulk modulus is so large that this has no
+effect (Poisson's ratio near 0.5).
 """  # noqa: E501 a table
 
 import numpy as np
@@ -37,37 +39,39 @@ from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 __all__ = ["LiverModel"]
 
 LINEAR_ERROR = ((0.37, 0.05), (0.57, 0.1))
-"""Depth over the ball's radius at which the linear force is off a neo-Hookean one by so much, on a
-block, a procedural and a scanned liver (0.36-0.39, 0.56-0.585): `python
-tests/bench/chart_liver.py`."""
+"""Depth over the ball's radius, and error of the linear force there against a neo-Hookean force.
+
+The values hold on a block, a procedural and a scanned liver (0.36-0.39, 0.56-0.585): `python
+tests/bench/chart_liver.py`.
+"""
 LOOK_EVERY = 20
-"""Ticks between two looks for nodes whose compliance will be wanted."""
+"""Ticks between two searches for nodes whose compliance will be needed."""
 LOOK_M = 5e-3
-"""Distance around the tool within which they are looked for [m]."""
+"""Distance around the tool within which these nodes are searched [m]."""
 
 
 class LiverModel:
-    """A soft organ that a probe presses.
+    """Soft organ under a probe.
 
     Parameters
     ----------
     contact
         The probe on the organ's touchable surface.
     space, touchable
-        The organ's nodes and cells, and the nodes that the contact knows, shape (t,).
+        The organ's nodes and cells, and the touchable nodes of the contact, shape (t,).
     fields
         Fields of the whole organ.
     prony
-        How every modulus relaxes; None for an elastic organ. The contact's compliance is the
+        Relaxation of every modulus; None for an elastic organ. The contact's compliance is the
         instantaneous one.
     lazy
-        What fills the contact's compliance while the tool moves; None where it is whole.
+        Object that fills the contact's compliance while the tool moves; None where it is complete.
     law
-        How far a hyperelastic organ is from the contact's compliance; None for a linear one.
-        Without `prony`.
+        Offset of a hyperelastic organ from the contact's compliance; None for a linear organ. It
+        cannot be combined with `prony`.
     ball_radius_m
-        Radius of a ball that presses [m], for which it is known where linear elasticity stops being
-        enough.
+        Radius of the ball that presses [m]; the depth at which linear elasticity is no longer
+        enough is known for a ball only.
     step_s
         Length of a tick [s].
     """
@@ -118,11 +122,11 @@ class LiverModel:
 
     @property
     def fields(self) -> FieldSeries:
-        """Displacement, strain, stress and reaction; computed when the run has ended."""
+        """Displacement, strain, stress and reaction; computed after the end of the run."""
         return self._fields.series
 
     def place(self, motion: ToolMotion) -> None:
-        """Put the probe where it starts, outside the organ."""
+        """Put the probe at its start, outside the organ."""
         self.contact.place(motion.tip_m, motion.rotation)
         if self._lazy is not None:
             self._search_contacts(motion)
@@ -132,7 +136,7 @@ class LiverModel:
             self._lazy.start()
 
     def advance(self, motion: ToolMotion) -> None:
-        """Press, slide or lift off."""
+        """Move the probe to its new pose: press, slide or lift off."""
         if self._lazy is not None:
             self._lazy.pour(self.contact.result.compliance_m_N)
             if self._ticks % LOOK_EVERY == 0:
@@ -155,7 +159,7 @@ class LiverModel:
             self.notices.append(f"the contact did not settle: {result.outcome.value}")
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Force and torque on the probe."""
+        """Return force and torque on the probe."""
         result = self.contact.result
         response = self._response
         response.wrench[:3] = result.force_N
@@ -180,7 +184,7 @@ class LiverModel:
         return response
 
     def wait_for_background(self, time_s: float) -> None:
-        """Solve a hyperelastic law where that is due."""
+        """Solve a hyperelastic law where a solve is due."""
         if self._law is not None:
             depth_m = 1e-3 * float(self._response.measures[0])
             self._law.renew(time_s, depth_m, self.contact)
@@ -188,7 +192,7 @@ class LiverModel:
             self._law.notices.clear()
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Keep the forces where a frame is due."""
+        """Store the forces where a frame is due."""
         if time_s >= self._fields.next_s - 1e-9:
             force = self.contact.result.nodal_forces_N
             moved = self._crept_N if self._creep is not None else force
@@ -203,8 +207,9 @@ class LiverModel:
         self._fields.notices.clear()
 
     def summary(self) -> dict[str, object]:
-        """Return the figures of a hyperelastic law for the run's summary; empty for a linear
-        organ.
+        """Return the figures of a hyperelastic law for the run's summary.
+
+        They are empty for a linear organ.
         """
         if self._law is None:
             return {}
@@ -218,12 +223,13 @@ class LiverModel:
 
     @property
     def law_note(self) -> str:
-        """How the law is followed; nothing for a linear organ."""
+        """Description of how the law is followed; empty for a linear organ."""
         return "" if self._law is None else self._law.note
 
     def displacement_m(self) -> Array:
-        """Displacement of the touchable nodes in the last tick [m], shape (t, 3); NaN where it
-        is not known.
+        """Return the displacement of the touchable nodes in the last tick [m], shape (t, 3).
+
+        It is NaN where it is not known.
         """
         moved = self.contact.result.displacement_m()
         if self._law is not None:
@@ -231,21 +237,19 @@ class LiverModel:
         return moved if self._creep is None else moved + self._creep.history
 
     def _depth_m(self, motion: ToolMotion) -> float:
-        """How far the tool has gone on along its axis from where it touched last [m]; 0 without
-        contact.
-        """
+        """Return the tool's travel along its axis since it last touched [m]; 0 without contact."""
         if np.isnan(self._touched_m[0]):
             return 0.0
         return float((self._touched_m - motion.tip_m) @ motion.rotation[:, 2])
 
     def _search_contacts(self, motion: ToolMotion) -> None:
-        """Ask for the compliance of the nodes around the tool."""
+        """Request the compliance of the nodes around the tool."""
         assert self._lazy is not None
         self._lazy.want(self.contact.nodes_in_reach(motion.tip_m, motion.rotation, LOOK_M))
 
 
 def _parts_at(space: Space, nodes: Ints) -> Ints:
-    """Part of a cell at each node, shape (t,)."""
+    """Return the part of a cell at each node, shape (t,)."""
     part = np.zeros(space.node_count, dtype=np.int64)
     part[space.cell_nodes] = space.mesh.part[:, None]
     return part[nodes]

@@ -1,6 +1,4 @@
-"""One press of a tool on a soft organ: straight in, step by step from where it first touches,
-and held.
-"""
+"""One press of a tool on a soft organ: straight in from the first touch, then held."""
 
 from dataclasses import dataclass
 from math import ceil
@@ -20,46 +18,51 @@ from tissue.models.tissue_model import ToolMotion
 __all__ = ["PressCurve", "press"]
 
 STEPS = 100
-"""Fewest steps from the first touch to the depth."""
+"""Smallest number of steps from the first touch to the depth."""
 TOLERANCE = 1e-5
 SWEEPS = 5000
-"""Of the contact, which has no tick to keep: a rod under a flat punch has its stress within 1 %."""
+"""Largest number of sweeps of the contact, which has no tick to keep.
+
+A rod under a flat punch then has its stress within 1 %.
+"""
 PER_RELAXATION = 5
-"""Steps within the shortest relaxation time of an organ that relaxes."""
+"""Number of steps within the shortest relaxation time of an organ that relaxes."""
 POSES = 60
-"""Poses along the press at which the surface is looked for."""
+"""Number of poses along the press at which the touchable surface is searched."""
 CLEARANCES = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 4.0)
-"""Distances from the place at which the tool may start, over its size: the first where it is
-clear of the organ.
+"""Possible start distances of the tool from the target, over its size.
+
+The first distance at which the tool is clear of the organ is used.
 """
 SLANTED = 0.5
-"""How far before the place a tool may first touch, over its size: 0.41 where a ball comes at 45
-degrees.
+"""Largest distance before the target at which a tool may first touch, over its size.
+
+It is 0.41 for a ball that comes at 45 degrees.
 """
 HALVINGS = 30
-"""Of the path on which the first touch lies: to a nanometre."""
+"""Number of halvings of the path in the search for the first touch: it is found to a nanometre."""
 
 
 @dataclass(frozen=True, eq=False)
 class PressCurve:
-    """What a press gave, a row for each step from the first touch.
+    """Result of a press, a row for each step from the first touch.
 
     Attributes
     ----------
     time_s
         Time since the first touch [s], shape (n,).
     depth_m
-        How far the tool has gone on from there [m], shape (n,).
+        Travel of the tool since then [m], shape (n,).
     force_N
         Force on the tool [N], shape (n, 3).
     area_m2
         Area of the contact [m2], shape (n,).
     tip_m, rotation
-        Where the tool is at the end: its tip [m], shape (3,), and tool to world, shape (3, 3).
+        Pose of the tool at the end: its tip [m], shape (3,), and tool to world, shape (3, 3).
     frame
         Displacement and stress of the organ at the end.
     notices
-        What happened, a sentence each.
+        Events, a sentence each.
     touchable
         Nodes of the surface that the tool could touch.
     """
@@ -86,28 +89,27 @@ def press(
     hold_s: float,
     report: Progress = silent,
 ) -> PressCurve:
-    """Press a tool against an organ along its axis, towards a point of the surface, and hold it
-    there.
+    """Press a tool against an organ along its axis, towards a point of the surface, and hold it.
 
     Parameters
     ----------
     organ, probe
         The organ, and the tool.
     point_m
-        Point of the surface that the tool's tip is led to [m], shape (3,).
+        Target of the tool's tip on the surface [m], shape (3,).
     rotation
-        Tool to world, shape (3, 3); the tool comes along its -z.
+        Tool to world, shape (3, 3); the tool moves along its -z.
     depth_m
-        How far it goes on from where it first touches [m].
+        Travel of the tool after its first touch [m].
     speed_m_s, hold_s
-        Speed of the tool [m/s] and how long it stays [s]; they matter to an organ that relaxes.
+        Speed of the tool [m/s] and duration of the hold [s]; they matter to an organ that relaxes.
     report
-        Called with what is being done and the share of it that is done (0 to 1).
+        Called with the current task and its completed share (0 to 1).
 
     Raises
     ------
     InputError
-        If the tool has no free path to the place, or the place cannot move.
+        If the tool has no free path to the target, or the target cannot move.
     """
     along = -rotation[:, 2]
     start_m = point_m - _clearance_m(organ, probe, point_m, rotation) * along
@@ -158,7 +160,7 @@ def press(
 
 
 def _steps(organ: SoftOrgan, press_s: float) -> tuple[int, float]:
-    """Steps of the press and the length of each [s]."""
+    """Return the number of steps of the press and the length of each [s]."""
     fewest = STEPS
     if organ.prony is not None:
         fewest = max(fewest, ceil(PER_RELAXATION * press_s / min(organ.prony.tau_s)))
@@ -166,7 +168,7 @@ def _steps(organ: SoftOrgan, press_s: float) -> tuple[int, float]:
 
 
 def _clearance_m(organ: SoftOrgan, probe: ProbeShape, point_m: Array, rotation: Array) -> float:
-    """How far before the point the tool is clear of the organ [m]."""
+    """Return the distance before the point at which the tool is clear of the organ [m]."""
     nodes = organ.space.nodes_m + organ.rest[1]
     triangles = linear_triangles(organ.space.faces)
     if isinstance(probe, ShellProbe):
@@ -187,8 +189,9 @@ def _clearance_m(organ: SoftOrgan, probe: ProbeShape, point_m: Array, rotation: 
 
 
 def _require_place(probe: ProbeShape, before_m: float) -> None:
-    """Refuse a tool that meets the organ far before the place; one that comes slantwise touches
-    a little before it.
+    """Check that the tool first touches the organ near the target.
+
+    A tool that comes at an angle touches a little before it.
     """
     if before_m > SLANTED * probe.size_m[0]:
         raise InputError(
@@ -200,8 +203,9 @@ def _require_place(probe: ProbeShape, before_m: float) -> None:
 
 
 def _first_touch(contact: SurfaceContact, start_m: Array, end_m: Array, rotation: Array) -> Array:
-    """Where the tip is when the tool first touches [m], shape (3,): contact there, none just
-    before.
+    """Return the tip position at the first touch [m], shape (3,).
+
+    The tool has contact at this position and no contact just before it.
     """
 
     def touches(share: float) -> bool:

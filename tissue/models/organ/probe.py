@@ -1,9 +1,9 @@
 """Tools that press on an organ: a sphere, a flat cylinder, and any shape as a shell of points.
 
-A tool's tip is the origin of its frame and its z axis runs from the tip to the shank. Each tool
-states what kind of distance the contact kernels take (`kind`, `size_m`), how far apart the organ's
-contact points may lie so that the tool does not slip between them (`spacing_m`), and the ball that
-bounds the part of it that may touch first.
+A tool's tip is the origin of its frame, and its z axis runs from the tip to the shank. Each tool
+states the kind of distance for the contact kernels (`kind`, `size_m`). It states the spacing of the
+organ's contact points at which the tool does not slip between them (`spacing_m`). It also states
+the ball that bounds the part of it that may touch first.
 """
 
 from abc import ABC, abstractmethod
@@ -20,11 +20,11 @@ from meshes.surfaces.triangle_files import read_triangles
 __all__ = ["CylinderProbe", "ProbeShape", "ShellProbe", "SphereProbe"]
 
 SPACINGS = 2.0
-"""Contact points along the radius of a tool."""
+"""Number of contact points along the radius of a tool."""
 
 
 class ProbeShape(ABC):
-    """What the contact asks of a tool."""
+    """Interface of a tool in contact."""
 
     kind: int
     """Kind of distance, see `kernels.probe_distance`."""
@@ -32,8 +32,9 @@ class ProbeShape(ABC):
     @property
     @abstractmethod
     def size_m(self) -> tuple[float, float]:
-        """Two lengths [m]: radius and edge; of a shell, radius and height above the tip of the
-        ball around it.
+        """Two lengths [m]: radius and edge.
+
+        For a shell they are the radius of the ball around it and the ball's height above the tip.
         """
 
     @property
@@ -43,8 +44,9 @@ class ProbeShape(ABC):
 
     @abstractmethod
     def distance(self, points_m: Array) -> tuple[Array, Array]:
-        """Signed distance [m], shape (n,), and its gradient, shape (n, 3), at points in the
-        tool's frame [m].
+        """Return the signed distance [m], shape (n,), and its gradient, shape (n, 3), at points.
+
+        The points are in the tool's frame [m].
         """
 
 
@@ -70,7 +72,7 @@ class SphereProbe(ProbeShape):
         return self.radius_m, 0.0
 
     def distance(self, points_m: Array) -> tuple[Array, Array]:
-        """Distance to the ball [m] and the direction from its centre."""
+        """Return the distance to the ball [m] and the direction from its centre."""
         arm = points_m - [0.0, 0.0, self.radius_m]
         length = np.linalg.norm(arm, axis=1)
         normal = np.divide(
@@ -84,14 +86,14 @@ class SphereProbe(ProbeShape):
 
 @dataclass(frozen=True)
 class CylinderProbe(ProbeShape):
-    """A flat punch: a face through the tip, a rounded edge, and a side without an upper end.
+    """Flat punch: a face through the tip, a rounded edge, and a side without an upper end.
 
     Attributes
     ----------
     radius_m
         Radius of the side [m].
     edge_m
-        Radius of the edge's rounding, below that of the side [m].
+        Radius of the edge's rounding, smaller than the radius of the side [m].
     """
 
     radius_m: float
@@ -117,7 +119,7 @@ class CylinderProbe(ProbeShape):
         return self.radius_m, self.edge_m
 
     def distance(self, points_m: Array) -> tuple[Array, Array]:
-        """Distance to the rounded cylinder [m] and its gradient."""
+        """Return the distance to the rounded cylinder [m] and its gradient."""
         radius = np.hypot(points_m[:, 0], points_m[:, 1])
         out = np.zeros_like(points_m)
         np.divide(points_m[:, :2], radius[:, None], out=out[:, :2], where=radius[:, None] > 0.0)
@@ -142,8 +144,9 @@ class CylinderProbe(ProbeShape):
 
 @dataclass(frozen=True, eq=False)
 class ShellProbe(ProbeShape):
-    """A tool of any shape, as points on its surface; lay them no farther apart than the organ's
-    edges are long.
+    """Tool of any shape, as points on its surface.
+
+    Space the points no farther apart than the length of the organ's edges.
 
     Attributes
     ----------
@@ -152,7 +155,7 @@ class ShellProbe(ProbeShape):
     normals
         Outward unit normals, shape (n, 3).
     areas_m2
-        Area that each point stands for [m2], shape (n,).
+        Area that each point represents [m2], shape (n,).
     """
 
     points_m: Array
@@ -160,7 +163,7 @@ class ShellProbe(ProbeShape):
     areas_m2: Array
     kind = SHELL
     spacing_m = np.inf
-    """The shell brings its own points: the organ's may lie at any distance [m]."""
+    """Spacing of the organ's points [m]: any, because the shell has its own points."""
 
     def __post_init__(self) -> None:
         count = len(self.points_m)
@@ -182,8 +185,9 @@ class ShellProbe(ProbeShape):
     def from_mesh(
         cls, mesh: Path | str | object, *, points: int = 300, scale: float = 1.0
     ) -> "ShellProbe":
-        """Points spread over the surface of a mesh: centres of its triangles, divided or thinned to
-        about the number.
+        """Return points spread over the surface of a mesh.
+
+        They are the centres of its triangles, divided or thinned to about the given number.
 
         Parameters
         ----------
@@ -191,7 +195,7 @@ class ShellProbe(ProbeShape):
             A surface file, see `meshes.surfaces.triangle_files`, or a trimesh mesh; its origin is
             the tip, its z axis runs to the shank.
         points
-            About how many points; a tick projects every one.
+            Approximate number of points; a tick projects every point.
         scale
             Metres in a unit of the mesh; 1e-3 for millimetres.
 
@@ -232,7 +236,7 @@ class ShellProbe(ProbeShape):
         return float(np.linalg.norm(self.points_m - [0.0, 0.0, height], axis=1).max()), height
 
     def distance(self, points_m: Array) -> tuple[Array, Array]:
-        """Distance to the plane of the nearest point [m] and that point's normal."""
+        """Return the distance to the plane of the nearest point [m] and that point's normal."""
         from scipy.spatial import cKDTree
 
         _, nearest = cKDTree(self.points_m).query(points_m)
@@ -241,8 +245,9 @@ class ShellProbe(ProbeShape):
 
 
 def _thinned(centres: Array, normals: Array, areas: Array, side: float) -> tuple[Ints, Array]:
-    """One point for each cube of a side and each side that its surface faces, shape (k,), and
-    the areas of these.
+    """Return one point for each cube and each direction that its surface faces, and their areas.
+
+    `side` is the edge of a cube. The points have shape (k,).
     """
     normal = np.abs(normals).argmax(axis=1)
     faces = 2 * normal + (np.take_along_axis(normals, normal[:, None], axis=1)[:, 0] > 0.0)

@@ -1,4 +1,4 @@
-"""A soft organ at rest, ready to be pressed: its mesh, materials, supports and weight."""
+"""Soft organ at rest, ready to be pressed: its mesh, materials, supports and weight."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -33,14 +33,16 @@ from tissue.models.tissue_model import TICK_S
 __all__ = ["KeptColumns", "Membrane", "SoftOrgan", "linear_triangles", "touchable_patch"]
 
 MARGIN_EDGES = 0.25
-"""Edges of the mesh beyond the tool's path within which the surface may be touched."""
+"""Distance from the tool's path, in mesh edges, within which the surface may be touched."""
 
 
 def touchable_patch(
     space: Space, probe: ProbeShape, tips_m: Array, rotations: Array
 ) -> tuple[Ints, Ints]:
-    """Surface nodes near a tool's path, shape (t,), and the triangles between them, shape (f, 3),
-    by their places.
+    """Return surface nodes near a tool's path, and the triangles between them.
+
+    The nodes have shape (t,), the triangles (f, 3). The triangles hold the positions of their nodes
+    in the first array.
 
     Parameters
     ----------
@@ -79,8 +81,10 @@ def touchable_patch(
 
 
 def linear_triangles(faces: Ints) -> Ints:
-    """Faces of three nodes as they are, of six (corners, then middles of edges 01, 12, 02) as
-    four triangles each.
+    """Return faces as linear triangles.
+
+    Faces of three nodes stay as they are. Faces of six nodes (corners, then middles of edges 01,
+    12, 02) become four triangles each.
     """
     if faces.shape[1] == 3:
         return faces
@@ -89,11 +93,12 @@ def linear_triangles(faces: Ints) -> Ints:
 
 
 TOGETHER = 16
-"""Columns in one back-substitution, on one thread of BLAS: more gain nothing, and threads on
-small blocks lose.
+"""Columns in one back-substitution, on one thread of BLAS.
+
+More columns are not faster, and threads on small blocks are slower.
 """
 LIMIT_BYTES = 1_000_000_000
-"""Memory above which the columns of earlier places are dropped."""
+"""Memory above which the columns of earlier places are dropped [bytes]."""
 
 
 class KeptColumns:
@@ -114,7 +119,7 @@ class KeptColumns:
         self._columns: dict[int, Array] = {}
 
     def between(self, nodes: Ints) -> Array:
-        """Compliance between some nodes of the surface [m/N], symmetric, shape (3t, 3t)."""
+        """Return the compliance between some surface nodes [m/N], symmetric, shape (3t, 3t)."""
         solver = self._factor.solver
         if isinstance(solver, DirectSolver) and np.isin(nodes, solver.last).all():
             return solver.compliance_between(nodes)
@@ -155,7 +160,7 @@ class KeptColumns:
 
 _spaces: Kept[Space] = Kept(2)
 _patches: Kept[tuple[Ints, Ints]] = Kept(2)
-"""By mesh and order, and by the tool and its path: a study presses the same mesh in every trial."""
+"""Patches by mesh and order, and by tool and path: a study presses one mesh in every trial."""
 
 
 @dataclass(frozen=True)
@@ -174,29 +179,30 @@ class Membrane:
 
 
 class SoftOrgan:
-    """An elastic organ that any number of tools may press, one factor for all of them.
+    """Elastic organ that any number of tools may press, one factor for all of them.
 
     Parameters
     ----------
     mesh
         Tetrahedra.
     elasticity
-        Of each cell, as for `tissue.fem.assembly.assemble` [Pa].
+        Elasticity of each cell, as for `tissue.fem.assembly.assemble` [Pa].
     held
         Nodes of the mesh that do not move.
     order
         Order of the tetrahedra, 1 or 2.
     capsule
-        Membrane on the surface; None for none.
+        Membrane on the surface; None for no membrane.
     density_kg_m3
-        With it the organ lies in its own weight, along -z, before it is touched.
+        Density [kg/m3]. With a density the organ is loaded by its own weight, along -z, before a
+        tool touches it.
     prony
-        How every modulus relaxes; None for an elastic organ.
+        Relaxation of every modulus; None for an elastic organ.
     friction
         Coulomb's coefficient between a tool and the organ.
     law
-        Hyperelastic law whose small strains are those of `elasticity`; None for the linear one.
-        Without capsule, weight and relaxation.
+        Hyperelastic law whose small-strain limit is `elasticity`; None for the linear law. It
+        cannot be combined with capsule, weight and relaxation.
     device
         Warp device name.
     """
@@ -240,7 +246,7 @@ class SoftOrgan:
         Raises
         ------
         InputError
-            If what is held leaves the organ, or a loose part of it, free to move.
+            If the held nodes leave the organ, or a loose part of it, free to move.
         """
         stiffness = assemble(self.space, self.elasticity)
         if self._capsule is not None:
@@ -258,7 +264,7 @@ class SoftOrgan:
 
     @cached_property
     def factor(self) -> Factor:
-        """What solves for the whole organ, made when it is first asked."""
+        """Solver for the whole organ, made at the first use."""
         return Factor(self.body)
 
     @cached_property
@@ -266,11 +272,10 @@ class SoftOrgan:
         return KeptColumns(self.factor, np.unique(self.space.faces))
 
     def expect(self, near_m: Array, within_m: float) -> None:
-        """Have the compliance of the surface within a distance [m] of some points [m], shape (k,
-        3), at once.
+        """Request the compliance of the surface near some points [m], shape (k, 3), at once.
 
-        It comes with the factor, if that is yet to be made; a press elsewhere takes
-        back-substitutions first.
+        "Near" is within a distance [m]. The compliance is read off the factor, if the factor is not
+        made yet. A press elsewhere needs back-substitutions first.
         """
         from scipy.spatial import cKDTree
 
@@ -280,8 +285,9 @@ class SoftOrgan:
 
     @cached_property
     def rest(self) -> tuple[Array, Array]:
-        """Load of its weight [N] and the displacement by it [m], shape (n, 3) both; zero without
-        a density.
+        """Load of the organ's weight [N] and its displacement [m], shape (n, 3) both.
+
+        Both are zero without a density.
         """
         if self._density is None:
             return np.zeros((self.space.node_count, 3)), np.zeros((self.space.node_count, 3))
@@ -289,12 +295,12 @@ class SoftOrgan:
         return load, self.factor.solve(load)
 
     def touchable(self, probe: ProbeShape, tips_m: Array, rotations: Array) -> tuple[Ints, Ints]:
-        """Surface nodes and triangles near a tool's path, as `touchable_patch` gives them.
+        """Return surface nodes and triangles near a tool's path, as `touchable_patch` does.
 
         Raises
         ------
         InputError
-            If the tool touches nothing, or only what is held.
+            If the tool touches nothing, or only held nodes.
         """
         key = self.space, probe, tips_m.tobytes(), rotations.tobytes()
         touchable, faces = _patches.of(
@@ -324,31 +330,31 @@ class SoftOrgan:
         cores: int | None = None,
         report: Progress = silent,
     ) -> tuple[LiverModel, int]:
-        """The organ under a tool that keeps to a path, and the number of nodes that it can touch
-        there.
+        """Return the organ under a tool on a given path, and the number of nodes that it can touch.
 
         Parameters
         ----------
         probe, tips_m, rotations
             The tool and its poses along the path, as for `touchable_patch`.
         path, basis_size
-            How the compliance of what can be touched is had, and the vectors of a reduced basis;
-            None: from columns of the one factor, each kept for the next tool.
+            Method used to compute the compliance of the touchable nodes, and the number of vectors
+            of a reduced basis; None: from columns of the one factor, each kept for the next tool.
         interval_s
-            Time between two frames of displacement and stress [s]; infinite for none.
+            Time between two frames of displacement and stress [s]; infinite for no frames.
         step_s
             Length of a tick [s].
         tolerance, sweeps
-            Of the contact, as for `SurfaceContact`: by default those of a tick of 1 ms.
+            Tolerance and sweeps of the contact, as for `SurfaceContact`; the defaults are for a
+            tick of 1 ms.
         cores
             Processor cores to spread a shell's projection over; default all.
         report
-            Called with what is being done.
+            Called with the current task.
 
         Raises
         ------
         InputError
-            As of `touchable`, or if the nodes that can be touched would not fit memory.
+            As for `touchable`, or if the touchable nodes would not fit into memory.
         """
         touchable, faces = self.touchable(probe, tips_m, rotations)
         if path is None or path == "condensed":

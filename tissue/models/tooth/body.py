@@ -1,6 +1,4 @@
-"""An elastic body of particles on a grid: supports, removal, islands, and solves that start from
-the last state.
-"""
+"""Elastic body of particles on a grid: supports, removal, islands, and warm-started solves."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -29,8 +27,11 @@ from tissue.models.tooth.supports import NodeSupports, PointSprings
 __all__ = ["Change", "ParticleBody", "solve_cells", "supported_cells"]
 
 LEAST_CURVATURE = 1e-12
-"""Share of ``p . D p``, D the diagonal, below which ``p . K p`` is rounding: p is then a motion
-that nothing resists. A tooth of 1e5 nodes in a ligament a million times softer has 1e-8."""
+"""Share of ``p . D p``, D the diagonal, below which ``p . K p`` is a rounding error.
+
+Then p is a motion without resistance. A tooth of 1e5 nodes in a ligament a million times softer has
+1e-8.
+"""
 
 
 def solve_cells(
@@ -43,13 +44,13 @@ def solve_cells(
     tolerance: float,
     limit: int,
 ) -> IterativeSolution:
-    """Solve ``K u = f``; stops where the error's energy norm is below ``tolerance`` times that of
-    the solution.
+    """Solve ``K u = f`` to a relative error of ``tolerance`` in the energy norm.
 
-    The latter is ``sqrt(u . f)``. The former is taken as ``sqrt(r . B r)``, the preconditioner's
-    estimate, or ``sqrt(r . D^-1 r / 24)`` if that is more, with D the diagonal: a lower bound,
-    since a cell's 24 eigenvalues of ``D^-1 K`` are not negative and sum to 24. It sees a load on a
-    motion that nothing resists and the preconditioner leaves out.
+    The energy norm of the solution is ``sqrt(u . f)``. The energy norm of the error is estimated by
+    the larger of two values. The first is ``sqrt(r . B r)``, the preconditioner's estimate. The
+    second is ``sqrt(r . D^-1 r / 24)`` with D the diagonal. It is a lower bound, since a cell's 24
+    eigenvalues of ``D^-1 K`` are not negative and sum to 24. It detects a load on a motion without
+    resistance that the preconditioner leaves out.
 
     Parameters
     ----------
@@ -89,10 +90,12 @@ def solve_cells(
 
 
 LEAST_RESTRAINT = 1e-9
-"""Share of the largest eigenvalue of a part's restraint below which it can move: rounding is 1e-16,
-a part held at three corners of a cell 1e-2."""
+"""Eigenvalue of a part's restraint, over the largest, below which the part can move.
+
+Rounding is 1e-16; a part held at three corners of a cell has 1e-2.
+"""
 ENOUGH = 200
-"""Springs spread over a part that are tried before all of them."""
+"""Number of springs, spread over a part, that are tried before all of them."""
 
 
 def supported_cells(
@@ -102,13 +105,13 @@ def supported_cells(
     springs: PointSprings,
     springs_cell: NDArray[np.int32],
 ) -> NDArray[np.bool_]:
-    """Cells of ``filled``, shape (c,), that a support holds against all six rigid motions, given
-    the springs' cells.
+    """Return a mask of the cells that the supports hold against all six rigid motions.
 
-    Cells that share a face move together. A part made of such cells is carried if its supports, and
-    the nodes it shares with parts that are carried, leave it no rigid motion. A part that meets the
-    rest in one node or one edge only is not carried: it would turn about it freely, and the
-    stiffness would be singular.
+    ``filled`` has shape (c,). ``springs_cell`` holds the springs' cells. Cells that share a face
+    move together. A part made of such cells is carried if its supports, and the nodes it shares
+    with carried parts, leave it no rigid motion. A part that is connected to the rest by one node
+    or one edge only is not carried: it would rotate freely about it, and the stiffness would be
+    singular.
     """
     at = tuple(grid.cell_place.T)
     box = np.zeros(grid.cell_place.max(axis=0) + 1, dtype=np.bool_)
@@ -132,7 +135,7 @@ def supported_cells(
 
 
 def _members(grid: HexGrid, part_of: NDArray[np.integer], count: int) -> list[NDArray[np.int64]]:
-    """Nodes of each part."""
+    """Return the nodes of each part."""
     cells = np.argsort(part_of, kind="stable")
     starts = np.searchsorted(part_of[cells], np.arange(count + 1))
     members = []
@@ -147,11 +150,11 @@ def _members(grid: HexGrid, part_of: NDArray[np.integer], count: int) -> list[ND
 def _restrained(
     grid: HexGrid, nodes: NDArray[np.integer], held: NDArray[np.bool_], springs: PointSprings
 ) -> bool:
-    """Whether what holds these nodes, and springs at points between them, leave no rigid motion."""
+    """Return True if held nodes, and springs at points between them, leave no rigid motion."""
     some = nodes[held[nodes].any(axis=1)]
     if len(some) + len(springs.position_m) == 0:
         return False
-    if len(springs.position_m) > 2 * ENOUGH:  # what some of them restrain, all of them do
+    if len(springs.position_m) > 2 * ENOUGH:  # restrained by some implies restrained by all
         few = np.zeros(len(springs.position_m), dtype=np.bool_)
         few[:: len(few) // ENOUGH] = True
         if _restrained(grid, nodes[:0], held, springs.chosen(few)):
@@ -172,29 +175,31 @@ def _restrained(
 
 
 INNER_STRENGTH = 0.1
-"""Least that leaves no cell singular at an error next to that of no stabilisation (table of
-test_tooth_sphere.py).
+"""Strength of the inner stabilisation.
+
+It is the smallest value that leaves no cell singular, at an error next to the error without
+stabilisation (table of test_tooth_sphere.py).
 """
 LEAST_FILL = 1e-3
-"""Fill below which a cell carries nothing: its share of the stiffness is below what one
-particle's place decides.
+"""Fill below which a cell carries no load.
+
+Its share of the stiffness is then smaller than the effect of one particle's position.
 """
 MORE_ITERATIONS = 1.5
-"""Growth of the iteration count at which the coarsest grid is solved anew."""
+"""Growth factor of the iteration count at which the coarsest grid is solved anew."""
 TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What an update did.
+    """Result of a stiffness update.
 
     Attributes
     ----------
     cells
         Cells whose stiffness changed, shape (k,).
     debris
-        Particles that no longer hang on a support and did before, by the caller's index, shape
-        (d,).
+        Particles that have lost their connection to a support, by the caller's index, shape (d,).
     """
 
     cells: NDArray[np.int32]
@@ -211,16 +216,16 @@ class ParticleBody:
     grid
         Cells that hold all particles, from :meth:`HexGrid.around`.
     supports, springs
-        What holds the grid's nodes, and springs to the ground at points of its cells, which go with
-        their cells.
+        Supports of the grid's nodes, and springs to the ground at points of its cells, which are
+        removed with their cells.
     inner_strength
         Stabilisation of cells with few particles, see :mod:`kernels.particle_stiffness`; 0 switches
         it off.
     drop_islands
-        Whether parts that nothing holds are taken out. Without it the stiffness may be singular.
+        Remove parts without support. Otherwise the stiffness may be singular.
     device, cores
-        Warp device, and processor cores to split launches over (default all). The cores do not
-        change a bit.
+        Warp device, and processor cores to split launches over (default all). The results are
+        bitwise independent of the cores.
 
     Attributes
     ----------
@@ -229,7 +234,7 @@ class ParticleBody:
     carrying
         Nodes that a live cell gives stiffness, bool, shape (n,).
     displacement_m
-        Displacement of the last solve [m], shape (n, 3), from which the next one starts.
+        Displacement of the last solve [m], shape (n, 3), from which the next solve starts.
     """
 
     def __init__(
@@ -276,12 +281,13 @@ class ParticleBody:
 
     @property
     def debris(self) -> NDArray[np.int64]:
-        """Particles, by the caller's index, that are there but hang on nothing."""
+        """Particles without support that still have volume, by the caller's index."""
         return self._particles_in(self._is_debris)
 
     def set_remaining(self, particles: NDArray[np.integer], steps: NDArray[np.integer]) -> None:
-        """Set what is left of particles, by the caller's index, in steps of 1/65535; `update`
-        makes it count.
+        """Set the remaining fraction of particles, by the caller's index, in steps of 1/65535.
+
+        `update` applies the change to the stiffness.
         """
         rows = self.cells.rank[particles]
         left = self.cells.remaining
@@ -290,8 +296,9 @@ class ParticleBody:
         self._touched[self.cells.particle_cell[rows[changed]]] = True
 
     def update(self) -> Change:
-        """Bring stiffness, islands and preconditioner up to what remains; only cells that were
-        touched are summed.
+        """Update stiffness, islands and preconditioner after changes of the remaining particles.
+
+        Only cells that were touched are summed.
         """
         touched = np.flatnonzero(self._touched).astype(np.int32)
         self._touched[touched] = False
@@ -327,7 +334,7 @@ class ParticleBody:
         return Change(cells, self._particles_in(self._is_debris & ~was_debris))
 
     def _particles_in(self, cells: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """What is left of the particles of these cells, by the caller's index."""
+        """Return the remaining particles of these cells, by the caller's index."""
         if not cells.any():
             return np.zeros(0, dtype=np.int64)
         return np.sort(
@@ -335,15 +342,16 @@ class ParticleBody:
         )
 
     def spread(self, point_m: Array, force_N: Array) -> Array:
-        """Nodal forces [N], shape (n, 3), of forces at points, each on the live cell that holds it
-        or lies nearest.
+        """Return nodal forces [N], shape (n, 3), of forces at points.
+
+        Each force acts on the live cell that holds its point or lies nearest.
 
         Parameters
         ----------
         point_m
             A point, shape (3,), or points, shape (k, 3) [m].
         force_N
-            The force at each [N], same shape.
+            The force at each point [N], with the shape of the points.
         """
         live = np.flatnonzero(self.cells.live)
         points = np.atleast_2d(point_m)
@@ -367,13 +375,13 @@ class ParticleBody:
         return np.stack(load, axis=1)
 
     def spread_over(self, point_m: Array, force_N: Array, *, radius_m: float) -> Array:
-        """Nodal forces [N], shape (n, 3), of a force spread over the particles within a radius of a
-        point.
+        """Return nodal forces [N], shape (n, 3), of a force spread over particles near a point.
 
-        Each takes a share by what is left of its volume and by `ball_weight`. A force on a fixed
-        patch gives a stress that converges with the cells beside it, where that of a point grows
-        without bound. Where no particle is so near, as in a grid much coarser than the patch, the
-        force acts at the point.
+        The particles lie within a radius of the point. Each takes a share by its remaining volume
+        and by `ball_weight`. A force on a fixed patch gives a stress that converges with the cells
+        next to it, whereas the stress of a point force increases without bound. Where no particle
+        lies within the radius, as in a grid much coarser than the patch, the force acts at the
+        point.
         """
         near = np.array(self._tree.query_ball_point(point_m, radius_m), dtype=np.int64)
         near = near[self.cells.live[self.cells.particle_cell[self.cells.rank[near]]] > 0]
@@ -387,8 +395,9 @@ class ParticleBody:
         )
 
     def product(self, displacement_m: Array) -> Array:
-        """Nodal forces [N] for nodal displacements [m], springs included, supports not, shapes
-        (n, 3).
+        """Return nodal forces [N] for nodal displacements [m], shapes (n, 3).
+
+        Springs are included, supports are not.
         """
         return self.cells.product(displacement_m)
 
@@ -401,7 +410,7 @@ class ParticleBody:
         cold: bool = False,
         start_m: Array | None = None,
     ) -> IterativeSolution:
-        """Displacement under nodal forces [N], shape (n, 3).
+        """Solve for the displacement under nodal forces [N], shape (n, 3).
 
         Parameters
         ----------
@@ -451,11 +460,12 @@ class ParticleBody:
         return self._hierarchy(residual) * self._free
 
     def matrix(self) -> csr_matrix:
-        """Assembled stiffness, springs included and held components empty [N/m], shape (3 n, 3
-        n).
+        """Return the assembled stiffness [N/m], shape (3 n, 3 n).
+
+        Springs are included. Rows and columns of held components are empty.
         """
         return self._hierarchy.finest.matrix()
 
     def reactions(self, displacement_m: Array, load_N: Array) -> Array:
-        """Forces of the held nodes on the body [N], shape (n, 3)."""
+        """Return the forces of the held nodes on the body [N], shape (n, 3)."""
         return np.asarray(np.where(self.supports.fixed, self.product(displacement_m) - load_N, 0.0))

@@ -1,4 +1,4 @@
-"""How a body gives in its supports: six rigid motions for six loads."""
+"""Compliance of a body in its supports: six rigid motions for six loads."""
 
 from dataclasses import dataclass
 
@@ -41,12 +41,15 @@ class SupportCompliance:
 
     @property
     def converged(self) -> bool:
-        """Whether the matrix may be used."""
+        """True if all solves converged, so that the matrix may be used."""
         return all(solution.converged for solution in self.solutions)
 
 
 def rigid_motions(position_m: Array, reference_m: Array) -> Array:
-    """Displacements of nodes under unit rigid motions about a point, shapes (n, 3) to (n, 3, 6)."""
+    """Return nodal displacements of unit rigid motions about a point.
+
+    Positions of shape (n, 3) give shape (n, 3, 6).
+    """
     motions = np.zeros((len(position_m), 3, 6))
     motions[:, :, :3] = np.eye(3)
     motions[:, :, 3:] = np.cross(np.eye(3)[None], (position_m - reference_m)[:, None, :]).transpose(
@@ -63,11 +66,11 @@ def support_compliance(
     tolerance: float = 1e-4,
     start: SupportCompliance | None = None,
 ) -> SupportCompliance:
-    """Compliance of the part of a body where ``weights``, shape (n,), are not zero.
+    """Return the compliance of the part of a body where ``weights``, shape (n,), are not zero.
 
-    The wrench is spread over the nodes as ``f = w R G^-1 q`` and the rigid motion is the weighted
-    least-squares fit ``G^-1 sum w R^T u``, with R the unit rigid motions and ``G = sum w R^T R``:
-    one is the other's transpose, so that the matrix is symmetric whatever the weights.
+    The wrench is spread over the nodes as ``f = w R G^-1 q``. The rigid motion is the weighted
+    least-squares fit ``G^-1 sum w R^T u``, with R the unit rigid motions and ``G = sum w R^T R``.
+    The fit is the transpose of the spread, so the matrix is symmetric for any weights.
 
     Parameters
     ----------
@@ -76,7 +79,7 @@ def support_compliance(
     weights
         Weight of each node, such as the volume of stiff material around it.
     reference_m
-        Point about which torque and rotation are taken [m], shape (3,).
+        Reference point of torque and rotation [m], shape (3,).
     tolerance
         Relative error in the energy norm of each solve.
     start

@@ -18,13 +18,12 @@ from tissue.models.tooth.heat import Conduction, HeatGrid
 __all__ = ["PULP_LIMIT_K", "CuttingHeat"]
 
 PULP_LIMIT_K = 5.5
-"""Rise of the pulp's temperature that it may not survive (Zach and Cohen 1965)."""
+"""Temperature rise that the pulp may not survive [K] (Zach and Cohen 1965)."""
 RECEIVES = 0.5
-"""Heat goes into a cell of the surface that is at least so full; into an emptier one it would
-not conduct well.
-"""
+"""Smallest fill of a surface cell that receives heat; an emptier cell would not conduct well."""
 DEPTHS = 4
-"""Half cells from the surface inward among which the cell that receives the heat is looked for."""
+"""Number of half cells inward from the surface in the search for the cell that receives the heat.
+"""
 
 
 class CuttingHeat:
@@ -33,16 +32,16 @@ class CuttingHeat:
     A share of the cutting power flows into the tooth through the surface that the bur cuts, in
     proportion to the power of its elements there. The rest leaves with chips, spray and bur.
     Material that is removed later takes along the heat that has reached it by then. The share is a
-    prior of low confidence; the rise is proportional to it.
+    prior of low confidence; the temperature rise is proportional to it.
 
-    Work is done in intervals: `begin` takes energy and cuts of the interval that has ended, and
-    `go_to` spreads the steps over the next one, so that no tick bears them all. The temperature is
-    late by one interval.
+    The heat is computed in intervals. `begin` takes energy and cuts of the last interval. `go_to`
+    spreads the time steps over the next interval, so that no tick runs them all. The temperature
+    lags by one interval.
 
     Parameters
     ----------
     tooth
-        The whole tooth in voxels, which are the cells where the bur can go.
+        The whole tooth in voxels, which are the cells in the reach of the bur.
     milling
         The finer voxels and the bur.
     reach_m
@@ -91,7 +90,7 @@ class CuttingHeat:
 
     @property
     def pulp_rise_K(self) -> float:
-        """Highest rise of what is left of the pulp, at its wall or inside [K]."""
+        """Highest temperature rise of the remaining pulp, at its wall or inside [K]."""
         rise = self.field.rise_K.reshape(-1)
         filled = self.field.filled.reshape(-1)
         inner, outer, weights = self._wall
@@ -101,8 +100,9 @@ class CuttingHeat:
 
     @property
     def balance_J(self) -> dict[str, float]:
-        """Energy of cutting, and where it went: with chips and spray, with removed material, and
-        what is left [J].
+        """Energy of cutting and its distribution [J].
+
+        It is divided into chips and spray, removed material, and the remaining tooth.
         """
         return {
             "cutting": self.cutting_J,
@@ -118,18 +118,18 @@ class CuttingHeat:
         motion: ToolMotion,
         cut: tuple[NDArray[np.intp], NDArray[np.uint16]],
     ) -> None:
-        """Begin an interval with what the last one left to be done.
+        """Begin an interval with the energy and cuts of the last interval.
 
         Parameters
         ----------
         cutting_J
-            Energy that was cut in the interval [J].
+            Energy of cutting in the last interval [J].
         duration_s
             Its length [s].
         motion
             Pose and motion of the bur at its end.
         cut
-            Bricks of the finer voxels that lost something, and what is left in them in steps.
+            Bricks of the finer voxels that lost material, and their remaining fraction in steps.
         """
         self.finish()
         self.cutting_J += cutting_J
@@ -143,7 +143,7 @@ class CuttingHeat:
         self._done = 0
 
     def go_to(self, share: float) -> None:
-        """Run the steps up to a share of the interval; what was cut leaves in its middle."""
+        """Run the steps up to a share of the interval; cut material is removed at its middle."""
         until = ceil(share * self._steps)
         while self._done < until:
             if self._done == self._steps // 2:
@@ -156,7 +156,7 @@ class CuttingHeat:
         self.go_to(1.0)
 
     def _lost_fraction(self, rows: NDArray[np.intp], left: NDArray[np.uint16]) -> Array:
-        """Fraction of each cell that was cut since the last interval, flat."""
+        """Return the fraction of each cell that was cut since the last interval, flat."""
         store = self._milling.store
         steps = self._before[rows].astype(np.int64) - left
         self._before[rows] = left
@@ -167,13 +167,15 @@ class CuttingHeat:
         return self.grid.share_out(corners, size, volumes_m3) / self._volume_m3
 
     def _deposit(self, points_m: Array, normals: Array, weights: Array, tip_m: Array) -> None:
-        """Put the power into the cells at the surface, and note how much warmer than its cell the
-        surface is.
+        """Add the power to the cells at the surface, and store the surface's excess temperature.
+
+        The excess is the temperature of the surface minus the temperature of its cell.
 
         Parameters
         ----------
         points_m, normals, weights
-            Where the bur cuts [m], its normals out of the bur, and the relative powers there.
+            Points where the bur cuts [m], its normals out of the bur, and the relative powers
+            there.
         tip_m
             Tip of a bur that has left the tooth since the last cut: the heat goes into the cell
             next to it [m].
@@ -198,7 +200,7 @@ class CuttingHeat:
                 cells[at] = self._nearest(points_m[at])
             total = float(weights.sum())
             # A bur that stands at the end of an interval has no power there: its heat enters along
-            # all that it touches.
+            # its whole contact area.
             shares = weights / total if total > 0.0 else np.full(len(weights), 1.0 / len(weights))
             power += np.bincount(cells, self._power_W * shares, minlength=len(power))
             # Half the temperature difference across the material of the cell, for a flux that
@@ -210,8 +212,9 @@ class CuttingHeat:
         self.field.heat(power)
 
     def _remove(self) -> None:
-        """Take what was cut out of the cells; from now on the heat comes in where the bur is at
-        the end.
+        """Remove the cut material from the cells.
+
+        From then on the heat enters at the final position of the bur.
         """
         cells = np.flatnonzero(self._lost)
         if len(cells):

@@ -1,6 +1,4 @@
-"""Stress and displacement of a tooth while it is drilled, in a solve that runs slower than the
-ticks.
-"""
+"""Stress and displacement of a tooth during drilling, solved at a lower rate than the ticks."""
 
 from dataclasses import dataclass
 from time import perf_counter
@@ -25,26 +23,27 @@ from tissue.models.tooth.supports import NodeSupports, PointSprings
 __all__ = ["FirstGuess", "SolveRecord", "StressField"]
 
 NULL_CUT = 1e-6
-"""Scaled eigenvalues of the energies between solutions below this share of the largest are
-errors of the solves.
+"""Relative cut of the scaled eigenvalues of the energies between solutions.
+
+Eigenvalues below this share of the largest are errors of the solves.
 """
 
 
 class FirstGuess:
-    """Combination of earlier solutions that is closest, in energy, to the one for a new load.
+    """Combination of earlier solutions that is closest, in energy, to the solution for a new load.
 
-    With solutions u_i for loads f_i it solves ``(u_i . f_j) c_j = u_i . f``: a force that grew,
-    turned or moved costs no iterations for the part that is known. The body may have changed since:
-    the guess is a little worse then.
+    With solutions u_i for loads f_i it solves ``(u_i . f_j) c_j = u_i . f``. The known part of a
+    force that has grown, turned or moved then costs no iterations. If the body has changed since,
+    the guess is a little worse.
 
     Parameters
     ----------
     kept
-        Solutions that are kept for good, shape (n, 3) each, and the load of each: the six of the
+        Solutions that are always kept, shape (n, 3) each, and the load of each: the six of the
         support compliance.
     recent
-        How many of the last solutions are kept besides: while a body is cut, two
-        leave 3 iterations and six leave 5, since the older ones are of a body that was fuller.
+        Number of latest solutions that are kept in addition. While a body is cut, two leave 3
+        iterations and six leave 5, since the older ones belong to a fuller body.
     """
 
     def __init__(self, kept: list[tuple[Array, Array]], *, recent: int = 2) -> None:
@@ -57,7 +56,7 @@ class FirstGuess:
         ).reshape(len(kept), len(kept))
 
     def add(self, displacement_m: Array, load_N: Array) -> None:
-        """Keep a solution and its load [m], [N], shape (n, 3), in place of the oldest."""
+        """Store a solution and its load [m], [N], shape (n, 3), in place of the oldest."""
         if not load_N.any():
             return
         if len(self._solutions) == self._most:
@@ -80,7 +79,7 @@ class FirstGuess:
         )
 
     def __call__(self, load_N: Array) -> Array:
-        """Guess of the displacement [m] for a load [N], shapes (n, 3)."""
+        """Return a guess of the displacement [m] for a load [N], shapes (n, 3)."""
         guess = np.zeros(load_N.size)
         load = load_N.ravel()
         scale = 1.0 / np.sqrt(np.maximum(np.diag(self._energy), np.finfo(float).tiny))
@@ -97,29 +96,34 @@ class FirstGuess:
 
 
 TOOTH = ("enamel", "dentin", "pulp", "caries")
-"""Layers that the particles fill; the ligament is a bed of springs, the bone behind it does not
-move.
+"""Layers that the particles fill.
+
+The ligament is a bed of springs, and the bone behind it does not move.
 """
 VTK_ORDER = (0, 4, 6, 2, 1, 5, 7, 3)
-"""Corners of a cell in the order that VTK numbers a hexahedron."""
+"""Corners of a cell in VTK's order for a hexahedron."""
 INFECTED_SHARE = 0.05
-"""Modulus of fully softened dentin relative to sound dentin: 1 of 18.6 GPa (infected 0.1-5 GPa,
-low confidence).
+"""Modulus of fully softened dentin relative to sound dentin.
+
+It is 1 of 18.6 GPa (infected 0.1-5 GPa, low confidence).
 """
 
 TOLERANCE = 7e-4
-"""Relative error in the energy norm at which a solve ends, before the last correction takes it to a
-third: cells of
-0.3 mm leave a hundred times as much beside a cut."""
+"""Relative error in the energy norm at which a solve ends.
+
+The last correction then reduces the error to a third. The error of cells of 0.3 mm next to a cut is
+a hundred times larger.
+"""
 _MARGIN = 6
-"""Voxels of air laid around a tooth that may fill its volume: as far as the smooth normal of its
-surface reaches.
+"""Voxels of air added around a tooth that may fill its volume.
+
+They cover the reach of the smooth normal of its surface.
 """
 
 
 @dataclass(frozen=True)
 class SolveRecord:
-    """What one solve cost and how it ended."""
+    """Cost and outcome of one solve."""
 
     time_s: float
     iterations: int
@@ -140,7 +144,7 @@ class StressField:
     ligament_thickness_m
         Thickness of the ligament [m].
     contact_m
-        Radius over which the cutter's force is spread [m]: the cutter's own.
+        Radius over which the cutter's force is spread [m]: the radius of the cutter.
     constants
         Elastic constants of the layers.
     device, cores
@@ -151,11 +155,11 @@ class StressField:
     series
         Mesh and frames.
     compliance
-        How the tooth gives in its ligament.
+        Compliance of the tooth in its ligament.
     records
         Cost and outcome of every solve.
     root_guessed
-        Whether the data hold neither ligament nor bone, so that the lower third is held as the
+        True if the data hold neither ligament nor bone, so that the lower third is held as the
         root.
     """
 
@@ -230,7 +234,7 @@ class StressField:
 
     @property
     def unknown_count(self) -> int:
-        """Displacement components."""
+        """Number of displacement components."""
         return 3 * self.body.grid.node_count
 
     def remove(
@@ -241,13 +245,13 @@ class StressField:
         origin_m: NDArray[np.float64],
         spacing_m: float,
     ) -> None:
-        """Take from the particles what finer voxels have lost since the last call.
+        """Remove from the particles the loss of the finer voxels since the last call.
 
         Parameters
         ----------
         voxels, steps
-            Indices of the finer voxels, shape (n, 3), and what each lost in steps of 1/65535, shape
-            (n,).
+            Indices of the finer voxels, shape (n, 3), and the loss of each in steps of 1/65535,
+            shape (n,).
         origin_m, spacing_m
             Corner of their voxel (0, 0, 0) and their edge [m]; lines of both grids lie on multiples
             of it.
@@ -269,8 +273,9 @@ class StressField:
     def solve(
         self, time_s: float, force_N: NDArray[np.float64], point_m: NDArray[np.float64]
     ) -> Frame:
-        """Displacement and stress under a force on the tooth at a point, warm-started; recorded
-        and returned.
+        """Solve for displacement and stress under a force on the tooth at a point, warm-started.
+
+        The frame is recorded and returned.
         """
         begun = perf_counter()
         change = self.body.update()
@@ -304,14 +309,15 @@ class StressField:
     def load(
         self, force_N: NDArray[np.float64], point_m: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Nodal forces [N], shape (n, 3), of the cutter's force at a point."""
+        """Return nodal forces [N], shape (n, 3), of the cutter's force at a point."""
         return self.body.spread_over(point_m, force_N, radius_m=self._contact_m)
 
     def recover(
         self, displacement_m: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Von Mises and principal stress [Pa] recovered at the cells' centres, shapes (c,) and
-        (c, 3).
+        """Return the von Mises and principal stress [Pa] recovered at the cell centres.
+
+        Their shapes are (c,) and (c, 3).
         """
         return stress_invariants(
             np.nan_to_num(self._recovery(displacement_m)), device=self.body.cells.device
@@ -320,8 +326,9 @@ class StressField:
     def stress_at(
         self, displacement_m: NDArray[np.float64], place_m: NDArray[np.float64], layer: str
     ) -> NDArray[np.float64]:
-        """Stress xx, yy, zz, yz, xz, xy [Pa] recovered at places of a layer, shapes (k, 3) to
-        (k, 6).
+        """Return the stress xx, yy, zz, yz, xz, xy [Pa] recovered at points of a layer.
+
+        Points of shape (k, 3) give stresses of shape (k, 6).
         """
         at = np.full(len(place_m), self._volume.layer_names.index(layer))
         recovery = StressRecovery(
@@ -331,8 +338,9 @@ class StressField:
 
 
 def _particles(tooth: VoxelVolume, places: NDArray[np.int64], constants: Materials) -> ParticleSet:
-    """A particle a voxel, with the cited elastic constants of its layer; caries graded by its
-    softness.
+    """Return one particle a voxel, with the cited elastic constants of its layer.
+
+    Caries is graded by its softness.
     """
     at = tuple(places.T)
     layer = tooth.layer[at]
@@ -355,7 +363,7 @@ def _particles(tooth: VoxelVolume, places: NDArray[np.int64], constants: Materia
 
 
 def _bed_layers(tooth: VoxelVolume) -> list[int]:
-    """Layers that a tooth rests in."""
+    """Return the layers that support the tooth."""
     return [i for i, name in enumerate(tooth.layer_names) if name in ("ligament", "bone")]
 
 
@@ -365,8 +373,9 @@ def _ligament_springs(
     thickness_m: float,
     constants: Materials = Materials.cited,
 ) -> PointSprings:
-    """Springs where the tooth borders on ligament or bone; on its lower third where the data
-    hold neither.
+    """Return springs where the tooth borders on ligament or bone.
+
+    Where the data hold neither, the springs act on its lower third.
     """
     table = constants.constants("tooth", "ligament")
     across, along = bed_stiffness(
@@ -399,7 +408,7 @@ def _ligament_springs(
 
 
 def _cell_layers(body: ParticleBody) -> NDArray[np.uint8]:
-    """The layer with the greatest volume in each cell."""
+    """Return the layer with the largest volume in each cell."""
     cells = body.cells
     particles = body.particles
     names = int(particles.layer.max()) + 1

@@ -1,5 +1,6 @@
-"""Smoothing on the finest grid by products over strips of cells, and the assembled stiffness of
-the coarser grids.
+"""Smoothing on the finest grid by products over strips of cells, and the coarser grids' stiffness.
+
+The stiffness of the coarser grids is assembled.
 """
 
 from collections.abc import Callable
@@ -22,7 +23,7 @@ __all__ = ["FinestLevel", "NodeBlocks"]
 
 
 class NodeBlocks:
-    """Rows of 3 x 3 blocks of K, no node of which is held.
+    """Rows of 3 x 3 blocks of K for nodes that are not held.
 
     Parameters
     ----------
@@ -40,9 +41,9 @@ class NodeBlocks:
         Block compressed rows: int32 (n + 1,), int32 (b,), 3 x 3 float64 (b,) [N/m]; lower colours
         first.
     diagonal_block
-        Place of each node's own block, int32 (n,).
+        Index of each node's diagonal block, int32 (n,).
     diagonal
-        Own block of each node with 1 on held components, float64 (n,).
+        Diagonal block of each node with 1 on held components, float64 (n,).
     single, inverse
         Blocks and inverses of the diagonal in single precision, for smoothing.
     """
@@ -103,8 +104,9 @@ class NodeBlocks:
         launch(invert_diagonal, [self.diagonal], [self.inverse])
 
     def matrix(self) -> bsr_matrix:
-        """The assembled matrix [N/m], shape (3 n, 3 n), on a CPU sharing its values with this
-        object.
+        """Return the assembled matrix [N/m], shape (3 n, 3 n).
+
+        On a CPU it shares its values with this object.
         """
         count = len(self.diagonal)
         arrays = (self.block.numpy(), self.column.numpy(), self.row_start.numpy())
@@ -113,35 +115,41 @@ class NodeBlocks:
 
 Array = NDArray[np.float64]
 STEPS = ((0.0, 4.0 / 3.0), (1.0 / 5.0, 12.0 / 5.0))
-"""Share of the last direction and gain of the residual of Chebyshev's polynomial of the fourth kind
-of degree 2, which needs the largest eigenvalue only (Lottes 2023, Numer. Linear Algebra Appl.
-30:e2518). Degree 1 takes 1.3 times the iterations, degree 3 saves none."""
+"""Share of the last direction and gain of the residual of the smoothing polynomial.
+
+It is Chebyshev's polynomial of the fourth kind of degree 2, which needs the largest eigenvalue only
+(Lottes 2023, Numer. Linear Algebra Appl. 30:e2518). Degree 1 takes 1.3 times the iterations, degree
+3 saves none.
+"""
 POWER_STEPS = 30
 MARGIN = 1.15
-"""Largest eigenvalue assumed over that found: the power method's last per cents, and what cuts add
-before it is found anew. The smoother diverges at 1.25 of what is assumed."""
+"""Factor on the computed largest eigenvalue.
+
+It covers the last per cents of the power method, and the increase by cuts before the eigenvalue is
+computed anew. The smoother diverges at 1.25 of the assumed value.
+"""
 
 
 class FinestLevel:
     """Vectors of the finest grid and its smoothing, in single precision and lanes.
 
-    Springs on cells of the strips are left out of the product: they are below a hundredth of the
-    cells they act on, and the coarser grids, which feel them, have them. In the molar and in caries
-    they would save no iteration, with a ligament 100 times as stiff one of ten. All else is exact:
-    with other particles taken at the nearest of the strips' points, the molar's iterations on a
-    grid that lies askew to them were 31 to 44 instead of 14 to 15.
+    Springs on cells of the strips are left out of the product. They are below a hundredth of the
+    stiffness of their cells, and the coarser grids, which respond to them, include them. In the
+    molar and in caries they would save no iteration; with a ligament 100 times as stiff they would
+    save one of ten. All else is exact. With other particles moved to the nearest of the strips'
+    points, the molar's iterations on a grid at an angle to them were 31 to 44 instead of 14 to 15.
 
     Parameters
     ----------
     cells, supports
-        The body's stiffness, and what holds it.
+        The body's stiffness, and its supports.
 
     Attributes
     ----------
     diagonal
         Diagonal of the stiffness [N/m], 1 on held components, Warp array of vec3d, shape (n,).
     vector, residual
-        Correction of the coarser grids [m], and what smoothing leaves of the load [N], Warp vec3f,
+        Correction of the coarser grids [m], and the residual load after smoothing [N], Warp vec3f,
         shape (n,).
     """
 
@@ -203,7 +211,7 @@ class FinestLevel:
         self._give_found = launch(from_lanes, count, [slot, self._found.single], [self.vector])
 
     def update(self, nodes: NDArray[np.int32]) -> None:
-        """Take the diagonal of these nodes again."""
+        """Update the diagonal of these nodes."""
         if len(nodes) == 0:
             return
         rows: Any = wp.array(nodes, dtype=wp.int32, device=self.device)
@@ -223,8 +231,9 @@ class FinestLevel:
         )
 
     def bound_eigenvalues(self) -> None:
-        """Find the largest eigenvalue of D^-1 K by the power method, and scale the diagonal's
-        inverse by it.
+        """Compute the largest eigenvalue of D^-1 K by the power method.
+
+        The inverse of the diagonal is scaled by it.
         """
         layout = self._cells.strips.layout
         inverse = self._inverse.single.numpy()
@@ -247,7 +256,9 @@ class FinestLevel:
             each.single.zero_()
 
     def solve(self, load_N: Array, correct: Callable[[], None]) -> Array:
-        """Smoothed, corrected and smoothed displacement [m] for a load [N], shapes (n, 3).
+        """Return the displacement [m] for a load [N], smoothed, corrected and smoothed again.
+
+        Both have shape (n, 3).
 
         ``correct`` takes ``residual`` and adds the coarser grids' correction to ``vector``.
         """
@@ -275,8 +286,9 @@ class FinestLevel:
         self._steps[1]()
 
     def _multiply(self) -> None:
-        """Product with the direction, added to the force, which is zero where not all cells are
-        in strips.
+        """Add the product with the direction to the force.
+
+        The force must be zero where not all cells are in strips.
         """
         if self._cells.others is not None:
             self._give_direction()
@@ -286,8 +298,9 @@ class FinestLevel:
         self._product()
 
     def matrix(self) -> csr_matrix:
-        """The assembled stiffness, springs included and held components empty [N/m], shape (3 n,
-        3 n).
+        """Return the assembled stiffness [N/m], shape (3 n, 3 n).
+
+        Springs are included. Rows and columns of held components are empty.
         """
         live = self._cells.live > 0
         unknown = (3 * self.grid.cell_nodes[live][:, :, None] + np.arange(3)).reshape(-1, 24)

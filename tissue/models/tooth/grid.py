@@ -1,5 +1,6 @@
-"""Cartesian grid of trilinear hexahedra, of which only the cells that hold material particles
-exist.
+"""Cartesian grid of trilinear hexahedra.
+
+Only the cells that hold material particles exist.
 """
 
 from dataclasses import dataclass
@@ -14,9 +15,9 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int32]
 
 CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-"""Corners of a cell in its edges, shape (8, 3)."""
+"""Corners of a cell, in edges, shape (8, 3)."""
 NEIGHBOURS = np.array([[i, j, k] for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])
-"""Steps to the nodes around a node, itself in the middle, shape (27, 3)."""
+"""Steps to the nodes around a node, with the node itself in the middle, shape (27, 3)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +48,7 @@ class HexGrid:
     def of_cells(
         cls, cell_place: NDArray[np.integer], *, origin_m: Array, edge_m: float
     ) -> "HexGrid":
-        """Grid of the cells at ``cell_place``, shape (c, 3), which may repeat."""
+        """Return the grid of the cells at ``cell_place``, shape (c, 3), which may repeat."""
         if not edge_m > 0.0:
             raise ValueError(f"edge_m must be positive, got {edge_m:g}: 2e-4 to 1e-3 suits a tooth")
         low = cell_place.min(axis=0)
@@ -63,7 +64,7 @@ class HexGrid:
     def around(
         cls, position_m: Array, *, edge_m: float, origin_m: Array | None = None
     ) -> "HexGrid":
-        """Grid of the cells that hold the points ``position_m`` [m], shape (n, 3).
+        """Return the grid of the cells that hold the points ``position_m`` [m], shape (n, 3).
 
         The cells' corners lie at ``origin_m`` plus multiples of the edge; by default half an edge
         below the lowest point.
@@ -100,7 +101,7 @@ class HexGrid:
 
     @cached_property
     def node_cells(self) -> Index:
-        """The cell of which a node is corner a, or -1, int32, shape (n, 8)."""
+        """Cell that has a node as its corner a, or -1, int32, shape (n, 8)."""
         cells = np.full((self.node_count, 8), -1, dtype=np.int32)
         for corner in range(8):
             cells[self.cell_nodes[:, corner], corner] = np.arange(self.cell_count, dtype=np.int32)
@@ -108,8 +109,9 @@ class HexGrid:
 
     @cached_property
     def node_neighbours(self) -> Index:
-        """Nodes that share a cell with a node, in the order of `NEIGHBOURS`, or -1, int32, shape
-        (n, 27).
+        """Nodes that share a cell with a node, or -1, int32, shape (n, 27).
+
+        They are in the order of `NEIGHBOURS`.
         """
         found = np.full((self.node_count, 27), -1, dtype=np.int32)
         for corner in range(8):
@@ -120,8 +122,8 @@ class HexGrid:
 
     @property
     def node_colour(self) -> NDArray[np.int64]:
-        """One of eight colours of each node, such that no two nodes of a cell share one, shape
-        (n,).
+        """One of eight colours of each node, shape (n,): no two nodes of a cell have an equal
+        colour.
         """
         return np.asarray((self.node_place & 1) @ (4, 2, 1))
 
@@ -136,7 +138,7 @@ class HexGrid:
         return np.concatenate(pairs).astype(np.int32)
 
     def find_cells(self, place: NDArray[np.integer]) -> Index:
-        """Cells at places of the box, shape (n, 3), or -1."""
+        """Return the cells at positions in the box, shape (n, 3), or -1."""
         shape, keys = self._cell_keys
         return _find_keys(keys, place, shape)
 
@@ -146,20 +148,22 @@ class HexGrid:
         return shape, _keys(self.cell_place, shape)
 
     def find_nodes(self, place: NDArray[np.integer]) -> Index:
-        """Nodes at places of the box, shape (n, 3), or -1."""
+        """Return the nodes at positions in the box, shape (n, 3), or -1."""
         return _find_places(self.node_place, place, self.node_place.max(axis=0) + 1)
 
     def locate(self, position_m: Array) -> tuple[Index, Array]:
-        """Cell that holds each point, or -1, shape (n,), and the place in it, 0 to 1 along each
-        edge, shape (n, 3).
+        """Return the cell that holds each point, or -1, shape (n,), and the position in it.
+
+        The position is 0 to 1 along each edge, shape (n, 3).
         """
         scaled = (np.atleast_2d(position_m) - self.origin_m) / self.edge_m
         place = np.floor(scaled)
         return self.find_cells(place.astype(np.int64)), scaled - place
 
     def coarse(self) -> tuple["HexGrid", Index]:
-        """Grid of twice the edge over the same cells, and its cell of each cell, int32, shape
-        (c,).
+        """Return the grid of twice the edge over these cells, and its cell of each cell.
+
+        The cells are int32, shape (c,).
         """
         grid = HexGrid.of_cells(
             self.cell_place >> 1, origin_m=self.origin_m, edge_m=2.0 * self.edge_m
@@ -168,8 +172,9 @@ class HexGrid:
 
 
 def shape_values(place: Array) -> Array:
-    """Trilinear shape functions of the eight corners at places in a cell, shapes (n, 3) to (n,
-    8).
+    """Return the trilinear shape functions of the eight corners at points in a cell.
+
+    Points of shape (n, 3) give values of shape (n, 8).
     """
     factors = np.where(CORNERS == 1, place[:, None, :], 1.0 - place[:, None, :])
     return np.asarray(factors.prod(axis=2))
@@ -188,7 +193,7 @@ def _unique_places(place: NDArray[np.integer], shape: NDArray[np.integer]) -> In
 
 
 def _find_places(known: Index, place: NDArray[np.integer], shape: NDArray[np.integer]) -> Index:
-    """Row of each place in the ordered places ``known``, or -1."""
+    """Return the row of each position in the ordered positions ``known``, or -1."""
     return _find_keys(_keys(known, shape), place, shape)
 
 
@@ -202,12 +207,12 @@ def _find_keys(
 
 
 FULL_STEPS = 65535
-"""Steps of a whole particle, the same as of a whole voxel."""
+"""Steps of a whole particle, equal to the steps of a whole voxel."""
 
 
 @dataclass(frozen=True, eq=False)
 class ParticleSet:
-    """Particles of a body, in the order in which the caller knows them.
+    """Particles of a body, in the caller's order.
 
     Attributes
     ----------
@@ -222,7 +227,7 @@ class ParticleSet:
     layer
         Layer, uint8, shape (n,).
     remaining
-        What is left of each particle, in steps of 1/65535, uint16, shape (n,).
+        Remaining fraction of each particle, in steps of 1/65535, uint16, shape (n,).
     """
 
     position_m: Array
@@ -269,7 +274,7 @@ class ParticleSet:
     def uniform(
         cls, position_m: Array, *, volume_m3: float, modulus_Pa: float, poisson_ratio: float = 0.3
     ) -> "ParticleSet":
-        """Whole particles of one size and one material."""
+        """Return whole particles of one size and one material."""
         count = len(position_m)
         return cls(
             np.asarray(position_m, dtype=np.float64),

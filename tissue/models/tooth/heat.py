@@ -1,6 +1,6 @@
-"""Heat conduction in a tooth whose material is removed while it warms.
+"""Heat conduction in a tooth from which material is removed.
 
-The grid is rectilinear: fine where the bur can go, coarser away from there.
+The grid is rectilinear: fine in the reach of the bur, coarser outside.
 """
 
 from dataclasses import dataclass
@@ -20,15 +20,17 @@ from tissue.materials.scene_constants import Materials
 __all__ = ["Conduction", "HeatGrid"]
 
 GROWTH = (1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 4, 5, 6)
-"""Voxels that the cells outside the fine part are wide, from there outward; the last goes on."""
+"""Widths of the cells outside the fine part in voxels, outward; the last width repeats."""
 LEAST_FILLED = 0.02
-"""Share of material below which a cell is left out or emptied: its heat capacity no longer
-matters.
+"""Share of material below which a cell is left out or emptied.
+
+Its heat capacity is then negligible.
 """
 
 SAME_FACE = 1e-6
-"""Places this close to each other are the same face of a voxel [voxel]: far from the origin they
-are rounded.
+"""Distance below which two positions are one face of a voxel [voxel].
+
+Positions far from the origin are rounded.
 """
 
 
@@ -69,7 +71,7 @@ class HeatGrid:
         tooth
             The whole tooth. Its voxels are the cells of the fine part.
         reach_m
-            Lowest and highest corner of the box that is to be fine [m], shape (3,) each.
+            Lowest and highest corner of the fine box [m], shape (3,) each.
         constants
             Thermal constants of the layers.
         """
@@ -114,10 +116,10 @@ class HeatGrid:
         return np.asarray(x[:, None, None] * y[:, None] * z)
 
     def conductances_W_K(self) -> tuple[Array, ...]:
-        """Conductances from each full cell to the next one along x, y and z [W/K], each of the
-        shape of the grid.
+        """Return the conductances from each full cell to the next one along x, y and z [W/K].
 
-        Half cells in series: area / (d / 2k + d' / 2k'). The last plane along each axis is 0.
+        Each array has the shape of the grid. Half cells are in series: area / (d / 2k + d' / 2k').
+        The last plane along each axis is 0.
         """
         found = []
         conductivity = self.conductivity_W_mK
@@ -133,13 +135,13 @@ class HeatGrid:
         return tuple(found)
 
     def pulp_wall(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-        """Faces between the pulp and the material around it.
+        """Return the faces between the pulp and the material around it.
 
         Returns
         -------
         Flat indices of the cells on the side of the pulp and on the other side, and the
-        weight of the first cell in the temperature of the face, where the flux from one half cell
-        is that into the other.
+        weight of the first cell in the temperature of the face, where the fluxes of both half cells
+        are equal.
         """
         inner = []
         outer = []
@@ -164,8 +166,9 @@ class HeatGrid:
         return np.concatenate(inner), np.concatenate(outer), np.concatenate(weights)
 
     def cells_at(self, points_m: Array) -> NDArray[np.intp]:
-        """Flat indices of the cells that hold points, shape (n, 3); the nearest cell for a point
-        outside.
+        """Return the flat indices of the cells that hold points, shape (n, 3).
+
+        For a point outside it is the nearest cell.
         """
         at = [
             np.clip(np.searchsorted(edges, points, side="right") - 1, 0, len(edges) - 2)
@@ -174,16 +177,16 @@ class HeatGrid:
         return np.ravel_multi_index(at, self.filled.shape)
 
     def share_out(self, corners_m: Array, size_m: float, volumes_m3: Array) -> Array:
-        """Share volumes in cubes out among the cells, by the overlap of each cube with each cell.
+        """Distribute volumes in cubes among the cells, by the overlap of each cube with each cell.
 
         Parameters
         ----------
         corners_m
             Corners of the cubes with the lowest coordinates [m], shape (n, 3).
         size_m
-            Edge of a cube [m], at most that of a cell.
+            Edge of a cube [m], at most the edge of a cell.
         volumes_m3
-            Volume that is shared out from each cube [m3], shape (n,).
+            Volume distributed from each cube [m3], shape (n,).
 
         Returns
         -------
@@ -210,12 +213,15 @@ class HeatGrid:
 
 
 def _index(names: tuple[str, ...], name: str) -> int:
-    """Return the place of a layer, -1 where there is none."""
+    """Return the index of a layer, -1 where there is none."""
     return names.index(name) if name in names else -1
 
 
 def _starts(count: int, low: float, high: float) -> NDArray[np.intp]:
-    """First voxel of each cell along an axis, for a fine part from ``low`` to ``high`` [voxel]."""
+    """Return the first voxel of each cell along an axis, for a fine part from ``low`` to ``high``.
+
+    Both bounds are in voxels.
+    """
     first = int(np.clip(np.floor(low + SAME_FACE), 0, count - 1))
     last = int(np.clip(np.ceil(high - SAME_FACE), first + 1, count))
     below = _outward(first)
@@ -226,7 +232,7 @@ def _starts(count: int, low: float, high: float) -> NDArray[np.intp]:
 
 
 def _outward(count: int) -> NDArray[np.intp]:
-    """Widths of the cells that fill a number of voxels, in the order in which they grow [voxel]."""
+    """Return the widths of the cells that fill a number of voxels, in outward order [voxel]."""
     widths: list[int] = []
     while (left := count - sum(widths)) > 0:
         widths.append(min(GROWTH[min(len(widths), len(GROWTH) - 1)], left))
@@ -234,7 +240,7 @@ def _outward(count: int) -> NDArray[np.intp]:
 
 
 def _merged(values: Array, starts: list[NDArray[np.intp]]) -> Array:
-    """Sums of voxels over cells."""
+    """Return the sums of voxels over cells."""
     for axis, start in enumerate(starts):
         values = np.add.reduceat(values, start, axis=axis)
     return values
@@ -284,8 +290,9 @@ class Conduction:
         self._step_s = 0.0
 
     def _stable_step_s(self, along: tuple[Array, ...]) -> float:
-        """Longest stable step of any filling: a face of a cell conducts at most `OPEN` times its
-        filled fraction.
+        """Return the longest stable step of any filling.
+
+        A face of a cell conducts at most `OPEN` times its filled fraction.
         """
         total = np.zeros(self.grid.filled.shape)
         for axis, each in enumerate(along):
@@ -303,15 +310,15 @@ class Conduction:
 
     @property
     def stored_J(self) -> float:
-        """Heat in the material that is left, relative to the temperature at the start [J]."""
+        """Heat in the remaining material, relative to the temperature at the start [J]."""
         return float((self.rise_K * self.filled * self._capacity_J_K).sum())
 
     def heat(self, power_W: Array) -> None:
-        """Set the heat that goes into the cells from now on [W], shape of the grid or flat."""
+        """Set the heat power into the cells from now on [W], shape of the grid or flat."""
         self._power.assign(power_W.reshape(self.filled.shape).astype(np.float32))
 
     def plan(self, duration_s: float) -> int:
-        """Divide a duration into stable steps of one length, and return how many they are."""
+        """Divide a duration into stable steps of one length, and return their number."""
         steps = max(ceil(duration_s / self.longest_step_s - 1e-9), 1)
         self._record(duration_s / steps)
         return steps
@@ -323,13 +330,13 @@ class Conduction:
         self._launches.reverse()
 
     def advance(self, power_W: Array, duration_s: float) -> None:
-        """Put heat into the cells, shape of the grid [W], for a while."""
+        """Heat the cells with a power [W], shape of the grid, for a duration."""
         self.heat(power_W)
         for _ in range(self.plan(duration_s)):
             self.step()
 
     def remove(self, cells: NDArray[np.intp], lost: Array, warmer_K: Array) -> None:
-        """Take material out of cells with the heat that it holds.
+        """Remove material from cells with the heat that it holds.
 
         Parameters
         ----------
@@ -338,8 +345,8 @@ class Conduction:
         lost
             Fraction of each cell that is removed, shape (n,).
         warmer_K
-            How much warmer than the mean of its cell the removed material is [K], shape (n,); no
-            more heat leaves than the cell holds.
+            Temperature of the removed material minus the mean of its cell [K], shape (n,); the
+            removed heat is at most the heat of the cell.
         """
         rise = self.rise_K.reshape(-1)
         filled = self.filled.reshape(-1)
@@ -360,7 +367,7 @@ class Conduction:
         self._filled.assign(self.filled.astype(np.float32))
 
     def _record(self, step_s: float) -> None:
-        """Record the two launches, there and back, for a step length."""
+        """Record the two launches, forward and back, for a step length."""
         if step_s == self._step_s:
             return
         self._step_s = step_s

@@ -1,4 +1,4 @@
-"""The periodontal ligament as a bed of springs on the roots."""
+"""Periodontal ligament as a bed of springs on the roots."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +14,11 @@ Array = NDArray[np.float64]
 def bed_stiffness(
     modulus_Pa: float, poisson_ratio: float, thickness_m: float
 ) -> tuple[float, float]:
-    """Stiffness of a thin layer bonded on both sides, across it and along it [N/m3].
+    """Return the stiffness of a thin layer bonded on both sides, across it and along it [N/m3].
 
-    A layer much thinner than it is wide cannot bulge: across it the confined modulus E (1 - v) /
-    ((1 + v) (1 - 2 v)) acts, along it the shear modulus (a Winkler bed; its error is of the order
-    of thickness over width).
+    A layer much thinner than it is wide cannot bulge. Across it the confined modulus E (1 - v) /
+    ((1 + v) (1 - 2 v)) acts, along it the shear modulus. This is a Winkler bed; its error is of the
+    order of thickness over width.
     """
     confined = (
         modulus_Pa * (1.0 - poisson_ratio) / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
@@ -35,18 +35,18 @@ def bed_springs(
     across_N_m3: float,
     along_N_m3: float,
 ) -> tuple[PointSprings, float]:
-    """Springs where a tooth's voxels border on the bed's, at the centres of the tooth's voxels.
+    """Return springs where a tooth's voxels border on the bed.
 
-    A face of area A and normal n has ``A (k_t I + (k_n - k_t) n n^T)``, k_n and k_t the stiffness
-    across and along it.
+    They act at the centres of the tooth's voxels. A face of area A and normal n has ``A (k_t I +
+    (k_n - k_t) n n^T)``, k_n and k_t the stiffness across and along it.
 
-    A border's faces form a staircase; each is weighed by the component along it of the smooth
-    normal, so that the weights sum to the area of the surface and not of the staircase.
+    A border's faces form a staircase. Each face is weighed by the component of the smooth normal
+    along it, so that the weights sum to the area of the surface and not of the staircase.
 
     Parameters
     ----------
     tooth, bed
-        Voxels of the tooth and of what it rests in, shape (nx, ny, nz).
+        Voxels of the tooth and of its bed, shape (nx, ny, nz).
     origin_m, spacing_m
         Corner of voxel (0, 0, 0) and edge of a voxel [m].
     across_N_m3, along_N_m3

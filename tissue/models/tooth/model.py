@@ -1,6 +1,4 @@
-"""A tooth under a bur: milled like bone, with the distance to the pulp and, if asked for, the
-stress.
-"""
+"""Tooth under a bur: milled like bone, with the distance to the pulp and optional stress."""
 
 import numpy as np
 import warp as wp
@@ -22,31 +20,32 @@ __all__ = ["ToothModel"]
 CENTROID_COLUMNS = ("tooth_centroid_x_um", "tooth_centroid_y_um", "tooth_centroid_z_um")
 """Translation of the rigid tooth at the centroid of its stiff material."""
 BUR_COLUMNS = ("tooth_at_bur_x_um", "tooth_at_bur_y_um", "tooth_at_bur_z_um")
-"""Motion of the point of the rigid tooth that the bur touches, by the translation and rotation
-of the tooth.
+"""Columns of the displacement of the rigid tooth at the bur.
+
+It is the displacement of the point that the bur touches, by translation and rotation of the tooth.
 """
 HEAT_TICKS = 20
-"""Ticks of an interval of the heat."""
+"""Number of ticks in an interval of the heat."""
 WARN_M = (1.0e-3, 0.5e-3)
-"""Dentin over the pulp at which its loss is reported [m]; below 0.5 mm it is at risk (memory of
-the literature).
+"""Thicknesses of dentin over the pulp at which its loss is reported [m].
+
+Below 0.5 mm the pulp is at risk (memory of the literature).
 """
 
 
 class ToothModel:
-    """A tooth that a bur drills: the bone model's carving and forces, and the dentin left over the
-    pulp.
+    """Tooth that a bur drills: carving and forces of the bone model, and the dentin over the pulp.
 
     The distance of the bur from the pulp is measured from the voxels that the pulp filled at the
-    start, and is the least that has been reached so far: what is left of the dentin at its
-    thinnest. Its error is half a voxel. Where the voxels hold no pulp it is not measured: the pulp
-    is then farther away than the margin around the bur's reach.
+    start. Its smallest value so far is the remaining dentin at its thinnest. The error of the
+    distance is half a voxel. Where the voxels hold no pulp it is not measured: the pulp is then
+    farther away than the margin around the bur's reach.
 
     The tooth's motion follows the force at every tick by the compliance of its ligament, as of a
     rigid body: at the centroid of its stiff material, and at the point that the bur touches. Stress
     is solved in the background, on a copy of the voxels and the force taken every ``interval_s``.
-    The result is recorded one interval later, so that it does not depend on how long the solve
-    took.
+    The result is recorded one interval later, so that it does not depend on the duration of the
+    solve.
 
     Parameters
     ----------
@@ -57,7 +56,7 @@ class ToothModel:
     interval_s
         Time between two solves of the stress [s].
     heat
-        Heat in the whole tooth; None where the scene does not ask for it.
+        Heat in the whole tooth; None where the scene does not include it.
     device
         Warp device name.
     """
@@ -138,12 +137,12 @@ class ToothModel:
         self._measure_pulp(motion)
 
     def advance(self, motion: ToolMotion) -> None:
-        """Carve what the bur reaches at its new pose."""
+        """Carve the material that the bur reaches at its new pose."""
         self.milling.advance(motion)
         self._measure_pulp(motion)
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Force and torque on the bur, and the tooth's own measures."""
+        """Return force and torque on the bur, and the tooth's own measures."""
         response = self.milling.respond(motion)
         if response is not self._response:
             self._response = response
@@ -165,12 +164,12 @@ class ToothModel:
 
     @property
     def scheduling(self) -> str:
-        """How the stress is solved beside the ticks, in words; empty without stress."""
+        """Method, priority and cores of the background stress solve; empty without stress."""
         return f"stress: {self.stress.scheduling}" if self.stress is not None else ""
 
     @property
     def heat_balance_J(self) -> dict[str, float] | None:
-        """Energy of cutting and where it went [J]; None where the scene asks for no heat."""
+        """Energy of cutting and its distribution [J]; None where the scene has no heat."""
         return self.heat.balance_J if self.heat is not None else None
 
     @property
@@ -179,14 +178,15 @@ class ToothModel:
         return self.stress.series if self.stress is not None else None
 
     def wait_for_background(self, time_s: float) -> None:
-        """Wait for the solve that an interval's end asks for; a run that is faster than its
-        clock waits for it.
+        """Wait for the solve whose result is due at the end of an interval.
+
+        A run that is faster than real time waits here.
         """
         if time_s >= self._next_s - 1e-9:
             self._await()
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Every interval: begin the next solve, on a copy of what changed."""
+        """Begin the next solve at the end of an interval, on a copy of the changes."""
         if self.heat is not None:
             self._warm(motion)
         if self.stress is None or self._stress_lost or time_s < self._next_s - 1e-9:
@@ -199,16 +199,18 @@ class ToothModel:
         self.stress.begin(Drilled(time_s, rows, left, -self._load[:3], self._contact(motion)))
 
     def _take_touched(self) -> tuple[NDArray[np.intp], NDArray[np.uint16]]:
-        """Return the bricks that lost something since the last call, and remember them for the
-        next solve.
+        """Return the bricks that lost material since the last call.
+
+        They are marked for the next solve.
         """
         rows, left = self.milling.store.take_touched()
         self._touched[rows] = True
         return rows, left
 
     def _contact(self, motion: ToolMotion) -> NDArray[np.float64]:
-        """Where the bur's head meets the tooth [m]: on the side from which the force comes, the
-        tip without one.
+        """Return the contact point of the bur's head and the tooth [m].
+
+        It lies on the side from which the force comes. Without force it is the tip.
         """
         force = float(np.linalg.norm(self._load[:3]))
         radius = self._radius_m
@@ -216,8 +218,9 @@ class ToothModel:
         return motion.tip_m + radius * (motion.rotation[:, 2] - toward)
 
     def _warm(self, motion: ToolMotion) -> None:
-        """Add the energy of the tick, go on with the present interval of the heat, and begin the
-        next one when due.
+        """Add the energy of the tick and continue the present interval of the heat.
+
+        When the interval ends, the next one begins.
         """
         assert self.heat is not None and self._response is not None
         self._motion = motion
@@ -286,8 +289,9 @@ class ToothModel:
             self.heat.finish()
 
     def _lose_stress(self, lost: HelperLostError) -> None:
-        """Go on without the stress: nothing else comes from the other process once the tooth's
-        compliance is there.
+        """Continue the run without the stress.
+
+        After the tooth's compliance, the other process delivers nothing but the stress.
         """
         self._stress_lost = True
         self.notices.append(
@@ -295,12 +299,13 @@ class ToothModel:
         )
 
     def remaining(self) -> NDArray[np.uint8]:
-        """Tooth left in every voxel, 255 = full, shape of the volume."""
+        """Return the remaining tooth in every voxel, 255 = full, shape of the volume."""
         return self.milling.remaining()
 
     def _measure_pulp(self, motion: ToolMotion) -> None:
-        """Measure the distance to the pulp at a pose where the bur cuts; a pose that is only
-        tried does not count.
+        """Measure the distance to the pulp at a pose where the bur cuts.
+
+        A trial pose does not count.
         """
         if not self._pulp_near:
             return
@@ -312,7 +317,7 @@ class ToothModel:
             self._response.measures[0] = 1e3 * min(self._least_m, self._reach_m)
 
     def _report_pulp(self, near_m: float) -> None:
-        """Keep the least distance and report when a limit or the pulp itself is passed."""
+        """Update the smallest distance and report when it passes a limit or the pulp itself."""
         before = self._least_m
         self._least_m = min(self._least_m, near_m)
         for limit in WARN_M:
@@ -323,9 +328,7 @@ class ToothModel:
 
 
 def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Return the cross product of two vectors, of each the first three entries; faster than
-    NumPy's.
-    """
+    """Return the cross product of the first three entries of two vectors, faster than NumPy's."""
     (ax, ay, az) = a.tolist()[:3]
     (bx, by, bz) = b.tolist()[:3]
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -334,8 +337,9 @@ def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[float, float
 def _distance_to_pulp(
     fraction: NDArray[np.uint8], is_pulp: NDArray[np.bool_], spacing_m: float
 ) -> NDArray[np.float32]:
-    """Distance of every voxel's centre from the pulp's surface [m], 0 inside, infinite where
-    there is no pulp.
+    """Return the distance of every voxel's centre from the pulp's surface [m].
+
+    It is 0 inside, and infinite where there is no pulp.
     """
     from scipy.ndimage import distance_transform_edt
 

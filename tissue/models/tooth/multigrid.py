@@ -1,11 +1,10 @@
-"""Multigrid on the cells' grid: every coarser grid has twice the edge, and the exact Galerkin
-projection.
+"""Multigrid on the cells' grid: coarser grids of twice the edge by exact Galerkin projection.
 
-A change of a few cells is carried up through the few coarse cells over them, so that the hierarchy
-is always that of the present body. One symmetric V-cycle in single precision is the preconditioner
-of conjugate gradients; it smooths by Chebyshev's polynomial on the finest grid, which has no
-assembled rows, and by Gauss-Seidel over eight colours, in reverse after, on the coarser ones.
-(Trottenberg, Oosterlee, Schueller 2001, Multigrid, ch. 2.)
+A change of a few cells is transferred up through the few coarse cells over them, so that the
+hierarchy always belongs to the present body. One symmetric V-cycle in single precision is the
+preconditioner of conjugate gradients. It smooths by Chebyshev's polynomial on the finest grid,
+which has no assembled rows. On the coarser grids it smooths by Gauss-Seidel over eight colours, in
+reverse order afterwards. (Trottenberg, Oosterlee, Schueller 2001, Multigrid, ch. 2.)
 """
 
 from typing import Any, Protocol
@@ -27,12 +26,12 @@ __all__ = ["GridHierarchy", "GridTransfer", "TransferLevel"]
 
 
 class TransferLevel(Protocol):
-    """What a transfer needs of a grid: its cells and nodes as Warp arrays.
+    """Grid data for a transfer: its cells and nodes as Warp arrays.
 
     Attributes
     ----------
     cell_nodes, live, stiffness
-        Of the cells, as in :class:`tissue.models.tooth.stiffness.CellStiffness`.
+        Arrays of the cells, as in :class:`tissue.models.tooth.stiffness.CellStiffness`.
     free
         1 where a component may move, vec3d, shape (n,).
     vector, residual
@@ -56,16 +55,16 @@ class GridTransfer:
     Parameters
     ----------
     fine, coarse
-        The levels; the coarse one has a ``load`` besides.
+        The levels; the coarse level also has a ``load``.
     parent
         Coarse cell of each fine cell, int32, shape (c,).
 
     Attributes
     ----------
     down
-        Takes the fine residual to the coarse load.
+        Restricts the fine residual to the coarse load.
     up
-        Adds the coarse displacement to the fine one.
+        Adds the coarse displacement to the fine displacement.
     """
 
     def __init__(self, fine: TransferLevel, coarse: Any, parent: NDArray[np.int32]) -> None:
@@ -122,7 +121,7 @@ class GridTransfer:
         self.up = launch(interpolate, grid.node_count, inputs, [fine.vector])
 
     def project(self, changed: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Sum the coarse cells over these changed cells again; which they are."""
+        """Sum the coarse cells over the changed cells again, and return these coarse cells."""
         cells = np.unique(self._parent[changed])
         arrays = [*self._inputs, wp.array(cells, dtype=wp.int32, device=self._device), 0]
         wp.launch(
@@ -137,13 +136,16 @@ class GridTransfer:
 
 Array = NDArray[np.float64]
 COARSEST_NODES = 300
-"""Grids of at most this many nodes are solved directly: on the molar's cells of 2.4 mm one sweep
-would double the count of iterations to 1e-6."""
+"""Largest number of nodes of a grid that is solved directly.
+
+On the molar's cells of 2.4 mm one sweep would double the count of iterations to 1e-6.
+"""
 SPLIT_NODES = 4000
-"""Launches on grids of at most this many nodes run on one core."""
+"""Largest number of nodes of a grid whose launches run on one core."""
 NULL_CUT = 1e-13
-"""Scaled eigenvalues of the coarsest grid below this share of the largest are motions that no
-finer node takes.
+"""Relative cut of the scaled eigenvalues of the coarsest grid.
+
+Eigenvalues below this share of the largest belong to motions that no finer node takes.
 """
 
 
@@ -153,8 +155,8 @@ class GridLevel:
     Attributes
     ----------
     load, vector, residual
-        Warp arrays of vec3f: forces to solve for [N], displacement found [m] and what it leaves
-        [N], shape (n,).
+        Warp arrays of vec3f: forces to solve for [N], displacement found [m] and its residual [N],
+        shape (n,).
     """
 
     def __init__(self, grid: HexGrid, *, device: str, cores: int | None) -> None:
@@ -194,7 +196,7 @@ class GridLevel:
         )
 
     def _sweeps(self) -> tuple[list[SplitLaunch], list[SplitLaunch]]:
-        """Gauss-Seidel from rest, colour after colour, and any other in reverse."""
+        """Return Gauss-Seidel sweeps, colour after colour: from rest, and in reverse otherwise."""
         blocks = self.blocks
         first = []
         last = []
@@ -222,7 +224,7 @@ class GridLevel:
         self.blocks.update(nodes)
 
     def relax_first(self) -> None:
-        """Sweep from rest, and leave the residual."""
+        """Sweep from rest, and compute the residual."""
         for sweep in self._first:
             sweep()
         self._leave_residual()
@@ -239,12 +241,12 @@ class GridHierarchy:
     Parameters
     ----------
     cells, supports
-        The body's stiffness on its grid, and what holds it.
+        The body's stiffness on its grid, and its supports.
 
     Attributes
     ----------
     finest, coarser
-        The body's grid, and those of doubling edge, of which the last is solved directly.
+        The body's grid, and the grids of doubling edge; the last one is solved directly.
     """
 
     def __init__(self, cells: CellStiffness, supports: NodeSupports) -> None:
@@ -262,7 +264,10 @@ class GridHierarchy:
         self._stale = True
 
     def update(self, changed: NDArray[np.int32]) -> None:
-        """Carry a change of these cells through all grids; the coarsest one waits for `refresh`."""
+        """Transfer a change of these cells through all grids.
+
+        The coarsest grid waits for `refresh`.
+        """
         self.finest.update(np.unique(self.finest.grid.cell_nodes[changed]))
         for level, transfer in zip(self.coarser, self._transfers, strict=True):
             changed = transfer.project(changed)
@@ -270,11 +275,11 @@ class GridHierarchy:
         self._stale = True
 
     def diagonal(self) -> Array:
-        """Diagonal of the finest stiffness [N/m], shape (n, 3)."""
+        """Return the diagonal of the finest stiffness [N/m], shape (n, 3)."""
         return np.asarray(self.finest.diagonal.numpy())
 
     def refresh(self) -> None:
-        """Solve the coarsest grid anew, if anything changed since."""
+        """Solve the coarsest grid anew after a change."""
         if not self._stale:
             return
         self.finest.bound_eigenvalues()
@@ -289,13 +294,14 @@ class GridHierarchy:
         self._stale = False
 
     def __call__(self, residual: Array) -> Array:
-        """Correction [m] for a residual [N], shapes (n, 3): linear, symmetric up to rounding,
-        positive.
+        """Return a correction [m] for a residual [N], shapes (n, 3).
+
+        The map is linear, symmetric up to rounding, and positive.
         """
         return self.finest.solve(residual, self._correct)
 
     def _correct(self) -> None:
-        """Find the coarser grids' correction of the finest one's residual, and take it there."""
+        """Compute the coarser grids' correction of the finest residual, and add it there."""
         self._transfers[0].down()
         for level, transfer in zip(self.coarser, self._transfers[1:], strict=False):
             level.relax_first()

@@ -1,5 +1,6 @@
-"""Stress recovered from particles over a fixed length, so that it converges where the stress at
-a point does not.
+"""Stress recovered from particles over a fixed length.
+
+It converges where the stress at a point does not.
 """
 
 from typing import Any
@@ -26,7 +27,7 @@ __all__ = [
 
 
 class StressPoints:
-    """Points of a material at which the stress can be had again and again.
+    """Points of a material at which the stress is computed repeatedly.
 
     Parameters
     ----------
@@ -35,8 +36,8 @@ class StressPoints:
     row
         Rows of the next three arrays, shape (n,).
     cell, place, lame_Pa
-        Warp arrays: cell of each row, place in it, 0 to 1 along each edge, and Lame constants [Pa],
-        shape (rows, 2).
+        Warp arrays: cell of each row, position in it, 0 to 1 along each edge, and Lame constants
+        [Pa], shape (rows, 2).
     """
 
     def __init__(
@@ -58,8 +59,9 @@ class StressPoints:
         self._stress = wp.empty((self._count, 6), dtype=wp.float64, device=cells.device)
 
     def __call__(self, displacement_m: Array) -> Array:
-        """Stress xx, yy, zz, yz, xz, xy [Pa], shape (n, 6), at nodal displacements [m]; the next
-        call overwrites it.
+        """Return the stress xx, yy, zz, yz, xz, xy [Pa], shape (n, 6), at nodal displacements [m].
+
+        The next call overwrites it.
         """
         self._cells.displacement.assign(displacement_m)
         self._cells.run(point_stress, self._count, self._inputs, [self._stress])
@@ -69,11 +71,10 @@ class StressPoints:
 def particle_stress(
     cells: CellStiffness, displacement_m: Array, *, particles: NDArray[np.integer] | None = None
 ) -> Array:
-    """Stress in the material of particles, by the caller's index, default all; as of
-    `StressPoints`.
+    """Return the stress in the material of particles, as `StressPoints` does.
 
-    Where a cell holds two materials its strain is shared by both, which is first order in the
-    cell's edge.
+    Particles are given by the caller's index; default all. Where a cell holds two materials, both
+    have the strain of the cell, which is first order in the cell's edge.
     """
     rows = cells.rank if particles is None else cells.rank[particles]
     return StressPoints(cells, rows, cells.particle_cell_on, cells.place, cells.lame)(
@@ -82,8 +83,9 @@ def particle_stress(
 
 
 def stress_invariants(stress_Pa: Array, *, device: str = "cpu") -> tuple[Array, Array]:
-    """Von Mises stress, shape (n,), and principal stresses, largest first, shape (n, 3), of
-    stresses, shape (n, 6).
+    """Return the von Mises stress and the principal stresses, largest first.
+
+    Stresses of shape (n, 6) give shapes (n,) and (n, 3).
     """
     count = len(stress_Pa)
     given: Any = wp.array(np.ascontiguousarray(stress_Pa), dtype=wp.float64, device=device)
@@ -96,23 +98,28 @@ def stress_invariants(stress_Pa: Array, *, device: str = "cpu") -> tuple[Array, 
 
 
 REACH_M = 0.6e-3
-"""Radius of the ball over which stress is averaged [m]: about that of a bur, whose force is spread
-over as much. Beside a cut the error at cells of 0.3 mm is 6 %, and it falls with the cells."""
+"""Radius of the ball over which stress is averaged [m].
+
+It is about the radius of a bur, and the bur's force is spread over this radius too. Next to a cut
+the error at cells of 0.3 mm is 6 %, and it decreases with the cells.
+"""
 CELLS_A_REACH = 2.0
-"""Cells in the reach from which the particles of a cell are taken together: their mean stress is
-that at their centre of mass up to the second order in the cell's edge, as is all of the recovery's
-error."""
+"""Cells in the reach from which on the particles of a cell are averaged.
+
+Their mean stress equals the stress at their centre of mass up to the second order in the cell's
+edge. The whole recovery has an error of this order.
+"""
 
 
 def ball_weight(distance_m: Array, reach_m: float) -> Array:
-    """Weight 1 - (d / R)^2 of points in a ball, 0 outside."""
+    """Return the weight 1 - (d / R)^2 of points in a ball, 0 outside."""
     return np.asarray(np.maximum(1.0 - (distance_m / reach_m) ** 2, 0.0))
 
 
 class StressRecovery:
-    """Mean stress around places, over the particles of each place's own layer within a fixed reach.
+    """Mean stress around points, over the particles of each point's own layer within a fixed reach.
 
-    A particle counts with what is left of its volume, where its cell carries load, and with
+    The weight of a particle is its remaining volume, where its cell carries load, times
     `ball_weight` of its distance. Layers are never mixed, since the stress jumps where the modulus
     does.
 
@@ -121,10 +128,10 @@ class StressRecovery:
     particles, cells
         The body.
     place_m, layer
-        The places [m], shape (k, 3), and the layer of each, shape (k,).
+        The points [m], shape (k, 3), and the layer of each, shape (k,).
     reach_m
-        Radius of the ball [m]; larger than half the diagonal of the particles' lattice, or a place
-        may find none.
+        Radius of the ball [m]; larger than half the diagonal of the particles' lattice, or a point
+        may have no particle in reach.
     """
 
     def __init__(
@@ -187,9 +194,9 @@ class StressRecovery:
         return np.asarray(np.bincount(self._group, weights=values))
 
     def __call__(self, displacement_m: Array) -> Array:
-        """Mean stress xx, yy, zz, yz, xz, xy [Pa], shape (k, 6), at nodal displacements [m].
+        """Return the mean stress xx, yy, zz, yz, xz, xy [Pa] at nodal displacements [m].
 
-        It is not a number where nothing of the layer is left within reach.
+        Its shape is (k, 6). It is NaN where no particle of the layer remains within reach.
         """
         left = self._total(self._volume * self._cells.remaining) * (
             self._cells.live[self._cell] > 0

@@ -1,6 +1,4 @@
-"""Stiffness of the cells of a grid from the particles they hold, kept up to date as particles
-lose volume.
-"""
+"""Stiffness of the cells of a grid from their particles, updated as particles lose volume."""
 
 from typing import Any
 
@@ -21,15 +19,17 @@ CENTRE = np.full(3, 0.5)
 
 
 class CellStiffness:
-    """Packed stiffness of every cell, summed over its particles by
-    :mod:`kernels.particle_stiffness`.
+    """Packed stiffness of every cell, summed over its particles.
+
+    The sum is computed by :mod:`kernels.particle_stiffness`.
 
     Parameters
     ----------
     particles, grid
         The body, and a grid whose cells hold all of its particles.
     inner_strength
-        Share of a full cell's inner stiffness that replaces what the particles of a cell miss.
+        Share of a full cell's inner stiffness that replaces the missing stiffness of a cell's
+        particles.
     springs
         Springs to the ground at points of the cells; default none.
     cores
@@ -44,11 +44,12 @@ class CellStiffness:
     particle_cell
         Cell of each sorted particle, int32, shape (p,).
     strips
-        The cells in strips, by which the product runs; springs, and cells of other particles, are
+        The cells in strips, which the product runs over; springs, and cells of other particles, are
         added to it.
     others
         Adds to ``force`` the product of these other cells, their springs included, with
-        ``displacement``, both Warp arrays of vec3d, shape (n,); None where there are none.
+        ``displacement``, both Warp arrays of vec3d, shape (n,); None where there are no other
+        cells.
     """
 
     def __init__(
@@ -110,7 +111,7 @@ class CellStiffness:
         def packed(
             cells: NDArray[np.integer], rows: NDArray[np.integer], blocks: Any
         ) -> PackedProduct | None:
-            """Product of some cells with the displacement, None where there are none."""
+            """Return the product of some cells with the displacement, None without cells."""
             given: dict[str, Any] = {
                 "live": self.live_on,
                 "vector": self.displacement,
@@ -128,12 +129,12 @@ class CellStiffness:
 
     @property
     def remaining(self) -> NDArray[np.uint16]:
-        """What is left of each sorted particle, steps of 1/65535."""
+        """Remaining fraction of each sorted particle, in steps of 1/65535."""
         return np.asarray(self.remaining_on.numpy())
 
     @property
     def fill(self) -> Array:
-        """Volume of each cell's particles over its own."""
+        """Volume of each cell's particles over the volume of the cell."""
         return np.asarray(self.fill_on.numpy())
 
     @property
@@ -142,7 +143,7 @@ class CellStiffness:
         return np.asarray(self.live_on.numpy())
 
     def set_remaining(self, rows: NDArray[np.integer], steps: NDArray[np.uint16]) -> None:
-        """Set what is left of sorted particles; `update` their cells to make it count."""
+        """Set the remaining fraction of sorted particles; `update` of their cells applies it."""
         left = self.remaining
         left[rows] = steps
         if self.device != "cpu":
@@ -155,7 +156,7 @@ class CellStiffness:
         self._weigh(changed)
 
     def run(self, kernel: Any, dim: int, inputs: list[Any], outputs: list[Any]) -> None:
-        """Launch a kernel whose last input is the first thread's index, once."""
+        """Launch a kernel once; its last input is the first thread's index."""
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
     def update(self, cells: NDArray[np.int32]) -> None:
@@ -190,8 +191,9 @@ class CellStiffness:
             )
 
     def product(self, displacement_m: Array) -> Array:
-        """Nodal forces [N] that hold nodal displacements [m], shapes (n, 3), without an
-        assembled matrix.
+        """Return the nodal forces [N] for nodal displacements [m], without an assembled matrix.
+
+        Both have shape (n, 3).
         """
         self.displacement.assign(displacement_m)
         self.strips.product(self.displacement, self.force)
@@ -201,7 +203,7 @@ class CellStiffness:
         return np.array(self.force.numpy())
 
     def cell_matrices(self) -> Array:
-        """Full stiffness of every cell [N/m], shape (c, 24, 24)."""
+        """Return the full stiffness of every cell [N/m], shape (c, 24, 24)."""
         packed = self.stiffness.numpy()
         full = np.zeros((len(packed), 8, 3, 8, 3))
         for block, (a, b) in enumerate(_pairs()):
@@ -213,7 +215,9 @@ class CellStiffness:
 def full_cell_stiffness(
     edge_m: float, points: Array, weights: Array, *, first_Pa: float, shear_Pa: float
 ) -> Array:
-    """Stiffness [N/m] of a cell from B^T D B at points in it, shape (24, 24); plain NumPy.
+    """Return the stiffness [N/m] of a cell from B^T D B at points in it, shape (24, 24).
+
+    It uses plain NumPy.
 
     Parameters
     ----------
@@ -236,8 +240,9 @@ def full_cell_stiffness(
 
 
 def strain_matrix(place: Array, edge_m: float) -> Array:
-    """B at a place in a cell [1/m]: strain xx, yy, zz, yz, xz, xy (engineering shear) from 24
-    displacements.
+    """Return B at a position in a cell [1/m], for 24 displacements.
+
+    The strain components are xx, yy, zz, yz, xz, xy (engineering shear).
     """
     factors = np.where(CORNERS == 1, place, 1.0 - place)
     signs = np.where(CORNERS == 1, 1.0, -1.0) / edge_m
@@ -251,8 +256,9 @@ def strain_matrix(place: Array, edge_m: float) -> Array:
 
 
 def _inner_stiffness(edge_m: float) -> Array:
-    """Stiffness of a full cell of unit Lame constants less that of its centre alone, shape (24,
-    24).
+    """Return the stiffness of a full cell minus the stiffness of its centre point, shape (24, 24).
+
+    The Lame constants are 1.
     """
     gauss = 0.5 + (CORNERS - 0.5) / np.sqrt(3.0)
     volume = edge_m**3

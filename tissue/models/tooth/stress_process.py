@@ -1,8 +1,8 @@
-"""Stress in the background: solved when it is due, here or in a process of its own.
+"""Stress in the background, solved when it is due: in this process or in a separate one.
 
-Ticks and solves in one Python process wait for each other's interpreter lock, at 99 % for most of a
-millisecond. A separate process receives what the bur took away and with what force it pushed; its
-frames come when the run ends.
+Ticks and solves in one Python process wait for each other's interpreter lock, at the 99th
+percentile for most of a millisecond. A separate process receives the removed material and the force
+of the bur. Its frames arrive at the end of the run.
 """
 
 import os
@@ -28,22 +28,22 @@ __all__ = ["Drilled", "InlineStressSolver", "StressProcess", "StressSolver"]
 
 ASSEMBLY_S = 3600.0
 SOLVE_S = 600.0
-"""How long the other process may work before its first answer, and on one solve [s]."""
+"""Largest time of the other process before its first answer, and for one solve [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Drilled:
-    """What a solve has to know of the drilled voxels.
+    """Change of the drilled voxels and load, the input of a solve.
 
     Attributes
     ----------
     time_s
         Time of the state [s].
     rows, left
-        Bricks that lost something since the last solve, shape (n,), and what is left in them in
+        Bricks that lost material since the last solve, shape (n,), and their remaining fraction in
         steps, shape (n, 512).
     force_N, point_m
-        Force on the tooth [N] and where it acts [m], shape (3,) each.
+        Force on the tooth [N] and its point of action [m], shape (3,) each.
     """
 
     time_s: float
@@ -54,16 +54,16 @@ class Drilled:
 
 
 class StressSolver(Protocol):
-    """Solves that are begun in a tick and awaited outside it.
+    """Solves that start in a tick and are awaited outside it.
 
     Attributes
     ----------
     compliance
-        How the tooth gives in its ligament, about ``reference_m``.
+        Compliance of the tooth in its ligament, about ``reference_m``.
     root_guessed
-        Whether the data hold neither ligament nor bone.
+        True if the data hold neither ligament nor bone.
     series
-        Mesh and frames; all frames are there once it is finished.
+        Mesh and frames; it holds all frames once it is finished.
     records
         Cost and outcome of every solve awaited so far.
     """
@@ -76,24 +76,24 @@ class StressSolver(Protocol):
 
     @property
     def scheduling(self) -> str:
-        """Where, with what priority and on which cores it solves, in words."""
+        """Place, priority and cores of the solves, in words."""
         ...
 
     def begin(self, state: Drilled) -> None:
-        """Begin a solve; the last one was awaited."""
+        """Begin a solve; the last solve must have been awaited."""
         ...
 
     def wait(self) -> SolveRecord | None:
-        """Cost and outcome of the solve that was begun, None where none was."""
+        """Wait for the solve that was begun; return its cost and outcome, None without a solve."""
         ...
 
     def finish(self) -> None:
-        """Await what was begun and fetch the frames."""
+        """Wait for the solve that was begun and fetch the frames."""
         ...
 
 
 class InlineStressSolver:
-    """Solves in this process, when they are awaited.
+    """Stress solver in this process, which solves in `wait`.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ class InlineStressSolver:
     store
         Bricks of the finer voxels that are drilled.
     options
-        What else `StressField` takes.
+        Further arguments of `StressField`.
     """
 
     def __init__(self, whole: VoxelVolume, store: BrickStore, **options: Any) -> None:
@@ -124,22 +124,22 @@ class InlineStressSolver:
     def of_bricks(
         cls, whole: VoxelVolume, bricks: dict[str, Any], options: dict[str, Any]
     ) -> "InlineStressSolver":
-        """The same from a copy of the bricks, in another process."""
+        """Return a solver made from a copy of the bricks, in another process."""
         here = cls.__new__(cls)
         here._start(whole, bricks, options)
         return here
 
     @property
     def scheduling(self) -> str:
-        """Where it solves, in words."""
+        """Place of the solves, in words."""
         return "between the ticks"
 
     def begin(self, state: Drilled) -> None:
-        """Keep what is to be solved."""
+        """Store the input of the next solve."""
         self._begun = state
 
     def wait(self) -> SolveRecord | None:
-        """Bring the particles to what is left in the bricks, and solve."""
+        """Update the particles to the remaining voxels, and solve."""
         state = self._begun
         self._begun = None
         if state is None:
@@ -152,20 +152,21 @@ class InlineStressSolver:
         return self.records[-1]
 
     def finish(self) -> None:
-        """Solve what was begun."""
+        """Run the solve that was begun."""
         self.wait()
 
 
 class StressProcess:
-    """Solves in a process of its own, at a lower priority than the ticks; parameters as for
-    `InlineStressSolver`.
+    """Stress solver in a separate process, at a lower priority than the ticks.
+
+    The parameters are those of `InlineStressSolver`.
 
     Raises
     ------
     InputError
         As `StressField`.
     HelperLostError
-        If the process ends, is stopped or hangs, here and wherever it is waited for; its frames are
+        If the process ends, is stopped or hangs, here and in every wait for it; its frames are
         lost with it.
     """
 
@@ -180,18 +181,18 @@ class StressProcess:
 
     @property
     def scheduling(self) -> str:
-        """With what priority and on which cores it solves, in words."""
+        """Priority and cores of the solves, in words."""
         return self._helper.priority.described
 
     def begin(self, state: Drilled) -> None:
-        """Send what is to be solved; the other process waits for it."""
+        """Send the input of a solve, for which the other process waits."""
         arrays = (state.rows, state.left, state.force_N, state.point_m)
         self._helper.priority.step_back()
         self._helper.send((state.time_s, *(array.tobytes() for array in arrays)))
         self._begun = True
 
     def wait(self) -> SolveRecord | None:
-        """Await the solve that was begun."""
+        """Wait for the solve that was begun."""
         if not self._begun:
             return None
         self._begun = False
@@ -200,7 +201,7 @@ class StressProcess:
         return self.records[-1]
 
     def finish(self) -> None:
-        """Await what was begun, fetch the frames and end the process."""
+        """Wait for the solve that was begun, fetch the frames and end the process."""
         if self._finished:
             return
         self.wait()
@@ -211,7 +212,7 @@ class StressProcess:
 
 
 def _bricks_of(store: BrickStore) -> dict[str, Any]:
-    """Copy of what a solve has to know of the bricks before the first cut."""
+    """Return a copy of the brick data that a solve needs from before the first cut."""
     return {
         "places": store.places,
         "remaining": store.remaining.numpy().copy(),
@@ -221,7 +222,7 @@ def _bricks_of(store: BrickStore) -> dict[str, Any]:
 
 
 def _drilled(time_s: float, rows: bytes, left: bytes, force_N: bytes, point_m: bytes) -> Drilled:
-    """A state from the bytes of its arrays, which are quicker to send than arrays."""
+    """Return a state from the bytes of its arrays, which are faster to send than arrays."""
     steps = np.frombuffer(left, dtype=np.uint16).reshape(-1, BRICK_VOXELS)
     return Drilled(
         time_s,
@@ -233,8 +234,9 @@ def _drilled(time_s: float, rows: bytes, left: bytes, force_N: bytes, point_m: b
 
 
 def _serve() -> None:
-    """Solve what comes on the standard input until it ends; the standard output is for answers
-    alone.
+    """Solve for the states on the standard input until it ends.
+
+    The standard output is for answers alone.
     """
     limit_cores(1)  # the others are the ticks'
     answers = os.fdopen(os.dup(1), "wb")

@@ -1,5 +1,6 @@
-"""Products of the stiffness of a grid's cells with a vector: in strips of eight cells along z,
-or packed.
+"""Products of the stiffness of a grid's cells with a vector.
+
+They run in strips of eight cells along z, or over packed cells.
 """
 
 from typing import Any
@@ -29,10 +30,10 @@ class PackedProduct:
     stiffness
         Warp array of packed stiffness [N/m], as in :mod:`kernels.hexahedra`; read at every call.
     live
-        Warp array, 0 where a cell carries nothing, shape (c,).
+        Warp array, 0 where a cell carries no load, shape (c,).
     vector, force
-        Warp arrays of vec3d: displacement of the nodes [m], and what the product is added to [N],
-        shape (n,).
+        Warp arrays of vec3d: displacement of the nodes [m], and the force that the product is added
+        to [N], shape (n,).
     cores
         Processor cores to split launches over.
     """
@@ -84,19 +85,19 @@ class PackedProduct:
 
 
 AT_CUBE = 1e-6
-"""Distance from a cube's centre, in edges, within which a particle's place is rounding."""
+"""Distance of a particle from a cube's centre, in edges, that counts as rounding."""
 
 
 class StripLayout:
-    """Where nodes and cells lie in lanes.
+    """Positions of nodes and cells in lanes.
 
-    The nodes of a pencil, all those of one x and y, follow each other along z then comes space for
-    a strip that reaches beyond the last of them.
+    A pencil is the nodes with equal x and y. Its nodes follow each other along z. Then comes space
+    for a strip that reaches beyond the last of them.
 
     Attributes
     ----------
     slots
-        Length of a lane vector; ``slot`` is the place of each node, int32, shape (n,).
+        Length of a lane vector; ``slot`` is the position of each node, int32, shape (n,).
     strip
         Strip of each cell and its lane there, int32, shape (c, 2).
     start, base
@@ -135,8 +136,9 @@ class StripLayout:
 
 
 class LaneVector:
-    """A vector of three components a node in lanes: one by one, and eight from every slot on, in
-    the same memory.
+    """Vector of three components a node in lanes, with two views of one memory.
+
+    One view has single values, the other has eight values from every slot on.
 
     Attributes
     ----------
@@ -171,7 +173,7 @@ class LaneVector:
 
 
 class StripProduct:
-    """Recorded product of strips with a lane vector, added to another one.
+    """Recorded product of strips with a lane vector, added to another lane vector.
 
     Parameters
     ----------
@@ -180,7 +182,7 @@ class StripProduct:
     weight
         Their weights, a Warp array of single or double precision, shape (strips, WEIGHTS, LANES).
     vector, force
-        Vector of the same precision, and what the product is added to.
+        Vector of equal precision, and the vector that the product is added to.
     """
 
     def __init__(
@@ -230,17 +232,17 @@ class StripProduct:
 
 
 class CellStrips:
-    """Weights of a body's cells in strips, in double precision and in single for smoothing, and the
-    exact product.
+    """Weights of a body's cells in strips, and the exact product.
 
-    Cells whose particles do not lie at the centres of their eight cubes are left out of both.
+    The weights are in double precision, and in single precision for smoothing. Cells whose
+    particles do not lie at the centres of their eight cubes are left out of both.
 
     Parameters
     ----------
     grid
         The cells.
     place, particle_cell
-        Place of each sorted particle in its cell, 0 to 1 along each edge, shape (p, 3), and the
+        Position of each sorted particle in its cell, 0 to 1 along each edge, shape (p, 3), and the
         cell, shape (p,).
 
     Attributes
@@ -282,16 +284,18 @@ class CellStrips:
     def update(
         self, particles: list[Any], live: Any, cells: Any, *, edge_m: float, strength: float
     ) -> None:
-        """Sum the weights of these cells, a Warp array, over their particles again; as
-        `kernels.lane_vectors`.
+        """Sum the weights of some cells over their particles again, as `kernels.lane_vectors`.
+
+        `cells` is a Warp array.
         """
         inputs = [*particles, live, self.regular_on, self.strip_on, cells, edge_m, strength, 0]
         outputs = [self.weight, self.single]
         wp.launch(cube_weights, dim=len(cells), inputs=inputs, outputs=outputs, device=self.device)
 
     def product(self, vector: Any, force_out: Any) -> None:
-        """Product of the double precision weights with a vector of nodes, Warp arrays of vec3d,
-        shape (n,).
+        """Compute the product of the double precision weights with a vector of nodes.
+
+        Both vectors are Warp arrays of vec3d, shape (n,).
         """
         count = len(vector)
         into = [self.slot_on, vector, 0]
@@ -311,7 +315,10 @@ def _pencil_keys(place: NDArray[np.int32], width: int) -> NDArray[np.int64]:
 def _pencils(
     place: NDArray[np.int32], width: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Key of each pencil and its lowest and highest place along z, of places in order."""
+    """Return the key of each pencil and its lowest and highest position along z.
+
+    The positions are in order.
+    """
     keys, first = np.unique(_pencil_keys(place, width), return_index=True)
     last = np.append(first[1:], len(place)) - 1
     return keys, place[first, 2].astype(np.int64), place[last, 2].astype(np.int64)

@@ -1,6 +1,4 @@
-"""What holds a body: nodes that are held at a given displacement, and springs to the ground at
-points of it.
-"""
+"""Supports of a body: nodes held at a given displacement, and springs to the ground at points."""
 
 from dataclasses import dataclass
 
@@ -24,7 +22,7 @@ class NodeSupports:
     fixed
         Components that are held, bool, shape (n, 3).
     displacement_m
-        Where they are held [m], shape (n, 3); read only where fixed.
+        Prescribed displacement [m], shape (n, 3); read only where fixed.
     """
 
     fixed: NDArray[np.bool_]
@@ -46,8 +44,9 @@ class NodeSupports:
         held: NDArray[np.bool_] | None = None,
         displacement_m: Array | None = None,
     ) -> "NodeSupports":
-        """Hold whole nodes (``held``, shape (n,)) or components (shape (n, 3)), at zero unless
-        they are displaced.
+        """Hold whole nodes (``held``, shape (n,)) or components (shape (n, 3)).
+
+        They are held at zero unless a displacement is given.
         """
         fixed = np.zeros((node_count, 3), dtype=np.bool_)
         if held is not None:
@@ -62,8 +61,9 @@ class NodeSupports:
 
 @dataclass(frozen=True, eq=False)
 class PointSprings:
-    """Springs to the ground at points of a body, in any direction: a point that moves by u is
-    pushed back by S u.
+    """Springs to the ground at points of a body, in any direction.
+
+    A point that moves by u has the restoring force S u.
 
     Attributes
     ----------
@@ -91,32 +91,35 @@ class PointSprings:
 
     @classmethod
     def none(cls) -> "PointSprings":
-        """No springs."""
+        """Return an empty set of springs."""
         return cls(np.zeros((0, 3)), np.zeros((0, 3, 3)))
 
     def chosen(self, these: NDArray[np.bool_]) -> "PointSprings":
-        """Some of the springs, those where ``these``, shape (k,), is true."""
+        """Return the springs where ``these``, shape (k,), is true."""
         return PointSprings(self.position_m[these], self.stiffness_N_m[these])
 
     def force(self, grid: HexGrid, displacement_m: Array) -> Array:
-        """What the springs push back with [N], shape (k, 3), at nodal displacements [m], shape
-        (n, 3).
+        """Return the restoring forces of the springs [N], shape (k, 3), at nodal displacements [m].
+
+        The displacements have shape (n, 3).
         """
         cell, place = grid.locate(self.position_m)
         moved = np.einsum("ka,kai->ki", shape_values(place), displacement_m[grid.cell_nodes[cell]])
         return np.asarray(-np.einsum("kij,kj->ki", self.stiffness_N_m, moved))
 
     def restraint(self, centre_m: Array, length_m: float) -> Array:
-        """Stiffness [N/m] against rigid motion about a point, rotations times a length, shape
-        (6, 6).
+        """Return the stiffness [N/m] against rigid motion about a point, shape (6, 6).
+
+        Rotations are multiplied by a length.
         """
         arm = (self.position_m - centre_m) / length_m
         motion = np.concatenate([np.broadcast_to(np.eye(3), (len(arm), 3, 3)), _turns(arm)], axis=2)
         return np.asarray(np.einsum("kia,kib->ab", motion, self.stiffness_N_m @ motion))
 
     def by_cell(self, grid: HexGrid) -> tuple[Index, Array]:
-        """Cells with springs, int32, shape (m,), and their ``sum N_a N_b S``, blocks a <= b,
-        shape (m, 36, 3, 3).
+        """Return the cells with springs, int32, shape (m,), and their ``sum N_a N_b S``.
+
+        The blocks a <= b have shape (m, 36, 3, 3).
         """
         cell, place = grid.locate(self.position_m)
         if (cell < 0).any():
@@ -138,7 +141,8 @@ class PointSprings:
 
 
 def _turns(arm: Array) -> Array:
-    """Displacements under unit rotations at places relative to the centre, shapes (k, 3) to (k,
-    3, 3).
+    """Return displacements under unit rotations at points relative to the centre.
+
+    Points of shape (k, 3) give shape (k, 3, 3).
     """
     return np.asarray(np.cross(np.eye(3)[None], arm[:, None, :]).transpose(0, 2, 1))

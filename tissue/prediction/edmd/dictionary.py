@@ -1,5 +1,6 @@
-"""Dictionaries of observables: the state alone, delays, polynomials, radial functions, and
-products with a gap.
+"""Dictionaries of observables.
+
+They are the state alone, delays, polynomials, radial functions, and products with a gap.
 """
 
 from abc import ABC, abstractmethod
@@ -28,97 +29,104 @@ Indices = NDArray[np.intp]
 MEANS_ROUNDS = 25
 """Rounds of Lloyd's algorithm: centres only have to spread over the data, not to converge."""
 TINY = 1e-300
-"""Smallest squared distance that a logarithm is taken of. Times it, the logarithm vanishes."""
+"""Smallest squared distance in a logarithm.
+
+The distance times its logarithm vanishes there.
+"""
 
 
 class Dictionary(ABC):
-    """Observables φ(x) of a state x. The state itself leads them, once, so that its first entries
-    decode it.
+    """Observables φ(x) of a state x.
 
-    A dictionary with `lags` earlier states in it takes windows of shape (..., (lags + 1) d), newest
-    state first; the state that leads is then the whole window, and its newest d entries come first.
-    A further dictionary states what follows the state: `extra_size`, `extra` and `extra_rates`; all
-    work over any leading axes, one sample included.
+    The state itself comes first, once, so that the first entries decode it.
+
+    A dictionary with `lags` earlier states takes windows of shape (..., (lags + 1) d), newest state
+    first. The leading state is then the whole window, and its newest d entries come first. A
+    subclass defines the observables after the state by `extra_size`, `extra` and `extra_rates`. All
+    of them work over any leading axes, one sample included.
     """
 
     lags: int = 0
 
     @abstractmethod
     def extra_size(self, state_size: int) -> int:
-        """Number of observables beyond the state."""
+        """Return the number of observables beyond the state."""
 
     @abstractmethod
     def extra(self, states: Array) -> Array:
-        """Observables beyond the state, shape (..., extra_size)."""
+        """Return the observables beyond the state, shape (..., extra_size)."""
 
     @abstractmethod
     def extra_rates(self, states: Array, rates: Array) -> Array:
-        """Time derivatives of `extra` where the states change with these rates, shape (...,
-        extra_size).
+        """Return the time derivatives of `extra` for given rates, shape (..., extra_size).
+
+        The rates are the time derivatives of the states.
         """
 
     def size(self, state_size: int) -> int:
-        """Number of observables of a state of so many entries."""
+        """Return the number of observables of a state with a given number of entries."""
         return state_size * (self.lags + 1) + self.extra_size(state_size * (self.lags + 1))
 
     def lift(self, states: Array) -> Array:
-        """Observables of states or windows, shape (..., D)."""
+        """Return the observables of states or windows, shape (..., D)."""
         return np.concatenate((states, self.extra(states)), axis=-1)
 
     def lift_rates(self, states: Array, rates: Array) -> Array:
-        """Time derivatives of the observables, ∇φ · dx/dt, shape (..., D)."""
+        """Return the time derivatives of the observables, ∇φ · dx/dt, shape (..., D)."""
         return np.concatenate((rates, self.extra_rates(states, rates)), axis=-1)
 
 
 @dataclass(frozen=True)
 class Identity(Dictionary):
-    """The state and nothing else: linear dynamic mode decomposition."""
+    """The state alone: linear dynamic mode decomposition."""
 
     def extra_size(self, state_size: int) -> int:
-        """None."""
+        """Return 0: there are no observables beyond the state."""
         return 0
 
     def extra(self, states: Array) -> Array:
-        """None, shape (..., 0)."""
+        """Return an empty array, shape (..., 0)."""
         return states[..., :0]
 
     def extra_rates(self, states: Array, rates: Array) -> Array:
-        """None, shape (..., 0)."""
+        """Return an empty array, shape (..., 0)."""
         return rates[..., :0]
 
 
 @dataclass(frozen=True)
 class Delays(Dictionary):
-    """Observables of the present state and the `lags` states before it: a delay embedding (Takens
-    1981).
+    """Observables of the present state and the `lags` states before it.
 
-    The inner dictionary, which has no delays, takes the whole window for its state, newest first.
+    This is a delay embedding (Takens 1981). The inner dictionary, which has no delays, takes the
+    whole window as its state, newest first.
     """
 
     lags: int
     inner: Dictionary = Identity()
 
     def extra_size(self, state_size: int) -> int:
-        """What the inner dictionary adds to the window."""
+        """Return the number of observables that the inner dictionary adds to the window."""
         return self.inner.extra_size(state_size)
 
     def extra(self, states: Array) -> Array:
-        """What the inner dictionary adds to the windows."""
+        """Return the observables that the inner dictionary adds to the windows."""
         return self.inner.extra(states)
 
     def extra_rates(self, states: Array, rates: Array) -> Array:
-        """Its time derivatives."""
+        """Return the time derivatives of the inner dictionary's observables."""
         return self.inner.extra_rates(states, rates)
 
 
 @dataclass(frozen=True)
 class Polynomials(Dictionary):
-    """All monomials of degree 2 to `order` of the state's entries; degree 1 is the state itself.
+    """All monomials of degree 2 to `order` of the state's entries.
+
+    Degree 1 is the state itself.
 
     Parameters
     ----------
     order
-        Highest degree, at least 2.
+        Highest degree, 2 or more.
     columns
         Entries of the state (of the window, with delays) to multiply; empty for all.
     """
@@ -127,18 +135,18 @@ class Polynomials(Dictionary):
     columns: tuple[int, ...] = ()
 
     def extra_size(self, state_size: int) -> int:
-        """Number of monomials."""
+        """Return the number of monomials."""
         return sum(
             len(parents) for parents, _ in monomials(len(self.columns) or state_size, self.order)
         )
 
     def extra(self, states: Array) -> Array:
-        """The monomials, by degree, then in the order of the entries."""
+        """Return the monomials, by degree, then in the order of the entries."""
         levels = [level for level, *_ in self._levels(self._chosen(states))]
         return np.concatenate(levels, axis=-1) if len(levels) > 1 else levels[0]
 
     def extra_rates(self, states: Array, rates: Array) -> Array:
-        """Their time derivatives, by the product rule."""
+        """Return the time derivatives of the monomials, by the product rule."""
         factors = self._chosen(states)
         slopes = self._chosen(rates)
         slope = slopes
@@ -152,8 +160,10 @@ class Polynomials(Dictionary):
         return np.concatenate(found, axis=-1)
 
     def _levels(self, factors: Array) -> Iterator[tuple[Array, Array, Indices, Indices]]:
-        """Monomials of each degree from 2, those of the degree below, and which of these times
-        which entry they are.
+        """Yield the monomials of each degree from 2 and the factors they are made of.
+
+        Each item holds the monomials, the monomials of the degree below, and for each monomial the
+        index of its factor of the degree below and the index of its entry.
         """
         level = factors
         for parents, entries in monomials(factors.shape[-1], self.order):
@@ -171,8 +181,10 @@ class Polynomials(Dictionary):
 
 @lru_cache(maxsize=64)
 def monomials(entry_count: int, order: int) -> tuple[tuple[Indices, Indices], ...]:
-    """For each degree from 2, which monomial of the degree below and which entry make each
-    monomial.
+    """Return, for each degree from 2, the two factors of each monomial.
+
+    The first factor is the index of a monomial of the degree below, the second the index of an
+    entry.
     """
     last = list(range(entry_count))
     levels = []
@@ -198,10 +210,9 @@ class _Radial(Dictionary):
     centres
         Rows of k centres, shape (k, c), in the units of the state.
     scales
-        One length for each of the c entries, in its unit: distances are measured in these; empty
-        for 1.
+        Unit of distance for each of the c entries, in the entry's unit; empty for 1.
     columns
-        Entries of the state (of the window, with delays) that are looked at; empty for all.
+        Entries of the state (of the window, with delays) that are used; empty for all.
     """
 
     centres: tuple[tuple[float, ...], ...]
@@ -218,8 +229,9 @@ class _Radial(Dictionary):
         columns: Sequence[int] = (),
         **options: float,
     ) -> Self:
-        """Centres spread over recorded states (rows) by k-means, distances measured in their
-        standard deviations.
+        """Return a dictionary whose centres are spread over recorded states (rows) by k-means.
+
+        Distances are measured in standard deviations of the states.
 
         Raises
         ------
@@ -245,21 +257,21 @@ class _Radial(Dictionary):
                 count,
                 "record more",
             )
-        # Seeded by k-means++ (Arthur & Vassilvitskii 2007).
+        # Initial centres by k-means++ (Arthur & Vassilvitskii 2007).
         centres, _ = kmeans2(rows, count, iter=MEANS_ROUNDS, minit="++", rng=rng)
         placed = tuple(map(tuple, (centres * scales).tolist()))
         return cls(centres=placed, scales=tuple(scales.tolist()), columns=tuple(columns), **options)
 
     def extra_size(self, state_size: int) -> int:
-        """Number of centres."""
+        """Return the number of centres."""
         return len(self.centres)
 
     def _offsets(self, states: Array) -> Array:
-        """From the centres to the states, scaled, shape (..., k, c)."""
+        """Return the scaled vectors from the centres to the states, shape (..., k, c)."""
         return (self._chosen(states)[..., None, :] - self._centres) * self._per_length
 
     def _square_rates(self, states: Array, rates: Array) -> Array:
-        """Time derivatives of half the squared distances, shape (..., k)."""
+        """Return the time derivatives of half the squared distances, shape (..., k)."""
         return (self._offsets(states) * (self._chosen(rates)[..., None, :] * self._per_length)).sum(
             axis=-1
         )
@@ -278,46 +290,47 @@ class _Radial(Dictionary):
 
 @dataclass(frozen=True)
 class Gaussians(_Radial):
-    """exp(-r² / (2 width²)) of the scaled distance r to each centre; see `_Radial` for the other
-    parameters.
+    """Gaussians exp(-r² / (2 width²)) of the scaled distance r to each centre.
+
+    See `_Radial` for the other parameters.
     """
 
     width: float = 1.0
 
     def extra(self, states: Array) -> Array:
-        """The Gaussians, shape (..., k)."""
+        """Return the Gaussians, shape (..., k)."""
         return np.exp((self._offsets(states) ** 2).sum(axis=-1) / (-2.0 * self.width**2))
 
     def extra_rates(self, states: Array, rates: Array) -> Array:
-        """Their time derivatives, shape (..., k)."""
+        """Return the time derivatives of the Gaussians, shape (..., k)."""
         return self.extra(states) * self._square_rates(states, rates) / -(self.width**2)
 
 
 @dataclass(frozen=True)
 class ThinPlates(_Radial):
-    """r² ln r of the scaled distance r to each centre (Duchon 1977); it grows outside the data,
-    where Gaussians end.
+    """Thin-plate splines r² ln r of the scaled distance r to each centre (Duchon 1977).
+
+    They grow outside the data, where Gaussians vanish.
     """
 
     def extra(self, states: Array) -> Array:
-        """The thin plates, shape (..., k)."""
+        """Return the thin-plate splines, shape (..., k)."""
         squares = (self._offsets(states) ** 2).sum(axis=-1)
         return 0.5 * squares * np.log(np.maximum(squares, TINY))
 
     def extra_rates(self, states: Array, rates: Array) -> Array:
-        """Their time derivatives, shape (..., k)."""
+        """Return the time derivatives of the thin-plate splines, shape (..., k)."""
         squares = (self._offsets(states) ** 2).sum(axis=-1)
         return (np.log(np.maximum(squares, TINY)) + 1.0) * self._square_rates(states, rates)
 
 
 @dataclass(frozen=True)
 class GapProducts(Dictionary):
-    """What contact adds to a state, with the gap g = normal · x + distance and the overlap p =
-    max(0, -g).
+    """Observables of unilateral contact with a gap g and an overlap p = max(0, -g).
 
-    The overlap p and its square; for each of `columns` the product p x_j, and x_j while the gap is
-    closed. With the velocity among the columns the force of a unilateral spring and damper is a
-    combination of p and of that velocity.
+    The gap is g = normal · x + distance. The observables are p and p², and for each entry x_j of
+    `columns` the product p x_j and the entry x_j while the gap is closed. With the velocity among
+    the columns, the force of a unilateral spring and damper is a combination of p and the velocity.
 
     Parameters
     ----------
@@ -326,7 +339,7 @@ class GapProducts(Dictionary):
     distance
         Gap at the state zero, in the gap's unit.
     columns
-        Entries of the state to multiply, the gap's own entry not among them: that would repeat the
+        Entries of the state to multiply. Leave out the gap's own entry, which would repeat the
         overlap.
     """
 
@@ -335,11 +348,14 @@ class GapProducts(Dictionary):
     columns: tuple[int, ...] = ()
 
     def extra_size(self, state_size: int) -> int:
-        """Two, and two for each column."""
+        """Return the number of observables: two, and two for each column."""
         return 2 + 2 * len(self.columns)
 
     def extra(self, states: Array) -> Array:
-        """The overlap, its products, and the entries while closed, shape (..., 2 + 2 columns)."""
+        """Return the overlap, its products, and the entries while closed.
+
+        The shape is (..., 2 + 2 columns).
+        """
         overlap = np.maximum(0.0, -self._gap(states))[..., None]
         entries = states[..., self._columns]
         return np.concatenate(
@@ -347,7 +363,10 @@ class GapProducts(Dictionary):
         )
 
     def extra_rates(self, states: Array, rates: Array) -> Array:
-        """Their time derivatives away from the switch, where they have none."""
+        """Return the time derivatives of the observables.
+
+        At the switch of the contact they do not exist.
+        """
         gap = self._gap(states)
         closed = (gap < 0.0)[..., None]
         overlap = np.maximum(0.0, -gap)[..., None]

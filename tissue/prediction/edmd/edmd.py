@@ -1,5 +1,6 @@
-"""Extended dynamic mode decomposition with inputs over many episodes, and its errors over the
-horizon.
+"""Extended dynamic mode decomposition with inputs over many episodes.
+
+It also computes the errors over the prediction horizon.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,19 +17,20 @@ from tissue.prediction.edmd.lifted import FitStatistics, Generator, LiftedMap, O
 __all__ = ["Edmd", "HorizonErrors", "Regression", "horizon_errors", "regress", "triangle"]
 
 DEPENDENT = 1e-13
-"""Singular values below this share of the largest are rounding of the factor: their columns
-depend on the others.
+"""Singular values below this share of the largest are rounding errors of the factor.
+
+Their columns depend on the other columns.
 """
 
 
 @dataclass(frozen=True)
 class Edmd:
-    """Fit of a linear map of observables by least squares (Williams, Kevrekidis & Rowley 2015;
-    Korda & Mezić 2018).
+    """Least-squares fit of a linear map of observables.
+
+    Source: Williams, Kevrekidis & Rowley 2015; Korda & Mezić 2018.
 
     Observables and inputs are centred on their means and scaled by their standard deviations
-    inside, and an offset is fitted with them; the operator that comes out is in the units of the
-    states.
+    inside, and an offset is fitted with them. The fitted operator is in the units of the states.
 
     Parameters
     ----------
@@ -36,14 +38,14 @@ class Edmd:
         The observables.
     ridge
         Penalty on the weights of the scaled observables, as a share of their variance (Tikhonov);
-        at least 0.
+        0 or more.
     rank
         Singular values of the scaled data to keep; None for all.
     cap
-        Largest size that eigenvalues are left with (`tissue.prediction.edmd.lifted`); None to leave
-        them.
+        Largest modulus of the eigenvalues after the fit (`tissue.prediction.edmd.lifted`); None
+        for no cap.
     offset
-        Whether to centre and to fit an offset; without, zero maps to zero.
+        Centre the data and fit an offset; without it, zero maps to zero.
     """
 
     dictionary: Dictionary
@@ -57,12 +59,12 @@ class Edmd:
             raise InputError("cap", "be positive and finite", self.cap, "use 1, or None for no cap")
 
     def fit(self, episodes: Sequence[Episode]) -> Operator:
-        """The operator over one step that fits all pairs of neighbouring samples.
+        """Fit the operator over one step to all pairs of neighbouring samples.
 
         Raises
         ------
         InputError
-            If the episodes cannot be learnt from (`check_episodes`), observables overflow, or
+            If the episodes are not usable for a fit (`check_episodes`), observables overflow, or
             columns are collinear and neither ridge nor rank is set.
         """
         ready = check_episodes(episodes, self.dictionary.lags)
@@ -70,20 +72,21 @@ class Edmd:
         return operator if self.cap is None else operator.capped(self.cap)
 
     def fit_generator(self, episodes: Sequence[Episode]) -> Generator:
-        """The generator that fits the observables' rates ∇φ · dx/dt (gEDMD, Klus et al. 2020); cap
-        does not apply.
+        """Fit the generator to the observables' rates ∇φ · dx/dt.
+
+        Source: gEDMD, Klus et al. 2020. The cap does not apply.
 
         Raises
         ------
         InputError
-            As `fit`.
+            As for `fit`.
         """
         return Generator(
             **vars(self._fit(check_episodes(episodes, self.dictionary.lags), rates=True))
         )
 
     def _fit(self, episodes: list[Episode], *, rates: bool) -> LiftedMap:
-        """The map, in the units of the observables."""
+        """Fit the map, in the units of the observables."""
         state_size = episodes[0].states.shape[1]
         lead = int(self.offset)
         count = self.dictionary.size(state_size)
@@ -148,10 +151,11 @@ class Edmd:
 def _rows(
     episodes: list[Episode], dictionary: Dictionary, lead: int, rates: bool
 ) -> Iterator[Array]:
-    """Rows [1, φ, u, new] of some thousand samples at a time, without the ones if `lead` is 0.
+    """Yield rows [1, φ, u, new] of some thousand samples at a time.
 
-    `new` are the observables a step later that are not among φ, as all but the newest of delayed
-    states are; for a generator the rates of all.
+    The ones are left out if `lead` is 0. `new` are the observables of the next step that are not
+    among φ. Of delayed states, only the newest one is new. For a generator, `new` are the rates of
+    all observables.
     """
     for episode in episodes:
         slopes = None
@@ -177,20 +181,20 @@ def _rows(
 
 @dataclass(frozen=True)
 class Regression:
-    """What least squares gave.
+    """Result of a least-squares fit.
 
     Attributes
     ----------
     weights
         Shape (p, q): targets are about regressors @ weights.
     residual_rms
-        Root mean square of what is left of each target, shape (q,).
+        Root mean square of the residual of each target, shape (q,).
     moments
         Mean outer product of the regressors, shape (p, p).
     rank, condition
-        Singular values kept; largest over smallest of them.
+        Number of singular values kept, and the ratio of the largest to the smallest of them.
     samples
-        Rows seen.
+        Rows used.
     """
 
     weights: Array
@@ -202,11 +206,11 @@ class Regression:
 
 
 def triangle(blocks: Iterable[Array]) -> tuple[Array, int]:
-    """Triangular factor of rows (k, c) that come in blocks, shape (c, c), and the number of rows.
+    """Return the triangular factor of rows (k, c) that arrive in blocks, and the number of rows.
 
-    Block by block (Golub & Van Loan 2013, section 5.3), which keeps the digits that a Gram matrix,
-    having the condition number squared, would lose. Sums of squares and products of any combination
-    of columns are those of the factor's.
+    The factor has shape (c, c). It is computed block by block (Golub & Van Loan 2013, section 5.3).
+    A Gram matrix would square the condition number and lose digits. The factor has the sums of
+    squares and products of any combination of columns of the rows.
     """
     factor = np.zeros((0, 0))
     samples = 0
@@ -221,23 +225,23 @@ def triangle(blocks: Iterable[Array]) -> tuple[Array, int]:
 def regress(
     factor: Array, samples: int, *, size: int, ridge: float, rank: int | None, free: int
 ) -> Regression:
-    """Weights that minimise Σ|target - regressors weights|² + ridge · samples · |weights|².
+    """Compute weights that minimise Σ|target - regressors weights|² + ridge · samples · |weights|².
 
     Parameters
     ----------
     factor
-        Of [regressors targets] by `triangle`, or columns combined from one: below its first `size`
-        rows the regressors are zero. Regressors are scaled to about one.
+        Factor of [regressors targets] by `triangle`, or columns combined from one: below its first
+        `size` rows the regressors are zero. Regressors are scaled to about one.
     samples
-        Rows that the factor stands for.
+        Number of rows that the factor was computed from.
     size
         Number of regressors.
     ridge
-        Weight of the penalty, at least 0.
+        Weight of the penalty, 0 or more.
     rank
         Singular values to keep, or None for all.
     free
-        Number of the last regressors that the penalty leaves alone.
+        Number of regressors at the end that have no penalty.
 
     Raises
     ------
@@ -288,7 +292,7 @@ def regress(
 
 @dataclass(frozen=True)
 class HorizonErrors:
-    """Errors of predictions 1 to h steps ahead, all from the same starts.
+    """Errors of predictions 1 to h steps ahead, all with common starts.
 
     Attributes
     ----------
@@ -296,8 +300,8 @@ class HorizonErrors:
         Root mean square over the starts of each state entry's error, in its unit, shape (h, d); inf
         where it diverges.
     relative
-        The same in training deviations of the entries, root mean square over those looked at, shape
-        (h,).
+        Error in training standard deviations of the entries, root mean square over the compared
+        entries, shape (h,).
     starts
         Number of predictions.
     """
@@ -310,20 +314,21 @@ class HorizonErrors:
 def horizon_errors(
     operator: Operator, episodes: Sequence[Episode], horizon: int, *, columns: Sequence[int] = ()
 ) -> HorizonErrors:
-    """Compare predictions 1 to `horizon` steps ahead, inputs known, with what followed, from every
-    possible start.
+    """Compare predictions with recorded states from every possible start.
+
+    Predictions reach 1 to `horizon` steps ahead. Inputs are known.
 
     Parameters
     ----------
     horizon
-        Steps ahead, at least 1.
+        Steps ahead, 1 or more.
     columns
-        State entries that `relative` looks at; empty for all.
+        State entries that `relative` includes; empty for all.
 
     Raises
     ------
     InputError
-        If an episode cannot be used, or none is long enough for the horizon.
+        If an episode cannot be used, or no episode is long enough for the horizon.
     """
     lags = operator.dictionary.lags
     size = operator.state_size

@@ -1,4 +1,4 @@
-"""Recorded episodes to learn from: what they hold, what is refused, and windows of them."""
+"""Recorded training episodes: contents, checks and windows."""
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -11,26 +11,29 @@ from meshes.base.errors import InputError
 __all__ = ["Episode", "blocks", "check_episodes", "window"]
 
 BLOCK = 2048
-"""Rows lifted and factored at a time: they and their factor stay in the cache, whatever the
-length of a trace.
+"""Number of rows lifted and factored at a time.
+
+The rows and their factor stay in the cache for any length of a trace.
 """
 STILL = 1e-12
-"""A column that varies by less than this share of its size is constant: rounding."""
+"""Relative variation below which a column counts as constant; smaller ones are rounding errors."""
 
 
 class Episode(NamedTuple):
-    """One uninterrupted recording; a plain tuple of the same order is as good.
+    """One uninterrupted recording; a plain tuple in this order may replace it.
 
     Attributes
     ----------
     states
         One row a sample, shape (n, d), any units.
     inputs
-        What acts from each sample to the next, held in between, shape (n, m); None if nothing does.
+        Inputs that act from each sample to the next, held in between, shape (n, m); None for no
+        inputs.
     step_s
         Time between samples [s].
     rates
-        Time derivatives of the states, shape (n, d), which only a generator's fit needs; else None.
+        Time derivatives of the states, shape (n, d). Only the fit of a generator needs them; else
+        None.
     """
 
     states: Array
@@ -42,23 +45,22 @@ class Episode(NamedTuple):
 def check_episodes(
     episodes: Sequence[Episode], lags: int, *, varying: bool = True
 ) -> list[Episode]:
-    """The episodes, if a fit with so many delays can learn from them, or, not `varying`, be tried
-    on them.
+    """Return the episodes after checking that a fit with `lags` delays can use them.
 
     Parameters
     ----------
     episodes
-        One or more, of the same columns and step.
+        One or more, with equal columns and step.
     lags
         Earlier states in a window.
     varying
-        Whether a column that never varies is refused.
+        Refuse a column that never varies. Set it to False for episodes that only test a fit.
 
     Raises
     ------
     InputError
-        If a number is not finite, an episode is too short for the delays, or a column never varies;
-        names the episode, the column and the remedy.
+        If a number is not finite, an episode is too short for the delays, or a column never varies.
+        The message names the episode, the column and the remedy.
     """
     ready = [Episode(*each) for each in episodes]
     for index, each in enumerate(ready):
@@ -89,7 +91,7 @@ def check_episodes(
 
 
 def window(states: Array, lags: int) -> Array:
-    """Each row with the rows before it, newest first, shape (n - lags, (lags + 1) d)."""
+    """Return each row with the rows before it, newest first, shape (n - lags, (lags + 1) d)."""
     if lags == 0:
         return states
     count = len(states) - lags
@@ -99,11 +101,10 @@ def window(states: Array, lags: int) -> Array:
 
 
 def blocks(episode: Episode, lags: int) -> Iterator[tuple[Array, Array]]:
-    """Windows and inputs of an episode, some thousand samples at a time, with one window more than
-    there are inputs.
+    """Yield windows and inputs of an episode, some thousand samples at a time.
 
-    The windows have shape (k + 1, (lags + 1) d), the inputs shape (k, m): input i leads from window
-    i to i + 1.
+    Each item has one window more than inputs. The windows have shape (k + 1, (lags + 1) d), the
+    inputs shape (k, m): input i leads from window i to i + 1.
     """
     windows = window(episode.states, lags)
     inputs = np.zeros((len(episode.states), 0)) if episode.inputs is None else episode.inputs
@@ -113,7 +114,7 @@ def blocks(episode: Episode, lags: int) -> Iterator[tuple[Array, Array]]:
 
 
 def _refuse_constant(name: str, tables: list[Array]) -> None:
-    """Refuse a column that never varies: it cannot be separated from the constant."""
+    """Check that every column varies: a constant one cannot be separated from the offset."""
     for index, column in enumerate(np.concatenate(tables).T if tables else ()):
         if np.ptp(column) <= STILL * np.abs(column).max():
             raise InputError(

@@ -16,14 +16,15 @@ __all__ = ["FitStatistics", "Generator", "LiftedMap", "Operator", "cap_spectrum"
 
 @dataclass(frozen=True)
 class FitStatistics:
-    """How a fit went.
+    """Statistics of a fit.
 
     Attributes
     ----------
     samples, episodes
-        Pairs of neighbouring states learnt from, and the episodes they come from.
+        Number of pairs of neighbouring training states, and of the episodes they come from.
     rank, condition
-        Singular values kept of the scaled regressors; largest over smallest of them.
+        Number of singular values kept of the scaled regressors, and the ratio of the largest to the
+        smallest of them.
     residual_rms
         One-step error of each observable on the training data, in its unit, shape (D,); of its rate
         for a generator.
@@ -32,7 +33,7 @@ class FitStatistics:
     capped
         Number of eigenvalues that were shrunk.
     cap_change
-        Frobenius norm of what the cap changed, in scaled observables.
+        Frobenius norm of the change by the cap, in scaled observables.
     """
 
     samples: int
@@ -47,7 +48,7 @@ class FitStatistics:
 
 @dataclass(frozen=True)
 class LiftedMap:
-    """φ → A φ + B u + offset, in the units of the observables.
+    """Affine map of observables, φ → A φ + B u + offset, in the units of the observables.
 
     Attributes
     ----------
@@ -58,14 +59,14 @@ class LiftedMap:
     middle, scale
         Mean and standard deviation of the observables in training, shape (D,).
     input_middle, input_scale
-        The same of the inputs, shape (m,).
+        Mean and standard deviation of the inputs in training, shape (m,).
     moments
         Mean outer product of the scaled regressors [φ, u, 1] (without the 1 if there is no offset),
         shape (p, p).
     lowest, highest
         Corners of the box of the training states, without their delays, shape (d,).
     statistics
-        How the fit went.
+        Statistics of the fit.
     """
 
     dictionary: Dictionary
@@ -93,7 +94,9 @@ class LiftedMap:
         return values[np.argsort(-np.abs(values), kind="stable")]
 
     def lift(self, states: Array) -> Array:
-        """Observables, shape (D,), of a state, or of a state and those before it as rows, oldest
+        """Return the observables of a state, shape (D,).
+
+        With delays, the state is an array of rows: the state and the states before it, oldest
         first.
         """
         return self.dictionary.lift(np.atleast_2d(states)[::-1].ravel())
@@ -101,20 +104,25 @@ class LiftedMap:
 
 @dataclass(frozen=True)
 class Operator(LiftedMap):
-    """The discrete operator: φ one step later, inputs held over the step (an exact zero-order
-    hold).
+    """Discrete operator: φ one step later.
+
+    Inputs are held over the step (an exact zero-order hold).
     """
 
     step_s: float
 
     def advance(self, lifted: Array, inputs: Array | None = None) -> Array:
-        """Observables one step later; any leading axes. None for inputs that are zero."""
+        """Return the observables one step later, for any leading axes.
+
+        Use None for inputs that are zero.
+        """
         advanced = lifted @ self.A.T + self.offset
         return advanced if inputs is None else advanced + inputs @ self.B.T
 
     def predict(self, state: Array, inputs: Array | None, horizon: int) -> Array:
-        """States 1 to `horizon` steps ahead, shape (horizon, d): lifted once, advanced linearly,
-        decoded.
+        """Predict states 1 to `horizon` steps ahead, shape (horizon, d).
+
+        The state is lifted once, advanced linearly and decoded.
 
         Parameters
         ----------
@@ -122,7 +130,7 @@ class Operator(LiftedMap):
             Present state, shape (d,); with delays the last lags + 1 states, oldest first, shape
             (lags + 1, d).
         inputs
-            What acts over each step, shape (horizon, m), or (m,) if the same over all; None without
+            Inputs over each step, shape (horizon, m), or (m,) for constant inputs; None without
             inputs.
         horizon
             Number of steps.
@@ -147,8 +155,9 @@ class Operator(LiftedMap):
         return states
 
     def predicted_states(self, horizon: int) -> list[tuple[Array, Array]]:
-        """Matrix M (d, D) and offset c (d,) for 1 to `horizon` steps: the state then is M φ + c,
-        without inputs.
+        """Return matrices M (d, D) and offsets c (d,) for 1 to `horizon` steps.
+
+        The state after the steps is M φ + c, without inputs.
         """
         advanced = [(self.A[: self.state_size], self.offset[: self.state_size])]
         while len(advanced) < horizon:
@@ -157,11 +166,10 @@ class Operator(LiftedMap):
         return advanced
 
     def capped(self, limit: float) -> Self:
-        """The operator with no eigenvalue larger than `limit`, turned about the training data's
-        mean.
+        """Return the operator with no eigenvalue larger than `limit`.
 
-        A mode at exactly 1 still drifts under a constant force, in proportion to time; below 1 it
-        stays bounded.
+        The shrunk operator acts about the mean of the training data. A mode at exactly 1 still
+        drifts under a constant force, in proportion to time. Below 1 it stays bounded.
         """
         matrix = self.A / self.scale[:, None] * self.scale
         shrunk, count = cap_spectrum(matrix, limit)
@@ -179,13 +187,14 @@ class Operator(LiftedMap):
         )
 
     def generator(self) -> "Generator":
-        """The rate whose exact zero-order hold is this operator: the principal logarithm of [A B c;
-        0 1 0; 0 0 1].
+        """Return the rate whose exact zero-order hold is this operator.
+
+        It is the principal logarithm of [A B c; 0 1 0; 0 0 1].
 
         Raises
         ------
         InputError
-            If an eigenvalue is zero or negative: no real generator has that operator.
+            If an eigenvalue is zero or negative: then no real generator exists.
         """
         from scipy.linalg import logm
 
@@ -207,11 +216,12 @@ class Operator(LiftedMap):
 
 @dataclass(frozen=True)
 class Generator(LiftedMap):
-    """The rate of the observables: dφ/dt = A φ + B u + offset."""
+    """Rate of the observables: dφ/dt = A φ + B u + offset."""
 
     def discrete(self, step_s: float) -> Operator:
-        """The operator over a step [s] with inputs held: the exponential of [A B c; 0 0 0; 0 0
-        0] (Van Loan 1978).
+        """Return the operator over a step [s] with inputs held.
+
+        It is the exponential of [A B c; 0 0 0; 0 0 0] (Van Loan 1978).
         """
         from scipy.linalg import expm
 
@@ -222,7 +232,7 @@ class Generator(LiftedMap):
 
 
 def _scaled(lifted: LiftedMap) -> Array:
-    """[A B c] of the observables and inputs in units of their deviations, shape (D, D + m + 1)."""
+    """Return [A B c] in units of the standard deviations, shape (D, D + m + 1)."""
     rows = lifted.scale[:, None]
     return np.hstack(
         (
@@ -234,7 +244,7 @@ def _scaled(lifted: LiftedMap) -> Array:
 
 
 def _unscaled(lifted: LiftedMap, whole: Array) -> LiftedMap:
-    """The map that takes scaled [φ u 1] to `whole` times it."""
+    """Return the map that takes scaled [φ u 1] to `whole` times it."""
     count = len(lifted.offset)
     kept = LiftedMap(**{name: getattr(lifted, name) for name in LiftedMap.__dataclass_fields__})
     return replace(
@@ -246,21 +256,21 @@ def _unscaled(lifted: LiftedMap, whole: Array) -> LiftedMap:
 
 
 def spectral_radius(matrix: Array) -> float:
-    """Largest size of an eigenvalue."""
+    """Return the largest modulus of an eigenvalue."""
     return float(np.abs(np.linalg.eigvals(matrix)).max(initial=0.0))
 
 
 def cap_spectrum(matrix: Array, limit: float = 1.0) -> tuple[Array, int]:
-    """The matrix with eigenvalues larger than `limit` shrunk to that size, and how many were.
+    """Return the matrix with eigenvalues larger than `limit` shrunk to that size, and their number.
 
-    In the real Schur form with the small eigenvalues leading, A = Q T Qᵀ, only the diagonal blocks
-    of the large ones are scaled. So what starts in the invariant subspace of the small ones moves
-    exactly as before, their eigenvalues stay, frequencies of the large ones too, and the change |A'
-    - A| is no more than what the large eigenvalues exceed the limit by (times a block's own
-    departure from normality). Q being orthogonal, no eigenvectors are inverted: the condition
-    number of theirs does not enter. Right eigenvectors of the small stay, left ones may turn.
-    Several modes capped to one size may share an eigenvector: at 1 they then grow in proportion to
-    the steps, not as a power; below 1 they settle.
+    The real Schur form A = Q T Qᵀ has the small eigenvalues leading. Only the diagonal blocks of
+    the large eigenvalues are scaled. A state in the invariant subspace of the small eigenvalues
+    therefore moves exactly as before. The small eigenvalues and the frequencies of the large ones
+    do not change. The change |A' - A| is at most the excess of the large eigenvalues over the limit
+    (times a block's own departure from normality). Q is orthogonal, so no matrix of eigenvectors is
+    inverted and its condition number has no effect. Right eigenvectors of the small eigenvalues
+    stay, left ones may turn. Several modes capped to one size may share an eigenvector: at 1 they
+    then grow in proportion to the steps, not as a power; below 1 they settle.
 
     Raises
     ------
@@ -280,8 +290,8 @@ def cap_spectrum(matrix: Array, limit: float = 1.0) -> tuple[Array, int]:
     if spectral_radius(matrix) <= limit:
         return matrix, 0
     try:
-        # SciPy prints an error of its own when a stop is raised in its callback. Python raises
-        # stops in the main thread alone, so that the callback runs in another one.
+        # SciPy prints its own error when a stop is raised in its callback. Python raises
+        # stops in the main thread alone, so the callback runs in another thread.
         with ThreadPoolExecutor(1) as pool:
             ordered = pool.submit(
                 schur, matrix, output="real", sort=lambda re, im: re**2 + im**2 <= limit**2

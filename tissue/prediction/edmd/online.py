@@ -1,4 +1,4 @@
-"""An operator that keeps learning: recursive least squares with forgetting and a bounded gain."""
+"""Online update of an operator by recursive least squares with forgetting and a bounded gain."""
 
 from dataclasses import replace
 from math import isfinite, nan
@@ -13,20 +13,20 @@ __all__ = ["Online"]
 
 
 class Online:
-    """Recursive least squares for an operator's A, B and offset, in scaled observables, at a fixed
-    cost a sample.
+    """Recursive least squares for an operator's A, B and offset, at a fixed cost a sample.
 
-    Plain forgetting lets the covariance of what is not excited grow without bound, so that the next
-    surprise throws the operator away. Here each sample also adds a little information about one
-    regressor in turn, which holds the current weights there: after Gunnarsson's (1996) cyclic
-    leakage, with the share chosen so that the covariance never exceeds 4 gain_limit². The gain P g
-    / (1 + g·P g), being at most half the root of that, never exceeds gain_limit.
+    It works in scaled observables. With plain forgetting, the covariance of regressors that are not
+    excited grows without bound, and the next large error destroys the operator. Here each sample
+    also adds a little information about one regressor in turn, which keeps the current weights
+    there. This follows the cyclic leakage of Gunnarsson (1996). The share is chosen so that the
+    covariance never exceeds 4 gain_limit². The gain P g / (1 + g·P g) is at most half the root of
+    the covariance, so it never exceeds gain_limit.
 
     Parameters
     ----------
     operator
-        Where to start from. The covariance starts as if the samples a memory holds had been the
-        training data.
+        Initial operator. The covariance starts as if the training data were the number of samples
+        that the memory holds.
     forgetting
         Weight that a sample keeps from one to the next, in (0.5, 1]; the memory is 1 / (1 -
         forgetting) samples.
@@ -73,11 +73,11 @@ class Online:
         self._turn = 0
 
     def update(self, lifted: Array, inputs: Array | None, lifted_after: Array) -> float:
-        """Learn from one step: observables (D,), inputs (m,) that acted, and the observables after
-        it.
+        """Update the operator with one step and return the error before the update.
 
-        Returns the root mean square of the scaled one-step error before learning; NaN, and nothing
-        is learnt, if a number is not finite.
+        The step is given by the observables (D,), the inputs (m,) and the observables after it. The
+        error is the root mean square of the scaled one-step error. If a number is not finite, the
+        error is NaN and the operator does not change.
         """
         given = self._regressors
         given[: self._count] = lifted
@@ -106,8 +106,9 @@ class Online:
         return (size / self._count) ** 0.5
 
     def operator(self, cap: float | None = 1.0) -> Operator:
-        """What has been learnt so far, its eigenvalues capped (None: left), in the units of the
-        observables.
+        """Return the present operator in the units of the observables, its eigenvalues capped.
+
+        A cap of None leaves the eigenvalues unchanged.
 
         Raises
         ------

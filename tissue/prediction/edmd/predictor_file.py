@@ -1,4 +1,4 @@
-"""Operators in a file: arrays and one line of JSON in an npz archive, nothing that could run."""
+"""Operators in a file: arrays and one line of JSON in an npz archive, without any code."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -40,7 +40,7 @@ FORMAT = "tissue predictor"
 VERSION = 2
 ARRAYS = ("A", "B", "offset", "middle", "scale", "input_middle", "input_scale", "moments")
 BOX = ("lowest", "highest")
-"""Arrays of an operator, and those that a file keeps as of its training."""
+"""Arrays of an operator, and arrays of its training range, that a file keeps."""
 KINDS: dict[object, Callable[..., Dictionary]] = {
     kind.__name__: kind
     for kind in (Identity, Polynomials, Gaussians, ThinPlates, GapProducts, Delays)
@@ -49,7 +49,7 @@ KINDS: dict[object, Callable[..., Dictionary]] = {
 
 @dataclass(frozen=True)
 class StoredPredictor:
-    """What a predictor file holds.
+    """Contents of a predictor file.
 
     Attributes
     ----------
@@ -58,9 +58,9 @@ class StoredPredictor:
     operators
         Operators by name.
     header
-        Further numbers and names, as they were given.
+        Additional numbers and names, as passed to the writer.
     arrays
-        Further arrays, as they were given.
+        Additional arrays, as passed to the writer.
     """
 
     scene: str
@@ -78,7 +78,7 @@ def write_predictor(
     arrays: Mapping[str, Array] | None = None,
     overwrite: bool = False,
 ) -> Path:
-    """Write operators, and what else belongs to them, to one file; it appears whole or not at all.
+    """Write operators and their data to one file; it appears completely or not at all.
 
     Parameters
     ----------
@@ -89,16 +89,16 @@ def write_predictor(
     scene
         Name of the scene that they were trained on.
     header
-        What JSON can hold: horizons, gains, validation errors.
+        Values that JSON can hold: horizons, gains, validation errors.
     arrays
         Further arrays of numbers by name.
     overwrite
-        Whether a file that is there may be replaced.
+        Replace an existing file.
 
     Raises
     ------
     InputError
-        If the file is there and may not be replaced, or its folder is missing.
+        If the file exists and may not be replaced, or its folder is missing.
     """
     path = Path(path)
     require_new_file(path, overwrite=overwrite)
@@ -126,7 +126,7 @@ def write_predictor(
 
 
 def read_predictor(path: str | Path, *, scene: str | None = None) -> StoredPredictor:
-    """Read what `write_predictor` wrote; nothing in the file is ever run.
+    """Read a file of `write_predictor`; no code in the file is run.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def read_predictor(path: str | Path, *, scene: str | None = None) -> StoredPredi
             "predictor file", "be an existing file", path, "train it with 'tissue train'"
         )
     again = f"train it again with 'tissue train {scene or 'SCENE'}'"
-    if not is_zipfile(path):  # NumPy would take it for a pickle
+    if not is_zipfile(path):  # NumPy would read it as a pickle
         raise InputError(
             "predictor file", "be whole and one that 'tissue train' wrote", path, again
         )
@@ -159,7 +159,7 @@ def read_predictor(path: str | Path, *, scene: str | None = None) -> StoredPredi
         }
     except InputError:
         raise
-    except Exception as problem:  # a damaged archive raises many kinds, zlib's own among them
+    except Exception as problem:  # a damaged archive raises many kinds of errors, also zlib's own
         found = problem if isinstance(problem, DamagedFileError) else "it is damaged"
         raise InputError("predictor file", "be whole", f"{path} ({found})", again) from problem
     further = {
@@ -171,7 +171,7 @@ def read_predictor(path: str | Path, *, scene: str | None = None) -> StoredPredi
 
 
 def _operator(name: str, plain: Mapping[str, Any], arrays: Mapping[str, Array]) -> Operator:
-    """One operator, its shapes and numbers checked."""
+    """Return one operator after checking its shapes and numbers."""
     for key, each in arrays.items():
         if each.dtype != np.float64 or not np.isfinite(each).all():
             raise DamagedFileError(f"{key} is not finite")
@@ -203,7 +203,7 @@ def _operator(name: str, plain: Mapping[str, Any], arrays: Mapping[str, Array]) 
 
 
 def to_plain(dictionary: Dictionary) -> dict[str, object]:
-    """The dictionary as names, numbers and lists, for a file."""
+    """Return the dictionary as names, numbers and lists, for a file."""
     given = {field.name: getattr(dictionary, field.name) for field in fields(dictionary)}  # type: ignore[arg-type]
     plain = {
         name: to_plain(value) if isinstance(value, Dictionary) else value
@@ -213,7 +213,7 @@ def to_plain(dictionary: Dictionary) -> dict[str, object]:
 
 
 def from_plain(plain: Mapping[str, object]) -> Dictionary:
-    """The dictionary that `to_plain` described; empty lists are left at their defaults.
+    """Return the dictionary that `to_plain` described; empty lists keep their defaults.
 
     Raises
     ------
@@ -235,7 +235,7 @@ def from_plain(plain: Mapping[str, object]) -> Dictionary:
 
 
 def _frozen(value: object) -> object:
-    """Lists as tuples, descriptions as dictionaries of observables."""
+    """Convert lists to tuples, and descriptions to dictionaries of observables."""
     if isinstance(value, Mapping):
         return from_plain(value)
     return tuple(_frozen(each) for each in value) if isinstance(value, list) else value
