@@ -1,5 +1,7 @@
-"""A bone of a CT as a scene: cropped, by label or threshold, with its density, its site and what
-is around it.
+"""Conversion of a bone in a CT to a scene.
+
+The bone is cropped and selected by label or threshold. The scene holds its density, its site and
+its surroundings.
 """
 
 from collections.abc import Mapping
@@ -75,7 +77,7 @@ REMARKS = {
 
 @dataclass(frozen=True, eq=False)
 class _Source:
-    """Image and labels of a bone, cropped, and what was found in the whole image."""
+    """Cropped image and labels of a bone, and findings in the whole image."""
 
     image: Image
     labels: Labels | None
@@ -166,8 +168,10 @@ def _source(request: ImportRequest, progress: Progress) -> tuple[_Source, list[s
 
 
 def _law(text: str, image: Image, found: Inspection) -> DensityLaw | None:
-    """Return the law that a request names, by default the first that the image allows; None
-    where it allows none.
+    """Return the density law that a request names.
+
+    The default is the first law that the image allows. The result is None if the image allows no
+    law.
     """
     is_auto = text == "auto"
     if not found.is_hounsfield:
@@ -191,9 +195,7 @@ def _law(text: str, image: Image, found: Inspection) -> DensityLaw | None:
 
 
 def _bone(request: ImportRequest, source: _Source) -> tuple[BoneOfImage, float | None, list[str]]:
-    """Take the bone out of the image; return it, its threshold where there is one, and
-    sentences.
-    """
+    """Extract the bone from the image; return it, its threshold if it has one, and sentences."""
     if source.labels is None or request.region is None:
         threshold, note = suggest_threshold(
             source.histogram, is_hounsfield=source.inspection.is_hounsfield
@@ -214,7 +216,7 @@ def _bone(request: ImportRequest, source: _Source) -> tuple[BoneOfImage, float |
 
 
 def _kept_volume(bone: BoneOfImage) -> str:
-    """Describe how the volume within the surface differs from that of the label."""
+    """Describe the difference between the volume within the surface and the volume of the label."""
     change = bone.volume_mm3 / bone.label_mm3 - 1.0
     if abs(change) <= _KEPT:
         return f" and its volume of {1e-3 * bone.label_mm3:.4g} ml kept to {_KEPT:.0%}"
@@ -260,8 +262,9 @@ def _certainty(bone: BoneOfImage, density: Image, law: DensityLaw) -> str:
 
 
 def _followed(like: str | None, at: Placed | None, *, replay: bool) -> dict[str, Any]:
-    """Return head and tables of the scene whose tool and motion are taken, with a guide hole
-    under ``anatomy``.
+    """Return head and tables of the scene that provides tool and motion.
+
+    A guide hole is returned under ``anatomy``.
     """
     wanted = like or USUAL.get((at.kind if at else None) or "")
     if wanted is None:
@@ -287,7 +290,7 @@ def _scene_text(
     followed: dict[str, Any],
     keep_clear: dict[str, Any],
 ) -> str:
-    """Return TOML of the scene, with remarks on what users may want to change."""
+    """Return the TOML text of the scene, with remarks on settings that users may want to change."""
     head |= {key: followed.pop(key) for key in HEAD if key in followed}
     if at is not None:
         anatomy |= {
@@ -313,7 +316,7 @@ def _scene_text(
 
 
 def _record(source: _Source, at: Placed | None) -> dict[str, Any]:
-    """Return what was found in the image, as plain numbers."""
+    """Return the findings in the image as plain numbers."""
     found = source.inspection
     site = None
     if at is not None:

@@ -47,8 +47,9 @@ def import_ct(
     progress: Progress = silent,
     **options: Any,
 ) -> Imported:
-    """Make a scene of a CT: a folder with a bone, its density, a site and pictures, with a tooth,
-    or with a soft organ.
+    """Convert a CT to a folder with a scene.
+
+    The folder holds a bone with its density, a site and pictures, or a tooth, or a soft organ.
 
     Parameters
     ----------
@@ -63,9 +64,9 @@ def import_ct(
     pictures
         Whether pictures are drawn.
     progress
-        Called with what is being done.
+        Called with a description of the current step.
     **options
-        The options below; None stands for the default.
+        The options below. None selects the default.
 
     Other Parameters
     ----------------
@@ -92,19 +93,19 @@ def import_ct(
         ``tooth``, ``tooth:lesion``, a point [mm], or a file of 3D Slicer markups; default by the
         region's name.
     normal : point
-        Outward direction at a site that is a point; default that of the surface.
+        Outward direction at a site that is a point. Default: the normal of the surface.
     coordinates : {"LPS", "RAS"}
-        Frame of crop, site, normal and path: that of DICOM (LPS) or of NIfTI and 3D Slicer's views
-        (RAS).
+        Frame of crop, site, normal and path: LPS as in DICOM, or RAS as in NIfTI and 3D Slicer's
+        views.
     path : str or Path
         Toolpath in the frame of the image [mm]: CSV, markups curve or G-code, see
         `meshes.paths.toolpath.read_toolpath`.
     feed_mm_s : float
-        Speed where the path states none [mm/s]; default 2.
+        Speed where the path gives no speed [mm/s]. Default: 2.
     keep_clear : sequence of str
         Labels that the tool must not touch.
     like : str
-        Scene whose tool and motion are taken; default by the site.
+        Scene that provides tool and motion. Default: by the site.
     parts : mapping of str to float
         Labels in a soft organ that become parts of it, with their Young's moduli [kPa].
 

@@ -88,8 +88,9 @@ def tooth_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
 
 
 def _enamel_note(image: Image, labels: Labels) -> list[str]:
-    """Return a warning if the enamel does not lie on bright voxels; raises for labels of another
-    image.
+    """Return a warning if the enamel does not lie on bright voxels.
+
+    Raise an error for labels of another image.
     """
     placed = on_grid_of(labels, image)
     if "enamel" not in placed.names.values() or not inspect(image).is_hounsfield:
@@ -122,9 +123,7 @@ def _only(labels: Labels, kept: dict[int, str]) -> Labels:
 
 
 def _site(tooth: Labels, *, at_lesion: bool) -> tuple[Array, str]:
-    """Return the middle of the largest lesion or of the tooth [mm, LPS], and a sentence on the
-    site.
-    """
+    """Return the middle of the largest lesion or of the tooth [mm, LPS], and a sentence."""
     from scipy.ndimage import label
 
     spacing = np.array(tooth.image.spacing_mm)

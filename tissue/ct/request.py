@@ -188,19 +188,19 @@ class ImportRequest:
 
     @property
     def is_tooth(self) -> bool:
-        """Whether the site is that of a tooth."""
+        """True if the site is the site of a tooth."""
         return self.site in TEETH
 
     @property
     def is_soft(self) -> bool:
-        """Whether the region is a soft organ, by its name or because parts of it have moduli."""
+        """True if the region is a soft organ, by its name or because parts of it have moduli."""
         return bool(self.parts) or (
             self.region is not None and re.search(SOFT, self.region.lower()) is not None
         )
 
     @property
     def is_markups(self) -> bool:
-        """Whether the site is a file of markups."""
+        """True if the site is a file of markups."""
         return isinstance(self.site, str) and Path(self.site).suffix.lower() in MARKUPS
 
     @property

@@ -1,6 +1,4 @@
-"""Which column of a log holds which quantity: the names that are known, units, and the flags
-that map a log's own.
-"""
+"""Map from the columns of a log to quantities: known names, units, and flags of the user."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,7 +16,10 @@ UNITS: dict[str, dict[str, float]] = {
     "angle": {"rad": 1.0, "deg": 0.017453292519943295},
     "number": {},
 }
-"""Factors to SI by what is measured; gf and lbf are those of BIPM and NIST SP 811, exact."""
+"""Factors to SI by quantity.
+
+The factors of gf and lbf are from BIPM and NIST SP 811 and are exact.
+"""
 
 
 @dataclass(frozen=True)
@@ -65,12 +66,12 @@ _POSE = (*_vector("length", "tool_{}_mm"), *_TURN)
 _FORCE = _vector("force", "force_{}_N")
 _TORQUE = _vector("torque", "torque_{}_Nm")
 QUANTITIES = {each.name: each for each in (*_TIMES, *_POSE, *_FORCE, *_TORQUE)}
-"""What a fit of a cut can use, by name.
+"""Quantities that a fit of a cut can use, by name.
 
-Poses are those of the tool's tip in the scene's frame, as a replayed motion has them;
-``tool_r*_rad`` is a rotation vector instead of a quaternion. Forces and torques act on the tool, in
-the scene's frame, torques about the tip. ``load_time_s`` is the clock of forces and torques where
-it is not that of the poses.
+Poses are poses of the tool's tip in the scene's frame, as in a replayed motion. ``tool_r*_rad`` is
+a rotation vector that replaces a quaternion. Forces and torques act on the tool, in the scene's
+frame, torques about the tip. ``load_time_s`` is the clock of forces and torques if it differs from
+the clock of the poses.
 """
 
 
@@ -90,8 +91,9 @@ class ColumnMap:
     column: str
 
     def find(self, known: Iterable[str]) -> tuple[str, float, str]:
-        """Column among those that are known, factor from its values to SI with the sign, and a
-        remark or nothing.
+        """Return the matching column, the factor from its values to SI, and a remark.
+
+        The factor includes the sign. The remark may be empty.
 
         Raises
         ------
@@ -145,8 +147,9 @@ class ColumnMap:
 
 
 def parse_column(text: str, quantities: Mapping[str, Quantity] = QUANTITIES) -> ColumnMap:
-    """A flag ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT``, the last with its sign
-    reversed.
+    """Parse a flag ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT``.
+
+    A minus reverses the sign.
 
     Without a unit the column is in the unit of the name.
 
@@ -208,8 +211,10 @@ def _plain(unit: str) -> str:
 
 
 def _stated(column: str, fitting: dict[str, float]) -> str:
-    """The unit that a header states, of those that fit: of ``Load (N)``, ``Load [N]`` and
-    ``load_N``.
+    """Return the unit in a header if it is one of the fitting units.
+
+    A header has the form ``Load (N)``, ``Load [N]`` or ``load_N``. The result is an empty string
+    without a fitting unit.
     """
     found = re.search(r"[\[(]([^\])]+)[\])]\s*$", column) or re.search(r"_([A-Za-zµ]+)$", column)
     unit = _plain(found[1]) if found else ""

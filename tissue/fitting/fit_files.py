@@ -42,8 +42,9 @@ LAGS = 40
 SHOWN_GAINS = SHOWN_COMBINATIONS = 5
 NATS = 0.1
 LITTLE = 0.95
-"""Gain below which another log is not recommended [nats]; share of an interval above which it is
-left as it is.
+"""Gain below which another log is not recommended [nats].
+
+It is also the ratio of intervals above which an interval counts as unchanged.
 """
 
 
@@ -221,10 +222,10 @@ def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
 
 
 def verdicts(fit: SceneFit) -> list[str]:
-    """What the log determines, in sentences.
+    """Return sentences on the results of the fit.
 
-    In this order: what contradicts the priors, determined constants, combinations, what stays at
-    its prior, what next.
+    Their order is: contradictions to the priors, determined constants, combinations, constants that
+    stay at their priors, and the log to measure next.
     """
     found = [f"doubtful: {each}" for each in fit.doubts]
     names = {each.name: " ".join(filter(None, unit_of(each.name))) for each in fit.constants}

@@ -20,16 +20,16 @@ class Parameter:
     Attributes
     ----------
     name
-        ``TABLE.MATERIAL.NAME`` as the files of constants have it, such as
-        ``cutting.bone.radial_chip_N_mm2``, or ``density.LAYER``, the factor on the density map of a
+        Name in the files of constants, ``TABLE.MATERIAL.NAME``, such as
+        ``cutting.bone.radial_chip_N_mm2``. ``density.LAYER`` is the factor on the density map of a
         layer.
     prior
-        What is known of it before the log.
+        Prior of the constant before the log.
     cited
         The prior of a constant whose cited value is an end of its range, such as an axial
-        coefficient of 0. The fit uses the `mirrored` prior in its linear algebra and counts what
-        lies beyond the end as the end itself, see `tissue.fitting.marginal`. None for a constant
-        whose value lies inside its range.
+        coefficient of 0. The fit uses the `mirrored` prior in its linear algebra and counts values
+        beyond the end as the end itself, see `tissue.fitting.marginal`. None for a constant whose
+        value lies inside its range.
     """
 
     name: str
@@ -43,8 +43,10 @@ class Parameter:
 
     @property
     def side(self) -> float:
-        """1 where only values above the cited one are possible, -1 where only those below, 0
-        where both are.
+        """Side of the cited value on which values are possible.
+
+        The side is 1 above the cited value, -1 below it, and 0 if values on both sides are
+        possible.
         """
         if self.cited is None:
             return 0.0
@@ -52,8 +54,9 @@ class Parameter:
 
 
 def fits(pattern: str, name: str, tags: Collection[str] = ()) -> bool:
-    """Whether a pattern chooses a constant: the table first, then parts of the name, words of
-    it, or tags.
+    """Return whether a pattern selects a constant.
+
+    The pattern names the table first, then parts of the name, words of it, or tags.
     """
     table, material, *rest = name.split(".")
     wanted, *parts = pattern.split(".")

@@ -33,11 +33,12 @@ class LogColumns:
     Attributes
     ----------
     names
-        Of all columns, those that hold no numbers included.
+        Names of all columns, including columns without numbers.
     numbers
-        Gives a column's numbers, shape (n,), by its name; raises InputError where it holds none.
+        Function that returns a column's numbers, shape (n,), by its name. It raises InputError if
+        the column holds no numbers.
     notes
-        What was found around them, in words.
+        Remarks on the columns, in words.
     """
 
     names: tuple[str, ...]
@@ -47,12 +48,12 @@ class LogColumns:
     def taken(
         self, maps: Mapping[str, ColumnMap], quantities: Mapping[str, Quantity]
     ) -> tuple[dict[str, Array], list[str]]:
-        """Quantities that are there, in SI, by name, and what was found with them, in sentences.
+        """Return the available quantities in SI, by name, and remarks in sentences.
 
         Raises
         ------
         InputError
-            If a column that is mapped is not there, or holds no numbers.
+            If a mapped column is missing or holds no numbers.
         """
         values: dict[str, Array] = {}
         used = set[str]()
@@ -76,12 +77,13 @@ class LogColumns:
 
 
 def read_columns(path: Path) -> LogColumns:
-    """Read a log.
+    """Read the columns of a log.
 
     Raises
     ------
     InputError
-        If the file is not there, of another kind, or damaged, or what reads it is not installed.
+        If the file is missing, of another kind or damaged, or if the library that reads it is not
+        installed.
     """
     if not is_file(path):
         raise InputError(
@@ -169,8 +171,9 @@ def _h5(path: Path) -> LogColumns:
 
 
 def _structs(path: Path) -> LogColumns:
-    """Columns of a MATLAB 7.3 file, those of structs by the names of their fields where no two
-    are the same.
+    """Return the columns of a MATLAB 7.3 file.
+
+    Columns of structs have the names of their fields if these are unique.
     """
     found = _h5(path)
     whole = [name for name in found.names if not name.startswith("#")]
@@ -239,10 +242,10 @@ _BYTES = 8
 
 
 def parquet_columns(file: Path) -> Answer:
-    """Return the columns of a Parquet file by name, after its stated size has been held against the
-    memory limit.
+    """Return the columns of a Parquet file by name.
 
-    What holds no numbers is returned as an empty matrix, so that its name is known.
+    The recorded size of the file is first compared with the memory limit. A column without numbers
+    is returned as an empty matrix, so that its name is known.
     """
     import pyarrow.parquet
 
@@ -267,10 +270,10 @@ def parquet_columns(file: Path) -> Answer:
 
 
 def mat_columns(file: Path) -> Answer:
-    """Return the numeric arrays of a MATLAB file by name, those of structs by the names of their
-    fields.
+    """Return the numeric arrays of a MATLAB file by name.
 
-    What holds no numbers is returned as an empty matrix, so that its name is known.
+    Arrays of structs have the names of their fields. An entry without numbers is returned as an
+    empty matrix, so that its name is known.
     """
     from scipy.io import loadmat
 

@@ -16,7 +16,7 @@ __all__ = ["TextTable", "read_text"]
 
 _DELIMITERS = (",", ";", "\t", " ")
 _LOOKED_AT = 50
-"""Last lines that show what a line of data is."""
+"""Number of lines at the end of a file that determine the form of a data line."""
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
 _AGAIN = "mend that line or export the log again"
 
@@ -71,12 +71,13 @@ class TextTable:
 
 
 def read_text(path: Path) -> TextTable:
-    """Read a table of text, whatever stands before it.
+    """Read a table of text and skip any text before it.
 
     Raises
     ------
     InputError
-        If it holds no table of numbers, or a line in it has more or fewer cells than the others.
+        If the file holds no table of numbers, or a line of the table has more or fewer cells than
+        the others.
     """
     lines = _decoded(path).splitlines()
     while lines and not lines[-1].strip():
@@ -109,8 +110,9 @@ def read_text(path: Path) -> TextTable:
 
 
 def _decoded(path: Path) -> str:
-    """Text of a file; what is no UTF-8 is read as UTF-16 where it begins so, otherwise as
-    Windows-1252.
+    """Return the text of a file, decoded as UTF-8, UTF-16 or Windows-1252.
+
+    A file that is not UTF-8 is read as UTF-16 if it begins like UTF-16, otherwise as Windows-1252.
     """
     content = path.read_bytes()
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -126,8 +128,9 @@ def _decoded(path: Path) -> str:
 
 
 def _form(lines: list[str], path: Path) -> tuple[str, int]:
-    """Delimiter and number of cells of the lines that hold data: those that make the most
-    numbers of them.
+    """Return the delimiter and the number of cells of the lines that hold data.
+
+    The delimiter that yields the most numbers is chosen.
     """
     best = 0
     form = (",", 0)
@@ -164,14 +167,15 @@ def _count(row: list[str]) -> int:
 
 
 def _is_data(row: list[str]) -> bool:
-    """Whether at least half of the cells that hold anything are numbers."""
+    """Return whether at least half of the non-empty cells hold numbers."""
     filled = sum(bool(cell.strip()) for cell in row)
     return filled > 0 and 2 * _count(row) >= filled
 
 
 def _header(above: list[list[str]], width: int) -> tuple[tuple[str, ...], int, bool]:
-    """Names, the number of lines before them, and whether a line of units stands between them
-    and the data.
+    """Return the column names, the number of lines before them, and a flag.
+
+    The flag is set if a line of units stands between the names and the data.
     """
     at = len(above) - 1
     while at >= 0 and not any(cell.strip() for cell in above[at]):

@@ -13,8 +13,9 @@ from tissue.models.tissue_model import TICK_S
 __all__ = ["MeasuredLoads", "block_averages", "block_ticks", "shift_operators"]
 
 FEWEST = 50
-"""Samples of a channel below which its scale and the correlation of its noise cannot be
-estimated.
+"""Minimum number of samples of a channel.
+
+With fewer samples, the scale and the correlation of its noise cannot be estimated.
 """
 
 
@@ -31,8 +32,8 @@ class MeasuredLoads:
     channels
         Names with units, such as ``force_x_N``.
     within_s
-        Times, from that of a sample, at which the loads were read of which it is the mean, shape
-        (k,) [s].
+        Times relative to the time of a sample, shape (k,) [s]. A sample is the mean of the loads
+        read at these times.
 
     Raises
     ------
@@ -70,8 +71,9 @@ class MeasuredLoads:
             )
 
     def sizes(self) -> Array:
-        """Root mean square of each channel's unit [N or N m], shape (channels,), not swayed by
-        outliers.
+        """Robust root mean square of each channel's unit [N or N m], shape (channels,).
+
+        Outliers have little influence.
 
         Channels of one unit share the largest, since a channel without load has nothing but noise.
         """
@@ -88,8 +90,9 @@ MOST_SAMPLES = 2000
 averaged out.
 """
 LEAST_BLOCK = 5
-"""Ticks of a block: tooth passing and sensor noise above 100 Hz are not what constants are found
-from.
+"""Ticks of a block.
+
+Constants are not identified from tooth passing and sensor noise above 100 Hz.
 """
 
 
@@ -144,10 +147,11 @@ def block_averages(
 def shift_operators(
     times_s: Array, wanted_s: Array, offset_s: float, within_s: Sequence[float] = (0.0,)
 ) -> tuple[csr_array, csr_array]:
-    """Interpolate what is known at `times_s` at the times ``wanted_s - offset_s``, as matrices.
+    """Return matrices that interpolate from `times_s` to the times ``wanted_s - offset_s``.
 
-    Cubic through four neighbours (Catmull and Rom, 1974), whose slope is continuous, so that a
-    gradient by the offset is; before the first and after the last time it is the value there.
+    The interpolation is a cubic through four neighbours (Catmull and Rom, 1974). Its slope is
+    continuous, so that the gradient by the offset is continuous too. Before the first time and
+    after the last time, the end value is used.
 
     Parameters
     ----------
@@ -158,7 +162,7 @@ def shift_operators(
     offset_s
         The offset [s].
     within_s
-        Times about each wanted one over which the mean is taken [s], k of them.
+        Times relative to each wanted time over which the mean is computed [s], shape (k,).
 
     Returns
     -------

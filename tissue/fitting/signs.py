@@ -23,8 +23,9 @@ __all__ = ["require_signs", "reversed_channels"]
 GAIN = 10.0
 """Log density that reversed signs must add: odds of 2e4, where chance between two signs is one."""
 SCREENED = 50.0
-"""Log density by which reversed signs may be worse before the search, which then moves the noise
-too.
+"""Deficit of the log density up to which reversed signs are searched further.
+
+The search moves the noise too.
 """
 EXPLAINED = 0.5
 """Share of a channel's variance that the loads must explain once it is reversed: a channel of
@@ -97,10 +98,10 @@ def _groups(channels: Sequence[str]) -> list[list[int]]:
 def _search(
     forward: Forward, log: MeasuredLoads, signs: Array, wanted: float
 ) -> tuple[float, Array]:
-    """Largest log density of a log with these signs, and the share of each channel's variance that
-    is explained.
+    """Return the largest log density of a log with these signs, and the explained variance.
 
-    Where the first guess is far from the density that is wanted, they are those of the guess.
+    The explained share of the variance is computed for each channel. If the first guess is far from
+    the wanted density, the results of the guess are returned.
     """
     target = Target(forward, replace(log, values=log.values * signs))
     density, u = starts(target)[0]

@@ -86,7 +86,7 @@ def _constants(ranges: Ranges) -> dict[str, dict[str, float]]:
 def _indices(
     found: SobolIndices, ranges: Ranges, figures: tuple[Figure, ...]
 ) -> dict[str, dict[str, dict[str, object]]]:
-    """Indices by figure and group; none of a figure that does not vary."""
+    """Return Sobol indices by figure and group, without figures that do not vary."""
     return {
         ".".join(figure): {
             group: {
@@ -109,11 +109,15 @@ HOW = (
 HOW_RERUN = "every sample was run, for the force is not linear in the constants or moves the tool"
 HOW_ASKED = "every sample was run, as was asked for"
 MOST_FAILED = 0.1
-"""Greatest share of samples that may fail: beyond it the ends of a 90 % band would be those of
-what is left.
+"""Largest share of samples that may fail.
+
+With more failed samples, the ends of a 90 % band would describe only the remaining samples.
 """
 SAME = 1e-5
-"""Of the greatest load: single precision of the kernels, and six digits of a trace in a file."""
+"""Tolerance of loads as a share of the largest load.
+
+It covers the single precision of the kernels and the six digits of a trace in a file.
+"""
 SOBOL_ROWS = 512
 """Rows of each of the two samples behind the indices."""
 
@@ -135,12 +139,11 @@ class Band:
         Names as `tissue.fitting.bands.figures` has them, and the figures of each sample, shape
         (samples, figures), NaN where a sample has none, of an event that does not happen for one.
     numbers
-        Which of `files` each sample is, shape (samples,).
+        Index into `files` of each sample, shape (samples,).
     files
-        The file of materials of every sample, those that failed among them; none of a band that was
-        read.
+        File of materials of every sample, including failed samples. Empty for a band that was read.
     summary
-        What ``summary.json`` holds of it under ``band``.
+        Content of ``summary.json`` under the key ``band``.
     """
 
     times_s: Array
@@ -170,13 +173,14 @@ def require_band(
     *,
     each_run: bool = False,
 ) -> None:
-    """Refuse options of a band that cannot be met, before the scene is run.
+    """Refuse invalid options of a band before the scene is run.
 
     Raises
     ------
     InputError
-        If the number of samples is none of 16 to 65536, or processes are asked for where nothing is
-        run again, or beside a scheduler, or a run of each sample where that is done anyhow.
+        If the number of samples is not between 16 and 65536, if processes are requested although no
+        sample is run again or together with a scheduler, or if a run of each sample is requested
+        for a scene that always needs it.
     """
     rounded(asked)
     is_linear = not why_not_linear(scene)
@@ -215,31 +219,32 @@ def band_of(
     cores: int | None = None,
     progress: Progress | None = None,
 ) -> Band:
-    """The band of a scene's loads and figures.
+    """Compute the band of a scene's loads and figures.
 
     Parameters
     ----------
     scene
-        What was simulated.
+        Simulated scene.
     asked
         Samples, rounded up to a power of two.
     seed
-        Seed of the samples; that of the scene without it.
+        Seed of the samples. Default: the scene's seed.
     workers
-        Processes that run samples beside each other, where each is a run of its own.
+        Number of parallel processes, for scenes whose samples are separate runs.
     scheduler
         Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``, instead of own
         processes.
     each_run
-        Whether every sample is run where reweighing would do, for what is not linear: temperature
-        and stress.
+        Run every sample even where reweighing is enough. Needed for nonlinear figures such as
+        temperature and stress.
     compute, cores, progress
         As for `tissue.simulate`.
 
     Raises
     ------
     InputError
-        As `require_band`, if no constant has a range, or more than a tenth of the samples fail.
+        For the reasons that `require_band` lists, if no constant has a range, or if more than a
+        tenth of the samples fail.
     """
     report = progress or silent
     require_band(scene, asked, workers, scheduler, each_run=each_run)
@@ -357,7 +362,7 @@ def _require_ranges(ranges: Ranges) -> None:
 
 
 def require_same(band: Band, loads: Array) -> None:
-    """Refuse a run whose loads are not those that the band has at the run's nominal constants.
+    """Check that a run has the loads that the band has at the nominal constants.
 
     Parameters
     ----------
@@ -367,7 +372,7 @@ def require_same(band: Band, loads: Array) -> None:
     Raises
     ------
     InputError
-        If there are fewer ticks, or loads differ by more than 1e-5 of the greatest.
+        If the run has fewer ticks, or loads differ by more than 1e-5 of the largest load.
     """
     if len(loads) < len(band.times_s):
         raise InputError(

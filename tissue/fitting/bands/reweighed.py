@@ -53,8 +53,9 @@ class Reweighed:
 
     @cached_property
     def ranges(self) -> Ranges:
-        """Constants with a range of the layers that the tool met, but those that the scene sets
-        itself.
+        """Constants with a range, for the layers that the tool touched.
+
+        Constants that the scene sets itself are left out.
         """
         met = [self.record.layer_names[at] for at in sorted(self.record.layers)]
         density = density_prior(self.record.notes.get("density law", ""))
@@ -73,8 +74,9 @@ class Reweighed:
         return np.array([prior.value for prior in self.ranges.priors])
 
     def weights(self, x: Array) -> Array:
-        """What all unit loads are multiplied by, shape (samples, units), for values of shape
-        (samples, p).
+        """Return the factors of all unit loads, shape (samples, units).
+
+        The values `x` have shape (samples, p).
         """
         layers = len(self.record.layer_names)
         place = self.ranges.names.index(DENSITY) if DENSITY in self.ranges.names else None
@@ -107,8 +109,9 @@ class Reweighed:
         return found
 
     def _blocks(self, weights: Array) -> Iterator[tuple[NDArray[np.int64], Array]]:
-        """Loads of samples a few loaded ticks after the others, and which those are, shape
-        (samples, ticks, 6).
+        """Yield blocks of loads, shape (samples, ticks, 6), and the indices of their ticks.
+
+        A block holds a few consecutive loaded ticks.
         """
         step = max(BLOCK // (6 * len(weights)), 1)
         for first in range(0, len(self._loaded), step):
@@ -129,10 +132,10 @@ def with_sizes(loads: Array) -> Array:
 
 
 def density_prior(law: str) -> Prior | None:
-    """Prior of a factor of the density, from what an image of densities states of their law; None
-    where it is silent.
+    """Return the prior of a density factor from the law that an image of densities records.
 
-    The band is that of the density's median; it is taken for the relative one of every voxel.
+    The result is None if the image records no law. The band of the law is the band of the median
+    density; it is applied as a relative band to every voxel.
     """
     found = LAW.search(law)
     if found is None:

@@ -95,20 +95,20 @@ REFITS = 100
 def surrogate_indices(
     free: Array, figures: Array, groups: tuple[tuple[int, ...], ...], *, seed: int
 ) -> tuple[SobolIndices, Array]:
-    """Indices of figures, and the share of the variance of each that is explained in runs left out
-    of the fit.
+    """Return the Sobol indices of figures and the share of each variance that the fit explains.
 
-    The figures are those of a sum of products of normalised Hermite polynomials up to degree two,
-    its coefficients by ridge regression (Sudret 2008, Reliab. Eng. Syst. Saf. 93:964).
+    The share is evaluated on runs that the fit has not seen. The indices are derived from a sum of
+    products of normalised Hermite polynomials up to degree two. The coefficients of the sum are
+    found by ridge regression (Sudret 2008, Reliab. Eng. Syst. Saf. 93:964).
 
     Parameters
     ----------
     free
         Independent standard normal numbers of each run, shape (n, p).
     figures
-        Shape (n, figures).
+        Figures of each run, shape (n, figures).
     groups
-        Columns of each group; every column belongs to one.
+        Columns of each group. Every column belongs to one group.
     """
     terms = _terms(free.shape[1])
     basis = np.column_stack([_product(free, term) for term in terms])
@@ -155,8 +155,9 @@ def _fitted(basis: Array, values: Array, ridge: float) -> Array:
 
 
 def _best(basis: Array, values: Array) -> tuple[float, float]:
-    """Ridge of the least error on runs that the fit has not seen, and the share of the variance
-    that it explains.
+    """Return the best ridge and the share of the variance that it explains.
+
+    The best ridge has the smallest error on runs that the fit has not seen.
     """
     errors = np.zeros(len(RIDGES))
     for fold in range(FOLDS):
