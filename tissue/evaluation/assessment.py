@@ -1,6 +1,4 @@
-"""Assessment of a trainee's run against a reference run of the same scene, in words and as
-files.
-"""
+"""Assessment of a trainee's run against a reference run of the same scene, as text and files."""
 
 import json
 from collections.abc import Callable
@@ -154,19 +152,19 @@ class Assessment:
     Attributes
     ----------
     figures
-        Numbers by name, units in the names; where both runs have one, as {"trainee": ...,
-        "reference": ...}.
+        Numbers by name, units in the names. Numbers that both runs have are given as {"trainee":
+        ..., "reference": ...}.
     breaches
         Limits that were passed, in the order of time.
     events
-        What happened to the trainee and not in the reference: time [s] and a sentence each.
+        Events of the trainee that the reference does not have: time [s] and a sentence each.
     time_s
-        Of the trainee's ticks, shape (ticks,).
+        Times of the trainee's ticks [s], shape (ticks,).
     deviation, force, depth
         Distance from the reference's path at the aligned place [mm], size of the force [N], and
         depth along the reference tool's axis from its first contact [mm].
     notes
-        Differences between the two runs that limit what the figures mean, a sentence each.
+        Differences between the two runs that limit the meaning of the figures, a sentence each.
     """
 
     figures: Figures
@@ -348,9 +346,7 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
 
 
 def _draw(found: Assessment, path: Path) -> None:
-    """Draw the quantities of trainee and reference over time, and the limits with their
-    breaches.
-    """
+    """Draw the quantities of trainee and reference over time, and the limits with breaches."""
     chart = figure(9.0, 7.2)
     panels = chart.subplots(3, 1, sharex=True)
     chart.subplots_adjust(left=0.09, right=0.98, top=0.9, bottom=0.08, hspace=0.14)
@@ -443,8 +439,9 @@ def _contact_s(trace: Table) -> float:
 
 
 def _approach(trace: Table) -> tuple[Array, Array]:
-    """Return the mean axis of the tool in contact, out of the tissue, and the place of the first
-    contact [mm].
+    """Return the mean axis of the tool in contact and the place of the first contact [mm].
+
+    The axis points out of the tissue.
     """
     rows = np.flatnonzero(trace["contact_mm2"] > 0.0)
     if not len(rows):

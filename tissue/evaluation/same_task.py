@@ -1,6 +1,4 @@
-"""Checks that two runs are of one task, so that an assessment of one against the other means
-something.
-"""
+"""Checks that two runs are of one task, so that an assessment between them is meaningful."""
 
 import filecmp
 import tomllib
@@ -61,7 +59,7 @@ def require_same_task(trainee: Scene | None, reference: Scene | None) -> None:
 
 
 def scene_notes(trainee: Scene | None, reference: Scene | None) -> Iterator[str]:
-    """Yield sentences on what else differs between the two scenes."""
+    """Yield sentences on further differences between the two scenes."""
     if trainee is None or reference is None:
         yield "a run has no scene.toml: whether both are of one tissue and tool is not known"
         return
@@ -89,10 +87,10 @@ def _differences(one: Scene, other: Scene) -> Iterator[tuple[str, object, object
 
 
 def _same_file(key: str, one: object, other: object) -> bool:
-    """Return whether a key names files of one name and content; one that is not on this machine is
-    judged by its name.
+    """Return whether a key names files of one name and content.
 
-    A trainee's run may come from another machine, where the anatomy lies elsewhere.
+    A file that is not on this machine is compared by its name. A trainee's run may come from
+    another machine with another path to the anatomy.
     """
     names_file = is_file_key(key.rpartition(".")[2]) or key.startswith("keep_clear.files.")
     if not names_file or not isinstance(one, str) or not isinstance(other, str):

@@ -55,21 +55,21 @@ def play(
     clock: Callable[[], float],
     wait: Callable[[float], None] = sleep,
 ) -> None:
-    """Push with a force for a while, with soft edges; whatever happens, the device is left without
-    force.
+    """Apply a force for a limited time with soft edges, and always end with zero force.
 
     Parameters
     ----------
     device
-        What plays it.
+        Device that applies the force.
     force_N
         Force [N].
     length_s
-        How long [s].
+        Duration [s].
     tick_s
         Time between two commands [s].
     clock, wait
-        Time since the device was started [s], and how to let time pass.
+        Function that returns the time since the device was started [s], and function that lets time
+        pass.
     """
     began = clock()
     still = np.zeros(3)
@@ -200,8 +200,9 @@ def simulated_observer(spec: str) -> tuple[SimulatedObservers, int]:
 
 
 def simulated_answers(people: SimulatedObservers, seed: int) -> Answer:
-    """Answers of one simulated observer; each trial draws from a generator of its own, so order
-    does not matter.
+    """Return the answers of one simulated observer.
+
+    Each trial draws from its own generator, so the order of trials does not matter.
     """
 
     def answer(asked: Comparison | Magnitude, trial: int) -> float:
@@ -222,8 +223,9 @@ def questioner(
     read: Callable[[], str],
     show: Callable[[str], None],
 ) -> tuple[Answer, float]:
-    """Return the answers of a simulated observer or of a person, and the largest force of the
-    device [N].
+    """Return a source of answers and the largest force of the device [N].
+
+    The answers are given by a simulated observer or by a person.
 
     Raises
     ------

@@ -96,9 +96,10 @@ def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) 
     Parameters
     ----------
     scene
-        A scene. With a device the settings are those of its loop, without one those of its model.
+        Scene. With a device, the settings of its loop are measured; without a device, the settings
+        of its model.
     quick
-        Fewer settings, a shorter excerpt and a coarser reference.
+        Use fewer settings, a shorter excerpt and a coarser reference.
     report
         Called with the current measurement.
     """

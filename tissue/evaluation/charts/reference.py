@@ -43,8 +43,9 @@ def of_model(scene: Scene) -> Scene:
 
 
 def grid_force_N(scene: Scene, changes: Changes) -> Array:
-    """Compute the force on the tool over time by the model of a scene [N], shape (n, 3); kept on
-    disk.
+    """Compute the force on the tool over time by the model of a scene [N], shape (n, 3).
+
+    The result is kept on disk.
     """
     at = changed(of_model(scene), changes)
     forces = cached_arrays(
@@ -110,12 +111,12 @@ def reference_words(scene: Scene, gap: float) -> str:
 
 
 def float32_error(scene: Scene) -> float:
-    """Return the change of the force of a cut, over the force, by a path moved aside by the last
-    place of a float32.
+    """Return the relative change of a cutting force for a path moved by a float32's last place.
 
-    Voxels are cut in float32, which rounds all coordinates to about that. Where a tool only grazes
-    voxels, the rounding decides whether it touches, and the change is much larger than the last
-    place of a force. NaN where a model computes in float64: organs, needles and walls.
+    Voxels are cut in float32, which rounds all coordinates to about this length. If a tool only
+    grazes voxels, the rounding decides whether it touches. The change is then much larger than the
+    last place of a force. The result is NaN for models that compute in float64: organs, needles and
+    walls.
     """
     motion = scene.motion
     if not isinstance(scene.tool, Tool) or not isinstance(motion, PathMotion):

@@ -102,9 +102,7 @@ def charted(scene: Scene) -> list[Scene]:
 
 
 def notes_before(names: Sequence[str]) -> list[str]:
-    """Return a note for each scene whose chart leaves out predictors, known before anything is
-    computed.
-    """
+    """Return a note, before any computation, for each scene whose chart leaves out predictors."""
     notes = []
     for name in names or scene_names():
         for kind in charted(load_scene(name)):
@@ -145,7 +143,7 @@ def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
 
 
 def make_ready(kinds: Sequence[Scene], pool: Executor, *, quick: bool, report: Progress) -> None:
-    """Compute in other processes what settings need that were not measured on this machine yet."""
+    """Compute the inputs of settings not yet measured on this machine, in other processes."""
     waiting = [kind for kind in kinds if unmeasured(kind, quick=quick)]
     try:
         for name, done in _done(

@@ -1,7 +1,7 @@
 """Cutting force by adaptive quadrature over the cutter's surface: no voxels, no elements fixed to
 the tool.
 
-The surface is r(s), z(s) turned by the angle phi, s the length along the half section. Averaged
+The surface is r(s), z(s) turned by the angle phi; s is the length along the half section. Averaged
 over a revolution, N edges of a tool that spins at omega put ``N ds dphi / (2 pi)`` = ``N dA / (2 pi
 r)`` of cutting edge into a part of the surface. With v the velocity of the surface point (without
 the spin) and h = max(0, v . n) 2 pi / (N omega) the chip::
@@ -10,14 +10,14 @@ the spin) and h = max(0, v . n) 2 pi / (N omega) the chip::
     dphi
 
 t is the direction in which the spin moves the point, n the outward normal, a the axis from tip to
-shank. Every K is that of the layer at the point, times (density / reference density) ** exponent. A
-point is engaged where it advances (v . n > 0), lies in the solid (signed distance below 0), and in
-nothing that the tool has swept before.
+shank. Every K is the coefficient of the layer at the point, times (density / reference density) **
+exponent. A point is engaged where it advances (v . n > 0), lies in the solid (signed distance below
+0), and in nothing that the tool has swept before.
 
-Cells in (s, phi) in which all of this is smooth are integrated by two by two Gauss points; cells
-that a boundary may cross are divided into four, down to a finest size, where one point each
-decides. The distances are 1-Lipschitz, so no boundary of the solid or of an old cut is missed;
-boundaries between layers are found from the cells' corners.
+Smooth cells in (s, phi) are integrated by two by two Gauss points. Cells that a boundary may cross
+are divided into four, down to a finest size, where one point per cell decides. The distances are
+1-Lipschitz, so no boundary of the solid or of an old cut is missed. Boundaries between layers are
+found from the cells' corners.
 """
 
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ __all__ = ["Resolution", "Solid", "wrench_at"]
 GAUSS = 0.5 / 3.0**0.5
 """Gauss points lie this far from the middle of a cell of length 1."""
 TOUCHING_M = 1e-11
-"""Surface this close to an older cut lies on it, and meets nothing [m]."""
+"""Distance to an older cut below which surface counts as lying on it, without contact [m]."""
 CORNERS = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
 
 
@@ -62,8 +62,9 @@ class Solid:
     minus: Shape | None = None
 
     def distance(self, points: Array) -> Array:
-        """Bound of the signed distance [m], shape (n,), negative inside, of points [m], shape
-        (n, 3).
+        """Return a bound of the signed distance [m], shape (n,), negative inside.
+
+        The points [m] have shape (n, 3).
         """
         distance = np.asarray(self.anatomy.shape.distance(points), dtype=np.float64)
         return (
@@ -75,11 +76,10 @@ class Solid:
         return self.anatomy.classify(points, -self.anatomy.shape.distance(points))[0]
 
     def strengths(self, points: Array) -> Array:
-        """Chip and edge coefficients, shape (6, n): tangential, radial, axial chip [Pa], then edge
-        [N/m].
+        """Return chip and edge coefficients at points, shape (6, n).
 
-        Each is that of the point's layer times (density / reference density) ** exponent of the
-        layer.
+        The order is tangential, radial, axial chip [Pa], then edge [N/m]. Each is the coefficient
+        of the point's layer times (density / reference density) ** exponent of the layer.
         """
         layer, density = self.anatomy.classify(points, -self.anatomy.shape.distance(points))
         names = CuttingCoefficients.CHIP + CuttingCoefficients.EDGE
@@ -92,14 +92,14 @@ class Solid:
 
 @dataclass(frozen=True)
 class Resolution:
-    """How finely the surface is divided.
+    """Resolution of the division of the surface.
 
     Attributes
     ----------
     coarsest
         Cells on a radius of the tool before any is divided.
     divisions
-        How often a cell that a boundary crosses is divided into four.
+        Number of times that a cell crossed by a boundary is divided into four.
     """
 
     coarsest: int = 12
@@ -230,8 +230,9 @@ class _AtTick:
     def _integral(
         self, piece: Piece, cells: _Cells, offsets: Array, *, tested: bool = False
     ) -> Array:
-        """Sum of the law over cells, at points of equal weight; points that are not engaged
-        count as 0 if tested.
+        """Return the sum of the law over cells, at points of equal weight.
+
+        If tested, points that are not engaged count as 0.
         """
         points, normals, around = _surface(piece, cells.points(offsets))
         weights = np.repeat(cells.size.prod(axis=1) / len(offsets), len(offsets))
@@ -263,8 +264,9 @@ class _AtTick:
 
 
 def _surface(piece: Piece, at: Array) -> tuple[Array, Array, Array]:
-    """Points [m], outward normals and directions of growing phi, each shape (n, 3), at (s, phi),
-    shape (n, 2).
+    """Return points [m], outward normals and directions of growing phi, each shape (n, 3).
+
+    The positions (s, phi) have shape (n, 2).
     """
     section, outward = piece.at(at[:, 0] / piece.length_m)
     cosine = np.cos(at[:, 1])

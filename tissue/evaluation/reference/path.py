@@ -1,9 +1,8 @@
-"""Path of a tool through a solid: convex parts of the tool, and the distance from what they have
-swept.
+"""Path of a tool through a solid: convex parts of the tool and the distance from swept volume.
 
-The distance to a convex body is a convex function, so along a straight path it has one minimum,
-which golden-section search brackets. That of a ball is the distance of its centre to the path, less
-its radius.
+The distance to a convex body is a convex function. Along a straight path it therefore has one
+minimum, which golden-section search brackets. For a ball, the minimum is the distance of its centre
+to the path minus its radius.
 """
 
 from dataclasses import dataclass, field
@@ -51,8 +50,9 @@ class ConvexPart:
         return centre, float(np.hypot(outline[:, 0], outline[:, 1] - centre).max()) + slack
 
     def distance(self, points: Array) -> Array:
-        """Signed distance [m], shape (n,), negative inside, of points in the tool's frame [m],
-        shape (n, 3).
+        """Return the signed distance [m], shape (n,), negative inside.
+
+        The points [m], shape (n, 3), are in the tool's frame.
         """
         section = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
         seen = [_seen(piece, section) for piece in self.pieces]
@@ -63,11 +63,10 @@ class ConvexPart:
         return np.where(outside, least, -least)
 
     def least_on_path(self, start: Array, end: Array, *, within: Array) -> Array:
-        """Least signed distance while points go straight from ``start`` to ``end``, both shape (n,
-        3) [m].
+        """Return the smallest signed distance of points that move straight from start to end [m].
 
-        Values above ``within``, shape (n,) [m], may come out smaller than they are, but never below
-        it.
+        ``start`` and ``end`` have shape (n, 3) [m]. Results above ``within``, shape (n,) [m], may
+        be too small, but they never fall below ``within``.
         """
         height, radius = self.bounding_ball
         bound = _to_segment(np.array([0.0, 0.0, height]), start, end) - radius
@@ -81,8 +80,9 @@ class ConvexPart:
         return bound
 
     def _search(self, start: Array, along: Array) -> Array:
-        """Golden-section search for the least distance at ``start + share along``, share in [0,
-        1].
+        """Search the smallest distance at ``start + share along`` for a share in [0, 1].
+
+        The method is golden-section search.
         """
         low = np.zeros(len(start))
         high = np.ones(len(start))
@@ -125,8 +125,9 @@ def convex_parts(profile: Profile) -> tuple[ConvexPart, ...]:
 
 
 def _seen(piece: Piece, points: Array) -> tuple[Array, Array]:
-    """Distance [m] from a piece, and the component along its normal [m] of the line to it from
-    its nearest point.
+    """Return the distance [m] from a piece, and a component along its normal [m].
+
+    The component belongs to the line from the nearest point of the piece.
     """
     if isinstance(piece, Arc):
         out = points - np.asarray(piece.centre)
@@ -209,13 +210,12 @@ class ToolPath:
     def swept_distance(
         self, tick: int, parts: tuple[ConvexPart, ...], points: Array, *, within: Array
     ) -> Array:
-        """Signed distance [m] of points in the world, shape (n, 3), from all that the tool has
-        swept before a tick.
+        """Return the signed distance [m] from all volume that the tool has swept before a tick.
 
-        Negative inside. On the leg that the tick belongs to, the first part is left out: of what
-        lies on a convex body that advances on a straight path, nothing lay inside it before.
-        Infinite where nothing was swept; of values above ``within``, shape (n,) [m], only that is
-        right.
+        The distance is negative inside. The points, shape (n, 3), are in the world. On the leg that
+        the tick belongs to, the first part is left out: no point on a convex body that advances on
+        a straight path was inside it before. The distance is infinite if nothing was swept. Above
+        ``within``, shape (n,) [m], the result is only known to be larger than ``within``.
         """
         distance = np.full(len(points), np.inf)
         for start, end in self.legs[self.legs[:, 0] < tick]:
@@ -229,9 +229,7 @@ class ToolPath:
         return distance
 
     def _found_legs(self) -> NDArray[np.intp]:
-        """Ticks joined to legs as long as the paths through the tool's frame are straight and do
-        not turn back.
-        """
+        """Join ticks to legs whose paths in the tool's frame are straight and do not turn back."""
         last = len(self.tips_m) - 1
         legs: list[tuple[int, int]] = []
         start = 0
@@ -250,8 +248,9 @@ class ToolPath:
         return np.array(legs, dtype=np.intp).reshape(-1, 2)
 
     def _is_straight(self, start: int, end: int) -> bool:
-        """Whether points about the tool go straight and onward through its frame from one tick
-        to another.
+        """Return whether points near the tool move straight and onward between two ticks.
+
+        The motion is judged in the tool's frame.
         """
         corners = self.reach_m * np.array(
             [[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, -1, -1], [0, 0, 0]], dtype=float

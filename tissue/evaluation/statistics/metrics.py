@@ -58,26 +58,28 @@ def force_error(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
 
 
 def excess_error(error: float, least_error: float) -> float:
-    """Compute the excess over the least error, sqrt(error^2 - least^2); 0 where the error is
-    smaller.
+    """Compute the excess over the smallest possible error, sqrt(error^2 - least_error^2).
 
-    The least error is that of a perfect force through the same device. Errors that do not depend on
-    each other add in squares, so this is the part that a better force could save.
+    The result is 0 where the error is smaller. The smallest possible error is the error of a
+    perfect force through the same device. Independent errors add in squares, so the excess is the
+    part that a better force could remove.
     """
     return float(np.sqrt(max(error**2 - least_error**2, 0.0)))
 
 
 def force_mae_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
-    """Return the mean over ticks of the size of the force's error [N]; arguments as for
-    :func:`force_error`.
+    """Return the mean over ticks of the size of the force's error [N].
+
+    The arguments are the same as for :func:`force_error`.
     """
     force, ideal = _pair("force_N", force_N, "ideal_N", ideal_N)
     return float(np.linalg.norm(force - ideal, axis=1).mean())
 
 
 def force_rms_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
-    """Root mean square over ticks of the size of the force's error [N]; arguments as for
-    :func:`force_error`.
+    """Return the root mean square over ticks of the size of the force's error [N].
+
+    The arguments are the same as for :func:`force_error`.
     """
     force, ideal = _pair("force_N", force_N, "ideal_N", ideal_N)
     return float(np.sqrt(((force - ideal) ** 2).sum(axis=1).mean()))
@@ -130,12 +132,12 @@ def latency_ms(
 
 
 def acceleration_change_m_s2(velocity_mm_s: ArrayLike, *, tick_s: float) -> float:
-    """Return the mean size of the change of acceleration from tick to tick [m/s^2]; lower is
-    smoother.
+    """Return the mean size of the change of acceleration between ticks [m/s^2].
 
-    This is the published "smoothness index" as its formula prints it: mean |dv[i+1]/dt - dv[i]/dt|.
-    It is a jerk times the tick, so it is compared only between trials of one tick, and it grows
-    with roughness, though its published table reads as if higher were better.
+    Lower is smoother. This is the published "smoothness index" in the form of its printed formula:
+    mean |dv[i+1]/dt - dv[i]/dt|. It is a jerk times the tick, so it can be compared only between
+    trials of one tick. It grows with roughness, although its published table reads as if higher
+    were better.
 
     Parameters
     ----------
@@ -191,8 +193,9 @@ def spectral_arc_length(speed_mm_s: ArrayLike, *, tick_s: float) -> float:
 
 
 def completion_time_s(time_s: ArrayLike, done: ArrayLike) -> float:
-    """Time from the first tick until the task is done and stays done [s]; infinite if it is not
-    done at the end.
+    """Return the time from the first tick until the task is done and stays done [s].
+
+    The result is infinite if the task is not done at the end.
 
     Parameters
     ----------
@@ -210,20 +213,22 @@ def completion_time_s(time_s: ArrayLike, done: ArrayLike) -> float:
 
 
 def overshoot_mm(depth_mm: ArrayLike, *, target_mm: float) -> float:
-    """Compute the overshoot of the tip beyond its target depth [mm], at least 0; `depth_mm` has
-    shape (ticks,).
+    """Compute the overshoot of the tip beyond its target depth [mm], at least 0.
+
+    `depth_mm` has shape (ticks,).
     """
     return max(0.0, float(_signal("depth_mm", depth_mm, at_least=1).max()) - target_mm)
 
 
 def excess_travel_mm(depth_mm: ArrayLike, *, puncture_tick: int) -> float:
-    """Compute the travel of the tip beyond its depth at a puncture [mm]; `depth_mm` has shape
-    (ticks,).
+    """Compute the travel of the tip beyond its depth at a puncture [mm].
+
+    `depth_mm` has shape (ticks,).
 
     Raises
     ------
     InputError
-        If the tick is none of the trial's.
+        If the tick is outside the trial.
     """
     depth = _signal("depth_mm", depth_mm, at_least=1)[:, 0]
     if not 0 <= puncture_tick < len(depth):
@@ -281,12 +286,12 @@ def _pair(
 
 
 def aligned_rows(path: Array, model: Array) -> Ints:
-    """Return the row of the model that each row of a path corresponds to, never falling (Sakoe and
-    Chiba 1978).
+    """Return the row of the model that each row of a path corresponds to.
 
-    The sum of distances over pairs is smallest among all orders of passing through both paths
-    without going back. Both start at their first points. The alignment may end before the last
-    point of the model, because a path that is right as far as it goes deviates nowhere.
+    The rows never decrease (Sakoe and Chiba 1978). The sum of distances over pairs is the smallest
+    among all monotonic alignments of both paths. Both start at their first points. The alignment
+    may end before the last point of the model, so that an incomplete but correct path has no
+    deviation.
 
     Parameters
     ----------
@@ -345,8 +350,7 @@ def aligned_rows(path: Array, model: Array) -> Ints:
 
 
 def deviation_mm(path: Array, model: Array, rows: Ints) -> Array:
-    """Return the distance of each point from the model's path near its aligned row [mm], shape
-    (n,).
+    """Return the distance of each point from the model's path near its row [mm], shape (n,).
 
     Parameters
     ----------

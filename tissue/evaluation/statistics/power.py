@@ -51,14 +51,14 @@ class Power:
 
 
 def drawn_users(groups: Ints, count: int, rng: np.random.Generator) -> Ints:
-    """Draw users with replacement, as many in each group as it has, in the order of groups.
+    """Draw users with replacement within each group, in the order of groups.
 
     Parameters
     ----------
     groups
         Group of every user, 0 to G - 1, shape (users,).
     count
-        Number of populations.
+        Number of populations. Each has the size of the original groups.
 
     Returns
     -------
@@ -76,19 +76,19 @@ def redrawn_power(
 ) -> tuple[Power, ...]:
     """Estimate the error rates with users drawn again from a study, whatever their distribution.
 
-    The null hypothesis is made true by taking the means of each group and method out; what is left
-    of n users is stretched by sqrt(n / (n - 1)), since redrawn users vary by that much less than
-    new ones. Power is that of finding an effect as large as the one measured, which holds the error
-    of the measurement; where the true effect is zero or small it is too high.
+    The null hypothesis is made true by subtracting the means of each group and method. The
+    residuals of n users are scaled by sqrt(n / (n - 1)), since redrawn users vary less than new
+    ones by this factor. Power refers to an effect of the measured size, which includes the error of
+    the measurement. The power is too high if the true effect is zero or small.
 
     Parameters
     ----------
     cells
         Means of a metric by one factor within users.
     rng
-        Draws the users.
+        Generator that draws the users.
     populations
-        How often.
+        Number of populations.
     """
     order = np.argsort(cells.groups, kind="stable")
     values = cells.values[order]

@@ -50,8 +50,9 @@ PLAIN = "koopman"
 WIDEST = 12
 """Letters of a line below a group of bars."""
 LEAST_D = 0.5
-"""Sensitivity under plain scaling below which a change in percent would be a division by almost
-nothing.
+"""Sensitivity under plain scaling below which no relative change is given.
+
+A change in percent would be a division by almost zero.
 """
 Picked = NDArray[np.int64]
 
@@ -76,8 +77,9 @@ class Felt:
 
     @classmethod
     def over(cls, forces_N: Array, person: Picked, count: int) -> "Felt":
-        """Make one of trials, each of a person by number below ``count`` who all have one, shape
-        (n,).
+        """Return the summary of trials, each by a person number below ``count``, shape (n,).
+
+        Every person has at least one trial.
         """
         trials: Array = np.bincount(person, minlength=count).astype(np.float64)
         means = np.bincount(person, forces_N, count).astype(np.float64) / trials
@@ -129,12 +131,11 @@ class FeltPair:
 
 
 def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) -> Array:
-    """Change against plain scaling: value, low, high of d', of d' in percent, of right answers in
-    points, shape (3, 3).
+    """Return changes against plain scaling as value, low and high, shape (3, 3).
 
-    Of means over observers. Intervals of 95 % are by Student's t of what the change becomes with
-    each of the people of the trials left out in turn, the same under both methods (jackknife, Efron
-    1982).
+    The rows are d', d' in percent, and right answers in percentage points, each of means over
+    observers. The 95 % intervals use Student's t of the changes with each person of the trials left
+    out in turn, the same person under both methods (jackknife, Efron 1982).
     """
     from scipy.stats import t
 
@@ -158,10 +159,10 @@ def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) 
 
 
 def specimens(part: TrialTable) -> FeltPair | None:
-    """Return the forces at the skin on the first two specimens of a task, the softer first, of
-    people who met both.
+    """Return the forces at the skin on the first two specimens of a task, the softer first.
 
-    None where nobody met both, or nobody met one of them twice.
+    Only people with trials on both are included. The result is None if there is no such person, or
+    nobody has two trials on one of them.
     """
     chosen = np.isin(part.values("specimen"), (0.0, 1.0))
     forces = part.values("skin_N")[chosen]
@@ -174,8 +175,9 @@ def specimens(part: TrialTable) -> FeltPair | None:
 
 
 def sides(needle: TrialTable) -> FeltPair | None:
-    """Return the forces at the skin after and before the capsule's puncture; None where nobody
-    has two trials.
+    """Return the forces at the skin after and before the capsule's puncture.
+
+    The result is None if nobody has two trials.
     """
     people = needle.people()
     return _pair((needle.values("parenchyma_N"), people), (needle.values("capsule_N"), people))
@@ -191,8 +193,9 @@ def right_percent(pair: FeltPair, seed: int) -> dict[str, float]:
 def _pair(
     less: tuple[Array, NDArray[np.str_]], more: tuple[Array, NDArray[np.str_]]
 ) -> FeltPair | None:
-    """Two forces by trial with the people of their trials, the same people in both; None without
-    any scatter.
+    """Return two forces by trial with the people of their trials, the same people in both.
+
+    The result is None without any scatter.
     """
     names = np.unique(less[1])
     first, second = (
@@ -203,8 +206,9 @@ def _pair(
 
 
 def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) -> Section:
-    """Sensitivity d' and right answers for every pair, group and method, and their change
-    against plain scaling.
+    """Report sensitivity d' and right answers for every pair, group and method.
+
+    Their change against plain scaling is included.
     """
     taken: list[tuple[str, Callable[[TrialTable], FeltPair | None], TrialTable]] = [
         (f"{task}: softer or usual", specimens, table.where(task=task)) for task in tasks_of(table)
@@ -278,9 +282,7 @@ def case_table(folder: StudyFolder, task: str) -> TrialTable | None:
 
 
 def _sentences(changes: dict[tuple[str, str, str], Array]) -> tuple[tuple[str, ...], str]:
-    """Return the findings, and the main one, computed from the changes by pair, group and
-    method.
-    """
+    """Return the findings and the main finding from the changes by pair, group and method."""
     short = []
     sentences = [
         f"Right answers of {PEOPLE} simulated people of each group in two intervals, 50 % "

@@ -1,4 +1,4 @@
-"""The folder of a study: its plan, a file a trial, and the tables of what it holds."""
+"""Folder of a study: its plan, one file per trial, and the tables of its trials."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -76,16 +76,16 @@ class StudyFolder:
         self.path = path
 
     def begin(self, plan: Plan) -> list[str]:
-        """Make the folder, or go on with one whose trials are all in the plan; sentences on what
-        was found amiss.
+        """Create the folder or continue a study; return sentences on problems.
 
-        The plan is registered: ``plan.toml`` is written before ``study.json``, which holds its
-        hash. A wider plan is registered anew beside the earlier one.
+        All trials of an existing folder must be in the plan. The plan is registered: ``plan.toml``
+        is written before ``study.json``, which holds its hash. A wider plan is registered in
+        addition to the earlier one.
 
         Raises
         ------
         InputError
-            If it holds another study, one of another version, a plan that was edited, or other
+            If the folder holds another study, a study of another version, an edited plan, or other
             files.
         """
         there = self._require_same(plan)
@@ -108,8 +108,9 @@ class StudyFolder:
 
     @contextmanager
     def held(self, plan: Plan) -> Iterator[list[str]]:
-        """Hold the folder against other processes while the block runs trials; see `begin` for
-        sentences and errors.
+        """Lock the folder against other processes while the block runs trials.
+
+        See `begin` for sentences and errors.
         """
         self._require_same(plan)
         folder = OwnedFolder(self.path, KIND, ())
@@ -124,9 +125,7 @@ class StudyFolder:
             folder.release()
 
     def _require_same(self, plan: Plan) -> list[Registration]:
-        """Refuse a folder that holds another study or other files; return the plans that are
-        registered in it.
-        """
+        """Refuse a folder with another study or other files; return its registered plans."""
         if (self.path / PLAN).is_file():
             held = self.plan()
             if not plan.holds(held):

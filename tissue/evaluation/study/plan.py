@@ -54,19 +54,19 @@ class Task:
     Attributes
     ----------
     title
-        What is done.
+        Description of the task.
     scene
         Name of the scene.
     changes
-        What is changed in it, by dotted key: force alone, and short enough for thousands of trials.
+        Changes of the scene, by dotted key: force only, and short enough for thousands of trials.
     specimens
-        What is met, one in turn by chance; the first two are to be discriminated.
+        Specimens, one chosen at random for each trial. The first two are to be discriminated.
     extremes
-        Softer and harder than any specimen, for the sensitivity; none for a case study.
+        Specimens softer and harder than all others, for the sensitivity. Empty for a case study.
     wanted_mm
-        Where the tool should go, corner by corner [mm]; the motion's own path where it is left out.
+        Target path of the tool, corner by corner [mm]. Default: the path of the motion.
     most
-        Trials for each group at most.
+        Maximum number of trials for each group.
     """
 
     title: str
@@ -79,9 +79,7 @@ class Task:
 
     @property
     def case(self) -> bool:
-        """Whether it is a case study, with a table of its own, and not one of the tasks that are
-        compared.
-        """
+        """True for a case study, which has a separate table and is not among the compared tasks."""
         return not self.extremes
 
 
@@ -346,9 +344,7 @@ class Plan:
         return tuple(task for task in self.tasks if not TASKS[task].case)
 
     def all_trials(self) -> Iterator[TrialKey]:
-        """Return all trials, groups and tasks in turn, so that a study that is stopped is
-        balanced.
-        """
+        """Yield all trials, groups and tasks in turn, so that a stopped study is balanced."""
         for trial in range(self.trials):
             for task in self.tasks:
                 for group in self.groups:
@@ -365,8 +361,9 @@ class Plan:
                     yield TrialKey(task, MIDDLE, trial, variant)
 
     def holds(self, other: "Plan") -> bool:
-        """Return whether every trial of another plan is one of this, so that its folder can be
-        gone on with.
+        """Return whether this plan contains all trials of another plan.
+
+        If it does, the folder of the other plan can be continued.
         """
         same = self.seed == other.seed and self.methods == other.methods
         wider = set(other.tasks) <= set(self.tasks) and set(other.groups) <= set(self.groups)
@@ -375,7 +372,7 @@ class Plan:
         )
 
     def rng(self, key: TrialKey) -> np.random.Generator:
-        """Return the generator of a trial; a variant has that of the trial it varies."""
+        """Return the generator of a trial. A variant has the generator of its original trial."""
         place = (list(TASKS).index(key.task), GROUPS.index(key.group), key.trial)
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=place))
 

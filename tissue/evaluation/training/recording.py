@@ -1,4 +1,4 @@
-"""Runs of a scene by hands of all groups, as what a predictor sees of them."""
+"""Runs of a scene by hands of all groups, as the inputs that a predictor receives."""
 
 from dataclasses import dataclass
 from time import perf_counter
@@ -32,9 +32,7 @@ __all__ = ["DELAYS_MS", "Recorder", "Recording", "trial"]
 DELAYS_MS = (0, 4, 8)
 """Latencies of training runs, in turn: a late force makes a hand move otherwise."""
 DITHER_N = 1e-6
-"""Noise that is added to a force to learn from [N], so that an axis on which nothing acts can be
-scaled.
-"""
+"""Noise added to a training force [N], so that an axis without force can be scaled."""
 
 
 @dataclass(frozen=True)
@@ -93,20 +91,22 @@ class Recording:
 
 
 def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float = 1.0) -> Scene:
-    """Return the scene of a trial: hands, seeds and latencies in turn, nothing predicted, no stress
-    beside the ticks.
+    """Return the scene of a trial.
+
+    Hands, seeds and latencies are used in turn. Nothing is predicted, and no stress is computed in
+    parallel to the ticks.
 
     Parameters
     ----------
     scene
-        The scene; without a device it gets a touch.
+        Scene. A scene without a device gets a Touch.
     index
-        Number of the trial, and its seed.
+        Number of the trial, which is also its seed.
     delay_ms
-        Latency; without it those of `DELAYS_MS` in turn.
+        Latency [ms]. Default: the values of `DELAYS_MS` in turn.
     share
-        Force of the tissue at the same motion over that of the scene. In a tissue whose force is
-        linear in its moduli or cutting coefficients this is the same as all of those changed by it.
+        Ratio of the tissue's force to the scene's force at the same motion. If the force is linear
+        in the moduli or cutting coefficients, this equals a change of all of them by the ratio.
     """
     delay = DELAYS_MS[index // len(GROUPS) % len(DELAYS_MS)] if delay_ms is None else delay_ms
     held = scene if scene.device is not None else changed(scene, {"device": "touch"})
@@ -169,7 +169,7 @@ class Recorder:
         )
 
     def _parts(self, scene: Scene) -> tuple[HandMotion, TissueModel]:
-        """Return the hand of a scene and what it meets."""
+        """Return the hand of a scene and the tissue that it touches."""
         organ = (
             isinstance(scene.tool, Probe)
             and not isinstance(scene.anatomy, WallAnatomy)
@@ -195,8 +195,10 @@ class Recorder:
 
 
 def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, Array, Array]:
-    """Measured position, force and true position, shape (n, 9); contacts; seconds that the
-    tissue took, shape (n,).
+    """Return position, force and true position, contacts, and the times of the tissue.
+
+    Measured position, force and true position have shape (n, 9). The seconds that the tissue took
+    have shape (n,).
     """
     tool = ToolMotion()
     motion.begin(tool)

@@ -48,11 +48,12 @@ TRIALS = 12
 LEAST_TRIALS = 6
 """Fewest runs: one of them validates."""
 MOST_TRIALS = 10_000
-"""Most runs: a hundred times what the shipped predictors needed would take days, and is taken
-for a slip.
+"""Maximum number of runs.
+
+A hundred times the runs of the shipped predictors would take days and is treated as a typing error.
 """
 HELD_OUT = 4
-"""One run in so many validates; the others train."""
+"""Interval of the runs that validate: one run in this number. The others train."""
 HORIZONS = (1, 2, 3, 4, 6, 8, 10)
 """Ticks ahead at which predictors are compared."""
 LEAST_RUNS = 3
@@ -73,8 +74,9 @@ MARGIN = 3.0
 def train(
     scene: Scene, *, trials: int = TRIALS, cores: int | None = None, progress: Progress = silent
 ) -> Trained:
-    """Train the predictors of a scene on runs by hands of all groups, and validate them on runs
-    held out.
+    """Train the predictors of a scene on runs by hands of all groups, and validate them.
+
+    The validation uses runs that are not in the training.
 
     The scene's own seed is not used: trial i has seed i.
 
@@ -101,8 +103,9 @@ def train(
 
 
 def with_fallback(trained: Trained, runs: list[Recording], force_limit_N: float) -> Trained:
-    """Choose the fallback with the smallest mean error among the predictors without a lifted
-    operator.
+    """Choose the fallback with the smallest mean error among the unlifted predictors.
+
+    These are the predictors without a lifted operator.
     """
     makers = {
         kind: partial(trained_predictor, kind, trained, force_limit_N=force_limit_N)
@@ -117,7 +120,7 @@ def with_fallback(trained: Trained, runs: list[Recording], force_limit_N: float)
 
 
 def validated(trained: Trained, held_out: list[Recording], force_limit_N: float) -> Trained:
-    """Add the mean errors of all predictors on runs that were held out.
+    """Add the mean errors of all predictors on validation runs.
 
     Raises
     ------
@@ -176,8 +179,9 @@ def fit(scene: str, runs: Sequence[Recording], *, lags: int = LAGS) -> Trained:
 
 
 def growth_of(operator: Operator, runs: Sequence[Recording]) -> float:
-    """Return the mean square of scaled windows, all axes together, beyond which nothing was
-    learnt.
+    """Return the mean square of scaled windows, all axes together, that training has reached.
+
+    Beyond this value, nothing was learnt.
     """
     largest = 0.0
     for run in runs:
@@ -192,11 +196,12 @@ def growth_of(operator: Operator, runs: Sequence[Recording]) -> float:
 def forecast(
     predictor: Predictor, run: Recording, horizons: Sequence[float], *, model_ticks: int = 1
 ) -> tuple[Array, Array]:
-    """Compute the forecasts of every tick, shape (n, horizons, 3) [N], and whether each is the
-    primary's, shape (n,).
+    """Compute the forecasts of every tick [N], shape (n, horizons, 3), and the primary flags.
 
-    It sees the force every `model_ticks`, and until the next one the contact of that tick, as it
-    does in a loop.
+    The flag, shape (n,), is set if the forecast is from the primary predictor.
+
+    The predictor receives the force every `model_ticks`. Until the next force it receives the
+    contact of that tick, as in a loop.
     """
     predicted = np.empty((len(run.force_N), len(horizons), 3))
     is_primary = np.empty(len(run.force_N))
@@ -223,7 +228,7 @@ def forecast_errors(
 ) -> Array:
     """Return ||predicted - F|| / ||F|| of a new predictor on each run, shape (runs, horizons).
 
-    F is the reference force in the tick that was predicted, over all ticks that can be predicted.
+    F is the reference force in the predicted tick, over all ticks that can be predicted.
 
     Raises
     ------

@@ -31,8 +31,9 @@ __all__ = [
 
 Line = Literal["solid", "dashed", "dotted"]
 BONE_HU, SOFT_HU = (-200.0, 1300.0), (-160.0, 240.0)
-"""Grey values from black to white: fat to cortical bone, and those of soft tissue (the usual
-abdominal window).
+"""Grey values from black to white for bone and for soft tissue.
+
+The first range covers fat to cortical bone, the second is the usual abdominal window.
 """
 VIEWS = ((0, 1, 2, "axial"), (0, 2, 1, "coronal"), (1, 2, 0, "sagittal"))
 """Axes of a slice to the right and upward, the axis through it, and its name."""
@@ -65,17 +66,18 @@ def draw_ct_slices(
     image
         Grey values around the bone.
     body
-        What it is called, and what is above 0 where it is, on the same voxels as far as it goes.
+        Name of the bone, and an image that is above 0 inside it. The image lies on the same voxels,
+        within its own extent.
     others
-        The same of other structures, by what they are called.
+        Images of other structures in the same form, by name.
     centre_mm
-        Where the slices cross [mm, LPS]: the site, or the middle of the bone.
+        Intersection of the slices [mm, LPS]: the site, or the middle of the bone.
     normal
-        Outward direction at the site; None where there is none yet.
+        Outward direction at the site. None without a site.
     points_mm
-        Corners of a path [mm, LPS], shape (n, 3); None where there is none.
+        Corners of a path [mm, LPS], shape (n, 3). None without a path.
     window_HU
-        Hounsfield units from black to white; images of other units take their own range.
+        Hounsfield units from black to white. Images in other units use their own range.
     """
     from matplotlib.lines import Line2D
 
@@ -177,15 +179,16 @@ AROUND_ORGAN_MM = 10.0
 def draw_ct_organ(
     image: Image, path: Path, *, masks: Mapping[str, NDArray[np.bool_]], mesh: TetMesh, title: str
 ) -> None:
-    """Draw slices through the middle of the smallest part, with the outlines of the meshed organ
-    and of the labels.
+    """Draw slices through the middle of the smallest part with outlines.
+
+    The outlines are those of the meshed organ and of the labels.
 
     Parameters
     ----------
     masks
         The organ first, then its parts, of the image's shape.
     mesh
-        Its tetrahedra in the frame of the image.
+        Tetrahedra of the organ in the frame of the image.
     """
     organ, *parts = masks
     spacing = np.array(image.spacing_mm)
@@ -327,14 +330,13 @@ def _painted(surface: Surface, density: Image | None) -> "pyvista.PolyData":
 OUTSIDE = "0.45"
 PATH_COLOURS = "inferno_r"
 AROUND_PATH_MM = 40.0
-"""Half of the width of bone that is shown around the path at least."""
+"""Minimum half width of the bone that is shown around the path [mm]."""
 
 
 def draw_path_depth(
     surface: Surface, found: PathDepth, path: Path, *, normal: NDArray[np.float64], title: str
 ) -> str | None:
-    """Draw the bone around a path, seen along the site's axis and from aside, with the path over
-    it.
+    """Draw a path over the bone around it, seen along the site's axis and from the side.
 
     Parameters
     ----------
@@ -349,7 +351,7 @@ def draw_path_depth(
 
     Returns
     -------
-    None, or why it could not be drawn.
+    None, or the reason why it could not be drawn.
     """
     points = found.points_mm
     half = max(AROUND_PATH_MM, 0.7 * float(np.ptp(points, axis=0).max()))

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 MEASURED, SIMULATED, PRIOR = "0.55", "#0072B2", "0.75"
 ROW, FRAME = 0.44, 1.0
-"""Height of a constant's row, and of what is around the rows [in]."""
+"""Height of a constant's row, and of the frame around the rows [in]."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,9 @@ class FittedConstant:
 def draw_measured(
     times_s: Array, measured: Array, simulated: Array, channels: Sequence[str], path: Path
 ) -> None:
-    """Draw measured and simulated loads over time, forces and torques apart, and below each what is
-    left.
+    """Draw measured and simulated loads over time with their residuals.
+
+    Forces and torques are drawn separately, each with the residuals below.
 
     Parameters
     ----------
@@ -105,13 +106,12 @@ def draw_measured(
 
 
 def draw_residuals(innovations: Array, correlations: Array, freedom: float, path: Path) -> None:
-    """Draw the spread of what noise adds in each sample beside the density assumed, and how it is
-    correlated.
+    """Draw the distribution of innovations over the assumed density, and the autocorrelations.
 
     Parameters
     ----------
     innovations
-        Standardised, shape (n, channels), NaN where nothing was measured.
+        Standardised innovations, shape (n, channels). NaN where nothing was measured.
     correlations
         Autocorrelation of residuals and of innovations over lags, each the mean over channels,
         shape (2, lags + 1).
@@ -156,8 +156,9 @@ def draw_residuals(innovations: Array, correlations: Array, freedom: float, path
 
 
 def draw_constants(constants: Sequence[FittedConstant], path: Path) -> None:
-    """Draw the 90 % intervals of constants before and after, on the scale of their cited range,
-    with their values.
+    """Draw the 90 % intervals of constants before and after the fit, with their values.
+
+    The scale is that of the cited range.
     """
     height = FRAME + ROW * len(constants)
     chart = figure(8.0, height)
@@ -212,7 +213,7 @@ OUTER, INNER = 0.22, 0.4
 """Opacity of the 90 % band, and of the 50 % band upon it."""
 FIRST, TOTAL = "#0072B2", "#E69F00"
 SHOWN = 8
-"""Constants in a bar chart; those that matter least are left out and counted."""
+"""Constants in a bar chart. The least important ones are left out and counted."""
 UNIT = re.compile(r"(_(N|Nm|[mu]?m[23]?|m?s|kg|kgK|[kMG]Pa|Hz|J|W|mK|rad))+$")
 """Unit at the end of a constant's name."""
 WORDS = {

@@ -38,13 +38,13 @@ if TYPE_CHECKING:
 __all__ = ["draw_held", "draw_press", "moment_of_press"]
 
 EYE, ACROSS = (0.25, -0.75, 0.62), (0.0, -1.0, 0.0)
-"""Directions towards the eye: that of `tissue view` but lower, and at right angles to a section."""
+"""Directions towards the eye: lower than in `tissue view`, and at right angles to a section."""
 TOOL, INCLUSION = (0.72, 0.72, 0.75), "#56B4E9"
 """Colours of the tool and of an inclusion's edge, which is seen on light and on dark ones."""
 NUDGE = (0.0, 1e-4, 0.0)
-"""How far behind the tool's tip a section lies [mm]: beside a row of nodes, not through it."""
+"""Distance of a section behind the tool's tip [mm], so that it does not cut a row of nodes."""
 ABOVE = 0.2
-"""How much of a needle above an organ is drawn, in heights of the organ."""
+"""Height of the drawn part of a needle above an organ, in heights of the organ."""
 HEIGHTS_PX = 90, 150
 """Above and below the renderings [pixel]."""
 
@@ -185,8 +185,9 @@ def _organ(
     edge: "tuple[str, pyvista.PolyData] | None",
     eye: tuple[float, ...],
 ) -> "pyvista.PolyData":
-    """Return the organ in a field's colours, cut open at the tool if asked for, with the outline
-    of an inclusion.
+    """Return the organ in a field's colours with the outline of an inclusion.
+
+    On request, the organ is cut open at the tool.
     """
     whole = drawn_surface(mesh, at_nodes(mesh, shown.name))
     parts = [whole]
@@ -261,12 +262,11 @@ HELD_HEIGHTS_PX = 110, 80
 
 
 def draw_held(series: FieldSeries, path: Path, *, title: str) -> str | None:
-    """Draw the organ's surface, triangles of held nodes and of touchable nodes in colours of their
-    own.
+    """Draw the organ's surface with coloured triangles of held nodes and of touchable nodes.
 
     Returns
     -------
-    None, or why it could not be drawn.
+    None, or the reason why it could not be drawn.
     """
     surface = _surface(series)
 

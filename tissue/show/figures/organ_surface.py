@@ -29,29 +29,27 @@ SHOWN = "shown"
 SHARP_DEG = 40.0
 """Edges of a greater angle are drawn sharp."""
 LEVELS = 2
-"""How often each triangle of the boundary is divided in four."""
+"""Number of times that each triangle of the boundary is divided into four."""
 CAP_EDGE, MOST_PASSES = 0.012, 10
-"""Longest edge of a section's triangles, in diagonals of the organ, and how often they are
-divided for that.
-"""
+"""Longest edge of a section's triangles, in diagonals of the organ, and most divisions."""
 
 
 INWARD = 5e-3
-"""Fraction of the distance to the middle of a cell by which a place on its boundary is moved to
-lie inside.
-"""
+"""Share of the distance to a cell's middle by which a boundary point is moved inside."""
 
 
 def drawn_surface(mesh: "pyvista.DataSet", values: NDArray[np.float32]) -> "pyvista.PolyData":
-    """Return the boundary of a mesh, curved between its nodes by their normals except at sharp
-    edges (Vlachos 2001).
+    """Return the boundary of a mesh, curved between its nodes (Vlachos 2001).
+
+    The curvature follows the normals, except at sharp edges.
 
     Parameters
     ----------
     mesh
         Cells of three dimensions, in mm.
     values
-        Numbers at the nodes, shape (nodes,) or (nodes, k); they come as the point array `SHOWN`.
+        Values at the nodes, shape (nodes,) or (nodes, k). They are returned as the point array
+        `SHOWN`.
     """
     body = mesh.copy(deep=False)
     body.clear_data()
@@ -204,8 +202,9 @@ def interpolate_in_layers(
 ) -> Array:
     """Interpolate values trilinearly between the centres of the cells of each place's layer.
 
-    Cells of another layer or without a value do not count; where none of the eight around a place
-    is left, the nearest cell of its layer does, or of any layer where it has none.
+    Cells of another layer or without a value do not count. If none of the eight cells around a
+    place counts, the nearest cell of its layer is used. If the layer has no cell, the nearest cell
+    of any layer is used.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 __all__ = ["Record", "packed", "packed_column", "packed_mesh", "packed_shares", "packed_vectors"]
 
 Record = dict[str, Any]
-"""What JSON can hold."""
+"""Values that JSON can hold."""
 LARGEST = 32767
 """Steps to either side of a quantised number of 16 bits."""
 STEPS = 255
@@ -22,9 +22,9 @@ STEPS = 255
 def packed(values: NDArray[np.integer[Any]], *, differences: bool = True) -> Record:
     """Encode integers of 8 bits (unsigned), 16 or 32 (signed), shape (rows,) or (rows, columns).
 
-    Differences between rows are wrapped around, those below 0 become odd numbers, so that small
-    ones of either sign have high bytes of 0; all first bytes come before all second ones, column by
-    column.
+    Differences between rows are wrapped around, and negative differences become odd numbers. Small
+    differences of either sign therefore have high bytes of 0. All first bytes come before all
+    second bytes, column by column.
     """
     rows = values if values.ndim == 2 else values[:, None]
     size = rows.dtype.itemsize

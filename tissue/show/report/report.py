@@ -61,22 +61,23 @@ def write_report(
     Parameters
     ----------
     folder
-        Folder that `tissue run` wrote, of a run that ended or was stopped.
+        Folder of a finished or stopped run, written by `tissue run`.
     out
-        HTML file to write; without it ``report.html`` in the folder.
+        HTML file to write. Default: ``report.html`` in the folder.
     overwrite
-        Replace the file where it is there.
+        Replace an existing file.
     progress
-        Called with what is being done.
+        Called with a description of the current step.
 
     Returns
     -------
-    The file.
+    Path of the written file.
 
     Raises
     ------
     InputError
-        If the folder holds no run or damaged files, the file is there, or trame-vtk is missing.
+        If the folder holds no run or damaged files, the file exists and may not be replaced, or
+        trame-vtk is missing.
     """
     report = progress or silent
     folder = Path(folder)
@@ -208,7 +209,7 @@ def _data_element(data: dict[str, Any]) -> str:
 
 
 def _start(part_count: int) -> str:
-    """Return the script that gives vtk.js an empty scene of so many parts."""
+    """Return the script that gives vtk.js an empty scene with a number of parts."""
     return (
         "window.global = window; window.loadDataSet = () => { window.loadDataSet = undefined; "
         "OfflineLocalView.load(document.getElementById('stage'), "
@@ -235,18 +236,18 @@ def _versions(saved: SavedRun) -> list[tuple[str, str]]:
 
 
 STYLE_ELEMENT = "document.createElement('style')"
-"""Call by which the viewer adds styles for its own file dialogue, which the policy of a page
-does not allow.
+"""Call by which the viewer adds styles for its file dialogue.
+
+The policy of a page does not allow this call.
 """
 ICONS = "https://kitware.github.io/vtk-js/icon/favicon-"
 """Begin of the addresses of icons that the viewer would fetch."""
 
 
 def viewer_scripts() -> tuple[list[str], list[str]]:
-    """Return the classic and the module scripts of trame-vtk's static viewer, without the icons
-    that it would fetch.
+    """Return the classic and the module scripts of trame-vtk's static viewer.
 
-    They offer ``OfflineLocalView``.
+    They offer ``OfflineLocalView``. The icons that the viewer would fetch are left out.
 
     Raises
     ------

@@ -76,7 +76,7 @@ OUT = "comma"
 IN = "period"
 HELP = "x: clip plane    , .: push it    drag its arrow: turn it"
 STEP = 0.02
-"""How far a key pushes the plane, in diagonals of the mesh."""
+"""Distance by which a key moves the plane, in diagonals of the mesh."""
 
 
 class ClipPlane:
@@ -156,21 +156,21 @@ CHOSEN, OTHER = "#0072B2", (0.45, 0.45, 0.45)
 
 
 class PointRead:
-    """A point of the material that a click has marked, and what the fields are there.
+    """Material point marked by a click, and the field values at it.
 
     Parameters
     ----------
     plotter
-        Where it is shown.
+        Plotter of the mark.
     fields
-        What is read.
+        Fields that are read.
     size_mm
         Diameter of the mark [mm].
 
     Attributes
     ----------
     reference_mm
-        Where the point lay before loading [mm], or None.
+        Position of the point before loading [mm], or None.
     text
         Its description.
     """
@@ -194,7 +194,7 @@ class PointRead:
         fields.drawn.append(self.update)
 
     def click(self, x: int, y: int) -> bool:
-        """Mark what lies under a pixel, counted from the lower left; whether there was anything."""
+        """Mark the object under a pixel, counted from the lower left; return whether one exists."""
         actor = self._fields.actor
         found = None if actor is None else picked(self._plotter, actor, x, y)
         if actor is None or found is None:
@@ -232,7 +232,7 @@ def _line(name: str, value: NDArray[np.float64]) -> str:
 
 
 class NameList:
-    """Names below each other, of which one is chosen.
+    """Vertical list of names, of which one is chosen.
 
     Parameters
     ----------
@@ -241,9 +241,9 @@ class NameList:
     title
         Title above them.
     names
-        What can be chosen, and the words that it is shown by.
+        Possible choices and their labels.
     choose
-        Called with what a click chose.
+        Called with the clicked choice.
     """
 
     def __init__(

@@ -40,15 +40,16 @@ class Choice:
     Attributes
     ----------
     hide
-        Layers that are off.
+        Hidden layers.
     field
-        Field in place of the bone; without it the bone, or the first field of a run without bone.
+        Field that is shown in place of the bone. Default: the bone, or the first field of a run
+        without bone.
     scale
-        Factor by which the displacement is drawn enlarged.
+        Factor by which the displacement is enlarged.
     time_s
-        The moment [s]; without it that of the greatest force.
+        Shown moment [s]. Default: the moment of the largest force.
     clean
-        Whether what was simulated is shown alone, without text, widgets, marks and tool.
+        If true, only the simulated tissue is shown, without text, widgets, marks and tool.
     """
 
     hide: tuple[str, ...] = ()
@@ -158,12 +159,13 @@ class RunScene:
 
     @property
     def tissue_mm(self) -> NDArray[np.float64]:
-        """Points of what was simulated [mm], shape (n, 3)."""
+        """Points of the simulated tissue [mm], shape (n, 3)."""
         return np.vstack([np.zeros((0, 3)), *self._points])
 
     def extent_mm(self, *, near_tip: bool = False) -> NDArray[np.float64]:
-        """Return the points to keep in view [mm], shape (n, 3), if asked for with those of the
-        tool near its tip.
+        """Return the points to keep in view [mm], shape (n, 3).
+
+        On request they include the points of the tool near its tip.
         """
         points = [self.tissue_mm]
         if self.moment is not None:

@@ -99,8 +99,9 @@ class Window:
         self.choose(choices[(at + 1) % len(choices)])
 
     def pictures(self) -> Iterator[NDArray[np.uint8]]:
-        """Return the pictures of a movie over the whole run, and print the finished share, 0 to
-        1, a line each.
+        """Yield the pictures of a movie over the whole run.
+
+        The finished share, 0 to 1, is printed once per picture, one line each.
         """
         assert self.playback is not None
         times_s = movie_times_s(*self.playback.span_s)

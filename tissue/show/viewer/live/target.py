@@ -92,22 +92,22 @@ HELP = (
     "drag: turn the view, right drag: nearer, farther",
     "q: end",
 )
-"""What there is to press."""
+"""Description of the keys and mouse actions."""
 
 
 class Pointer(Target):
-    """The wanted place of a tool, moved by mouse and keys within a box.
+    """Wanted position of a tool, moved by mouse and keys within a box.
 
-    The mouse moves it in the plane of the view by as much as it goes over the plane through it;
-    with a button pressed the mouse belongs to the view. The wheel and the keys for depth move it
-    along the tool's axis.
+    The mouse moves the position in the plane of the view, by the distance that the mouse covers in
+    the parallel plane through the position. With a pressed button, the mouse controls the view. The
+    wheel and the depth keys move the position along the tool's axis.
 
     Parameters
     ----------
     plotter
-        The window.
+        Plotter of the window.
     start_mm
-        Where it begins [mm].
+        Initial position [mm].
     axis
         The tool's axis from tip to shank, shape (3,).
     low_mm, high_mm
@@ -116,9 +116,9 @@ class Pointer(Target):
     Attributes
     ----------
     target_mm
-        Where the tool is wanted [mm], shape (3,).
+        Wanted position of the tool [mm], shape (3,).
     ended
-        Whether the key to end was pressed.
+        True if the key to end was pressed.
     """
 
     def __init__(

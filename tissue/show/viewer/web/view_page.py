@@ -1,5 +1,6 @@
-"""The page of `tissue view DIR --web`, run by ``python -m tissue.show.viewer.web.view_page DIR
-CHOICE`` in a subprocess.
+"""Page of `tissue view DIR --web`.
+
+Run as ``python -m tissue.show.viewer.web.view_page DIR CHOICE`` in a subprocess.
 """
 
 import json
@@ -29,28 +30,29 @@ MARGINS = (0.05, 0.82, 0.06, 0.94)
 MOST_ROWS = 2000
 """Rows of the trace that the page plots."""
 SLOWEST_S = 4.0
-"""What takes less time than this is played slower, so that it lasts this long [s]."""
+"""Duration below which a run is played slower, so that it lasts this time [s]."""
 DEPTH, LAYER = "removed depth", "layer"
-"""What the bone is coloured by, among the names of fields."""
+"""Colourings of the bone, among the names of fields."""
 
 
 class ViewPage:
-    """A finished or stopped run: bone or fields, tool and force at the moment that the page asks
-    for.
+    """Finished or stopped run on a page.
+
+    The page shows bone or fields, tool and force at the moment that it requests.
 
     Parameters
     ----------
     saved
-        The run.
+        Saved run.
     choice
-        What is shown at first.
+        First view of the run.
 
     Attributes
     ----------
     stage, shown
-        The view and what is in it.
+        The view and its content.
     time_s
-        The moment that is shown [s].
+        Shown moment [s].
     """
 
     kind = "view"
@@ -97,7 +99,7 @@ class ViewPage:
         self.over = True
 
     def take(self, do: str, values: Values) -> None:
-        """Go to a moment, play, choose what is shown, turn the view or end."""
+        """Move to a moment, play, choose the content, turn the view or end."""
         if self.stage.take(do, values):
             pass
         elif do == "time":
@@ -144,7 +146,7 @@ class ViewPage:
         self.stage.changed = True
 
     def _all_choices(self) -> dict[str, str]:
-        """Return the names of what can be shown, and the words for each."""
+        """Return the names of all possible contents and their labels."""
         shown = self.shown
         choices = {}
         if shown.bone is not None:
@@ -167,7 +169,7 @@ class ViewPage:
         self.shown.hide(hidden)
 
     def _rows(self) -> list[list[float]]:
-        """Return time [s], force [N] and its magnitude, of as many rows as a page can draw."""
+        """Return time [s], force [N] and its magnitude, reduced to the rows that a page can draw."""
         trace = self._saved.trace
         if trace is None or not len(trace.rows):
             return []
