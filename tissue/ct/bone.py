@@ -47,7 +47,7 @@ __all__ = ["bone_draft"]
 _SIDE_MM = (1.0, 1000.0)
 """Longest side of a bone."""
 _KEPT = 0.01
-"""Difference of volume up to which a label's volume counts as kept."""
+"""Relative difference of volume up to which a label's volume counts as kept."""
 SHOWN_MM = 15.0
 """Width of the surroundings of a bone in pictures."""
 USUAL = {
@@ -56,13 +56,13 @@ USUAL = {
     "vertebra:left": "pedicle",
     "vertebra:right": "pedicle",
 }
-"""Scene whose tool and motion are taken by default, by the kind of the site."""
+"""Scene that provides tool and motion by default, by the kind of the site."""
 PLUNGE: Mapping[str, Mapping[str, object]] = {
     "voxels": {"spacing_mm": 0.2},
     "tool": {"kind": "ball-burr", "diameter_mm": 4.0, "flutes": 6, "spin_rpm": 20000.0},
     "motion": {"kind": "path", "points_mm": [[0, 0, 3], [0, 0, -2]], "feed_mm_s": 1.0},
 }
-"""Default at other sites: a ball burr goes in 2 mm along the normal."""
+"""Default at other sites: a ball burr moves 2 mm into the bone along the normal."""
 HOLE = ("guide_hole_diameter_mm", "guide_hole_depth_mm")
 HEAD = ("duration_s", "device", "hand", "renderer", "prediction", "perception", "seed")
 TABLES = ("voxels", "tool", "motion", "cutting", "output", "device", "fidelity")

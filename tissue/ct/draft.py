@@ -54,7 +54,7 @@ class Draft:
     sentences
         Description for users.
     has_site
-        Whether the scene can be run as it is.
+        True if the scene can be run without changes.
     """
 
     scene: str

@@ -22,13 +22,13 @@ class Imported:
     Attributes
     ----------
     folder
-        The folder that was written.
+        Written folder.
     scene
         File of the scene.
     has_site
-        Whether the scene can be run as it is.
+        True if the scene can be run without changes.
     sentences
-        What was found and assumed.
+        Findings and assumptions.
     """
 
     folder: Path
@@ -62,7 +62,7 @@ def import_ct(
     overwrite
         Replace another import in the folder.
     pictures
-        Whether pictures are drawn.
+        If true, pictures are drawn.
     progress
         Called with a description of the current step.
     **options
@@ -71,26 +71,27 @@ def import_ct(
     Other Parameters
     ----------------
     labels : str or Path
-        Label volume of the same CT, or folder of masks, one a label.
+        Label volume of the same CT, or folder of masks, one per label.
     label_names : str
         ``totalsegmentator``, ``dentalsegmentator``, ``verse``, or a TOML file whose table
-        ``[labels]`` gives each name its number; default the names in the file's own header.
+        ``[labels]`` gives each name its number. Default: the names in the file's header.
     region : str
         Label that is the bone or the organ.
     crop_mm : pair of points
         Lowest and highest corner of the box to keep [mm].
     threshold : float
-        Value above which a voxel is bone, without labels; default suggested from the histogram.
+        Value above which a voxel is bone, without labels. Default: a value suggested by the
+        histogram.
     series : int
-        Number of the series, of a folder that holds several.
+        Number of the series in a folder with several series.
     spacing_mm : float
-        Distance between neighbours [mm] of files that do not state it, such as TIFF slices.
+        Distance between neighbours [mm], for files without this information, such as TIFF slices.
     density : str
         ``internal``, a named law, or ``line:SLOPE,OFFSET``, see `meshes.ct.laws.density_law`;
-        default internal where the image allows it.
+        default: internal if the image allows it.
     site : str or point
         ``glenoid``, ``femoral-head``, ``humeral-head``, ``vertebra`` (``:left``, ``:right``),
-        ``tooth``, ``tooth:lesion``, a point [mm], or a file of 3D Slicer markups; default by the
+        ``tooth``, ``tooth:lesion``, a point [mm], or a file of 3D Slicer markups. Default: by the
         region's name.
     normal : point
         Outward direction at a site that is a point. Default: the normal of the surface.

@@ -27,7 +27,7 @@ from tissue.show.figures.ct_pictures import draw_ct_organ, draw_ct_slices
 __all__ = ["organ_draft", "tooth_draft"]
 
 LIKE = "caries"
-"""Scene whose tool and motion are taken for a tooth by default."""
+"""Scene that provides tool and motion for a tooth by default."""
 PARTS = ("voxels", "tool", "motion", "cutting", "output", "duration_s", "device")
 MARGIN = 3
 """Voxels kept around the tooth."""

@@ -80,7 +80,7 @@ class BonePictures:
         )
 
     def draw_bone(self, density: Image | None, file: Path) -> str | None:
-        """Draw the bone in 3D; return why it could not be drawn."""
+        """Draw the bone in 3D; return an error text on failure."""
         return draw_ct_bone(
             self.surface,
             file,

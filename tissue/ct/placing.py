@@ -32,8 +32,9 @@ USUAL = (
 )
 """Site that is searched for by default, by a word in the name of the bone's label."""
 JOINTS_MM = {"glenoid": 18.0, "femoral-head": 20.0, "humeral-head": 18.0}
-"""Distance from the site across its normal within which the surface is a joint's [mm]: half of the
-glenoid's height of 37 mm, and a cap of the heads, whose radii are 21 to 27
+"""Distance from the site across its normal within which the surface belongs to a joint [mm].
+
+It is half of the glenoid's height of 37 mm, and a cap of the heads, whose radii are 21 to 27 mm
 (`meshes.surfaces.glenoid`, `meshes.surfaces.landmarks`).
 """
 KEYS = {
@@ -44,7 +45,7 @@ KEYS = {
 }
 """Options of an import by the keys of a scene."""
 FEED_MM_S = 2.0
-"""Feed of a path that states none: between reaming (0.5) and milling (5) of the built-in scenes."""
+"""Feed of a path without a feed, between reaming (0.5) and milling (5) of the built-in scenes."""
 CLEARANCE_MM = 5.0
 """Distance outside the first point of a path at which the tool begins."""
 LONGEST = 60
@@ -188,7 +189,9 @@ class ImportedPath:
 
 
 def import_path(request: ImportRequest, at: Placed | None, surface: Surface) -> ImportedPath | None:
-    """Read the path of a request and bring it to its site; None where there is no path.
+    """Read the path of a request and move it to its site.
+
+    The result is None if the request has no path.
 
     Raises
     ------

@@ -151,7 +151,10 @@ class ImportRequest:
                 raise InputError(shown_name, f"be left out {when}", shown, remedy)
 
     def _require_points(self) -> None:
-        """Raise for coordinates that are not finite, or whose frame is unknown or of no numbers."""
+        """Refuse coordinates that are not finite, without a known frame, or in a wrong order.
+
+        A frame without coordinates in numbers is refused too.
+        """
         for name, points in (
             ("site", [self.site]),
             ("normal", [self.normal]),

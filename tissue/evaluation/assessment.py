@@ -49,8 +49,9 @@ REFERENCE = "0.45"
 LIMIT = "#D55E00"
 SHADE = "#E69F00"
 FORCE_MARGIN = 1.25
-"""A trainee may press this many times the reference's peak force where no limit is given: a
-convention, not a norm.
+"""Ratio of the trainee's allowed force to the reference's peak force without a given limit.
+
+The value is a convention, not a standard.
 """
 
 
@@ -187,27 +188,26 @@ def assess(
 ) -> Assessment:
     """Compare a run with a reference run of the same scene.
 
-    The two are aligned by place, not by time: dynamic time warping (Sakoe and Chiba 1978) of the
-    tool's paths finds for each tick of the trainee the moment of the reference that it corresponds
-    to, so that a pause is no error.
+    The runs are aligned by place, not by time. Dynamic time warping (Sakoe and Chiba 1978) of the
+    tool's paths finds the corresponding moment of the reference for each tick of the trainee. A
+    pause is therefore not an error.
 
     Parameters
     ----------
     trainee, reference
         Runs.
     force_limit_N
-        Force on the tool that should not be passed [N]; 1.25 times the reference's peak where it is
-        not given.
+        Limit of the force on the tool [N]. Default: 1.25 times the reference's peak.
     deviation_limit_mm
-        Distance from the reference's path that should not be passed [mm].
+        Limit of the distance from the reference's path [mm].
     overshoot_limit_mm
-        How far below the reference's deepest point the tip may go [mm].
+        Allowed depth of the tip below the reference's deepest point [mm].
 
     Raises
     ------
     InputError
-        If the runs are of two tasks (another anatomy, tool or material), hold no trace, or never
-        touch.
+        If the runs are of different tasks (another anatomy, tool or material), hold no trace, or
+        have no contact.
     """
     scenes = [each.summary.get("scene") for each in (trainee, reference)]
     if scenes[0] != scenes[1]:

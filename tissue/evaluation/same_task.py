@@ -23,8 +23,9 @@ NUMERICAL = frozenset(
 )
 """Keys of these parts that change the computation and not the task."""
 FREE = ("name", "description", "seed", "device", "output", "fidelity")
-"""Parts that may differ between a trainee and a reference without a word: who moves the tool,
-and by which device.
+"""Keys that may differ between a trainee and a reference without a note.
+
+They describe the user who moves the tool, and the device.
 """
 
 
@@ -34,7 +35,7 @@ def require_same_task(trainee: Scene | None, reference: Scene | None) -> None:
     Raises
     ------
     InputError
-        If they have not; it names the first key that differs.
+        If they differ. The message names the first different key.
     """
     if trainee is None or reference is None:
         return
@@ -70,7 +71,7 @@ def scene_notes(trainee: Scene | None, reference: Scene | None) -> Iterator[str]
 
 
 def path_note(summary: Summary) -> str:
-    """Return why a run did not finish its path; empty where it did."""
+    """Return the reason why a run did not finish its path, empty for a finished path."""
     notes = summary.get("notes")
     text = str(notes.get("path", "")) if isinstance(notes, Mapping) else ""
     return text if text.startswith("not finished") else ""

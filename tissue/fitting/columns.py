@@ -24,16 +24,16 @@ The factors of gf and lbf are from BIPM and NIST SP 811 and are exact.
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity that a log may hold, by the name of its column in a trace.
+    """Quantity that a log may hold, by the name of its column in a trace.
 
     Attributes
     ----------
     name
-        Such as ``tool_x_mm``; its unit ends it.
+        Name such as ``tool_x_mm``, with the unit at its end.
     measures
         Key of `UNITS`.
     unit
-        The unit in the name; empty for a number.
+        Unit in the name. Empty for a number.
     """
 
     name: str
@@ -77,14 +77,14 @@ the clock of the poses.
 
 @dataclass(frozen=True)
 class ColumnMap:
-    """A quantity that is taken from a column of another name or unit.
+    """Quantity that is read from a column of another name or unit.
 
     Attributes
     ----------
     quantity
-        What it is.
+        Name of the quantity.
     column
-        What follows the name: the column, with its sign before it and its unit behind it.
+        Text after the name: the column, with its sign before it and its unit after it.
     """
 
     quantity: Quantity
@@ -116,7 +116,7 @@ class ColumnMap:
         )
 
     def _factor(self, column: str, unit: str) -> tuple[float, str]:
-        """Factor to SI, and a remark where the column's header states another unit."""
+        """Return the factor to SI, and a remark if the column's header gives another unit."""
         fitting = UNITS[self.quantity.measures]
         if unit and _plain(unit) not in fitting:
             allowed = f"be one of {', '.join(fitting)}" if fitting else "be absent"

@@ -1,10 +1,10 @@
-"""A log of a cut as a fit takes it, and cuts that would narrow its constants further.
+"""Problem of fitting a log of a cut, and cuts that would narrow its constants further.
 
 The candidates are steady slots and plunges in each layer, at other feeds, speeds and depths. A
-steady cut's chip loads grow with feed over spin, its edge loads with neither, and both scale with
-density: one record a depth gives all feeds, speeds and layers. Each candidate is a second of steady
-loads after a quarter of a second in air, from which a sensor's bias is known. The entry of the tool
-is left out.
+steady cut's chip loads grow with feed over spin. Its edge loads depend on neither. Both scale with
+density. One record per depth therefore gives all feeds, speeds and layers. Each candidate is one
+second of steady loads after a quarter of a second in air, which determines a sensor's bias. The
+entry of the tool is left out.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ from tissue.simulation.load_record import LayerLoads, record_loads
 __all__ = ["cutting_candidates", "cutting_problem"]
 
 REFERENCE = "reference_density_kg_m3"
-"""The density at which coefficients are stated."""
+"""Key of the reference density of coefficients."""
 FEEDS = (0.25, 1.0, 4.0)
 SPINS = (0.5, 1.0, 2.0)
 DEPTHS = (0.25, 0.5, 1.0)
@@ -57,7 +57,7 @@ LASTS = 1250
 def cutting_problem(
     scene: Scene, log: MeasuredLog, free: Sequence[str], *, cores: int | None, progress: Progress
 ) -> Problem:
-    """A cut through bone or a tooth; see `tissue.fitting.fit.fit_scene`."""
+    """Return the problem of a cut through bone or a tooth, see `tissue.fitting.fit.fit_scene`."""
     progress("recording the geometry of the log", 0.0)
     with names_of_caller({"motion": "measured"}):
         forward = cutting_forward(

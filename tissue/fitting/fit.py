@@ -37,12 +37,12 @@ It is needed because some priors have a heavy tail towards zero. `FAR` is the li
 deviations of a prior; 0.3 % of constants lie beyond it by chance.
 """
 VISIBLE = 20.0
-"""Force over the noise's scale from which noise is not why a log determines nothing."""
+"""Ratio of force to noise scale above which noise does not explain an undetermined log."""
 
 
 @dataclass(frozen=True)
 class ConstantFit:
-    """A constant before and after a fit.
+    """Constant before and after a fit.
 
     Attributes
     ----------
@@ -52,11 +52,12 @@ class ConstantFit:
     prior
         Cited median and range.
     low, value, high
-        5, 50 and 95 % after, in the unit of the name.
+        Quantiles at 5, 50 and 95 % after the fit, in the unit of the name.
     z
-        The three, and the ends of the cited range, in standard deviations of the prior, shape (5,).
+        These quantiles and the ends of the cited range, in standard deviations of the prior, shape
+        (5,).
     contraction
-        Standard deviation after over that before.
+        Standard deviation after the fit over the standard deviation before it.
     state
         ``determined``, ``narrowed``, ``at its prior``, or ``doubtful``: far outside its cited
         range, or found with clocks that contradict their prior.

@@ -49,16 +49,16 @@ It is also the ratio of intervals above which an interval counts as unchanged.
 
 
 def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> list[Path]:
-    """Write a fit.
+    """Write the files of a fit.
 
     Parameters
     ----------
     fit
-        What was found.
+        Fit to write.
     folder
-        Folder to write, `FILES` in it.
+        Output folder for `FILES`.
     overwrite
-        Replace another fit in it.
+        Replace another fit in the folder.
 
     Raises
     ------

@@ -15,7 +15,7 @@ __all__ = ["Forward", "LinearForward", "Parameter", "chosen", "fits"]
 
 @dataclass(frozen=True)
 class Parameter:
-    """A free constant.
+    """Free constant.
 
     Attributes
     ----------
@@ -74,21 +74,21 @@ def chosen(
     possible: Sequence[Parameter],
     tags: Mapping[str, Collection[str]] | None = None,
 ) -> list[Parameter]:
-    """Return the parameters that patterns choose, see `fits`; all without a pattern.
+    """Return the parameters that patterns select, see `fits`. Without a pattern, return all.
 
     Parameters
     ----------
     free
-        The patterns.
+        Patterns.
     possible
         Parameters to choose from.
     tags
-        Further words that choose a parameter, by its name.
+        Further words that select a parameter, by its name.
 
     Raises
     ------
     InputError
-        If a pattern chooses no parameter.
+        If a pattern selects no parameter.
     """
     words = tags or {}
     found = {
@@ -104,18 +104,19 @@ def chosen(
 
 
 class Forward(Protocol):
-    """A scene of which only constants vary: its loads, and their derivatives, along the poses of a
-    log.
+    """Loads and their derivatives along the poses of a log, as functions of constants.
+
+    Only the constants of the scene vary.
 
     Attributes
     ----------
     parameters
-        The free constants, p of them.
+        The p free constants.
     channels
-        What is measured, such as ``force_x_N`` and ``torque_z_Nm``: on the tool, in the world
+        Measured channels, such as ``force_x_N`` and ``torque_z_Nm``, on the tool in the world
         frame.
     times_s
-        Shape (n,), increasing, on the clock of the poses.
+        Increasing times on the clock of the poses, shape (n,).
     """
 
     @property
@@ -134,8 +135,9 @@ class Forward(Protocol):
         ...
 
     def loads(self, x: Array) -> Array:
-        """Loads [N, N m] of the constants x, shape (p,), in their own units: shape (n,
-        channels).
+        """Return loads [N, N m] for the constants x, shape (n, channels).
+
+        x has shape (p,) and is in the units of the constants.
         """
         ...
 
@@ -153,9 +155,9 @@ class LinearForward:
     parameters, channels, times_s
         See `Forward`.
     basis
-        Loads of a unit of each constant, shape (n, channels, p).
+        Loads per unit of each constant, shape (n, channels, p).
     constant
-        Loads that no constant changes, shape (n, channels); None for none.
+        Loads that do not depend on the constants, shape (n, channels), or None.
     """
 
     parameters: tuple[Parameter, ...]

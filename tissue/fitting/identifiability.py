@@ -26,7 +26,7 @@ __all__ = [
 ]
 
 AT_PRIOR = 0.9
-"""A constant whose standard deviation is above this share of its prior's stays at its prior."""
+"""Ratio of a constant's standard deviation to its prior's above which it stays at its prior."""
 DETERMINED = 0.5
 """One below this share is determined by the log."""
 LEAST_SHARE = 0.1
@@ -43,8 +43,9 @@ It is the standard deviation of the combination over the standard deviation of t
 divided by its prior standard deviation.
 """
 BALANCED = 0.2
-"""A weighted sum whose terms cancel to less than this share of their sizes has no powers: it is
-a difference.
+"""Share of the terms' sizes below which a weighted sum counts as a difference.
+
+A difference has no powers, since its terms cancel.
 """
 DENSITY = "density."
 EXPONENT = ".density_exponent"

@@ -28,7 +28,7 @@ The position is then in another unit or damaged, and carving along such a jump w
 GAP = 5.0
 """Time between two samples, in medians, that is a gap."""
 SHORTEST_S = 0.5
-"""Shortest log from which the noise can be known [s]."""
+"""Shortest log whose noise can be estimated [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +184,7 @@ def _checked(
 
 
 def _increasing(times_s: Array, name: str, path: Path, notes: list[str]) -> Array:
-    """Times that increase; gaps are noted."""
+    """Return increasing times and note gaps."""
     steps = np.diff(times_s)
     if not np.isfinite(times_s).all() or not (steps > 0.0).all():
         line = 0 if not np.isfinite(times_s).all() else int(np.argmin(steps)) + 2
@@ -208,7 +208,7 @@ def _increasing(times_s: Array, name: str, path: Path, notes: list[str]) -> Arra
 
 
 def _turns(taken: dict[str, Array], path: Path) -> Array | None:
-    """Orientations as quaternions, shape (n, 4); None of a log without."""
+    """Return orientations as quaternions, shape (n, 4), or None for a log without orientations."""
     quaternion = [f"tool_q{c}" for c in "xyzw"]
     if all(name in taken for name in quaternion):
         found = np.column_stack([taken[name] for name in quaternion])
@@ -230,7 +230,7 @@ def _turns(taken: dict[str, Array], path: Path) -> Array | None:
 
 
 PLATEAU = 10
-"""Samples in a row at a channel's extreme from which a sensor is taken as saturated."""
+"""Consecutive samples at a channel's extreme from which a sensor counts as saturated."""
 SHARPER = 5
 """Length of a row of equal values over the lengths of the rows before and after it.
 
@@ -251,7 +251,7 @@ SLOWER = 5.0
 CORNER_M = 2e-5
 """Largest error of a straight line between two poses [m], half the noise of an optical tracker."""
 SPEED_S = 0.1
-"""Time over which a tool's own speed is taken [s]."""
+"""Time over which the speed of a tool is computed [s]."""
 
 
 def without_saturation(loads: Array, channels: tuple[str, ...]) -> tuple[Array, list[str]]:
@@ -349,7 +349,7 @@ def _saturated(values: Array) -> list[float]:
 
 
 def _coarse_step(values: Array) -> float:
-    """Step in which a channel comes where that hides its noise; 0 where not."""
+    """Return the step of a channel if it hides the noise, otherwise 0."""
     known = values[np.isfinite(values)]
     levels = np.unique(known)
     if len(levels) < 3 or np.median(np.abs(np.diff(known))) > 0.0:

@@ -21,7 +21,7 @@ from tissue.motion.drilling_recording import read_drilling
 __all__ = ["LogColumns", "mat_columns", "parquet_columns", "read_columns"]
 
 DRILLING = ("physics_data", "high_frequency_poses")
-"""Groups by which a recording of volumetric_drilling is known."""
+"""Groups that identify a recording of volumetric_drilling."""
 POSE_NAMES = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
 LOAD_NAMES = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
 
@@ -110,7 +110,7 @@ def _text(path: Path) -> LogColumns:
 
 
 def _held(columns: Mapping[str, Any]) -> LogColumns:
-    """Columns of arrays; a matrix gives no columns."""
+    """Return columns of arrays. A matrix gives no columns."""
     flat = {name: np.squeeze(np.asarray(values)) for name, values in columns.items()}
 
     def numbers(name: str) -> Array:
@@ -133,7 +133,7 @@ def _parquet(path: Path) -> LogColumns:
 
 
 def _isolated(parser: str, path: Path) -> LogColumns:
-    """Columns that a parser finds in a process of its own."""
+    """Return the columns that a parser finds in a separate process."""
     name = f"tissue.fitting.log_files:{parser}"
     return _held(
         parse_isolated(name, path, what=f"{path.suffix} file", remedy="export it again")[1]
@@ -186,7 +186,7 @@ def _structs(path: Path) -> LogColumns:
 
 
 def _drilling(path: Path) -> LogColumns:
-    """Poses and loads of a recording of volumetric_drilling, each at times of their own."""
+    """Return poses and loads of a recording of volumetric_drilling, each with separate times."""
     held = read_drilling(path, what="measured")
     columns = {"time_s": held.times_s}
     columns |= dict(
@@ -238,7 +238,7 @@ READERS: dict[str, Callable[[Path], LogColumns]] = {
 
 
 _BYTES = 8
-"""Of a number in memory."""
+"""Size of a number in memory [bytes]."""
 
 
 def parquet_columns(file: Path) -> Answer:
@@ -294,7 +294,7 @@ def mat_columns(file: Path) -> Answer:
 
 
 def _require_new(name: str, columns: Mapping[str, object]) -> None:
-    """Refuse a file in which two columns have one name."""
+    """Refuse a file with two columns of the same name."""
     if name in columns:
         raise DamagedFileError(f"two columns named {name}")
 

@@ -1,5 +1,6 @@
-"""A measured log as text: delimiter, preamble, header line and units line are found; the cells
-stay text.
+"""Reader of a measured log as text.
+
+It detects delimiter, preamble, header line and units line. The cells stay text.
 """
 
 import csv
@@ -28,13 +29,13 @@ class TextTable:
     Attributes
     ----------
     names
-        Of the header line; numbers from 1 where there is none.
+        Names in the header line, or numbers from 1 without a header line.
     rows
-        Cells, one list a line.
+        Cells, one list per line.
     lines
-        Number of the line of each row, from 1.
+        Line number of each row, from 1.
     notes
-        What was found around the table.
+        Remarks on the text around the table.
     """
 
     names: tuple[str, ...]
@@ -155,7 +156,7 @@ def _form(lines: list[str], path: Path) -> tuple[str, int]:
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
-    """Cells of a line; an empty one after the last delimiter is none."""
+    """Return the cells of a line. An empty cell after the last delimiter is dropped."""
     if delimiter == " ":
         return line.split()
     row = next(csv.reader(StringIO(line), delimiter=delimiter), [])

@@ -59,7 +59,7 @@ FINE = 20
 """Points of quadrature from one place of the grid to the next."""
 SHARES = np.array([0.05, 0.5, 0.95])
 PRIOR_SPREAD = float(np.sqrt(0.5 - 0.5 / np.pi))
-"""Standard deviation of a standard normal number of which the negative values are set to 0."""
+"""Standard deviation of a standard normal number whose negative values are set to 0."""
 END = float(0.5 * np.sqrt(2.0 * np.pi))
 """Probability of the end under the cut-off prior, over the density there under the normal one."""
 POINTS = 256

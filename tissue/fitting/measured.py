@@ -97,12 +97,14 @@ Constants are not identified from tooth passing and sensor noise above 100 Hz.
 
 
 def block_ticks(duration_s: float, period_s: float) -> int:
-    """Ticks over which a log is averaged; a block of a log slower than 200 Hz holds one sample.
+    """Return the ticks over which a log is averaged.
+
+    A block of a log slower than 200 Hz holds one sample.
 
     Parameters
     ----------
     duration_s, period_s
-        Of the log, and between two of its samples [s].
+        Duration of the log, and time between two of its samples [s].
     """
     return max(LEAST_BLOCK, int(np.ceil(max(duration_s / MOST_SAMPLES, period_s) / TICK_S - 1e-6)))
 
@@ -110,16 +112,18 @@ def block_ticks(duration_s: float, period_s: float) -> int:
 def block_averages(
     times_s: Array, values: Array, channels: tuple[str, ...], ticks: int
 ) -> MeasuredLoads:
-    """Means over blocks; NaN where a block holds less than half of the samples that it should.
+    """Return means over blocks.
+
+    A mean is NaN if its block holds less than half of the expected samples.
 
     Parameters
     ----------
     times_s
-        Shape (n,), increasing, at any rate [s].
+        Increasing times [s], at any rate, shape (n,).
     values
-        Shape (n, channels), NaN where missing.
+        Values, shape (n, channels), NaN where missing.
     channels
-        Their names.
+        Names of the channels.
     ticks
         Ticks of a block.
     """

@@ -49,20 +49,20 @@ def innovations(residuals: Array, correlation: Array) -> Array:
 
 
 def noise_terms(residuals: Array, scale: Array, correlation: Array, freedom: Array) -> NoiseTerms:
-    """Log density of residuals and its gradient.
+    """Compute the log density of residuals and its gradient.
 
     Parameters
     ----------
     residuals
-        Shape (m, channels), NaN where missing, at one rate.
+        Residuals at one rate, shape (m, channels), NaN where missing.
     scale
-        Of the innovations, shape (channels,): a standard deviation of sqrt(2) times it at four
-        degrees of freedom.
+        Scale of the innovations, shape (channels,). At four degrees of freedom, the standard
+        deviation is sqrt(2) times the scale.
     correlation
-        Of neighbouring residuals, in (-1, 1), shape (channels,).
+        Correlation of neighbouring residuals, in (-1, 1), shape (channels,).
     freedom
-        Degrees of freedom of the innovations, shape (channels,): outliers lose their pull the more
-        the fewer they are.
+        Degrees of freedom of the innovations, shape (channels,). With fewer degrees of freedom,
+        outliers have less influence.
     """
     previous, starts = _previous(residuals)
     here = np.isfinite(residuals)

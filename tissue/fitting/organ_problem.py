@@ -274,11 +274,10 @@ def _next(forward: OrganForward, z: Array, spread: Array) -> tuple[Array, float]
 
 
 def _sloped(forward: OrganForward, runs: OrganRuns, spread: Array | None) -> OrganForward:
-    """With slopes by runs about the same constants: to one side of them where nothing is known,
-    else to both.
+    """Return the model with slopes from runs near the same constants.
 
-    Where two constants are known no better than that, along a ridge of the posterior, by both
-    together as well.
+    The runs step to one side if nothing is known yet, otherwise to both sides. Two constants along
+    a ridge of the posterior, which are known no better than `WIDE`, are also stepped together.
     """
     places = [at for at in range(len(forward.at)) if at not in forward.moduli[:1]]
     reach = np.full(len(forward.at), FIRST_STEP) if spread is None else np.clip(spread, *STEPS)

@@ -43,7 +43,10 @@ FRICTION = (0.25, 2.5)
 """5 and 95 % of friction between tool and organ, over the scene's: wet tissue on metal 0.1 to 0.6
 (from memory of the literature)."""
 MODULUS = (1.0 / 3.0, 3.0)
-"""Likewise of a modulus that the scene states: as liver scatters in tissue/materials/soft.toml."""
+"""5 and 95 % of a modulus that the scene sets, over the scene's value.
+
+The range is the scatter of liver in tissue/materials/soft.toml.
+"""
 SHAPE = (0.4, 2.5)
 """Relative range of the shape constants of a hyperelastic law.
 
@@ -67,9 +70,6 @@ def organ_parameters(
 
     Loads are proportional to these moduli together. There are no such moduli if the organ deforms
     under its own weight or if another modulus is fixed.
-
-    There are no such moduli if the organ deforms under its own weight or if another modulus is
-    fixed.
 
     Raises
     ------
@@ -157,7 +157,10 @@ LAW_MS = 5.0
 Measured tissue has no latency.
 """
 PAYS_S = 2.0
-"""Time of a run from which processes pay, each of which takes as long to start [s]."""
+"""Time of a run from which additional processes save time [s].
+
+A process takes this time to start.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,27 +176,29 @@ class Poses:
 
 
 class OrganRuns:
-    """Runs of an organ along a log's poses, in this process, or in several where a run takes long.
+    """Runs of an organ along a log's poses.
+
+    The runs use this process, or several processes if a run takes long.
 
     Parameters
     ----------
     scene
-        The organ and the tool; its motion and device count for nothing.
+        The organ and the tool. Its motion and its device are ignored.
     poses
-        Where the tool went.
+        Poses of the tool.
     channels
-        Loads that are kept, such as ``force_x_N``.
+        Kept loads, such as ``force_x_N``.
     every
-        Ticks between two of them.
+        Ticks between two kept loads.
     cores
         Processes that may share the runs.
 
     Attributes
     ----------
     poses
-        The same.
+        Poses of the tool.
     count
-        Runs that were made.
+        Number of runs so far.
     """
 
     def __init__(
@@ -275,7 +280,7 @@ def _loads(
 
 
 def _with(scene: Scene, values: Mapping[str, float], path: Path) -> Scene:
-    """A scene with constants in place of its own."""
+    """Return a scene with replaced constants."""
     given = {name: one.value for name, one in scene.constants.given.items()}
     given |= {name: value for name, value in values.items() if not name.startswith(KEYS)}
     changes: dict[str, object] = {}

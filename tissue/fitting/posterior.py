@@ -26,9 +26,11 @@ __all__ = ["Posterior", "Problem", "climbed", "maximum_posterior", "starts"]
 OFFSETS_S = OFFSET_S * np.concatenate(
     [np.arange(-10.0, -3.0), np.linspace(-3.0, 3.0, 25), np.arange(4.0, 11.0)]
 )
-"""Offsets from which the search begins [s]: a force may rise at several times, so that there are
-several maxima. Those beyond three standard deviations of the prior find clocks that contradict
-it."""
+"""Offsets from which the search begins [s].
+
+A force may rise at several times, so there may be several maxima. Offsets beyond three standard
+deviations of the prior find clocks that contradict it.
+"""
 STARTS = 2
 NEARBY = np.linspace(-2.5, 2.5, 101)
 REFINED = 3
@@ -54,13 +56,13 @@ class Posterior:
     Attributes
     ----------
     target
-        The density of constants and nuisances.
+        Density of constants and nuisances.
     maximum
-        The most probable, shape (size,): constants, offset, biases, noise.
+        Most probable numbers, shape (size,): constants, offset, biases, noise.
     covariance
-        Of all of them, shape (size, size).
+        Covariance of all numbers, shape (size, size).
     converged
-        Whether a maximum was found.
+        True if a maximum was found.
     """
 
     target: Target
@@ -126,7 +128,7 @@ class Posterior:
 
     @property
     def residuals(self) -> Array:
-        """Measured less simulated loads, shape (m, channels); NaN where nothing was measured."""
+        """Measured minus simulated loads, shape (m, channels). NaN where nothing was measured."""
         return self.target.log.values - self.simulated
 
     @property

@@ -1,9 +1,8 @@
 """Detection of load channels whose sign is reversed.
 
-Constants of a fit have a known sign, so that a channel of opposite sign cannot be explained by
-them. The fit would call it a bias with noise, and find wrong constants without a word. Each
-channel, all forces, all torques and all loads are therefore fitted with their signs reversed as
-well.
+Constants of a fit have a known sign, so they cannot explain a channel of opposite sign. The fit
+would treat it as a bias with noise and return wrong constants without a message. Each channel, all
+forces, all torques and all loads are therefore fitted with their signs reversed as well.
 """
 
 from collections.abc import Sequence
@@ -55,14 +54,14 @@ def require_signs(forward: Forward, log: MeasuredLoads) -> None:
 
 
 def reversed_channels(forward: Forward, log: MeasuredLoads) -> tuple[str, ...]:
-    """Return the channels that are explained better with their signs reversed.
+    """Return the channels that the model explains better with reversed signs.
 
     Parameters
     ----------
     forward
         Loads by the constants.
     log
-        What was measured.
+        Measured loads.
     """
     signs = np.ones(len(log.channels))
     best, _ = _search(forward, log, signs, -np.inf)

@@ -22,8 +22,11 @@ from tissue.fitting.noise import (
 __all__ = ["OFFSET_S", "Restricted", "Target", "Unpacked"]
 
 OFFSET_S = 0.02
-"""Standard deviation of the prior of the time between the clocks of force and pose [s]: two
-instruments started by hand on one computer; logs of one instrument are at zero."""
+"""Standard deviation of the prior of the time between force clock and pose clock [s].
+
+It describes two instruments started by hand on one computer. Logs of one instrument have an offset
+of zero.
+"""
 BIAS_SHARE = 0.5
 """Standard deviation of a sensor's bias, in shares of the size of the log's loads."""
 NOISE_SHARE = 0.05
@@ -118,7 +121,7 @@ class Target:
         )
 
     def x(self, z: Array) -> Array:
-        """Constants in their own units."""
+        """Return the constants in their own units."""
         return np.array([float(prior.x(each)) for prior, each in zip(self._priors, z, strict=True)])
 
     def slopes(self, z: Array) -> Array:
@@ -302,9 +305,9 @@ class Target:
 
 
 MOST_WEIGHT = 10.0
-"""Neighbouring samples taken as one while the noise's correlation is not known yet."""
+"""Neighbouring samples counted as one while the noise's correlation is unknown."""
 CORRELATED = 0.5
-"""Correlation of neighbours from which an optimiser begins."""
+"""Correlation of neighbours at the start of an optimiser."""
 
 
 class Restricted:

@@ -59,9 +59,9 @@ def pressed(
     seconds
         Duration of the run [s].
     guarded
-        Whether samples pass the sample guard, as in the engine.
+        If true, samples pass the sample guard, as in the engine.
     change
-        Change of the one sample at `FAULT_S`.
+        Change of the single sample at `FAULT_S`.
     """
     path = waypoints(np.array([0.0, 1e-3]), np.full((2, 3), (0.0, 0.0, -5e-3)))
     hand = Hand(hand_parameters("expert"), path, rng=np.random.default_rng(7))

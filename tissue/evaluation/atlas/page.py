@@ -86,9 +86,9 @@ class Verdict:
     Attributes
     ----------
     fails
-        Whether the questioned method failed in the sweep, where theory predicts it.
+        True if the questioned method failed in the sweep where theory predicts the failure.
     holds
-        Whether the method of the engine held in the whole sweep.
+        True if the method of the engine held in the whole sweep.
     sentence
         Both in words, with the figures of the sweep.
     """
@@ -140,8 +140,9 @@ def refused(asked: str, call: Callable[[], object]) -> Answer:
 
 
 def shown(asked: str, right: bool, result: str, *, conduct: Conduct = Conduct.HOLDS) -> Answer:
-    """Return an answer whose figures the caller has checked. It is silently wrong if they are
-    not right.
+    """Return an answer whose figures the caller has checked.
+
+    The answer is silently wrong if the figures are not right.
     """
     return Answer(asked, conduct if right else Conduct.SILENT, result)
 

@@ -86,22 +86,22 @@ def play(
 
 
 class Person:
-    """A person at a keyboard with a device.
+    """Person at a keyboard with a device.
 
     Parameters
     ----------
     device
-        What plays the forces.
+        Device that applies the forces.
     read
-        Gives the next line that the person types, without its end; raises EOFError when there is
-        none.
+        Function that returns the next typed line without its end. It raises EOFError at the end of
+        the input.
     show
-        Shows a line to the person.
+        Function that shows a line to the person.
     bars_N
-        Greatest force for bars that represent forces, for devices that cannot push; None where they
-        can.
+        Largest force of bars that represent forces, for devices that cannot push. None for devices
+        that can push.
     clock, wait
-        Time that passes [s], from any start, and how to let it pass.
+        Function that returns the time from any start [s], and function that lets time pass.
     """
 
     def __init__(
@@ -123,12 +123,12 @@ class Person:
         self._clock = lambda: clock() - start
 
     def answer(self, asked: Comparison | Magnitude) -> float:
-        """Play a trial and ask until the answer is a possible one.
+        """Play a trial and ask until the answer is valid.
 
         Raises
         ------
         StoppedError
-            If the person types q, or nothing more comes.
+            If the person types q, or the input ends.
         """
         forces: tuple[float, ...]
         if isinstance(asked, Comparison):

@@ -41,7 +41,7 @@ __all__ = [
 ]
 
 RESAMPLES = 2000
-"""Groups of people drawn again for an interval."""
+"""Number of resampled groups of people for an interval."""
 Command = Callable[[Array], Array]
 """Force at the device [N] for the one that shall be felt [N], any shape."""
 
@@ -154,17 +154,18 @@ def calibrated_commands(
     numbers: int = 24,
     limits: ForceRange | None = None,
 ) -> list[Command]:
-    """The force to command for each person after a calibration by numbers: each is brought to the
-    reference (E5).
+    """Return the force to command for each person after a calibration by rated numbers.
+
+    The calibration maps each person to the reference (E5).
 
     Parameters
     ----------
     people
-        Who is calibrated; each gives `numbers` numbers, drawn with their own scatter.
+        People to calibrate. Each rates `numbers` forces, with individual scatter.
     rng
-        Draws that scatter.
+        Generator of the scatter.
     numbers
-        Numbers a person gives; 0 takes each person's true exponent and factor instead.
+        Rated numbers per person. 0 uses the true exponent and factor of each person instead.
     limits
         Range of the device, default 3.3 N.
     """

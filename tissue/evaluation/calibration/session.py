@@ -72,7 +72,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two intervals, one of which holds the greater force; the answer is 1 or 2."""
+    """Two intervals, one of which holds the larger force. The answer is 1 or 2."""
 
     base_N: float
     step_N: float
@@ -87,7 +87,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Magnitude:
-    """One interval, whose force is given a number above 0."""
+    """One interval, whose force is rated with a number above 0."""
 
     force_N: float
 

@@ -59,7 +59,7 @@ def sources() -> str:
 
 
 def _code_of(part: Any) -> str:
-    """Numbers of a part from outside, and the checksum of the package whose code it calls."""
+    """Return the numbers of an external part and the checksum of the package that it calls."""
     if isinstance(part, Mapping):
         return " ".join(f"{name} {_code_of(inner)}" for name, inner in part.items())
     if hasattr(part, "__dataclass_fields__") or isinstance(part, GuardedMaker):

@@ -69,7 +69,7 @@ class LawError:
     depth_m
         Depth of the tool in the undeformed body [m], shape (k,).
     linear_N, neo_N
-        By the linear and by the neo-Hookean law [N], shape (k, 3).
+        Forces by the linear and by the neo-Hookean law [N], shape (k, 3).
     """
 
     depth_m: Array
@@ -101,9 +101,10 @@ class LawError:
 
 
 def law_error(scene: Scene, *, report: Progress = silent) -> LawError | None:
-    """Compare both laws on the motion of a scene, kept on disk; None where they cannot be compared.
+    """Compare both laws on the motion of a scene. The result is kept on disk.
 
-    They can for a ball on a path into an organ that is isotropic, weightless and without a capsule.
+    The comparison needs a ball on a path into an organ that is isotropic, weightless and without a
+    capsule. The result is None for other scenes.
     """
     organ = scene.organ
     if not _pressed_by_a_ball(scene) or not isinstance(scene.motion, PathMotion):

@@ -37,8 +37,9 @@ the time to build.
 STRAY_MM = 1.5
 """Bone around the reach of a hand, which strays from the path."""
 REPEATS = 2
-"""Runs of a setting at a single place, the faster of which counts. A quick chart of a loop takes
-one.
+"""Runs of a setting at a single place. The fastest run counts.
+
+A quick chart of a loop uses one run.
 """
 SETTLED = 20
 """Ticks in contact that are not counted: the first ones load code."""
@@ -166,7 +167,7 @@ def _first_contact_s(scene: Scene, span_s: float) -> float:
 
 
 def _length_s(scene: Scene) -> float:
-    """Return the duration of a scene [s]; zero where only its run shows it."""
+    """Return the duration of a scene [s], or zero if only its run shows the duration."""
     if scene.duration_s is not None or not isinstance(scene.motion, PathMotion):
         return scene.duration_s or 0.0
     return float(arc_length(scene.motion.points_mm)[-1]) / scene.motion.feed_mm_s

@@ -51,7 +51,7 @@ OVERVIEW_HIGH_IN = 2.45
 OVERVIEW_TOP_IN = 0.6
 OVERVIEW_TICKS_US = (30.0, 1.4e3)
 PAPER = {"palpation": ("T1", 8.2, 3.5), "wall": ("T2", 7.1, 3.0), "milling": ("T3", 9.5, 4.2)}
-"""Task, and raw and adjusted errors [%] that a paper prints, against its own ideal force."""
+"""Task, and raw and adjusted errors [%] printed in a paper, against its own ideal force."""
 LIMIT_US = 20.0
 """Median cost of a prediction that is aimed at [us]."""
 

@@ -46,7 +46,7 @@ SLOW_TICKS = 10
 SIZES = (3, 6, 12)
 """Numbers of training runs."""
 SIZED_RUNS = 8
-"""Unseen runs by which training sizes are compared."""
+"""Number of unseen runs for the comparison of training sizes."""
 HEADS = {
     "errors.csv": "scene,predictor,horizon_ms,runs,error,low,high",
     "cost.csv": "scene,predictor,median_us,p99_us",

@@ -1,8 +1,7 @@
-"""Reference forces of a scene: by exact geometry where it is known, else by the finest of three
-grids.
+"""Reference forces of a scene, by exact geometry if it is known, else by the finest of three grids.
 
-The exact force has its own uncertainty. That of the finest grid is the grid-convergence index,
-which bounds the error of the discretisation, but no error that all grids share.
+The exact force has its own uncertainty. The uncertainty of the finest grid is the grid-convergence
+index. It bounds the error of the discretisation, but not an error that all grids share.
 """
 
 from importlib.metadata import version
@@ -72,9 +71,9 @@ def force_and_reference_N(run: Run, scene: Scene, *, quick: bool) -> tuple[Array
 def reference_gap(scene: Scene, *, quick: bool, by_hand: bool = False) -> float:
     """Return the uncertainty of the reference: differences below it are not resolved.
 
-    With an exact geometry it is the uncertainty of its force; by hand, where the finest grid is the
-    reference, the error of that grid. Without an exact geometry it is the grid-convergence index of
-    the finest grid.
+    With an exact geometry it is the uncertainty of its force. By hand, the finest grid is the
+    reference, and the uncertainty is the error of this grid. Without an exact geometry it is the
+    grid-convergence index of the finest grid.
     """
     model = of_model(scene)
     if not has_exact_geometry(model):

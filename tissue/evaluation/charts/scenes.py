@@ -92,9 +92,9 @@ def chart_scenes(
 def charted(scene: Scene) -> list[Scene]:
     """Return the scenes whose frontiers are charted: a scene by script, by hand or both.
 
-    A wall is touched by a hand alone. A cutting scene is charted by script alone: in a chart's
-    short excerpt the hand presses less than the friction of its device, and its force error would
-    be noise (54 to 200 % in ``milling``).
+    A wall is touched only by hand. A cutting scene is charted only by script. In a chart's short
+    excerpt, the hand presses less than the friction of its device, so its force error would be
+    noise (54 to 200 % in ``milling``).
     """
     if isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0:
         return [scene if scene.device is None else of_model(scene)]

@@ -54,25 +54,25 @@ Changes = Mapping[str, object]
 
 @dataclass(frozen=True)
 class Setting:
-    """One setting to run a scene at.
+    """Setting of a scene.
 
     Attributes
     ----------
     name
-        A few words, for a picture.
+        Short name, for a picture.
     family
         Varied quantity: voxels, shell, elements, path, stress, loop or cores.
     changes
         Values by dotted key; None removes an entry.
     leaves_out
-        Results that the scene loses by it, in words; empty for none.
+        Results that the scene loses with the setting, in words. May be empty.
     cores
-        Processor cores; None for all.
+        Number of processor cores. None for all cores.
     compute
         Warp device.
     finer
-        Whether it is finer than the scene. It is offered if the finer settings before it keep the
-        time of a tick.
+        True if the setting is finer than the scene. It is offered if the finer settings before it
+        keep the time of a tick.
     """
 
     name: str

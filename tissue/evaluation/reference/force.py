@@ -45,16 +45,16 @@ CORNERS = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
 
 @dataclass(frozen=True)
 class Solid:
-    """An anatomy that a tool cuts.
+    """Anatomy that a tool cuts.
 
     Attributes
     ----------
     anatomy
-        Its surface and layers as functions of position.
+        Surface and layers as functions of position.
     coefficients
         Cutting coefficients of each layer, in the order of the anatomy's names.
     minus
-        What was drilled out of it before the run; None where nothing was.
+        Volume drilled out before the run. None without such a volume.
     """
 
     anatomy: Anatomy
@@ -133,7 +133,10 @@ class _Cells:
 def wrench_at(
     tick: int, path: ToolPath, cutter: Cutter, solid: Solid, *, resolution: Resolution | None = None
 ) -> Array:
-    """Force on the tool [N] and torque about its tip [N m] in the world at a tick, shape (6,)."""
+    """Return the force on the tool [N] and the torque about its tip [N m] at a tick, shape (6,).
+
+    Both are in the world frame.
+    """
     if not (path.velocities[tick].any() or path.turnings[tick].any()):
         return np.zeros(6)
     at_tick = _AtTick(tick, path, cutter, solid)

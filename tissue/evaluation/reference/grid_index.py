@@ -26,14 +26,16 @@ __all__ = ["GridIndex", "Order", "grid_index", "observed_order"]
 FORMAL_ORDER = 2.0
 """Order of the force in the spacing, and the highest that an index is computed with."""
 ASYMPTOTIC = 0.5, 2.2
-"""Observed orders taken as asymptotic: from 0.5 (Eça and Hoekstra 2014, J. Comput. Phys. 262,
-104-130) to a tenth above the formal one (Oberkampf and Roy 2010, Verification and Validation in
-Scientific Computing)."""
+"""Observed orders that count as asymptotic.
+
+The range is from 0.5 (Eça and Hoekstra 2014, J. Comput. Phys. 262, 104-130) to a tenth above the
+formal order (Oberkampf and Roy 2010, Verification and Validation in Scientific Computing).
+"""
 SAFETY = 1.25
 SAFETY_OUTSIDE = 3.0
 """Roache's safety factors, within the asymptotic range and outside it."""
 STEEPEST = 30.0
-"""Highest order that is looked for, either sign; beyond it is infinite."""
+"""Largest searched order, of either sign. Larger orders count as infinite."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +45,8 @@ class Order:
     Attributes
     ----------
     order
-        Observed order; infinite where the finer two agree, negative where they lie farther apart
-        than the coarser two, NaN where all three agree.
+        Observed order. Infinite if the two finer forces agree, negative if they lie farther apart
+        than the two coarser ones, NaN if all three agree.
     index
         Index of each grid, coarsest first.
     distance
@@ -90,7 +92,7 @@ def grid_index(forces_N: Sequence[Array], spacings: Sequence[float]) -> GridInde
     forces_N
         Force at every tick on each grid [N], each shape (n, 3).
     spacings
-        Spacing of each grid, in any unit; every other length of the grid must change by the same
+        Spacing of each grid, in any unit. All other lengths of the grid must change by the same
         factor.
 
     Raises

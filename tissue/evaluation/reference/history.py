@@ -46,7 +46,7 @@ Beyond it, both halves are evaluated too.
 JUMP = 0.05
 """Relative jump of the velocity between two ticks from which the force may jump too."""
 CHECKED = 32
-"""Ticks at which the reference is evaluated anew, twice as fine, for its own uncertainty."""
+"""Ticks at which the reference is evaluated again, twice as fine, for its uncertainty."""
 WINDOW_TICKS = 50
 """Ticks of a mean over 50 ms."""
 
@@ -304,6 +304,6 @@ def error_of_force(force_N: Array, reference: ReferenceForce) -> ForceError:
 
 
 def means_over_50_ms(values: Array) -> Array:
-    """Return means over 50 ms, shape (n // 50, 3); of a shorter run, its mean."""
+    """Return means over 50 ms, shape (n // 50, 3), or the mean of a shorter run."""
     count = max(len(values) // WINDOW_TICKS, 1)
     return np.array([part.mean(axis=0) for part in np.split(values[: count * WINDOW_TICKS], count)])

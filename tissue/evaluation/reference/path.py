@@ -19,21 +19,21 @@ __all__ = ["ConvexPart", "ToolPath", "convex_parts"]
 
 GOLDEN = 0.6180339887498949
 RESOLUTION_M = 1e-12
-"""Length to which the nearest place on a path is bracketed [m]."""
+"""Length to which the nearest position on a path is bracketed [m]."""
 STRAIGHT_M = 5e-9
 """Largest bend of a point's path through the tool's frame within a leg [m]."""
 
 
 @dataclass(frozen=True)
 class ConvexPart:
-    """A convex body of revolution about z, bounded by the pieces of its half section.
+    """Convex body of revolution about z, bounded by the pieces of its half section.
 
     Attributes
     ----------
     pieces
-        From the axis at the bottom to the axis at the top.
+        Pieces from the axis at the bottom to the axis at the top.
     ball
-        Whether it is one ball.
+        True if the part is one ball.
     """
 
     pieces: tuple[Piece, ...]
@@ -111,7 +111,7 @@ class ConvexPart:
 
 
 def convex_parts(profile: Profile) -> tuple[ConvexPart, ...]:
-    """The convex parts that a cutter is the union of; the first is the one that cuts."""
+    """Return the convex parts whose union is a cutter. The first part is the cutting part."""
     pieces = profile.pieces
     if profile.convex:
         arc = pieces[0]
@@ -163,15 +163,15 @@ class ToolPath:
     tips_m
         Tip [m], shape (n, 3).
     rotations
-        Tool to world, shape (n, 3, 3).
+        Rotations from tool to world, shape (n, 3, 3).
     velocities
         Velocity of the tip [m/s], shape (n, 3).
     turnings
-        Angular velocity of the pose [rad/s], shape (n, 3); the spin is not part of it.
+        Angular velocity of the pose [rad/s], shape (n, 3), without the spin.
     reach_m
-        Farthest that the tool reaches from its tip [m].
+        Largest distance of the tool's surface from its tip [m].
     legs
-        Ticks at which a leg begins and ends, shape (legs, 2).
+        First and last tick of each leg, shape (legs, 2).
     """
 
     tips_m: Array

@@ -94,15 +94,14 @@ def compare(
     metric
         Name of the metric.
     task
-        Which task; tasks are not pooled, as their metrics have scales of their own.
+        Name of the task. Tasks are not pooled, since their metrics have different scales.
     rng
-        Shuffles labels for permutation tests.
+        Generator that shuffles labels for permutation tests.
 
     Raises
     ------
     InputError
-        If there is nothing to compare, or too little to compare: one user a group, or a constant
-        metric.
+        If there is nothing to compare, only one user per group, or a constant metric.
     """
     require_statsmodels()
     cells = table.where(task=task).cells(metric)
@@ -155,18 +154,18 @@ def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) ->
 def stratum_test(
     cells: Cells, within: tuple[int, ...], *, between: bool, rng: np.random.Generator
 ) -> HypothesisTest:
-    """Test one effect exactly, with its checks and the tests that rest on less.
+    """Test one effect exactly, with its checks and tests with fewer assumptions.
 
     Parameters
     ----------
     cells
         Means of a metric.
     within
-        Factors within users that are in the effect, as indices into ``cells.factors``.
+        Factors within users in the effect, as indices into ``cells.factors``.
     between
-        Whether the effect involves the group.
+        True if the effect involves the group.
     rng
-        Shuffles labels.
+        Generator that shuffles labels.
     """
     values = cells.values
     groups = cells.groups

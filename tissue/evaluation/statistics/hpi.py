@@ -73,8 +73,8 @@ def weights_of(standard: Array) -> tuple[Array, Array, Array]:
     Returns
     -------
     weights, loadings, variances
-        Shape (..., metrics) each; weights sum to one, loadings to a positive number, variances
-        fall.
+        Shape (..., metrics) each. The weights sum to one, the loadings sum to a positive number,
+        and the variances decrease.
     """
     variances, vectors = np.linalg.eigh(standard)
     first = vectors[..., -1]
@@ -87,18 +87,20 @@ def composite_index(
 ) -> Index:
     """Compute the composite index with weights from the first principal component.
 
-    Metrics are oriented (higher is better) and standardised within each task, whose scales differ,
-    then weighted by the squared loadings of the first component of their correlation. Published
-    weights from raw metrics have mixed signs and change with the units; these do neither.
+    Metrics are oriented (higher is better) and standardised within each task, since the scales of
+    tasks differ. They are then weighted by the squared loadings of the first component of their
+    correlation. Published weights from raw metrics have mixed signs and depend on the units. The
+    weights here have neither problem.
 
     Parameters
     ----------
     table
         Trials.
     directions
-        +1 for a metric where higher is better, -1 where lower is, by name; two or more.
+        +1 for a metric where higher is better, -1 for a metric where lower is better, by name. Two
+        metrics or more.
     rng
-        Draws users for the intervals.
+        Generator that draws users for the intervals.
     count
         Number of resampled populations.
     """

@@ -33,22 +33,22 @@ LEVEL = 0.95
 TAILS = (0.5 * (1.0 + LEVEL), 0.5 * (1.0 - LEVEL))
 """Chances of a figure below the measured one at the lower and at the upper end of an interval."""
 MOST = 5000
-"""Largest sample for which the p value of Shapiro and Wilk's test is known (Royston 1995)."""
+"""Largest sample with a known p value of Shapiro and Wilk's test (Royston 1995)."""
 
 
 @dataclass(frozen=True)
 class Assumption:
-    """Something a test rests on, checked on the same data.
+    """Assumption of a test, checked on the same data.
 
     Attributes
     ----------
     name
-        What is assumed, such as "normal residuals".
+        Name of the assumption, such as "normal residuals".
     holds
-        Whether the check did not refuse it at :data:`ALPHA`. A check that is passed proves nothing
+        True if the check did not reject the assumption at :data:`ALPHA`. A passed check is no proof
         in a small sample.
     finding
-        The check with its figures.
+        Name of the check with its figures.
     """
 
     name: str

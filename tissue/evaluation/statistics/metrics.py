@@ -24,15 +24,16 @@ __all__ = [
 ]
 
 SPARC_CUTOFF_HZ = 10.0
-"""Highest frequency of a hand's movement that counts (Balasubramanian et al. 2015; 5 to 20 Hz in
-use).
+"""Highest counted frequency of a hand's movement (Balasubramanian et al. 2015).
+
+Values of 5 to 20 Hz are in use.
 """
 SPARC_AMPLITUDE = 0.05
 """Share of the spectrum's peak below which it is noise (Balasubramanian et al. 2015)."""
 SPARC_PADDING = 4
-"""Powers of two by which the spectrum is sampled finer (Balasubramanian et al. 2015)."""
+"""Exponent of the finer sampling of the spectrum, base 2 (Balasubramanian et al. 2015)."""
 POINTS = 800
-"""Samples of either path that the alignment goes over; distances are refined between them."""
+"""Samples of each path for the alignment. Distances are refined between them."""
 
 
 def force_error(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
@@ -88,25 +89,26 @@ def force_rms_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
 def latency_ms(
     force_N: ArrayLike, ideal_N: ArrayLike, *, tick_s: float, longest_ms: float = 50.0
 ) -> float:
-    """Compute the lag of the played force behind the ideal one [ms]: the shift of best correlation.
+    """Compute the lag of the played force behind the ideal force [ms].
 
-    The correlation is taken over the overlap, its peak by a parabola through three shifts. A force
-    that leads, as a predicted one may, gives a negative value.
+    The lag is the shift with the best correlation. The correlation is computed over the overlap,
+    and its peak by a parabola through three shifts. A leading force, such as a predicted one, gives
+    a negative value.
 
     Parameters
     ----------
     force_N, ideal_N
-        The force that was played and the reference [N], shape (ticks,) or (ticks, 3).
+        Played force and reference force [N], shape (ticks,) or (ticks, 3).
     tick_s
         Time from tick to tick [s].
     longest_ms
-        Largest shift that is looked at, in either direction [ms].
+        Largest shift in either direction [ms].
 
     Raises
     ------
     InputError
-        If a force is constant, or the best shift lies at the end of the range, where it is not
-        known to be the best.
+        If a force is constant, or the best shift lies at the end of the range, where a better shift
+        may lie outside.
     """
     force, ideal = _pair("force_N", force_N, "ideal_N", ideal_N)
     require_positive("tick_s", tick_s, "use 0.001")
@@ -152,12 +154,12 @@ def acceleration_change_m_s2(velocity_mm_s: ArrayLike, *, tick_s: float) -> floa
 
 
 def spectral_arc_length(speed_mm_s: ArrayLike, *, tick_s: float) -> float:
-    """Spectral arc length of a movement (SPARC, Balasubramanian et al. 2012, 2015); nearer to zero
-    is smoother.
+    """Compute the spectral arc length of a movement, where nearer to zero is smoother.
 
-    Minus the length of the normalised magnitude spectrum of the speed, from its first to its last
-    frequency at or above :data:`SPARC_AMPLITUDE`, up to :data:`SPARC_CUTOFF_HZ`. It has no unit and
-    depends neither on the movement's size nor, below the cutoff, on its duration.
+    The measure is SPARC (Balasubramanian et al. 2012, 2015). It is minus the length of the
+    normalised magnitude spectrum of the speed. The spectrum is used from its first to its last
+    frequency at or above :data:`SPARC_AMPLITUDE`, up to :data:`SPARC_CUTOFF_HZ`. The result has no
+    unit. It does not depend on the movement's size or, below the cutoff, on its duration.
 
     Parameters
     ----------
@@ -202,7 +204,7 @@ def completion_time_s(time_s: ArrayLike, done: ArrayLike) -> float:
     time_s
         Time of every tick [s], shape (ticks,).
     done
-        Whether the task's condition holds, shape (ticks,).
+        True where the task's condition holds, shape (ticks,).
     """
     times = _signal("time_s", time_s, at_least=1)[:, 0]
     holds = np.asarray(done, dtype=bool)

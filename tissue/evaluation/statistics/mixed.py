@@ -245,7 +245,7 @@ def _normal_users(fitted: "MixedLMResults") -> list[Assumption]:
 
 
 def _plain(name: str) -> str:
-    """Return a term of the formula as a person reads it."""
+    """Return a term of the formula in readable form."""
     return (
         name.replace("C(", "")
         .replace(", Sum)", "")

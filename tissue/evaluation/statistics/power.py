@@ -14,7 +14,7 @@ from tissue.evaluation.statistics.trials import Cells
 __all__ = ["Power", "drawn_users", "redrawn_power", "rejection_rates"]
 
 POPULATIONS = 10_000
-"""Enough for an error rate of 5 % to be known to 0.4 %."""
+"""Number of populations. It resolves an error rate of 5 % to 0.4 %."""
 TESTS = {"method": ((0,), False), "group": ((), True), "group x method": ((0,), True)}
 
 
@@ -29,9 +29,10 @@ class Power:
     users_per_group, populations
         Size of the study and number of populations.
     false_alarms
-        Share that rejects where nothing differs (type I), with its interval.
+        Share of rejections without a difference (type I), with its interval.
     hits
-        Share that rejects the effect (power), with its interval; 1 - hits is type II.
+        Share of rejections with the effect (power), with its interval. 1 - hits is the type II
+        error rate.
     """
 
     test: str
@@ -74,7 +75,7 @@ def drawn_users(groups: Ints, count: int, rng: np.random.Generator) -> Ints:
 def redrawn_power(
     cells: Cells, *, rng: np.random.Generator, populations: int = POPULATIONS
 ) -> tuple[Power, ...]:
-    """Estimate the error rates with users drawn again from a study, whatever their distribution.
+    """Estimate the error rates with users redrawn from a study of any distribution.
 
     The null hypothesis is made true by subtracting the means of each group and method. The
     residuals of n users are scaled by sqrt(n / (n - 1)), since redrawn users vary less than new

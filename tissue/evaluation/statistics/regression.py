@@ -19,7 +19,7 @@ from tissue.evaluation.statistics.trials import TrialTable
 __all__ = ["Posterior", "regression", "trial_regression"]
 
 NODES = 96
-"""Nodes over the intraclass correlation; 48 give the same intervals to four digits."""
+"""Nodes over the intraclass correlation. 48 nodes give the same intervals to four digits."""
 
 
 SLOPE_SPREAD = 10.0

@@ -71,12 +71,12 @@ def scores_of(values: Array, sizes: tuple[int, ...], chosen: tuple[int, ...]) ->
     Parameters
     ----------
     values
-        Cell means, shape (..., users, levels), levels the product of `sizes`, the last factor
-        fastest.
+        Cell means, shape (..., users, levels). The number of levels is the product of `sizes`, with
+        the last factor fastest.
     sizes
         Levels of each factor.
     chosen
-        Factors in the effect; none for a user's mean (times the root of the number of levels).
+        Factors in the effect. Empty for a user's mean (times the root of the number of levels).
 
     Returns
     -------
@@ -150,8 +150,7 @@ def strata(
 
 
 def mauchly(scores: Array, groups: Ints) -> float:
-    """Run Mauchly's (1940) test: chance of so uneven a covariance under sphericity, 1 for one
-    contrast.
+    """Return the p value of Mauchly's (1940) test of sphericity, 1 for one contrast.
 
     Parameters
     ----------
@@ -255,7 +254,10 @@ def welch(values: Array, groups: Ints, *, question: str) -> HypothesisTest:
 
 
 def kruskal_wallis(values: Array, groups: Ints, *, question: str) -> HypothesisTest:
-    """Compare groups by ranks (Kruskal and Wallis 1952); arguments as for :func:`welch`."""
+    """Compare groups by ranks (Kruskal and Wallis 1952).
+
+    The arguments are those of :func:`welch`.
+    """
     samples = _samples(values, groups)
     statistic, p = map(float, kruskal(*samples))
     return HypothesisTest("Kruskal-Wallis", question, "H", statistic, (len(samples) - 1,), p)

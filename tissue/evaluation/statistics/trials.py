@@ -71,14 +71,14 @@ class TrialTable:
     Attributes
     ----------
     task, group, user, method
-        Labels, shape (rows,). Users of one label in two groups are two users.
+        Labels, shape (rows,). Equal labels in two groups denote two users.
     trial, seed
         Number of the trial within its task, group and user, and the seed that reproduces it, shape
         (rows,).
     failure
-        Empty, or why the trial failed; its metrics are then NaN.
+        Empty, or the reason of a failed trial, whose metrics are NaN.
     metrics
-        Values by name, the unit in the name, each of shape (rows,).
+        Values by name with its unit, each of shape (rows,).
 
     Raises
     ------

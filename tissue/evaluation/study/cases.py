@@ -274,7 +274,7 @@ def _travels(shared: TrialTable) -> tuple[str, bytes]:
 
 
 def _middle(ordered: Array) -> float:
-    """Return the median of sorted values, of which some may be infinite."""
+    """Return the median of sorted values, some of which may be infinite."""
     low = ordered[(len(ordered) - 1) // 2]
     high = ordered[len(ordered) // 2]
     return float(low if low == high else 0.5 * (low + high))

@@ -44,9 +44,9 @@ __all__ = [
 ]
 
 PEOPLE = 200
-"""Simulated people of each group who compare; no method was tuned to any of them."""
+"""Simulated people per group who compare forces. No method was tuned to them."""
 PLAIN = "koopman"
-"""Method of plain scaling, to which the others are compared."""
+"""Method of plain scaling, the baseline of the other methods."""
 WIDEST = 12
 """Letters of a line below a group of bars."""
 LEAST_D = 0.5
@@ -59,16 +59,16 @@ Picked = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Felt:
-    """A force at the skin over the trials of people.
+    """Force at the skin over the trials of people.
 
     Attributes
     ----------
     means_N
-        Of each person's trials [N], shape (people,).
+        Mean of each person's trials [N], shape (people,).
     squares_N2
         Sums of squared differences of a person's trials from their mean [N2], shape (people,).
     free
-        Trials of each person but one, shape (people,).
+        Number of trials of each person minus one, shape (people,).
     """
 
     means_N: Array
@@ -87,7 +87,7 @@ class Felt:
         return cls(np.asarray(means), np.asarray(squares, dtype=np.float64), trials - 1.0)
 
     def of(self, who: Picked) -> "Felt":
-        """Return the forces of some people, who may come several times."""
+        """Return the forces of some people. A person may occur several times."""
         return Felt(self.means_N[who], self.squares_N2[who], self.free[who])
 
     @property
@@ -101,27 +101,28 @@ class Felt:
 
 @dataclass(frozen=True)
 class FeltPair:
-    """Two forces at the skin that each person compares for themselves: people's own levels are no
-    scatter.
+    """Two forces at the skin that each person compares.
+
+    Differences between people's levels are not scatter.
 
     Attributes
     ----------
     less, more
-        The softer and the stiffer of the two, of the same people.
+        Forces on the softer and the stiffer specimen, of the same people.
     """
 
     less: Felt
     more: Felt
 
     def of(self, who: Picked) -> "FeltPair":
-        """Return the pair of some people, who may come several times."""
+        """Return the pair of some people. A person may occur several times."""
         return FeltPair(self.less.of(who), self.more.of(who))
 
     def felt_by(self, people: SimulatedObservers) -> tuple[Array, Array]:
         """Return the sensitivity d' and chance of a right answer of each observer, shape (n,) each.
 
-        Where the stiffer one has the smaller force at the skin, people who go by force are wrong:
-        d' is below zero.
+        If the stiffer specimen has the smaller force at the skin, people who judge by force are
+        wrong, and d' is below zero.
         """
         first = self.less.stimulus
         second = self.more.stimulus

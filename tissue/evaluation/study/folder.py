@@ -43,16 +43,14 @@ READ_TRIAL = TypeAdapter(Trial)
 
 @dataclass(frozen=True)
 class Stamp:
-    """Return the origin that a trial's file states.
+    """Origin recorded in a trial's file.
 
     Attributes
     ----------
     plan_sha256, code_sha256
-        Hashes of the registered plan and of the code that it was run by, empty where it states
-        none.
+        Hashes of the registered plan and of the code of the run. Empty if the file records none.
     whole
-        Whether its content is as it was written; none is shown for a trial that states no hash of
-        it.
+        True if the content is unchanged. True for a trial without a recorded hash too.
     """
 
     plan_sha256: str
@@ -61,15 +59,15 @@ class Stamp:
 
 
 class StudyFolder:
-    """A study on disk.
+    """Study on disk.
 
-    Every trial is a file of its own, written at once and whole, so that a study can be stopped at
-    any moment; a file that is cut short all the same counts as missing.
+    Every trial is a separate file, written at once and completely, so that a study can be stopped
+    at any moment. A truncated file counts as missing.
 
     Parameters
     ----------
     path
-        Where it lies.
+        Folder of the study.
     """
 
     def __init__(self, path: Path) -> None:
@@ -164,12 +162,12 @@ class StudyFolder:
         Raises
         ------
         InputError
-            If there is none, or it is of another version.
+            If there is no plan, or it is of another version.
         """
         return self._begun()[0]
 
     def registrations(self) -> list[Registration]:
-        """Return the plans that were registered, newest last; for errors see `plan`."""
+        """Return the registered plans, newest last. The errors are those of `plan`."""
         return self._begun()[1]
 
     def _begun(self) -> tuple[Plan, list[Registration]]:
@@ -199,7 +197,7 @@ class StudyFolder:
             ) from None
 
     def stamp(self, key: TrialKey) -> Stamp:
-        """Return the origin that a trial's file states."""
+        """Return the origin recorded in a trial's file."""
         try:
             held = dict(read_json(require_regular(self._file(key)).read_text("utf-8")))
         except (OSError, ValueError, TypeError, RecursionError):
@@ -213,7 +211,7 @@ class StudyFolder:
         return self._file(key).is_file()
 
     def read(self, key: TrialKey) -> Trial | None:
-        """Return a trial, or None where its file is missing or cut short."""
+        """Return a trial, or None if its file is missing or truncated."""
         try:
             trial = READ_TRIAL.validate_python(
                 read_json(require_regular(self._file(key)).read_text("utf-8")) | {"key": key}
@@ -235,7 +233,7 @@ class StudyFolder:
         _write(self._file(trial.key), content | {"sha256": content_sha256(content)})
 
     def forget_failures(self) -> None:
-        """Take away the trials in which a method failed."""
+        """Remove the trials in which a method failed."""
         for trial in self.trials(variant=None):
             if trial.failed:
                 self._file(trial.key).unlink()
@@ -249,12 +247,12 @@ class StudyFolder:
                 yield trial
 
     def table(self, *tasks: str) -> TrialTable:
-        """Return the table of the study's own trials of some tasks.
+        """Return the table of the study's own trials of selected tasks.
 
         Raises
         ------
         InputError
-            If there is none.
+            If there is no such trial.
         """
         rows = [
             {

@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 COMPARED = ("force_error", "ratio_error", "position_error_mm")
-"""Metrics that are tested, one by one and together."""
+"""Tested metrics, one by one and together."""
 DIRECTIONS = {
     "force_error": -1,
     "ratio_error": -1,
@@ -35,14 +35,14 @@ DIRECTIONS = {
 }
 """Metrics of the composite index and their directions: -1 where lower is better."""
 USERS = 10
-"""People in a group; trials go round among them."""
+"""People in a group. Trials are assigned to them in turn."""
 LATENCY_MS = 4
 """Latency of the loop in every trial, the paper's mean being 4.3 ms."""
 REFERENCE = "reference"
-"""Variant in which the reference itself is held against the finest model."""
+"""Variant in which the reference itself is compared with the finest model."""
 SENSITIVITY_TRIALS = 6
 REFERENCE_TRIALS = 2
-"""Trials a task for each variant; reference trials take longest, so there are few."""
+"""Trials of each task for each variant. Reference trials take longest, so there are few."""
 MIDDLE = "intermediate"
 """Group of the variants."""
 
@@ -198,25 +198,26 @@ METHODS: dict[str, Mapping[str, object]] = {
     "koopman-look-ahead": {"renderer": "proxy", "prediction": "koopman-look-ahead"},
     "koopman-perception": {"renderer": "proxy", "prediction": "koopman"},
 }
-"""Methods that make a contact a force; the last one is for the person whose trial it is."""
+"""Methods that turn a contact into a force. The last one is calibrated to the person of the trial.
+"""
 PERSONAL = ("koopman-perception",)
 """Methods that scale the force for the person."""
 
 
 @dataclass(frozen=True)
 class Variant:
-    """One parameter at another value; the rest is as in the study, seeds among it.
+    """Change of one parameter. All other values of the study, including seeds, are kept.
 
     Attributes
     ----------
     parameter, value
-        What is varied, and the value in words.
+        Name of the varied parameter, and its value in words.
     changes
-        By dotted key.
+        Changes of the scene by dotted key.
     pace
         Factor on the hand's pace.
     extreme
-        Which of the task's extremes replaces the specimen.
+        Index of the task's extreme that replaces the specimen.
     """
 
     parameter: str
@@ -247,16 +248,16 @@ VARIANTS = {
 
 @dataclass(frozen=True, order=True)
 class TrialKey:
-    """One trial; it is run once under each method.
+    """Key of a trial, which is run once under each method.
 
     Attributes
     ----------
     task, group
-        What is done, and by whom.
+        Task and expertise group.
     trial
-        Number within both.
+        Number within task and group.
     variant
-        What is varied in it; empty in the study itself.
+        Name of the variant. Empty in the study itself.
     """
 
     task: str
@@ -296,18 +297,18 @@ class TrialKey:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """A study.
+    """Plan of a study.
 
     Attributes
     ----------
     seed
-        Seed of everything; a trial's own follows from it and the trial's key alone.
+        Seed of the study. The seed of a trial follows only from it and the trial's key.
     trials
         Trials for each task and group.
     tasks, groups, methods
-        What is compared.
+        Compared tasks, groups and methods.
     sensitivity
-        Whether a few trials are repeated with one parameter changed, and against the finest model.
+        If true, a few trials are repeated with one changed parameter, and against the finest model.
 
     Raises
     ------
@@ -377,6 +378,6 @@ class Plan:
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=place))
 
     def person(self, key: TrialKey) -> np.random.Generator:
-        """Return the generator of the person whose trial it is, the same in every task."""
+        """Return the generator of the person of the trial, the same in every task."""
         place = (1000, GROUPS.index(key.group), key.user)
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=place))

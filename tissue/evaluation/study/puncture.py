@@ -3,8 +3,8 @@
 The needle's tip starts 0.05 mm outside an organ under z = 0 and is pushed along -z by a device in a
 hand whose force rises at ``rate_N_s`` (`tissue.haptics.hand.pushing.PushingHand`). Aim a, device s
 and tip z are counted along the push. Hand and device are one mass, M = m_device + m_hand, between
-the grip's spring and damper on one side and the motor on the other; the tip hangs on the device by
-the coupling's spring k_c, and the organ pulls it with P(z)::
+the grip's spring and damper on one side and the motor on the other. The coupling's spring k_c
+connects the tip to the device, and the organ pulls the tip with P(z)::
 
     M s'' = K_0 (a - s) + reflex + b_hand (a' - s') - b_device s' - friction - f,    k_c (s - z) = P(z)
 
@@ -56,8 +56,9 @@ The cue is the felt force, the felt force or the sight of the tip, or an ideal d
 delay that no person can achieve.
 """
 RATE_N_S = 1.0
-"""Rise of the pushing force; assumed: a capsule of 2.3 N is through after some seconds, at about
-5 mm/s.
+"""Rise of the pushing force [N/s].
+
+The value is assumed: a capsule of 2.3 N is punctured after some seconds, at about 5 mm/s.
 """
 FRAME_S = 1.0 / 60.0
 """Time between two video frames."""
@@ -67,8 +68,9 @@ VISIBLE_M = 0.5e-3
 The value is assumed: several pixels of a display.
 """
 CUE_SHARE = 0.85
-"""Share of the puncture force at which a cue is given; assumed: at 1 N/s more than a reaction
-before the puncture.
+"""Share of the puncture force at which a cue is given.
+
+The value is assumed: at 1 N/s, the cue is given more than a reaction time before the puncture.
 """
 AFTER_S = 0.6
 """Duration of a run after the stop [s]. It covers a submovement and the ringing of the grip."""
@@ -80,19 +82,19 @@ NOTICED = "the hand notices a puncture"
 
 @dataclass(frozen=True, eq=False)
 class Pierced:
-    """A push and how it ended.
+    """Push of a needle and its end.
 
     Attributes
     ----------
     run
-        With the trace.
+        Run with its trace.
     puncture_s, noticed_s, stop_s
-        When the membrane broke, when that was noticed and when the hand stopped [s]; infinite for
-        not at all.
+        Times at which the membrane broke, the puncture was noticed and the hand stopped [s].
+        Infinite if this did not happen.
     felt_N
         Force of the hand along the push, by tick [N].
     aim_mm
-        The aim's advance, by tick [mm].
+        Advance of the aim, by tick [mm].
     """
 
     run: Run
@@ -109,7 +111,7 @@ class Pierced:
 
     @property
     def excess_mm(self) -> float:
-        """Excess travel of the tip [mm]; not a number where the hand stopped early or never."""
+        """Excess travel of the tip [mm]. NaN if the hand stopped early or did not stop."""
         if self.early or self.stop_s == inf:
             return nan
         return excess_travel_mm(

@@ -57,7 +57,7 @@ force errors of penalty and Koopman differ by 2.8 to 2.9 standard deviations (it
 errors, root mean square of both columns' spreads).
 """
 UNITS = {"force_error": "1", "ratio_error": "1", "position_error_mm": "mm"}
-"""Units of the measures that are tested; a name that is not here carries its unit at its end."""
+"""Units of the tested measures. Other names carry their unit at the end."""
 DESCRIBED = (
     "least_error: least force error that the device's encoder allows, 1",
     "latency_ms: residual latency, ms, nearer to zero is better",
@@ -96,15 +96,16 @@ HEAD = """\
 def register(
     folder: Path, plan: Plan, held: list[Registration], *, trials: int
 ) -> list[Registration]:
-    """Write the plan and its hash; an earlier one is kept under a name of its own. All
-    registrations, newest last.
+    """Write the plan and its hash; return all registrations, newest last.
+
+    An earlier plan is kept under another name.
 
     Parameters
     ----------
     folder
-        The study's folder, which exists.
+        Existing folder of the study.
     plan
-        What is registered.
+        Plan to register.
     held
         Registrations so far.
     trials
@@ -149,12 +150,12 @@ def registered(content: Mapping[str, Any]) -> list[Registration]:
 
 
 def require_unchanged(folder: Path, held: list[Registration]) -> None:
-    """Refuse registered plans that were edited or taken away.
+    """Refuse registered plans that were edited or removed.
 
     Raises
     ------
     InputError
-        If a plan's file is not the one whose hash was written.
+        If a plan's file does not have the recorded hash.
     """
     for each in held:
         if (got := file_sha256(folder / str(each["file"]))) != each["sha256"]:
@@ -233,7 +234,7 @@ def planned_tests(plan: Plan) -> list[str]:
 
 
 def plan_text(plan: Plan) -> str:
-    """Return the plan as TOML; the same plan gives the same text under one version of tissue."""
+    """Return the plan as TOML, with the same text for the same plan and version of tissue."""
     tests = planned_tests(plan)
     keys = list(plan.all_trials())
     people = min(plan.trials, USERS)
@@ -325,9 +326,9 @@ def planned_power(
 
     It follows from the noncentral F distribution.
 
-    One method, or one group, or one method in one group, differs by ``effect`` from the rest, which
-    are equal. With n people in each of g groups under k methods, normal effects and sphericity, the
-    noncentralities (Cohen 1988, chapter 8; of the exact tests in
+    One method, or one group, or one method in one group, differs by ``effect`` from all others,
+    which are equal. With n people in each of g groups under k methods, normal effects and
+    sphericity, the noncentralities (Cohen 1988, chapter 8; of the exact tests in
     `tissue.evaluation.statistics.strata.strata`) are::
 
         method          2 g n d² (k - 1) / k                    degrees k - 1, (g n - g) (k - 1)

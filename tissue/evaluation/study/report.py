@@ -169,7 +169,7 @@ def found_section(sections: Sequence[Section]) -> Section:
 
 
 def _tested(table: TrialTable, rng: np.random.Generator) -> list[Section]:
-    """Return the sections that need several people a group, or the reason why there is none."""
+    """Return the sections that need several people per group, or a reason for their absence."""
     try:
         sections = tests_sections(table, rng)
     except InputError as error:
@@ -260,9 +260,9 @@ def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Secti
     Parameters
     ----------
     folder
-        The study.
+        Folder of the study.
     tests
-        The report's section on tests; none where nothing is compared.
+        Report sections on tests. Empty if nothing is compared.
     """
     plan = folder.plan()
     kept = list(folder.trials(variant=None))

@@ -208,7 +208,7 @@ class _Work:
         self._keep(Trial(key, trial_seed(self.plan, key), tuple(rows), 0.0))
 
     def _keep(self, trial: Trial) -> None:
-        """Write a trial that is still waited for; one that comes twice is the same."""
+        """Write a trial that is still missing. A second copy is equal and ignored."""
         self.folder.write(trial)
         self.waiting.pop(trial.key, None)
 

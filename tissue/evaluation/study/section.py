@@ -134,7 +134,7 @@ CASES = {
     "caries_right_percent": Figure(92.0),
     "drilling_latency_ms": Figure(4.5),
 }
-"""Case studies; errors of reaming and the latency are upper bounds."""
+"""Published results of the case studies. Errors of reaming and the latency are upper bounds."""
 
 ROUNDED = 0.05
 """Relative tolerance of a published figure without a spread, for the rounding of two digits."""

@@ -1,6 +1,4 @@
-"""One trial of a study: the same person, specimen and noise under every method, and the metrics
-of each.
-"""
+"""Trial of a study: one person, specimen and noise under every method, and its metrics."""
 
 import re
 import tempfile
@@ -67,9 +65,9 @@ Row = dict[str, str | float]
 
 PACE_SPREAD = 0.15
 WITHIN_SPREAD = 0.05
-"""Spread of the logarithm of people's pace, and of one person's from trial to trial; assumed."""
+"""Spread of the logarithm of people's pace, and of one person's pace between trials; assumed."""
 NUMBERS = 24
-"""Numbers that a person gave to forces when they were calibrated."""
+"""Number of forces that a person rated in the calibration."""
 ARRIVED_MM = 2.0
 """Distance from the path's end within which a task counts as done."""
 LEAST_N = 1e-3
@@ -182,7 +180,7 @@ def error_sentence(error: Exception) -> str:
 
 
 def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
-    """Return the scenes of a trial, and its person, whose calibration is written to a file."""
+    """Return the scenes of a trial and its person; write the person's calibration to a file."""
     rng = plan.rng(key)
     person = plan.person(key)
     task = TASKS[key.task]

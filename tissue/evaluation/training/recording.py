@@ -37,24 +37,23 @@ DITHER_N = 1e-6
 
 @dataclass(frozen=True)
 class Recording:
-    """Data of a run that a predictor sees: one row a tick.
+    """Data of a run that a predictor receives, one row per tick.
 
     Attributes
     ----------
     position_m, velocity_m_s
-        Of the device, as its encoders measure it and as the loop's filter estimates it from that,
-        shape (n, 3).
+        Position of the device as measured by its encoders, and velocity as estimated by the loop's
+        filter, shape (n, 3).
     force_N
-        On the device, without delay, shape (n, 3).
+        Force on the device, without delay, shape (n, 3).
     contact
-        What a loop knows of the contact in every tick, rows of `Contact`, shape (n, CONTACT_WIDTH).
+        Contact as a loop receives it in every tick, rows of `Contact`, shape (n, CONTACT_WIDTH).
     group, seed
-        Whose hand, and its seed.
+        Group of the hand, and its seed.
     model_s
         Median time that the tissue took to answer in a tick [s].
     true_position_m
-        Of the device, which its encoders only step through, shape (n, 3); None where it is not
-        known.
+        Exact position of the device, without encoder steps, shape (n, 3). None if it is unknown.
     """
 
     position_m: Array
@@ -129,7 +128,10 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
 
 
 class Recorder:
-    """Runs trials of one scene; an elastic organ, which a run leaves as it was, is built once."""
+    """Runner of trials of one scene.
+
+    An elastic organ, which a run does not change, is built once.
+    """
 
     def __init__(self, *, cores: int | None = None) -> None:
         self._cores = cores

@@ -124,20 +124,21 @@ SOBOL_ROWS = 512
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """The band of a run.
+    """Band of a run.
 
     Attributes
     ----------
     times_s
-        Shape (n,).
+        Times of the ticks [s], shape (n,).
     nominal, quantiles
         Loads on the tool at the constants' nominal values and their quantiles `LEVELS`, columns
         `tissue.fitting.bands.reweighed.CHANNELS`, shapes (n, 8) and (5, n, 8).
     constants, values
         Names of the constants that vary, and their values in each sample, shape (samples, p).
     figure_names, figures
-        Names as `tissue.fitting.bands.figures` has them, and the figures of each sample, shape
-        (samples, figures), NaN where a sample has none, of an event that does not happen for one.
+        Names as in `tissue.fitting.bands.figures`, and the figures of each sample, shape (samples,
+        figures). NaN where a sample does not have the figure, such as an event that does not
+        happen.
     numbers
         Index into `files` of each sample, shape (samples,).
     files
@@ -286,7 +287,7 @@ def band_of(
 def _rerun(
     scene: Scene, asked: int, seed: int, *, workers: Workers, cores: int | None, report: Progress
 ) -> Band:
-    """A band each of whose samples is a run of its own."""
+    """Compute a band whose samples are separate runs."""
     run = simulate(scene, compute=workers.compute, cores=cores, progress=report)
     trace = run.trace
     is_linear = not why_not_linear(scene)

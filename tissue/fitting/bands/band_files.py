@@ -84,12 +84,12 @@ def _earlier_samples(folder: Path) -> list[Path]:
 
 
 def read_band(folder: Path) -> Band:
-    """The band in a run's folder.
+    """Read the band in a run's folder.
 
     Raises
     ------
     InputError
-        If there is none, or a file is damaged.
+        If there is no band, or a file is damaged.
     """
     held = read_summary(folder).get("band")
     if held is None:

@@ -21,15 +21,16 @@ __all__ = [
 ]
 
 Figure = tuple[str, ...]
-"""Name of a figure: its place in ``summary.json``, entry by entry; of an event ``events``, a
-sentence, ``time_s``.
+"""Name of a figure: its position in ``summary.json``, entry by entry.
+
+For an event it is ``events``, a sentence, ``time_s``.
 """
 LEVELS = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
 """Quantiles by their names in files: the ends of the 90 and 50 % bands, and the median."""
 LOADS: tuple[Figure, ...] = tuple(
     (name, figure) for name in ("force_N", "torque_Nm") for figure in ("peak", "mean_in_contact")
 )
-"""Figures that every run has, the first columns of a table; Sobol indices are of these."""
+"""Figures that every run has, the first columns of a table. Sobol indices refer to them."""
 NUMBER = re.compile(r"-?\d+(\.\d+)?([eE][-+]?\d+)?(?![\d.]*%)")
 """Pattern of a measured number in the sentence of an event.
 

@@ -1,4 +1,4 @@
-"""Loads and figures of a scene for samples of its constants, each by a run of its own."""
+"""Loads and figures of a scene for samples of its constants, one run per sample."""
 
 from collections.abc import Iterator
 from concurrent.futures import Future
@@ -22,7 +22,7 @@ from tissue.system.workers import first_done
 __all__ = ["Outcome", "Workers", "reruns"]
 
 Outcome = tuple[Array, dict[Figure, float]] | str
-"""Loads, shape (n, 8), and figures of a run; or why there are none."""
+"""Loads, shape (n, 8), and figures of a run; or the reason of its failure."""
 PATIENCE_S = 30.0
 """Time that a scheduler may take to answer [s], equal to the value of a study."""
 LOST_WORKER = "the process that ran it was lost"
@@ -90,7 +90,10 @@ def reruns(
 def _in_pool(
     scene: Scene, files: tuple[str, ...], numbers: list[int], workers: Workers, report: Progress
 ) -> Iterator[tuple[int, Outcome | None]]:
-    """Outcomes of samples on one pool until it is lost; None of a sample as it is handed out."""
+    """Yield outcomes of samples on one pool until it is lost.
+
+    The outcome of a sample is None when it is submitted.
+    """
     most = 2 * min(workers.count, len(numbers)) if workers.scheduler is None else len(numbers)
     connected = False
     fresh = iter(numbers)

@@ -169,7 +169,10 @@ def sampled(constants: Materials, names: Sequence[str], x: Array) -> Materials:
 
 
 def sample_text(constants: Materials, names: Sequence[str], x: Array) -> str:
-    """The TOML file of a sample; a factor of the density, which no scene takes, is a comment."""
+    """Return the TOML file of a sample.
+
+    A factor of the density is a comment, since no scene accepts it.
+    """
     lines = [
         f"# {name} = {float(value)!r}, which no file of materials holds"
         for name, value in zip(names, x, strict=True)

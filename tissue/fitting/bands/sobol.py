@@ -14,7 +14,7 @@ from tissue.fitting.bands.sample import normals
 __all__ = ["LEAST_EXPLAINED", "SobolIndices", "sobol_indices", "surrogate_indices"]
 
 DRAWS = 400
-"""Draws of the bootstrap, from which the ends of 90 % intervals are read."""
+"""Draws of the bootstrap for the ends of 90 % intervals."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +24,7 @@ class SobolIndices:
     Attributes
     ----------
     first, total
-        First-order and total indices, shape (groups, figures); NaN of a figure that does not vary.
+        First-order and total indices, shape (groups, figures). NaN for a figure that does not vary.
     first_ends, total_ends
         Ends of their 90 % intervals by bootstrap, shape (2, groups, figures).
     """
@@ -38,18 +38,18 @@ class SobolIndices:
 def sobol_indices(
     figures: Callable[[Array], Array], groups: tuple[tuple[int, ...], ...], *, count: int, seed: int
 ) -> SobolIndices:
-    """First-order and total indices of a function of independent standard normal numbers.
+    """Compute first-order and total indices of a function of standard normal numbers.
 
-    Two samples A and B are taken, and for every group one that is A with the group's columns from
-    B. First-order indices follow Saltelli et al. (2010, Comput. Phys. Commun. 181:259, table 2 b),
-    total ones Jansen (2 f there).
+    The numbers are independent. Two samples A and B are drawn. For every group a third sample is A
+    with the group's columns from B. First-order indices follow Saltelli et al. (2010, Comput. Phys.
+    Commun. 181:259, table 2 b), total indices follow Jansen (2 f there).
 
     Parameters
     ----------
     figures
         Figures, shape (n, figures), of numbers of shape (n, p).
     groups
-        Columns of each group; every column belongs to one.
+        Columns of each group. Every column belongs to one group.
     count
         Rows of A, a power of two; the function is called for count (groups + 2) rows.
     """

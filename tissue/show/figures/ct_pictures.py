@@ -42,7 +42,7 @@ BODY, SITE, PATH = "#E69F00", "#D55E00", "#CC79A7"
 OTHERS = ("#56B4E9", "#009E73", "#F0E442", "#0072B2")
 """Colours of outlines after Okabe and Ito (2008)."""
 LINES: tuple[Line, ...] = ("solid", "dashed", "dotted")
-"""Strokes of the outlines: the next one where all colours are taken."""
+"""Strokes of the outlines. The next stroke is used after all colours."""
 NORMAL_MM = 12.0
 
 
@@ -231,7 +231,10 @@ UNDER_MM = 2.0
 """Depth at which the density is read that a point of the surface shows."""
 DENSITIES = (0.0, 1800.0)
 COLOURS = "YlGnBu"
-"""Light where bone is sparse, so that shading stays visible; colour-blind readers can follow it."""
+"""Colour map with light colours where bone is sparse, so that shading stays visible.
+
+Colour-blind readers can distinguish its colours.
+"""
 FRONT = (0.3, -1.0, 0.25)
 """Direction to the eye of a bone without a site: from the patient's front left above."""
 
@@ -251,17 +254,17 @@ def draw_ct_bone(
     Parameters
     ----------
     surface
-        The bone in the frame of its image.
+        Bone in the frame of its image.
     density
-        Apparent density [kg/m3]; None where it is unknown.
+        Apparent density [kg/m3]. None if it is unknown.
     centre_mm, normal
-        The site [mm, LPS]; None where there is none yet.
+        Site [mm, LPS]. None without a site.
     points_mm
         Corners of a path [mm, LPS], shape (n, 3).
 
     Returns
     -------
-    None, or why it could not be drawn.
+    None, or the reason why it could not be drawn.
     """
     mesh = _painted(surface, density)
     eyes = _eyes(normal)
@@ -428,13 +431,13 @@ def draw_ct_histogram(
     Parameters
     ----------
     values, counts
-        Each whole value of the image, and how many voxels have it.
+        Whole values of the image, and number of voxels with each value.
     inside
         Values of the voxels of the bone.
     threshold
         Value above which a voxel is bone; None with a label.
     density
-        Density per value and at value 0 [kg/m3]; None where it is unknown.
+        Density per value and at value 0 [kg/m3]. None if it is unknown.
     """
     low = max(RANGE_HU[0], float(values[0]))
     high = min(RANGE_HU[1], float(values[-1]))

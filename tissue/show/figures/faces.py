@@ -1,4 +1,4 @@
-"""Faces that a tool goes through or presses in tissue that is neither voxels nor a mesh."""
+"""Faces that a tool passes or presses in tissue without voxels and mesh."""
 
 from typing import TYPE_CHECKING
 
@@ -55,7 +55,7 @@ def wall_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
 
 
 def layer_faces(scene: Scene) -> "dict[str, pyvista.PolyData]":
-    """Return pieces of the faces that a needle goes through, by layer."""
+    """Return pieces of the faces that a needle passes, by layer."""
     import pyvista
 
     assert isinstance(scene.anatomy, LayersAnatomy)

@@ -77,7 +77,7 @@ def styled(draw: Callable[P, T]) -> Callable[P, T]:
 
 @styled
 def figure(width_in: float, height_in: float) -> "Figure":
-    """Return an empty figure that belongs to no window."""
+    """Return an empty figure without a window."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width_in, height_in), dpi=DPI)
@@ -143,9 +143,11 @@ LAYERS = {
 }
 DEPTH_COLOURS = "viridis"
 SIGNED, STRESS, OTHER = "coolwarm", "magma_r", "YlGnBu"
-"""Colours of fields; little is light, so that a body does not turn black where nothing happens.
-Colour-blind readers can follow them (Moreland 2009; van der Walt and Smith 2015; Harrower and
-Brewer 2003)."""
+"""Colour maps of fields.
+
+Small values are light, so that a body does not turn black in unloaded parts. Colour-blind readers
+can distinguish the colours (Moreland 2009; van der Walt and Smith 2015; Harrower and Brewer 2003).
+"""
 OTHER_LAYERS = ("#CC79A7", "#F0E442", "#0072B2", "#D55E00")
 COMPONENTS = ("#0072B2", "#D55E00", "#009E73")
 """Colours of layers and components after Okabe and Ito (2008).

@@ -32,20 +32,21 @@ ROW, FRAME = 0.44, 1.0
 
 @dataclass(frozen=True)
 class FittedConstant:
-    """A constant before and after a fit, for a picture.
+    """Constant before and after a fit, for a picture.
 
     Attributes
     ----------
     label
-        Its name without unit.
+        Name without unit.
     unit
-        Its unit.
+        Unit of the constant.
     cited, fitted
         Median and the ends of the 90 % interval, (low, value, high), before and after.
     fitted_z, cited_z
-        The fitted three, and the ends of the cited range, in standard deviations of the prior.
+        The three fitted values, and the ends of the cited range, in standard deviations of the
+        prior.
     is_identified
-        Whether the log narrows it.
+        True if the log narrows the constant.
     """
 
     label: str
@@ -324,13 +325,13 @@ def _legend(axes: "Axes") -> None:
 def draw_sobol(
     indices: Mapping[str, Mapping[str, Mapping[str, Any]]], path: Path, *, title: str
 ) -> None:
-    """Draw first-order and total Sobol indices with their 90 % intervals, a panel a figure.
+    """Draw first-order and total Sobol indices with 90 % intervals, one panel per figure.
 
     Parameters
     ----------
     indices
-        By figure and constant ``first``, ``first_90``, ``total`` and ``total_90``, as
-        ``summary.json`` has them.
+        ``first``, ``first_90``, ``total`` and ``total_90`` by figure and constant, as in
+        ``summary.json``.
     path
         File to write.
     title

@@ -52,10 +52,10 @@ width would appear as stripes.
 
 
 def spells(names: NDArray[np.generic], *, shortest: int = 1) -> list[tuple[int, int, str]]:
-    """Return runs of equal entries: first index, index behind the last, entry.
+    """Return runs of equal entries: first index, index after the last one, entry.
 
-    One of fewer entries than `shortest` belongs to the one before it, the first to the one after
-    it.
+    A run with fewer entries than `shortest` is joined with the previous run, and the first run with
+    the next one.
     """
     if not len(names):
         return []

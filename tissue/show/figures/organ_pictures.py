@@ -59,7 +59,7 @@ class _Shown:
 
     @property
     def colours(self) -> "ScalarMappable":
-        """Colours by value; the scale is logarithmic where it begins above 0."""
+        """Colours by value. The scale is logarithmic if it begins above 0."""
         from matplotlib.cm import ScalarMappable
         from matplotlib.colors import LogNorm, Normalize
 
@@ -99,23 +99,23 @@ def draw_press(
     Parameters
     ----------
     series
-        Its fields; the frames have a displacement at the nodes and von Mises stress in the cells.
+        Fields of the organ. The frames have a displacement at the nodes and von Mises stress in the
+        cells.
     trace
-        The trace, for where the tool was and its force.
+        Trace with the tool's position and force.
     path
         File.
     title
-        What is written above.
+        Title of the picture.
     tool
-        Surface of the tool in its own frame [mm], as `tissue.show.figures.tool_mesh.tool_surface`
-        gives it.
+        Surface of the tool in its frame [mm], from `tissue.show.figures.tool_mesh.tool_surface`.
     flat
-        Whether both pictures show the section along the tool from in front, as a needle's track
-        needs.
+        If true, both pictures show the section along the tool from the front, as needed for a
+        needle's track.
 
     Returns
     -------
-    None, or why it could not be drawn.
+    None, or the reason why it could not be drawn.
     """
     frame, why = moment_of_press(series, trace)
     if frame is None:
@@ -289,7 +289,7 @@ def draw_held(series: FieldSeries, path: Path, *, title: str) -> str | None:
 
 
 def _surface(series: FieldSeries) -> "pyvista.PolyData":
-    """Return the boundary with held and touchable triangles in colours of their own."""
+    """Return the boundary with separate colours of held and touchable triangles."""
     import pyvista
 
     grid = pyvista.UnstructuredGrid(

@@ -61,11 +61,10 @@ def drawn_surface(mesh: "pyvista.DataSet", values: NDArray[np.float32]) -> "pyvi
 
 
 def _divided(surface: "pyvista.PolyData") -> "pyvista.PolyData":
-    """Divide each triangle in four. New points lie on curves at right angles to the normals at both
-    ends of an edge.
+    """Divide each triangle into four.
 
-    Both sides of a sharp edge have points of their own there; they are kept together by the mean of
-    their curves.
+    New points lie on curves at right angles to the normals at both ends of an edge. The two sides
+    of a sharp edge have separate points. They are kept together by the mean of their curves.
     """
     import pyvista
 
@@ -150,7 +149,7 @@ def section_cap(
 
 
 def at_nodes(mesh: "pyvista.DataSet", name: str) -> NDArray[np.float32]:
-    """Return a field at the nodes: its own values there, or the mean of the cells around."""
+    """Return a field at the nodes: its nodal values, or the mean of the cells around."""
     values = field_values(mesh if name in mesh.point_data else mesh.cell_data_to_point_data(), name)
     assert values is not None
     return np.asarray(values)
@@ -175,8 +174,9 @@ def _sampled(mesh: "pyvista.DataSet", places: NDArray[np.float64]) -> NDArray[np
 
 
 def inclusions(corners: NDArray[np.floating], layer: NDArray[np.integer]) -> NDArray[np.intp]:
-    """Return the cells of the smallest layer inside the others, such as a nodule. It is empty where
-    there is none.
+    """Return the cells of the smallest layer inside the others, such as a nodule.
+
+    The result is empty if there is no such layer.
 
     Parameters
     ----------
@@ -211,7 +211,7 @@ def interpolate_in_layers(
     series
         Cubes of one edge on a lattice.
     values
-        Value of each cell, shape (cells,), not a number where a cell is gone.
+        Value of each cell, shape (cells,), NaN for removed cells.
     place_m, layer
         The places [m], shape (k, 3), and the layer of each, shape (k,).
     """

@@ -343,7 +343,7 @@ AROUND_MM = 3.0
 ACROSS = 200
 """Points along each side of the section at which the distance is computed."""
 STEP_M = 1e-5
-"""Of the differences that make the direction of a distance."""
+"""Step of the differences that approximate the gradient of a distance [m]."""
 
 
 @dataclass(frozen=True, eq=False)

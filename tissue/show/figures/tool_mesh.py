@@ -31,9 +31,10 @@ ABOVE = 0.6
 
 
 def tool_surface(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None":
-    """Return the surface of a tool in its own frame [mm], tip at the origin, z from tip to shank.
+    """Return the surface of a tool in its own frame [mm], or None.
 
-    None without a tool, or for one whose file cannot be read any more.
+    The tip is at the origin, and z points from tip to shank. The result is None without a tool, or
+    if the file of the tool can no longer be read.
     """
     import pyvista
 

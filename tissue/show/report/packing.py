@@ -78,11 +78,10 @@ def packed_shares(values: ArrayLike) -> Record:
 
 
 def packed_mesh(points_mm: ArrayLike, triangles: ArrayLike) -> tuple[Record, NDArray[np.intp]]:
-    """Encode a surface, and return the order in which its points are kept. Unused points are left
-    out.
+    """Encode a surface, and return the order in which its points are kept.
 
-    Points come in the order in which triangles first name them. A corner is how far below the next
-    new point it lies, 0 for the new one itself.
+    Unused points are left out. Points come in the order in which triangles first name them. A
+    corner is encoded as its distance below the next new point, 0 for the new point itself.
     """
     corners = np.asarray(triangles, dtype=np.intp).reshape(-1, 3).ravel()
     used, first, at = np.unique(corners, return_index=True, return_inverse=True)

@@ -42,7 +42,7 @@ __all__ = ["NAME", "empty_scene", "viewer_scripts", "write_report"]
 NAME = "report.html"
 """File in a run's folder."""
 SCRIPTS = ("decode", "moment", "charts", "surfaces", "stage", "report")
-"""Our own scripts, in the order in which they need each other."""
+"""Own scripts, in the order of their dependencies."""
 PACKED = "data"
 """Key under which `packing` keeps encoded arrays, which are no text."""
 Clean = Callable[[str], str]
@@ -170,11 +170,11 @@ def _html(
 
 
 def _cleaner(saved: SavedRun) -> Clean:
-    """Return a function that leaves the names of files in a text and takes their folders out.
+    """Return a function that replaces the paths of files in a text by their names.
 
-    A report is handed over, and folders may be named after a patient. Texts are cleaned before they
-    are put into the page: the finished page holds markup and encoded arrays, in which a short
-    folder occurs by chance.
+    A report is passed on to others, and folders may be named after a patient. Texts are cleaned
+    before they are put into the page. The finished page holds markup and encoded arrays, in which a
+    short folder name occurs by chance.
     """
     folders = folders_of(saved.scene) if saved.scene is not None else []
 
@@ -203,7 +203,7 @@ def _cleaned(value: Any, clean: Clean) -> Any:
 
 
 def _data_element(data: dict[str, Any]) -> str:
-    """Return the element that holds the data as JSON; no text of the run can end it."""
+    """Return the element that holds the data as JSON. No text of the run can end it."""
     written = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     return f'<script type="application/json" id="report-data">{written}</script>'
 

@@ -41,7 +41,7 @@ __all__ = [
 
 TOOL, DEVICE, PATH, FORCE = "#808080", "#D55E00", "#D55E00", COMPONENTS[0]
 MOST_POSES = 6000
-"""Poses of the tool; between them the browser interpolates."""
+"""Maximum number of poses of the tool. The browser interpolates between them."""
 MOST_POINTS = 3000
 """Points of the path that is drawn."""
 LONGEST = 0.3
@@ -175,8 +175,9 @@ def _add_tool(
 
 
 def _still(surface: "pyvista.PolyData") -> Record:
-    """Return the record of a surface that keeps its shape. Edges have points of their own on
-    either side.
+    """Return the record of a surface that keeps its shape.
+
+    Both sides of an edge have separate points.
     """
     surface = with_normals(surface.triangulate())
     mesh, _ = packed_mesh(surface.points, surface.regular_faces)
@@ -363,11 +364,11 @@ def _is_same(a: Any, b: Any) -> bool:
 
 
 UNCUT = 0.02
-"""Share of the deepest cut below which bone has its own colour."""
+"""Share of the deepest cut below which bone counts as uncut."""
 
 
 def depth_scale(deepest_mm: float) -> Record:
-    """Return the scale of removed depth. Bone that was not cut has its own colour."""
+    """Return the scale of removed depth. Uncut bone has a separate colour."""
     colours = _colours(DEPTH_COLOURS)
     colours[: round(UNCUT * len(colours))] = np.array(BONE)
     return _scale("removed depth", "mm", "depth", (0.0, deepest_mm), colours)

@@ -146,7 +146,7 @@ class BoneShown:
             )
 
     def _draw_part(self, name: str) -> "pyvista.Actor | None":
-        """Draw one of the surfaces anew; its actor, None where there is nothing to show."""
+        """Draw one of the surfaces again; return its actor, or None if there is nothing to show."""
         self._plotter.remove_actor(name, reset_camera=False, render=False)
         part = self._parts[name].copy(deep=False)
         if not self._visible or not part.n_cells:

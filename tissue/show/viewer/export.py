@@ -145,14 +145,14 @@ def movie_times_s(first_s: float, last_s: float) -> NDArray[np.float64]:
 
 
 def write_movie(path: Path, pictures: Iterable[NDArray[np.uint8]]) -> None:
-    """Write a movie; an existing file is replaced once the new one is whole.
+    """Write a movie and replace an existing file once the new file is complete.
 
     Parameters
     ----------
     path
-        File with the ending .mp4, or .gif of half the width and height.
+        File with the ending .mp4, or .gif with half the width and height.
     pictures
-        Red, green and blue of every picture, shape (height, width, 3), both even.
+        Red, green and blue of every picture, shape (height, width, 3). Height and width are even.
     """
     with whole_file(path) as temporary:
         (_write_mp4 if path.suffix.lower() == ".mp4" else _write_gif)(temporary, pictures)

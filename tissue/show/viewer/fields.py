@@ -39,11 +39,11 @@ class PointValues:
     Attributes
     ----------
     place_mm
-        Where it is drawn [mm], shape (3,).
+        Drawn position [mm], shape (3,).
     values
-        Its fields by name.
+        Field values by name.
     layer
-        Layer that it belongs to; empty where there are none.
+        Layer of the point. Empty without layers.
     """
 
     place_mm: NDArray[np.float64]

@@ -125,8 +125,8 @@ def _chart(
 ) -> "tuple[pyvista.Chart2D, pyvista.plotting.charts.LinePlot2D]":
     """Add the force over time along the lower edge, with a cursor.
 
-    What is commanded is pale and the model's force lies upon it: teeth that vibrate would make a
-    band that hides it.
+    The commanded force is pale and the model's force is drawn over it. Vibrating teeth would
+    otherwise make a band that hides the model's force.
     """
     import pyvista
 

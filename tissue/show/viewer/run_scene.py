@@ -28,7 +28,7 @@ __all__ = ["Choice", "RunScene", "times_of"]
 TISSUE = ("bone", "bone beyond the cut", "field")
 """Names of the simulated tissue among"""
 MOST_POINTS = 20_000
-"""Points of a surface from which its extent is found."""
+"""Maximum number of points of a surface for its extent."""
 NEAR_TIP = 0.5
 """Part of the tool from its tip that has to be seen, as a share of the size of the tissue."""
 
@@ -65,30 +65,30 @@ class RunScene:
     Parameters
     ----------
     saved
-        The run.
+        Saved run.
     choice
-        What is shown at first. Its layers, field and moment are applied by the caller.
+        First view. Its layers, field and moment are applied by the caller.
     plotter
-        Where the run is shown.
+        Plotter of the run.
     fine
-        Whether tetrahedra are drawn without facets, as a still picture needs.
+        If true, tetrahedra are drawn without facets, as needed for a still picture.
     annotated
-        Whether the legend of the layers and the chart of the force are drawn into the plotter.
+        If true, the legend of the layers and the chart of the force are drawn into the plotter.
 
     Attributes
     ----------
     bone, fields, moment
-        The parts; None where the run has none.
+        Parts of the scene. None if the run does not have the part.
     series
         The fields of the run over time, or None.
     colours
-        Red, green and blue of every layer and face that can be switched, 0 to 1.
+        Red, green and blue of every switchable layer and face, 0 to 1.
     face_colours
-        The same of the faces alone.
+        Colours of the faces only.
     times_s
         Moments that can be shown [s].
     start_s
-        The moment that is shown at first [s].
+        Moment that is shown at first [s].
     size_mm
         Size of the tissue [mm].
     """

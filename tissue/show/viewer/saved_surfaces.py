@@ -48,7 +48,7 @@ It prevents that the plane passes through a face of the mesh.
 
 
 def saved_fields(saved: SavedRun) -> SavedFields | None:
-    """Return the fields of a run over time; None for a run without any."""
+    """Return the fields of a run over time, or None for a run without fields."""
     if not (saved.path / "fields.pvd").is_file():
         return None
     fields = SavedFields(saved.path)
@@ -123,7 +123,7 @@ class BoneOverTime:
             )
 
     def at(self, tick: int) -> bool:
-        """Bring the bone to the end of a tick; whether that can have changed it."""
+        """Move the bone to the end of a tick; return whether the bone may have changed."""
         if self._replay is None or self.deepest_mm == 0.0 or tick == self._tick:
             return False
         self._tick = tick

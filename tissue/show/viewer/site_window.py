@@ -42,23 +42,23 @@ def is_imported(folder: Path) -> bool:
 
 
 class SiteWindow:
-    """An imported bone with its site.
+    """Window with an imported bone and its site.
 
     Parameters
     ----------
     folder
-        What `tissue import` wrote.
+        Folder written by `tissue import`.
     off_screen
-        Whether it is drawn for a file, and so without help.
+        If true, the view is drawn for a file and without help.
 
     Attributes
     ----------
     plotter
         PyVista's plotter.
     centre_mm, normal
-        The site that is shown, in the frame of the image (LPS), shape (3,); None without one.
+        Shown site in the frame of the image (LPS), shape (3,). None without a site.
     text
-        What is written about it.
+        Text about the site.
     """
 
     def __init__(self, folder: Path, *, off_screen: bool) -> None:
@@ -124,7 +124,7 @@ class SiteWindow:
         self.plotter.render()
 
     def open(self) -> None:
-        """Open the window; comes back when it was closed."""
+        """Open the window; return when it is closed."""
         free_keys(self.plotter)
         on_click(self.plotter, self.click)
         self.plotter.show()

@@ -181,7 +181,7 @@ def _view_site(folder: Path, screenshot: Path | None) -> str:
 
 
 def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, report: Progress) -> None:
-    """Draw a file in a process of its own; it is there whole, or as it was before."""
+    """Draw a file in a separate process. The file is complete, or unchanged on failure."""
     longest_s = LONGEST_MOVIE_S if kind == "movie" else LONGEST_S
     chosen = json.dumps(asdict(choice))
     doing = f"drawing the {kind}"
@@ -328,15 +328,15 @@ def show(
     Parameters
     ----------
     saved
-        The run.
+        Saved run.
     title
-        What is written above.
+        Title above the view.
     choice
-        What is shown at first.
+        First view of the run.
     screenshot
         PNG file.
     movie
-        MP4 or GIF file; how much of it is drawn is printed.
+        MP4 or GIF file. The finished share is printed.
     """
     window = Window(saved, title, choice, off_screen=screenshot is not None or movie is not None)
     if screenshot is not None:
@@ -357,14 +357,14 @@ OPENS_S, CLOSES_S = 120.0, 10.0
 
 
 def serve_view(folder: Path, choice: Choice, opened: Callable[[str], object]) -> None:
-    """Serve the page of a run until it was closed for some seconds, or Ctrl-C.
+    """Serve the page of a run until it has been closed for some seconds, or Ctrl-C.
 
     Parameters
     ----------
     folder
         Folder of the run.
     choice
-        What is shown at first.
+        First view of the run.
     opened
         Called with the address, which holds a random token.
 

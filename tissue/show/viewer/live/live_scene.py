@@ -35,7 +35,7 @@ LEAST_N = 1.0
 
 Array = NDArray[np.float64]
 NUMBERS = ("time_s", "removed_mm3", *CLOCK)
-"""Columns that a person reads as they are."""
+"""Columns that are shown without conversion."""
 
 
 @dataclass(frozen=True)
@@ -100,21 +100,21 @@ def live_tissue(
 
 
 class LiveBone:
-    """A bone by layer as it is carved.
+    """Bone by layer while it is carved.
 
     Parameters
     ----------
     plotter
-        Where it is shown.
+        Plotter of the bone.
     bone
-        Its surface.
+        Surface of the bone.
 
     Attributes
     ----------
     points_mm
-        Points that have to be seen [mm], shape (n, 3).
+        Points that must be in view [mm], shape (n, 3).
     colours
-        Of the layers that there are by name, red, green and blue, 0 to 1.
+        Colours of the existing layers by name, red, green and blue, 0 to 1.
     """
 
     def __init__(self, plotter: Plotter, bone: BoneSurface) -> None:
@@ -146,21 +146,21 @@ class LiveBone:
 
 
 class LiveOrgan:
-    """The surface of a soft organ as it moves.
+    """Surface of a soft organ while it moves.
 
     Parameters
     ----------
     plotter
-        Where it is shown.
+        Plotter of the organ.
     organ
-        The surface.
+        Surface of the organ.
 
     Attributes
     ----------
     points_mm
-        Points that have to be seen [mm], shape (n, 3).
+        Points that must be in view [mm], shape (n, 3).
     colours
-        None: it has but one.
+        Empty, since the organ has only one colour.
     """
 
     def __init__(self, plotter: Plotter, organ: OrganSurface) -> None:
@@ -262,7 +262,7 @@ class LiveScene:
         self._greatest = LEAST_N
 
     def update_tissue(self) -> bool:
-        """Bring the tissue up to date where that is time; whether it changed."""
+        """Update the tissue if it is due; return whether it changed."""
         now = perf_counter()
         if self.tissue is None or now - self._updated <= max(TISSUE_S, 2.0 * self._took):
             return False

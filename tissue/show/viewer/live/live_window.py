@@ -63,7 +63,7 @@ class LiveWindow:
 
     @property
     def over(self) -> bool:
-        """State of the end: the ticks have ended, or a person has closed the window."""
+        """True if the ticks have ended or the user has closed the window."""
         return bool(self.arrays["ended"][0] or self.arrays["closed"][0])
 
     def frame(self) -> None:

@@ -17,14 +17,14 @@ ARROWS = {"Left": (-1.0, 0.0), "Right": (1.0, 0.0), "Up": (0.0, 1.0), "Down": (0
 
 
 class Target:
-    """The wanted place of a tool.
+    """Wanted position of a tool.
 
     Parameters
     ----------
     plotter
-        The view.
+        Plotter of the view.
     start_mm
-        Where it begins [mm].
+        Initial position [mm].
     axis
         The tool's axis from tip to shank, shape (3,).
     low_mm, high_mm
@@ -33,7 +33,7 @@ class Target:
     Attributes
     ----------
     target_mm
-        Where the tool is wanted [mm], shape (3,).
+        Wanted position of the tool [mm], shape (3,).
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class Target:
         self._go(right_mm * right + up_mm * np.cross(right, forward))
 
     def press(self, key: str) -> None:
-        """Go by a key, by VTK's name of it; one that moves nothing is left."""
+        """Move by a key, given by VTK's name. Keys without a move are ignored."""
         if key in ARROWS:
             right, up = ARROWS[key]
             self.across(KEY_MM * right, KEY_MM * up)

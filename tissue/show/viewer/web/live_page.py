@@ -20,7 +20,7 @@ from tissue.simulation.live.window import LOADS
 __all__ = ["LivePage"]
 
 SIZE = (960, 720)
-"""Until the page states its own [pixel]."""
+"""Size until the page reports its own size [pixel]."""
 MARGINS = (0.05, 0.95, 0.06, 0.94)
 ABOVE = 0.3
 """Visible height above the tool's tip, in sizes of the scene. It exceeds the longest arrow."""

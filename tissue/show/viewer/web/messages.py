@@ -76,9 +76,9 @@ def close_reason(text: str) -> bytes:
 
 
 class Pace:
-    """Bound the messages that are read: `MOST_PER_S` a second, and `AT_ONCE` after a pause.
+    """Limit of the messages that are read: `MOST_PER_S` a second, and `AT_ONCE` after a pause.
 
-    What a page sends beyond that waits in its own buffers.
+    Further messages of a page wait in the buffers of the browser.
     """
 
     def __init__(self) -> None:

@@ -79,14 +79,14 @@ class Session(Protocol):
 
 
 class PageServer:
-    """Serves a session to one page.
+    """Server of a session for one page.
 
     Parameters
     ----------
     session
-        What is shown.
+        Session to serve.
     token
-        What the address must hold; default a new random one.
+        Token that the address must hold. Default: a new random token.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class PageServer:
         self._opened = False
 
     async def serve(self, opened: Callable[[str], object], *, port: int = 0) -> None:
-        """Serve until the session is over; ``opened`` is called with the address."""
+        """Serve until the session is over, and call ``opened`` with the address."""
         app = web.Application(middlewares=[gate(self._token, lambda: self._port)])
         app.router.add_get("/", self._page)
         app.router.add_get(SOCKET, self._connect)
@@ -233,7 +233,7 @@ def page_text(kind: str, nonce: str) -> str:
 
 
 HOST = "127.0.0.1"
-"""Address that is served; no other machine reaches it."""
+"""Served address, which no other machine can reach."""
 SOCKET = "/socket"
 TOKEN_BYTES = 24
 HEADERS = {
@@ -243,8 +243,9 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-"""Of every answer: nothing is kept, no other site embeds it, and the token in the address is not
-sent on.
+"""Headers of every response.
+
+They forbid storage, embedding by other sites, and sending on the token in the address.
 """
 
 
@@ -258,19 +259,20 @@ def refusal(
 ) -> str | None:
     """Return why a request is refused, or None.
 
-    A page of another site that asks by a name which it lets point here (DNS rebinding) is known by
-    its Host, one that opens the socket by its Origin, which browsers always send then.
+    A request from another site by a name that points here (DNS rebinding) is detected by its Host.
+    A request from another site that opens the socket is detected by its Origin, which browsers
+    always send in this case.
 
     Parameters
     ----------
     host, origin
         Headers of the request.
     given
-        Token in its address.
+        Token in the address of the request.
     port, token
-        Where it is served and the token that opens it.
+        Port of the server, and the token that opens the page.
     socket
-        Whether it opens the socket.
+        True if the request opens the socket.
     """
     home = f"{HOST}:{port}"
     if host != home:
@@ -283,8 +285,9 @@ def refusal(
 
 
 def gate(token: str, port: Callable[[], int]) -> "Middleware":
-    """Return middleware that answers 403 to refused requests. The port is known once the page is
-    served.
+    """Return middleware that answers 403 to refused requests.
+
+    The port is known once the page is served.
     """
 
     @web.middleware

@@ -16,7 +16,7 @@ __all__ = ["Stage", "taken_scale"]
 MOST_PX = 1_000_000
 """Largest picture [pixel]: more takes OpenGL in software longer than a frame."""
 QUALITY = 88
-"""Of a picture as JPEG."""
+"""Quality of a picture as JPEG."""
 STILL_S = 0.25
 """Time without changes after which smooth edges are drawn [s].
 

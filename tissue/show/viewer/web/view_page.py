@@ -24,7 +24,7 @@ from tissue.simulation.run_folder import SavedRun
 __all__ = ["ViewPage"]
 
 SIZE = (960, 720)
-"""Until the page states its own [pixel]."""
+"""Size until the page reports its own size [pixel]."""
 MARGINS = (0.05, 0.82, 0.06, 0.94)
 """Layers and the scale of colours lie at the right."""
 MOST_ROWS = 2000
@@ -91,7 +91,7 @@ class ViewPage:
         }
 
     def attend(self, attended: bool) -> None:
-        """Stop to play where nobody looks."""
+        """Pause the playback while no page is open."""
         self._playing = self._playing and attended
 
     def leave(self) -> None:
@@ -141,7 +141,7 @@ class ViewPage:
         return None, self.stage.picture()
 
     def _changed(self) -> None:
-        """Draw again; the page draws the scale of colours."""
+        """Draw again. The page draws the scale of colours."""
         self._scale = taken_scale(self._plotter)
         self.stage.changed = True
 
@@ -169,7 +169,7 @@ class ViewPage:
         self.shown.hide(hidden)
 
     def _rows(self) -> list[list[float]]:
-        """Return time [s], force [N] and its magnitude, reduced to the rows that a page can draw."""
+        """Return time [s], force [N] and its magnitude for the rows that a page can draw."""
         trace = self._saved.trace
         if trace is None or not len(trace.rows):
             return []
