@@ -181,12 +181,14 @@ def parse_column(text: str, quantities: Mapping[str, Quantity] = QUANTITIES) -> 
 def parse_columns(
     texts: Sequence[str], quantities: Mapping[str, Quantity] = QUANTITIES
 ) -> dict[str, ColumnMap]:
-    """Flags by the name that they map, see `parse_column`, of the quantities that a log may hold.
+    """Parse flags and return them by the name that they map, see `parse_column`.
+
+    `quantities` are the quantities that a log may hold.
 
     Raises
     ------
     InputError
-        As there, or if a name is mapped twice.
+        As for `parse_column`, or if a name is mapped twice.
     """
     maps: dict[str, ColumnMap] = {}
     for text in texts:
@@ -200,13 +202,13 @@ def parse_columns(
 
 
 def _split(text: str) -> tuple[str, str]:
-    """Column and unit of ``COLUMN:UNIT``."""
+    """Split ``COLUMN:UNIT`` into column and unit."""
     column, found, unit = text.rpartition(":")
     return (column.strip(), unit.strip()) if found and column else (text, "")
 
 
 def _plain(unit: str) -> str:
-    """A unit as `UNITS` spells it: N m, N*m and N·m are Nm."""
+    """Return a unit in the spelling of `UNITS`: N m, N*m and N·m become Nm."""
     return re.sub(r"[\s*·.]", "", unit).replace("µ", "u").replace("μ", "u")
 
 

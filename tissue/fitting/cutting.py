@@ -92,11 +92,11 @@ class CuttingForward:
         return tuple(each.parameter for each in self.free)
 
     def loads(self, x: Array) -> Array:
-        """See `Forward`."""
+        """Return the loads, see `Forward`."""
         return self.record.loads(*self._with(x))
 
     def jacobian(self, x: Array) -> Array:
-        """See `Forward`."""
+        """Return the derivatives of the loads, see `Forward`."""
         slopes = self.record.jacobian(*self._with(x))
         columns = [
             slopes[:, :, each.layer, SENSITIVITIES.index(each.field)] * each.unit

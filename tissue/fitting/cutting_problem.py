@@ -137,7 +137,7 @@ def _second_of(like: CuttingForward, layer: int, unit: Array) -> CuttingForward:
 
 
 def _feed_m_s(like: CuttingForward) -> float:
-    """Median speed of the tip where the tool cut [m/s]."""
+    """Return the median speed of the tip during cutting [m/s]."""
     trace = like.record.trace
     speed = (
         1e-3

@@ -113,7 +113,7 @@ def unit_of(name: str) -> tuple[str, str]:
 
 
 def _write_constants(fit: SceneFit, path: Path, digest: str) -> None:
-    """The file for scenes: constants of the material with their correlation."""
+    """Write the file for scenes: constants of the material with their correlation."""
     posterior = fit.posterior
     all_constants = fit.constants
     source = f"fitted to {fit.path.name} ({digest[:12]}) as {fit.name}"
@@ -159,7 +159,7 @@ def _shown(each: ConstantFit) -> FittedConstant:
 
 
 def _autocorrelation(values: Array) -> Array:
-    """Mean over channels of the autocorrelation over lags, shape (LAGS + 1,)."""
+    """Return the mean over channels of the autocorrelation over lags, shape (LAGS + 1,)."""
     found = []
     for channel in values.T:
         known = np.where(np.isfinite(channel), np.clip(channel, *_fences(channel)), 0.0)
@@ -169,14 +169,14 @@ def _autocorrelation(values: Array) -> Array:
 
 
 def _fences(channel: Array) -> tuple[float, float]:
-    """Values beyond which samples are outliers: six robust standard deviations."""
+    """Return the limits beyond which samples are outliers: six robust standard deviations."""
     middle = float(np.nanmedian(channel))
     spread = 6.0 * 1.4826 * float(np.nanmedian(np.abs(channel - middle)))
     return middle - spread, middle + spread
 
 
 def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
-    """All that was found, for programs."""
+    """Return all results for programs."""
     each = fit.posterior.nuisances
     low, high = fit.offset_interval_s
     return {
@@ -257,7 +257,7 @@ def verdicts(fit: SceneFit) -> list[str]:
 
 
 def _page(fit: SceneFit, folder: Path) -> str:
-    """The report."""
+    """Return the report page."""
 
     def picture(title: str, name: str) -> str:
         return f"<h2>{title}</h2>{html_picture(title, (folder / name).read_bytes())}"

@@ -142,7 +142,7 @@ class Forward(Protocol):
         ...
 
     def jacobian(self, x: Array) -> Array:
-        """Derivatives of the loads by the constants, shape (n, channels, p)."""
+        """Return the derivatives of the loads by the constants, shape (n, channels, p)."""
         ...
 
 
@@ -167,10 +167,10 @@ class LinearForward:
     constant: Array | None = None
 
     def loads(self, x: Array) -> Array:
-        """See `Forward`."""
+        """Return the loads, see `Forward`."""
         loads = self.basis @ np.asarray(x, dtype=float)
         return loads if self.constant is None else loads + self.constant
 
     def jacobian(self, x: Array) -> Array:
-        """See `Forward`."""
+        """Return the derivatives of the loads, see `Forward`."""
         return self.basis

@@ -120,7 +120,7 @@ def read_log(path: Path, columns: Sequence[str] = ()) -> MeasuredLog:
 def _checked(
     path: Path, taken: dict[str, Array], found: LogColumns, notes: list[str]
 ) -> MeasuredLog:
-    """A log of the columns that were read."""
+    """Return a checked log of the columns that were read."""
     wanted = ["time_s", *(f"tool_{c}_mm" for c in "xyz")]
     forces = [f"force_{c}_N" for c in "xyz"]
     wanted += forces if not taken.keys() & set(forces) else []  # one axis of a sensor is enough
@@ -288,7 +288,7 @@ def without_saturation(loads: Array, channels: tuple[str, ...]) -> tuple[Array, 
 
 
 def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]:
-    """Sentences on poses that come too slowly for the loads, and on noise in them.
+    """Return sentences on poses that are too slow for the loads, and on noise in them.
 
     Parameters
     ----------
@@ -328,7 +328,7 @@ def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]
 
 
 def _saturated(values: Array) -> list[float]:
-    """Values at which a channel stays."""
+    """Return the extreme values at which a channel stays, as a saturated sensor does."""
     known = values[np.isfinite(values)]
     if len(known) < PLATEAU:
         return []

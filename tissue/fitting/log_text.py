@@ -44,12 +44,13 @@ class TextTable:
     notes: tuple[str, ...]
 
     def numbers(self, name: str) -> list[float]:
-        """A column as numbers, NaN where a cell is empty.
+        """Return a column as numbers, NaN where a cell is empty.
 
         Raises
         ------
         InputError
-            If a cell holds no number, naming its line, or two columns have that name.
+            If a cell holds no number, or two columns have the same name. The message names the line
+            of the cell.
         """
         if self.names.count(name) != 1:
             raise InputError(

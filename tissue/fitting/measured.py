@@ -204,7 +204,7 @@ def shift_operators(
 
 
 def _rows(at_start: Array, at_end: Array, start_tangent: Array, end_tangent: Array) -> Array:
-    """Weights of the four neighbours, shape (m, 4), of the Hermite form of a cubic."""
+    """Return the weights of the four neighbours in a cubic's Hermite form, shape (m, 4)."""
     return np.stack(
         [-start_tangent, at_start - end_tangent, at_end + start_tangent, end_tangent], axis=1
     )

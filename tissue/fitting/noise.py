@@ -113,7 +113,7 @@ def freedom_information(freedom: Array) -> tuple[Array, Array]:
 
 
 def _previous(residuals: Array) -> tuple[Array, Array]:
-    """The residual before each, zero for none, and where a chain starts."""
+    """Return the previous residual of each residual, or zero, and the start flags of chains."""
     previous = np.concatenate([np.full_like(residuals[:1], np.nan), residuals[:-1]])
     starts = np.isfinite(residuals) & np.isnan(previous)
     return np.where(np.isfinite(previous), previous, 0.0), starts

@@ -77,12 +77,12 @@ class OrganForward:
         return scale, same
 
     def loads(self, x: Array) -> Array:
-        """See `tissue.fitting.forward.Forward`."""
+        """Return the loads, see `tissue.fitting.forward.Forward`."""
         scale, same = self.reduced(x)
         return scale * self._of_run(self.distance(same))
 
     def jacobian(self, x: Array) -> Array:
-        """See `tissue.fitting.forward.Forward`."""
+        """Return the derivatives of the loads, see `tissue.fitting.forward.Forward`."""
         scale, same = self.reduced(x)
         distance = self.distance(same)
         found = self._slopes_at(distance) / np.where(self._logarithmic, same, 1.0)
@@ -121,7 +121,7 @@ class OrganForward:
         return replace(self, at=at, base=base, slopes=slopes)
 
     def distance(self, x: Array) -> Array:
-        """From the constants of the run to others, shape (p,)."""
+        """Return the distance from the constants of the run to other constants, shape (p,)."""
         return np.asarray(np.where(self._logarithmic, np.log(x / self.at), x - self.at))
 
     @cached_property

@@ -251,7 +251,7 @@ class OrganRuns:
 def _loads(
     scene: Scene, poses: Poses, channels: tuple[str, ...], every: int, values: Mapping[str, float]
 ) -> Array:
-    """The loads of one run."""
+    """Return the loads of one run."""
     with TemporaryDirectory(prefix="tissue-fit-") as name:
         with_values = _with(scene, values, Path(name, "sample.toml"))
         motion = ReplayPoses(poses.times_s, poses.tips_m, poses.quaternions, step_s=TICK_S)

@@ -200,7 +200,7 @@ def _shifted(target: Target, u: Array) -> list[Array]:
 
 
 def starts(target: Target) -> list[tuple[float, Array]]:
-    """Log densities and places of first guesses at several offsets, the best first."""
+    """Return log densities and places of first guesses at several offsets, the best first."""
     graded = []
     for offset_s in OFFSETS_S:
         u = target.start(float(offset_s))

@@ -83,7 +83,7 @@ def reversed_channels(forward: Forward, log: MeasuredLoads) -> tuple[str, ...]:
 
 
 def _groups(channels: Sequence[str]) -> list[list[int]]:
-    """Places of single channels, of all forces, of all torques, and of all loads."""
+    """Return indices of single channels, of all forces, of all torques, and of all loads."""
     kinds = [
         [at for at, name in enumerate(channels) if name.startswith(kind)]
         for kind in ("force_", "torque_", "")

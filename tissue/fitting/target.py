@@ -106,7 +106,7 @@ class Target:
         self._last_shift: tuple[float, tuple[csr_array, csr_array]] | None = None
 
     def unpacked(self, u: Array) -> Unpacked:
-        """The numbers of a fit from its vector, shape (size,)."""
+        """Return the numbers of a fit from its vector, shape (size,)."""
         p = self.constants
         c = len(self.log.channels)
         bias, noise, correlation, freedom = u[p + 1 :].reshape(4, c)
@@ -125,13 +125,13 @@ class Target:
         return np.array([float(prior.x(each)) for prior, each in zip(self._priors, z, strict=True)])
 
     def slopes(self, z: Array) -> Array:
-        """Derivative of each constant by its z."""
+        """Return the derivative of each constant by its z."""
         return np.array(
             [float(prior.slope(each)) for prior, each in zip(self._priors, z, strict=True)]
         )
 
     def simulated(self, u: Array) -> Array:
-        """Loads at the times of the log with offset and bias, shape (m, channels)."""
+        """Return loads at the times of the log with offset and bias, shape (m, channels)."""
         each = self.unpacked(u)
         return self.loads(self.x(each.z), each.offset_s) + each.bias
 
@@ -223,7 +223,7 @@ class Target:
         return self._last_shift[1]
 
     def value_and_gradient(self, u: Array) -> tuple[float, Array]:
-        """Log density, up to a constant, and its gradient, shape (size,)."""
+        """Return the log density, up to a constant, and its gradient, shape (size,)."""
         each = self.unpacked(u)
         p = self.constants
         c = len(self.log.channels)
@@ -239,7 +239,7 @@ class Target:
         return terms.log_density - 0.5 * float(u @ u), gradient
 
     def value(self, u: Array) -> float:
-        """Log density, up to a constant, in less time than with its gradient."""
+        """Return the log density, up to a constant, in less time than with its gradient."""
         each = self.unpacked(u)
         residuals = self.log.values - self.loads(self.x(each.z), each.offset_s) - each.bias
         return self.terms(residuals, each).log_density - 0.5 * float(u @ u)
@@ -267,7 +267,7 @@ class Target:
         )
 
     def _by_noise(self, each: Unpacked) -> Array:
-        """Derivative of ln scale of each channel by u, shape (channels,)."""
+        """Return the derivative of ln scale of each channel by u, shape (channels,)."""
         return np.asarray(NOISE_SPREAD * (1.0 - LEAST_NOISE * self._sizes / each.scale))
 
     def start(self, offset_s: float) -> Array:

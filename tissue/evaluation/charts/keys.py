@@ -45,10 +45,10 @@ def machine() -> str:
 
 
 def sources() -> str:
-    """Checksum of all code and constants: both the time of a tick and its error may change with any
-    of them.
+    """Return the checksum of all code and constants.
 
-    Parts from outside count by their names and by the code of the packages that they come from.
+    Both the time of a tick and its error may change with any of them. External parts count by their
+    names and by the code of their packages.
     """
     digest = blake2b(own_sources().encode(), digest_size=8)
     for kind, table in ((kind, table) for kind, tables in TABLES.items() for table in tables):
@@ -96,7 +96,7 @@ def own_sources() -> str:
 
 
 def setting_key(scene: Scene, setting: Setting, *, quick: bool) -> str:
-    """Hash of a scene at a setting, of the machine and of the code."""
+    """Return the hash of a scene at a setting, of the machine and of the code."""
     at = scene_text(changed(scene, setting.changes))
     text = f"{at}|{setting.cores}|{setting.compute}|{quick}|{machine()}|{sources()}"
     return blake2b(text.encode(), digest_size=12).hexdigest()

@@ -44,12 +44,13 @@ def chart_scenes(
     pool: Executor | None = None,
     report: Progress = silent,
 ) -> list[list[Frontier]]:
-    """Chart some scenes, or all without names. Each writes NAME.png and NAME.csv, all together
-    frontier.png.
+    """Chart some scenes, or all scenes if no names are given.
 
-    Settings that were measured on this machine before are not measured again, so that an
-    interrupted chart continues. The processes of ``pool`` prepare references and meshes, and are
-    idle while anything is timed.
+    Each scene writes NAME.png and NAME.csv. All scenes together write frontier.png.
+
+    Settings that were measured on this machine before are not measured again. An interrupted chart
+    therefore continues. The processes of ``pool`` prepare references and meshes, and are idle
+    during all timings.
 
     Raises
     ------

@@ -72,7 +72,7 @@ class Solid:
         )
 
     def layer(self, points: Array) -> NDArray[np.uint8]:
-        """Layer, shape (n,), of points [m], shape (n, 3)."""
+        """Return the layers, shape (n,), of points [m], shape (n, 3)."""
         return self.anatomy.classify(points, -self.anatomy.shape.distance(points))[0]
 
     def strengths(self, points: Array) -> Array:
@@ -106,7 +106,7 @@ class Resolution:
     divisions: int = 4
 
     def finer(self) -> "Resolution":
-        """Twice as fine throughout."""
+        """Return a resolution that is twice as fine throughout."""
         return Resolution(2 * self.coarsest, self.divisions)
 
 
@@ -126,7 +126,10 @@ class _Cells:
         return _Cells(middle, np.repeat(half, 4, axis=0))
 
     def points(self, offsets: Array) -> Array:
-        """Points at offsets, shape (k, 2), of every cell, in parts of its size, shape (n k, 2)."""
+        """Return points in all cells, shape (n k, 2), at offsets in units of the cell size.
+
+        The offsets have shape (k, 2).
+        """
         return (self.middle[:, None] + self.size[:, None] * offsets).reshape(-1, 2)
 
 
@@ -162,7 +165,7 @@ class _AtTick:
         self.turning = path.turnings[tick] @ rotation
 
     def wrench_on(self, piece: Piece, resolution: Resolution) -> Array:
-        """Force [N] and torque [N m] on one piece of the profile, shape (6,)."""
+        """Return the force [N] and torque [N m] on one piece of the profile, shape (6,)."""
         total = np.zeros(6)
         cells = self._coarsest(piece, resolution.coarsest)
         for division in range(resolution.divisions + 1):
@@ -181,7 +184,7 @@ class _AtTick:
         return total
 
     def _coarsest(self, piece: Piece, coarsest: int) -> _Cells:
-        """Even cells over a whole piece."""
+        """Return equal cells over a whole piece."""
         radius = self.cutter.profile.radius_m
         counts = max(ceil(piece.length_m / radius * coarsest), 4), ceil(2.0 * pi * coarsest)
         size = np.array([piece.length_m / counts[0], 2.0 * pi / counts[1]])
@@ -191,7 +194,7 @@ class _AtTick:
         return _Cells((numbers + 0.5) * size, np.broadcast_to(size, (len(numbers), 2)))
 
     def _sorted(self, piece: Piece, cells: _Cells) -> tuple[_Cells, NDArray[np.bool_]]:
-        """Cells that may be engaged, and whether they are throughout, within one layer."""
+        """Return the cells that may be engaged, and a flag for cells engaged entirely in one layer."""
         points, normals, _ = _surface(piece, cells.middle)
         advance = self._advance(points, normals)
         widest = np.hypot(points[:, 0], points[:, 1]) + 0.5 * cells.size[:, 0]
@@ -227,7 +230,7 @@ class _AtTick:
         return cells, smooth
 
     def _advance(self, points: Array, normals: Array) -> Array:
-        """Speed of points along their normals [m/s]."""
+        """Return the speed of points along their normals [m/s]."""
         return ((self.velocity + np.cross(self.turning, points)) * normals).sum(axis=1)
 
     def _integral(

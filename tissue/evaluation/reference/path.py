@@ -147,7 +147,7 @@ def _seen(piece: Piece, points: Array) -> tuple[Array, Array]:
 
 
 def _to_segment(point: Array, start: Array, end: Array) -> Array:
-    """Distance [m] of one point, shape (3,), from segments with ends of shape (n, 3)."""
+    """Return the distance [m] of a point, shape (3,), from segments with ends of shape (n, 3)."""
     along = end - start
     squared = np.maximum((along * along).sum(axis=1), 1e-300)
     share = np.clip(((point - start) * along).sum(axis=1) / squared, 0.0, 1.0)
@@ -200,11 +200,11 @@ class ToolPath:
         )
 
     def in_tool(self, tick: int, points: Array) -> Array:
-        """Points of the world [m], shape (n, 3), in the tool's frame at a tick."""
+        """Convert points of the world [m], shape (n, 3), to the tool's frame at a tick."""
         return (points - self.tips_m[tick]) @ self.rotations[tick]
 
     def in_world(self, tick: int, points: Array) -> Array:
-        """Points of the tool's frame [m], shape (n, 3), in the world at a tick."""
+        """Convert points of the tool's frame [m], shape (n, 3), to the world at a tick."""
         return self.tips_m[tick] + points @ self.rotations[tick].T
 
     def swept_distance(

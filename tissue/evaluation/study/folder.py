@@ -239,8 +239,9 @@ class StudyFolder:
                 self._file(trial.key).unlink()
 
     def trials(self, *, variant: str | None = "") -> Iterator[Trial]:
-        """Trials that are there, in the plan's order: of the study itself, of one variant, or
-        with None of all.
+        """Yield the existing trials in the plan's order.
+
+        They are the trials of the study itself, of one variant, or of all variants with None.
         """
         for key in self.plan().all_trials():
             if variant in (None, key.variant) and (trial := self.read(key)) is not None:

@@ -75,7 +75,7 @@ The value is assumed: at 1 N/s, the cue is given more than a reaction time befor
 AFTER_S = 0.6
 """Duration of a run after the stop [s]. It covers a submovement and the ringing of the grip."""
 LONGEST_S = 12.0
-"""Time within which a push must be through."""
+"""Time within which a push must have punctured the membrane [s]."""
 NOTICED = "the hand notices a puncture"
 """Event of a run when its hand is about to stop, a reaction later."""
 

@@ -72,8 +72,9 @@ class Recording:
         )
 
     def episodes(self) -> list[Episode]:
-        """An episode an axis: displacement since the tick before and stretch of the coupling
-        [m], shape (n, STATE).
+        """Return one episode per axis, each of shape (n, STATE).
+
+        The state is the displacement since the previous tick and the stretch of the coupling [m].
         """
         moved = np.diff(self.position_m, axis=0, prepend=self.position_m[:1])
         stretch = self.force_N / self.contact[:, :1]
@@ -83,8 +84,9 @@ class Recording:
         ]
 
     def driven_episode(self) -> Episode:
-        """States and inputs of linear dynamic mode decomposition: force, shape (n, 3), by the
-        device, shape (n, 6).
+        """Return states and inputs for linear dynamic mode decomposition.
+
+        The states are the force, shape (n, 3), and the inputs describe the device, shape (n, 6).
         """
         return Episode(self.dithered_N(), np.hstack((self.position_m, self.velocity_m_s)), TICK_S)
 

@@ -55,7 +55,7 @@ def _about(
     indices: SobolIndices,
     figures: tuple[Figure, ...] = LOADS,
 ) -> Summary:
-    """Entries of ``summary.json`` on how the band was made, its constants and their indices."""
+    """Return the entries of ``summary.json`` on the method, the constants and their indices."""
     return {
         "asked": asked,
         "seed": seed,
@@ -66,7 +66,7 @@ def _about(
 
 
 def _without(scene: Scene) -> dict[str, str]:
-    """Figures without an interval where loads are reweighed, and the reason."""
+    """Return the figures without an interval for reweighed loads, and the reason."""
     names = ["removed_mm3", "contact_share"] + ["keep_clear"] * (scene.keep_clear is not None)
     found = dict.fromkeys([*names, "break_through", "events"], SAME_EVERYWHERE)
     if scene.heat:

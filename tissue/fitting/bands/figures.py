@@ -119,7 +119,7 @@ def intervals(names: tuple[Figure, ...], values: Array) -> Summary:
 
 
 def _by_level(values: Array) -> dict[str, float]:
-    """Quantiles of numbers by their names."""
+    """Return quantiles of numbers by their names."""
     return dict(zip(LEVELS, np.quantile(values, tuple(LEVELS.values())).tolist(), strict=True))
 
 

@@ -63,14 +63,14 @@ class Reweighed:
         return ranges_of(self.record.scene, met, table="cutting.", further=further)
 
     def coefficients(self, x: Array) -> tuple[CuttingCoefficients, ...]:
-        """Cutting coefficients of each layer for values of the constants, shape (p,)."""
+        """Return cutting coefficients of each layer for values of the constants, shape (p,)."""
         cutting = self.record.scene.cutting
         changes = cutting.model_dump(exclude={"material"})
         held = sampled(self.record.scene.constants, self.ranges.names, x)
         return held.coefficients(self.record.layer_names, changes, bone=cutting.material)
 
     def nominal(self) -> Array:
-        """Values of the constants at which the run was simulated, shape (p,)."""
+        """Return the values of the constants at which the run was simulated, shape (p,)."""
         return np.array([prior.value for prior in self.ranges.priors])
 
     def weights(self, x: Array) -> Array:
@@ -89,7 +89,7 @@ class Reweighed:
         return np.array(rows)
 
     def figures(self, x: Array) -> Array:
-        """`tissue.fitting.bands.figures.LOADS` of samples, shape (samples, 4)."""
+        """Return `tissue.fitting.bands.figures.LOADS` of samples, shape (samples, 4)."""
         weights = self.weights(x)
         peak = np.zeros((len(x), 2))
         sums = np.zeros((len(x), 2))
@@ -102,7 +102,7 @@ class Reweighed:
         return np.stack([peak[:, 0], means[:, 0], peak[:, 1], means[:, 1]], axis=1)
 
     def quantiles(self, x: Array, levels: tuple[float, ...]) -> Array:
-        """Quantiles over the samples of `CHANNELS` at each tick, shape (levels, n, 8)."""
+        """Return quantiles over the samples of `CHANNELS` at each tick, shape (levels, n, 8)."""
         found = np.zeros((len(levels), len(self.record.times_s), len(CHANNELS)))
         for ticks, loads in self._blocks(self.weights(x)):
             found[:, ticks] = np.quantile(with_sizes(loads), levels, axis=0)
@@ -124,7 +124,7 @@ class Reweighed:
 
 
 def with_sizes(loads: Array) -> Array:
-    """`CHANNELS` of forces and torques, shape (..., 8) of (..., 6)."""
+    """Return `CHANNELS` of forces and torques: shape (..., 8) from shape (..., 6)."""
     force = loads[..., :3]
     torque = loads[..., 3:]
     sizes = [np.linalg.norm(each, axis=-1, keepdims=True) for each in (force, torque)]

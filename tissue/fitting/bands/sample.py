@@ -74,7 +74,10 @@ class Ranges:
         return tuple(" + ".join(self.names[at] for at in group) for group in self.groups)
 
     def x(self, free: Array) -> Array:
-        """Values of the constants for independent standard normal numbers, both of shape (n, p)."""
+        """Return values of the constants for standard normal numbers, both of shape (n, p).
+
+        The normal numbers are independent.
+        """
         z = free @ self._factor.T
         return np.column_stack([prior.x(z[:, at]) for at, prior in enumerate(self.priors)])
 

@@ -79,7 +79,10 @@ def sobol_indices(
 
 
 def _indices(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
-    """Both indices of centred figures, c of shape (groups, n, figures)."""
+    """Return first-order and total indices of centred figures.
+
+    c has shape (groups, n, figures).
+    """
     variance = 0.5 * (a * a + b * b).mean(axis=0) - (0.5 * (a + b).mean(axis=0)) ** 2
     variance = np.where(variance > 0.0, variance, np.nan)
     return (b * (c - a)).mean(axis=1) / variance, 0.5 * ((c - a) ** 2).mean(axis=1) / variance
@@ -135,7 +138,10 @@ def surrogate_indices(
 
 
 def _terms(width: int) -> list[tuple[int, ...]]:
-    """Columns of each product: one, squares as the same twice, and pairs."""
+    """Return the columns of each product: one column, squares and pairs.
+
+    A square names its column twice.
+    """
     places = range(width)
     return [*((at,) for at in places), *((at, at) for at in places), *combinations(places, 2)]
 
@@ -147,7 +153,7 @@ def _product(free: Array, term: tuple[int, ...]) -> Array:
 
 
 def _fitted(basis: Array, values: Array, ridge: float) -> Array:
-    """Coefficients by ridge regression, means taken away."""
+    """Return coefficients by ridge regression without the means."""
     centred = basis - basis.mean(axis=0)
     kernel = centred @ centred.T
     kernel[np.diag_indices_from(kernel)] += ridge * len(basis)
@@ -172,6 +178,6 @@ def _best(basis: Array, values: Array) -> tuple[float, float]:
 
 
 def _shares(coefficients: Array, alone: Array, members: Array) -> Array:
-    """First-order and total indices, shape (2, groups)."""
+    """Return first-order and total indices, shape (2, groups)."""
     squares = coefficients**2 / max(float((coefficients**2).sum()), 1e-300)
     return np.stack([alone @ squares, members @ squares])

@@ -117,7 +117,7 @@ def render(
 
     Returns
     -------
-    Pictures of shape (height, width, 3), or why they could not be drawn.
+    Pictures of shape (height, width, 3), or the reason why they could not be drawn.
     """
     with TemporaryDirectory(prefix="tissue-") as name:
 
@@ -185,7 +185,7 @@ def draw_shaded(
 
     Returns
     -------
-    None, or why the surfaces could not be rendered.
+    None, or the reason why the surfaces could not be rendered.
     """
     cameras: list[Camera] = []
 

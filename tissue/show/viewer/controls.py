@@ -372,7 +372,7 @@ class Playback:
             self.switch()
 
     def to(self, time_s: float) -> None:
-        """Go to a moment."""
+        """Move to a moment."""
         self.time_s = time_s
         self._slider.GetRepresentation().SetValue(time_s)
         self._show(time_s)

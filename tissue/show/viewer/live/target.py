@@ -47,15 +47,15 @@ class Target:
         self.target_mm = self._start.copy()
 
     def reset(self) -> None:
-        """Go back to where it began."""
+        """Move back to the initial position."""
         self.target_mm = self._start.copy()
 
     def along(self, travel_mm: float) -> None:
-        """Go along the tool's axis [mm], positive out of the tissue."""
+        """Move along the tool's axis [mm], positive out of the tissue."""
         self._go(travel_mm * self._axis)
 
     def across(self, right_mm: float, up_mm: float) -> None:
-        """Go in the plane of the view [mm]."""
+        """Move in the plane of the view [mm]."""
         camera = self._plotter.camera
         forward = np.array(camera.GetDirectionOfProjection())
         right = np.cross(forward, camera.GetViewUp())

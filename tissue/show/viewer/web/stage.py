@@ -58,7 +58,7 @@ class Stage:
         return int(self._plotter.window_size[1])
 
     def take(self, do: str, values: Values) -> bool:
-        """Change size or view as a page asks for, and return whether that was it."""
+        """Change size or view on request of a page, and return whether it was such a request."""
         number = {
             name: float(value) for name, value in values.items() if not isinstance(value, str)
         }

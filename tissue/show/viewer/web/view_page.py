@@ -95,7 +95,7 @@ class ViewPage:
         self._playing = self._playing and attended
 
     def leave(self) -> None:
-        """End."""
+        """End the session."""
         self.over = True
 
     def take(self, do: str, values: Values) -> None:
@@ -121,7 +121,7 @@ class ViewPage:
         self._dirty = True
 
     def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
-        """Go on in time where it plays, and show the moment."""
+        """Advance the time during playback, and show the moment."""
         now = perf_counter()
         passed = now - self._last_s
         self._last_s = now
