@@ -1,5 +1,7 @@
-"""A bone of a CT as a scene: cropped, by label or threshold, with its density, its site and what
-is around it.
+"""Conversion of a bone in a CT to a scene.
+
+The bone is cropped and selected by label or threshold. The scene holds its density, its site and
+its surroundings.
 """
 
 from collections.abc import Mapping
@@ -45,7 +47,7 @@ __all__ = ["bone_draft"]
 _SIDE_MM = (1.0, 1000.0)
 """Longest side of a bone."""
 _KEPT = 0.01
-"""Difference of volume up to which a label's volume counts as kept."""
+"""Relative difference of volume up to which a label's volume counts as kept."""
 SHOWN_MM = 15.0
 """Width of the surroundings of a bone in pictures."""
 USUAL = {
@@ -54,13 +56,13 @@ USUAL = {
     "vertebra:left": "pedicle",
     "vertebra:right": "pedicle",
 }
-"""Scene whose tool and motion are taken by default, by the kind of the site."""
+"""Scene that provides tool and motion by default, by the kind of the site."""
 PLUNGE: Mapping[str, Mapping[str, object]] = {
     "voxels": {"spacing_mm": 0.2},
     "tool": {"kind": "ball-burr", "diameter_mm": 4.0, "flutes": 6, "spin_rpm": 20000.0},
     "motion": {"kind": "path", "points_mm": [[0, 0, 3], [0, 0, -2]], "feed_mm_s": 1.0},
 }
-"""Default at other sites: a ball burr goes in 2 mm along the normal."""
+"""Default at other sites: a ball burr moves 2 mm into the bone along the normal."""
 HOLE = ("guide_hole_diameter_mm", "guide_hole_depth_mm")
 HEAD = ("duration_s", "device", "hand", "renderer", "prediction", "perception", "seed")
 TABLES = ("voxels", "tool", "motion", "cutting", "output", "device", "fidelity")
@@ -75,7 +77,7 @@ REMARKS = {
 
 @dataclass(frozen=True, eq=False)
 class _Source:
-    """Image and labels of a bone, cropped, and what was found in the whole image."""
+    """Cropped image and labels of a bone, and findings in the whole image."""
 
     image: Image
     labels: Labels | None
@@ -166,8 +168,10 @@ def _source(request: ImportRequest, progress: Progress) -> tuple[_Source, list[s
 
 
 def _law(text: str, image: Image, found: Inspection) -> DensityLaw | None:
-    """Return the law that a request names, by default the first that the image allows; None
-    where it allows none.
+    """Return the density law that a request names.
+
+    The default is the first law that the image allows. The result is None if the image allows no
+    law.
     """
     is_auto = text == "auto"
     if not found.is_hounsfield:
@@ -191,9 +195,7 @@ def _law(text: str, image: Image, found: Inspection) -> DensityLaw | None:
 
 
 def _bone(request: ImportRequest, source: _Source) -> tuple[BoneOfImage, float | None, list[str]]:
-    """Take the bone out of the image; return it, its threshold where there is one, and
-    sentences.
-    """
+    """Extract the bone from the image; return it, its threshold if it has one, and sentences."""
     if source.labels is None or request.region is None:
         threshold, note = suggest_threshold(
             source.histogram, is_hounsfield=source.inspection.is_hounsfield
@@ -214,7 +216,7 @@ def _bone(request: ImportRequest, source: _Source) -> tuple[BoneOfImage, float |
 
 
 def _kept_volume(bone: BoneOfImage) -> str:
-    """Describe how the volume within the surface differs from that of the label."""
+    """Describe the difference between the volume within the surface and the volume of the label."""
     change = bone.volume_mm3 / bone.label_mm3 - 1.0
     if abs(change) <= _KEPT:
         return f" and its volume of {1e-3 * bone.label_mm3:.4g} ml kept to {_KEPT:.0%}"
@@ -260,8 +262,9 @@ def _certainty(bone: BoneOfImage, density: Image, law: DensityLaw) -> str:
 
 
 def _followed(like: str | None, at: Placed | None, *, replay: bool) -> dict[str, Any]:
-    """Return head and tables of the scene whose tool and motion are taken, with a guide hole
-    under ``anatomy``.
+    """Return head and tables of the scene that provides tool and motion.
+
+    A guide hole is returned under ``anatomy``.
     """
     wanted = like or USUAL.get((at.kind if at else None) or "")
     if wanted is None:
@@ -287,7 +290,7 @@ def _scene_text(
     followed: dict[str, Any],
     keep_clear: dict[str, Any],
 ) -> str:
-    """Return TOML of the scene, with remarks on what users may want to change."""
+    """Return the TOML text of the scene, with remarks on settings that users may want to change."""
     head |= {key: followed.pop(key) for key in HEAD if key in followed}
     if at is not None:
         anatomy |= {
@@ -313,7 +316,7 @@ def _scene_text(
 
 
 def _record(source: _Source, at: Placed | None) -> dict[str, Any]:
-    """Return what was found in the image, as plain numbers."""
+    """Return the findings in the image as plain numbers."""
     found = source.inspection
     site = None
     if at is not None:

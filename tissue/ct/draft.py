@@ -1,6 +1,4 @@
-"""What an import writes: files that other programs read, the text of a scene, and a record of
-what was found.
-"""
+"""Output of an import: files for other programs, the text of a scene, and a record of findings."""
 
 import json
 import re
@@ -56,7 +54,7 @@ class Draft:
     sentences
         Description for users.
     has_site
-        Whether the scene can be run as it is.
+        True if the scene can be run without changes.
     """
 
     scene: str
@@ -66,14 +64,14 @@ class Draft:
     has_site: bool = True
 
     def write(self, out: Path, *, overwrite: bool, pictures: bool, progress: Progress) -> list[str]:
-        """Write the folder and return the sentences with those on pictures that could not be drawn.
+        """Write the folder and return the sentences, including those on failed pictures.
 
         Files of another import in the folder are removed first. All other files in the folder stay.
 
         Raises
         ------
         InputError
-            If a file is there and may not be replaced, or the folder cannot be written.
+            If a file exists and may not be replaced, or the folder cannot be written.
         """
         import tissue
 
@@ -114,9 +112,7 @@ def write_surface(surface: Surface, path: Path) -> None:
 
 
 def write_density(density: Image, path: Path, *, law: str) -> None:
-    """Write densities as NRRD, whole kg/m3, in LPS; `law` states their origin and their
-    uncertainty.
-    """
+    """Write densities as NRRD, whole kg/m3, in LPS; `law` gives their origin and uncertainty."""
     _write_image(density, path, {"content": "apparent density kg/m3", LAW: law})
 
 
@@ -154,7 +150,7 @@ def scene_name(folder: Path) -> str:
 
 
 def scene_tables(scene: Scene, keys: Iterable[str]) -> dict[str, Any]:
-    """Return those of the given keys and tables that a scene states itself, without defaults."""
+    """Return the selected keys and tables that a scene sets itself, without defaults."""
     stated = scene.model_dump(mode="json", exclude_unset=True, exclude_none=True)
     return {key: stated[key] for key in keys if key in stated}
 

@@ -22,13 +22,13 @@ class Imported:
     Attributes
     ----------
     folder
-        The folder that was written.
+        Written folder.
     scene
         File of the scene.
     has_site
-        Whether the scene can be run as it is.
+        True if the scene can be run without changes.
     sentences
-        What was found and assumed.
+        Findings and assumptions.
     """
 
     folder: Path
@@ -47,8 +47,9 @@ def import_ct(
     progress: Progress = silent,
     **options: Any,
 ) -> Imported:
-    """Make a scene of a CT: a folder with a bone, its density, a site and pictures, with a tooth,
-    or with a soft organ.
+    """Convert a CT to a folder with a scene.
+
+    The folder holds a bone with its density, a site and pictures, or a tooth, or a soft organ.
 
     Parameters
     ----------
@@ -61,50 +62,51 @@ def import_ct(
     overwrite
         Replace another import in the folder.
     pictures
-        Whether pictures are drawn.
+        If true, pictures are drawn.
     progress
-        Called with what is being done.
+        Called with a description of the current step.
     **options
-        The options below; None stands for the default.
+        The options below. None selects the default.
 
     Other Parameters
     ----------------
     labels : str or Path
-        Label volume of the same CT, or folder of masks, one a label.
+        Label volume of the same CT, or folder of masks, one per label.
     label_names : str
         ``totalsegmentator``, ``dentalsegmentator``, ``verse``, or a TOML file whose table
-        ``[labels]`` gives each name its number; default the names in the file's own header.
+        ``[labels]`` gives each name its number. Default: the names in the file's header.
     region : str
         Label that is the bone or the organ.
     crop_mm : pair of points
         Lowest and highest corner of the box to keep [mm].
     threshold : float
-        Value above which a voxel is bone, without labels; default suggested from the histogram.
+        Value above which a voxel is bone, without labels. Default: a value suggested by the
+        histogram.
     series : int
-        Number of the series, of a folder that holds several.
+        Number of the series in a folder with several series.
     spacing_mm : float
-        Distance between neighbours [mm] of files that do not state it, such as TIFF slices.
+        Distance between neighbours [mm], for files without this information, such as TIFF slices.
     density : str
         ``internal``, a named law, or ``line:SLOPE,OFFSET``, see `meshes.ct.laws.density_law`;
-        default internal where the image allows it.
+        default: internal if the image allows it.
     site : str or point
         ``glenoid``, ``femoral-head``, ``humeral-head``, ``vertebra`` (``:left``, ``:right``),
-        ``tooth``, ``tooth:lesion``, a point [mm], or a file of 3D Slicer markups; default by the
+        ``tooth``, ``tooth:lesion``, a point [mm], or a file of 3D Slicer markups. Default: by the
         region's name.
     normal : point
-        Outward direction at a site that is a point; default that of the surface.
+        Outward direction at a site that is a point. Default: the normal of the surface.
     coordinates : {"LPS", "RAS"}
-        Frame of crop, site, normal and path: that of DICOM (LPS) or of NIfTI and 3D Slicer's views
-        (RAS).
+        Frame of crop, site, normal and path: LPS as in DICOM, or RAS as in NIfTI and 3D Slicer's
+        views.
     path : str or Path
         Toolpath in the frame of the image [mm]: CSV, markups curve or G-code, see
         `meshes.paths.toolpath.read_toolpath`.
     feed_mm_s : float
-        Speed where the path states none [mm/s]; default 2.
+        Speed where the path gives no speed [mm/s]. Default: 2.
     keep_clear : sequence of str
         Labels that the tool must not touch.
     like : str
-        Scene whose tool and motion are taken; default by the site.
+        Scene that provides tool and motion. Default: by the site.
     parts : mapping of str to float
         Labels in a soft organ that become parts of it, with their Young's moduli [kPa].
 

@@ -27,7 +27,7 @@ from tissue.show.figures.ct_pictures import draw_ct_organ, draw_ct_slices
 __all__ = ["organ_draft", "tooth_draft"]
 
 LIKE = "caries"
-"""Scene whose tool and motion are taken for a tooth by default."""
+"""Scene that provides tool and motion for a tooth by default."""
 PARTS = ("voxels", "tool", "motion", "cutting", "output", "duration_s", "device")
 MARGIN = 3
 """Voxels kept around the tooth."""
@@ -88,8 +88,9 @@ def tooth_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
 
 
 def _enamel_note(image: Image, labels: Labels) -> list[str]:
-    """Return a warning if the enamel does not lie on bright voxels; raises for labels of another
-    image.
+    """Return a warning if the enamel does not lie on bright voxels.
+
+    Raise an error for labels of another image.
     """
     placed = on_grid_of(labels, image)
     if "enamel" not in placed.names.values() or not inspect(image).is_hounsfield:
@@ -122,9 +123,7 @@ def _only(labels: Labels, kept: dict[int, str]) -> Labels:
 
 
 def _site(tooth: Labels, *, at_lesion: bool) -> tuple[Array, str]:
-    """Return the middle of the largest lesion or of the tooth [mm, LPS], and a sentence on the
-    site.
-    """
+    """Return the middle of the largest lesion or of the tooth [mm, LPS], and a sentence."""
     from scipy.ndimage import label
 
     spacing = np.array(tooth.image.spacing_mm)

@@ -80,7 +80,7 @@ class BonePictures:
         )
 
     def draw_bone(self, density: Image | None, file: Path) -> str | None:
-        """Draw the bone in 3D; return why it could not be drawn."""
+        """Draw the bone in 3D; return an error text on failure."""
         return draw_ct_bone(
             self.surface,
             file,
@@ -92,9 +92,7 @@ class BonePictures:
         )
 
     def draw_path(self, file: Path) -> str | None:
-        """Draw the path on the bone in the colours of its depth; return why it could not be
-        drawn.
-        """
+        """Draw the path on the bone, coloured by depth; return an error text on failure."""
         assert self.path is not None and self._normal is not None
         title = self.surface.report.source
         return draw_path_depth(

@@ -1,5 +1,5 @@
-"""Where to work on an imported bone: its site, the structures to keep clear of, and the toolpath
-at the site.
+"""Placement of work on an imported bone: its site, the structures to keep clear of, and the
+toolpath.
 """
 
 import re
@@ -32,8 +32,9 @@ USUAL = (
 )
 """Site that is searched for by default, by a word in the name of the bone's label."""
 JOINTS_MM = {"glenoid": 18.0, "femoral-head": 20.0, "humeral-head": 18.0}
-"""Distance from the site across its normal within which the surface is a joint's [mm]: half of the
-glenoid's height of 37 mm, and a cap of the heads, whose radii are 21 to 27
+"""Distance from the site across its normal within which the surface belongs to a joint [mm].
+
+It is half of the glenoid's height of 37 mm, and a cap of the heads, whose radii are 21 to 27 mm
 (`meshes.surfaces.glenoid`, `meshes.surfaces.landmarks`).
 """
 KEYS = {
@@ -44,7 +45,7 @@ KEYS = {
 }
 """Options of an import by the keys of a scene."""
 FEED_MM_S = 2.0
-"""Feed of a path that states none: between reaming (0.5) and milling (5) of the built-in scenes."""
+"""Feed of a path without a feed, between reaming (0.5) and milling (5) of the built-in scenes."""
 CLEARANCE_MM = 5.0
 """Distance outside the first point of a path at which the tool begins."""
 LONGEST = 60
@@ -53,16 +54,16 @@ LONGEST = 60
 
 @dataclass(frozen=True)
 class Placed:
-    """A site on a bone.
+    """Site on a bone.
 
     Attributes
     ----------
     site
         Centre and axes in the frame of the image.
     kind
-        Name of what was searched for; None for a point.
+        Name of the searched site. None for a point.
     articular_radius_mm
-        Distance from the site within which the surface is a joint's; 0 for none.
+        Distance from the site within which the surface belongs to a joint. 0 without a joint.
     """
 
     site: Site
@@ -71,13 +72,14 @@ class Placed:
 
 
 def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str]:
-    """Return the site of a request and a sentence on it; None where none was asked for and the
-    usual one is not found.
+    """Return the site of a request and a sentence on it.
+
+    The result is None if the request names no site and the usual site is not found.
 
     Raises
     ------
     InputError
-        If the site that was asked for cannot be used or is not found.
+        If the requested site cannot be used or is not found.
     """
     point = request.point_mm
     normal = request.normal_lps
@@ -107,7 +109,7 @@ def _three(numbers: Sequence[float] | np.ndarray) -> tuple[float, float, float]:
 
 
 def _searched(kind: str, surface: Surface) -> tuple[Placed, str]:
-    """Search for a site, and report its score and that of the second best."""
+    """Search for a site; report its score and the score of the second best."""
     with names_of_caller(KEYS):
         found = find_site(kind, surface)
     second = found.second_centre_mm is not None
@@ -123,13 +125,12 @@ def _searched(kind: str, surface: Surface) -> tuple[Placed, str]:
 def kept_clear(
     request: ImportRequest, labels: Labels | None, report: Progress
 ) -> tuple[dict[str, Surface], list[str]]:
-    """Return the surfaces of the labels that the tool must not touch, by plain name, and sentences
-    on them.
+    """Return the surfaces of the labels that the tool must not touch, by plain name, and sentences.
 
     Raises
     ------
     InputError
-        If there is no such label, it is named twice, or nothing of it is in the image.
+        If there is no such label, it is named twice, or the image contains no voxel of it.
     """
     if labels is None or not request.keep_clear:
         return {}, []
@@ -154,8 +155,9 @@ def kept_clear(
 
 
 def plain_names(names: Sequence[str]) -> list[str]:
-    """Convert names of labels to those that a scene takes: plain letters, digits and
-    underscores, each name once.
+    """Convert names of labels to names that a scene accepts.
+
+    They consist of plain letters, digits and underscores, and each name is used once.
     """
     taken: list[str] = []
     for name in names:
@@ -187,7 +189,9 @@ class ImportedPath:
 
 
 def import_path(request: ImportRequest, at: Placed | None, surface: Surface) -> ImportedPath | None:
-    """Read the path of a request and bring it to its site; None where there is no path.
+    """Read the path of a request and move it to its site.
+
+    The result is None if the request has no path.
 
     Raises
     ------

@@ -151,7 +151,10 @@ class ImportRequest:
                 raise InputError(shown_name, f"be left out {when}", shown, remedy)
 
     def _require_points(self) -> None:
-        """Raise for coordinates that are not finite, or whose frame is unknown or of no numbers."""
+        """Refuse coordinates that are not finite, without a known frame, or in a wrong order.
+
+        A frame without coordinates in numbers is refused too.
+        """
         for name, points in (
             ("site", [self.site]),
             ("normal", [self.normal]),
@@ -188,19 +191,19 @@ class ImportRequest:
 
     @property
     def is_tooth(self) -> bool:
-        """Whether the site is that of a tooth."""
+        """True if the site is the site of a tooth."""
         return self.site in TEETH
 
     @property
     def is_soft(self) -> bool:
-        """Whether the region is a soft organ, by its name or because parts of it have moduli."""
+        """True if the region is a soft organ, by its name or because parts of it have moduli."""
         return bool(self.parts) or (
             self.region is not None and re.search(SOFT, self.region.lower()) is not None
         )
 
     @property
     def is_markups(self) -> bool:
-        """Whether the site is a file of markups."""
+        """True if the site is a file of markups."""
         return isinstance(self.site, str) and Path(self.site).suffix.lower() in MARKUPS
 
     @property

@@ -1,3 +1,4 @@
-"""What evaluates the engine, which knows nothing of it: charts, atlas, study, calibration,
-statistics, training.
+"""Evaluation of the engine: charts, atlas, study, calibration, statistics, training.
+
+The engine does not import this package.
 """

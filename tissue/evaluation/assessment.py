@@ -1,6 +1,4 @@
-"""Assessment of a trainee's run against a reference run of the same scene, in words and as
-files.
-"""
+"""Assessment of a trainee's run against a reference run of the same scene, as text and files."""
 
 import json
 from collections.abc import Callable
@@ -51,8 +49,9 @@ REFERENCE = "0.45"
 LIMIT = "#D55E00"
 SHADE = "#E69F00"
 FORCE_MARGIN = 1.25
-"""A trainee may press this many times the reference's peak force where no limit is given: a
-convention, not a norm.
+"""Ratio of the trainee's allowed force to the reference's peak force without a given limit.
+
+The value is a convention, not a standard.
 """
 
 
@@ -154,19 +153,19 @@ class Assessment:
     Attributes
     ----------
     figures
-        Numbers by name, units in the names; where both runs have one, as {"trainee": ...,
-        "reference": ...}.
+        Numbers by name, units in the names. Numbers that both runs have are given as {"trainee":
+        ..., "reference": ...}.
     breaches
         Limits that were passed, in the order of time.
     events
-        What happened to the trainee and not in the reference: time [s] and a sentence each.
+        Events of the trainee that the reference does not have: time [s] and a sentence each.
     time_s
-        Of the trainee's ticks, shape (ticks,).
+        Times of the trainee's ticks [s], shape (ticks,).
     deviation, force, depth
         Distance from the reference's path at the aligned place [mm], size of the force [N], and
         depth along the reference tool's axis from its first contact [mm].
     notes
-        Differences between the two runs that limit what the figures mean, a sentence each.
+        Differences between the two runs that limit the meaning of the figures, a sentence each.
     """
 
     figures: Figures
@@ -189,27 +188,26 @@ def assess(
 ) -> Assessment:
     """Compare a run with a reference run of the same scene.
 
-    The two are aligned by place, not by time: dynamic time warping (Sakoe and Chiba 1978) of the
-    tool's paths finds for each tick of the trainee the moment of the reference that it corresponds
-    to, so that a pause is no error.
+    The runs are aligned by place, not by time. Dynamic time warping (Sakoe and Chiba 1978) of the
+    tool's paths finds the corresponding moment of the reference for each tick of the trainee. A
+    pause is therefore not an error.
 
     Parameters
     ----------
     trainee, reference
         Runs.
     force_limit_N
-        Force on the tool that should not be passed [N]; 1.25 times the reference's peak where it is
-        not given.
+        Limit of the force on the tool [N]. Default: 1.25 times the reference's peak.
     deviation_limit_mm
-        Distance from the reference's path that should not be passed [mm].
+        Limit of the distance from the reference's path [mm].
     overshoot_limit_mm
-        How far below the reference's deepest point the tip may go [mm].
+        Allowed depth of the tip below the reference's deepest point [mm].
 
     Raises
     ------
     InputError
-        If the runs are of two tasks (another anatomy, tool or material), hold no trace, or never
-        touch.
+        If the runs are of different tasks (another anatomy, tool or material), hold no trace, or
+        have no contact.
     """
     scenes = [each.summary.get("scene") for each in (trainee, reference)]
     if scenes[0] != scenes[1]:
@@ -348,9 +346,7 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
 
 
 def _draw(found: Assessment, path: Path) -> None:
-    """Draw the quantities of trainee and reference over time, and the limits with their
-    breaches.
-    """
+    """Draw the quantities of trainee and reference over time, and the limits with breaches."""
     chart = figure(9.0, 7.2)
     panels = chart.subplots(3, 1, sharex=True)
     chart.subplots_adjust(left=0.09, right=0.98, top=0.9, bottom=0.08, hspace=0.14)
@@ -443,8 +439,9 @@ def _contact_s(trace: Table) -> float:
 
 
 def _approach(trace: Table) -> tuple[Array, Array]:
-    """Return the mean axis of the tool in contact, out of the tissue, and the place of the first
-    contact [mm].
+    """Return the mean axis of the tool in contact and the place of the first contact [mm].
+
+    The axis points out of the tissue.
     """
     rows = np.flatnonzero(trace["contact_mm2"] > 0.0)
     if not len(rows):

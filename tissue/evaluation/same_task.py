@@ -1,6 +1,4 @@
-"""Checks that two runs are of one task, so that an assessment of one against the other means
-something.
-"""
+"""Checks that two runs are of one task, so that an assessment between them is meaningful."""
 
 import filecmp
 import tomllib
@@ -25,8 +23,9 @@ NUMERICAL = frozenset(
 )
 """Keys of these parts that change the computation and not the task."""
 FREE = ("name", "description", "seed", "device", "output", "fidelity")
-"""Parts that may differ between a trainee and a reference without a word: who moves the tool,
-and by which device.
+"""Keys that may differ between a trainee and a reference without a note.
+
+They describe the user who moves the tool, and the device.
 """
 
 
@@ -36,7 +35,7 @@ def require_same_task(trainee: Scene | None, reference: Scene | None) -> None:
     Raises
     ------
     InputError
-        If they have not; it names the first key that differs.
+        If they differ. The message names the first different key.
     """
     if trainee is None or reference is None:
         return
@@ -61,7 +60,7 @@ def require_same_task(trainee: Scene | None, reference: Scene | None) -> None:
 
 
 def scene_notes(trainee: Scene | None, reference: Scene | None) -> Iterator[str]:
-    """Yield sentences on what else differs between the two scenes."""
+    """Yield sentences on further differences between the two scenes."""
     if trainee is None or reference is None:
         yield "a run has no scene.toml: whether both are of one tissue and tool is not known"
         return
@@ -72,7 +71,7 @@ def scene_notes(trainee: Scene | None, reference: Scene | None) -> Iterator[str]
 
 
 def path_note(summary: Summary) -> str:
-    """Return why a run did not finish its path; empty where it did."""
+    """Return the reason why a run did not finish its path, empty for a finished path."""
     notes = summary.get("notes")
     text = str(notes.get("path", "")) if isinstance(notes, Mapping) else ""
     return text if text.startswith("not finished") else ""
@@ -89,10 +88,10 @@ def _differences(one: Scene, other: Scene) -> Iterator[tuple[str, object, object
 
 
 def _same_file(key: str, one: object, other: object) -> bool:
-    """Return whether a key names files of one name and content; one that is not on this machine is
-    judged by its name.
+    """Return whether a key names files of one name and content.
 
-    A trainee's run may come from another machine, where the anatomy lies elsewhere.
+    A file that is not on this machine is compared by its name. A trainee's run may come from
+    another machine with another path to the anatomy.
     """
     names_file = is_file_key(key.rpartition(".")[2]) or key.startswith("keep_clear.files.")
     if not names_file or not isinstance(one, str) or not isinstance(other, str):

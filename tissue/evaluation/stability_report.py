@@ -87,8 +87,9 @@ def require_map_folder(folder: Path, *, overwrite: bool) -> None:
 def write_stability_files(
     scene: Scene, found: StabilityMap, folder: Path, *, overwrite: bool
 ) -> list[Path]:
-    """Write the picture of a map, and boundaries in N/m over what is varied as
-    ``stability_damping`` and ``_delay``.
+    """Write the picture of a stability map and its boundaries [N/m].
+
+    The boundaries over the varied quantity are written as ``stability_damping`` and ``_delay``.
 
     Raises
     ------

@@ -1,3 +1,5 @@
-"""Constants identified from a measured force log: what the log determines, what it does not,
-what to measure next.
+"""Fit of material constants to a measured force log.
+
+The fit reports the constants that the log determines, the constants that it does not determine, and
+the log to measure next.
 """

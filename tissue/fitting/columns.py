@@ -1,6 +1,4 @@
-"""Which column of a log holds which quantity: the names that are known, units, and the flags
-that map a log's own.
-"""
+"""Map from the columns of a log to quantities: known names, units, and flags of the user."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,21 +16,24 @@ UNITS: dict[str, dict[str, float]] = {
     "angle": {"rad": 1.0, "deg": 0.017453292519943295},
     "number": {},
 }
-"""Factors to SI by what is measured; gf and lbf are those of BIPM and NIST SP 811, exact."""
+"""Factors to SI by quantity.
+
+The factors of gf and lbf are from BIPM and NIST SP 811 and are exact.
+"""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity that a log may hold, by the name of its column in a trace.
+    """Quantity that a log may hold, by the name of its column in a trace.
 
     Attributes
     ----------
     name
-        Such as ``tool_x_mm``; its unit ends it.
+        Name such as ``tool_x_mm``, with the unit at its end.
     measures
         Key of `UNITS`.
     unit
-        The unit in the name; empty for a number.
+        Unit in the name. Empty for a number.
     """
 
     name: str
@@ -65,33 +66,34 @@ _POSE = (*_vector("length", "tool_{}_mm"), *_TURN)
 _FORCE = _vector("force", "force_{}_N")
 _TORQUE = _vector("torque", "torque_{}_Nm")
 QUANTITIES = {each.name: each for each in (*_TIMES, *_POSE, *_FORCE, *_TORQUE)}
-"""What a fit of a cut can use, by name.
+"""Quantities that a fit of a cut can use, by name.
 
-Poses are those of the tool's tip in the scene's frame, as a replayed motion has them;
-``tool_r*_rad`` is a rotation vector instead of a quaternion. Forces and torques act on the tool, in
-the scene's frame, torques about the tip. ``load_time_s`` is the clock of forces and torques where
-it is not that of the poses.
+Poses are poses of the tool's tip in the scene's frame, as in a replayed motion. ``tool_r*_rad`` is
+a rotation vector that replaces a quaternion. Forces and torques act on the tool, in the scene's
+frame, torques about the tip. ``load_time_s`` is the clock of forces and torques if it differs from
+the clock of the poses.
 """
 
 
 @dataclass(frozen=True)
 class ColumnMap:
-    """A quantity that is taken from a column of another name or unit.
+    """Quantity that is read from a column of another name or unit.
 
     Attributes
     ----------
     quantity
-        What it is.
+        Name of the quantity.
     column
-        What follows the name: the column, with its sign before it and its unit behind it.
+        Text after the name: the column, with its sign before it and its unit after it.
     """
 
     quantity: Quantity
     column: str
 
     def find(self, known: Iterable[str]) -> tuple[str, float, str]:
-        """Column among those that are known, factor from its values to SI with the sign, and a
-        remark or nothing.
+        """Return the matching column, the factor from its values to SI, and a remark.
+
+        The factor includes the sign. The remark may be empty.
 
         Raises
         ------
@@ -114,7 +116,7 @@ class ColumnMap:
         )
 
     def _factor(self, column: str, unit: str) -> tuple[float, str]:
-        """Factor to SI, and a remark where the column's header states another unit."""
+        """Return the factor to SI, and a remark if the column's header gives another unit."""
         fitting = UNITS[self.quantity.measures]
         if unit and _plain(unit) not in fitting:
             allowed = f"be one of {', '.join(fitting)}" if fitting else "be absent"
@@ -145,8 +147,9 @@ class ColumnMap:
 
 
 def parse_column(text: str, quantities: Mapping[str, Quantity] = QUANTITIES) -> ColumnMap:
-    """A flag ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT``, the last with its sign
-    reversed.
+    """Parse a flag ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT``.
+
+    A minus reverses the sign.
 
     Without a unit the column is in the unit of the name.
 
@@ -178,12 +181,14 @@ def parse_column(text: str, quantities: Mapping[str, Quantity] = QUANTITIES) -> 
 def parse_columns(
     texts: Sequence[str], quantities: Mapping[str, Quantity] = QUANTITIES
 ) -> dict[str, ColumnMap]:
-    """Flags by the name that they map, see `parse_column`, of the quantities that a log may hold.
+    """Parse flags and return them by the name that they map, see `parse_column`.
+
+    `quantities` are the quantities that a log may hold.
 
     Raises
     ------
     InputError
-        As there, or if a name is mapped twice.
+        As for `parse_column`, or if a name is mapped twice.
     """
     maps: dict[str, ColumnMap] = {}
     for text in texts:
@@ -197,19 +202,21 @@ def parse_columns(
 
 
 def _split(text: str) -> tuple[str, str]:
-    """Column and unit of ``COLUMN:UNIT``."""
+    """Split ``COLUMN:UNIT`` into column and unit."""
     column, found, unit = text.rpartition(":")
     return (column.strip(), unit.strip()) if found and column else (text, "")
 
 
 def _plain(unit: str) -> str:
-    """A unit as `UNITS` spells it: N m, N*m and N·m are Nm."""
+    """Return a unit in the spelling of `UNITS`: N m, N*m and N·m become Nm."""
     return re.sub(r"[\s*·.]", "", unit).replace("µ", "u").replace("μ", "u")
 
 
 def _stated(column: str, fitting: dict[str, float]) -> str:
-    """The unit that a header states, of those that fit: of ``Load (N)``, ``Load [N]`` and
-    ``load_N``.
+    """Return the unit in a header if it is one of the fitting units.
+
+    A header has the form ``Load (N)``, ``Load [N]`` or ``load_N``. The result is an empty string
+    without a fitting unit.
     """
     found = re.search(r"[\[(]([^\])]+)[\])]\s*$", column) or re.search(r"_([A-Za-zµ]+)$", column)
     unit = _plain(found[1]) if found else ""

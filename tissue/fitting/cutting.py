@@ -24,8 +24,11 @@ __all__ = ["CHANNELS", "CuttingForward", "cutting_forward"]
 CHANNELS = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
 """On the tool, in the scene's frame, torques about the tip."""
 DENSITY = Prior(1.0, 0.85, 1.18)
-"""Factor on a layer's density, 10 % (one standard deviation) up and down: laws from CT numbers to
-density differ by as much between scanners and authors (from memory of the literature)."""
+"""Prior of the factor on a layer's density: 10 % up and down (one standard deviation).
+
+Laws from CT numbers to density differ by this amount between scanners and authors (from memory of
+the literature).
+"""
 FACTOR = "density_factor"
 """Field of a free density."""
 FIELDS = {
@@ -60,20 +63,20 @@ class FreeConstant:
 
 @dataclass(frozen=True, eq=False)
 class CuttingForward:
-    """A cut of which coefficients and densities vary, see `tissue.fitting.forward.Forward`.
+    """Cut whose coefficients and densities vary, see `tissue.fitting.forward.Forward`.
 
     Attributes
     ----------
     record
-        Its geometry.
+        Geometry of the cut.
     coefficients
-        Of each layer, what is not free.
+        Coefficients of each layer that are not free.
     free
-        The free constants.
+        Free constants.
     times_s
-        Shape (n,), on the clock of the poses.
+        Times on the clock of the poses, shape (n,).
     notes
-        What was assumed, in words.
+        Assumptions, in words.
     """
 
     record: LoadRecord
@@ -89,11 +92,11 @@ class CuttingForward:
         return tuple(each.parameter for each in self.free)
 
     def loads(self, x: Array) -> Array:
-        """See `Forward`."""
+        """Return the loads, see `Forward`."""
         return self.record.loads(*self._with(x))
 
     def jacobian(self, x: Array) -> Array:
-        """See `Forward`."""
+        """Return the derivatives of the loads, see `Forward`."""
         slopes = self.record.jacobian(*self._with(x))
         columns = [
             slopes[:, :, each.layer, SENSITIVITIES.index(each.field)] * each.unit
@@ -102,8 +105,9 @@ class CuttingForward:
         return np.stack(columns, axis=-1)
 
     def averaged_as(self, log: MeasuredLoads) -> tuple["CuttingForward", MeasuredLoads]:
-        """Return the cut with loads averaged as a log's samples are, at three times their rate, and
-        the log to compare.
+        """Return the cut with averaged loads, and the log to compare them with.
+
+        The loads are averaged over the same time as a log's samples, at three times their rate.
 
         A fit asks for loads thousands of times, so they are averaged once.
         """
@@ -122,8 +126,9 @@ class CuttingForward:
         return replace(self, record=record, times_s=times_s), replace(log, within_s=(0.0,))
 
     def _with(self, x: Array) -> tuple[tuple[CuttingCoefficients, ...], Array]:
-        """Coefficients and density factors of each layer for values of the parameters, shape
-        (p,).
+        """Return the coefficients and the density factors of each layer.
+
+        The parameter values have shape (p,).
         """
         found = list(self.coefficients)
         factors = np.ones(len(found))
@@ -150,7 +155,7 @@ def cutting_forward(
     Parameters
     ----------
     scene
-        The bone or tooth and the tool; its motion and device count for nothing.
+        The bone or tooth and the tool. Its motion and its device are ignored.
     times_s
         Times of the poses, increasing [s], shape (n,).
     tips_m, quaternions
@@ -158,10 +163,11 @@ def cutting_forward(
         scene's frame.
     free
         Free constants: full names, or a table with parts of the name, such as
-        ``cutting.trabecular``, ``cutting.edge`` or ``cutting.trabecular.radial``. By default all
-        that have a range and are not set by the scene, so that a band over the fitted constants is
-        that of the log; the exponent only where the density is not the one at which the
-        coefficients are stated. The factor on each layer's density is always free.
+        ``cutting.trabecular``, ``cutting.edge`` or ``cutting.trabecular.radial``. Default: all
+        constants that have a range and are not set by the scene, so that a band over the fitted
+        constants is the band of the log. The exponent is free only where the density differs from
+        the reference density of the coefficients. The factor on each layer's density is always
+        free.
     cores
         Processor cores to use; default all.
     progress
@@ -171,7 +177,7 @@ def cutting_forward(
     ------
     InputError
         If the scene has nothing to cut, the tool never touches it along the poses, or `free` names
-        what is not there.
+        an unknown constant.
     """
     motion = ReplayPoses(times_s, tips_m, quaternions, step_s=TICK_S)
     record = record_loads(scene, motion=motion, cores=cores, progress=progress)
@@ -202,7 +208,7 @@ def cutting_forward(
 def _free_constants(
     scene: Scene, record: LoadRecord, free: Sequence[str], *, stated: Collection[str]
 ) -> tuple[FreeConstant, ...]:
-    """Free constants of the layers that the tool met, see `cutting_forward`."""
+    """Return the free constants of the layers that the tool touched, see `cutting_forward`."""
     possible = []
     usual = set[str]()
     tags: dict[str, tuple[str, ...]] = {}

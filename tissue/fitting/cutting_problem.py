@@ -1,10 +1,10 @@
-"""A log of a cut as a fit takes it, and cuts that would narrow its constants further.
+"""Problem of fitting a log of a cut, and cuts that would narrow its constants further.
 
 The candidates are steady slots and plunges in each layer, at other feeds, speeds and depths. A
-steady cut's chip loads grow with feed over spin, its edge loads with neither, and both scale with
-density: one record a depth gives all feeds, speeds and layers. Each candidate is a second of steady
-loads after a quarter of a second in air, from which a sensor's bias is known. The entry of the tool
-is left out.
+steady cut's chip loads grow with feed over spin. Its edge loads depend on neither. Both scale with
+density. One record per depth therefore gives all feeds, speeds and layers. Each candidate is one
+second of steady loads after a quarter of a second in air, which determines a sensor's bias. The
+entry of the tool is left out.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ from tissue.simulation.load_record import LayerLoads, record_loads
 __all__ = ["cutting_candidates", "cutting_problem"]
 
 REFERENCE = "reference_density_kg_m3"
-"""The density at which coefficients are stated."""
+"""Key of the reference density of coefficients."""
 FEEDS = (0.25, 1.0, 4.0)
 SPINS = (0.5, 1.0, 2.0)
 DEPTHS = (0.25, 0.5, 1.0)
@@ -40,11 +40,13 @@ DEPTHS = (0.25, 0.5, 1.0)
 UP = (0.0, 0.0, 1.0)
 TICKS = 60
 STEADY = slice(30, 60)
-"""Ticks of a record, and those whose mean is the steady load: the tool starts in its own place
-and has left it then.
+"""Ticks of a record whose mean is the steady load.
+
+The tool starts in the cavity that it fills and has left it before these ticks. `TICKS` is the
+length of a record.
 """
 TRAVEL = {"slot": 1.0, "plunge": 0.1}
-"""What the tool goes in a record, in radii: a plunge little enough to have one depth."""
+"""Travel of the tool in a record, in radii. A plunge is short enough to have one depth."""
 VOXELS = 20
 """Voxels on a radius."""
 AIR = 250
@@ -55,7 +57,7 @@ LASTS = 1250
 def cutting_problem(
     scene: Scene, log: MeasuredLog, free: Sequence[str], *, cores: int | None, progress: Progress
 ) -> Problem:
-    """A cut through bone or a tooth; see `tissue.fitting.fit.fit_scene`."""
+    """Return the problem of a cut through bone or a tooth, see `tissue.fitting.fit.fit_scene`."""
     progress("recording the geometry of the log", 0.0)
     with names_of_caller({"motion": "measured"}):
         forward = cutting_forward(
@@ -92,13 +94,13 @@ def cutting_problem(
 
 
 def cutting_candidates(like: CuttingForward) -> dict[str, CuttingForward]:
-    """Cuts with the free constants of a log, by what to do in words.
+    """Return cuts with the free constants of a log, by a description of each cut.
 
     Parameters
     ----------
     like
-        The log's cut: its tool, the layers that it met, its feed where it cut, and its free
-        constants.
+        Cut of the log: its tool, the layers that the tool touched, the feed while cutting, and the
+        free constants.
     """
     tool = like.record.scene.tool
     assert isinstance(tool, Tool)
@@ -120,8 +122,9 @@ def cutting_candidates(like: CuttingForward) -> dict[str, CuttingForward]:
 
 
 def _second_of(like: CuttingForward, layer: int, unit: Array) -> CuttingForward:
-    """Air, then a second of steady loads in one layer, of a unit of each coefficient, shape (6,
-    6).
+    """Return a record of air, then one second of steady loads in one layer.
+
+    The loads are given for a unit of each coefficient, shape (6, 6).
     """
     density = round(like.record.layers[layer].nodes.middle_kg_m3)
     ticks = np.repeat(unit[None, :, None], LASTS, axis=2)
@@ -134,7 +137,7 @@ def _second_of(like: CuttingForward, layer: int, unit: Array) -> CuttingForward:
 
 
 def _feed_m_s(like: CuttingForward) -> float:
-    """Median speed of the tip where the tool cut [m/s]."""
+    """Return the median speed of the tip during cutting [m/s]."""
     trace = like.record.trace
     speed = (
         1e-3
@@ -145,8 +148,9 @@ def _feed_m_s(like: CuttingForward) -> float:
 
 
 def _steady(scene: Scene, tool: Tool, kind: str, depth_m: float) -> tuple[Array, float]:
-    """Steady loads of a unit of each coefficient in a block, shape (6, 6), at the feed that
-    comes with them [m/s].
+    """Return the steady loads in a block, shape (6, 6), and their feed [m/s].
+
+    The loads are given for a unit of each coefficient.
     """
     radius_m = 0.5e-3 * tool.diameter_mm
     travel_m = TRAVEL[kind] * radius_m

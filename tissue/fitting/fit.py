@@ -25,22 +25,24 @@ __all__ = ["ConstantFit", "SceneFit", "fit_scene"]
 
 FITTED = "fit a scene of bone, a tooth or an organ"
 NUISANCES = ("density.", KEYS)
-"""Beginnings of the names of what belongs to the specimen of a log, or is a key of its scene,
-and to no material.
+"""Prefixes of names that belong to the specimen of a log or to its scene.
+
+Numbers with these names are not constants of a material.
 """
 FAR = 3.0
 FAR_TIMES = 10.0
-"""Standard deviations of a prior beyond which a value contradicts it (0.3 % of constants lie there
-by chance), and the ratio to the end of its range from which it does so in any case: some priors
-have a heavy tail towards zero.
+"""Ratio to the end of a cited range beyond which a value contradicts its prior in any case.
+
+It is needed because some priors have a heavy tail towards zero. `FAR` is the limit in standard
+deviations of a prior; 0.3 % of constants lie beyond it by chance.
 """
 VISIBLE = 20.0
-"""Force over the noise's scale from which noise is not why a log determines nothing."""
+"""Ratio of force to noise scale above which noise does not explain an undetermined log."""
 
 
 @dataclass(frozen=True)
 class ConstantFit:
-    """A constant before and after a fit.
+    """Constant before and after a fit.
 
     Attributes
     ----------
@@ -50,11 +52,12 @@ class ConstantFit:
     prior
         Cited median and range.
     low, value, high
-        5, 50 and 95 % after, in the unit of the name.
+        Quantiles at 5, 50 and 95 % after the fit, in the unit of the name.
     z
-        The three, and the ends of the cited range, in standard deviations of the prior, shape (5,).
+        These quantiles and the ends of the cited range, in standard deviations of the prior, shape
+        (5,).
     contraction
-        Standard deviation after over that before.
+        Standard deviation after the fit over the standard deviation before it.
     state
         ``determined``, ``narrowed``, ``at its prior``, or ``doubtful``: far outside its cited
         range, or found with clocks that contradict their prior.
@@ -71,7 +74,7 @@ class ConstantFit:
 
     @property
     def is_far(self) -> bool:
-        """Whether the value lies far outside the cited range."""
+        """True if the value lies far outside the cited range."""
         is_outside = (
             self.value > FAR_TIMES * self.prior.high > 0.0
             or self.value < self.prior.low / FAR_TIMES
@@ -81,26 +84,26 @@ class ConstantFit:
 
 @dataclass(frozen=True, eq=False)
 class SceneFit:
-    """A scene's constants, fitted to a log.
+    """Constants of a scene, fitted to a log.
 
     Attributes
     ----------
     name
-        Of the scene.
+        Name of the scene.
     path
-        File of what was measured.
+        File of the measured log.
     posterior
         Constants given the log.
     identified
-        What it determines.
+        Constants and combinations that the log determines.
     gains
-        What other logs would add, the best first.
+        Expected gains of other logs, the best first.
     block_s
         Time over which samples were averaged [s].
     notes
-        What was found or assumed, in sentences.
+        Findings and assumptions, in sentences.
     fixed
-        Constants on which the free ones rest, by their names.
+        Fixed constants that the free constants depend on, by their names.
     """
 
     name: str
@@ -136,8 +139,9 @@ class SceneFit:
         return tuple(found)
 
     def _state(self, name: str) -> str:
-        """State of a constant by its contraction, whether or not the value agrees with its cited
-        range.
+        """Return the state of a constant by its contraction.
+
+        The state does not depend on whether the value agrees with its cited range.
         """
         if name in self.identified.determined:
             return "determined"
@@ -150,12 +154,12 @@ class SceneFit:
 
     @property
     def has_strange_clocks(self) -> bool:
-        """Whether the offset of the clocks contradicts its prior."""
+        """True if the offset of the clocks contradicts its prior."""
         return abs(self.offset_sd) > FAR
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Sentences on what contradicts the priors."""
+        """Sentences about results that contradict the priors."""
         found = []
         if self.has_strange_clocks:
             found.append(
@@ -206,7 +210,7 @@ class SceneFit:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What a person should know of the fit."""
+        """Sentences that summarise the fit for the user."""
         each = self.posterior.nuisances
         (low, high) = self.offset_interval_s
         channels = self.posterior.target.log.channels
@@ -239,30 +243,30 @@ def fit_scene(
 ) -> SceneFit:
     """Fit the constants of a scene's material to a log of forces and poses.
 
-    Maximum posterior with the cited ranges as priors; the noise is autocorrelated and has heavy
-    tails; the offset of the clocks, the sensor's bias and the specimen's density are estimated with
-    the constants.
+    The fit finds the maximum of the posterior with the cited ranges as priors. The noise is
+    autocorrelated and has heavy tails. The offset of the clocks, the sensor's bias and the
+    specimen's density are estimated together with the constants.
 
     Parameters
     ----------
     scene
-        What was cut, and by which tool; its motion and device count for nothing, the log's poses
-        stand for them.
+        The specimen and the tool. Its motion and its device are ignored; the poses of the log
+        replace them.
     log
-        What was measured, in the scene's frame.
+        Measured log in the scene's frame.
     free
-        Constants that are free, see `tissue.fitting.cutting.cutting_forward`; nothing frees the
-        usual ones.
+        Free constants, see `tissue.fitting.cutting.cutting_forward`. An empty sequence selects the
+        default constants.
     cores
         Processor cores to use; default all.
     progress
-        Called with what is being done.
+        Called with a description of the current step.
 
     Raises
     ------
     InputError
-        If such a scene cannot be fitted, the tool never cuts along the log, or the log determines
-        no constant.
+        If this kind of scene cannot be fitted, the tool never cuts along the log, or the log
+        determines no constant.
     """
     report = progress or silent
     if not isinstance(scene.anatomy, CutAnatomy | SoftAnatomy):

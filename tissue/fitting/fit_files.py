@@ -42,22 +42,23 @@ LAGS = 40
 SHOWN_GAINS = SHOWN_COMBINATIONS = 5
 NATS = 0.1
 LITTLE = 0.95
-"""Gain below which another log is not recommended [nats]; share of an interval above which it is
-left as it is.
+"""Gain below which another log is not recommended [nats].
+
+It is also the ratio of intervals above which an interval counts as unchanged.
 """
 
 
 def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> list[Path]:
-    """Write a fit.
+    """Write the files of a fit.
 
     Parameters
     ----------
     fit
-        What was found.
+        Fit to write.
     folder
-        Folder to write, `FILES` in it.
+        Output folder for `FILES`.
     overwrite
-        Replace another fit in it.
+        Replace another fit in the folder.
 
     Raises
     ------
@@ -112,7 +113,7 @@ def unit_of(name: str) -> tuple[str, str]:
 
 
 def _write_constants(fit: SceneFit, path: Path, digest: str) -> None:
-    """The file for scenes: constants of the material with their correlation."""
+    """Write the file for scenes: constants of the material with their correlation."""
     posterior = fit.posterior
     all_constants = fit.constants
     source = f"fitted to {fit.path.name} ({digest[:12]}) as {fit.name}"
@@ -158,7 +159,7 @@ def _shown(each: ConstantFit) -> FittedConstant:
 
 
 def _autocorrelation(values: Array) -> Array:
-    """Mean over channels of the autocorrelation over lags, shape (LAGS + 1,)."""
+    """Return the mean over channels of the autocorrelation over lags, shape (LAGS + 1,)."""
     found = []
     for channel in values.T:
         known = np.where(np.isfinite(channel), np.clip(channel, *_fences(channel)), 0.0)
@@ -168,14 +169,14 @@ def _autocorrelation(values: Array) -> Array:
 
 
 def _fences(channel: Array) -> tuple[float, float]:
-    """Values beyond which samples are outliers: six robust standard deviations."""
+    """Return the limits beyond which samples are outliers: six robust standard deviations."""
     middle = float(np.nanmedian(channel))
     spread = 6.0 * 1.4826 * float(np.nanmedian(np.abs(channel - middle)))
     return middle - spread, middle + spread
 
 
 def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
-    """All that was found, for programs."""
+    """Return all results for programs."""
     each = fit.posterior.nuisances
     low, high = fit.offset_interval_s
     return {
@@ -221,10 +222,10 @@ def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
 
 
 def verdicts(fit: SceneFit) -> list[str]:
-    """What the log determines, in sentences.
+    """Return sentences on the results of the fit.
 
-    In this order: what contradicts the priors, determined constants, combinations, what stays at
-    its prior, what next.
+    Their order is: contradictions to the priors, determined constants, combinations, constants that
+    stay at their priors, and the log to measure next.
     """
     found = [f"doubtful: {each}" for each in fit.doubts]
     names = {each.name: " ".join(filter(None, unit_of(each.name))) for each in fit.constants}
@@ -256,7 +257,7 @@ def verdicts(fit: SceneFit) -> list[str]:
 
 
 def _page(fit: SceneFit, folder: Path) -> str:
-    """The report."""
+    """Return the report page."""
 
     def picture(title: str, name: str) -> str:
         return f"<h2>{title}</h2>{html_picture(title, (folder / name).read_bytes())}"

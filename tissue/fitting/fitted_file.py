@@ -18,7 +18,7 @@ DIGITS = 9
 
 @dataclass(frozen=True)
 class FittedEntry:
-    """A constant as a fit leaves it.
+    """Constant after a fit.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class FittedEntry:
     value, low, high
         Median, 5 and 95 % of the posterior, in the constant's unit.
     source, confidence
-        Where the numbers come from, and how far they are to be trusted: H, M or L.
+        Source of the numbers, and their confidence: H, M or L.
     """
 
     name: str
@@ -46,18 +46,19 @@ def write_fitted(
     fixed: Sequence[FittedEntry] = (),
     remark: Sequence[str],
 ) -> None:
-    """Write fitted constants with how they are correlated.
+    """Write fitted constants with their correlation.
 
     Parameters
     ----------
     path
         File to write.
     entries
-        The constants, n of them.
+        The n constants.
     correlation
-        Of their standard normal numbers, shape (n, n); see `tissue.materials.prior.Prior`.
+        Correlation of their standard normal numbers, shape (n, n), see
+        `tissue.materials.prior.Prior`.
     fixed
-        Constants without a range, on which the others rest.
+        Constants without a range that the others depend on.
     remark
         Lines of comment at the top.
     """

@@ -15,21 +15,21 @@ __all__ = ["Forward", "LinearForward", "Parameter", "chosen", "fits"]
 
 @dataclass(frozen=True)
 class Parameter:
-    """A free constant.
+    """Free constant.
 
     Attributes
     ----------
     name
-        ``TABLE.MATERIAL.NAME`` as the files of constants have it, such as
-        ``cutting.bone.radial_chip_N_mm2``, or ``density.LAYER``, the factor on the density map of a
+        Name in the files of constants, ``TABLE.MATERIAL.NAME``, such as
+        ``cutting.bone.radial_chip_N_mm2``. ``density.LAYER`` is the factor on the density map of a
         layer.
     prior
-        What is known of it before the log.
+        Prior of the constant before the log.
     cited
         The prior of a constant whose cited value is an end of its range, such as an axial
-        coefficient of 0. The fit uses the `mirrored` prior in its linear algebra and counts what
-        lies beyond the end as the end itself, see `tissue.fitting.marginal`. None for a constant
-        whose value lies inside its range.
+        coefficient of 0. The fit uses the `mirrored` prior in its linear algebra and counts values
+        beyond the end as the end itself, see `tissue.fitting.marginal`. None for a constant whose
+        value lies inside its range.
     """
 
     name: str
@@ -43,8 +43,10 @@ class Parameter:
 
     @property
     def side(self) -> float:
-        """1 where only values above the cited one are possible, -1 where only those below, 0
-        where both are.
+        """Side of the cited value on which values are possible.
+
+        The side is 1 above the cited value, -1 below it, and 0 if values on both sides are
+        possible.
         """
         if self.cited is None:
             return 0.0
@@ -52,8 +54,9 @@ class Parameter:
 
 
 def fits(pattern: str, name: str, tags: Collection[str] = ()) -> bool:
-    """Whether a pattern chooses a constant: the table first, then parts of the name, words of
-    it, or tags.
+    """Return whether a pattern selects a constant.
+
+    The pattern names the table first, then parts of the name, words of it, or tags.
     """
     table, material, *rest = name.split(".")
     wanted, *parts = pattern.split(".")
@@ -71,21 +74,21 @@ def chosen(
     possible: Sequence[Parameter],
     tags: Mapping[str, Collection[str]] | None = None,
 ) -> list[Parameter]:
-    """Return the parameters that patterns choose, see `fits`; all without a pattern.
+    """Return the parameters that patterns select, see `fits`. Without a pattern, return all.
 
     Parameters
     ----------
     free
-        The patterns.
+        Patterns.
     possible
         Parameters to choose from.
     tags
-        Further words that choose a parameter, by its name.
+        Further words that select a parameter, by its name.
 
     Raises
     ------
     InputError
-        If a pattern chooses no parameter.
+        If a pattern selects no parameter.
     """
     words = tags or {}
     found = {
@@ -101,18 +104,19 @@ def chosen(
 
 
 class Forward(Protocol):
-    """A scene of which only constants vary: its loads, and their derivatives, along the poses of a
-    log.
+    """Loads and their derivatives along the poses of a log, as functions of constants.
+
+    Only the constants of the scene vary.
 
     Attributes
     ----------
     parameters
-        The free constants, p of them.
+        The p free constants.
     channels
-        What is measured, such as ``force_x_N`` and ``torque_z_Nm``: on the tool, in the world
+        Measured channels, such as ``force_x_N`` and ``torque_z_Nm``, on the tool in the world
         frame.
     times_s
-        Shape (n,), increasing, on the clock of the poses.
+        Increasing times on the clock of the poses, shape (n,).
     """
 
     @property
@@ -131,13 +135,14 @@ class Forward(Protocol):
         ...
 
     def loads(self, x: Array) -> Array:
-        """Loads [N, N m] of the constants x, shape (p,), in their own units: shape (n,
-        channels).
+        """Return loads [N, N m] for the constants x, shape (n, channels).
+
+        x has shape (p,) and is in the units of the constants.
         """
         ...
 
     def jacobian(self, x: Array) -> Array:
-        """Derivatives of the loads by the constants, shape (n, channels, p)."""
+        """Return the derivatives of the loads by the constants, shape (n, channels, p)."""
         ...
 
 
@@ -150,9 +155,9 @@ class LinearForward:
     parameters, channels, times_s
         See `Forward`.
     basis
-        Loads of a unit of each constant, shape (n, channels, p).
+        Loads per unit of each constant, shape (n, channels, p).
     constant
-        Loads that no constant changes, shape (n, channels); None for none.
+        Loads that do not depend on the constants, shape (n, channels), or None.
     """
 
     parameters: tuple[Parameter, ...]
@@ -162,10 +167,10 @@ class LinearForward:
     constant: Array | None = None
 
     def loads(self, x: Array) -> Array:
-        """See `Forward`."""
+        """Return the loads, see `Forward`."""
         loads = self.basis @ np.asarray(x, dtype=float)
         return loads if self.constant is None else loads + self.constant
 
     def jacobian(self, x: Array) -> Array:
-        """See `Forward`."""
+        """Return the derivatives of the loads, see `Forward`."""
         return self.basis

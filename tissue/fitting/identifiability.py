@@ -1,5 +1,7 @@
-"""What a log determines: constants narrowed below their priors, and combinations of those that
-it cannot separate.
+"""Identifiability of constants from a log.
+
+It covers constants whose interval is narrower than their prior, and combinations of constants that
+the log cannot separate.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,50 +26,53 @@ __all__ = [
 ]
 
 AT_PRIOR = 0.9
-"""A constant whose standard deviation is above this share of its prior's stays at its prior."""
+"""Ratio of a constant's standard deviation to its prior's above which it stays at its prior."""
 DETERMINED = 0.5
 """One below this share is determined by the log."""
 LEAST_SHARE = 0.1
 """Constants with less than this share of a direction are not named in a combination."""
 ALONE = 0.95
-"""A direction of which one constant has more than this share is that constant and no
-combination.
+"""Share of a direction above which one constant alone represents it.
+
+Such a direction is reported as that constant and not as a combination.
 """
 BETTER = 0.5
-"""Standard deviation of a combination over that of its best known constant, each over its
-prior's, that it is below.
+"""Ratio below which a combination is known better than its best known constant.
+
+It is the standard deviation of the combination over the standard deviation of the constant, each
+divided by its prior standard deviation.
 """
 BALANCED = 0.2
-"""A weighted sum whose terms cancel to less than this share of their sizes has no powers: it is
-a difference.
+"""Share of the terms' sizes below which a weighted sum counts as a difference.
+
+A difference has no powers, since its terms cancel.
 """
 DENSITY = "density."
 EXPONENT = ".density_exponent"
-"""What names of constants begin or end with that scale loads by a power."""
+"""Suffix of names of constants that scale loads by a power. `DENSITY` is the prefix."""
 
 
 @dataclass(frozen=True)
 class Combination:
-    """What a log measures of several constants: a weighted mean of its loads, known better than any
-    of them.
+    """Weighted mean of loads that a log determines better than any single constant.
 
-    Near the values found it is a weighted sum of constants, times powers of densities: such as a
-    chip and an edge coefficient at one feed, times the density to the power of its exponent.
+    Near the fitted values it is a weighted sum of constants times powers of densities. An example
+    is a chip and an edge coefficient at one feed, times the density to the power of its exponent.
 
     Attributes
     ----------
     weights
-        Of each constant over the median of its prior, by its name; the sizes of all weights sum to
+        Weight of each constant over the median of its prior, by name. The absolute weights sum to
         1.
     powers
-        Of each density factor or exponent, over the median of its prior.
+        Power of each density factor or exponent over the median of its prior.
     value, low, high
-        Median, 5 and 95 %.
+        Median, 5 and 95 % quantiles.
     contraction
-        Its standard deviation over that of the prior.
+        Standard deviation over the standard deviation of the prior.
     of
-        Its value for all constants in their own units, shape (p,), of which those that are named
-        count; exact where the weights and powers hold nearby.
+        Function of all constants in their own units, shape (p,), that returns the value. Only the
+        named constants count. It is exact where the weights and powers apply nearby.
     """
 
     weights: dict[str, float]
@@ -86,16 +91,17 @@ class Combination:
 
 @dataclass(frozen=True)
 class Identified:
-    """What a log determines of each constant.
+    """Constants and combinations that a log determines.
 
     Attributes
     ----------
     contraction
-        Standard deviation of each constant's z after the log, 1 before it, shape (p,).
+        Standard deviation of each constant's z after the log, shape (p,). It is 1 before the log.
     eigenvalues
-        Of the information of the log, that of the prior being 1, shape (p,), greatest first.
+        Eigenvalues of the information of the log, shape (p,), largest first. The information of the
+        prior is 1.
     combinations
-        Known better than their constants one by one.
+        Combinations that are known better than their single constants.
     """
 
     names: tuple[str, ...]
@@ -123,17 +129,17 @@ class Identified:
 
     @property
     def is_empty(self) -> bool:
-        """Whether the log determines nothing at all."""
+        """True if the log determines no constant and no combination."""
         return not self.determined and not self.combinations
 
 
 def identified(posterior: Posterior) -> Identified:
-    """What the log determines: eigenvectors of its information in units of the prior, the nuisances
-    left free.
+    """Return the constants and the combinations that a log determines.
 
-    A direction of z that the log determines is the slope of a weighted mean of the loads. That mean
-    is what the log knows, also where the direction of z turns along the curve on which it stays the
-    same.
+    They follow from the eigenvectors of the log's information in units of the prior, with the
+    nuisances left free. A direction of z that the log determines is the slope of a weighted mean of
+    the loads. The log determines this mean even where the direction of z turns along the curve on
+    which the mean is constant.
     """
     p = len(posterior.names)
     target = posterior.target
@@ -166,10 +172,11 @@ def identified(posterior: Posterior) -> Identified:
 def _combination(
     posterior: Posterior, mean: Array, direction: Array, information: float
 ) -> Combination:
-    """A mean of whitened loads, shape (m * channels,), whose slope by z is the information times a
-    direction.
+    """Return the combination for a direction of z.
 
-    Constants that count for little are not named: what is not known of them widens the interval.
+    It is a mean of whitened loads, shape (m * channels,), whose slope by z is the information times
+    the direction. Constants with little influence are not named. Their uncertainty widens the
+    interval.
     """
     target = posterior.target
     noise = posterior.nuisances
@@ -220,18 +227,18 @@ def _combination(
 
 @dataclass(frozen=True)
 class Gain:
-    """What a candidate log is expected to add.
+    """Expected gain from a candidate log.
 
     Attributes
     ----------
     label
-        What would be measured.
+        Description of the measurement.
     nats
         Expected gain of information about all constants.
     widest
-        The constant with the widest interval now.
+        Constant with the widest interval now.
     shrinks_to
-        Its interval after the candidate log, as a share of that now.
+        Its interval after the candidate log over its interval now.
     """
 
     label: str
@@ -243,20 +250,21 @@ class Gain:
 def expected_information(
     posterior: Posterior, candidates: Sequence[tuple[str, Forward]], *, among: Sequence[int] = ()
 ) -> list[Gain]:
-    """Expected information of candidate logs with the noise of the measured one, greatest first.
+    """Return the expected information of candidate logs, largest first.
 
-    Half the logarithm of the determinant of I + C M: C is the covariance of z now, and M the Fisher
-    information of the candidate, its bias unknown (Chaloner and Verdinelli 1995, linearised at the
-    maximum).
+    The candidates have the noise of the measured log. The information is half the logarithm of the
+    determinant of I + C M. C is the covariance of z now. M is the Fisher information of the
+    candidate with an unknown bias (Chaloner and Verdinelli 1995, linearised at the maximum).
 
     Parameters
     ----------
     posterior
-        Of the log that was measured.
+        Posterior of the measured log.
     candidates
         Name and forward model of each, with the same constants.
     among
-        Places of the constants of which the widest is looked for; all of them by default.
+        Indices of the constants among which the widest interval is searched. Default: all
+        constants.
     """
     now = posterior.covariance_z
     places = list(among) or list(range(len(now)))
@@ -276,11 +284,10 @@ def expected_information(
 
 
 def _information(posterior: Posterior, forward: Forward) -> Array:
-    """Fisher information of a log about z, its biases and its clock's offset left free, shape (p,
-    p).
+    """Return the Fisher information of a log about z, shape (p, p).
 
-    A log at another rate than the measured one would have other noise: the candidate is taken at
-    the measured rate.
+    Its biases and the offset of its clock are free. A log at another rate than the measured log
+    would have other noise. The candidate is therefore evaluated at the measured rate.
     """
     target = posterior.target
     noise = posterior.nuisances

@@ -21,17 +21,19 @@ __all__ = ["MeasuredLog", "pose_notes", "read_log", "without_saturation"]
 GREATEST = {"N": 1e5, "Nm": 1e4}
 """Loads beyond which a log is in another unit [N, N m]."""
 FARTHEST_M = 10.0
-"""Distance of the tool from the scene's origin beyond which its position is in another unit or
-damaged [m]: carving along such a jump would not end."""
+"""Distance from the scene's origin beyond which a tool position is refused [m].
+
+The position is then in another unit or damaged, and carving along such a jump would not end.
+"""
 GAP = 5.0
 """Time between two samples, in medians, that is a gap."""
 SHORTEST_S = 0.5
-"""Shortest log from which the noise can be known [s]."""
+"""Shortest log whose noise can be estimated [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredLog:
-    """What was measured while a tool moved.
+    """Measured poses of a tool and measured loads on it.
 
     Attributes
     ----------
@@ -42,16 +44,16 @@ class MeasuredLog:
     tips_m
         Tips of the tool in the scene's frame [m], shape (n, 3).
     quaternions
-        Orientations (x, y, z, w), shape (n, 4); None of a log without.
+        Orientations (x, y, z, w), shape (n, 4). None if the log has no orientations.
     load_times_s
         Times of the loads [s], shape (m,).
     loads
         Loads on the tool in the scene's frame [N, N m], torques about the tip, shape (m, channels);
         NaN where missing.
     channels
-        Their names, such as ``force_x_N``.
+        Names of the channels, such as ``force_x_N``.
     notes
-        What was found or assumed, in sentences.
+        Findings and assumptions, in sentences.
     """
 
     path: Path
@@ -69,8 +71,9 @@ class MeasuredLog:
         return float(np.median(np.diff(self.load_times_s)))
 
     def quaternions_of(self, scene: Scene) -> Array:
-        """Orientations, those at the start of the scene's motion where the log has none, shape
-        (n, 4).
+        """Return the orientations, shape (n, 4).
+
+        A log without orientations gets the orientation at the start of the scene's motion.
         """
         if self.quaternions is not None:
             return self.quaternions
@@ -84,16 +87,17 @@ def read_log(path: Path, columns: Sequence[str] = ()) -> MeasuredLog:
     Parameters
     ----------
     path
-        CSV, Parquet, HDF5, .mat or .npz: a run's own trace needs no columns to be named. Where a
-        trace holds both, ``model_force`` (what the tissue does) is taken, not what was commanded to
-        a device.
+        CSV, Parquet, HDF5, .mat or .npz file. For a run's own trace, `columns` is not needed. If a
+        trace holds both ``model_force`` (the force of the tissue) and the force commanded to a
+        device, ``model_force`` is used.
     columns
-        ``NAME=COLUMN[:UNIT]`` for what has another name, see `tissue.fitting.columns.parse_column`.
+        ``NAME=COLUMN[:UNIT]`` for quantities with another name, see
+        `tissue.fitting.columns.parse_column`.
 
     Raises
     ------
     InputError
-        If a column is missing or holds what cannot be, times do not increase, or the log is too
+        If a column is missing or holds impossible values, times do not increase, or the log is too
         short.
     """
     maps = parse_columns(columns)
@@ -116,7 +120,7 @@ def read_log(path: Path, columns: Sequence[str] = ()) -> MeasuredLog:
 def _checked(
     path: Path, taken: dict[str, Array], found: LogColumns, notes: list[str]
 ) -> MeasuredLog:
-    """A log of the columns that were read."""
+    """Return a checked log of the columns that were read."""
     wanted = ["time_s", *(f"tool_{c}_mm" for c in "xyz")]
     forces = [f"force_{c}_N" for c in "xyz"]
     wanted += forces if not taken.keys() & set(forces) else []  # one axis of a sensor is enough
@@ -180,7 +184,7 @@ def _checked(
 
 
 def _increasing(times_s: Array, name: str, path: Path, notes: list[str]) -> Array:
-    """Times that increase; gaps are noted."""
+    """Return increasing times and note gaps."""
     steps = np.diff(times_s)
     if not np.isfinite(times_s).all() or not (steps > 0.0).all():
         line = 0 if not np.isfinite(times_s).all() else int(np.argmin(steps)) + 2
@@ -204,7 +208,7 @@ def _increasing(times_s: Array, name: str, path: Path, notes: list[str]) -> Arra
 
 
 def _turns(taken: dict[str, Array], path: Path) -> Array | None:
-    """Orientations as quaternions, shape (n, 4); None of a log without."""
+    """Return orientations as quaternions, shape (n, 4), or None for a log without orientations."""
     quaternion = [f"tool_q{c}" for c in "xyzw"]
     if all(name in taken for name in quaternion):
         found = np.column_stack([taken[name] for name in quaternion])
@@ -226,32 +230,34 @@ def _turns(taken: dict[str, Array], path: Path) -> Array | None:
 
 
 PLATEAU = 10
-"""Samples in a row at a channel's extreme from which a sensor is taken as saturated."""
+"""Consecutive samples at a channel's extreme from which a sensor counts as saturated."""
 SHARPER = 5
-"""How many times longer than the equal values before and after it such a row is: a peak in
-coarse steps is not.
+"""Length of a row of equal values over the lengths of the rows before and after it.
+
+A peak in a signal with coarse steps stays below this ratio.
 """
 ROUGH = 0.05
-"""Share of samples at which a measured channel turns back; one that is smoother has no noise,
-and may rest anywhere.
+"""Share of samples at which a measured channel reverses its direction.
+
+A smoother channel has no noise and may rest at any value.
 """
 BASELINE = 0.5
-"""Share of the greatest load below which an extreme is where nothing touches the tool, not the
-end of a range.
+"""Share of the largest load below which an extreme value counts as a tool without contact.
+
+Such an extreme is not the end of a sensor's range.
 """
 SLOWER = 5.0
-"""Times between two poses in those between two loads from which a path between poses matters."""
+"""Ratio of the pose interval to the load interval from which the path between poses matters."""
 CORNER_M = 2e-5
-"""How far a straight line between two poses may be off, half the noise of an optical tracker
-[m].
-"""
+"""Largest error of a straight line between two poses [m], half the noise of an optical tracker."""
 SPEED_S = 0.1
-"""Time over which a tool's own speed is taken [s]."""
+"""Time over which the speed of a tool is computed [s]."""
 
 
 def without_saturation(loads: Array, channels: tuple[str, ...]) -> tuple[Array, list[str]]:
-    """Loads without what saturated sensors gave, shape (m, channels), and sentences on that and on
-    coarse steps.
+    """Return loads without saturated values, shape (m, channels), and remarks.
+
+    The remarks are sentences on saturation and on coarse steps.
 
     Parameters
     ----------
@@ -282,7 +288,7 @@ def without_saturation(loads: Array, channels: tuple[str, ...]) -> tuple[Array, 
 
 
 def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]:
-    """Sentences on poses that come too slowly for the loads, and on noise in them.
+    """Return sentences on poses that are too slow for the loads, and on noise in them.
 
     Parameters
     ----------
@@ -322,7 +328,7 @@ def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]
 
 
 def _saturated(values: Array) -> list[float]:
-    """Values at which a channel stays."""
+    """Return the extreme values at which a channel stays, as a saturated sensor does."""
     known = values[np.isfinite(values)]
     if len(known) < PLATEAU:
         return []
@@ -343,7 +349,7 @@ def _saturated(values: Array) -> list[float]:
 
 
 def _coarse_step(values: Array) -> float:
-    """Step in which a channel comes where that hides its noise; 0 where not."""
+    """Return the step of a channel if it hides the noise, otherwise 0."""
     known = values[np.isfinite(values)]
     levels = np.unique(known)
     if len(levels) < 3 or np.median(np.abs(np.diff(known))) > 0.0:
@@ -355,6 +361,6 @@ def _coarse_step(values: Array) -> float:
 
 
 def _rows(values: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Where rows of equal values begin, and how long they are."""
+    """Return the start indices and the lengths of rows of equal values."""
     starts = np.concatenate([[0], np.flatnonzero(np.diff(values) != 0.0) + 1])
     return starts, np.diff(np.concatenate([starts, [len(values)]]))

@@ -21,7 +21,7 @@ from tissue.motion.drilling_recording import read_drilling
 __all__ = ["LogColumns", "mat_columns", "parquet_columns", "read_columns"]
 
 DRILLING = ("physics_data", "high_frequency_poses")
-"""Groups by which a recording of volumetric_drilling is known."""
+"""Groups that identify a recording of volumetric_drilling."""
 POSE_NAMES = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
 LOAD_NAMES = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
 
@@ -33,11 +33,12 @@ class LogColumns:
     Attributes
     ----------
     names
-        Of all columns, those that hold no numbers included.
+        Names of all columns, including columns without numbers.
     numbers
-        Gives a column's numbers, shape (n,), by its name; raises InputError where it holds none.
+        Function that returns a column's numbers, shape (n,), by its name. It raises InputError if
+        the column holds no numbers.
     notes
-        What was found around them, in words.
+        Remarks on the columns, in words.
     """
 
     names: tuple[str, ...]
@@ -47,12 +48,12 @@ class LogColumns:
     def taken(
         self, maps: Mapping[str, ColumnMap], quantities: Mapping[str, Quantity]
     ) -> tuple[dict[str, Array], list[str]]:
-        """Quantities that are there, in SI, by name, and what was found with them, in sentences.
+        """Return the available quantities in SI, by name, and remarks in sentences.
 
         Raises
         ------
         InputError
-            If a column that is mapped is not there, or holds no numbers.
+            If a mapped column is missing or holds no numbers.
         """
         values: dict[str, Array] = {}
         used = set[str]()
@@ -76,12 +77,13 @@ class LogColumns:
 
 
 def read_columns(path: Path) -> LogColumns:
-    """Read a log.
+    """Read the columns of a log.
 
     Raises
     ------
     InputError
-        If the file is not there, of another kind, or damaged, or what reads it is not installed.
+        If the file is missing, of another kind or damaged, or if the library that reads it is not
+        installed.
     """
     if not is_file(path):
         raise InputError(
@@ -108,7 +110,7 @@ def _text(path: Path) -> LogColumns:
 
 
 def _held(columns: Mapping[str, Any]) -> LogColumns:
-    """Columns of arrays; a matrix gives no columns."""
+    """Return columns of arrays. A matrix gives no columns."""
     flat = {name: np.squeeze(np.asarray(values)) for name, values in columns.items()}
 
     def numbers(name: str) -> Array:
@@ -131,7 +133,7 @@ def _parquet(path: Path) -> LogColumns:
 
 
 def _isolated(parser: str, path: Path) -> LogColumns:
-    """Columns that a parser finds in a process of its own."""
+    """Return the columns that a parser finds in a separate process."""
     name = f"tissue.fitting.log_files:{parser}"
     return _held(
         parse_isolated(name, path, what=f"{path.suffix} file", remedy="export it again")[1]
@@ -169,8 +171,9 @@ def _h5(path: Path) -> LogColumns:
 
 
 def _structs(path: Path) -> LogColumns:
-    """Columns of a MATLAB 7.3 file, those of structs by the names of their fields where no two
-    are the same.
+    """Return the columns of a MATLAB 7.3 file.
+
+    Columns of structs have the names of their fields if these are unique.
     """
     found = _h5(path)
     whole = [name for name in found.names if not name.startswith("#")]
@@ -183,7 +186,7 @@ def _structs(path: Path) -> LogColumns:
 
 
 def _drilling(path: Path) -> LogColumns:
-    """Poses and loads of a recording of volumetric_drilling, each at times of their own."""
+    """Return poses and loads of a recording of volumetric_drilling, each with separate times."""
     held = read_drilling(path, what="measured")
     columns = {"time_s": held.times_s}
     columns |= dict(
@@ -235,14 +238,14 @@ READERS: dict[str, Callable[[Path], LogColumns]] = {
 
 
 _BYTES = 8
-"""Of a number in memory."""
+"""Size of a number in memory [bytes]."""
 
 
 def parquet_columns(file: Path) -> Answer:
-    """Return the columns of a Parquet file by name, after its stated size has been held against the
-    memory limit.
+    """Return the columns of a Parquet file by name.
 
-    What holds no numbers is returned as an empty matrix, so that its name is known.
+    The recorded size of the file is first compared with the memory limit. A column without numbers
+    is returned as an empty matrix, so that its name is known.
     """
     import pyarrow.parquet
 
@@ -267,10 +270,10 @@ def parquet_columns(file: Path) -> Answer:
 
 
 def mat_columns(file: Path) -> Answer:
-    """Return the numeric arrays of a MATLAB file by name, those of structs by the names of their
-    fields.
+    """Return the numeric arrays of a MATLAB file by name.
 
-    What holds no numbers is returned as an empty matrix, so that its name is known.
+    Arrays of structs have the names of their fields. An entry without numbers is returned as an
+    empty matrix, so that its name is known.
     """
     from scipy.io import loadmat
 
@@ -291,7 +294,7 @@ def mat_columns(file: Path) -> Answer:
 
 
 def _require_new(name: str, columns: Mapping[str, object]) -> None:
-    """Refuse a file in which two columns have one name."""
+    """Refuse a file with two columns of the same name."""
     if name in columns:
         raise DamagedFileError(f"two columns named {name}")
 

@@ -1,5 +1,6 @@
-"""A measured log as text: delimiter, preamble, header line and units line are found; the cells
-stay text.
+"""Reader of a measured log as text.
+
+It detects delimiter, preamble, header line and units line. The cells stay text.
 """
 
 import csv
@@ -16,7 +17,7 @@ __all__ = ["TextTable", "read_text"]
 
 _DELIMITERS = (",", ";", "\t", " ")
 _LOOKED_AT = 50
-"""Last lines that show what a line of data is."""
+"""Number of lines at the end of a file that determine the form of a data line."""
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
 _AGAIN = "fix that line or export the log again"
 
@@ -28,13 +29,13 @@ class TextTable:
     Attributes
     ----------
     names
-        Of the header line; numbers from 1 where there is none.
+        Names in the header line, or numbers from 1 without a header line.
     rows
-        Cells, one list a line.
+        Cells, one list per line.
     lines
-        Number of the line of each row, from 1.
+        Line number of each row, from 1.
     notes
-        What was found around the table.
+        Remarks on the text around the table.
     """
 
     names: tuple[str, ...]
@@ -43,12 +44,13 @@ class TextTable:
     notes: tuple[str, ...]
 
     def numbers(self, name: str) -> list[float]:
-        """A column as numbers, NaN where a cell is empty.
+        """Return a column as numbers, NaN where a cell is empty.
 
         Raises
         ------
         InputError
-            If a cell holds no number, naming its line, or two columns have that name.
+            If a cell holds no number, or two columns have the same name. The message names the line
+            of the cell.
         """
         if self.names.count(name) != 1:
             raise InputError(
@@ -71,12 +73,13 @@ class TextTable:
 
 
 def read_text(path: Path) -> TextTable:
-    """Read a table of text, whatever stands before it.
+    """Read a table of text and skip any text before it.
 
     Raises
     ------
     InputError
-        If it holds no table of numbers, or a line in it has more or fewer cells than the others.
+        If the file holds no table of numbers, or a line of the table has more or fewer cells than
+        the others.
     """
     lines = _decoded(path).splitlines()
     while lines and not lines[-1].strip():
@@ -109,8 +112,9 @@ def read_text(path: Path) -> TextTable:
 
 
 def _decoded(path: Path) -> str:
-    """Text of a file; what is no UTF-8 is read as UTF-16 where it begins so, otherwise as
-    Windows-1252.
+    """Return the text of a file, decoded as UTF-8, UTF-16 or Windows-1252.
+
+    A file that is not UTF-8 is read as UTF-16 if it begins like UTF-16, otherwise as Windows-1252.
     """
     content = path.read_bytes()
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -126,8 +130,9 @@ def _decoded(path: Path) -> str:
 
 
 def _form(lines: list[str], path: Path) -> tuple[str, int]:
-    """Delimiter and number of cells of the lines that hold data: those that make the most
-    numbers of them.
+    """Return the delimiter and the number of cells of the lines that hold data.
+
+    The delimiter that yields the most numbers is chosen.
     """
     best = 0
     form = (",", 0)
@@ -152,7 +157,7 @@ def _form(lines: list[str], path: Path) -> tuple[str, int]:
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
-    """Cells of a line; an empty one after the last delimiter is none."""
+    """Return the cells of a line. An empty cell after the last delimiter is dropped."""
     if delimiter == " ":
         return line.split()
     row = next(csv.reader(StringIO(line), delimiter=delimiter), [])
@@ -164,14 +169,15 @@ def _count(row: list[str]) -> int:
 
 
 def _is_data(row: list[str]) -> bool:
-    """Whether at least half of the cells that hold anything are numbers."""
+    """Return whether at least half of the non-empty cells hold numbers."""
     filled = sum(bool(cell.strip()) for cell in row)
     return filled > 0 and 2 * _count(row) >= filled
 
 
 def _header(above: list[list[str]], width: int) -> tuple[tuple[str, ...], int, bool]:
-    """Names, the number of lines before them, and whether a line of units stands between them
-    and the data.
+    """Return the column names, the number of lines before them, and a flag.
+
+    The flag is set if a line of units stands between the names and the data.
     """
     at = len(above) - 1
     while at >= 0 and not any(cell.strip() for cell in above[at]):

@@ -1,25 +1,25 @@
-"""The law of one number of a fit: Laplace's approximation of all others at each of its values.
+"""Marginal law of one number of a fit, by Laplace's approximation of all others.
 
-A normal law about the maximum is not enough in three cases, so the density of a number is found on
-a grid, with the others at their most probable values there and integrated by Laplace's
-approximation (Tierney and Kadane 1986):
+A normal law about the maximum is not enough in the three cases below. The density of a number is
+therefore evaluated on a grid. At each grid value, the others are at their most probable values and
+are integrated by Laplace's approximation (Tierney and Kadane 1986):
 
-- A constant whose range spans decades, such as 0.01 of 0 to 0.1. What a log knows of its value is
-  symmetric, what it
-  knows of the standard normal number behind it is not: a load hidden by noise would count as
-  determined (``tests/tissue/fitting/test_marginal.py``).
-- The offset of the clocks. Where a load jumps between two samples of a log, each offset that leaves
-  the jump between
-  them explains the log equally well. The normal law held the planted offset in 78 % of 100
-  simulated logs, the grid in 83 % (``tests/bench/bench_fit_cutting.py block``).
+- A constant whose range spans decades, such as 0.01 of 0 to 0.1. The information of a log about its
+  value is symmetric, but the information about the standard normal number behind it is not. With a
+  normal law, a load hidden by noise would count as determined
+  (``tests/tissue/fitting/test_marginal.py``).
+- The offset of the clocks. Where a load jumps between two samples of a log, all offsets that keep
+  the jump between these samples explain the log equally well. The interval of the normal law
+  contained the planted offset in 78 % of 100 simulated logs, the interval of the grid in 83 %
+  (``tests/bench/bench_fit_cutting.py block``).
 - Constants whose cited value is an end of their range, such as axial cutting coefficients of 0. A
-  half-normal prior is
-  positive in every draw: no interval of it holds the cited value, and constants that the log cannot
-  separate from it are shifted. The prior used here is a normal law cut off at the cited value, with
-  the part beyond the end counted as the end: half of the probability is the cited value itself,
-  which is then the median, and the other half has the far end of the range as its 95 % quantile.
-  With ``z`` counted away from the end, it differs from the whole normal law
-  (`tissue.materials.prior.Prior.mirrored`), with which the maximum is found, by the factor::
+  half-normal prior is positive in every draw. No interval of it contains the cited value, and
+  constants that the log cannot separate from it are shifted. The prior used here is a normal law
+  cut off at the cited value. The part beyond the end is counted as the end. Half of the probability
+  is the cited value itself, which is therefore the median. The other half has the far end of the
+  range as its 95 % quantile. The maximum is found with the whole normal law
+  (`tissue.materials.prior.Prior.mirrored`). With ``z`` counted away from the end, the prior differs
+  from that law by the factor::
 
       0.5 delta(z) / phi(0) + (1 where z > 0)
 """
@@ -59,21 +59,27 @@ FINE = 20
 """Points of quadrature from one place of the grid to the next."""
 SHARES = np.array([0.05, 0.5, 0.95])
 PRIOR_SPREAD = float(np.sqrt(0.5 - 0.5 / np.pi))
-"""Standard deviation of a standard normal number of which the negative values are set to 0."""
+"""Standard deviation of a standard normal number whose negative values are set to 0."""
 END = float(0.5 * np.sqrt(2.0 * np.pi))
 """Probability of the end under the cut-off prior, over the density there under the normal one."""
 POINTS = 256
 """Points of the quasi-random integral: its error is below 1 % for three correlated constants."""
 MOST_STEPS = 60
 NEAR = 0.01
-"""Steps of least squares to the most probable others, many where a log knows combinations only,
-whose members lie on a curve; and twice the increase of the log density below which the search
-ends."""
+"""Twice the increase of the log density below which the search for the best others ends.
+
+`MOST_STEPS` limits the steps of least squares of this search. Many steps are needed where a log
+determines only combinations, whose members lie on a curve.
+"""
 DAMPING = 0.1
 HARDER = 8.0
 EASIER = 0.2
-"""Damping of a step that would lower the density, over the information of the priors, and its
-factors after another such step and after a good one (Levenberg 1944)."""
+"""Factor on the damping after a good step.
+
+The damping applies to a step that would lower the density, relative to the information of the
+priors (Levenberg 1944). The constants above are its first value and its factor after another such
+step.
+"""
 
 
 @dataclass(frozen=True)
@@ -83,9 +89,9 @@ class Marginal:
     Attributes
     ----------
     quantiles
-        5, 50 and 95 %, shape (3,).
+        Quantiles at 5, 50 and 95 %, shape (3,).
     spread
-        Standard deviation over that of the prior.
+        Standard deviation over the standard deviation of the prior.
     """
 
     quantiles: Array
@@ -128,8 +134,9 @@ def marginal(target: Target, maximum: Array, covariance: Array, at: int) -> Marg
 
 
 def log_density_at(target: Target, u: Array, at: int) -> tuple[float, Array]:
-    """Compute the log density of a number, constants, offset and biases but it integrated, and
-    their best place.
+    """Compute the log density of one number and the best place of all others.
+
+    Constants, offset and biases other than the number are integrated.
 
     Parameters
     ----------
@@ -166,17 +173,17 @@ def log_density_at(target: Target, u: Array, at: int) -> tuple[float, Array]:
 
 
 def log_factor(mean: Array, covariance: Array) -> float:
-    """Compute the logarithm of a normal posterior's probability under the cut-off prior over that
-    under the normal one.
+    """Compute the log ratio of a probability under the cut-off and under the normal prior.
 
-    The integral is sequential (Geweke, Hajivassiliou and Keane): number by number, each conditional
-    law has its probability at zero and above zero in closed form.
+    The probabilities are those of a normal posterior. The integral is computed one number at a time
+    (Geweke, Hajivassiliou and Keane). Each conditional law has its probability at zero and above
+    zero in closed form.
 
     Parameters
     ----------
     mean, covariance
-        Of the one-sided numbers under the normal prior, counted away from the end, shape (k,) and
-        (k, k).
+        Mean and covariance of the one-sided numbers under the normal prior, counted away from the
+        end, shapes (k,) and (k, k).
     """
     if not len(mean):
         return 0.0
@@ -197,11 +204,10 @@ def log_factor(mean: Array, covariance: Array) -> float:
 
 
 def _reweighted(target: Target, u: Array, others: NDArray[np.intp]) -> tuple[float, Array, Array]:
-    """Log density of a place, its gradient by some numbers, and their normal matrix by reweighted
-    least squares.
+    """Return the log density of a place, its gradient by some numbers, and their normal matrix.
 
-    Fisher's scoring, whose weights are those expected, needs hundreds of steps where residuals are
-    far in the tails.
+    The normal matrix is that of reweighted least squares. Fisher's scoring uses expected weights
+    and needs hundreds of steps where residuals are far in the tails.
     """
     noise = target.unpacked(u)
     known = np.isfinite(target.log.values)
@@ -233,10 +239,10 @@ def _walked(
     places: Array,
     patience: float,
 ) -> dict[float, tuple[float, Array]]:
-    """Log densities at places that lead away from a first one, and the best places of the others.
+    """Return log densities at places that lead away from a first place, and the best others there.
 
-    They end where the density has been negligible for longer than `patience`: that of the offset
-    may rise again within a sample of the log.
+    The search ends when the density has been negligible for longer than `patience`. The density of
+    the offset may rise again within a sample of the log.
     """
     found: dict[float, tuple[float, Array]] = {}
     highest, u = first
@@ -269,8 +275,9 @@ def _refine(target: Target, at: int, found: dict[float, tuple[float, Array]]) ->
 
 
 def _law(found: Mapping[float, float], side: float) -> Marginal:
-    """Law of a number from its log density at some places; of a one-sided one, the end at 0 has
-    a probability.
+    """Return the law of a number from its log density at some places.
+
+    For a one-sided number, the end at 0 has a probability.
     """
     sign = side or 1.0
     logarithms = {sign * place: logarithm for place, logarithm in found.items()}

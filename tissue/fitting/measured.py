@@ -13,8 +13,9 @@ from tissue.models.tissue_model import TICK_S
 __all__ = ["MeasuredLoads", "block_averages", "block_ticks", "shift_operators"]
 
 FEWEST = 50
-"""Samples of a channel below which its scale and the correlation of its noise cannot be
-estimated.
+"""Minimum number of samples of a channel.
+
+With fewer samples, the scale and the correlation of its noise cannot be estimated.
 """
 
 
@@ -31,8 +32,8 @@ class MeasuredLoads:
     channels
         Names with units, such as ``force_x_N``.
     within_s
-        Times, from that of a sample, at which the loads were read of which it is the mean, shape
-        (k,) [s].
+        Times relative to the time of a sample, shape (k,) [s]. A sample is the mean of the loads
+        read at these times.
 
     Raises
     ------
@@ -70,8 +71,9 @@ class MeasuredLoads:
             )
 
     def sizes(self) -> Array:
-        """Root mean square of each channel's unit [N or N m], shape (channels,), not swayed by
-        outliers.
+        """Robust root mean square of each channel's unit [N or N m], shape (channels,).
+
+        Outliers have little influence.
 
         Channels of one unit share the largest, since a channel without load has nothing but noise.
         """
@@ -88,18 +90,21 @@ MOST_SAMPLES = 2000
 averaged out.
 """
 LEAST_BLOCK = 5
-"""Ticks of a block: tooth passing and sensor noise above 100 Hz are not what constants are found
-from.
+"""Ticks of a block.
+
+Constants are not identified from tooth passing and sensor noise above 100 Hz.
 """
 
 
 def block_ticks(duration_s: float, period_s: float) -> int:
-    """Ticks over which a log is averaged; a block of a log slower than 200 Hz holds one sample.
+    """Return the ticks over which a log is averaged.
+
+    A block of a log slower than 200 Hz holds one sample.
 
     Parameters
     ----------
     duration_s, period_s
-        Of the log, and between two of its samples [s].
+        Duration of the log, and time between two of its samples [s].
     """
     return max(LEAST_BLOCK, int(np.ceil(max(duration_s / MOST_SAMPLES, period_s) / TICK_S - 1e-6)))
 
@@ -107,16 +112,18 @@ def block_ticks(duration_s: float, period_s: float) -> int:
 def block_averages(
     times_s: Array, values: Array, channels: tuple[str, ...], ticks: int
 ) -> MeasuredLoads:
-    """Means over blocks; NaN where a block holds less than half of the samples that it should.
+    """Return means over blocks.
+
+    A mean is NaN if its block holds less than half of the expected samples.
 
     Parameters
     ----------
     times_s
-        Shape (n,), increasing, at any rate [s].
+        Increasing times [s], at any rate, shape (n,).
     values
-        Shape (n, channels), NaN where missing.
+        Values, shape (n, channels), NaN where missing.
     channels
-        Their names.
+        Names of the channels.
     ticks
         Ticks of a block.
     """
@@ -144,10 +151,11 @@ def block_averages(
 def shift_operators(
     times_s: Array, wanted_s: Array, offset_s: float, within_s: Sequence[float] = (0.0,)
 ) -> tuple[csr_array, csr_array]:
-    """Interpolate what is known at `times_s` at the times ``wanted_s - offset_s``, as matrices.
+    """Return matrices that interpolate from `times_s` to the times ``wanted_s - offset_s``.
 
-    Cubic through four neighbours (Catmull and Rom, 1974), whose slope is continuous, so that a
-    gradient by the offset is; before the first and after the last time it is the value there.
+    The interpolation is a cubic through four neighbours (Catmull and Rom, 1974). Its slope is
+    continuous, so that the gradient by the offset is continuous too. Before the first time and
+    after the last time, the end value is used.
 
     Parameters
     ----------
@@ -158,7 +166,7 @@ def shift_operators(
     offset_s
         The offset [s].
     within_s
-        Times about each wanted one over which the mean is taken [s], k of them.
+        Times relative to each wanted time over which the mean is computed [s], shape (k,).
 
     Returns
     -------
@@ -196,7 +204,7 @@ def shift_operators(
 
 
 def _rows(at_start: Array, at_end: Array, start_tangent: Array, end_tangent: Array) -> Array:
-    """Weights of the four neighbours, shape (m, 4), of the Hermite form of a cubic."""
+    """Return the weights of the four neighbours in a cubic's Hermite form, shape (m, 4)."""
     return np.stack(
         [-start_tangent, at_start - end_tangent, at_end + start_tangent, end_tangent], axis=1
     )

@@ -12,19 +12,19 @@ __all__ = ["NoiseTerms", "freedom_information", "innovations", "noise_terms", "p
 
 @dataclass(frozen=True)
 class NoiseTerms:
-    """Log density of residuals and what an optimiser needs of it.
+    """Log density of residuals and its derivatives for an optimiser.
 
     Attributes
     ----------
     log_density
         Summed over samples and channels.
     by_residuals
-        Its derivative by each residual, shape (m, channels); 0 where there is none.
+        Derivative by each residual, shape (m, channels). It is 0 where there is no residual.
     by_log_scale, by_correlation, by_freedom
-        Its derivatives by ln scale, the correlation and the degrees of freedom of each channel,
-        shape (channels,).
+        Derivatives by ln scale, the correlation and the degrees of freedom of each channel, shape
+        (channels,).
     weights
-        Of each squared innovation in the sum of squares that has the same gradient, shape (m,
+        Weight of each squared innovation in the sum of squares with the same gradient, shape (m,
         channels) [1/unit²].
     """
 
@@ -37,11 +37,11 @@ class NoiseTerms:
 
 
 def innovations(residuals: Array, correlation: Array) -> Array:
-    """What each residual adds to the last, e_t = r_t - phi r_(t-1), shape (m, channels).
+    """Return the innovations e_t = r_t - phi r_(t-1) of residuals, shape (m, channels).
 
-    The first after a gap (NaN) is sqrt(1 - phi²) r_t, since the chain starts stationary; NaN at
-    gaps. Linear in the residuals, so a third axis of derivatives works as well: shape (m, channels,
-    any).
+    The first innovation after a gap (NaN) is sqrt(1 - phi²) r_t, since the chain starts stationary.
+    It is NaN at gaps. The innovations are linear in the residuals. A third axis of derivatives is
+    therefore possible: shape (m, channels, any).
     """
     previous, starts = _previous(residuals)
     phi = correlation.reshape(1, -1, *[1] * (residuals.ndim - 2))
@@ -49,20 +49,20 @@ def innovations(residuals: Array, correlation: Array) -> Array:
 
 
 def noise_terms(residuals: Array, scale: Array, correlation: Array, freedom: Array) -> NoiseTerms:
-    """Log density of residuals and its gradient.
+    """Compute the log density of residuals and its gradient.
 
     Parameters
     ----------
     residuals
-        Shape (m, channels), NaN where missing, at one rate.
+        Residuals at one rate, shape (m, channels), NaN where missing.
     scale
-        Of the innovations, shape (channels,): a standard deviation of sqrt(2) times it at four
-        degrees of freedom.
+        Scale of the innovations, shape (channels,). At four degrees of freedom, the standard
+        deviation is sqrt(2) times the scale.
     correlation
-        Of neighbouring residuals, in (-1, 1), shape (channels,).
+        Correlation of neighbouring residuals, in (-1, 1), shape (channels,).
     freedom
-        Degrees of freedom of the innovations, shape (channels,): outliers lose their pull the more
-        the fewer they are.
+        Degrees of freedom of the innovations, shape (channels,). With fewer degrees of freedom,
+        outliers have less influence.
     """
     previous, starts = _previous(residuals)
     here = np.isfinite(residuals)
@@ -95,15 +95,17 @@ def noise_terms(residuals: Array, scale: Array, correlation: Array, freedom: Arr
 
 
 def place_information(freedom: Array) -> Array:
-    """Fisher information of the place of an innovation of scale 1 (Lange, Little and Taylor
-    1989), shape of freedom.
+    """Return the Fisher information of the place of an innovation of scale 1, shape of freedom.
+
+    The formula is from Lange, Little and Taylor (1989).
     """
     return (freedom + 1.0) / (freedom + 3.0)
 
 
 def freedom_information(freedom: Array) -> tuple[Array, Array]:
-    """Fisher information of the degrees of freedom, and between them and ln scale (the same),
-    shapes of freedom.
+    """Return the Fisher information of the degrees of freedom, and its cross term with ln scale.
+
+    The formulas are from Lange, Little and Taylor (1989). Both have the shape of freedom.
     """
     curved = 0.25 * (polygamma(1, 0.5 * freedom) - polygamma(1, 0.5 * (freedom + 1.0)))
     of_freedom = curved - 0.5 * (freedom + 5.0) / (freedom * (freedom + 1.0) * (freedom + 3.0))
@@ -111,7 +113,7 @@ def freedom_information(freedom: Array) -> tuple[Array, Array]:
 
 
 def _previous(residuals: Array) -> tuple[Array, Array]:
-    """The residual before each, zero for none, and where a chain starts."""
+    """Return the previous residual of each residual, or zero, and the start flags of chains."""
     previous = np.concatenate([np.full_like(residuals[:1], np.nan), residuals[:-1]])
     starts = np.isfinite(residuals) & np.isnan(previous)
     return np.where(np.isfinite(previous), previous, 0.0), starts

@@ -27,27 +27,27 @@ __all__ = ["OrganForward", "Settled", "organ_problem", "settled"]
 
 @dataclass(frozen=True, eq=False)
 class OrganForward:
-    """Loads about the constants of a run.
+    """Loads near the constants of a run.
 
-    Where every stiffness of an organ is free, its force on a given path is proportional to all
-    moduli together, with Poisson's ratio, friction, relaxation and the ratios of moduli kept. So
-    runs are made with the first modulus as it is cited, and with the others in proportion.
+    If every stiffness of an organ is free, its force on a given path is proportional to all moduli
+    together, for constant Poisson's ratio, friction, relaxation and ratios of moduli. Runs
+    therefore use the cited value of the first modulus and scale the others in proportion.
 
     Attributes
     ----------
     parameters, channels, times_s
         See `tissue.fitting.forward.Forward`.
     moduli
-        Places of the moduli to which loads are proportional together; empty where something else is
-        as stiff as it is.
+        Indices of the moduli to which loads are proportional together. Empty if another stiffness
+        is fixed.
     at
         Constants of the run, shape (p,).
     base
-        Its loads, shape (n, channels).
+        Loads of the run, shape (n, channels).
     slopes, curvatures
-        Coefficients of the distance of each constant from there and of its square, shape (n,
-        channels, p); zero of the first of the moduli. The distance of a relaxation time is that of
-        its logarithm.
+        Coefficients of each constant's distance from `at` and of its square, shape (n, channels,
+        p). They are zero for the first modulus. The distance of a relaxation time is the distance
+        of its logarithm.
     mixed
         Coefficients of the products of two distances, half of each in either order, shape (n,
         channels, p, p).
@@ -64,9 +64,7 @@ class OrganForward:
     mixed: Array
 
     def reduced(self, x: Array) -> tuple[float, Array]:
-        """By how much loads are scaled, and the constants that a run has in place of x, shape
-        (p,).
-        """
+        """Return the scale of the loads, and the constants that a run uses for x, shape (p,)."""
         x = np.asarray(x, dtype=float)
         if not self.moduli:
             return 1.0, x
@@ -79,12 +77,12 @@ class OrganForward:
         return scale, same
 
     def loads(self, x: Array) -> Array:
-        """See `tissue.fitting.forward.Forward`."""
+        """Return the loads, see `tissue.fitting.forward.Forward`."""
         scale, same = self.reduced(x)
         return scale * self._of_run(self.distance(same))
 
     def jacobian(self, x: Array) -> Array:
-        """See `tissue.fitting.forward.Forward`."""
+        """Return the derivatives of the loads, see `tissue.fitting.forward.Forward`."""
         scale, same = self.reduced(x)
         distance = self.distance(same)
         found = self._slopes_at(distance) / np.where(self._logarithmic, same, 1.0)
@@ -99,16 +97,17 @@ class OrganForward:
         return found
 
     def moved(self, at: Array, base: Array, *, learnt: float) -> "OrganForward":
-        """With the loads of another run as base, and slopes that explain them from the last one
-        (Broyden 1965).
+        """Return a model with the loads of another run as base and corrected slopes.
+
+        The slopes explain these loads from the last run (Broyden 1965).
 
         Parameters
         ----------
         at, base
-            Constants of that run, and its loads.
+            Constants of the other run, and its loads.
         learnt
             Step from the last run, in standard deviations of the priors, below which slopes are not
-            corrected: they are not to explain single nodes that come into contact.
+            corrected. Slopes should not explain single nodes that come into contact.
         """
         distance = self.distance(at)
         middle = np.array([each.prior.value for each in self.parameters])
@@ -122,7 +121,7 @@ class OrganForward:
         return replace(self, at=at, base=base, slopes=slopes)
 
     def distance(self, x: Array) -> Array:
-        """From the constants of the run to others, shape (p,)."""
+        """Return the distance from the constants of the run to other constants, shape (p,)."""
         return np.asarray(np.where(self._logarithmic, np.log(x / self.at), x - self.at))
 
     @cached_property
@@ -144,29 +143,31 @@ class OrganForward:
 EVERY = 2
 """Ticks between two loads that are kept of a run: a log is averaged over more."""
 STEPS = (0.1, 1.0)
-"""Least and greatest step to either side over which loads are differenced, in standard deviations
-of a prior: as wide as what is known of the constant, but nodes come into contact and leave it, so
-that smaller ones show single nodes.
+"""Smallest and largest step to either side for load differences, in standard deviations of a prior.
+
+The step is as wide as the uncertainty of the constant. Nodes come into contact and leave it, so
+smaller steps would show single nodes.
 """
 FIRST_STEP = 0.5
-"""That to one side before anything is known."""
+"""Step to one side before a constant has been estimated, in standard deviations of its prior."""
 SETTLED = 0.3
-"""Distance of the most probable constants from those of the runs, in their standard deviations,
-at which they agree.
+"""Distance at which the most probable constants agree with the constants of the runs.
+
+It is measured in standard deviations of the constants.
 """
 ROUNDS = 3
 TRIES = 6
-"""How often slopes are found, and how often a run follows what was found with them."""
-LEARNT = 0.1
-"""Step of the constants, in standard deviations of their priors, from which slopes are corrected
-by it.
+"""Number of times that slopes are computed, and number of runs that follow with each set of slopes.
 """
+LEARNT = 0.1
+"""Step from which slopes are corrected, in standard deviations of the priors of the constants."""
 UNSETTLED = (
     "runs and result do not agree yet: the intervals are not to be trusted, free fewer constants"
 )
 WIDE = 0.2
-"""Standard deviation of a constant over its prior's, from which it is stepped together with each
-other such one.
+"""Standard deviation of a constant over its prior's from which it is stepped in pairs.
+
+Such a constant is stepped together with each other constant of this kind.
 """
 FARTHEST = 3.0
 """Standard deviations of a prior beyond which no run is made."""
@@ -174,16 +175,16 @@ FARTHEST = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Settled:
-    """Loads about the most probable constants.
+    """Loads near the most probable constants.
 
     Attributes
     ----------
     forward
-        The loads.
+        Model of the loads.
     posterior
-        The constants given the log.
+        Constants given the log.
     away
-        Their distance from those of the last run, in standard deviations.
+        Distance of the constants from the constants of the last run, in standard deviations.
     """
 
     forward: OrganForward
@@ -194,10 +195,10 @@ class Settled:
 def organ_problem(
     scene: Scene, log: MeasuredLog, free: Sequence[str], *, cores: int | None, progress: Progress
 ) -> Problem:
-    """A probe that presses an organ; see `tissue.fitting.fit.fit_scene`.
+    """Return the problem of a probe that presses an organ, see `tissue.fitting.fit.fit_scene`.
 
-    The organ is run along the log's poses with the constants as they are and with each of them
-    changed, then about what was found, until runs and result agree.
+    The organ is run along the log's poses with the initial constants and with each of them changed.
+    Further runs use the fitted constants, until runs and result agree.
     """
     poses = Poses(log.times_s, log.tips_m, log.quaternions_of(scene))
     parameters, moduli = organ_parameters(scene, free)
@@ -220,11 +221,11 @@ def settled(
     measured: MeasuredLoads,
     progress: Progress,
 ) -> Settled:
-    """Loads by runs about the constants that a log makes most probable.
+    """Return loads from runs near the constants that a log makes most probable.
 
-    Slopes are differences between runs about one point; runs at what was found with them follow,
-    and correct the slopes, until the two agree; then slopes are found there, over steps as wide as
-    what is known.
+    Slopes are differences between runs about one point. Further runs use the fitted constants and
+    correct the slopes, until the two agree. The slopes are then computed there again, over steps as
+    wide as the uncertainty of the constants.
     """
     at = np.array([float(each.prior.x(0.0)) for each in parameters])
     spread = None
@@ -255,8 +256,9 @@ def settled(
 
 
 def _next(forward: OrganForward, z: Array, spread: Array) -> tuple[Array, float]:
-    """Constants of the next run, and how far they lie from those of the last one, in standard
-    deviations.
+    """Return the constants of the next run and their distance from the last run's constants.
+
+    The distance is in standard deviations.
     """
     priors = [each.prior for each in forward.parameters]
     _, same = forward.reduced(
@@ -272,11 +274,10 @@ def _next(forward: OrganForward, z: Array, spread: Array) -> tuple[Array, float]
 
 
 def _sloped(forward: OrganForward, runs: OrganRuns, spread: Array | None) -> OrganForward:
-    """With slopes by runs about the same constants: to one side of them where nothing is known,
-    else to both.
+    """Return the model with slopes from runs near the same constants.
 
-    Where two constants are known no better than that, along a ridge of the posterior, by both
-    together as well.
+    The runs step to one side if nothing is known yet, otherwise to both sides. Two constants along
+    a ridge of the posterior, which are known no better than `WIDE`, are also stepped together.
     """
     places = [at for at in range(len(forward.at)) if at not in forward.moduli[:1]]
     reach = np.full(len(forward.at), FIRST_STEP) if spread is None else np.clip(spread, *STEPS)

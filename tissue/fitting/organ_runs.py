@@ -35,38 +35,46 @@ __all__ = ["KEYS", "PART", "OrganRuns", "Poses", "organ_parameters"]
 
 KEYS = "organ."
 PART = "organ.parts."
-"""Beginning of the names of what is a key of the scene and no constant of a material, and of
-moduli of parts.
+"""Prefix of the names of moduli of parts.
+
+These, like the names with the prefix above, are keys of the scene and not constants of a material.
 """
 FRICTION = (0.25, 2.5)
 """5 and 95 % of friction between tool and organ, over the scene's: wet tissue on metal 0.1 to 0.6
 (from memory of the literature)."""
 MODULUS = (1.0 / 3.0, 3.0)
-"""Likewise of a modulus that the scene states: as liver scatters in tissue/materials/soft.toml."""
+"""5 and 95 % of a modulus that the scene sets, over the scene's value.
+
+The range is the scatter of liver in tissue/materials/soft.toml.
+"""
 SHAPE = (0.4, 2.5)
-"""Likewise of what gives a hyperelastic law its shape, of which none is cited for an organ:
-assumed.
+"""Relative range of the shape constants of a hyperelastic law.
+
+The range is assumed, since no source gives one for an organ.
 """
 SHAPES = ("second_share", "square_ratio", "cube_ratio", "exponent")
 """Keys of the organ that do so."""
 SHARE = "second_share"
 NEAREST = 0.1
-"""The one of them that is a share, and the distance of its prior's 95 % quantile from 1, over that
-of the scene's value, at least: assumed. Limits of the others are those of input, and no bounds."""
+"""Smallest distance from 1 of the 95 % quantile of a share's prior.
+
+It is given as a ratio to the distance of the scene's value from 1 and is assumed. The limits of the
+other shape constants are input limits and not physical bounds.
+"""
 
 
 def organ_parameters(
     scene: Scene, free: Sequence[str]
 ) -> tuple[tuple[Parameter, ...], tuple[int, ...]]:
-    """What is free, and the places of the moduli to which loads are proportional together.
+    """Return the free parameters and the indices of the moduli with proportional loads.
 
-    There are no such moduli where the organ hangs in its own weight, or a modulus beside the free
-    ones is fixed.
+    Loads are proportional to these moduli together. There are no such moduli if the organ deforms
+    under its own weight or if another modulus is fixed.
 
     Raises
     ------
     InputError
-        If `free` names something else.
+        If `free` contains any other name.
     """
     cited, stiffnesses = _cited(scene)
     stated = _stated(scene)
@@ -79,8 +87,9 @@ def organ_parameters(
 
 
 def _cited(scene: Scene) -> tuple[list[Parameter], set[str]]:
-    """Constants of the organ's material that the scene does not state, and the names of all
-    moduli among them.
+    """Return the constants of the organ's material that the scene does not set.
+
+    The names of all moduli among them are returned too.
     """
     used = [
         each
@@ -96,10 +105,10 @@ def _cited(scene: Scene) -> tuple[list[Parameter], set[str]]:
 
 
 def _stated(scene: Scene) -> list[Parameter]:
-    """Moduli, friction and the shape of a law that are keys of the scene; a stiffer or softer ball
-    has a modulus too.
+    """Return moduli, friction and the shape of a law that are keys of the scene.
 
-    What is 0 or negative stays as it is, and so does a share of 1: it has no range.
+    A stiffer or softer ball has a modulus too. A value of 0 or below and a share of 1 have no range
+    and stay fixed.
     """
     organ = scene.organ
     anatomy = scene.anatomy
@@ -131,7 +140,7 @@ def _stated(scene: Scene) -> list[Parameter]:
 
 
 def _shape_prior(name: str, value: float) -> Prior | None:
-    """Prior of what gives a law its shape; None where it has no range."""
+    """Return the prior of a constant that gives a law its shape, or None if it has no range."""
     low, high = SHAPE
     if value <= 0.0 or (name == SHARE and value >= 1.0):
         return None
@@ -143,17 +152,22 @@ def _shape_prior(name: str, value: float) -> Prior | None:
 
 
 LAW_MS = 5.0
-"""Time between two solves of a hyperelastic law [ms], the least that a scene may have: measured
-tissue is not late.
+"""Time between two solves of a hyperelastic law [ms], the smallest value that a scene allows.
+
+Measured tissue has no latency.
 """
 PAYS_S = 2.0
-"""Time of a run from which processes pay, each of which takes as long to start [s]."""
+"""Time of a run from which additional processes save time [s].
+
+A process takes this time to start.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Times [s], shape (n,), tips [m], shape (n, 3), and orientations, shape (n, 4), of a log in
-    the scene's frame.
+    """Poses of a log in the scene's frame.
+
+    The times [s] have shape (n,), the tips [m] shape (n, 3) and the orientations shape (n, 4).
     """
 
     times_s: Array
@@ -162,27 +176,29 @@ class Poses:
 
 
 class OrganRuns:
-    """Runs of an organ along a log's poses, in this process, or in several where a run takes long.
+    """Runs of an organ along a log's poses.
+
+    The runs use this process, or several processes if a run takes long.
 
     Parameters
     ----------
     scene
-        The organ and the tool; its motion and device count for nothing.
+        The organ and the tool. Its motion and its device are ignored.
     poses
-        Where the tool went.
+        Poses of the tool.
     channels
-        Loads that are kept, such as ``force_x_N``.
+        Kept loads, such as ``force_x_N``.
     every
-        Ticks between two of them.
+        Ticks between two kept loads.
     cores
         Processes that may share the runs.
 
     Attributes
     ----------
     poses
-        The same.
+        Poses of the tool.
     count
-        Runs that were made.
+        Number of runs so far.
     """
 
     def __init__(
@@ -209,14 +225,15 @@ class OrganRuns:
         self._ends.close()
 
     def __call__(self, samples: Sequence[Mapping[str, float]]) -> list[Array]:
-        """Loads on the tool [N, N m], torques about its tip, for each set of constants, shape (n,
-        channels) each.
+        """Return the loads on the tool for each set of constants, shape (n, channels) each.
+
+        The loads are forces [N] and torques about the tip [N m].
 
         Parameters
         ----------
         samples
-            Values by the names of constants, ``TABLE.MATERIAL.NAME`` or keys of the scene, one set
-            a run.
+            Values by the names of constants, ``TABLE.MATERIAL.NAME`` or keys of the scene. Each set
+            is one run.
         """
         self.count += len(samples)
         if self._pool is None and min(self._cores, len(samples)) > 1 and self._longest_s > PAYS_S:
@@ -234,7 +251,7 @@ class OrganRuns:
 def _loads(
     scene: Scene, poses: Poses, channels: tuple[str, ...], every: int, values: Mapping[str, float]
 ) -> Array:
-    """The loads of one run."""
+    """Return the loads of one run."""
     with TemporaryDirectory(prefix="tissue-fit-") as name:
         with_values = _with(scene, values, Path(name, "sample.toml"))
         motion = ReplayPoses(poses.times_s, poses.tips_m, poses.quaternions, step_s=TICK_S)
@@ -263,7 +280,7 @@ def _loads(
 
 
 def _with(scene: Scene, values: Mapping[str, float], path: Path) -> Scene:
-    """A scene with constants in place of its own."""
+    """Return a scene with replaced constants."""
     given = {name: one.value for name, one in scene.constants.given.items()}
     given |= {name: value for name, value in values.items() if not name.startswith(KEYS)}
     changes: dict[str, object] = {}

@@ -26,14 +26,17 @@ __all__ = ["Posterior", "Problem", "climbed", "maximum_posterior", "starts"]
 OFFSETS_S = OFFSET_S * np.concatenate(
     [np.arange(-10.0, -3.0), np.linspace(-3.0, 3.0, 25), np.arange(4.0, 11.0)]
 )
-"""Offsets from which the search begins [s]: a force may rise at several times, so that there are
-several maxima. Those beyond three standard deviations of the prior find clocks that contradict
-it."""
+"""Offsets from which the search begins [s].
+
+A force may rise at several times, so there may be several maxima. Offsets beyond three standard
+deviations of the prior find clocks that contradict it.
+"""
 STARTS = 2
 NEARBY = np.linspace(-2.5, 2.5, 101)
 REFINED = 3
-"""Offsets about a maximum at which a higher one is looked for, in samples of the log, and how
-often.
+"""Number of searches for a higher maximum at nearby offsets.
+
+`NEARBY` holds these offsets from a maximum, in samples of the log.
 """
 FARTHEST = 12.0
 """Standard deviations of a prior beyond which nothing is looked for."""
@@ -43,7 +46,7 @@ SCORING_STEPS = 20
 SHORTER = 0.5 ** np.arange(10)
 """Shares of a scoring step that are tried until the log density rises."""
 RESTRICTED = 2
-"""How often the noise is found again with new sensitivities of the constants."""
+"""Number of times that the noise is estimated again with updated sensitivities of the constants."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,13 +56,13 @@ class Posterior:
     Attributes
     ----------
     target
-        The density of constants and nuisances.
+        Density of constants and nuisances.
     maximum
-        The most probable, shape (size,): constants, offset, biases, noise.
+        Most probable numbers, shape (size,): constants, offset, biases, noise.
     covariance
-        Of all of them, shape (size, size).
+        Covariance of all numbers, shape (size, size).
     converged
-        Whether a maximum was found.
+        True if a maximum was found.
     """
 
     target: Target
@@ -110,7 +113,7 @@ class Posterior:
 
     @property
     def spreads(self) -> Array:
-        """Standard deviation of each constant over that of its prior, shape (p,)."""
+        """Standard deviation of each constant over its prior's standard deviation, shape (p,)."""
         return np.array([each.spread for each in self.marginals])
 
     def interval(self, at: int) -> tuple[float, float, float]:
@@ -125,19 +128,18 @@ class Posterior:
 
     @property
     def residuals(self) -> Array:
-        """Measured less simulated loads, shape (m, channels); NaN where nothing was measured."""
+        """Measured minus simulated loads, shape (m, channels). NaN where nothing was measured."""
         return self.target.log.values - self.simulated
 
     @property
     def innovations(self) -> Array:
-        """What noise adds in each sample over its scale, shape (m, channels)."""
+        """Innovation of the noise in each sample over its scale, shape (m, channels)."""
         each = self.nuisances
         return innovations(self.residuals, each.correlation) / each.scale
 
 
 def maximum_posterior(forward: Forward, log: MeasuredLoads) -> Posterior:
-    """Find the most probable constants and the normal law that the expected information there
-    gives.
+    """Find the most probable constants and their normal law from the expected information there.
 
     The noise is that of the restricted likelihood, see `tissue.fitting.target`.
     """
@@ -160,8 +162,9 @@ def maximum_posterior(forward: Forward, log: MeasuredLoads) -> Posterior:
 
 
 def climbed(target: Target | Restricted, start: Array) -> tuple[float, Array]:
-    """The greatest log density near a start, and its place, in coordinates in which the
-    information there is one.
+    """Return the largest log density near a start, and its place.
+
+    The search uses coordinates whose information matrix is the identity.
     """
     root = np.linalg.inv(np.linalg.cholesky(target.information(start)))
 
@@ -183,8 +186,10 @@ def climbed(target: Target | Restricted, start: Array) -> tuple[float, Array]:
 
 
 def _shifted(target: Target, u: Array) -> list[Array]:
-    """The same place at offsets around: a load that jumps is an outlier at all offsets but its
-    own, without a slope.
+    """Return copies of a place with nearby offsets.
+
+    A load that jumps is an outlier at all offsets except the true one, and its density has no slope
+    there.
     """
     places = []
     for offset_s in NEARBY * float(np.median(np.diff(target.log.times_s))):
@@ -195,7 +200,7 @@ def _shifted(target: Target, u: Array) -> list[Array]:
 
 
 def starts(target: Target) -> list[tuple[float, Array]]:
-    """Log densities and places of first guesses at several offsets, the best first."""
+    """Return log densities and places of first guesses at several offsets, the best first."""
     graded = []
     for offset_s in OFFSETS_S:
         u = target.start(float(offset_s))
@@ -204,8 +209,9 @@ def starts(target: Target) -> list[tuple[float, Array]]:
 
 
 def _scored(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
-    """The maximum near a place by Fisher's scoring, the information there, and whether it was
-    found.
+    """Return the maximum near a place, its information, and the convergence flag.
+
+    The maximum is found by Fisher's scoring.
     """
     value, gradient = target.value_and_gradient(u)
     for _ in range(SCORING_STEPS):
@@ -228,7 +234,7 @@ def _scored(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Loads by constants, a log as it is compared with them, and what else could be measured.
+    """Loads by constants, the log to compare them with, and candidate logs.
 
     Attributes
     ----------
@@ -244,7 +250,7 @@ class Problem:
     notes
         Remarks for the report.
     fixed
-        Constants on which the free ones rest, by their names.
+        Fixed constants that the free constants depend on, by their names.
     """
 
     forward: Forward

@@ -1,9 +1,8 @@
 """Detection of load channels whose sign is reversed.
 
-Constants of a fit have a known sign, so that a channel of opposite sign cannot be explained by
-them. The fit would call it a bias with noise, and find wrong constants without a word. Each
-channel, all forces, all torques and all loads are therefore fitted with their signs reversed as
-well.
+Constants of a fit have a known sign, so they cannot explain a channel of opposite sign. The fit
+would treat it as a bias with noise and return wrong constants without a message. Each channel, all
+forces, all torques and all loads are therefore fitted with their signs reversed as well.
 """
 
 from collections.abc import Sequence
@@ -23,8 +22,9 @@ __all__ = ["require_signs", "reversed_channels"]
 GAIN = 10.0
 """Log density that reversed signs must add: odds of 2e4, where chance between two signs is one."""
 SCREENED = 50.0
-"""Log density by which reversed signs may be worse before the search, which then moves the noise
-too.
+"""Deficit of the log density up to which reversed signs are searched further.
+
+The search moves the noise too.
 """
 EXPLAINED = 0.5
 """Share of a channel's variance that the loads must explain once it is reversed: a channel of
@@ -54,14 +54,14 @@ def require_signs(forward: Forward, log: MeasuredLoads) -> None:
 
 
 def reversed_channels(forward: Forward, log: MeasuredLoads) -> tuple[str, ...]:
-    """Return the channels that are explained better with their signs reversed.
+    """Return the channels that the model explains better with reversed signs.
 
     Parameters
     ----------
     forward
         Loads by the constants.
     log
-        What was measured.
+        Measured loads.
     """
     signs = np.ones(len(log.channels))
     best, _ = _search(forward, log, signs, -np.inf)
@@ -83,7 +83,7 @@ def reversed_channels(forward: Forward, log: MeasuredLoads) -> tuple[str, ...]:
 
 
 def _groups(channels: Sequence[str]) -> list[list[int]]:
-    """Places of single channels, of all forces, of all torques, and of all loads."""
+    """Return indices of single channels, of all forces, of all torques, and of all loads."""
     kinds = [
         [at for at, name in enumerate(channels) if name.startswith(kind)]
         for kind in ("force_", "torque_", "")
@@ -97,10 +97,10 @@ def _groups(channels: Sequence[str]) -> list[list[int]]:
 def _search(
     forward: Forward, log: MeasuredLoads, signs: Array, wanted: float
 ) -> tuple[float, Array]:
-    """Largest log density of a log with these signs, and the share of each channel's variance that
-    is explained.
+    """Return the largest log density of a log with these signs, and the explained variance.
 
-    Where the first guess is far from the density that is wanted, they are those of the guess.
+    The explained share of the variance is computed for each channel. If the first guess is far from
+    the wanted density, the results of the guess are returned.
     """
     target = Target(forward, replace(log, values=log.values * signs))
     density, u = starts(target)[0]

@@ -1,5 +1,6 @@
-"""The log density that a fit makes greatest: of a log and of the priors of constants, offset,
-biases and noise.
+"""Log density that a fit maximises.
+
+It is the density of a log and of the priors of constants, offset, biases and noise.
 """
 
 from dataclasses import dataclass
@@ -21,8 +22,11 @@ from tissue.fitting.noise import (
 __all__ = ["OFFSET_S", "Restricted", "Target", "Unpacked"]
 
 OFFSET_S = 0.02
-"""Standard deviation of the prior of the time between the clocks of force and pose [s]: two
-instruments started by hand on one computer; logs of one instrument are at zero."""
+"""Standard deviation of the prior of the time between force clock and pose clock [s].
+
+It describes two instruments started by hand on one computer. Logs of one instrument have an offset
+of zero.
+"""
 BIAS_SHARE = 0.5
 """Standard deviation of a sensor's bias, in shares of the size of the log's loads."""
 NOISE_SHARE = 0.05
@@ -36,32 +40,35 @@ tool over a tick.
 """
 CORRELATION_SPREAD = 1.5
 MOST_CORRELATED = 0.9995
-"""Standard deviation of artanh of the correlation of neighbours, 90 % within +-0.986, and its
-greatest size.
+"""Largest absolute correlation of neighbours.
+
+The constant above is the standard deviation of artanh of this correlation: 90 % lie within +-0.986.
 """
 LEAST_FREEDOM = 2.0
 FREEDOM = 4.0
 FREEDOM_SPREAD = 1.0
-"""Least degrees of freedom of the noise, of a finite variance; median of what they are above it, 90
-% from 3 to 23: heavy tails, and near enough the normal law, of which 90 % intervals that assume 4
-would hold 87 %.
+"""Scale of the degrees of freedom of the noise above their minimum.
+
+The constants are the minimum degrees of freedom, which has a finite variance, and the median above
+it. 90 % lie between 3 and 23. This range covers heavy tails and is near enough to the normal law,
+for which 90 % intervals that assume 4 degrees of freedom would contain 87 %.
 """
 
 
 @dataclass(frozen=True)
 class Unpacked:
-    """The numbers of a fit by what they are.
+    """Numbers of a fit by their meaning.
 
     Attributes
     ----------
     z
-        Of the constants, see `tissue.materials.prior.Prior`, shape (p,).
+        Standard normal numbers of the constants, see `tissue.materials.prior.Prior`, shape (p,).
     offset_s
-        Of the clock of the force against that of the poses [s].
+        Offset of the force clock from the pose clock [s].
     bias
-        Of each channel [N, N m], shape (channels,).
+        Bias of each channel [N, N m], shape (channels,).
     scale, correlation, freedom
-        Of the noise of each channel, see `tissue.fitting.noise`, shape (channels,).
+        Noise parameters of each channel, see `tissue.fitting.noise`, shape (channels,).
     """
 
     z: Array
@@ -73,15 +80,16 @@ class Unpacked:
 
 
 class Target:
-    """Log density of constants and nuisances, all of them scaled so that their priors are standard
-    normal.
+    """Log density of constants and nuisances.
+
+    All numbers are scaled so that their priors are standard normal.
 
     Parameters
     ----------
     forward
         Loads by the constants.
     log
-        What was measured.
+        Measured loads.
     """
 
     def __init__(self, forward: Forward, log: MeasuredLoads) -> None:
@@ -98,7 +106,7 @@ class Target:
         self._last_shift: tuple[float, tuple[csr_array, csr_array]] | None = None
 
     def unpacked(self, u: Array) -> Unpacked:
-        """The numbers of a fit from its vector, shape (size,)."""
+        """Return the numbers of a fit from its vector, shape (size,)."""
         p = self.constants
         c = len(self.log.channels)
         bias, noise, correlation, freedom = u[p + 1 :].reshape(4, c)
@@ -113,30 +121,32 @@ class Target:
         )
 
     def x(self, z: Array) -> Array:
-        """Constants in their own units."""
+        """Return the constants in their own units."""
         return np.array([float(prior.x(each)) for prior, each in zip(self._priors, z, strict=True)])
 
     def slopes(self, z: Array) -> Array:
-        """Derivative of each constant by its z."""
+        """Return the derivative of each constant by its z."""
         return np.array(
             [float(prior.slope(each)) for prior, each in zip(self._priors, z, strict=True)]
         )
 
     def simulated(self, u: Array) -> Array:
-        """Loads at the times of the log with offset and bias, shape (m, channels)."""
+        """Return loads at the times of the log with offset and bias, shape (m, channels)."""
         each = self.unpacked(u)
         return self.loads(self.x(each.z), each.offset_s) + each.bias
 
     def loads(self, x: Array, offset_s: float) -> Array:
-        """Loads at the times of the log for constants in their own units, without bias, shape
-        (m, channels).
+        """Return loads at the times of the log without bias, shape (m, channels).
+
+        The constants are given in their own units.
         """
         values, _ = self._shifted(offset_s)
         return np.asarray(values @ self.forward.loads(x)[:, self._places])
 
     def linearised(self, u: Array) -> tuple[Array, Array]:
-        """`simulated`, and its derivatives by z, the scaled offset and the scaled biases, (m,
-        channels, p + 1 + c).
+        """Return `simulated` and its derivatives, shape (m, channels, p + 1 + c).
+
+        The derivatives are by z, the scaled offset and the scaled biases.
         """
         each = self.unpacked(u)
         c = len(self.log.channels)
@@ -148,8 +158,9 @@ class Target:
         return loads + each.bias, np.concatenate([by_place, by_bias], axis=2)
 
     def _by_place(self, each: Unpacked) -> tuple[Array, Array]:
-        """Loads without bias, shape (m, channels), and their derivatives by z and the scaled
-        offset.
+        """Return loads without bias, shape (m, channels), and their derivatives.
+
+        The derivatives are by z and the scaled offset.
         """
         values, rates = self._shifted(each.offset_s)
         x = self.x(each.z)
@@ -161,8 +172,9 @@ class Target:
         return np.asarray(values @ loads), np.concatenate([by_z, by_offset[:, :, None]], axis=2)
 
     def whitened(self, moved: Array, noise: Unpacked) -> Array:
-        """Derivatives (m, channels, k) as rows whose products are the expected information,
-        shape (m * channels, k).
+        """Return derivatives (m, channels, k) as whitened rows, shape (m * channels, k).
+
+        The products of the rows are the expected information.
         """
         known = np.isfinite(self.log.values)[:, :, None]
         each = innovations(np.where(known, moved, np.nan), noise.correlation) / noise.scale[:, None]
@@ -170,12 +182,12 @@ class Target:
         return np.asarray(rows.reshape(-1, moved.shape[2]))
 
     def information(self, u: Array) -> Array:
-        """Expected information of the log and the priors about everything, shape (size, size),
-        positive definite.
+        """Return the expected information of the log and the priors about all numbers.
 
-        Of constants, offset and biases by the sensitivities, their cross terms with the noise being
-        zero; of the noise of a channel by Student's law (Lange, Little and Taylor 1989) and a
-        stationary chain.
+        Its shape is (size, size), and it is positive definite. The information about constants,
+        offset and biases follows from the sensitivities; its cross terms with the noise are zero.
+        The information about the noise of a channel follows from Student's law (Lange, Little and
+        Taylor 1989) and a stationary chain.
         """
         each = self.unpacked(u)
         free = self.constants + 1 + len(self.log.channels)
@@ -199,8 +211,9 @@ class Target:
         return found
 
     def _shifted(self, offset_s: float) -> tuple[csr_array, csr_array]:
-        """Interpolation at an offset; the last one is kept, since a search asks for loads and
-        slopes of one place.
+        """Return the interpolation at an offset.
+
+        The last result is kept, since a search needs loads and slopes of one place.
         """
         if self._last_shift is None or self._last_shift[0] != offset_s:
             operators = shift_operators(
@@ -210,7 +223,7 @@ class Target:
         return self._last_shift[1]
 
     def value_and_gradient(self, u: Array) -> tuple[float, Array]:
-        """Log density, up to a constant, and its gradient, shape (size,)."""
+        """Return the log density, up to a constant, and its gradient, shape (size,)."""
         each = self.unpacked(u)
         p = self.constants
         c = len(self.log.channels)
@@ -226,7 +239,7 @@ class Target:
         return terms.log_density - 0.5 * float(u @ u), gradient
 
     def value(self, u: Array) -> float:
-        """Log density, up to a constant, in less time than with its gradient."""
+        """Return the log density, up to a constant, in less time than with its gradient."""
         each = self.unpacked(u)
         residuals = self.log.values - self.loads(self.x(each.z), each.offset_s) - each.bias
         return self.terms(residuals, each).log_density - 0.5 * float(u @ u)
@@ -239,8 +252,9 @@ class Target:
     def noise_gradient(
         self, each: Unpacked, by_log_scale: Array, by_correlation: Array, by_freedom: Array
     ) -> Array:
-        """Derivatives by ln scale, correlation and freedom of each channel as those by u, shape
-        (3 * channels,).
+        """Convert derivatives by ln scale, correlation and freedom to derivatives by u.
+
+        The result has shape (3 * channels,).
         """
         flat = MOST_CORRELATED - each.correlation**2 / MOST_CORRELATED
         grown = FREEDOM_SPREAD * (each.freedom - LEAST_FREEDOM)
@@ -253,12 +267,13 @@ class Target:
         )
 
     def _by_noise(self, each: Unpacked) -> Array:
-        """Derivative of ln scale of each channel by u, shape (channels,)."""
+        """Return the derivative of ln scale of each channel by u, shape (channels,)."""
         return np.asarray(NOISE_SPREAD * (1.0 - LEAST_NOISE * self._sizes / each.scale))
 
     def start(self, offset_s: float) -> Array:
-        """Where an optimiser begins: constants by linear least squares from the middle of their
-        priors.
+        """Return the start of an optimiser.
+
+        The constants follow from linear least squares from the middle of their priors.
         """
         u = np.zeros(self.size)
         u[self.constants] = offset_s / OFFSET_S
@@ -290,20 +305,20 @@ class Target:
 
 
 MOST_WEIGHT = 10.0
-"""Neighbouring samples taken as one while the noise's correlation is not known yet."""
+"""Neighbouring samples counted as one while the noise's correlation is unknown."""
 CORRELATED = 0.5
-"""Correlation of neighbours from which an optimiser begins."""
+"""Correlation of neighbours at the start of an optimiser."""
 
 
 class Restricted:
-    """A `Target` with the restricted likelihood of its noise; sensitivities are those at one place.
+    """`Target` with the restricted likelihood of its noise and fixed sensitivities.
 
     Parameters
     ----------
     target
-        The density of constants and nuisances.
+        Density of constants and nuisances.
     u
-        Where its sensitivities are taken, shape (size,).
+        Place at which its sensitivities are evaluated, shape (size,).
     """
 
     def __init__(self, target: Target, u: Array) -> None:
@@ -350,7 +365,8 @@ class Restricted:
 
 
 def _products(left: Array, right: Array) -> Array:
-    """Products of sensitivities (m, channels, k), summed over times, for each channel, shape
-    (channels, k, k).
+    """Return products of sensitivities (m, channels, k), summed over times for each channel.
+
+    The result has shape (channels, k, k).
     """
     return np.asarray(np.einsum("tci,tcj->cij", left, right, optimize=True))

@@ -70,8 +70,9 @@ class Entry:
 
     @property
     def shown(self) -> bool:
-        """Whether the questioned method failed, the engine held, and no answer was silently
-        wrong.
+        """True if the questioned method failed, the engine held, and no answer was silent.
+
+        A silent answer is a wrong answer without a message.
         """
         silent = any(answer.conduct is Conduct.SILENT for answer in self.answers)
         return self.verdict.fails and self.verdict.holds and not silent
@@ -98,13 +99,12 @@ def write_atlas(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> list[Entry]:
-    """Run pages and write ``index.html``, with a picture and the data (CSV) of each page next to
-    it.
+    """Run pages and write ``index.html``, with a picture and the data (CSV) of each page.
 
     Raises
     ------
     InputError
-        If the folder is a file, or holds an atlas that is not to be replaced.
+        If the folder is a file, or holds an atlas and `overwrite` is false.
     """
     names = [INDEX, *(f"{page.name}{end}" for page in pages for end in (".png", "_*.csv"))]
     entries = []

@@ -39,9 +39,7 @@ def middle_node(nodes_m: Array) -> int:
 
 
 def squashed(height: float) -> tuple[Array, Ints]:
-    """Return a cube of 4 x 4 x 4 bricks whose middle node is moved down to a fraction of its
-    height.
-    """
+    """Return a cube of 4 x 4 x 4 bricks with a middle node lowered to a fraction of its height."""
     good = box((SIZE_M,) * 3, (4, 4, 4))
     nodes = good.nodes_m.copy()
     inner = middle_node(nodes)

@@ -1,5 +1,7 @@
-"""Contrast of moduli: iterations of plain conjugate gradients follow it, those of the multigrid
-do not.
+"""Contrast of moduli: its effect on conjugate gradients with and without a multigrid.
+
+The iterations of plain conjugate gradients grow with the contrast. The iterations with the
+multigrid do not.
 """
 
 import numpy as np
@@ -37,8 +39,9 @@ MOST = 5000
 
 
 def soft_middle(cells: int, contrast: float) -> ParticleBody:
-    """Return a block of 84 GPa, held at its base, with a ball and a bottom layer that are softer
-    by the contrast.
+    """Return a block of 84 GPa, held at its base, with a soft ball and a soft bottom layer.
+
+    Both are softer than the block by the contrast.
     """
     lattice = (np.arange(2 * cells) + 0.5) * 0.5 * EDGE_M / cells
     position = np.stack(np.meshgrid(lattice, lattice, lattice, indexing="ij"), -1).reshape(-1, 3)
@@ -65,8 +68,9 @@ class _Near(Exception):  # noqa: N818 - it ends SciPy's solve and is no error
 
 
 def plain_iterations(body: ParticleBody, *, scaled: bool) -> float:
-    """Count iterations of SciPy's conjugate gradients to 1e-6 of the initial error in energy, in
-    steps of five.
+    """Count iterations of SciPy's conjugate gradients to 1e-6 of the initial error in energy.
+
+    The count is in steps of five.
     """
     matrix = csr_array(body.matrix())
     kept = np.flatnonzero(matrix.diagonal() > 0.0)
@@ -138,9 +142,7 @@ def judge(data: Data) -> Verdict:
 
 
 def ask() -> list[Answer]:
-    """Ask for a solve in too few iterations, for a body without supports, and for a solve
-    without load.
-    """
+    """Request a solve in too few iterations, without supports, and without load."""
     body = soft_middle(8, REAL)
     short = body.solve(pushed(body), limit=2, cold=True)
     loose = ParticleBody(body.particles, body.grid, NodeSupports.of(body.grid.node_count))

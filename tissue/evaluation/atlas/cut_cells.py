@@ -34,8 +34,9 @@ SINGULAR = 1e14
 
 
 def cut_block(fill: float, strength: float) -> ParticleBody:
-    """Return a block of full cells, 8 particles each, under a layer of cells with one particle
-    of a volume ``fill``.
+    """Return a block of full cells, 8 particles each, under a layer of cut cells.
+
+    A cut cell has one particle of a volume ``fill``.
     """
     places = np.array([[i, j, k] for i in (0.25, 0.75) for j in (0.25, 0.75) for k in (0.25, 0.75)])
     counts = (CELLS, CELLS, CELLS + 1)
@@ -55,8 +56,9 @@ def cut_block(fill: float, strength: float) -> ParticleBody:
 
 
 def conditions(body: ParticleBody) -> tuple[float, float]:
-    """Compute the condition number of the stiffness, plain and scaled by its diagonal; at most
-    1e17.
+    """Compute the condition number of the stiffness, plain and scaled by its diagonal.
+
+    It is limited to 1e17.
     """
     matrix = body.matrix().toarray()
     kept = np.flatnonzero(np.diag(matrix) > 0.0)

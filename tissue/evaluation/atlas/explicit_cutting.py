@@ -1,5 +1,6 @@
-"""Explicit feed steps of a cutting tool run away, because the cutting force acts as a strong
-damper.
+"""Instability of explicit feed steps of a cutting tool.
+
+Explicit steps diverge because the cutting force acts as a strong damper.
 """
 
 from functools import cache
@@ -45,8 +46,9 @@ MASS_KG = 0.05
 
 @cache
 def drag_N_s_m() -> float:
-    """Measure the resistance of a blunt burr that plunges 1 mm deep into cortical bone, by the
-    bone model [N s/m].
+    """Measure the resistance of a blunt burr that plunges 1 mm deep into cortical bone [N s/m].
+
+    The force is computed by the bone model.
     """
     volume = voxelise(cortical_block(size_mm=(7, 7, 2)), spacing_m=1e-4)
     model = BoneModel(volume, Cutter(ball_burr(diameter_m=6e-3), 2, 100.0), (BONE,))
@@ -98,8 +100,9 @@ def measure(quick: bool) -> Data:
 
 
 def judge(data: Data) -> Verdict:
-    """Compare the longest explicit step with 2 m / c, and the implicit rule beyond it with the
-    steady feed.
+    """Compare the longest explicit step with 2 m / c, and the implicit rule with the steady feed.
+
+    The implicit rule is used with steps beyond the limit of the explicit one.
     """
     mass = data["mass"]
     step = data["step"]
@@ -118,8 +121,9 @@ def judge(data: Data) -> Verdict:
 
 
 def plunge(mass_kg: float, thrust_N: float) -> tuple[float, float]:
-    """Push a drill into bone for 0.5 s; return the late mean axial force [N] and the largest
-    speed [m/s].
+    """Push a drill into bone for 0.5 s; return the late mean axial force and the largest speed.
+
+    The force is in N and the speed in m/s.
     """
     volume = voxelise(cortical_block(size_mm=(6, 6, 5)), spacing_m=1e-4)
     model = BoneModel(volume, Cutter(cylinder(diameter_m=4e-3, length_m=8e-3), 4, 300.0), (BONE,))

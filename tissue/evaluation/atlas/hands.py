@@ -38,11 +38,9 @@ TICK_S = 1e-3
 STIFFNESS_N_M = 1500.0
 """Stiffness of the wall that is pressed [N/m]."""
 FAULT_S = 0.15
-"""Begin of the faults [s]: the hand has come to rest in the wall."""
+"""Start of the faults [s], when the hand is at rest in the wall."""
 TURN = np.array([[2.0, -2.0, 1.0], [1.0, 2.0, 2.0], [-2.0, -1.0, 2.0]]) / 3.0
-"""Rotation of the tapped wall in the world, so that every component of position and force
-varies.
-"""
+"""Rotation of the tapped wall in the world. It makes all components of position and force vary."""
 
 
 def pressed(
@@ -61,9 +59,9 @@ def pressed(
     seconds
         Duration of the run [s].
     guarded
-        Whether samples pass the sample guard, as in the engine.
+        If true, samples pass the sample guard, as in the engine.
     change
-        Change of the one sample at `FAULT_S`.
+        Change of the single sample at `FAULT_S`.
     """
     path = waypoints(np.array([0.0, 1e-3]), np.full((2, 3), (0.0, 0.0, -5e-3)))
     hand = Hand(hand_parameters("expert"), path, rng=np.random.default_rng(7))
@@ -125,8 +123,9 @@ def koopman(trained: Trained) -> Koopman:
 
 
 def relative_error(predictions: Array, force: Array, horizon: int) -> float:
-    """Return the error of predictions over the size of the force, without the first 100 ticks;
-    at most 1e6.
+    """Return the error of predictions over the size of the force, at most 1e6.
+
+    The first 100 ticks are left out.
     """
     later = force[100 + horizon :]
     predicted = predictions[100 : len(predictions) - horizon]

@@ -33,7 +33,7 @@ LABELS = {
     "koopman": "Koopman, guarded (engine)",
 }
 LEADS_MS = 10.0
-"""Horizon up to which the loop predicts: its delay and filter are some milliseconds."""
+"""Horizon up to which the loop predicts [ms]. Its delay and filter take some milliseconds."""
 
 
 def predictors() -> dict[str, Predictor]:

@@ -38,15 +38,16 @@ LENGTH_M = 0.06
 
 
 def bar() -> tuple[Space, NDArray[np.bool_]]:
-    """Return a bar and its held components: those of both ends."""
+    """Return a bar and its held components, which are all components at both ends."""
     space = Space(box((LENGTH_M, WIDTH_M, WIDTH_M), (6, 2, 2)))
     ends = (space.nodes_m[:, 0] < 1e-9) | (space.nodes_m[:, 0] > LENGTH_M - 1e-9)
     return space, np.repeat(ends[:, None], 3, axis=1)
 
 
 def false_stress_Pa(law: Law, angles: Array) -> Array:
-    """Compute the pull on an end over its area with both ends rotated [Pa]; NaN where a solve
-    does not converge.
+    """Compute the pull on an end over its area with both ends rotated [Pa].
+
+    The result is NaN where a solve does not converge.
     """
     space, held = bar()
     solver = NewtonSolver(NonlinearBody(space, lame(YOUNG_PA, 0.0), law=law), held)

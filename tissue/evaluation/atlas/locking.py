@@ -46,8 +46,9 @@ LOOKS = {"quadratic": ("o", BLUE), "linear_fine": ("^", ORANGE), "linear_coarse"
 
 
 def deflection(order: int, cells: tuple[int, int, int], ratio: float) -> tuple[float, float]:
-    """Compute the tip deflection of the clamped bar [m], and whether the solver trusts it (1) or
-    not (0).
+    """Compute the tip deflection of the clamped bar [m], and the solver's trust in it.
+
+    The trust is 1 if the solver reports a valid result and 0 otherwise.
     """
     space = Space(box((LENGTH, 1.0, 1.0), cells), order)
     held = np.repeat(space.nodes_m[:, :1] < 1e-9, 3, axis=1)
@@ -105,9 +106,7 @@ def judge(data: Data) -> Verdict:
 
 
 def ask() -> list[Answer]:
-    """Ask for the limit itself, for an order that does not exist, and for an organ of locking
-    cells.
-    """
+    """Request the limit itself, an order that does not exist, and an organ of locking cells."""
     mesh = box((0.02, 0.02, 0.02), (1, 1, 1))
     _, note = elasticity_of(
         mesh, SlabAnatomy(kind="slab", nodule_diameter_mm=0.0), Organ(order=1, poisson_ratio=0.49)
@@ -126,7 +125,7 @@ def ask() -> list[Answer]:
 
 
 def draw(data: Data, chart: Figure) -> None:
-    """Draw the deflection over that of the beam, over 1 - 2 nu."""
+    """Draw the ratio of the deflection to the beam's deflection, over 1 - 2 nu."""
     bar = data["bar"]
     gap = 1.0 - 2.0 * bar["poisson_ratio"]
     limit = gap[bar["quadratic_trusted"] > 0.0].min()

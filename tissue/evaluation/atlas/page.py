@@ -86,9 +86,9 @@ class Verdict:
     Attributes
     ----------
     fails
-        Whether the questioned method failed in the sweep, where theory predicts it.
+        True if the questioned method failed in the sweep where theory predicts the failure.
     holds
-        Whether the method of the engine held in the whole sweep.
+        True if the method of the engine held in the whole sweep.
     sentence
         Both in words, with the figures of the sweep.
     """
@@ -140,16 +140,15 @@ def refused(asked: str, call: Callable[[], object]) -> Answer:
 
 
 def shown(asked: str, right: bool, result: str, *, conduct: Conduct = Conduct.HOLDS) -> Answer:
-    """Return an answer whose figures the caller has checked. It is silently wrong if they are
-    not right.
+    """Return an answer whose figures the caller has checked.
+
+    The answer is silently wrong if the figures are not right.
     """
     return Answer(asked, conduct if right else Conduct.SILENT, result)
 
 
 def sweep(name: str, values: Array, run: Callable[[float], Mapping[str, float]]) -> Table:
-    """Run a function at every value and return the values with a column for each number of the
-    results.
-    """
+    """Run a function at every value; return the values with a column for each result."""
     rows = [run(value) for value in values.tolist()]
     return {name: values} | {
         column: np.array([row[column] for row in rows], dtype=float) for column in rows[0]
@@ -157,8 +156,9 @@ def sweep(name: str, values: Array, run: Callable[[float], Mapping[str, float]])
 
 
 def boundary(fails: Callable[[float], bool], low: float, high: float, *, steps: int) -> float:
-    """Find the value between two positive ones above which runs fail, by bisection of the
-    logarithm.
+    """Find the value between two positive values above which runs fail.
+
+    The search bisects the logarithm.
     """
     for _ in range(steps):
         middle = sqrt(low * high)
@@ -237,13 +237,13 @@ def panel(
     curves
         Curves over the sweep.
     conduct
-        Behaviour of the engine and the range of x; by default it holds in the whole sweep.
+        Behaviour of the engine and its range of x. Default: it holds in the whole sweep.
     log
         Names of the logarithmic axes.
     legend
-        Place of the legend; none if empty.
+        Place of the legend. No legend is drawn if empty.
     settings
-        Settings of `Axes.set`. The default limits of x are those of the sweep.
+        Settings of `Axes.set`. The default limits of x are the limits of the sweep.
     """
     axes.set(xscale="log" if "x" in log else "linear", yscale="log" if "y" in log else "linear")
     for behaviour, low, high in [(Conduct.HOLDS, x[0], x[-1])] if conduct is None else conduct:

@@ -62,8 +62,9 @@ class Push:
 
 
 def swing_steps(stiffness: float, friction: float) -> float:
-    """Measure the peak-to-peak position in the last third of the worst push [encoder steps]; the
-    wall also pulls.
+    """Measure the peak-to-peak position in the last third of the worst push [encoder steps].
+
+    The wall also pulls.
     """
     worst = 0.0
     for steady in PUSHES_N:
@@ -87,9 +88,7 @@ def measure(quick: bool) -> Data:
     critical = critical_stiffness_N_m(loop)
 
     def buzzing(friction: float) -> dict[str, float]:
-        """Return the stiffness from which on the device buzzes, that up to which it is quiet,
-        and both bounds.
-        """
+        """Return the lowest stiffness with buzzing, the highest without, and both bounds."""
         buzzes = swings[frictions == friction][0] > BUZZ_STEPS
         first = int(np.argmax(buzzes)) if buzzes.any() else len(ladder)
         rungs = [0.0, *ladder.tolist(), critical]
@@ -111,8 +110,9 @@ def measure(quick: bool) -> Data:
 
 
 def judge(data: Data) -> Verdict:
-    """Check for buzzing below the critical stiffness, and for quiet below the bound of encoder
-    and friction.
+    """Check for buzzing below the critical stiffness and for quiet below the bound.
+
+    The bound follows from encoder and friction.
     """
     table = data["friction"]
     swing = data["swing"]
@@ -134,9 +134,7 @@ def judge(data: Data) -> Verdict:
 
 
 def answers_of(name: str) -> list[Answer]:
-    """Run a device beyond the stiffness that its friction allows, and at the limit of its
-    vendor.
-    """
+    """Run a device beyond the stiffness that its friction allows, and at its vendor's limit."""
     device = device_parameters(name)
     allowed = 2.0 * device.friction_N / device.encoder_step_m
     run, _ = knock(device, hand_parameters("expert"), "proxy", device.stiffness_limit_N_m)

@@ -58,8 +58,9 @@ def nearest_free(height_m: float, thickness_m: float) -> float:
 
 
 def end_m(speed_m_s: float, thickness_m: float, proxy: Proxy | None) -> float:
-    """Compute the final height of a device thrown at a wall from just above it [m]; by penalty
-    without a proxy.
+    """Compute the final height of a device thrown at a wall from just above it [m].
+
+    The force is a penalty force if no proxy is given.
     """
     device = SimulatedDevice(
         DeviceParameters(
@@ -84,9 +85,7 @@ def end_m(speed_m_s: float, thickness_m: float, proxy: Proxy | None) -> float:
 
 
 def measure(quick: bool) -> Data:
-    """Find the crossing speed of the penalty wall over thickness, and throw devices at walls
-    with a proxy.
-    """
+    """Find the crossing speed of the penalty wall over thickness, and throw devices at proxies."""
     thickness = np.geomspace(1e-4, 2e-2, 3 if quick else 8)
     speeds = [0.1, 2.0] if quick else [0.05, 0.2, 1.0, 5.0]
 
@@ -112,8 +111,9 @@ def measure(quick: bool) -> Data:
 
 
 def judge(data: Data) -> Verdict:
-    """Compare the crossing speed with the energy of half a wall, and count devices that a proxy
-    throws back.
+    """Compare the crossing speed with the energy of half a wall, and count rejected devices.
+
+    A rejected device is thrown back by a proxy.
     """
     penalty = data["penalty"]
     thrown = data["proxy"]
@@ -134,8 +134,9 @@ def judge(data: Data) -> Verdict:
 
 
 def voxel_wall_m(speed_m_s: float) -> float:
-    """Push a point 5 mm through a wall one voxel thick and return its lowest height over the
-    middle of the wall [m].
+    """Push a point 5 mm through a wall one voxel thick.
+
+    Return its lowest height over the middle of the wall [m].
     """
     fraction = np.zeros((48, 48, 48), dtype=np.uint8)
     fraction[:, :, 24] = 255

@@ -58,10 +58,10 @@ def guarded(trained: Trained) -> Guarded:
 
 
 def bound_force_N(learnt: list[Recording], recording: Recording) -> Array:
-    """Predict forces by an operator on positions and forces that has the overlap of the wall among
-    its observables.
+    """Predict forces by an operator on positions and forces, shape (n, 3).
 
-    Shape (n, 3); zero until its delays are full.
+    The overlap of the wall is among the observables of the operator. The result is zero until the
+    delays are full.
     """
     states = [np.hstack((each.position_m, each.force_N)) for each in (*learnt, recording)]
     nx, ny, nz = TURN[:, 2].tolist()
@@ -124,8 +124,9 @@ def judge(data: Data) -> Verdict:
 
 
 def ask() -> list[Answer]:
-    """Give the engine predictor files of other scenes, damaged files, and a motion outside the
-    training range.
+    """Give the engine foreign and damaged predictor files, and a motion outside the training range.
+
+    A foreign file was trained on another scene.
     """
     trained = fit("wall", recordings(2.0))
     with TemporaryDirectory() as folder:

@@ -32,8 +32,9 @@ VALID_M = LIMITS.fastest_m_s * (TICK_S + LIMITS.oldest_s)
 
 
 def forced(jump_m: float, *, guarded: bool) -> tuple[float, float, int]:
-    """Measure the force before and at a sample that lies deeper by a jump [N], and the number of
-    rejected samples.
+    """Measure the force before and at a sample that lies deeper by a jump [N].
+
+    The number of rejected samples is returned too.
     """
 
     def change(sample: Sample) -> Sample:

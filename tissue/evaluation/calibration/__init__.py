@@ -1,3 +1,1 @@
-"""Calibrating observers: sessions that survive interruptions, populations, and what calibration
-is good for.
-"""
+"""Calibration of observers: restorable sessions, populations, and the benefit of calibration."""

@@ -55,21 +55,21 @@ def play(
     clock: Callable[[], float],
     wait: Callable[[float], None] = sleep,
 ) -> None:
-    """Push with a force for a while, with soft edges; whatever happens, the device is left without
-    force.
+    """Apply a force for a limited time with soft edges, and always end with zero force.
 
     Parameters
     ----------
     device
-        What plays it.
+        Device that applies the force.
     force_N
         Force [N].
     length_s
-        How long [s].
+        Duration [s].
     tick_s
         Time between two commands [s].
     clock, wait
-        Time since the device was started [s], and how to let time pass.
+        Function that returns the time since the device was started [s], and function that lets time
+        pass.
     """
     began = clock()
     still = np.zeros(3)
@@ -86,22 +86,22 @@ def play(
 
 
 class Person:
-    """A person at a keyboard with a device.
+    """Person at a keyboard with a device.
 
     Parameters
     ----------
     device
-        What plays the forces.
+        Device that applies the forces.
     read
-        Gives the next line that the person types, without its end; raises EOFError when there is
-        none.
+        Function that returns the next typed line without its end. It raises EOFError at the end of
+        the input.
     show
-        Shows a line to the person.
+        Function that shows a line to the person.
     bars_N
-        Greatest force for bars that represent forces, for devices that cannot push; None where they
-        can.
+        Largest force of bars that represent forces, for devices that cannot push. None for devices
+        that can push.
     clock, wait
-        Time that passes [s], from any start, and how to let it pass.
+        Function that returns the time from any start [s], and function that lets time pass.
     """
 
     def __init__(
@@ -123,12 +123,12 @@ class Person:
         self._clock = lambda: clock() - start
 
     def answer(self, asked: Comparison | Magnitude) -> float:
-        """Play a trial and ask until the answer is a possible one.
+        """Play a trial and ask until the answer is valid.
 
         Raises
         ------
         StoppedError
-            If the person types q, or nothing more comes.
+            If the person types q, or the input ends.
         """
         forces: tuple[float, ...]
         if isinstance(asked, Comparison):
@@ -200,8 +200,9 @@ def simulated_observer(spec: str) -> tuple[SimulatedObservers, int]:
 
 
 def simulated_answers(people: SimulatedObservers, seed: int) -> Answer:
-    """Answers of one simulated observer; each trial draws from a generator of its own, so order
-    does not matter.
+    """Return the answers of one simulated observer.
+
+    Each trial draws from its own generator, so the order of trials does not matter.
     """
 
     def answer(asked: Comparison | Magnitude, trial: int) -> float:
@@ -222,8 +223,9 @@ def questioner(
     read: Callable[[], str],
     show: Callable[[str], None],
 ) -> tuple[Answer, float]:
-    """Return the answers of a simulated observer or of a person, and the largest force of the
-    device [N].
+    """Return a source of answers and the largest force of the device [N].
+
+    The answers are given by a simulated observer or by a person.
 
     Raises
     ------

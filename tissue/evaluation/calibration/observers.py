@@ -1,14 +1,14 @@
-"""Simulated observers of known truth, and how often they discriminate two forces, with and without
-a scaled force.
+"""Simulated observers with known parameters, and their discrimination of two forces.
 
-A person feels a force with noise of their own, which comes after the mapping; the scatter of the
-force itself comes before it. A mapping that rises with the force adds no information to a noise
-that went through it: the scatter of tissue, hand and device is carried along. What it can change is
-the part of the difference that survives the person's noise: a power above 1 spreads forces and a
-gain lifts them over the low-force term; a power below 1, or a common factor that keeps forces
-within the device, does the opposite. Calibration brings everyone to the exponent of the reference:
-people whose exponent lies below it gain, those above it lose, and the mean over a population may
-rise or fall.
+The discrimination is computed with and without a scaled force. A person feels a force with
+individual noise, which is added after the mapping. The scatter of the force itself is added before
+the mapping. A mapping that rises with the force adds no information to a noise that passes through
+it, so the scatter of tissue, hand and device is scaled together with the force. The mapping can
+change only the part of the difference that exceeds the person's noise. A power above 1 spreads
+forces, and a gain lifts them over the low-force term. A power below 1, or a common factor that
+keeps forces within the device, does the opposite. Calibration maps every person to the exponent of
+the reference. People with a lower exponent gain and people with a higher exponent lose. The mean
+over a population may rise or fall.
 """
 
 from collections.abc import Callable, Sequence
@@ -41,19 +41,18 @@ __all__ = [
 ]
 
 RESAMPLES = 2000
-"""Groups of people drawn again for an interval."""
+"""Number of resampled groups of people for an interval."""
 Command = Callable[[Array], Array]
 """Force at the device [N] for the one that shall be felt [N], any shape."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedObservers:
-    """People of known truth who answer side by side; arrays of shape (n,).
+    """Simulated observers with known parameters, as arrays of shape (n,).
 
     Each of two intervals is felt with noise of unit variance on a scale on which the threshold
-    kappa (F + offset) is
-    0.954 long, so that 75 % of the answers there are right. A force is given the number alpha (F /
-    1 N)^beta, with a noise of its logarithm.
+    kappa (F + offset) has the length 0.954. Therefore 75 % of the answers at the threshold are
+    right. A force is rated with the number alpha (F / 1 N)^beta, with noise of its logarithm.
 
     Attributes
     ----------
@@ -62,14 +61,14 @@ class SimulatedObservers:
     kappa, offset_N
         Weber's fraction and its term for low forces [N].
     lapse
-        Share of strong stimuli that is answered wrongly; twice as many are answered blindly.
+        Share of strong stimuli with a wrong answer. Twice this share is answered blindly.
     sigma
-        Standard deviation of the logarithm of a number that is given.
+        Standard deviation of the logarithm of a rated number.
     freedom
-        Degrees of freedom of Student's t for all noise, above 2; infinite for a normal one. The
-        variance stays one.
+        Degrees of freedom of Student's t for all noise, above 2. Infinite for normal noise. The
+        variance stays 1.
     fatigue
-        Share by which thresholds have grown after a hundred trials.
+        Relative increase of thresholds after a hundred trials.
     """
 
     alpha: Array
@@ -87,26 +86,25 @@ class SimulatedObservers:
     def correct(
         self, base_N: ArrayLike, step_N: ArrayLike, rng: np.random.Generator, *, trial: int = 0
     ) -> NDArray[np.bool_]:
-        """Whether each discriminates `base_N + step_N` from `base_N` [N], shape (n,); a step of 0
-        has no right answer.
+        """Return whether each observer discriminates two forces, shape (n,).
+
+        The forces are `base_N` and `base_N + step_N` [N]. A step of 0 has no right answer.
 
         Parameters
         ----------
         base_N, step_N
-            Smaller force and difference, one or one for each observer, shape (n,).
+            Smaller force and difference, one value or one value for each observer, shape (n,).
         rng
-            Draws the noise; equal generators give the same noise whatever the forces.
+            Generator of the noise. Equal generators give the same noise for all forces.
         trial
-            How many trials went before, by which people tire.
+            Number of earlier trials, which cause fatigue.
         """
         tired = max(1.0 + self.fatigue * trial / 100.0, 0.1)
         threshold = tired * self.kappa * (np.asarray(base_N) + self.offset_N)
         return self.discriminate(D_PRIME_75 * np.asarray(step_N) / threshold, rng)
 
     def discriminate(self, distance: ArrayLike, rng: np.random.Generator) -> NDArray[np.bool_]:
-        """Return whether each discriminates two intervals that lie a distance d' from each
-        other, shape (n,).
-        """
+        """Return whether each observer discriminates two intervals at a distance d', shape (n,)."""
         first = self._noise(rng)
         second = self._noise(rng)
         blind, guess = rng.random((2, len(self)))
@@ -133,8 +131,9 @@ def draw_observers(
     freedom: float = np.inf,
     fatigue: float = 0.0,
 ) -> SimulatedObservers:
-    """Observers of a group (novice, intermediate, expert), drawn from ``observers.toml`` and
-    ``perception.toml``.
+    """Draw observers of a group (novice, intermediate, expert).
+
+    The parameters are from ``observers.toml`` and ``perception.toml``.
     """
     people = replace(population(), kappa=constants("observers", group)["kappa"].value)
     return SimulatedObservers(**people.draws(count, rng), freedom=freedom, fatigue=fatigue)
@@ -142,9 +141,7 @@ def draw_observers(
 
 @dataclass(frozen=True)
 class Stimulus:
-    """A force at the device as a person meets it: level, and scatter from one trial to the next
-    [N].
-    """
+    """Force at the device, as level and scatter between trials [N]."""
 
     level_N: float
     scatter_N: float = 0.0
@@ -157,17 +154,18 @@ def calibrated_commands(
     numbers: int = 24,
     limits: ForceRange | None = None,
 ) -> list[Command]:
-    """The force to command for each person after a calibration by numbers: each is brought to the
-    reference (E5).
+    """Return the force to command for each person after a calibration by rated numbers.
+
+    The calibration maps each person to the reference (E5).
 
     Parameters
     ----------
     people
-        Who is calibrated; each gives `numbers` numbers, drawn with their own scatter.
+        People to calibrate. Each rates `numbers` forces, with individual scatter.
     rng
-        Draws that scatter.
+        Generator of the scatter.
     numbers
-        Numbers a person gives; 0 takes each person's true exponent and factor instead.
+        Rated numbers per person. 0 uses the true exponent and factor of each person instead.
     limits
         Range of the device, default 3.3 N.
     """
@@ -204,30 +202,29 @@ def share_right(
     limits: ForceRange | None = None,
     texture_share: float = 0.0,
 ) -> Array:
-    """Share of trials in which each person names the stimulus of greater level as the stronger one,
-    shape (n,).
+    """Return the share of right answers of each person, shape (n,).
 
-    Equal seeds give the same scatter and the same noise in people, whatever the commands: two calls
-    are paired.
+    An answer is right if it names the stimulus of higher level as the stronger one. Equal seeds
+    give the same scatter and the same noise in people for all commands, so two calls are paired.
 
     Parameters
     ----------
     people
-        Who feels.
+        Observers.
     first, second
-        The two stimuli; for equal levels there is no right answer, and half of the answers count.
+        The two stimuli. For equal levels there is no right answer, and half of the answers count.
     seed
-        Of scatter and noise.
+        Seed of scatter and noise.
     trials
-        Trials a person.
+        Number of trials for each person.
     commands
-        Force to command for each person; None for the force as it is.
+        Force to command for each person. None for the unchanged force.
     limits
-        Range of the device, default 3.3 N: forces above its knee are compressed.
+        Range of the device, default 3.3 N. Forces above its knee are compressed.
     texture_share
-        Amplitude of a vibration, as a share of the force, that goes with it
-        (``output.vibration_share`` of a scene). It is a second cue with a noise of its own:
-        distances of cues add up as squares. Its threshold is assumed, see observers.toml.
+        Amplitude of the accompanying vibration over the force (``output.vibration_share`` of a
+        scene). It is a second cue with separate noise: distances of cues add as squares. Its
+        threshold is assumed, see observers.toml.
     """
     if first.level_N > second.level_N:
         first, second = second, first
@@ -257,13 +254,12 @@ def share_right(
 
 
 def sensitivity(people: SimulatedObservers, first: Stimulus, second: Stimulus) -> Array:
-    """Sensitivity d' of each person for two forces at the skin, their scatter from trial to trial
-    counted, shape (n,).
+    """Return the sensitivity d' of each person for two forces at the skin, shape (n,).
 
-    With the threshold t = kappa (F + offset) at the weaker force, a difference of mean m and
-    deviation s is a distance of mean 0.954 m / t and deviation 0.954 s / t between two intervals
-    that are felt with a noise of unit variance each; d' is the distance without scatter that is
-    discriminated as often.
+    The scatter of the forces between trials is included. Let t = kappa (F + offset) be the
+    threshold at the weaker force. A difference of mean m and deviation s is then a distance of mean
+    0.954 m / t and deviation 0.954 s / t between two intervals, each felt with noise of unit
+    variance. d' is the distance without scatter that is discriminated equally often.
     """
     weaker = min(first.level_N, second.level_N)
     per_newton = D_PRIME_75 / (people.kappa * (weaker + people.offset_N))
@@ -274,8 +270,9 @@ def sensitivity(people: SimulatedObservers, first: Stimulus, second: Stimulus) -
 
 
 def chance_right(people: SimulatedObservers, first: Stimulus, second: Stimulus) -> Array:
-    """Chance of each person, with a normal noise, to name the stronger of two forces at the
-    skin, shape (n,).
+    """Return the probability that each person names the stronger of two forces, shape (n,).
+
+    The forces are forces at the skin, and the noise is normal.
     """
     return np.asarray(
         people.lapse
@@ -295,10 +292,9 @@ def _played(force_N: Array, device: ForceRange) -> Array:
 
 
 def gain_of(before: Array, after: Array, rng: np.random.Generator) -> Effect:
-    """Return the change of the mean of paired shares of right answers, each of shape (n,), in
-    percent of what it was.
+    """Return the relative change of the mean of paired shares of right answers [%].
 
-    The interval of 95 % is by drawing people again.
+    Each argument has shape (n,). The 95 % interval follows from resampled people.
     """
     drawn = rng.integers(len(before), size=(RESAMPLES, len(before)))
     changes = 100.0 * (after[drawn].mean(axis=1) / before[drawn].mean(axis=1) - 1.0)

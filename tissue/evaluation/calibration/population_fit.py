@@ -44,8 +44,9 @@ def pooled_trials(sessions: list[Session]) -> PopulationTrials:
 
 
 def new_person(fit: PopulationFit, *, trials: int, rng: np.random.Generator) -> Observer:
-    """Return an observer for a person of the population who was not asked, with the spread
-    between people.
+    """Return an observer for an unmeasured person of the population.
+
+    The spread between people is included.
     """
     flat = {name: fit.draws[name].ravel() for name in HYPER}
     count = len(flat["beta"])
@@ -71,18 +72,17 @@ def new_person(fit: PopulationFit, *, trials: int, rng: np.random.Generator) -> 
 def fit_population(
     folder: Path, out: Path, *, seed: int, overwrite: bool, progress: bool = False
 ) -> list[str]:
-    """Fit the hierarchy to all logs in a folder and write the population; gives what was found, in
-    sentences.
+    """Fit the hierarchy to all logs in a folder, write the population and return sentences.
 
-    The file is that of an observer, of whom it is known that it belongs to the population; beside
-    it a table with intervals and diagnostics of every parameter of the population. With
-    ``progress`` every chain shows a bar.
+    The file describes an observer known only as a member of the population. A table next to it
+    holds intervals and diagnostics of every parameter of the population. With ``progress`` every
+    chain shows a bar.
 
     Raises
     ------
     InputError
         If the folder holds fewer than three logs with numbers and comparisons, a log cannot be
-        read, or a file is there already and may not be replaced.
+        read, or an output file exists and may not be replaced.
     """
     table = out.with_name(out.stem + ".table.csv")
     if out.suffix != ".json":

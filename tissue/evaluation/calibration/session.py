@@ -1,6 +1,4 @@
-"""A calibration session: what is asked next, what the answers so far show, and what they cannot
-show.
-"""
+"""Calibration session: next question, current result, and limits of the result."""
 
 from dataclasses import dataclass, field
 
@@ -74,7 +72,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two intervals, one of which holds the greater force; the answer is 1 or 2."""
+    """Two intervals, one of which holds the larger force. The answer is 1 or 2."""
 
     base_N: float
     step_N: float
@@ -89,24 +87,24 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Magnitude:
-    """One interval, whose force is given a number above 0."""
+    """One interval, whose force is rated with a number above 0."""
 
     force_N: float
 
 
 class Session:
-    """The state of a session after some answers; it depends on the plan and the answers alone.
+    """State of a session after some answers. It depends only on the plan and the answers.
 
     Attributes
     ----------
     plan
-        What is asked.
+        Plan of the session.
     threshold
         Posterior of the threshold.
     asked
         Comparisons so far, with their answers.
     given
-        Forces so far that were given numbers, with these.
+        Forces rated with numbers so far, with these numbers.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -130,7 +128,7 @@ class Session:
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is left to ask."""
+        """True if all trials of the plan are answered."""
         return self.trial == self.plan.trials + self.plan.numbers
 
     def ask(self) -> Comparison | Magnitude:
@@ -144,13 +142,13 @@ class Session:
         )
 
     def take(self, asked: Comparison | Magnitude, answer: float) -> None:
-        """Take the answer to a trial.
+        """Add the answer to a trial.
 
         Raises
         ------
         InputError
-            If the answer is impossible, or the trial is none of this plan's; the state is as
-            before.
+            If the answer is impossible, or the trial is not in this plan. The state is then
+            unchanged.
         """
         if isinstance(asked, Magnitude):
             if not 0.0 < answer < np.inf:
@@ -274,8 +272,9 @@ class Session:
         return found
 
     def _surprise(self) -> float:
-        """Log-likelihood of the answers at the likeliest point of the grid, in standard
-        deviations from its mean.
+        """Return the log-likelihood of the answers at the most likely point of the grid.
+
+        It is given in standard deviations from its mean.
         """
         weber, offset, lapse, _ = self.plan.prior.parameters()
         likeliest = int(np.argmax(self.threshold.posterior[:, 0]))

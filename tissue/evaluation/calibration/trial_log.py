@@ -1,5 +1,6 @@
-"""The log of a session's trials: a line each, on disk before the next is asked, from which the
-session is restored.
+"""Log of a session's trials, one line per trial.
+
+A line is on disk before the next question is asked. The session is restored from the log.
 """
 
 import json
@@ -28,30 +29,30 @@ def log_path(out: Path) -> Path:
 
 
 class TrialLog:
-    """Appends trials to a file and brings each to disk before it returns.
+    """Writer that appends trials to a file and syncs each one to disk before it returns.
 
     Parameters
     ----------
     path
-        The file. One that is there is gone on with, if it is of this observer and this plan.
+        Log file. An existing file is continued if it belongs to this observer and this plan.
     observer
-        Who answers, as given to the command.
+        Observer who answers, as given to the command.
     plan
-        What is asked.
+        Plan of the session.
 
     Attributes
     ----------
     session
-        The session, with all trials that the file held.
+        Session with all trials that the file held.
     mended
-        Whether the file ended within a line, as after a loss of power; that one trial is asked
-        again.
+        True if the file ended within a line, for example after a loss of power. This one trial is
+        asked again.
 
     Raises
     ------
     InputError
-        If the file is of another origin, observer or plan, or holds a line that is no trial; it is
-        left as it is.
+        If the file is of another origin, observer or plan, or holds a line that is not a trial. The
+        file is left unchanged.
     """
 
     def __init__(self, path: Path, observer: str, plan: Plan) -> None:
@@ -117,13 +118,13 @@ class TrialLog:
 
 
 def read_log(path: Path) -> tuple[str, Session]:
-    """Read a log: return who answered, and the session without a last line that was cut short.
+    """Read a log; return its observer and the session without an incomplete last line.
 
     Raises
     ------
     InputError
-        If the file is none of a session, or a line of it is no trial of the session; the message
-        names it.
+        If the file is not the log of a session, or a line of it is not a trial of the session. The
+        message names the line.
     """
     require_regular(path)
     try:

@@ -1,4 +1,4 @@
-"""Choice of the cheapest setting that meets a demanded fidelity."""
+"""Choice of the cheapest setting with a demanded fidelity."""
 
 from collections.abc import Sequence
 
@@ -16,26 +16,26 @@ from tissue.scene.scene import Scene
 __all__ = ["SAFETY", "choose", "with_fidelity"]
 
 SAFETY = 1.5
-"""Ratio of a demanded error to the error that a setting may have at the measured places, so that it
-holds elsewhere.
+"""Ratio of a demanded error to the largest allowed error of a setting at the measured places.
 
-Set on seeds 1-10 of an earlier force law. On five motions that set nothing of each of four scenes
-and of four imaged teeth and scapulae every demand is kept; with 1.25 all but one tooth's are, with
-1 a demand of 1 % is kept by two motions in five on another (tests/bench/held_out.py).
+The margin keeps the error within the demand at other places. The value was set on seeds 1-10 of an
+earlier force law. It was then tested on five further motions of each of four scenes and of four
+imaged teeth and scapulae: every demand is kept. With 1.25, the demands of all but one tooth are
+kept. With 1, a demand of 1 % is kept by two motions in five on another tooth
+(tests/bench/held_out.py).
 """
 
 
 def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) -> Measured:
-    """Return the cheapest measurement that meets a demand; without a demanded error, the most
-    accurate one.
+    """Return the cheapest measurement that satisfies a demand.
 
-    An error counts as at least `gap`, the uncertainty of the reference. Rows that are no settings
-    are passed over.
+    Without a demanded error, the most accurate measurement is returned. An error counts as at least
+    `gap`, the uncertainty of the reference. Rows that are not settings are skipped.
 
     Raises
     ------
     InputError
-        If no setting meets it; the message names the nearest one.
+        If no setting satisfies the demand. The message names the nearest setting.
     """
     settings = [point for point in points if point.family not in BOUNDS]
 
@@ -66,15 +66,14 @@ def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) ->
 
 
 def with_fidelity(scene: Scene, *, report: Progress = silent) -> tuple[Scene, str]:
-    """Return a scene at the cheapest setting that meets its `fidelity`, and the reason of the
-    choice.
+    """Return a scene at the cheapest setting with its `fidelity`, and the reason of the choice.
 
     Settings that were not measured on this machine are measured first.
 
     Raises
     ------
     InputError
-        If no setting meets it.
+        If no setting satisfies the demand.
     """
     wanted = scene.fidelity
     if wanted is None:
@@ -110,7 +109,7 @@ def _asked(wanted: Fidelity) -> str:
 
 
 def _in_words(scene: Scene, setting: Setting, among: Sequence[Setting]) -> str:
-    """Return a setting, and those that it was chosen among, in words."""
+    """Describe a setting and the settings that it was chosen from."""
     if scene.device is None:
         return f"{setting.name}, of {'; '.join(each.name for each in among)}"
     foresight = {"none": "no prediction", "hold": "the tissue's last force held"}

@@ -21,8 +21,9 @@ from tissue.scene.scene import Scene
 __all__ = ["Frontier", "frontier_of", "measured_of", "undominated", "unmeasured", "write_measured"]
 
 OFFERED_US = 800.0
-"""99th percentile of a tick from which on no finer setting is offered [us]: the loop of the hand
-takes the rest.
+"""99th percentile of a tick above which no finer setting is offered [us].
+
+The loop of the hand takes the remaining time.
 """
 COLUMNS = tuple(entry.name for entry in fields(Measured))
 
@@ -34,17 +35,17 @@ class Frontier:
     Attributes
     ----------
     scene
-        The scene.
+        Measured scene.
     points
-        A measurement for each setting.
+        One measurement for each setting.
     gap
         Uncertainty of the reference, see `reference_gap`.
     settings
         Settings in the order of the points.
     rounding
-        Change of the force by the rounding of float32; NaN where it was not measured.
+        Change of the force by the rounding of float32. NaN if it was not measured.
     law
-        The linear law against a neo-Hookean one; None where it was not measured.
+        Error of the linear law against a neo-Hookean law. None if it was not measured.
     """
 
     scene: Scene
@@ -96,9 +97,10 @@ def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) 
     Parameters
     ----------
     scene
-        A scene. With a device the settings are those of its loop, without one those of its model.
+        Scene. With a device, the settings of its loop are measured; without a device, the settings
+        of its model.
     quick
-        Fewer settings, a shorter excerpt and a coarser reference.
+        Use fewer settings, a shorter excerpt and a coarser reference.
     report
         Called with the current measurement.
     """
@@ -170,7 +172,7 @@ def write_measured(path: Path, points: Sequence[Measured]) -> None:
 
 
 def measured_of(text: str) -> list[Measured]:
-    """Return the measurements of a table's text; none if it has other columns."""
+    """Return the measurements of a table's text, without rows if it has other columns."""
     table = csv.DictReader(StringIO(text, newline=""))
     if tuple(table.fieldnames or ()) != COLUMNS:
         return []

@@ -1,4 +1,4 @@
-"""What a measurement belongs to: a scene at a setting, a machine, and the code that ran."""
+"""Keys of a measurement: a scene at a setting, a machine, and the code that ran."""
 
 import os
 import platform
@@ -25,13 +25,16 @@ PACKAGES = ("meshes", "kernels", "tissue")
 
 
 def scene_text(scene: Scene) -> str:
-    """A scene without its words and its wishes, as text: what its numbers depend on."""
+    """Return the part of a scene that its numbers depend on, as text.
+
+    Description and fidelity are left out.
+    """
     words = {"description": "", "fidelity": None, "materials": ""}
     return scene.model_copy(update=words).to_toml() + scene.constants.key
 
 
 def machine() -> str:
-    """What a time belongs to: processor, cores, and the versions that compute."""
+    """Return the key of a measured time: processor, cores, and versions of the libraries."""
     import psutil
 
     return (
@@ -42,10 +45,10 @@ def machine() -> str:
 
 
 def sources() -> str:
-    """Checksum of all code and constants: both the time of a tick and its error may change with any
-    of them.
+    """Return the checksum of all code and constants.
 
-    Parts from outside count by their names and by the code of the packages that they come from.
+    Both the time of a tick and its error may change with any of them. External parts count by their
+    names and by the code of their packages.
     """
     digest = blake2b(own_sources().encode(), digest_size=8)
     for kind, table in ((kind, table) for kind, tables in TABLES.items() for table in tables):
@@ -56,7 +59,7 @@ def sources() -> str:
 
 
 def _code_of(part: Any) -> str:
-    """Numbers of a part from outside, and the checksum of the package whose code it calls."""
+    """Return the numbers of an external part and the checksum of the package that it calls."""
     if isinstance(part, Mapping):
         return " ".join(f"{name} {_code_of(inner)}" for name, inner in part.items())
     if hasattr(part, "__dataclass_fields__") or isinstance(part, GuardedMaker):
@@ -69,8 +72,9 @@ def _code_of(part: Any) -> str:
 
 
 def _package_sum(name: str) -> str:
-    """Checksum of all Python files of a package, or of a module; of what has no file, one that
-    never comes again.
+    """Return the checksum of all Python files of a package, or of a module.
+
+    Without a file, the result is unique to the call.
     """
     file = getattr(sys.modules.get(name), "__file__", None)
     if file is None:
@@ -82,7 +86,7 @@ def _package_sum(name: str) -> str:
 
 @cache
 def own_sources() -> str:
-    """Checksum of what lies in these packages."""
+    """Return the checksum of all files in these packages."""
     digest = blake2b(digest_size=8)
     for package in PACKAGES:
         for path in sorted(Path(str(files(package))).rglob("*")):
@@ -92,7 +96,7 @@ def own_sources() -> str:
 
 
 def setting_key(scene: Scene, setting: Setting, *, quick: bool) -> str:
-    """Hash of a scene at a setting, of the machine and of the code."""
+    """Return the hash of a scene at a setting, of the machine and of the code."""
     at = scene_text(changed(scene, setting.changes))
     text = f"{at}|{setting.cores}|{setting.compute}|{quick}|{machine()}|{sources()}"
     return blake2b(text.encode(), digest_size=12).hexdigest()

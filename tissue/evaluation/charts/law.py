@@ -1,7 +1,8 @@
 """Error of the linear elastic law of an organ, and the law that a demanded fidelity needs.
 
-`law_error` brings the body to rest under the linear and the neo-Hookean law, at some instants of
-the motion, on the same mesh and without friction, so that the difference is that of the laws alone.
+`law_error` solves the body at rest under the linear and the neo-Hookean law, at some instants of
+the motion. Both use the same mesh and no friction, so that the difference is caused only by the
+laws.
 """
 
 from collections.abc import Sequence
@@ -42,16 +43,16 @@ if TYPE_CHECKING:
 __all__ = ["LawError", "law_error", "linear_error", "with_law"]
 
 LAW = "neo-hookean"
-"""Law that replaces the linear one. It has no constants in addition to those of small strains."""
+"""Law that replaces the linear one. It needs no constants beyond the small-strain constants."""
 INSTANTS = 4
-"""Instants of the contact that are solved, in the middle of as many equal parts of it."""
+"""Number of solved instants of the contact, in the middle of equal parts of it."""
 POSES = 400
 """Poses of the motion that are searched for contact."""
 COARSER = 1.4
-"""Edges of the mesh over those of the scene.
+"""Ratio of the mesh's edges to the scene's edges.
 
-At 1.4 liver-press takes 40 s of one core. A graded slab with a nodule takes minutes: the nodule
-needs short cells, and the gradients more iterations.
+With 1.4, liver-press takes 40 s on one core. A graded slab with a nodule takes minutes: the nodule
+needs short cells, and the gradients need more iterations.
 """
 TOLERANCE = 1e-4
 """Residual of a solve, and distance of a node to the ball over its radius. The laws differ by
@@ -68,7 +69,7 @@ class LawError:
     depth_m
         Depth of the tool in the undeformed body [m], shape (k,).
     linear_N, neo_N
-        By the linear and by the neo-Hookean law [N], shape (k, 3).
+        Forces by the linear and by the neo-Hookean law [N], shape (k, 3).
     """
 
     depth_m: Array
@@ -100,9 +101,10 @@ class LawError:
 
 
 def law_error(scene: Scene, *, report: Progress = silent) -> LawError | None:
-    """Compare both laws on the motion of a scene, kept on disk; None where they cannot be compared.
+    """Compare both laws on the motion of a scene. The result is kept on disk.
 
-    They can for a ball on a path into an organ that is isotropic, weightless and without a capsule.
+    The comparison needs a ball on a path into an organ that is isotropic, weightless and without a
+    capsule. The result is None for other scenes.
     """
     organ = scene.organ
     if not _pressed_by_a_ball(scene) or not isinstance(scene.motion, PathMotion):
@@ -132,7 +134,7 @@ def law_error(scene: Scene, *, report: Progress = silent) -> LawError | None:
 
 
 def _pressed_by_a_ball(scene: Scene) -> bool:
-    """Whether a ball presses an organ."""
+    """Return whether a ball presses an organ."""
     tool = scene.tool
     return (
         isinstance(scene.anatomy, SoftAnatomy)
@@ -166,8 +168,9 @@ def _solvers(scene: Scene, laws: "Sequence[Law]") -> "list[NewtonSolver]":
 
 
 def _touching(scene: Scene, solver: "NewtonSolver") -> tuple[Array, Array]:
-    """Return tips of the tool evenly spread over its contact with the undeformed body [m], and
-    its direction.
+    """Return tips of the tool spread evenly over its contact [m], and its direction.
+
+    The contact is with the undeformed body.
     """
     assert isinstance(scene.tool, Probe)
     motion = motion_of(scene, step_s=TICK_S)
@@ -187,8 +190,9 @@ def _touching(scene: Scene, solver: "NewtonSolver") -> tuple[Array, Array]:
 def _pressed(
     solver: "NewtonSolver", *, tips_m: Array, direction: Array, radius_m: float
 ) -> tuple[Array, Array]:
-    """Solve for the force on the ball at each tip [N], and its depth [m]; NaN where a solve does
-    not converge.
+    """Solve for the force on the ball at each tip [N], and its depth [m].
+
+    The result is NaN where a solve does not converge.
     """
     from tissue.fem.newton import press_at
 
@@ -203,11 +207,10 @@ def _pressed(
 
 
 def linear_error(depth: float) -> float:
-    """Return the error of the linear force on a ball against a neo-Hookean one, by depth over
-    radius.
+    """Return the error of the linear force on a ball against the neo-Hookean force.
 
-    It is interpolated between the depths of `LINEAR_ERROR`, from zero at rest, and extrapolated
-    beyond the last.
+    The error is a function of depth over radius. It is interpolated between the depths of
+    `LINEAR_ERROR`, from zero at rest, and extrapolated beyond the last one.
     """
     depths, errors = np.array([(0.0, 0.0), *LINEAR_ERROR]).T
     beyond = (errors[-1] - errors[-2]) / (depths[-1] - depths[-2]) * max(depth - depths[-1], 0.0)
@@ -215,13 +218,14 @@ def linear_error(depth: float) -> float:
 
 
 def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
-    """Return a scene with the law that its forces need, and the reason in words; empty where the
-    law is kept unasked.
+    """Return a scene with the law that its forces need, and the reason in words.
+
+    The reason is empty if no change of the law was requested.
 
     Parameters
     ----------
     scene
-        A scene that is moved by its script. Others keep their law.
+        Scene that is moved by its script. Other scenes keep their law.
     wanted
         Demanded fidelity.
 

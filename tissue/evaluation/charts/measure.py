@@ -37,8 +37,9 @@ the time to build.
 STRAY_MM = 1.5
 """Bone around the reach of a hand, which strays from the path."""
 REPEATS = 2
-"""Runs of a setting at a single place, the faster of which counts. A quick chart of a loop takes
-one.
+"""Runs of a setting at a single place. The fastest run counts.
+
+A quick chart of a loop uses one run.
 """
 SETTLED = 20
 """Ticks in contact that are not counted: the first ones load code."""
@@ -53,21 +54,21 @@ class Measured:
     key
         Hash of everything that was run.
     scene, setting, family, leaves_out
-        Scene and setting. Rows of the families in `BOUNDS` are no settings.
+        Scene and setting. Rows of the families in `BOUNDS` are not settings.
     force_error
         ||F - F_ref|| / ||F_ref|| over the run, the worst of all places. F_ref of a law is neo-Hookean.
     error_50_ms
         Error of means over 50 ms.
     median_us, p99_us, missed
-        Time of a tick in contact [us], and ticks over 1 ms.
+        Time of a tick in contact [us], and number of ticks over 1 ms.
     far_us
         Median tick out of contact [us]; NaN without one.
     engaged_mm2, step_mm
         Mean area in contact, and edge of a voxel or element.
     elements, met
-        Quantities that the time of a tick grows with. Of a cutter: its elements, and voxels over
-        the area in contact. Of an organ: contacts that a tick visits in all its sweeps, and pairs
-        of them.
+        Quantities that the time of a tick grows with. For a cutter: its elements, and voxels over
+        the area in contact. For an organ: contacts that a tick visits in all its sweeps, and pairs
+        of contacts.
     built_s
         Time to build the scene, run it and find its error [s], of one run.
     machine
@@ -130,12 +131,13 @@ def excerpt(scene: Scene, coarse: Changes, *, quick: bool) -> Scene:
 
 
 def _first_contact_s(scene: Scene, span_s: float) -> float:
-    """Find the first contact of a script [s] in a run of as little of it as necessary; kept on
-    disk.
+    """Find the first contact of a script [s] in a run that is as short as possible.
+
+    The result is kept on disk.
     """
 
     def found() -> dict[str, NDArray[np.generic]]:
-        """Run twice as much of the scene until it touches."""
+        """Run the scene for a doubled time until the tool touches."""
         whole = _length_s(scene)
         span = span_s
         while span < whole:
@@ -165,7 +167,7 @@ def _first_contact_s(scene: Scene, span_s: float) -> float:
 
 
 def _length_s(scene: Scene) -> float:
-    """Return the duration of a scene [s]; zero where only its run shows it."""
+    """Return the duration of a scene [s], or zero if only its run shows the duration."""
     if scene.duration_s is not None or not isinstance(scene.motion, PathMotion):
         return scene.duration_s or 0.0
     return float(arc_length(scene.motion.points_mm)[-1]) / scene.motion.feed_mm_s
@@ -243,7 +245,7 @@ def _run(scene: Scene, setting: Setting) -> Run:
 
 
 def counts(run: Run, counted: NDArray[np.intp]) -> tuple[int, float, float]:
-    """Return `elements`, `met` and `step_mm` of a measurement, over some ticks of a run."""
+    """Return `elements`, `met` and `step_mm` of a measurement over some ticks of a run."""
     scene = run.scene
     trace = run.trace
     if run.parts.cutter is not None:

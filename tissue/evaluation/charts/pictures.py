@@ -51,7 +51,7 @@ OVERVIEW_HIGH_IN = 2.45
 OVERVIEW_TOP_IN = 0.6
 OVERVIEW_TICKS_US = (30.0, 1.4e3)
 PAPER = {"palpation": ("T1", 8.2, 3.5), "wall": ("T2", 7.1, 3.0), "milling": ("T3", 9.5, 4.2)}
-"""Task, and raw and adjusted errors [%] that a paper prints, against its own ideal force."""
+"""Task, and raw and adjusted errors [%] printed in a paper, against its own ideal force."""
 LIMIT_US = 20.0
 """Median cost of a prediction that is aimed at [us]."""
 
@@ -267,8 +267,9 @@ def _numbered(
 def _write_names(
     axes: "Axes", names: Sequence[tuple[str, str]], left: float, *, row: float, first: int
 ) -> None:
-    """Write numbered names in their colours to the right of a panel; rows and ``left`` are
-    shares of the panel.
+    """Write numbered names in their colours to the right of a panel.
+
+    ``row`` and ``left`` are shares of the panel.
     """
     for number, (name, colour) in enumerate(names, 1):
         height = 1.0 - (number - 1 + first) * row
@@ -279,8 +280,9 @@ def _write_names(
 
 
 def _plain_numbers(axis: "Axis") -> None:
-    """Write numbers instead of powers of ten on a logarithmic axis, few of them over many
-    decades.
+    """Write numbers instead of powers of ten on a logarithmic axis.
+
+    Few numbers are written over many decades.
     """
     from matplotlib.ticker import LogLocator
 
@@ -292,8 +294,10 @@ def _plain_numbers(axis: "Axis") -> None:
 
 
 def draw_scene(found: "PredictorComparison", path: Path) -> None:
-    """Draw error over horizon and over cost, the spectrum, training sizes, a model at 100 Hz,
-    and all runs.
+    """Draw the results of all predictors on a scene.
+
+    The panels show error over horizon and over cost, the spectrum, training sizes, a model at 100
+    Hz, and all runs.
     """
     chart = figure(11.0, 7.8)
     panels = chart.subplots(2, 3)
@@ -320,9 +324,7 @@ def draw_scene(found: "PredictorComparison", path: Path) -> None:
 
 
 def draw_tasks(found: "Sequence[PredictorComparison]", path: Path) -> None:
-    """Draw the error of every predictor at 4 ms on every scene, next to the errors that the
-    paper prints.
-    """
+    """Draw the error of every predictor at 4 ms on every scene, next to the paper's errors."""
     chart = figure(max(1.9 * len(found) + 1.6, 6.0), 4.4)
     axes = chart.subplots()
     chart.subplots_adjust(left=0.11, right=0.98, top=0.86, bottom=0.1)

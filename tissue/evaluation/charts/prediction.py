@@ -39,14 +39,14 @@ __all__ = [
 FIRST_SEED = 10_000
 """First seed of unseen runs. Training uses seeds from 0 on."""
 SHARES = (0.7, 1.3)
-"""Force of the tissue of unseen runs over that of training, in turn."""
+"""Ratio of the tissue's force in unseen runs to its force in training, in turn."""
 OURS = "koopman-look-ahead"
 DELAY_MS = 4
 SLOW_TICKS = 10
 SIZES = (3, 6, 12)
 """Numbers of training runs."""
 SIZED_RUNS = 8
-"""Unseen runs by which training sizes are compared."""
+"""Number of unseen runs for the comparison of training sizes."""
 HEADS = {
     "errors.csv": "scene,predictor,horizon_ms,runs,error,low,high",
     "cost.csv": "scene,predictor,median_us,p99_us",
@@ -81,9 +81,9 @@ class PredictorComparison:
     sizes
         Error at 4 ms by number of training runs.
     slow
-        Results with a model at 100 Hz and a predictor between its answers: the error of the force
-        of the present tick and the cost of a tick [us], by predictor; with ``1 kHz`` those of the
-        model in every tick.
+        Results with a model at 100 Hz and a predictor between its answers, by predictor: the error
+        of the present tick's force and the cost of a tick [us]. The entry ``1 kHz`` is the model in
+        every tick.
     """
 
     scene: str
@@ -99,8 +99,9 @@ class PredictorComparison:
 
 
 def interval(values: Array) -> Interval:
-    """Return the mean over the first axis of independent runs with its interval; without width
-    for a single run.
+    """Return the mean over the first axis of independent runs with its interval.
+
+    The interval of a single run has no width.
     """
     from scipy.stats import t
 
@@ -168,8 +169,9 @@ def _compare(scene: Scene, *, trials: int, report: Progress) -> PredictorCompari
 
 
 def _cost_us(predictor: Predictor, run: Recording) -> tuple[float, float]:
-    """Measure the median and 99th percentile of observing a tick and predicting the force after
-    the latency [us].
+    """Measure the median and 99th percentile of a predictor's time for a tick [us].
+
+    The time includes observing the tick and predicting the force after the latency.
     """
     shown = predictor if isinstance(predictor, SeesContact) else None
     times = []
@@ -241,11 +243,10 @@ def chart_prediction(
 
 
 def comparison_lines(found: Sequence[PredictorComparison]) -> list[str]:
-    """Return errors at 4 ms in words, and how ours compares with zero-order hold and with the best
-    other predictor.
+    """Return the errors at 4 ms in words, and a comparison with the other predictors.
 
-    It is called better or worse only where the interval of the paired difference over runs excludes
-    zero.
+    Our predictor is compared with zero-order hold and with the best other predictor. It is called
+    better or worse only where the interval of the paired difference over runs excludes zero.
     """
     lines = ["error at 4 ms on unseen runs, % of the force (mean and 95 % interval)"]
     for each in found:

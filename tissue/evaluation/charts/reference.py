@@ -1,8 +1,7 @@
-"""Reference forces of a scene: by exact geometry where it is known, else by the finest of three
-grids.
+"""Reference forces of a scene, by exact geometry if it is known, else by the finest of three grids.
 
-The exact force has its own uncertainty. That of the finest grid is the grid-convergence index,
-which bounds the error of the discretisation, but no error that all grids share.
+The exact force has its own uncertainty. The uncertainty of the finest grid is the grid-convergence
+index. It bounds the error of the discretisation, but not an error that all grids share.
 """
 
 from importlib.metadata import version
@@ -43,8 +42,9 @@ def of_model(scene: Scene) -> Scene:
 
 
 def grid_force_N(scene: Scene, changes: Changes) -> Array:
-    """Compute the force on the tool over time by the model of a scene [N], shape (n, 3); kept on
-    disk.
+    """Compute the force on the tool over time by the model of a scene [N], shape (n, 3).
+
+    The result is kept on disk.
     """
     at = changed(of_model(scene), changes)
     forces = cached_arrays(
@@ -71,9 +71,9 @@ def force_and_reference_N(run: Run, scene: Scene, *, quick: bool) -> tuple[Array
 def reference_gap(scene: Scene, *, quick: bool, by_hand: bool = False) -> float:
     """Return the uncertainty of the reference: differences below it are not resolved.
 
-    With an exact geometry it is the uncertainty of its force; by hand, where the finest grid is the
-    reference, the error of that grid. Without an exact geometry it is the grid-convergence index of
-    the finest grid.
+    With an exact geometry it is the uncertainty of its force. By hand, the finest grid is the
+    reference, and the uncertainty is the error of this grid. Without an exact geometry it is the
+    grid-convergence index of the finest grid.
     """
     model = of_model(scene)
     if not has_exact_geometry(model):
@@ -110,12 +110,12 @@ def reference_words(scene: Scene, gap: float) -> str:
 
 
 def float32_error(scene: Scene) -> float:
-    """Return the change of the force of a cut, over the force, by a path moved aside by the last
-    place of a float32.
+    """Return the relative change of a cutting force for a path moved by a float32's last place.
 
-    Voxels are cut in float32, which rounds all coordinates to about that. Where a tool only grazes
-    voxels, the rounding decides whether it touches, and the change is much larger than the last
-    place of a force. NaN where a model computes in float64: organs, needles and walls.
+    Voxels are cut in float32, which rounds all coordinates to about this length. If a tool only
+    grazes voxels, the rounding decides whether it touches. The change is then much larger than the
+    last place of a force. The result is NaN for models that compute in float64: organs, needles and
+    walls.
     """
     motion = scene.motion
     if not isinstance(scene.tool, Tool) or not isinstance(motion, PathMotion):

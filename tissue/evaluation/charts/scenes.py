@@ -44,12 +44,13 @@ def chart_scenes(
     pool: Executor | None = None,
     report: Progress = silent,
 ) -> list[list[Frontier]]:
-    """Chart some scenes, or all without names. Each writes NAME.png and NAME.csv, all together
-    frontier.png.
+    """Chart some scenes, or all scenes if no names are given.
 
-    Settings that were measured on this machine before are not measured again, so that an
-    interrupted chart continues. The processes of ``pool`` prepare references and meshes, and are
-    idle while anything is timed.
+    Each scene writes NAME.png and NAME.csv. All scenes together write frontier.png.
+
+    Settings that were measured on this machine before are not measured again. An interrupted chart
+    therefore continues. The processes of ``pool`` prepare references and meshes, and are idle
+    during all timings.
 
     Raises
     ------
@@ -92,9 +93,9 @@ def chart_scenes(
 def charted(scene: Scene) -> list[Scene]:
     """Return the scenes whose frontiers are charted: a scene by script, by hand or both.
 
-    A wall is touched by a hand alone. A cutting scene is charted by script alone: in a chart's
-    short excerpt the hand presses less than the friction of its device, and its force error would
-    be noise (54 to 200 % in ``milling``).
+    A wall is touched only by hand. A cutting scene is charted only by script. In a chart's short
+    excerpt, the hand presses less than the friction of its device, so its force error would be
+    noise (54 to 200 % in ``milling``).
     """
     if isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0:
         return [scene if scene.device is None else of_model(scene)]
@@ -102,9 +103,7 @@ def charted(scene: Scene) -> list[Scene]:
 
 
 def notes_before(names: Sequence[str]) -> list[str]:
-    """Return a note for each scene whose chart leaves out predictors, known before anything is
-    computed.
-    """
+    """Return a note, before any computation, for each scene whose chart leaves out predictors."""
     notes = []
     for name in names or scene_names():
         for kind in charted(load_scene(name)):
@@ -145,7 +144,7 @@ def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
 
 
 def make_ready(kinds: Sequence[Scene], pool: Executor, *, quick: bool, report: Progress) -> None:
-    """Compute in other processes what settings need that were not measured on this machine yet."""
+    """Compute the inputs of settings not yet measured on this machine, in other processes."""
     waiting = [kind for kind in kinds if unmeasured(kind, quick=quick)]
     try:
         for name, done in _done(

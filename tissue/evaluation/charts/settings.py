@@ -1,6 +1,4 @@
-"""Settings of a scene from coarse to fine, grids of its convergence, and places of its path on a
-grid.
-"""
+"""Settings of a scene from coarse to fine, grids of its convergence, and places on a grid."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -38,7 +36,7 @@ ms.
 """
 LOST = "displacement and stress"
 VOXEL_SHARES = {True: (1.0, 0.5**0.5, 0.5), False: (1.0, 3.0**-0.5, 1.0 / 3.0)}
-"""Lengths of the three grids of a grid-convergence index over those of the scene, quick or not."""
+"""Lengths of the three grids of a grid-convergence index over the scene's lengths, quick or not."""
 TET_SHARES = {True: (1.0, 0.8, 0.64), False: (1.0, 0.5**0.5, 0.5)}
 """Lengths of tetrahedra. Half the edge takes seven times the unknowns, 140,000 of a liver. With
 ratios nearer to 1 the scatter of the force from mesh to mesh would hide the order."""
@@ -50,31 +48,31 @@ voxels is cut better than one between them. No share is a half, third or quarter
 differs on finer grids as well.
 """
 COARSEST = 4.0
-"""Coarsest voxel of a chart over that of the scene."""
+"""Ratio of the coarsest voxel of a chart to the scene's voxel."""
 Changes = Mapping[str, object]
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One setting to run a scene at.
+    """Setting of a scene.
 
     Attributes
     ----------
     name
-        A few words, for a picture.
+        Short name, for a picture.
     family
         Varied quantity: voxels, shell, elements, path, stress, loop or cores.
     changes
         Values by dotted key; None removes an entry.
     leaves_out
-        Results that the scene loses by it, in words; empty for none.
+        Results that the scene loses with the setting, in words. May be empty.
     cores
-        Processor cores; None for all.
+        Number of processor cores. None for all cores.
     compute
         Warp device.
     finer
-        Whether it is finer than the scene. It is offered if the finer settings before it keep the
-        time of a tick.
+        True if the setting is finer than the scene. It is offered if the finer settings before it
+        keep the time of a tick.
     """
 
     name: str
@@ -102,8 +100,7 @@ def untrained(scene: Scene) -> tuple[str, ...]:
 
 
 def settings_of(scene: Scene, *, quick: bool) -> list[Setting]:
-    """Return the settings of a scene: without a device those of its model, with one those of its
-    loop.
+    """Return the settings of a scene: of its loop with a device, otherwise of its model.
 
     A fidelity is chosen among the quick settings if nothing has been measured yet.
     """
@@ -123,8 +120,9 @@ def finest(scene: Scene, *, quick: bool) -> Changes:
 
 
 def shares(scene: Scene, *, quick: bool) -> tuple[float, ...]:
-    """Return the lengths of three grids over those of a scene, coarse to fine; none where there
-    is no grid.
+    """Return the lengths of three grids over the scene's lengths, coarse to fine.
+
+    The result is empty for a scene without a grid.
     """
     if isinstance(scene.tool, Tool):
         return VOXEL_SHARES[quick]
@@ -140,8 +138,9 @@ def grids(scene: Scene, *, quick: bool) -> list[Changes]:
 
 
 def refined(scene: Scene, share: float) -> dict[str, object]:
-    """Return all lengths of the scene's grid times a share, without fields that no force depends
-    on.
+    """Return all lengths of the scene's grid times a share.
+
+    Fields that do not influence the force are left out.
     """
     lengths: dict[str, float] = {}
     if isinstance(scene.tool, Tool):
@@ -160,9 +159,7 @@ def refined(scene: Scene, share: float) -> dict[str, object]:
 
 
 def placed(scene: Scene) -> list[Scene]:
-    """Return the scene at three places where a path leads a tool on a grid, else the scene
-    alone.
-    """
+    """Return the scene at three places of a path on a grid, else the scene alone."""
     if scene.device is not None or not isinstance(scene.motion, PathMotion):
         return [scene]
     if isinstance(scene.tool, Tool):
@@ -179,9 +176,7 @@ def placed(scene: Scene) -> list[Scene]:
 
 
 def moved(scene: Scene, x_mm: float, y_mm: float, *, depth: float = 1.0) -> Scene:
-    """Return the scene with its path moved aside, and its part below z = 0 made deeper by a
-    factor.
-    """
+    """Return the scene with a laterally shifted path, deepened below z = 0 by a factor."""
     assert isinstance(scene.motion, PathMotion)
     points = np.array(scene.motion.points_mm)
     points[:, 2] = np.where(points[:, 2] < 0.0, depth * points[:, 2], points[:, 2])
@@ -198,8 +193,9 @@ def edge_mm(scene: Scene) -> float:
 
 
 def _force_only(scene: Scene) -> tuple[dict[str, object], str]:
-    """Return the changes that leave out all that no force depends on, and the lost results in
-    words.
+    """Return the changes that leave out everything without influence on the force.
+
+    The lost results are returned in words.
     """
     changes: dict[str, object] = {"stress": None} if scene.stress is not None else {}
     if isinstance(scene.anatomy, SoftAnatomy):

@@ -1,3 +1,1 @@
-"""Reference of the cutting force on exact geometry, which shares no voxel and no element with
-the engine.
-"""
+"""Reference of the cutting force on exact geometry, without voxels and elements of the engine."""

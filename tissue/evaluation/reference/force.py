@@ -1,7 +1,7 @@
 """Cutting force by adaptive quadrature over the cutter's surface: no voxels, no elements fixed to
 the tool.
 
-The surface is r(s), z(s) turned by the angle phi, s the length along the half section. Averaged
+The surface is r(s), z(s) turned by the angle phi; s is the length along the half section. Averaged
 over a revolution, N edges of a tool that spins at omega put ``N ds dphi / (2 pi)`` = ``N dA / (2 pi
 r)`` of cutting edge into a part of the surface. With v the velocity of the surface point (without
 the spin) and h = max(0, v . n) 2 pi / (N omega) the chip::
@@ -10,14 +10,14 @@ the spin) and h = max(0, v . n) 2 pi / (N omega) the chip::
     dphi
 
 t is the direction in which the spin moves the point, n the outward normal, a the axis from tip to
-shank. Every K is that of the layer at the point, times (density / reference density) ** exponent. A
-point is engaged where it advances (v . n > 0), lies in the solid (signed distance below 0), and in
-nothing that the tool has swept before.
+shank. Every K is the coefficient of the layer at the point, times (density / reference density) **
+exponent. A point is engaged where it advances (v . n > 0), lies in the solid (signed distance below
+0), and in nothing that the tool has swept before.
 
-Cells in (s, phi) in which all of this is smooth are integrated by two by two Gauss points; cells
-that a boundary may cross are divided into four, down to a finest size, where one point each
-decides. The distances are 1-Lipschitz, so no boundary of the solid or of an old cut is missed;
-boundaries between layers are found from the cells' corners.
+Smooth cells in (s, phi) are integrated by two by two Gauss points. Cells that a boundary may cross
+are divided into four, down to a finest size, where one point per cell decides. The distances are
+1-Lipschitz, so no boundary of the solid or of an old cut is missed. Boundaries between layers are
+found from the cells' corners.
 """
 
 from dataclasses import dataclass
@@ -39,22 +39,22 @@ __all__ = ["Resolution", "Solid", "wrench_at"]
 GAUSS = 0.5 / 3.0**0.5
 """Gauss points lie this far from the middle of a cell of length 1."""
 TOUCHING_M = 1e-11
-"""Surface this close to an older cut lies on it, and meets nothing [m]."""
+"""Distance to an older cut below which surface counts as lying on it, without contact [m]."""
 CORNERS = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
 
 
 @dataclass(frozen=True)
 class Solid:
-    """An anatomy that a tool cuts.
+    """Anatomy that a tool cuts.
 
     Attributes
     ----------
     anatomy
-        Its surface and layers as functions of position.
+        Surface and layers as functions of position.
     coefficients
         Cutting coefficients of each layer, in the order of the anatomy's names.
     minus
-        What was drilled out of it before the run; None where nothing was.
+        Volume drilled out before the run. None without such a volume.
     """
 
     anatomy: Anatomy
@@ -62,8 +62,9 @@ class Solid:
     minus: Shape | None = None
 
     def distance(self, points: Array) -> Array:
-        """Bound of the signed distance [m], shape (n,), negative inside, of points [m], shape
-        (n, 3).
+        """Return a bound of the signed distance [m], shape (n,), negative inside.
+
+        The points [m] have shape (n, 3).
         """
         distance = np.asarray(self.anatomy.shape.distance(points), dtype=np.float64)
         return (
@@ -71,15 +72,14 @@ class Solid:
         )
 
     def layer(self, points: Array) -> NDArray[np.uint8]:
-        """Layer, shape (n,), of points [m], shape (n, 3)."""
+        """Return the layers, shape (n,), of points [m], shape (n, 3)."""
         return self.anatomy.classify(points, -self.anatomy.shape.distance(points))[0]
 
     def strengths(self, points: Array) -> Array:
-        """Chip and edge coefficients, shape (6, n): tangential, radial, axial chip [Pa], then edge
-        [N/m].
+        """Return chip and edge coefficients at points, shape (6, n).
 
-        Each is that of the point's layer times (density / reference density) ** exponent of the
-        layer.
+        The order is tangential, radial, axial chip [Pa], then edge [N/m]. Each is the coefficient
+        of the point's layer times (density / reference density) ** exponent of the layer.
         """
         layer, density = self.anatomy.classify(points, -self.anatomy.shape.distance(points))
         names = CuttingCoefficients.CHIP + CuttingCoefficients.EDGE
@@ -92,21 +92,21 @@ class Solid:
 
 @dataclass(frozen=True)
 class Resolution:
-    """How finely the surface is divided.
+    """Resolution of the division of the surface.
 
     Attributes
     ----------
     coarsest
         Cells on a radius of the tool before any is divided.
     divisions
-        How often a cell that a boundary crosses is divided into four.
+        Number of times that a cell crossed by a boundary is divided into four.
     """
 
     coarsest: int = 12
     divisions: int = 4
 
     def finer(self) -> "Resolution":
-        """Twice as fine throughout."""
+        """Return a resolution that is twice as fine throughout."""
         return Resolution(2 * self.coarsest, self.divisions)
 
 
@@ -126,14 +126,20 @@ class _Cells:
         return _Cells(middle, np.repeat(half, 4, axis=0))
 
     def points(self, offsets: Array) -> Array:
-        """Points at offsets, shape (k, 2), of every cell, in parts of its size, shape (n k, 2)."""
+        """Return points in all cells, shape (n k, 2), at offsets in units of the cell size.
+
+        The offsets have shape (k, 2).
+        """
         return (self.middle[:, None] + self.size[:, None] * offsets).reshape(-1, 2)
 
 
 def wrench_at(
     tick: int, path: ToolPath, cutter: Cutter, solid: Solid, *, resolution: Resolution | None = None
 ) -> Array:
-    """Force on the tool [N] and torque about its tip [N m] in the world at a tick, shape (6,)."""
+    """Return the force on the tool [N] and the torque about its tip [N m] at a tick, shape (6,).
+
+    Both are in the world frame.
+    """
     if not (path.velocities[tick].any() or path.turnings[tick].any()):
         return np.zeros(6)
     at_tick = _AtTick(tick, path, cutter, solid)
@@ -159,7 +165,7 @@ class _AtTick:
         self.turning = path.turnings[tick] @ rotation
 
     def wrench_on(self, piece: Piece, resolution: Resolution) -> Array:
-        """Force [N] and torque [N m] on one piece of the profile, shape (6,)."""
+        """Return the force [N] and torque [N m] on one piece of the profile, shape (6,)."""
         total = np.zeros(6)
         cells = self._coarsest(piece, resolution.coarsest)
         for division in range(resolution.divisions + 1):
@@ -178,7 +184,7 @@ class _AtTick:
         return total
 
     def _coarsest(self, piece: Piece, coarsest: int) -> _Cells:
-        """Even cells over a whole piece."""
+        """Return equal cells over a whole piece."""
         radius = self.cutter.profile.radius_m
         counts = max(ceil(piece.length_m / radius * coarsest), 4), ceil(2.0 * pi * coarsest)
         size = np.array([piece.length_m / counts[0], 2.0 * pi / counts[1]])
@@ -188,7 +194,7 @@ class _AtTick:
         return _Cells((numbers + 0.5) * size, np.broadcast_to(size, (len(numbers), 2)))
 
     def _sorted(self, piece: Piece, cells: _Cells) -> tuple[_Cells, NDArray[np.bool_]]:
-        """Cells that may be engaged, and whether they are throughout, within one layer."""
+        """Return the cells that may be engaged, and a flag for cells engaged entirely in one layer."""
         points, normals, _ = _surface(piece, cells.middle)
         advance = self._advance(points, normals)
         widest = np.hypot(points[:, 0], points[:, 1]) + 0.5 * cells.size[:, 0]
@@ -224,14 +230,15 @@ class _AtTick:
         return cells, smooth
 
     def _advance(self, points: Array, normals: Array) -> Array:
-        """Speed of points along their normals [m/s]."""
+        """Return the speed of points along their normals [m/s]."""
         return ((self.velocity + np.cross(self.turning, points)) * normals).sum(axis=1)
 
     def _integral(
         self, piece: Piece, cells: _Cells, offsets: Array, *, tested: bool = False
     ) -> Array:
-        """Sum of the law over cells, at points of equal weight; points that are not engaged
-        count as 0 if tested.
+        """Return the sum of the law over cells, at points of equal weight.
+
+        If tested, points that are not engaged count as 0.
         """
         points, normals, around = _surface(piece, cells.points(offsets))
         weights = np.repeat(cells.size.prod(axis=1) / len(offsets), len(offsets))
@@ -263,8 +270,9 @@ class _AtTick:
 
 
 def _surface(piece: Piece, at: Array) -> tuple[Array, Array, Array]:
-    """Points [m], outward normals and directions of growing phi, each shape (n, 3), at (s, phi),
-    shape (n, 2).
+    """Return points [m], outward normals and directions of growing phi, each shape (n, 3).
+
+    The positions (s, phi) have shape (n, 2).
     """
     section, outward = piece.at(at[:, 0] / piece.length_m)
     cosine = np.cos(at[:, 1])

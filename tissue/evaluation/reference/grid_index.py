@@ -1,5 +1,4 @@
-"""Error of a force where no exact geometry is known: Roache's grid-convergence index from three
-spacings.
+"""Roache's grid-convergence index from three spacings, for forces without exact geometry.
 
 Roache (1994), J. Fluids Eng. 116, 405-413; ASME V&V 20-2009, section 2-4. With h1 < h2 < h3, the
 forces f1, f2, f3 and the norm over time, the observed order p solves ||f3 - f2|| / ||f2 - f1|| =
@@ -7,9 +6,9 @@ forces f1, f2, f3 and the norm over time, the observed order p solves ||f3 - f2|
 
     index of grid k = F (||fk - f1|| + ||f2 - f1|| / ((h2 / h1)^p - 1)) / ||f1||
 
-For k = 1 this is Roache's index; where all errors are alike in shape, also for the others. Only
-discretisation is bounded: an error that all three share, such as that of a law or of the file's own
-resolution, is not seen.
+For k = 1 this is Roache's index. If all errors have the same shape over time, it applies to the
+other grids too. Only the discretisation error is bounded. An error that all three grids share, such
+as the error of a law or of the file's resolution, is not included.
 """
 
 from collections.abc import Sequence
@@ -27,14 +26,16 @@ __all__ = ["GridIndex", "Order", "grid_index", "observed_order"]
 FORMAL_ORDER = 2.0
 """Order of the force in the spacing, and the highest that an index is computed with."""
 ASYMPTOTIC = 0.5, 2.2
-"""Observed orders taken as asymptotic: from 0.5 (Eça and Hoekstra 2014, J. Comput. Phys. 262,
-104-130) to a tenth above the formal one (Oberkampf and Roy 2010, Verification and Validation in
-Scientific Computing)."""
+"""Observed orders that count as asymptotic.
+
+The range is from 0.5 (Eça and Hoekstra 2014, J. Comput. Phys. 262, 104-130) to a tenth above the
+formal order (Oberkampf and Roy 2010, Verification and Validation in Scientific Computing).
+"""
 SAFETY = 1.25
 SAFETY_OUTSIDE = 3.0
 """Roache's safety factors, within the asymptotic range and outside it."""
 STEEPEST = 30.0
-"""Highest order that is looked for, either sign; beyond it is infinite."""
+"""Largest searched order, of either sign. Larger orders count as infinite."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,8 @@ class Order:
     Attributes
     ----------
     order
-        Observed order; infinite where the finer two agree, negative where they lie farther apart
-        than the coarser two, NaN where all three agree.
+        Observed order. Infinite if the two finer forces agree, negative if they lie farther apart
+        than the two coarser ones, NaN if all three agree.
     index
         Index of each grid, coarsest first.
     distance
@@ -58,7 +59,7 @@ class Order:
 
     @property
     def asymptotic(self) -> bool:
-        """Whether an extrapolation may use the observed order, or three forces are equal."""
+        """True if an extrapolation may use the observed order, or the three forces are equal."""
         return np.isnan(self.order) or ASYMPTOTIC[0] <= self.order <= ASYMPTOTIC[1]
 
 
@@ -91,7 +92,7 @@ def grid_index(forces_N: Sequence[Array], spacings: Sequence[float]) -> GridInde
     forces_N
         Force at every tick on each grid [N], each shape (n, 3).
     spacings
-        Spacing of each grid, in any unit; every other length of the grid must change by the same
+        Spacing of each grid, in any unit. All other lengths of the grid must change by the same
         factor.
 
     Raises
@@ -144,8 +145,9 @@ def _convergence(forces: Sequence[Array], spacings: tuple[float, ...]) -> Order:
 
 
 def observed_order(coarse: float, fine: float, spacings: Sequence[float]) -> float:
-    """Return the order p at which differences ``coarse`` (h3 to h2) and ``fine`` (h2 to h1) lie
-    with an error C h^p.
+    """Return the order p of an error C h^p from two differences of forces.
+
+    The differences are ``coarse`` (h3 to h2) and ``fine`` (h2 to h1).
 
     Parameters
     ----------

@@ -1,5 +1,6 @@
-"""Reference force of a whole run, interpolated between evaluated ticks and kept on disk, and
-errors against it.
+"""Reference force of a whole run, and errors against it.
+
+The force is interpolated between evaluated ticks and kept on disk.
 """
 
 from collections.abc import Callable
@@ -38,14 +39,14 @@ __all__ = [
 COARSEST_TICKS = 32
 """Ticks between two evaluations at the most."""
 INTERPOLATION = 2e-3
-"""Where a line between two evaluations misses the tick between them by more than this share of the
-mean force, both halves are evaluated too."""
-JUMP = 0.05
-"""Share of the speed by which the velocity jumps from one tick to the next where the force may
-jump too.
+"""Share of the mean force that a line between two evaluations may miss the tick between them by.
+
+Beyond it, both halves are evaluated too.
 """
+JUMP = 0.05
+"""Relative jump of the velocity between two ticks from which the force may jump too."""
 CHECKED = 32
-"""Ticks at which the reference is evaluated anew, twice as fine, for its own uncertainty."""
+"""Ticks at which the reference is evaluated again, twice as fine, for its uncertainty."""
 WINDOW_TICKS = 50
 """Ticks of a mean over 50 ms."""
 
@@ -112,13 +113,14 @@ def path_of_trace(trace: Table, cutter: Cutter) -> ToolPath:
 
 
 def has_exact_geometry(scene: Scene) -> bool:
-    """Whether a scene's tool cuts an anatomy that is known as a function of position."""
+    """Return whether a scene's tool cuts an anatomy that is known as a function of position."""
     return isinstance(scene.tool, Tool) and scene.tool.spin_rpm > 0.0 and is_procedural(scene.bone)
 
 
 def solid_of_scene(scene: Scene) -> Solid:
-    """Return the solid that a scene's tool cuts, as functions of position; refuse an anatomy
-    from a file.
+    """Return the solid that a scene's tool cuts, as functions of position.
+
+    An anatomy from a file is refused.
     """
     anatomy, minus = solid_of(scene, motion_of(scene, step_s=TICK_S))
     changes = scene.cutting.model_dump(exclude={"material"})
@@ -133,8 +135,9 @@ def reference_force(
     resolution: Resolution | None = None,
     progress: Progress | None = None,
 ) -> ReferenceForce:
-    """Compute the force of the exact geometry on the motion of a run, once for each motion, anatomy
-    and tool.
+    """Compute the force of the exact geometry on the motion of a run.
+
+    The force is computed once for each motion, anatomy and tool.
 
     Raises
     ------
@@ -176,8 +179,9 @@ def force_on_path(
     report = progress or silent
 
     def make() -> dict[str, NDArray[np.generic]]:
-        """Wrench [N], [N m] at every tick, its relative error at some of them, and how many
-        ticks were evaluated.
+        """Return the wrench [N], [N m] at every tick, its relative error, and the evaluated ticks.
+
+        The error is known at some ticks only. The number of evaluated ticks is returned.
         """
         wrench, known = _over_ticks(
             lambda tick: wrench_at(tick, path, cutter, solid, resolution=fine), path, report
@@ -221,11 +225,10 @@ def force_on_path(
 def _over_ticks(
     evaluate: Callable[[int], Array], path: ToolPath, report: Progress
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Compute the wrench at every tick, shape (n, 6), and whether it was evaluated there, shape
-    (n,).
+    """Compute the wrench at every tick, shape (n, 6), and its evaluation flag, shape (n,).
 
-    Every stretch without a jump is halved until lines between the evaluations meet the tick between
-    them.
+    Every stretch without a jump is halved until the line between two evaluations agrees with the
+    tick between them.
     """
     count = len(path.tips_m)
     wrench = np.zeros((count, 6))
@@ -267,8 +270,9 @@ def _over_ticks(
 
 
 def _stretches(path: ToolPath) -> list[tuple[int, int]]:
-    """Return first and last ticks of the parts of a path without jumps of the velocity, and thus
-    of the force.
+    """Return first and last ticks of the parts of a path without jumps of the velocity.
+
+    The force does not jump within these parts.
     """
     motion = np.hstack([path.velocities, path.reach_m * path.turnings])
     speed = np.linalg.norm(motion, axis=1)
@@ -300,6 +304,6 @@ def error_of_force(force_N: Array, reference: ReferenceForce) -> ForceError:
 
 
 def means_over_50_ms(values: Array) -> Array:
-    """Return means over 50 ms, shape (n // 50, 3); of a shorter run, its mean."""
+    """Return means over 50 ms, shape (n // 50, 3), or the mean of a shorter run."""
     count = max(len(values) // WINDOW_TICKS, 1)
     return np.array([part.mean(axis=0) for part in np.split(values[: count * WINDOW_TICKS], count)])

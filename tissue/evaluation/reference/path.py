@@ -1,9 +1,8 @@
-"""Path of a tool through a solid: convex parts of the tool, and the distance from what they have
-swept.
+"""Path of a tool through a solid: convex parts of the tool and the distance from swept volume.
 
-The distance to a convex body is a convex function, so along a straight path it has one minimum,
-which golden-section search brackets. That of a ball is the distance of its centre to the path, less
-its radius.
+The distance to a convex body is a convex function. Along a straight path it therefore has one
+minimum, which golden-section search brackets. For a ball, the minimum is the distance of its centre
+to the path minus its radius.
 """
 
 from dataclasses import dataclass, field
@@ -20,21 +19,21 @@ __all__ = ["ConvexPart", "ToolPath", "convex_parts"]
 
 GOLDEN = 0.6180339887498949
 RESOLUTION_M = 1e-12
-"""Length to which the nearest place on a path is bracketed [m]."""
+"""Length to which the nearest position on a path is bracketed [m]."""
 STRAIGHT_M = 5e-9
 """Largest bend of a point's path through the tool's frame within a leg [m]."""
 
 
 @dataclass(frozen=True)
 class ConvexPart:
-    """A convex body of revolution about z, bounded by the pieces of its half section.
+    """Convex body of revolution about z, bounded by the pieces of its half section.
 
     Attributes
     ----------
     pieces
-        From the axis at the bottom to the axis at the top.
+        Pieces from the axis at the bottom to the axis at the top.
     ball
-        Whether it is one ball.
+        True if the part is one ball.
     """
 
     pieces: tuple[Piece, ...]
@@ -51,8 +50,9 @@ class ConvexPart:
         return centre, float(np.hypot(outline[:, 0], outline[:, 1] - centre).max()) + slack
 
     def distance(self, points: Array) -> Array:
-        """Signed distance [m], shape (n,), negative inside, of points in the tool's frame [m],
-        shape (n, 3).
+        """Return the signed distance [m], shape (n,), negative inside.
+
+        The points [m], shape (n, 3), are in the tool's frame.
         """
         section = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
         seen = [_seen(piece, section) for piece in self.pieces]
@@ -63,11 +63,10 @@ class ConvexPart:
         return np.where(outside, least, -least)
 
     def least_on_path(self, start: Array, end: Array, *, within: Array) -> Array:
-        """Least signed distance while points go straight from ``start`` to ``end``, both shape (n,
-        3) [m].
+        """Return the smallest signed distance of points that move straight from start to end [m].
 
-        Values above ``within``, shape (n,) [m], may come out smaller than they are, but never below
-        it.
+        ``start`` and ``end`` have shape (n, 3) [m]. Results above ``within``, shape (n,) [m], may
+        be too small, but they never fall below ``within``.
         """
         height, radius = self.bounding_ball
         bound = _to_segment(np.array([0.0, 0.0, height]), start, end) - radius
@@ -81,8 +80,9 @@ class ConvexPart:
         return bound
 
     def _search(self, start: Array, along: Array) -> Array:
-        """Golden-section search for the least distance at ``start + share along``, share in [0,
-        1].
+        """Search the smallest distance at ``start + share along`` for a share in [0, 1].
+
+        The method is golden-section search.
         """
         low = np.zeros(len(start))
         high = np.ones(len(start))
@@ -111,7 +111,7 @@ class ConvexPart:
 
 
 def convex_parts(profile: Profile) -> tuple[ConvexPart, ...]:
-    """The convex parts that a cutter is the union of; the first is the one that cuts."""
+    """Return the convex parts whose union is a cutter. The first part is the cutting part."""
     pieces = profile.pieces
     if profile.convex:
         arc = pieces[0]
@@ -125,8 +125,9 @@ def convex_parts(profile: Profile) -> tuple[ConvexPart, ...]:
 
 
 def _seen(piece: Piece, points: Array) -> tuple[Array, Array]:
-    """Distance [m] from a piece, and the component along its normal [m] of the line to it from
-    its nearest point.
+    """Return the distance [m] from a piece, and a component along its normal [m].
+
+    The component belongs to the line from the nearest point of the piece.
     """
     if isinstance(piece, Arc):
         out = points - np.asarray(piece.centre)
@@ -146,7 +147,7 @@ def _seen(piece: Piece, points: Array) -> tuple[Array, Array]:
 
 
 def _to_segment(point: Array, start: Array, end: Array) -> Array:
-    """Distance [m] of one point, shape (3,), from segments with ends of shape (n, 3)."""
+    """Return the distance [m] of a point, shape (3,), from segments with ends of shape (n, 3)."""
     along = end - start
     squared = np.maximum((along * along).sum(axis=1), 1e-300)
     share = np.clip(((point - start) * along).sum(axis=1) / squared, 0.0, 1.0)
@@ -162,15 +163,15 @@ class ToolPath:
     tips_m
         Tip [m], shape (n, 3).
     rotations
-        Tool to world, shape (n, 3, 3).
+        Rotations from tool to world, shape (n, 3, 3).
     velocities
         Velocity of the tip [m/s], shape (n, 3).
     turnings
-        Angular velocity of the pose [rad/s], shape (n, 3); the spin is not part of it.
+        Angular velocity of the pose [rad/s], shape (n, 3), without the spin.
     reach_m
-        Farthest that the tool reaches from its tip [m].
+        Largest distance of the tool's surface from its tip [m].
     legs
-        Ticks at which a leg begins and ends, shape (legs, 2).
+        First and last tick of each leg, shape (legs, 2).
     """
 
     tips_m: Array
@@ -199,23 +200,22 @@ class ToolPath:
         )
 
     def in_tool(self, tick: int, points: Array) -> Array:
-        """Points of the world [m], shape (n, 3), in the tool's frame at a tick."""
+        """Convert points of the world [m], shape (n, 3), to the tool's frame at a tick."""
         return (points - self.tips_m[tick]) @ self.rotations[tick]
 
     def in_world(self, tick: int, points: Array) -> Array:
-        """Points of the tool's frame [m], shape (n, 3), in the world at a tick."""
+        """Convert points of the tool's frame [m], shape (n, 3), to the world at a tick."""
         return self.tips_m[tick] + points @ self.rotations[tick].T
 
     def swept_distance(
         self, tick: int, parts: tuple[ConvexPart, ...], points: Array, *, within: Array
     ) -> Array:
-        """Signed distance [m] of points in the world, shape (n, 3), from all that the tool has
-        swept before a tick.
+        """Return the signed distance [m] from all volume that the tool has swept before a tick.
 
-        Negative inside. On the leg that the tick belongs to, the first part is left out: of what
-        lies on a convex body that advances on a straight path, nothing lay inside it before.
-        Infinite where nothing was swept; of values above ``within``, shape (n,) [m], only that is
-        right.
+        The distance is negative inside. The points, shape (n, 3), are in the world. On the leg that
+        the tick belongs to, the first part is left out: no point on a convex body that advances on
+        a straight path was inside it before. The distance is infinite if nothing was swept. Above
+        ``within``, shape (n,) [m], the result is only known to be larger than ``within``.
         """
         distance = np.full(len(points), np.inf)
         for start, end in self.legs[self.legs[:, 0] < tick]:
@@ -229,9 +229,7 @@ class ToolPath:
         return distance
 
     def _found_legs(self) -> NDArray[np.intp]:
-        """Ticks joined to legs as long as the paths through the tool's frame are straight and do
-        not turn back.
-        """
+        """Join ticks to legs whose paths in the tool's frame are straight and do not turn back."""
         last = len(self.tips_m) - 1
         legs: list[tuple[int, int]] = []
         start = 0
@@ -250,8 +248,9 @@ class ToolPath:
         return np.array(legs, dtype=np.intp).reshape(-1, 2)
 
     def _is_straight(self, start: int, end: int) -> bool:
-        """Whether points about the tool go straight and onward through its frame from one tick
-        to another.
+        """Return whether points near the tool move straight and onward between two ticks.
+
+        The motion is judged in the tool's frame.
         """
         corners = self.reach_m * np.array(
             [[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, -1, -1], [0, 0, 0]], dtype=float

@@ -58,20 +58,20 @@ ROUNDING = 1e-12
 
 @dataclass(frozen=True)
 class MetricComparison:
-    """All that is asked of one metric.
+    """Comparisons of one metric.
 
     Attributes
     ----------
     metric, task
-        What was compared, and on which task.
+        Compared metric, and its task.
     cells
         Means of every user under every method.
     tests
-        Exact tests of method, group and both, as far as the table holds them.
+        Exact tests of method, group and both, if the table holds them.
     pairs
         All pairs of methods, then of groups.
     sizes
-        Cohen's d of every pair of methods (of differences within users) and of groups.
+        Cohen's d of every pair of methods (from differences within users) and of groups.
     """
 
     metric: str
@@ -94,15 +94,14 @@ def compare(
     metric
         Name of the metric.
     task
-        Which task; tasks are not pooled, as their metrics have scales of their own.
+        Name of the task. Tasks are not pooled, since their metrics have different scales.
     rng
-        Shuffles labels for permutation tests.
+        Generator that shuffles labels for permutation tests.
 
     Raises
     ------
     InputError
-        If there is nothing to compare, or too little to compare: one user a group, or a constant
-        metric.
+        If there is nothing to compare, only one user per group, or a constant metric.
     """
     require_statsmodels()
     cells = table.where(task=task).cells(metric)
@@ -131,10 +130,10 @@ def compare(
 
 
 def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) -> MixedModel:
-    """Fit the mixed model over all tasks, each test with the exact one of its stratum and those
-    that rest on less.
+    """Fit the mixed model over all tasks.
 
-    A question whose stratum holds no variation keeps the model's test alone.
+    Each test is listed with the exact test of its stratum and with tests of fewer assumptions. A
+    question whose stratum holds no variation keeps only the model's test.
     """
     mixed = mixed_model(table, metric)
     within = [name for name in ("task", "method") if len(np.unique(getattr(table, name))) > 1]
@@ -155,18 +154,18 @@ def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) ->
 def stratum_test(
     cells: Cells, within: tuple[int, ...], *, between: bool, rng: np.random.Generator
 ) -> HypothesisTest:
-    """Test one effect exactly, with its checks and the tests that rest on less.
+    """Test one effect exactly, with its checks and tests with fewer assumptions.
 
     Parameters
     ----------
     cells
         Means of a metric.
     within
-        Factors within users that are in the effect, as indices into ``cells.factors``.
+        Factors within users in the effect, as indices into ``cells.factors``.
     between
-        Whether the effect involves the group.
+        True if the effect involves the group.
     rng
-        Shuffles labels.
+        Generator that shuffles labels.
     """
     values = cells.values
     groups = cells.groups
@@ -274,22 +273,23 @@ def _equal_variances(scores: Array, groups: Ints) -> Assumption:
 def tukey_groups(
     samples: Sequence[ArrayLike], names: Sequence[str], *, metric: str
 ) -> tuple[HypothesisTest, ...]:
-    """Compare every pair of groups by Tukey and Kramer's test, and by Games and Howell's for
-    unequal variances.
+    """Compare every pair of groups by Tukey and Kramer's test.
+
+    Games and Howell's test for unequal variances is added.
 
     Parameters
     ----------
     samples
-        Values of each group, one a user, two or more, each of shape (users,).
+        Values of each group, one per user, two groups or more, each of shape (users,).
     names
         Names of the groups.
     metric
-        What is compared, for the sentence.
+        Name of the metric, for the sentence.
 
     Returns
     -------
     tuple of HypothesisTest
-        In the order of pairs (0, 1), (0, 2), ...; effects are differences of means with
+        Tests in the order of pairs (0, 1), (0, 2), ... The effects are differences of means with
         simultaneous intervals.
 
     Raises
@@ -335,11 +335,10 @@ def tukey_groups(
 def tukey_levels(
     values: Array, names: Sequence[str], groups: Ints, *, metric: str
 ) -> tuple[HypothesisTest, ...]:
-    """Compare every pair of levels that all users met by Tukey's test, and by paired t tests
-    corrected by Holm.
+    """Compare every pair of levels by Tukey's test and by paired t tests corrected by Holm.
 
-    The error is how differently users take the levels (their interaction), pooled over levels,
-    which needs sphericity; the paired test does not.
+    All users have values at all levels. The error is the interaction of users with levels, pooled
+    over levels. Pooling needs sphericity; the paired test does not.
 
     Parameters
     ----------
@@ -348,10 +347,10 @@ def tukey_levels(
     names
         Names of the levels.
     groups
-        Group of every user, shape (users,); effects of groups and how they differ with the level
-        leave the error.
+        Group of every user, shape (users,). Effects of groups and their interaction with the level
+        are removed from the error.
     metric
-        What is compared, for the sentence.
+        Name of the metric, for the sentence.
     """
     found = strata(values, groups, (values.shape[1],), (0,), between=False)
     counts = np.bincount(groups)
@@ -389,10 +388,10 @@ def tukey_levels(
 
 
 def corrected(p_values: Sequence[float], correction: Literal["bonferroni", "holm"]) -> list[float]:
-    """P values of a family of tests, corrected so that one false alarm in the family stays at the
-    nominal chance.
+    """Correct the p values of a family of tests for the nominal chance of one false alarm.
 
-    Holm's (1979) correction rests on no more than Bonferroni's and never rejects less.
+    Holm's (1979) correction needs no more assumptions than Bonferroni's and never rejects fewer
+    tests.
     """
     if not p_values:
         return []
@@ -403,7 +402,8 @@ def corrected(p_values: Sequence[float], correction: Literal["bonferroni", "holm
 
 @cache
 def _critical(count: int, below: float) -> float:
-    """Return the studentized range that :data:`LEVEL` of families stay below; cached, as it
-    takes 0.3 s.
+    """Return the studentized range that :data:`LEVEL` of families stay below.
+
+    The value is cached, because the computation takes 0.3 s.
     """
     return float(studentized_range.ppf(LEVEL, count, below))

@@ -14,30 +14,31 @@ from tissue.evaluation.statistics.trials import TrialTable
 __all__ = ["Index", "composite_index", "weights_of"]
 
 SMALLEST_GAP = 1.25
-"""Ratio of the first two variances below which the first direction is little more than chance
-(by convention).
+"""Ratio of the first two variances below which the first direction is not distinct.
+
+The value is a convention.
 """
 
 
 @dataclass(frozen=True)
 class Index:
-    """The index of every trial and what it weighs.
+    """Index of every trial and the weights of its metrics.
 
     Attributes
     ----------
     metrics, weights
         Metrics and their weights with intervals over resampled users; weights sum to one.
     loadings
-        Of the oriented metrics on the first component, its sign chosen so that they sum to a
-        positive number.
+        Loadings of the oriented metrics on the first component. The sign is chosen so that they sum
+        to a positive number.
     values
         Index of every row of the table in standard deviations, NaN where a trial failed; higher is
         better.
     means
         Mean of each method with an interval over resampled users, weights fitted anew in each.
     assumptions
-        That metrics agree in sign, that the first component stands out, and that weights are
-        stable.
+        Checks that metrics agree in sign, that the first component is distinct, and that weights
+        are stable.
     """
 
     metrics: tuple[str, ...]
@@ -49,7 +50,7 @@ class Index:
 
     @property
     def sentence(self) -> str:
-        """Weights and means in words, with what does not hold."""
+        """Weights and means in words, with failed assumptions."""
         weights_text = ", ".join(f"{each.name} {each.value:.2f}" for each in self.weights)
         means = ", ".join(
             f"{each.name} {each.value:+.2f} [{each.low:.2f}, {each.high:.2f}]"
@@ -72,8 +73,8 @@ def weights_of(standard: Array) -> tuple[Array, Array, Array]:
     Returns
     -------
     weights, loadings, variances
-        Shape (..., metrics) each; weights sum to one, loadings to a positive number, variances
-        fall.
+        Shape (..., metrics) each. The weights sum to one, the loadings sum to a positive number,
+        and the variances decrease.
     """
     variances, vectors = np.linalg.eigh(standard)
     first = vectors[..., -1]
@@ -86,18 +87,20 @@ def composite_index(
 ) -> Index:
     """Compute the composite index with weights from the first principal component.
 
-    Metrics are oriented (higher is better) and standardised within each task, whose scales differ,
-    then weighted by the squared loadings of the first component of their correlation. Published
-    weights from raw metrics have mixed signs and change with the units; these do neither.
+    Metrics are oriented (higher is better) and standardised within each task, since the scales of
+    tasks differ. They are then weighted by the squared loadings of the first component of their
+    correlation. Published weights from raw metrics have mixed signs and depend on the units. The
+    weights here have neither problem.
 
     Parameters
     ----------
     table
         Trials.
     directions
-        +1 for a metric where higher is better, -1 where lower is, by name; two or more.
+        +1 for a metric where higher is better, -1 for a metric where lower is better, by name. Two
+        metrics or more.
     rng
-        Draws users for the intervals.
+        Generator that draws users for the intervals.
     count
         Number of resampled populations.
     """
@@ -156,8 +159,9 @@ def composite_index(
 def _resampled(
     scaled: Array, person: Ints, method: Ints, times: Array, method_count: int
 ) -> tuple[Array, Array]:
-    """Weights and means of each method's metrics in populations where user u is drawn times[b,
-    u] times.
+    """Return weights and means of each method's metrics in resampled populations.
+
+    In population b, user u is drawn times[b, u] times.
     """
     people = times.shape[1]
     width = scaled.shape[1]

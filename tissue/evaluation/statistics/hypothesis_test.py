@@ -33,22 +33,22 @@ LEVEL = 0.95
 TAILS = (0.5 * (1.0 + LEVEL), 0.5 * (1.0 - LEVEL))
 """Chances of a figure below the measured one at the lower and at the upper end of an interval."""
 MOST = 5000
-"""Largest sample for which the p value of Shapiro and Wilk's test is known (Royston 1995)."""
+"""Largest sample with a known p value of Shapiro and Wilk's test (Royston 1995)."""
 
 
 @dataclass(frozen=True)
 class Assumption:
-    """Something a test rests on, checked on the same data.
+    """Assumption of a test, checked on the same data.
 
     Attributes
     ----------
     name
-        What is assumed, such as "normal residuals".
+        Name of the assumption, such as "normal residuals".
     holds
-        Whether the check did not refuse it at :data:`ALPHA`. A check that is passed proves nothing
+        True if the check did not reject the assumption at :data:`ALPHA`. A passed check is no proof
         in a small sample.
     finding
-        The check with its figures.
+        Name of the check with its figures.
     """
 
     name: str
@@ -71,26 +71,26 @@ class Effect:
 
 @dataclass(frozen=True)
 class HypothesisTest:
-    """The result of one test.
+    """Result of one test.
 
     Attributes
     ----------
     test
         Name of the test.
     question
-        What was asked, such as "force_error: method".
+        Question of the test, such as "force_error: method".
     statistic_name, statistic, degrees
-        The figure the test computes, such as F, and its degrees of freedom.
+        Figure that the test computes, such as F, and its degrees of freedom.
     p
-        Chance of a figure as large where there is no effect.
+        Probability of such a large figure without an effect.
     effect
         Size of the effect, if the test has one.
     assumptions
-        What it rests on.
+        Assumptions of the test.
     alternatives
-        Tests of the same question that rest on less.
+        Tests of the same question with fewer assumptions.
     note
-        What a reader must know as well; empty if nothing.
+        Further information for the reader. May be empty.
     """
 
     test: str
@@ -106,12 +106,12 @@ class HypothesisTest:
 
     @property
     def sound(self) -> bool:
-        """Whether no check refused an assumption."""
+        """True if no check rejected an assumption."""
         return all(each.holds for each in self.assumptions)
 
     @property
     def found(self) -> bool:
-        """Whether the test rejects at :data:`ALPHA`."""
+        """True if the test rejects at :data:`ALPHA`."""
         return self.p < ALPHA
 
     @property
@@ -129,7 +129,7 @@ def format_p(p: float) -> str:
 
 
 def require_statsmodels() -> None:
-    """Refuse to go on where the extra that holds statsmodels is not installed."""
+    """Raise an error if the extra that holds statsmodels is not installed."""
     try:
         import statsmodels  # noqa: F401
     except ImportError:
@@ -142,19 +142,20 @@ def require_statsmodels() -> None:
 
 
 def cohens_d(first: ArrayLike, second: ArrayLike, *, paired: bool = False) -> Effect:
-    """Difference of two means in standard deviations (Cohen 1988), interval from the noncentral t
-    distribution.
+    """Return the difference of two means in standard deviations (Cohen 1988).
 
-    The interval (Steiger and Fouladi 1997) is exact for normal samples of equal variance.
+    The interval from the noncentral t distribution (Steiger and Fouladi 1997) is exact for normal
+    samples of equal variance.
 
     Parameters
     ----------
     first, second
-        Samples, one finite value a user, two or more; for paired ones entry i of both is the same
-        user.
+        Samples, one finite value per user, two or more. In paired samples, entry i of both is the
+        same user.
     paired
         Divide by the standard deviation of the differences ("d of differences"), not by the pooled
-        one of the samples. The two answer different questions and are named apart.
+        standard deviation of the samples. The two answer different questions and have different
+        names.
 
     Raises
     ------
@@ -181,7 +182,9 @@ def cohens_d(first: ArrayLike, second: ArrayLike, *, paired: bool = False) -> Ef
 
 
 def partial_eta_squared(statistic: float, above: float, below: float) -> Effect:
-    """Return the share of variation that an effect explains beside its error, from F (Cohen 1973).
+    """Return partial eta squared from F (Cohen 1973).
+
+    It is the share of variation that an effect explains, relative to effect and error.
 
     The interval (Steiger 2004) is L / (L + above + below + 1) of the noncentralities L of F at its
     ends.
@@ -198,8 +201,9 @@ def partial_eta_squared(statistic: float, above: float, below: float) -> Effect:
 
 
 def _noncentrality(statistic: float, above: float, below: float, chance: float) -> float:
-    """Noncentrality at which an F below the given one has this chance; zero where even that
-    makes it rarer.
+    """Return the noncentrality at which an F below the given one has this probability.
+
+    The result is zero if the probability is smaller even without noncentrality.
     """
 
     def excess(shift: float) -> float:
@@ -250,8 +254,9 @@ def normal_residuals(residuals: ArrayLike, *, name: str = "normal residuals") ->
 
 
 def mardia(residuals: ArrayLike) -> Assumption:
-    """Joint normality of several columns by Mardia's (1970, 1974) skewness and kurtosis, each at
-    half the usual chance.
+    """Test joint normality of several columns by Mardia's (1970, 1974) skewness and kurtosis.
+
+    Each is tested at half the usual chance.
 
     Parameters
     ----------

@@ -40,9 +40,9 @@ def manova(
 ) -> HypothesisTest:
     """Compare groups or methods on several metrics at once.
 
-    The unit is the user: groups are compared by users' means over their trials, methods by users'
-    differences between methods, so that the rows of the analysis are independent though every user
-    meets every method.
+    The unit is the user. Groups are compared by users' means over their trials, and methods by
+    users' differences between methods. The rows of the analysis are therefore independent, although
+    every user has trials under every method.
 
     Parameters
     ----------
@@ -51,14 +51,14 @@ def manova(
     metrics
         Two metrics or more.
     factor
-        What is compared.
+        Compared factor.
     rng
-        Shuffles labels for the permutation test beside it.
+        Generator that shuffles labels for the additional permutation test.
 
     Raises
     ------
     InputError
-        If the users are too few for the metrics, or one metric is another's multiple.
+        If there are too few users for the metrics, or one metric is a multiple of another.
     """
     cells = [table.cells(metric) for metric in metrics]
     chosen = (0,) if factor == "method" else ()
@@ -78,26 +78,25 @@ def multivariate(
     rng: np.random.Generator,
     permutations: int = 1999,
 ) -> HypothesisTest:
-    """Run a multivariate analysis of variance by statsmodels, with its checks and its permutation
-    test.
+    """Run a multivariate analysis of variance by statsmodels, with checks and a permutation test.
 
     Parameters
     ----------
     scores
-        One row a user, shape (users, columns).
+        One row per user, shape (users, columns).
     groups
         Group of every user, 0 to G - 1, shape (users,).
     between
         Compare groups; if not, test the mean of the columns over groups of equal weight against
         zero.
     question
-        What is asked, for the sentence.
+        Question of the test, for the sentence.
 
     Returns
     -------
     HypothesisTest
-        Pillai's trace, the most robust of the four (Olson 1974), with the other three and a
-        permutation test beside it.
+        Pillai's trace, the most robust of the four statistics (Olson 1974), with the other three
+        and a permutation test as alternatives.
     """
     counts = np.bincount(groups)
     width = scores.shape[1]

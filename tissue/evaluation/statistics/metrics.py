@@ -24,15 +24,16 @@ __all__ = [
 ]
 
 SPARC_CUTOFF_HZ = 10.0
-"""Highest frequency of a hand's movement that counts (Balasubramanian et al. 2015; 5 to 20 Hz in
-use).
+"""Highest counted frequency of a hand's movement (Balasubramanian et al. 2015).
+
+Values of 5 to 20 Hz are in use.
 """
 SPARC_AMPLITUDE = 0.05
 """Share of the spectrum's peak below which it is noise (Balasubramanian et al. 2015)."""
 SPARC_PADDING = 4
-"""Powers of two by which the spectrum is sampled finer (Balasubramanian et al. 2015)."""
+"""Exponent of the finer sampling of the spectrum, base 2 (Balasubramanian et al. 2015)."""
 POINTS = 800
-"""Samples of either path that the alignment goes over; distances are refined between them."""
+"""Samples of each path for the alignment. Distances are refined between them."""
 
 
 def force_error(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
@@ -58,26 +59,28 @@ def force_error(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
 
 
 def excess_error(error: float, least_error: float) -> float:
-    """Compute the excess over the least error, sqrt(error^2 - least^2); 0 where the error is
-    smaller.
+    """Compute the excess over the smallest possible error, sqrt(error^2 - least_error^2).
 
-    The least error is that of a perfect force through the same device. Errors that do not depend on
-    each other add in squares, so this is the part that a better force could save.
+    The result is 0 where the error is smaller. The smallest possible error is the error of a
+    perfect force through the same device. Independent errors add in squares, so the excess is the
+    part that a better force could remove.
     """
     return float(np.sqrt(max(error**2 - least_error**2, 0.0)))
 
 
 def force_mae_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
-    """Return the mean over ticks of the size of the force's error [N]; arguments as for
-    :func:`force_error`.
+    """Return the mean over ticks of the size of the force's error [N].
+
+    The arguments are the same as for :func:`force_error`.
     """
     force, ideal = _pair("force_N", force_N, "ideal_N", ideal_N)
     return float(np.linalg.norm(force - ideal, axis=1).mean())
 
 
 def force_rms_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
-    """Root mean square over ticks of the size of the force's error [N]; arguments as for
-    :func:`force_error`.
+    """Return the root mean square over ticks of the size of the force's error [N].
+
+    The arguments are the same as for :func:`force_error`.
     """
     force, ideal = _pair("force_N", force_N, "ideal_N", ideal_N)
     return float(np.sqrt(((force - ideal) ** 2).sum(axis=1).mean()))
@@ -86,25 +89,26 @@ def force_rms_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
 def latency_ms(
     force_N: ArrayLike, ideal_N: ArrayLike, *, tick_s: float, longest_ms: float = 50.0
 ) -> float:
-    """Compute the lag of the played force behind the ideal one [ms]: the shift of best correlation.
+    """Compute the lag of the played force behind the ideal force [ms].
 
-    The correlation is taken over the overlap, its peak by a parabola through three shifts. A force
-    that leads, as a predicted one may, gives a negative value.
+    The lag is the shift with the best correlation. The correlation is computed over the overlap,
+    and its peak by a parabola through three shifts. A leading force, such as a predicted one, gives
+    a negative value.
 
     Parameters
     ----------
     force_N, ideal_N
-        The force that was played and the reference [N], shape (ticks,) or (ticks, 3).
+        Played force and reference force [N], shape (ticks,) or (ticks, 3).
     tick_s
         Time from tick to tick [s].
     longest_ms
-        Largest shift that is looked at, in either direction [ms].
+        Largest shift in either direction [ms].
 
     Raises
     ------
     InputError
-        If a force is constant, or the best shift lies at the end of the range, where it is not
-        known to be the best.
+        If a force is constant, or the best shift lies at the end of the range, where a better shift
+        may lie outside.
     """
     force, ideal = _pair("force_N", force_N, "ideal_N", ideal_N)
     require_positive("tick_s", tick_s, "use 0.001")
@@ -130,12 +134,12 @@ def latency_ms(
 
 
 def acceleration_change_m_s2(velocity_mm_s: ArrayLike, *, tick_s: float) -> float:
-    """Return the mean size of the change of acceleration from tick to tick [m/s^2]; lower is
-    smoother.
+    """Return the mean size of the change of acceleration between ticks [m/s^2].
 
-    This is the published "smoothness index" as its formula prints it: mean |dv[i+1]/dt - dv[i]/dt|.
-    It is a jerk times the tick, so it is compared only between trials of one tick, and it grows
-    with roughness, though its published table reads as if higher were better.
+    Lower is smoother. This is the published "smoothness index" in the form of its printed formula:
+    mean |dv[i+1]/dt - dv[i]/dt|. It is a jerk times the tick, so it can be compared only between
+    trials of one tick. It grows with roughness, although its published table reads as if higher
+    were better.
 
     Parameters
     ----------
@@ -150,12 +154,12 @@ def acceleration_change_m_s2(velocity_mm_s: ArrayLike, *, tick_s: float) -> floa
 
 
 def spectral_arc_length(speed_mm_s: ArrayLike, *, tick_s: float) -> float:
-    """Spectral arc length of a movement (SPARC, Balasubramanian et al. 2012, 2015); nearer to zero
-    is smoother.
+    """Compute the spectral arc length of a movement, where nearer to zero is smoother.
 
-    Minus the length of the normalised magnitude spectrum of the speed, from its first to its last
-    frequency at or above :data:`SPARC_AMPLITUDE`, up to :data:`SPARC_CUTOFF_HZ`. It has no unit and
-    depends neither on the movement's size nor, below the cutoff, on its duration.
+    The measure is SPARC (Balasubramanian et al. 2012, 2015). It is minus the length of the
+    normalised magnitude spectrum of the speed. The spectrum is used from its first to its last
+    frequency at or above :data:`SPARC_AMPLITUDE`, up to :data:`SPARC_CUTOFF_HZ`. The result has no
+    unit. It does not depend on the movement's size or, below the cutoff, on its duration.
 
     Parameters
     ----------
@@ -191,15 +195,16 @@ def spectral_arc_length(speed_mm_s: ArrayLike, *, tick_s: float) -> float:
 
 
 def completion_time_s(time_s: ArrayLike, done: ArrayLike) -> float:
-    """Time from the first tick until the task is done and stays done [s]; infinite if it is not
-    done at the end.
+    """Return the time from the first tick until the task is done and stays done [s].
+
+    The result is infinite if the task is not done at the end.
 
     Parameters
     ----------
     time_s
         Time of every tick [s], shape (ticks,).
     done
-        Whether the task's condition holds, shape (ticks,).
+        True where the task's condition holds, shape (ticks,).
     """
     times = _signal("time_s", time_s, at_least=1)[:, 0]
     holds = np.asarray(done, dtype=bool)
@@ -210,20 +215,22 @@ def completion_time_s(time_s: ArrayLike, done: ArrayLike) -> float:
 
 
 def overshoot_mm(depth_mm: ArrayLike, *, target_mm: float) -> float:
-    """Compute the overshoot of the tip beyond its target depth [mm], at least 0; `depth_mm` has
-    shape (ticks,).
+    """Compute the overshoot of the tip beyond its target depth [mm], at least 0.
+
+    `depth_mm` has shape (ticks,).
     """
     return max(0.0, float(_signal("depth_mm", depth_mm, at_least=1).max()) - target_mm)
 
 
 def excess_travel_mm(depth_mm: ArrayLike, *, puncture_tick: int) -> float:
-    """Compute the travel of the tip beyond its depth at a puncture [mm]; `depth_mm` has shape
-    (ticks,).
+    """Compute the travel of the tip beyond its depth at a puncture [mm].
+
+    `depth_mm` has shape (ticks,).
 
     Raises
     ------
     InputError
-        If the tick is none of the trial's.
+        If the tick is outside the trial.
     """
     depth = _signal("depth_mm", depth_mm, at_least=1)[:, 0]
     if not 0 <= puncture_tick < len(depth):
@@ -281,12 +288,12 @@ def _pair(
 
 
 def aligned_rows(path: Array, model: Array) -> Ints:
-    """Return the row of the model that each row of a path corresponds to, never falling (Sakoe and
-    Chiba 1978).
+    """Return the row of the model that each row of a path corresponds to.
 
-    The sum of distances over pairs is smallest among all orders of passing through both paths
-    without going back. Both start at their first points. The alignment may end before the last
-    point of the model, because a path that is right as far as it goes deviates nowhere.
+    The rows never decrease (Sakoe and Chiba 1978). The sum of distances over pairs is the smallest
+    among all monotonic alignments of both paths. Both start at their first points. The alignment
+    may end before the last point of the model, so that an incomplete but correct path has no
+    deviation.
 
     Parameters
     ----------
@@ -345,8 +352,7 @@ def aligned_rows(path: Array, model: Array) -> Ints:
 
 
 def deviation_mm(path: Array, model: Array, rows: Ints) -> Array:
-    """Return the distance of each point from the model's path near its aligned row [mm], shape
-    (n,).
+    """Return the distance of each point from the model's path near its row [mm], shape (n,).
 
     Parameters
     ----------

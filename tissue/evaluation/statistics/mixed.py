@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["Components", "MixedModel", "mixed_model"]
 
 ITERATIONS = 400
-"""After so many the fit counts as not converged."""
+"""Number of iterations after which the fit counts as not converged."""
 LEAST = 1e-6
 """Share of the variance that must be left over for the likelihood to be bounded."""
 
@@ -37,15 +37,15 @@ class Components:
     Attributes
     ----------
     user
-        Of users about their group.
+        Variance of users about their group.
     user_method
-        Of how users differ in taking the methods, within a task.
+        Variance of the interaction of users with methods, within a task.
     trial
-        Of trials of one user, shared by all methods that render that trial.
+        Variance of trials of one user, shared by all methods that render that trial.
     residual
-        Of what is left.
+        Remaining variance.
     user_task
-        Of how users differ in taking the tasks; zero for one task.
+        Variance of the interaction of users with tasks. Zero for one task.
     """
 
     user: float
@@ -76,15 +76,16 @@ class MixedModel:
 
 
 def mixed_model(table: TrialTable, metric: str) -> MixedModel:
-    """Fit metric = mean + group x method (x task) + user + user by method + trial + rest by
-    restricted likelihood.
+    """Fit a mixed model of a metric by restricted likelihood.
 
-    Users who differ in how they take the methods have a term of their own: without it the methods'
-    test would count trials of one user as independent (Barr et al. 2013). Trials that several
-    methods render have one too. Terms that the table cannot separate (one trial a cell) are left
-    out. Wald's statistic is referred to F with the degrees of freedom of its stratum, not to chi
-    squared, which rejects too often with few users; in a complete design this is the exact test of
-    :func:`tissue.evaluation.statistics.strata.strata` wherever no variance is estimated as zero.
+    The model is metric = mean + group x method (x task) + user + user by method + trial + rest.
+
+    The interaction of users with methods is a separate term. Without it, the methods' test would
+    count trials of one user as independent (Barr et al. 2013). Trials that several methods render
+    are a separate term too. Terms that the table cannot separate (one trial per cell) are left out.
+    Wald's statistic is compared with F with the degrees of freedom of its stratum. Chi squared
+    would reject too often with few users. In a complete design this is the exact test of
+    :func:`tissue.evaluation.statistics.strata.strata`, unless a variance is estimated as zero.
 
     Raises
     ------
@@ -159,8 +160,9 @@ def mixed_model(table: TrialTable, metric: str) -> MixedModel:
 def _convergence(
     reported_convergence: bool, found: Components, caught: list[warnings.WarningMessage]
 ) -> Assumption:
-    """Check whether the optimiser is at the maximum, which it has been seen to claim wrongly
-    without a residual.
+    """Check whether the optimiser has reached the maximum.
+
+    It has been seen to report convergence wrongly without a residual.
     """
     name = "convergence"
     if not reported_convergence:
@@ -178,8 +180,9 @@ def _convergence(
 
 
 def _freedom(fitted: "MixedLMResults", name: str, free: int) -> int:
-    """Return the degrees of freedom of the stratum of a term or coefficient: users times what
-    changes within them.
+    """Return the degrees of freedom of the stratum of a term or coefficient.
+
+    They are the users' degrees of freedom times those of the factors within users.
     """
     levels = fitted.model.data.frame.nunique()
     for factor in ("task", "method"):
@@ -229,8 +232,9 @@ def _tests(
 
 
 def _normal_users(fitted: "MixedLMResults") -> list[Assumption]:
-    """Check normality of the estimated effects of users, where there are enough and they are not
-    all zero.
+    """Check normality of the estimated effects of users.
+
+    The check needs enough users whose effects are not all zero.
     """
     users = np.array([float(each.iloc[0]) for each in fitted.random_effects.values()])
     return (
@@ -241,7 +245,7 @@ def _normal_users(fitted: "MixedLMResults") -> list[Assumption]:
 
 
 def _plain(name: str) -> str:
-    """Return a term of the formula as a person reads it."""
+    """Return a term of the formula in readable form."""
     return (
         name.replace("C(", "")
         .replace(", Sum)", "")

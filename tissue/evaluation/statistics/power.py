@@ -14,7 +14,7 @@ from tissue.evaluation.statistics.trials import Cells
 __all__ = ["Power", "drawn_users", "redrawn_power", "rejection_rates"]
 
 POPULATIONS = 10_000
-"""Enough for an error rate of 5 % to be known to 0.4 %."""
+"""Number of populations. It resolves an error rate of 5 % to 0.4 %."""
 TESTS = {"method": ((0,), False), "group": ((), True), "group x method": ((0,), True)}
 
 
@@ -29,9 +29,10 @@ class Power:
     users_per_group, populations
         Size of the study and number of populations.
     false_alarms
-        Share that rejects where nothing differs (type I), with its interval.
+        Share of rejections without a difference (type I), with its interval.
     hits
-        Share that rejects the effect (power), with its interval; 1 - hits is type II.
+        Share of rejections with the effect (power), with its interval. 1 - hits is the type II
+        error rate.
     """
 
     test: str
@@ -51,14 +52,14 @@ class Power:
 
 
 def drawn_users(groups: Ints, count: int, rng: np.random.Generator) -> Ints:
-    """Draw users with replacement, as many in each group as it has, in the order of groups.
+    """Draw users with replacement within each group, in the order of groups.
 
     Parameters
     ----------
     groups
         Group of every user, 0 to G - 1, shape (users,).
     count
-        Number of populations.
+        Number of populations. Each has the size of the original groups.
 
     Returns
     -------
@@ -74,21 +75,21 @@ def drawn_users(groups: Ints, count: int, rng: np.random.Generator) -> Ints:
 def redrawn_power(
     cells: Cells, *, rng: np.random.Generator, populations: int = POPULATIONS
 ) -> tuple[Power, ...]:
-    """Estimate the error rates with users drawn again from a study, whatever their distribution.
+    """Estimate the error rates with users redrawn from a study of any distribution.
 
-    The null hypothesis is made true by taking the means of each group and method out; what is left
-    of n users is stretched by sqrt(n / (n - 1)), since redrawn users vary by that much less than
-    new ones. Power is that of finding an effect as large as the one measured, which holds the error
-    of the measurement; where the true effect is zero or small it is too high.
+    The null hypothesis is made true by subtracting the means of each group and method. The
+    residuals of n users are scaled by sqrt(n / (n - 1)), since redrawn users vary less than new
+    ones by this factor. Power refers to an effect of the measured size, which includes the error of
+    the measurement. The power is too high if the true effect is zero or small.
 
     Parameters
     ----------
     cells
         Means of a metric by one factor within users.
     rng
-        Draws the users.
+        Generator that draws the users.
     populations
-        How often.
+        Number of populations.
     """
     order = np.argsort(cells.groups, kind="stable")
     values = cells.values[order]

@@ -1,5 +1,6 @@
-"""Bayesian regression of one metric on others with random users, posterior by quadrature instead
-of chains.
+"""Bayesian regression of one metric on others with random users, by quadrature.
+
+The posterior is computed by quadrature instead of chains.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,21 +19,25 @@ from tissue.evaluation.statistics.trials import TrialTable
 __all__ = ["Posterior", "regression", "trial_regression"]
 
 NODES = 96
-"""Nodes over the intraclass correlation; 48 give the same intervals to four digits."""
+"""Nodes over the intraclass correlation. 48 nodes give the same intervals to four digits."""
 
 
 SLOPE_SPREAD = 10.0
-"""Standard deviation of slopes and intercept in the prior, over that of the rest: almost no
-information.
+"""Standard deviation of slopes and intercept in the prior, over the residual standard deviation.
+
+It is almost uninformative.
 """
 SHAPE = SCALE = 0.01
-"""Of the inverse gamma prior of the variance of the rest, almost no information (Gelman 2006 warns
-of it for variances between groups; those have a uniform correlation here instead)."""
+"""Parameters of the inverse gamma prior of the residual variance, almost uninformative.
+
+Gelman (2006) advises against this prior for variances between groups. Here, the intraclass
+correlation of users has a uniform prior instead.
+"""
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """What the data leave likely.
+    """Posterior of a regression.
 
     Attributes
     ----------
@@ -40,11 +45,12 @@ class Posterior:
         Change of the response for one unit of each predictor, median and credible interval, in
         their own units.
     correlation
-        Share of the variance about the line that is between users, mean over the posterior.
+        Share of the variance about the line that is variance between users, mean over the
+        posterior.
     chances
-        Chance that each slope is positive.
+        Probability that each slope is positive.
     sentence
-        The result in words.
+        Result in words.
     """
 
     slopes: tuple[Effect, ...]
@@ -54,8 +60,9 @@ class Posterior:
 
 
 def trial_regression(table: TrialTable, response: str, predictors: Sequence[str]) -> Posterior:
-    """Regress one metric of the trials that did not fail on others, users random; see
-    :func:`regression`.
+    """Regress one metric of the trials without failure on others, see :func:`regression`.
+
+    Users are random effects.
     """
     kept = table.complete()
     if not len(kept):
@@ -77,12 +84,15 @@ def regression(
     response: str,
     slope_spread: float = SLOPE_SPREAD,
 ) -> Posterior:
-    """Posterior of y = b0 + X b + u(user) + e with e ~ N(0, s^2), u ~ N(0, s^2 r / (1 - r)).
+    """Compute the posterior of a linear regression with random users.
+
+    The model is y = b0 + X b + u(user) + e with e ~ N(0, s^2), u ~ N(0, s^2 r / (1 - r)).
 
     Given r, the intraclass correlation, the normal-inverse-gamma prior is conjugate (Gelman et al.
-    2013, chapter 14), so slopes have a t distribution and the evidence a closed form. r has a
-    uniform prior and is integrated by quadrature: the posterior is a mixture of t distributions,
-    exact to the nodes. The same model by chains (NUTS) gives the same intervals.
+    2013, chapter 14). Slopes therefore have a t distribution and the evidence has a closed form. r
+    has a uniform prior and is integrated by quadrature. The posterior is a mixture of t
+    distributions, exact apart from the quadrature nodes. Chains (NUTS) give the same intervals for
+    the same model.
 
     Parameters
     ----------
@@ -91,13 +101,13 @@ def regression(
     predictors
         Columns by name, finite, each of shape (rows,).
     users
-        Who each row belongs to, shape (rows,). Without random users their rows would count as
+        User of each row, shape (rows,). Without random users, the rows of one user would count as
         independent.
     response
         Name of the response.
     slope_spread
-        Standard deviation of slopes and intercept in the prior, over that of the rest, in
-        standardised columns.
+        Standard deviation of slopes and intercept in the prior, over the residual standard
+        deviation, in standardised columns.
 
     Raises
     ------
@@ -166,11 +176,12 @@ def regression(
 def _conjugate(
     values: Array, design: Array, person: Ints, ratios: Array, slope_spread: float
 ) -> tuple[Array, Array, Array]:
-    """Centre and width of every coefficient's t distribution, and the log evidence, at each ratio
-    of variances.
+    """Return centre and width of every coefficient's t distribution, and the log evidence.
+
+    They are returned at each ratio of variances.
 
     With counts n, the inverse covariance of one user's rows is I - 11' k, k = ratio / (1 + n
-    ratio), so that only sums over users enter.
+    ratio). Only sums over users are therefore needed.
     """
     counts = np.bincount(person).astype(float)
     sums = np.stack([np.bincount(person, column) for column in (*design.T, values)], axis=1)

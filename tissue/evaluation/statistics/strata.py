@@ -57,8 +57,9 @@ class Strata:
 
 
 def group_means(values: Array, groups: Ints) -> Array:
-    """Mean of each group over its users, shape (..., groups, columns), of values of shape (...,
-    users, columns).
+    """Return the mean of each group over its users, shape (..., groups, columns).
+
+    The values have shape (..., users, columns).
     """
     member = np.equal.outer(np.arange(groups.max() + 1), groups).astype(float)
     return (member / member.sum(axis=1, keepdims=True)) @ values
@@ -70,12 +71,12 @@ def scores_of(values: Array, sizes: tuple[int, ...], chosen: tuple[int, ...]) ->
     Parameters
     ----------
     values
-        Cell means, shape (..., users, levels), levels the product of `sizes`, the last factor
-        fastest.
+        Cell means, shape (..., users, levels). The number of levels is the product of `sizes`, with
+        the last factor fastest.
     sizes
         Levels of each factor.
     chosen
-        Factors in the effect; none for a user's mean (times the root of the number of levels).
+        Factors in the effect. Empty for a user's mean (times the root of the number of levels).
 
     Returns
     -------
@@ -97,11 +98,11 @@ def strata(
     *,
     between: bool,
 ) -> Strata:
-    """Test one effect against the variation between users that it is exposed to.
+    """Test one effect against the variation between users in its stratum.
 
-    In a balanced design with normal effects of users, of users by factor and of trials these are
-    the exact tests that a mixed model approximates; users who differ in how they take the methods
-    are allowed for.
+    In a balanced design with normal effects of users, of users by factor and of trials, these are
+    the exact tests that a mixed model approximates. Interactions of users with methods are
+    included.
 
     Parameters
     ----------
@@ -114,9 +115,9 @@ def strata(
     chosen
         Factors within users that are in the effect; at least one unless `between`.
     between
-        Whether the effect involves the group: alone where `chosen` is empty, else how the effect
-        differs with it. If not, the mean of the effect over groups of equal weight is tested
-        against zero.
+        True if the effect involves the group: the group alone if `chosen` is empty, otherwise the
+        interaction of the effect with the group. If false, the mean of the effect over groups of
+        equal weight is tested against zero.
     """
     scores = scores_of(values, sizes, chosen)
     contrasts = scores.shape[-1]
@@ -149,8 +150,7 @@ def strata(
 
 
 def mauchly(scores: Array, groups: Ints) -> float:
-    """Run Mauchly's (1940) test: chance of so uneven a covariance under sphericity, 1 for one
-    contrast.
+    """Return the p value of Mauchly's (1940) test of sphericity, 1 for one contrast.
 
     Parameters
     ----------
@@ -233,11 +233,11 @@ def welch(values: Array, groups: Ints, *, question: str) -> HypothesisTest:
     Parameters
     ----------
     values
-        One value a user, shape (users,).
+        One value per user, shape (users,).
     groups
         Group of every user, 0 to G - 1, shape (users,).
     question
-        What is asked, for the sentence.
+        Question of the test, for the sentence.
     """
     from statsmodels.stats.oneway import anova_oneway
 
@@ -254,23 +254,28 @@ def welch(values: Array, groups: Ints, *, question: str) -> HypothesisTest:
 
 
 def kruskal_wallis(values: Array, groups: Ints, *, question: str) -> HypothesisTest:
-    """Compare groups by ranks (Kruskal and Wallis 1952); arguments as for :func:`welch`."""
+    """Compare groups by ranks (Kruskal and Wallis 1952).
+
+    The arguments are those of :func:`welch`.
+    """
     samples = _samples(values, groups)
     statistic, p = map(float, kruskal(*samples))
     return HypothesisTest("Kruskal-Wallis", question, "H", statistic, (len(samples) - 1,), p)
 
 
 def friedman(values: Array, *, question: str) -> HypothesisTest:
-    """Compare three levels or more within users by ranks (Friedman 1937); `values` has shape
-    (users, levels).
+    """Compare three levels or more within users by ranks (Friedman 1937).
+
+    `values` has shape (users, levels).
     """
     statistic, p = map(float, friedmanchisquare(*values.T))
     return HypothesisTest("Friedman", question, "chi2", statistic, (values.shape[1] - 1,), p)
 
 
 def hotelling(scores: Array, groups: Ints, *, question: str) -> HypothesisTest:
-    """Test mean scores against zero with no sphericity assumed (Hotelling 1931), groups of equal
-    weight.
+    """Test mean scores against zero without assuming sphericity (Hotelling 1931).
+
+    The groups have equal weight.
 
     Parameters
     ----------
@@ -290,8 +295,9 @@ def shuffled_users(values: Array, count: int, rng: np.random.Generator) -> Array
 
 
 def shuffled_p(measured: float, shuffled: Array) -> float:
-    """Return the share of shuffled figures, and the measured one, that reach the measured one
-    (Edgington 1995).
+    """Return the share of figures that reach the measured one (Edgington 1995).
+
+    The figures are the shuffled ones and the measured one.
     """
     return (1 + int((shuffled >= measured * (1.0 - 1e-12)).sum())) / (len(shuffled) + 1)
 
@@ -307,11 +313,11 @@ def permutation(
     rng: np.random.Generator,
     count: int = 4999,
 ) -> HypothesisTest:
-    """Compare the F of :func:`strata` with that of shuffled labels.
+    """Compare the F of :func:`strata` with the F of shuffled labels.
 
-    An effect of groups shuffles users over groups; an effect within users shuffles the levels of
-    the chosen factors within each user; both are exact where the labels mean nothing (Edgington
-    1995).
+    For an effect of groups, users are shuffled over groups. For an effect within users, the levels
+    of the chosen factors are shuffled within each user. Both tests are exact if the labels have no
+    effect (Edgington 1995).
     """
     centred = values
     if chosen and between:

@@ -26,8 +26,9 @@ KEYS = (*KEY, "seed", "failure")
 
 @dataclass(frozen=True)
 class Cells:
-    """Means of one metric over the trials of each user at each level, the unit that tests of a
-    study compare.
+    """Means of one metric over the trials of each user at each level.
+
+    These means are the unit that tests of a study compare.
 
     Attributes
     ----------
@@ -45,7 +46,7 @@ class Cells:
         Names of the crossed factors within users and their levels, the last one changing fastest
         along `levels`.
     dropped
-        Users left out because every trial of theirs at some level failed.
+        Users left out because all their trials at some level failed.
     """
 
     metric: str
@@ -70,14 +71,14 @@ class TrialTable:
     Attributes
     ----------
     task, group, user, method
-        Labels, shape (rows,). Users of one label in two groups are two users.
+        Labels, shape (rows,). Equal labels in two groups denote two users.
     trial, seed
         Number of the trial within its task, group and user, and the seed that reproduces it, shape
         (rows,).
     failure
-        Empty, or why the trial failed; its metrics are then NaN.
+        Empty, or the reason of a failed trial, whose metrics are NaN.
     metrics
-        Values by name, the unit in the name, each of shape (rows,).
+        Values by name with its unit, each of shape (rows,).
 
     Raises
     ------
@@ -131,8 +132,9 @@ class TrialTable:
 
     @classmethod
     def from_rows(cls, rows: Iterable[Mapping[str, object]]) -> "TrialTable":
-        """A table of rows that hold the keys and metrics by name; `failure` may be left out, and
-        metrics of a failure.
+        """Return a table of rows that hold the keys and metrics by name.
+
+        A row may omit `failure`; a row with a failure may omit metrics.
 
         Raises
         ------
@@ -160,8 +162,9 @@ class TrialTable:
         )
 
     def write_csv(self, path: Path) -> None:
-        """Write the table; the same trials give the same bytes, from which their bits can be
-        read again.
+        """Write the table as CSV.
+
+        The same trials give the same bytes, and the values can be read back bit by bit.
         """
         columns = [getattr(self, name).tolist() for name in KEYS]
         columns += [[repr(value) for value in values.tolist()] for values in self.metrics.values()]
@@ -182,8 +185,9 @@ class TrialTable:
         return int((self.failure != "").sum())
 
     def where(self, **chosen: str | Sequence[str]) -> "TrialTable":
-        """Rows whose labels are among those chosen, such as ``where(task="wall", method=["penalty",
-        "koopman"])``.
+        """Return the rows with the chosen labels.
+
+        An example is ``where(task="wall", method=["penalty", "koopman"])``.
 
         Raises
         ------
@@ -220,8 +224,9 @@ class TrialTable:
         return self._rows(self.failure == "")
 
     def shared(self) -> "TrialTable":
-        """Rows of trials that failed under none of the table's methods, so that methods are
-        compared on the same.
+        """Return the rows of trials that failed under none of the table's methods.
+
+        All methods are then compared on the same trials.
         """
         names = np.array(
             [f"{row}" for row in zip(self.task, self.people(), self.trial, strict=True)],
@@ -233,8 +238,7 @@ class TrialTable:
         return self._rows(whole & np.isin(names, kept))
 
     def cells(self, metric: str, *, within: Sequence[str] = ("method",)) -> Cells:
-        """Return the means of a metric over each user's trials, by the factors that change within a
-        user.
+        """Return the means of a metric over each user's trials, by the factors within a user.
 
         Raises
         ------

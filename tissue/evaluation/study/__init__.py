@@ -1,3 +1,1 @@
-"""The whole evaluation by one command: tasks, groups and methods over many trials, and what they
-show.
-"""
+"""Complete evaluation by one command: tasks, groups and methods over many trials, and a report."""

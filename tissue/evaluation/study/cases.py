@@ -34,7 +34,7 @@ from tissue.scene.registry import GROUPS
 __all__ = ["case_sections", "median_interval", "needle_section", "travel_by_people"]
 
 TEETH = ("carious", "sound")
-"""Specimens of the drilling, whose errors differ by more than those of methods."""
+"""Specimens of the drilling task. Their errors differ by more than the errors of methods."""
 TORQUE_STEP_NM = CASES["torque_step_Nm"].mean
 PAPERS = {"penalty": CASES["overshoot_penalty_mm"], "koopman": CASES["overshoot_koopman_mm"]}
 """Published travel by method, a mean with its standard deviation."""
@@ -48,9 +48,7 @@ def case_sections(folder: StudyFolder, seed: int) -> list[Section]:
 
 
 def _reaming(table: TrialTable, seed: int) -> Section:
-    """Report tracking error in newtons at the reamer, distance from its path, and steps of
-    torque.
-    """
+    """Report tracking error in newtons at the reamer, distance from its path, and torque steps."""
     rows = []
     papers = {
         "tracking_rms_N": CASES["reaming_rms_N"],
@@ -150,8 +148,9 @@ def _drilling(table: TrialTable, seed: int) -> Section:
 
 
 def travel_by_people(needle: TrialTable, method: str) -> Array:
-    """Median of each person's travel after the puncture [mm], infinite where they did not
-    notice, shape (people,).
+    """Return the median of each person's travel after the puncture [mm], shape (people,).
+
+    It is infinite if the person did not notice the puncture.
     """
     part = needle.where(method=method)
     travel = np.where(part.values("noticed") > 0.0, part.values("excess_mm"), inf)
@@ -162,12 +161,11 @@ def travel_by_people(needle: TrialTable, method: str) -> Array:
 
 
 def median_interval(values: Array) -> tuple[float, float, float]:
-    """Return the median and its interval of at least 95 %, by ranks, so that values may be
-    infinite.
+    """Return the median and its interval of at least 95 %, by ranks.
 
-    The interval reaches from the k-th smallest value to the k-th largest, k being the greatest for
-    which a binomial count of n at 0.5 lies below k with at most 2.5 %; of fewer than six values
-    there is none, and it is infinite.
+    Values may be infinite. The interval reaches from the k-th smallest value to the k-th largest. k
+    is the largest number for which a binomial count of n at 0.5 lies below k with a probability of
+    at most 2.5 %. For fewer than six values no such interval exists, and the result is infinite.
     """
     from scipy.stats import binom
 
@@ -244,8 +242,9 @@ def _travel_text(travel_mm: float) -> str:
 
 
 def _travels(shared: TrialTable) -> tuple[str, bytes]:
-    """Return the median travel over people and the share of noticed punctures by method, as text
-    and as a picture.
+    """Return median travel over people and share of noticed punctures by method.
+
+    The result is given as text and as a picture.
     """
     found = []
     methods = methods_of(shared)
@@ -275,7 +274,7 @@ def _travels(shared: TrialTable) -> tuple[str, bytes]:
 
 
 def _middle(ordered: Array) -> float:
-    """Return the median of sorted values, of which some may be infinite."""
+    """Return the median of sorted values, some of which may be infinite."""
     low = ordered[(len(ordered) - 1) // 2]
     high = ordered[len(ordered) // 2]
     return float(low if low == high else 0.5 * (low + high))

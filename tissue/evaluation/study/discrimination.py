@@ -44,30 +44,31 @@ __all__ = [
 ]
 
 PEOPLE = 200
-"""Simulated people of each group who compare; no method was tuned to any of them."""
+"""Simulated people per group who compare forces. No method was tuned to them."""
 PLAIN = "koopman"
-"""Method of plain scaling, to which the others are compared."""
+"""Method of plain scaling, the baseline of the other methods."""
 WIDEST = 12
 """Letters of a line below a group of bars."""
 LEAST_D = 0.5
-"""Sensitivity under plain scaling below which a change in percent would be a division by almost
-nothing.
+"""Sensitivity under plain scaling below which no relative change is given.
+
+A change in percent would be a division by almost zero.
 """
 Picked = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Felt:
-    """A force at the skin over the trials of people.
+    """Force at the skin over the trials of people.
 
     Attributes
     ----------
     means_N
-        Of each person's trials [N], shape (people,).
+        Mean of each person's trials [N], shape (people,).
     squares_N2
         Sums of squared differences of a person's trials from their mean [N2], shape (people,).
     free
-        Trials of each person but one, shape (people,).
+        Number of trials of each person minus one, shape (people,).
     """
 
     means_N: Array
@@ -76,8 +77,9 @@ class Felt:
 
     @classmethod
     def over(cls, forces_N: Array, person: Picked, count: int) -> "Felt":
-        """Make one of trials, each of a person by number below ``count`` who all have one, shape
-        (n,).
+        """Return the summary of trials, each by a person number below ``count``, shape (n,).
+
+        Every person has at least one trial.
         """
         trials: Array = np.bincount(person, minlength=count).astype(np.float64)
         means = np.bincount(person, forces_N, count).astype(np.float64) / trials
@@ -85,7 +87,7 @@ class Felt:
         return cls(np.asarray(means), np.asarray(squares, dtype=np.float64), trials - 1.0)
 
     def of(self, who: Picked) -> "Felt":
-        """Return the forces of some people, who may come several times."""
+        """Return the forces of some people. A person may occur several times."""
         return Felt(self.means_N[who], self.squares_N2[who], self.free[who])
 
     @property
@@ -99,27 +101,28 @@ class Felt:
 
 @dataclass(frozen=True)
 class FeltPair:
-    """Two forces at the skin that each person compares for themselves: people's own levels are no
-    scatter.
+    """Two forces at the skin that each person compares.
+
+    Differences between people's levels are not scatter.
 
     Attributes
     ----------
     less, more
-        The softer and the stiffer of the two, of the same people.
+        Forces on the softer and the stiffer specimen, of the same people.
     """
 
     less: Felt
     more: Felt
 
     def of(self, who: Picked) -> "FeltPair":
-        """Return the pair of some people, who may come several times."""
+        """Return the pair of some people. A person may occur several times."""
         return FeltPair(self.less.of(who), self.more.of(who))
 
     def felt_by(self, people: SimulatedObservers) -> tuple[Array, Array]:
         """Return the sensitivity d' and chance of a right answer of each observer, shape (n,) each.
 
-        Where the stiffer one has the smaller force at the skin, people who go by force are wrong:
-        d' is below zero.
+        If the stiffer specimen has the smaller force at the skin, people who judge by force are
+        wrong, and d' is below zero.
         """
         first = self.less.stimulus
         second = self.more.stimulus
@@ -129,12 +132,11 @@ class FeltPair:
 
 
 def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) -> Array:
-    """Change against plain scaling: value, low, high of d', of d' in percent, of right answers in
-    points, shape (3, 3).
+    """Return changes against plain scaling as value, low and high, shape (3, 3).
 
-    Of means over observers. Intervals of 95 % are by Student's t of what the change becomes with
-    each of the people of the trials left out in turn, the same under both methods (jackknife, Efron
-    1982).
+    The rows are d', d' in percent, and right answers in percentage points, each of means over
+    observers. The 95 % intervals use Student's t of the changes with each person of the trials left
+    out in turn, the same person under both methods (jackknife, Efron 1982).
     """
     from scipy.stats import t
 
@@ -158,10 +160,10 @@ def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) 
 
 
 def specimens(part: TrialTable) -> FeltPair | None:
-    """Return the forces at the skin on the first two specimens of a task, the softer first, of
-    people who met both.
+    """Return the forces at the skin on the first two specimens of a task, the softer first.
 
-    None where nobody met both, or nobody met one of them twice.
+    Only people with trials on both are included. The result is None if there is no such person, or
+    nobody has two trials on one of them.
     """
     chosen = np.isin(part.values("specimen"), (0.0, 1.0))
     forces = part.values("skin_N")[chosen]
@@ -174,8 +176,9 @@ def specimens(part: TrialTable) -> FeltPair | None:
 
 
 def sides(needle: TrialTable) -> FeltPair | None:
-    """Return the forces at the skin after and before the capsule's puncture; None where nobody
-    has two trials.
+    """Return the forces at the skin after and before the capsule's puncture.
+
+    The result is None if nobody has two trials.
     """
     people = needle.people()
     return _pair((needle.values("parenchyma_N"), people), (needle.values("capsule_N"), people))
@@ -191,8 +194,9 @@ def right_percent(pair: FeltPair, seed: int) -> dict[str, float]:
 def _pair(
     less: tuple[Array, NDArray[np.str_]], more: tuple[Array, NDArray[np.str_]]
 ) -> FeltPair | None:
-    """Two forces by trial with the people of their trials, the same people in both; None without
-    any scatter.
+    """Return two forces by trial with the people of their trials, the same people in both.
+
+    The result is None without any scatter.
     """
     names = np.unique(less[1])
     first, second = (
@@ -203,8 +207,9 @@ def _pair(
 
 
 def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) -> Section:
-    """Sensitivity d' and right answers for every pair, group and method, and their change
-    against plain scaling.
+    """Report sensitivity d' and right answers for every pair, group and method.
+
+    Their change against plain scaling is included.
     """
     taken: list[tuple[str, Callable[[TrialTable], FeltPair | None], TrialTable]] = [
         (f"{task}: softer or usual", specimens, table.where(task=task)) for task in tasks_of(table)
@@ -278,9 +283,7 @@ def case_table(folder: StudyFolder, task: str) -> TrialTable | None:
 
 
 def _sentences(changes: dict[tuple[str, str, str], Array]) -> tuple[tuple[str, ...], str]:
-    """Return the findings, and the main one, computed from the changes by pair, group and
-    method.
-    """
+    """Return the findings and the main finding from the changes by pair, group and method."""
     short = []
     sentences = [
         f"Right answers of {PEOPLE} simulated people of each group in two intervals, 50 % "

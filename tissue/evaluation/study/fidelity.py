@@ -1,5 +1,6 @@
-"""Sections of a report on force errors, latency, task metrics, sensitivity, the reference error
-and speed.
+"""Report sections on errors, latency, task metrics, sensitivity, reference error and speed.
+
+The errors are force errors.
 """
 
 from collections.abc import Iterable, Sequence
@@ -46,8 +47,9 @@ RATIOS = {
 }
 """Columns on ratios of intensity."""
 UNRESOLVED = 0.05
-"""Share of rows with a least error above the error, above which the excess is named as no
-measure.
+"""Share of rows with a smallest possible error above the error that makes the excess invalid.
+
+Above this share, the report marks the excess as not meaningful.
 """
 APART = 0.24
 """Distance of two tasks' marks on a line, in lines."""
@@ -108,8 +110,9 @@ def force_section(table: TrialTable) -> Section:
 
 
 def _unresolved(table: TrialTable) -> list[str]:
-    """Name the tasks in which the least error is no bound, because a tool takes a course of its
-    own.
+    """Name the tasks in which the smallest possible error is not a bound.
+
+    This happens where a tool takes a different course.
     """
     shares = {}
     for task in tasks_of(table):
@@ -129,7 +132,7 @@ def _unresolved(table: TrialTable) -> list[str]:
 
 
 def _left_over(table: TrialTable) -> list[str]:
-    """State what prediction leaves of the force error, and perception of the error of ratios."""
+    """Report the remaining force error with prediction, and ratio error with perception."""
     remarks = []
     parts = parts_of(table)
     for metric, first, second, what in (
@@ -198,8 +201,9 @@ def _force_picture(table: TrialTable) -> bytes:
 
 
 def latency_section(table: TrialTable) -> Section:
-    """Compare how far the played force lags that of a perfect prediction, in trials that did not
-    fail.
+    """Compare the lag of the played force behind a perfect prediction.
+
+    Failed trials are left out.
     """
     lags = {key: part.values("latency_ms") for key, part in parts_of(table).items()}
     rows = tuple((*key, spread(lag), *against(lag, LATENCY)) for key, lag in lags.items())
@@ -222,8 +226,9 @@ def latency_section(table: TrialTable) -> Section:
 
 
 def task_section(table: TrialTable) -> Section:
-    """Compare time, position error and smoothness of trials that did not fail with the published
-    ones.
+    """Compare time, position error and smoothness with the published values.
+
+    Failed trials are left out.
     """
     rows = tuple(
         (
@@ -280,9 +285,7 @@ def task_section(table: TrialTable) -> Section:
 
 
 def sensitivity_section(folder: StudyFolder) -> Section | None:
-    """Report the ratio of force errors, Koopman over penalty, with one parameter at another
-    value.
-    """
+    """Report the ratio of force errors, Koopman over penalty, with one parameter changed."""
     tasks = folder.plan().compared
     base = [
         each
@@ -372,8 +375,9 @@ def speed_section(folder: StudyFolder) -> Section:
 
 
 def _ratios(trials: Iterable[Trial], tasks: Sequence[str]) -> Array:
-    """Ratio of mean force errors by task, over trials in which neither method failed; NaN where
-    there is none.
+    """Return the ratio of mean force errors by task, over trials in which no method failed.
+
+    The ratio is NaN if there is no such trial.
     """
     sums = np.zeros((len(tasks), 2))
     for trial in trials:

@@ -1,4 +1,4 @@
-"""The folder of a study: its plan, a file a trial, and the tables of what it holds."""
+"""Folder of a study: its plan, one file per trial, and the tables of its trials."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -43,16 +43,14 @@ READ_TRIAL = TypeAdapter(Trial)
 
 @dataclass(frozen=True)
 class Stamp:
-    """Return the origin that a trial's file states.
+    """Origin recorded in a trial's file.
 
     Attributes
     ----------
     plan_sha256, code_sha256
-        Hashes of the registered plan and of the code that it was run by, empty where it states
-        none.
+        Hashes of the registered plan and of the code of the run. Empty if the file records none.
     whole
-        Whether its content is as it was written; none is shown for a trial that states no hash of
-        it.
+        True if the content is unchanged. True for a trial without a recorded hash too.
     """
 
     plan_sha256: str
@@ -61,31 +59,31 @@ class Stamp:
 
 
 class StudyFolder:
-    """A study on disk.
+    """Study on disk.
 
-    Every trial is a file of its own, written at once and whole, so that a study can be stopped at
-    any moment; a file that is cut short all the same counts as missing.
+    Every trial is a separate file, written at once and completely, so that a study can be stopped
+    at any moment. A truncated file counts as missing.
 
     Parameters
     ----------
     path
-        Where it lies.
+        Folder of the study.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     def begin(self, plan: Plan) -> list[str]:
-        """Make the folder, or go on with one whose trials are all in the plan; sentences on what
-        was found amiss.
+        """Create the folder or continue a study; return sentences on problems.
 
-        The plan is registered: ``plan.toml`` is written before ``study.json``, which holds its
-        hash. A wider plan is registered anew beside the earlier one.
+        All trials of an existing folder must be in the plan. The plan is registered: ``plan.toml``
+        is written before ``study.json``, which holds its hash. A wider plan is registered in
+        addition to the earlier one.
 
         Raises
         ------
         InputError
-            If it holds another study, one of another version, a plan that was edited, or other
+            If the folder holds another study, a study of another version, an edited plan, or other
             files.
         """
         there = self._require_same(plan)
@@ -108,8 +106,9 @@ class StudyFolder:
 
     @contextmanager
     def held(self, plan: Plan) -> Iterator[list[str]]:
-        """Hold the folder against other processes while the block runs trials; see `begin` for
-        sentences and errors.
+        """Lock the folder against other processes while the block runs trials.
+
+        See `begin` for sentences and errors.
         """
         self._require_same(plan)
         folder = OwnedFolder(self.path, KIND, ())
@@ -124,9 +123,7 @@ class StudyFolder:
             folder.release()
 
     def _require_same(self, plan: Plan) -> list[Registration]:
-        """Refuse a folder that holds another study or other files; return the plans that are
-        registered in it.
-        """
+        """Refuse a folder with another study or other files; return its registered plans."""
         if (self.path / PLAN).is_file():
             held = self.plan()
             if not plan.holds(held):
@@ -165,12 +162,12 @@ class StudyFolder:
         Raises
         ------
         InputError
-            If there is none, or it is of another version.
+            If there is no plan, or it is of another version.
         """
         return self._begun()[0]
 
     def registrations(self) -> list[Registration]:
-        """Return the plans that were registered, newest last; for errors see `plan`."""
+        """Return the registered plans, newest last. The errors are those of `plan`."""
         return self._begun()[1]
 
     def _begun(self) -> tuple[Plan, list[Registration]]:
@@ -200,7 +197,7 @@ class StudyFolder:
             ) from None
 
     def stamp(self, key: TrialKey) -> Stamp:
-        """Return the origin that a trial's file states."""
+        """Return the origin recorded in a trial's file."""
         try:
             held = dict(read_json(require_regular(self._file(key)).read_text("utf-8")))
         except (OSError, ValueError, TypeError, RecursionError):
@@ -214,7 +211,7 @@ class StudyFolder:
         return self._file(key).is_file()
 
     def read(self, key: TrialKey) -> Trial | None:
-        """Return a trial, or None where its file is missing or cut short."""
+        """Return a trial, or None if its file is missing or truncated."""
         try:
             trial = READ_TRIAL.validate_python(
                 read_json(require_regular(self._file(key)).read_text("utf-8")) | {"key": key}
@@ -236,26 +233,27 @@ class StudyFolder:
         _write(self._file(trial.key), content | {"sha256": content_sha256(content)})
 
     def forget_failures(self) -> None:
-        """Take away the trials in which a method failed."""
+        """Remove the trials in which a method failed."""
         for trial in self.trials(variant=None):
             if trial.failed:
                 self._file(trial.key).unlink()
 
     def trials(self, *, variant: str | None = "") -> Iterator[Trial]:
-        """Trials that are there, in the plan's order: of the study itself, of one variant, or
-        with None of all.
+        """Yield the existing trials in the plan's order.
+
+        They are the trials of the study itself, of one variant, or of all variants with None.
         """
         for key in self.plan().all_trials():
             if variant in (None, key.variant) and (trial := self.read(key)) is not None:
                 yield trial
 
     def table(self, *tasks: str) -> TrialTable:
-        """Return the table of the study's own trials of some tasks.
+        """Return the table of the study's own trials of selected tasks.
 
         Raises
         ------
         InputError
-            If there is none.
+            If there is no such trial.
         """
         rows = [
             {

@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 COMPARED = ("force_error", "ratio_error", "position_error_mm")
-"""Metrics that are tested, one by one and together."""
+"""Tested metrics, one by one and together."""
 DIRECTIONS = {
     "force_error": -1,
     "ratio_error": -1,
@@ -35,14 +35,14 @@ DIRECTIONS = {
 }
 """Metrics of the composite index and their directions: -1 where lower is better."""
 USERS = 10
-"""People in a group; trials go round among them."""
+"""People in a group. Trials are assigned to them in turn."""
 LATENCY_MS = 4
 """Latency of the loop in every trial, the paper's mean being 4.3 ms."""
 REFERENCE = "reference"
-"""Variant in which the reference itself is held against the finest model."""
+"""Variant in which the reference itself is compared with the finest model."""
 SENSITIVITY_TRIALS = 6
 REFERENCE_TRIALS = 2
-"""Trials a task for each variant; reference trials take longest, so there are few."""
+"""Trials of each task for each variant. Reference trials take longest, so there are few."""
 MIDDLE = "intermediate"
 """Group of the variants."""
 
@@ -54,19 +54,19 @@ class Task:
     Attributes
     ----------
     title
-        What is done.
+        Description of the task.
     scene
         Name of the scene.
     changes
-        What is changed in it, by dotted key: force alone, and short enough for thousands of trials.
+        Changes of the scene, by dotted key: force only, and short enough for thousands of trials.
     specimens
-        What is met, one in turn by chance; the first two are to be discriminated.
+        Specimens, one chosen at random for each trial. The first two are to be discriminated.
     extremes
-        Softer and harder than any specimen, for the sensitivity; none for a case study.
+        Specimens softer and harder than all others, for the sensitivity. Empty for a case study.
     wanted_mm
-        Where the tool should go, corner by corner [mm]; the motion's own path where it is left out.
+        Target path of the tool, corner by corner [mm]. Default: the path of the motion.
     most
-        Trials for each group at most.
+        Maximum number of trials for each group.
     """
 
     title: str
@@ -79,9 +79,7 @@ class Task:
 
     @property
     def case(self) -> bool:
-        """Whether it is a case study, with a table of its own, and not one of the tasks that are
-        compared.
-        """
+        """True for a case study, which has a separate table and is not among the compared tasks."""
         return not self.extremes
 
 
@@ -200,25 +198,26 @@ METHODS: dict[str, Mapping[str, object]] = {
     "koopman-look-ahead": {"renderer": "proxy", "prediction": "koopman-look-ahead"},
     "koopman-perception": {"renderer": "proxy", "prediction": "koopman"},
 }
-"""Methods that make a contact a force; the last one is for the person whose trial it is."""
+"""Methods that turn a contact into a force. The last one is calibrated to the person of the trial.
+"""
 PERSONAL = ("koopman-perception",)
 """Methods that scale the force for the person."""
 
 
 @dataclass(frozen=True)
 class Variant:
-    """One parameter at another value; the rest is as in the study, seeds among it.
+    """Change of one parameter. All other values of the study, including seeds, are kept.
 
     Attributes
     ----------
     parameter, value
-        What is varied, and the value in words.
+        Name of the varied parameter, and its value in words.
     changes
-        By dotted key.
+        Changes of the scene by dotted key.
     pace
         Factor on the hand's pace.
     extreme
-        Which of the task's extremes replaces the specimen.
+        Index of the task's extreme that replaces the specimen.
     """
 
     parameter: str
@@ -249,16 +248,16 @@ VARIANTS = {
 
 @dataclass(frozen=True, order=True)
 class TrialKey:
-    """One trial; it is run once under each method.
+    """Key of a trial, which is run once under each method.
 
     Attributes
     ----------
     task, group
-        What is done, and by whom.
+        Task and expertise group.
     trial
-        Number within both.
+        Number within task and group.
     variant
-        What is varied in it; empty in the study itself.
+        Name of the variant. Empty in the study itself.
     """
 
     task: str
@@ -298,18 +297,18 @@ class TrialKey:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """A study.
+    """Plan of a study.
 
     Attributes
     ----------
     seed
-        Seed of everything; a trial's own follows from it and the trial's key alone.
+        Seed of the study. The seed of a trial follows only from it and the trial's key.
     trials
         Trials for each task and group.
     tasks, groups, methods
-        What is compared.
+        Compared tasks, groups and methods.
     sensitivity
-        Whether a few trials are repeated with one parameter changed, and against the finest model.
+        If true, a few trials are repeated with one changed parameter, and against the finest model.
 
     Raises
     ------
@@ -346,9 +345,7 @@ class Plan:
         return tuple(task for task in self.tasks if not TASKS[task].case)
 
     def all_trials(self) -> Iterator[TrialKey]:
-        """Return all trials, groups and tasks in turn, so that a study that is stopped is
-        balanced.
-        """
+        """Yield all trials, groups and tasks in turn, so that a stopped study is balanced."""
         for trial in range(self.trials):
             for task in self.tasks:
                 for group in self.groups:
@@ -365,8 +362,9 @@ class Plan:
                     yield TrialKey(task, MIDDLE, trial, variant)
 
     def holds(self, other: "Plan") -> bool:
-        """Return whether every trial of another plan is one of this, so that its folder can be
-        gone on with.
+        """Return whether this plan contains all trials of another plan.
+
+        If it does, the folder of the other plan can be continued.
         """
         same = self.seed == other.seed and self.methods == other.methods
         wider = set(other.tasks) <= set(self.tasks) and set(other.groups) <= set(self.groups)
@@ -375,11 +373,11 @@ class Plan:
         )
 
     def rng(self, key: TrialKey) -> np.random.Generator:
-        """Return the generator of a trial; a variant has that of the trial it varies."""
+        """Return the generator of a trial. A variant has the generator of its original trial."""
         place = (list(TASKS).index(key.task), GROUPS.index(key.group), key.trial)
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=place))
 
     def person(self, key: TrialKey) -> np.random.Generator:
-        """Return the generator of the person whose trial it is, the same in every task."""
+        """Return the generator of the person of the trial, the same in every task."""
         place = (1000, GROUPS.index(key.group), key.user)
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=place))

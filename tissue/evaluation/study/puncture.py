@@ -1,26 +1,27 @@
 """Excess travel of a needle after a puncture, pushed by force and stopped by reaction.
 
 The needle's tip starts 0.05 mm outside an organ under z = 0 and is pushed along -z by a device in a
-hand whose force rises at ``rate_N_s`` (`tissue.haptics.hand.pushing.PushingHand`): aim a, device s,
-tip z, all counted along the push. Hand and device are one mass, M = m_device + m_hand, between the
-grip's spring and damper on one side and the motor on the other; the tip hangs on the device by the
-coupling's spring k_c, and the organ pulls it with P(z)::
+hand whose force rises at ``rate_N_s`` (`tissue.haptics.hand.pushing.PushingHand`). Aim a, device s
+and tip z are counted along the push. Hand and device are one mass, M = m_device + m_hand, between
+the grip's spring and damper on one side and the motor on the other. The coupling's spring k_c
+connects the tip to the device, and the organ pulls the tip with P(z)::
 
     M s'' = K_0 (a - s) + reflex + b_hand (a' - s') - b_device s' - friction - f,    k_c (s - z) = P(z)
 
-with f the force k_c (s - z) after prediction, low-pass, latency and the device's lag, and as reflex
-a share of what K_0 (a - s) was a reflex time ago. P is a1 u + a2 u|u| with u = z until P reaches
-the puncture force; from then on the needle slides and u follows from a1 u + a2 u|u| = hold + cut +
-friction * (z - u), to which P adds viscous * (z - u) z', see
-`tissue.models.needle.insertion.Insertion`. The stop begins a reaction time after the hand has
-noticed: by the force alone, or by force or sight, whichever is first. By sight it notices in the
-first video frame that shows the tip `VISIBLE_M` beyond the membrane; a frame shows what was a frame
-earlier. **Excess travel** = greatest z from the puncture on - z at the puncture.
+f is the force k_c (s - z) after prediction, low-pass, latency and the device's lag. The reflex is a
+share of K_0 (a - s) one reflex time ago. P is a1 u + a2 u|u| with u = z until P reaches the
+puncture force. From then on the needle slides, and u follows from a1 u + a2 u|u| = hold + cut +
+friction * (z - u). P adds viscous * (z - u) z' to this force, see
+`tissue.models.needle.insertion.Insertion`. The stop begins one reaction time after the hand has
+noticed the puncture: by the force alone, or by force or sight, whichever is first. By sight, it
+notices in the first video frame that shows the tip `VISIBLE_M` beyond the membrane. A frame shows
+the state one frame earlier. **Excess travel** = largest z from the puncture on - z at the puncture.
 
-It has three parts. What the springs give back, with all delays zero: the tip by dF / k_c, the
-device by dF / K_0 and more by its inertia, where dF is the fall of P; no hand can prevent it. What
-the aim goes on until the stop, da/dt times the delay. And what the aim follows of the device's
-sudden advance in the part of that time beyond the reaction.
+It has three parts. The first part is the release of the springs with all delays zero: dF / k_c of
+the tip, dF / K_0 of the device and more by its inertia, where dF is the drop of P. No hand can
+prevent it. The second part is the motion of the aim until the stop, da/dt times the delay. The
+third part is the response of the aim to the device's sudden advance in the part of that time beyond
+the reaction.
 """  # noqa: E501 a table
 
 from dataclasses import dataclass
@@ -49,44 +50,51 @@ from tissue.simulation.simulate import TICK_S, simulate
 __all__ = ["NOTICED", "RATE_N_S", "Notice", "Pierced", "pierce"]
 
 Notice = Literal["force", "sight", "at once"]
-"""By what a puncture is noticed: the felt force, that or the sight of the tip, or as no person
-can, without delay.
+"""Cue by which a puncture is noticed.
+
+The cue is the felt force, the felt force or the sight of the tip, or an ideal detection without
+delay that no person can achieve.
 """
 RATE_N_S = 1.0
-"""Rise of the pushing force; assumed: a capsule of 2.3 N is through after some seconds, at about
-5 mm/s.
+"""Rise of the pushing force [N/s].
+
+The value is assumed: a capsule of 2.3 N is punctured after some seconds, at about 5 mm/s.
 """
 FRAME_S = 1.0 / 60.0
 """Time between two video frames."""
 VISIBLE_M = 0.5e-3
-"""How far beyond a membrane a tip is seen to be beyond it; assumed: several pixels of a display."""
+"""Distance beyond a membrane at which a tip is seen to be beyond it [m].
+
+The value is assumed: several pixels of a display.
+"""
 CUE_SHARE = 0.85
-"""Share of the puncture force at which a cue is given; assumed: at 1 N/s more than a reaction
-before the puncture.
+"""Share of the puncture force at which a cue is given.
+
+The value is assumed: at 1 N/s, the cue is given more than a reaction time before the puncture.
 """
 AFTER_S = 0.6
-"""How long a run goes on after the stop: a submovement and the ringing of the grip."""
+"""Duration of a run after the stop [s]. It covers a submovement and the ringing of the grip."""
 LONGEST_S = 12.0
-"""Time within which a push must be through."""
+"""Time within which a push must have punctured the membrane [s]."""
 NOTICED = "the hand notices a puncture"
 """Event of a run when its hand is about to stop, a reaction later."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pierced:
-    """A push and how it ended.
+    """Push of a needle and its end.
 
     Attributes
     ----------
     run
-        With the trace.
+        Run with its trace.
     puncture_s, noticed_s, stop_s
-        When the membrane broke, when that was noticed and when the hand stopped [s]; infinite for
-        not at all.
+        Times at which the membrane broke, the puncture was noticed and the hand stopped [s].
+        Infinite if this did not happen.
     felt_N
         Force of the hand along the push, by tick [N].
     aim_mm
-        The aim's advance, by tick [mm].
+        Advance of the aim, by tick [mm].
     """
 
     run: Run
@@ -98,12 +106,12 @@ class Pierced:
 
     @property
     def early(self) -> bool:
-        """Whether the hand stopped before the membrane broke."""
+        """True if the hand stopped before the membrane broke."""
         return self.noticed_s < self.puncture_s
 
     @property
     def excess_mm(self) -> float:
-        """Excess travel of the tip [mm]; not a number where the hand stopped early or never."""
+        """Excess travel of the tip [mm]. NaN if the hand stopped early or did not stop."""
         if self.early or self.stop_s == inf:
             return nan
         return excess_travel_mm(
@@ -125,14 +133,14 @@ def pierce(
     Parameters
     ----------
     scene
-        With a needle on a device. Its path gives the start, the direction and the depth at which a
-        push ends that nothing stops; its hand, device, latency, predictor and seed are used.
+        Scene with a needle on a device. Its path gives the start, the direction, and the depth at
+        which a push without a stop ends. Its hand, device, latency, predictor and seed are used.
     kappa, offset_N
         Threshold of the person for forces, see `FeltDrop`.
     notice
-        By what the puncture is noticed.
+        Cue by which the puncture is noticed.
     cue
-        Whether a cue is given at `CUE_SHARE` of the puncture force; it reaches the hand after the
+        If true, a cue is given at `CUE_SHARE` of the puncture force. It reaches the hand after the
         scene's latency.
     rate_N_s
         Rise of the force [N/s].
@@ -202,7 +210,7 @@ class _Bystander(RunObserver):
         self._needle = parts.tissue
 
     def on_tick(self, index: int, row: NDArray[np.float64], times: NDArray[np.float64]) -> bool:
-        """Show and cue what is due; whether the run goes on."""
+        """Show the tip and give the cue when due; return whether the run continues."""
         now = index * TICK_S
         hand = self._hand
         insertion = self._needle.insertion

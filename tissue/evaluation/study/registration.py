@@ -49,14 +49,15 @@ Registration = dict[str, str | int]
 were there before it.
 """
 EFFECT = 1.0
-"""Effect of interest: one standard deviation, of the differences within people between two methods,
-or of people of one group. Chosen, range 0.5 to 2: the least that matters here, as the paper's force
-errors of penalty and Koopman differ by
-2.8 to 2.9 standard deviations (its table of force errors, root mean square of both columns'
-spreads).
+"""Effect of interest in standard deviations.
+
+The standard deviation is that of the differences within people between two methods, or of people of
+one group. The value is chosen in the range 0.5 to 2 as the smallest relevant effect. The paper's
+force errors of penalty and Koopman differ by 2.8 to 2.9 standard deviations (its table of force
+errors, root mean square of both columns' spreads).
 """
 UNITS = {"force_error": "1", "ratio_error": "1", "position_error_mm": "mm"}
-"""Units of the measures that are tested; a name that is not here carries its unit at its end."""
+"""Units of the tested measures. Other names carry their unit at the end."""
 DESCRIBED = (
     "least_error: least force error that the device's encoder allows, 1",
     "latency_ms: residual latency, ms, nearer to zero is better",
@@ -95,15 +96,16 @@ HEAD = """\
 def register(
     folder: Path, plan: Plan, held: list[Registration], *, trials: int
 ) -> list[Registration]:
-    """Write the plan and its hash; an earlier one is kept under a name of its own. All
-    registrations, newest last.
+    """Write the plan and its hash; return all registrations, newest last.
+
+    An earlier plan is kept under another name.
 
     Parameters
     ----------
     folder
-        The study's folder, which exists.
+        Existing folder of the study.
     plan
-        What is registered.
+        Plan to register.
     held
         Registrations so far.
     trials
@@ -148,12 +150,12 @@ def registered(content: Mapping[str, Any]) -> list[Registration]:
 
 
 def require_unchanged(folder: Path, held: list[Registration]) -> None:
-    """Refuse registered plans that were edited or taken away.
+    """Refuse registered plans that were edited or removed.
 
     Raises
     ------
     InputError
-        If a plan's file is not the one whose hash was written.
+        If a plan's file does not have the recorded hash.
     """
     for each in held:
         if (got := file_sha256(folder / str(each["file"]))) != each["sha256"]:
@@ -174,8 +176,9 @@ def file_sha256(path: Path) -> str:
 
 
 def content_sha256(content: Mapping[str, object]) -> str:
-    """Return SHA-256 of a trial's content; it finds a slip of an editor, not a person who
-    computes it anew.
+    """Return the SHA-256 of a trial's content.
+
+    It detects accidental edits, but not a person who computes the hash again.
     """
     return sha256(json.dumps(content, sort_keys=True).encode("utf-8")).hexdigest()
 
@@ -199,11 +202,12 @@ def code_sha256() -> str:
 
 
 def planned_tests(plan: Plan) -> list[str]:
-    """Return the tests that the report of a plan makes, as task and question, such as ``T1
-    force_error: method``.
+    """Return the tests that the report of a plan makes, as task and question.
 
-    Of every compared metric on every task each effect, then metrics together by multivariate
-    analysis, then each metric over all tasks.
+    An example is ``T1 force_error: method``.
+
+    The tests are: every effect on every compared metric on every task, then all metrics together by
+    multivariate analysis, then each metric over all tasks.
     """
     methods = len(plan.methods) > 1
     groups = len(plan.groups) > 1
@@ -230,7 +234,7 @@ def planned_tests(plan: Plan) -> list[str]:
 
 
 def plan_text(plan: Plan) -> str:
-    """Return the plan as TOML; the same plan gives the same text under one version of tissue."""
+    """Return the plan as TOML, with the same text for the same plan and version of tissue."""
     tests = planned_tests(plan)
     keys = list(plan.all_trials())
     people = min(plan.trials, USERS)
@@ -318,12 +322,13 @@ def _rounded(power: dict[str, float]) -> dict[str, float]:
 def planned_power(
     people: int, groups: int, methods: int, *, alpha: float, effect: float = EFFECT
 ) -> dict[str, float]:
-    """Chance that each test of one metric on one task finds an effect of interest, by the
-    noncentral F distribution.
+    """Return the power of each test of one metric on one task for an effect of interest.
 
-    One method, or one group, or one method in one group, differs by ``effect`` from the rest, which
-    are equal. With n people in each of g groups under k methods, normal effects and sphericity, the
-    noncentralities (Cohen 1988, chapter 8; of the exact tests in
+    It follows from the noncentral F distribution.
+
+    One method, or one group, or one method in one group, differs by ``effect`` from all others,
+    which are equal. With n people in each of g groups under k methods, normal effects and
+    sphericity, the noncentralities (Cohen 1988, chapter 8; of the exact tests in
     `tissue.evaluation.statistics.strata.strata`) are::
 
         method          2 g n d² (k - 1) / k                    degrees k - 1, (g n - g) (k - 1)
@@ -333,8 +338,8 @@ def planned_power(
     Parameters
     ----------
     people
-        People in a group, n. The effect is on means over a person's trials, so that trials do not
-        count beside them.
+        People in a group, n. The effect is on means over a person's trials, so the number of trials
+        does not count.
     groups, methods
         Numbers of both, g and k.
     alpha
@@ -345,7 +350,7 @@ def planned_power(
     Returns
     -------
     dict[str, float]
-        Power by test; none for a test that so few people, groups or methods do not allow.
+        Power by test, without tests that need more people, groups or methods.
 
     Raises
     ------

@@ -51,7 +51,7 @@ WIDE = ".wide { overflow-x: auto; } .wide td { overflow-wrap: break-word; }"
 NAMED = 5
 """Names that a row gives before it stops."""
 Difference = tuple[str, str, str]
-"""Kind, what, and detail of a difference from the registered plan."""
+"""Kind, object and detail of a difference from the registered plan."""
 Row = tuple[str, str, str, str, str, str]
 TISSUES = {
     "T3": (("cutting", "bone"),),
@@ -59,8 +59,9 @@ TISSUES = {
     "reaming": (("cutting", "bone"), ("perception", "torque")),
     "drilling": (("cutting", "enamel"), ("cutting", "dentin")),
 }
-"""Cited constants of tissues and senses that a task adds; T1 and T2 have their stiffness in the
-scene alone.
+"""Cited constants of tissues and senses that a task adds.
+
+T1 and T2 have their stiffness only in the scene.
 """
 STUDY: tuple[Row, ...] = (
     (
@@ -80,13 +81,14 @@ STUDY: tuple[Row, ...] = (
 
 
 def write_report(path: Path, *, report: Progress = silent) -> tuple[Path, list[str]]:
-    """Write ``report/index.html`` and its tables into a study's folder; return its path and its
-    first sentences.
+    """Write ``report/index.html`` and its tables into a study's folder.
+
+    Return its path and its first sentences.
 
     Raises
     ------
     InputError
-        If the folder is no study, holds no trial of the tasks that are compared, or another process
+        If the folder is not a study, holds no trial of the compared tasks, or another process
         writes a report.
     """
     folder = StudyFolder(path)
@@ -167,7 +169,7 @@ def found_section(sections: Sequence[Section]) -> Section:
 
 
 def _tested(table: TrialTable, rng: np.random.Generator) -> list[Section]:
-    """Return the sections that need several people a group, or the reason why there is none."""
+    """Return the sections that need several people per group, or a reason for their absence."""
     try:
         sections = tests_sections(table, rng)
     except InputError as error:
@@ -185,7 +187,7 @@ def _tested(table: TrialTable, rng: np.random.Generator) -> list[Section]:
 
 
 def _overview(folder: StudyFolder) -> Section:
-    """State what was run, what is missing, what failed, and by which parameters."""
+    """Report completed, missing and failed trials and their parameters."""
     plan = folder.plan()
     kept = list(folder.trials(variant=None))
     counts = Counter((trial.key.task, trial.key.group) for trial in kept if not trial.key.variant)
@@ -258,9 +260,9 @@ def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Secti
     Parameters
     ----------
     folder
-        The study.
+        Folder of the study.
     tests
-        The report's section on tests; none where nothing is compared.
+        Report sections on tests. Empty if nothing is compared.
     """
     plan = folder.plan()
     kept = list(folder.trials(variant=None))
@@ -340,9 +342,7 @@ def _trials(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Diff
 
 
 def _origins(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Difference]:
-    """Yield trials of another seed, plan or code than was registered, or changed since they were
-    written.
-    """
+    """Yield trials of another seed, plan or code than registered, or changed after writing."""
     plans = {str(each["sha256"]) for each in folder.registrations()}
     stamps = {trial.key: folder.stamp(trial.key) for trial in kept}
     if names := [key.name for key, stamp in stamps.items() if not stamp.whole]:
@@ -364,9 +364,7 @@ def _origins(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Dif
 
 
 def _tests(folder: StudyFolder, tests: Sequence[Section]) -> Iterator[Difference]:
-    """Yield tests that were planned and not made, those that were made and not planned, and
-    methods left out.
-    """
+    """Yield planned tests that are missing, unplanned tests, and methods left out."""
     try:
         plan = tomllib.loads(
             (folder.path / str(folder.registrations()[-1]["file"])).read_text("utf-8")
@@ -407,7 +405,10 @@ def _named(names: Sequence[str], mark: str = ", ") -> str:
 
 
 def _parameters(plan: Plan) -> Section:
-    """List the parameters with value, range and source; the overview lists those of the scenes."""
+    """List the parameters with value, range and source.
+
+    The parameters of the scenes are listed in the overview.
+    """
     rows = list(STUDY)
     for method in plan.methods:
         keys = dict(METHODS[method]) | (

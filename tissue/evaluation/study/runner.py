@@ -20,17 +20,16 @@ from tissue.system.workers import first_done
 __all__ = ["run_study"]
 
 TRIALS_PER_WORKER = 3
-"""Trials handed out for each worker, so that none waits and memory does not grow with the number
-of trials.
+"""Trials submitted for each worker.
+
+No worker waits, and memory does not grow with the number of trials.
 """
 LOSSES = 3
-"""Losses after which a trial that was under way is run alone, to see whether it is what ends its
-worker.
-"""
+"""Losses after which a running trial is run alone to check whether it ends its worker."""
 BARREN = 20
 """Losses without a trial in between after which a study gives up."""
 PATIENCE_S = 30.0
-"""How long a scheduler may take to answer [s]."""
+"""Time that a scheduler may take to answer [s]."""
 
 
 def run_study(
@@ -42,28 +41,28 @@ def run_study(
     retry: bool = False,
     report: Progress = silent,
 ) -> StudyFolder:
-    """Run the trials of a plan that its folder does not hold yet, and write the tables of all.
+    """Run the missing trials of a plan and write the tables of all trials.
 
-    The tables are sorted, so that they depend neither on workers and their number nor on
-    interruptions. A worker that is lost is replaced; what it was doing is done again. A trial that
-    ends its worker each time is kept as failed.
+    The tables are sorted, so that they do not depend on the workers, their number or interruptions.
+    A lost worker is replaced and its trials are run again. A trial that always ends its worker is
+    kept as failed.
 
     Parameters
     ----------
     plan
-        What to run.
+        Plan of the study.
     out
-        Folder of the study; one that holds a part of it is gone on with.
+        Folder of the study. A folder with a part of the study is continued.
     workers
-        Processes; default one a core. A scheduler has its own; the number is then how many trials
-        it is given.
+        Number of processes. Default: one per core. A scheduler has its own workers; the number is
+        then the number of submitted trials.
     scheduler
         Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``, instead of own
         processes.
     retry
-        Run trials that failed again.
+        Run failed trials again.
     report
-        Called with how far it is, and what was found amiss.
+        Called with the progress and with problems.
 
     Raises
     ------
@@ -147,8 +146,9 @@ def _in_worker(plan: Plan, key: TrialKey) -> Trial:
 
 @cache
 def _keep_what_stays() -> None:
-    """Spare every further run the search for garbage among modules and kernels, which outlives
-    all trials.
+    """Exclude modules and kernels from garbage collection in all further runs.
+
+    They exist until all trials are done.
     """
     gc.collect()
     gc.freeze()
@@ -176,7 +176,7 @@ class _Work:
         return 1.0 - len(self.waiting) / self.total
 
     def drain(self, pool: Executor, keys: Iterable[TrialKey], most: int) -> None:
-        """Hand out trials, a few ahead, and keep what comes back."""
+        """Submit trials, a few ahead, and store the results."""
         self.running = {}
         fresh = iter(keys)
         while True:
@@ -208,12 +208,12 @@ class _Work:
         self._keep(Trial(key, trial_seed(self.plan, key), tuple(rows), 0.0))
 
     def _keep(self, trial: Trial) -> None:
-        """Write a trial that is still waited for; one that comes twice is the same."""
+        """Write a trial that is still missing. A second copy is equal and ignored."""
         self.folder.write(trial)
         self.waiting.pop(trial.key, None)
 
     def _left(self) -> str:
-        """Return the time left, by what this session took for each trial."""
+        """Return the remaining time, estimated from this session's time for each trial."""
         done = self._at_first - len(self.waiting)
         seconds = (perf_counter() - self._began) / max(1, done) * len(self.waiting)
         return f"{seconds:.0f} s left" if seconds < 100.0 else f"{seconds / 60.0:.0f} min left"

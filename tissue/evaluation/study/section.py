@@ -62,8 +62,9 @@ CHOSEN_AFTER = (
     "those of a study of 180 "
     "trials aimed at the wanted depth and skimmed it",
 )
-"""Choices of the study itself that were made with figures of an earlier version in sight; no
-others are known.
+"""Choices of the study that were made with knowledge of an earlier version's figures.
+
+No other such choices are known.
 """
 
 
@@ -95,8 +96,9 @@ FORCE_ERROR = {
         "koopman-perception": Figure(2.8, 0.8),
     },
 }
-"""Normalised L2 error of force [%]; the paper's columns are raw, Koopman-adjusted and
-perceptual.
+"""Normalised L2 error of force [%] in the paper.
+
+The columns of the paper are raw, Koopman-adjusted and perceptual.
 """
 TASK_METRICS = {
     "T1": {
@@ -115,8 +117,9 @@ TASK_METRICS = {
         "smoothness": Figure(0.88, 0.04),
     },
 }
-"""Completion time [s], position error [mm] and an index of smoothness that is printed as if
-higher were better.
+"""Completion time [s], position error [mm] and smoothness index in the paper.
+
+The index is printed as if higher were better.
 """
 LATENCY = Figure(4.3)
 """Mean latency [ms]."""
@@ -131,12 +134,10 @@ CASES = {
     "caries_right_percent": Figure(92.0),
     "drilling_latency_ms": Figure(4.5),
 }
-"""Case studies; errors of reaming and the latency are upper bounds."""
+"""Published results of the case studies. Errors of reaming and the latency are upper bounds."""
 
 ROUNDED = 0.05
-"""Tolerance of a published figure without a spread, as a fraction of the figure (rounding of two
-digits).
-"""
+"""Relative tolerance of a published figure without a spread, for the rounding of two digits."""
 COLOURS = {
     "penalty": "#999999",
     "energy": "#E69F00",
@@ -154,7 +155,7 @@ class Section:
     Attributes
     ----------
     name
-        Short name, also that of the CSV file of the table.
+        Short name, also the name of the CSV file of the table.
     title
         Title for the reader.
     sentences
@@ -162,9 +163,9 @@ class Section:
     header, rows
         The table.
     picture
-        PNG, or nothing.
+        PNG picture, or None.
     headline
-        The main finding in one sentence, for the first section of the report.
+        Main finding in one sentence, for the first section of the report.
     """
 
     name: str
@@ -196,8 +197,10 @@ def spread(values: Array, digits: int = 2) -> str:
 
 
 def agreement(ours: Array, paper: Figure) -> str:
-    """Return whether two means lie within the standard deviation of their difference, or their
-    ratio.
+    """Return the agreement of two means.
+
+    The text is "agrees" if they lie within the standard deviation of their difference, otherwise
+    their ratio.
     """
     our_mean = float(ours.mean())
     our_spread = ours.std(ddof=1) if len(ours) > 1 else 0.0
@@ -208,9 +211,7 @@ def agreement(ours: Array, paper: Figure) -> str:
 
 
 def against(ours: Array, paper: Figure | None) -> tuple[str, str]:
-    """Return the published figure and the agreement with it, both empty without a published
-    figure.
-    """
+    """Return the published figure and the agreement with it, both empty if there is none."""
     return (str(paper), agreement(ours, paper)) if paper else ("", "")
 
 
@@ -235,8 +236,9 @@ def parts_of(table: TrialTable) -> dict[tuple[str, str], TrialTable]:
 
 
 def interval_by_users(table: TrialTable, metric: str, method: str) -> tuple[float, float, float]:
-    """Return the mean of users' means of a metric under a method, and its 95 % t interval over
-    users.
+    """Return the mean of users' means of a metric under a method.
+
+    Its 95 % t interval over users is returned too.
     """
     from scipy.stats import ttest_1samp
 
@@ -266,13 +268,14 @@ def grouped_bars(
     value_of: Callable[[int, str], tuple[float, float, float] | None],
     marks: Callable[[int, str], Figure | None] = lambda group, method: None,
 ) -> None:
-    """Draw one bar with an error line for each group and method, and the published figures as
-    diamonds.
+    """Draw one bar with an error line for each group and method.
+
+    The published figures are drawn as diamonds.
 
     Parameters
     ----------
     axes
-        Where the bars are drawn.
+        Axes for the bars.
     groups
         Labels of the groups along the axis.
     methods

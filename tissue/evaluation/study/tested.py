@@ -1,5 +1,6 @@
-"""Sections of a report on what the statistics of a study hold: tests, sizes of effects, index,
-regression, power.
+"""Report sections on the statistics of a study.
+
+They cover tests, sizes of effects, index, regression and power.
 """
 
 from collections import Counter
@@ -34,8 +35,9 @@ Content = tuple[tuple[str, ...], tuple[str, ...], tuple[tuple[str, ...], ...]]
 
 
 def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]:
-    """Test every metric on every task, then metrics together; report sizes of effects with their
-    picture.
+    """Test every metric on every task, then all metrics together.
+
+    The sizes of effects are reported with a picture.
     """
     found: list[MetricComparison] = []
     outcomes: list[tuple[str, HypothesisTest]] = []

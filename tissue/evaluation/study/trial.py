@@ -1,6 +1,4 @@
-"""One trial of a study: the same person, specimen and noise under every method, and the metrics
-of each.
-"""
+"""Trial of a study: one person, specimen and noise under every method, and its metrics."""
 
 import re
 import tempfile
@@ -67,15 +65,15 @@ Row = dict[str, str | float]
 
 PACE_SPREAD = 0.15
 WITHIN_SPREAD = 0.05
-"""Spread of the logarithm of people's pace, and of one person's from trial to trial; assumed."""
+"""Spread of the logarithm of people's pace, and of one person's pace between trials; assumed."""
 NUMBERS = 24
-"""Numbers that a person gave to forces when they were calibrated."""
+"""Number of forces that a person rated in the calibration."""
 ARRIVED_MM = 2.0
 """Distance from the path's end within which a task counts as done."""
 LEAST_N = 1e-3
 """Force below which nothing is felt, for the logarithm [N]."""
 TOUCHES = 0.05
-"""Share of a trial's greatest force above which a contact counts."""
+"""Share of a trial's largest force above which a contact counts."""
 WINDOW_S = 0.1
 """Time over which a person averages a force; `integration_s` in perception.toml."""
 PLAIN = Variant("", "", {})
@@ -104,7 +102,7 @@ class Trial:
 
     @property
     def failed(self) -> bool:
-        """Whether a method failed in it."""
+        """True if a method failed in the trial."""
         return any("failure" in row for row in self.rows)
 
     def values(self, metric: str) -> dict[str, float]:
@@ -119,13 +117,14 @@ class TrialScene:
     Attributes
     ----------
     scenes
-        The scene under each method. The coupling stiffness is the smallest of those chosen for the
-        methods. It is stable under all methods, so that their forces can be compared.
+        The scene under each method. The coupling stiffness is the smallest of the stiffnesses
+        chosen for the methods. It is stable under all methods, so that their forces can be
+        compared.
     specimen
         Number of the specimen.
     person
-        Who feels, known exactly; the scene with perception has only what their calibration knows of
-        them.
+        Person of the trial with exact parameters. The scene with perception uses only the
+        calibrated parameters of this person.
     pace
         Factor on the speed of a path, or on the rise of a force.
     """
@@ -137,11 +136,10 @@ class TrialScene:
 
 
 def run_trial(plan: Plan, key: TrialKey) -> Trial:
-    """Run a trial under every method of its plan; one that fails leaves its sentence, and the
-    others go on.
+    """Run a trial under every method of its plan.
 
-    Alone it gives what it gives in its study: ``run_trial(Plan(seed=0),
-    TrialKey.named("T1-novice-0007"))``.
+    A failed method leaves its sentence, and the other methods continue. A single call gives the
+    same result as in the study: ``run_trial(Plan(seed=0), TrialKey.named("T1-novice-0007"))``.
     """
     started = perf_counter()
     rows: list[Row] = []
@@ -158,8 +156,9 @@ def run_trial(plan: Plan, key: TrialKey) -> Trial:
 
 
 def failures_of(trials: Iterable[Trial]) -> dict[str, list[str]]:
-    """Return the names of trials by method and sentence of a failure; one that happened at
-    another time is the same.
+    """Return the names of trials by method and sentence of a failure.
+
+    Sentences that differ only in the time of the failure are counted as equal.
     """
     found: dict[str, list[str]] = {}
     for trial in trials:
@@ -181,7 +180,7 @@ def error_sentence(error: Exception) -> str:
 
 
 def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
-    """Return the scenes of a trial, and its person, whose calibration is written to a file."""
+    """Return the scenes of a trial and its person; write the person's calibration to a file."""
     rng = plan.rng(key)
     person = plan.person(key)
     task = TASKS[key.task]
@@ -220,11 +219,10 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
 
 @lru_cache(maxsize=64)
 def _force_scale(scene: Scene) -> float:
-    """Newtons at the device for each newton at the tool that are chosen for a scene on the device
-    of the study.
+    """Return the chosen ratio of device force to tool force of a scene on the study's device.
 
-    The least over a task's specimens is taken for all of them: a scale for each would play them all
-    alike.
+    The smallest scale over a task's specimens is used for all of them. With a separate scale for
+    each specimen, all specimens would feel alike.
     """
     return chosen_scale(changed(scene, {"device": "touch"}))[0]
 
@@ -237,15 +235,17 @@ def _all_specimens(task: str) -> list[Scene]:
 
 @lru_cache(maxsize=64)
 def _stiffness_N_m(scene: Scene) -> float:
-    """Stiffness that is chosen for a scene [N/m]; neither seed nor pace counts, so that few are
-    ever asked for.
+    """Return the chosen stiffness of a scene [N/m].
+
+    It does not depend on seed and pace, so that few values are computed.
     """
     return judged_loop(loop_settings(scene), step_s=TICK_S).stiffness_N_m
 
 
 def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Observer]:
-    """Return a person, and what the map fitted to their numbers; thresholds are known as they
-    are.
+    """Return a person and the person's calibration from rated numbers.
+
+    The thresholds of the calibration are exact.
     """
     drawn = draw_observers(key.group, 1, rng)
     name = f"{key.group} {key.user}"
@@ -265,8 +265,9 @@ def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Obse
 
 
 def _methods(plan: Plan, key: TrialKey) -> tuple[str, ...]:
-    """Return the methods of a trial; variants are run for the headline alone, the reference
-    under one.
+    """Return the methods of a trial.
+
+    Variants are run only for the headline, and the reference variant under one method.
     """
     if not key.variant:
         return plan.methods
@@ -299,18 +300,18 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
     Parameters
     ----------
     run
-        A run by a hand on a device.
+        Run by a hand on a device.
     task
-        Name of the task; some have measures of their own.
+        Name of the task. Some tasks have special metrics.
     person
-        Who feels the force.
+        Person who feels the force.
     wanted_mm
-        Path that the tool should take, corner by corner [mm], shape (corners, 3).
+        Target path of the tool, corner by corner [mm], shape (corners, 3).
 
     Raises
     ------
     InputError
-        If nothing was touched, or what the task asks for did not happen.
+        If the tool touched nothing, or the required event of the task did not happen.
     """
     trace = run.trace
     played, ideal, nearest, _ = motor_forces(run, ideal_force_N(run, cores=1))
@@ -354,12 +355,11 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
 
 
 def _pierced(run: Run) -> dict[str, float]:
-    """Return how far the needle went on after the capsule's puncture, and the force before and
-    after it.
+    """Return the needle's travel after the capsule's puncture, and the force before and after it.
 
-    A puncture that nobody notices is a result and no failure: ``noticed`` is 0 and the travel is
-    that until the trial's end, the least that it can be. A hand that stops before the puncture
-    pierced nothing that could be measured.
+    A puncture that nobody notices is a result and not a failure. ``noticed`` is then 0, and the
+    travel is the travel until the end of the trial, which is a lower bound. A hand that stops
+    before the puncture leaves no puncture to measure.
     """
     puncture = next((time for time, what in run.events if "capsule" in what), inf)
     noticed = next((time for time, what in run.events if what == NOTICED), inf)
@@ -394,20 +394,19 @@ def _reamed(run: Run, touching: NDArray[np.bool_]) -> dict[str, float]:
 def intensity_ratios(
     skin_N: Array, nearest_N: Array, ideal_N: Array, person: Observer
 ) -> dict[str, float]:
-    """How far ratios of intensity are off, and what a perfect force, an unscaled one and a constant
-    one would score.
+    """Return the error of ratios of intensity, and the errors of three comparison forces.
 
-    Over windows of a tenth of a second that lie in contact whole, the spread of ln S(F) - ln
-    S_ref(F_ideal), S being Stevens' law: 0.1 are ratios that are off by a tenth, and 0 is perfect.
-    A common factor, which a person's numbers cannot be separated from, takes no part. The exponents
-    are those that the simulated people were made with.
+    The error is the spread of ln S(F) - ln S_ref(F_ideal) over windows of a tenth of a second that
+    lie entirely in contact. S is Stevens' law. A spread of 0.1 is a ratio error of a tenth, and 0
+    is perfect. A common factor, which cannot be separated from a person's use of numbers, does not
+    count. The exponents are the true exponents of the simulated people.
 
     Returns
     -------
     dict
-        The spread of the force at the skin, and those of a perfect force through the same encoder
-        steps as the reference feels it, of the ideal force as this person's exponent alone has it,
-        and of a force that never changes.
+        Spread of the force at the skin, and of three comparison forces: a perfect force through the
+        same encoder steps as the reference feels it, the ideal force with only this person's
+        exponent, and a constant force.
     """
     count = max(len(ideal_N) // round(WINDOW_S / TICK_S), 1)
     sizes = np.linalg.norm(ideal_N, axis=1)

@@ -1,3 +1,1 @@
-"""Train a scene's predictors on runs by simulated hands, and measure them on runs they have not
-seen.
-"""
+"""Training of a scene's predictors on runs by simulated hands, and tests on unseen runs."""

@@ -1,4 +1,4 @@
-"""Runs of a scene by hands of all groups, as what a predictor sees of them."""
+"""Runs of a scene by hands of all groups, as the inputs that a predictor receives."""
 
 from dataclasses import dataclass
 from time import perf_counter
@@ -32,31 +32,28 @@ __all__ = ["DELAYS_MS", "Recorder", "Recording", "trial"]
 DELAYS_MS = (0, 4, 8)
 """Latencies of training runs, in turn: a late force makes a hand move otherwise."""
 DITHER_N = 1e-6
-"""Noise that is added to a force to learn from [N], so that an axis on which nothing acts can be
-scaled.
-"""
+"""Noise added to a training force [N], so that an axis without force can be scaled."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Data of a run that a predictor sees: one row a tick.
+    """Data of a run that a predictor receives, one row per tick.
 
     Attributes
     ----------
     position_m, velocity_m_s
-        Of the device, as its encoders measure it and as the loop's filter estimates it from that,
-        shape (n, 3).
+        Position of the device as measured by its encoders, and velocity as estimated by the loop's
+        filter, shape (n, 3).
     force_N
-        On the device, without delay, shape (n, 3).
+        Force on the device, without delay, shape (n, 3).
     contact
-        What a loop knows of the contact in every tick, rows of `Contact`, shape (n, CONTACT_WIDTH).
+        Contact as a loop receives it in every tick, rows of `Contact`, shape (n, CONTACT_WIDTH).
     group, seed
-        Whose hand, and its seed.
+        Group of the hand, and its seed.
     model_s
         Median time that the tissue took to answer in a tick [s].
     true_position_m
-        Of the device, which its encoders only step through, shape (n, 3); None where it is not
-        known.
+        Exact position of the device, without encoder steps, shape (n, 3). None if it is unknown.
     """
 
     position_m: Array
@@ -75,8 +72,9 @@ class Recording:
         )
 
     def episodes(self) -> list[Episode]:
-        """An episode an axis: displacement since the tick before and stretch of the coupling
-        [m], shape (n, STATE).
+        """Return one episode per axis, each of shape (n, STATE).
+
+        The state is the displacement since the previous tick and the stretch of the coupling [m].
         """
         moved = np.diff(self.position_m, axis=0, prepend=self.position_m[:1])
         stretch = self.force_N / self.contact[:, :1]
@@ -86,27 +84,30 @@ class Recording:
         ]
 
     def driven_episode(self) -> Episode:
-        """States and inputs of linear dynamic mode decomposition: force, shape (n, 3), by the
-        device, shape (n, 6).
+        """Return states and inputs for linear dynamic mode decomposition.
+
+        The states are the force, shape (n, 3), and the inputs describe the device, shape (n, 6).
         """
         return Episode(self.dithered_N(), np.hstack((self.position_m, self.velocity_m_s)), TICK_S)
 
 
 def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float = 1.0) -> Scene:
-    """Return the scene of a trial: hands, seeds and latencies in turn, nothing predicted, no stress
-    beside the ticks.
+    """Return the scene of a trial.
+
+    Hands, seeds and latencies are used in turn. Nothing is predicted, and no stress is computed in
+    parallel to the ticks.
 
     Parameters
     ----------
     scene
-        The scene; without a device it gets a touch.
+        Scene. A scene without a device gets a Touch.
     index
-        Number of the trial, and its seed.
+        Number of the trial, which is also its seed.
     delay_ms
-        Latency; without it those of `DELAYS_MS` in turn.
+        Latency [ms]. Default: the values of `DELAYS_MS` in turn.
     share
-        Force of the tissue at the same motion over that of the scene. In a tissue whose force is
-        linear in its moduli or cutting coefficients this is the same as all of those changed by it.
+        Ratio of the tissue's force to the scene's force at the same motion. If the force is linear
+        in the moduli or cutting coefficients, this equals a change of all of them by the ratio.
     """
     delay = DELAYS_MS[index // len(GROUPS) % len(DELAYS_MS)] if delay_ms is None else delay_ms
     held = scene if scene.device is not None else changed(scene, {"device": "touch"})
@@ -129,7 +130,10 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
 
 
 class Recorder:
-    """Runs trials of one scene; an elastic organ, which a run leaves as it was, is built once."""
+    """Runner of trials of one scene.
+
+    An elastic organ, which a run does not change, is built once.
+    """
 
     def __init__(self, *, cores: int | None = None) -> None:
         self._cores = cores
@@ -169,7 +173,7 @@ class Recorder:
         )
 
     def _parts(self, scene: Scene) -> tuple[HandMotion, TissueModel]:
-        """Return the hand of a scene and what it meets."""
+        """Return the hand of a scene and the tissue that it touches."""
         organ = (
             isinstance(scene.tool, Probe)
             and not isinstance(scene.anatomy, WallAnatomy)
@@ -195,8 +199,10 @@ class Recorder:
 
 
 def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, Array, Array]:
-    """Measured position, force and true position, shape (n, 9); contacts; seconds that the
-    tissue took, shape (n,).
+    """Return position, force and true position, contacts, and the times of the tissue.
+
+    Measured position, force and true position have shape (n, 9). The seconds that the tissue took
+    have shape (n,).
     """
     tool = ToolMotion()
     motion.begin(tool)

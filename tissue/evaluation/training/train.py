@@ -48,33 +48,39 @@ TRIALS = 12
 LEAST_TRIALS = 6
 """Fewest runs: one of them validates."""
 MOST_TRIALS = 10_000
-"""Most runs: a hundred times what the shipped predictors needed would take days, and is taken
-for a slip.
+"""Maximum number of runs.
+
+A hundred times the runs of the shipped predictors would take days and is treated as a typing error.
 """
 HELD_OUT = 4
-"""One run in so many validates; the others train."""
+"""Interval of the runs that validate: one run in this number. The others train."""
 HORIZONS = (1, 2, 3, 4, 6, 8, 10)
 """Ticks ahead at which predictors are compared."""
 LEAST_RUNS = 3
 LAGS = 80
-"""Delays: most of a period of tremor. With fewer the operator takes steps of the encoder at 15 to
-40 Hz for motion: of the look-ahead's excess error on unseen runs of palpation, in shares of hold's,
-50 left 0.39 to 0.49, at 0.6 of the pace
-0.65 to 0.78, and 100 left 0.34 to 0.40 and 0.57 to 0.61, but in files of 0.2 MB; on the wall all
-leave 0.17 to 0.24. A regression of the displacement itself, measured or true, was no better."""
+"""Number of delays, most of a period of tremor.
+
+With fewer delays the operator treats encoder steps at 15 to 40 Hz as motion. The figures are the
+look-ahead's excess error on unseen runs of palpation over the excess error of zero-order hold. 50
+delays leave 0.39 to 0.49, and 0.65 to 0.78 at 0.6 of the pace. 100 delays leave 0.34 to 0.40 and
+0.57 to 0.61, but in files of 0.2 MB. On the wall all leave 0.17 to 0.24. A regression of the
+displacement itself, measured or true, was no better.
+"""
 RIDGE = 1e-6
-"""Share of the variance by which weights of delayed states are held small: they are alike to a
-step of the encoder.
+"""Ridge penalty as a share of the variance, which keeps weights of delayed states small.
+
+Delayed states are equal to within one encoder step.
 """
 MARGIN = 3.0
-"""Times the largest mean square in training at which a window is out of it; a prior."""
+"""Ratio to the largest mean square in training at which a window is outside of it; a prior."""
 
 
 def train(
     scene: Scene, *, trials: int = TRIALS, cores: int | None = None, progress: Progress = silent
 ) -> Trained:
-    """Train the predictors of a scene on runs by hands of all groups, and validate them on runs
-    held out.
+    """Train the predictors of a scene on runs by hands of all groups, and validate them.
+
+    The validation uses runs that are not in the training.
 
     The scene's own seed is not used: trial i has seed i.
 
@@ -101,8 +107,9 @@ def train(
 
 
 def with_fallback(trained: Trained, runs: list[Recording], force_limit_N: float) -> Trained:
-    """Choose the fallback with the smallest mean error among the predictors without a lifted
-    operator.
+    """Choose the fallback with the smallest mean error among the unlifted predictors.
+
+    These are the predictors without a lifted operator.
     """
     makers = {
         kind: partial(trained_predictor, kind, trained, force_limit_N=force_limit_N)
@@ -117,7 +124,7 @@ def with_fallback(trained: Trained, runs: list[Recording], force_limit_N: float)
 
 
 def validated(trained: Trained, held_out: list[Recording], force_limit_N: float) -> Trained:
-    """Add the mean errors of all predictors on runs that were held out.
+    """Add the mean errors of all predictors on validation runs.
 
     Raises
     ------
@@ -145,12 +152,12 @@ def validated(trained: Trained, held_out: list[Recording], force_limit_N: float)
 
 
 def fit(scene: str, runs: Sequence[Recording], *, lags: int = LAGS) -> Trained:
-    """Fit the predictors of a scene to recorded runs; every axis of a run is an episode of its own.
+    """Fit the predictors of a scene to recorded runs. Every axis of a run is a separate episode.
 
     Raises
     ------
     InputError
-        If there are too few runs, nothing is touched, or they cannot be learnt from.
+        If there are too few runs, nothing is touched, or the runs are not suitable for training.
     """
     if len(runs) < LEAST_RUNS:
         raise InputError(
@@ -176,8 +183,9 @@ def fit(scene: str, runs: Sequence[Recording], *, lags: int = LAGS) -> Trained:
 
 
 def growth_of(operator: Operator, runs: Sequence[Recording]) -> float:
-    """Return the mean square of scaled windows, all axes together, beyond which nothing was
-    learnt.
+    """Return the mean square of scaled windows, all axes together, that training has reached.
+
+    Beyond this value, nothing was learnt.
     """
     largest = 0.0
     for run in runs:
@@ -192,11 +200,12 @@ def growth_of(operator: Operator, runs: Sequence[Recording]) -> float:
 def forecast(
     predictor: Predictor, run: Recording, horizons: Sequence[float], *, model_ticks: int = 1
 ) -> tuple[Array, Array]:
-    """Compute the forecasts of every tick, shape (n, horizons, 3) [N], and whether each is the
-    primary's, shape (n,).
+    """Compute the forecasts of every tick [N], shape (n, horizons, 3), and the primary flags.
 
-    It sees the force every `model_ticks`, and until the next one the contact of that tick, as it
-    does in a loop.
+    The flag, shape (n,), is set if the forecast is from the primary predictor.
+
+    The predictor receives the force every `model_ticks`. Until the next force it receives the
+    contact of that tick, as in a loop.
     """
     predicted = np.empty((len(run.force_N), len(horizons), 3))
     is_primary = np.empty(len(run.force_N))
@@ -223,7 +232,7 @@ def forecast_errors(
 ) -> Array:
     """Return ||predicted - F|| / ||F|| of a new predictor on each run, shape (runs, horizons).
 
-    F is the reference force in the tick that was predicted, over all ticks that can be predicted.
+    F is the reference force in the predicted tick, over all ticks that can be predicted.
 
     Raises
     ------

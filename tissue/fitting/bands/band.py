@@ -55,7 +55,7 @@ def _about(
     indices: SobolIndices,
     figures: tuple[Figure, ...] = LOADS,
 ) -> Summary:
-    """Entries of ``summary.json`` on how the band was made, its constants and their indices."""
+    """Return the entries of ``summary.json`` on the method, the constants and their indices."""
     return {
         "asked": asked,
         "seed": seed,
@@ -66,7 +66,7 @@ def _about(
 
 
 def _without(scene: Scene) -> dict[str, str]:
-    """Figures without an interval where loads are reweighed, and the reason."""
+    """Return the figures without an interval for reweighed loads, and the reason."""
     names = ["removed_mm3", "contact_share"] + ["keep_clear"] * (scene.keep_clear is not None)
     found = dict.fromkeys([*names, "break_through", "events"], SAME_EVERYWHERE)
     if scene.heat:
@@ -86,7 +86,7 @@ def _constants(ranges: Ranges) -> dict[str, dict[str, float]]:
 def _indices(
     found: SobolIndices, ranges: Ranges, figures: tuple[Figure, ...]
 ) -> dict[str, dict[str, dict[str, object]]]:
-    """Indices by figure and group; none of a figure that does not vary."""
+    """Return Sobol indices by figure and group, without figures that do not vary."""
     return {
         ".".join(figure): {
             group: {
@@ -109,38 +109,42 @@ HOW = (
 HOW_RERUN = "every sample was run, for the force is not linear in the constants or moves the tool"
 HOW_ASKED = "every sample was run, as was asked for"
 MOST_FAILED = 0.1
-"""Greatest share of samples that may fail: beyond it the ends of a 90 % band would be those of
-what is left.
+"""Largest share of samples that may fail.
+
+With more failed samples, the ends of a 90 % band would describe only the remaining samples.
 """
 SAME = 1e-5
-"""Of the greatest load: single precision of the kernels, and six digits of a trace in a file."""
+"""Tolerance of loads as a share of the largest load.
+
+It covers the single precision of the kernels and the six digits of a trace in a file.
+"""
 SOBOL_ROWS = 512
 """Rows of each of the two samples behind the indices."""
 
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """The band of a run.
+    """Band of a run.
 
     Attributes
     ----------
     times_s
-        Shape (n,).
+        Times of the ticks [s], shape (n,).
     nominal, quantiles
         Loads on the tool at the constants' nominal values and their quantiles `LEVELS`, columns
         `tissue.fitting.bands.reweighed.CHANNELS`, shapes (n, 8) and (5, n, 8).
     constants, values
         Names of the constants that vary, and their values in each sample, shape (samples, p).
     figure_names, figures
-        Names as `tissue.fitting.bands.figures` has them, and the figures of each sample, shape
-        (samples, figures), NaN where a sample has none, of an event that does not happen for one.
+        Names as in `tissue.fitting.bands.figures`, and the figures of each sample, shape (samples,
+        figures). NaN where a sample does not have the figure, such as an event that does not
+        happen.
     numbers
-        Which of `files` each sample is, shape (samples,).
+        Index into `files` of each sample, shape (samples,).
     files
-        The file of materials of every sample, those that failed among them; none of a band that was
-        read.
+        File of materials of every sample, including failed samples. Empty for a band that was read.
     summary
-        What ``summary.json`` holds of it under ``band``.
+        Content of ``summary.json`` under the key ``band``.
     """
 
     times_s: Array
@@ -170,13 +174,14 @@ def require_band(
     *,
     each_run: bool = False,
 ) -> None:
-    """Refuse options of a band that cannot be met, before the scene is run.
+    """Refuse invalid options of a band before the scene is run.
 
     Raises
     ------
     InputError
-        If the number of samples is none of 16 to 65536, or processes are asked for where nothing is
-        run again, or beside a scheduler, or a run of each sample where that is done anyhow.
+        If the number of samples is not between 16 and 65536, if processes are requested although no
+        sample is run again or together with a scheduler, or if a run of each sample is requested
+        for a scene that always needs it.
     """
     rounded(asked)
     is_linear = not why_not_linear(scene)
@@ -215,31 +220,32 @@ def band_of(
     cores: int | None = None,
     progress: Progress | None = None,
 ) -> Band:
-    """The band of a scene's loads and figures.
+    """Compute the band of a scene's loads and figures.
 
     Parameters
     ----------
     scene
-        What was simulated.
+        Simulated scene.
     asked
         Samples, rounded up to a power of two.
     seed
-        Seed of the samples; that of the scene without it.
+        Seed of the samples. Default: the scene's seed.
     workers
-        Processes that run samples beside each other, where each is a run of its own.
+        Number of parallel processes, for scenes whose samples are separate runs.
     scheduler
         Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``, instead of own
         processes.
     each_run
-        Whether every sample is run where reweighing would do, for what is not linear: temperature
-        and stress.
+        Run every sample even where reweighing is enough. Needed for nonlinear figures such as
+        temperature and stress.
     compute, cores, progress
         As for `tissue.simulate`.
 
     Raises
     ------
     InputError
-        As `require_band`, if no constant has a range, or more than a tenth of the samples fail.
+        For the reasons that `require_band` lists, if no constant has a range, or if more than a
+        tenth of the samples fail.
     """
     report = progress or silent
     require_band(scene, asked, workers, scheduler, each_run=each_run)
@@ -281,7 +287,7 @@ def band_of(
 def _rerun(
     scene: Scene, asked: int, seed: int, *, workers: Workers, cores: int | None, report: Progress
 ) -> Band:
-    """A band each of whose samples is a run of its own."""
+    """Compute a band whose samples are separate runs."""
     run = simulate(scene, compute=workers.compute, cores=cores, progress=report)
     trace = run.trace
     is_linear = not why_not_linear(scene)
@@ -357,7 +363,7 @@ def _require_ranges(ranges: Ranges) -> None:
 
 
 def require_same(band: Band, loads: Array) -> None:
-    """Refuse a run whose loads are not those that the band has at the run's nominal constants.
+    """Check that a run has the loads that the band has at the nominal constants.
 
     Parameters
     ----------
@@ -367,7 +373,7 @@ def require_same(band: Band, loads: Array) -> None:
     Raises
     ------
     InputError
-        If there are fewer ticks, or loads differ by more than 1e-5 of the greatest.
+        If the run has fewer ticks, or loads differ by more than 1e-5 of the largest load.
     """
     if len(loads) < len(band.times_s):
         raise InputError(

@@ -1,5 +1,6 @@
-"""The files of a band in a run's folder: quantiles over time, samples, pictures, and what the
-summary holds of it.
+"""Files of a band in the folder of a run.
+
+They hold the quantiles over time, the samples, the pictures and the band's entry in the summary.
 """
 
 import csv
@@ -31,8 +32,9 @@ sentence may hold a dot.
 
 
 def save_band(band: Band, folder: Path, *, kind: str | None) -> None:
-    """Write a band into the folder of its run, in place of one that is there; pictures where `kind`
-    is their format.
+    """Write a band into the folder of its run and replace an earlier band.
+
+    Pictures are drawn if `kind` names their format.
 
     Raises
     ------
@@ -82,12 +84,12 @@ def _earlier_samples(folder: Path) -> list[Path]:
 
 
 def read_band(folder: Path) -> Band:
-    """The band in a run's folder.
+    """Read the band in a run's folder.
 
     Raises
     ------
     InputError
-        If there is none, or a file is damaged.
+        If there is no band, or a file is damaged.
     """
     held = read_summary(folder).get("band")
     if held is None:

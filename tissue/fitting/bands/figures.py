@@ -1,6 +1,4 @@
-"""The figures of a run that vary with its constants: those of its summary, by names, and their
-quantiles.
-"""
+"""Named figures of a run that vary with its constants, and their quantiles."""
 
 import re
 
@@ -23,33 +21,36 @@ __all__ = [
 ]
 
 Figure = tuple[str, ...]
-"""Name of a figure: its place in ``summary.json``, entry by entry; of an event ``events``, a
-sentence, ``time_s``.
+"""Name of a figure: its position in ``summary.json``, entry by entry.
+
+For an event it is ``events``, a sentence, ``time_s``.
 """
 LEVELS = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
 """Quantiles by their names in files: the ends of the 90 and 50 % bands, and the median."""
 LOADS: tuple[Figure, ...] = tuple(
     (name, figure) for name in ("force_N", "torque_Nm") for figure in ("peak", "mean_in_contact")
 )
-"""Figures that every run has, the first columns of a table; Sobol indices are of these."""
+"""Figures that every run has, the first columns of a table. Sobol indices refer to them."""
 NUMBER = re.compile(r"-?\d+(\.\d+)?([eE][-+]?\d+)?(?![\d.]*%)")
-"""A measured number in the sentence of an event; a percentage is a threshold, by which two
-events differ.
+"""Pattern of a measured number in the sentence of an event.
+
+A percentage is not matched: it is a threshold, which distinguishes two events.
 """
 PEAKS = "_K"
 STRESS = "von_mises_"
 GREATEST = "greatest_"
-"""Ending of columns of a trace (temperatures), and begin of fields, whose greatest value is a
-figure; how it begins.
+"""Prefix of fields, and of the figure's name, whose largest value is a figure.
+
+`PEAKS` is the suffix of trace columns (temperatures) whose largest value is a figure.
 """
 
 
 def figures_of(run: Run) -> dict[Figure, float]:
-    """Figures of a run: loads, volumes, contact, what is kept clear, greatest temperature and
-    stress, and events.
+    """Return the figures of a run.
 
-    An event is named by its sentence without numbers, and counts the first time that it happens;
-    what the machine was too slow for is none.
+    The figures are loads, volumes, contact, clearances, largest temperature and stress, and events.
+    An event is named by its sentence without numbers, and only its first occurrence counts. Events
+    about a machine that was too slow are left out.
     """
     summary = run.summary
     trace = run.trace
@@ -85,16 +86,18 @@ def figures_of(run: Run) -> dict[Figure, float]:
 
 
 def table_of(runs: list[dict[Figure, float]]) -> tuple[tuple[Figure, ...], Array]:
-    """Names of all figures and their values in each run, shape (runs, figures); NaN where a run
-    has none.
+    """Return the names of all figures and their values in each run, shape (runs, figures).
+
+    A value is NaN where a run does not have the figure.
     """
     names = tuple(dict.fromkeys(name for run in runs for name in run))
     return names, np.array([[run.get(name, np.nan) for name in names] for run in runs])
 
 
 def intervals(names: tuple[Figure, ...], values: Array) -> Summary:
-    """Quantiles of figures, nested as a run's summary has them, with the share of runs that have
-    one where not all do.
+    """Return quantiles of figures, nested as in a run's summary.
+
+    A figure that only some runs have comes with the share of these runs.
 
     Parameters
     ----------
@@ -116,30 +119,32 @@ def intervals(names: tuple[Figure, ...], values: Array) -> Summary:
 
 
 def _by_level(values: Array) -> dict[str, float]:
-    """Quantiles of numbers by their names."""
+    """Return quantiles of numbers by their names."""
     return dict(zip(LEVELS, np.quantile(values, tuple(LEVELS.values())).tolist(), strict=True))
 
 
 REACH = 0.9
-"""Least share of the runs that a quantile over time is of: the 5 and 95 % quantiles of fewer are
-those of a part.
+"""Smallest share of the runs that a quantile over time may be computed from.
+
+The 5 and 95 % quantiles of fewer runs would describe only a part of them.
 """
 
 
 def over_time(loads: list[Array], times_s: Array) -> tuple[Array, Summary]:
-    """Quantiles `LEVELS` of loads at each tick, of the runs that reach it, as long as nine in ten
-    do.
+    """Compute the quantiles `LEVELS` of the loads at each tick.
+
+    A tick counts as long as nine in ten runs reach it. The quantiles are computed from these runs.
 
     Parameters
     ----------
     loads
-        Of each run, shape (ticks of it, channels).
+        Loads of each run, shape (ticks of the run, channels).
     times_s
-        Times of the run at nominal constants, shape (n,); beyond its end there are none.
+        Times of the run at nominal constants, shape (n,). There are no quantiles beyond its end.
 
     Returns
     -------
-    Quantiles, shape (5, ticks, channels), and over which span they hold.
+    Quantiles, shape (5, ticks, channels), and the span over which they are valid.
     """
     lengths = np.sort([len(each) for each in loads])
     reached = len(lengths) - np.searchsorted(lengths, np.arange(len(times_s)), side="right")

@@ -1,4 +1,4 @@
-"""Loads and figures of a scene for samples of its constants, each by a run of its own."""
+"""Loads and figures of a scene for samples of its constants, one run per sample."""
 
 from collections.abc import Iterator
 from concurrent.futures import Future
@@ -22,19 +22,20 @@ from tissue.system.workers import first_done
 __all__ = ["Outcome", "Workers", "reruns"]
 
 Outcome = tuple[Array, dict[Figure, float]] | str
-"""Loads, shape (n, 8), and figures of a run; or why there are none."""
+"""Loads, shape (n, 8), and figures of a run; or the reason of its failure."""
 PATIENCE_S = 30.0
-"""How long a scheduler may take to answer, as for a study."""
+"""Time that a scheduler may take to answer [s], equal to the value of a study."""
 LOST_WORKER = "the process that ran it was lost"
 BARREN = 5
-"""Losses one after the other, without a sample in between, after which workers are given up, as
-for a study.
+"""Consecutive losses without a finished sample after which the workers are abandoned.
+
+The value is equal to the value of a study.
 """
 
 
 @dataclass(frozen=True)
 class Workers:
-    """Where samples run: this process, several of this machine, or those of a Dask scheduler."""
+    """Place where samples run: this process, several local processes or a Dask scheduler."""
 
     count: int = 1
     scheduler: str | None = None
@@ -44,10 +45,10 @@ class Workers:
 def reruns(
     scene: Scene, files: tuple[str, ...], *, workers: Workers, report: Progress
 ) -> Iterator[tuple[int, Outcome]]:
-    """Number and outcome of the run of each file of materials, as each comes to its end.
+    """Yield the number and the outcome of the run of each file of materials, as each run ends.
 
-    Where a worker is lost, the samples that it was given are run again, one at a time: what is lost
-    once more is at fault itself.
+    If a worker is lost, its samples are run again, one at a time. A sample that is lost again is
+    counted as the cause of the loss.
 
     Raises
     ------
@@ -89,7 +90,10 @@ def reruns(
 def _in_pool(
     scene: Scene, files: tuple[str, ...], numbers: list[int], workers: Workers, report: Progress
 ) -> Iterator[tuple[int, Outcome | None]]:
-    """Outcomes of samples on one pool until it is lost; None of a sample as it is handed out."""
+    """Yield outcomes of samples on one pool until it is lost.
+
+    The outcome of a sample is None when it is submitted.
+    """
     most = 2 * min(workers.count, len(numbers)) if workers.scheduler is None else len(numbers)
     connected = False
     fresh = iter(numbers)
@@ -125,7 +129,7 @@ def _in_pool(
 
 
 def _outcome(scene: Scene, file: str, compute: str) -> Outcome:
-    """The run of one file of materials; whatever ends it is its outcome."""
+    """Run one file of materials and return the outcome, including any failure."""
     with TemporaryDirectory(prefix="tissue-band-") as name:
         path = Path(name, "sample.toml")
         path.write_text(file, "utf-8")

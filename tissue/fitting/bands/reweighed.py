@@ -53,8 +53,9 @@ class Reweighed:
 
     @cached_property
     def ranges(self) -> Ranges:
-        """Constants with a range of the layers that the tool met, but those that the scene sets
-        itself.
+        """Constants with a range, for the layers that the tool touched.
+
+        Constants that the scene sets itself are left out.
         """
         met = [self.record.layer_names[at] for at in sorted(self.record.layers)]
         density = density_prior(self.record.notes.get("density law", ""))
@@ -62,19 +63,20 @@ class Reweighed:
         return ranges_of(self.record.scene, met, table="cutting.", further=further)
 
     def coefficients(self, x: Array) -> tuple[CuttingCoefficients, ...]:
-        """Cutting coefficients of each layer for values of the constants, shape (p,)."""
+        """Return cutting coefficients of each layer for values of the constants, shape (p,)."""
         cutting = self.record.scene.cutting
         changes = cutting.model_dump(exclude={"material"})
         held = sampled(self.record.scene.constants, self.ranges.names, x)
         return held.coefficients(self.record.layer_names, changes, bone=cutting.material)
 
     def nominal(self) -> Array:
-        """Values of the constants at which the run was simulated, shape (p,)."""
+        """Return the values of the constants at which the run was simulated, shape (p,)."""
         return np.array([prior.value for prior in self.ranges.priors])
 
     def weights(self, x: Array) -> Array:
-        """What all unit loads are multiplied by, shape (samples, units), for values of shape
-        (samples, p).
+        """Return the factors of all unit loads, shape (samples, units).
+
+        The values `x` have shape (samples, p).
         """
         layers = len(self.record.layer_names)
         place = self.ranges.names.index(DENSITY) if DENSITY in self.ranges.names else None
@@ -87,7 +89,7 @@ class Reweighed:
         return np.array(rows)
 
     def figures(self, x: Array) -> Array:
-        """`tissue.fitting.bands.figures.LOADS` of samples, shape (samples, 4)."""
+        """Return `tissue.fitting.bands.figures.LOADS` of samples, shape (samples, 4)."""
         weights = self.weights(x)
         peak = np.zeros((len(x), 2))
         sums = np.zeros((len(x), 2))
@@ -100,15 +102,16 @@ class Reweighed:
         return np.stack([peak[:, 0], means[:, 0], peak[:, 1], means[:, 1]], axis=1)
 
     def quantiles(self, x: Array, levels: tuple[float, ...]) -> Array:
-        """Quantiles over the samples of `CHANNELS` at each tick, shape (levels, n, 8)."""
+        """Return quantiles over the samples of `CHANNELS` at each tick, shape (levels, n, 8)."""
         found = np.zeros((len(levels), len(self.record.times_s), len(CHANNELS)))
         for ticks, loads in self._blocks(self.weights(x)):
             found[:, ticks] = np.quantile(with_sizes(loads), levels, axis=0)
         return found
 
     def _blocks(self, weights: Array) -> Iterator[tuple[NDArray[np.int64], Array]]:
-        """Loads of samples a few loaded ticks after the others, and which those are, shape
-        (samples, ticks, 6).
+        """Yield blocks of loads, shape (samples, ticks, 6), and the indices of their ticks.
+
+        A block holds a few consecutive loaded ticks.
         """
         step = max(BLOCK // (6 * len(weights)), 1)
         for first in range(0, len(self._loaded), step):
@@ -121,7 +124,7 @@ class Reweighed:
 
 
 def with_sizes(loads: Array) -> Array:
-    """`CHANNELS` of forces and torques, shape (..., 8) of (..., 6)."""
+    """Return `CHANNELS` of forces and torques: shape (..., 8) from shape (..., 6)."""
     force = loads[..., :3]
     torque = loads[..., 3:]
     sizes = [np.linalg.norm(each, axis=-1, keepdims=True) for each in (force, torque)]
@@ -129,10 +132,10 @@ def with_sizes(loads: Array) -> Array:
 
 
 def density_prior(law: str) -> Prior | None:
-    """Prior of a factor of the density, from what an image of densities states of their law; None
-    where it is silent.
+    """Return the prior of a density factor from the law that an image of densities records.
 
-    The band is that of the density's median; it is taken for the relative one of every voxel.
+    The result is None if the image records no law. The band of the law is the band of the median
+    density; it is applied as a relative band to every voxel.
     """
     found = LAW.search(law)
     if found is None:

@@ -42,11 +42,11 @@ class Ranges:
     Attributes
     ----------
     names
-        Such as ``cutting.bone.radial_chip_N_mm2``.
+        Names such as ``cutting.bone.radial_chip_N_mm2``.
     priors
-        Law of each; none of them fixed.
+        Prior of each constant. No prior is fixed.
     correlation
-        Of the standard normal numbers behind the constants, shape (p, p).
+        Correlation of the standard normal numbers behind the constants, shape (p, p).
     """
 
     names: tuple[str, ...]
@@ -55,15 +55,13 @@ class Ranges:
 
     @classmethod
     def independent(cls, priors: dict[str, Prior]) -> "Ranges":
-        """Constants of which each varies by itself, those without a range left out."""
+        """Return constants that vary independently, without the constants that have no range."""
         kept = {name: prior for name, prior in priors.items() if not prior.fixed}
         return cls(tuple(kept), tuple(kept.values()), np.eye(len(kept)))
 
     @cached_property
     def groups(self) -> tuple[tuple[int, ...], ...]:
-        """Places of the constants that are correlated with each other, directly or through
-        others.
-        """
+        """Indices of constants that are correlated with each other, directly or through others."""
         labels = connected_components(self.correlation != 0.0, directed=False)[1]
         return tuple(
             tuple(np.flatnonzero(labels == label).tolist())
@@ -76,7 +74,10 @@ class Ranges:
         return tuple(" + ".join(self.names[at] for at in group) for group in self.groups)
 
     def x(self, free: Array) -> Array:
-        """Values of the constants for independent standard normal numbers, both of shape (n, p)."""
+        """Return values of the constants for standard normal numbers, both of shape (n, p).
+
+        The normal numbers are independent.
+        """
         z = free @ self._factor.T
         return np.column_stack([prior.x(z[:, at]) for at, prior in enumerate(self.priors)])
 
@@ -92,7 +93,7 @@ def ranges_of(
     table: str = "",
     further: Mapping[str, Prior] | None = None,
 ) -> Ranges:
-    """Return the constants with a range on which a scene rests, except those that it sets itself.
+    """Return the constants with a range that a scene uses and does not set itself.
 
     Parameters
     ----------
@@ -115,21 +116,25 @@ def ranges_of(
 
 
 def rounded(asked: int) -> int:
-    """Samples for a number asked for: the power of two at or above it, for a Sobol sequence is
-    balanced at those alone.
+    """Round a number of samples up to a power of two.
+
+    A Sobol sequence is balanced only at powers of two.
 
     Raises
     ------
     InputError
-        If it is none of 16 to 65536.
+        If the number is not between 16 and 65536.
     """
     count = int(require_range("band", asked, LEAST, MOST, "use 200"))
     return 1 << (count - 1).bit_length()
 
 
 def normals(count: int, width: int, *, seed: int) -> Array:
-    """Independent standard normal numbers of a scrambled Sobol sequence, shape (count, width);
-    count a power of two.
+    """Return independent standard normal numbers, shape (count, width).
+
+    They follow a scrambled Sobol sequence. `count` is a power of two.
+
+    `count` is a power of two.
 
     Raises
     ------
@@ -153,8 +158,9 @@ def sample_name(number: int, count: int) -> str:
 
 
 def sampled(constants: Materials, names: Sequence[str], x: Array) -> Materials:
-    """Constants with those of a sample in place, by their names ``TABLE.MATERIAL.NAME``, values
-    of shape (p,).
+    """Return the constants with the values of a sample, shape (p,), in place.
+
+    The values are assigned by the names ``TABLE.MATERIAL.NAME``.
     """
     values = (Constant(value, value, value, SOURCE, "L") for value in map(float, x))
     drawn = {
@@ -166,7 +172,10 @@ def sampled(constants: Materials, names: Sequence[str], x: Array) -> Materials:
 
 
 def sample_text(constants: Materials, names: Sequence[str], x: Array) -> str:
-    """The TOML file of a sample; a factor of the density, which no scene takes, is a comment."""
+    """Return the TOML file of a sample.
+
+    A factor of the density is a comment, since no scene accepts it.
+    """
     lines = [
         f"# {name} = {float(value)!r}, which no file of materials holds"
         for name, value in zip(names, x, strict=True)

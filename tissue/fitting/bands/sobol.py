@@ -14,7 +14,7 @@ from tissue.fitting.bands.sample import normals
 __all__ = ["LEAST_EXPLAINED", "SobolIndices", "sobol_indices", "surrogate_indices"]
 
 DRAWS = 400
-"""Draws of the bootstrap, from which the ends of 90 % intervals are read."""
+"""Draws of the bootstrap for the ends of 90 % intervals."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +24,7 @@ class SobolIndices:
     Attributes
     ----------
     first, total
-        First-order and total indices, shape (groups, figures); NaN of a figure that does not vary.
+        First-order and total indices, shape (groups, figures). NaN for a figure that does not vary.
     first_ends, total_ends
         Ends of their 90 % intervals by bootstrap, shape (2, groups, figures).
     """
@@ -38,18 +38,18 @@ class SobolIndices:
 def sobol_indices(
     figures: Callable[[Array], Array], groups: tuple[tuple[int, ...], ...], *, count: int, seed: int
 ) -> SobolIndices:
-    """First-order and total indices of a function of independent standard normal numbers.
+    """Compute first-order and total indices of a function of standard normal numbers.
 
-    Two samples A and B are taken, and for every group one that is A with the group's columns from
-    B. First-order indices follow Saltelli et al. (2010, Comput. Phys. Commun. 181:259, table 2 b),
-    total ones Jansen (2 f there).
+    The numbers are independent. Two samples A and B are drawn. For every group a third sample is A
+    with the group's columns from B. First-order indices follow Saltelli et al. (2010, Comput. Phys.
+    Commun. 181:259, table 2 b), total indices follow Jansen (2 f there).
 
     Parameters
     ----------
     figures
         Figures, shape (n, figures), of numbers of shape (n, p).
     groups
-        Columns of each group; every column belongs to one.
+        Columns of each group. Every column belongs to one group.
     count
         Rows of A, a power of two; the function is called for count (groups + 2) rows.
     """
@@ -79,7 +79,10 @@ def sobol_indices(
 
 
 def _indices(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
-    """Both indices of centred figures, c of shape (groups, n, figures)."""
+    """Return first-order and total indices of centred figures.
+
+    c has shape (groups, n, figures).
+    """
     variance = 0.5 * (a * a + b * b).mean(axis=0) - (0.5 * (a + b).mean(axis=0)) ** 2
     variance = np.where(variance > 0.0, variance, np.nan)
     return (b * (c - a)).mean(axis=1) / variance, 0.5 * ((c - a) ** 2).mean(axis=1) / variance
@@ -95,20 +98,20 @@ REFITS = 100
 def surrogate_indices(
     free: Array, figures: Array, groups: tuple[tuple[int, ...], ...], *, seed: int
 ) -> tuple[SobolIndices, Array]:
-    """Indices of figures, and the share of the variance of each that is explained in runs left out
-    of the fit.
+    """Return the Sobol indices of figures and the share of each variance that the fit explains.
 
-    The figures are those of a sum of products of normalised Hermite polynomials up to degree two,
-    its coefficients by ridge regression (Sudret 2008, Reliab. Eng. Syst. Saf. 93:964).
+    The share is evaluated on runs that the fit has not seen. The indices are derived from a sum of
+    products of normalised Hermite polynomials up to degree two. The coefficients of the sum are
+    found by ridge regression (Sudret 2008, Reliab. Eng. Syst. Saf. 93:964).
 
     Parameters
     ----------
     free
         Independent standard normal numbers of each run, shape (n, p).
     figures
-        Shape (n, figures).
+        Figures of each run, shape (n, figures).
     groups
-        Columns of each group; every column belongs to one.
+        Columns of each group. Every column belongs to one group.
     """
     terms = _terms(free.shape[1])
     basis = np.column_stack([_product(free, term) for term in terms])
@@ -135,7 +138,10 @@ def surrogate_indices(
 
 
 def _terms(width: int) -> list[tuple[int, ...]]:
-    """Columns of each product: one, squares as the same twice, and pairs."""
+    """Return the columns of each product: one column, squares and pairs.
+
+    A square names its column twice.
+    """
     places = range(width)
     return [*((at,) for at in places), *((at, at) for at in places), *combinations(places, 2)]
 
@@ -147,7 +153,7 @@ def _product(free: Array, term: tuple[int, ...]) -> Array:
 
 
 def _fitted(basis: Array, values: Array, ridge: float) -> Array:
-    """Coefficients by ridge regression, means taken away."""
+    """Return coefficients by ridge regression without the means."""
     centred = basis - basis.mean(axis=0)
     kernel = centred @ centred.T
     kernel[np.diag_indices_from(kernel)] += ridge * len(basis)
@@ -155,8 +161,9 @@ def _fitted(basis: Array, values: Array, ridge: float) -> Array:
 
 
 def _best(basis: Array, values: Array) -> tuple[float, float]:
-    """Ridge of the least error on runs that the fit has not seen, and the share of the variance
-    that it explains.
+    """Return the best ridge and the share of the variance that it explains.
+
+    The best ridge has the smallest error on runs that the fit has not seen.
     """
     errors = np.zeros(len(RIDGES))
     for fold in range(FOLDS):
@@ -171,6 +178,6 @@ def _best(basis: Array, values: Array) -> tuple[float, float]:
 
 
 def _shares(coefficients: Array, alone: Array, members: Array) -> Array:
-    """First-order and total indices, shape (2, groups)."""
+    """Return first-order and total indices, shape (2, groups)."""
     squares = coefficients**2 / max(float((coefficients**2).sum()), 1e-300)
     return np.stack([alone @ squares, members @ squares])

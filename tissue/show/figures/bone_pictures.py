@@ -48,15 +48,13 @@ __all__ = ["draw_before_after", "draw_removed_depth", "shown_mm"]
 HEIGHTS_PX = 64, 170
 """Above and below the renderings [pixel]."""
 TILT_DEG, OPENED_DEG = (36.0, 12.0), (58.0, 12.0)
-"""How far the eye turns down and to the side from the tool's axis, and where the bone is cut
-open.
-"""
+"""Angles of the view from the tool's axis, down and to the side, for a whole and an opened bone."""
 DEEP = 0.5
 """A cut deeper than this share of its narrower side is cut open: from the tool's side its bottom
 is not seen.
 """
 CUT_OUT = (0.82, 0.82, 0.85)
-"""Colour of faces where the simulated region ends and the bone goes on."""
+"""Colour of faces at the end of the simulated region, beyond which the bone continues."""
 MOST_POINTS = 20_000
 WIDEST_ARC = 0.4
 """Widest arrow around the tool's axis, as a share of the picture's height."""
@@ -69,12 +67,12 @@ class _View:
     Attributes
     ----------
     volume, remaining
-        The bone before and after, without what lies before the plane.
+        Bone before and after the run, without the part in front of the plane.
     depth
-        Where the tool came from.
+        Depth map with the side that the tool came from.
     plane
-        World axis at right angles to the plane where the bone is cut open, and its place there
-        [mm]; None if it is not.
+        World axis at right angles to the plane of the opened bone, and the plane's coordinate [mm].
+        None if the bone is not opened.
     """
 
     volume: VoxelVolume
@@ -109,8 +107,9 @@ class _View:
         return cls(half, np.where(keep, remaining, np.uint8(0)), depth, (normal, place))
 
     def camera(self, surface: "pyvista.PolyData") -> Camera:
-        """Return a camera that sees the whole surface from the tool's side, turned aside, and
-        from before the plane.
+        """Return a tilted camera that sees the whole surface from the tool's side.
+
+        For an opened bone, the camera is in front of the plane.
         """
         depth = self.depth
         out = np.eye(3)[depth.axis] * depth.outward
@@ -136,12 +135,11 @@ class _View:
 
 
 def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
-    """Draw the bone by layer before and by removed depth after the run, both seen by the same
-    camera.
+    """Draw the bone by layer before the run and by removed depth after it, with one camera.
 
     Returns
     -------
-    None, or why it could not be drawn.
+    None, or the reason why it could not be drawn.
     """
     limit = depth_limit(depth)
     view = _View.of(run, depth)
@@ -246,8 +244,9 @@ def _annotate(shaded: Shaded, run: Run, view: _View, limit: float) -> None:
 
 
 def _draw_spin(axes: "Axes", run: Run, camera: Camera) -> None:
-    """Draw the sense of the tool's rotation at its first contact, as wide as the tool where that
-    fits.
+    """Draw the sense of the tool's rotation at its first contact.
+
+    The arc is as wide as the tool if there is enough space.
     """
     tool = run.scene.tool
     assert isinstance(tool, Tool)
@@ -263,10 +262,12 @@ def _draw_spin(axes: "Axes", run: Run, camera: Camera) -> None:
 
 
 EXPOSED: "tuple[LineStyleType, ...]" = ("--", ":", "-.")
-"""Lines around the layers that a run laid bare."""
+"""Line styles around the layers that a run exposed."""
 SMALL, AROUND = 0.5, 0.4
-"""A cut that takes up less than this share of the region along both axes is drawn larger, with this
-share of its longer side around it."""
+"""Share of the region along both axes below which a cut is drawn enlarged, and its margin.
+
+The margin is a share of the cut's longer side.
+"""
 
 
 def shown_mm(depth: DepthMap) -> tuple[float, float, float, float]:
@@ -290,7 +291,7 @@ def shown_mm(depth: DepthMap) -> tuple[float, float, float, float]:
 
 @styled
 def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
-    """Draw the map of removed depth on the face that the tool meets."""
+    """Draw the map of removed depth on the face that the tool enters."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

@@ -31,8 +31,9 @@ __all__ = [
 
 Line = Literal["solid", "dashed", "dotted"]
 BONE_HU, SOFT_HU = (-200.0, 1300.0), (-160.0, 240.0)
-"""Grey values from black to white: fat to cortical bone, and those of soft tissue (the usual
-abdominal window).
+"""Grey values from black to white for bone and for soft tissue.
+
+The first range covers fat to cortical bone, the second is the usual abdominal window.
 """
 VIEWS = ((0, 1, 2, "axial"), (0, 2, 1, "coronal"), (1, 2, 0, "sagittal"))
 """Axes of a slice to the right and upward, the axis through it, and its name."""
@@ -41,7 +42,7 @@ BODY, SITE, PATH = "#E69F00", "#D55E00", "#CC79A7"
 OTHERS = ("#56B4E9", "#009E73", "#F0E442", "#0072B2")
 """Colours of outlines after Okabe and Ito (2008)."""
 LINES: tuple[Line, ...] = ("solid", "dashed", "dotted")
-"""Strokes of the outlines: the next one where all colours are taken."""
+"""Strokes of the outlines. The next stroke is used after all colours."""
 NORMAL_MM = 12.0
 
 
@@ -65,17 +66,18 @@ def draw_ct_slices(
     image
         Grey values around the bone.
     body
-        What it is called, and what is above 0 where it is, on the same voxels as far as it goes.
+        Name of the bone, and an image that is above 0 inside it. The image lies on the same voxels,
+        within its own extent.
     others
-        The same of other structures, by what they are called.
+        Images of other structures in the same form, by name.
     centre_mm
-        Where the slices cross [mm, LPS]: the site, or the middle of the bone.
+        Intersection of the slices [mm, LPS]: the site, or the middle of the bone.
     normal
-        Outward direction at the site; None where there is none yet.
+        Outward direction at the site. None without a site.
     points_mm
-        Corners of a path [mm, LPS], shape (n, 3); None where there is none.
+        Corners of a path [mm, LPS], shape (n, 3). None without a path.
     window_HU
-        Hounsfield units from black to white; images of other units take their own range.
+        Hounsfield units from black to white. Images in other units use their own range.
     """
     from matplotlib.lines import Line2D
 
@@ -177,15 +179,16 @@ AROUND_ORGAN_MM = 10.0
 def draw_ct_organ(
     image: Image, path: Path, *, masks: Mapping[str, NDArray[np.bool_]], mesh: TetMesh, title: str
 ) -> None:
-    """Draw slices through the middle of the smallest part, with the outlines of the meshed organ
-    and of the labels.
+    """Draw slices through the middle of the smallest part with outlines.
+
+    The outlines are those of the meshed organ and of the labels.
 
     Parameters
     ----------
     masks
         The organ first, then its parts, of the image's shape.
     mesh
-        Its tetrahedra in the frame of the image.
+        Tetrahedra of the organ in the frame of the image.
     """
     organ, *parts = masks
     spacing = np.array(image.spacing_mm)
@@ -228,7 +231,10 @@ UNDER_MM = 2.0
 """Depth at which the density is read that a point of the surface shows."""
 DENSITIES = (0.0, 1800.0)
 COLOURS = "YlGnBu"
-"""Light where bone is sparse, so that shading stays visible; colour-blind readers can follow it."""
+"""Colour map with light colours where bone is sparse, so that shading stays visible.
+
+Colour-blind readers can distinguish its colours.
+"""
 FRONT = (0.3, -1.0, 0.25)
 """Direction to the eye of a bone without a site: from the patient's front left above."""
 
@@ -248,17 +254,17 @@ def draw_ct_bone(
     Parameters
     ----------
     surface
-        The bone in the frame of its image.
+        Bone in the frame of its image.
     density
-        Apparent density [kg/m3]; None where it is unknown.
+        Apparent density [kg/m3]. None if it is unknown.
     centre_mm, normal
-        The site [mm, LPS]; None where there is none yet.
+        Site [mm, LPS]. None without a site.
     points_mm
         Corners of a path [mm, LPS], shape (n, 3).
 
     Returns
     -------
-    None, or why it could not be drawn.
+    None, or the reason why it could not be drawn.
     """
     mesh = _painted(surface, density)
     eyes = _eyes(normal)
@@ -327,14 +333,13 @@ def _painted(surface: Surface, density: Image | None) -> "pyvista.PolyData":
 OUTSIDE = "0.45"
 PATH_COLOURS = "inferno_r"
 AROUND_PATH_MM = 40.0
-"""Half of the width of bone that is shown around the path at least."""
+"""Minimum half width of the bone that is shown around the path [mm]."""
 
 
 def draw_path_depth(
     surface: Surface, found: PathDepth, path: Path, *, normal: NDArray[np.float64], title: str
 ) -> str | None:
-    """Draw the bone around a path, seen along the site's axis and from aside, with the path over
-    it.
+    """Draw a path over the bone around it, seen along the site's axis and from the side.
 
     Parameters
     ----------
@@ -349,7 +354,7 @@ def draw_path_depth(
 
     Returns
     -------
-    None, or why it could not be drawn.
+    None, or the reason why it could not be drawn.
     """
     points = found.points_mm
     half = max(AROUND_PATH_MM, 0.7 * float(np.ptp(points, axis=0).max()))
@@ -426,13 +431,13 @@ def draw_ct_histogram(
     Parameters
     ----------
     values, counts
-        Each whole value of the image, and how many voxels have it.
+        Whole values of the image, and number of voxels with each value.
     inside
         Values of the voxels of the bone.
     threshold
         Value above which a voxel is bone; None with a label.
     density
-        Density per value and at value 0 [kg/m3]; None where it is unknown.
+        Density per value and at value 0 [kg/m3]. None if it is unknown.
     """
     low = max(RANGE_HU[0], float(values[0]))
     high = min(RANGE_HU[1], float(values[-1]))

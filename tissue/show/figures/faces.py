@@ -1,4 +1,4 @@
-"""Faces that a tool goes through or presses in tissue that is neither voxels nor a mesh."""
+"""Faces that a tool passes or presses in tissue without voxels and mesh."""
 
 from typing import TYPE_CHECKING
 
@@ -14,14 +14,15 @@ if TYPE_CHECKING:
 __all__ = ["faces_of", "layer_faces", "wall_face"]
 
 FACE_MM = 30.0
-"""Edge of a drawn piece of a face that goes on, and how far a wall goes beyond the path on it."""
+"""Edge of a drawn piece of an infinite face, and length of a wall beyond the path on it [mm]."""
 WALL_MESH_MM = 5.0
 """Width of the squares of a drawn wall."""
 
 
 def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
-    """Return pieces of the faces that a tool goes through or presses [mm], by name; none of
-    voxels or a mesh.
+    """Return pieces of the faces that a tool passes or presses [mm], by name.
+
+    Voxels and meshes have no such faces.
     """
     if scene is None:
         return {}
@@ -54,7 +55,7 @@ def wall_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
 
 
 def layer_faces(scene: Scene) -> "dict[str, pyvista.PolyData]":
-    """Return pieces of the faces that a needle goes through, by layer."""
+    """Return pieces of the faces that a needle passes, by layer."""
     import pyvista
 
     assert isinstance(scene.anatomy, LayersAnatomy)

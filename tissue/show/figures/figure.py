@@ -47,7 +47,9 @@ P = ParamSpec("P")
 T = TypeVar("T")
 DPI = 200
 VECTOR_DPI = 2 * DPI
-"""Pixels an inch of what is no line or text in SVG and PDF: a rendering's own, see
+"""Pixels per inch of raster parts in SVG and PDF.
+
+Raster parts are everything except lines and text. The value is the resolution of a rendering, see
 `tissue.show.figures.rendering`.
 """
 STYLE: "dict[RcKeyType, float]" = {
@@ -57,7 +59,7 @@ STYLE: "dict[RcKeyType, float]" = {
     "lines.linewidth": 1.2,
 }
 DRAWING = RLock()
-"""Held while a picture is drawn beside others: matplotlib has one style for all threads."""
+"""Lock around the drawing of a picture, since matplotlib has one style for all threads."""
 
 
 def styled(draw: Callable[P, T]) -> Callable[P, T]:
@@ -75,7 +77,7 @@ def styled(draw: Callable[P, T]) -> Callable[P, T]:
 
 @styled
 def figure(width_in: float, height_in: float) -> "Figure":
-    """Return an empty figure that belongs to no window."""
+    """Return an empty figure without a window."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width_in, height_in), dpi=DPI)
@@ -83,11 +85,10 @@ def figure(width_in: float, height_in: float) -> "Figure":
 
 @styled
 def save(chart: "Figure", path: Path) -> None:
-    """Write a figure in the format of its file's ending, png, svg or pdf; the same bytes for the
-    same figure.
+    """Write a figure as png, svg or pdf, by the ending of its file.
 
-    SVG and PDF hold lines and text as such, and what was drawn in 3D or as an image with
-    `VECTOR_DPI` pixels an inch.
+    The same figure gives the same bytes. SVG and PDF keep lines and text as vectors. 3D drawings
+    and images have `VECTOR_DPI` pixels per inch.
     """
     import matplotlib
 
@@ -142,24 +143,28 @@ LAYERS = {
 }
 DEPTH_COLOURS = "viridis"
 SIGNED, STRESS, OTHER = "coolwarm", "magma_r", "YlGnBu"
-"""Colours of fields; little is light, so that a body does not turn black where nothing happens.
-Colour-blind readers can follow them (Moreland 2009; van der Walt and Smith 2015; Harrower and
-Brewer 2003)."""
+"""Colour maps of fields.
+
+Small values are light, so that a body does not turn black in unloaded parts. Colour-blind readers
+can distinguish the colours (Moreland 2009; van der Walt and Smith 2015; Harrower and Brewer 2003).
+"""
 OTHER_LAYERS = ("#CC79A7", "#F0E442", "#0072B2", "#D55E00")
 COMPONENTS = ("#0072B2", "#D55E00", "#009E73")
-"""Colours of layers and components after Okabe and Ito (2008), distinct for colour-blind
-readers.
+"""Colours of layers and components after Okabe and Ito (2008).
+
+They are distinct for colour-blind readers.
 """
 MAGNITUDE = "0.88"
 SMALL_NM = 0.02
 """Torque below which a picture shows thousandths [N m]."""
 ANATOMICAL = {"glenoid": ("anterior", "superior", "lateral")}
-"""What the world's axes mean, by kind of anatomy."""
+"""Meaning of the world's axes by kind of anatomy."""
 
 
 def axis_names(run: "Run") -> tuple[str, ...]:
-    """Return the names of the world's axes, with their anatomical direction where the kind of
-    anatomy has one.
+    """Return the names of the world's axes, with their anatomical direction if known.
+
+    The kind of anatomy determines the direction.
     """
     meanings = ANATOMICAL.get(run.scene.anatomy.kind)
     if meanings is None:
@@ -215,9 +220,7 @@ def draw_outline(
     linewidth: float,
     linestyle: "LineStyleType" = "-",
 ) -> None:
-    """Draw the line at a half of columns between 0 and 1, closed where it meets the edge of the
-    map.
-    """
+    """Draw the contour line at 0.5 of columns between 0 and 1, closed at the edge of the map."""
     if values.max(initial=0) < 0.5:
         return
     ends = zip(extent[::2], extent[1::2], values.shape, strict=True)

@@ -27,25 +27,26 @@ Array = NDArray[np.float64]
 
 MEASURED, SIMULATED, PRIOR = "0.55", "#0072B2", "0.75"
 ROW, FRAME = 0.44, 1.0
-"""Height of a constant's row, and of what is around the rows [in]."""
+"""Height of a constant's row, and of the frame around the rows [in]."""
 
 
 @dataclass(frozen=True)
 class FittedConstant:
-    """A constant before and after a fit, for a picture.
+    """Constant before and after a fit, for a picture.
 
     Attributes
     ----------
     label
-        Its name without unit.
+        Name without unit.
     unit
-        Its unit.
+        Unit of the constant.
     cited, fitted
         Median and the ends of the 90 % interval, (low, value, high), before and after.
     fitted_z, cited_z
-        The fitted three, and the ends of the cited range, in standard deviations of the prior.
+        The three fitted values, and the ends of the cited range, in standard deviations of the
+        prior.
     is_identified
-        Whether the log narrows it.
+        True if the log narrows the constant.
     """
 
     label: str
@@ -60,8 +61,9 @@ class FittedConstant:
 def draw_measured(
     times_s: Array, measured: Array, simulated: Array, channels: Sequence[str], path: Path
 ) -> None:
-    """Draw measured and simulated loads over time, forces and torques apart, and below each what is
-    left.
+    """Draw measured and simulated loads over time with their residuals.
+
+    Forces and torques are drawn separately, each with the residuals below.
 
     Parameters
     ----------
@@ -105,13 +107,12 @@ def draw_measured(
 
 
 def draw_residuals(innovations: Array, correlations: Array, freedom: float, path: Path) -> None:
-    """Draw the spread of what noise adds in each sample beside the density assumed, and how it is
-    correlated.
+    """Draw the distribution of innovations over the assumed density, and the autocorrelations.
 
     Parameters
     ----------
     innovations
-        Standardised, shape (n, channels), NaN where nothing was measured.
+        Standardised innovations, shape (n, channels). NaN where nothing was measured.
     correlations
         Autocorrelation of residuals and of innovations over lags, each the mean over channels,
         shape (2, lags + 1).
@@ -156,8 +157,9 @@ def draw_residuals(innovations: Array, correlations: Array, freedom: float, path
 
 
 def draw_constants(constants: Sequence[FittedConstant], path: Path) -> None:
-    """Draw the 90 % intervals of constants before and after, on the scale of their cited range,
-    with their values.
+    """Draw the 90 % intervals of constants before and after the fit, with their values.
+
+    The scale is that of the cited range.
     """
     height = FRAME + ROW * len(constants)
     chart = figure(8.0, height)
@@ -212,7 +214,7 @@ OUTER, INNER = 0.22, 0.4
 """Opacity of the 90 % band, and of the 50 % band upon it."""
 FIRST, TOTAL = "#0072B2", "#E69F00"
 SHOWN = 8
-"""Constants in a bar chart; those that matter least are left out and counted."""
+"""Constants in a bar chart. The least important ones are left out and counted."""
 UNIT = re.compile(r"(_(N|Nm|[mu]?m[23]?|m?s|kg|kgK|[kMG]Pa|Hz|J|W|mK|rad))+$")
 """Unit at the end of a constant's name."""
 WORDS = {
@@ -323,13 +325,13 @@ def _legend(axes: "Axes") -> None:
 def draw_sobol(
     indices: Mapping[str, Mapping[str, Mapping[str, Any]]], path: Path, *, title: str
 ) -> None:
-    """Draw first-order and total Sobol indices with their 90 % intervals, a panel a figure.
+    """Draw first-order and total Sobol indices with 90 % intervals, one panel per figure.
 
     Parameters
     ----------
     indices
-        By figure and constant ``first``, ``first_90``, ``total`` and ``total_90``, as
-        ``summary.json`` has them.
+        ``first``, ``first_90``, ``total`` and ``total_90`` by figure and constant, as in
+        ``summary.json``.
     path
         File to write.
     title

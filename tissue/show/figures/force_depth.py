@@ -33,15 +33,16 @@ RISE_MM = 0.2
 
 
 def first_descent(coordinate_mm: NDArray[np.float64], contact: NDArray[np.bool_]) -> slice:
-    """Return the rows from just before the first contact down to the deepest point before the tool
-    rises.
+    """Return the rows from the first contact to the deepest point before the tool rises.
+
+    They start one row before the first contact.
 
     Parameters
     ----------
     coordinate_mm
-        Place of the tool's tip, growing out of the tissue [mm], shape (rows,).
+        Coordinate of the tool's tip, increasing out of the tissue [mm], shape (rows,).
     contact
-        Whether the tool meets tissue, shape (rows,).
+        True where the tool touches tissue, shape (rows,).
     """
     if not contact.any():
         return slice(0, 0)
@@ -70,7 +71,7 @@ def layers_passed(run: Run, tips_mm: NDArray[np.float64]) -> NDArray[np.str_]:
 
 @styled
 def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | None:
-    """Draw force, and what else the tissue reports, over the depth of the first descent.
+    """Draw force and further quantities of the tissue over the depth of the first descent.
 
     Parameters
     ----------
@@ -79,11 +80,11 @@ def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | 
     path
         File.
     axis, outward
-        World axis closest to the tool's, and the side that the tool comes from.
+        World axis closest to the tool's axis, and the side that the tool comes from.
 
     Returns
     -------
-    None, or why it could not be drawn.
+    None, or the reason why it could not be drawn.
     """
     trace = run.trace
     tips = trace.vectors("tool", "mm")
@@ -206,7 +207,7 @@ SHARES = (
     ("friction_N", "friction along the shaft", "#009E73"),
 )
 BESIDE = 0.15
-"""Share of the depths within which a puncture's name is written above that of the one before."""
+"""Share of the depth range within which a puncture's name is placed above the previous one."""
 
 
 def draw_insertion(run: Run, path: Path) -> None:
@@ -269,12 +270,13 @@ def draw_insertion(run: Run, path: Path) -> None:
 
 WALL, BALL, DEVICE, FORCE = "#CC79A7", "0.1", "#D55E00", "#0072B2"
 LONGEST = 0.28
-"""Length of the arrow of the greatest force, in shares of the picture's height."""
+"""Length of the arrow of the largest force, as a share of the picture's height."""
 
 
 def draw_wall(run: Run, path: Path) -> None:
-    """Draw the paths of ball and device across the wall and into it, and below the force over the
-    device's depth.
+    """Draw the paths of ball and device at a wall, and the force over the device's depth.
+
+    The paths are drawn across the wall and into it, with the force below.
 
     The ball is drawn at its deepest. In a run without a device the force is drawn over the ball's
     own depth.

@@ -48,17 +48,18 @@ FOOTNOTE_LETTERS = 92
 EVENT_IN = 0.17
 """Height of a line that names an event [inch]."""
 FLICKER_S = 0.02
-"""Shorter spells are drawn as part of the one before, and an event that comes again within it once
-[s]: a contact that begins touches and lets go a few times within a few ticks of 1 ms, and bands of
-that width are stripes.
+"""Time below which intervals and repeated events are joined with the previous one [s].
+
+A contact that begins touches and releases a few times within a few ticks of 1 ms. Bands of that
+width would appear as stripes.
 """
 
 
 def spells(names: NDArray[np.generic], *, shortest: int = 1) -> list[tuple[int, int, str]]:
-    """Return runs of equal entries: first index, index behind the last, entry.
+    """Return runs of equal entries: first index, index after the last one, entry.
 
-    One of fewer entries than `shortest` belongs to the one before it, the first to the one after
-    it.
+    A run with fewer entries than `shortest` is joined with the previous run, and the first run with
+    the next one.
     """
     if not len(names):
         return []
@@ -76,8 +77,9 @@ def spells(names: NDArray[np.generic], *, shortest: int = 1) -> list[tuple[int, 
 
 
 def joined_events(events: list[tuple[float, str]]) -> list[tuple[float, str]]:
-    """Return the events without repetitions of the same words within `FLICKER_S`, whatever their
-    numbers.
+    """Return the events without repetitions of the same words within `FLICKER_S`.
+
+    Numbers in the words are ignored.
     """
     last: dict[str, float] = {}
     found = []
@@ -90,7 +92,7 @@ def joined_events(events: list[tuple[float, str]]) -> list[tuple[float, str]]:
 
 
 def event_lines(events: list[tuple[float, str]]) -> list[str]:
-    """Return a numbered line for each event, and one line for those beyond the limit."""
+    """Return a numbered line for each event, and one line for the events beyond the limit."""
     lines = [
         f"{i}   {time:.3f} s: {what}" for i, (time, what) in enumerate(events[:MOST_EVENTS], 1)
     ]
@@ -136,14 +138,15 @@ def mark_events(panels: "Sequence[Axes]", events: list[tuple[float, str]]) -> No
 
 
 COMMANDED = 0.35
-"""Opacity of what is commanded, below the model's line."""
+"""Opacity of the commanded quantities, below the model's line."""
 HEAD_IN = 0.82
 
 
 @styled
 def draw_force_torque(run: Run, path: Path) -> None:
-    """Draw force, torque where there is any, removal rate (or contact area, where nothing goes)
-    and the tool's path.
+    """Draw force, torque, removal rate and the tool's path.
+
+    Torque is left out if it is zero. Contact area replaces the removal rate if nothing is removed.
     """
     trace = run.trace
     time = trace["time_s"]
@@ -210,8 +213,9 @@ def draw_force_torque(run: Run, path: Path) -> None:
 def _draw_components(
     axes: "Axes", run: Run, name: str, unit: str, scale: float, label: str
 ) -> None:
-    """Draw the model's components over the commanded ones, which form a wide band where teeth
-    vibrate.
+    """Draw the model's components over the commanded ones.
+
+    The commanded components form a wide band where teeth vibrate.
     """
     time = run.trace["time_s"]
     commanded, model = (scale * run.trace.vectors(f"{of}{name}", unit) for of in ("", "model_"))
@@ -307,15 +311,17 @@ LINES: tuple[tuple[str, str, _Look], ...] = (
         {"color": "0.1", "linewidth": 1.0, "linestyle": (0, (4, 3))},
     ),
 )
-"""Columns, how a reader knows them, and colours after Okabe and Ito (2008) that differ in
-lightness and stroke, too.
+"""Columns, their labels, and colours after Okabe and Ito (2008).
+
+The colours also differ in lightness and stroke.
 """
 SATURATED = "#F0E442"
 
 
 def draw_played(run: Run, path: Path) -> None:
-    """Draw forces at the device [N], compressed spans, the greatest change at 1 ms, and tool and
-    device [mm].
+    """Draw device forces [N], compressed spans, force changes, and tool and device [mm].
+
+    The force changes are the largest changes at 1 ms.
     """
     trace = run.trace
     scene = run.scene

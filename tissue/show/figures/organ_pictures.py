@@ -38,13 +38,13 @@ if TYPE_CHECKING:
 __all__ = ["draw_held", "draw_press", "moment_of_press"]
 
 EYE, ACROSS = (0.25, -0.75, 0.62), (0.0, -1.0, 0.0)
-"""Directions towards the eye: that of `tissue view` but lower, and at right angles to a section."""
+"""Directions towards the eye: lower than in `tissue view`, and at right angles to a section."""
 TOOL, INCLUSION = (0.72, 0.72, 0.75), "#56B4E9"
 """Colours of the tool and of an inclusion's edge, which is seen on light and on dark ones."""
 NUDGE = (0.0, 1e-4, 0.0)
-"""How far behind the tool's tip a section lies [mm]: beside a row of nodes, not through it."""
+"""Distance of a section behind the tool's tip [mm], so that it does not cut a row of nodes."""
 ABOVE = 0.2
-"""How much of a needle above an organ is drawn, in heights of the organ."""
+"""Height of the drawn part of a needle above an organ, in heights of the organ."""
 HEIGHTS_PX = 90, 150
 """Above and below the renderings [pixel]."""
 
@@ -59,7 +59,7 @@ class _Shown:
 
     @property
     def colours(self) -> "ScalarMappable":
-        """Colours by value; the scale is logarithmic where it begins above 0."""
+        """Colours by value. The scale is logarithmic if it begins above 0."""
         from matplotlib.cm import ScalarMappable
         from matplotlib.colors import LogNorm, Normalize
 
@@ -99,23 +99,23 @@ def draw_press(
     Parameters
     ----------
     series
-        Its fields; the frames have a displacement at the nodes and von Mises stress in the cells.
+        Fields of the organ. The frames have a displacement at the nodes and von Mises stress in the
+        cells.
     trace
-        The trace, for where the tool was and its force.
+        Trace with the tool's position and force.
     path
         File.
     title
-        What is written above.
+        Title of the picture.
     tool
-        Surface of the tool in its own frame [mm], as `tissue.show.figures.tool_mesh.tool_surface`
-        gives it.
+        Surface of the tool in its frame [mm], from `tissue.show.figures.tool_mesh.tool_surface`.
     flat
-        Whether both pictures show the section along the tool from in front, as a needle's track
-        needs.
+        If true, both pictures show the section along the tool from the front, as needed for a
+        needle's track.
 
     Returns
     -------
-    None, or why it could not be drawn.
+    None, or the reason why it could not be drawn.
     """
     frame, why = moment_of_press(series, trace)
     if frame is None:
@@ -185,8 +185,9 @@ def _organ(
     edge: "tuple[str, pyvista.PolyData] | None",
     eye: tuple[float, ...],
 ) -> "pyvista.PolyData":
-    """Return the organ in a field's colours, cut open at the tool if asked for, with the outline
-    of an inclusion.
+    """Return the organ in a field's colours with the outline of an inclusion.
+
+    On request, the organ is cut open at the tool.
     """
     whole = drawn_surface(mesh, at_nodes(mesh, shown.name))
     parts = [whole]
@@ -261,12 +262,11 @@ HELD_HEIGHTS_PX = 110, 80
 
 
 def draw_held(series: FieldSeries, path: Path, *, title: str) -> str | None:
-    """Draw the organ's surface, triangles of held nodes and of touchable nodes in colours of their
-    own.
+    """Draw the organ's surface with coloured triangles of held nodes and of touchable nodes.
 
     Returns
     -------
-    None, or why it could not be drawn.
+    None, or the reason why it could not be drawn.
     """
     surface = _surface(series)
 
@@ -289,7 +289,7 @@ def draw_held(series: FieldSeries, path: Path, *, title: str) -> str | None:
 
 
 def _surface(series: FieldSeries) -> "pyvista.PolyData":
-    """Return the boundary with held and touchable triangles in colours of their own."""
+    """Return the boundary with separate colours of held and touchable triangles."""
     import pyvista
 
     grid = pyvista.UnstructuredGrid(

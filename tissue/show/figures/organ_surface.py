@@ -29,29 +29,27 @@ SHOWN = "shown"
 SHARP_DEG = 40.0
 """Edges of a greater angle are drawn sharp."""
 LEVELS = 2
-"""How often each triangle of the boundary is divided in four."""
+"""Number of times that each triangle of the boundary is divided into four."""
 CAP_EDGE, MOST_PASSES = 0.012, 10
-"""Longest edge of a section's triangles, in diagonals of the organ, and how often they are
-divided for that.
-"""
+"""Longest edge of a section's triangles, in diagonals of the organ, and most divisions."""
 
 
 INWARD = 5e-3
-"""Fraction of the distance to the middle of a cell by which a place on its boundary is moved to
-lie inside.
-"""
+"""Share of the distance to a cell's middle by which a boundary point is moved inside."""
 
 
 def drawn_surface(mesh: "pyvista.DataSet", values: NDArray[np.float32]) -> "pyvista.PolyData":
-    """Return the boundary of a mesh, curved between its nodes by their normals except at sharp
-    edges (Vlachos 2001).
+    """Return the boundary of a mesh, curved between its nodes (Vlachos 2001).
+
+    The curvature follows the normals, except at sharp edges.
 
     Parameters
     ----------
     mesh
         Cells of three dimensions, in mm.
     values
-        Numbers at the nodes, shape (nodes,) or (nodes, k); they come as the point array `SHOWN`.
+        Values at the nodes, shape (nodes,) or (nodes, k). They are returned as the point array
+        `SHOWN`.
     """
     body = mesh.copy(deep=False)
     body.clear_data()
@@ -63,11 +61,10 @@ def drawn_surface(mesh: "pyvista.DataSet", values: NDArray[np.float32]) -> "pyvi
 
 
 def _divided(surface: "pyvista.PolyData") -> "pyvista.PolyData":
-    """Divide each triangle in four. New points lie on curves at right angles to the normals at both
-    ends of an edge.
+    """Divide each triangle into four.
 
-    Both sides of a sharp edge have points of their own there; they are kept together by the mean of
-    their curves.
+    New points lie on curves at right angles to the normals at both ends of an edge. The two sides
+    of a sharp edge have separate points. They are kept together by the mean of their curves.
     """
     import pyvista
 
@@ -152,7 +149,7 @@ def section_cap(
 
 
 def at_nodes(mesh: "pyvista.DataSet", name: str) -> NDArray[np.float32]:
-    """Return a field at the nodes: its own values there, or the mean of the cells around."""
+    """Return a field at the nodes: its nodal values, or the mean of the cells around."""
     values = field_values(mesh if name in mesh.point_data else mesh.cell_data_to_point_data(), name)
     assert values is not None
     return np.asarray(values)
@@ -177,8 +174,9 @@ def _sampled(mesh: "pyvista.DataSet", places: NDArray[np.float64]) -> NDArray[np
 
 
 def inclusions(corners: NDArray[np.floating], layer: NDArray[np.integer]) -> NDArray[np.intp]:
-    """Return the cells of the smallest layer inside the others, such as a nodule. It is empty where
-    there is none.
+    """Return the cells of the smallest layer inside the others, such as a nodule.
+
+    The result is empty if there is no such layer.
 
     Parameters
     ----------
@@ -204,15 +202,16 @@ def interpolate_in_layers(
 ) -> Array:
     """Interpolate values trilinearly between the centres of the cells of each place's layer.
 
-    Cells of another layer or without a value do not count; where none of the eight around a place
-    is left, the nearest cell of its layer does, or of any layer where it has none.
+    Cells of another layer or without a value do not count. If none of the eight cells around a
+    place counts, the nearest cell of its layer is used. If the layer has no cell, the nearest cell
+    of any layer is used.
 
     Parameters
     ----------
     series
         Cubes of one edge on a lattice.
     values
-        Value of each cell, shape (cells,), not a number where a cell is gone.
+        Value of each cell, shape (cells,), NaN for removed cells.
     place_m, layer
         The places [m], shape (k, 3), and the layer of each, shape (k,).
     """

@@ -16,13 +16,16 @@ __all__ = ["draw_pictures"]
 
 
 def draw_pictures(run: Run, folder: Path, kind: str = "png") -> list[str]:
-    """Draw a run's pictures as png, svg or pdf: ``force_torque`` of every one, the others of what
-    there is.
+    """Draw a run's pictures as png, svg or pdf.
 
-    Of voxels ``bone_before_after`` and ``removed_depth``; of a tissue of several layers that
-    reports more than its volumes, a tooth for one, also ``section`` and ``force_depth``. Of fields
-    ``press`` and ``held``; of a run by a hand on a device ``played``; and what the tissue has of
-    its own in the table of anatomies, ``insertion`` for one.
+    ``force_torque`` is drawn for every run. The other pictures depend on the run:
+
+    - ``bone_before_after`` and ``removed_depth`` for voxels,
+    - ``section`` and ``force_depth`` for a tissue of several layers that reports more than volumes,
+      such as a tooth,
+    - ``press`` and ``held`` for fields,
+    - ``played`` for a run by a hand on a device,
+    - pictures that the table of anatomies adds, such as ``insertion``.
 
     Returns
     -------

@@ -1,5 +1,6 @@
-"""Off-screen renderings of coloured surfaces, run as ``python -m tissue.show.figures.rendering
-FOLDER`` in a subprocess.
+"""Off-screen renderings of coloured surfaces.
+
+Run as ``python -m tissue.show.figures.rendering FOLDER`` in a subprocess.
 """
 
 import pickle
@@ -30,8 +31,9 @@ OVERSAMPLING = 2
 smooths none.
 """
 AMBIENT, FIELD_AMBIENT, ALL_LIGHT = 0.34, 0.72, 1.08
-"""Light from everywhere on bone, and on a field, whose colours must stay those of its scale;
-with what lamps add.
+"""Ambient light on bone and on a field, and the total light with lamps.
+
+The colours of a field must agree with its scale.
 """
 LIGHTS = (((-0.6, 0.7, 0.9), 0.74), ((0.9, 0.1, 0.7), 0.26), ((0.1, -0.9, 0.55), 0.34))
 """Direction (right, up, towards the eye) and strength of the lights: key, fill, rim."""
@@ -115,7 +117,7 @@ def render(
 
     Returns
     -------
-    Pictures of shape (height, width, 3), or why they could not be drawn.
+    Pictures of shape (height, width, 3), or the reason why they could not be drawn.
     """
     with TemporaryDirectory(prefix="tissue-") as name:
 
@@ -183,7 +185,7 @@ def draw_shaded(
 
     Returns
     -------
-    None, or why the surfaces could not be rendered.
+    None, or the reason why the surfaces could not be rendered.
     """
     cameras: list[Camera] = []
 

@@ -47,7 +47,7 @@ __all__ = [
 
 STRESS = "von_mises_MPa"
 REMOVED_TINT = 0.28
-"""How much of its layer's colour removed tissue keeps."""
+"""Share of its layer's colour that removed tissue keeps."""
 PATH = "#CC79A7"
 """Colour of the tip's path."""
 DECADES = 3.0
@@ -88,13 +88,12 @@ class Section:
 
 
 def plane_of(run: Run, *, axis: int, outward: int, row: int) -> tuple[int, int, float]:
-    """Return the plane through the deepest point so far, along the tool's axis and its main
-    direction.
+    """Return the plane through the deepest point so far, along the tool's axis and direction.
 
     Returns
     -------
-    World axes of the tool's main direction and at right angles to the plane, and the
-    plane's coordinate there [mm].
+    World axes of the tool's main direction and at right angles to the plane, and the plane's
+    coordinate [mm].
     """
     tips = run.trace.vectors("tool", "mm")
     cutting = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
@@ -108,15 +107,14 @@ def plane_of(run: Run, *, axis: int, outward: int, row: int) -> tuple[int, int, 
 
 
 def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
-    """Return the section through the deepest point so far, along the tool's axis and its main
-    direction.
+    """Return the section through the deepest point so far, along the tool's axis and direction.
 
     Parameters
     ----------
     run
         A run with voxels.
     axis, outward
-        World axis closest to the tool's, and the side that the tool comes from.
+        World axis closest to the tool's axis, and the side that the tool comes from.
     row
         Row of the trace at the moment that is shown.
     """
@@ -145,8 +143,9 @@ def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
 
 
 def loaded_frame(series: FieldSeries) -> Frame | None:
-    """Return the last frame with at least a tenth of the run's peak stress, or None without any
-    stress.
+    """Return the last frame with at least a tenth of the run's peak stress.
+
+    The result is None if there is no stress.
     """
     peaks = [
         float(np.nanmax(frame.cells.get(STRESS, np.zeros(1)), initial=0.0))
@@ -176,8 +175,9 @@ def moment_of(run: Run) -> tuple[int, Frame | None]:
 
 @styled
 def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
-    """Draw layers with what was removed and, where fields were computed, the stress in the same
-    section and moment.
+    """Draw layers, removed tissue and the stress in the same section at the same moment.
+
+    Stress is drawn only if fields were computed.
     """
     series = run.parts.fields
     row, frame = moment_of(run)
@@ -339,11 +339,11 @@ Window = tuple[float, float, float, float]
 STRUCTURES = ("#D55E00", "#0072B2", "#009E73", "#000000")
 """After Okabe and Ito (2008)."""
 AROUND_MM = 3.0
-"""What is shown of a structure beyond its nearest point."""
+"""Shown margin of a structure beyond its nearest point [mm]."""
 ACROSS = 200
-"""Points along each side of the section at which the distance is asked for."""
+"""Points along each side of the section at which the distance is computed."""
 STEP_M = 1e-5
-"""Of the differences that make the direction of a distance."""
+"""Step of the differences that approximate the gradient of a distance [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -393,8 +393,9 @@ def nearest_places(run: Run) -> list[Nearest]:
 def kept_window(
     places: Sequence[Nearest], window: Window, tissue: NDArray[np.bool_], across: int, axis: int
 ) -> Window:
-    """Return a window around the tissue of a section, shape (nu, nv), and the nearest point of
-    each structure.
+    """Return a window around the tissue of a section and each structure's nearest point.
+
+    The tissue has shape (nu, nv).
     """
     if not places or not tissue.any():
         return window
@@ -418,11 +419,10 @@ def kept_window(
 def draw_kept_clear(
     axes: "Axes", places: Sequence[Nearest], window: Window, across: int, axis: int, place_mm: float
 ) -> "list[Artist]":
-    """Draw structures in a section at a place along its normal; returns entries of a legend with
-    the least distances.
+    """Draw structures in a section and return legend entries with the smallest distances.
 
-    A line between two dots joins the points of tool and structure that came nearest, seen along the
-    normal.
+    The section lies at a coordinate along its normal. A line between two dots joins the nearest
+    points of tool and structure, seen along the normal.
     """
     from matplotlib.lines import Line2D
 

@@ -27,13 +27,14 @@ ARC = np.radians(270.0)
 ROD_MM = 40.0
 """Length of a probe of another shape as it is drawn [mm]."""
 ABOVE = 0.6
-"""How wide the arc above a tool is beside one around it."""
+"""Width of the arc above a tool over the width of an arc around it."""
 
 
 def tool_surface(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None":
-    """Return the surface of a tool in its own frame [mm], tip at the origin, z from tip to shank.
+    """Return the surface of a tool in its own frame [mm], or None.
 
-    None without a tool, or for one whose file cannot be read any more.
+    The tip is at the origin, and z points from tip to shank. The result is None without a tool, or
+    if the file of the tool can no longer be read.
     """
     import pyvista
 
@@ -86,8 +87,9 @@ def spin_arc_mm(tool: Tool) -> NDArray[np.float64]:
 
 
 def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> NDArray[np.float64]:
-    """Return the transform from a tool frame to the world [mm], shape (4, 4), from tip and
-    quaternion (x, y, z, w).
+    """Return the transform from a tool frame to the world [mm], shape (4, 4).
+
+    It follows from tip and quaternion (x, y, z, w).
     """
     from scipy.spatial.transform import Rotation
 
@@ -98,9 +100,7 @@ def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> NDArray[np.float64]:
 
 
 def tool_turns(trace: "Table") -> NDArray[np.float64]:
-    """Return the orientations of the tool in a trace as quaternions (x, y, z, w), shape (rows,
-    4).
-    """
+    """Return the tool's orientations in a trace as quaternions (x, y, z, w), shape (rows, 4)."""
     return np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
 
 

@@ -11,7 +11,7 @@ GREATEST = "greatest_"
 
 
 def _band_text(band: Summary) -> str:
-    """How a band was made, and the constants that matter most for the peak force."""
+    """Describe the method of a band and the most important constants for the peak force."""
     asked = (
         f", {band['asked']} rounded up to a power of two"
         if band["asked"] & (band["asked"] - 1)

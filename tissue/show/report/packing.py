@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 __all__ = ["Record", "packed", "packed_column", "packed_mesh", "packed_shares", "packed_vectors"]
 
 Record = dict[str, Any]
-"""What JSON can hold."""
+"""Values that JSON can hold."""
 LARGEST = 32767
 """Steps to either side of a quantised number of 16 bits."""
 STEPS = 255
@@ -22,9 +22,9 @@ STEPS = 255
 def packed(values: NDArray[np.integer[Any]], *, differences: bool = True) -> Record:
     """Encode integers of 8 bits (unsigned), 16 or 32 (signed), shape (rows,) or (rows, columns).
 
-    Differences between rows are wrapped around, those below 0 become odd numbers, so that small
-    ones of either sign have high bytes of 0; all first bytes come before all second ones, column by
-    column.
+    Differences between rows are wrapped around, and negative differences become odd numbers. Small
+    differences of either sign therefore have high bytes of 0. All first bytes come before all
+    second bytes, column by column.
     """
     rows = values if values.ndim == 2 else values[:, None]
     size = rows.dtype.itemsize
@@ -78,11 +78,10 @@ def packed_shares(values: ArrayLike) -> Record:
 
 
 def packed_mesh(points_mm: ArrayLike, triangles: ArrayLike) -> tuple[Record, NDArray[np.intp]]:
-    """Encode a surface, and return the order in which its points are kept. Unused points are left
-    out.
+    """Encode a surface, and return the order in which its points are kept.
 
-    Points come in the order in which triangles first name them. A corner is how far below the next
-    new point it lies, 0 for the new one itself.
+    Unused points are left out. Points come in the order in which triangles first name them. A
+    corner is encoded as its distance below the next new point, 0 for the new point itself.
     """
     corners = np.asarray(triangles, dtype=np.intp).reshape(-1, 3).ravel()
     used, first, at = np.unique(corners, return_index=True, return_inverse=True)

@@ -180,10 +180,9 @@ PICTURES = {"png": "image/png", "svg": "image/svg+xml"}
 
 
 def band_section(saved: SavedRun, text: Callable[[str], str]) -> str:
-    """Return heading, table and pictures of the band of a run, or nothing where the run has no
-    band.
+    """Return heading, table and pictures of a run's band, or an empty string without a band.
 
-    `text` makes HTML of a plain text.
+    `text` converts a plain text to HTML.
     """
     band: dict[str, Any] | None = saved.summary.get("band")
     if band is None or not saved.complete:

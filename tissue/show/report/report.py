@@ -42,7 +42,7 @@ __all__ = ["NAME", "empty_scene", "viewer_scripts", "write_report"]
 NAME = "report.html"
 """File in a run's folder."""
 SCRIPTS = ("decode", "moment", "charts", "surfaces", "stage", "report")
-"""Our own scripts, in the order in which they need each other."""
+"""Own scripts, in the order of their dependencies."""
 PACKED = "data"
 """Key under which `packing` keeps encoded arrays, which are no text."""
 Clean = Callable[[str], str]
@@ -61,22 +61,23 @@ def write_report(
     Parameters
     ----------
     folder
-        Folder that `tissue run` wrote, of a run that ended or was stopped.
+        Folder of a finished or stopped run, written by `tissue run`.
     out
-        HTML file to write; without it ``report.html`` in the folder.
+        HTML file to write. Default: ``report.html`` in the folder.
     overwrite
-        Replace the file where it is there.
+        Replace an existing file.
     progress
-        Called with what is being done.
+        Called with a description of the current step.
 
     Returns
     -------
-    The file.
+    Path of the written file.
 
     Raises
     ------
     InputError
-        If the folder holds no run or damaged files, the file is there, or trame-vtk is missing.
+        If the folder holds no run or damaged files, the file exists and may not be replaced, or
+        trame-vtk is missing.
     """
     report = progress or silent
     folder = Path(folder)
@@ -169,11 +170,11 @@ def _html(
 
 
 def _cleaner(saved: SavedRun) -> Clean:
-    """Return a function that leaves the names of files in a text and takes their folders out.
+    """Return a function that replaces the paths of files in a text by their names.
 
-    A report is handed over, and folders may be named after a patient. Texts are cleaned before they
-    are put into the page: the finished page holds markup and encoded arrays, in which a short
-    folder occurs by chance.
+    A report is passed on to others, and folders may be named after a patient. Texts are cleaned
+    before they are put into the page. The finished page holds markup and encoded arrays, in which a
+    short folder name occurs by chance.
     """
     folders = folders_of(saved.scene) if saved.scene is not None else []
 
@@ -202,13 +203,13 @@ def _cleaned(value: Any, clean: Clean) -> Any:
 
 
 def _data_element(data: dict[str, Any]) -> str:
-    """Return the element that holds the data as JSON; no text of the run can end it."""
+    """Return the element that holds the data as JSON. No text of the run can end it."""
     written = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     return f'<script type="application/json" id="report-data">{written}</script>'
 
 
 def _start(part_count: int) -> str:
-    """Return the script that gives vtk.js an empty scene of so many parts."""
+    """Return the script that gives vtk.js an empty scene with a number of parts."""
     return (
         "window.global = window; window.loadDataSet = () => { window.loadDataSet = undefined; "
         "OfflineLocalView.load(document.getElementById('stage'), "
@@ -235,18 +236,18 @@ def _versions(saved: SavedRun) -> list[tuple[str, str]]:
 
 
 STYLE_ELEMENT = "document.createElement('style')"
-"""Call by which the viewer adds styles for its own file dialogue, which the policy of a page
-does not allow.
+"""Call by which the viewer adds styles for its file dialogue.
+
+The policy of a page does not allow this call.
 """
 ICONS = "https://kitware.github.io/vtk-js/icon/favicon-"
 """Begin of the addresses of icons that the viewer would fetch."""
 
 
 def viewer_scripts() -> tuple[list[str], list[str]]:
-    """Return the classic and the module scripts of trame-vtk's static viewer, without the icons
-    that it would fetch.
+    """Return the classic and the module scripts of trame-vtk's static viewer.
 
-    They offer ``OfflineLocalView``.
+    They offer ``OfflineLocalView``. The icons that the viewer would fetch are left out.
 
     Raises
     ------

@@ -41,15 +41,15 @@ __all__ = [
 
 TOOL, DEVICE, PATH, FORCE = "#808080", "#D55E00", "#D55E00", COMPONENTS[0]
 MOST_POSES = 6000
-"""Poses of the tool; between them the browser interpolates."""
+"""Maximum number of poses of the tool. The browser interpolates between them."""
 MOST_POINTS = 3000
 """Points of the path that is drawn."""
 LONGEST = 0.3
-"""Length of the arrow of the greatest force, in sizes of what the tool meets."""
+"""Ratio of the arrow length of the largest force to the size of the touched object."""
 
 
 class Shown:
-    """Surfaces over time and what their colours can mean.
+    """Surfaces over time and the scales of their colours.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Shown:
     scales
         Records of colour scales.
     points_mm
-        Points that have to be seen [mm], shape (n, 3).
+        Points that must be in view [mm], shape (n, 3).
     """
 
     def __init__(self) -> None:
@@ -67,7 +67,7 @@ class Shown:
         self.points_mm: NDArray[np.float64] = np.zeros((0, 3))
 
     def see(self, points: Any) -> None:
-        """Take both ends of the box around points [mm] among those that have to be seen."""
+        """Add both corners of the box around points [mm] to the points that must be in view."""
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         if len(points):
             self.points_mm = np.vstack([self.points_mm, points.min(axis=0), points.max(axis=0)])
@@ -76,9 +76,9 @@ class Shown:
 def stage(saved: SavedRun) -> Record:
     """Return the record that the browser shows in 3D.
 
-    ``parts`` are surfaces over time, ``scales`` what their colours can mean, ``bounds`` what has to
-    be seen of each group of parts [mm]; of a run with ticks also ``poses`` of the tool, ``force``
-    and ``peak_row``.
+    ``parts`` are surfaces over time, ``scales`` the scales of their colours, and ``bounds`` the box
+    of each group of parts that must be in view [mm]. A run with ticks also has ``poses`` of the
+    tool, ``force`` and ``peak_row``.
     """
     scene = saved.scene
     fields = saved_fields(saved)
@@ -123,9 +123,7 @@ def _ends(points_mm: NDArray[np.float64]) -> list[list[float]]:
 def _add_tool(
     record: Record, trace: Table, scene: Scene | None, around: Shown, *, size_mm: float
 ) -> None:
-    """Add the tool and its device with their poses, the path of the tip, and the arrow of the
-    force.
-    """
+    """Add the tool and its device with their poses, the tip's path and the force arrow."""
     import pyvista
 
     tips = trace.vectors("tool", "mm")
@@ -177,8 +175,9 @@ def _add_tool(
 
 
 def _still(surface: "pyvista.PolyData") -> Record:
-    """Return the record of a surface that keeps its shape. Edges have points of their own on
-    either side.
+    """Return the record of a surface that keeps its shape.
+
+    Both sides of an edge have separate points.
     """
     surface = with_normals(surface.triangulate())
     mesh, _ = packed_mesh(surface.points, surface.regular_faces)
@@ -186,7 +185,7 @@ def _still(surface: "pyvista.PolyData") -> Record:
 
 
 MOST_MOMENTS = 40
-"""Moments of the bone of a run that did not come to its end."""
+"""Maximum number of moments of the bone of an incomplete run."""
 
 
 def bone_shown(saved: SavedRun) -> Shown | None:
@@ -287,8 +286,9 @@ def _moments_of_bone(moments: Iterable[tuple[float, Any]], deepest_mm: float) ->
 
 
 def fields_shown(fields: SavedFields, plane: tuple[Any, Any]) -> Shown:
-    """Return the deformed mesh by each of its fields, whole and cut open at a plane (normal,
-    point [mm]).
+    """Return the deformed mesh by each of its fields, whole and cut open at a plane.
+
+    The plane is given by normal and point [mm].
     """
     shown = Shown()
     first = fields.frames[0]
@@ -364,11 +364,11 @@ def _is_same(a: Any, b: Any) -> bool:
 
 
 UNCUT = 0.02
-"""Share of the deepest cut below which bone has its own colour."""
+"""Share of the deepest cut below which bone counts as uncut."""
 
 
 def depth_scale(deepest_mm: float) -> Record:
-    """Return the scale of removed depth. Bone that was not cut has its own colour."""
+    """Return the scale of removed depth. Uncut bone has a separate colour."""
     colours = _colours(DEPTH_COLOURS)
     colours[: round(UNCUT * len(colours))] = np.array(BONE)
     return _scale("removed depth", "mm", "depth", (0.0, deepest_mm), colours)
@@ -381,7 +381,7 @@ def field_scale(name: str, limits: tuple[float, float]) -> Record:
 
 
 def layer_scale(names: Sequence[str], shown: Sequence[int]) -> Record:
-    """Return the colours of layers. The legend names those that are shown."""
+    """Return the colours of layers. The legend names the shown layers."""
     colours = layer_colours(tuple(names))
     table = np.zeros((256, 3))
     table[: len(names)] = np.array([colours[name] for name in names])

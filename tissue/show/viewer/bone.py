@@ -38,31 +38,31 @@ def layer_look(names: tuple[str, ...]) -> dict[str, object]:
 
 
 class BoneShown:
-    """The bone in a plotter.
+    """Bone in a plotter.
 
     Parameters
     ----------
     plotter
-        Where it is shown; the key c is bound there.
+        Plotter of the bone. The key c is bound in it.
     bone
         The bone over time.
     legend
-        Whether the layers and their colours are written beside it.
+        If true, a legend of the layers and their colours is shown.
 
     Attributes
     ----------
     layers
         Layers that can be switched, by name.
     help
-        Its key, in words; empty where it has none.
+        Description of its key. Empty without a key.
     points_mm
         Points of its surface when it was made [mm], shape (n, 3).
     colours
-        Of all layers by name, red, green and blue, 0 to 1.
+        Colours of all layers by name, red, green and blue, 0 to 1.
     by_depth
-        Whether it is coloured by the depth that was removed, not by layer.
+        True if the bone is coloured by removed depth, not by layer.
     is_cut
-        Whether any of it was removed.
+        True if any bone was removed.
     """
 
     def __init__(self, plotter: Plotter, bone: BoneOverTime, *, legend: bool = True) -> None:
@@ -95,9 +95,7 @@ class BoneShown:
                 self._draw_part("bone")
 
     def _take(self, *, rest: bool = True) -> None:
-        """Take the surfaces of the layers that are shown anew, that of the rest only where it is
-        asked for.
-        """
+        """Update the surfaces of the shown layers, and the remaining surface if requested."""
         shown = [index for name, index in self._index.items() if name not in self._hidden]
         self._parts["bone"] = self._bone.cut(shown)
         if rest:
@@ -148,7 +146,7 @@ class BoneShown:
             )
 
     def _draw_part(self, name: str) -> "pyvista.Actor | None":
-        """Draw one of the surfaces anew; its actor, None where there is nothing to show."""
+        """Draw one of the surfaces again; return its actor, or None if there is nothing to show."""
         self._plotter.remove_actor(name, reset_camera=False, render=False)
         part = self._parts[name].copy(deep=False)
         if not self._visible or not part.n_cells:

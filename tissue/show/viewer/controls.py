@@ -24,25 +24,25 @@ MOST = 9
 
 
 class LayerKeys:
-    """Layers that are on or off.
+    """Keys that switch layers on and off.
 
     Parameters
     ----------
     plotter
-        Where the digits are bound.
+        Plotter in which the digits are bound.
     names
-        Layers; the first has the key 1.
+        Names of the layers. The first layer has the key 1.
     hidden
-        Layers that are off at first.
+        Layers that are hidden at first.
     hide
-        Called with the layers that are off, now and whenever they change.
+        Called with the hidden layers, now and after every change.
 
     Attributes
     ----------
     hidden
-        Layers that are off.
+        Hidden layers.
     help
-        The keys, in words; empty where there is but one layer.
+        Description of the keys. Empty if there is only one layer.
     """
 
     def __init__(
@@ -76,20 +76,20 @@ OUT = "comma"
 IN = "period"
 HELP = "x: clip plane    , .: push it    drag its arrow: turn it"
 STEP = 0.02
-"""How far a key pushes the plane, in diagonals of the mesh."""
+"""Distance by which a key moves the plane, in diagonals of the mesh."""
 
 
 class ClipPlane:
-    """A plane that cuts the fields open.
+    """Plane that cuts the fields open.
 
     Parameters
     ----------
     plotter
-        The window.
+        Plotter of the window.
     fields
-        What is cut.
+        Fields that are cut.
     start
-        Where the plane lies when it is first switched on.
+        Plane when it is first switched on.
     """
 
     def __init__(self, plotter: Plotter, fields: FieldsShown, *, start: Plane) -> None:
@@ -156,21 +156,21 @@ CHOSEN, OTHER = "#0072B2", (0.45, 0.45, 0.45)
 
 
 class PointRead:
-    """A point of the material that a click has marked, and what the fields are there.
+    """Material point marked by a click, and the field values at it.
 
     Parameters
     ----------
     plotter
-        Where it is shown.
+        Plotter of the mark.
     fields
-        What is read.
+        Fields that are read.
     size_mm
         Diameter of the mark [mm].
 
     Attributes
     ----------
     reference_mm
-        Where the point lay before loading [mm], or None.
+        Position of the point before loading [mm], or None.
     text
         Its description.
     """
@@ -194,7 +194,7 @@ class PointRead:
         fields.drawn.append(self.update)
 
     def click(self, x: int, y: int) -> bool:
-        """Mark what lies under a pixel, counted from the lower left; whether there was anything."""
+        """Mark the object under a pixel, counted from the lower left; return whether one exists."""
         actor = self._fields.actor
         found = None if actor is None else picked(self._plotter, actor, x, y)
         if actor is None or found is None:
@@ -232,7 +232,7 @@ def _line(name: str, value: NDArray[np.float64]) -> str:
 
 
 class NameList:
-    """Names below each other, of which one is chosen.
+    """Vertical list of names, of which one is chosen.
 
     Parameters
     ----------
@@ -241,9 +241,9 @@ class NameList:
     title
         Title above them.
     names
-        What can be chosen, and the words that it is shown by.
+        Possible choices and their labels.
     choose
-        Called with what a click chose.
+        Called with the clicked choice.
     """
 
     def __init__(
@@ -272,7 +272,7 @@ class NameList:
             actor.prop.color = Color(CHOSEN if chosen else OTHER)
 
     def click(self, x: int, y: int) -> bool:
-        """Choose the name under a pixel, counted from the lower left; whether there was one."""
+        """Choose the name under a pixel, counted from the lower left; return whether one exists."""
         wide, tall = self._plotter.window_size
         row = int((TOP + LETTER - y / tall) // ROW) - 1
         if not (LEFT <= x / wide <= LEFT + WIDTH and 0 <= row < len(self._names)):
@@ -286,7 +286,7 @@ PLAY_KEY = "space"
 
 
 class Playback:
-    """The moment that is shown, moved by hand or by itself.
+    """Shown moment, moved by the user or automatically.
 
     Parameters
     ----------
@@ -301,16 +301,16 @@ class Playback:
     slider
         Ends of the slider in shares of the window, left, right and height.
     slowest_s
-        What takes less time than this is played slower, so that it lasts this long [s].
+        Duration below which a run is played slower, so that it lasts this time [s].
 
     Attributes
     ----------
     span_s
         First and last moment [s].
     time_s
-        The moment [s].
+        Shown moment [s].
     playing
-        Whether it moves by itself.
+        True if the moment moves automatically.
     """
 
     def __init__(
@@ -352,7 +352,7 @@ class Playback:
         plotter.iren.interactor.CreateRepeatingTimer(EVERY_MS)
 
     def switch(self) -> None:
-        """Play or pause; at the end it begins again."""
+        """Play or pause. At the end, play from the start."""
         self.playing = not self.playing
         if self.playing:
             self._shown_s = perf_counter()
@@ -372,7 +372,7 @@ class Playback:
             self.switch()
 
     def to(self, time_s: float) -> None:
-        """Go to a moment."""
+        """Move to a moment."""
         self.time_s = time_s
         self._slider.GetRepresentation().SetValue(time_s)
         self._show(time_s)

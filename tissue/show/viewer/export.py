@@ -34,9 +34,7 @@ LONGEST = 0.15
 BORDER = 0.02
 """Free border of a clean picture before it is cropped, as a share of its edges."""
 FINE, AROUND_PX = 2, 8
-"""Pixels along each edge of a clean picture for one of the window, and how many are left around
-what it shows.
-"""
+"""Pixels of a clean picture per window pixel, and margin around the content [pixel]."""
 
 
 def add_scale_bar(plotter: Plotter) -> None:
@@ -61,8 +59,9 @@ def add_scale_bar(plotter: Plotter) -> None:
 
 
 def leave_alone(plotter: Plotter, kept: Collection[object], points_mm: NDArray[np.float64]) -> None:
-    """Take away text, widgets, scales and all actors but some, and let the points fill the
-    window.
+    """Remove text, widgets, scales and most actors, and let the points fill the window.
+
+    The actors in `kept` stay.
     """
     plotter.clear_slider_widgets()
     plotter.remove_legend(render=False)
@@ -74,7 +73,7 @@ def leave_alone(plotter: Plotter, kept: Collection[object], points_mm: NDArray[n
 
 
 def write_clean(plotter: Plotter, file: Path) -> None:
-    """Write what is shown as PNG on a transparent ground, cropped to it."""
+    """Write the view as PNG on a transparent ground, cropped to its content."""
     from PIL import Image
 
     drawn = np.asarray(
@@ -137,22 +136,23 @@ def _encoder_problem() -> str | None:
 
 
 def movie_times_s(first_s: float, last_s: float) -> NDArray[np.float64]:
-    """Return the times of a movie's frames [s]. It lasts as long as the run, but at least 4 and
-    at most 12 s.
+    """Return the times of a movie's frames [s].
+
+    The movie lasts as long as the run, but at least 4 and at most 12 s.
     """
     lasts = float(np.clip(last_s - first_s, SHORTEST_S, LONGEST_S))
     return np.linspace(first_s, last_s, round(lasts * FRAMES_PER_S) + 1)
 
 
 def write_movie(path: Path, pictures: Iterable[NDArray[np.uint8]]) -> None:
-    """Write a movie; an existing file is replaced once the new one is whole.
+    """Write a movie and replace an existing file once the new file is complete.
 
     Parameters
     ----------
     path
-        File with the ending .mp4, or .gif of half the width and height.
+        File with the ending .mp4, or .gif with half the width and height.
     pictures
-        Red, green and blue of every picture, shape (height, width, 3), both even.
+        Red, green and blue of every picture, shape (height, width, 3). Height and width are even.
     """
     with whole_file(path) as temporary:
         (_write_mp4 if path.suffix.lower() == ".mp4" else _write_gif)(temporary, pictures)

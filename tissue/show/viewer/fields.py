@@ -24,8 +24,9 @@ __all__ = ["REFERENCE", "FieldsShown", "PointValues", "interpolated"]
 TETRAHEDRON = 10
 """VTK's number of the cell."""
 AMBIENT, DIFFUSE = 0.78, 0.25
-"""Light on a field: enough shade that its shape is seen, so little that its colours are still
-those of the scale.
+"""Light on a field.
+
+The shade shows the shape but keeps the colours in agreement with the scale.
 """
 REFERENCE, SHOWN = "reference_mm", "shown"
 """Arrays that are only there to be drawn and read."""
@@ -38,11 +39,11 @@ class PointValues:
     Attributes
     ----------
     place_mm
-        Where it is drawn [mm], shape (3,).
+        Drawn position [mm], shape (3,).
     values
-        Its fields by name.
+        Field values by name.
     layer
-        Layer that it belongs to; empty where there are none.
+        Layer of the point. Empty without layers.
     """
 
     place_mm: NDArray[np.float64]
@@ -51,29 +52,31 @@ class PointValues:
 
 
 class FieldsShown:
-    """Fields over time in a plotter; nothing is shown until `show` is called.
+    """Fields over time in a plotter. Nothing is shown until `show` is called.
 
     Parameters
     ----------
     plotter
-        Where they are shown.
+        Plotter of the fields.
     fields
         The fields.
     scale
-        How many times its size the displacement is drawn.
+        Factor by which the displacement is enlarged.
     clip
-        Plane that the mesh is cut open at, or None.
+        Plane at which the mesh is cut open, or None.
     fine
-        Whether tetrahedra that are not cut open are drawn without facets, as a still picture needs.
+        If true, an uncut tetrahedral mesh is drawn without facets, as needed for a still picture.
 
     Attributes
     ----------
     name
-        The field that is shown, or None.
+        Name of the shown field, or None.
     actor
-        What can be picked in the plotter, or None; its mesh has the point array ``reference_mm``.
+        Actor that can be picked in the plotter, or None. Its mesh has the point array
+        ``reference_mm``.
     drawn
-        Called after every change of what is shown, with nothing; whoever makes a change renders it.
+        Called without arguments after every change of the shown fields. The caller of the change
+        renders it.
     """
 
     def __init__(
@@ -114,7 +117,7 @@ class FieldsShown:
         self._draw()
 
     def enlarge(self, scale: float) -> None:
-        """Draw the displacement so many times its size."""
+        """Enlarge the drawn displacement by a factor."""
         self.scale = scale
         self._draw()
 
@@ -129,8 +132,9 @@ class FieldsShown:
         self._draw()
 
     def read(self, reference_mm: NDArray[np.float64]) -> PointValues | None:
-        """Return the values at a point of the material, given before loading [mm], or None where
-        no cell is left.
+        """Return the values at a point of the material, or None if no cell is left.
+
+        The point is given before loading [mm].
         """
         mesh, _ = self._fields.at(self._time_s)
         if not mesh.n_cells:

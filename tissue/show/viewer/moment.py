@@ -21,7 +21,7 @@ CHART_SHARE = 0.27
 MOST_POINTS = 4000
 """Rows of the trace that a path or a curve shows."""
 LONGEST = 0.3
-"""Length of the longest arrow, in sizes of what the tool meets."""
+"""Ratio of the longest arrow's length to the size of the touched object."""
 
 
 class MomentShown:
@@ -30,15 +30,15 @@ class MomentShown:
     Parameters
     ----------
     plotter
-        Where it is shown.
+        Plotter of the moment.
     trace
-        The trace, of one row at least.
+        Trace with at least one row.
     tool
         Surface of the tool in its own frame [mm], or None.
     size_mm
-        Size of what the tool meets [mm]; the arrow is in proportion to it.
+        Size of the object that the tool touches [mm]. The arrow is in proportion to it.
     chart
-        Whether the force is written and drawn over time along the lower edge.
+        If true, the force is written and drawn over time along the lower edge.
     """
 
     def __init__(
@@ -84,8 +84,9 @@ class MomentShown:
         return np.stack([self._tips[0], self._tips[-1], tip, tip + arrow])
 
     def near_tip_mm(self, tool_mm: NDArray[np.float64], *, reach_mm: float) -> NDArray[np.float64]:
-        """Return the points of the tool near its tip at the largest force [mm], from points in
-        its own frame.
+        """Return the points of the tool near its tip at the largest force [mm].
+
+        The input points are in the tool's frame.
         """
         near = tool_mm[np.linalg.norm(tool_mm, axis=1) <= reach_mm]
         matrix = pose(self._tips[self._peak], self._turns[self._peak])
@@ -93,7 +94,7 @@ class MomentShown:
 
     @property
     def peak_s(self) -> float:
-        """When the force was greatest [s]."""
+        """Time of the largest force [s]."""
         return float(self._trace["time_s"][self._peak])
 
     def row(self, time_s: float) -> int:
@@ -124,8 +125,8 @@ def _chart(
 ) -> "tuple[pyvista.Chart2D, pyvista.plotting.charts.LinePlot2D]":
     """Add the force over time along the lower edge, with a cursor.
 
-    What is commanded is pale and the model's force lies upon it: teeth that vibrate would make a
-    band that hides it.
+    The commanded force is pale and the model's force is drawn over it. Vibrating teeth would
+    otherwise make a band that hides the model's force.
     """
     import pyvista
 
@@ -161,22 +162,22 @@ def _chart(
 
 FORCE = "#0072B2"
 LEAST = 1e-3
-"""Share of the greatest force that is not drawn any more."""
+"""Share of the largest force below which no arrow is drawn."""
 
 
 class ToolShown:
-    """A tool, and an arrow as long as its force is great.
+    """Tool, and an arrow in proportion to its force.
 
     Parameters
     ----------
     plotter
-        Where they are shown.
+        Plotter of the tool and the arrow.
     tool
         Surface of the tool in its own frame [mm], or None.
     longest_mm
-        Length of the arrow of the greatest force [mm].
+        Length of the arrow of the largest force [mm].
     opacity
-        Of the tool.
+        Opacity of the tool.
     """
 
     def __init__(
@@ -212,8 +213,9 @@ class ToolShown:
         *,
         greatest_N: float,
     ) -> str:
-        """Show the tool by its tip [mm] and turn (x, y, z, w), and its force [N] beside the
-        greatest one, in words.
+        """Show the tool at its tip [mm] and turn (x, y, z, w), and return its force as text.
+
+        The text gives the force [N] next to the largest force.
         """
         import pyvista
 

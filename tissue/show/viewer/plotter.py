@@ -20,8 +20,9 @@ __all__ = [
 ]
 
 Plotter: TypeAlias = Any
-"""A `pyvista.Plotter`: PyVista declares those of its methods that forward to a renderer without
-their arguments.
+"""Type of a `pyvista.Plotter`.
+
+PyVista declares its methods that forward to a renderer without their arguments.
 """
 STILL_PX = 2
 """A mouse that moves less between press and release has clicked."""
@@ -89,8 +90,9 @@ def add_slider(
 def picked(
     plotter: Plotter, actor: object, x: int, y: int
 ) -> tuple[int, NDArray[np.float64]] | None:
-    """Return the cell of an actor under a pixel, counted from the lower left, and the point
-    there [mm], or None.
+    """Return the cell of an actor under a pixel and the point there [mm], or None.
+
+    The pixel is counted from the lower left.
     """
     from vtkmodules.vtkRenderingCore import vtkCellPicker
 
@@ -107,8 +109,9 @@ def picked(
 def add_colour_scale(
     plotter: Plotter, title: str, mapper: object, *, bottom: float, **options: object
 ) -> None:
-    """Draw the scale of a mapper's colours at the right, from `bottom`, a share of the window's
-    height.
+    """Draw the scale of a mapper's colours at the right.
+
+    It starts at `bottom`, a share of the window's height.
     """
     plotter.add_scalar_bar(
         title,
@@ -127,10 +130,11 @@ def add_colour_scale(
 
 
 def on_click(plotter: Plotter, click: Callable[[int, int], object]) -> None:
-    """Call with the pixel, counted from the lower left, when the left button is pressed and
-    released in one place.
+    """Call a function with the pixel when the left button is clicked in one place.
 
-    A style that turns the camera grabs the mouse between the two, so that it is the one to ask.
+    The pixel is counted from the lower left. The button must be pressed and released in the same
+    place. An interactor style that turns the camera grabs the mouse between the two, so the events
+    of the style are observed.
     """
     interactor = plotter.iren.interactor
     style = interactor.GetInteractorStyle()
@@ -173,8 +177,9 @@ def aim(
     margins: tuple[float, float, float, float] = MARGINS,
     parallel: bool = False,
 ) -> None:
-    """Look down from the front so that the points fill the area; without points so that all that
-    there is does.
+    """Point the camera down from the front so that the points fill the area.
+
+    Without points, everything drawn fills the area.
 
     A parallel projection has one scale everywhere, which a scale bar needs.
     """

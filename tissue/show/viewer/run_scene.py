@@ -28,7 +28,7 @@ __all__ = ["Choice", "RunScene", "times_of"]
 TISSUE = ("bone", "bone beyond the cut", "field")
 """Names of the simulated tissue among the meshes of a scene."""
 MOST_POINTS = 20_000
-"""Points of a surface from which its extent is found."""
+"""Maximum number of points of a surface for its extent."""
 NEAR_TIP = 0.5
 """Part of the tool from its tip that has to be seen, as a share of the size of the tissue."""
 
@@ -40,15 +40,16 @@ class Choice:
     Attributes
     ----------
     hide
-        Layers that are off.
+        Hidden layers.
     field
-        Field in place of the bone; without it the bone, or the first field of a run without bone.
+        Field that is shown in place of the bone. Default: the bone, or the first field of a run
+        without bone.
     scale
-        Factor by which the displacement is drawn enlarged.
+        Factor by which the displacement is enlarged.
     time_s
-        The moment [s]; without it that of the greatest force.
+        Shown moment [s]. Default: the moment of the largest force.
     clean
-        Whether what was simulated is shown alone, without text, widgets, marks and tool.
+        If true, only the simulated tissue is shown, without text, widgets, marks and tool.
     """
 
     hide: tuple[str, ...] = ()
@@ -64,30 +65,30 @@ class RunScene:
     Parameters
     ----------
     saved
-        The run.
+        Saved run.
     choice
-        What is shown at first. Its layers, field and moment are applied by the caller.
+        First view. Its layers, field and moment are applied by the caller.
     plotter
-        Where the run is shown.
+        Plotter of the run.
     fine
-        Whether tetrahedra are drawn without facets, as a still picture needs.
+        If true, tetrahedra are drawn without facets, as needed for a still picture.
     annotated
-        Whether the legend of the layers and the chart of the force are drawn into the plotter.
+        If true, the legend of the layers and the chart of the force are drawn into the plotter.
 
     Attributes
     ----------
     bone, fields, moment
-        The parts; None where the run has none.
+        Parts of the scene. None if the run does not have the part.
     series
         The fields of the run over time, or None.
     colours
-        Red, green and blue of every layer and face that can be switched, 0 to 1.
+        Red, green and blue of every switchable layer and face, 0 to 1.
     face_colours
-        The same of the faces alone.
+        Colours of the faces only.
     times_s
         Moments that can be shown [s].
     start_s
-        The moment that is shown at first [s].
+        Moment that is shown at first [s].
     size_mm
         Size of the tissue [mm].
     """
@@ -158,12 +159,13 @@ class RunScene:
 
     @property
     def tissue_mm(self) -> NDArray[np.float64]:
-        """Points of what was simulated [mm], shape (n, 3)."""
+        """Points of the simulated tissue [mm], shape (n, 3)."""
         return np.vstack([np.zeros((0, 3)), *self._points])
 
     def extent_mm(self, *, near_tip: bool = False) -> NDArray[np.float64]:
-        """Return the points to keep in view [mm], shape (n, 3), if asked for with those of the
-        tool near its tip.
+        """Return the points to keep in view [mm], shape (n, 3).
+
+        On request they include the points of the tool near its tip.
         """
         points = [self.tissue_mm]
         if self.moment is not None:

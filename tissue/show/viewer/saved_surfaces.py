@@ -1,4 +1,4 @@
-"""Surfaces of a saved run: the bone at any moment, and the faces that a tool meets."""
+"""Surfaces of a saved run: the bone at any moment, and the faces that a tool touches."""
 
 from collections.abc import Collection
 from contextlib import suppress
@@ -39,15 +39,16 @@ __all__ = [
 ]
 
 Plane = tuple[tuple[float, float, float], tuple[float, float, float]]
-"""Normal and a point [mm]; what lies on the normal's side is left out."""
+"""Normal and a point [mm]. The part on the normal's side is left out."""
 INSIDE_MM = 1e-4
-"""Distance of a cut from the tool's deepest point, so that the plane goes through no face of the
-mesh.
+"""Distance of a cut from the tool's deepest point [mm].
+
+It prevents that the plane passes through a face of the mesh.
 """
 
 
 def saved_fields(saved: SavedRun) -> SavedFields | None:
-    """Return the fields of a run over time; None for a run without any."""
+    """Return the fields of a run over time, or None for a run without fields."""
     if not (saved.path / "fields.pvd").is_file():
         return None
     fields = SavedFields(saved.path)
@@ -72,25 +73,25 @@ COARSE_MM = 0.4
 
 
 class BoneOverTime:
-    """A bone that is carved, or one that stays as it is.
+    """Bone over time, carved or unchanged.
 
     Parameters
     ----------
     volume
-        The bone before the first cut.
+        Bone before the first cut.
     end
         Bone left in every voxel at the end, 255 = full, shape of the volume.
     replay
-        The carving once more; without it the bone is that of the end at every moment.
+        Replay of the carving. Without it, the bone at the end is shown at every moment.
     axis
-        World axis closest to the tool's, 0 to 2.
+        World axis closest to the tool's axis, 0 to 2.
 
     Attributes
     ----------
     layer_names, layers
-        Names of all layers, and indices of those that the bone has.
+        Names of all layers, and indices of the layers of the bone.
     deepest_mm
-        Greatest removed depth of the whole run [mm].
+        Largest removed depth of the whole run [mm].
     """
 
     def __init__(
@@ -122,7 +123,7 @@ class BoneOverTime:
             )
 
     def at(self, tick: int) -> bool:
-        """Bring the bone to the end of a tick; whether that can have changed it."""
+        """Move the bone to the end of a tick; return whether the bone may have changed."""
         if self._replay is None or self.deepest_mm == 0.0 or tick == self._tick:
             return False
         self._tick = tick
@@ -189,8 +190,9 @@ def _over_time(
     poses: NDArray[np.float64] | None = None,
     compute: str = "cpu",
 ) -> BoneOverTime:
-    """Return the bone carved along poses, by default those of the trace, which are right within
-    20 µm.
+    """Return the bone carved along poses, by default the poses of the trace.
+
+    The poses of the trace are accurate to 20 µm.
     """
     from tissue.simulation.builders.cutting import cutter_of
 
@@ -227,9 +229,7 @@ def _over_time(
 
 
 def _coarse(scene: Scene) -> VoxelVolume | None:
-    """Return the bone that a scene starts from in coarse voxels, or None if it comes from a
-    file.
-    """
+    """Return the initial bone of a scene in coarse voxels, or None if it comes from a file."""
     if not isinstance(scene.anatomy, CutAnatomy) or scene.anatomy.from_file is not None:
         return None
     spacing = max(COARSE_MM, scene.voxels.spacing_mm)

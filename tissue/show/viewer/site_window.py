@@ -25,9 +25,7 @@ EYE = np.array([0.35, -1.0, 0.35])
 left and above.
 """
 ASIDE = 0.6
-"""How far the eye stands aside from the site's normal, in parts of it, so that the arrow is
-seen.
-"""
+"""Lateral offset of the eye from the site's normal, as a share of it, to show the arrow."""
 MARK, ARROW = 0.012, 0.16
 """Radius of the mark and length of the arrow, in parts of the bone's size."""
 ZOOM = 0.9
@@ -44,23 +42,23 @@ def is_imported(folder: Path) -> bool:
 
 
 class SiteWindow:
-    """An imported bone with its site.
+    """Window with an imported bone and its site.
 
     Parameters
     ----------
     folder
-        What `tissue import` wrote.
+        Folder written by `tissue import`.
     off_screen
-        Whether it is drawn for a file, and so without help.
+        If true, the view is drawn for a file and without help.
 
     Attributes
     ----------
     plotter
         PyVista's plotter.
     centre_mm, normal
-        The site that is shown, in the frame of the image (LPS), shape (3,); None without one.
+        Shown site in the frame of the image (LPS), shape (3,). None without a site.
     text
-        What is written about it.
+        Text about the site.
     """
 
     def __init__(self, folder: Path, *, off_screen: bool) -> None:
@@ -101,8 +99,9 @@ class SiteWindow:
         self._aim()
 
     def click(self, x: int, y: int) -> bool:
-        """Put the site where the bone is seen at a pixel, counted from the lower left; whether
-        it is seen there.
+        """Move the site to the bone at a pixel; return whether there is bone.
+
+        The pixel is counted from the lower left.
         """
         found = picked(self.plotter, self._bone, x, y)
         if found is None:
@@ -125,7 +124,7 @@ class SiteWindow:
         self.plotter.render()
 
     def open(self) -> None:
-        """Open the window; comes back when it was closed."""
+        """Open the window; return when it is closed."""
         free_keys(self.plotter)
         on_click(self.plotter, self.click)
         self.plotter.show()
@@ -171,7 +170,7 @@ class SiteWindow:
 
 
 def show_site(folder: Path, *, screenshot: Path | None = None) -> str:
-    """Open the window, or draw it off screen into a PNG file; what was shown, in a sentence."""
+    """Open the window, or draw it off screen into a PNG file; return a sentence on the view."""
     window = SiteWindow(folder, off_screen=screenshot is not None)
     if screenshot is not None:
         window.plotter.screenshot(str(screenshot))

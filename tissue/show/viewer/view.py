@@ -42,7 +42,7 @@ from tissue.system.stopping import Terminated
 __all__ = ["serve_view", "show", "view"]
 
 LONGEST_MOVIE_S = 3600.0
-"""How long a movie may take to draw [s]."""
+"""Maximum time for drawing a movie [s]."""
 
 
 def view(
@@ -64,40 +64,40 @@ def view(
     Parameters
     ----------
     path
-        Folder that `tissue run` wrote, of a run that ended or was stopped; or one that `tissue
-        import` wrote of a bone, whose site is then put by a click and saved into its scene.
+        Folder of a finished or stopped run, written by `tissue run`, or folder of a bone, written
+        by `tissue import`. The site of an imported bone is set by a click and saved into its scene.
     screenshot
         PNG file to write instead of opening a window.
     movie
         MP4 or GIF file to write instead of opening a window.
     hide
-        Layers that are switched off at first.
+        Layers that are hidden at first.
     field
-        Field that is shown at first in place of the bone, ``von_mises_MPa`` for one.
+        Field that is shown at first in place of the bone, such as ``von_mises_MPa``.
     scale
-        How many times its size the displacement is drawn at first.
+        Initial factor by which the displacement is enlarged.
     time_s
-        Moment that is shown at first [s]; without it that of the greatest force.
+        Moment that is shown at first [s]. Default: the moment of the largest force.
     clean
-        Whether a screenshot shows what was simulated alone on a transparent ground, cropped to it,
-        without text, scales, tool and arrows.
+        If true, a screenshot shows only the simulated tissue on a transparent ground, cropped to
+        it, without text, scales, tool and arrows.
     overwrite
         Replace the file of the screenshot or movie.
     progress
-        Called with how much of a file is drawn.
+        Called with the finished share of a file.
     opened
-        Show the run in a browser in place of a window, until its page was closed for some seconds,
-        and call this with the address of the page.
+        If given, the run is shown in a browser in place of a window, until the page has been closed
+        for some seconds. The function is called with the address of the page.
 
     Returns
     -------
-    What was shown, in a sentence or two.
+    Description of the view in one or two sentences.
 
     Raises
     ------
     InputError
-        If the folder holds no run or nothing to show, there is no such layer, field or moment, no
-        display for a window, or the picture cannot be drawn.
+        If the folder holds no run or nothing to show, the layer, field or moment does not exist,
+        there is no display for a window, or the picture cannot be drawn.
     """
     _check_files(screenshot, movie, time_s, overwrite=overwrite)
     if opened is not None:
@@ -143,7 +143,7 @@ def _require_display(instead: str) -> None:
 
 
 def _check_web(path: Path, screenshot: Path | None, movie: Path | None) -> None:
-    """Refuse a page for what is no page, and where nothing can serve one."""
+    """Refuse a page together with a file, and a page that cannot be served."""
     for name, file in (("screenshot", screenshot), ("movie", movie)):
         if file is not None:
             raise InputError(
@@ -157,7 +157,7 @@ def _check_web(path: Path, screenshot: Path | None, movie: Path | None) -> None:
 
 
 def _check_imported(movie: Path | None, choice: Choice) -> None:
-    """Refuse what only a run has."""
+    """Refuse options that only apply to a run."""
     given = [name for name, value in asdict(choice).items() if value != getattr(Choice(), name)]
     given += ["movie"] if movie is not None else []
     if given:
@@ -181,7 +181,7 @@ def _view_site(folder: Path, screenshot: Path | None) -> str:
 
 
 def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, report: Progress) -> None:
-    """Draw a file in a process of its own; it is there whole, or as it was before."""
+    """Draw a file in a separate process. The file is complete, or unchanged on failure."""
     longest_s = LONGEST_MOVIE_S if kind == "movie" else LONGEST_S
     chosen = json.dumps(asdict(choice))
     doing = f"drawing the {kind}"
@@ -210,7 +210,7 @@ def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, report: Progre
 def _check_files(
     screenshot: Path | None, movie: Path | None, time_s: float | None, *, overwrite: bool
 ) -> None:
-    """Refuse files that cannot be written, before those of the run are read."""
+    """Check that the output files are writable before reading the run."""
     if movie is not None:
         check_movie(movie)
         if time_s is not None:
@@ -234,7 +234,7 @@ def _check_files(
 
 
 def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
-    """Refuse what the run does not have."""
+    """Refuse a choice that the run does not offer."""
     times = times_of(saved, series)
     fields = [] if series is None else series.names
     if saved.complete and not len(times) and not (saved.path / "bone.vti").is_file():
@@ -328,15 +328,15 @@ def show(
     Parameters
     ----------
     saved
-        The run.
+        Saved run.
     title
-        What is written above.
+        Title above the view.
     choice
-        What is shown at first.
+        First view of the run.
     screenshot
         PNG file.
     movie
-        MP4 or GIF file; how much of it is drawn is printed.
+        MP4 or GIF file. The finished share is printed.
     """
     window = Window(saved, title, choice, off_screen=screenshot is not None or movie is not None)
     if screenshot is not None:
@@ -353,18 +353,18 @@ def show(
 
 PAGE = "tissue.show.viewer.web.view_page"
 OPENS_S, CLOSES_S = 120.0, 10.0
-"""How long a page may take until it is served, and to close [s]."""
+"""Maximum time until a page is served, and until it is closed [s]."""
 
 
 def serve_view(folder: Path, choice: Choice, opened: Callable[[str], object]) -> None:
-    """Serve the page of a run until it was closed for some seconds, or Ctrl-C.
+    """Serve the page of a run until it has been closed for some seconds, or Ctrl-C.
 
     Parameters
     ----------
     folder
         Folder of the run.
     choice
-        What is shown at first.
+        First view of the run.
     opened
         Called with the address, which holds a random token.
 

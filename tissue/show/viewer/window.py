@@ -33,25 +33,25 @@ LARGEST = 0.3
 
 
 class Window:
-    """Everything that is shown of a run.
+    """Window with all parts of a run.
 
     Parameters
     ----------
     saved
-        The run.
+        Saved run.
     title
-        What is written above.
+        Title above the view.
     choice
-        What is shown at first.
+        First view of the run.
     off_screen
-        Whether it is drawn for a file, and so without buttons, lists and help.
+        If true, the view is drawn for a file, without buttons, lists and help.
 
     Attributes
     ----------
     plotter
         PyVista's plotter.
     fields, point, names, playback, bone, layers
-        The parts of the window; None where the run, or a picture, has none.
+        Parts of the window. None if the run, or a picture, does not have the part.
     """
 
     def __init__(self, saved: SavedRun, title: str, choice: Choice, *, off_screen: bool) -> None:
@@ -99,8 +99,9 @@ class Window:
         self.choose(choices[(at + 1) % len(choices)])
 
     def pictures(self) -> Iterator[NDArray[np.uint8]]:
-        """Return the pictures of a movie over the whole run, and print the finished share, 0 to
-        1, a line each.
+        """Yield the pictures of a movie over the whole run.
+
+        The finished share, 0 to 1, is printed once per picture, one line each.
         """
         assert self.playback is not None
         times_s = movie_times_s(*self.playback.span_s)

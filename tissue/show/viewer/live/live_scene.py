@@ -24,8 +24,9 @@ from tissue.simulation.trace import Table
 __all__ = ["DEVICE", "LiveBone", "LiveOrgan", "LiveScene", "Readings", "live_tissue"]
 
 TISSUE_S = 0.2
-"""Least time between two updates of the tissue [s]; one that took long is followed by a rest as
-long as itself.
+"""Minimum time between two updates of the tissue [s].
+
+A longer update is followed by a pause of the same length.
 """
 DEVICE = "#D55E00"
 LEAST_N = 1.0
@@ -34,7 +35,7 @@ LEAST_N = 1.0
 
 Array = NDArray[np.float64]
 NUMBERS = ("time_s", "removed_mm3", *CLOCK)
-"""Columns that a person reads as they are."""
+"""Columns that are shown without conversion."""
 
 
 @dataclass(frozen=True)
@@ -79,15 +80,16 @@ class Readings:
 PASSES = 4
 """Smoothing of normals: fewer than in a picture, for it is done again at every change."""
 AROUND = 0.7
-"""How much of what lies around the touchable surface is seen, in shares of its size."""
+"""Margin shown around the touchable surface, as a share of its size."""
 ORGAN = "#CC8E7D"
 
 
 def live_tissue(
     plotter: Plotter, start: Start, arrays: SharedArrays
 ) -> "LiveBone | LiveOrgan | None":
-    """Return the drawn tissue that `tissue.simulation.live` shares, or None if only the scene
-    describes it.
+    """Return the drawn tissue that `tissue.simulation.live` shares.
+
+    The result is None if only the scene describes the tissue.
     """
     match tissue_surface(start, arrays):
         case BoneSurface() as bone:
@@ -98,21 +100,21 @@ def live_tissue(
 
 
 class LiveBone:
-    """A bone by layer as it is carved.
+    """Bone by layer while it is carved.
 
     Parameters
     ----------
     plotter
-        Where it is shown.
+        Plotter of the bone.
     bone
-        Its surface.
+        Surface of the bone.
 
     Attributes
     ----------
     points_mm
-        Points that have to be seen [mm], shape (n, 3).
+        Points that must be in view [mm], shape (n, 3).
     colours
-        Of the layers that there are by name, red, green and blue, 0 to 1.
+        Colours of the existing layers by name, red, green and blue, 0 to 1.
     """
 
     def __init__(self, plotter: Plotter, bone: BoneSurface) -> None:
@@ -144,21 +146,21 @@ class LiveBone:
 
 
 class LiveOrgan:
-    """The surface of a soft organ as it moves.
+    """Surface of a soft organ while it moves.
 
     Parameters
     ----------
     plotter
-        Where it is shown.
+        Plotter of the organ.
     organ
-        The surface.
+        Surface of the organ.
 
     Attributes
     ----------
     points_mm
-        Points that have to be seen [mm], shape (n, 3).
+        Points that must be in view [mm], shape (n, 3).
     colours
-        None: it has but one.
+        Empty, since the organ has only one colour.
     """
 
     def __init__(self, plotter: Plotter, organ: OrganSurface) -> None:
@@ -188,30 +190,30 @@ class LiveScene:
     Parameters
     ----------
     folder
-        Folder that `tissue.simulation.live.window.WindowProcess` has filled.
+        Folder filled by `tissue.simulation.live.window.WindowProcess`.
     size_px
         Width and height of the window [pixel].
     margins
         Left, right, lower and upper end of the area for the scene, in shares of the window.
     off_screen
-        Whether there is no window, only pictures.
+        If true, pictures are drawn without a window.
 
     Attributes
     ----------
     arrays
-        What the ticks share.
+        Arrays shared by the ticks.
     scene
-        What is run.
+        Scene of the run.
     plotter
         PyVista's plotter.
     tissue
-        What changes; None for a tissue that does not.
+        Drawn tissue that changes. None for a tissue without changes.
     colours
-        Of what is shown by name, red, green and blue, 0 to 1.
+        Colours of the shown objects by name, red, green and blue, 0 to 1.
     points_mm
-        Points that have to be seen [mm], shape (n, 3).
+        Points that must be in view [mm], shape (n, 3).
     target_options
-        What a `tissue.show.viewer.live.target.Target` is made of, by argument.
+        Arguments of a `tissue.show.viewer.live.target.Target`, by name.
     """
 
     def __init__(
@@ -260,7 +262,7 @@ class LiveScene:
         self._greatest = LEAST_N
 
     def update_tissue(self) -> bool:
-        """Bring the tissue up to date where that is time; whether it changed."""
+        """Update the tissue if it is due; return whether it changed."""
         now = perf_counter()
         if self.tissue is None or now - self._updated <= max(TISSUE_S, 2.0 * self._took):
             return False
@@ -270,8 +272,9 @@ class LiveScene:
         return changed
 
     def show(self, target_mm: NDArray[np.float64]) -> Readings | None:
-        """Show the newest row, and where the tool is wanted [mm]; what it holds, or None where
-        there is none yet.
+        """Show the newest row and the wanted position of the tool [mm]; return the row's readings.
+
+        The result is None if there is no row yet.
         """
         message = self.arrays.read("row")
         if message is None or message[0] == 0:

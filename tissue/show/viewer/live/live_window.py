@@ -1,5 +1,6 @@
-"""The window of `tissue run --live`, run by ``python -m tissue.show.viewer.live.live_window
-FOLDER`` in a process.
+"""Window of `tissue run --live`.
+
+Run as ``python -m tissue.show.viewer.live.live_window FOLDER`` in a separate process.
 """
 
 import os
@@ -62,11 +63,11 @@ class LiveWindow:
 
     @property
     def over(self) -> bool:
-        """State of the end: the ticks have ended, or a person has closed the window."""
+        """True if the ticks have ended or the user has closed the window."""
         return bool(self.arrays["ended"][0] or self.arrays["closed"][0])
 
     def frame(self) -> None:
-        """Take the events that have come, send the pointer, and draw what is new."""
+        """Process the pending events, send the pointer, and draw all changes."""
         self.plotter.iren.interactor.ProcessEvents()
         if self.pointer.ended:
             self._close()
@@ -113,8 +114,9 @@ class LiveWindow:
 
 
 def _main(folder: str) -> None:
-    """Open the window, report it on the standard output, and run it until the ticks or a person
-    end it.
+    """Open the window, report it on the standard output, and run it until the end.
+
+    The ticks or the user end it.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the ticks decide when it ends
     if hasattr(os, "nice"):

@@ -17,14 +17,14 @@ ARROWS = {"Left": (-1.0, 0.0), "Right": (1.0, 0.0), "Up": (0.0, 1.0), "Down": (0
 
 
 class Target:
-    """The wanted place of a tool.
+    """Wanted position of a tool.
 
     Parameters
     ----------
     plotter
-        The view.
+        Plotter of the view.
     start_mm
-        Where it begins [mm].
+        Initial position [mm].
     axis
         The tool's axis from tip to shank, shape (3,).
     low_mm, high_mm
@@ -33,7 +33,7 @@ class Target:
     Attributes
     ----------
     target_mm
-        Where the tool is wanted [mm], shape (3,).
+        Wanted position of the tool [mm], shape (3,).
     """
 
     def __init__(
@@ -47,15 +47,15 @@ class Target:
         self.target_mm = self._start.copy()
 
     def reset(self) -> None:
-        """Go back to where it began."""
+        """Move back to the initial position."""
         self.target_mm = self._start.copy()
 
     def along(self, travel_mm: float) -> None:
-        """Go along the tool's axis [mm], positive out of the tissue."""
+        """Move along the tool's axis [mm], positive out of the tissue."""
         self._go(travel_mm * self._axis)
 
     def across(self, right_mm: float, up_mm: float) -> None:
-        """Go in the plane of the view [mm]."""
+        """Move in the plane of the view [mm]."""
         camera = self._plotter.camera
         forward = np.array(camera.GetDirectionOfProjection())
         right = np.cross(forward, camera.GetViewUp())
@@ -63,7 +63,7 @@ class Target:
         self._go(right_mm * right + up_mm * np.cross(right, forward))
 
     def press(self, key: str) -> None:
-        """Go by a key, by VTK's name of it; one that moves nothing is left."""
+        """Move by a key, given by VTK's name. Keys without a move are ignored."""
         if key in ARROWS:
             right, up = ARROWS[key]
             self.across(KEY_MM * right, KEY_MM * up)
@@ -92,22 +92,22 @@ HELP = (
     "drag: turn the view, right drag: nearer, farther",
     "q: end",
 )
-"""What there is to press."""
+"""Description of the keys and mouse actions."""
 
 
 class Pointer(Target):
-    """The wanted place of a tool, moved by mouse and keys within a box.
+    """Wanted position of a tool, moved by mouse and keys within a box.
 
-    The mouse moves it in the plane of the view by as much as it goes over the plane through it;
-    with a button pressed the mouse belongs to the view. The wheel and the keys for depth move it
-    along the tool's axis.
+    The mouse moves the position in the plane of the view, by the distance that the mouse covers in
+    the parallel plane through the position. With a pressed button, the mouse controls the view. The
+    wheel and the depth keys move the position along the tool's axis.
 
     Parameters
     ----------
     plotter
-        The window.
+        Plotter of the window.
     start_mm
-        Where it begins [mm].
+        Initial position [mm].
     axis
         The tool's axis from tip to shank, shape (3,).
     low_mm, high_mm
@@ -116,9 +116,9 @@ class Pointer(Target):
     Attributes
     ----------
     target_mm
-        Where the tool is wanted [mm], shape (3,).
+        Wanted position of the tool [mm], shape (3,).
     ended
-        Whether the key to end was pressed.
+        True if the key to end was pressed.
     """
 
     def __init__(

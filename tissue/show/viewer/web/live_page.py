@@ -1,5 +1,6 @@
-"""The page of `tissue run --live --web`, run by ``python -m tissue.show.viewer.web.live_page
-FOLDER`` in a process.
+"""Page of `tissue run --live --web`.
+
+Run as ``python -m tissue.show.viewer.web.live_page FOLDER`` in a separate process.
 """
 
 import sys
@@ -19,10 +20,10 @@ from tissue.simulation.live.window import LOADS
 __all__ = ["LivePage"]
 
 SIZE = (960, 720)
-"""Until the page states its own [pixel]."""
+"""Size until the page reports its own size [pixel]."""
 MARGINS = (0.05, 0.95, 0.06, 0.94)
 ABOVE = 0.3
-"""How much above the tool's tip is in view, in sizes of the scene: more than the longest arrow."""
+"""Visible height above the tool's tip, in sizes of the scene. It exceeds the longest arrow."""
 KEYS = {
     "ArrowLeft": "Left",
     "ArrowRight": "Right",
@@ -37,20 +38,20 @@ KEYS = {
 
 
 class LivePage:
-    """A run while it goes on, and the mouse of the page that moves its tool.
+    """Active run, whose tool is moved by the mouse of the page.
 
-    The ticks wait as long as nobody has a page open, or has paused them; the tool is not moved
-    meanwhile.
+    The ticks wait while no page is open or while they are paused. The tool does not move during
+    this time.
 
     Parameters
     ----------
     folder
-        Folder that `tissue.simulation.live.window.PageProcess` has filled.
+        Folder filled by `tissue.simulation.live.window.PageProcess`.
 
     Attributes
     ----------
     shown, stage, target
-        Its parts.
+        Parts of the page.
     """
 
     kind = "live"
@@ -90,7 +91,7 @@ class LivePage:
         return {"scene": self.shown.scene.name, "legend": legend}
 
     def attend(self, attended: bool) -> None:
-        """Let the ticks go on, or wait, with the page."""
+        """Continue the ticks if a page is open, otherwise let them wait."""
         self._attended = attended
         self._hold()
 
@@ -116,7 +117,7 @@ class LivePage:
             self._move(do, values)
 
     def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
-        """Send where the tool is wanted, and show what is new."""
+        """Send the wanted position of the tool, and show all changes."""
         self.arrays["frames"][0] += 1
         if int(self.arrays["runs"][0]) != self._run:
             self._begin_again()
@@ -136,7 +137,7 @@ class LivePage:
 
     @property
     def _resetting(self) -> bool:
-        """State of a reset that was asked for and has not happened yet."""
+        """True if a requested reset has not happened yet."""
         return self._resets != self._run
 
     def _move(self, do: str, values: Values) -> None:

@@ -1,6 +1,4 @@
-"""What a page may ask for: one JSON object a message, with ``do`` and the entries that belong to
-it.
-"""
+"""Requests of a page: one JSON object per message, with ``do`` and its entries."""
 
 import json
 
@@ -78,9 +76,9 @@ def close_reason(text: str) -> bytes:
 
 
 class Pace:
-    """Bound the messages that are read: `MOST_PER_S` a second, and `AT_ONCE` after a pause.
+    """Limit of the messages that are read: `MOST_PER_S` a second, and `AT_ONCE` after a pause.
 
-    What a page sends beyond that waits in its own buffers.
+    Further messages of a page wait in the buffers of the browser.
     """
 
     def __init__(self) -> None:
@@ -88,9 +86,7 @@ class Pace:
         self._time_s = 0.0
 
     def wait_s(self, time_s: float) -> float:
-        """Count a message that came at a time [s]; return how long to wait before the next one
-        is read [s].
-        """
+        """Count a message that came at a time [s]; return the wait before the next one [s]."""
         self._left = min(self._left + MOST_PER_S * (time_s - self._time_s), AT_ONCE) - 1.0
         self._time_s = time_s
         return max(-self._left, 0.0) / MOST_PER_S

@@ -30,31 +30,31 @@ __all__ = [
 
 PAGE = Path(__file__).parent / "page"
 FRAME_S, REST_S = 1.0 / 30.0, 0.004
-"""Time between two frames, and how long there is at least for what the page sends [s]."""
+"""Time between two frames, and minimum time per frame for the page's messages [s]."""
 LEFT_S = 8.0
-"""How long a page may be closed before what it shows ends [s]: time enough to load it again."""
+"""Time that a page may be closed before its session ends [s], enough to load it again."""
 SENDS_S = 5.0
-"""How long a page may take no figures or picture before its connection is ended [s]."""
+"""Time that a page may accept no figures or picture before its connection is ended [s]."""
 CLOSES_S = 2.0
-"""How long a page is waited for that is closed from here [s]."""
+"""Time limit for closing a page from the server [s]."""
 REPLACED = 4001
 """Code with which a page is closed that another one takes the place of."""
 POLICY = (
     "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; img-src data:; "
     "connect-src ws://{home}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-"""What the page may load: what stands in it, and its socket."""
+"""Resources that the page may load: its own content and its socket."""
 
 
 class Session(Protocol):
     """Content of a page, and its response to messages."""
 
     kind: str
-    """Which page it is: ``live`` or ``view``."""
+    """Kind of the page: ``live`` or ``view``."""
 
     @property
     def over(self) -> bool:
-        """Whether it has ended."""
+        """True if the session has ended."""
         ...
 
     def hello(self) -> dict[str, Any]:
@@ -74,21 +74,19 @@ class Session(Protocol):
         ...
 
     def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
-        """Go on by one frame; what is new in figures, and where a picture can be taken a new
-        one.
-        """
+        """Advance by one frame; return new figures and a new picture if one can be drawn."""
         ...
 
 
 class PageServer:
-    """Serves a session to one page.
+    """Server of a session for one page.
 
     Parameters
     ----------
     session
-        What is shown.
+        Session to serve.
     token
-        What the address must hold; default a new random one.
+        Token that the address must hold. Default: a new random token.
 
     Attributes
     ----------
@@ -108,7 +106,7 @@ class PageServer:
         self._opened = False
 
     async def serve(self, opened: Callable[[str], object], *, port: int = 0) -> None:
-        """Serve until the session is over; ``opened`` is called with the address."""
+        """Serve until the session is over, and call ``opened`` with the address."""
         app = web.Application(middlewares=[gate(self._token, lambda: self._port)])
         app.router.add_get("/", self._page)
         app.router.add_get(SOCKET, self._connect)
@@ -202,8 +200,9 @@ class PageServer:
 async def _close(
     socket: web.WebSocketResponse, line: asyncio.Transport | None, code: int, reason: str
 ) -> None:
-    """Close a page's socket with a code and a reason; cut the connection if the page reads no
-    more.
+    """Close a page's socket with a code and a reason.
+
+    The connection is cut if the page does not read any more.
     """
     try:
         async with asyncio.timeout(CLOSES_S):
@@ -213,14 +212,15 @@ async def _close(
 
 
 def _cut(line: asyncio.Transport | None) -> None:
-    """End a connection at once, whatever waits to be sent."""
+    """End a connection at once and discard pending data."""
     if line is not None:
         line.abort()
 
 
 def page_text(kind: str, nonce: str) -> str:
-    """Return a page as one text, so that it loads nothing more and its address alone holds the
-    token.
+    """Return a page as one text.
+
+    The page loads nothing more, so only its address holds the token.
     """
     text = (PAGE / f"{kind}.html").read_text("utf-8")
     script = "\n".join(
@@ -233,7 +233,7 @@ def page_text(kind: str, nonce: str) -> str:
 
 
 HOST = "127.0.0.1"
-"""Address that is served; no other machine reaches it."""
+"""Served address, which no other machine can reach."""
 SOCKET = "/socket"
 TOKEN_BYTES = 24
 HEADERS = {
@@ -243,8 +243,9 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-"""Of every answer: nothing is kept, no other site embeds it, and the token in the address is not
-sent on.
+"""Headers of every response.
+
+They forbid storage, embedding by other sites, and sending on the token in the address.
 """
 
 
@@ -258,19 +259,20 @@ def refusal(
 ) -> str | None:
     """Return why a request is refused, or None.
 
-    A page of another site that asks by a name which it lets point here (DNS rebinding) is known by
-    its Host, one that opens the socket by its Origin, which browsers always send then.
+    A request from another site by a name that points here (DNS rebinding) is detected by its Host.
+    A request from another site that opens the socket is detected by its Origin, which browsers
+    always send in this case.
 
     Parameters
     ----------
     host, origin
         Headers of the request.
     given
-        Token in its address.
+        Token in the address of the request.
     port, token
-        Where it is served and the token that opens it.
+        Port of the server, and the token that opens the page.
     socket
-        Whether it opens the socket.
+        True if the request opens the socket.
     """
     home = f"{HOST}:{port}"
     if host != home:
@@ -283,8 +285,9 @@ def refusal(
 
 
 def gate(token: str, port: Callable[[], int]) -> "Middleware":
-    """Return middleware that answers 403 to refused requests. The port is known once the page is
-    served.
+    """Return middleware that answers 403 to refused requests.
+
+    The port is known once the page is served.
     """
 
     @web.middleware
@@ -308,21 +311,22 @@ def gate(token: str, port: Callable[[], int]) -> "Middleware":
 
 
 NICE = 5
-"""Lower priority beside ticks."""
+"""Lower process priority for a page that runs in parallel to ticks."""
 
 
 def serve(make: Callable[[], Session], *, beside_ticks: bool) -> None:
-    """Make what is shown and serve it until it is over; its address is printed behind the word
-    ready.
+    """Create a session and serve it until it is over.
 
-    Whoever has started the process decides when it ends, so that Ctrl-C does nothing here.
+    The address is printed after the word ready.
+
+    The parent process decides when it ends, so Ctrl-C is ignored here.
 
     Parameters
     ----------
     make
-        Makes what is shown.
+        Function that creates the session.
     beside_ticks
-        Whether ticks go on beside it, which come first.
+        If true, ticks run in parallel and have priority.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if beside_ticks:

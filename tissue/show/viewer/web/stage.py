@@ -16,29 +16,31 @@ __all__ = ["Stage", "taken_scale"]
 MOST_PX = 1_000_000
 """Largest picture [pixel]: more takes OpenGL in software longer than a frame."""
 QUALITY = 88
-"""Of a picture as JPEG."""
+"""Quality of a picture as JPEG."""
 STILL_S = 0.25
-"""How long nothing has changed when smooth edges are drawn, which takes OpenGL in software four
-times as long [s].
+"""Time without changes after which smooth edges are drawn [s].
+
+Smooth edges take OpenGL in software four times as long.
 """
 TURN_DEG = 180.0
 """Turn of the view by a drag over the height of the picture."""
 
 
 class Stage:
-    """A plotter whose view is turned and drawn for a page.
+    """Plotter whose view is turned and drawn for a page.
 
     Parameters
     ----------
     plotter
         PyVista's plotter, off screen.
     aim
-        Points the camera; called when the size changes, until the view was turned.
+        Function that points the camera. It is called when the size changes, until the user has
+        turned the view.
 
     Attributes
     ----------
     changed
-        Whether what is shown is not what was drawn last.
+        True if the view has changed since the last drawing.
     """
 
     def __init__(self, plotter: Plotter, aim: Callable[[], None]) -> None:
@@ -56,7 +58,7 @@ class Stage:
         return int(self._plotter.window_size[1])
 
     def take(self, do: str, values: Values) -> bool:
-        """Change size or view as a page asks for, and return whether that was it."""
+        """Change size or view on request of a page, and return whether it was such a request."""
         number = {
             name: float(value) for name, value in values.items() if not isinstance(value, str)
         }
@@ -136,10 +138,9 @@ STOPS, MARKS = 24, 5
 
 
 def taken_scale(plotter: Plotter) -> dict[str, Any] | None:
-    """Hide a plotter's scale of colours, and give its title, colours as ``#rrggbb`` from low to
-    high, and labels.
+    """Hide a plotter's scale of colours and return its title, colours and labels.
 
-    None where it has none.
+    The colours are ``#rrggbb`` from low to high. The result is None if there is no scale.
     """
     from matplotlib.colors import to_hex
 

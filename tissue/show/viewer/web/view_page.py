@@ -1,5 +1,6 @@
-"""The page of `tissue view DIR --web`, run by ``python -m tissue.show.viewer.web.view_page DIR
-CHOICE`` in a subprocess.
+"""Page of `tissue view DIR --web`.
+
+Run as ``python -m tissue.show.viewer.web.view_page DIR CHOICE`` in a subprocess.
 """
 
 import json
@@ -23,34 +24,35 @@ from tissue.simulation.run_folder import SavedRun
 __all__ = ["ViewPage"]
 
 SIZE = (960, 720)
-"""Until the page states its own [pixel]."""
+"""Size until the page reports its own size [pixel]."""
 MARGINS = (0.05, 0.82, 0.06, 0.94)
 """Layers and the scale of colours lie at the right."""
 MOST_ROWS = 2000
 """Rows of the trace that the page plots."""
 SLOWEST_S = 4.0
-"""What takes less time than this is played slower, so that it lasts this long [s]."""
+"""Duration below which a run is played slower, so that it lasts this time [s]."""
 DEPTH, LAYER = "removed depth", "layer"
-"""What the bone is coloured by, among the names of fields."""
+"""Colourings of the bone, among the names of fields."""
 
 
 class ViewPage:
-    """A finished or stopped run: bone or fields, tool and force at the moment that the page asks
-    for.
+    """Finished or stopped run on a page.
+
+    The page shows bone or fields, tool and force at the moment that it requests.
 
     Parameters
     ----------
     saved
-        The run.
+        Saved run.
     choice
-        What is shown at first.
+        First view of the run.
 
     Attributes
     ----------
     stage, shown
-        The view and what is in it.
+        The view and its content.
     time_s
-        The moment that is shown [s].
+        Shown moment [s].
     """
 
     kind = "view"
@@ -89,15 +91,15 @@ class ViewPage:
         }
 
     def attend(self, attended: bool) -> None:
-        """Stop to play where nobody looks."""
+        """Pause the playback while no page is open."""
         self._playing = self._playing and attended
 
     def leave(self) -> None:
-        """End."""
+        """End the session."""
         self.over = True
 
     def take(self, do: str, values: Values) -> None:
-        """Go to a moment, play, choose what is shown, turn the view or end."""
+        """Move to a moment, play, choose the content, turn the view or end."""
         if self.stage.take(do, values):
             pass
         elif do == "time":
@@ -119,7 +121,7 @@ class ViewPage:
         self._dirty = True
 
     def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
-        """Go on in time where it plays, and show the moment."""
+        """Advance the time during playback, and show the moment."""
         now = perf_counter()
         passed = now - self._last_s
         self._last_s = now
@@ -139,12 +141,12 @@ class ViewPage:
         return None, self.stage.picture()
 
     def _changed(self) -> None:
-        """Draw again; the page draws the scale of colours."""
+        """Draw again. The page draws the scale of colours."""
         self._scale = taken_scale(self._plotter)
         self.stage.changed = True
 
     def _all_choices(self) -> dict[str, str]:
-        """Return the names of what can be shown, and the words for each."""
+        """Return the names of all possible contents and their labels."""
         shown = self.shown
         choices = {}
         if shown.bone is not None:
@@ -167,7 +169,7 @@ class ViewPage:
         self.shown.hide(hidden)
 
     def _rows(self) -> list[list[float]]:
-        """Return time [s], force [N] and its magnitude, of as many rows as a page can draw."""
+        """Return time [s], force [N] and its magnitude for the rows that a page can draw."""
         trace = self._saved.trace
         if trace is None or not len(trace.rows):
             return []
