@@ -54,7 +54,7 @@ forces = {kind: [tissue.motor_forces(each) for each in of] for kind, of in runs.
 
 
 def error(force_N: NDArray[np.float64], ideal_N: NDArray[np.float64]) -> float:
-    """What is wrong with a force, as a share of the ideal one."""
+    """Return the error of a force relative to the ideal force (ratio of L2 norms)."""
     return float(np.linalg.norm(force_N - ideal_N) / np.linalg.norm(ideal_N))
 
 

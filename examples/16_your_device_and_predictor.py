@@ -33,7 +33,7 @@ class Shaker:
         self.last_N = np.zeros(3)
 
     def read(self, time_s: float) -> tissue.Sample:
-        """Where it is."""
+        """Return a sample with the position and velocity of the device at a time."""
         turn = 4.0 * np.pi
         height = 3e-3 * np.cos(turn * time_s) - 3e-3
         return tissue.Sample(

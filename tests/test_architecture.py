@@ -1,4 +1,4 @@
-"""Which layer may import which, what modules document, and what starting a command loads."""
+"""Tests of import layers, of the documentation of modules, and of what starting a command loads."""
 
 import ast
 import importlib
@@ -165,8 +165,10 @@ def test_modules_and_what_they_offer_have_docstrings():
 
 
 def without_docstring(module):
-    """What of a module has no docstring: itself, a name that it offers, a method; a wrong
-    `__all__` fails at once.
+    """Yield the names in a module that have no docstring.
+
+    Checked are the module, each name that it offers and each method. A wrong `__all__` fails at
+    once.
     """
     loaded = importlib.import_module(module)
     if module == "tissue.scene.library":  # data alone

@@ -27,11 +27,12 @@ PAGES = sorted(
 SCRIPT = re.compile(r"python ((?:tests/bench|examples)/[\w/]+\.py)")
 TEST = re.compile(r"pytest ([^`#\n]+)")
 START_S = 6.0
-"""How long a bench without a quick form is watched [s]: it imports, builds its first case and
-computes.
+"""Time for which a bench without a quick form is observed [s].
+
+In this time it imports, builds its first case and computes.
 """
 FINISH_S = 240.0
-"""How long a bench in its quick form may take [s] on a loaded machine."""
+"""Longest time of a bench in its quick form [s] on a loaded machine."""
 
 FINISHED: dict[str, str] = {
     "bench_bone": "--quick",

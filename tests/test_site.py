@@ -1,6 +1,4 @@
-"""What the site is made with: tables of scene keys, examples as pages, code of its pages, and
-the check of links.
-"""
+"""Inputs of the site: tables of scene keys, examples as pages, code of its pages, and link checks."""
 
 import importlib.util
 import json

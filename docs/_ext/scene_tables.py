@@ -124,7 +124,7 @@ def _key(name: str, entry: Schema, *, required: bool) -> Key:
 
 
 def _takes(entry: Schema) -> str:
-    """What values a key takes: choices, a range, or the sort of value."""
+    """Return the values that a key takes: its choices, a range or the kind of value."""
     if "anyOf" in entry:
         return " or ".join(
             _takes(choice) for choice in entry["anyOf"] if choice.get("type") != "null"

@@ -52,7 +52,7 @@ _LOWEST_HU = -1024
 _HIGHEST_HU = 3071
 """Range of 12-bit values."""
 ORIENTATIONS = ("LPS", "RAS", "AIR", "SLP")
-"""What the axes of an array may point to; any of the 48 will do."""
+"""Axis orientations that the command line offers; `reoriented` accepts all 48."""
 _AXES = {
     "L": (0, 1.0),
     "R": (0, -1.0),
@@ -69,7 +69,7 @@ Distance = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class Person:
-    """What differs between persons and scanners from the tables.
+    """Differences from the tabulated values for one person and one scanner.
 
     Attributes
     ----------
@@ -369,8 +369,9 @@ def _pad(at: Array) -> Array:
 
 
 def reoriented(stored: StoredImage, axes: str) -> StoredImage:
-    """The same voxels in the same places with the array's axes along `axes`, such as RAS: right,
-    anterior, superior.
+    """Return the same voxels at the same positions, with the array's axes along `axes`.
+
+    An example of `axes` is RAS: right, anterior, superior.
 
     Raises
     ------

@@ -1,11 +1,12 @@
-"""What calibration costs and what it is good for.
+"""Benchmark of the cost and the benefit of calibration.
 
-Prints (1) a trial's cost, beside questplus where that is installed (it is under the GPL: for
-comparison only), (2) trials until half of 300 thresholds lie within 10 % of the truth, beside
-staircases, (3) interval coverage and the bias that heavy tails and fatigue cause, (4)
-discrimination with and without calibration on runs of the scenes, 100 people a group, with 95 %
-intervals, beside what the paper reports. Run: python tests/bench/bench_calibration.py [trial]
-[staircase] [coverage] [scenes]
+Prints (1) the cost of a trial, next to questplus where that is installed (it is under the GPL: for
+comparison only). (2) The number of trials until half of 300 thresholds lie within 10 % of the
+truth, next to staircases. (3) Interval coverage, and the bias that heavy tails and fatigue cause.
+(4) Discrimination with and without calibration on runs of the scenes, for 100 people a group, with
+95 % intervals, next to the figures of the paper.
+
+Run: python tests/bench/bench_calibration.py [trial] [staircase] [coverage] [scenes]
 """
 
 import sys

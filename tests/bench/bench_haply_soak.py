@@ -31,7 +31,7 @@ from tissue.system.tick_priority import TickPriority  # noqa: E402
 TICK_S = 1e-3
 STIFFNESS_N_M = 700.0
 DEEP_M = 0.02
-"""How far under its start the wall's face lies [m]."""
+"""Depth of the wall's face below the start position [m]."""
 WARM_S = 60.0
 """Time after which memory is compared: buffers and lists of bounded length are then full [s]."""
 

@@ -63,9 +63,12 @@ def tip(depth: float, tick: int) -> np.ndarray:
 
 
 class NumpyContact:
-    """The same sweeps point by point in NumPy, in the space of the points nearby, without
-    friction's exact cone: the local force is projected onto it, which needs no more work and so
-    flatters NumPy."""
+    """Contact sweeps point by point in NumPy, in the space of the nearby points.
+
+    The sweeps are those of the tested contact, but without the exact friction cone. The local force
+    is projected onto the cone instead. The projection costs no more work, so the comparison favours
+    NumPy.
+    """
 
     def __init__(
         self, nodes: np.ndarray, faces: np.ndarray, compliance: np.ndarray, probe: SphereProbe

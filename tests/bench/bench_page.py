@@ -1,4 +1,6 @@
-"""What a page in a browser costs the ticks of a live run: ``python tests/bench/bench_page.py``.
+"""Cost that a page in a browser adds to the ticks of a live run.
+
+Run: ``python tests/bench/bench_page.py``.
 
 A scripted motion runs against the wall clock with its page open, twice over: in every second second
 the client takes pictures as fast as they come, in those between it takes none, so that both are

@@ -55,7 +55,7 @@ def ticks(count: int) -> list[tuple[str, ...]]:
 
 
 def traces(quick: bool) -> list[tuple[str, ...]]:
-    """What the deadband leaves of recorded forces."""
+    """Return a table row for each recorded scene: effect of the deadband on its forces."""
     law, rows = weber("force"), []
     for name, changes in list(RECORDED.items())[: 2 if quick else None]:
         run = tissue.simulate(

@@ -46,9 +46,12 @@ MOVED_MM = {
     "liver-press": (4.0, 4.0),
     "milling": (0.0, 2.5),
 }
-"""How far a path is moved along the tissue's surface; 1 mm elsewhere."""
+"""Distance by which a path is moved along the tissue's surface [mm]; 1 mm for other scenes."""
 TURNED_DEG = {"wall": 90.0, "palpation": 20.0, "liver-press": 90.0, "milling": 90.0}
-"""How far it is turned about its middle on the surface; not where a hole guides the tool."""
+"""Angle by which a path is turned about its middle on the surface [deg].
+
+Paths that a hole guides are not turned.
+"""
 PACES, SHARES = (0.6, 1.5), (0.7, 1.4)
 TARGETS = {
     "wall": 0.4,
@@ -93,8 +96,9 @@ def moves(scene: Scene) -> dict[str, tuple[Scene, float]]:
 
 
 def runs_of(names: Collection[str], runs: int) -> dict[str, int]:
-    """How many of a scene's runs are of each move: one part each, two parts or more of the scene
-    as it is.
+    """Return the number of runs of a scene for each move.
+
+    Each move gets one part; the unchanged scene gets two parts or more.
     """
     each = runs // (len(names) + 1)
     return {name: runs - each * (len(names) - 1) if name == "same" else each for name in names}
@@ -200,8 +204,9 @@ def written(share: float) -> str:
 
 
 def decompose(mean: dict[str, dict[str, np.ndarray]], best: str, target: float) -> None:
-    """What an error consists of in every move where the best predictor's share of hold's excess
-    misses its target.
+    """Print the components of the error for every move that misses its target.
+
+    The target limits the best predictor's share of the excess error of zero-order hold.
     """
     rows = []
     for move, (error, least, excess, late) in mean[best].items():

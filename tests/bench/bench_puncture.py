@@ -94,7 +94,7 @@ def pushed(cell: Cell, seed: int) -> Pierced:
 
 
 def measured(job: tuple[Cell, int]) -> tuple[Cell, int, list[float]]:
-    """What a run gave, in the order of `COLUMNS`."""
+    """Return the results of a run, in the order of `COLUMNS`."""
     run = pushed(*job)
     noticed = 1e3 * (run.noticed_s - run.puncture_s)
     return *job, [run.excess_mm, noticed, run.puncture_s, float(run.early)]

@@ -1,5 +1,7 @@
-"""What a study costs: seconds a trial by task, efficiency against workers, and memory against the
-number of trials.
+"""Cost of a study: seconds per trial, efficiency and memory.
+
+Seconds per trial are given by task, efficiency against the number of workers, and memory against
+the number of trials.
 
 Run from the repository: python tests/bench/bench_study.py [--trials 4] [--workers 1 2 4] [--out
 study_cost.png] [--tasks T1 T2 T3] [--methods penalty koopman]

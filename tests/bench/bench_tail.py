@@ -67,7 +67,7 @@ def on_one_core() -> Iterator[None]:
 
 
 def variants(scene: Scene) -> dict[str, Callable[[], Run]]:
-    """What is compared."""
+    """Return the variants that are compared."""
 
     def always() -> Run:
         with patch(SPLIT, 0.0):

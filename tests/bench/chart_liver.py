@@ -1,4 +1,4 @@
-"""What each choice for soft tissue costs and how far it is from a converged solve.
+"""Cost and error of each choice for soft tissue, against a converged solution.
 
 `python tests/bench/chart_liver.py --out DIR [--quick]` writes tables (CSV) and a picture:
 

@@ -47,7 +47,7 @@ Task = tuple[str, str, str, int]
 
 @lru_cache
 def stiffness_N_m(name: str, kind: str, hand: str) -> float:
-    """What is chosen for a predictor in a hand [N/m]."""
+    """Return the stiffness that is chosen for a predictor in a hand [N/m]."""
     return judged_loop(
         loop_settings(by_hand(name, kind, hand, FIRST_SEED)), step_s=TICK_S
     ).stiffness_N_m
@@ -177,7 +177,7 @@ def report(
 
 
 def read(path: Path) -> dict[tuple[str, str, int], tuple[float, ...]]:
-    """What was run: values by predictor, stiffness and seed."""
+    """Read the finished runs: values by predictor, stiffness and seed."""
     if not path.is_file():
         return {}
     with path.open(encoding="utf-8", newline="") as file:

@@ -59,5 +59,5 @@ class CostModel:
 
 
 def _terms(point: Measured) -> Array:
-    """What the cost is a sum over."""
+    """Return the terms whose weighted sum is the cost."""
     return np.array([1.0, float(point.elements), point.met])

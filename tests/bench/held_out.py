@@ -37,7 +37,7 @@ from tissue.simulation.simulate import simulate
 
 SCENES = ("milling", "molar", "caries", "glenoid", "liver-press", "palpation")
 ASIDE_MM = {"milling": 0.5, "molar": 0.5, "caries": 0.5, "liver-press": 0.5, "palpation": 0.5}
-"""How far a path is moved aside where no hole guides the tool."""
+"""Distance by which a path is moved sideways where no hole guides the tool [mm]."""
 DEMANDS = (0.003, 0.005, 0.01, 0.02, 0.03, 0.05, 0.08, 0.12, 0.2, 0.3)
 """Demanded errors."""
 FACTORS = (1.0, 1.25, 1.5, 1.75, 2.0, 2.5)
@@ -128,7 +128,7 @@ def errors(
 
 
 def chosen(frontier: Frontier, demand: float, factor: float) -> str | None:
-    """What `fidelity` would choose with a factor of safety."""
+    """Return the setting that `fidelity` would choose with a factor of safety."""
     before, fidelity.SAFETY = fidelity.SAFETY, factor
     try:
         return fidelity.choose(
@@ -143,7 +143,7 @@ def chosen(frontier: Frontier, demand: float, factor: float) -> str | None:
 def report(
     name: str, frontier: Frontier, found: dict[str, dict[str, float]]
 ) -> dict[float, list[bool]]:
-    """What was chosen and whether it held; all verdicts by factor."""
+    """Print the settings chosen and return, by factor, the list of whether each held."""
     base = {point.setting: point.force_error for point in frontier.points}
     rows = []
     for setting, each in found.items():

@@ -1,13 +1,14 @@
-"""Where a tick's time goes, scene by scene, by script and by hand: `python
-tests/bench/profile_ticks.py [--deep | --added] [SCENE ...]`.
+"""Time of a tick by stage and scene, for scripted motion and for a hand.
 
-Stages are medians over ticks in contact [us], of the faster of two runs. By hand the stage `motion`
-holds the simulated device and hand, which a real device does not need. `--deep` runs once more
-under cProfile and names the functions with the most time of their own: shares, since a profiler
-makes small functions look larger than they are. `--added` prints what hand, coupling, prediction by
-koopman-look-ahead and perception add to the same scripted scene: percentiles of ticks by hand less
-those of ticks by script, of every tick the least of some runs, since another process on the machine
-only adds.
+Run: `python tests/bench/profile_ticks.py [--deep | --added] [SCENE ...]`.
+
+Stages are medians over ticks in contact [us], of the faster of two runs. For a hand, the stage
+`motion` includes the simulated device and hand, which a real device does not need. `--deep` runs
+once more under cProfile and names the functions with the most time of their own. These times are
+shares, since a profiler makes small functions look larger than they are. `--added` prints the time
+that hand, coupling, prediction by koopman-look-ahead and perception add to the same scripted scene.
+It is given as percentiles of ticks with a hand minus ticks with a script. The smallest time over
+some runs is used for every tick, since another process on the machine can only add time.
 """
 
 import argparse
@@ -145,8 +146,9 @@ def least_us(scenes: Sequence[Scene]) -> list[np.ndarray]:
 
 
 def added(names: Sequence[str]) -> None:
-    """What a hand, with all that belongs to it, adds to a scripted scene; a wall, met by hand
-    only, is shown whole.
+    """Print the time that a hand and its coupling add to a scripted scene.
+
+    A wall is touched by a hand only, so all of its time is shown.
     """
     rows = []
     for name in names:

@@ -437,7 +437,7 @@ def test_tiff_slices_that_are_cut_are_refused(tmp_path):
 
 
 def test_whole_files_of_the_same_kind_are_read(tmp_path):
-    """What the list above breaks is sound before."""
+    """The valid files behind the list of broken ones can be read."""
     for make in (nifti, nrrd, meta, dicom, lambda f: meta(f, suffix=".mha")):
         folder = Path(tmp_path, str(len(list(tmp_path.iterdir()))))
         folder.mkdir()

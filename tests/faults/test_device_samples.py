@@ -1,4 +1,7 @@
-"""What a loop accepts of a device: dates, types and noise, and that no hand is taken for noise."""
+"""Samples that a loop accepts from a device: times, types and noise.
+
+A hand is never taken for noise.
+"""
 
 from dataclasses import replace
 

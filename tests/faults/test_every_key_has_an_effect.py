@@ -110,7 +110,7 @@ def without_effect(kind, files, folder):
 
 
 def is_refused(key, message):
-    """Whether a refusal states that a key, or the whole part that it is in, has no effect."""
+    """Return True if a refusal reports that a key, or its whole table, has no effect."""
     keys, must, rest = message.partition(" must be left out ")
     named = keys.replace(",", " ").split()
     well_formed = must and "\n" not in message and ", got " in rest and ": " in rest

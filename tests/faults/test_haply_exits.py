@@ -25,9 +25,9 @@ from tissue.simulation.run_folder import SavedRun
 PUSHING_N = 0.5
 """Force at the time of a fault."""
 PATIENCE_S = 30.0
-"""How long what has to come is waited for; nothing depends on how soon it does [s]."""
+"""Longest time to wait for an expected event [s]; no result depends on it."""
 WITHIN_S = 0.05
-"""How soon after a fault the last force is zero [s]."""
+"""Longest time from a fault to the last nonzero force [s]."""
 PRESSED = {"device": "haply", "hardware.ramp_ms": 50.0, "duration_s": 60.0}
 
 
@@ -151,7 +151,7 @@ FAULTS = {
 
 
 def after_fault(name, tmp_path):
-    """How long after a fault of the service the last force is zero, while the run goes on [s]."""
+    """Return the time from a fault of the service to zero force while the run continues [s]."""
     with RemoteService(press_m=0.03) as service:
         pressing = Pressing(service, lambda: FAULTS[name](service))
         if name == "uncalibrated":

@@ -53,7 +53,7 @@ def children(process, word, count):
 
 
 def gone(processes, within_s):
-    """Whether processes have ended."""
+    """Return True if all processes have ended."""
     _, alive = psutil.wait_procs(processes, timeout=within_s)
     alive = [each for each in alive if command_line(each)]  # a zombie has none
     for each in alive:

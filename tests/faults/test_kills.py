@@ -98,7 +98,7 @@ class Command:
             return True, self.process.communicate(timeout=120.0)[1]
 
     def left(self, within_s=30.0):
-        """What it started and has not ended after a while."""
+        """Return the processes that the parent started and that have not ended after a while."""
         until = time.monotonic() + within_s
         while (
             found := [each for each in psutil.process_iter() if self._is_ours(each)]

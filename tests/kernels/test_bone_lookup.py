@@ -1,5 +1,6 @@
-"""What bone was there before any cut, against plain NumPy: random bytes, three layers that meet,
-missing bricks.
+"""Bone before any cut, compared with plain NumPy.
+
+The cases are random bytes, three layers that touch, and missing bricks.
 """
 
 import numpy as np

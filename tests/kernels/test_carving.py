@@ -91,7 +91,10 @@ def dense(store, array):
 
 
 def blocks(store):
-    """Whether each block of 2 x 2 x 2 voxels may hold bone, half the shape of the block."""
+    """Return True for each block of 2 x 2 x 2 voxels that may hold bone.
+
+    Its shape is half that of the volume.
+    """
     bits = np.unpackbits(
         store.alive.numpy().astype("<u8").view(np.uint8), bitorder="little"
     ).reshape(-1, 64)
@@ -157,8 +160,9 @@ def test_binary_carving_against_numpy(name):
     ids=["ball burr", "cylinder", "pear bur"],
 )
 def test_a_convex_tool_passes_over_nothing_that_it_reaches(made, scale):
-    """The same integers where every block is looked at; 2 to 6 cells of the distance table in a
-    voxel.
+    """Skipping blocks for a convex tool gives the same integers as visiting every block.
+
+    The tool scales put 2 to 6 cells of the distance table in a voxel.
     """
     turns = np.random.default_rng(5).uniform(-1.5, 1.5, (6, 3))
     found = []

@@ -96,7 +96,10 @@ def older_cuts(model, motion, random):
 
 
 def taken_before(model, motion, older, stored, point, inside):
-    """Whether the older cut holds each element, from the eight voxels around it, shape (n,)."""
+    """Return True for each element that the older cut holds, shape (n,).
+
+    The result is computed from the eight voxels around the element.
+    """
     nearest = tuple(np.floor(point).astype(int).T)
     kept = np.where(stored & (older != NEVER), (older.astype(float) - 32768.0) / 4096.0, np.nan)
     difference = np.clip(kept - distances(model, motion), -2.0, 2.0)
@@ -227,8 +230,10 @@ def engaged_m2(model, motion):
 
 
 def test_an_older_cut_as_deep_disengages_and_one_less_deep_does_not():
-    """Where the same surface was kept, rounding and two poses decide nothing: up to 12 steps
-    deeper still engages.
+    """An older cut of the same depth disengages, a shallower one does not.
+
+    Where the same surface was kept, rounding and two poses do not decide: up to 12 steps deeper
+    still engages.
     """
     model = BoneModel(solid(48), Cutter(ball_burr(diameter_m=3e-3), 5, 700.0), (SOFT,))
     motion = ToolMotion(speed_m_s=1e-3)

@@ -1,4 +1,4 @@
-"""Which elements of a cutter advance, and which chunks of them may cut, against NumPy."""
+"""Elements of a cutter that advance and chunks that may cut, compared with NumPy."""
 
 import numpy as np
 import pytest

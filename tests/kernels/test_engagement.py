@@ -1,4 +1,4 @@
-"""What elements meet: the load of a unit of each coefficient, against closed forms."""
+"""Loads of the elements for one unit of each coefficient, against closed forms."""
 
 import numpy as np
 import pytest

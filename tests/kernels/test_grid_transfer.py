@@ -11,7 +11,7 @@ from kernels.grid_transfer import coarse_stiffness, interpolate, restrict
 ROUNDING = 1e-13
 """Of the largest value: sums of a few hundred products in float64."""
 SINGLE = 2e-6
-"""The same in float32, sums of 27 products."""
+"""Relative tolerance in float32, for sums of 27 products."""
 CORNERS = np.array(list(product((0, 1), repeat=3)))
 
 

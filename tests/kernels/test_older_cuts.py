@@ -1,6 +1,4 @@
-"""Whether an older cut has taken a point of the tool's surface, against the exact capsule of
-that cut.
-"""
+"""Points of the tool's surface that an older cut has taken, against the exact capsule of that cut."""
 
 from itertools import pairwise
 

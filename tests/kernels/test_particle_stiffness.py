@@ -111,11 +111,11 @@ def test_a_single_particle_leaves_twelve_more_modes_that_the_inner_stiffness_clo
 
 
 def test_a_centre_particle_of_the_full_volume_is_closed_to_the_exact_cell():
-    """What one particle in the middle misses is the rest of the cell's integral, here by 3 x 3 x 3
-    Gauss points.
+    """One particle with the full volume at the centre gives the exact stiffness of the cell.
 
-    That rest is kept for equal Lame constants, that is for a Poisson's ratio of 1/4, and E = 2.5
-    mu.
+    The rest of the cell's integral, which one particle in the middle misses, is added. Here it is
+    checked by 3 x 3 x 3 Gauss points. The rest is exact for equal Lame constants, which means a
+    Poisson's ratio of 1/4 and E = 2.5 mu.
     """
     edge, first, shear = 1e-3, 5e9, 5e9
     modulus, ratio = 2.5 * shear, 0.25

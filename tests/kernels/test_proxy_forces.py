@@ -242,8 +242,9 @@ def test_friction_on_slanted_planes_answers_to_what_they_press_then(friction):
 
 
 def test_a_groove_holds_up_to_the_coefficient_that_it_needs():
-    """What friction pulls, over what all planes press, is the coefficient needed: 1 % more
-    holds, 1 % less slips.
+    """The pull of friction over the press of all planes is the coefficient needed.
+
+    A coefficient 1 % higher holds, one 1 % lower slips.
     """
     random, seen = np.random.default_rng(11), 0
     for _ in range(16):

@@ -1,4 +1,4 @@
-"""Whether a launch is split follows what splitting gains, at the start and while it runs."""
+"""Choice to split a launch, which follows the measured gain, at the start and while it runs."""
 
 from itertools import cycle
 
@@ -17,7 +17,7 @@ from kernels.split_choice import (
 )
 
 TWO_CORES, ONE_CORE = 1.8, 0.6
-"""What splitting gains on two cores, and on two processors that share one."""
+"""Gain from splitting on two cores, and on two processors that share one core."""
 WHOLE_S, SLICE_S = 4e-4, 8e-3
 """Time of a whole run, and of a time slice that another process takes."""
 

@@ -12,8 +12,9 @@ from tissue.models.organ.probe import SphereProbe
 TOLERANCE = 1e-9
 """Step of the last sweep over the largest displacement."""
 LEFT = 1e-6
-"""What sweeps that converge by a tenth each leave of gaps and slips, over the largest
-displacement, with a margin.
+"""Error of gaps and slips after the sweeps, relative to the largest displacement.
+
+The sweeps converge by a factor of ten each; the bound includes a margin.
 """
 RADIUS_M = 6e-3
 

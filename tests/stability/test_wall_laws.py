@@ -232,13 +232,13 @@ def let_go(name, stiffness_N_m, *, two_sided, kind="proxy", aim_m=5e-3):
 
 
 def test_let_go_at_the_default_a_wall_is_left_and_between_two_walls_only_friction_helps():
-    """Why the default is that of a device in a hand: what it costs to be safe without one, and
-    where it matters.
+    """A released device leaves a wall at the default stiffness; between walls only friction helps.
 
-    Half of the critical value without a hand is a seventh to a ninth of the default. It is not
-    needed on a wall, which a released device leaves within some hundredths of a second. Held from
-    both sides, a Touch fades by its friction, a six-dof device, whose friction is a sixth of that,
-    grows until its force limit bounds it.
+    The default is chosen for a device in a hand. This test shows the cost of being safe without a
+    hand, and the case in which that matters. Half of the critical value without a hand is a seventh
+    to a ninth of the default. It is not needed on a wall, because a released device leaves it
+    within some hundredths of a second. Between two walls, a Touch fades by its friction. A six-dof
+    device has a sixth of that friction, and grows until its force limit bounds it.
     """
     for name in ("touch", "omni", "six-dof"):
         limits = device_parameters(name)

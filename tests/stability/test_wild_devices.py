@@ -67,8 +67,9 @@ def test_one_missing_sample_takes_a_twentieth_of_the_force():
 
 
 def test_without_the_guard_a_wild_sample_commands_a_wild_force():
-    """What the guard is for: 1e9 m in the wall is 1e12 N; the device itself still plays no more
-    than it can.
+    """Without the guard, a sample 1e9 m inside the wall commands 1e12 N.
+
+    The device itself still plays no more than its limit.
     """
 
     class Wild(FaultyDevice):

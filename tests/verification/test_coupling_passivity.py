@@ -90,7 +90,7 @@ def test_a_delayed_force_is_booked_where_it_acts(delay_ticks):
 
 @pytest.mark.parametrize("name", ["six-dof", "omni"])
 def test_a_wall_that_feeds_a_knocked_device_is_stopped_by_the_controller(name):
-    """Where the penalty wall creates energy and rings, the supervised one takes it and is quiet."""
+    """A penalty wall creates energy and rings; the supervised wall absorbs it and is quiet."""
     device, hand = device_parameters(name), hand_parameters("expert")
     stiffness = 3000.0 if name == "six-dof" else 8000.0
     bare, bare_device = knock(device, hand, "penalty", stiffness)

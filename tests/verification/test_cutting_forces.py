@@ -67,7 +67,7 @@ def test_slot_forces_summed_over_elements():
 
 
 def test_slot_forces_on_voxels():
-    """The same slot cut out of voxels: 2 %."""
+    """The forces in the same slot, cut out of voxels, agree within 2 %."""
     volume = voxelise(cortical_block(size_mm=(14, 7.2, 1.6)), spacing_m=1e-4)
     cutter = Cutter(cylinder(diameter_m=6e-3, length_m=3e-3), TEETH, SPIN_RAD_S)
     model = BoneModel(volume, cutter, (SLOT,))

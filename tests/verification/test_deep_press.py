@@ -17,8 +17,9 @@ from tissue.fem.space import Space
 def felupe_forces(
     fem, space: Space, held: np.ndarray, starts: list[np.ndarray], penalty_N_m: float
 ) -> np.ndarray:
-    """The same by felupe [N], the ball held off by a penalty: Newton steps, which begin near the
-    equilibrium.
+    """Compute the same forces by felupe [N], with the ball held off by a penalty.
+
+    The Newton steps begin near the equilibrium.
     """
     mesh = fem.Mesh(space.nodes_m, space.cell_nodes, "tetra10")
     field = fem.FieldContainer([fem.Field(fem.RegionQuadraticTetra(mesh), dim=3)])

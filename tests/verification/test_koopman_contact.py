@@ -147,7 +147,7 @@ def test_second_order_polynomials_of_contact_diverge_without_the_cap_and_hold_wi
 
 
 def test_the_cap_turns_about_the_mean_of_training():
-    """Where the data are densest nothing changes."""
+    """The cap changes nothing where the training data are densest."""
     operator = Edmd(Delays(3, Polynomials(2)), cap=None).fit(touching(np.random.default_rng(1), 6))
     capped = operator.capped(0.99)
     assert capped.statistics.capped > 0

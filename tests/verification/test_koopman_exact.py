@@ -110,8 +110,10 @@ def test_two_half_steps_are_a_step():
 
 
 def test_generator_and_discrete_form_agree_ever_better_with_shorter_steps():
-    """Where observables are not closed the logarithm of EDMD differs from gEDMD by O(h), both
-    seeing the same states.
+    """Generator and discrete form agree better with shorter steps.
+
+    Where observables are not closed, the logarithm of EDMD differs from gEDMD by O(h), with the
+    same states for both.
     """
     steps, apart = np.array([0.04, 0.02, 0.01, 0.005]), []
     starts = np.random.default_rng(3).uniform(-1.0, 1.0, (300, 2))

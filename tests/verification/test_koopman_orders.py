@@ -21,7 +21,7 @@ from tissue.prediction.edmd.edmd import Edmd, horizon_errors
 from tissue.prediction.edmd.episodes import Episode
 
 PRINTED_ORDER = 2.0
-"""What the paper's Theorem 1 claims for every dictionary."""
+"""Order that the paper's Theorem 1 claims for every dictionary."""
 STEPS_S = np.array([1e-3, 5e-4, 2.5e-4, 1.25e-4])
 
 

@@ -204,7 +204,7 @@ def test_linear_limits_of_a_block(capsys):
 
 @pytest.mark.slow
 def test_linear_limits_of_the_procedural_liver(capsys):
-    """The same on a liver that lies on its visceral side, pressed on the dome."""
+    """Linear limits hold for a liver on its visceral side, pressed on the dome."""
     coarse = liver(spacing_m=14e-3)
     mesh = bisected(
         coarse, lambda at: 2e-3 + 0.5 * np.maximum(np.linalg.norm(at, axis=1) - 7e-3, 0.0)

@@ -1,4 +1,4 @@
-"""What a ball takes out of a block, against the exact volume of a spherical cap."""
+"""Volumes that a ball removes from a block, against the exact volume of a spherical cap."""
 
 from math import pi
 

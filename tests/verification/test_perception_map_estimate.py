@@ -38,15 +38,17 @@ def two_maxima(count, seed):
 
 
 def maxima(seen, noise, middle, spread):
-    """How many local maxima a dense grid shows, shape (count,)."""
+    """Return the number of local maxima on a dense grid, shape (count,)."""
     u = np.linspace(middle - 4.0 * spread - 1.0, np.log(seen) + 2.0, NODES)
     rising = np.diff(log_posterior(u, seen, noise, middle, spread), axis=0) > 0.0
     return (rising[:-1] & ~rising[1:]).sum(axis=0)
 
 
 def off_the_grid(seen, noise, middle, spread):
-    """How much the grid's best is better than ours, and how far from it ours lies, in cells;
-    shapes (count,).
+    """Compute how far the estimate lies from the grid's best point.
+
+    Returns the increase of the log posterior at the grid's best point over ours, and the distance
+    between both in cells; shapes (count,).
     """
     found = np.log(map_force_N(seen, noise, median_N=np.exp(middle), log_spread=spread))
     ours = log_posterior(found, seen, noise, middle, spread)

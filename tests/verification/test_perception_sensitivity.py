@@ -1,5 +1,6 @@
-"""What wrong priors and wrong noise cost the estimates: figures with bounds, so that a change of
-them is seen.
+"""Error that wrong priors and wrong noise add to the estimates.
+
+Each figure has a bound, so that a change is noticed.
 """
 
 import numpy as np

@@ -176,7 +176,7 @@ def test_with_a_wide_prior_it_is_least_squares_within_users():
 
 @pytest.mark.slow
 def test_quadrature_agrees_with_chains():
-    """The same model by NUTS: medians and ends of intervals within the chains' own error."""
+    """Quadrature and NUTS agree on medians and interval ends within the chains' own error."""
     numpyro = pytest.importorskip(
         "numpyro", reason="numpyro is not installed: it checks the quadrature by chains"
     )

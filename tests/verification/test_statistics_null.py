@@ -53,8 +53,9 @@ def test_strata_alarm_at_the_stated_level(name):
 
 
 def test_chi_squared_alarms_too_often_with_few_users():
-    """Why Wald's statistic of a mixed model is referred to F: with five users a group, chi
-    squared has over 8 %.
+    """Chi squared has over 8 % false alarms with five users a group.
+
+    For this reason Wald's statistic of a mixed model is referred to F.
     """
     values, groups = null(10_000, users=5)
     found = strata(values, groups, (4,), between=True)

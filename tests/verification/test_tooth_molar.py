@@ -18,8 +18,9 @@ MEASURED_LIGAMENT = 0.5e6  # within the measured 0.05-1 MPa; finite element pape
 
 
 def inside(vertices, faces, axes):
-    """Which points of a lattice lie in a closed surface, by the winding number along vertical
-    lines.
+    """Return True for the lattice points inside a closed surface.
+
+    The winding number along vertical lines decides.
     """
     from meshes.voxels.column_crossings import column_crossings
 

@@ -47,8 +47,9 @@ def particle_errors(cells, **options):
 
 
 def tetrahedra_errors(cells):
-    """The same of body-fitted linear tetrahedra: a cube's shell, of max-norm 1 to 2, bent onto
-    the sphere.
+    """Compute the same errors for body-fitted linear tetrahedra.
+
+    Their mesh is a cube's shell, of max-norm 1 to 2, bent onto the sphere.
     """
     skfem = pytest.importorskip("skfem")
     from skfem.helpers import ddot, dot, sym_grad

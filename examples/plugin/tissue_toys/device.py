@@ -18,9 +18,9 @@ PEN = DeviceParameters(
 )
 """Numbers of the pen, by which its loop is judged; made up for the example."""
 SPRING_N_M, DAMPER_N_S_M = 80.0, 4.0
-"""What draws it down: a weak spring towards a point that sinks, and a damper."""
+"""Stiffness and damping that pull the device down, towards a point that sinks."""
 SINK_M_S, DEPTH_M = 0.05, 0.03
-"""How fast that point sinks, and how deep."""
+"""Speed at which that point sinks, and the depth at which it stops."""
 
 
 @register.device("toy-pen", PEN)

@@ -1,4 +1,4 @@
-"""What peers and ours both do, in NumPy alone, and the line in which each reports its time."""
+"""Work that peers and this project both do, in NumPy alone, and the line that reports its time."""
 
 import gc
 import json

@@ -35,7 +35,7 @@ def quiet():
 
 
 def holds_rods(law, phantom):
-    """Whether the band of a law holds the density of each rod."""
+    """Return True for each rod whose density lies in the band of a law."""
     bands = [
         (density, *law.band(np.array([mean]))) for density, mean in phantom.rod_means().items()
     ]

@@ -1,5 +1,6 @@
-"""The same CT as DICOM, NIfTI, NRRD and MetaImage, stored in other orders, shifted and oblique: the
-same bone in place.
+"""Position of the bone in one CT stored as DICOM, NIfTI, NRRD and MetaImage.
+
+The files are stored in other orders, shifted and oblique.
 
 The truth is read without the readers under test: positions as text in the DICOM files, pixels by
 Pillow's JPEG 2000.
@@ -117,7 +118,7 @@ def save(folder, kind, values, axes, origin):
 
 
 def stored(ct, turn):
-    """The same physical values as an array along other axes."""
+    """Return the same physical values as an array along other axes."""
     order, signs = turn
     values = np.transpose(ct.values, order)[tuple(slice(None, None, sign) for sign in signs)]
     axes, origin = np.zeros((3, 3)), ct.origin.copy()
@@ -179,8 +180,9 @@ def away(points, vertices, faces):
 
 
 def near_thick(part, points, mask):
-    """Whether the voxel of a kind that is nearest to each point [mm] lies in a block of 2 x 2 x
-    2 of its kind.
+    """Return True for each point [mm] whose nearest voxel of a kind lies in a solid block.
+
+    A solid block is 2 x 2 x 2 voxels of that kind.
     """
     voxels = np.argwhere(mask)
     _, nearest = cKDTree(voxels * part.spacing + part.origin).query(points)

@@ -1,5 +1,4 @@
-"""Where images lie: every format, order and direction of axes gives the same values at the same
-place in LPS [mm].
+"""Values of images in every format, order and direction of axes, at the same place in LPS [mm].
 
 The files are written byte by byte by `image_writers`, and what they must hold is plain arithmetic
 here.

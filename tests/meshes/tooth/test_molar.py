@@ -56,7 +56,7 @@ def along(volume, x, y):
 
 
 def within(whole, part):
-    """Where the voxels of a part lie among those of the whole."""
+    """Return the slices of the whole volume that contain the voxels of a part."""
     first = np.rint((part.origin_m - whole.origin_m) / SPACING).astype(int)
     return tuple(slice(a, a + n) for a, n in zip(first, part.shape, strict=True))
 

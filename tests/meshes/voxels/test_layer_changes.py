@@ -77,7 +77,7 @@ def test_a_change_of_layer_from_layers_alone_is_unbiased():
 
 
 def corners_of_mixed_cells(layer):
-    """Whether any of the eight cells around a voxel holds voxels of two layers."""
+    """Return True for each voxel with a surrounding cell that holds two layers."""
     cells = np.lib.stride_tricks.sliding_window_view(np.pad(layer, 1, mode="edge"), (2, 2, 2))
     mixed = cells.min(axis=(3, 4, 5)) != cells.max(axis=(3, 4, 5))
     return np.lib.stride_tricks.sliding_window_view(mixed, (2, 2, 2)).any(axis=(3, 4, 5))

@@ -33,7 +33,7 @@ def part_of(entry, table, defs):
 
 
 def is_free(entry):
-    """Whether a table takes names of a person's own."""
+    """Return True if a table takes names that a user chooses."""
     return "patternProperties" in entry or isinstance(entry.get("additionalProperties"), dict)
 
 

@@ -19,8 +19,9 @@ from tissue.materials.constants import constants
 ROOT = Path(__file__).resolve().parents[3]
 NAMES = ["tissue/Drilling-v0", "tissue/Milling-v0", "tissue/Palpation-v0"]
 LEAST = {"tissue/Drilling-v0": 0.85, "tissue/Milling-v0": 0.9, "tissue/Palpation-v0": 0.7}
-"""What an expert scores at least: the mean of ten seeds, less what single seeds fall short of
-it.
+"""Lower bounds of an expert's score.
+
+Each is the mean of ten seeds, less the shortfall of single seeds.
 """
 
 

@@ -98,8 +98,10 @@ def test_shares_follow_from_the_distance():
 
 
 def test_a_mapping_cannot_help_against_scatter():
-    """Where scatter of the force decides, no exponent changes the answers; where the person's
-    noise does, all do.
+    """A mapping cannot help against scatter of the force.
+
+    Where the scatter decides, no exponent changes the answers. Where the person's noise decides,
+    every exponent does.
     """
     rng = np.random.default_rng(3)
     for beta, sign in ((1.1, 1.0), (2.3, -1.0)):

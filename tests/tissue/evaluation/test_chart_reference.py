@@ -1,5 +1,7 @@
-"""What charts hold forces to: the exact geometry, or the finest of three grids with its
-grid-convergence index.
+"""Reference forces of charts.
+
+They come from the exact geometry, or from the finest of three grids with its grid-convergence
+index.
 """
 
 import numpy as np

@@ -23,7 +23,7 @@ from tissue.evaluation.study.trial import Trial, _from_path, failures_of
 
 PLAN = Plan(trials=4, tasks=("T1", "T2", "needle", "reaming", "drilling"))
 LEFT = {"penalty": 1.0, "energy": 1.0} | dict.fromkeys(list(METHODS)[2:], 0.4)
-"""What each method leaves of the force error."""
+"""Fraction of the force error that each method leaves."""
 
 
 def planted(key, rng):

@@ -95,7 +95,7 @@ def lazy(nodes, **options):
 
 
 def ready(there, nodes):
-    """Whether the columns of all these nodes are in the buffer."""
+    """Return True if the columns of all these nodes are in the buffer."""
     return bool((there._slot[nodes] >= 0).all())
 
 

@@ -70,7 +70,7 @@ def test_quantiles_and_spread(posterior, summed):
 
 
 def test_a_normal_law_would_call_a_hidden_constant_known(posterior, summed):
-    """Where the load is in the noise, the normal law about the maximum is too narrow."""
+    """The normal law about the maximum is too narrow where the load lies in the noise."""
     laplace = posterior.covariance[0, 0] ** 0.5
     spread = summed[1]
     if posterior.maximum[0] < 1.5:
@@ -81,8 +81,9 @@ def test_a_normal_law_would_call_a_hidden_constant_known(posterior, summed):
 
 
 def test_constants_known_only_by_their_sum():
-    """What is left of two ranges that span decades is the product of their laws along the line
-    of the sum.
+    """Two constants that are known only by their sum have the right law.
+
+    If the two ranges span decades, it is the product of their laws along the line of the sum.
     """
     priors = (Prior(0.01, 0.0, 0.1), Prior(0.03, 0.005, 0.2))
     total = 0.06
@@ -109,7 +110,10 @@ def test_constants_known_only_by_their_sum():
 
 @pytest.mark.slow
 def test_the_density_of_a_constant_of_a_cut_does_not_depend_on_the_start():
-    """Where others follow a constant along a curve, straight ahead is far from it."""
+    """The density does not depend on the start where constants depend on each other along a curve.
+
+    The straight direction is far from that curve.
+    """
     forward = forward_along(
         [[-1, 0, 0.2], [-1, 0, -0.3], [1, 0, -0.8], [1, 1, -0.8]], [0.0, 0.1, 0.4, 0.5]
     )

@@ -15,8 +15,10 @@ from tissue.materials.prior import Prior
 
 @pytest.mark.parametrize("restricted", [False, True])
 def test_gradient_by_differences(restricted):
-    """That of the restricted likelihood by the noise alone, its sensitivities being those of one
-    place.
+    """The gradient equals the one from finite differences.
+
+    For the restricted likelihood it is taken by the noise alone, because its sensitivities belong
+    to one place.
     """
     rng = np.random.default_rng(1)
     log, _ = plant(slot(), rng)

@@ -59,8 +59,9 @@ def loop_with(kind="none", *, delay_ticks=3, model_ticks=1, gain=1.0, lead=None,
 
 
 def grows(loop, stiffness, predictor, lead, *, ticks=2500):
-    """Whether the contact grows with the predictor in the loop as it is: sampled, shown, asked,
-    filtered, held back.
+    """Return True if the contact grows with the predictor in the unchanged loop.
+
+    The loop samples, shows, asks, filters and holds back.
     """
     predictor = deepcopy(predictor)
     whole = int(loop.delay_s / TICK + 1e-9)

@@ -14,8 +14,9 @@ from tissue.haptics.proxy.voxmap import Ball, Box, ContactField, HalfSpace
 from tissue.motion.quaternion import turn_between
 
 SOLID_TOLERANCE_M = 2.5e-5
-"""How deep a step beside solids may end before it is taken back: a tenth of 0.25 mm; a settled
-proxy keeps 1e-9.
+"""Depth [m] at which a step next to solids is taken back: a tenth of 0.25 mm.
+
+A settled proxy keeps 1e-9.
 """
 
 

@@ -116,7 +116,7 @@ def test_a_client_that_sends_garbage_is_disconnected_and_no_other(server, garbag
 
 
 def read_end(client):
-    """Whether the other end has closed a connection."""
+    """Return True if the other end has closed a connection."""
     client.settimeout(60.0)
     try:
         return client.recv(1) == b""

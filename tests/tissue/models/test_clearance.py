@@ -18,7 +18,7 @@ from tissue.models.tissue_model import ToolMotion
 SECTIONS = 128
 ABOVE_MM = 1e-6
 BELOW_MM = 0.01
-"""How far a distance may lie above the true one, and below it."""
+"""Tolerance of a distance above the true value and below it [mm]."""
 BALL = profile.ball_burr(diameter_m=3e-3)
 MILL = profile.cylinder(diameter_m=3e-3, length_m=8e-3)
 REAMER = profile.hemispherical_reamer(diameter_m=12e-3, peg_diameter_m=3e-3, peg_length_m=4e-3)

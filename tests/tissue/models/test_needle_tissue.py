@@ -1,6 +1,4 @@
-"""What a needle meets in tissue: numbers that are refused, and an insertion into one that is
-made up.
-"""
+"""Tissue of a needle: numbers that are refused, and an insertion into a made-up tissue."""
 
 from dataclasses import replace
 

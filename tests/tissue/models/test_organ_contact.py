@@ -143,8 +143,10 @@ def test_a_shell_that_jumps_is_felt_by_all_its_points(slab):
 
 
 def test_where_a_shell_s_frame_lies_does_not_matter(slab):
-    """The same ball of points in a frame of its tip, and in one that is upside down 3 cm above
-    it.
+    """The frame of a shell does not change its forces.
+
+    The test compares a ball of points in a frame at its tip with the same ball in an upside-down
+    frame 3 cm above it.
     """
     ball = trimesh.creation.icosphere(3, 0.012)
     ball.apply_translation([0.0, 0.0, 0.012])

@@ -30,7 +30,7 @@ def test_body_reaches_as_far_as_its_profile():
 
 @pytest.mark.slow
 def test_pulp_of_a_molar():
-    """What is left over the pulp is the distance from it, as long as the bur goes deeper."""
+    """The dentin left over the pulp is the distance to the pulp while the bur goes deeper."""
     change = {
         "keep_clear.names": ["pulp"],
         "duration_s": 2.4,

@@ -32,8 +32,9 @@ def drill(**changes):
 
 @pytest.fixture(scope="module")
 def seen():
-    """What each solve was given: time, steps of 1/65535 that the voxels had lost by then, force
-    and point.
+    """Return the records of all solves: time, lost volume, force and point.
+
+    The lost volume counts the steps of 1/65535 that the voxels had lost by then.
     """
     return []
 
@@ -199,7 +200,7 @@ def test_the_tooths_own_columns(run):
 
 @pytest.mark.slow
 def test_a_pulp_out_of_reach_is_not_measured():
-    """Where the voxels hold none there is no column, rather than a number that means nothing."""
+    """A pulp outside the voxels has no column in the trace, rather than a meaningless number."""
     run = drill(
         voxels__margin_mm=0.5,
         **{"motion__points_mm": [[0, 0, 0.2], [0, 0, -0.4]], "duration_s": 0.2},

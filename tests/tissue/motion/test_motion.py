@@ -1,4 +1,4 @@
-"""What moves the tool, against closed forms."""
+"""Motion of the tool, against closed forms."""
 
 import numpy as np
 import pytest
@@ -247,7 +247,7 @@ EXTREME = [
 
 
 def same_rotation(found, wanted):
-    """Whether two unit quaternions are one rotation: equal, or each other's negatives."""
+    """Return True if two unit quaternions are one rotation: equal, or of opposite sign."""
     sign = 1.0 if np.dot(found, wanted) > 0.0 else -1.0
     return sign * np.array(found) == pytest.approx(np.array(wanted), abs=1e-12)
 

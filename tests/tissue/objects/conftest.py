@@ -34,7 +34,7 @@ def run(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def back(run):
-    """The same, read back."""
+    """Return the run as read back from disk."""
     return tissue.open_run(run.path)
 
 

@@ -16,7 +16,7 @@ from tissue.simulation.trace import Table, TraceLayout
 
 @pytest.fixture(scope="module")
 def other(run, tmp_path_factory):
-    """The same block, cut faster in other voxels."""
+    """Return a run of the same block, cut faster and in other voxels."""
     scene = tissue.load_scene(
         "milling", {"voxels.spacing_mm": 0.5, "duration_s": 0.3, "motion.feed_mm_s": 9.0}
     )

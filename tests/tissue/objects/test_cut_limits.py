@@ -1,5 +1,6 @@
-"""What a cut measures and refuses: structures to keep clear of, elements fine enough, limits of
-the cutting law.
+"""Measures and refusals of a cut.
+
+They concern structures to keep clear of, element size, and limits of the cutting law.
 """
 
 import inspect

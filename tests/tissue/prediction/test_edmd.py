@@ -195,8 +195,9 @@ def test_truncated_singular_values_are_the_pseudoinverse():
 
 @pytest.mark.parametrize("shift", [0.0, 1e3])
 def test_units_and_offsets_do_not_matter(shift):
-    """The same system in millimetres and about another zero has the same eigenvalues and
-    predictions.
+    """Units and offsets do not change eigenvalues and predictions.
+
+    The same system is used in millimetres and about another zero.
     """
     episodes = swings(np.random.default_rng(5))
     scales = np.array([1e3, 1e-2])

@@ -1,4 +1,4 @@
-"""What `tissue chart prediction` prints of its figures."""
+"""Lines of figures that `tissue chart prediction` prints."""
 
 import numpy as np
 import pytest

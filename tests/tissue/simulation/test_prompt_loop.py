@@ -28,7 +28,7 @@ KEPT = (
     (soft_organ, "_patches"),
     (forecast, "_forecasts"),
 )
-"""What runs of a process share."""
+"""Caches that the runs of a process share."""
 SECONDS = {"T2": 1.5, "T1": 0.6, "T3": 0.6, "needle": 1.0, "drilling": 1.0, "reaming": 1.5}
 
 

@@ -1,5 +1,6 @@
-"""What a run leaves on disk: its files, that it can be made again from them, and what a killed
-run leaves.
+"""Files that a run leaves on disk.
+
+A run can be made again from them, and the files after a kill are checked.
 """
 
 import json

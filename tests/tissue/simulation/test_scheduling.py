@@ -1,6 +1,4 @@
-"""What was chosen for a run, and how late the machine was, in its summary and in the table a
-person reads.
-"""
+"""Choices for a run and lateness of the machine, in the summary and in the printed table."""
 
 import io
 from pathlib import Path

@@ -16,7 +16,7 @@ from tissue.haptics.real.haply_frames import force_frame
 from tissue.scene.hardware import Hardware
 
 PATIENCE_S = 20.0
-"""How long a test waits for what has to come; nothing depends on how soon it does."""
+"""Longest time to wait for an expected event [s]; no result depends on it."""
 
 
 @pytest.fixture

@@ -28,7 +28,7 @@ def run():
 
 @pytest.fixture(scope="module")
 def folder(run, tmp_path_factory):
-    """Where its bone was written."""
+    """Return a folder in which the bone of the run is written."""
     out = tmp_path_factory.mktemp("run")
     write_bone(run, out)
     return out

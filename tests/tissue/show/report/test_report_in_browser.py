@@ -29,7 +29,7 @@ ARGUMENTS = [
     "--enable-unsafe-swiftshader",
 ]
 START_MS = 120_000
-"""How long a page may take to start where software draws it and other work goes on."""
+"""Longest start of a page [ms], with software rendering and other work on the machine."""
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium"),

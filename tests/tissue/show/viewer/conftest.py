@@ -53,7 +53,7 @@ def whole(tmp_path_factory):
 
 @pytest.fixture
 def stopped(whole, tmp_path):
-    """The same run as a kill would have left it: 150 rows and a half, no bone."""
+    """Return a copy of the run as a kill would have left it: 150 and a half rows, no bone."""
     folder = tmp_path / "stopped"
     folder.mkdir()
     shutil.copy(whole / "scene.toml", folder)

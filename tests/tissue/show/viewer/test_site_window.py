@@ -15,7 +15,7 @@ from tissue.show.viewer.view import view
 
 @pytest.fixture(scope="module")
 def driven(drive, tmp_path_factory):
-    """What came of driving the window, the folder of the bone and that of its pictures."""
+    """Return the results of the window, the folder of the bone and the folder of the pictures."""
     folder, out = (
         imported_bone(tmp_path_factory.mktemp("bones") / "mine"),
         tmp_path_factory.mktemp("window"),

@@ -29,7 +29,7 @@ def pressed(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def driven(pressed, drive, tmp_path_factory):
-    """What came of driving the window, and the folder of its pictures."""
+    """Return the results of the window and the folder of its pictures."""
     out = tmp_path_factory.mktemp("window")
     return drive("window_driver.py", pressed, out), out
 
@@ -113,7 +113,7 @@ def test_the_window_shows_it(driven):
 
 
 def _drawn(folder, **options):
-    """What `view` prints; skips the test where no OpenGL works."""
+    """Return the output of `view`; skip the test where OpenGL does not work."""
     try:
         return view(folder, **options)
     except InputError as problem:
