@@ -1,5 +1,7 @@
-"""What all tests share: real anatomy where it is there, and the `tissue` command run within the
-tests' process.
+"""Fixtures of all tests.
+
+They give real anatomy where it is available, and run the `tissue` command within the tests'
+process.
 """
 
 import gc

@@ -37,8 +37,9 @@ PEOPLE = 100
 
 
 def stimulus_of(trace: Table, start_s: float, end_s: float, *, scale: float = 1.0) -> Stimulus:
-    """The force on the tool between two times of a run [s], as it is at the device: mean and
-    deviation of windows.
+    """Return the stimulus at the device between two times of a run [s].
+
+    It is the mean and the deviation of the force over windows.
 
     A window is as long as a person averages, a tenth of a second; slow changes of the force count
     as scatter.
@@ -204,8 +205,9 @@ def coverage() -> None:
 
 
 def scene_stimuli() -> dict[str, tuple[Stimulus, Stimulus, str]]:
-    """Pairs of stimuli from runs of the scenes, as their devices play them, and what the paper
-    reports of them.
+    """Return pairs of stimuli from runs of the scenes, and the figures of the paper for them.
+
+    The stimuli are as their devices play them.
     """
     import tissue
 

@@ -1,5 +1,6 @@
-"""Elastic constants from batch A of silicone cylinders predict batch B, by the greatest compression
-that is used.
+"""Prediction of silicone batch B by elastic constants of batch A, over the largest compression.
+
+The constants come from cylinders; the largest compression is the one used in the fit.
 
 `python tests/bench/bench_fit_silicone.py TRACES`, the folder `anatomy/traces` of Dawood et al.
 2026. The force is that of a column without friction, in closed form (the engine's cylinder keeps to

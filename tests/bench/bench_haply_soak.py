@@ -1,5 +1,6 @@
-"""Soak of Haply's adapter against the stand-in service: memory, lost ticks, samples and exchanges
-over minutes.
+"""Soak test of Haply's adapter against the stand-in service.
+
+It reports memory, lost ticks, samples and exchanges over minutes.
 
 ``python tests/bench/bench_haply_soak.py --minutes 30``. The stand-in runs in a process of its own;
 this one runs what holds a device in a run, without a trace, which grows by design: wall clock,

@@ -81,7 +81,7 @@ class NumpyContact:
         self.radius = probe.radius_m
 
     def solve(self, at: np.ndarray, last: np.ndarray, sweeps: int) -> np.ndarray:
-        """Force on the organ after so many sweeps."""
+        """Return the force on the organ after the given number of sweeps."""
         centre = at + self.radius * np.array([0.0, 0.0, 1.0])
         close = np.linalg.norm(self.rest - centre, axis=1) < self.radius + 1e-3
         near = np.flatnonzero(close | self.force.any(axis=1))
@@ -203,7 +203,7 @@ def main() -> None:
 
 
 def against_numpy(nodes: np.ndarray, faces: np.ndarray, compliance: np.ndarray) -> None:
-    """The middle scene again, 60 ticks of its drag, beside NumPy with as many sweeps."""
+    """Compare the middle scene, 60 ticks of its drag, with NumPy at the same number of sweeps."""
     radius, depth = SCENES[2]
     probe = SphereProbe(radius)
     contact = SurfaceContact(nodes, faces, compliance, probe, friction=FRICTION)

@@ -76,7 +76,10 @@ async def take(address):
 
 
 def measured(scene, page):
-    """Ticks with their lateness [us], those beside pictures and the others, and the run."""
+    """Return tick durations and completion times [us], and masks of ticks with or without pictures.
+
+    Completion is counted from the time at which the tick was due.
+    """
     observer = Timed(scene, page)
     run = simulate(scene, observer=observer, cores=max((os.cpu_count() or 2) - 1, 1))
     ended = np.array(observer.ended_s)

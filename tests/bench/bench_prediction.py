@@ -69,8 +69,10 @@ Scores = dict[tuple[str, int], np.ndarray]
 
 
 def moves(scene: Scene) -> dict[str, tuple[Scene, float]]:
-    """The scene and what is held out besides people: places, directions, speeds and force scales
-    (or moduli).
+    """Return the scene and its held-out moves.
+
+    They are other places, directions, speeds and force scales (or moduli); people are held out
+    separately.
     """
     found = {"same": (scene, 1.0)}
     points, motion = np.array(getattr(scene.motion, "points_mm", [])), scene.motion
@@ -144,8 +146,9 @@ def scored(
 
 
 def report(name: str, late_ms: int, found: dict[str, list[Scores]]) -> list[str]:
-    """The table of a scene at a latency; its best predictors by their mean share of hold's
-    excess over all moves.
+    """Print the table of a scene at a latency and return its best predictors.
+
+    They are ranked by their mean share of the excess error of zero-order hold over all moves.
     """
     mean = {
         kind: {

@@ -57,7 +57,7 @@ def exponent(points: list[Point], of: str, *, upper: bool) -> float:
 
 
 def draw(found: dict[str, list[Point]], path: Path) -> None:
-    """Time beside memory, each over the size."""
+    """Draw time and memory over the size, side by side."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -54,8 +54,9 @@ LAW_NAMES = {Law.LINEAR: "linear", Law.COROTATIONAL: "corotational", Law.NEO_HOO
 
 
 def quarter(order: int, layers: int) -> tuple[Space, np.ndarray]:
-    """A quarter of the block about the sphere's axis, so many layers of cells in each direction;
-    its held components.
+    """Return a quarter of the block about the sphere's axis, and its held components.
+
+    It has `layers` layers of cells in each direction.
     """
     aside = 0.05 * (GROWTH ** np.arange(layers + 1) - 1.0) / (GROWTH**layers - 1.0)
     space = Space(grid(aside, aside, -aside[::-1]), order)
@@ -65,8 +66,9 @@ def quarter(order: int, layers: int) -> tuple[Space, np.ndarray]:
 
 
 def quarter_forces_N(space: Space, held: np.ndarray, law: Law, depths_m: np.ndarray) -> np.ndarray:
-    """Force on the whole block at each depth [N], shape (d,); NaN from the first depth that is
-    not solved.
+    """Return the force on the whole block at each depth [N], shape (d,).
+
+    It is NaN from the first depth that is not solved.
     """
     body = NonlinearBody(space, LIVER, law=law)
     solver = NewtonSolver(body, held, tolerance=1e-6)
@@ -91,8 +93,9 @@ def whole_solve(space: Space, held: np.ndarray, law: Law) -> tuple[float, float]
 
 
 def ticks(space: Space, held: np.ndarray) -> tuple[float, float]:
-    """Force at the depth [N], found tick by tick on the compliance, and the median time of a
-    tick there [s].
+    """Return the force at the depth [N] and the median time of a tick there [s].
+
+    The force is found tick by tick on the compliance.
     """
     faces = space.faces
     if space.order == 2:
@@ -121,8 +124,9 @@ def ticks(space: Space, held: np.ndarray) -> tuple[float, float]:
 
 
 def forces(quick: bool) -> tuple[list[Point], float]:
-    """Error of the force on the sphere by order, refinement, law and solver; and what the
-    reference leaves open.
+    """Return errors of the force on the sphere, and the remaining error of the reference.
+
+    The errors are given by order, refinement, law and solver.
     """
     finest, next_finest = ((2, 7), (2, 6)) if quick else ((2, 9), (2, 8))
     sizes = {1: (5, 6) if quick else (5, 6, 7, 8, 10), 2: (5,) if quick else (4, 5, 6, 7)}
@@ -142,8 +146,9 @@ def forces(quick: bool) -> tuple[list[Point], float]:
 
 
 def paths(quick: bool) -> list[Point]:
-    """Error of the displacement of touchable nodes under one load, to the factor's answer, and
-    time of a right side.
+    """Return displacement errors of touchable nodes under one load, and the time of a right side.
+
+    The errors are relative to the answer of the factor.
     """
     mesh = bisected(liver(spacing_m=14e-3), lambda at: np.full(len(at), 16e-3 if quick else 13e-3))
     space = Space(mesh)

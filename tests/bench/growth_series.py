@@ -182,8 +182,9 @@ def tetrahedra(quick: bool) -> Series:
 
 
 def touched(edge_m: float, cells: int) -> Point:
-    """A ball of 10 mm stroked over a flat surface whose compliance falls with distance, as that
-    of a deep body does.
+    """Return a ball of 10 mm stroked over a flat surface whose compliance falls with distance.
+
+    A deep body has such a compliance.
     """
     from tissue.models.organ.contact import SurfaceContact
     from tissue.models.organ.probe import SphereProbe

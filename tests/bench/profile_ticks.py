@@ -93,8 +93,9 @@ def deepest(scene: Scene) -> list[tuple[str, float, float]]:
 
 
 class Clocked(RunObserver):
-    """Goes along with a run and takes the processor time of its ticks, and of the simulated
-    device and hand within [us].
+    """Observer of a run that measures the processor time of its ticks [us].
+
+    It also measures the time of the simulated device and hand within them.
     """
 
     def __init__(self) -> None:
@@ -126,10 +127,12 @@ class Clocked(RunObserver):
 
 
 def least_us(scenes: Sequence[Scene]) -> list[np.ndarray]:
-    """Ticks in contact of each scene, rows wall, processor, simulated device [us]: of every tick
-    the least of the runs.
+    """Return the ticks in contact of each scene: wall, processor and simulated device [us].
 
-    A run does the same work each time. The scenes take turns, so that both meet the same machine.
+    Each tick has the smallest value of the runs.
+
+    A run does the same work each time. The scenes take turns, so that the load of the machine is
+    the same for both.
     """
     found: list[list[np.ndarray]] = [[] for _ in scenes]
     for _ in range(ADDED_RUNS):

@@ -98,7 +98,10 @@ def lines(python: Path | str, script: str, *arguments: str) -> list[dict[str, An
 
 
 def fastest(rounds: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
-    """Of each work the round with the least median: what else the machine does only adds time."""
+    """Return for each work the round with the smallest median.
+
+    Other work on the machine only adds time.
+    """
     found: dict[tuple[str, str], dict[str, Any]] = {}
     for line in (line for each in rounds for line in each):
         key = (line["name"], line["work"])
@@ -108,7 +111,7 @@ def fastest(rounds: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
 
 
 def compared(name: str, folder: Path, rounds: int) -> list[dict[str, Any]]:
-    """Rows of one peer beside ours, measured in turn."""
+    """Return rows that compare one peer with this project, measured in turn."""
     python = environment(name, folder)
     script = f"peer_{name.replace('-', '_')}.py"
     both = [(lines(sys.executable, "ours.py", name), lines(python, script)) for _ in range(rounds)]
