@@ -65,9 +65,9 @@ def tip(depth: float, tick: int) -> np.ndarray:
 class NumpyContact:
     """Contact sweeps point by point in NumPy, in the space of the nearby points.
 
-    The sweeps are those of the tested contact, but without the exact friction cone. The local force
-    is projected onto the cone instead. The projection costs no more work, so the comparison favours
-    NumPy.
+    The sweeps equal the tested contact's sweeps, but without the exact friction cone. The local
+    force is projected onto the cone instead. The projection costs no more work, so the comparison
+    favours NumPy.
     """
 
     def __init__(

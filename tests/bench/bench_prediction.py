@@ -1,15 +1,15 @@
-"""Errors and costs of all predictors on the same recorded motions, scored where the motor acts.
+"""Errors and costs of all predictors on the same recorded motions, scored at the motor.
 
 Run: python tests/bench/bench_prediction.py --out DIR [--runs N] [--latency MS ...] [--closed]
 [SCENE ...]
 
-Every run is recorded once, with the force that its coupling gives without delay at the device's
-true positions, and kept in DIR; predictors are scored again on what is there. Printed for each
-scene, latency and predictor: the error at the motor, its least error (the force of the encoder's
-steps, foreseen without error), what is in excess of it, that in shares of hold's, the residual
-latency, and the worst share over the held-out moves. Where a share misses its target, what it
-consists of. Two processes record and score. With `--closed` the best three of every scene, or
-`--predictors`, run in closed loop.
+Every run is recorded once and kept in DIR, with the force that its coupling gives without delay at
+the device's true positions. Predictors are scored again on the recorded runs. Printed for each
+scene, latency and predictor are the error at the motor, its noise floor (the force of the encoder's
+steps, predicted without error), the excess over the floor, the excess as a share of that of
+zero-order hold, the residual latency, and the worst share over the held-out moves. Where a share
+misses its target, its components are printed. Two processes record and score. With `--closed` the
+best three of every scene, or `--predictors`, run in closed loop.
 """
 
 import argparse

@@ -3,16 +3,15 @@
 `python tests/bench/chart_liver.py --out DIR [--quick]` writes tables (CSV) and a picture:
 
 - force on a sphere of 10 mm, 4 mm deep in a block (100 x 100 x 50 mm, 5 kPa, Poisson's ratio 0.45,
-  a quarter of it by
-  symmetry): order, refinement and law, solved whole or tick by tick on the linear compliance;
+  a quarter of it by symmetry): order, refinement and law, solved whole or tick by tick on the
+  linear compliance;
 - the answer of one linear body to one load: solve path, tolerance, basis size;
 - the depth at which the linear force passes 1, 5 and 10 % of error against neo-Hookean, on the
-  block, the procedural liver
-  and the scanned one (if it lies beside the checkout).
+  block, the procedural liver and the scanned one (if its file lies next to the checkout).
 
-The reference is neo-Hookean on the finest quadratic mesh; its distance to the next coarser one is
+The reference is neo-Hookean on the finest quadratic mesh. Its distance to the next coarser mesh is
 the bar below which no difference is resolved. Coarse and linear cells are too stiff, the linear law
-is too soft: single points come close by accident, a trend over refinement does not. Agreement with
+is too soft. Single points may be close by accident, a trend over refinement is not. Agreement with
 the reference is not agreement with an organ, whose moduli scatter by 20 % and more.
 """
 

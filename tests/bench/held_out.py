@@ -3,13 +3,12 @@
 Run: `python tests/bench/held_out.py --out DIR [--seeds N] [SCENE ...]`.
 
 1. Every setting of a scene is measured on the scene's own motion, as `fidelity` does it, then on
-others: feed x 0.8-1.25,
-   depth x 0.9-1.1, the path moved aside by up to half a voxel (half a millimetre where no hole
-   guides the tool). The same with imaged anatomy in the scene, where `../shared/anatomy` is there.
-   Printed: in how many runs what `fidelity` chooses for a demanded error meets it, for several
-   factors of safety.
-2. `--cost`: the tick of each setting predicted from all the others of its scene, least of several
-medians.
+   others: feed x 0.8-1.25, depth x 0.9-1.1, the path moved sideways by up to half a voxel (half a
+   millimetre where no hole guides the tool). Imaged anatomy is measured in the same manner where
+   `../shared/anatomy` is available. Printed: the number of runs in which the choice of `fidelity`
+   keeps the demanded error, for several factors of safety.
+2. `--cost`: the tick of each setting predicted from all other settings of its scene, the smallest
+   of several medians.
 """
 
 import argparse

@@ -1,5 +1,6 @@
-"""Images that are not what they claim: each is refused in one sentence that names what is wrong,
-none is run.
+"""Images with wrong content.
+
+Each is refused in one sentence that names the error, and none is run.
 """
 
 import gzip

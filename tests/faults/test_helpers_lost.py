@@ -148,8 +148,9 @@ def plain():
 @pytest.mark.parametrize("when", ["begun", "last"])
 @pytest.mark.parametrize("name", ["SIGKILL", "SIGSTOP"])
 def test_a_run_that_loses_its_stress_keeps_all_else(plain, tmp_path, monkeypatch, name, when):
-    """Bone, trace and pictures are those of the run that nothing disturbs; one sentence names
-    what is missing.
+    """A run that loses its stress process keeps bone, trace and pictures unchanged.
+
+    One sentence names the missing part.
     """
     if not hasattr(signal, name):
         pytest.skip(f"this system has no {name}")

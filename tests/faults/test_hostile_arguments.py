@@ -1,5 +1,6 @@
-"""Arguments, streams and places that no command can use end in one sentence, and never in a
-traceback.
+"""Arguments, streams and places that no command can use.
+
+They end in one sentence, never in a traceback.
 """
 
 import json

@@ -42,7 +42,7 @@ def command_line(process):
 
 
 def children(process, word, count):
-    """Processes below one whose command lines hold a word, as soon as there are so many."""
+    """Return the child processes whose command lines hold a word, as soon as there are `count`."""
     until = time.monotonic() + 120.0
     while time.monotonic() < until and process.poll() is None:
         found = psutil.Process(process.pid).children(recursive=True)

@@ -1,4 +1,4 @@
-"""The same work by other packages, each in its own environment, compared with this project.
+"""Benchmarks of the same work by other packages, each in its own environment, and by this project.
 
 `python tests/bench/peers/run.py [NAME ...] [--venvs DIR] [--out DIR] [--rounds N]` makes the
 environments that are missing. It runs our version and the peer in turn, N times each, and keeps the
