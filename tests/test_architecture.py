@@ -51,8 +51,9 @@ LONGEST = 500
 
 
 def package_of(module):
-    """The package of `LAYERS` that a module lies in, and its layer; a module of ``tissue``
-    itself is its own.
+    """Return the package of `LAYERS` that a module lies in, and its layer.
+
+    A module at the top of ``tissue`` is a package of its own.
     """
     for layer, packages in enumerate(LAYERS):
         for package in packages:

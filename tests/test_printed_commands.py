@@ -1,5 +1,6 @@
-"""Every command that the pages print for measuring or checking runs: benches in their quickest
-form, tests by name.
+"""Commands that the pages print for measuring or checking runs.
+
+Benches run in their quickest form, tests are found by name.
 
 Calls of ``tissue`` that pages print are read in `tests/test_docs.py`, and run over all scenes in
 `tests/faults/test_every_scene_every_command.py`.

@@ -109,11 +109,11 @@ def blocks(store):
 
 @pytest.mark.parametrize("name", PROFILES)
 def test_subvoxel_carving_against_numpy(name):
-    """Fractions from the tangent plane at every voxel, in closed form.
+    """Subvoxel carving agrees with fractions from the tangent plane at every voxel, in closed form.
 
     The kernel takes distances from a table of at least two cells a voxel, and the direction once a
-    block where the surface is smooth: within 0.03 of a voxel for 99 % of the surface, within 0.15
-    at edges, which the table rounds.
+    block where the surface is smooth. The fractions agree within 0.03 of a voxel for 99 % of the
+    surface, and within 0.15 at edges, which the table rounds.
     """
     profile, motion = PROFILES[name], tilted()
     remaining = stamp(profile, motion).remaining() / 255.0
@@ -138,8 +138,9 @@ def test_subvoxel_carving_against_numpy(name):
 
 @pytest.mark.parametrize("name", PROFILES)
 def test_binary_carving_against_numpy(name):
-    """Whole voxels by their centres; within 0.25 of the surface the table's rounding of edges
-    may decide otherwise.
+    """Binary carving removes whole voxels by their centres.
+
+    Within 0.25 of the surface the table's rounding of edges may decide otherwise.
     """
     profile, motion = PROFILES[name], tilted()
     remaining = stamp(profile, motion, "binary").remaining()
@@ -201,8 +202,9 @@ def test_cut_twice_is_cut_once():
 
 
 def test_the_kept_distance_is_that_to_the_ball():
-    """In stored steps of 1/4096 voxel; table, tangent sphere and rounding are 0.02 voxel off at
-    most.
+    """The kept distance is the distance to the ball, in stored steps of 1/4096 voxel.
+
+    The error of table, tangent sphere and rounding is 0.02 voxel at most.
     """
     model, (distance, _) = (
         stamp(PROFILES["ball burr"], tilted()),
@@ -219,8 +221,10 @@ def test_the_kept_distance_is_that_to_the_ball():
 
 
 def test_a_swallowed_block_keeps_nothing():
-    """A block goes once its middle lies deeper than its half diagonal; all that has bone in it
-    is still looked at.
+    """A swallowed block keeps nothing.
+
+    A block is removed once its middle lies deeper than its half diagonal; every block with bone in
+    it is still visited.
     """
     model = stamp(PROFILES["ball burr"], tilted())
     middle = (

@@ -1,6 +1,4 @@
-"""Cores that threads run on: counted, limited, and kept free for the thread whose work is
-shared.
-"""
+"""Cores for threads: counted, limited, and kept free for the thread that splits its work."""
 
 import os
 

@@ -8,8 +8,9 @@ from scipy.spatial.transform import Rotation
 from kernels.friction_cone import coulomb_force, safe_inverse
 
 ROUNDING = 1e-9
-"""Newton on the cone stops at 1e-13; systems of condition up to 1e3 lie between that and the
-laws.
+"""Tolerance of forces on the cone.
+
+Newton on the cone stops at 1e-13; systems of condition up to 1e3 add the rest.
 """
 
 

@@ -20,9 +20,7 @@ def put(values, dtype):
 
 
 def weights(fine, coarse):
-    """Trilinear interpolation from nodes of spacing 2 to nodes of spacing 1, shape (fine,
-    coarse).
-    """
+    """Return trilinear interpolation weights from spacing 2 to spacing 1, shape (fine, coarse)."""
     return np.clip(1.0 - 0.5 * np.abs(fine[:, None] - 2.0 * coarse), 0.0, None).prod(axis=2)
 
 

@@ -1,5 +1,6 @@
-"""Cell stiffness, its product, its assembly and its projection to a coarser grid, against plain
-NumPy and SciPy.
+"""Cell stiffness, its product, its assembly and its projection to a coarser grid.
+
+The reference is plain NumPy and SciPy.
 """
 
 import numpy as np
@@ -159,8 +160,10 @@ def test_product_and_rows_against_the_scattered_matrix():
 
 
 def test_springs_at_points_add_their_stiffness():
-    """sum N^T S N over the points, with N the shape functions at each; what they push back with
-    is that product.
+    """Springs at points add their stiffness.
+
+    It is sum N^T S N over the points, with N the shape functions at each; their reaction is that
+    product.
     """
     particles, grid = random_body(seed=4)
     springs = random_springs(particles.position_m)

@@ -129,8 +129,10 @@ def test_times_too_short_for_the_clock_are_no_gain():
     ("whole_s", "split_s", "gain"), [(3e-4, 2e-4, 1.5), (3e-4, 3.6e-4, 1 / 1.2)]
 )
 def test_the_calibration_compares_whole_with_split_work(whole_s, split_s, gain):
-    """By a clock that shows those times: three looks at how long hashing takes, then whole and
-    split in turn.
+    """The calibration compares whole with split work.
+
+    A clock shows the given times: three looks at the duration of hashing, then whole and split in
+    turn.
     """
     steps = [1e-4] * 3
     times, shown = cycle([whole_s, split_s]), [0.0]

@@ -2,9 +2,6 @@
 
 The numbers E3, E4, E9, E10 and E11 refer to the project's list of errors in a published haptic
 framework.
-
-The numbers E3, E4, E9, E10 and E11 are those of the project's list of errors in a published haptic
-framework.
 """
 
 from math import inf, pi, sin, sqrt
