@@ -70,7 +70,7 @@ def nodes_of(path):
 
 @cache
 def imports_of(path):
-    """Return the own modules that a file imports or names in a string, for type checkers included."""
+    """Return this project's modules that a file imports or names, for type checkers included."""
     tree = ast.parse(path.read_text("utf-8"))
     named = modules_in_strings(tree, set(MODULES)) - PROCESSES
     return imports(tree, set(MODULES)) | named

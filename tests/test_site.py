@@ -1,4 +1,4 @@
-"""Inputs of the site: tables of scene keys, examples as pages, code of its pages, and link checks."""
+"""Inputs of the site: tables of scene keys, examples as pages, code of its pages, link checks."""
 
 import importlib.util
 import json

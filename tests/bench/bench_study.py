@@ -72,7 +72,7 @@ def warm_caches(plan: Plan) -> None:
 
 @dataclass
 class Measured:
-    """Study and its cost: wall time [s], times of the finished trials [s], and memory samples [MB]."""
+    """Study and its cost: wall time [s], times of finished trials [s], memory samples [MB]."""
 
     workers: int
     wall_s: float = 0.0

@@ -31,7 +31,7 @@ WINDOWS = (5, 8, 15, 30)
 
 
 def recorded(name: str, index: int) -> tuple[Array, Array, float]:
-    """Return encoder positions and true positions [m], each shape (n, 3), and the encoder step [m]."""
+    """Return encoder and true positions [m], each shape (n, 3), and the encoder step [m]."""
     entries = {
         "device": "touch",
         "hand": GROUPS[index % len(GROUPS)],

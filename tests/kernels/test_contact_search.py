@@ -40,7 +40,7 @@ def join(
 
 
 class Scene:
-    """Rough sheet with a full compliance, a ball pressed into it, and the search of the vicinity."""
+    """Rough sheet with a full compliance, a ball pressed into it, and the contact search."""
 
     def __init__(self, seed, cells=14, edge_m=0.03):
         random = np.random.default_rng(seed)

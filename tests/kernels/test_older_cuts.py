@@ -1,4 +1,4 @@
-"""Points of the tool's surface that an older cut has taken, against the exact capsule of that cut."""
+"""Points of the tool's surface that an older cut has taken, against that cut's exact capsule."""
 
 from itertools import pairwise
 

@@ -1,4 +1,4 @@
-"""Tabulated body of revolution, against bilinear interpolation in SciPy and a ball in closed form."""
+"""Tabulated body of revolution, against bilinear interpolation in SciPy and an exact ball."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Predictors beyond their limits: far ahead, in another tissue, without a cap, on a chattering loop."""
+"""Predictors beyond their limits: far ahead, in another tissue, uncapped, on a chattering loop."""
 
 from dataclasses import replace
 

@@ -203,7 +203,7 @@ def threshold() -> None:
 
 
 def milling() -> None:
-    """Measure the work of mesh booleans and brute force: bricks of voxels with the cutting force."""
+    """Measure the work of mesh booleans and brute force: voxel bricks with the cutting force."""
     from meshes.shapes.anatomy import cortical_block
     from meshes.voxels.voxelise import voxelise
     from tissue.cutters.cutter import Cutter

@@ -1,4 +1,4 @@
-"""Tooth from a label image: volumes, place, islands, cavity, refusals, and the real carious teeth."""
+"""Tooth from a label image: volumes, place, islands, cavity, refusals, real carious teeth."""
 
 import math
 

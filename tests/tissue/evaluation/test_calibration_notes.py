@@ -1,4 +1,4 @@
-"""Reports of a calibration session: its posterior, and notes on answers and priors that do not fit."""
+"""Reports of a calibration session: posterior, and notes on answers and priors that do not fit."""
 
 import os
 

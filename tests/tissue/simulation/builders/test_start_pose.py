@@ -37,7 +37,7 @@ def poses(path, tip_mm, rotation, *, w_first=False):
 
 
 def recording(path, tip_m, rotation, *, w_first=False):
-    """Write the recording in the layout of volumetric_drilling, whose drill has its shaft along x."""
+    """Write the recording in the layout of volumetric_drilling (drill shaft along x)."""
     h5py = pytest.importorskip("h5py")
     x, y, z, w = (rotation * Rotation.from_quat([0.5, 0.5, 0.5, 0.5]).inv()).as_quat()
     times = np.linspace(0.0, 0.2, 21)
