@@ -38,8 +38,9 @@ def is_free(entry):
 
 
 def stated(table, entry, defs, where):
-    """Check that all entries of a table are in its part of the schema, described, and no others
-    may.
+    """Check that all entries of a table are described in its part of the schema.
+
+    No other entries may be there.
     """
     part = part_of(entry, table, defs)
     assert part["additionalProperties"] is False and part["description"], where

@@ -77,8 +77,10 @@ def test_differences_that_grow_have_a_negative_order():
 
 
 def test_an_order_that_is_too_good_is_not_used():
-    """Order 4 of a method of order 2 is an accident: the index is that of order 2 with the
-    larger safety factor.
+    """An order that is too good is not used.
+
+    Order 4 of a method of order 2 is an accident: the index is that of order 2 with the larger
+    safety factor.
     """
     exact, shape = truth(), error_shape()
     forces = [exact + shape * h**4 for h in SPACINGS]

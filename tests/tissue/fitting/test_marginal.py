@@ -1,5 +1,6 @@
-"""The law of one constant against the density summed over a grid, where a normal law of its
-number is far off.
+"""Law of one constant, against the density summed over a grid.
+
+A normal law of its number is far off there.
 """
 
 import numpy as np
@@ -39,8 +40,9 @@ def posterior(request):
 
 @pytest.fixture(scope="module")
 def summed(posterior):
-    """Quantiles and spread of the number, offset and bias summed over by Gauss-Hermite points as
-    well.
+    """Return quantiles and spread of the number.
+
+    Offset and bias are summed over by Gauss-Hermite points as well.
     """
     target = posterior.target
     u = posterior.maximum
@@ -146,7 +148,9 @@ def test_the_density_of_a_constant_of_a_cut_does_not_depend_on_the_start():
 
 
 def test_an_offset_that_leaves_a_jump_between_two_samples_is_not_known_within_them():
-    """Poses at 1 kHz, loads read each 20 ms: a load that jumps 8 ms after a sample jumps
+    """An offset with a jump between two samples is not known within them.
+
+    Poses are at 1 kHz and loads are read each 20 ms: a load that jumps 8 ms after a sample may jump
     anywhere in those 20 ms.
     """
     times = 1e-3 * np.arange(2000)

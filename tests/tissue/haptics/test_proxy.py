@@ -1,5 +1,6 @@
-"""Laws of the proxy over random scenes of solids, and its refusals: three and six degrees of
-freedom.
+"""Laws of the proxy over random scenes of solids, and its refusals.
+
+It has three and six degrees of freedom.
 """
 
 import numpy as np
@@ -131,7 +132,10 @@ def test_work_of_a_tick_is_bounded_and_goes_on_in_the_next():
 
 
 def test_a_wild_device_ends_in_a_finite_pose():
-    """1e9 m away, and a turn of half a circle, beside a wall."""
+    """A wild device ends in a finite pose.
+
+    It is 1e9 m away, turned by half a circle, next to a wall.
+    """
     proxy = Proxy(BURR, ContactField(HalfSpace((0, 0, 0), (0, 0, 1))), lever_m=0.01)
     proxy.place(np.array([0.0, 0.0, 1e-3]))
     for device in (np.array([0.0, 0.0, -1e9]), np.array([1e9, 1e9, -1e9])):

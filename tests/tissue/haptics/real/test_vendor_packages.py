@@ -1,5 +1,6 @@
-"""The vendors' own Python packages, where they are installed, on libraries that are compiled
-here in place of theirs.
+"""Vendors' own Python packages, where they are installed.
+
+Their libraries are compiled here as replacements.
 """
 
 import json
