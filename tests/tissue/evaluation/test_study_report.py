@@ -1,4 +1,4 @@
-"""Report of a study: tables next to the paper's, sentences that follow from the data, missing parts."""
+"""Report of a study: tables next to the paper's, sentences from the data, missing parts."""
 
 import csv
 from dataclasses import replace

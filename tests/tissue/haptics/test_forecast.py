@@ -39,7 +39,7 @@ def bare(kind):
 
 
 def loop_with(kind="none", *, delay_ticks=3, model_ticks=1, gain=1.0, lead=None, stiffness=400.0):
-    """Return a Touch in an expert's hand with latency and low-pass, its forecast, and its predictor.
+    """Return a Touch in an expert's hand with latency and low-pass, its forecast and predictor.
 
     The forecast is made from the predictor.
     """

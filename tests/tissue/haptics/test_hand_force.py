@@ -27,7 +27,7 @@ class Moving:
 
 
 def felt(device, force_N, ticks, first=1):
-    """Return the force at the hand in each tick under a constant command [N], and the velocity after it.
+    """Return force [N] at the hand and velocity after each tick under a constant command.
 
     The shape is (ticks, 3).
     """

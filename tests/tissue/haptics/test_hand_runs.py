@@ -1,4 +1,4 @@
-"""Runs of scenes by a hand on a device: balances in closed form, and the force within its bounds."""
+"""Runs of scenes by a hand on a device: balances in closed form, and bounded forces."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Velocity from encoder steps: the filter in closed form, and its delay in the judge of stability."""
+"""Velocity from encoder steps: filter in closed form, and its delay in the judge of stability."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ def test_its_poles_are_its_memory(memory):
 
 
 def test_it_is_the_parabola_through_all_samples_by_least_squares():
-    """The filter is the parabola through all samples by weighted regression.
+    """The filter is the parabola through all samples by weighted least squares.
 
     Weights are 0.85 to the power of the age, over 400 samples of noise: the oldest weigh 1e-28.
     """

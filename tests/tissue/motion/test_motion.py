@@ -111,8 +111,9 @@ def test_a_viscous_tissue_sets_the_feed_that_balances_the_thrust():
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_push_never_moves_backward(seed):
-    """Whatever the tissue answers, steps past the stability limit of an explicit step among
-    them.
+    """A push never moves backward for any response of the tissue.
+
+    Steps past the stability limit of an explicit step are among them.
     """
     random = np.random.default_rng(seed)
     motion, response, tool = (
@@ -139,8 +140,10 @@ def test_an_edge_force_above_the_thrust_holds_the_tool():
 
 
 def test_a_table_of_constant_rotation_turns_at_that_rate():
-    """Slerp between poses 50 ms apart follows a constant rate exactly, up to rounding of its
-    tick differences.
+    """A table of constant rotation turns at that rate.
+
+    Slerp between poses 50 ms apart follows a constant rate exactly, up to rounding of its tick
+    differences.
     """
     rate, axis = 3.0, np.array([1.0, 2.0, 2.0]) / 3.0
     times = np.arange(0.0, 1.01, 0.05)

@@ -1,5 +1,6 @@
-"""Tables of parts as they were before a test; a short run of a block and one of a wall,
-simulated and read back.
+"""Tables of parts as before a test, and two short runs.
+
+One run is of a block and one of a wall, both simulated and read back.
 """
 
 import pytest

@@ -35,8 +35,9 @@ def folder(run, tmp_path_factory):
 
 
 def _ball(radius: float, spacing: float) -> VoxelVolume:
-    """A ball in a box that it does not touch, with its exact share of every voxel up to second
-    order.
+    """Return a ball in a box that it does not touch.
+
+    Every voxel has its exact share up to second order.
     """
     n = 2 * int(np.ceil(1.5 * radius / spacing))
     at = spacing * (np.arange(n) + 0.5 - 0.5 * n)

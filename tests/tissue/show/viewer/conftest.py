@@ -18,8 +18,9 @@ FIXTURES = Path(__file__).parents[3] / "fixtures"
 
 @pytest.fixture(scope="module")
 def drive(display):
-    """Drive a window by a script of the fixtures in a process of its own; what the script prints
-    last.
+    """Drive a window by a script of the fixtures in a process of its own.
+
+    Returns the last output of the script.
     """
 
     def run(script, *arguments):

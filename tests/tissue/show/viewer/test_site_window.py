@@ -1,5 +1,6 @@
-"""`tissue view` of an imported bone: a click puts the site, Return saves it, and nothing else in
-the scene changes.
+"""`tissue view` of an imported bone.
+
+A click places the site, Return saves it, and nothing else in the scene changes.
 """
 
 import tomllib

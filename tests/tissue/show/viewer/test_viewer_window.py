@@ -1,5 +1,6 @@
-"""`tissue view` of a soft organ: the window under a virtual display, driven as by a hand, and
-pictures without one.
+"""`tissue view` of a soft organ.
+
+The window runs under a virtual display, driven as by a hand; pictures are made without one.
 """
 
 from itertools import pairwise
@@ -123,11 +124,10 @@ def _drawn(folder, **options):
 
 
 def _read_by_the_scale(file):
-    """Place on a displacement's scale, 0 to 1, of every pixel of a clean picture, its error
-    [degree] and its shade.
+    """Return place, error [degree] and shade of every pixel of a clean picture.
 
-    The place is that of the nearest hue and saturation, whatever the light: the direction in red,
-    green and blue.
+    The place lies on a displacement's scale, 0 to 1. It is the place of the nearest hue and
+    saturation, in any light: the direction in red, green and blue.
     """
     import matplotlib
     from PIL import Image

@@ -1,5 +1,7 @@
-"""A recorded motion whose quaternions have w first is named; the volumes inside the bone are
-those that it loses.
+"""Start pose of a recorded motion.
+
+A recording whose quaternions have w first is named, and the volumes inside the bone equal the
+bone's loss.
 """
 
 import numpy as np
