@@ -1,4 +1,4 @@
-"""OpenIGTLink server: several clients, one that leaves, one that reads nothing, and invalid bytes."""
+"""OpenIGTLink server: several clients, one that leaves, one that reads nothing, invalid bytes."""
 
 import json
 import socket

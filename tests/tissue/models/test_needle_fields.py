@@ -1,4 +1,4 @@
-"""Block that a needle drags along: its motion, its supports, and its independence from the force."""
+"""Block that a needle drags along: its motion, its supports, and no effect on the force."""
 
 import numpy as np
 import pytest
@@ -53,7 +53,7 @@ def shallow():
 
 @pytest.fixture(scope="module", params=[0.0, 50.0], ids=["upright", "oblique"])
 def driven(request):
-    """Return a needle with fields that moved in and out, its twin without, and the organ's motion at every frame."""
+    """Return a needle with fields, its twin without them, and the organ's motion by frame."""
     where = track(tilt_deg=request.param, entry_mm=(4.0, -7.0, 0.0), deepest_mm=25.0)
     fields = fields_of(where)
     models = [

@@ -1,4 +1,4 @@
-"""A user's device in the loop: figures equal to a scene's, held safely, bone made along its path."""
+"""A user's device in the loop: figures equal to a scene's, safe hold, bone made along its path."""
 
 import numpy as np
 import pytest

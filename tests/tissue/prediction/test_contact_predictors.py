@@ -1,4 +1,4 @@
-"""Predictors on a given path, compared with the spring, the tissue's law and the surface, written out.
+"""Predictors on a given path, against written-out spring, tissue law and surface.
 
 Lines through forces are tested, too.
 """

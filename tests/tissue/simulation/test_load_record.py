@@ -48,7 +48,7 @@ def wrenches(trace):
 
 
 def greatest_difference(got, want):
-    """Return the largest difference of force and torque, relative to the largest value of the run."""
+    """Return the largest difference of force and torque, relative to the run's largest value."""
     size = [np.linalg.norm(want[:, part], axis=1).max() for part in (slice(3), slice(3, 6))]
     off = [np.linalg.norm((got - want)[:, part], axis=1).max() for part in (slice(3), slice(3, 6))]
     return max(np.array(off) / size)

@@ -16,7 +16,7 @@ from tissue.system.machine_gaps import MachineGaps
 
 
 class Background(FreeSpace):
-    """Tissue that works in a background thread next to the ticks."""
+    """Tissue that works in the background, next to the ticks."""
 
     scheduling = "stress: idle priority"
 

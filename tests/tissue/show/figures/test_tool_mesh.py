@@ -1,4 +1,4 @@
-"""Sense of a tool's spin: clockwise as seen from the shank, like common burs, drills and reamers."""
+"""Sense of a tool's spin: clockwise seen from the shank, like common burs, drills and reamers."""
 
 import numpy as np
 import pytest
