@@ -101,8 +101,8 @@ def _groups(schema: Schema, models: list[Schema], kinds: list[tuple[str, ...]]) 
 
     Keys that several tables share come first, at the place of the first of these tables.
 
-    A kind has a table for each source of its shape, procedural or a file: its keys are those of all
-    of them.
+    A kind has a table for each source of its shape, procedural or a file: its keys are
+    the keys of all of these tables.
     """
     found: dict[Key, dict[tuple[str, ...], None]] = {}
     texts: dict[tuple[str, ...], str] = {}

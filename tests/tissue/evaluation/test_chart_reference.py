@@ -66,7 +66,7 @@ def test_the_grids_of_an_index_change_every_length_alike(quick):
 
 @pytest.mark.slow
 def test_where_no_geometry_is_exact_the_reference_is_known_by_the_index(tmp_path, monkeypatch):
-    """Where no geometry is exact the reference comes from the index.
+    """The reference comes from the index if no geometry is exact.
 
     For a slab of tetrahedra the finest grid's index belongs to the three forces, and each is
     computed once.

@@ -143,8 +143,8 @@ def test_what_was_known_weighs_as_one_memory_of_samples(forgetting):
     """Earlier knowledge has the weight of one memory of samples.
 
     The reference is weighted least squares, written out: the fit's own samples count as 1 / (1 -
-    forgetting) samples of their kind. A new sample k steps ago has the weight forgetting^k. In
-    units of the fit's means and deviations, where a gain is not bounded.
+    forgetting) samples of their kind. A new sample k steps ago has the weight forgetting^k. The
+    units are the fit's means and deviations, and the gain is not bounded.
     """
     rng = np.random.default_rng(5)
     known = swings(rng, 6)

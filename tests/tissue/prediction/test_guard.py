@@ -112,7 +112,7 @@ class Ahead(Fake):
 
 
 def primary_of(inner, *, ticks=2000):
-    """In which ticks a predictor is asked that is guarded by holding the force."""
+    """Return True for ticks in which a predictor is used that zero-order hold guards."""
     guarded, primary = Guarded(inner, Hold(), reach_N=10.0), []
     for tick in range(ticks):
         guarded.observe(np.zeros(3), np.zeros(3), inner.force(tick + 1))
