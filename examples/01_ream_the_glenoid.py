@@ -3,11 +3,12 @@ Ream a glenoid and read the force
 =================================
 
 A built-in scene is simulated, its trace is read by the names of its columns, and the bone is shown
-as the reamer left it. Expected of a glenoid reamed 2 mm deep: 234 mm3 of subchondral bone come
-away, the thrust peaks at 74 N and the torque at 0.76 N m. The figures rest on cutting coefficients
-of low confidence (`tissue/materials/cutting.toml`): they are plausible, not validated, and 90 % of
-what the cited ranges allow lie between 4.4 and 144 N, 0.29 and 1.4 N m
-(`tissue run glenoid --band 4096`).
+after reaming. Expected of a glenoid reamed 2 mm deep: 234 mm3 of subchondral bone are removed, the
+thrust peaks at 74 N and the torque at 0.76 N m.
+
+The figures rest on cutting coefficients of low confidence (`tissue/materials/cutting.toml`): they
+are plausible, not validated. Over the cited ranges, 90 % of the values lie between 4.4 and 144 N,
+and between 0.29 and 1.4 N m (`tissue run glenoid --band 4096`).
 """
 
 from pathlib import Path

@@ -2,14 +2,15 @@
 Drill through the layers of a tooth
 ===================================
 
-A bur goes straight down through enamel into dentin, stops above the pulp, and the layers are read
+A bur moves straight down through enamel into dentin and stops above the pulp. The layers are read
 from the force. Expected: the bur is pushed back with 1.12 N in enamel and 0.136 N in dentin, 8.2
-times less, both within the 0.1 to
-4.9 N that are published for preparing teeth. The force falls halfway at 1.40 mm; the voxels end
-enamel at 1.35 mm under the fossa. 0.60 mm of dentin are left over the pulp, after a warning at 1
-mm. The figures rest on cutting coefficients of low confidence (`tissue/materials/cutting.toml`):
-they are plausible, not validated, and over the cited ranges 90 % lie between 0 and 5.3 N in enamel,
-0.01 and 0.6 N in dentin (`bench_band.py --published`).
+times less. Both forces lie within the 0.1 to 4.9 N that are published for preparing teeth. The
+force falls halfway at 1.40 mm; the voxels end enamel at 1.35 mm under the fossa. 0.60 mm of dentin
+are left over the pulp, after a warning at 1 mm.
+
+The figures rest on cutting coefficients of low confidence (`tissue/materials/cutting.toml`): they
+are plausible, not validated. Over the cited ranges 90 % of the values lie between 0 and 5.3 N in
+enamel, and between 0.01 and 0.6 N in dentin (`bench_band.py --published`).
 """
 
 from pathlib import Path

@@ -2,15 +2,17 @@
 Carious or healthy by the force alone
 =====================================
 
-A round bur goes straight down the fossa of two molars that differ by a lesion 3 mm deep. Tick by
-tick, a threshold on the axial force calls each tick carious or sound; the example gives its best
-share of right calls and the chance that a carious tick pushes back less than a sound one. Then the
-sound tooth is drilled at half the feed. Expected: over the lesion the carious tooth pushes back
-with 0.16 of the sound one's force, in enamel with 0.10, in dentin with 0.59. The best threshold is
-right in 95 % of all ticks, since decayed enamel is at first harder than sound dentin, and in 99 %
-of those in dentin, where it misses the lesion's rim. But it holds for one feed: at half of it all
-sound dentin is called carious. The forces have no noise and rest on coefficients of low confidence
-(`tissue/materials/cutting.toml`): how well a hand would do is not stated.
+A round bur moves straight down the fossa of two molars that differ by a lesion 3 mm deep. A
+threshold on the axial force classifies each tick as carious or sound. The example gives the best
+share of right calls, and the probability that a carious tick pushes back less than a sound one.
+Then the sound tooth is drilled at half the feed.
+
+Expected: over the lesion the carious tooth pushes back with 0.16 of the sound tooth's force, in
+enamel with 0.10, in dentin with 0.59. The best threshold is right in 95 % of all ticks, since
+decayed enamel is at first harder than sound dentin. It is right in 99 % of the ticks in dentin,
+where it misses the lesion's rim. But it holds for one feed: at half of it all sound dentin is
+called carious. The forces have no noise and rest on coefficients of low confidence
+(`tissue/materials/cutting.toml`). The example does not show how well a hand would discriminate.
 """
 
 from pathlib import Path
@@ -52,8 +54,9 @@ slow = drill("molar", 0.5 * FEED_MM_S).trace
 
 
 def best_threshold(soft: Floats, hard: Floats) -> tuple[float, float, float]:
-    """Force below which a tick is best called carious [N], the share of right calls, and the
-    area under the ROC.
+    """Return the best threshold [N], its share of right calls and the area under the ROC.
+
+    A tick with a force below the threshold is called carious.
     """
     levels = np.unique(np.concatenate([soft, hard]))
     thresholds = 0.5 * (levels[1:] + levels[:-1])

@@ -2,14 +2,16 @@
 Press a liver and look inside
 =============================
 
-A ball presses a liver, and what it did inside is inspected: force over depth, displacement, stress.
-Expected: 0.285 N at 5 mm with a ball of 20 mm on 5.4 kPa, 0.86 of what Hertz gives for a half-space
-(the surface is a dome that yields, and Hertz's parabola is steeper than the ball). The tissue under
-the ball has gone down nearly by what the ball has; the von Mises stress is greatest within a radius
-under it. The scene's cells are quadratic and fine under the ball only: halving the fine ones or the
-coarse ones elsewhere moves the force by about 1 %. The run states from which depth linear
-elasticity is 5 % off. The modulus is that of a cited range of 2 to 15 kPa: the force follows it in
-proportion, so that nine in ten livers lie between 0.11 and 0.79 N.
+A ball presses a liver, and the inside is inspected: force over depth, displacement, stress.
+Expected: 0.285 N at 5 mm with a ball of 20 mm on 5.4 kPa, which is 0.86 of the Hertz force for a
+half-space (the surface is a dome that yields, and Hertz's parabola is steeper than the ball). The
+tissue under the ball moves down nearly as far as the ball. The von Mises stress is largest within a
+radius under it.
+
+The scene's cells are quadratic and fine under the ball only: halving the fine ones or the coarse
+ones elsewhere moves the force by about 1 %. The run reports the depth from which linear elasticity
+is 5 % off. The modulus comes from a cited range of 2 to 15 kPa. The force is proportional to it, so
+that nine in ten livers lie between 0.11 and 0.79 N.
 """
 
 from pathlib import Path

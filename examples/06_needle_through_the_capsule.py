@@ -4,15 +4,18 @@ Needle through the capsule of a liver
 
 A needle is pushed through the capsule of a liver and a vessel wall, drawn out, and pushed in again
 along its track. Expected: the capsule is punctured at 16.9 mm with 2.30 N and the force drops by
-0.67 N, not to the cutting force alone: the edge of the hole still holds 0.65 N, and the organ stays
-deflected by 13.7 mm. From there the force grows by 11.6 N per metre of needle in the organ. The
-vessel wall, 30 mm deep in the organ, breaks at 49.9 mm of travel with 3.00 N. Drawn back, the shaft
-sticks over 32.6 mm before it slides, and pulls with up to 1.91 N. The second insertion costs 59 %
-of the first one's work: nothing is punctured and nothing cut. The numbers of liver are a published
-fit to one needle (Okamura 2004), those of the vessel wall have no source
-(`tissue/materials/needle.toml`): the curve is fitted, not predicted. Over their ranges 90 % of
-punctures lie between 13.7 and 20.2 mm (`tissue run needle --band 200`), and 90 % of wall forces
-between 2.4 and 4.2 N, median 3.1 N (the same with this example's `changes` and `--band 128`).
+0.67 N. It does not drop to the cutting force alone: the edge of the hole still holds 0.65 N, and
+the organ stays deflected by 13.7 mm. From there the force grows by 11.6 N per metre of needle in
+the organ. The vessel wall, 30 mm deep in the organ, breaks at 49.9 mm of travel with 3.00 N. When
+the needle is drawn back, the shaft sticks over 32.6 mm before it slides, and pulls with up to 1.91
+N. The second insertion costs 59 % of the work of the first one: nothing is punctured and nothing is
+cut.
+
+The numbers of liver are a published fit to one needle (Okamura 2004), the numbers of the vessel
+wall have no source (`tissue/materials/needle.toml`). The curve is therefore fitted, not predicted.
+Over their ranges 90 % of punctures lie between 13.7 and 20.2 mm (`tissue run needle --band 200`),
+and 90 % of wall forces between 2.4 and 4.2 N, median 3.1 N (with this example's `changes` and
+`--band 128`).
 """
 
 from pathlib import Path

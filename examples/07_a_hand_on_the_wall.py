@@ -2,15 +2,15 @@
 A hand on a stiff wall
 ======================
 
-A hand meets a rigid wall of 2 kN/m through three renderers, presses, and is jerked off it. The
-device is the one with six degrees of freedom (75 g, 0.4 N s/m, 1 kHz, 0.5 ms of delay, amplifiers
-of 300 Hz), in an expert's hand. Its eigenvalues allow 2906 N/m in that hand, so the wall is judged
-stable with a margin of 31 %; let go, it would be stable up to 262 N/m only, and the wall is
-refused. Expected: the penalty and the proxy renderer give the hand 2.3 mJ more than they took, and
-the force still ripples by
-0.09 N, 0.3 to 0.5 s after the jerk. On a flat wall the two are one law. The passivity renderer
-takes 0.3 mJ and is quiet. All three hold the device at the same depth, 0.65 mm. Numbers of hand and
-device are priors (`tissue/materials`).
+A hand touches a rigid wall of 2 kN/m through three renderers, presses, and is jerked off it. The
+device has six degrees of freedom (75 g, 0.4 N s/m, 1 kHz, 0.5 ms of delay, amplifiers of 300 Hz)
+and is held by an expert. Its eigenvalues allow 2906 N/m in that hand, so the wall is judged stable
+with a margin of 31 %. Released, it would be stable up to 262 N/m only, and the wall is refused.
+
+Expected: the penalty and the proxy renderer give the hand 2.3 mJ more than they took, and the force
+still ripples by 0.09 N, 0.3 to 0.5 s after the jerk. On a flat wall the two are one law. The
+passivity renderer takes 0.3 mJ and is quiet. All three hold the device at the same depth, 0.65 mm.
+Numbers of hand and device are priors (`tissue/materials`).
 """
 
 from pathlib import Path

@@ -1,16 +1,17 @@
 """
-Where 1 kHz is not enough
-=========================
+Limits of a 1 kHz haptic loop
+=============================
 
-A wall that feels hard needs about 1 kN/m; which rate plays it on a device that nobody holds?
-Expected: without delay and amplifier lag the six-degree-of-freedom device (75 g, 0.4 N s/m) is
-stable up to 801 N/m at 1 kHz and 1601 N/m at 2 kHz, so 1 kHz is not enough and 2 kHz is. With half
-a millisecond of delay and an amplifier of 300 Hz it is stable up to 262 N/m at 1 kHz and 371 N/m at
-10 kHz: then no rate is enough, and only a hand is, whose damping allows 2906 N/m at 1 kHz. A model
-that answers at 100 Hz and whose force is held in the meantime allows that hand no more than 770
-N/m; the loop may be as quick as it likes. Every figure is an eigenvalue's, and a loop left to run
-grows 5 % above and fades 5 % below it. The 0.8 to 1 kN/m are Choi and Tan's (2004), the device's
-damping is a prior.
+A wall that feels hard needs about 1 kN/m. This example finds the rate that plays it on a device
+that nobody holds. Expected: without delay and amplifier lag the six-degree-of-freedom device (75 g,
+0.4 N s/m) is stable up to 801 N/m at 1 kHz and 1601 N/m at 2 kHz, so 1 kHz is not enough and 2 kHz
+is. With half a millisecond of delay and an amplifier of 300 Hz it is stable up to 262 N/m at 1 kHz
+and 371 N/m at 10 kHz. Then no rate is enough. Only the damping of a hand is: it allows 2906 N/m at
+1 kHz. If a model responds at 100 Hz and its force is held in the meantime, that hand is stable up
+to 770 N/m only, at any rate of the loop.
+
+Every figure comes from an eigenvalue. A loop that runs 5 % above it grows, and one 5 % below it
+fades. The 0.8 to 1 kN/m are from Choi and Tan (2004), the device's damping is a prior.
 """
 
 from collections.abc import Iterable

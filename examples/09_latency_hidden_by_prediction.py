@@ -2,14 +2,16 @@
 Latency hidden by prediction
 ============================
 
-The force is played 4 ms late and is wrong by 4 % on a stiff wall; how much of that can a prediction
-take back? Expected: three hands, one of each group, push a ball onto a wall with 4 ms of latency
-between the force and the device. Errors are ||F - ideal|| / ||ideal|| over a run where the motor
-acts, the ideal force being that of a loop without delay at the device's true position. Played as it
-comes, the force is off by 4.4 % of its size, a straight line through the last ten milliseconds
-leaves 2.3 %, and the wall's own law at the end of the path that a lifted operator foresees 1.0 %. A
-perfect prediction of what the encoders' steps give would leave
-0.5 %. With prediction the coupling may be stiffer, and is: 400 N/m instead of 360.
+The force is played 4 ms late and has an error of 4 % on a stiff wall. This example shows how much
+of the error a prediction can remove. Three hands, one of each group, push a ball onto a wall with 4
+ms of latency between the force and the device. Errors are ||F - ideal|| / ||ideal|| over a run
+where the motor acts. The ideal force is the force of a loop without delay at the device's true
+position.
+
+Expected: without prediction, the force is off by 4.4 % of its size. A straight line through the
+last ten milliseconds leaves 2.3 %. The wall's own law, at the end of the path that a lifted
+operator predicts, leaves 1.0 %. A perfect prediction of the force from the encoders' steps would
+leave 0.5 %. With prediction the coupling may be stiffer, and is: 400 N/m instead of 360.
 """
 
 from pathlib import Path
@@ -54,7 +56,7 @@ forces = {kind: [tissue.motor_forces(each) for each in of] for kind, of in runs.
 
 
 def error(force_N: NDArray[np.float64], ideal_N: NDArray[np.float64]) -> float:
-    """What is wrong with a force, as a share of the ideal one."""
+    """Return the error of a force relative to the ideal force (ratio of L2 norms)."""
     return float(np.linalg.norm(force_N - ideal_N) / np.linalg.norm(ideal_N))
 
 

@@ -2,11 +2,11 @@
 Calibrate an observer
 =====================
 
-How well do 120 comparisons and 24 numbers measure what a person feels? Expected: a simulated person
-with a Weber fraction of 7 % and Stevens' exponent 1.7 is found at 7.7 % and 1.71, with the truth in
-both 95 % intervals; the session that is cut off after 50 trials and gone on with from its log ends
-with the same observer, bit for bit. Over 200 such people one session is off by about 15 %, which is
-what 120 answers can show: the answer to a comparison is one bit.
+This example shows how well 120 comparisons and 24 numbers measure a person's perception. Expected:
+a simulated person with a Weber fraction of 7 % and Stevens' exponent 1.7 is estimated at 7.7 % and
+1.71, with the truth in both 95 % intervals. A session that is cut off after 50 trials and continued
+from its log ends with the same observer, bit for bit. Over 200 such people one session is off by
+about 15 %. This is the limit of 120 answers: the answer to a comparison is one bit.
 """
 
 import tempfile

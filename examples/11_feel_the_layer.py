@@ -2,15 +2,17 @@
 Feel the layer of a liver
 =========================
 
-Can a hand discriminate a liver's capsule from the parenchyma under it, and does it help to know the
-hand? Expected: in the tenth of a second before the puncture the needle is held back by 2.1 N, in
-the one after it by 1.6 N, and 100 simulated people of each group discriminate the two with an error
-below 10 %. Scaling the force for each, after 24 numbers they gave, changes their right answers by
-less than 3 %: a mapping that rises with the force cannot add information. It spreads the difference
-for people whose exponent lies below the reference's and narrows it for the others. For an observer
-equal to the reference it changes nothing at all. The tissue itself scatters by more than any of
-this, the force at which a capsule breaks from 1.7 to 2.9 N; people's exponents and thresholds are
-priors.
+This example tests whether a hand can discriminate a liver's capsule from the parenchyma under it,
+and whether it helps to know the hand. Expected: in the tenth of a second before the puncture the
+needle is held back by 2.1 N, in the tenth after it by 1.6 N. 100 simulated people of each group
+discriminate the two with an error below 10 %. A force scaled for each person, after 24 numbers from
+that person, changes their right answers by less than 3 %: a mapping that rises with the force
+cannot add information. It spreads the difference for people whose exponent lies below the reference
+exponent and narrows it for the others. For an observer equal to the reference it changes nothing at
+all.
+
+The tissue itself scatters by more than any of this: the force at which a capsule breaks lies
+between 1.7 and 2.9 N. People's exponents and thresholds are priors.
 """
 
 from pathlib import Path

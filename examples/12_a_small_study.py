@@ -2,10 +2,11 @@
 A small study
 =============
 
-Does predicting the force hide the latency of a contact with a wall? Expected: over two trials of
-each group the force that is played lies 5 % off the prompt one without prediction. Prediction by a
-Koopman operator leaves less than 0.85 of that error and takes more than two of six milliseconds off
-the lag. A trial that is run alone gives the same numbers to the last bit. People are simulated.
+This example tests whether predicting the force hides the latency of a contact with a wall.
+Expected: over two trials of each group, the played force lies 5 % off the prompt force without
+prediction. Prediction by a Koopman operator leaves less than 0.85 of that error and removes more
+than two of six milliseconds of lag. A trial that runs alone gives the same numbers to the last bit.
+People are simulated.
 """
 
 import tempfile

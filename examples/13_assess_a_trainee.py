@@ -2,12 +2,12 @@
 Assess a trainee against an expert
 ==================================
 
-A novice presses a wall; the run is held against an expert's. Both hands hold the same simulated
-device (Touch), with the same seed. The two runs are aligned by place, so that pace is no error;
-what counts is how far the tool strays, how hard it presses, how deep it goes, and how smoothly it
-moves. Expected: the novice strays by 3.6 mm where the expert went straight, presses with 1.44 N
-against 1.02, and passes the limit of force once, 0.6 s after the start. Hands differ by priors
-(`tissue/materials`), so this shows the method, not people.
+A novice presses a wall, and the run is compared with an expert's. Both hands hold the same
+simulated device (Touch), with the same seed. The two runs are aligned by place, so that pace is no
+error. The measures are how far the tool strays, how hard it presses, how deep it moves, and how
+smoothly it moves. Expected: the novice strays by 3.6 mm where the expert moved straight, presses
+with 1.44 N against 1.02, and passes the limit of force once, 0.6 s after the start. Hands differ by
+priors (`tissue/materials`), so this shows the method, not people.
 """
 
 from pathlib import Path

@@ -4,9 +4,9 @@ Your bone, your toolpath
 
 A closed surface becomes bone of two densities, a burr follows a path of points at two feeds, and
 the four cuts are compared and written for MATLAB. Expected: twice the feed multiplies the mean
-force by 1.10 only, for chips are thin and an edge pushes even where it cuts nothing; 1.5 times the
-density multiplies it by 1.84, by the power 1.5 that the cutting coefficients have. All four take
-12.5 mm3 away.
+force by 1.10 only, because chips are thin and an edge pushes even where it cuts nothing. A density
+1.5 times higher multiplies the force by 1.84, by the power 1.5 in the cutting coefficients. All
+four cuts remove 12.5 mm3.
 """
 
 import tempfile

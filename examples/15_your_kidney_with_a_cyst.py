@@ -3,10 +3,10 @@ Your organ with a stiff cyst
 ============================
 
 A kidney of 10 kPa with a cyst of 60 kPa inside is made from two closed surfaces and pressed at five
-places: where is the cyst? Expected: 3 mm deep a ball of 20 mm is pushed back with about 0.3 N, and
-over the cyst twice as much, 0.56 to 0.67 N: the tetrahedra differ from one meshing to the next, and
-the cells are linear, for speed, so that forces are somewhat too large (`order=2` for figures).
-Moduli are made up.
+places to locate the cyst. Expected: 3 mm deep a ball of 20 mm is pushed back with about 0.3 N, and
+over the cyst with 0.56 to 0.67 N, twice as much. The tetrahedra differ from one meshing to the
+next. The cells are linear, for speed, so that forces are somewhat too large (use `order=2` for
+figures). Moduli are made up.
 """
 
 from pathlib import Path

@@ -3,8 +3,8 @@ Your device and your predictor
 ==============================
 
 A device of two methods, `read` and `command`, presses a soft block behind 4 ms of latency, and a
-predictor of two methods, `observe` and `predict`, hides it. Expected: as it comes the force is off
-by 4.2 % of its size, and with the predictor by 1.5 %.
+predictor of two methods, `observe` and `predict`, hides it. Expected: without the predictor the
+force is off by 4.2 % of its size, and with it by 1.5 %.
 """
 
 from pathlib import Path
@@ -33,7 +33,7 @@ class Shaker:
         self.last_N = np.zeros(3)
 
     def read(self, time_s: float) -> tissue.Sample:
-        """Where it is."""
+        """Return a sample with the position and velocity of the device at a time."""
         turn = 4.0 * np.pi
         height = 3e-3 * np.cos(turn * time_s) - 3e-3
         return tissue.Sample(
@@ -51,7 +51,7 @@ class Shaker:
 
 
 class Slope:
-    """The force goes on as it went over the last ticks."""
+    """Predictor that continues the force along its slope over the last ticks."""
 
     def __init__(self) -> None:
         self.force_N, self.slope_N = np.zeros(3), np.zeros(3)
@@ -63,7 +63,7 @@ class Slope:
             self.force_N = force_N
 
     def predict(self, ticks: float) -> Floats:
-        """Force so many ticks later [N]."""
+        """Return the predicted force a number of ticks later [N]."""
         return self.force_N + ticks * self.slope_N
 
 

@@ -2,9 +2,9 @@
 Learn to palpate
 ================
 
-The cross-entropy method finds four numbers of a policy of `tissue/Palpation-v0`: how deep it
-presses, how far from the start and how fast it slides around, and how far in and out it goes where
-it felt most. Needs ``pip install 'tissue-sim[rl]'``.
+The cross-entropy method finds four numbers of a policy of `tissue/Palpation-v0`. They are the depth
+of the press, the distance from the start, the speed of sliding around, and the radial range of
+motion around the place with the largest force. Needs ``pip install 'tissue-sim[rl]'``.
 """
 
 from pathlib import Path
@@ -22,7 +22,8 @@ TIP_MM, FORCE_N, TOP_MM_S = 22.0, 1.0, np.array([60.0, 60.0, 30.0])
 """Scales of the observation and the action, as ``env.unwrapped.entries`` states them."""
 STEP_S = 0.02
 LOW, HIGH = np.array([-2.5, 4.0, 5.0, 0.0]), np.array([-0.3, 20.0, 60.0, 0.9])
-"""Least and greatest height of the tip [mm], radius [mm], speed [mm/s], and share of the radius."""
+"""Bounds of the tip's height [mm], the radius [mm], the speed [mm/s] and the share of the radius.
+"""
 
 # %%
 # The policy goes around a circle, then out and in where it felt most, and lifts where that was

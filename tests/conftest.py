@@ -1,5 +1,7 @@
-"""What all tests share: real anatomy where it is there, and the `tissue` command run within the
-tests' process.
+"""Fixtures of all tests.
+
+They give real anatomy where it is available, and run the `tissue` command within the tests'
+process.
 """
 
 import gc
@@ -22,8 +24,9 @@ ANATOMY = Path(__file__).resolve().parents[2] / "shared" / "anatomy"
 
 
 def pytest_collection_finish():
-    """Let the collector of garbage skip what imports and collection made, which stays: a tenth
-    of the tests' time.
+    """Freeze the objects of imports and collection for the garbage collector.
+
+    They stay for the whole session, and freezing them saves a tenth of the tests' time.
     """
     gc.collect()
     gc.freeze()
@@ -31,7 +34,7 @@ def pytest_collection_finish():
 
 @pytest.fixture(scope="session")
 def anatomy() -> Path:
-    """Folder of real anatomical data beside the checkout; tests skip where it is absent."""
+    """Return the folder of real anatomical data next to the checkout; skip tests without it."""
     if not ANATOMY.is_dir():
         pytest.skip("real anatomy is not there: ../shared/anatomy beside the checkout")
     return ANATOMY
@@ -70,8 +73,9 @@ def refused(command):
 
 @pytest.fixture
 def full_disk(monkeypatch):
-    """Leave a file no space: what is written to take its place goes to a device that is always
-    full.
+    """Leave no space for the files that replace others.
+
+    Their temporary files are written to a device that is always full.
     """
     if not Path("/dev/full").exists():
         pytest.skip("needs a device that is always full")

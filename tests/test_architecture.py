@@ -1,4 +1,4 @@
-"""Which layer may import which, what modules document, and what starting a command loads."""
+"""Tests of import layers, of the documentation of modules, and of what starting a command loads."""
 
 import ast
 import importlib
@@ -51,8 +51,9 @@ LONGEST = 500
 
 
 def package_of(module):
-    """The package of `LAYERS` that a module lies in, and its layer; a module of ``tissue``
-    itself is its own.
+    """Return the package of `LAYERS` that a module lies in, and its layer.
+
+    A module at the top of ``tissue`` is a package of its own.
     """
     for layer, packages in enumerate(LAYERS):
         for package in packages:
@@ -69,7 +70,7 @@ def nodes_of(path):
 
 @cache
 def imports_of(path):
-    """Return the own modules that a file imports or names in a string, for type checkers included."""
+    """Return this project's modules that a file imports or names, for type checkers included."""
     tree = ast.parse(path.read_text("utf-8"))
     named = modules_in_strings(tree, set(MODULES)) - PROCESSES
     return imports(tree, set(MODULES)) | named
@@ -165,8 +166,10 @@ def test_modules_and_what_they_offer_have_docstrings():
 
 
 def without_docstring(module):
-    """What of a module has no docstring: itself, a name that it offers, a method; a wrong
-    `__all__` fails at once.
+    """Yield the names in a module that have no docstring.
+
+    Checked are the module, each name that it offers and each method. A wrong `__all__` fails at
+    once.
     """
     loaded = importlib.import_module(module)
     if module == "tissue.scene.library":  # data alone

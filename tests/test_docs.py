@@ -33,12 +33,12 @@ def code_of(text):
 
 
 def exists(word):
-    """Whether a path of this repository is there; a pattern must match something."""
+    """Return True if a path of this repository exists; a pattern must match something."""
     return any(ROOT.glob(word.rstrip("/"))) if "*" in word else (ROOT / word).exists()
 
 
 def is_had(name):
-    """Whether a dotted name is a module, or something in one."""
+    """Return True if a dotted name is a module or an attribute of one."""
     parts = name.split(".")
     for count in range(len(parts), 0, -1):
         try:

@@ -1,5 +1,6 @@
-"""Examples use what users have: public names of tissue and common packages; they write pictures
-and check figures.
+"""Examples use public names of tissue and common packages only.
+
+They write pictures and check figures.
 """
 
 import ast

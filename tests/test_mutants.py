@@ -1,6 +1,4 @@
-"""Planted errors: where they are planted, that they are found again, and that the tests catch
-them.
-"""
+"""Planted errors: their places, finding them again, and the tests that detect them."""
 
 import ast
 import re
@@ -61,8 +59,10 @@ def test_errors_are_planted_in_what_computes_and_nowhere_else(mutants_of):
 
 
 def test_an_address_survives_changes_around_it(mutants_of):
-    """Other lines, another module and another layout of the same expression leave the address
-    within a module alone.
+    """An address survives changes around it.
+
+    Other lines, another module and another layout of the same expression leave the address within a
+    module unchanged.
     """
     places = {each.place for each in mutants_of("tool", SOURCE)}
     moved = "import numpy\n\n\ndef other():\n    return 1 + 2\n" + SOURCE.replace(
@@ -76,8 +76,10 @@ def test_an_address_survives_changes_around_it(mutants_of):
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="runs tests in forked processes")
 def test_twenty_planted_errors_are_caught():
-    """Of 20 of the recorded mutants at most 2 survive; all of them: `python
-    tests/bench/mutants.py`.
+    """Twenty planted errors are caught.
+
+    Of 20 of the recorded mutants at most 2 survive; `python tests/bench/mutants.py` runs all of
+    them.
     """
     command = [sys.executable, str(BENCH / "mutants.py"), "--count", "20", "--seed", "1"]
     done = subprocess.run(command, capture_output=True, text=True)

@@ -1,5 +1,6 @@
-"""Every command that the pages print for measuring or checking runs: benches in their quickest
-form, tests by name.
+"""Commands that the pages print for measuring or checking runs.
+
+Benches run in their quickest form, tests are found by name.
 
 Calls of ``tissue`` that pages print are read in `tests/test_docs.py`, and run over all scenes in
 `tests/faults/test_every_scene_every_command.py`.
@@ -27,11 +28,12 @@ PAGES = sorted(
 SCRIPT = re.compile(r"python ((?:tests/bench|examples)/[\w/]+\.py)")
 TEST = re.compile(r"pytest ([^`#\n]+)")
 START_S = 6.0
-"""How long a bench without a quick form is watched [s]: it imports, builds its first case and
-computes.
+"""Time for which a bench without a quick form is observed [s].
+
+In this time it imports, builds its first case and computes.
 """
 FINISH_S = 240.0
-"""How long a bench in its quick form may take [s] on a loaded machine."""
+"""Longest time of a bench in its quick form [s] on a loaded machine."""
 
 FINISHED: dict[str, str] = {
     "bench_bone": "--quick",

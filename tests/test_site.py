@@ -1,6 +1,4 @@
-"""What the site is made with: tables of scene keys, examples as pages, code of its pages, and
-the check of links.
-"""
+"""Inputs of the site: tables of scene keys, examples as pages, code of its pages, link checks."""
 
 import importlib.util
 import json
@@ -34,8 +32,9 @@ tables, links, page_code = (
 
 
 def keys_of(defs, name, entry):
-    """Table, kind and name of every key under an entry of the schema, those of inner tables with
-    dotted names.
+    """Yield table, kind and name of every key under an entry of the schema.
+
+    Keys of inner tables have dotted names.
     """
     links = [
         each["$ref"]

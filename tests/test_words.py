@@ -1,5 +1,6 @@
-"""Names, docstrings, comments, messages and pages use the field's words; CONTRIBUTING lists what
-to write instead.
+"""Words of names, docstrings, comments, messages and pages, which follow the field's usage.
+
+CONTRIBUTING lists what to write instead.
 """
 
 import io
@@ -66,8 +67,9 @@ NAMES = {
     "ways_along",
     "of_one_look",
 }
-"""Names that say too little: predict, is_primary, wait_for_background, observer, arc_length,
-map_estimate_errors.
+"""Names with too little meaning.
+
+Write instead: predict, is_primary, wait_for_background, observer, arc_length, map_estimate_errors.
 """
 
 

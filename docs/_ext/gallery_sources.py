@@ -1,5 +1,6 @@
-"""Sphinx: puts the examples where sphinx-gallery reads them, each docstring's first line as the
-title of its page.
+"""Sphinx extension that copies the examples to the folder that sphinx-gallery reads.
+
+The first line of each docstring becomes the title of its page.
 """
 
 import re
@@ -13,8 +14,9 @@ SOURCES = ROOT / "build" / "gallery"
 
 
 def titled(code: str) -> str:
-    """An example's code with the first line of its docstring underlined, unless it is; the full
-    stop goes.
+    """Return an example's code with the first line of its docstring underlined as a title.
+
+    The full stop is removed. A line that is underlined already stays.
     """
     found = re.match(r'"""(.+)\n(?![=*#-]{3})', code)
     if found is None:

@@ -1,5 +1,6 @@
-"""Sphinx: the directive ``package-table`` lists the modules of a package with the first line of
-each docstring.
+"""Sphinx directive ``package-table``.
+
+It lists the modules of a package with the first line of each docstring.
 """
 
 import ast

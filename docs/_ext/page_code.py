@@ -1,6 +1,4 @@
-"""The code of a page of the guide: its Python, and its commands in blocks that are marked as
-bash.
-"""
+"""Code of a page of the guide: its Python, and its commands in bash blocks."""
 
 import re
 import shlex
@@ -17,8 +15,9 @@ def blocks_of(text: str) -> Iterator[tuple[str, str]]:
 
 
 def run_commands(code: str) -> None:
-    """Run the lines of a block, ``tissue`` and ``python`` being those of this interpreter; raise
-    at a failure.
+    """Run the lines of a block and raise an error if one fails.
+
+    ``tissue`` and ``python`` run in this interpreter.
     """
     for line in code.splitlines():
         first, *words = shlex.split(line, comments=True) or [""]

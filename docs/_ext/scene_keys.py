@@ -1,5 +1,6 @@
-"""Sphinx: ``scene-keys`` draws a table for each part of a scene, and code such as
-``tool.flutes`` links there.
+"""Sphinx directive ``scene-keys``.
+
+It draws a table for each part of a scene, and code such as ``tool.flutes`` links there.
 """
 
 from collections.abc import Iterable

@@ -1,5 +1,6 @@
-"""Rows for the page of scene keys, made from the JSON schema of scenes and the tables of tools;
-without Sphinx.
+"""Rows for the page of scene keys, from the JSON schema of scenes and the tables of tools.
+
+The module does not need Sphinx.
 """
 
 import json
@@ -96,11 +97,12 @@ def _kinds(model: Schema) -> tuple[str, ...]:
 
 
 def _groups(schema: Schema, models: list[Schema], kinds: list[tuple[str, ...]]) -> Iterator[Group]:
-    """Keys by the tables that have them; what several share comes first, where the first of them
-    would stand.
+    """Yield keys by the tables that have them.
 
-    A kind has a table for each source of its shape, procedural or a file: its keys are those of all
-    of them.
+    Keys that several tables share come first, at the place of the first of these tables.
+
+    A kind has a table for each source of its shape, procedural or a file: its keys are
+    the keys of all of these tables.
     """
     found: dict[Key, dict[tuple[str, ...], None]] = {}
     texts: dict[tuple[str, ...], str] = {}
@@ -124,7 +126,7 @@ def _key(name: str, entry: Schema, *, required: bool) -> Key:
 
 
 def _takes(entry: Schema) -> str:
-    """What values a key takes: choices, a range, or the sort of value."""
+    """Return the values that a key takes: its choices, a range or the kind of value."""
     if "anyOf" in entry:
         return " or ".join(
             _takes(choice) for choice in entry["anyOf"] if choice.get("type") != "null"
@@ -158,8 +160,9 @@ def _text(pattern: str) -> str:
 
 
 def _range(entry: Schema) -> str:
-    """The range of a number: brackets for ends that belong to it, parentheses for those that do
-    not.
+    """Return the range of a number.
+
+    Brackets mark ends that belong to it, parentheses ends that do not.
     """
     low, high = entry.get("minimum"), entry.get("maximum")
     above, below = entry.get("exclusiveMinimum"), entry.get("exclusiveMaximum")

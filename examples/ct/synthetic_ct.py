@@ -1,8 +1,9 @@
-"""Write a synthetic CT of a humerus, a vertebra and density rods: ``python
-examples/ct/synthetic_ct.py FOLDER``.
+"""Writer of a synthetic CT of a humerus, a vertebra and density rods.
 
-Hounsfield units follow from composition: the linear attenuation of each voxel at one energy is that
-of volume fractions of the materials in ``meshes/ct/attenuation.toml``. Bone of every density is
+Run: ``python examples/ct/synthetic_ct.py FOLDER``.
+
+Hounsfield units follow from composition. The linear attenuation of each voxel at one energy is that
+of the volume fractions of the materials in ``meshes/ct/attenuation.toml``. Bone of every density is
 dense bone in marrow. Noise and 12-bit quantisation are added. The guide to CT import and the tests
 use it.
 """
@@ -52,7 +53,7 @@ _LOWEST_HU = -1024
 _HIGHEST_HU = 3071
 """Range of 12-bit values."""
 ORIENTATIONS = ("LPS", "RAS", "AIR", "SLP")
-"""What the axes of an array may point to; any of the 48 will do."""
+"""Axis orientations that the command line offers; `reoriented` accepts all 48."""
 _AXES = {
     "L": (0, 1.0),
     "R": (0, -1.0),
@@ -69,7 +70,7 @@ Distance = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class Person:
-    """What differs between persons and scanners from the tables.
+    """Differences from the tabulated values for one person and one scanner.
 
     Attributes
     ----------
@@ -94,7 +95,7 @@ class Person:
 
 @dataclass(frozen=True, eq=False)
 class CtPhantom:
-    """A synthetic CT and what is true of it.
+    """Synthetic CT and its true values.
 
     Attributes
     ----------
@@ -138,8 +139,9 @@ class CtPhantom:
 
 @dataclass(frozen=True)
 class _Part:
-    """A body with its label, distance [mm, negative inside], and bone density [kg/m3] or, where
-    None, its tissue.
+    """Body with its label, distance [mm, negative inside] and bone density [kg/m3].
+
+    Where the density is None, it has a tissue instead.
     """
 
     label: str
@@ -221,8 +223,9 @@ def _painted(
     person: Person,
     spacing: Array,
 ) -> tuple[Array, Array, NDArray[np.uint8]]:
-    """Linear attenuation [1/m], bone density [kg/m3] and label at points; edges are as wide as a
-    voxel.
+    """Return linear attenuation [1/m], bone density [kg/m3] and label at points.
+
+    Edges are as wide as a voxel.
     """
     total = np.full(at.shape[:-1], linear_attenuation("air", energy_keV))
     density = np.zeros_like(total)
@@ -308,8 +311,9 @@ def _parts() -> list[_Part]:
 
 
 def _ellipse(at: Array, *, centre: tuple[float, float], radii: tuple[float, float]) -> Array:
-    """About the distance from an elliptic cylinder along z: its level function over the
-    function's slope.
+    """Return the approximate distance from an elliptic cylinder along z.
+
+    It is the level function over the function's slope.
     """
     x, y = ((at[..., k] - centre[k]) / radii[k] for k in (0, 1))
     level = np.hypot(x, y)
@@ -331,8 +335,9 @@ def _cylinder(
 
 
 def _metaphysis(at: Array, *, inside: float) -> Array:
-    """A cone that widens from the shaft to a rim about the head's lower half, `inside` it by so
-    much [mm].
+    """Return a cone that widens from the shaft to a rim about the head's lower half.
+
+    Its surface lies `inside` [mm] below the outer one.
     """
     up = np.clip((at[..., 2] - _NECK_MM) / (_RIM_MM - _NECK_MM), 0.0, 1.0)
     radius = _SHAFT_MM + up * (_RIM_RADIUS_MM - _SHAFT_MM) - inside
@@ -349,8 +354,9 @@ def _ball(at: Array, *, centre: tuple[float, float, float], radius: float) -> Ar
 
 
 def _arch(at: Array, *, spine_x: float) -> Array:
-    """Two pedicles from the body backward, the laminae that join them behind the canal, and a
-    spinous process.
+    """Return the arch: two pedicles backward from the body, laminae and a spinous process.
+
+    The laminae join the pedicles behind the canal.
     """
     across = np.abs(at[..., 0] - spine_x)
     y = at[..., 1]
@@ -369,8 +375,9 @@ def _pad(at: Array) -> Array:
 
 
 def reoriented(stored: StoredImage, axes: str) -> StoredImage:
-    """The same voxels in the same places with the array's axes along `axes`, such as RAS: right,
-    anterior, superior.
+    """Return the same voxels at the same positions, with the array's axes along `axes`.
+
+    An example of `axes` is RAS: right, anterior, superior.
 
     Raises
     ------
@@ -394,8 +401,10 @@ def reoriented(stored: StoredImage, axes: str) -> StoredImage:
 
 
 def write_stored(path: str | Path, stored: StoredImage, *, tilt_deg: float = 0.0) -> Path:
-    """Write an image in the format of its name: .nii, .nii.gz, .nrrd, .mha, .mhd, or none for a
-    DICOM folder.
+    """Write an image in the format of its name.
+
+    The names end in .nii, .nii.gz, .nrrd, .mha or .mhd; a name without an ending makes a DICOM
+    folder.
 
     Raises
     ------

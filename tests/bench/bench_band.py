@@ -1,5 +1,6 @@
-"""Bands of built-in scenes: their cost beside the plain run, and how far their ends are from those
-of many samples.
+"""Bands of built-in scenes: cost against the plain run, and error of their ends.
+
+The error is taken against many samples.
 
 ``--published`` prints instead the figures of the documentation that rest on cited ranges, each with
 its band.
@@ -70,8 +71,9 @@ def convergence():
 
 
 def slope():
-    """Root mean square error over seeds of the 95 % quantile of a force that is a sum, against
-    its closed form.
+    """Return the error of the 95 % quantile of a force that is a sum, against its closed form.
+
+    It is the root mean square over seeds.
     """
     names = ("tangential_edge_N_mm", "radial_edge_N_mm", "radial_chip_N_mm2")
     ranges = Ranges.independent(
@@ -131,8 +133,9 @@ STRAIGHT_DOWN = {
 
 
 class Windows:
-    """Loads of a scene in parts of its run, at the cited constants and in samples of them but
-    those that stay fixed.
+    """Loads of a scene in parts of its run.
+
+    They are computed at the cited constants and in samples of all constants that are not fixed.
     """
 
     def __init__(self, name, changes, fixed=""):
@@ -147,8 +150,9 @@ class Windows:
         self.weights = self.reweighed.weights(values)
 
     def loads(self, ticks):
-        """Mean over ticks of force [N] and torque [N m], shape (6,) at the cited constants and
-        (samples, 6).
+        """Return the mean over ticks of force [N] and torque [N m].
+
+        The shapes are (6,) at the cited constants and (samples, 6).
         """
         units = [
             layer.unit[:, :, ticks].mean(axis=2) for layer in self.reweighed.record.layers.values()

@@ -1,5 +1,6 @@
-"""Bands of forces in closed form, from the tables of constants alone: what ``bench_band.py
---published`` must give.
+"""Bands of forces in closed form, the reference for ``bench_band.py --published``.
+
+They are computed from the tables of constants alone.
 
 A ball straight down into enamel and dentin (the integral over the hemisphere), the leading half of
 a spherical cap in bone, and the root of the polynomial of a needle before its puncture, each with
@@ -57,8 +58,9 @@ def plunged(of, material):
 
 
 def dragged(of):
-    """Size of the force [N] of a ball of 3 mm, 0.1 mm deep, sideways at 5 mm/s, 6 edges at
-    10,000 turns a minute.
+    """Return the force [N] on a ball of 3 mm, 0.1 mm deep, that moves sideways at 5 mm/s.
+
+    It has 6 edges and 10,000 turns a minute.
     """
     most, cells = np.arccos(1.0 - 0.1 / 3.0), 400
     middles = (np.arange(cells) + 0.5) / cells

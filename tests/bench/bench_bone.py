@@ -1,11 +1,13 @@
-"""Cost of a tick of bone: `python tests/bench/bench_bone.py [--quick]`.
+"""Cost of a tick of bone.
 
-1. A ball burr of 3 mm radius, all of it in a solid cube of 25.6 mm, 0.1 mm voxels, 1 mm/s at 1 kHz:
-carving and force,
-   beside a brute-force Warp kernel over the burr's box, and NumPy over the same box, in the same
-   run.
+Run: `python tests/bench/bench_bone.py [--quick]`.
+
+1. Carving and force of a ball burr of 3 mm radius, all of it in a solid cube of 25.6 mm, with 0.1
+   mm voxels, at 1 mm/s and 1 kHz. In the same run it is compared with a brute-force Warp kernel
+   over the burr's box, and with NumPy over the same box.
 2. The glenoid scene at 0.2, 0.1 and 0.05 mm: cost against the engaged area and the volume.
-3. The same burr at other speeds: what is spread over ticks when slow comes together when fast.
+3. The same burr at other speeds. Work that is spread over ticks at low speed falls into one tick at
+   high speed.
 """
 
 import argparse

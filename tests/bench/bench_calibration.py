@@ -1,11 +1,12 @@
-"""What calibration costs and what it is good for.
+"""Benchmark of the cost and the benefit of calibration.
 
-Prints (1) a trial's cost, beside questplus where that is installed (it is under the GPL: for
-comparison only), (2) trials until half of 300 thresholds lie within 10 % of the truth, beside
-staircases, (3) interval coverage and the bias that heavy tails and fatigue cause, (4)
-discrimination with and without calibration on runs of the scenes, 100 people a group, with 95 %
-intervals, beside what the paper reports. Run: python tests/bench/bench_calibration.py [trial]
-[staircase] [coverage] [scenes]
+Prints (1) the cost of a trial, next to questplus where that is installed (it is under the GPL: for
+comparison only). (2) The number of trials until half of 300 thresholds lie within 10 % of the
+truth, next to staircases. (3) Interval coverage, and the bias that heavy tails and fatigue cause.
+(4) Discrimination with and without calibration on runs of the scenes, for 100 people a group, with
+95 % intervals, next to the figures of the paper.
+
+Run: python tests/bench/bench_calibration.py [trial] [staircase] [coverage] [scenes]
 """
 
 import sys
@@ -36,8 +37,9 @@ PEOPLE = 100
 
 
 def stimulus_of(trace: Table, start_s: float, end_s: float, *, scale: float = 1.0) -> Stimulus:
-    """The force on the tool between two times of a run [s], as it is at the device: mean and
-    deviation of windows.
+    """Return the stimulus at the device between two times of a run [s].
+
+    It is the mean and the deviation of the force over windows.
 
     A window is as long as a person averages, a tenth of a second; slow changes of the force count
     as scatter.
@@ -203,8 +205,9 @@ def coverage() -> None:
 
 
 def scene_stimuli() -> dict[str, tuple[Stimulus, Stimulus, str]]:
-    """Pairs of stimuli from runs of the scenes, as their devices play them, and what the paper
-    reports of them.
+    """Return pairs of stimuli from runs of the scenes, and the figures of the paper for them.
+
+    The stimuli are as their devices play them.
     """
     import tissue
 

@@ -1,5 +1,6 @@
-"""Scores and throughput of the environments: `python tests/bench/bench_environments.py [--seeds 10]
-[--steps 200]`.
+"""Scores and throughput of the environments.
+
+Run: `python tests/bench/bench_environments.py [--seeds 10] [--steps 200]`.
 
 1. What the expert, random actions and none score, mean and range over seeds that set nothing (from
 1000 on).

@@ -1,9 +1,10 @@
-"""Cost of a factor of soft organs, CPU seconds, the quickest of three: `python
-tests/bench/bench_factor.py`.
+"""Cost of a factor of soft organs in CPU seconds, the fastest of three runs.
 
-Multifrontal Cholesky beside SuperLU in the same order and SuperLU as it comes, which scikit-fem
-calls; each with one solve. Numbers of the factor count those that are kept, those of SuperLU in
-both its triangles.
+Run: `python tests/bench/bench_factor.py`.
+
+Multifrontal Cholesky is compared with SuperLU in the same order and with SuperLU by default, which
+scikit-fem calls. Each is timed with one solve. Numbers of the factor count the stored ones, for
+SuperLU in both its triangles.
 """
 
 from time import process_time
@@ -23,8 +24,9 @@ from tissue.materials.elasticity import lame
 
 ROUNDS = 3
 PLAIN_UNKNOWNS = 25_000
-"""SuperLU as it comes is tried up to here: its time grows nearly with the square of the
-unknowns.
+"""Largest number of unknowns for default SuperLU.
+
+Its time grows nearly with the square of the unknowns.
 """
 
 

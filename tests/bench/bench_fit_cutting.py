@@ -1,5 +1,6 @@
-"""Coverage of fits to cuts: `python tests/bench/bench_fit_cutting.py [block|bone|tooth] [--truth
-prior|ends|cited]`.
+"""Coverage of fits to cuts.
+
+Run: `python tests/bench/bench_fit_cutting.py [block|bone|tooth] [--truth prior|ends|cited]`.
 
 A block is milled, a glenoid is reamed through its plate into trabecular bone, and a carious lesion
 is drilled out of a molar, each at several feeds. The geometry is recorded once. Each log then has
@@ -65,16 +66,17 @@ CUTS = {
         0.06,
     ),
 }
-"""Scene, changes, places of the tip along x and z [mm], their times [s], and the scale of what
-noise adds in each millisecond, in shares of the largest force, and torque, at the cited constants.
-The block's log determines coefficients by itself: four feeds and little noise. The other two leave
-some of them to their priors."""
+"""Scenes with their changes, path and noise.
+
+The path gives positions of the tip along x and z [mm] and their times [s]. The noise is the scale
+of what is added in each millisecond, as a share of the largest force, and torque, at the cited
+constants. The block's log determines coefficients by itself: it has four feeds and little noise.
+The other two leave some of them to their priors.
+"""
 BLOCK = 20
 """Ticks of a block of the log's samples, 1 kHz, that are averaged."""
 BIAS, CORRELATION = 0.1, 0.9
-"""Scale of the bias in the same shares, and correlation of the noise from one millisecond to the
-next.
-"""
+"""Scale of the bias in the same shares, and correlation of the noise over one millisecond."""
 FREEDOM = 4.0
 """Degrees of freedom of what the noise adds in a millisecond."""
 
@@ -104,8 +106,9 @@ def planted(parameters: Sequence[Parameter], truth: str, rng: np.random.Generato
 
 
 def one(task: tuple[str, int, str, bool]) -> tuple[list[tuple[str, bool]], bool, float]:
-    """Fit one log; return what held what was planted, whether the fit converged, and its
-    processor time [s].
+    """Fit one log and return the coverage, the convergence and the processor time [s].
+
+    The coverage lists for each interval whether it holds the planted value.
     """
     kind, seed, truth, normal = task
     (whole, forward), rng = cut(kind), np.random.default_rng(seed)

@@ -1,5 +1,6 @@
-"""How well modulus and shape of a hyperelastic law come back from a deep press, and how smooth its
-runs are.
+"""Recovery of modulus and shape of a hyperelastic law from a deep press.
+
+Also reports how smooth the runs of the law are.
 
 python tests/bench/bench_fit_law.py ogden --fits 8
 python tests/bench/bench_fit_law.py mooney-rivlin --fits 4

@@ -1,5 +1,6 @@
-"""Coverage of fits to an organ: `python tests/bench/bench_fit_organ.py [elastic|viscous] [--fits
-1000] [--noise 0.005]`.
+"""Coverage of fits to an organ.
+
+Run: `python tests/bench/bench_fit_organ.py [elastic|viscous] [--fits 1000] [--noise 0.005]`.
 
 A ball is pressed 3 mm into a small coarse slab, held, slid and lifted. Modulus, Poisson's ratio,
 friction and, of a viscous slab, its Prony series are drawn from their priors, and so are the
@@ -57,15 +58,17 @@ BLOCK = block_ticks(float(TIMES_S[-1]), TICK_S)
 SHOWN = 20
 """Fits after which their count so far is printed."""
 BIAS, CORRELATION = 0.1, 0.9
-"""Scale of the bias in shares of the greatest force at the cited constants; correlation of the
-noise.
+"""Scale of the bias as a share of the largest force, and correlation of the noise.
+
+The largest force is the one at the cited constants.
 """
 
 
 @cache
 def setting(kind: str) -> tuple:
-    """Free constants, the moduli among them, runs of the slab with every tick and as a fit takes
-    them, and the force.
+    """Return free constants, moduli among them, two runs of the slab, and the force.
+
+    One run has every tick, the other the ticks that a fit uses.
     """
     scene = load_scene("palpation", SLAB | {"organ.viscous": kind == "viscous"})
     poses = Poses(TIMES_S, 1e-3 * TIPS_MM, np.tile([0.0, 0.0, 0.0, 1.0], (len(TIMES_S), 1)))

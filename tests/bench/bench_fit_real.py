@@ -52,7 +52,9 @@ PRIORS = {
     "radial_edge_N_mm": (15.0, 3.0, 60.0),
     "axial_edge_N_mm": (10.0, 1.0, 50.0),
 }
-"""Light alloys and soft steels lie within (Altintas 2012, Manufacturing Automation, table 2.1,
+"""Priors of the coefficients.
+
+Light alloys and soft steels lie within them (Altintas 2012, Manufacturing Automation, table 2.1,
 from memory).
 """
 STEP = 1e-4
@@ -84,8 +86,9 @@ def fitted(scene: tissue.Scene, data: Path, feeds: tuple[int, ...], folder: Path
 
 
 def predicted(scene: tissue.Scene, fit: tissue.Fit) -> tuple[np.ndarray, np.ndarray]:
-    """Mean forces at every feed [N]: 5, 50 and 95 % of the fit, shape (3, feeds, 3), and of the
-    priors' medians.
+    """Return the mean forces at every feed [N], of the fit and of the priors' medians.
+
+    For the fit they are the 5, 50 and 95 % quantiles, shape (3, feeds, 3).
     """
     times, tips = poses(FEEDS)
     every = slice(None, None, REVOLUTION)

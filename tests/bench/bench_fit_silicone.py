@@ -1,10 +1,12 @@
-"""Elastic constants from batch A of silicone cylinders predict batch B, by the greatest compression
-that is used.
+"""Error of predicting silicone batch B from the elastic constants of batch A.
 
-`python tests/bench/bench_fit_silicone.py TRACES`, the folder `anatomy/traces` of Dawood et al.
-2026. The force is that of a column without friction, in closed form (the engine's cylinder keeps to
-it within 2 %: `tests/verification/test_silicone.py`). Error: root mean square over tests of B;
-scatter: standard deviation over all ten tests; both over their mean curve (L2).
+The constants come from cylinders. The error is given over the largest compression used in the fit.
+
+`python tests/bench/bench_fit_silicone.py TRACES` takes the folder `anatomy/traces` of Dawood et al.
+2026. The force is that of a column without friction, in closed form (the engine's cylinder agrees
+with it within 2 %: `tests/verification/test_silicone.py`). The error is the root mean square over
+tests of B. The scatter is the standard deviation over all ten tests. Both are relative to the mean
+curve (L2).
 """
 
 import sys

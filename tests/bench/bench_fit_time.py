@@ -1,5 +1,6 @@
-"""Time of a fit to a log of 10 s at 1 kHz with forces and torques: `python
-tests/bench/bench_fit_time.py`.
+"""Time of a fit to a log of 10 s at 1 kHz with forces and torques.
+
+Run: `python tests/bench/bench_fit_time.py`.
 
 The log is a run of the built-in glenoid with autocorrelated noise with heavy tails, 3 % of the
 largest load, and a bias.

@@ -1,5 +1,6 @@
-"""Force law against exact geometry on bone made to be hard for it: `python
-tests/bench/bench_force_law.py [--quick]`.
+"""Force law against exact geometry, on bone that is difficult for it.
+
+Run: `python tests/bench/bench_force_law.py [--quick]`.
 
 1. Order: a ball burr of 3 mm plunges into a slanted plate (1800 kg/m3) over spongy bone (400
 kg/m3), cuts a slot out

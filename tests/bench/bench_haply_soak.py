@@ -1,5 +1,6 @@
-"""Soak of Haply's adapter against the stand-in service: memory, lost ticks, samples and exchanges
-over minutes.
+"""Soak test of Haply's adapter against the stand-in service.
+
+It reports memory, lost ticks, samples and exchanges over minutes.
 
 ``python tests/bench/bench_haply_soak.py --minutes 30``. The stand-in runs in a process of its own;
 this one runs what holds a device in a run, without a trace, which grows by design: wall clock,
@@ -31,7 +32,7 @@ from tissue.system.tick_priority import TickPriority  # noqa: E402
 TICK_S = 1e-3
 STIFFNESS_N_M = 700.0
 DEEP_M = 0.02
-"""How far under its start the wall's face lies [m]."""
+"""Depth of the wall's face below the start position [m]."""
 WARM_S = 60.0
 """Time after which memory is compared: buffers and lists of bounded length are then full [s]."""
 

@@ -1,5 +1,6 @@
-"""From a CT of 512 x 512 x 300 voxels to the first force: time and memory of `tissue import` and
-the run after it.
+"""Time and memory from a CT of 512 x 512 x 300 voxels to the first force.
+
+They cover `tissue import` and the run after it.
 
     python tests/bench/bench_import.py
 

@@ -1,10 +1,12 @@
-"""One bone from a CT in four formats, from a tilted series and by a threshold: site, volume and
-force of each.
+"""Imports of one bone from a CT in four formats, a tilted series and a threshold.
 
-    python tests/bench/bench_import_formats.py
+Printed are the site, volume and force of each.
 
-The CT is that of `python examples/ct/synthetic_ct.py`; forces are those of the imported scene in
-voxels of 0.25 mm, compared tick by tick with those of the import from DICOM by its label.
+python tests/bench/bench_import_formats.py
+
+The CT is made by `python examples/ct/synthetic_ct.py`. Forces belong to the imported scene in
+voxels of 0.25 mm. They are compared tick by tick with the forces of the import from DICOM by its
+label.
 """
 
 import json

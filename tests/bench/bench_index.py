@@ -1,5 +1,6 @@
-"""Grid-convergence index of a scene's force: `python tests/bench/bench_index.py SCENE [key=value
-...]`.
+"""Grid-convergence index of a scene's force.
+
+Run: `python tests/bench/bench_index.py SCENE [key=value ...]`.
 
 SCENE is a built-in scene, or one with real anatomy of `../shared/anatomy`: scapula, scapula-low,
 tooth-surfaces, tooth-labels, liver-scan. It runs at its spacing, and with all lengths of the grid
@@ -60,8 +61,9 @@ def scene_of(name: str, changes: dict[str, Any]):
 
 
 def turned(scene, seed: int, folder: str):
-    """The scene with the surface in its file turned at random, and all directions with it; seed
-    0 turns nothing.
+    """Return the scene turned at random, the surface in its file and all directions with it.
+
+    Seed 0 turns nothing.
     """
     import pyvista
 

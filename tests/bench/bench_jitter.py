@@ -1,5 +1,6 @@
-"""Lateness of live ticks at ordinary and at raised priority: ``python tests/bench/bench_jitter.py
---minutes 2``.
+"""Lateness of live ticks at ordinary and at raised priority.
+
+Run: ``python tests/bench/bench_jitter.py --minutes 2``.
 
 A scene, by default a wall by a simulated hand, runs against the wall clock without a window, in
 turns of 10 s: on the machine as it is and with a process on every core that does nothing but count,
@@ -31,8 +32,9 @@ COUNT = "while True:\n    pass"
 
 
 def ticks_of(name, raised, loaded):
-    """Lateness and duration of the ticks of one turn [us], what the clock skipped [ms], and the
-    priority.
+    """Return the ticks of one turn, the skipped time of the clock [ms] and the priority.
+
+    Ticks have lateness and duration [us].
     """
     count = os.cpu_count() or 1
     busy = [subprocess.Popen([sys.executable, "-c", COUNT]) for _ in range(count if loaded else 0)]

@@ -1,5 +1,6 @@
-"""Scores of learned, scripted and random palpation on 20 unseen episodes: `python
-tests/bench/bench_learning.py`.
+"""Scores of learned, scripted and random palpation on 20 unseen episodes.
+
+Run: `python tests/bench/bench_learning.py`.
 
 The example learns by three generators of its policies. It takes some eight minutes.
 """

@@ -1,10 +1,13 @@
-"""Cost of assembling tetrahedra: `python tests/bench/bench_liver_assembly.py [--quick]`.
+"""Cost of assembling tetrahedra.
 
-A unit cube of isotropic cells, beside scikit-fem's assembly of the same mesh in the same run. Ours
-in two parts: the structure (middle nodes, gradients, where the blocks lie and which cells they
-sum), found once a mesh, and the values, summed again whenever the material changes. Theirs with its
-quadrature points prepared beforehand, which is not counted. Compiling the kernels is not counted.
-Quadratic cells at 300,000 are too many for scikit-fem's memory here.
+Run: `python tests/bench/bench_liver_assembly.py [--quick]`.
+
+A unit cube of isotropic cells is assembled, and compared with scikit-fem's assembly of the same
+mesh in the same run. Our assembly has two parts. The structure (middle nodes, gradients, positions
+of the blocks and the cells that they sum) is found once per mesh. The values are summed again
+whenever the material changes. The quadrature points of scikit-fem are prepared beforehand and not
+counted. Compiling the kernels is not counted. Quadratic cells at 300,000 are too many for
+scikit-fem's memory here.
 """
 
 import argparse

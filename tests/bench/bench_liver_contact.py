@@ -63,9 +63,12 @@ def tip(depth: float, tick: int) -> np.ndarray:
 
 
 class NumpyContact:
-    """The same sweeps point by point in NumPy, in the space of the points nearby, without
-    friction's exact cone: the local force is projected onto it, which needs no more work and so
-    flatters NumPy."""
+    """Contact sweeps point by point in NumPy, in the space of the nearby points.
+
+    The sweeps equal the tested contact's sweeps, but without the exact friction cone. The local
+    force is projected onto the cone instead. The projection costs no more work, so the comparison
+    favours NumPy.
+    """
 
     def __init__(
         self, nodes: np.ndarray, faces: np.ndarray, compliance: np.ndarray, probe: SphereProbe
@@ -78,7 +81,7 @@ class NumpyContact:
         self.radius = probe.radius_m
 
     def solve(self, at: np.ndarray, last: np.ndarray, sweeps: int) -> np.ndarray:
-        """Force on the organ after so many sweeps."""
+        """Return the force on the organ after the given number of sweeps."""
         centre = at + self.radius * np.array([0.0, 0.0, 1.0])
         close = np.linalg.norm(self.rest - centre, axis=1) < self.radius + 1e-3
         near = np.flatnonzero(close | self.force.any(axis=1))
@@ -200,7 +203,7 @@ def main() -> None:
 
 
 def against_numpy(nodes: np.ndarray, faces: np.ndarray, compliance: np.ndarray) -> None:
-    """The middle scene again, 60 ticks of its drag, beside NumPy with as many sweeps."""
+    """Compare the middle scene, 60 ticks of its drag, with NumPy at the same number of sweeps."""
     radius, depth = SCENES[2]
     probe = SphereProbe(radius)
     contact = SurfaceContact(nodes, faces, compliance, probe, friction=FRICTION)

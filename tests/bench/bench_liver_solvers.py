@@ -1,13 +1,13 @@
-"""Cost of the paths to K u = f of a liver: `python tests/bench/bench_liver_solvers.py [--quick]`.
+"""Cost of the solve paths of K u = f for a liver.
 
-1. About 30,000 tetrahedra: check of the supports, factor, solve, and multigrid, beside conjugate
-gradients with the
-   diagonal and scikit-fem's assembly with SuperLU as it comes.
-2. Compliance of some 500 touchable nodes: found, and ready for contact from the cache; columns on
-demand; basis size
-   against error.
+Run: `python tests/bench/bench_liver_solvers.py [--quick]`.
+
+1. About 30,000 tetrahedra: check of the supports, factor, solve, and multigrid. They are compared
+   with conjugate gradients with the diagonal, and with scikit-fem's assembly with default SuperLU.
+2. Compliance of some 500 touchable nodes: computed, ready for contact from the cache, columns on
+   demand, and basis size against error.
 3. Multigrid on boxes up to a million tetrahedra: growth of set-up and of one right side,
-iterations, memory.
+   iterations, memory.
 """
 
 import argparse

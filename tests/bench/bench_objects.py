@@ -1,8 +1,9 @@
-"""What a pose of `tissue.Bone.cut` costs beside a tick of a scene that makes the same cut.
+"""Cost of a pose of `tissue.Bone.cut`, compared with a tick of a scene that makes the same cut.
 
-Both run in turn in one process, the same path at the same settings; figures are medians and 99th
-percentiles of the ticks [us], and their ratio over the rounds. Run: python
-tests/bench/bench_objects.py
+Both run in turn in one process, on the same path and with the same settings. Figures are medians
+and 99th percentiles of the ticks [us], and their ratio over the rounds.
+
+Run: python tests/bench/bench_objects.py
 """
 
 import numpy as np

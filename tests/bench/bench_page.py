@@ -1,4 +1,6 @@
-"""What a page in a browser costs the ticks of a live run: ``python tests/bench/bench_page.py``.
+"""Cost that a page in a browser adds to the ticks of a live run.
+
+Run: ``python tests/bench/bench_page.py``.
 
 A scripted motion runs against the wall clock with its page open, twice over: in every second second
 the client takes pictures as fast as they come, in those between it takes none, so that both are
@@ -74,7 +76,10 @@ async def take(address):
 
 
 def measured(scene, page):
-    """Ticks with their lateness [us], those beside pictures and the others, and the run."""
+    """Return tick durations and completion times [us], and masks of ticks with or without pictures.
+
+    Completion is counted from the time at which the tick was due.
+    """
     observer = Timed(scene, page)
     run = simulate(scene, observer=observer, cores=max((os.cpu_count() or 2) - 1, 1))
     ended = np.array(observer.ended_s)

@@ -1,9 +1,11 @@
-"""Performance and accuracy of perception: `python tests/bench/bench_perception.py [--quick]`.
+"""Performance and accuracy of perception.
 
-A tick of the run-time mapping (5 us is the aim): forces that are held back, as nearly all of a
-contact's are, and forces of which every one is a change; the population and an observer. Then
-building it, the estimate of greatest density, the deadband on recorded runs by hand, and what wrong
-priors and noise cost.
+Run: `python tests/bench/bench_perception.py [--quick]`.
+
+The first table shows a tick of the run-time mapping (5 us is the aim). It covers forces that are
+held back, like nearly all of a contact's forces, and forces that all are changes, for the
+population and an observer. Further figures are the time to build the mapping, the maximum-posterior
+estimate, the deadband on recorded runs by hand, and the cost of wrong priors and noise.
 """
 
 import argparse
@@ -55,7 +57,7 @@ def ticks(count: int) -> list[tuple[str, ...]]:
 
 
 def traces(quick: bool) -> list[tuple[str, ...]]:
-    """What the deadband leaves of recorded forces."""
+    """Return a table row for each recorded scene: effect of the deadband on its forces."""
     law, rows = weber("force"), []
     for name, changes in list(RECORDED.items())[: 2 if quick else None]:
         run = tissue.simulate(

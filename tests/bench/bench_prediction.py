@@ -1,15 +1,15 @@
-"""Errors and costs of all predictors on the same recorded motions, scored where the motor acts.
+"""Errors and costs of all predictors on the same recorded motions, scored at the motor.
 
 Run: python tests/bench/bench_prediction.py --out DIR [--runs N] [--latency MS ...] [--closed]
 [SCENE ...]
 
-Every run is recorded once, with the force that its coupling gives without delay at the device's
-true positions, and kept in DIR; predictors are scored again on what is there. Printed for each
-scene, latency and predictor: the error at the motor, its least error (the force of the encoder's
-steps, foreseen without error), what is in excess of it, that in shares of hold's, the residual
-latency, and the worst share over the held-out moves. Where a share misses its target, what it
-consists of. Two processes record and score. With `--closed` the best three of every scene, or
-`--predictors`, run in closed loop.
+Every run is recorded once and kept in DIR, with the force that its coupling gives without delay at
+the device's true positions. Predictors are scored again on the recorded runs. Printed for each
+scene, latency and predictor are the error at the motor, its noise floor (the force of the encoder's
+steps, predicted without error), the excess over the floor, the excess as a share of that of
+zero-order hold, the residual latency, and the worst share over the held-out moves. Where a share
+misses its target, its components are printed. Two processes record and score. With `--closed` the
+best three of every scene, or `--predictors`, run in closed loop.
 """
 
 import argparse
@@ -46,9 +46,12 @@ MOVED_MM = {
     "liver-press": (4.0, 4.0),
     "milling": (0.0, 2.5),
 }
-"""How far a path is moved along the tissue's surface; 1 mm elsewhere."""
+"""Distance by which a path is moved along the tissue's surface [mm]; 1 mm for other scenes."""
 TURNED_DEG = {"wall": 90.0, "palpation": 20.0, "liver-press": 90.0, "milling": 90.0}
-"""How far it is turned about its middle on the surface; not where a hole guides the tool."""
+"""Angle by which a path is turned about its middle on the surface [deg].
+
+Paths that a hole guides are not turned.
+"""
 PACES, SHARES = (0.6, 1.5), (0.7, 1.4)
 TARGETS = {
     "wall": 0.4,
@@ -66,8 +69,10 @@ Scores = dict[tuple[str, int], np.ndarray]
 
 
 def moves(scene: Scene) -> dict[str, tuple[Scene, float]]:
-    """The scene and what is held out besides people: places, directions, speeds and force scales
-    (or moduli).
+    """Return the scene and its held-out moves.
+
+    They are other places, directions, speeds and force scales (or moduli); people are held out
+    separately.
     """
     found = {"same": (scene, 1.0)}
     points, motion = np.array(getattr(scene.motion, "points_mm", [])), scene.motion
@@ -93,8 +98,9 @@ def moves(scene: Scene) -> dict[str, tuple[Scene, float]]:
 
 
 def runs_of(names: Collection[str], runs: int) -> dict[str, int]:
-    """How many of a scene's runs are of each move: one part each, two parts or more of the scene
-    as it is.
+    """Return the number of runs of a scene for each move.
+
+    Each move gets one part; the unchanged scene gets two parts or more.
     """
     each = runs // (len(names) + 1)
     return {name: runs - each * (len(names) - 1) if name == "same" else each for name in names}
@@ -140,8 +146,9 @@ def scored(
 
 
 def report(name: str, late_ms: int, found: dict[str, list[Scores]]) -> list[str]:
-    """The table of a scene at a latency; its best predictors by their mean share of hold's
-    excess over all moves.
+    """Print the table of a scene at a latency and return its best predictors.
+
+    They are ranked by their mean share of the excess error of zero-order hold over all moves.
     """
     mean = {
         kind: {
@@ -200,8 +207,9 @@ def written(share: float) -> str:
 
 
 def decompose(mean: dict[str, dict[str, np.ndarray]], best: str, target: float) -> None:
-    """What an error consists of in every move where the best predictor's share of hold's excess
-    misses its target.
+    """Print the components of the error for every move that misses its target.
+
+    The target limits the best predictor's share of the excess error of zero-order hold.
     """
     rows = []
     for move, (error, least, excess, late) in mean[best].items():

@@ -1,14 +1,15 @@
-"""Excess travel of a needle after a puncture: by what is noticed, latency, prediction and a cue
-before it.
+"""Excess travel of a needle after a puncture.
+
+It is given by noticed signal, latency, prediction, and a cue before the puncture.
 
 The needle of the scene ``needle`` is pushed through the capsule by an intermediate's hand on a
-Touch; what is measured is defined in `tissue.evaluation.study.puncture`. Each seed is a person:
-threshold for forces, pace, noise and tremor; the same persons in every cell. At each latency all
-cells have the coupling that is stable with every predictor, but for rows that name another one.
+Touch. The measures are defined in `tissue.evaluation.study.puncture`. Each seed is a person with a
+force threshold, pace, noise and tremor; all cells have the same persons. At each latency all cells
+have the coupling that is stable with every predictor, except for rows that name another one.
 
-Run: python tests/bench/bench_puncture.py [--seeds 20] [--workers 2] [--out FOLDER] Prints a table
-with means and 95 % intervals over seeds (t), writes every run to runs.csv, from which a call that
-was interrupted goes on, and draws puncture.png.
+Run: python tests/bench/bench_puncture.py [--seeds 20] [--workers 2] [--out FOLDER]. It prints a
+table with means and 95 % intervals over seeds (t), and draws puncture.png. It writes every run to
+runs.csv, from which an interrupted call continues.
 """
 
 import argparse
@@ -48,8 +49,10 @@ class Cell(NamedTuple):
 
 
 def cells() -> list[Cell]:
-    """All cells: the grid, what no person can do, each predictor's stiffest coupling, and one
-    coupling throughout.
+    """Return all cells: the grid, an ideal reaction, and two kinds of coupling.
+
+    The ideal reaction is one that no person can have. The couplings are each predictor's stiffest
+    one and one coupling for all latencies.
     """
     found = {}
     for prediction, latency in product(PREDICTIONS, LATENCIES_MS):
@@ -94,7 +97,7 @@ def pushed(cell: Cell, seed: int) -> Pierced:
 
 
 def measured(job: tuple[Cell, int]) -> tuple[Cell, int, list[float]]:
-    """What a run gave, in the order of `COLUMNS`."""
+    """Return the results of a run, in the order of `COLUMNS`."""
     run = pushed(*job)
     noticed = 1e3 * (run.noticed_s - run.puncture_s)
     return *job, [run.excess_mm, noticed, run.puncture_s, float(run.early)]
@@ -131,8 +134,9 @@ def interval(values: Iterable[float]) -> tuple[float, float]:
 
 
 def report(listed: Sequence[Cell], found: dict[tuple[Cell, int], list[float]], seeds: int) -> None:
-    """The table, with the paired difference of each cell to the one without prediction and
-    without a cue.
+    """Print the table of cells with paired differences.
+
+    Each difference is taken to the cell without prediction and without a cue.
     """
     rows = []
     for cell in listed:

@@ -1,5 +1,6 @@
-"""Error of scenes' cutting force to the reference on exact geometry: `python
-tests/bench/bench_reference.py SCENE ...`.
+"""Error of scenes' cutting force against the reference on exact geometry.
+
+Run: `python tests/bench/bench_reference.py SCENE ...`.
 
 `python tests/bench/bench_reference.py glenoid caries voxels.spacing_mm=0.1 [--worst]` runs each
 scene with the changes and prints its error over ticks, over 50 ms and on average in %, the

@@ -1,10 +1,12 @@
-"""What publishing a live run for 3D Slicer costs its ticks: ``python tests/bench/bench_slicer.py``.
+"""Cost that publishing a live run for 3D Slicer adds to its ticks.
 
-The scripted motion runs against the wall clock without the link, with it and no client, and with a
-client in a process of its own that takes everything and asks for the force, turn by turn, so that
-the machine's other work meets all alike. What each tick does for it, copying a row and a slice of
-the bone, is timed by itself. The load of the machine is printed: lateness is as much its other
-work's as ours.
+Run: ``python tests/bench/bench_slicer.py``.
+
+The scripted motion runs against the wall clock in three forms: without the link, with the link and
+no client, and with a client. The client is a process of its own that takes everything and asks for
+the force. The forms run in turn, so that other work on the machine affects all alike. The work of
+each tick for the link, copying a row and a slice of the bone, is timed by itself. The load of the
+machine is printed, because lateness is caused as much by other work as by ours.
 """
 
 import os
@@ -60,7 +62,7 @@ class Reader:
         self._child.stdout.readline()
 
     def read(self):
-        """What it has counted."""
+        """Return the counts that the child process printed."""
         return self._child.communicate()[0].strip()
 
 

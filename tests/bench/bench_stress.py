@@ -1,9 +1,10 @@
-"""Processor time of the stress of `molar` along its own path: `python tests/bench/bench_stress.py
-[CELL_MM ...]`.
+"""Processor time of the stress of `molar` along its own path.
 
-Every solve of the scene, update, solve and recovery, on one core between the ticks: those under
-load, in ms of processor time, which a busy machine raises by up to half since its cores share
-caches. 10 Hz leaves 100 ms.
+Run: `python tests/bench/bench_stress.py [CELL_MM ...]`.
+
+Each solve of the scene (update, solve and recovery) runs on one core between the ticks. Printed are
+the solves under load, in ms of processor time. A busy machine raises this time by up to half, since
+its cores share caches. A rate of 10 Hz leaves 100 ms.
 """
 
 import os

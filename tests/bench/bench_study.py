@@ -1,5 +1,7 @@
-"""What a study costs: seconds a trial by task, efficiency against workers, and memory against the
-number of trials.
+"""Cost of a study: seconds per trial, efficiency and memory.
+
+Seconds per trial are given by task, efficiency against the number of workers, and memory against
+the number of trials.
 
 Run from the repository: python tests/bench/bench_study.py [--trials 4] [--workers 1 2 4] [--out
 study_cost.png] [--tasks T1 T2 T3] [--methods penalty koopman]
@@ -70,9 +72,7 @@ def warm_caches(plan: Plan) -> None:
 
 @dataclass
 class Measured:
-    """A study and what it cost: its wall time [s], trials done at times [s], and samples of
-    memory [MB].
-    """
+    """Study and its cost: wall time [s], times of finished trials [s], memory samples [MB]."""
 
     workers: int
     wall_s: float = 0.0
@@ -80,7 +80,7 @@ class Measured:
     rows: bytes = b""
     took_s: dict[str, float] = field(default_factory=dict)
     memory: list[tuple[int, float, float]] = field(default_factory=list)
-    """Trials done, memory of the runner and of its greatest worker [MB]."""
+    """Finished trials, memory of the runner and of its largest worker [MB]."""
     threads: int = 0
     processor_s: dict[int, float] = field(default_factory=dict)
     """Processor time of each worker."""
@@ -171,8 +171,10 @@ def efficiency(each: Measured, alone: Measured) -> tuple[str, ...]:
 
 
 def costs(each: Measured, methods: int) -> tuple[str, ...]:
-    """Median wall time of a trial of each task, throughput of all workers, and what the whole
-    study would take.
+    """Return the table row of a study's cost.
+
+    It holds the median wall time of a trial of each task, the throughput of all workers, and the
+    time of the whole study.
     """
     whole = PAPER_TRIALS * len(each.took_s) * each.steady_s / 60.0
     took = (f"{one:.2f}" for one in each.took_s.values())

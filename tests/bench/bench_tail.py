@@ -1,10 +1,12 @@
-"""Late ticks beside those of the machine itself: `python tests/bench/bench_tail.py [--rounds 3]
-[--seconds 1.5] [SCENE ...]`.
+"""Late ticks, compared with the gaps of the machine itself.
 
-Each round runs every variant in turn, so that they meet the same hour: launches as chosen, never
-and always split, the ticks pinned to one core, both threads on one core (as where two processors
-share it), and with stress its process at ordinary priority on every core. Medians over rounds,
-beside gaps over 0.2 ms that a spinning clock met just before and after the ticks.
+Run: `python tests/bench/bench_tail.py [--rounds 3] [--seconds 1.5] [SCENE ...]`.
+
+Each round runs every variant in turn, so that all run under the same load. The variants are
+launches as chosen, never and always split, ticks pinned to one core, and both threads on one core
+(as where two processors share it). With stress there is one more: its process at ordinary priority
+on every core. Printed are medians over rounds, next to gaps over 0.2 ms that a spinning clock found
+just before and after the ticks.
 """
 
 import argparse
@@ -67,7 +69,7 @@ def on_one_core() -> Iterator[None]:
 
 
 def variants(scene: Scene) -> dict[str, Callable[[], Run]]:
-    """What is compared."""
+    """Return the variants that are compared."""
 
     def always() -> Run:
         with patch(SPLIT, 0.0):

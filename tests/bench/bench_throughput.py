@@ -1,16 +1,18 @@
-"""Trials x methods that one worker does in a second of its processor, by task, beside another
-checkout of this project.
+"""Throughput of trials x methods per second of a worker's processor, by task.
+
+It is compared with another checkout of this project.
 
 Run from the repository, here against the commit before the meshes, voxels and forecasts of runs
 were kept:
 
-    git worktree add ../before 502628a python tests/bench/bench_throughput.py --against ../before
-    [--trials 2] [--tasks T1 T2 T3 needle reaming drilling]
+    git worktree add ../before 502628a
+    python tests/bench/bench_throughput.py --against ../before [--trials 2]
+        [--tasks T1 T2 T3 needle reaming drilling]
 
 Both checkouts run the same trials in turn, each in a process of its own with one thread, so that
-they meet the same machine; the first trial of a process, which compiles kernels and condenses
-organs, is not counted. Processor time is what a busy machine disturbs least. The rows of all trials
-are compared bit for bit.
+both run on the same machine under the same load. The first trial of a process, which compiles
+kernels and condenses organs, is not counted. Processor time is the measure least affected by
+a busy machine. The rows of all trials are compared bit for bit.
 """
 
 import argparse
@@ -33,8 +35,9 @@ def names_of(task: str, trials: int) -> list[str]:
 
 
 def run_here(names: list[str]) -> None:
-    """Run trials in this process; a line each: name, processor time [s] and rows, their numbers
-    as they are in bits.
+    """Run trials in this process and print one line for each.
+
+    A line holds name, processor time [s] and rows, with their numbers as bits.
     """
     from tissue.evaluation.study.plan import Plan, TrialKey
     from tissue.evaluation.study.runner import _in_worker
@@ -62,8 +65,10 @@ def run_in(checkout: Path, names: list[str]) -> list[dict[str, object]]:
 
 
 def compared(task: str, trials: int, checkouts: list[Path]) -> tuple[str, ...]:
-    """One row of the table: processor time a trial in each checkout, throughput, ratio, and
-    whether rows are the same.
+    """Return one row of the table of two checkouts.
+
+    It holds the processor time per trial in each checkout, throughput, ratio, and whether the rows
+    are equal.
     """
     found = [run_in(each, names_of(task, trials)) for each in checkouts]
     methods = len(found[0][0]["rows"])

@@ -1,13 +1,17 @@
-"""Cost of particle finite elements: `python tests/bench/bench_tooth.py [--quick]`.
+"""Cost of particle finite elements.
+
+Run: `python tests/bench/bench_tooth.py [--quick]`.
 
 A block of enamel over dentin with a soft ball and a soft layer (84 GPa to 2 MPa), 8 particles a
 cell.
-1. Stiffness of all cells from their particles, beside scikit-fem's assembly of the same cells in
-the same run.
+
+1. Stiffness of all cells from their particles, compared with scikit-fem's assembly of the same
+   cells in the same run.
 2. Product: over cells, and scipy's with the assembled matrix.
 3. A ball of 1 mm cuts 20 um deeper: update, warm solve, stress where it cuts; against the number of
-unknowns.
-4. A cold solve beside smoothed aggregation (pyamg, six rigid-body modes), set-up and solve apart.
+   unknowns.
+4. A cold solve compared with smoothed aggregation (pyamg, six rigid-body modes), set-up and solve
+   timed separately.
 """
 
 import argparse

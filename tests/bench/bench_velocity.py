@@ -1,5 +1,6 @@
-"""Velocity from encoder steps: raw difference, first-order adaptive window and constant
-acceleration, on every scene.
+"""Velocity from encoder steps on every scene, by three estimators.
+
+They are the raw difference, the first-order adaptive window and constant acceleration.
 
 Run: python tests/bench/bench_velocity.py [SCENE ...]
 
@@ -30,9 +31,7 @@ WINDOWS = (5, 8, 15, 30)
 
 
 def recorded(name: str, index: int) -> tuple[Array, Array, float]:
-    """Positions that the encoders read and true ones [m], each shape (n, 3), and the encoder's
-    step [m].
-    """
+    """Return encoder and true positions [m], each shape (n, 3), and the encoder step [m]."""
     entries = {
         "device": "touch",
         "hand": GROUPS[index % len(GROUPS)],

@@ -1,4 +1,6 @@
-"""How ticks and memory grow: `python tests/bench/chart_growth.py --out DIR [--quick] [NAME ...]`.
+"""Growth of tick time and memory with the size of a model.
+
+Run: `python tests/bench/chart_growth.py --out DIR [--quick] [NAME ...]`.
 
 Voxels, voxels under the tool, points of a cutter's shell, tetrahedra, touchable nodes, contact
 points, particles, observables of a predictor, length of a run: each over two decades where memory
@@ -44,7 +46,7 @@ BECAUSE = {
     ("observables, fit", "memory"): "an operator is a full matrix of observables",
     ("observables, tick", "memory"): "an operator is a full matrix of observables",
 }
-"""Why a growth is what it is."""
+"""Reason for each growth exponent."""
 
 
 def exponent(points: list[Point], of: str, *, upper: bool) -> float:
@@ -55,7 +57,7 @@ def exponent(points: list[Point], of: str, *, upper: bool) -> float:
 
 
 def draw(found: dict[str, list[Point]], path: Path) -> None:
-    """Time beside memory, each over the size."""
+    """Draw time and memory over the size, side by side."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -1,5 +1,6 @@
-"""Cost and error of a hyperelastic organ at 1 kHz: `python tests/bench/chart_law.py --out DIR
-[--ratio 0.45]`.
+"""Cost and error of a hyperelastic organ at 1 kHz.
+
+Run: `python tests/bench/chart_law.py --out DIR [--ratio 0.45]`.
 
 A ball of 16 mm is pressed 6.4 mm into a slab at 20 mm/s and rests there, neo-Hookean: by the linear
 law, by the compliance at rest with an offset solved on coarser meshes and at other intervals, and

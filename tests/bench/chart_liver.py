@@ -1,18 +1,17 @@
-"""What each choice for soft tissue costs and how far it is from a converged solve.
+"""Cost and error of each choice for soft tissue, against a converged solution.
 
 `python tests/bench/chart_liver.py --out DIR [--quick]` writes tables (CSV) and a picture:
 
 - force on a sphere of 10 mm, 4 mm deep in a block (100 x 100 x 50 mm, 5 kPa, Poisson's ratio 0.45,
-  a quarter of it by
-  symmetry): order, refinement and law, solved whole or tick by tick on the linear compliance;
+  a quarter of it by symmetry): order, refinement and law, solved whole or tick by tick on the
+  linear compliance;
 - the answer of one linear body to one load: solve path, tolerance, basis size;
 - the depth at which the linear force passes 1, 5 and 10 % of error against neo-Hookean, on the
-  block, the procedural liver
-  and the scanned one (if it lies beside the checkout).
+  block, the procedural liver and the scanned one (if its file lies next to the checkout).
 
-The reference is neo-Hookean on the finest quadratic mesh; its distance to the next coarser one is
+The reference is neo-Hookean on the finest quadratic mesh. Its distance to the next coarser mesh is
 the bar below which no difference is resolved. Coarse and linear cells are too stiff, the linear law
-is too soft: single points come close by accident, a trend over refinement does not. Agreement with
+is too soft. Single points may be close by accident, a trend over refinement is not. Agreement with
 the reference is not agreement with an organ, whose moduli scatter by 20 % and more.
 """
 
@@ -54,8 +53,9 @@ LAW_NAMES = {Law.LINEAR: "linear", Law.COROTATIONAL: "corotational", Law.NEO_HOO
 
 
 def quarter(order: int, layers: int) -> tuple[Space, np.ndarray]:
-    """A quarter of the block about the sphere's axis, so many layers of cells in each direction;
-    its held components.
+    """Return a quarter of the block about the sphere's axis, and its held components.
+
+    It has `layers` layers of cells in each direction.
     """
     aside = 0.05 * (GROWTH ** np.arange(layers + 1) - 1.0) / (GROWTH**layers - 1.0)
     space = Space(grid(aside, aside, -aside[::-1]), order)
@@ -65,8 +65,9 @@ def quarter(order: int, layers: int) -> tuple[Space, np.ndarray]:
 
 
 def quarter_forces_N(space: Space, held: np.ndarray, law: Law, depths_m: np.ndarray) -> np.ndarray:
-    """Force on the whole block at each depth [N], shape (d,); NaN from the first depth that is
-    not solved.
+    """Return the force on the whole block at each depth [N], shape (d,).
+
+    It is NaN from the first depth that is not solved.
     """
     body = NonlinearBody(space, LIVER, law=law)
     solver = NewtonSolver(body, held, tolerance=1e-6)
@@ -91,8 +92,9 @@ def whole_solve(space: Space, held: np.ndarray, law: Law) -> tuple[float, float]
 
 
 def ticks(space: Space, held: np.ndarray) -> tuple[float, float]:
-    """Force at the depth [N], found tick by tick on the compliance, and the median time of a
-    tick there [s].
+    """Return the force at the depth [N] and the median time of a tick there [s].
+
+    The force is found tick by tick on the compliance.
     """
     faces = space.faces
     if space.order == 2:
@@ -121,8 +123,9 @@ def ticks(space: Space, held: np.ndarray) -> tuple[float, float]:
 
 
 def forces(quick: bool) -> tuple[list[Point], float]:
-    """Error of the force on the sphere by order, refinement, law and solver; and what the
-    reference leaves open.
+    """Return errors of the force on the sphere, and the remaining error of the reference.
+
+    The errors are given by order, refinement, law and solver.
     """
     finest, next_finest = ((2, 7), (2, 6)) if quick else ((2, 9), (2, 8))
     sizes = {1: (5, 6) if quick else (5, 6, 7, 8, 10), 2: (5,) if quick else (4, 5, 6, 7)}
@@ -142,8 +145,9 @@ def forces(quick: bool) -> tuple[list[Point], float]:
 
 
 def paths(quick: bool) -> list[Point]:
-    """Error of the displacement of touchable nodes under one load, to the factor's answer, and
-    time of a right side.
+    """Return displacement errors of touchable nodes under one load, and the time of a right side.
+
+    The errors are relative to the answer of the factor.
     """
     mesh = bisected(liver(spacing_m=14e-3), lambda at: np.full(len(at), 16e-3 if quick else 13e-3))
     space = Space(mesh)

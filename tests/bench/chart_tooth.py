@@ -1,9 +1,10 @@
-"""Cells and particles of the tooth against error and cost: `python tests/bench/chart_tooth.py
-[--out FILE.png]`.
+"""Error and cost of the tooth over cells and particles.
 
-The procedural molar with a cavity under 1 N: displacement of the tooth in its ligament, and stress
-recovered in the dentin beside and under the cavity's bottom, at several cell sizes and particles a
-cell, against the finest. The force at the bur needs none of it.
+Run: `python tests/bench/chart_tooth.py [--out FILE.png]`.
+
+The procedural molar with a cavity is loaded by 1 N. Compared are the displacement of the tooth in
+its ligament, and the stress in the dentin next to and under the cavity's bottom. Several cell sizes
+and particles per cell are compared with the finest. The force at the bur does not depend on them.
 """
 
 import argparse

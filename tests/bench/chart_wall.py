@@ -1,12 +1,11 @@
-"""How stiff a wall a device plays: three renderers over rate and delay, beside what the linear loop
-allows.
+"""Stiffness of the walls that a device can play, for three renderers over rate and delay.
 
 `python tests/bench/chart_wall.py --out DIR [--device omni|six-dof|touch] [--quick]` writes
-`wall_DEVICE.csv` and `wall_DEVICE.png`. A simulated hand meets a rigid wall, presses, and is
-jerked; the stiffest wall on which the force is quiet again counts. The black line is the critical
-stiffness of the linear loop in the same hand, from its eigenvalues; the grey one is the bound below
-which the wall is passive in any hand. The simulated device has friction and encoder steps, the line
-has neither.
+`wall_DEVICE.csv` and `wall_DEVICE.png`. A simulated hand touches a rigid wall, presses, and is
+jerked. The stiffest wall on which the force becomes quiet again counts. The black line is the
+critical stiffness of the linear loop in the same hand, from its eigenvalues. The grey line is the
+bound below which the wall is passive in any hand. The simulated device has friction and encoder
+steps, the linear loop has neither.
 """
 
 import argparse

@@ -1,9 +1,10 @@
-"""Predictors in closed loop, where a hand answers what was predicted: part of `bench_prediction.py
---closed`.
+"""Predictors in closed loop, where a hand responds to the predicted force.
 
-Every predictor runs at the stiffness that is chosen for a loop that holds the force, so that
-nothing but the prediction differs, and at the one that is chosen for itself. What was run is kept
-as lines of a table, and is not run again.
+The module is part of `bench_prediction.py --closed`.
+
+Every predictor runs at the stiffness that is chosen for a loop with zero-order hold, so that only
+the prediction differs. It also runs at the stiffness chosen for itself. Finished runs are stored as
+lines of a table and are not run again.
 """
 
 import csv
@@ -47,7 +48,7 @@ Task = tuple[str, str, str, int]
 
 @lru_cache
 def stiffness_N_m(name: str, kind: str, hand: str) -> float:
-    """What is chosen for a predictor in a hand [N/m]."""
+    """Return the stiffness that is chosen for a predictor in a hand [N/m]."""
     return judged_loop(
         loop_settings(by_hand(name, kind, hand, FIRST_SEED)), step_s=TICK_S
     ).stiffness_N_m
@@ -68,8 +69,9 @@ def by_hand(name: str, kind: str, hand: str, seed: int) -> Scene:
 
 
 def run(task: Task) -> tuple[float, ...]:
-    """Stiffness [N/m], error, least error and excess as shares of the ideal force, and residual
-    latency [ms].
+    """Return stiffness [N/m], error, noise floor, excess and residual latency [ms].
+
+    The errors are shares of the ideal force.
     """
     name, kind, at, seed = task
     hand = list(GROUPS)[seed % len(GROUPS)]
@@ -124,8 +126,9 @@ def report(
     seeds: range,
     kept: dict[tuple[str, str, int], tuple[float, ...]],
 ) -> None:
-    """The table of a scene: means over seeds, the worst error, and the excess in shares of
-    hold's at its stiffness.
+    """Print the table of a scene: means over seeds, the worst error and the excess.
+
+    The excess is a share of that of zero-order hold at its stiffness.
     """
     rows, base = [], np.nan
     for at in STIFFNESSES:
@@ -177,7 +180,7 @@ def report(
 
 
 def read(path: Path) -> dict[tuple[str, str, int], tuple[float, ...]]:
-    """What was run: values by predictor, stiffness and seed."""
+    """Read the finished runs: values by predictor, stiffness and seed."""
     if not path.is_file():
         return {}
     with path.open(encoding="utf-8", newline="") as file:

@@ -15,13 +15,12 @@ __all__ = ["CostModel"]
 
 @dataclass(frozen=True)
 class CostModel:
-    """Median tick of a scene's model: a constant, a share for each element of the tool, and one for
-    each cell it meets.
+    """Median tick of a scene's model: a constant, and a share per element and per cell.
 
-    ``tick = a + b elements + c met`` with none of them negative, fitted to relative errors. What a
-    cutter meets is a surface, so voxels are counted over the area of contact. An organ's contacts
-    are swept until they rest, and each sums over all others: there an element is a contact that a
-    sweep visits, and what it meets are the others.
+    ``tick = a + b elements + c met`` with nonnegative coefficients, fitted to relative errors. A
+    cutter touches a surface, so voxels are counted over the area of contact. An organ's contacts
+    are swept until they rest, and each sums over all others. There an element is a contact that a
+    sweep visits, and the cells are the other contacts.
 
     Attributes
     ----------
@@ -59,5 +58,5 @@ class CostModel:
 
 
 def _terms(point: Measured) -> Array:
-    """What the cost is a sum over."""
+    """Return the terms whose weighted sum is the cost."""
     return np.array([1.0, float(point.elements), point.met])

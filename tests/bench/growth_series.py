@@ -1,6 +1,4 @@
-"""What grows: models of growing size, with the time of a tick and the bytes of the arrays that
-they hold on to.
-"""
+"""Models of growing size, with the time of a tick and the memory of their arrays."""
 
 import gc
 import types
@@ -115,8 +113,9 @@ def voxels(quick: bool) -> Series:
 
 
 def resolution(quick: bool) -> Series:
-    """The same block and tool in finer voxels: the tick follows the surface in touch, the memory
-    the volume.
+    """Yield the same block and tool in finer voxels.
+
+    The tick time follows the contact surface, the memory follows the volume.
     """
     for spacing in (0.2, 0.14, 0.1) if quick else (0.25, 0.2, 0.14, 0.1, 0.07, 0.05):
         model, carve, _ = burr_ticks(4.0, spacing, 1e-4)
@@ -183,8 +182,9 @@ def tetrahedra(quick: bool) -> Series:
 
 
 def touched(edge_m: float, cells: int) -> Point:
-    """A ball of 10 mm stroked over a flat surface whose compliance falls with distance, as that
-    of a deep body does.
+    """Return a ball of 10 mm stroked over a flat surface whose compliance falls with distance.
+
+    A deep body has such a compliance.
     """
     from tissue.models.organ.contact import SurfaceContact
     from tissue.models.organ.probe import SphereProbe

@@ -1,4 +1,4 @@
-"""What every benchmark shares: percentiles of a repeated call, and what machine it ran on."""
+"""Percentiles of a repeated call and a description of the machine, for all benchmarks."""
 
 import gc
 import os

@@ -1,14 +1,14 @@
-"""Do chosen settings hold where they were not measured: `python tests/bench/held_out.py --out DIR
-[--seeds N] [SCENE ...]`.
+"""Check that chosen settings hold where they were not measured.
+
+Run: `python tests/bench/held_out.py --out DIR [--seeds N] [SCENE ...]`.
 
 1. Every setting of a scene is measured on the scene's own motion, as `fidelity` does it, then on
-others: feed x 0.8-1.25,
-   depth x 0.9-1.1, the path moved aside by up to half a voxel (half a millimetre where no hole
-   guides the tool). The same with imaged anatomy in the scene, where `../shared/anatomy` is there.
-   Printed: in how many runs what `fidelity` chooses for a demanded error meets it, for several
-   factors of safety.
-2. `--cost`: the tick of each setting predicted from all the others of its scene, least of several
-medians.
+   others: feed x 0.8-1.25, depth x 0.9-1.1, the path moved sideways by up to half a voxel (half a
+   millimetre where no hole guides the tool). Imaged anatomy is measured in the same manner where
+   `../shared/anatomy` is available. Printed: the number of runs in which the choice of `fidelity`
+   keeps the demanded error, for several factors of safety.
+2. `--cost`: the tick of each setting predicted from all other settings of its scene, the smallest
+   of several medians.
 """
 
 import argparse
@@ -37,11 +37,11 @@ from tissue.simulation.simulate import simulate
 
 SCENES = ("milling", "molar", "caries", "glenoid", "liver-press", "palpation")
 ASIDE_MM = {"milling": 0.5, "molar": 0.5, "caries": 0.5, "liver-press": 0.5, "palpation": 0.5}
-"""How far a path is moved aside where no hole guides the tool."""
+"""Distance by which a path is moved sideways where no hole guides the tool [mm]."""
 DEMANDS = (0.003, 0.005, 0.01, 0.02, 0.03, 0.05, 0.08, 0.12, 0.2, 0.3)
 """Demanded errors."""
 FACTORS = (1.0, 1.25, 1.5, 1.75, 2.0, 2.5)
-"""Factors of safety that are tried beside the one in use."""
+"""Factors of safety that are tried in addition to the one in use."""
 ROOT = Path(__file__).resolve().parents[3] / "shared" / "anatomy"
 REAL: dict[str, dict[str, dict[str, Any]]] = {
     "glenoid": {
@@ -98,8 +98,9 @@ def subjects(name: str) -> Iterator[tuple[str, Scene]]:
 def errors(
     name: str, scene: Scene, seeds: int, out: Path
 ) -> tuple[Frontier, dict[str, dict[str, float]]]:
-    """Measurements of a scene, and the error of each of its best settings on every run that was not
-    measured.
+    """Return the measurements of a scene and the error of its best settings on other runs.
+
+    The other runs were not measured.
 
     What a call that was interrupted has found is not run again.
     """
@@ -128,7 +129,7 @@ def errors(
 
 
 def chosen(frontier: Frontier, demand: float, factor: float) -> str | None:
-    """What `fidelity` would choose with a factor of safety."""
+    """Return the setting that `fidelity` would choose with a factor of safety."""
     before, fidelity.SAFETY = fidelity.SAFETY, factor
     try:
         return fidelity.choose(
@@ -143,7 +144,7 @@ def chosen(frontier: Frontier, demand: float, factor: float) -> str | None:
 def report(
     name: str, frontier: Frontier, found: dict[str, dict[str, float]]
 ) -> dict[float, list[bool]]:
-    """What was chosen and whether it held; all verdicts by factor."""
+    """Print the settings chosen and return, by factor, the list of whether each held."""
     base = {point.setting: point.force_error for point in frontier.points}
     rows = []
     for setting, each in found.items():
@@ -185,8 +186,9 @@ def report(
 
 
 def cost_settings(scene: Scene) -> list[Setting]:
-    """Settings whose ticks are compared: those of a full chart on one compute device, without
-    the stress.
+    """Return the settings whose ticks are compared.
+
+    They belong to a full chart on one compute device, without the stress.
     """
     return [
         each
@@ -196,8 +198,9 @@ def cost_settings(scene: Scene) -> list[Setting]:
 
 
 def timed(short: Scene, setting: Setting) -> Measured:
-    """A setting's tick on the scene's own motion, and what it counts; its error is not asked
-    for.
+    """Return the tick and the counts of a setting on the scene's own motion.
+
+    Its error is not measured.
     """
     run = simulate(changed(short, setting.changes), allow_unstable=True)
     counted = np.flatnonzero(run.trace["contact_mm2"] > 0.0)[SETTLED:]

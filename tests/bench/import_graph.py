@@ -1,5 +1,6 @@
-"""The packages and their imports as a picture: ``python tests/bench/import_graph.py PICTURE.png
-[CHECKOUT]``.
+"""Picture of the packages and their imports.
+
+Run: ``python tests/bench/import_graph.py PICTURE.png [CHECKOUT]``.
 
 A package, or a module at the top of ``tissue``, stands above all that it imports; a circle of
 imports is orange. An arrow is as wide as there are modules that import.
@@ -22,8 +23,9 @@ CIRCLE, STRAIGHT, BOX = (
 
 
 def measured(root: Path) -> tuple[list[str], np.ndarray, list[int], int]:
-    """Names of the packages, modules of the first that import the second, modules of each, and
-    all lines.
+    """Return package names, a matrix of imports, modules per package, and all lines.
+
+    An entry of the matrix counts the modules of the first package that import the second.
     """
     files = sources(root)
     files.pop("tissue", None)  # hands out names of all layers, each when it is asked for
@@ -43,8 +45,9 @@ def measured(root: Path) -> tuple[list[str], np.ndarray, list[int], int]:
 
 
 def layers_of(count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Layer of each package, 0 the lowest, and the number of the circle that it is part of, or
-    of itself.
+    """Return the layer of each package, 0 the lowest, and the number of its circle.
+
+    A package without a circle has a number of its own.
     """
     _, circle = connected_components(count, connection="strong")
     layer = np.zeros(len(count), dtype=int)

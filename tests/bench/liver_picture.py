@@ -1,5 +1,6 @@
-"""The picture of `chart_liver.py`: error over cost with named frontiers, and where the linear
-law stops being enough.
+"""Picture of `chart_liver.py`: error over cost with named frontiers.
+
+It also shows where the linear law stops being enough.
 """
 
 from pathlib import Path

@@ -201,7 +201,7 @@ def _changes(node: ast.AST, parent: ast.AST) -> Iterator[tuple[str, ast.expr]]:
 
 
 def _is_counted(node: ast.Constant, parent: ast.AST) -> bool:
-    """Whether an integer is an index, a bound, a count or a term."""
+    """Return True if an integer is an index, a bound, a count or a term."""
     if isinstance(parent, ast.Call):
         return _name(parent.func) == "range"
     return isinstance(parent, ast.Subscript | ast.Slice | ast.BinOp)
@@ -220,7 +220,7 @@ def _parts(node: ast.AST) -> Iterator[ast.AST]:
 
 
 def _is_skipped(node: ast.stmt) -> bool:
-    """Whether a statement only documents, imports, checks or raises."""
+    """Return True if a statement only documents, imports, checks or raises."""
     if isinstance(
         node, ast.Raise | ast.Assert | ast.Import | ast.ImportFrom | ast.AsyncFunctionDef
     ):
@@ -238,7 +238,7 @@ def _is_skipped(node: ast.stmt) -> bool:
 
 
 def _is_text(node: ast.AST) -> bool:
-    """Whether an operand is text or a sequence."""
+    """Return True if an operand is text or a sequence."""
     if isinstance(node, ast.JoinedStr | ast.List | ast.Tuple | ast.Dict | ast.ListComp):
         return True
     return isinstance(node, ast.Constant) and isinstance(node.value, str)

@@ -209,7 +209,7 @@ class _Child:
         return code
 
     def ended(self) -> bool:
-        """Whether the process has ended; one that takes too long is stopped."""
+        """Return True if the process has ended, and stop a process that takes too long."""
         pid, status = os.waitpid(self.pid, os.WNOHANG)
         if pid:
             self._code = os.waitstatus_to_exitcode(status)
@@ -228,7 +228,7 @@ class _Child:
         )
 
     def verdict(self) -> Verdict:
-        """What the run shows."""
+        """Return the verdict on the run."""
         failures = self.failures()
         if self._timed_out or self._code == -signal.SIGXCPU:
             return Verdict("timeout")

@@ -1,5 +1,6 @@
-"""Measure how many planted errors the quick tests catch: `python tests/bench/mutants.py` (see
-README.md here).
+"""Share of planted errors that the quick tests find.
+
+Run: `python tests/bench/mutants.py` (see README.md here).
 
 Each mutant is one small error in a numerically important module: a sign, a comparator, a constant
 times 1.1, a dropped term, or an integer off by one. `mutants.toml` lists the modules with the tests
@@ -65,8 +66,9 @@ class Table:
         ]
 
     def placed(self, address: str) -> Mutant | None:
-        """Mutant of an address; in another module if its function has moved, None if it is
-        nowhere.
+        """Return the mutant of an address, or None if it does not exist.
+
+        It is in another module if its function has moved.
         """
         module, place = address.split(" | ", 1)
         for each in self.of(module):
@@ -99,15 +101,18 @@ def _test_files(names: list[str]) -> list[str]:
 
 
 def _rank(seed: int, text: str) -> bytes:
-    """Place of a text in an order that depends on nothing else, so that edits elsewhere do not
-    reshuffle a draw.
+    """Return the rank of a text in a random order.
+
+    The order depends on the seed and the text alone, so that edits elsewhere do not reshuffle a
+    draw.
     """
     return blake2b(f"{seed} {text}".encode()).digest()
 
 
 def fresh(table: Table, seed: int, only: str) -> Iterator[Mutant]:
-    """Draw mutants without end of supply: module after module, and in each operator after
-    operator.
+    """Yield mutants until the supply ends.
+
+    They are drawn module after module, and within a module operator after operator.
     """
     stocks: dict[str, dict[str, deque[Mutant]]] = {}
     for module in sorted(
@@ -253,8 +258,9 @@ def _require_sound(runs: Runs, score: Score, table: Table) -> None:
 
 
 def coverage(table: Table, folder: Path) -> None:
-    """Print the branch coverage of the guarded modules by their guarding tests; kernels are
-    compiled and not seen.
+    """Print the branch coverage of the guarded modules by their guarding tests.
+
+    Kernels are compiled and not measured.
     """
     modules = [module for module in table.guards if not module.startswith("kernels.")]
     tests = sorted({test for module in modules for test in table.guards[module]})

@@ -1,5 +1,6 @@
-"""Force over the nodule of `palpation` by a finite element code of its own: `python
-tests/bench/nodule_reference.py 5`.
+"""Force over the nodule of `palpation` by an independent finite element code.
+
+Run: `python tests/bench/nodule_reference.py 5`.
 
 Hexahedra of 27 nodes whose faces follow the ball exactly, one half of the slab, a rigid ball
 without friction that is held off at Gauss points by multipliers. Shares with the library only the
@@ -24,13 +25,12 @@ CENTRE, RADIUS, BOX = np.array([-20.0, 0.0, -17.0]), 9.0, 17.0
 BALL, POISSON, NODULE_KPA, TISSUE_KPA = 8.0, 0.49, 100.0, 20.0
 DEPTHS = (2.0, 3.0, 3.5, 4.0)
 CORE, ROUNDED = 0.5, 0.06
-"""Half-side of the cube in the middle of the nodule, over its radius, and how far its corners
-are pulled in.
+"""Half-side of the cube in the middle of the nodule, and the inset of its corners.
+
+The half-side is relative to the nodule's radius.
 """
 REACH, PENALTY, GAP = 11.0, 600.0, 2e-3
-"""Nodes that may be touched [mm], stiffness of the contact [kPa/mm], and penetration allowed
-[mm].
-"""
+"""Radius of touchable nodes [mm], contact stiffness [kPa/mm] and allowed penetration [mm]."""
 
 
 def with_middles(edges: Array) -> Array:
@@ -57,8 +57,9 @@ def shapes(at: Array) -> tuple[Array, Array]:
 
 
 def elements_of(points: Array) -> list[Array]:
-    """Elements of a lattice of nodes, shape (a, b, c, 3), each turned so that its volume is
-    positive.
+    """Return the elements of a lattice of nodes, shape (a, b, c, 3).
+
+    Each is turned so that its volume is positive.
     """
     found = []
     for i, j, k in product(*(range(0, size - 1, 2) for size in points.shape[:3])):
@@ -162,8 +163,9 @@ def stiffness_of(
 def gauss_points(
     nodes: Array, cells: NDArray[np.int64], near: NDArray[np.int64]
 ) -> tuple[Array, Array, Array]:
-    """Points of the upper face [mm], areas [mm2], and shares of the near nodes in them, shape
-    (q, k).
+    """Return Gauss points of the upper face [mm], areas [mm2] and weights of the near nodes.
+
+    The weights have shape (q, k).
     """
     at, weights = np.polynomial.legendre.leggauss(5)
     value, slope = shapes(at)

@@ -1,5 +1,6 @@
-"""Scores of all predictors on one recorded run, at every latency: what a process of
-`bench_prediction.py` does.
+"""Scores of all predictors on one recorded run, at every latency.
+
+This is the work of one process of `bench_prediction.py`.
 """
 
 from dataclasses import dataclass
@@ -22,13 +23,14 @@ RECORDED_MS = 4
 """Latency under which runs are recorded; predictors are scored on them as if it were another."""
 FORCE_LIMIT_N = 3.3
 KNOWN = "(path known)"
-"""Look-ahead on the path that the device goes on, without a guard: what is left is the law's; no
-predictor.
+"""Name of look-ahead on the device's true path, without a guard.
+
+Its error is that of the law; it is not a predictor.
 """
 
 
 class KnownPath:
-    """The path that a recorded device goes on; the stretch stays."""
+    """Path along which a recorded device moves; the stretch stays."""
 
     trusted = True
 
@@ -73,7 +75,9 @@ class Kept:
 def scores(
     path: Path, variant: Scene, share: float, latencies_ms: list[int]
 ) -> dict[tuple[str, int], np.ndarray]:
-    """Error, least error, excess and residual latency [ms] of every predictor at every latency.
+    """Return error, noise floor, excess and residual latency [ms] by predictor and latency.
+
+    Every latency has a pass of its own: a guard judges only the lead that it is asked for first.
 
     Every latency has a pass of its own: a guard judges the one lead that it is asked for first.
     """

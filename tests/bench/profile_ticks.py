@@ -1,13 +1,14 @@
-"""Where a tick's time goes, scene by scene, by script and by hand: `python
-tests/bench/profile_ticks.py [--deep | --added] [SCENE ...]`.
+"""Time of a tick by stage and scene, for scripted motion and for a hand.
 
-Stages are medians over ticks in contact [us], of the faster of two runs. By hand the stage `motion`
-holds the simulated device and hand, which a real device does not need. `--deep` runs once more
-under cProfile and names the functions with the most time of their own: shares, since a profiler
-makes small functions look larger than they are. `--added` prints what hand, coupling, prediction by
-koopman-look-ahead and perception add to the same scripted scene: percentiles of ticks by hand less
-those of ticks by script, of every tick the least of some runs, since another process on the machine
-only adds.
+Run: `python tests/bench/profile_ticks.py [--deep | --added] [SCENE ...]`.
+
+Stages are medians over ticks in contact [us], of the faster of two runs. For a hand, the stage
+`motion` includes the simulated device and hand, which a real device does not need. `--deep` runs
+once more under cProfile and names the functions with the most time of their own. These times are
+shares, since a profiler makes small functions look larger than they are. `--added` prints the time
+that hand, coupling, prediction by koopman-look-ahead and perception add to the same scripted scene.
+It is given as percentiles of ticks with a hand minus ticks with a script. The smallest time over
+some runs is used for every tick, since another process on the machine can only add time.
 """
 
 import argparse
@@ -92,8 +93,9 @@ def deepest(scene: Scene) -> list[tuple[str, float, float]]:
 
 
 class Clocked(RunObserver):
-    """Goes along with a run and takes the processor time of its ticks, and of the simulated
-    device and hand within [us].
+    """Observer of a run that measures the processor time of its ticks [us].
+
+    It also measures the time of the simulated device and hand within them.
     """
 
     def __init__(self) -> None:
@@ -125,10 +127,12 @@ class Clocked(RunObserver):
 
 
 def least_us(scenes: Sequence[Scene]) -> list[np.ndarray]:
-    """Ticks in contact of each scene, rows wall, processor, simulated device [us]: of every tick
-    the least of the runs.
+    """Return the ticks in contact of each scene: wall, processor and simulated device [us].
 
-    A run does the same work each time. The scenes take turns, so that both meet the same machine.
+    Each tick has the smallest value of the runs.
+
+    A run does the same work each time. The scenes take turns, so that the load of the machine is
+    the same for both.
     """
     found: list[list[np.ndarray]] = [[] for _ in scenes]
     for _ in range(ADDED_RUNS):
@@ -145,8 +149,9 @@ def least_us(scenes: Sequence[Scene]) -> list[np.ndarray]:
 
 
 def added(names: Sequence[str]) -> None:
-    """What a hand, with all that belongs to it, adds to a scripted scene; a wall, met by hand
-    only, is shown whole.
+    """Print the time that a hand and its coupling add to a scripted scene.
+
+    A wall is touched by a hand only, so all of its time is shown.
     """
     rows = []
     for name in names:

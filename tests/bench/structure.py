@@ -1,9 +1,11 @@
-"""Print the structure of the source: `python tests/bench/structure.py [--scene NAME] [CHECKOUT]`.
+"""Print the structure of the source.
 
-Figures are those of the table in `CONTRIBUTING.md`: tokens without comments and docstrings,
+Run: `python tests/bench/structure.py [--scene NAME] [CHECKOUT]`.
+
+The figures match the table in `CONTRIBUTING.md`: tokens without comments and docstrings,
 statements, files, packages, import cycles, names in strings, parameters, packed assignments. A
-scene is followed from the command to its first tick: modules of `tissue` that its calls enter, and
-calls to a module of a higher layer than the caller's.
+scene is followed from the command to its first tick. Listed are the modules of `tissue` that its
+calls enter, and the calls to a module of a higher layer than the caller's.
 """
 
 import argparse

@@ -1,5 +1,6 @@
-"""Images that are not what they claim: each is refused in one sentence that names what is wrong,
-none is run.
+"""Images with wrong content.
+
+Each is refused in one sentence that names the error, and none is run.
 """
 
 import gzip
@@ -437,7 +438,7 @@ def test_tiff_slices_that_are_cut_are_refused(tmp_path):
 
 
 def test_whole_files_of_the_same_kind_are_read(tmp_path):
-    """What the list above breaks is sound before."""
+    """The valid files behind the list of broken ones can be read."""
     for make in (nifti, nrrd, meta, dicom, lambda f: meta(f, suffix=".mha")):
         folder = Path(tmp_path, str(len(list(tmp_path.iterdir()))))
         folder.mkdir()

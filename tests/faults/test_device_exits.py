@@ -134,8 +134,9 @@ def test_an_exception_elsewhere_in_the_run_ends_at_zero(kind, monkeypatch):
     ],
 )
 def test_a_call_that_never_returns_is_given_up(kind, where, tmp_path):
-    """Zero goes out from another thread, or the device is closed; the run ends while the call
-    still blocks.
+    """A call that never returns is abandoned and the run ends while it still blocks.
+
+    Zero is sent from another thread, or the device is closed.
     """
     device = kind(block, where=where)
     with pytest.raises(
@@ -162,8 +163,9 @@ def test_a_call_that_never_returns_is_given_up(kind, where, tmp_path):
 
 
 def test_a_loop_that_hangs_lets_the_device_go_and_takes_it_up_again(monkeypatch):
-    """Not the device but the tissue blocks: zero within a tenth of a second, and the force comes
-    back gradually.
+    """A loop that hangs in the tissue releases the device and resumes it later.
+
+    Zero is sent within a tenth of a second, and the force comes back gradually.
     """
     device, play, stood = Recording(), HandMotion.play, []
 

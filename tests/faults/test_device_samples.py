@@ -1,4 +1,7 @@
-"""What a loop accepts of a device: dates, types and noise, and that no hand is taken for noise."""
+"""Samples that a loop accepts from a device: times, types and noise.
+
+A hand is never taken for noise.
+"""
 
 from dataclasses import replace
 
@@ -79,8 +82,10 @@ def test_the_noise_of_a_sensor_is_none(scale_m):
 
 
 def test_roughness_by_its_closed_form():
-    """Three samples of an acceleration a lie a T^2 / 2 off the straight line: rough above the
-    limit, not below.
+    """Roughness follows its closed form.
+
+    Three samples of an acceleration a lie a T^2 / 2 off the straight line: rough above the limit,
+    not below.
     """
     for share, noisy in ((0.99, False), (1.01, True)):
         course = Roughness(2000.0)
@@ -115,7 +120,9 @@ def test_clocks_that_jitter_are_no_noise():
 @pytest.mark.parametrize("name", DEVICES)
 @pytest.mark.parametrize("group", HANDS)
 def test_no_hand_on_no_device_is_taken_for_noise(group, name):
-    """Fast taps on the stiffest wall that a vendor allows, with tremor, encoder steps, and a
+    """No hand on any device is taken for noise.
+
+    It makes fast taps on the stiffest wall that a vendor allows, with tremor, encoder steps, and a
     jerk of 19 N.
     """
     device, rng = device_parameters(name), np.random.default_rng(3)
@@ -281,8 +288,9 @@ def test_a_force_changes_no_faster_than_its_device_states(name):
 
 
 class Missing(ComputedDevice):
-    """A mass that a hand presses onto the wall to and fro, some of whose samples are missing; it
-    sums what was played.
+    """Mass that a hand presses onto the wall to and fro, with some samples missing.
+
+    It sums the forces that were played.
     """
 
     def __init__(self):

@@ -1,5 +1,6 @@
-"""Devices that report other units or other quaternions: the run ends, or the force fades, with a
-sentence.
+"""Devices that report other units or other quaternions.
+
+The run ends, or the force fades, with a sentence.
 """
 
 import numpy as np
@@ -30,8 +31,9 @@ TURN = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
 
 
 class Goes(ComputedDevice):
-    """A device whose position is a function of time, in a unit of its own, and which keeps its
-    commands.
+    """Device whose position is a function of time, in a unit of its own.
+
+    It records its commands.
     """
 
     def __init__(self, path, quaternion=(0.0, 0.0, 0.0, 1.0)):
@@ -79,8 +81,9 @@ def wall(**changes):
 
 
 def test_a_device_in_millimetres_ends_the_run_at_zero_with_its_reason():
-    """At 4 mm/s no sample is a jump: only the workspace shows that 4 m each second are none of
-    an arm.
+    """A device in millimetres ends the run at zero force and reports the reason.
+
+    At 4 mm/s no sample is a jump: only the workspace shows that no arm moves 4 m each second.
     """
     device = Goes(falling_mm)
     with pytest.raises(
@@ -175,7 +178,9 @@ def test_a_clutch_and_a_mouse_go_further_than_an_arm():
     ],
 )
 def test_a_quaternion_of_another_length_gives_no_force(quaternion):
-    """Of one's own device and of an adapter, whose workspace would have brought it to unit
+    """A quaternion that is not of unit length gives no force.
+
+    This holds for a user's device and for an adapter, whose workspace would have brought it to unit
     length in silence.
     """
     start = Goes(lambda time_s: (0.0, 0.0, 0.02 - 0.1 * time_s), quaternion)

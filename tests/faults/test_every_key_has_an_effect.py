@@ -1,5 +1,6 @@
-"""Every key of every kind of scene: another value changes what a run gives, or the key is
-refused with one that does.
+"""Every key of every kind of scene.
+
+Another value changes the results of a run, or the key is refused with one that does.
 """
 
 import hashlib
@@ -40,8 +41,9 @@ BY_DATA = {
     "anatomy.site": "anatomy.site must not be caries for a tooth without a lesion, got caries: ",
     "materials": "materials must hold a constant that the scene rests on, got ",
 }
-"""Refusals of keys that only the contents of files leave without effect, besides those with
-"must be left out".
+"""Refusals of keys that only the contents of files leave without effect.
+
+Other keys are refused with "must be left out".
 """
 CLOCK = ("tick_us", "missed_deadlines", "events", "machine", "tissue", "scheduling", "machine_gaps")
 """Entries of a summary that a clock or a machine decides."""
@@ -63,8 +65,9 @@ def stress_in_this_process(monkeypatch):
 
 
 def fingerprint(scene):
-    """A digest of all that a run gives but for times, events, which hold times too, and the
-    machine.
+    """Return a digest of all results of a run.
+
+    Times, events, which contain times, and the machine are left out.
     """
     from tissue.show.figures.tool_mesh import tool_surface
 
@@ -89,8 +92,9 @@ def fingerprint(scene):
 
 
 def without_effect(kind, files, folder):
-    """Keys of a kind whose other value changes nothing, or is refused for another reason than
-    having no effect.
+    """Return the keys of a kind whose other value changes nothing.
+
+    A key refused for another reason than having no effect counts too.
     """
     table, base = kinds(files)[kind], folder / "base.toml"
     base.write_text(tomli_w.dumps(table))
@@ -110,7 +114,7 @@ def without_effect(kind, files, folder):
 
 
 def is_refused(key, message):
-    """Whether a refusal states that a key, or the whole part that it is in, has no effect."""
+    """Return True if a refusal reports that a key, or its whole table, has no effect."""
     keys, must, rest = message.partition(" must be left out ")
     named = keys.replace(",", " ").split()
     well_formed = must and "\n" not in message and ", got " in rest and ": " in rest

@@ -81,8 +81,9 @@ def coarsest_and_finest(scene, *, quick):
 
 @pytest.mark.parametrize("scene", CHARTED)
 def test_a_scene_can_be_charted(command, tmp_path, scene, monkeypatch):
-    """At two settings, at one place, on coarser voxels, without other processes:
-    `test_charts.py` has these.
+    """A scene can be charted at two settings, at one place, on coarser voxels.
+
+    No other processes are used: `test_charts.py` covers them.
     """
     monkeypatch.setattr(measure, "EXCERPT_S", {True: CHARTED[scene]})
     monkeypatch.setattr(settings, "PLACES", settings.PLACES[:1])

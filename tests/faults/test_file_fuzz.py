@@ -1,5 +1,6 @@
-"""Damaged files of every kind are read or refused in one sentence: no traceback, no crash, no
-hang.
+"""Damaged files of every kind.
+
+They are read or refused in one sentence, without traceback, crash or hang.
 """
 
 import os
@@ -30,8 +31,10 @@ QUICK |= {
     "image apart": 0,
 }
 QUICK |= {"log": 3, "log apart": 0, "toolpath": 3}
-"""Damaged files from each whole one, by reader; one that parses in a process of its own takes most
-of a second, and goes to the slow set."""
+"""Number of damaged files from each whole one, by reader.
+
+A file that is parsed in a process of its own takes most of a second, and belongs to the slow set.
+"""
 FIRST_SEED = int(os.environ.get("TISSUE_FUZZ_SEED", "0"))
 """Of the damage: set the variable for other damage."""
 SLOW = {reader: 14 if reader.endswith(" apart") else 18 * count for reader, count in QUICK.items()}
@@ -46,9 +49,7 @@ def sources(tmp_path_factory):
 
 
 def spoilt_file(folder: Path, source: Path, reader: str, seed: int, work: Path) -> Path:
-    """A damaged copy of a file, in a copy of its folder where it has one; what the reader is
-    given.
-    """
+    """Return the input of a reader: a damaged copy of a file, in a copy of its folder if any."""
     content = damaged(source.read_bytes(), seed)
     whole = {"study": "study", "assess": "run", "run apart": "run"}.get(reader)
     if whole is None:

@@ -1,5 +1,6 @@
-"""Files that state or inflate to more than the memory, and files that are none: refused before
-anything is decoded.
+"""Files that state or inflate to more than the memory, and paths that are not files.
+
+They are refused before anything is decoded.
 """
 
 import gzip

@@ -1,5 +1,6 @@
-"""No command touches a file of the user: each is run over folders and files that it did not
-write.
+"""Files of the user, which no command changes.
+
+Each command is run over folders and files that it did not write.
 """
 
 import hashlib
@@ -132,8 +133,10 @@ def test_single_files_are_replaced_on_request_and_only_where_they_are_regular(
 
 @pytest.mark.parametrize("arguments", [("schema",), ("train", "wall")])
 def test_a_device_node_is_never_replaced(refused, tmp_path, arguments):
-    """A node like /dev/null, of our own: a command that failed here would take that of the
-    machine away.
+    """A device node is never replaced.
+
+    The test uses a node like /dev/null of its own, since a failing command would remove that of the
+    machine.
     """
     node = tmp_path / "null"
     try:
@@ -145,8 +148,10 @@ def test_a_device_node_is_never_replaced(refused, tmp_path, arguments):
 
 
 def test_a_run_of_the_user_is_not_a_run_by_its_summary_alone(refused, tmp_path):
-    """A file with that name and a version in it is no proof, nor is a folder that an older
-    version did not write.
+    """A run of the user is not recognised by its summary alone.
+
+    A file with that name and a version in it is no proof, nor is a folder that an older version did
+    not write.
     """
     folder = tmp_path / "mine"
     put(folder, ["bone.stl", "pictures/mine.png"])

@@ -1,5 +1,6 @@
-"""Peers that accept a connection and then answer no more: a run that has finished stays
-finished, without an error.
+"""Peers that accept a connection and then stop responding.
+
+A finished run stays finished, without an error.
 """
 
 import base64
@@ -59,8 +60,9 @@ def free_port():
 
 
 class Peer(threading.Thread):
-    """A device that connects to a run as soon as it listens, sends some parts, and goes silent
-    with its line open.
+    """Device that connects to a run as soon as it listens, sends some parts, and then stops.
+
+    Its line stays open.
     """
 
     def __init__(self, port, parts):
@@ -111,8 +113,9 @@ def test_a_run_with_a_silent_connection_finishes(parts):
 
 
 def test_a_device_takes_the_place_of_one_that_reads_no_more():
-    """The first one's buffers are full, so that a packet for it waits; the second one gets its
-    wrenches at once.
+    """A device replaces one that reads no more and gets its wrenches at once.
+
+    The first one's buffers are full, so that a packet for it waits.
     """
     with NetworkAdapter(Hardware(address="ws://127.0.0.1:0")) as adapter:
         port = int(adapter.address.rpartition(":")[2])
@@ -141,8 +144,9 @@ def test_a_device_takes_the_place_of_one_that_reads_no_more():
 
 
 def packet_of_kind(heard, kind):
-    """The first packet of a kind in what came over a line, which begins with the answer to the
-    handshake.
+    """Return the first packet of a kind from the bytes of a line.
+
+    The bytes begin with the answer to the handshake.
     """
     for match in re.finditer(rb"TDEV", heard):
         data = heard[match.start() :]
@@ -228,8 +232,9 @@ def test_a_service_that_never_states_its_version_is_used():
 
 @pytest.mark.parametrize("full", [False, True])
 def test_a_run_whose_service_vanishes_at_its_end_is_finished(full):
-    """The service reads no more in the last tenth of a second; its buffers may be full, so that
-    zero cannot be sent.
+    """A run whose service vanishes in the last tenth of a second is finished.
+
+    The service reads no more and its buffers may be full, so that zero cannot be sent.
     """
     service = Service()
     keys = {
@@ -264,8 +269,9 @@ def test_a_run_whose_service_vanishes_at_its_end_is_finished(full):
 
 
 def fill(link):
-    """Fill the buffers of a connection, so that the next frame on it waits; in a thread that is
-    left behind.
+    """Fill the buffers of a connection, so that the next frame on it waits.
+
+    A thread that is left running fills them.
     """
     connection = link._socket
 

@@ -1,9 +1,9 @@
-"""A run on Haply's device against a stand-in service: it presses, is stable, and every fault leaves
-it without force.
+"""Runs on Haply's device against a stand-in service.
 
-The stand-in runs in a process of its own and records when each force came. What is asserted is the
-order of commands; that zero comes within 50 ms of a fault is measured, and asserted of the best of
-some tries in the slow set.
+The device presses, is stable, and every fault leaves it without force. The stand-in runs in a
+process of its own and records the time of each force. The tests assert the order of commands. The
+time from a fault to zero, at most 50 ms, is measured, and asserted of the best of some tries in the
+slow set.
 """
 
 import os
@@ -25,9 +25,9 @@ from tissue.simulation.run_folder import SavedRun
 PUSHING_N = 0.5
 """Force at the time of a fault."""
 PATIENCE_S = 30.0
-"""How long what has to come is waited for; nothing depends on how soon it does [s]."""
+"""Longest time to wait for an expected event [s]; no result depends on it."""
 WITHIN_S = 0.05
-"""How soon after a fault the last force is zero [s]."""
+"""Longest time from a fault to the last nonzero force [s]."""
 PRESSED = {"device": "haply", "hardware.ramp_ms": 50.0, "duration_s": 60.0}
 
 
@@ -36,8 +36,9 @@ def scene_on(service, **changes):
 
 
 class Pressing:
-    """Goes along with a run: once it has pressed for a while a fault is made, and the run ends some
-    time after that.
+    """Tick callback that makes a fault once the run has pressed for a while.
+
+    The run ends some time after the fault.
 
     Parameters
     ----------
@@ -74,8 +75,9 @@ class Pressing:
 
 
 def zeroed(commands, began_s, until_s=None):
-    """Time from a fault to the zero behind the last other force [s]; the last one until then has
-    to be zero.
+    """Return the time from a fault to the zero after the last other force [s].
+
+    The last force until then must be zero.
     """
     kept = [each for each in commands if until_s is None or each[0] < until_s]
     forces = np.array([force for *_, force in kept])
@@ -89,7 +91,10 @@ def zeroed(commands, began_s, until_s=None):
 
 
 def best_of(tries, measure):
-    """The least of some measurements [s], each made anew where the one before it was too long."""
+    """Return the smallest of some measurements [s].
+
+    Each is made anew where the one before it was too long.
+    """
     found = []
     while len(found) < tries and (not found or min(found) > WITHIN_S):
         found.append(measure())
@@ -98,8 +103,9 @@ def best_of(tries, measure):
 
 
 class AtRest:
-    """Ends a run once it has been pushed without a break for so many ticks, in which the device
-    moved by little.
+    """Tick callback that ends a run once the device is pushed at rest.
+
+    At rest means a number of consecutive ticks in which the device moved by little.
     """
 
     def __init__(self, ticks, within_mm):
@@ -116,8 +122,9 @@ class AtRest:
 
 @pytest.mark.parametrize("version", ["3.5.0", "3.1.2"])
 def test_a_wall_is_pressed_in_closed_loop_until_hand_and_wall_balance(version):
-    """At the stiffness that the judge finds stable it comes to rest, where the hand's spring
-    holds the wall's.
+    """At the stiffness that is judged stable, the wall is pressed until hand and wall balance.
+
+    The device rests where the spring of the hand equals the spring of the wall.
     """
     with RemoteService(version=version, press_m=0.03) as service:
         at_rest = AtRest(150, 0.2)
@@ -151,7 +158,7 @@ FAULTS = {
 
 
 def after_fault(name, tmp_path):
-    """How long after a fault of the service the last force is zero, while the run goes on [s]."""
+    """Return the time from a fault of the service to zero force while the run continues [s]."""
     with RemoteService(press_m=0.03) as service:
         pressing = Pressing(service, lambda: FAULTS[name](service))
         if name == "uncalibrated":
@@ -175,8 +182,9 @@ def test_zero_follows_a_fault_of_the_service_soon(name, tmp_path):
 
 
 def after_shuffling(states):
-    """Of a hand that goes around in a circle, states of so many milliseconds come in a random
-    order.
+    """Return the times to zero and the events after states come in a random order.
+
+    The hand moves in a circle, and groups of `states` states, one per millisecond, are shuffled.
     """
     with RemoteService(press_m=0.035, circle_m=0.03) as service:
         pressing = Pressing(service, lambda: service.set(shuffled=states))
@@ -243,7 +251,7 @@ def test_zero_follows_an_exception_soon(monkeypatch):
 
 
 def after_standstill():
-    """The ticks stand still for half a second: zero has come before they go on."""
+    """Check that zero is sent before the ticks continue after a standstill of half a second."""
     stood = []
     with RemoteService(press_m=0.03) as service:
         pressing = Pressing(service, lambda: 1.0)

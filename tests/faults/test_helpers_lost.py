@@ -43,7 +43,7 @@ main()
 
 
 def start_in(folder):
-    """What a child runs to find the modules of a folder, too."""
+    """Return the start code of a child process that also finds the modules of a folder."""
     return f"import sys; sys.path.insert(0, {str(folder)!r}); {child.START}"
 
 
@@ -61,7 +61,7 @@ def echo(tmp_path, monkeypatch):
 
 
 def gone(number, within_s=20.0):
-    """Whether a process ends soon."""
+    """Return True if a process ends within the given time."""
     until = time.monotonic() + within_s
     while time.monotonic() < until:
         try:
@@ -148,8 +148,9 @@ def plain():
 @pytest.mark.parametrize("when", ["begun", "last"])
 @pytest.mark.parametrize("name", ["SIGKILL", "SIGSTOP"])
 def test_a_run_that_loses_its_stress_keeps_all_else(plain, tmp_path, monkeypatch, name, when):
-    """Bone, trace and pictures are those of the run that nothing disturbs; one sentence names
-    what is missing.
+    """A run that loses its stress process keeps bone, trace and pictures unchanged.
+
+    One sentence names the missing part.
     """
     if not hasattr(signal, name):
         pytest.skip(f"this system has no {name}")

@@ -1,5 +1,6 @@
-"""Arguments, streams and places that no command can use end in one sentence, and never in a
-traceback.
+"""Arguments, streams and places that no command can use.
+
+They end in one sentence, never in a traceback.
 """
 
 import json
@@ -228,7 +229,7 @@ def test_a_stream_that_takes_ascii_alone_is_served(tmp_path):
 
 @pytest.mark.slow
 def test_streams_that_are_closed_are_no_place_for_files(tmp_path):
-    """What a library prints to a closed stream would go into the file that was opened first."""
+    """A library's output to a closed stream does not go into the file that was opened first."""
     out = tmp_path / "out"
     close = (
         "import os; [os.close(number) for number in (0, 1, 2)]; from tissue.cli.main import "

@@ -42,7 +42,7 @@ def command_line(process):
 
 
 def children(process, word, count):
-    """Processes below one whose command lines hold a word, as soon as there are so many."""
+    """Return the child processes whose command lines hold a word, as soon as there are `count`."""
     until = time.monotonic() + 120.0
     while time.monotonic() < until and process.poll() is None:
         found = psutil.Process(process.pid).children(recursive=True)
@@ -53,7 +53,7 @@ def children(process, word, count):
 
 
 def gone(processes, within_s):
-    """Whether processes have ended."""
+    """Return True if all processes have ended."""
     _, alive = psutil.wait_procs(processes, timeout=within_s)
     alive = [each for each in alive if command_line(each)]  # a zombie has none
     for each in alive:

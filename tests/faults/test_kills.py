@@ -1,5 +1,6 @@
-"""Commands killed at random moments, and stopped by signals: what was finished is kept, nothing
-is left behind.
+"""Commands killed at random moments, and stopped by signals.
+
+Finished work is kept, nothing is left behind.
 """
 
 import csv
@@ -61,8 +62,9 @@ STUDY = (
 
 
 class Command:
-    """The ``tissue`` command in a process of its own, by whose mark all that it starts are
-    found.
+    """The ``tissue`` command in a process of its own.
+
+    All processes that it starts are found by its mark.
     """
 
     def __init__(self, place, *arguments):
@@ -84,8 +86,9 @@ class Command:
         )
 
     def stopped_after(self, seconds, how):
-        """Send a signal a while after its first own line, unless it has ended; whether it was
-        sent, what it printed.
+        """Send a signal some time after the first own line, unless the command has ended.
+
+        Returns whether it was sent, and the output.
         """
         until = time.monotonic() + 60.0
         while not self.begun.exists() and time.monotonic() < until:
@@ -98,7 +101,7 @@ class Command:
             return True, self.process.communicate(timeout=120.0)[1]
 
     def left(self, within_s=30.0):
-        """What it started and has not ended after a while."""
+        """Return the processes that the parent started and that have not ended after a while."""
         until = time.monotonic() + within_s
         while (
             found := [each for each in psutil.process_iter() if self._is_ours(each)]
@@ -138,8 +141,9 @@ def check_run(out, whole, *, killed):
 
 
 def check_study(out, whole, *, killed):
-    """Every trial that is there is whole; the tables of a study that went on are those of one
-    that never stopped.
+    """Check that every trial of a killed study is whole.
+
+    The tables of a study that continued equal the tables of one that never stopped.
     """
     kept = [each for each in out.glob("trials/*.json") if not each.name.startswith(".")]
     for each in kept:
@@ -163,8 +167,9 @@ def check_trained(out, whole, *, killed):
 
 
 def check_session(out, whole, *, killed):
-    """The log holds the first trials of the whole session; the observer is there at the end
-    alone.
+    """Check that the log holds the first trials of the whole session.
+
+    The observer exists only at the end.
     """
     name = "observer.trials.jsonl"
     log = out.with_name(name)
@@ -236,8 +241,10 @@ def whole(tmp_path_factory):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", CASES)
 def test_a_kill_at_any_moment_loses_only_the_work_in_progress(tmp_path, whole, kind):
-    """Moments are drawn within what the command takes; after the kills it is run to its end on
-    what they left.
+    """A kill at any moment loses only the work in progress.
+
+    Moments are drawn within the command's duration; after the kills it is run to its end on the
+    files left.
     """
     wanted, lasts_s = whole(kind)
     line, name, check, anew = CASES[kind]

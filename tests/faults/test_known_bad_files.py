@@ -251,7 +251,9 @@ def test_names_from_files_are_shown_as_text(capsys):
 
 
 def test_forces_below_the_least_are_zero(monkeypatch):
-    """With a least force of 1 N in place of 1e-12 N, so that a short run holds some of either
+    """Forces below the smallest force are zero.
+
+    The smallest force is 1 N here in place of 1e-12 N, so that a short run holds forces on either
     side.
     """
     from tissue import load_scene, simulate

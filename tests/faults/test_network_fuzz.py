@@ -1,5 +1,6 @@
-"""A line to a network device that damages, repeats, reorders and invents packets: nothing false
-passes, nothing ends.
+"""Line to a network device that damages, repeats, reorders and invents packets.
+
+Nothing false passes, and no session ends.
 """
 
 import struct
@@ -55,8 +56,9 @@ def test_of_damaged_packets_only_whole_ones_pass(seed):
 
 @pytest.mark.parametrize("seed", range(ROUNDS))
 def test_a_damaged_line_gives_poses_in_order_and_loses_no_count(seed):
-    """Every packet that was handed over is counted once; poses that pass are those that were
-    sent, in their order.
+    """A damaged line gives poses in order and counts every packet once.
+
+    Poses that pass equal the sent ones, in their order.
     """
     rng = np.random.default_rng(1000 + seed)
     clock = iter(np.arange(0.0, 1e3, 1e-4))
@@ -89,7 +91,9 @@ def test_a_damaged_line_gives_poses_in_order_and_loses_no_count(seed):
 
 @pytest.mark.parametrize("seed", range(10))
 def test_any_bytes_of_any_sender_leave_the_session_usable(seed):
-    """Whole packets of any kind and number from four senders, and noise: replies are hello or a
+    """Any bytes of any sender leave the session usable.
+
+    Four senders send noise and whole packets of any kind and number; replies are hello or a
     refusal.
     """
     rng = np.random.default_rng(2000 + seed)

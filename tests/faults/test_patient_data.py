@@ -1,4 +1,4 @@
-"""What a DICOM header holds of a patient reaches nothing that a run writes, prints or keeps."""
+"""Patient data of a DICOM header reach no file, output or cache of a run."""
 
 import base64
 import re

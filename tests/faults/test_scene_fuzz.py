@@ -1,5 +1,6 @@
-"""Scenes broken at random: each loads, or is refused in one sentence; some of those that load
-are built and run.
+"""Scenes broken at random.
+
+Each loads, or is refused in one sentence; some of the scenes that load are built and run.
 """
 
 import os
@@ -16,7 +17,7 @@ from tissue import InputError, load_scene, scene_names, scene_text, simulate
 from tissue.scene.load import saved_text
 
 SEED = os.environ.get("TISSUE_FUZZ_SEED", "")
-"""Seed of other mutations than those of every day; without it a scene's number is its seed."""
+"""Seed of mutations that differ from the daily ones; without it a scene's number is its seed."""
 WILD = (
     0,
     -1,
@@ -175,8 +176,9 @@ def is_sentence(message):
 
 
 def share_refused(numbers, tables, folder):
-    """Part of the mutated scenes that are refused; those that load are kept by a run as they
-    are.
+    """Return the share of mutated scenes that are refused.
+
+    Scenes that load are kept unchanged by a run.
     """
     refused = 0
     for number in numbers:

@@ -1,5 +1,6 @@
-"""The status of a run is reported truly, whatever ended it, and two processes never write one
-output.
+"""Status and locks of runs.
+
+The status is reported truly whatever ended the run, and two processes never write one output.
 """
 
 import json

@@ -1,6 +1,4 @@
-"""Workers and drawing processes that are killed or stopped, and a Ctrl-C while something is
-drawn.
-"""
+"""Workers and drawing processes that are killed or stopped, and a Ctrl-C during drawing."""
 
 import multiprocessing
 import os
@@ -45,7 +43,7 @@ def test_a_worker_that_does_not_work_is_ended_and_reported(monkeypatch, how):
 
 @pytest.fixture
 def drawing(tmp_path, monkeypatch):
-    """A module that draws for ever, in one kind of window, and a place for its process's number."""
+    """Return a module that draws endlessly in one kind of window, and its process id's path."""
     (tmp_path / "drawing.py").write_text(
         "import os, sys, time\nfrom pathlib import "
         "Path\nPath(sys.argv[1]).write_text(str(os.getpid()))\n"

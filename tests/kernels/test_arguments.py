@@ -1,5 +1,6 @@
-"""Arguments that a kernel writes, also through functions it calls, end in ``_out``; what ends so
-is written.
+"""Rule for kernel arguments: an argument ends in ``_out`` if and only if the kernel writes it.
+
+Writing through functions that the kernel calls counts.
 """
 
 import ast
@@ -45,8 +46,9 @@ def names(node: ast.FunctionDef) -> list[str]:
 
 
 def stored(node: ast.FunctionDef) -> Iterator[str]:
-    """Names of which an entry is assigned, such as ``a`` in ``a.b[i] = c``; a struct's own copy
-    is not an entry.
+    """Yield names of which an entry is assigned, such as ``a`` in ``a.b[i] = c``.
+
+    A struct's own copy is not an entry.
     """
     for each in ast.walk(node):
         if isinstance(each, ast.Assign | ast.AugAssign):

@@ -1,5 +1,6 @@
-"""What bone was there before any cut, against plain NumPy: random bytes, three layers that meet,
-missing bricks.
+"""Bone before any cut, compared with plain NumPy.
+
+The cases are random bytes, three layers that touch, and missing bricks.
 """
 
 import numpy as np
@@ -72,7 +73,9 @@ def random_points(random, count, shape):
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_random_bytes_against_numpy(seed):
-    """Three layers that meet in every cell, a brick left out, and bytes on both sides of every
+    """Random bytes agree with NumPy.
+
+    Three layers touch in every cell, a brick is left out, and bytes lie on both sides of every
     threshold.
     """
     random = np.random.default_rng(seed)
@@ -129,8 +132,10 @@ def test_air_two_voxels_off_is_outside():
 
 
 def test_planes_between_layers_and_at_the_surface_lie_where_they_are():
-    """Stored to 1/63 and 1/127 voxel, a plane is met within a step by every point that is
-    farther from it.
+    """Planes between layers and at the surface lie at their true place.
+
+    They are stored to 1/63 and 1/127 voxel. Every point farther than that from a plane reaches it
+    within a step.
     """
     random = np.random.default_rng(3)
     for _ in range(5):

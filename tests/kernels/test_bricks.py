@@ -43,8 +43,9 @@ def cut_volumes(normals, distances):
 
 
 def random_volume(shape=(21, 17, 30), seed=3):
-    """Random voxels with their distances; an empty brick with, near it, one that lies near the
-    surface alone.
+    """Return random voxels with their distances.
+
+    One brick is empty, and a brick near it lies near the surface alone.
     """
     random = np.random.default_rng(seed)
     fraction = random.integers(0, 256, shape, dtype=np.uint8)
@@ -151,8 +152,10 @@ def test_trilinear_sampling_equals_scipy():
 
 
 def test_a_voxel_outside_the_grid_on_any_side_has_no_row():
-    """Two bricks along each axis, all stored: rows of the inside, -1 one voxel beyond every
-    face.
+    """A voxel outside the grid on any side has no row.
+
+    Of two bricks along each axis all are stored: the inside has rows, and one voxel beyond every
+    face has -1.
     """
     brick_of = np.arange(8, dtype=np.int32).reshape(2, 2, 2)
     voxels = np.array(list(np.ndindex(18, 18, 18))) - 1

@@ -1,5 +1,6 @@
-"""A damaged entry of Warp's kernel cache is compiled anew instead of breaking every later
-process.
+"""Damaged entries of Warp's kernel cache.
+
+They are compiled anew instead of breaking every later process.
 """
 
 import os

@@ -91,7 +91,10 @@ def dense(store, array):
 
 
 def blocks(store):
-    """Whether each block of 2 x 2 x 2 voxels may hold bone, half the shape of the block."""
+    """Return True for each block of 2 x 2 x 2 voxels that may hold bone.
+
+    Its shape is half that of the volume.
+    """
     bits = np.unpackbits(
         store.alive.numpy().astype("<u8").view(np.uint8), bitorder="little"
     ).reshape(-1, 64)
@@ -106,11 +109,11 @@ def blocks(store):
 
 @pytest.mark.parametrize("name", PROFILES)
 def test_subvoxel_carving_against_numpy(name):
-    """Fractions from the tangent plane at every voxel, in closed form.
+    """Subvoxel carving agrees with fractions from the tangent plane at every voxel, in closed form.
 
     The kernel takes distances from a table of at least two cells a voxel, and the direction once a
-    block where the surface is smooth: within 0.03 of a voxel for 99 % of the surface, within 0.15
-    at edges, which the table rounds.
+    block where the surface is smooth. The fractions agree within 0.03 of a voxel for 99 % of the
+    surface, and within 0.15 at edges, which the table rounds.
     """
     profile, motion = PROFILES[name], tilted()
     remaining = stamp(profile, motion).remaining() / 255.0
@@ -135,8 +138,9 @@ def test_subvoxel_carving_against_numpy(name):
 
 @pytest.mark.parametrize("name", PROFILES)
 def test_binary_carving_against_numpy(name):
-    """Whole voxels by their centres; within 0.25 of the surface the table's rounding of edges
-    may decide otherwise.
+    """Binary carving removes whole voxels by their centres.
+
+    Within 0.25 of the surface the table's rounding of edges may decide otherwise.
     """
     profile, motion = PROFILES[name], tilted()
     remaining = stamp(profile, motion, "binary").remaining()
@@ -157,8 +161,9 @@ def test_binary_carving_against_numpy(name):
     ids=["ball burr", "cylinder", "pear bur"],
 )
 def test_a_convex_tool_passes_over_nothing_that_it_reaches(made, scale):
-    """The same integers where every block is looked at; 2 to 6 cells of the distance table in a
-    voxel.
+    """Skipping blocks for a convex tool gives the same integers as visiting every block.
+
+    The tool scales put 2 to 6 cells of the distance table in a voxel.
     """
     turns = np.random.default_rng(5).uniform(-1.5, 1.5, (6, 3))
     found = []
@@ -197,8 +202,9 @@ def test_cut_twice_is_cut_once():
 
 
 def test_the_kept_distance_is_that_to_the_ball():
-    """In stored steps of 1/4096 voxel; table, tangent sphere and rounding are 0.02 voxel off at
-    most.
+    """The kept distance is the distance to the ball, in stored steps of 1/4096 voxel.
+
+    The error of table, tangent sphere and rounding is 0.02 voxel at most.
     """
     model, (distance, _) = (
         stamp(PROFILES["ball burr"], tilted()),
@@ -215,8 +221,10 @@ def test_the_kept_distance_is_that_to_the_ball():
 
 
 def test_a_swallowed_block_keeps_nothing():
-    """A block goes once its middle lies deeper than its half diagonal; all that has bone in it
-    is still looked at.
+    """A swallowed block keeps nothing.
+
+    A block is removed once its middle lies deeper than its half diagonal; every block with bone in
+    it is still visited.
     """
     model = stamp(PROFILES["ball burr"], tilted())
     middle = (

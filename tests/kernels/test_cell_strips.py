@@ -51,7 +51,9 @@ def test_product_is_that_of_the_cells_matrices_on_any_number_of_cores(scalar, to
 
 
 def test_cells_of_other_particles_are_left_to_their_matrices():
-    """A third of the cells with 27 particles; what is cut and what carries nothing counts in
+    """Cells with other numbers of particles keep their own matrices.
+
+    A third of the cells has 27 particles; cut cells and cells that carry nothing are counted in
     both.
     """
     particles, grid = block(

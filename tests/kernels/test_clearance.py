@@ -1,4 +1,4 @@
-"""Least distance of a tool's elements from a field against SciPy's linear interpolation."""
+"""Smallest distance of a tool's elements from a field, against SciPy's linear interpolation."""
 
 import numpy as np
 import warp as wp
@@ -10,8 +10,10 @@ from kernels.elements import CHUNK, Elements
 
 SPACING_M = 1e-4
 ROUNDING_M = 4e-8
-"""Places of up to 40 voxels are known to 1e-5 voxel in float32, and the field changes by up to 2
-mm a voxel.
+"""Rounding error of distances [m].
+
+Places of up to 40 voxels are known to 1e-5 voxel in float32, and the field changes by up to 2 mm a
+voxel.
 """
 
 

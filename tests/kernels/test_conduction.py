@@ -12,8 +12,10 @@ STEP_S = 0.02
 
 
 def fields(seed, shape=(9, 7, 8)):
-    """Rise, filled fraction with holes, conductances along three axes, heat capacity and power,
-    as in a tooth.
+    """Return random fields like those in a tooth.
+
+    They are temperature rise, filled fraction with holes, conductances along three axes, heat
+    capacity and power.
     """
     random = np.random.default_rng(seed)
     filled = random.uniform(0.1, 1.0, shape) * (random.uniform(size=shape) > 0.3)
@@ -33,8 +35,10 @@ def stepped(values, *, first_plane=0):
 
 
 def expected(rise, filled, along_x, along_y, along_z, capacity, power):
-    """T + dt (sum over faces of G a dT + P) / (f C), a = min(max(f, g), 2 min(f, g)): 0 next to
-    an empty cell.
+    """Return the temperature rise after a step in closed form.
+
+    It is T + dt (sum over faces of G a dT + P) / (f C) with a = min(max(f, g), 2 min(f, g)), which
+    is 0 next to an empty cell.
     """
     rise, filled, capacity, power = (each.astype(float) for each in (rise, filled, capacity, power))
     gain = power.copy()

@@ -40,9 +40,7 @@ def join(
 
 
 class Scene:
-    """A rough sheet with a full compliance, a ball pressed into it, and the search for what is
-    near.
-    """
+    """Rough sheet with a full compliance, a ball pressed into it, and the contact search."""
 
     def __init__(self, seed, cells=14, edge_m=0.03):
         random = np.random.default_rng(seed)
@@ -127,8 +125,10 @@ def test_near_triangles_are_those_within_reach(seed):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_entered_triangles_join_with_the_responses_of_their_points(seed):
-    """W of a point is sum w_a w_b W_ab; afresh, forces of points give those of nodes and only
-    their triangles work.
+    """Entered triangles join with the responses of their points.
+
+    W of a point is sum w_a w_b W_ab. In a fresh search, forces of points give the forces of nodes,
+    and only the triangles of loaded points are active.
     """
     scene = Scene(seed)
     scene.find(0.0)

@@ -35,8 +35,9 @@ def read(
 
 
 def test_readings():
-    """Rows are tip, rotation, last tip, last rotation; a shell's point stands for the plane
-    through it.
+    """Rows are tip, rotation, last tip and last rotation.
+
+    A shell's point stands for the plane through it.
     """
     random = np.random.default_rng(0)
     compliance, rows = random.normal(size=(3 * NODES, 3 * NODES)), random.normal(size=(8, 3))

@@ -1,6 +1,4 @@
-"""Cores that threads run on: counted, limited, and kept free for the thread whose work is
-shared.
-"""
+"""Cores for threads: counted, limited, and kept free for the thread that splits its work."""
 
 import os
 
@@ -53,7 +51,7 @@ def test_the_core_of_a_thread_is_one_that_it_may_run_on():
 @linux
 @pytest.mark.parametrize("allowed", [1, None])
 def test_threads_keep_off_a_core(allowed, monkeypatch):
-    """Those that have begun and those that begin later; on a single core they share it."""
+    """Running and later threads keep off a reserved core; on a single core they share it."""
     mine = set(sorted(allowed_cores())[:allowed])
     monkeypatch.setattr(cores, "allowed_cores", lambda: mine)
     core = min(mine)

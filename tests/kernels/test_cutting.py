@@ -22,8 +22,9 @@ HARD = CuttingCoefficients(150e6, 60e6, 10e6, 5e3, 4e3, 1e3, 1800.0, 1.5)
 
 
 def layered(count=48, seed=5):
-    """Two layers in slabs, distances and densities at random, a brick left out where the tool
-    cuts.
+    """Return two layers in slabs, with random distances and densities.
+
+    A brick is left out where the tool cuts.
     """
     random, shape = np.random.default_rng(seed), (count,) * 3
     surface = random.integers(INSIDE, 200, shape).astype(np.uint8)
@@ -46,8 +47,9 @@ def layered(count=48, seed=5):
 
 
 def store_distances(model, stored, values):
-    """Write every voxel's kept distance to what the tool swept or to older cuts, shape of the
-    volume.
+    """Write every voxel's kept distance to the solid that the tool swept or to older cuts.
+
+    The values have the shape of the volume.
     """
     count, store = len(values) // 8, model.store
     rows = values.reshape(count, 4, 2, count, 4, 2, count, 4, 2)
@@ -56,8 +58,9 @@ def store_distances(model, stored, values):
 
 
 def clear_blocks(model, blocks):
-    """Leave nothing alive in some blocks of 2 x 2 x 2 voxels, bool, shape of the volume in
-    blocks.
+    """Clear some blocks of 2 x 2 x 2 voxels.
+
+    `blocks` is bool, with the shape of the volume in blocks.
     """
     count, store = len(blocks) // 4, model.store
     bits = (
@@ -85,8 +88,9 @@ def distances(model, motion):
 
 
 def older_cuts(model, motion, random):
-    """Kept distances of an older cut that crosses the tool's surface at a slant, a tenth of them
-    never near.
+    """Return kept distances of an older cut that crosses the tool's surface at a slant.
+
+    A tenth of them was never near the tool.
     """
     distance = distances(model, motion)
     across = np.tensordot(np.array([0.6, 0.64, 0.48]), np.indices(distance.shape) - 21.0, axes=1)
@@ -96,7 +100,10 @@ def older_cuts(model, motion, random):
 
 
 def taken_before(model, motion, older, stored, point, inside):
-    """Whether the older cut holds each element, from the eight voxels around it, shape (n,)."""
+    """Return True for each element that the older cut holds, shape (n,).
+
+    The result is computed from the eight voxels around the element.
+    """
     nearest = tuple(np.floor(point).astype(int).T)
     kept = np.where(stored & (older != NEVER), (older.astype(float) - 32768.0) / 4096.0, np.nan)
     difference = np.clip(kept - distances(model, motion), -2.0, 2.0)
@@ -127,8 +134,11 @@ def taken_before(model, motion, older, stored, point, inside):
 
 
 def expected_forces(model, motion, older, swallowed):
-    """The formula of :mod:`kernels.cutting` in NumPy, in double precision; ``older``: kept
-    distances of older cuts, ``swallowed``: voxels of blocks that a tool held whole."""
+    """Compute the formula of :mod:`kernels.cutting` in NumPy, in double precision.
+
+    ``older`` holds the kept distances of older cuts, ``swallowed`` the voxels of blocks that a tool
+    held whole.
+    """
     volume, shell, cutter = model.store.volume, model.shell, model.cutter
     arm = shell.points_m @ motion.rotation.T
     normal = shell.normals @ motion.rotation.T
@@ -227,8 +237,10 @@ def engaged_m2(model, motion):
 
 
 def test_an_older_cut_as_deep_disengages_and_one_less_deep_does_not():
-    """Where the same surface was kept, rounding and two poses decide nothing: up to 12 steps
-    deeper still engages.
+    """An older cut of the same depth disengages, a shallower one does not.
+
+    Where the same surface was kept, rounding and two poses do not decide: up to 12 steps deeper
+    still engages.
     """
     model = BoneModel(solid(48), Cutter(ball_burr(diameter_m=3e-3), 5, 700.0), (SOFT,))
     motion = ToolMotion(speed_m_s=1e-3)
@@ -261,8 +273,9 @@ def test_a_chunk_over_bricks_without_bone_is_left_out():
 
 
 def test_the_engaged_area_grows_smoothly_as_a_ball_enters():
-    """Its cap below the surface is 2 pi R depth, of which a surface that is read by the voxel
-    shows steps.
+    """The engaged area grows smoothly as a ball enters.
+
+    Its cap below the surface is 2 pi R depth. A surface read by the voxel would show steps.
     """
     model = BoneModel(
         solid(24), Cutter(ball_burr(diameter_m=3e-3), 5, 700.0), (SOFT,), shell_spacing_m=5e-5

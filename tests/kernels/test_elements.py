@@ -1,4 +1,4 @@
-"""Which elements of a cutter advance, and which chunks of them may cut, against NumPy."""
+"""Elements of a cutter that advance and chunks that may cut, compared with NumPy."""
 
 import numpy as np
 import pytest
@@ -109,8 +109,10 @@ def ask_box(
 
 @pytest.mark.parametrize("radius", [0.4, 5.0, 13.0])
 def test_a_box_meets_the_bricks_that_it_overlaps(radius):
-    """Boxes around points in and around a grid of 5 x 4 x 6 bricks, some missing and some empty,
-    against all bricks.
+    """A box finds the bricks that it overlaps.
+
+    Boxes lie around points in and around a grid of 5 x 4 x 6 bricks, some missing and some empty,
+    and are compared with all bricks.
     """
     random = np.random.default_rng(0)
     shape = np.array([5, 4, 6])
@@ -166,8 +168,10 @@ def test_an_element_s_advance_and_place_are_those_of_numpy():
     "profile", [ball_burr(diameter_m=3e-3), pear_bur(diameter_m=2e-3, length_m=3e-3)]
 )
 def test_the_ball_and_the_cone_of_a_chunk_hold_all_its_elements(profile):
-    """Each chunk is 128 elements in order; its ball touches one of them, and its cone one of
-    their normals.
+    """The ball and the cone of a chunk hold all its elements.
+
+    Each chunk is 128 elements in order; its ball touches one of them, and its cone one of their
+    normals.
     """
     model = BoneModel(layer_of_bone(), Cutter(profile, 4, 500.0), (cutting_coefficients("bone"),))
     shell, elements = model.shell, model.elements

@@ -1,4 +1,4 @@
-"""What elements meet: the load of a unit of each coefficient, against closed forms."""
+"""Loads of the elements for one unit of each coefficient, against closed forms."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,9 @@ def engaged(profile, *, speed_m_s=FEED_M_S, pressed=0.0):
 
 
 def test_each_coefficient_of_a_ball_that_plunges():
-    """Over the lower half of a ball, theta from its tip: dF = N / (2 pi) R dtheta dphi, h = v
+    """Each coefficient of a plunging ball gives the force of the closed form.
+
+    Over the lower half of a ball, theta from its tip: dF = N / (2 pi) R dtheta dphi, h = v
     cos(theta) 2 pi / N w.
     """
     loads, response = engaged(ball_burr(diameter_m=2.0 * RADIUS_M))
@@ -53,8 +55,9 @@ def test_each_coefficient_of_a_ball_that_plunges():
 
 
 def test_chip_and_edge_of_a_cylinder_that_plunges_are_in_one_ratio():
-    """All that advances is its flat end, by the same chip: no log at one feed keeps the two
-    apart.
+    """Chip and edge forces of a plunging cylinder have one ratio.
+
+    Only its flat end advances, by one chip thickness, so no log at one feed separates the two.
     """
     loads, _ = engaged(cylinder(diameter_m=2.0 * RADIUS_M, length_m=2e-3))
     chip = FEED_M_S * 2.0 * np.pi / (FLUTES * SPIN)
@@ -63,8 +66,10 @@ def test_chip_and_edge_of_a_cylinder_that_plunges_are_in_one_ratio():
 
 
 def test_a_tool_at_rest_feels_the_pressed_share_of_the_edge_force_and_no_chip():
-    """The edge force of the lower half of a ball is N R along its axis; 0.3 of it holds a tool
-    that is pressed so.
+    """A pressed tool at rest has the pressed share of the edge force and no chip force.
+
+    The edge force of the lower half of a ball is N R along its axis; 0.3 of it holds a tool that is
+    pressed so.
     """
     for pressed in (0.0, 0.3, 1.0):
         loads, response = engaged(

@@ -8,8 +8,9 @@ from scipy.spatial.transform import Rotation
 from kernels.friction_cone import coulomb_force, safe_inverse
 
 ROUNDING = 1e-9
-"""Newton on the cone stops at 1e-13; systems of condition up to 1e3 lie between that and the
-laws.
+"""Tolerance of forces on the cone.
+
+Newton on the cone stops at 1e-13; systems of condition up to 1e3 add the rest.
 """
 
 
@@ -101,9 +102,7 @@ def test_a_point_that_cannot_move_sideways_is_still_pushed():
 
 @pytest.mark.parametrize("friction", [0.1, 0.5])
 def test_a_contact_along_any_axis_is_that_along_z_turned(friction):
-    """The same contact with its normal along x, y or z, either sign: the force turns with
-    everything else.
-    """
+    """The force turns with the contact if its normal lies along x, y or z, with either sign."""
     compliance, old, gap, _, slip = random_contacts(9, count=50)
     gap = -np.abs(gap)
     upright = forces(compliance, old, gap, np.tile([0.0, 0.0, 1.0], (50, 1)), slip, friction)

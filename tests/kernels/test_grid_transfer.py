@@ -11,7 +11,7 @@ from kernels.grid_transfer import coarse_stiffness, interpolate, restrict
 ROUNDING = 1e-13
 """Of the largest value: sums of a few hundred products in float64."""
 SINGLE = 2e-6
-"""The same in float32, sums of 27 products."""
+"""Relative tolerance in float32, for sums of 27 products."""
 CORNERS = np.array(list(product((0, 1), repeat=3)))
 
 
@@ -20,9 +20,7 @@ def put(values, dtype):
 
 
 def weights(fine, coarse):
-    """Trilinear interpolation from nodes of spacing 2 to nodes of spacing 1, shape (fine,
-    coarse).
-    """
+    """Return trilinear interpolation weights from spacing 2 to spacing 1, shape (fine, coarse)."""
     return np.clip(1.0 - 0.5 * np.abs(fine[:, None] - 2.0 * coarse), 0.0, None).prod(axis=2)
 
 

@@ -1,6 +1,4 @@
-"""Packed cell stiffness, its product and the gradients of the shape functions against dense
-NumPy matrices.
-"""
+"""Packed cell stiffness, its product and shape function gradients, against dense NumPy matrices."""
 
 from itertools import combinations_with_replacement, product
 
@@ -118,8 +116,10 @@ def test_product_gathered_at_nodes_is_that_of_the_assembled_matrix():
 
 
 def test_gradients_are_those_of_the_products_of_hat_functions():
-    """N_a is the product of x or 1 - x over axes; central differences are exact in each axis of
-    a trilinear function.
+    """Gradients equal those of products of hat functions.
+
+    N_a is the product of x or 1 - x over axes; central differences are exact in each axis of a
+    trilinear function.
     """
     at, edge, half = np.random.default_rng(2).uniform(size=(50, 3)), 0.3, 0.25
     out = wp.zeros(50, dtype=CornerGradients, device="cpu")

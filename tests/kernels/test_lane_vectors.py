@@ -1,4 +1,6 @@
-"""Vectors in lanes against NumPy: diagonal, the eigenvalue assumed, a smoothing step, and from
+"""Vectors in lanes against NumPy.
+
+The tests cover the diagonal, the assumed eigenvalue, a smoothing step, and the conversion from
 nodes and back.
 """
 
@@ -41,8 +43,10 @@ def test_assumed_eigenvalue_is_above_the_largest():
 
 
 def test_smoothing_multiplies_by_every_cell_wherever_its_particles_lie():
-    """Every third cell's particles lie aside of the strips' points; one that was left out or
-    moved there would show.
+    """Smoothing multiplies by every cell wherever its particles lie.
+
+    The particles of every third cell lie off the strips' points, so that an omitted or moved
+    particle would show.
     """
     aside = np.arange(4 * 3 * 11) % 3 == 0
     body = body_of(*block((4, 3, 11), 1e-3, places=lattice(2) + 0.2 * aside[:, None, None]))

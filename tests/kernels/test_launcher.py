@@ -1,5 +1,6 @@
-"""Launches split over threads: the same result, also where no thread is free, and only where
-work is large.
+"""Launches split over threads.
+
+The result is unchanged, also where no thread is free, and only large launches are split.
 """
 
 from threading import Event
@@ -45,8 +46,10 @@ def split(monkeypatch) -> tuple[SplitLaunch, np.ndarray]:
 
 
 def test_a_part_that_no_thread_begins_is_taken_back(split, monkeypatch):
-    """With its thread held up the launch neither waits nor leaves anything out, nor is a part
-    run twice afterwards.
+    """A part that no thread begins is taken back.
+
+    If its thread is held up, the launch neither waits nor omits anything, and no part runs twice
+    afterwards.
     """
     launch, out = split
     monkeypatch.setattr(launcher, "SPLIT_ABOVE_S", 0.0)
@@ -65,8 +68,9 @@ def test_a_part_that_no_thread_begins_is_taken_back(split, monkeypatch):
 
 
 def test_one_slow_run_does_not_split_a_small_launch(split, monkeypatch):
-    """Only what stays large is split: work is assumed to grow by a factor of two from run to
-    run.
+    """One slow run does not split a small launch.
+
+    Only work that stays large is split: work is assumed to grow by a factor of two from run to run.
     """
     launch, _ = split
     clock = iter(np.cumsum([0.0, 1e-5, 0.0, 5e-3, 0.0, 1e-5, 0.0, *[5e-3, 0.0] * 6]))

@@ -1,5 +1,6 @@
-"""Gathered rows against the compliance they come from, after nodes came near, were loaded,
-rested and left.
+"""Gathered rows against the compliance that they come from.
+
+The rows are read after nodes came near, were loaded, rested and left.
 """
 
 import numpy as np

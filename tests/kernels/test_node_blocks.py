@@ -131,7 +131,9 @@ def test_rows_are_those_of_the_assembled_matrix(seed):
 
 
 def test_sweeps_are_gauss_seidel_by_colours():
-    """The first solves (L + D) v = f and leaves f - K v; a second corrects v by (L + D)^-1 of
+    """Sweeps are Gauss-Seidel by colours.
+
+    The first sweep solves (L + D) v = f and leaves f - K v; a second corrects v by (L + D)^-1 of
     that.
     """
     grid = Grid()

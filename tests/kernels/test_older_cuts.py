@@ -1,6 +1,4 @@
-"""Whether an older cut has taken a point of the tool's surface, against the exact capsule of
-that cut.
-"""
+"""Points of the tool's surface that an older cut has taken, against that cut's exact capsule."""
 
 from itertools import pairwise
 
@@ -34,8 +32,9 @@ CORNERS_M = 1e-3 * np.array(
     [[-1.5, 0, -0.3], [1, 0, -0.3], [1, 0, 0.3], [0.03, 0.21, 0.3], [0.03, 0.21, -0.35]]
 )
 UNSURE = 0.15
-"""Share of a voxel by which interpolation between voxel centres may miss the edge of an older
-cut.
+"""Share of a voxel by which interpolation may miss the edge of an older cut.
+
+The interpolation is between voxel centres.
 """
 
 
@@ -74,8 +73,9 @@ def ask(
 
 
 def slot_and_plunge():
-    """A model with a slot along x, 0.3 mm deep, whose tool was lifted and now plunges deeper,
-    aside of the slot.
+    """Return a model with a slot along x, 0.3 mm deep.
+
+    Its tool was lifted and now plunges deeper, next to the slot.
     """
     volume = voxelise(
         BONE,
@@ -161,8 +161,10 @@ def evaluate_bend(
 
 @pytest.mark.parametrize("bend", [0.02, 0.2, float(EDGE_BEND)])
 def test_a_parabola_lies_below_its_interpolation_by_its_bend(bend):
-    """A parabola of curvature 3 bend along the heading, between eight voxel centres; an edge has
-    no curvature.
+    """A parabola lies below its interpolation by its bend.
+
+    Its curvature is 3 bend along the feed direction, between eight voxel centres; an edge has no
+    curvature.
     """
     random = np.random.default_rng(4)
     heading = np.array([0.48, -0.6, 0.64])
@@ -185,11 +187,11 @@ def test_a_parabola_lies_below_its_interpolation_by_its_bend(bend):
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_an_older_cut_between_voxel_centres_is_interpolated(axis):
-    """An older cut 0.2 voxels deeper than the tool at every other voxel, and 1.8 short of it at
-    those between.
+    """An older cut between voxel centres is interpolated.
 
-    Between a deeper voxel and the next one the sign changes after a tenth of the distance: before
-    it the bone is taken.
+    The older cut is 0.2 voxels deeper than the tool at every other voxel, and 1.8 short of it at
+    those between. Between a deeper voxel and the next one the sign changes after a tenth of the
+    distance: before that point the bone is taken.
     """
     model = slot_and_plunge()
     store, volume = model.store, model.store.volume

@@ -1,5 +1,6 @@
-"""Cell stiffness, its product, its assembly and its projection to a coarser grid, against plain
-NumPy and SciPy.
+"""Cell stiffness, its product, its assembly and its projection to a coarser grid.
+
+The reference is plain NumPy and SciPy.
 """
 
 import numpy as np
@@ -111,11 +112,11 @@ def test_a_single_particle_leaves_twelve_more_modes_that_the_inner_stiffness_clo
 
 
 def test_a_centre_particle_of_the_full_volume_is_closed_to_the_exact_cell():
-    """What one particle in the middle misses is the rest of the cell's integral, here by 3 x 3 x 3
-    Gauss points.
+    """One particle with the full volume at the centre gives the exact stiffness of the cell.
 
-    That rest is kept for equal Lame constants, that is for a Poisson's ratio of 1/4, and E = 2.5
-    mu.
+    The rest of the cell's integral, which one particle in the middle misses, is added. Here it is
+    checked by 3 x 3 x 3 Gauss points. The rest is exact for equal Lame constants, which means a
+    Poisson's ratio of 1/4 and E = 2.5 mu.
     """
     edge, first, shear = 1e-3, 5e9, 5e9
     modulus, ratio = 2.5 * shear, 0.25
@@ -159,8 +160,10 @@ def test_product_and_rows_against_the_scattered_matrix():
 
 
 def test_springs_at_points_add_their_stiffness():
-    """sum N^T S N over the points, with N the shape functions at each; what they push back with
-    is that product.
+    """Springs at points add their stiffness.
+
+    It is sum N^T S N over the points, with N the shape functions at each; their reaction is that
+    product.
     """
     particles, grid = random_body(seed=4)
     springs = random_springs(particles.position_m)

@@ -92,8 +92,9 @@ def evaluate_principal(stress: wp.array(dtype=wp.mat33d), values_out: wp.array(d
     [(2.0, -1.0, -1.0), (1.0, 1.0, -2.0), (3.0, 0.0, 0.0), (5.0, 2.0, -4.0), (0.0, 0.0, 0.0)],
 )
 def test_principal_values_of_turned_matrices(wanted):
-    """Of 2,000 rotations; where two values are equal the cosine lies at the end of its range,
-    where it may round over.
+    """Principal values of turned matrices agree for 2,000 rotations.
+
+    Where two values are equal, the cosine lies at the end of its range, where it may round over.
     """
     turns = Rotation.random(2000, random_state=0).as_matrix()
     stress = np.einsum("nij,j,nkj->nik", turns, wanted, turns)

@@ -20,14 +20,15 @@ from tissue.haptics.proxy.tool_shell import ToolShell
 from tissue.haptics.proxy.voxmap import ContactField, HalfSpace
 
 EXACT_M = 1e-11
-"""Tolerance of the proxy beside solids, times the ten steps that a tick takes."""
+"""Tolerance [m] of the proxy next to solids, times the ten steps that a tick takes."""
 RADIUS_M, START_M = 1e-3, 3e-3
 NORMAL = np.array([0.2, -0.3, 1.0]) / np.linalg.norm([0.2, -0.3, 1.0])
 
 
 def tick(device_m, *, friction=0.0, lever_m=None):
-    """State and report after one tick from above the plane, the ball's centre off the tool's
-    origin.
+    """Return state and report after one tick from above the plane.
+
+    The ball's centre lies off the tool's origin.
     """
     arm = np.array([1e-3, 2e-3, -1e-3])
     field = ContactField(HalfSpace(np.zeros(3), NORMAL))
@@ -53,10 +54,11 @@ def test_a_free_device_is_followed(lever_m):
 
 @pytest.mark.parametrize("friction", [0.0, 0.2, 5.0])
 def test_a_ball_rests_on_the_plane_below_its_device(friction):
-    """The device goes d = 0.5 mm deep and 2 d along, from 4 d above contact: the plane is met after
-    1.6 d along.
+    """A ball rests on the plane below its device.
 
-    There friction holds the ball, or lets it slide until it pulls back by the coefficient times d.
+    The device moves d = 0.5 mm deep and 2 d along, from 4 d above contact; the ball reaches the
+    plane after 1.6 d along. There friction holds the ball, or lets it slide until it pulls back by
+    the coefficient times d.
     """
     depth, along = 5e-4, np.cross(NORMAL, [1.0, 0.0, 0.0])
     along /= np.linalg.norm(along)

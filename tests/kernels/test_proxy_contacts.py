@@ -1,5 +1,6 @@
-"""Planes that a shell must stay above, beside exact solids and at an inner corner of voxels,
-against closed forms.
+"""Planes that a shell must stay above, against closed forms.
+
+The shell lies next to exact solids and at an inner corner of voxels.
 """
 
 import numpy as np
@@ -62,7 +63,7 @@ class Looker:
         )
 
     def look(self, position_m, *, turn=None, travel_m=0.0, wanted_m=0.0, step_m=STEP_M):
-        """Number of candidates, least gap and free path length."""
+        """Return the number of candidates, the smallest gap and the free path length."""
         found = wp.zeros(3, dtype=wp.float64, device="cpu")
         quaternion = (turn or Rotation.identity()).as_quat()
         inputs = [
@@ -82,8 +83,9 @@ class Looker:
 
 
 def solids(random):
-    """A plane askew, a box and a ball, and their distances and normals by formula, shape
-    (points, 3).
+    """Return a slanted plane, a box and a ball, with their distances and normals by formula.
+
+    The shape is (points, 3).
     """
     normal, low = (
         np.array([0.1, -0.2, 1.0]) / np.linalg.norm([0.1, -0.2, 1.0]),
@@ -116,8 +118,9 @@ def solids(random):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_candidates_beside_solids_and_points_that_sleep(seed):
-    """A gap is the distance less the ball's radius; a point sleeps for what it is farther away
-    than a step.
+    """Candidates next to solids have exact gaps, and far points sleep.
+
+    A gap is the distance less the ball's radius; a point sleeps for the distance beyond a step.
     """
     random = np.random.default_rng(seed)
     points = random.normal(size=(60, 3)) * 2e-3
@@ -155,8 +158,9 @@ def test_candidates_beside_solids_and_points_that_sleep(seed):
 
 
 def test_a_point_keeps_the_plane_that_it_met_while_it_goes_up_a_wall():
-    """At an inner corner the plane met before stays with its force, until the point has left it
-    or the voxels.
+    """A point keeps the first plane that it touched while it moves up a wall.
+
+    At an inner corner this plane stays with its force, until the point has left it or the voxels.
     """
     spacing, count = 2e-4, 32
     corner = np.indices((count,) * 3)
@@ -200,7 +204,9 @@ def test_a_point_keeps_the_plane_that_it_met_while_it_goes_up_a_wall():
     ("press", "place"), [((5.0, 1.0, 3.0), 1), ((5.0, 3.0, 1.0), 2), ((5.0, 0.0, 0.0), 1)]
 )
 def test_a_plane_that_is_kept_takes_the_place_of_the_weaker_of_the_older_two(press, place):
-    """The second of two points: its present plane and force move, the other kept plane and the
+    """A kept plane replaces the weaker of the two older planes.
+
+    For the second of two points, its present plane and force move; the other kept plane and the
     first point stay.
     """
     looker = Looker(
@@ -221,8 +227,9 @@ def test_a_plane_that_is_kept_takes_the_place_of_the_weaker_of_the_older_two(pre
 
 
 def test_a_point_that_goes_along_a_face_keeps_no_second_plane():
-    """The face is one plane wherever the point stands, so the plane met before is not another
-    one.
+    """A point that moves along a face keeps no second plane.
+
+    The face is one plane wherever the point stands, so the earlier plane is not another one.
     """
     spacing, count = 2e-4, 32
     fraction = np.where(np.indices((count,) * 3)[2] < 10, 255, 0).astype(np.uint8)

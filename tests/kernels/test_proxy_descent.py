@@ -21,8 +21,9 @@ from kernels.proxy_descent import (
 from kernels.proxy_forces import MEMBERS
 
 EXACT = 1e-9
-"""Of lengths and angles of size one: the contact's matrix is stiffened by 1e-13, and rounding is
-1e-15.
+"""Tolerance of lengths and angles of size one.
+
+The contact's matrix is stiffened by 1e-13, and rounding is 1e-15.
 """
 REACH, STEP, TOLERANCE = 0.7, 0.5, 1e-6
 

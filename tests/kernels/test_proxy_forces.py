@@ -1,6 +1,4 @@
-"""The active set and its friction against SciPy's non-negative least squares and the laws of
-Coulomb.
-"""
+"""Active set and its friction, against SciPy's non-negative least squares and Coulomb's laws."""
 
 import numpy as np
 import pytest
@@ -77,8 +75,9 @@ def solved(
 
 
 def least_distance(arms, normals, gaps, free, *, compliance):
-    """Motion nearest to the free one that keeps all planes (Lawson and Hanson 1974, least
-    distance programming).
+    """Return the motion nearest to the free one that keeps all planes.
+
+    The method is distance programming by Lawson and Hanson (1974).
     """
     scale = np.sqrt(compliance)
     rows = np.hstack([normals, scale * np.cross(arms, normals)])
@@ -126,8 +125,9 @@ def test_frictionless_motion_is_the_nearest_one_allowed(lever):
 
 
 def test_many_points_of_a_face_press_as_one():
-    """A hundred planes that depend on each other, a start from wrong forces: the motion is the
-    same.
+    """Many points of a face press as one.
+
+    A hundred planes depend on each other and the start has wrong forces: the motion is unchanged.
     """
     random = np.random.default_rng(2)
     arms = np.column_stack([random.uniform(-5e-3, 5e-3, (100, 2)), np.full(100, -1e-3)])
@@ -143,8 +143,10 @@ def test_many_points_of_a_face_press_as_one():
 
 @pytest.mark.parametrize("friction", [0.05, 0.3, 1.0])
 def test_friction_holds_or_works_against_the_slip(friction):
-    """Coulomb at the centre of pressure: inside the cone nothing slips, on it the force opposes
-    the slip.
+    """Friction holds or works against the slip.
+
+    It obeys Coulomb at the centre of pressure: inside the cone nothing slips, on it the force
+    opposes the slip.
     """
     random = np.random.default_rng(3)
     stuck = slipped = 0
@@ -211,10 +213,10 @@ def slip_of(given, press, rub, arm):
 
 @pytest.mark.parametrize("friction", [0.1, 0.4])
 def test_friction_on_slanted_planes_answers_to_what_they_press_then(friction):
-    """A groove of random planes: friction changes what each presses, and is bounded by what they
-    press with it.
+    """Friction on slanted planes is bounded by the normal forces that act with it.
 
-    All laws at once: no plane is entered, none pulls, one of both is zero; friction acts at the
+    On a groove of random planes friction changes the force on each plane. All laws hold at once: no
+    plane is entered, none pulls, and either its gap or its force is zero. Friction acts at the
     centre of pressure across the resultant, at most the coefficient times the sum of the normal
     forces, and holds that point or opposes its slip.
     """
@@ -242,8 +244,9 @@ def test_friction_on_slanted_planes_answers_to_what_they_press_then(friction):
 
 
 def test_a_groove_holds_up_to_the_coefficient_that_it_needs():
-    """What friction pulls, over what all planes press, is the coefficient needed: 1 % more
-    holds, 1 % less slips.
+    """The pull of friction over the press of all planes is the coefficient needed.
+
+    A coefficient 1 % higher holds, one 1 % lower slips.
     """
     random, seen = np.random.default_rng(11), 0
     for _ in range(16):
@@ -267,8 +270,10 @@ def test_a_groove_holds_up_to_the_coefficient_that_it_needs():
 
 
 def test_solves_of_the_active_set_are_counted_over_all_rounds():
-    """From wrong forces each plane that joins or leaves is a solve; friction solves again in
-    every round.
+    """Solves of the active set are counted over all rounds.
+
+    From wrong forces each plane that joins or leaves is a solve; friction solves again in every
+    round.
     """
     given = slanted_planes(np.random.default_rng(7))
     counts = []

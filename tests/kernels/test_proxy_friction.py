@@ -1,5 +1,6 @@
-"""Forces on a point of two tangential directions against NumPy's solve and SciPy's root of the
-cone's equation.
+"""Forces on a point in two tangential directions.
+
+They are compared with NumPy's solve and SciPy's root of the cone's equation.
 """
 
 import numpy as np
@@ -10,8 +11,9 @@ from scipy.optimize import brentq
 from kernels.proxy_friction import holding_force, slipping_force
 
 EXACT = 1e-9
-"""Relative: compliances of condition up to a hundred, softened by 1e-11, and Newton steps that
-end at 1e-13.
+"""Relative tolerance.
+
+Compliances have a condition of up to a hundred, softened by 1e-11, and Newton steps end at 1e-13.
 """
 COUNT = 200
 
@@ -33,8 +35,10 @@ def evaluate(
 
 
 def test_holding_and_slipping_forces():
-    """W f = -v where the bound allows; else (W + s I) f = -v with the s >= 0 for which |f| is
-    the bound.
+    """Holding and slipping forces solve their equations.
+
+    W f = -v where the bound allows it; else (W + s I) f = -v with the s >= 0 for which |f| is the
+    bound.
     """
     random = np.random.default_rng(0)
     half = random.normal(size=(COUNT, 2, 2))

@@ -1,6 +1,4 @@
-"""A tabulated body of revolution against bilinear interpolation in SciPy and a ball in closed
-form.
-"""
+"""Tabulated body of revolution, against bilinear interpolation in SciPy and an exact ball."""
 
 import numpy as np
 import pytest
@@ -41,8 +39,9 @@ def subtract(
 
 
 def test_distance_and_slope_of_a_ball_by_its_table():
-    """Distance and slope as SciPy interpolates; the slope is the ball's up to the table's second
-    differences.
+    """Distance and slope of a ball by its table agree with SciPy's interpolation.
+
+    The slope equals the ball's up to the table's second differences.
     """
     random = np.random.default_rng(0)
     radius, height = np.arange(40) / CELLS_PER_VOXEL, LOWEST + np.arange(50) / CELLS_PER_VOXEL

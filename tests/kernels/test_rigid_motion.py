@@ -8,8 +8,9 @@ from scipy.spatial.transform import Rotation
 from kernels.rigid_motion import motion_length, pose_distance, turn_between, turned_by
 
 ROUNDING = 1e-12
-"""Of angles up to pi; near a half turn the rotation vector is known to the root of rounding, so
-those are left out.
+"""Tolerance of angles up to pi.
+
+Near a half turn the rotation vector is known to the root of rounding, so such turns are left out.
 """
 COUNT = 300
 
@@ -34,8 +35,9 @@ def evaluate(
 
 
 def test_turns_and_lengths():
-    """Turns from 1e-12 to almost a half turn; the shortest turn between q and -q is that between
-    q and q.
+    """Turns have the right length from 1e-12 to almost a half turn.
+
+    The shortest turn between q and -q equals the one between q and q.
     """
     random, reach = np.random.default_rng(0), 0.03
     start = Rotation.random(COUNT, random_state=1)

@@ -19,8 +19,9 @@ def put(values, dtype):
 
 
 def surface(random, cells=10, edge_m=0.02):
-    """Nodes and triangles of two rough sheets, one 0.8 mm above the other, outward up, in random
-    order.
+    """Return nodes and triangles of two rough sheets, one 0.8 mm above the other.
+
+    Their outward side is up, and they are in random order.
     """
     at = np.linspace(-0.5 * edge_m, 0.5 * edge_m, cells + 1)
     nodes = np.stack(np.meshgrid([0.0, -8e-4], at, at, indexing="ij"), axis=-1).reshape(-1, 3)[

@@ -1,4 +1,4 @@
-"""Whether a launch is split follows what splitting gains, at the start and while it runs."""
+"""Choice to split a launch, which follows the measured gain, at the start and while it runs."""
 
 from itertools import cycle
 
@@ -17,7 +17,7 @@ from kernels.split_choice import (
 )
 
 TWO_CORES, ONE_CORE = 1.8, 0.6
-"""What splitting gains on two cores, and on two processors that share one."""
+"""Gain from splitting on two cores, and on two processors that share one core."""
 WHOLE_S, SLICE_S = 4e-4, 8e-3
 """Time of a whole run, and of a time slice that another process takes."""
 
@@ -129,8 +129,10 @@ def test_times_too_short_for_the_clock_are_no_gain():
     ("whole_s", "split_s", "gain"), [(3e-4, 2e-4, 1.5), (3e-4, 3.6e-4, 1 / 1.2)]
 )
 def test_the_calibration_compares_whole_with_split_work(whole_s, split_s, gain):
-    """By a clock that shows those times: three looks at how long hashing takes, then whole and
-    split in turn.
+    """The calibration compares whole with split work.
+
+    A clock shows the given times: three looks at the duration of hashing, then whole and split in
+    turn.
     """
     steps = [1e-4] * 3
     times, shown = cycle([whole_s, split_s]), [0.0]

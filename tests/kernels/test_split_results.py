@@ -1,5 +1,6 @@
-"""Launches in parts give the bits of the whole ones, whether this machine would split them or
-not.
+"""Results of launches in parts, which equal the whole ones bit for bit.
+
+This holds whether or not the machine would split them.
 """
 
 import numpy as np

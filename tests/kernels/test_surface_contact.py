@@ -1,5 +1,6 @@
-"""A solved contact against the laws that all its points must obey together, with displacements
-from NumPy.
+"""Solved contact against the laws that all its points must obey together.
+
+The displacements come from NumPy.
 """
 
 import numpy as np
@@ -12,16 +13,19 @@ from tissue.models.organ.probe import SphereProbe
 TOLERANCE = 1e-9
 """Step of the last sweep over the largest displacement."""
 LEFT = 1e-6
-"""What sweeps that converge by a tenth each leave of gaps and slips, over the largest
-displacement, with a margin.
+"""Error of gaps and slips after the sweeps, relative to the largest displacement.
+
+The sweeps converge by a factor of ten each; the bound includes a margin.
 """
 RADIUS_M = 6e-3
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.1, 0.4])
 def test_all_points_obey_signorini_and_coulomb_together(friction):
-    """u = W H^T f; no gap is negative, no force pulls, one of them is zero, and friction is at
-    most mu times normal.
+    """All points obey Signorini and Coulomb together.
+
+    u = W H^T f; no gap is negative, no force pulls, one of them is zero, and friction is at most mu
+    times normal.
     """
     nodes, faces, compliance = falling_sheet(cells=20, edge_m=0.02)
     contact = SurfaceContact(

@@ -1,5 +1,6 @@
-"""Tetrahedra under laws of principal stretches: against NumPy, closed forms, differences, turns,
-work and a mirror.
+"""Tetrahedra under laws of principal stretches.
+
+They are compared with NumPy, closed forms, differences, turns, work and a mirror.
 """
 
 import numpy as np
@@ -44,8 +45,10 @@ def bent(body: NonlinearBody, seed: int) -> np.ndarray:
 
 @LAW
 def test_one_tetrahedron_is_that_of_numpy(name):
-    """Random, turned, equal, nearly equal and far apart stretches: energy, force and tangent to
-    1e-10.
+    """One tetrahedron agrees with NumPy.
+
+    Energy, force and tangent agree to 1e-10 for random, turned, equal, nearly equal and far apart
+    stretches.
     """
     law, random = LAWS[name], np.random.default_rng(5)
     gradients = [
@@ -101,8 +104,10 @@ def test_force_and_stiffness_are_differences_and_symmetric_to_the_bit(name, orde
 @LAW
 @pytest.mark.parametrize("order", [1, 2])
 def test_turned_and_mirrored_bodies_have_the_same_energy(name, order):
-    """Force turns with the body; a body mirrored with its motion has the mirrored force; turned
-    over it has none.
+    """Turned and mirrored bodies have equal energies.
+
+    Force turns with the body; a body mirrored with its motion has the mirrored force; a body turned
+    inside out has none.
     """
     body = shaken_body(name, order)
     moved = bent(body, 3)
@@ -141,8 +146,9 @@ def test_work_of_the_forces_is_the_energy(name):
 
 
 def cauchy_difference(name: str, first: float, third: float, second: float) -> float:
-    """s_1 - s_3 of principal stretches at constant volume, written out from each law's
-    definition [Pa].
+    """Return s_1 - s_3 of principal stretches at constant volume [Pa].
+
+    It is written out from each law's definition.
     """
     if name == "ogden":
         return sum(2.0 * mu / n * (first**n - third**n) for mu, n in OGDEN)
@@ -159,8 +165,10 @@ def cauchy_difference(name: str, first: float, third: float, second: float) -> f
 @pytest.mark.parametrize("kind", ["uniaxial", "equibiaxial"])
 @pytest.mark.parametrize("stretch", [0.7, 1.4])
 def test_a_pulled_block_is_the_closed_form(name, kind, stretch):
-    """Sides free: J follows from kappa (J - 1/J) / 2 = -(s_1 - s_3) / 3 per free direction, and
-    the force to 1e-6.
+    """A pulled block follows the closed form.
+
+    With free sides J follows from kappa (J - 1/J) / 2 = -(s_1 - s_3) / 3 per free direction, and
+    the force agrees to 1e-6.
     """
     space = Space(box((0.02, 0.02, 0.02), (2, 2, 2)))
     body = NonlinearBody(space, None, law=LAWS[name])
@@ -191,8 +199,10 @@ def test_a_pulled_block_is_the_closed_form(name, kind, stretch):
 
 @LAW
 def test_a_sheared_block_is_the_closed_form(name):
-    """Surface moved by simple shear 0.6: inside the same (patch test), and the shear force on a
-    face to 1e-6.
+    """A sheared block follows the closed form.
+
+    The surface is moved by simple shear 0.6: the inside follows (patch test), and the shear force
+    on a face agrees to 1e-6.
     """
     g = 0.6
     mesh = box((0.03, 0.03, 0.03), (3, 3, 3))

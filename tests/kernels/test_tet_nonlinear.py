@@ -1,5 +1,6 @@
-"""Energy, force and tangent of the three laws: against NumPy, by finite differences, under
-rotation.
+"""Energy, force and tangent of the three laws.
+
+They are compared with NumPy and finite differences, and under rotation.
 """
 
 import numpy as np
@@ -30,8 +31,9 @@ def body_of(law, order=1, seed=0):
 
 
 def shaken(body, seed, size=0.15):
-    """A displacement of strains about ``size``, turned by a large rotation unless the law is
-    linear.
+    """Return a displacement of strains about ``size``.
+
+    It is turned by a large rotation unless the law is linear.
     """
     random = np.random.default_rng(seed)
     turn = np.eye(3) if body.law is Law.LINEAR else Rotation.random(rng=random).as_matrix()
@@ -43,8 +45,9 @@ def shaken(body, seed, size=0.15):
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("seed", range(4))
 def test_energy_force_and_stiffness_agree(law, order, seed):
-    """Central differences over random directions: truncation is h^2, rounding 1e-16/h; at h =
-    1e-6 both below 1e-8.
+    """Energy, force and stiffness agree by central differences over random directions.
+
+    Truncation is h^2, rounding 1e-16/h; at h = 1e-6 both are below 1e-8.
     """
     body = body_of(law, order, seed)
     at = shaken(body, 100 + seed)
@@ -92,8 +95,9 @@ def test_stiffness_at_rest_is_one_and_has_six_zero_modes():
 
 @pytest.mark.parametrize("law", LAWS)
 def test_against_numpy(law):
-    """One linear tetrahedron under a known gradient, formulas written out with an SVD and dense
-    algebra.
+    """One linear tetrahedron under a known gradient agrees with NumPy.
+
+    The formulas are written out with an SVD and dense algebra.
     """
     random = np.random.default_rng(5)
     nodes = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) * 0.01
@@ -133,8 +137,9 @@ def test_against_numpy(law):
 
 
 def test_frame_invariance(capsys):
-    """A rigid turn: no force from the nonlinear laws; the linear law's false stress grows as 1 -
-    cos, and is printed.
+    """A rigid turn gives no force from the nonlinear laws.
+
+    The linear law's false stress grows as 1 - cos, and is printed.
     """
     stiff = np.abs(assemble(space_of(2, 0), lame(YOUNG, POISSON)).data).max()
     for law in (Law.COROTATIONAL, Law.NEO_HOOKEAN):
@@ -179,8 +184,9 @@ def test_turned_over_cells_have_infinite_energy(law):
 
 
 def test_small_strain_limit():
-    """All laws agree to first order: the difference to linear shrinks with the square of the
-    strain.
+    """All laws agree to first order.
+
+    The difference to linear shrinks with the square of the strain.
     """
     linear = body_of(Law.LINEAR, 2)
     direction = np.random.default_rng(0).normal(size=linear.nodes_m.shape) * 1e-3
@@ -196,8 +202,9 @@ def test_small_strain_limit():
 
 
 def test_bad_input():
-    """Refused where it enters: a matrix where Lame constants belong, and constants that are not
-    a number.
+    """Bad input is refused at entry.
+
+    The cases are a matrix in place of Lame constants, and constants that are not a number.
     """
     with pytest.raises(InputError, match="lame_Pa must have shape"):
         NonlinearBody(space_of(1, 0), np.eye(6), law=Law.LINEAR)

@@ -46,8 +46,9 @@ MATERIALS = {
 
 
 def strain_matrices(space, cell, at):
-    """B of a cell at barycentric coordinates, shape (6, nodes, 3), engineering strains in the
-    order xx ... xy.
+    """Return B of a cell at barycentric coordinates, shape (6, nodes, 3).
+
+    It gives engineering strains in the order xx ... xy.
     """
     corners = space.mesh.nodes_m[space.mesh.cells[cell]]
     g = np.linalg.inv(np.vstack([np.ones(4), corners.T]))[:, 1:]
@@ -224,8 +225,10 @@ def test_node_stress_is_the_mean_over_cells_by_volume(order):
 
 
 def test_quadratic_field_has_its_linear_stress_at_nodes():
-    """u = (x^2, x y, z^2 / 2): the quadratic space holds it, and smoothing leaves a linear
-    stress alone.
+    """A quadratic field has its linear stress at nodes.
+
+    u = (x^2, x y, z^2 / 2): the quadratic space holds it, and smoothing leaves a linear stress
+    alone.
     """
     space = Space(distorted(3), 2)
     x, y, z = space.nodes_m.T

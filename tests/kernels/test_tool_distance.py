@@ -1,5 +1,6 @@
-"""Distance from a tool of revolution against closed forms in NumPy, and its bounds over
-triangles against samples.
+"""Distance from a tool of revolution and its bounds over triangles.
+
+The distance is compared with closed forms in NumPy, the bounds with samples.
 """
 
 import numpy as np
@@ -45,8 +46,9 @@ def feet(
 
 
 def cylinder():
-    """Half section of a cylinder from z = 0 to `HEIGHT`: bottom, side and top, each start,
-    direction and length.
+    """Return the half section of a cylinder from z = 0 to `HEIGHT`.
+
+    It has bottom, side and top, each with start, direction and length.
     """
     rows = np.zeros((3, 10))
     rows[:, :5] = [[0, 0, 1, 0, RADIUS], [RADIUS, 0, 0, 1, HEIGHT], [RADIUS, HEIGHT, -1, 0, RADIUS]]

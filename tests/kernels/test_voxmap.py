@@ -56,7 +56,9 @@ def test_level_against_scipy_across_bricks_and_borders():
 
 
 def test_exit_direction_is_the_gradient_of_the_level():
-    """Central differences inside cells, where the level is smooth; their error is of second
+    """The exit direction is the gradient of the level.
+
+    Central differences are taken inside cells, where the level is smooth; their error is of second
     order in the step.
     """
     volume = random_volume(4)
@@ -117,8 +119,9 @@ def test_solids_against_signed_distance_shapes():
 
 
 def test_plane_surface_is_found_within_a_quarter_voxel():
-    """A face at any height: sunk by the difference of the levels, the point that touches is
-    never in the bone.
+    """A plane surface at any height is found within a quarter voxel.
+
+    With the surface sunk by the difference of the levels, the touching point is never in the bone.
     """
     for part in np.linspace(0.0, 1.0, 18):
         fraction = np.zeros((16, 16, 32), np.uint8)

@@ -1,5 +1,6 @@
-"""Every page of the atlas on its quick sweep: verdict, answers of the engine, and verdicts of
-spoilt data.
+"""Pages of the atlas on their quick sweeps.
+
+Checked are the verdict, the answers of the engine, and verdicts of spoilt data.
 """
 
 import numpy as np
@@ -25,12 +26,14 @@ SPOILT = {
     "lost_samples": ("duplicated", "guarded_at_end", "bare_at_end"),
     "wild_input": ("jump", "guarded_N", "bare_N"),
 }
-"""Table, the column of the engine, and that of the failing method; None: the column of the
-engine, negated.
+"""Table, the column of the engine and the column of the failing method.
+
+None stands for the column of the engine, negated.
 """
 RIGHTED = {"wall_map": ("delay", {"first_order_N_m": "exact_N_m", "pade_N_m": "exact_N_m"})}
-"""Columns of failing methods and right ones to put there, where the column of the engine is not
-enough.
+"""Columns of failing methods, and right columns that replace them.
+
+They are needed where the column of the engine is not enough.
 """
 
 

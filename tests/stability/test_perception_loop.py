@@ -1,5 +1,6 @@
-"""A deadband and a steep map inside the loop: what they do to a wall that was stable, and what
-pays for it.
+"""Deadband and steep map inside the loop.
+
+The tests show their effect on a wall that was stable, and the measures that restore stability.
 """
 
 from dataclasses import replace
@@ -79,11 +80,13 @@ def half_of_critical(parameters, grip=None):
 
 
 def test_a_cycle_through_a_deadband_returns_the_energy_of_its_threshold():
-    """Loaded and unloaded slowly along a spring, the held force lags by half a threshold on the
-    average, in either direction.
+    """A cycle through a deadband returns the energy of its threshold.
 
-    So a cycle creates the integral of the threshold over the depth, kappa ((F2 + F0)^2 - (F1 +
-    F0)^2) / 2 K: a Coulomb friction of half the threshold with the wrong sign.
+    The spring is loaded and unloaded slowly; the held force lags by half a threshold on average, in
+    either direction.
+
+    A cycle therefore creates the integral of the threshold over the depth, kappa ((F2 + F0)^2 - (F1
+    + F0)^2) / 2 K. This is a Coulomb friction of half the threshold with the wrong sign.
     """
     stiffness = 400.0
     size = np.concatenate([np.linspace(0.3, 3.0, 40_000), np.linspace(3.0, 0.3, 40_000)])
@@ -98,11 +101,12 @@ def test_a_cycle_through_a_deadband_returns_the_energy_of_its_threshold():
 
 @pytest.mark.parametrize(("name", "force_N"), [("touch", 0.5), ("six-dof", 2.0)])
 def test_a_friction_of_half_the_threshold_stops_what_the_deadband_rings(name, force_N):
-    """A wall at half of its critical stiffness, nobody's hand: it rings without friction, and not
-    with half of it.
+    """A wall that rings from the deadband is quiet with a friction of half the threshold.
 
-    The same condition as that of a position quantiser, friction >= K step / 2 (Abbott and Okamura
-    2005), for one of force.
+    The wall has half of its critical stiffness and no hand holds the device.
+
+    The condition is the force version of the one for a position quantiser, friction >= K step / 2
+    (Abbott and Okamura 2005).
     """
     threshold, ripples = float(LAW.threshold(force_N)), []
     stiffness = half_of_critical(device_parameters(name))
@@ -138,8 +142,9 @@ def test_a_deadband_that_knows_the_friction_does_not_ring():
 @pytest.mark.parametrize("group", ["nobody", "novice", "expert"])
 @pytest.mark.parametrize("name", ["touch", "omni", "six-dof"])
 def test_published_friction_and_a_hand_leave_less_than_the_threshold(name, group):
-    """Devices as they are, pressed with 1 N: the force ripples by less than the threshold,
-    tremor and noise left out.
+    """Real devices in a hand, pressed with 1 N, ripple by less than the threshold.
+
+    Tremor and noise are left out.
     """
     parameters, person = device_parameters(name), None
     if group == "nobody":
@@ -155,8 +160,10 @@ def test_published_friction_and_a_hand_leave_less_than_the_threshold(name, group
 
 
 def test_a_deadband_never_creates_more_than_its_threshold_times_the_path_length():
-    """By the law of the error alone, tick by tick, in the worst case there is: no friction, no
-    hand, ringing.
+    """A deadband never creates more than its threshold times the path length.
+
+    This is checked tick by tick from the law of the error, in the worst case: no friction, no hand,
+    ringing.
     """
     parameters = replace(device_parameters("touch"), friction_N=0.0)
     run, law = pressed(parameters, half_of_critical(parameters), Push(1.0))
@@ -172,8 +179,10 @@ def test_a_deadband_never_creates_more_than_its_threshold_times_the_path_length(
 
 @pytest.mark.parametrize("fault", ["dropped", "late", "duplicated", "non-finite", "wild"])
 def test_a_faulty_device_is_survived(fault):
-    """The guard before it keeps samples that no hand makes from it; the force fades and comes
-    back, as without it.
+    """A faulty device does not end the loop.
+
+    The guard removes samples that no hand makes; the force fades and comes back, as without the
+    mapping.
     """
     parameters = device_parameters("touch")
     law = Felt(ProxyRenderer(200.0, 0.0), population_on(parameters))
@@ -188,8 +197,10 @@ def test_a_faulty_device_is_survived(fault):
 
 
 def test_a_steep_map_makes_the_wall_as_much_stiffer():
-    """An observer with exponent 1.2: stiffness times slope decides, by eigenvalues and by the
-    run that they predict.
+    """A steep map makes the wall stiffer by its slope.
+
+    For an observer with exponent 1.2, stiffness times slope decides, by eigenvalues and by the run
+    that they predict.
     """
     law = ForceMap(
         intensity_of(reference_observer()),

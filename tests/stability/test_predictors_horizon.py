@@ -1,6 +1,4 @@
-"""Predictors taken past where they fail: far ahead, in another tissue, without a cap, on a loop
-that chatters.
-"""
+"""Predictors beyond their limits: far ahead, in another tissue, uncapped, on a chattering loop."""
 
 from dataclasses import replace
 
@@ -66,8 +64,9 @@ def test_the_guard_bounds_the_prediction_of_an_exploding_operator(wall, unseen):
 @pytest.mark.parametrize("factor", [0.5, 2.0, 8.0])
 @pytest.mark.parametrize("kind", ["koopman", "koopman-look-ahead"])
 def test_in_a_force_it_was_not_trained_on_it_is_as_good_as_at_home(wall, unseen, kind, factor):
-    """Half to eight times the force and stiffness of the same motion: the same error, to
-    rounding.
+    """In an untrained force range, the prediction error is unchanged to rounding.
+
+    The same motion has half to eight times the force and stiffness.
     """
     contact = unseen.contact.copy()
     contact[:, [0, *range(4, 16)]] *= factor
@@ -94,8 +93,10 @@ def test_dropped_and_repeated_samples_leave_it_bounded(wall, unseen):
 
 @pytest.mark.slow
 def test_prediction_takes_a_loop_past_where_latency_makes_it_chatter():
-    """At 1.5 kN/m and 4 ms the wall throws the device off again and again (24 switches);
-    predicted, it is held (4).
+    """Prediction keeps a loop in contact where latency makes it chatter.
+
+    At 1.5 kN/m and 4 ms the wall throws the device off again and again (24 switches); predicted, it
+    is held (4).
     """
     switches = {}
     for prediction in ("none", "koopman"):

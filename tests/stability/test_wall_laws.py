@@ -1,6 +1,6 @@
-"""Published statements about haptic loops taken to where they fail, each beside the one that holds.
+"""Limits of published statements about haptic loops, each next to the statement that holds.
 
-The numbers E3, E4, E9, E10 and E11 are those of the project's list of errors in a published haptic
+The numbers E3, E4, E9, E10 and E11 refer to the project's list of errors in a published haptic
 framework.
 """
 
@@ -31,8 +31,9 @@ TICK = 1e-3
 
 
 def amplitude(time_constant_s, frequency_Hz):
-    """Steady amplitude of the low-pass for a sine of amplitude 1, by running it at 2000 steps a
-    period.
+    """Return the steady amplitude of the low-pass for a sine of amplitude 1.
+
+    It is run at 2000 steps a period.
     """
     step = 5e-4 / frequency_Hz
     low_pass = LowPass(time_constant_s, step_s=step, size=1)
@@ -80,8 +81,9 @@ UNSAFE = [
 
 @pytest.mark.parametrize("loop", UNSAFE)
 def test_e4_pade_promises_stiffness_that_runs_away(loop):
-    """Just inside the line of the first-order Padé delay the loop grows; just inside the
-    eigenvalues' it settles.
+    """The loop grows just inside the line of the first-order Padé delay.
+
+    Just inside the limit of the eigenvalues it settles.
     """
     exact, promised = critical_stiffness_N_m(loop), pade_bound_N_m(loop)
     assert promised > 1.05 * exact
@@ -101,8 +103,9 @@ def test_e4_pade_is_good_where_the_delay_is_short():
 
 
 def energy_from_a_cycle(law):
-    """Energy that a contact gives to a device led once around a cycle inside it [J]; fine steps,
-    so nothing leaks.
+    """Return the energy that a contact gives to a device led once around a cycle in it [J].
+
+    The steps are fine, so that nothing leaks.
     """
     step, given = 1e-4, 0.0
     for time in np.arange(0.0, 1.0, step):
@@ -133,8 +136,9 @@ def test_e9_the_damper_is_at_rest_where_both_move_alike():
 
 @pytest.mark.parametrize("rate_Hz", [1000.0, 2000.0, 5000.0])
 def test_e10_positive_gains_at_1_khz_are_not_enough(rate_Hz):
-    """k, b > 0 and at least 1 kHz: "passive" as printed, yet it grows; more virtual damping
-    makes it worse.
+    """Positive gains at 1 kHz or more do not make a loop passive.
+
+    With k, b > 0 it is "passive" as printed, yet it grows; more virtual damping makes it worse.
     """
     tick = 1.0 / rate_Hz
     device = {"mass_kg": 0.045, "damping_N_s_m": 0.35, "tick_s": tick}
@@ -151,8 +155,10 @@ def test_e10_positive_gains_at_1_khz_are_not_enough(rate_Hz):
 
 @pytest.mark.parametrize("delay", [0, 1, 2, 5, 20])
 def test_e11_relaxation_settles_up_to_the_bound_and_not_to_1_or_2(delay):
-    """Run F <- F + a (F_wanted - F delayed) 2 % below and above; the printed 0 < a < 1 fails
-    with delay.
+    """Relaxation settles up to the bound and not to 1 or 2.
+
+    F <- F + a (F_wanted - F delayed) is run 2 % below and above the bound; the printed 0 < a < 1
+    fails with delay.
     """
 
     def left(gain):
@@ -208,8 +214,9 @@ def test_a_hand_of_every_group_stiffens_what_a_free_device_can_hold():
 
 
 def let_go(name, stiffness_N_m, *, two_sided, kind="proxy", aim_m=5e-3):
-    """Positions along z [m] after a hand that pressed the middle of a spring, or a wall, has
-    opened (at 0.8 s).
+    """Return positions along z [m] after a hand has opened at 0.8 s.
+
+    Before, it pressed the middle of a spring, or a wall.
     """
     limits = device_parameters(name)
     path = waypoints(np.array([0.0, 0.3]), np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -aim_m]]))
@@ -232,13 +239,13 @@ def let_go(name, stiffness_N_m, *, two_sided, kind="proxy", aim_m=5e-3):
 
 
 def test_let_go_at_the_default_a_wall_is_left_and_between_two_walls_only_friction_helps():
-    """Why the default is that of a device in a hand: what it costs to be safe without one, and
-    where it matters.
+    """A released device leaves a wall at the default stiffness; between walls only friction helps.
 
-    Half of the critical value without a hand is a seventh to a ninth of the default. It is not
-    needed on a wall, which a released device leaves within some hundredths of a second. Held from
-    both sides, a Touch fades by its friction, a six-dof device, whose friction is a sixth of that,
-    grows until its force limit bounds it.
+    The default is chosen for a device in a hand. This test shows the cost of being safe without a
+    hand, and the case in which that matters. Half of the critical value without a hand is a seventh
+    to a ninth of the default. It is not needed on a wall, because a released device leaves it
+    within some hundredths of a second. Between two walls, a Touch fades by its friction. A six-dof
+    device has a sixth of that friction, and grows until its force limit bounds it.
     """
     for name in ("touch", "omni", "six-dof"):
         limits = device_parameters(name)

@@ -1,5 +1,6 @@
-"""Hands that let go or jerk and devices that lie: whatever happens, the force stays bounded and
-does not stay stale.
+"""Hands that let go or jerk, and devices that report false values.
+
+The force stays bounded and does not stay stale.
 """
 
 import numpy as np
@@ -67,8 +68,9 @@ def test_one_missing_sample_takes_a_twentieth_of_the_force():
 
 
 def test_without_the_guard_a_wild_sample_commands_a_wild_force():
-    """What the guard is for: 1e9 m in the wall is 1e12 N; the device itself still plays no more
-    than it can.
+    """Without the guard, a sample 1e9 m inside the wall commands 1e12 N.
+
+    The device itself still plays no more than its limit.
     """
 
     class Wild(FaultyDevice):
@@ -93,8 +95,9 @@ def test_without_the_guard_a_wild_sample_commands_a_wild_force():
 
 @pytest.mark.parametrize("kind", RENDERERS)
 def test_a_hand_that_lets_go_is_not_thrown_at(kind):
-    """The wall gives back no more than its spring held; the omni's own friction then stops the
-    handle.
+    """A wall gives a released device no more energy than its spring held.
+
+    The omni's own friction then stops the handle.
     """
     run, _, simulated = pressed(kind, let_go_s=0.8)
     held = run.force_N[799, 2]

@@ -1,9 +1,8 @@
-"""A band against closed forms: a ball that goes straight down into a block, its force an integral
-over the hemisphere.
+"""Band of a ball that moves straight down into a block, against closed forms.
 
-With radial coefficients alone the sides cancel, and the thrust is N R (pi / 4 K_rc h + K_re), h =
-60 v / (N n) the chip's thickness at the tip. It is a sum, each constant of which has its own
-variance.
+The force is an integral over the hemisphere. With radial coefficients alone the sides cancel, and
+the thrust is N R (pi / 4 K_rc h + K_re), with h = 60 v / (N n) the chip thickness at the tip. It is
+a sum whose constants each have their own variance.
 """
 
 import numpy as np
@@ -22,12 +21,14 @@ CHIP_MM = 60.0 * FEED_MM_S / (FLUTES * SPIN_RPM)
 FREE = ("radial_chip_N_mm2", "radial_edge_N_mm")
 PER_UNIT = FLUTES * RADIUS_MM * np.array([np.pi / 4.0 * CHIP_MM, 1.0])
 GEOMETRY = 0.01
-"""Share of the force by which voxels of 0.2 mm and the elements of a ball of 1 mm may miss the
-integral.
+"""Share of the force by which voxels and elements may miss the integral.
+
+The voxels have 0.2 mm, the elements belong to a ball of 1 mm.
 """
 SAMPLING = 0.03
-"""Share by which 1,024 balanced samples may miss a quantile, five times what bench_band.py
-measures at the median.
+"""Share by which 1,024 balanced samples may miss a quantile.
+
+It is five times the value that bench_band.py measures at the median.
 """
 
 

@@ -1,6 +1,4 @@
-"""Energy of a sampled wall: what the hold leaks, what the observer sees of it, what the
-controller pays back.
-"""
+"""Energy of a sampled wall: leak of the hold, observed energy, repayment by the controller."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -29,8 +27,9 @@ def along_z(value):
 
 
 def through_the_wall(play):
-    """Prescribed motion through a wall; energy that the acting forces took, counted apart from
-    any observer [J].
+    """Run a prescribed motion through a wall and return the energy that the forces took [J].
+
+    It is counted independently of any observer.
     """
     taken, lowest = 0.0, 0.0
     for tick, (depth, following) in enumerate(pairwise(DEPTHS)):
@@ -67,8 +66,10 @@ def test_the_controller_pays_the_leak_back():
 
 @pytest.mark.parametrize("delay_ticks", [0.0, 0.4, 1.0, 2.7])
 def test_a_delayed_force_is_booked_where_it_acts(delay_ticks):
-    """Against the work of the simulated motors; without amplifier lag, friction and substeps it
-    is exact.
+    """A delayed force is counted where it acts.
+
+    It is compared with the work of the simulated motors; without amplifier lag, friction and
+    substeps it is exact.
     """
     device = DeviceParameters(mass_kg=0.05, damping_N_s_m=1.0, transport_delay_s=delay_ticks * TICK)
     simulated = SimulatedDevice(device, substeps=1)
@@ -90,7 +91,7 @@ def test_a_delayed_force_is_booked_where_it_acts(delay_ticks):
 
 @pytest.mark.parametrize("name", ["six-dof", "omni"])
 def test_a_wall_that_feeds_a_knocked_device_is_stopped_by_the_controller(name):
-    """Where the penalty wall creates energy and rings, the supervised one takes it and is quiet."""
+    """A penalty wall creates energy and rings; the supervised wall absorbs it and is quiet."""
     device, hand = device_parameters(name), hand_parameters("expert")
     stiffness = 3000.0 if name == "six-dof" else 8000.0
     bare, bare_device = knock(device, hand, "penalty", stiffness)
@@ -124,9 +125,10 @@ def tapping(seconds, kind, *, seed=1, name="six-dof", stiffness_N_m=1500.0, dela
 
 
 DIP_J = 2e-4
-"""Energy by which a supervised wall may be ahead of its ledger [J]: a prediction is wrong by a
-change of speed within the step and the lag, F T dv with F up to 3 N and dv up to 0.03 m/s, for the
-few ticks until it is paid back.
+"""Energy by which a supervised wall may be ahead of its ledger [J].
+
+A prediction is wrong by a change of speed within the step and the lag, F T dv with F up to 3 N and
+dv up to 0.03 m/s, for the few ticks until it is paid back.
 """
 
 
@@ -162,8 +164,9 @@ def test_ten_minutes_of_contact_never_create_energy():
     ],
 )
 def test_a_latency_does_not_let_a_supervised_wall_create_energy(name, stiffness_N_m, delay_ms):
-    """Booked at the motors; the bare wall of 1.5 kN/m gives out 136 mJ in 10 s at 4 ms, and 2.4
-    J at 8 ms.
+    """A latency does not let a supervised wall create energy, counted at the motors.
+
+    The bare wall of 1.5 kN/m emits 136 mJ in 10 s at 4 ms, and 2.4 J at 8 ms.
     """
     at = {"name": name, "stiffness_N_m": stiffness_N_m, "delay_s": 1e-3 * delay_ms}
     for seed in (1, 2):
@@ -216,11 +219,11 @@ def test_what_a_wall_reaches_is_reported_with_what_the_device_allows():
 
 @pytest.mark.parametrize(("pending_N", "mass_kg"), [(0.0, 0.1), (0.4, 0.1), (2.0, 0.05)])
 def test_the_work_of_a_pending_force_is_that_of_constant_acceleration(pending_N, mass_kg):
-    """A force F1 that was sent out a tick ago speeds a free device of v up to v1 = v + F1 T / m in
-    that tick.
+    """The work of a pending force is that of constant acceleration.
 
-    Its work is F1 T (v + v1) / 2, and the new force F works F T v1 in the tick after it. Nothing is
-    stored, so all of it is taken off the new force at v1: what is left is -F1 (v + v1) / (2 v1).
+    A force F1 that was sent out a tick ago accelerates a free device from v to v1 = v + F1 T / m in
+    that tick. Its work is F1 T (v + v1) / 2, and the new force F works F T v1 in the tick after it.
+    Nothing is stored, so all of it is taken off the new force at v1: -F1 (v + v1) / (2 v1) remains.
     """
     control = PassivityControl(1e6, delay_ticks=1.0, mass_kg=mass_kg)
     speed, force = 0.05, 1.5

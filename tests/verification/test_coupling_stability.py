@@ -1,5 +1,6 @@
-"""Critical stiffness of a virtual wall: the published table, closed forms, and the loop left to
-run.
+"""Critical stiffness of a virtual wall.
+
+It is compared with the published table, closed forms, and the simulated loop.
 """
 
 from dataclasses import replace
@@ -40,7 +41,7 @@ TABLE = [
 PRINTED_N_M = {0.0: 0.005, 0.5: 0.5}
 """Half of the last digit that each row is printed with [N/m]."""
 BY_RUNNING = 0.01
-"""Of a bisection over runs of 4 s; it is met by a factor of twenty."""
+"""Tolerance of a bisection over runs of 4 s; the error is twenty times smaller."""
 
 
 def wall(wall_damping=0.0, delay=0, **changed):
@@ -92,8 +93,10 @@ class Push:
 @pytest.mark.parametrize("delay", [0.0, 5e-4, 1e-3, 2.3e-3])
 @pytest.mark.parametrize("amplifier_Hz", [inf, 300.0])
 def test_the_simulated_device_obeys_the_same_boundary(delay, amplifier_Hz):
-    """The device without friction and encoder steps, on a wall that also pulls, 0.5 % below and
-    above.
+    """The simulated device has the same stability limit.
+
+    It has no friction and encoder steps, on a wall that also pulls, 0.5 % below and above the
+    limit.
     """
     device = DeviceParameters(
         mass_kg=0.045, damping_N_s_m=0.35, transport_delay_s=delay, amplifier_Hz=amplifier_Hz

@@ -49,8 +49,9 @@ def test_closed_form_of_the_slot_is_the_published_example():
 
 
 def test_slot_forces_summed_over_elements():
-    """Elements of the engaged half in closed form: 0.1 %, the error of a midpoint rule over the
-    elements.
+    """Slot forces summed over elements agree with the closed form.
+
+    The elements lie on the engaged half; 0.1 % is the error of a midpoint rule over them.
     """
     cutter = Cutter(cylinder(diameter_m=6e-3, length_m=DEPTH_M), TEETH, SPIN_RAD_S)
     shell = cutter.shell(spacing_m=4e-5)
@@ -67,7 +68,7 @@ def test_slot_forces_summed_over_elements():
 
 
 def test_slot_forces_on_voxels():
-    """The same slot cut out of voxels: 2 %."""
+    """The forces in the same slot, cut out of voxels, agree within 2 %."""
     volume = voxelise(cortical_block(size_mm=(14, 7.2, 1.6)), spacing_m=1e-4)
     cutter = Cutter(cylinder(diameter_m=6e-3, length_m=3e-3), TEETH, SPIN_RAD_S)
     model = BoneModel(volume, cutter, (SLOT,))
@@ -113,10 +114,11 @@ def test_element_removal_rate_integrates_to_the_voxel_volume(sharp_slot):
 @pytest.mark.slow
 @pytest.mark.parametrize("depth_m", [1e-4, 2e-4, 5e-4])
 def test_shallow_pass_over_a_cut_bottom_keeps_the_balance(depth_m):
-    """A second pass, one to five voxels deeper than the first, removes by elements what it removes
-    in voxels: 3 %.
+    """A shallow pass over a cut bottom keeps the balance.
 
-    One voxel of depth is the worst case: a pass that the fill resolves by a single layer of voxels.
+    A second pass, one to five voxels deeper than the first, removes by elements the volume that it
+    removes in voxels, within 3 %. One voxel of depth is the worst case: the fill resolves such a
+    pass by a single layer of voxels.
     """
     volume = voxelise(cortical_block(size_mm=(10, 6, 2)), spacing_m=1e-4)
     model = BoneModel(
@@ -139,8 +141,10 @@ def turned(angle):
 @pytest.mark.slow
 @pytest.mark.parametrize(("angle", "tolerance"), [(pi / 2, 1e-3), (pi, 1e-3), (0.4, 0.02)])
 def test_turned_scene_gives_turned_forces(angle, tolerance):
-    """Quarter turns map voxels onto voxels: equal up to rounding; other angles agree to what
-    voxels resolve, 2 %.
+    """A turned scene gives turned forces.
+
+    Quarter turns map voxels onto voxels, so forces are equal up to rounding; other angles agree to
+    the resolution of the voxels, 2 %.
     """
     results = []
     for turn in (np.eye(3), turned(angle)):
@@ -197,7 +201,9 @@ def test_force_grows_with_density_as_the_power_law():
 
 
 def test_implicit_step_holds_where_the_explicit_one_blows_up():
-    """Plunging burr, drag c from the bone model: explicit steps diverge for dt > 2 m / c, the
+    """The implicit step holds where the explicit one diverges.
+
+    A burr plunges with the drag c of the bone model: explicit steps diverge for dt > 2 m / c, the
     implicit one settles.
     """
     volume = voxelise(cortical_block(size_mm=(8, 8, 3)), spacing_m=1e-4)
@@ -254,8 +260,10 @@ def test_thrust_below_the_edge_force_does_not_move_the_tool():
 
 
 def test_thrust_balances_the_cutting_force():
-    """A steady force-driven plunge: the axial cutting force equals the thrust once inertia has
-    died away (0.5 %).
+    """The thrust balances the cutting force.
+
+    In a steady force-driven plunge the axial cutting force equals the thrust once inertia has died
+    away (0.5 %).
     """
     volume = voxelise(cortical_block(size_mm=(8, 8, 6)), spacing_m=1e-4)
     model = BoneModel(volume, Cutter(cylinder(diameter_m=4e-3, length_m=8e-3), 4, 300.0), (BONE,))

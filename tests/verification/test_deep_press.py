@@ -1,8 +1,8 @@
-"""A block pressed by a ball to 80 % of its radius, against felupe: its own elements, law, contact
-and Newton steps.
+"""Block pressed by a ball to 80 % of its radius, against felupe.
 
-Its volumetric part is kappa / 2 (J - 1)^2, ours kappa / 4 (J^2 - 1 - 2 ln J): the two differ to
-third order of J - 1, which is small at nu = 0.49.
+felupe has its own elements, law, contact and Newton steps. Its volumetric part is kappa / 2 (J -
+1)^2, ours kappa / 4 (J^2 - 1 - 2 ln J). The two differ to third order of J - 1, which is small at
+nu = 0.49.
 """
 
 import numpy as np
@@ -17,8 +17,9 @@ from tissue.fem.space import Space
 def felupe_forces(
     fem, space: Space, held: np.ndarray, starts: list[np.ndarray], penalty_N_m: float
 ) -> np.ndarray:
-    """The same by felupe [N], the ball held off by a penalty: Newton steps, which begin near the
-    equilibrium.
+    """Compute the same forces by felupe [N], with the ball held off by a penalty.
+
+    The Newton steps begin near the equilibrium.
     """
     mesh = fem.Mesh(space.nodes_m, space.cell_nodes, "tetra10")
     field = fem.FieldContainer([fem.Field(fem.RegionQuadraticTetra(mesh), dim=3)])
@@ -84,8 +85,10 @@ def test_a_deep_press_is_that_of_felupe(capsys):
 
 @pytest.mark.slow
 def test_quadratic_cells_do_not_lock_at_poisson_0_49(capsys):
-    """Force 8 mm deep against a finer mesh: quadratic cells of 5 mm within 6 %, linear ones of 2
-    mm lock.
+    """Quadratic cells do not lock at Poisson's ratio 0.49.
+
+    The force 8 mm deep is compared with a finer mesh: quadratic cells of 5 mm are within 6 %,
+    linear ones of 2 mm lock.
     """
     meshes = {"fine": (2, 3e-3), "linear": (1, 2e-3), "quadratic": (2, 5e-3)}
     forces = {

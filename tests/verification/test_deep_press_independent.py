@@ -1,10 +1,11 @@
-"""Deep presses against an analyst who knew the geometry and the energy alone, not this code.
+"""Deep presses against an independent analyst, who knew only the geometry and the energy.
 
-Their method shares nothing with ours: axial symmetry with nine-node cells and three fields
-(displacement, pressure, volume), which do not lock, augmented Lagrangian contact at points of
-faces, edges of 1, 0.5 and 0.25 mm at the ball; and what a square base adds to a round one by cells
-of 27 nodes in three dimensions. They put their figures' own error at 0.05 %, 0.1 % at the least
-depth. The volumetric energy is kappa / 4 (J^2 - 1 - 2 ln J), as ours.
+The analyst did not know this code, and the method shares nothing with ours. It uses axial symmetry
+with nine-node cells and three fields (displacement, pressure, volume), which do not lock. It has
+augmented Lagrangian contact at points of faces, and edges of 1, 0.5 and 0.25 mm at the ball. The
+difference between a square and a round base is computed by cells of 27 nodes in three dimensions.
+The analyst puts the error of these figures at 0.05 %, and at 0.1 % for the smallest depth. The
+volumetric energy is kappa / 4 (J^2 - 1 - 2 ln J), as ours.
 """
 
 import numpy as np
@@ -22,8 +23,10 @@ BLOCK_N = {4e-3: 0.1414, 8e-3: 0.3916}
 
 @pytest.mark.slow
 def test_a_run_under_a_law_has_the_independent_force(capsys):
-    """As shipped: at rest within 1.5 %, moving within 4 %, of which the first depth, where few
-    nodes touch, is most.
+    """A run under a law has the independent force.
+
+    At rest it is within 1.5 %, moving within 4 %; most of this is the first depth, where few nodes
+    touch.
     """
     run = simulate(scene_of(law="neo-hookean", poisson_ratio=0.45), cores=1)
     moving, rest = moving_N(run) / SLAB_N - 1.0, run.trace["force_z_N"][-1] / SLAB_N[-1] - 1.0
@@ -45,8 +48,10 @@ def test_a_run_under_a_law_has_the_independent_force(capsys):
 
 @pytest.mark.slow
 def test_quadratic_cells_approach_the_independent_force(capsys):
-    """At nu = 0.49 cells of 5 mm are 14 % too stiff at half the depth and 4 % at the whole:
-    their nodes alone touch.
+    """Quadratic cells approach the independent force.
+
+    At nu = 0.49 cells of 5 mm are 14 % too stiff at half the depth and 4 % at the whole: only their
+    nodes touch.
     """
     forces = 4.0 * our_presses(*quarter(2, 5e-3, 1.5), np.array(list(BLOCK_N)))[0]
     off = forces / np.array(list(BLOCK_N.values())) - 1.0

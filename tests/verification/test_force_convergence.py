@@ -1,5 +1,6 @@
-"""The force of voxels against the exact geometry: order of convergence, turned frames, growing
-and shrinking contact.
+"""Force of voxels against the exact geometry.
+
+The tests cover order of convergence, turned frames, and growing and shrinking contact.
 """
 
 import numpy as np
@@ -39,7 +40,7 @@ CUTTERS = {
     ),
 }
 SPREAD = 0.003
-"""Of the mean force: the farthest that that of a turned frame may lie from their average."""
+"""Largest distance of a turned frame's force from the average, relative to the mean force."""
 
 
 def cutter_of(profile):
@@ -56,10 +57,13 @@ def turned(count):
 @pytest.mark.slow
 @pytest.mark.parametrize("bone", ["block", "ball"])
 def test_order_on_slanted_layers(bone):
-    """On a curved surface the order is 1.8. A flat one interpolation meets exactly: what is left is
-    bytes' rounding and the direction to a change of layer, independent along the cut's rim and so
-    of order 1.5 to 2, and the elements' 0.03 % (`bench_force_law.py --part 4`): within 0.03 % above
-    a line of order 1.8."""
+    """The force converges on slanted layers.
+
+    On a curved surface the order is 1.8. Interpolation represents a flat one exactly. The rest is
+    the rounding of bytes and the direction to a change of layer, which is independent along the
+    cut's rim and so of order 1.5 to 2, and the elements' 0.03 % (`bench_force_law.py --part 4`).
+    The bound is 0.03 % above a line of order 1.8.
+    """
     shape = sphere(5e-3, (0.0, 0.0, -5e-3)) if bone == "ball" else None
     corners = ((0.2, 0.1, 0.5), (0.2, 0.1, -0.8), (1.7, 0.5, -1.0), (1.9, 0.6, 0.5))
     cut = VoxelCut(
@@ -92,8 +96,9 @@ def test_order_on_slanted_layers(bone):
 
 
 def spread(name, plate_m, count):
-    """Farthest mean force of `count` frames from their average, and the average's from the
-    reference, by its size.
+    """Return the largest distance of a mean force from the average, and the average's error.
+
+    It is taken over `count` frames. The error is relative to the size of the reference.
     """
     profile, corners, tilt = CUTTERS[name]
     tool = Rotation.from_euler("xy", tilt)
@@ -141,7 +146,9 @@ CONTACTS = {
     ],
 )
 def test_contact_that_grows_and_shrinks(name):
-    """Within 0.6 % over 50 ms and 1 % over ticks; twice that along a sharp edge, which
+    """Contact that grows and shrinks has the exact force.
+
+    It is within 0.6 % over 50 ms and 1 % over ticks; twice that along a sharp edge, which
     interpolation rounds.
     """
     size, centre = (6e-3, 5e-3, 4e-3), (0.0, 0.0, -2e-3)

@@ -33,8 +33,9 @@ def plate(normal, plate_m=np.inf):
 
 
 def forces(anatomy, *corners_mm, frame=None, spacing_m=1e-4):
-    """Force on the burr at every tick along straight lines of a frame, in that frame, and which
-    line a tick is on.
+    """Return the force on the burr at every tick, and the line that a tick lies on.
+
+    The path consists of straight lines of a frame, and the force is given in that frame.
     """
     frame = frame or Rotation.identity()
     corners = 1e-3 * np.array(corners_mm)
@@ -62,7 +63,9 @@ def forces(anatomy, *corners_mm, frame=None, spacing_m=1e-4):
 
 @pytest.mark.parametrize("frame", [Rotation.identity(), TURNED], ids=["lattice", "turned"])
 def test_a_pass_back_through_an_old_slot_meets_little(frame):
-    """At most 1 % of the full cut: elements that graze the old surface ask of the next voxel,
+    """A pass back through an old slot has little force.
+
+    It is at most 1 % of the full cut: elements that graze the old surface read the next voxel,
     which lies deeper in it.
     """
     there, back = [-1.2, 0, -0.3], [1.2, 0, -0.3]
@@ -76,8 +79,9 @@ def test_a_pass_back_through_an_old_slot_meets_little(frame):
 
 
 def slot_force(depth):
-    """Force [N] on a ball that goes along x in solid bone under a face, cut to a depth,
-    integrated by hand.
+    """Return the force [N] on a ball that moves along x in solid bone under a face.
+
+    The face is cut to a depth, and the force is integrated by hand.
     """
     ktc, krc, kte, kre = (
         getattr(BONE, name)
@@ -107,11 +111,10 @@ def test_a_slot_has_its_closed_form_in_any_frame(frame):
 
 
 def slanted_plunge(tips_z, normal, plate_m):
-    """Forces [N] on a ball that plunges along -z into a plate over another layer, from a fine sum
-    over its surface.
+    """Return forces [N] on a ball that plunges along -z into a plate over another layer.
 
-    Points of the surface are added up in the order of their depth, so that those below a depth are
-    a difference of two.
+    The forces come from a fine sum over the ball's surface. Points of the surface are added up in
+    the order of their depth, so that the points below a depth are a difference of two sums.
     """
     count = 300
     polar = (np.arange(count) + 0.5) / count * (pi / 2)
@@ -143,8 +146,10 @@ def slanted_plunge(tips_z, normal, plate_m):
 
 @pytest.mark.parametrize("spacing_m", [2e-4, pytest.param(1e-4, marks=pytest.mark.slow)])
 def test_layers_at_a_slant_are_met_where_they_lie(spacing_m):
-    """A plunge through a slanted plate: means over 50 ms within 0.3 %, which the cutter's
-    elements alone are off by.
+    """Slanted layers act at their true place.
+
+    For a plunge through a slanted plate, means over 50 ms are within 0.3 %, which is the error of
+    the cutter's elements alone.
     """
     normal = np.array([0.25, 0.15, 1.0]) / np.linalg.norm([0.25, 0.15, 1.0])
     force, _ = forces(plate(normal, 4.5e-4), [0, 0, 0.4], [0, 0, -0.8], spacing_m=spacing_m)

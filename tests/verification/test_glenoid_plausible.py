@@ -1,5 +1,6 @@
-"""Reaming forces of the glenoid scene against the published range, and how they hang on the
-weakest coefficients.
+"""Reaming forces of the glenoid scene against the published range.
+
+Their dependence on the weakest coefficients is shown.
 """
 
 import numpy as np
@@ -17,14 +18,16 @@ COARSE = {
     "tool.spin_rpm": 2000.0,
     "duration_s": 1.0,
 }
-"""Four times the scene's feed and spin: the same chip thickness and force in a quarter of the
-ticks.
+"""Changes to four times the scene's feed and spin.
+
+Chip thickness and force are unchanged, in a quarter of the ticks.
 """
 
 
 def steady(**changes):
-    """Thrust and torque [N, N m] near full depth: they push back, and against a tool that turns
-    clockwise from above.
+    """Return thrust and torque [N, N m] near full depth.
+
+    They push back, and act against a tool that turns clockwise from above.
     """
     run = tissue.simulate(tissue.load_scene("glenoid", COARSE | changes))
     late = slice(-120, -60)
@@ -40,8 +43,10 @@ def test_thrust_and_torque_lie_in_the_published_range():
 
 @pytest.mark.slow
 def test_scaled_feed_and_spin_keep_the_force():
-    """Chip thickness depends on feed over spin alone: half of both keeps the force within 2 %
-    (voxel ripple).
+    """Scaled feed and spin keep the force.
+
+    Chip thickness depends on feed over spin alone: half of both keeps the force within 2 % (voxel
+    ripple).
     """
     slower = steady(**{"motion.feed_mm_s": 1.0, "tool.spin_rpm": 1000.0, "duration_s": 1.9})
     assert slower == pytest.approx(steady(), rel=0.02)
@@ -49,8 +54,10 @@ def test_scaled_feed_and_spin_keep_the_force():
 
 @pytest.mark.slow
 def test_sensitivity_to_the_coefficients_is_printed():
-    """Each coefficient at both ends of its cited range; the spread is what low confidence means
-    here.
+    """The sensitivity to the coefficients is printed.
+
+    Each coefficient is set to both ends of its cited range; the spread shows the effect of low
+    confidence.
     """
     base = steady()
     print(f"\ncited values: thrust {base[0]:.1f} N, torque {base[1]:.3f} N m")

@@ -28,8 +28,9 @@ def medium(shape, spacing_m):
 
 
 def point_source_error(spacing_m, time_s=2.0, side_m=8e-3):
-    """Largest error over a ball of 1.5 mm, against the peak, some time after 1 mJ came into one
-    point.
+    """Return the largest error over a ball of 1.5 mm, relative to the peak.
+
+    It is taken some time after 1 mJ entered one point.
     """
     count = int(side_m / spacing_m) | 1
     body = medium((count,) * 3, spacing_m)
@@ -56,8 +57,10 @@ def test_point_source_converges_with_second_order():
 
 
 def test_plane_source_at_an_insulated_face_over_growing_cells():
-    """Constant flux into a half space: T(0, t) = 2 q sqrt(t / (pi k rho c)); 2 % at the face's
-    first cell centre.
+    """A plane source at an insulated face over growing cells follows the closed form.
+
+    For constant flux into a half space, T(0, t) = 2 q sqrt(t / (pi k rho c)); the error at the
+    face's first cell centre is 2 %.
     """
     time, flux = 1.0, 1000.0
     widths = np.concatenate(
@@ -87,8 +90,9 @@ def test_plane_source_at_an_insulated_face_over_growing_cells():
 
 @pytest.mark.slow
 def test_moving_band_against_jaeger():
-    """A band of width 2 l moves with V over an insulated half space (Jaeger 1942), in two
-    dimensions:
+    """A moving band follows Jaeger (1942).
+
+    A band of width 2 l moves with V over an insulated half space, in two dimensions:
 
     T = q / (pi k) integral over the band of exp(-V (x - s) / 2a) K0(V sqrt((x - s)^2 + z^2) / 2a)
     ds.
@@ -129,11 +133,10 @@ def test_moving_band_against_jaeger():
 
 
 def receded(spacing_m, speed=1.5e-3, time_s=1.0, interval_s=0.01):
-    """Heat that is left under a face that recedes under a flux of 1 W/m2, relative to q a / v^2,
-    when all is steady.
+    """Return the heat left under a face that recedes under a flux of 1 W/m2, relative to q a / v^2.
 
-    T = q / (rho c v) exp(-v x / a) ahead of the face, so that q a / v^2 is left for each area and
-    the rest has gone.
+    The value belongs to the steady state. T = q / (rho c v) exp(-v x / a) ahead of the face, so
+    that q a / v^2 is left for each area and the rest is removed.
     """
     count = int(4e-3 / spacing_m)
     body = medium((count, 1, 1), spacing_m)
@@ -162,8 +165,10 @@ def receded(spacing_m, speed=1.5e-3, time_s=1.0, interval_s=0.01):
 
 
 def test_removed_material_takes_its_heat_along():
-    """Within 10 % in cells of v h / a = 1.1, as by default in dentin, and in cells a quarter of
-    that.
+    """Removed material takes its heat along.
+
+    The heat left is within 10 % in cells of v h / a = 1.1, as by default in dentin, and in cells a
+    quarter of that.
     """
     coarse, fine = receded(1.25e-4), receded(3.125e-5)
     print(f"\nreceding face: {coarse:.3f} and {fine:.3f} of the closed form is left")

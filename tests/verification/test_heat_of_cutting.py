@@ -1,5 +1,6 @@
-"""Heat of a bur that cuts, against finite volumes in (r, z) that share no code with the model,
-and in other frames.
+"""Heat of a bur that cuts, against finite volumes in (r, z) and in other frames.
+
+The finite volumes share no code with the model.
 """
 
 from types import SimpleNamespace
@@ -33,16 +34,18 @@ def block(spacing_m, low_m, high_m, names=("dentin",)):
 
 
 def box(corner, other, axes, shift):
-    """Lowest and highest corner of a box in another frame, whose axes are those of the grid in
-    some order.
+    """Return the lowest and highest corner of a box in another frame.
+
+    The frame's axes equal the grid's axes in some order.
     """
     corners = np.array([corner, other]) @ axes.T + shift
     return corners.min(axis=0), corners.max(axis=0)
 
 
 def plunged(time_s, *, axes=None, shift=(0.0, 0.0, 0.0), cell_m=1.25e-4):
-    """A ball burr that goes down into a block of dentin; columns of ``axes`` are the block's own
-    axes.
+    """Return a ball burr that plunges into a block of dentin.
+
+    Columns of ``axes`` are the block's own axes.
     """
     axes, shift, at = np.eye(3) if axes is None else axes, np.array(shift), 1e-3
     fine = block(
@@ -85,11 +88,12 @@ def rise_K(heat, radius_m, depth_m, axes=None, shift=(0.0, 0.0, 0.0)):
 
 @pytest.mark.slow
 def test_plunge_against_finite_volumes_in_r_and_z():
-    """Heat left within 10 %, rise half a millimetre beside the hole within 15 %, at cells of 0.125
-    mm.
+    """A plunge agrees with finite volumes in r and z.
 
-    The reference has rings of 0.04 mm; with 0.02 mm its rises change by 3 % and its heat left by 7
-    %. If removed material kept conducting, 1.0 of the heat would be left in place of 0.4.
+    At cells of 0.125 mm the heat left is within 10 %, and the rise half a millimetre from the hole
+    within 15 %. The reference has rings of 0.04 mm; with 0.02 mm its rises change by 3 % and its
+    heat left by 7 %. If removed material kept conducting, 1.0 of the heat would be left in place of
+    0.4.
     """
     time_s, probes = 1.32, [(1.0e-3, 1.5e-3), (1.0e-3, 0.75e-3), (1.5e-3, 1.0e-3)]
     table = constants("tooth", "dentin")
@@ -170,8 +174,10 @@ def test_heat_of_a_bur_that_stands_at_the_end_comes_in_where_it_touches(monkeypa
 
 @pytest.mark.slow
 def test_heat_does_not_depend_on_the_frame():
-    """Moved by metres and turned by right angles; carving lags by up to 0.02 mm, by the place of
-    a brick in the world.
+    """Heat does not depend on the frame.
+
+    The frame is moved by metres and turned by right angles. Carving lags by up to 0.02 mm,
+    depending on the place of a brick in the world.
     """
     plain = plunged(0.2)
     axes, shift = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), (4.0, -3.0, 9.0)
@@ -183,8 +189,10 @@ def test_heat_does_not_depend_on_the_frame():
 
 
 def test_stress_is_given_every_cut_that_the_heat_has_taken():
-    """Both take what was cut from the bricks: what a solve is given must not depend on whether
-    there is heat.
+    """The stress solver gets every cut that the heat has read.
+
+    Both read the cut from the bricks: the input of a solve must not depend on whether there is
+    heat.
     """
     given = []
     for has_heat in (False, True):
@@ -240,8 +248,9 @@ COMPLIANCE = np.diag([2e-6, 3e-6, 1e-6, 0.02, 0.03, 0.04]) + 1e-7 * (1.0 - np.ey
 
 
 class NoStress:
-    """Stands in for the solver: a tooth that gives in its ligament, and keeps the states that it
-    is given.
+    """Stand-in for the solver: a tooth that moves in its ligament.
+
+    It records the states that it receives.
     """
 
     def __init__(self):

@@ -1,5 +1,6 @@
-"""Eigenvalues beyond the circle: what the cap changes, and second-order polynomials of contact
-with and without it.
+"""Eigenvalues beyond the unit circle and second-order polynomials of contact.
+
+The tests show the effect of the cap on both.
 """
 
 import numpy as np
@@ -18,8 +19,9 @@ SENSORS = (1e-5, 5e-3)
 
 
 def spread(rng, radii):
-    """A matrix with real eigenvalues of these sizes and eigenvectors that are far from
-    orthogonal.
+    """Return a matrix with real eigenvalues of these sizes.
+
+    Its eigenvectors are far from orthogonal.
     """
     size = len(radii)
     vectors = rng.normal(size=(size, size)) + np.eye(size)
@@ -89,8 +91,9 @@ def test_a_cap_that_cannot_be_is_refused():
 
 
 def touching(rng, count, rows=1001):
-    """Place and wall force of a mass that a slow random force presses against a wall, at 1 kHz,
-    as sensors read them.
+    """Return position and wall force of a mass that a slow random force presses against a wall.
+
+    They are sampled at 1 kHz, as sensors read them.
     """
     times = STEP_S * np.arange(rows)
     pushes = np.zeros((count, rows))
@@ -110,8 +113,9 @@ def touching(rng, count, rows=1001):
 
 
 def growth(operator, start, rows=20_000):
-    """Largest state in training deviations over each half of 20 s of free running under two
-    sines.
+    """Return the largest state in training deviations over each half of 20 s of free running.
+
+    The inputs are two sines.
     """
     times = STEP_S * np.arange(rows)
     push = 0.7 * np.sin(2.0 * np.pi * 1.3 * times) + 0.5 * np.sin(2.0 * np.pi * 3.7 * times)
@@ -147,7 +151,7 @@ def test_second_order_polynomials_of_contact_diverge_without_the_cap_and_hold_wi
 
 
 def test_the_cap_turns_about_the_mean_of_training():
-    """Where the data are densest nothing changes."""
+    """The cap changes nothing where the training data are densest."""
     operator = Edmd(Delays(3, Polynomials(2)), cap=None).fit(touching(np.random.default_rng(1), 6))
     capped = operator.capped(0.99)
     assert capped.statistics.capped > 0
@@ -165,8 +169,10 @@ def test_the_cap_loses_no_accuracy_over_the_horizons_that_matter():
 
 
 def test_the_gap_as_an_observable_helps_over_one_step():
-    """The wall's force is linear in the overlap; what the gap will do is not, so the help fades
-    with the horizon.
+    """The gap as an observable helps over one step.
+
+    The wall's force is linear in the overlap. The future of the gap is not linear, so the help
+    fades with the horizon.
     """
     rng = np.random.default_rng(4)
     episodes, unseen = touching(rng, 8), touching(rng, 4)

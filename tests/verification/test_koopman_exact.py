@@ -1,5 +1,6 @@
-"""Lifted operators against closed forms: the slow manifold, generators and their exponentials,
-Van der Pol as published.
+"""Lifted operators against closed forms.
+
+They are the slow manifold, generators and their exponentials, and Van der Pol as published.
 """
 
 import numpy as np
@@ -23,8 +24,9 @@ from tissue.prediction.edmd.episodes import Episode
 CLOSED = Polynomials(2, columns=(0,))
 """x1, x2 and x1²: closed under the slow manifold's flow."""
 EXACT = 1e-10
-"""Of the contract, case 24; met by four orders, the data being exact and the factor being
-orthogonal.
+"""Tolerance of the contract, case 24.
+
+The error is four orders smaller, because the data are exact and the factor is orthogonal.
 """
 PRINTED = 5e-9
 """Half of the last printed digit."""
@@ -110,8 +112,10 @@ def test_two_half_steps_are_a_step():
 
 
 def test_generator_and_discrete_form_agree_ever_better_with_shorter_steps():
-    """Where observables are not closed the logarithm of EDMD differs from gEDMD by O(h), both
-    seeing the same states.
+    """Generator and discrete form agree better with shorter steps.
+
+    Where observables are not closed, the logarithm of EDMD differs from gEDMD by O(h), with the
+    same states for both.
     """
     steps, apart = np.array([0.04, 0.02, 0.01, 0.005]), []
     starts = np.random.default_rng(3).uniform(-1.0, 1.0, (300, 2))
@@ -143,8 +147,10 @@ def test_delays_make_up_for_a_speed_that_is_not_measured():
 
 @pytest.mark.slow
 def test_van_der_pol_as_korda_and_mezic():
-    """200 trajectories of 10 s at 10 ms, random inputs; then 3 s under a square wave of 0.3 s,
-    from 100 starts.
+    """Van der Pol is predicted as by Korda and Mezic.
+
+    It has 200 trajectories of 10 s at 10 ms with random inputs, then 3 s under a square wave of 0.3
+    s, from 100 starts.
     """
     found = {5: [], 100: []}
     for seed in range(3):

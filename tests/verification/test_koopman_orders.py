@@ -1,5 +1,7 @@
-"""Orders and slopes: what Theorem 1 claims of one step beside what is measured, and how errors
-fall with samples.
+"""Orders and slopes of errors.
+
+The claim of Theorem 1 for one step is compared with the measured order, and errors fall with
+samples.
 """
 
 from dataclasses import dataclass, replace
@@ -21,7 +23,7 @@ from tissue.prediction.edmd.edmd import Edmd, horizon_errors
 from tissue.prediction.edmd.episodes import Episode
 
 PRINTED_ORDER = 2.0
-"""What the paper's Theorem 1 claims for every dictionary."""
+"""Order that the paper's Theorem 1 claims for every dictionary."""
 STEPS_S = np.array([1e-3, 5e-4, 2.5e-4, 1.25e-4])
 
 
@@ -47,12 +49,12 @@ def closure_defects(generator, states, rates):
 
 
 def step_errors(generator, states, rates, flow, steps_s):
-    """One-step errors of a generator from given states for several steps, by Euler's rule and by
-    the exponential.
+    """Return one-step errors of a generator by Euler's rule and by the exponential.
 
-    By Taylor, φ(x(t + h)) = φ + h Lφ + O(h²), so the error is h |Lφ - Kφ| + O(h²): second order
-    only where the dictionary is closed, and then zero with the exact exponential. `flow` leads from
-    a step [s] to the states after it.
+    The errors are taken from given states for several steps. By Taylor, φ(x(t + h)) = φ + h Lφ +
+    O(h²), so the error is h |Lφ - Kφ| + O(h²). It is of second order only where the dictionary is
+    closed, and then zero with the exact exponential. `flow` leads from a step [s] to the states
+    after it.
     """
     lifted = generator.dictionary.lift(states)
     fitted = lifted @ generator.A.T + generator.offset
@@ -135,8 +137,10 @@ def test_other_dictionaries_are_of_first_order_whatever_the_theorem_states(field
 
 
 def test_the_defect_is_where_the_rates_are_missed():
-    """Of a linear fit to the Duffing oscillator: the rate of the speed alone, by what is not
-    linear in x³.
+    """The defect lies where the rates are missed.
+
+    For a linear fit to the Duffing oscillator it is the rate of the speed alone, and its size is
+    the nonlinear part of x³.
     """
     episodes, states = states_of(duffing, np.random.default_rng(7))
     generator = Edmd(Identity()).fit_generator(episodes)
@@ -171,8 +175,10 @@ def test_errors_fall_with_the_root_of_the_samples():
 
 
 def test_noise_of_the_sensor_does_not_average_out():
-    """It is in the regressors too, so that least squares is biased towards zero, however many
-    the samples.
+    """Noise of the sensor does not average out.
+
+    It is in the regressors too, so that least squares is biased towards zero for any number of
+    samples.
     """
     rng = np.random.default_rng(12)
     few, many = (
@@ -198,8 +204,10 @@ def test_a_nonlinear_system_learnt_from_noisy_runs(seed):
 
 
 def test_more_horizon_more_error_and_never_the_printed_power():
-    """E2: the n-step error is what it is; an operator beyond the circle is off by its radius to
-    the power n.
+    """A longer horizon has more error, and never the printed power.
+
+    E2: the n-step error does not follow a law; an operator beyond the circle is off by its radius
+    to the power n.
     """
     rng = np.random.default_rng(13)
     episodes = record(duffing, rng.uniform(-1.0, 1.0, (20, 2)), np.zeros((20, 200)), 0.02)

@@ -92,8 +92,9 @@ def test_delays(pykoop, lags):
 
 
 def test_ridge(pykoop):
-    """Their weight is one for the sum over samples of unscaled data; ours one for the mean over
-    scaled data.
+    """Ridge regression agrees with pykoop.
+
+    Its weight applies to the sum over samples of unscaled data, ours to the mean over scaled data.
     """
     episodes, table = recorded(1, scaled=True)
     samples = sum(len(each.states) - 1 for each in episodes)

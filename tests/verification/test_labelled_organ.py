@@ -1,5 +1,6 @@
-"""`tissue.Organ.from_labels` against organs of known surfaces, springs in series and Eshelby's
-inclusion.
+"""`tissue.Organ.from_labels` against known results.
+
+They are organs of known surfaces, springs in series and Eshelby's inclusion.
 """
 
 from pathlib import Path
@@ -31,12 +32,12 @@ def over_the_ball_N(organ, turn):
 
 @pytest.mark.parametrize("part_kPa", [40.0, 1.0])
 def test_labels_give_the_force_of_the_surfaces_that_they_were_made_of(part_kPa):
-    """Ellipsoid of 72 x 52 x 44 mm with a ball of 18 mm, 4 mm under the place that is pressed;
-    stiff as a tumour, soft.
+    """Labels give the force of the surfaces from which they were made.
 
-    Edges of 2.5 mm under the ball: fillings of one surface then differ by 2 %, with 3.5 mm by 5 %,
-    and no two runs of the mesher are alike: the bands are wider by that. Slices of 5 mm are 3.6 to
-    the tumour, less than one over it.
+    The organ is an ellipsoid of 72 x 52 x 44 mm with a ball of 18 mm, 4 mm under the pressed place;
+    the ball is stiff as a tumour, or soft. With edges of 2.5 mm under the ball, fillings of one
+    surface differ by 2 %, with 3.5 mm by 5 %. No two runs of the mesher are alike, so the bands are
+    wider by that. With slices of 5 mm there are 3.6 to the tumour, and less than one over it.
     """
     made = {
         "modulus_kPa": MODULUS_KPA,
@@ -75,8 +76,9 @@ def test_labels_give_the_force_of_the_surfaces_that_they_were_made_of(part_kPa):
 
 
 def block_labels(part):
-    """Labels of a block of 48 mm in voxels of 1.5 mm, and where a part is, by the centres of the
-    voxels [mm].
+    """Return labels of a block of 48 mm in voxels of 1.5 mm.
+
+    `part` decides by the centres of the voxels [mm] where a part is.
     """
     values = np.zeros((38, 38, 38), dtype=np.uint8)
     values[3:35, 3:35, 3:35] = 1
@@ -100,11 +102,11 @@ def squeezed(labels, part_kPa, edge_mm=6.0):
 
 
 def test_a_block_of_two_labels_is_two_springs_in_series():
-    """The part is the lower half and reaches the surface on five sides; its edges are rounded as
-    the labels' are.
+    """A block of two labels acts as two springs in series.
 
-    Slopes at the end of the press: at first the punch meets the highest of the nodes, a few tenths
-    of a millimetre.
+    The part is the lower half and reaches the surface on five sides. Its edges are rounded like
+    those of the labels. Slopes are taken at the end of the press: at first the punch touches the
+    highest nodes only, over a few tenths of a millimetre.
     """
     labels = block_labels(lambda at: at[..., 2] < 0.0)
     even, halves = (

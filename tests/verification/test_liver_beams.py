@@ -1,5 +1,6 @@
-"""Beams: the cantilever and its locking, bars in series and the bilayer (validation cases 5, 6
-and 11).
+"""Beams (validation cases 5, 6 and 11).
+
+They are the cantilever and its locking, bars in series and the bilayer.
 """
 
 import numpy as np
@@ -17,8 +18,9 @@ LENGTH, YOUNG = 10.0, 1000.0
 
 
 def clamped(order, cells, ratio=0.3):
-    """Tip deflection of a bar 10 x 1 x 1 clamped at its root under 1 N, and the largest bending
-    stress a height off it.
+    """Return the tip deflection of a clamped bar under 1 N and its largest bending stress.
+
+    The bar is 10 x 1 x 1, clamped at its root; the stress is taken one height off it.
     """
     space, material = Space(box((LENGTH, 1.0, 1.0), cells), order), lame(YOUNG, ratio)
     held = np.repeat(space.nodes_m[:, :1] < 1e-9, 3, axis=1)
@@ -94,8 +96,9 @@ def test_locking_of_linear_cells():
 
 
 def test_bar_hung_by_its_end():
-    """A bar under its own weight stretches by rho g L^2 / (2 E), with Poisson's ratio 0;
-    quadratic cells hold it exactly.
+    """A bar hung by its end stretches by rho g L^2 / (2 E) under its own weight.
+
+    Poisson's ratio is 0; quadratic cells hold the solution exactly.
     """
     space = Space(box((1.0, 1.0, 3.0), (1, 1, 3)), 2)
     load = gravity(space, density_kg_m3=1060.0)
@@ -109,7 +112,9 @@ def test_bar_hung_by_its_end():
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_bars_in_series_are_exact(order):
-    """Three bars between two plates: E_eff = sum h / sum (h / E), over a contrast of enamel to
+    """Bars in series are exact.
+
+    Three bars between two plates have E_eff = sum h / sum (h / E), over a contrast of enamel to
     pulp.
     """
     moduli, ends = np.array([84e9, 2e6, 18.6e9]), np.array([2.0, 5.0, 9.0]) * 1e-3
@@ -127,11 +132,12 @@ def test_bars_in_series_are_exact(order):
 
 
 def test_bilayer_beam():
-    """100:1, stiff on top, bent by its ends about the axis .745050 from the soft face: EI =
-    1.175846, no axial force.
+    """The bilayer beam follows the closed form.
 
-    With Poisson's ratio 0 the exact displacement is quadratic in each layer, so the quadratic cells
-    hold it: 1e-6, which is what six digits of the axis leave.
+    Its contrast is 100:1, stiff on top, and its ends bend it about the axis .745050 from the soft
+    face: EI = 1.175846, no axial force. With Poisson's ratio 0 the exact displacement is quadratic
+    in each layer, so the quadratic cells hold it. The tolerance of 1e-6 comes from the six digits
+    of the axis.
     """
     axis, turn = 0.745050, 1e-3
     space = Space(box((1.0, 0.5, 1.0), (4, 2, 4)), 2)

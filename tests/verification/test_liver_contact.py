@@ -1,8 +1,8 @@
-"""Contact of a sphere and a drag on a half-space against closed forms: Hertz, Sneddon, Cattaneo and
-Mindlin.
+"""Contact of a sphere and a drag on a half-space, against closed forms.
 
-Half-spaces by their own Green's functions, which leaves only the contact's error;
-`test_liver_punches` holds the same and other closed forms against tetrahedra.
+The forms are Hertz, Sneddon, Cattaneo and Mindlin. The half-spaces have their own Green's
+functions, which leaves only the contact's error. `test_liver_punches` compares these and other
+closed forms with tetrahedra.
 """
 
 import numpy as np
@@ -42,10 +42,10 @@ def over_tile(antiderivative, x, y, tile):
 
 
 def half_space(count, tile, poisson_ratio, tangential):
-    """Compliance that moves each tile along z, and by `tangential` times as much along x, without
-    coupling.
+    """Return a compliance that moves each tile along z, and along x by `tangential` times as much.
 
-    Love 1929 (Johnson 1985, eq. 3.25): a uniform pressure on a rectangle of a half-space.
+    There is no coupling. Love 1929 (Johnson 1985, eq. 3.25): a uniform pressure on a rectangle of a
+    half-space.
     """
     axis = tile * (np.arange(count) - 0.5 * (count - 1))
     nodes = np.stack(np.meshgrid(axis, axis, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
@@ -96,8 +96,10 @@ def quarter_half_space(count, tile, poisson_ratio):
 
 
 def test_a_sphere_on_tiles_follows_hertz_and_converges():
-    """Shallow enough, a/R = 0.02, that sphere and paraboloid agree to 1e-4; at least 3 tiles to
-    the radius.
+    """A sphere on tiles follows Hertz and converges.
+
+    With a/R = 0.02 it is so shallow that sphere and paraboloid agree to 1e-4. The radius has 3
+    tiles or more.
     """
     errors = []
     for count in (9, 17, 31):
@@ -126,8 +128,9 @@ def test_a_sphere_on_tiles_follows_hertz_and_converges():
 
 
 def upright(nodes, height):
-    """A tool whose normals all point down, a point over each node: the boundary conditions of
-    Hertz and Sneddon.
+    """Return a tool whose normals all point down, with a point over each node.
+
+    These are the boundary conditions of Hertz and Sneddon.
     """
     return ShellProbe(
         np.column_stack([nodes[:, :2], height]),
@@ -137,8 +140,9 @@ def upright(nodes, height):
 
 
 def sneddon_N(radius, contact, poisson_ratio):
-    """Force and depth of a sphere on a half-space at a radius of contact (Sneddon 1965): normals
-    upright.
+    """Return force and depth of a sphere on a half-space at a radius of contact (Sneddon 1965).
+
+    The normals are upright.
     """
     log = np.log((radius + contact) / (radius - contact))
     force = plane_modulus(poisson_ratio) * (0.5 * (contact**2 + radius**2) * log - contact * radius)
@@ -147,20 +151,23 @@ def sneddon_N(radius, contact, poisson_ratio):
 
 RADIUS_M, DEPTH_M = 5e-3, 2e-3
 DEEP_N = 0.0487
-"""Force on a true sphere, R = 5 mm, 2 mm deep, E = 5 kPa, nu = 0.49, at which tiles converge.
+"""Force on a true sphere at which tiles converge [N].
 
-8.6 % below Sneddon's 0.0533 N and 12 % below Hertz' 0.0555 N. Both press with upright normals and
-count what moves down at the place where it lay. A frictionless sphere 2 mm deep leans its normals
-by up to 37 degrees and so spreads the surface: what lay at r is met by the sphere farther out,
-where the sphere is higher. Linear elasticity, contact where the surface has moved to; 1 % covers
-what is left at 12 tiles to 3.3 mm.
+The sphere has R = 5 mm and is 2 mm deep, with E = 5 kPa and nu = 0.49. The force is 8.6 % below
+Sneddon's 0.0533 N and 12 % below Hertz' 0.0555 N. Both press with upright normals and count the
+downward motion at the place where a point lay. A frictionless sphere 2 mm deep leans its normals by
+up to 37 degrees and so spreads the surface. A point that lay at r touches the sphere farther out,
+where the sphere is higher. Elasticity is linear, and contact is taken where the surface has moved
+to. The error at 12 tiles to 3.3 mm is 1 %.
 """
 
 
 @pytest.mark.parametrize("count", [8, 12])
 def test_a_deep_sphere_at_its_literal_numbers(count):
-    """Case 13, R = 5 mm, 2 mm deep, E = 5 kPa, nu = 0.49: Hertz' problem 0.0555 N, Sneddon's
-    0.0533 N, 1 %.
+    """A deep sphere has its literal numbers.
+
+    Case 13, R = 5 mm, 2 mm deep, E = 5 kPa, nu = 0.49: Hertz' problem 0.0555 N, Sneddon's 0.0533 N,
+    1 %.
     """
     body = quarter_half_space(count, 3.3e-3 / count, 0.49)
     depths = np.linspace(DEPTH_M / 40.0, DEPTH_M, 40)

@@ -1,5 +1,6 @@
-"""Manufactured solution in three dimensions (validation case 2): slopes and bounds of linear and
-quadratic cells.
+"""Manufactured solution in three dimensions (validation case 2).
+
+The tests check slopes and bounds of linear and quadratic cells.
 """
 
 import numpy as np
@@ -17,8 +18,9 @@ AMPLITUDE = np.array([1.0, -0.5, 0.7])
 
 
 def quadrature(points):
-    """Conical product rule on the tetrahedron, degree 2 points - 2 at least: barycentric
-    coordinates, weights of mean 1.
+    """Return the conical product rule on the tetrahedron, of degree 2 points - 2 or more.
+
+    The result is barycentric coordinates and weights of mean 1.
     """
     at, weight = np.polynomial.legendre.leggauss(points)
     at, weight = 0.5 * (at + 1.0), 0.5 * weight
@@ -29,8 +31,9 @@ def quadrature(points):
 
 
 def shape_values(barycentric, order):
-    """Shape functions of the nodes at points, shape (..., nodes): l_A, or l_A (2 l_A - 1) and 4
-    l_i l_j on the edges.
+    """Return the shape functions of the nodes at points, shape (..., nodes).
+
+    They are l_A, or l_A (2 l_A - 1) and 4 l_i l_j on the edges.
     """
     if order == 1:
         return barycentric
@@ -67,8 +70,9 @@ def body_force(x):
 
 
 def errors(order, cells):
-    """Errors in L2 of the displacement and of its gradient, relative to the norms of the exact
-    ones.
+    """Return the L2 errors of the displacement and of its gradient.
+
+    They are relative to the norms of the exact fields.
     """
     space = Space(box((1.0, 1.0, 1.0), (cells,) * 3), order)
     at, weight = quadrature(order + 2)
@@ -106,8 +110,10 @@ def errors(order, cells):
     ids=["linear", "quadratic"],
 )
 def test_slopes_and_bounds(order, cells, bounds):
-    """Orders p + 1 in displacement and p in strain, within 0.1; bounds on the finest mesh are a
-    tenth above what is seen.
+    """Errors have the expected slopes and bounds.
+
+    Orders are p + 1 in displacement and p in strain, within 0.1; bounds on the finest mesh are a
+    tenth above the measured errors.
     """
     zero, one = np.array([errors(order, n) for n in cells]).T
     size = 1.0 / np.array(cells)

@@ -12,8 +12,10 @@ from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 
 RATIO, ANGLE, FAR = 0.499, np.radians(6.0), 4000.0
-"""0.499 for the table's 0.5 adds 0.1 % to a displacement; beyond 4000 radii lie 0.0003 of F2 (at
-1000 it was 0.001).
+"""Poisson's ratio, angle of the wedge and radius of the domain.
+
+0.499 for the table's 0.5 adds 0.1 % to a displacement; beyond 4000 radii lie 0.0003 of F2 (at 1000
+it was 0.001).
 """
 
 TABLE = {
@@ -21,16 +23,18 @@ TABLE = {
     10: {0.25: 0.942, 0.5: 0.738, 1.0: 0.486, 2.0: 0.306},
     100: {0.25: 0.704, 0.5: 0.429, 1.0: 0.235, 2.0: 0.125},
 }
-"""F2 = w0 E2 / (1.5 p a) by E1/E2 and h/a: bonded layer, Poisson's ratio 0.5, uniform pressure
-on a disc of radius a.
+"""F2 = w0 E2 / (1.5 p a) by E1/E2 and h/a.
+
+It belongs to a bonded layer with Poisson's ratio 0.5 and a uniform pressure on a disc of radius a.
 """
 
 
 def settlement(radius, layer, young, *, below, capsule=None):
-    """Settlement of the middle of a pressed disc over that of a bare half-space, 1.5 p a / E2.
+    """Return the settlement of a pressed disc's middle over a bare half-space's, 1.5 p a / E2.
 
-    A wedge of 6 degrees about the axis, one brick wide, of quadratic cells; its sides may slide but
-    not leave their planes. Steps grow away from the rim of the disc and from the layer.
+    The mesh is a wedge of 6 degrees about the axis, one brick wide, of quadratic cells. Its sides
+    may slide but not leave their planes. Steps grow away from the rim of the disc and from the
+    layer.
     """
     inside = radius - graded(0.0, radius, 0.15 * radius, 1.25)[::-1]
     radii = np.concatenate([inside, graded(radius, FAR * radius, 0.15 * radius, 1.35)[1:]])
@@ -84,8 +88,9 @@ REST = [
     [*QUICK, *(pytest.param(*entry, marks=pytest.mark.slow) for entry in REST)],
 )
 def test_two_layer_half_space(contrast, depth):
-    """2 % in every entry of the table: the meshes are up to a hundredth too stiff at the largest
-    contrast.
+    """The two-layer half-space agrees with the table.
+
+    Every entry is within 2 %: the meshes are up to a hundredth too stiff at the largest contrast.
     """
     found, wanted = settlement(1.0, depth, contrast, below=1.0), TABLE[contrast][depth]
     print(
@@ -97,13 +102,13 @@ def test_two_layer_half_space(contrast, depth):
 
 @pytest.mark.slow
 def test_capsule_does_not_stiffen_palpation_and_a_thick_skin_stiffens_a_needle():
-    """Over 6 kPa: x1.00 at a radius of 4 mm for 100 um of 1 and 10 MPa; x1.25 at 0.6 mm for 100 um
-    of 1 MPa.
+    """A capsule does not stiffen palpation, and a thick skin stiffens a needle.
 
-    The 1.25 is the bending and shearing of a layer that is a sixth of the radius thick: a bonded
-    solid layer shows it (within 3 %). A membrane, which only resists stretch, does not: the surface
-    of an incompressible half-space that is pressed does not move sideways, so there is nothing to
-    stretch, and the factor is 1.00 there too.
+    Over 6 kPa the factor is 1.00 at a radius of 4 mm for 100 um of 1 and 10 MPa, and 1.25 at 0.6 mm
+    for 100 um of 1 MPa. The 1.25 is the bending and shearing of a layer that is a sixth of the
+    radius thick: a bonded solid layer shows it (within 3 %). A membrane, which only resists
+    stretch, does not. The surface of an incompressible half-space that is pressed does not move
+    sideways, so there is nothing to stretch, and the factor is 1.00 there too.
     """
     print()
     for radius, young in ((4e-3, 1e6), (4e-3, 1e7), (0.6e-3, 1e6)):
@@ -121,8 +126,10 @@ def test_capsule_does_not_stiffen_palpation_and_a_thick_skin_stiffens_a_needle()
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_stretched_capsule_has_the_energy_of_plane_stress(order):
-    """Uniform stretch e in both directions: t A E e^2 / (1 - nu); along one side alone t A E e^2
-    / (2 (1 - nu^2)); shear t A mu g^2 / 2.
+    """A stretched capsule has the energy of plane stress.
+
+    Uniform stretch e in both directions gives t A E e^2 / (1 - nu), along one side alone t A E e^2
+    / (2 (1 - nu^2)), shear t A mu g^2 / 2.
     """
     space = Space(box((0.3, 0.2, 0.1), (3, 2, 1)), order)
     top = faces_where(space, lambda x: x[:, 2] > 0.1 - 1e-9)

@@ -1,5 +1,6 @@
-"""Nonlinear equilibria: homogeneous states, large rotation, contact of a sphere, and where
-linear stops being enough.
+"""Nonlinear equilibria and the limits of linear elasticity.
+
+The states are homogeneous ones, large rotation and contact of a sphere.
 """
 
 import numpy as np
@@ -40,8 +41,9 @@ def shaken_box(order: int, seed: int = 0) -> Space:
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("law", list(Law))
 def test_patch(law, order):
-    """A large affine motion of the surface is followed inside, exactly: 1e-9 of it, the residual
-    allowed being 1e-11.
+    """A large affine motion of the surface is followed inside exactly.
+
+    The error is 1e-9 of it; the allowed residual is 1e-11.
     """
     space = shaken_box(order)
     turn = np.eye(3) if law is Law.LINEAR else Rotation.from_rotvec([0.2, -0.3, 0.1]).as_matrix()
@@ -59,8 +61,10 @@ def test_patch(law, order):
 
 
 def test_large_rotation(capsys):
-    """A bar whose ends are turned together by 60 degrees in steps: the nonlinear laws find no
-    stress, linear a false one.
+    """A large rotation gives no stress in the nonlinear laws.
+
+    The ends of a bar are turned together by 60 degrees in steps; the linear law finds a false
+    stress.
     """
     space = Space(box((0.06, 0.015, 0.015), (6, 2, 2)))
     ends = (space.nodes_m[:, 0] < 1e-9) | (space.nodes_m[:, 0] > 0.06 - 1e-9)
@@ -90,8 +94,9 @@ def test_large_rotation(capsys):
 def block(
     order: int = 1, *, first: float, growth: float = 1.4, deep: float = 0.05
 ) -> tuple[Space, np.ndarray]:
-    """A quarter of a block, twice as wide as deep, fine at its top corner (the axis of the
-    sphere), and its base.
+    """Return a quarter of a block and its base.
+
+    It is twice as wide as deep, and fine at its top corner (the axis of the sphere).
     """
     aside = graded(0.0, deep, first, growth)
     space = Space(grid(aside, aside, graded(0.0, -deep, first, growth)[::-1]), order)
@@ -107,8 +112,9 @@ def quarter_solver(space: Space, base: np.ndarray, law: Law, **options) -> Newto
 
 @pytest.mark.parametrize("law", list(Law))
 def test_sphere_contact(law):
-    """Signorini's conditions to the sphere's tolerance, equilibrium with the supports, and no
-    influence of the penalty.
+    """Contact with a sphere obeys Signorini's conditions to the sphere's tolerance.
+
+    It is in equilibrium with the supports, and the penalty has no influence.
     """
     space, base = block(first=3e-3)
     solver = quarter_solver(space, base, law)
@@ -136,8 +142,11 @@ def test_sphere_contact(law):
 
 @pytest.mark.slow
 def test_shallow_contact_is_hertz():
-    """Linear law, 1 mm deep in a block 31 contact radii thick: Hertz (1882) within 5 %, at
-    quadratic cells of a third of the contact radius."""
+    """Shallow contact follows Hertz.
+
+    With the linear law, 1 mm deep in a block 31 contact radii thick, it agrees with Hertz (1882)
+    within 5 %, at quadratic cells of a third of the contact radius.
+    """
     space, base = block(2, first=1.2e-3, growth=1.6, deep=0.1)
     solver = quarter_solver(space, base, Law.LINEAR, tolerance=1e-6)
     top = np.flatnonzero(
@@ -172,8 +181,10 @@ def sentence_of(name: str, limits: LinearLimits) -> str:
 
 @pytest.mark.slow
 def test_linear_limits_of_a_block(capsys):
-    """A soft block pressed by a sphere: the linear law is too soft, the more so the deeper, and
-    right as depth goes to zero.
+    """Linear elasticity has the expected limits in a block.
+
+    A sphere presses a soft block: the linear law is too soft, increasingly with depth, and right as
+    depth falls to zero.
     """
     mesh = bisected(
         box((0.1, 0.1, 0.05), (5, 5, 3)),
@@ -204,7 +215,7 @@ def test_linear_limits_of_a_block(capsys):
 
 @pytest.mark.slow
 def test_linear_limits_of_the_procedural_liver(capsys):
-    """The same on a liver that lies on its visceral side, pressed on the dome."""
+    """Linear limits hold for a liver on its visceral side, pressed on the dome."""
     coarse = liver(spacing_m=14e-3)
     mesh = bisected(
         coarse, lambda at: 2e-3 + 0.5 * np.maximum(np.linalg.norm(at, axis=1) - 7e-3, 0.0)
@@ -255,8 +266,9 @@ def test_linear_limits_of_a_real_liver(anatomy, capsys):
 
 
 def test_how_solves_end():
-    """Each outcome but convergence is reached: too few steps, and held nodes that turn cells
-    over.
+    """Solves end with every outcome other than convergence.
+
+    The causes are too few steps, and held nodes that turn cells over.
     """
     space = shaken_box(1)
     held = np.repeat((np.abs(space.nodes_m[:, 2] - 0.015) > 0.015 - 1e-9)[:, None], 3, axis=1)
@@ -270,8 +282,10 @@ def test_how_solves_end():
 
 
 def test_corotational_cells_can_be_pressed_flat():
-    """The law has a finite energy up to a flat cell: a sphere gets there at its radius of depth,
-    and the solve reports it.
+    """Corotational cells can be pressed flat.
+
+    The law has a finite energy up to a flat cell: a sphere reaches it at its radius of depth, and
+    the solve reports it.
     """
     space, base = block(first=3e-3)
     body = quarter_solver(space, base, Law.COROTATIONAL).body

@@ -1,5 +1,6 @@
-"""Patch test, rigid modes, energy against force and stiffness, and frame invariance (validation
-case 1).
+"""Patch test, rigid modes and energy (validation case 1).
+
+Energy is compared with force and stiffness, and frame invariance is checked.
 """
 
 import numpy as np
@@ -77,10 +78,11 @@ def test_six_rigid_modes_and_none_after_supports(order, law, capsule):
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("law", LAWS)
 def test_energy_force_and_stiffness_agree(order, law):
-    """Force is the slope of the energy, stiffness that of the force; the energy is the strain's,
-    cell by cell.
+    """Energy, force and stiffness agree.
 
-    Central differences of a quadratic are exact but for rounding: 1e-9 at a step of 1e-3.
+    Force is the slope of the energy, stiffness the slope of the force; the energy is the strain
+    energy, cell by cell. Central differences of a quadratic are exact except for rounding: 1e-9 at
+    a step of 1e-3.
     """
     space, random = Space(distorted(2), order), np.random.default_rng(3)
     matrix, (u, along) = assemble(space, LAWS[law]), random.normal(size=(2, space.node_count, 3))

@@ -1,5 +1,6 @@
-"""All paths to ``K u = f`` give the same answer on the real liver and on a box, each to its
-stated tolerance.
+"""Solve paths of ``K u = f`` on the real liver and on a box.
+
+All give equal answers, each to its stated tolerance.
 """
 
 import numpy as np
@@ -41,8 +42,9 @@ def energy_error(body, found, exact):
 
 
 def assert_paths_agree(body, touchable):
-    """Hold every path against the factor under a press on the top and under random forces on all
-    touchable nodes.
+    """Check every path against the factor.
+
+    The loads are a press on the top and random forces on all touchable nodes.
     """
     factor = DirectSolver(body)
     compliance = surface_compliance_m_N(body, touchable)
@@ -122,8 +124,10 @@ def test_paths_agree_on_the_surface_of_a_liver_filled_with_tetrahedra(
 
 
 def test_iterations_follow_refinement_little_and_the_ratio_as_stated():
-    """To 1e-8 from rest: at most twice as many on eight times the cells, and growing as the
-    ratio nears 0.5.
+    """Iterations depend little on refinement and on Poisson's ratio as stated.
+
+    To 1e-8 from rest there are at most twice as many on eight times the cells, and the number grows
+    as the ratio nears 0.5.
     """
     counts = {}
     for cells in (6, 12):

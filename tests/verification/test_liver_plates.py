@@ -1,5 +1,6 @@
-"""Plates: Kirsch's hole, Cook's membrane in plane stress and in plane strain, and NAFEMS LE10
-(cases 4, 7, 8, 9).
+"""Plates (cases 4, 7, 8, 9).
+
+They are Kirsch's hole, Cook's membrane in plane stress and in plane strain, and NAFEMS LE10.
 """
 
 import numpy as np
@@ -15,11 +16,11 @@ from tissue.materials.elasticity import lame
 
 
 def test_hole_in_a_plate():
-    """Kirsch 1898: 3 sigma beside the hole, -sigma ahead of it; 2 % of sigma's peak, hole 1/20 of
-    the width.
+    """A hole in a plate has the stress of Kirsch (1898).
 
-    In a plane problem with given tractions the stress in the plane does not depend on the material;
-    here u_z = 0. A width of 20 holes alone adds 0.4 % to the peak.
+    It is 3 sigma at the sides of the hole and -sigma ahead of it; 2 % of sigma's peak, hole 1/20 of
+    the width. In a plane problem with given tractions the stress in the plane does not depend on
+    the material; here u_z = 0. A width of 20 holes alone adds 0.4 % to the peak.
     """
     half, n = 20.0, (16, 32)
 
@@ -46,8 +47,9 @@ def test_hole_in_a_plate():
 
 
 def cook(order, n, material, force):
-    """Cook's membrane of unit thickness, one brick deep and held in z: rise of the middle of its
-    end and of its top.
+    """Return the rise of the middle of the end and of the top of Cook's membrane.
+
+    It has unit thickness, is one brick deep and is held in z.
     """
 
     def into(unit):
@@ -113,8 +115,9 @@ def test_cook_in_plane_strain_compressible():
 
 
 def test_thick_elliptic_plate():
-    """NAFEMS LE10: sigma_yy at D (2, 0, 0.6) is -5.38 MPa under 1 MPa; 2 %, quadratic cells with
-    straight edges.
+    """The thick elliptic plate follows NAFEMS LE10.
+
+    sigma_yy at D (2, 0, 0.6) is -5.38 MPa under 1 MPa; 2 %, quadratic cells with straight edges.
     """
 
     def into(unit):

@@ -1,9 +1,8 @@
-"""Tetrahedra pressed by spheres and punches against closed forms: Hertz, Boussinesq, the flat
-punch, and Hayes' layer.
+"""Tetrahedra pressed by spheres and punches, against closed forms.
 
-A wedge of 5 degrees about the tool's axis, one brick wide, of quadratic cells graded towards the
-contact; its sides may slide but not leave their planes. Its chords lie at most 0.1 % of the radius
-inside the circle.
+The forms are Hertz, Boussinesq, the flat punch, and Hayes' layer. The mesh is a wedge of 5 degrees
+about the tool's axis, one brick wide, of quadratic cells graded towards the contact. Its sides may
+slide but not leave their planes. Its chords lie at most 0.1 % of the radius inside the circle.
 """
 
 import numpy as np
@@ -101,8 +100,9 @@ def condensed(radii, depths, poisson_ratio, *, touch_m, rim_held):
 
 
 def graded_half_space(contact, poisson_ratio, cells=10):
-    """So many cells to 1.2 radii of the contact; the far end lies at 300, where 0.2 % of the
-    depth is lost.
+    """Return a half space with `cells` cells to 1.2 radii of the contact.
+
+    The far end lies at 300, where 0.2 % of the depth is lost.
     """
     first = 1.2 * contact / cells
     radii = np.concatenate(
@@ -113,8 +113,10 @@ def graded_half_space(contact, poisson_ratio, cells=10):
 
 
 def test_shallow_sphere_and_point_load():
-    """Case 13: E = 5 kPa, nu = 0.49; 2 %, at a/R up to 0.05, where a sphere is Hertz'
-    paraboloid; Boussinesq 1885.
+    """A shallow sphere and a point load follow their closed forms.
+
+    Case 13: E = 5 kPa, nu = 0.49; 2 %, at a/R up to 0.05, where a sphere is Hertz' paraboloid;
+    Boussinesq 1885.
     """
     a = 0.00316
     body, far = graded_half_space(a, 0.49)
@@ -148,12 +150,12 @@ def upright(nodes):
 
 @pytest.mark.slow
 def test_deep_sphere_at_its_literal_numbers():
-    """Case 13, R = 5 mm, 2 mm deep: Hertz' problem 0.0555 N, normals upright; a true sphere as on
-    the exact half-space,
+    """A deep sphere has its literal numbers.
 
-    where `test_liver_contact` finds 0.0487 N and explains why it is less; 2 %, and nearer with
-    every refinement. Cells that grow by 1.7 and 1.5 a ring and layer leave 1 % whatever the first
-    is.
+    Case 13, R = 5 mm, 2 mm deep: Hertz' problem gives 0.0555 N with upright normals. A true sphere
+    agrees with the exact half-space, for which `test_liver_contact` finds 0.0487 N and explains why
+    it is less. The error is 2 % and falls with every refinement. Cells that grow by 1.7 and 1.5 a
+    ring and layer leave 1 % whatever the first cell is.
     """
     at = np.linspace(5e-5, 2e-3, 40)
     off = []
@@ -203,10 +205,11 @@ QUICK = {(0.3, 0.2), (0.45, 0.6), (0.49, 1.0), (0.49, 2.0)}
     [pytest.param(*c, marks=() if c in QUICK else pytest.mark.slow) for c in CELLS],
 )
 def test_flat_punch_on_a_bonded_layer(poisson_ratio, share):
-    """Case 14, Hayes 1972: P = 2 E* a kappa d; 1 %.
+    """A flat punch on a bonded layer follows case 14.
 
-    Linear theory leaves the rim's material under the edge, while a squeezed layer flows out: the
-    press is shallow, and the punch wider by as much as that.
+    Hayes 1972: P = 2 E* a kappa d; 1 %. Linear theory leaves the rim's material under the edge,
+    while a squeezed layer flows out. Therefore the press is shallow, and the punch is wider by its
+    depth.
     """
     a, fine = 0.005, 0.005 * (1.0 - EDGE[-2])
     height = a / share
@@ -223,11 +226,11 @@ def test_flat_punch_on_a_bonded_layer(poisson_ratio, share):
 
 @pytest.mark.slow
 def test_bisected_cells_at_the_literal_numbers():
-    """Case 13 as an organ is meshed: a cube's quarter, halved towards the tool, quadratic cells of
-    2 mm there; 3 %.
+    """Bisected cells have the literal numbers of case 13.
 
-    Of this the sides and base, 0.2 m away, make about 1 %. Hertz, the true sphere as above, and the
-    flat punch.
+    The mesh is made as for an organ: a cube's quarter, halved towards the tool, quadratic cells of
+    2 mm there; 3 %. Of this the sides and base, 0.2 m away, make about 1 %. The forms are Hertz,
+    the true sphere as above, and the flat punch.
     """
     size = 0.2
 

@@ -15,8 +15,9 @@ YOUNG, RATIO = 1000.0, 0.3
 
 
 def pressed_octant(cells, order, *, capsule=None):
-    """Octant of a hollow sphere of radii 1 and 2, pressed from inside by 1 Pa: space and
-    displacement.
+    """Return the octant of a hollow sphere of radii 1 and 2, pressed from inside by 1 Pa.
+
+    The result is space and displacement.
     """
     space = Space(sphere_shell(1.0, 2.0, cells), order)
     matrix = assemble(space, lame(YOUNG, RATIO))
@@ -59,11 +60,11 @@ def at_corners(space, moved):
 
 @pytest.mark.parametrize("cells", [(5, 6), pytest.param((8, 8), marks=pytest.mark.slow)])
 def test_lame_sphere(cells):
-    """sigma_theta(1) = 5/7, sigma_theta(2) = 3/14, u(1) = 8e-4, u(2) = 3e-4 (Lame 1852); 1 %, means
-    over the surface.
+    """Lame's sphere has the stresses and displacements of 1852.
 
-    Cells have straight edges: of the 0.9 % left in u(1) most is the polyhedron, which has less
-    surface than the sphere. Single nodes scatter by 1 % in the hoop stress, because the cells
+    sigma_theta(1) = 5/7, sigma_theta(2) = 3/14, u(1) = 8e-4, u(2) = 3e-4; 1 %, means over the
+    surface. Cells have straight edges: of the 0.9 % left in u(1) most is the polyhedron, which has
+    less surface than the sphere. Single nodes scatter by 1 % in the hoop stress, because the cells
     around them lie differently.
     """
     radius, moved, hoop = at_corners(*pressed_octant(cells, 2))
@@ -81,7 +82,9 @@ def test_lame_sphere(cells):
 
 
 def test_linear_cells_come_closer_with_refinement():
-    """The displacement of the inner wall, at order 2 of the edge (within 0.3: three coarse
+    """Linear cells improve with refinement.
+
+    The displacement of the inner wall converges at order 2 of the edge (within 0.3: three coarse
     meshes).
     """
     sizes = (3, 5, 8)
@@ -92,10 +95,10 @@ def test_linear_cells_come_closer_with_refinement():
 
 
 def inflated(young, thickness, ratio):
-    """Motion at r = 1 and 2 where a thin sphere around holds back with the pressure 2 E t u / ((1 -
-    nu) r^2).
+    """Return the motion at r = 1 and 2 inside a thin sphere that resists.
 
-    u = A r + B / r^2 and sigma_r = E (A / (1 - 2 nu) - 2 B / ((1 + nu) r^3)).
+    The resisting pressure is 2 E t u / ((1 - nu) r^2). u = A r + B / r^2 and sigma_r = E (A / (1 -
+    2 nu) - 2 B / ((1 + nu) r^3)).
     """
     bulk, shear, hold = (
         YOUNG / (1 - 2 * RATIO),
@@ -114,12 +117,12 @@ def inflated(young, thickness, ratio):
 )
 @pytest.mark.parametrize("young", [1e4, pytest.param(1e5, marks=pytest.mark.slow)])
 def test_sphere_in_a_capsule(order, cells, within, young):
-    """Lame's sphere in a membrane, up to one as stiff as itself, which halves the motion of its
-    surface.
+    """A sphere in a capsule follows the closed form.
 
-    1.2 % for linear cells, most of it the polyhedron. Quadratic cells with straight edges have
-    nodes in the middle of flat pieces of the membrane, which carry no pressure: the stiff membrane
-    pulls in the corners instead, 8 % too far, and the mean is held to 3 %.
+    Lame's sphere lies in a membrane, up to one as stiff as itself, which halves the motion of its
+    surface. Linear cells are off by 1.2 %, most of it the polyhedron. Quadratic cells with straight
+    edges have nodes in the middle of flat pieces of the membrane, which carry no pressure. The
+    stiff membrane pulls in the corners instead, 8 % too far, and the mean is kept to 3 %.
     """
     space, moved = pressed_octant(
         cells, order, capsule={"thickness_m": 0.01, "young_Pa": young, "poisson_ratio": 0.4}

@@ -1,5 +1,6 @@
-"""Creep of a finite element surface under contact: closed forms, the direct hereditary integral,
-Lee and Radok's limit.
+"""Creep of a finite element surface under contact.
+
+It is compared with closed forms, the direct hereditary integral, and Lee and Radok's limit.
 """
 
 import tracemalloc
@@ -23,8 +24,9 @@ SIDE_M, DEPTH_M = 0.04, 0.02
 
 @pytest.fixture(scope="module")
 def surface():
-    """Top nodes of a small block of E = 5 kPa on a fixed base, and the compliance between them
-    [m/N].
+    """Return the top nodes of a small block on a fixed base, and their compliance [m/N].
+
+    The block has E = 5 kPa.
     """
     space = Space(box((SIDE_M, SIDE_M, DEPTH_M), (8, 8, 4)))
     stiffness = assemble(space, lame(5e3, 0.4)).toarray()
@@ -61,8 +63,9 @@ def patch(surface):
 
 
 def pressed(surface, depths, *, elastic_start=0.0, step_s=STEP_S):
-    """Force [N] on a bonded punch that follows ``depths`` [m], solved tick by tick on the
-    compliance.
+    """Return the force [N] on a bonded punch that follows ``depths`` [m].
+
+    It is solved tick by tick on the compliance.
     """
     near, columns = patch(surface)
     mutual = columns[3 * near + 2]
@@ -105,8 +108,10 @@ def test_second_order_in_time(surface):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_against_the_hereditary_integral(seed):
-    """Forces that come and go at changing nodes, against the integral over the whole past, term
-    by term.
+    """Creep agrees with the hereditary integral.
+
+    Forces that appear and vanish at changing nodes are compared with the integral over the whole
+    past, term by term.
     """
     random = np.random.default_rng(seed)
     share = random.dirichlet(np.ones(4))[:-1]
@@ -132,8 +137,9 @@ def test_against_the_hereditary_integral(seed):
 
 
 def sphere_forces(surface, depths):
-    """Elastic and creeping force [N] on a frictionless sphere of 20 mm at these depths [m];
-    nodes in contact.
+    """Return elastic and creeping force [N] on a frictionless sphere, and the nodes in contact.
+
+    The sphere of 20 mm is pressed to these depths [m].
     """
     nodes, compliance = surface
     up = compliance[2::3, 2::3]
@@ -142,8 +148,9 @@ def sphere_forces(surface, depths):
     creep, found = HereditaryIntegral(SERIES.retardation, (len(nodes), 3), step_s=STEP_S), []
 
     def nodal(clearance, scale):
-        """Non-negative pushes f down that leave no node in the sphere: scale W f >= clearance,
-        where f > 0 equal.
+        """Return non-negative pushes f down that leave no node in the sphere.
+
+        They satisfy scale W f >= clearance, with equality where f > 0.
         """
         return nnls(
             np.sqrt(scale) * factor,
@@ -159,8 +166,10 @@ def sphere_forces(surface, depths):
 
 
 def test_growing_contact_is_lee_and_radok(surface):
-    """While the contact grows, the relaxed elastic force is right; when it shrinks, it pulls
-    where the contact has let go.
+    """Growing contact follows Lee and Radok.
+
+    While the contact grows, the relaxed elastic force is right; when it shrinks, this force pulls
+    where the contact has opened.
     """
     ticks = np.arange(1, 101)
     depths = 4e-3 * np.concatenate([ticks / 100.0, 1.0 - ticks / 100.0])

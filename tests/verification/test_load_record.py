@@ -1,6 +1,4 @@
-"""Recorded unit loads of each coefficient, and of each layer, against the quadrature over the
-exact geometry.
-"""
+"""Recorded unit loads of each coefficient and layer, against quadrature over the exact geometry."""
 
 from dataclasses import fields, replace
 

@@ -1,4 +1,4 @@
-"""What a ball takes out of a block, against the exact volume of a spherical cap."""
+"""Volumes that a ball removes from a block, against the exact volume of a spherical cap."""
 
 from math import pi
 
@@ -46,8 +46,9 @@ def sweep(model, start_m, end_m, *, step_m=2e-6):
 
 
 def cap_errors(removal, spacings_m):
-    """Root mean square over random placements of the relative error of a cap's volume, for each
-    spacing.
+    """Return the relative error of a cap's volume for each spacing.
+
+    It is the root mean square over random placements.
     """
     random = np.random.default_rng(1)
     errors = []
@@ -113,8 +114,9 @@ def full_block(spacing_m, count):
 
 
 def swept_error(radius_m, spacing_m, along, *, length_m, random):
-    """Relative error of what a ball removes on a line inside a block, beyond what its first pose
-    took.
+    """Return the relative error of the volume that a ball removes on a line inside a block.
+
+    The part removed by its first pose is left out.
     """
     along = np.array(along) / np.linalg.norm(along)
     count = 8 * int(np.ceil((2.0 * radius_m + length_m) / spacing_m / 8) + 1)
@@ -130,10 +132,11 @@ def swept_error(radius_m, spacing_m, along, *, length_m, random):
 @pytest.mark.slow
 @pytest.mark.parametrize("along", [(1.0, 0.0, 0.0), (0.3, 0.2, -1.0), (1.0, 1.0, 1.0)])
 def test_a_sweep_inside_bone_removes_a_straight_tube(along):
-    """A ball of 0.5 mm on a line: its circle times the path, whose wall is straight along it where
-    the ball is not.
+    """A sweep inside bone removes a straight tube.
 
-    At ten voxels' radius a wall as round as the ball leaves 0.1 %; second order in the spacing.
+    A ball of 0.5 mm moves on a line. The volume is its circle times the path; the wall is straight
+    along the path where the ball is not. At ten voxels' radius a wall as round as the ball leaves
+    0.1 %; second order in the spacing.
     """
     random, errors = np.random.default_rng(3), []
     for spacing in (0.1e-3, 0.05e-3):
@@ -149,8 +152,10 @@ def test_a_sweep_inside_bone_removes_a_straight_tube(along):
 @pytest.mark.slow
 @pytest.mark.parametrize("along", [(1.0, 0.0, 0.0), (1.0, 0.7, 0.0)])
 def test_a_cylinder_drawn_across_its_axis_leaves_flat_walls(along):
-    """Twice its radius times the path in every layer of voxels that its ends do not reach: a
-    round wall leaves 0.05 %.
+    """A cylinder drawn across its axis leaves flat walls.
+
+    In every layer of voxels that its ends do not reach, it removes twice its radius times the path:
+    a round wall leaves 0.05 %.
     """
     random, radius, spacing, length, errors = np.random.default_rng(4), 0.5e-3, 0.05e-3, 0.4e-3, []
     tool, along = (

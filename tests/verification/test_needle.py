@@ -1,8 +1,8 @@
-"""A needle along its axis: the curve of Okamura (2004), the work of cutting and energy, against
-closed forms.
+"""Needle along its axis, against closed forms.
 
-No measured needle force is at hand to hold the model against: what is tested is the published fit
-to one needle in bovine liver, and what follows from the model's own laws.
+The forms are the curve of Okamura (2004), the work of cutting and energy. No measured needle force
+is available for comparison. Tested are the published fit to one needle in bovine liver, and the
+consequences of the model's own laws.
 """
 
 from dataclasses import replace
@@ -27,8 +27,10 @@ def test_before_the_puncture_the_force_is_the_polynomial():
 
 
 def test_okamura_liver():
-    """2.30 N at 16.7 mm, a drop of 0.66 N with 0.65 N of it left elastic, then growth with depth
-    (Okamura 2004).
+    """The liver follows Okamura (2004).
+
+    The force is 2.30 N at 16.7 mm, drops by 0.66 N with 0.65 N of it left elastic, then grows with
+    depth.
     """
     mm, force, insertion, deflection, elastic, cutting, friction = trace(LIVER, [-1.0, 60.0])
     peak = int(np.argmax(force[mm < 18.0]))
@@ -66,8 +68,10 @@ def test_okamura_liver():
 
 
 def test_a_hole_that_does_not_cling_misses_the_drop():
-    """With a puncture and a cutting force alone, and no hold, the force falls twice as far as it
-    was measured to.
+    """A hole that does not cling misses the drop.
+
+    With a puncture and a cutting force alone, and no hold, the force falls twice as far as
+    measured.
     """
     letting_go = replace(LIVER, membranes=(replace(CAPSULE, hold_N=0.0),))
     _, force, *_ = trace(letting_go, [-1.0, 20.0])
@@ -76,8 +80,10 @@ def test_a_hole_that_does_not_cling_misses_the_drop():
 
 
 def test_the_force_after_the_puncture_balances_in_closed_form():
-    """a1 u + a2 u² = cutting + hold + C (z - u): the u of the quadratic, at every travel behind
-    the puncture.
+    """The force after the puncture balances in closed form.
+
+    a1 u + a2 u² = cutting + hold + C (z - u): the u of the quadratic, at every travel behind the
+    puncture.
     """
     insertion = Insertion(LIVER)
     drive(insertion, 17e-3)
@@ -157,8 +163,10 @@ def wander(seed, count=24):
 @pytest.mark.parametrize("tissue", TISSUES.values(), ids=TISSUES)
 @pytest.mark.parametrize("seed", range(3))
 def test_energy_is_lost_and_never_made(tissue, seed):
-    """Work done on the needle minus the organ's energy never falls, step by step, on any path
-    that ends outside.
+    """Energy is lost and never created.
+
+    Work done on the needle minus the organ's energy never falls, step by step, on any path that
+    ends outside.
     """
     insertion = Insertion(tissue)
     rows = np.vstack([drive(insertion, turn) for turn in wander(seed)])
@@ -199,8 +207,9 @@ def test_pull_energy_and_deflection_agree(sign):
 
 
 def two_insertions(tissue, depth_mm):
-    """Work of an insertion [J], of a second one along its track to the same depth, and the
-    track's length [m].
+    """Return the work of two insertions [J] and the track's length [m].
+
+    The second insertion follows the track of the first to the same depth.
     """
     mm, force, length, *_ = trace(tissue, [-1.0, depth_mm, -30.0, depth_mm], feed_m_s=20e-3)
     deep = int(np.flatnonzero(mm > depth_mm - 1e-6)[0])
@@ -215,11 +224,12 @@ def two_insertions(tissue, depth_mm):
 @pytest.mark.slow
 @pytest.mark.parametrize("toughness_J_m2", [76.0, 164.0, 225.0])
 def test_toughness_is_recovered_from_the_work_of_two_insertions(toughness_J_m2):
-    """Work of a first insertion less that of a second along its track, per area of the crack
-    (Gokgol 2012).
+    """Toughness is recovered from the work of two insertions.
 
-    The difference between two depths leaves the steady part: what the capsule costs falls out. The
-    trapezium over ticks of 20 µm in a force of a newton is good to 1e-3; the case asks for 5 %.
+    It is the work of a first insertion less the work of a second along its track, per area of the
+    crack (Gokgol 2012). The difference between two depths leaves the steady part, without the cost
+    of the capsule. The trapezium over ticks of 20 µm in a force of a newton is good to 1e-3; the
+    case asks for 5 %.
     """
     width_m = 1.27e-3
     tissue = replace(LIVER, cutting_N=toughness_J_m2 * width_m)
@@ -239,8 +249,10 @@ def test_toughness_is_recovered_from_the_work_of_two_insertions(toughness_J_m2):
 
 
 def test_the_cutting_force_of_liver_is_more_than_its_fracture():
-    """0.94 N over a crack as wide as the needle would be 740 J/m2, or 236 J/m2 over one round
-    its whole circumference.
+    """The cutting force of liver is more than its fracture.
+
+    0.94 N over a crack as wide as the needle would be 740 J/m2, or 236 J/m2 over a crack around its
+    whole circumference.
     """
     diameter_m = 1.27e-3
     assert 740.0 * diameter_m == pytest.approx(LIVER.cutting_N, rel=1e-2)

@@ -1,5 +1,6 @@
-"""Friction on the shaft of a needle: where it slides, sticks, turns round and breaks away,
-against closed forms.
+"""Friction on the shaft of a needle, against closed forms.
+
+The shaft slides, sticks, reverses and breaks away.
 """
 
 import numpy as np
@@ -55,8 +56,11 @@ def test_a_needle_that_turns_round_twice_breaks_away_with_the_static_friction():
 
 
 def test_the_parts_of_the_force():
-    """They add up everywhere; while the shaft slides they are hold, cutting and friction, while it
-    sticks they fall back together, and before an intact wall all that comes on top is elastic."""
+    """The parts of the force add up everywhere.
+
+    While the shaft slides they are hold, cutting and friction. While it sticks they fall back
+    together. Before an intact wall the whole excess is elastic.
+    """
     insertion = Insertion(needle_tissue(walls=[vessel_wall(30e-3)]))
     resting = []
     for leg in (70e-3, -20e-3, 70e-3):

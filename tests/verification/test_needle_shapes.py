@@ -1,8 +1,8 @@
-"""Insertions into bovine liver with peaks at 19, 28, 32 and 36 mm, 1.4 to 2.3 N, which fall to a
-fifth.
+"""Insertions into bovine liver with peaks at 19, 28, 32 and 36 mm, of 1.4 to 2.3 N.
 
-Only these numbers are known of them, no curve and no constants of their organs: what is tested is
-whether the law can have such a shape, with how stiff an organ, and what the cited one comes to.
+The force falls to a fifth after each peak. Only these numbers are known, no curve and no constants
+of the organs. Tested are whether the law can have such a shape, the stiffness of the organ for it,
+and the result of the cited organ.
 """
 
 import numpy as np
@@ -26,14 +26,16 @@ STIFF = {
     "static_in_N_m": 3.0,
     "viscous_in_N_s_m2": 0.0,
 }
-"""An organ of 0.45 N/mm, as stiff at every deflection as the cited one at 39 mm, whose holes do
-not cling.
+"""Organ of 0.45 N/mm whose holes do not cling.
+
+It is as stiff at every deflection as the cited one at 39 mm.
 """
 
 
 def scene_of(folder):
-    """Membranes so far in front of the peaks as the organ gives: the tip meets each a deflection
-    before it breaks.
+    """Return the scene whose membranes lie in front of the peaks by the organ's deflection.
+
+    The tip touches each membrane one deflection before it breaks.
     """
     lines = [
         f'[needle.liver.{k}]\nvalue = {v}\nrange = [{v}, {v}]\nsource = "t"\nconfidence = "L"'
@@ -72,11 +74,11 @@ def test_a_stiff_organ_with_four_membranes_has_the_shape(tmp_path):
 
 
 def test_the_cited_organ_comes_to_the_first_two_only():
-    """Between two peaks the tip goes at most as far as the organ's deflection grows: closed form of
-    the polynomial.
+    """The cited organ has the first two peaks only.
 
-    Even where every fall to a fifth is granted, the third peak, 4 mm on, is below 1.4 N, and to
-    reach 1.4 N the force may not have fallen below a third.
+    Between two peaks the tip moves at most as far as the organ's deflection grows: closed form of
+    the polynomial. Even where every fall to a fifth is granted, the third peak, 4 mm farther, is
+    below 1.4 N. To reach 1.4 N the force may not have fallen below a third.
     """
     tissue = needle_tissue()
     for fallen_N in FIFTH * np.array([1.4, 2.3]):

@@ -23,8 +23,9 @@ PRESS = {
 
 
 def forces_N(nodule_kPa: float, touch_edge_mm: float) -> np.ndarray:
-    """Force of the scene's mesh at the depths [N], whatever the nodule's modulus: 20 kPa is that
-    of the tissue there.
+    """Return the force of the scene's mesh at the depths [N].
+
+    The mesh does not depend on the nodule's modulus; 20 kPa is the modulus of the tissue there.
     """
     changes = PRESS | {
         "organ.parts": {"nodule": nodule_kPa},
@@ -39,8 +40,9 @@ def forces_N(nodule_kPa: float, touch_edge_mm: float) -> np.ndarray:
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("touch_edge_mm", [5.0, 3.0])
 def test_the_excess_over_a_nodule_is_that_of_another_code(touch_edge_mm):
-    """Excess within 3 % of the reference, force within 3 %, by the scene's edges and by shorter
-    ones.
+    """The excess over a nodule agrees with another code.
+
+    Excess and force are within 3 % of the reference, for the scene's edges and for shorter ones.
     """
     stiff, plain = forces_N(100.0, touch_edge_mm), forces_N(20.0, touch_edge_mm)
     excess = stiff / plain - 1.0

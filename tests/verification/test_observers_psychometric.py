@@ -1,5 +1,6 @@
-"""Psychometric functions, staircases and people of known truth against printed and exact values
-(case 25).
+"""Psychometric functions, staircases and people of known truth (case 25).
+
+They are compared with printed and exact values.
 """
 
 import numpy as np
@@ -69,12 +70,12 @@ def test_people_of_a_group_are_drawn_by_their_seed(group):
 
 @pytest.mark.parametrize(("down", "target"), [(2, 0.7071), (3, 0.7937)])
 def test_a_staircase_settles_at_its_target(down, target):
-    """Up as often as down: over all moves the mean of p^n is one half, exactly, and p lies close to
-    its root.
+    """A staircase settles at its target.
 
-    The first is a martingale's law and is held to four standard errors; the second is biased by the
-    size of a step and the curve's bend, and is held to 1.5 points, which separates 70.7 from 79.4
-    %.
+    It moves up as often as down: over all moves the mean of p^n is one half, exactly, and p lies
+    close to its root. The first is a martingale's law and is kept to four standard errors. The
+    second is biased by the size of a step and the curve's bend, and is kept to 1.5 points, which
+    separates 70.7 from 79.4 %.
     """
     count, rng = 200, np.random.default_rng(4)
     crowd = people(count)

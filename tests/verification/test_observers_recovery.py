@@ -1,5 +1,6 @@
-"""Calibration recovers people of known truth: values, intervals, ranks, and trials that are
-needed (case 25).
+"""Calibration of people of known truth (case 25).
+
+It recovers values, intervals and ranks; the number of needed trials is counted.
 """
 
 import numpy as np
@@ -46,7 +47,9 @@ def calibrated(crowd, rng, *, trials, prior=SMALL, stimuli=None):
 
 @pytest.mark.slow
 def test_weber_of_seven_percent_is_recovered():
-    """100 sessions of 120 trials: the mean to three standard errors and the prior's pull, one
+    """A Weber fraction of seven percent is recovered.
+
+    In 100 sessions of 120 trials the mean agrees to three standard errors and the prior's pull, one
     session to its spread.
     """
     found = calibrated(people(100), np.random.default_rng(0), trials=120)
@@ -64,8 +67,10 @@ def test_weber_of_seven_percent_is_recovered():
 @pytest.mark.slow
 @pytest.mark.parametrize(("lapse", "bias"), [(0.0, 0.06), (0.02, 0.02), (0.06, 0.05)])
 def test_thresholds_hardly_depend_on_lapses(lapse, bias):
-    """300 people of 120 trials: a grid whose least lapse was 2.5 % had those without any 12 %
-    low, and 2 % 6 % low.
+    """Thresholds hardly depend on lapses.
+
+    In 300 people of 120 trials, a grid whose smallest lapse was 2.5 % placed people without lapses
+    12 % low, and people with 2 % of lapses 6 % low.
     """
     found = calibrated(
         people(300, lapse=lapse), np.random.default_rng(0), trials=120, prior=ThresholdPrior()
@@ -80,7 +85,9 @@ def test_thresholds_hardly_depend_on_lapses(lapse, bias):
 
 
 def test_stevens_of_1_7_is_recovered():
-    """200 sessions of 24 numbers: the mean to four standard errors, intervals that hold the
+    """A Stevens exponent of 1.7 is recovered.
+
+    In 200 sessions of 24 numbers the mean agrees to four standard errors, and intervals hold the
     truth as often as they claim.
     """
     crowd, rng = people(200), np.random.default_rng(1)
@@ -100,8 +107,10 @@ def test_stevens_of_1_7_is_recovered():
 
 @pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_they_claim():
-    """95 % intervals of 800 people drawn from the prior, between the grid's points: 92 to 98 %
-    hold it.
+    """Intervals hold the truth as often as they claim.
+
+    800 people are drawn from the prior, between the grid's points: 92 to 98 % of their 95 %
+    intervals hold it.
     """
     rng, count = np.random.default_rng(2), 800
     prior = ThresholdPrior(cells=61, offset_cells=9, lapse_cells=4)
@@ -133,11 +142,11 @@ def test_intervals_hold_the_truth_as_often_as_they_claim():
 
 
 def test_ranks_of_simulated_calibrations_are_uniform():
-    """600 people from the prior: the posterior's mass below the truth, ties split at random, is
-    uniform.
+    """Ranks of simulated calibrations are uniform.
 
-    A chi-square test over twelve bins at 0.1 %. A posterior that is too narrow (answers counted
-    twice) must fail it.
+    For 600 people from the prior, the posterior's mass below the truth, ties split at random, is
+    uniform. A chi-square test over twelve bins at 0.1 % checks it. A posterior that is too narrow
+    (answers counted twice) must fail it.
     """
     rng, count = np.random.default_rng(3), 600
     weber, offset, lapse, masses = SMALL.parameters()
@@ -177,8 +186,10 @@ def test_ranks_of_exponents_are_uniform():
 
 
 def test_the_most_informative_comparison_is_the_one_of_least_expected_entropy():
-    """Against the definition, written out: every comparison, both answers, entropy of each
-    posterior.
+    """The most informative comparison has the smallest expected entropy.
+
+    It is checked against the definition, written out: every comparison, both answers, entropy of
+    each posterior.
     """
     prior = ThresholdPrior(cells=9, offset_cells=3, lapse_cells=2)
     found = AdaptiveThreshold(prior, comparisons((0.5, 2.0)))
@@ -200,8 +211,10 @@ def test_the_most_informative_comparison_is_the_one_of_least_expected_entropy():
 
 @pytest.mark.slow
 def test_ten_percent_in_fewer_trials_than_staircases():
-    """300 people: after how many trials half of the thresholds lie within 10 % of the truth, for
-    good.
+    """Ten percent are reached in fewer trials than by staircases.
+
+    The count is the number of trials until half of the thresholds of 300 people lie within 10 % of
+    the truth and stay there.
     """
     rng, count, trials = np.random.default_rng(6), 300, 500
     crowd = draw_observers("intermediate", count, rng)
@@ -226,8 +239,10 @@ def test_ten_percent_in_fewer_trials_than_staircases():
 
 @pytest.mark.slow
 def test_a_wrong_noise_model_biases_the_threshold_by_what_is_reported():
-    """Heavy tails make thresholds look 10 to 40 % lower, fatigue of 50 % a hundred trials 10 to
-    60 % higher.
+    """A wrong noise model biases the threshold by the reported amount.
+
+    Heavy tails make thresholds look 10 to 40 % lower, fatigue of 50 % a hundred trials 10 to 60 %
+    higher.
     """
     for wrong, low, high in (({"freedom": 3.0}, 0.6, 0.95), ({"fatigue": 0.5}, 1.1, 1.6)):
         found = calibrated(people(100, **wrong), np.random.default_rng(7), trials=120)
@@ -254,8 +269,9 @@ def test_what_makes_no_sense_is_refused(call, sentence):
 
 
 def test_comparisons_stay_below_the_device_s_limit_in_steps_of_one_ratio():
-    """Of all steps those are left out, and only those, whose larger force the device cannot
-    play.
+    """Comparisons stay below the device's limit in steps of one ratio.
+
+    Of all steps only those are left out whose larger force the device cannot play.
     """
     bases, steps = comparisons((0.5, 2.0), force_limit_N=2.2)
     every = comparisons((0.5, 2.0), force_limit_N=100.0)

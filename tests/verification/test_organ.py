@@ -33,11 +33,12 @@ def hertz_N(depth_m, radius_m, ratio):
 @pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.3, 0.49])
 def test_a_ball_on_a_large_block_follows_hertz(ratio):
-    """A ball of 100 mm, 0.2 to 0.5 mm deep (a/R up to 0.1), without friction; 6 edges to the
-    contact's radius at the end.
+    """A ball on a large block follows Hertz.
 
-    The block is 24 contact radii thick: without the layer's correction Hertz is 5 % low. What is
-    left is the mesh, and that the surface turns with a true ball where Hertz's stays upright.
+    A ball of 100 mm is pressed 0.2 to 0.5 mm deep (a/R up to 0.1), without friction, with 6 edges
+    to the contact's radius at the end. The block is 24 contact radii thick: without the layer's
+    correction Hertz is 5 % low. The remaining error comes from the mesh, and from the surface that
+    turns with a true ball where Hertz's stays upright.
     """
     block = tissue.Organ.block(
         (240, 240, 120), edge_mm=24, modulus_kPa=MODULUS_KPA, poisson_ratio=ratio, friction=0.0
@@ -72,8 +73,10 @@ def rod(low_kPa, high_kPa, *, ratio=0.0, cells=4, swapped=False):
 
 @pytest.mark.slow
 def test_a_rod_of_two_materials_is_two_springs_in_series():
-    """A flat punch wider than the rod, nu = 0: F = A d / (L1 / E1 + L2 / E2) exactly, whatever
-    the friction.
+    """A rod of two materials acts as two springs in series.
+
+    For a flat punch wider than the rod and nu = 0, F = A d / (L1 / E1 + L2 / E2) exactly, for any
+    friction.
     """
     punch = tissue.flat_punch(diameter_mm=40)
     for swapped in (False, True):
@@ -94,11 +97,11 @@ def test_a_rod_of_two_materials_is_two_springs_in_series():
 
 @pytest.mark.slow
 def test_a_press_is_what_the_scene_runner_gives(monkeypatch):
-    """Straight down on the built-in liver: the same mesh, material and supports, at the same places
-    of the tip.
+    """A press agrees with the scene runner.
 
-    With the contact's tolerance of a tick within it, 0.2 %; the tighter one of a press is off by
-    what a tick's leaves.
+    It moves straight down on the built-in liver with equal mesh, material and supports, at equal
+    places of the tip. With the contact's tolerance of a tick the difference is 0.2 %. With the
+    tighter tolerance of a press it is off by the error of a tick's tolerance.
     """
     changes = {"motion.points_mm": [[0, 0, 1], [0, 0, -5]], "motion.feed_mm_s": 15.0}
     scene = tissue.load_scene("liver-press", changes)

@@ -1,5 +1,6 @@
-"""Every hyperelastic law in every built-in scene of an organ, shortened, pressed deep, slid and
-lifted off.
+"""Every hyperelastic law in every built-in scene of an organ.
+
+The scenes are shortened; the organ is pressed deep, and the tool slides and lifts off.
 """
 
 import numpy as np
@@ -39,8 +40,10 @@ DEPTHS_MM = np.linspace(1.0, 3.5, 6)
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("name", SCENES)
 def test_a_law_runs_in_a_scene(name, law):
-    """Every solve is balanced, and an elastic organ pushes back as hard when the ball leaves it
-    as when it comes.
+    """A law runs in a scene.
+
+    Every solve is balanced, and an elastic organ pushes back as hard when the ball leaves it as
+    when it comes.
     """
     changes = {"organ.law": law, "organ.interval_ms": 200.0, "organ.friction": 0.05}
     changes |= {f"organ.{key}": value for key, value in LAWS[law].items()}

@@ -1,8 +1,7 @@
-"""A ball pressed into an organ of a hyperelastic law at 1 kHz, against Newton's method with a rigid
-ball of its own.
+"""Ball pressed into an organ of a hyperelastic law at 1 kHz, against Newton's method.
 
-The reference shares cells and law (which felupe confirms, `test_deep_press`), not the contact, the
-compliance, nor what brings law and ticks together.
+The reference has a rigid ball of its own. It shares cells and law (which felupe confirms,
+`test_deep_press`), but not the contact, the compliance, or the coupling of law and ticks.
 """
 
 import numpy as np
@@ -28,11 +27,11 @@ LAWS = {
 @pytest.mark.parametrize("ratio", [1.0, 1.4])
 @pytest.mark.parametrize("law", LAWS)
 def test_the_force_of_a_deep_press_is_that_of_newtons_method(law, ratio):
-    """At 20 mm/s a law that is solved forty times a second is late; at rest it is not, on the
-    organ's mesh or a coarser.
+    """The force of a deep press agrees with Newton's method.
 
-    The stiffening one bears twice the linear force; on the compliance at rest it swung and lost a
-    third of its force.
+    At 20 mm/s a law that is solved forty times a second is late; at rest it is not, on the organ's
+    mesh or a coarser one. The stiffening organ carries twice the linear force. On the compliance at
+    rest it oscillated and lost a third of its force.
     """
     scene = scene_of(**LAWS[law], law_edge_ratio=ratio, poisson_ratio=0.45)
     run, exact = simulate(scene, cores=1), by_newton(scene)
@@ -65,10 +64,11 @@ def test_the_force_of_a_deep_press_is_that_of_newtons_method(law, ratio):
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("share", [0.5, 0.95])
 def test_a_hand_presses_a_stiffening_organ_without_swinging(law, share):
-    """At a share of the critical stiffness of the coupling, which is judged on a wall: nothing is
-    stiffer.
+    """A hand presses a stiffening organ without oscillation.
 
-    Over the last 0.4 s, a cubic taken out, the force at the device moves by less than 2 %.
+    The coupling has a share of its critical stiffness, which is judged on a wall: nothing is
+    stiffer. Over the last 0.4 s, with a cubic removed, the force at the device moves by less than 2
+    %.
     """
     scene = changed(
         scene_of(**LAWS[law], poisson_ratio=0.45), {"device": "touch", "duration_s": 1.4}

@@ -1,5 +1,6 @@
-"""Perception against closed forms: Weber, Stevens' predictive, the inverse map, the recursive
-filter.
+"""Perception against closed forms.
+
+They are Weber, Stevens' predictive, the inverse map and the recursive filter.
 """
 
 import numpy as np
@@ -60,8 +61,10 @@ def test_weber_is_7_percent_of_strong_forces_and_more_of_weak_ones():
 
 
 def test_e6_no_threshold_is_negative_where_the_printed_law_gives_some():
-    """N(kappa, tau^2) of people who scatter by a half of kappa is negative for 2.3 % of them; at
-    0 N it is 0 for all.
+    """No threshold is negative, where the printed law E6 gives some.
+
+    For people who scatter by a half of kappa, N(kappa, tau^2) is negative for 2.3 % of them; at 0 N
+    it is 0 for all.
     """
     rng = np.random.default_rng(0)
     printed = rng.normal(0.07, 0.035, 100_000)
@@ -79,7 +82,9 @@ def test_a_quantile_of_the_threshold_leaves_nine_in_ten_above_it():
 
 
 def test_moments_of_intensity_are_those_of_quadrature():
-    """Gauss-Hermite over both coordinates, 60 nodes a side, against the closed forms; with a
+    """Moments of intensity agree with quadrature.
+
+    Gauss-Hermite over both coordinates, 60 nodes a side, is compared with the closed forms, with a
     correlation.
     """
     law = Intensity(log_alpha=-0.1, beta=1.6, variances=(0.09, 0.02, 0.04), scatter=0.05)
@@ -98,8 +103,10 @@ def test_moments_of_intensity_are_those_of_quadrature():
 
 @pytest.mark.parametrize("uncertain", [0.0, 0.25, 0.5])
 def test_the_scatter_of_a_rating_is_the_mean_of_sigma_squared(uncertain):
-    """Gauss-Hermite over ln sigma, 60 nodes, and over the noise of one rating, against the law's
-    scatter and spread.
+    """The scatter of a rating is the mean of sigma squared.
+
+    Gauss-Hermite over ln sigma, 60 nodes, and over the noise of one rating, is compared with the
+    law's scatter and spread.
     """
     observer = person(sigma=0.3, spread={"sigma": uncertain})
     nodes, weights = np.polynomial.hermite_e.hermegauss(60)
@@ -138,7 +145,9 @@ def test_people_have_the_laws_that_are_stated():
 
 
 def test_e5_the_reference_feels_what_was_wanted_to_1e_6():
-    """The observer's expected intensity of the command is the reference's of the force; by
+    """The observer's expected intensity equals the reference's to 1e-6 (E5).
+
+    It is the intensity of the command for the observer and of the force for the reference; by
     table, every choice.
     """
     reference = intensity_of(reference_observer())
@@ -157,8 +166,9 @@ def test_e5_the_reference_feels_what_was_wanted_to_1e_6():
 
 
 def test_e5_the_command_has_no_unit_of_intensity_where_the_printed_one_does():
-    """Intensities in tenths of a unit change the printed command E[S] tenfold, and ours not at
-    all.
+    """The command does not depend on the unit of intensity, where the printed one does (E5).
+
+    Intensities in tenths of a unit change the printed command E[S] tenfold, and ours not at all.
     """
     forces = np.linspace(0.3, KNEE_N, 50)
     one = ForceMap(
@@ -181,8 +191,9 @@ def test_e5_the_command_has_no_unit_of_intensity_where_the_printed_one_does():
 
 
 def test_ratios_of_intensity_survive_up_to_the_knee_and_the_device_is_never_asked_for_more():
-    """With gain 1 or below, E[S(c(F1))] / E[S(c(F2))] = (F1 / F2)^1.7 for every observer and
-    pair.
+    """Ratios of intensity survive up to the knee, within the device's limit.
+
+    With gain 1 or below, E[S(c(F1))] / E[S(c(F2))] = (F1 / F2)^1.7 for every observer and pair.
     """
     reference, forces = intensity_of(reference_observer()), np.geomspace(0.3, KNEE_N, 80)
     wanted = np.divide.outer(forces, forces) ** 1.7
@@ -231,7 +242,9 @@ def test_e8_the_steady_state_is_0_618_and_not_the_printed_0_5():
 
 
 def test_e8_the_variance_is_that_of_the_error_and_the_printed_one_is_not():
-    """Levels that wander by q and looks with r, 4,000 runs: the squared error at the end has the
+    """The variance is that of the error, and the printed one is not (E8).
+
+    Levels drift by q and are observed with r in 4,000 runs: the squared error at the end has the
     filter's variance.
     """
     rng = np.random.default_rng(7)
@@ -276,8 +289,9 @@ def test_e8_is_the_local_level_filter_of_statsmodels(wander, noise):
 
 
 def test_a_sense_scatters_by_its_threshold_and_is_the_steady_filter():
-    """Two constant forces a threshold apart are discriminated at d' = 0.954: 75 % in two
-    intervals.
+    """A sense scatters by its threshold and acts as the steady filter.
+
+    Two constant forces a threshold apart are discriminated at d' = 0.954: 75 % in two intervals.
     """
     law = Weber(kappa=0.07, offset=0.2)
     estimates = []
@@ -303,8 +317,9 @@ def test_the_threshold_is_that_of_two_intervals():
 
 @pytest.mark.parametrize("force_N", [0.0, 0.5, 4.0])
 def test_the_filter_of_a_sense_has_the_noise_of_the_threshold_at_its_force(force_N):
-    """r = s^2 (2 - G) / G for a scatter s of the threshold over d' = 0.954, and q = G^2 r / (1 -
-    G).
+    """The filter of a sense has the noise of the threshold at its force.
+
+    r = s^2 (2 - G) / G for a scatter s of the threshold over d' = 0.954, and q = G^2 r / (1 - G).
     """
     law, gain = Weber(kappa=0.07, offset=0.2), 1.0 - np.exp(-1e-3 / 0.1)
     at = Sense(law, integration_s=0.1, tick_s=1e-3, rng=np.random.default_rng(0)).at(force_N)

@@ -1,4 +1,4 @@
-"""The estimate of greatest posterior density against a brute-force grid (E7)."""
+"""Maximum-posterior estimate against a brute-force grid (E7)."""
 
 import numpy as np
 import pytest
@@ -10,8 +10,9 @@ NODES = 2000
 
 
 def cases(count, seed):
-    """Observations, noises and priors; a third is negative or zero, a quarter has two turning
-    points.
+    """Return observations, noises and priors.
+
+    A third is negative or zero, a quarter has two turning points.
     """
     rng = np.random.default_rng(seed)
     middle = rng.normal(0.0, 1.5, count)
@@ -25,8 +26,9 @@ def cases(count, seed):
 
 
 def two_maxima(count, seed):
-    """Observations so far above the prior, 20 to 400 medians, that half of the posteriors have
-    two maxima.
+    """Return observations for which half of the posteriors have two maxima.
+
+    They lie 20 to 400 medians above the prior.
     """
     rng = np.random.default_rng(seed)
     spread, seen = (
@@ -38,15 +40,17 @@ def two_maxima(count, seed):
 
 
 def maxima(seen, noise, middle, spread):
-    """How many local maxima a dense grid shows, shape (count,)."""
+    """Return the number of local maxima on a dense grid, shape (count,)."""
     u = np.linspace(middle - 4.0 * spread - 1.0, np.log(seen) + 2.0, NODES)
     rising = np.diff(log_posterior(u, seen, noise, middle, spread), axis=0) > 0.0
     return (rising[:-1] & ~rising[1:]).sum(axis=0)
 
 
 def off_the_grid(seen, noise, middle, spread):
-    """How much the grid's best is better than ours, and how far from it ours lies, in cells;
-    shapes (count,).
+    """Compute how far the estimate lies from the grid's best point.
+
+    Returns the increase of the log posterior at the grid's best point over ours, and the distance
+    between both in cells; shapes (count,).
     """
     found = np.log(map_force_N(seen, noise, median_N=np.exp(middle), log_spread=spread))
     ours = log_posterior(found, seen, noise, middle, spread)
@@ -83,8 +87,10 @@ def test_bimodal_posteriors_are_among_them_and_both_sides_win():
 
 
 def test_e7_a_climb_from_one_start_ends_on_the_lower_maximum_of_some():
-    """Uphill from the prior's median, or from the observation, along the exact slope, steps of
-    at most 0.02.
+    """A climb from one start ends on the lower maximum in some cases (E7).
+
+    It moves uphill from the prior's median, or from the observation, along the exact slope, in
+    steps of at most 0.02.
     """
     given = two_maxima(1000, 4)
     both = maxima(*given) == 2
@@ -148,7 +154,9 @@ def test_a_prior_that_excludes_the_data_is_refused():
 
 @pytest.mark.parametrize(("spreads", "possible"), [(5.9, True), (6.1, False)])
 def test_a_prior_excludes_what_lies_six_deviations_beyond_its_sixth(spreads, possible):
-    """The highest force is exp(6 s) medians, and a look may be 6 noises above it; below, 6
+    """A prior excludes forces six noises beyond its six deviations.
+
+    The highest force is exp(6 s) medians, and an observation may be 6 noises above it; below, 6
     noises under exp(-6 s).
     """
     median, spread, noise = 2.0, 0.2, 0.05

@@ -1,5 +1,6 @@
-"""What wrong priors and wrong noise cost the estimates: figures with bounds, so that a change of
-them is seen.
+"""Error that wrong priors and wrong noise add to the estimates.
+
+Each figure has a bound, so that a change is noticed.
 """
 
 import numpy as np
@@ -27,7 +28,9 @@ def recursion():
 
 
 def test_a_right_prior_makes_a_look_better_and_no_wrong_one_much_worse(look):
-    """Threefold wrong medians and twofold wrong spreads cost at most an eighth over the look
+    """A right prior improves an observation, and no wrong one makes it much worse.
+
+    Threefold wrong medians and twofold wrong spreads cost at most an eighth over the observation
     alone.
     """
     assert look["the look itself"] == pytest.approx(1.0, abs=0.02)  # standard error 0.5 %
@@ -40,8 +43,10 @@ def test_a_right_prior_makes_a_look_better_and_no_wrong_one_much_worse(look):
 
 
 def test_a_bias_matters_more_than_any_wrong_spread(look, recursion):
-    """No prior sees fatigue: of one look it costs 20 %, of the recursion, which averages noise
-    away, fourfold.
+    """A bias matters more than any wrong spread, because no prior knows of fatigue.
+
+    For one observation it costs 20 %. For the recursion, which averages noise away, it costs
+    fourfold.
     """
     assert look["truth fatigues by 10 %"] == max(look.values()) > 1.15
     assert (
@@ -63,7 +68,9 @@ def test_the_recursion_knows_its_error_where_its_variances_are_right(recursion):
 
 
 def test_wrong_variances_add_a_third_to_the_error_and_change_the_coverage(recursion):
-    """A gain wrong by sqrt(10) costs the same in either direction: r^2 + 1 / r^2 over 2 r at r =
+    """Wrong variances add a third to the error and change the coverage.
+
+    A gain wrong by sqrt(10) costs the same in either direction: r^2 + 1 / r^2 over 2 r at r =
     10^(1/4) is 1.3.
     """
     for assumed in ("wander / 10", "wander x 10", "noise / 10"):
@@ -72,7 +79,7 @@ def test_wrong_variances_add_a_third_to_the_error_and_change_the_coverage(recurs
 
 
 def brute_force_N(seen_N, noise_N, median_N, log_spread):
-    """Force of greatest posterior density, by looking at 1,000 forces a look."""
+    """Return the force of maximum posterior density, by evaluating 1,000 forces per observation."""
     logs = np.linspace(np.log(1e-3), np.log(300.0), 1000)
     prior = -0.5 * ((logs - np.log(median_N)) / log_spread) ** 2 - logs
     found = [

@@ -1,8 +1,8 @@
-"""The proxy against closed forms on exact solids: planes, edges, corners, thin walls, friction,
-tilted boxes.
+"""Proxy against closed forms on exact solids.
 
-``EXACT`` is what the validation case asks for (case 23: 1e-9); lengths are in metres, so it stands
-for a nanometre.
+The cases are planes, edges, corners, thin walls, friction and tilted boxes. ``EXACT`` is the
+tolerance of the validation case (case 23: 1e-9). Lengths are in metres, so it stands for a
+nanometre.
 """
 
 from itertools import pairwise
@@ -60,8 +60,10 @@ def test_plane_pushes_back_with_stiffness_times_depth():
 
 
 def test_inner_corner_of_two_and_three_planes():
-    """In a concave right angle the proxy is the device with each negative coordinate put to 0
-    (Zilles and Salisbury).
+    """The proxy stays in an inner corner of two and three planes.
+
+    In a concave right angle it is the device with each negative coordinate set to 0 (Zilles and
+    Salisbury).
     """
     planes = [HalfSpace((0.0, 0.0, 0.0), normal) for normal in np.eye(3)]
     for count in (2, 3):
@@ -74,8 +76,10 @@ def test_inner_corner_of_two_and_three_planes():
 
 
 def test_sharp_inner_corner_needs_both_planes_at_once():
-    """A wedge of 30 degrees: the device below its apex, inside both walls, leaves the proxy in
-    the apex.
+    """A sharp inner corner needs both planes at once.
+
+    In a wedge of 30 degrees, a device below its apex, inside both walls, leaves the proxy in the
+    apex.
     """
     half = np.radians(15.0)
     walls = [
@@ -89,8 +93,9 @@ def test_sharp_inner_corner_needs_both_planes_at_once():
 
 @pytest.mark.parametrize("radius", [0.5e-3, 2e-3])
 def test_ball_on_a_convex_edge_and_corner(radius):
-    """A ball's proxy on an edge lies at its radius from the edge, on the line from there to the
-    device.
+    """A ball's proxy on a convex edge or corner lies at its radius from it.
+
+    It lies on the line from there to the device.
     """
     corner = Box((-5e-3, -5e-3, -5e-3), (10e-3, 10e-3, 10e-3))
     proxy = point_on(corner, start=(2 * radius, -2e-3, 2 * radius), radius=radius)
@@ -106,7 +111,9 @@ def test_ball_on_a_convex_edge_and_corner(radius):
 
 
 def test_point_slides_off_a_convex_edge_and_is_free():
-    """Dragged under the surface past an edge the proxy leaves the top face there and joins the
+    """A point slides off a convex edge and is free.
+
+    Dragged under the surface past an edge, the proxy leaves the top face there and joins the
     device.
     """
     proxy = point_on(Box((0.0, 0.0, -5e-3), (10e-3, 10e-3, 10e-3)), start=(0.0, 0.0, 1e-3))
@@ -120,8 +127,9 @@ def test_point_slides_off_a_convex_edge_and_is_free():
 
 
 def test_thin_wall_holds_where_the_nearest_point_pops_through():
-    """E12: the free point nearest to the device changes sides halfway through a wall; the proxy
-    does not.
+    """A thin wall holds where the nearest point jumps through (E12).
+
+    The free point nearest to the device changes sides halfway through a wall; the proxy does not.
     """
     wall = Box((0.0, 0.0, 0.0), (0.1, 0.1, 1e-4))
     proxy = point_on(wall, start=(0.0, 0.0, 1e-3))
@@ -178,7 +186,9 @@ def test_friction_sticks_if_and_only_if_the_pull_is_inside_the_cone():
 
 
 def test_friction_changes_nothing_where_planes_hold_every_direction():
-    """In a corner of three planes the friction is not determined; the proxy rests there all the
+    """Friction changes nothing where planes hold every direction.
+
+    In a corner of three planes the friction is not determined, and the proxy rests there all the
     same.
     """
     planes = [HalfSpace((0.0, 0.0, 0.0), normal) for normal in np.eye(3)]
@@ -190,8 +200,10 @@ def test_friction_changes_nothing_where_planes_hold_every_direction():
 
 
 def test_friction_starts_where_the_surface_is_met():
-    """A device that comes down slanting sticks where its path meets the plane, not below where
-    it set out.
+    """Friction starts where the device touches the surface.
+
+    A device that comes down at a slant sticks where its path crosses the plane, not below its
+    start.
     """
     proxy = point_on(PLANE, start=(0.0, 0.0, 1.03e-3), friction=2.0)
     result = walk(
@@ -259,8 +271,10 @@ def test_box_flat_on_a_plane_is_balanced():
 
 
 def test_tilted_device_of_a_box_that_lies_flat():
-    """While the push lies within the base the box is flat, and the torque is the rotational
-    spring's: k l^2 theta.
+    """A box that lies flat resists a tilted device.
+
+    While the push lies within the base the box is flat, and the torque is the rotational spring's:
+    k l^2 theta.
     """
     tilt = 0.04  # l^2 theta = 1.6e-5 < depth x half width = 2.4e-5
     result, pose = box_on_plane(at(0.0, 0.0, HALF[2] - 4e-3), (0.0, tilt, 0.0))
@@ -276,8 +290,9 @@ def test_tilted_device_of_a_box_that_lies_flat():
 
 
 def test_tilted_box_on_its_edge():
-    """On one edge the tilt phi balances springs and push: l^2 (theta - phi) = push x lever arm
-    of the edge.
+    """A box tilted on its edge balances springs and push.
+
+    On one edge the tilt phi obeys l^2 (theta - phi) = push x lever arm of the edge.
     """
     tilt, height = 0.5, 1e-3
     a, c = HALF[0], HALF[2]
@@ -300,7 +315,9 @@ def test_tilted_box_on_its_edge():
 
 
 def test_one_ball_rolls_off_another():
-    """Pressed on a ball beside its top the proxy ends on the line through the device (a smooth,
+    """One ball rolls off another.
+
+    Pressed next to the top of a ball, the proxy ends on the line through the device (a smooth,
     convex surface).
     """
     proxy = point_on(Ball((0.0, 0.0, 0.0), 5e-3), start=(0.0, 0.0, 8e-3), radius=2e-3)
@@ -310,8 +327,9 @@ def test_one_ball_rolls_off_another():
 
 
 def test_coupling_and_wall_in_series():
-    """Case 22: 1200 N/m against 1e4 N/m feels like 1071 N/m; two springs in a row share the
-    force.
+    """Coupling and wall act in series.
+
+    Case 22: 1200 N/m against 1e4 N/m feels like 1071 N/m; two springs in a row share the force.
     """
     felt, push = 1.0 / (1.0 / 1200.0 + 1.0 / 1e4), 2e-3
     assert felt == pytest.approx(1071.4, abs=0.1)

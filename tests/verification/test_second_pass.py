@@ -1,9 +1,8 @@
-"""A second pass over an older cut, against an integral over the ball's surface of the solid that
-the first one left.
+"""Second pass over an older cut, against an integral over the ball's surface.
 
-The integral is written from the law alone: dF = -(N A / (2 pi r)) [(K_tc h + K_te) t + (K_rc h +
-K_re) n] on what advances, lies below the face and outside all capsules that the ball swept on its
-earlier lines.
+The integral covers the solid that the first pass left. It is written from the law alone: dF = -(N A
+/ (2 pi r)) [(K_tc h + K_te) t + (K_rc h + K_re) n] on the surface that advances, lies below the
+face and lies outside all capsules that the ball swept on its earlier lines.
 """
 
 import numpy as np
@@ -19,8 +18,9 @@ BURR = Cutter(ball_burr(diameter_m=2 * R), 6, -100.0)
 FIRST = [(-2, 0, 0.3), (-2, 0, DEPTH), (2, 0, DEPTH)]
 LIFT = [(2, 0, 0.3)]
 NOTHING_LEFT, LITTLE_LEFT = 0.01, 0.02
-"""Of the full cut's force, over 50 ms: what a hand may feel where there is nothing, and the
-error where there is a little.
+"""Bounds relative to the full cut's force, over 50 ms.
+
+The first bounds the force where nothing is left, the second the error where little is left.
 """
 FRAMES = {"lattice": UPRIGHT, "turned": Rotation.from_euler("xyz", [0.5, -0.3, 0.7])}
 
@@ -50,8 +50,9 @@ LITTLE |= {"slanted in depth": along(0.0, DEPTH + 0.2, DEPTH - 0.2)}
 
 
 def surface_sum(cut, ticks, rows=300):
-    """Force [N] at ticks, shape (n, 3), summed over `rows` by twice as many cells of equal
-    angles.
+    """Return the force [N] at ticks, shape (n, 3).
+
+    It is summed over `rows` by twice as many cells of equal angles.
     """
     tips, velocities, lines = cut.ticks()
     centres = 1e-3 * np.array(cut.corners_mm) + [0.0, 0.0, R]

@@ -1,5 +1,6 @@
-"""The force of `Bone.cut` in shallow slots, against an integral of the cutting law over the
-engaged cap of the ball.
+"""Force of `Bone.cut` in shallow slots, against an integral over the engaged cap of the ball.
+
+The integral is taken of the cutting law.
 """
 
 import numpy as np

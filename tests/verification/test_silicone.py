@@ -1,11 +1,10 @@
-"""Silicone cylinders pressed between platens: a modulus from one batch predicts the force of the
-other.
+"""Silicone cylinders pressed between platens: the modulus of one batch predicts the other batch.
 
 Dawood et al. 2026: diameter 50 mm, height 30 mm, three mixes, batches A and B of five tests each.
-Friction of the platens is unreported, so both limits are given: none, which neo-Hookean answers in
-closed form, and bonded, which takes finite elements. One number is fitted, Young's modulus, on
-batch A up to 30 % compression; batch B is predicted. The force is proportional to the modulus, so
-one solve serves all.
+Friction of the platens is unreported, so both limits are given: none, for which neo-Hookean has a
+closed form, and bonded, which needs finite elements. One number is fitted, Young's modulus, on
+batch A up to 30 % compression; the force of batch B is predicted. The force is proportional to the
+modulus, so one solve serves all.
 """
 
 from pathlib import Path
@@ -63,8 +62,10 @@ def frictionless(compression: np.ndarray) -> np.ndarray:
 
 
 def test_column_without_friction():
-    """Quadratic tetrahedra against the closed form of the same compressible law, lateral stretch
-    by bisection.
+    """A column without friction follows the closed form.
+
+    Quadratic tetrahedra are compared with the same compressible law, with the lateral stretch by
+    bisection.
     """
     share = np.array([0.1, 0.2, 0.3])
     lam, mu = lame(1.0, POISSON)
@@ -84,9 +85,9 @@ def test_column_without_friction():
 
 @pytest.mark.slow
 def test_batch_predicts_batch(anatomy, capsys):
-    """Batch B within 10 % (L2) of the prediction to 30 % compression, all mixes and both limits of
-    friction.
+    """One batch predicts the other to 30 % compression.
 
+    Batch B is within 10 % (L2) of the prediction, for all mixes and both limits of friction.
     Batches scatter by 2 to 7 % against each other at one compression, so a single modulus cannot do
     better. Beyond 50 % the silicone stiffens more than neo-Hookean: the error there is printed and
     must show.
@@ -133,10 +134,11 @@ def test_batch_predicts_batch(anatomy, capsys):
     ("column", "most"), [(yeoh_column, 0.1), (ogden_column, 0.1), (neo_hookean_column, 0.25)]
 )
 def test_a_stiffening_law_predicts_the_other_batch_to_60_percent(anatomy, column, most):
-    """Constants by batch A; error of batch B, root mean square over its tests, over its mean curve
-    (L2).
+    """A stiffening law predicts the other batch to 60 %.
 
-    Batches are 3.6 to 8.5 % apart. Neo-Hookean, which does not stiffen enough, fails.
+    The constants come from batch A. The error of batch B is the root mean square over its tests,
+    relative to its mean curve (L2). Batches are 3.6 to 8.5 % apart. Neo-Hookean, which does not
+    stiffen enough, fails.
     """
     at, errors = np.linspace(0.01, 0.6, 60), []
     for mix in MIXES:
@@ -180,10 +182,11 @@ def test_columns_are_those_of_the_laws():
 def test_small_strains_of_a_batch_predict_the_other_within_twice_the_scatter(
     anatomy, bonded, capsys
 ):
-    """Linear law on the engine's mesh, to 5 % compression; the scatter is the standard deviation of
-    all ten tests.
+    """Small strains of a batch predict the other within twice the scatter.
 
-    To 30 % the same law is off by more than twice the scatter, which the figure must show.
+    The linear law is used on the engine's mesh, to 5 % compression; the scatter is the standard
+    deviation of all ten tests. To 30 % the law is off by more than twice the scatter, which the
+    figure must show.
     """
     stiffness = float(pressed(np.array([0.05]), bonded=bonded, law=Law.LINEAR)[0]) / 0.05
     errors = {
@@ -202,9 +205,7 @@ def test_small_strains_of_a_batch_predict_the_other_within_twice_the_scatter(
 
 
 def offness(folder: Path, mix: str, stiffness: float, most: float) -> tuple[float, float]:
-    """Young's modulus [Pa] by batch A, and the error of its prediction of batch B over the
-    scatter of both.
-    """
+    """Return Young's modulus [Pa] by batch A, and its error for batch B over both scatters."""
     at = np.linspace(0.01, most, round(100 * most))
     known, unknown = (
         np.array([np.interp(at, s, p) for s, p in traces(folder, mix, batch)]) for batch in "AB"

@@ -1,8 +1,8 @@
-"""Silicone cylinders pressed to 60 % strain: each hyperelastic law is fitted to batch A and
-predicts batch B.
+"""Silicone cylinders pressed to 60 % strain: laws fitted to batch A predict batch B.
 
-Cylinders and platens as in `test_silicone`; the platens are taken as free of friction and the
-silicone as incompressible, so the force is the closed form of uniaxial compression.
+Each hyperelastic law is tested. Cylinders and platens are as in `test_silicone`. The platens are
+assumed frictionless and the silicone incompressible, so the force is the closed form of uniaxial
+compression.
 """
 
 from collections.abc import Callable
@@ -60,10 +60,10 @@ def test_a_fit_returns_the_law_that_was_planted(name):
 
 
 def test_batch_predicts_batch_to_60_percent(anatomy, capsys):
-    """Laws with two constants or more predict batch B within 10 % (L2, mean of its five tests);
-    neo-Hookean does not.
+    """One batch predicts the other to 60 percent.
 
-    Single cylinders of the softest mix are up to 11 % off.
+    Laws with two constants or more predict batch B within 10 % (L2, mean of its five tests);
+    neo-Hookean does not. Single cylinders of the softest mix are up to 11 % off.
     """
     lines, errors = [], {name: [] for name in LAWS}
     for mix in MIXES:

@@ -162,8 +162,10 @@ def test_the_regression_does_not_know_units():
 
 
 def test_with_a_wide_prior_it_is_least_squares_within_users():
-    """Far more variance between users than within: slopes are those of the columns with users'
-    means taken out.
+    """With a wide prior the regression is least squares within users.
+
+    The variance between users is far larger than within: slopes equal those of the columns with
+    users' means removed.
     """
     values, columns, person = trials_of(np.random.default_rng(9), between=50.0)
     found = regression(values, columns, person, response="error", slope_spread=1e4)
@@ -176,7 +178,7 @@ def test_with_a_wide_prior_it_is_least_squares_within_users():
 
 @pytest.mark.slow
 def test_quadrature_agrees_with_chains():
-    """The same model by NUTS: medians and ends of intervals within the chains' own error."""
+    """Quadrature and NUTS agree on medians and interval ends within the chains' own error."""
     numpyro = pytest.importorskip(
         "numpyro", reason="numpyro is not installed: it checks the quadrature by chains"
     )

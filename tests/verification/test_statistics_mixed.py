@@ -46,8 +46,9 @@ def study(seed, *, users=6, trials=5, user=1.0, taste=0.6, trial=0.7, rest=1.0, 
 
 
 def test_in_a_complete_design_it_is_the_exact_test_of_each_stratum():
-    """Restricted likelihood has a closed form there, as long as no variance is estimated as
-    zero.
+    """In a complete design the test is the exact test of each stratum.
+
+    Restricted likelihood has a closed form there, as long as no variance is estimated as zero.
     """
     table = study(1, users=8)
     fitted = mixed_model(table, "force_error")
@@ -97,8 +98,10 @@ def test_several_tasks_in_one_model():
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_fit_that_wrongly_claims_to_converge_is_caught(seed):
-    """Trials that repeat exactly leave no residual; statsmodels then reports success with an F
-    several times too large.
+    """A fit that wrongly claims to converge is detected.
+
+    Trials that repeat exactly leave no residual; statsmodels then reports success with an F several
+    times too large.
     """
     table = study(seed, trials=3, rest=0.0)
     model = mixed_model(table, "force_error")

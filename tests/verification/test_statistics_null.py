@@ -22,8 +22,9 @@ from tissue.evaluation.statistics.trials import Cells
 
 ALPHA = 0.05
 OFF = 0.01
-"""False alarms are wanted at 5 +- 1 %: four and a half standard errors of 10,000 replications,
-two of 2,000.
+"""Tolerance of the false alarm rate of 5 %.
+
+It is four and a half standard errors of 10,000 replications, two of 2,000.
 """
 USERS, TRIALS = 12, 8
 WORLD = Components(user=1.0, user_method=0.3, trial=0.5, residual=1.0)
@@ -53,8 +54,9 @@ def test_strata_alarm_at_the_stated_level(name):
 
 
 def test_chi_squared_alarms_too_often_with_few_users():
-    """Why Wald's statistic of a mixed model is referred to F: with five users a group, chi
-    squared has over 8 %.
+    """Chi squared has over 8 % false alarms with five users a group.
+
+    For this reason Wald's statistic of a mixed model is referred to F.
     """
     values, groups = null(10_000, users=5)
     found = strata(values, groups, (4,), between=True)
@@ -64,8 +66,10 @@ def test_chi_squared_alarms_too_often_with_few_users():
 
 @pytest.mark.parametrize("name", ["method", "group x method"])
 def test_without_sphericity_the_corrected_test_holds(name):
-    """One method that users take very differently: the plain test alarms too often, Greenhouse
-    and Geisser's does not.
+    """Without sphericity the corrected test holds.
+
+    Users react very differently to one method: the plain test alarms too often, Greenhouse and
+    Geisser's does not.
     """
     values, groups = null(10_000, users=20)
     values[:, :, 3] += 3.0 * np.random.default_rng(2).normal(size=values.shape[:2])
@@ -199,8 +203,10 @@ def cells_of(values, groups):
 
 
 def test_redrawn_users_alarm_nearly_at_their_level():
-    """Users drawn with replacement appear twice: error rates lie near 5 %, within two points at
-    12 users a group.
+    """Redrawn users alarm nearly at their level.
+
+    Users drawn with replacement appear twice: error rates lie near 5 %, within two points at 12
+    users a group.
     """
     shares = []
     for seed in range(8):

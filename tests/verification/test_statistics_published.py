@@ -72,8 +72,9 @@ BOYS = [
     [23.0, 24.5, 26.0, 30.0],
     [22.0, 21.5, 23.5, 25.0],
 ]
-"""Distance between two points of a child's skull at 8, 10, 12 and 14 years [mm] (Potthoff and
-Roy 1964).
+"""Distance between two points of a child's skull at 8, 10, 12 and 14 years [mm].
+
+The data are from Potthoff and Roy (1964).
 """
 DENTAL = np.array(GIRLS + BOYS)
 SEX = np.repeat([0, 1], [len(GIRLS), len(BOYS)])
@@ -82,8 +83,9 @@ PLANTS = (
     [4.81, 4.17, 4.41, 3.59, 5.87, 3.83, 6.03, 4.89, 4.32, 4.69],
     [6.31, 5.12, 5.54, 5.50, 5.37, 5.29, 4.92, 6.15, 5.80, 5.26],
 )
-"""Dried weight of plants under a control and two treatments (Dobson 1983), the data PlantGrowth
-of R.
+"""Dried weight of plants under a control and two treatments (Dobson 1983).
+
+The data are PlantGrowth of R.
 """
 SKULLS = np.array(
     [
@@ -102,8 +104,9 @@ SKULLS = np.array(
         [2.104, 2.101, 1.653],
     ]
 )
-"""Three logarithms of lengths of skulls from three places (SAS/STAT 9.2 User's Guide,
-Introduction to Regression).
+"""Three logarithms of lengths of skulls from three places.
+
+The data are from SAS/STAT 9.2 User's Guide, Introduction to Regression.
 """
 PLACE = np.repeat([0, 1, 2], [6, 4, 3])
 RNG = 8
@@ -169,8 +172,9 @@ def test_strata_of_the_machines_are_the_same_test():
 
 
 def test_growth_of_children():
-    """The analysis by SAS PROC GLM: sex 9.29 (0.0054), age 35.35, both 2.36 (0.0781), epsilon
-    0.8672, Mauchly 0.1997.
+    """The growth of children has the results of SAS PROC GLM.
+
+    They are sex 9.29 (0.0054), age 35.35, both 2.36 (0.0781), epsilon 0.8672, Mauchly 0.1997.
     """
     sex = strata(DENTAL, SEX, (4,), between=True)
     age = strata(DENTAL, SEX, (4,), (0,), between=False)
@@ -269,8 +273,9 @@ def test_tukey_of_plants():
 
 
 def test_groups_of_plants_by_tests_that_rest_on_less():
-    """R: kruskal.test H = 7.9882, p = 0.01842; oneway.test F = 5.181, 17.128 degrees, p =
-    0.01739.
+    """Tests with fewer assumptions on groups of plants agree with R.
+
+    kruskal.test H = 7.9882, p = 0.01842; oneway.test F = 5.181, 17.128 degrees, p = 0.01739.
     """
     values, groups = np.concatenate(PLANTS), np.repeat([0, 1, 2], 10)
     ranks, uneven = (

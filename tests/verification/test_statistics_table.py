@@ -21,8 +21,9 @@ DIRECTIONS = {"force_error": -1, "latency_ms": -1, "arc_length": 1, "position_er
 
 
 def rows_of(seed=1, *, users=4, trials=3, groups=("expert", "novice"), tasks=("milling", "wall")):
-    """A small study whose methods differ by half a standard deviation each; one quality drives
-    all metrics.
+    """Return a small study whose methods differ by half a standard deviation each.
+
+    One quality drives all metrics.
     """
     rng = np.random.default_rng(seed)
     rows = []
@@ -110,8 +111,10 @@ def test_a_user_whose_trials_all_failed_is_left_out_and_named():
 @pytest.mark.slow
 @pytest.mark.parametrize("kept", ["one method", "one group", "gaps"])
 def test_studies_that_are_not_whole_are_compared(kept):
-    """One method leaves the groups' test, one group the methods'; trials that failed leave
-    unequal numbers, reported.
+    """Incomplete studies are compared.
+
+    One method leaves the test of groups, one group the test of methods. Failed trials leave unequal
+    numbers, which are reported.
     """
     pytest.importorskip(
         "statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'"
@@ -141,7 +144,9 @@ def test_studies_that_are_not_whole_are_compared(kept):
 
 
 def test_weights_of_an_index_by_hand():
-    """Two metrics of correlation r have equal weights; three of which two agree weigh by the
+    """Weights of an index agree with a calculation by hand.
+
+    Two metrics of correlation r have equal weights; three of which two agree weigh by the
     eigenvector.
     """
     weights, loadings, variances = weights_of(np.array([[1.0, 0.6], [0.6, 1.0]]))
@@ -181,8 +186,9 @@ def test_an_index_orders_what_was_planted():
 
 
 def test_raw_components_have_mixed_signs_and_follow_the_units():
-    """E14: weights from the covariance of raw metrics add what is good to what is bad, and
-    change with millimetres.
+    """Raw components have mixed signs and follow the units (E14).
+
+    Weights from the covariance of raw metrics add good to bad values, and change with millimetres.
     """
     table = table_of(users=10).where(task="wall")
 

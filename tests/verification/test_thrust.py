@@ -1,5 +1,6 @@
-"""A tool that a thrust pushes into bone, against the balance of forces integrated by itself from
-closed forms.
+"""Tool that a thrust pushes into bone, against the balance of forces.
+
+The balance is integrated separately from closed forms.
 """
 
 from math import pi
@@ -72,7 +73,9 @@ def pushed(tool, thrust_N, *, duration_s=0.35, max_mm_s=MAX_MM_S):
     ],
 )
 def test_force_never_exceeds_the_thrust_and_what_stops_the_mass(name, thrust_N):
-    """In every tick m (v - v_before) / dt = thrust - F where the feed limit does not act; F
+    """The force never exceeds the thrust and the force that stops the mass.
+
+    In every tick m (v - v_before) / dt = thrust - F where the feed limit does not act, and F is
     below it where it does.
     """
     run = pushed(TOOLS[name], thrust_N)
@@ -109,8 +112,9 @@ def plunged_N(radius_m, flutes, omega, depth_m, speed_m_s):
 
 
 def integrated(thrust_N, force_N, ticks):
-    """Depths [m] and forces [N] of implicit Euler ticks, each solved by bisection for the force
-    at its own end.
+    """Return depths [m] and forces [N] of implicit Euler ticks.
+
+    Each is solved by bisection for the force at its own end.
     """
     depth, speed, rows = -1e-3 * START_MM, 0.0, []
     for _ in range(ticks):
@@ -131,7 +135,9 @@ def integrated(thrust_N, force_N, ticks):
 
 @pytest.mark.parametrize("thrust_N", [pytest.param(25.0, marks=pytest.mark.slow), 40.0])
 def test_ball_follows_the_balance_integrated_from_its_elements(thrust_N):
-    """Depth within 1 % of 2 mm at all times, the force within 3 % of the thrust: 0.2 mm voxels,
+    """A ball follows the balance integrated from its elements.
+
+    The depth is within 1 % of 2 mm at all times, the force within 3 % of the thrust: 0.2 mm voxels,
     6000 elements.
     """
     tool = TOOLS["ball"]
@@ -146,8 +152,10 @@ def test_ball_follows_the_balance_integrated_from_its_elements(thrust_N):
 
 
 def test_flat_end_cuts_at_the_feed_of_the_closed_form():
-    """Over a flat end the edges' lengths add up to N R: F = N R ((K_rc - K_ac) h + K_re - K_ae),
-    and torque N R^2 / 2.
+    """A flat end cuts at the feed of the closed form.
+
+    Over a flat end the edges' lengths add up to N R: F = N R ((K_rc - K_ac) h + K_re - K_ae), and
+    torque N R^2 / 2.
     """
     tool, thrust = TOOLS["end mill"], 60.0
     run = pushed(tool, thrust)
@@ -165,8 +173,10 @@ def test_flat_end_cuts_at_the_feed_of_the_closed_form():
 
 
 def test_feed_limit_is_an_event_and_in_the_summary():
-    """30 and 60 N give one force at a limit of 1 mm/s, and both report for how long it acted; a
-    reamer never reaches it.
+    """The feed limit is an event and in the summary.
+
+    30 and 60 N give one force at a limit of 1 mm/s, and both report how long it acted; a reamer
+    never reaches it.
     """
     runs = [
         pushed(TOOLS["drill"], thrust_N, duration_s=1.0, max_mm_s=1.0) for thrust_N in (30.0, 60.0)

@@ -10,7 +10,9 @@ from tissue.models.tooth.supports import NodeSupports
 
 
 def test_bars_in_series_are_exact():
-    """Three bars between two plates: E_eff = sum h / sum (h / E), over a contrast of enamel to
+    """Bars in series are exact.
+
+    Three bars between two plates have E_eff = sum h / sum (h / E), over a contrast of enamel to
     pulp.
     """
     moduli, parts, edge = np.array([84e9, 2e6, 18.6e9]), np.array([2, 3, 4]), 1e-3
@@ -40,12 +42,12 @@ def test_bars_in_series_are_exact():
 
 
 def test_bilayer_beam():
-    """100:1, stiff on top, bent by its ends about the axis .745050 from the soft face: EI =
-    1.175846, no axial force.
+    """The bilayer beam follows the closed form.
 
-    The ends turn without warping, so with Poisson's ratio 0 the exact field is pure bending. 16
-    cells in the height, 4^3 particles each; 1 % is the case's tolerance, trilinear cells stiffen
-    bending by 1 / (2 n^2) of each layer.
+    Its contrast is 100:1, stiff on top, and its ends bend it about the axis .745050 from the soft
+    face: EI = 1.175846, no axial force. The ends turn without warping, so with Poisson's ratio 0
+    the exact field is pure bending. There are 16 cells in the height with 4^3 particles each. The
+    case's tolerance is 1 %; trilinear cells stiffen bending by 1 / (2 n^2) of each layer.
     """
     through, length, axis, turn = 16, 1.0, 0.745050, 1e-3
     edge = 1.0 / through

@@ -1,5 +1,6 @@
-"""Support compliance against closed forms: a stiff block on springs and on a uniform elastic
-layer.
+"""Support compliance against closed forms.
+
+They are a stiff block on springs and on a uniform elastic layer.
 """
 
 import numpy as np
@@ -15,8 +16,11 @@ STIFF = 1e15  # [Pa], a million times what the supports are: the block moves as 
 
 
 def test_stiff_block_on_springs():
-    """Springs S in any direction at random points: K = sum R^T S R over them, about a point above,
-    where the motions couple."""
+    """A stiff block on springs has the exact stiffness.
+
+    With springs S in any direction at random points it is K = sum R^T S R over them, about a point
+    above, where the motions couple.
+    """
     particles, grid = block((4, 4, 4), EDGE, modulus_Pa=STIFF)
     random = np.random.default_rng(3)
     points = EDGE * random.uniform(0.0, 4.0, (25, 3)) * [1.0, 1.0, 0.3]
@@ -39,11 +43,11 @@ def test_stiff_block_on_springs():
 
 
 def test_stiff_block_on_an_elastic_layer():
-    """Layer of Poisson's ratio 0 and thickness t, held below: K_z = E A / t, K_x = G A / t, K_rz =
-    G I_p / t.
+    """A stiff block on an elastic layer follows the closed form.
 
-    One layer of cells cannot bulge, so the compression and shear are those of the closed form to 1
-    %, what the free edge of a layer of twelve cells adds in shear.
+    The layer has Poisson's ratio 0 and thickness t and is held below: K_z = E A / t, K_x = G A / t,
+    K_rz = G I_p / t. One layer of cells cannot bulge. Compression and shear therefore agree with
+    the closed form to 1 %, which the free edge of a layer of twelve cells adds in shear.
     """
     soft, side = 50e6, 12
     particles, grid = block(

@@ -30,8 +30,9 @@ DEEP = {
 
 
 class Drilled:
-    """A molar drilled into its pulp, and the stress of each frame beside a cold solve of the
-    same state.
+    """Molar drilled into its pulp.
+
+    The stress of each frame is stored with a cold solve of the same state.
     """
 
     def __init__(self, monkeypatch):
@@ -57,8 +58,9 @@ class Drilled:
         self.force = np.linalg.norm(self.trace.vectors("model_force", "N"), axis=1)
 
     def inside(self, layer):
-        """Ticks in which all that the bur meets is one layer: its half ball is 0.5 mm high,
-        enamel ends near -1.4.
+        """Return the ticks in which the bur touches one layer only.
+
+        Its half ball is 0.5 mm high, enamel ends near -1.4.
         """
         high, low = {"enamel": (-0.5, -1.2), "dentin": (-2.0, -4.5)}[layer]
         depth = self.trace["tool_z_mm"]
@@ -72,8 +74,10 @@ def drilled():
 
 
 def test_the_tooth_gives_by_micrometres_per_newton(drilled):
-    """A tooth in its ligament moves by 1 to 20 um/N, least along its axis; the compliance is
-    that of a passive body.
+    """The tooth moves by micrometres per newton.
+
+    In its ligament it moves by 1 to 20 um/N, the smallest along its axis; the compliance is that of
+    a passive body.
     """
     compliance = drilled.model.stress.compliance
     assert np.array_equal(compliance.matrix, compliance.matrix.T)
@@ -99,8 +103,9 @@ def test_what_is_booked_is_what_is_missing(drilled):
 
 
 def test_particles_lose_what_the_voxels_lose(drilled):
-    """Within 1 %: a particle at the surface holds less than what the finer voxels in its place
-    do, or more.
+    """Particles lose the volume that the voxels lose, within 1 %.
+
+    A particle at the surface holds less than the finer voxels in its place, or more.
     """
     model = drilled.model
     volume, field = model.milling.store.volume, model.stress.field
@@ -120,8 +125,9 @@ def test_particles_lose_what_the_voxels_lose(drilled):
 
 
 def test_stress_after_warm_starts_is_that_of_a_cold_solve(drilled):
-    """Von Mises stress over the cells, relative L2: within 0.5 %, at every frame of the
-    drilling.
+    """Stress after warm starts equals that of a cold solve.
+
+    Von Mises stress over the cells, relative L2, is within 0.5 % at every frame of the drilling.
     """
     assert len(drilled.lead) > 20
     assert max(drilled.lead) < 0.005
@@ -129,8 +135,10 @@ def test_stress_after_warm_starts_is_that_of_a_cold_solve(drilled):
 
 
 def test_the_pulp_is_reported_before_it_is_hit(drilled):
-    """Both limits and the exposure once each, in their order; the exposure within a voxel of the
-    pulp's roof.
+    """The pulp is reported before the bur reaches it.
+
+    Both limits and the exposure are reported once each, in their order; the exposure within a voxel
+    of the pulp's roof.
     """
     # a busy machine also reports late stress
     on_pulp = [event for event in drilled.run.events if "pulp" in event[1]]
@@ -156,7 +164,9 @@ def test_the_pulp_is_reported_before_it_is_hit(drilled):
 
 
 def test_forces_are_those_of_preparing_a_tooth(drilled):
-    """Enamel within the published 0.1 to 4.9 N of tooth preparation, and more than three times
+    """Forces are those of preparing a tooth.
+
+    Enamel lies within the published 0.1 to 4.9 N of tooth preparation, and is more than three times
     dentin's force.
     """
     enamel, dentin = (
@@ -170,8 +180,9 @@ def test_forces_are_those_of_preparing_a_tooth(drilled):
 
 
 def dentin_over(pulp_distance):
-    """A bur over a pulp given by its distance function of points [m], in a block of dentin with
-    its top at z = 0.
+    """Return a bur over a pulp, in a block of dentin with its top at z = 0.
+
+    The pulp is given by its distance function of points [m].
     """
     shape = (60, 40, 70)
     origin = SPACING_M * np.array([-30.0, -20.0, -70.0])
@@ -204,8 +215,9 @@ def dentin_over(pulp_distance):
 
 
 def test_dentin_over_a_flat_pulp():
-    """The tip's height over it, within half a voxel, and the least of them once the bur goes up
-    again.
+    """The dentin over a flat pulp is the tip's height over it, within half a voxel.
+
+    Once the bur moves up again it stays at the smallest height.
     """
     model, at = dentin_over(lambda x: x[..., 2] + 2.0 * MM)
     for depth in np.linspace(0.05, 1.95, 39):
@@ -218,7 +230,10 @@ def test_dentin_over_a_flat_pulp():
 
 
 def test_dentin_over_a_round_pulp():
-    """The gap between two spheres, within half a voxel, as the bur comes down beside it."""
+    """The dentin over a round pulp is the gap between two spheres as the bur comes down next to it.
+
+    The tolerance is half a voxel.
+    """
     centre, radius = np.array([0.1, 0.0, -2.2]), 0.8
     _, at = dentin_over(lambda x: np.linalg.norm(x - MM * centre, axis=-1) - radius * MM)
     before = np.inf

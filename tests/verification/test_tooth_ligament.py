@@ -1,5 +1,6 @@
-"""The bed of springs that a tooth rests in, against closed forms that know neither the voxels
-nor the frame.
+"""Bed of springs that supports a tooth, against closed forms.
+
+The closed forms depend neither on the voxels nor on the frame.
 """
 
 import numpy as np
@@ -40,8 +41,9 @@ def springs_on(tooth, bed, *, spacing_m, origin_m=(0.0, 0.0, 0.0)):
 
 
 def test_flat_bed():
-    """The springs sum to area times stiffness; only rounding is left, since no face of the
-    border leans.
+    """The springs of a flat bed sum to area times stiffness.
+
+    Only rounding is left, since no face of the border leans.
     """
     tooth, bed = np.zeros((2, 12, 8, 8), dtype=bool)
     tooth[:, :, 2:], bed[:, :, :2] = True, True
@@ -54,8 +56,9 @@ def test_flat_bed():
 
 
 def rigid(solid, bed, *, edge_m, spacing_m, origin_m):
-    """Support compliance of a rigid body of voxels in a bed, about the frame's origin, its
-    springs and their area.
+    """Return the support compliance of a rigid body of voxels in a bed, its springs and their area.
+
+    The compliance is taken about the frame's origin.
     """
     springs, area = springs_on(solid, bed, spacing_m=spacing_m, origin_m=origin_m)
     position = origin_m + spacing_m * (np.argwhere(solid) + 0.5)
@@ -72,10 +75,12 @@ def rigid(solid, bed, *, edge_m, spacing_m, origin_m):
 
 
 def test_rigid_sphere_in_its_bed():
-    """Along every axis it gives by 1 / (A (k_n + 2 k_t) / 3), and only the bed's shear resists its
-    rotation, by 2/3 A R^2 k_t. The springs act half a voxel below the surface, 2 % of the radius
-    and twice that of the rotation's stiffness; with the diagonal of each spring alone it would be 1
-    + (k_n / k_t - 1) / 5 = 3 times too stiff.
+    """A rigid sphere in its bed has the compliance of the closed form.
+
+    Along every axis it moves by 1 / (A (k_n + 2 k_t) / 3), and only the bed's shear resists its
+    rotation, by 2/3 A R^2 k_t. The springs act half a voxel below the surface, which is 2 % of the
+    radius and twice that of the rotation's stiffness. With the diagonal of each spring alone it
+    would be 1 + (k_n / k_t - 1) / 5 = 3 times too stiff.
     """
     count, spacing = 56, 0.1 * MM
     radius = 22.3 * spacing
@@ -101,9 +106,11 @@ def test_rigid_sphere_in_its_bed():
 
 @pytest.mark.parametrize("turn_deg", [20.0, 45.0])
 def test_tilted_plate(turn_deg):
-    """A flat bed across n, however it lies in the voxels, is A (k_t I + (k_n - k_t) n n^T): the
-    normals of the voxels' smooth surface err by less than a degree, which turns 0.016 of the
-    stiffness across."""
+    """A tilted plate has the stiffness A (k_t I + (k_n - k_t) n n^T).
+
+    The bed is flat across n, at any angle in the voxels. The normals of the voxels' smooth surface
+    err by less than a degree, which turns 0.016 of the stiffness across.
+    """
     count, spacing = 64, 0.1 * MM
     normal = Rotation.from_euler("xz", [turn_deg, 0.6 * turn_deg], degrees=True).as_matrix()[:, 2]
     centres = spacing * (np.stack(np.indices((count,) * 3), axis=-1) + 0.5 - count / 2)
@@ -116,9 +123,12 @@ def test_tilted_plate(turn_deg):
 
 
 def test_a_turned_frame_gives_the_same_compliance_turned():
-    """A rigid root, an ellipsoid held below its middle, in one frame and in another, turned about
-    all axes: the matrices differ by the voxels' staircase alone, 3 % of the geometric means of the
-    diagonal."""
+    """A turned frame gives the same compliance, turned.
+
+    A rigid root, an ellipsoid held below its middle, is placed in one frame and in another, turned
+    about all axes. The matrices differ by the voxels' staircase alone, 3 % of the geometric means
+    of the diagonal.
+    """
     count, spacing = 60, 0.1 * MM
     origin = np.full(3, -0.5 * count * spacing)
     centres = origin + spacing * (np.stack(np.indices((count,) * 3), axis=-1) + 0.5)

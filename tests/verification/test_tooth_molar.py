@@ -1,5 +1,8 @@
-"""The real molar in its ligament, held outside: it must solve at every cell size, and 1 N on a cusp
-moves it by micrometres. The meshes are OpenMandible's first lower molar, in millimetres."""
+"""Real molar in its ligament, held outside.
+
+It must solve at every cell size, and 1 N on a cusp moves it by micrometres. The meshes are
+OpenMandible's first lower molar, in millimetres.
+"""
 
 from functools import cache
 from time import perf_counter
@@ -18,8 +21,9 @@ MEASURED_LIGAMENT = 0.5e6  # within the measured 0.05-1 MPa; finite element pape
 
 
 def inside(vertices, faces, axes):
-    """Which points of a lattice lie in a closed surface, by the winding number along vertical
-    lines.
+    """Return True for the lattice points inside a closed surface.
+
+    The winding number along vertical lines decides.
     """
     from meshes.voxels.column_crossings import column_crossings
 
@@ -54,8 +58,9 @@ def labels(folder, spacing_m):
 
 
 def molar(folder, edge_m, *, ligament_Pa, shift=0.0):
-    """The tooth at two particles along a cell's edge; held are the nodes outside it around which
-    all is ligament.
+    """Return the tooth at two particles along a cell's edge.
+
+    Held are the nodes outside it that are surrounded by ligament only.
     """
     spacing = edge_m / 2.0
     label, low = labels(folder, spacing)
@@ -131,8 +136,10 @@ def test_molar_solves_at_quarter_millimetre(anatomy):
 @pytest.mark.slow
 @pytest.mark.parametrize("shift", [0.13, 0.31, 0.57, 0.83])
 def test_molar_solves_wherever_the_grid_lies(anatomy, shift):
-    """The grid's place cuts other cells, leaves other islands and moves particles in their
-    cells: 13 to 15 iterations.
+    """The molar solves for every position of the grid.
+
+    The position cuts other cells, leaves other islands and moves particles in their cells: 13 to 15
+    iterations.
     """
     body = molar(anatomy, 4e-4, ligament_Pa=50e6, shift=shift)
     found = body.solve(press_cusp(body), tolerance=1e-6)

@@ -1,5 +1,6 @@
-"""Patch tests: a linear field is exact on full cells, and where particles lie at random the
-error has its order.
+"""Patch tests.
+
+A linear field is exact on full cells, and where particles lie at random the error has its order.
 """
 
 import numpy as np
@@ -16,8 +17,10 @@ EXACT = 1e-10
 
 
 def patch_error(body):
-    """Root mean square error of inner displacements and largest of stress, over the largest
-    value of each.
+    """Return the relative errors of inner displacements and stress.
+
+    They are the root mean square of displacements and the largest of stress, over the largest value
+    of each.
     """
     wanted = body.grid.node_position_m @ FIELD.T
     found = body.solve(np.zeros_like(wanted), tolerance=1e-13)
@@ -61,8 +64,10 @@ def random_patch(cells, per_cell, seed):
 
 
 def test_random_particles_err_with_the_root_of_their_number():
-    """Monte Carlo quadrature: stress error falls as N^-1/2 (0.15: scatter of four points over 12
-    seeds).
+    """The error of random particles falls with the root of their number.
+
+    By Monte Carlo quadrature, the stress error falls as N^-1/2 (0.15: scatter of four points over
+    12 seeds).
     """
     counts = np.array([8, 32, 128, 512])
     errors = [
@@ -77,8 +82,10 @@ def test_random_particles_err_with_the_root_of_their_number():
 
 
 def test_random_particles_still_converge_in_displacement():
-    """At 8 particles a cell the stress error stays, but the displacement error falls with the
-    edge: order 1.
+    """Random particles still converge in displacement.
+
+    At 8 particles a cell the stress error stays, but the displacement error falls with the edge:
+    order 1.
     """
     cells = np.array([4, 8, 12])
     errors = [

@@ -1,8 +1,7 @@
-"""Stress recovered over a fixed length against the mean of known fields over the same balls: order
-2 in the cells.
+"""Stress recovered over a fixed length, against the mean of known fields over the same balls.
 
-Beside a hole: Lame's hollow sphere, cut from a grid. Beside a load: Kelvin's point force, spread
-over a ball.
+The order is 2 in the cells. At a hole the field is Lame's hollow sphere, cut from a grid. At a load
+it is Kelvin's point force, spread over a ball.
 """
 
 import numpy as np
@@ -32,8 +31,9 @@ def ball(reach, count=41):
 
 
 def places_by_the_hole(count=30):
-    """Random places of the octant up to 0.25 from the hole, whose ball no plane of symmetry
-    cuts.
+    """Return random places of the octant up to 0.25 from the hole.
+
+    No plane of symmetry cuts their balls.
     """
     random = np.random.default_rng(0)
     out = np.abs(random.normal(size=(40 * count, 3)))
@@ -77,8 +77,9 @@ def errors_by_the_hole(cells):
     [((8, 12), 0.03), pytest.param((8, 12, 16, 24, 32), 0.0035, marks=pytest.mark.slow)],
 )
 def test_stress_beside_a_hole(cells, finest):
-    """Order 1.8 or more in the edge, where the stress at single particles comes down with 1 at
-    best.
+    """Stress next to a hole converges with order 1.8 or more in the edge.
+
+    The stress at single particles converges with order 1 at best.
     """
     recovered, single = np.array([errors_by_the_hole(n) for n in cells]).T
     print(
@@ -95,8 +96,11 @@ FORCE = np.array([0.3, -0.5, 0.8])
 
 
 def kelvin(position, moment):
-    """Displacement by Kelvin's force in a ball of this second moment per mass, and averaged over
-    another: U + moment times U's Laplacian over 6, exact outside, for U is biharmonic."""
+    """Return displacements by Kelvin's force in a ball of this second moment per mass.
+
+    It is averaged over another ball: U + moment times U's Laplacian over 6, exact outside, because
+    U is biharmonic.
+    """
     r = np.linalg.norm(position, axis=1)[:, None]
     along = (position @ FORCE)[:, None] * position
     plain = (3.0 - 4.0 * RATIO) * FORCE / r + along / r**3
@@ -121,8 +125,9 @@ def kelvin_stress(position, moment, step=1e-4):
 
 
 def errors_by_the_load(cells):
-    """Relative error of the recovered stress under a force spread over a ball, and under one at
-    a point.
+    """Return the relative error of the recovered stress under a spread force and a point force.
+
+    The first is spread over a ball.
     """
     particles, grid = block(
         (cells,) * 3, 2.0 * HALF / cells, modulus_Pa=2.0 * SHEAR * (1.0 + RATIO), places=lattice(2)
@@ -162,9 +167,12 @@ def test_stress_beside_a_load():
 
 @pytest.mark.parametrize("cells", [4, 8])
 def test_layers_are_not_mixed_and_removed_particles_do_not_count(cells):
-    """Two layers of unlike modulus under one strain: each place has its own layer's stress, whether
-    particles count singly or by cells; where nothing of it is left, or no cell carries load, it is
-    not a number."""
+    """Layers are not mixed and removed particles do not count.
+
+    Two layers of unlike modulus are under one strain: each place has its own layer's stress,
+    whether particles count singly or by cells. Where nothing of the layer is left, or no cell
+    carries load, the stress is not a number.
+    """
     particles, grid = block(
         (cells,) * 3, 1.0 / cells, modulus_Pa=lambda x: np.where(x[:, 0] > 0.5, 9.0, 1.0)
     )

@@ -1,5 +1,6 @@
-"""Iterations over contrast and refinement, every outcome of a solve, islands, removal and warm
-starts.
+"""Iterations over contrast and refinement, and outcomes of a solve.
+
+The tests also cover islands, removal and warm starts.
 """
 
 import numpy as np
@@ -17,8 +18,9 @@ CONTRASTS = (1.0, 100.0, 4200.0, 42000.0)
 
 
 def ball_in_block(cells, contrast):
-    """84 GPa around a ball of 84 GPa / contrast, on a layer of the same: pulp and ligament at
-    once.
+    """Return 84 GPa around a ball of 84 GPa / contrast, on a layer of that softer modulus.
+
+    It represents pulp and ligament at once.
     """
 
     def modulus(x):
@@ -35,8 +37,10 @@ def push(body, at=(0.5, 0.4, 1.0)):
 
 @pytest.mark.slow
 def test_iterations_follow_neither_contrast_nor_refinement():
-    """To 1e-6 in the energy norm, from rest; 25 is the real molar's count, no grid may take 8
-    more than the first.
+    """Iterations follow neither contrast nor refinement.
+
+    The solve is to 1e-6 in the energy norm, from rest; 25 is the real molar's count, no grid may
+    need 8 more than the first.
     """
     counts = np.array(
         [
@@ -55,8 +59,9 @@ def test_iterations_follow_neither_contrast_nor_refinement():
 
 
 def with_pieces():
-    """A bar held at one end, a cell that meets it in an edge, and two cells apart from it; held
-    at x = 0.
+    """Return a bar held at x = 0 with separate pieces.
+
+    They are a cell that touches the bar in an edge, and two cells apart from it.
     """
     bar = [[i, 0, 0] for i in range(4)]
     cells = np.array([*bar, [4, 1, 0], [2, 3, 0], [2, 4, 0]])
@@ -135,8 +140,10 @@ def test_no_load_needs_no_iteration():
 
 @pytest.mark.slow
 def test_removed_particles_leave_the_stiffness_of_a_fresh_assembly():
-    """1,000 random removals, one update each: only touched cells are summed, and the result is
-    the fresh one's bits.
+    """Removed particles leave the stiffness of a fresh assembly.
+
+    After 1,000 random removals, one update each, only touched cells are summed, and the result
+    equals the fresh one bit for bit.
     """
     body = ball_in_block(8, 42000.0)
     random = np.random.default_rng(0)
@@ -169,8 +176,10 @@ def test_removed_particles_leave_the_stiffness_of_a_fresh_assembly():
 
 
 def test_stress_after_warm_starts_is_that_of_a_cold_solve():
-    """A ball cuts 20 steps deep, every solve from the last: largest stress difference below 0.5
-    % of the largest.
+    """Stress after warm starts equals that of a cold solve.
+
+    A ball cuts 20 steps deep, every solve from the last: the largest stress difference is below 0.5
+    % of the largest stress.
     """
     body = ball_in_block(16, 42000.0)
     position = body.particles.position_m

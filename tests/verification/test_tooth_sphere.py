@@ -1,5 +1,6 @@
-"""Hollow sphere under inner pressure (Lame, validation case 3) cut from a grid, beside
-body-fitted tetrahedra.
+"""Hollow sphere under inner pressure, cut from a grid (Lame, validation case 3).
+
+It is compared with body-fitted tetrahedra.
 """
 
 import numpy as np
@@ -47,8 +48,9 @@ def particle_errors(cells, **options):
 
 
 def tetrahedra_errors(cells):
-    """The same of body-fitted linear tetrahedra: a cube's shell, of max-norm 1 to 2, bent onto
-    the sphere.
+    """Compute the same errors for body-fitted linear tetrahedra.
+
+    Their mesh is a cube's shell, of max-norm 1 to 2, bent onto the sphere.
     """
     skfem = pytest.importorskip("skfem")
     from skfem.helpers import ddot, dot, sym_grad
@@ -86,8 +88,10 @@ def tetrahedra_errors(cells):
 
 @pytest.mark.slow
 def test_lame_sphere_converges():
-    """Energy converges at least with order 1 and stress, in the energy norm, with 1 (0.85: four
-    cut grids scatter).
+    """Lame's sphere converges.
+
+    Energy converges with order 1 or higher, and stress, in the energy norm, with order 1 (0.85:
+    four cut grids scatter).
     """
     cells = np.array([8, 12, 16, 24])
     particle = np.array([particle_errors(int(n))[:2] for n in cells])
@@ -103,8 +107,10 @@ def test_lame_sphere_converges():
 
 @pytest.mark.slow
 def test_particles_against_body_fitted_tetrahedra():
-    """On grids of equal edge the cut cells err less than linear tetrahedra that follow the
-    surfaces.
+    """Particles have a smaller error than body-fitted tetrahedra.
+
+    The cut cells are compared with linear tetrahedra that follow the surfaces, on grids of equal
+    edge.
     """
     print("\ncells  particles: energy, stress   tetrahedra: energy, stress")
     for cells in (8, 16):
@@ -115,11 +121,11 @@ def test_particles_against_body_fitted_tetrahedra():
 
 @pytest.mark.slow
 def test_error_and_condition_of_stabilisation():
-    """Condition number of the diagonally scaled stiffness, and errors, over particles a cell and
-    inner stiffness.
+    """Error and condition depend on the stabilisation.
 
-    One particle a cell without it is singular; a tenth closes it and costs less than a tenth of the
-    errors.
+    The condition number of the diagonally scaled stiffness and the errors are given over particles
+    a cell and inner stiffness. One particle a cell without inner stiffness is singular. A tenth
+    closes it and costs less than a tenth of the errors.
     """
     print("\nparticles a cell  strength  condition  energy error  stress error")
     rows = {}

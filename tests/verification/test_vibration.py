@@ -1,5 +1,6 @@
-"""Tooth passing above half the tick rate: plain sampling makes a slow force of it, ours does
-not.
+"""Tooth passing above half the tick rate.
+
+Plain sampling turns it into a slow force, ours does not.
 """
 
 import numpy as np
@@ -12,8 +13,9 @@ TIMES_S = np.arange(TICKS) / RATE_HZ
 
 
 def slow_amplitude(force, below_Hz=100.0):
-    """Greatest amplitude [N] of the force's spectrum between 0 and a frequency, its mean left
-    out.
+    """Return the largest amplitude [N] of the force's spectrum between 0 and a frequency.
+
+    The mean is left out.
     """
     spectrum = np.abs(np.fft.rfft(force - force.mean())) * 2.0 / len(force)
     return spectrum[np.fft.rfftfreq(len(force), 1.0 / RATE_HZ) < below_Hz].max()

@@ -45,8 +45,9 @@ class CushionModel(WallModel):
 
 
 def greatest_force_N(scene: Any) -> float:
-    """Force at the deepest point of the scripted motion, from which the scale of forces at a
-    device is chosen.
+    """Return the force at the deepest point of the scripted motion [N].
+
+    The scale of forces at a device is chosen from it.
     """
     depth_m = max(-1e-3 * min(point[2] for point in scene.motion.points_mm), 0.0)
     cushion = scene.anatomy
@@ -54,7 +55,7 @@ def greatest_force_N(scene: Any) -> float:
 
 
 def draw(run: Any, path: Path) -> None:
-    """A picture of its own among those of a run: force over depth."""
+    """Draw an additional picture for a run: force over depth."""
     from tissue.show.figures.figure import figure, save
 
     chart = figure(5.0, 3.5)

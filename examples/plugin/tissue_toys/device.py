@@ -18,15 +18,14 @@ PEN = DeviceParameters(
 )
 """Numbers of the pen, by which its loop is judged; made up for the example."""
 SPRING_N_M, DAMPER_N_S_M = 80.0, 4.0
-"""What draws it down: a weak spring towards a point that sinks, and a damper."""
+"""Stiffness and damping that pull the device down, towards a point that sinks."""
 SINK_M_S, DEPTH_M = 0.05, 0.03
-"""How fast that point sinks, and how deep."""
+"""Speed at which that point sinks, and the depth at which it stops."""
 
 
 @register.device("toy-pen", PEN)
 class ToyPen(ComputedDevice):
-    """A mass on a spring whose other end sinks; it is pushed back by the force that it is
-    commanded.
+    """Mass on a spring whose other end sinks. The commanded force pushes it back.
 
     Parameters
     ----------
@@ -44,8 +43,9 @@ class ToyPen(ComputedDevice):
         self.time_s = 0.0
 
     def read(self, time_s: float) -> Sample:
-        """Move it up to a time, by half-implicit Euler steps; its pose then, in the steps of its
-        encoders.
+        """Move the mass up to a time by semi-implicit Euler steps and return its pose.
+
+        The pose is rounded to the steps of the encoders.
         """
         step_s, self.time_s = time_s - self.time_s, time_s
         aim_m = self.start_m - np.array([0.0, 0.0, min(SINK_M_S * time_s, DEPTH_M)])
@@ -61,7 +61,8 @@ class ToyPen(ComputedDevice):
         return Sample(time_s, (x, y, z), (u, v, w))
 
     def command(self, force_N: NDArray[np.float64], torque_Nm: NDArray[np.float64]) -> None:
-        """Take the force that it pushes the pen with until the next command; it has no motors
-        for torque.
+        """Set the force that pushes the pen until the next command.
+
+        The pen has no motors for torque.
         """
         self.force_N = np.array(force_N)

@@ -12,7 +12,10 @@ FADE = 0.9
 
 @register.predictor("damped-line", colour="#8C564B", marker="X")
 class DampedLine:
-    """The force goes on along a slope that fades: F + s (1 - r^n) / (1 - r) after n ticks."""
+    """Predictor that continues the force along a fading slope.
+
+    After n ticks the force is F + s (1 - r^n) / (1 - r).
+    """
 
     def __init__(self) -> None:
         self.force_N, self.slope_N = np.zeros(3), np.zeros(3)
@@ -24,5 +27,5 @@ class DampedLine:
             self.force_N = force_N
 
     def predict(self, ticks: float) -> Floats:
-        """Force to be expected so many ticks later [N]."""
+        """Return the expected force a number of ticks later [N]."""
         return self.force_N + (1.0 - FADE**ticks) / (1.0 - FADE) * self.slope_N

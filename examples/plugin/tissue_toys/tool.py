@@ -8,8 +8,9 @@ from tissue.cutters.profile import Line, Profile
 
 @register.tool("step-drill", keys=("length_mm",))
 def step_drill(diameter_m: float, length_m: float) -> Profile:
-    """A drill with a pilot of half its diameter and a third of its length; a scene gives both in
-    mm.
+    """Return the profile of a drill with a pilot of half its diameter and a third of its length.
+
+    A scene gives diameter and length in mm.
     """
     wide, narrow, step = 0.5 * diameter_m, 0.25 * diameter_m, length_m / 3.0
     corners = [

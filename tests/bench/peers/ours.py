@@ -36,7 +36,7 @@ PACKAGES = "tissue-sim warp-lang numpy scipy"
 
 
 def stiffness() -> None:
-    """Beside scikit-fem."""
+    """Measure the work of scikit-fem."""
     from meshes.tets.tetrahedra import TetMesh
     from tissue.fem.assembly import assemble
     from tissue.fem.solvers.direct import DirectSolver
@@ -84,8 +84,9 @@ def stiffness() -> None:
 
 
 def soft() -> None:
-    """Beside MuJoCo and Newton: contact with friction, quasi-static, on the compliance of the
-    slab's top.
+    """Measure the work of MuJoCo and Newton.
+
+    It is contact with friction, quasi-static, on the compliance of the slab's top.
     """
     from meshes.tets.tetrahedra import TetMesh
     from tissue.fem.assembly import assemble
@@ -136,7 +137,7 @@ def soft() -> None:
 
 
 def prediction() -> None:
-    """Beside pykoop."""
+    """Measure the work of pykoop."""
     from tissue.prediction.edmd.dictionary import Delays
     from tissue.prediction.edmd.edmd import Edmd
     from tissue.prediction.edmd.episodes import Episode
@@ -177,7 +178,7 @@ def prediction() -> None:
 
 
 def threshold() -> None:
-    """Beside questplus."""
+    """Measure the work of questplus."""
     from tissue.perception.adaptive import AdaptiveThreshold, ThresholdPrior
 
     steps, rng = steps_N(), np.random.default_rng(0)
@@ -202,7 +203,7 @@ def threshold() -> None:
 
 
 def milling() -> None:
-    """Beside booleans of meshes and brute force: bricks of voxels, the cutting force with them."""
+    """Measure the work of mesh booleans and brute force: voxel bricks with the cutting force."""
     from meshes.shapes.anatomy import cortical_block
     from meshes.voxels.voxelise import voxelise
     from tissue.cutters.cutter import Cutter

@@ -1,5 +1,6 @@
-"""manifold3d: the burr's ball taken from a block tick by tick, by exact booleans of triangle
-meshes.
+"""Peer manifold3d, which subtracts the burr's ball from a block tick by tick.
+
+It uses exact booleans of triangle meshes.
 """
 
 import numpy as np

@@ -8,8 +8,9 @@ import numpy as np
 from works import BALL_M, POISSON, SLAB_M, SLABS, STEP_S, YOUNG_PA, ball_centre, print_result, timed
 
 KINDS = {"Euler": 0.0, "discrete": 0.01}
-"""Integrators and the damping [s] with which they are stable here at 1 ms: explicit elasticity
-without, implicit with.
+"""Integrators and the damping [s] with which they are stable here at 1 ms.
+
+Explicit elasticity needs none, implicit elasticity needs it.
 """
 
 

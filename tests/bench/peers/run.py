@@ -1,10 +1,9 @@
-"""The same work by other packages, each in an environment of its own, beside ours: `python
-tests/bench/peers/run.py`.
+"""Benchmarks of the same work by other packages, each in its own environment, and by this project.
 
 `python tests/bench/peers/run.py [NAME ...] [--venvs DIR] [--out DIR] [--rounds N]` makes the
-environments that are missing, runs ours and the peer in turn, N times each, and keeps the fastest
-round of each. `peers.csv` and `peers.md` under --out hold times, ratios and what came out of the
-work, so that one can see that it was the same.
+environments that are missing. It runs our version and the peer in turn, N times each, and keeps the
+fastest round of each. `peers.csv` and `peers.md` under --out hold times, ratios and results, so
+that a reader can check that both did the same work.
 """
 
 import argparse
@@ -35,8 +34,9 @@ PEERS = {
     "warp": ("warp-lang", "numpy"),
     "numpy": ("numpy",),
 }
-"""What each environment holds. questplus is under the GPL: it stays in there and is never
-imported by ours.
+"""Packages of each environment.
+
+The package questplus is under the GPL: it stays in its environment and is never imported by ours.
 """
 ALONE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 """One thread of BLAS for all: on a machine that is not idle more of them wait for each other."""
@@ -65,7 +65,7 @@ DIFFERS = {
     "warp": "no force, no layers, no accounting but the sum",
     "numpy": "no force, no layers, no accounting but the sum",
 }
-"""Where a peer's work is not ours."""
+"""Differences between the work of a peer and ours."""
 
 
 def environment(name: str, folder: Path) -> Path:
@@ -85,7 +85,7 @@ def environment(name: str, folder: Path) -> Path:
 
 
 def lines(python: Path | str, script: str, *arguments: str) -> list[dict[str, Any]]:
-    """What a script prints, one JSON object a line."""
+    """Return the output of a script, one JSON object per line."""
     done = subprocess.run(
         [python, HERE / script, *arguments],
         check=True,
@@ -98,7 +98,10 @@ def lines(python: Path | str, script: str, *arguments: str) -> list[dict[str, An
 
 
 def fastest(rounds: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
-    """Of each work the round with the least median: what else the machine does only adds time."""
+    """Return for each work the round with the smallest median.
+
+    Other work on the machine only adds time.
+    """
     found: dict[tuple[str, str], dict[str, Any]] = {}
     for line in (line for each in rounds for line in each):
         key = (line["name"], line["work"])
@@ -108,7 +111,7 @@ def fastest(rounds: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
 
 
 def compared(name: str, folder: Path, rounds: int) -> list[dict[str, Any]]:
-    """Rows of one peer beside ours, measured in turn."""
+    """Return rows that compare one peer with this project, measured in turn."""
     python = environment(name, folder)
     script = f"peer_{name.replace('-', '_')}.py"
     both = [(lines(sys.executable, "ours.py", name), lines(python, script)) for _ in range(rounds)]

@@ -1,4 +1,4 @@
-"""What peers and ours both do, in NumPy alone, and the line in which each reports its time."""
+"""Work that peers and this project both do, in NumPy alone, and the line that reports its time."""
 
 import gc
 import json
@@ -52,10 +52,11 @@ DELAYS, HORIZON = 10, 10
 
 
 def timed(call: Callable[[int], object], *, count: int, warm_up: int = 0) -> list[float]:
-    """Seconds of the processor that ``call(i)`` takes; the first ``warm_up`` calls are made but not
-    counted.
+    """Return the processor seconds that ``call(i)`` takes.
 
-    Time on the wall would charge long calls, and only these, with what else the machine does.
+    The first ``warm_up`` calls are made but not counted.
+
+    Wall-clock time would add the machine's other work to long calls, and only to these.
     """
     times = []
     gc.collect()
@@ -142,8 +143,9 @@ def burr_tip(tick: int) -> np.ndarray:
 
 
 def contacts(seed: int, seconds: float = 2.0) -> np.ndarray:
-    """Position [m] and force [N] of a tool that strokes a wall and leaves it again and again, a
-    row a tick, (n, 6).
+    """Return position [m] and force [N] of a tool that strokes a wall, (n, 6), one row per tick.
+
+    The tool leaves the wall again and again.
     """
     rng = np.random.default_rng(seed)
     time_s = np.arange(round(seconds / STEP_S)) * STEP_S
@@ -166,8 +168,9 @@ def steps_N() -> np.ndarray:
 
 
 def right_share(step_N: float) -> float:
-    """Share of right answers of a person with a Weber fraction of 7 %, 0.2 N of offset and 2 %
-    lapses, two intervals.
+    """Return the share of right answers of a person in a task of two intervals.
+
+    The person has a Weber fraction of 7 %, an offset of 0.2 N and 2 % lapses.
     """
     distance = 0.954 * step_N / (0.07 * 1.2)
     return 0.01 + 0.98 * 0.5 * (1.0 + erf(0.5 * distance))

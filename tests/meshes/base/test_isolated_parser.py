@@ -1,5 +1,6 @@
-"""Parsers in a process of their own: what they find comes back, and what they do wrong stays
-there.
+"""Parsers in a process of their own.
+
+Their results are returned, and their failures stay in that process.
 """
 
 import os

@@ -34,8 +34,9 @@ def travelled(path):
 
 
 def rows_of(header):
-    """Sixty rows of a table: the time, then the place of each column; the last one is a unit
-    quaternion's or a force.
+    """Return sixty rows of a table: the time, zeros, and 1 in the last column.
+
+    The last column belongs to a unit quaternion or is a force.
     """
     count = header.count(",")
     return [[f"{0.01 * row:.2f}", *["0"] * (count - 1), "1"] for row in range(60)]

@@ -88,8 +88,9 @@ def test_a_density_of_another_bone_or_unit_is_refused(imaged):
 
 @pytest.mark.parametrize("off_mm", [-1e-4, 1e-4])
 def test_a_bone_that_the_edge_cuts_off_is_covered_up_to_there(off_mm):
-    """Its face lies on the edge itself, half a voxel beyond the first centre, give or take
-    rounding.
+    """A bone that the edge cuts off is covered up to the edge.
+
+    Its face lies on the edge itself, half a voxel beyond the first centre, give or take rounding.
     """
     box = trimesh.creation.box((6.0, 6.0, 6.0)).subdivide().subdivide()
     surface = closed((box.vertices + np.array([5.0, 5.0, 3.0 + off_mm]), np.asarray(box.faces)))

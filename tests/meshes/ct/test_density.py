@@ -1,5 +1,6 @@
-"""Attenuation against published tables, laws of density and their bands, and calibration by
-tissues of the tables.
+"""Attenuation against published tables, density laws and their bands, and calibration.
+
+The calibration uses tissues of the tables.
 """
 
 import json
@@ -24,8 +25,9 @@ PUBLISHED = {
     "adipose": {60.0: 0.1974, 80.0: 0.1800, 100.0: 0.1688},
     "air": {60.0: 0.1875, 80.0: 0.1662},
 }
-"""cm2/g, Table 4 of NIST Standard Reference Database 126; the elements' sum is rounded to its
-last digit.
+"""Attenuation [cm2/g] from Table 4 of NIST Standard Reference Database 126.
+
+The elements' sum is rounded to its last digit.
 """
 
 
@@ -44,8 +46,10 @@ def test_sums_over_elements_are_the_published_compounds(material):
 
 
 def test_between_energies_the_curve_is_that_of_finer_tables():
-    """Cortical bone at 70 keV by xraydb 4.5.8 (Elam 2002), which has energies between those of
-    the table.
+    """Between energies the curve follows finer tables.
+
+    The reference is cortical bone at 70 keV by xraydb 4.5.8 (Elam 2002), which has energies between
+    the table's.
     """
     assert 10.0 * mass_attenuation("cortex", 70.0) == pytest.approx(0.25705, rel=2e-3)
 
@@ -139,8 +143,10 @@ def test_other_text_is_refused(text, argument):
 
 
 def test_rods_give_back_their_line_and_its_error():
-    """Known rods read with known errors: 90 % of the bands hold the true line (400 fits,
-    standard error 1.5 %).
+    """Rods give back their line and its error.
+
+    Known rods are read with known errors: 90 % of the bands hold the true line (400 fits, standard
+    error 1.5 %).
     """
     rng = np.random.default_rng(1)
     density = np.array([0.0, 100.0, 200.0, 400.0, 800.0])

@@ -106,8 +106,10 @@ def test_a_threshold_is_suggested_between_soft_tissue_and_bone():
 
 
 def test_a_threshold_lies_in_the_middle_of_the_gap_between_two_values():
-    """Every value in the gap parts the image alike, and the surface between voxels depends on
-    which one is taken.
+    """A threshold lies in the middle of the gap between two values.
+
+    Every value in the gap divides the image in one and the same manner, and the surface between
+    voxels depends on the chosen one.
     """
     counts = np.zeros(1501, dtype=np.int64)
     counts[0], counts[1500] = 60_000, 40_000

@@ -1,6 +1,4 @@
-"""The synthetic CT: its values are those of its materials, the same from every format, axis
-order and tilt.
-"""
+"""Values of the synthetic CT: equal to its materials, in every format, axis order and tilt."""
 
 import numpy as np
 import pytest
@@ -35,7 +33,7 @@ def quiet():
 
 
 def holds_rods(law, phantom):
-    """Whether the band of a law holds the density of each rod."""
+    """Return True for each rod whose density lies in the band of a law."""
     bands = [
         (density, *law.band(np.array([mean]))) for density, mean in phantom.rod_means().items()
     ]
@@ -113,8 +111,10 @@ def test_a_real_ct_has_the_effective_energy_of_a_clinical_one(anatomy):
 
 @pytest.mark.slow
 def test_the_band_of_images_of_many_persons_holds_nine_of_ten_rods():
-    """40 persons with other tissues, marrow, energies of 60 to 100 keV and noise of 20 HU; some
-    without air.
+    """The band of images of many persons holds nine of ten rods.
+
+    40 persons have other tissues, marrow, energies of 60 to 100 keV and noise of 20 HU; some have
+    no air.
 
     Rods of one image share its law, so that 40 images make the standard error of the share 5 %.
     """

@@ -1,5 +1,6 @@
-"""The same CT as DICOM, NIfTI, NRRD and MetaImage, stored in other orders, shifted and oblique: the
-same bone in place.
+"""Position of the bone in one CT stored as DICOM, NIfTI, NRRD and MetaImage.
+
+The files are stored in other orders, shifted and oblique.
 
 The truth is read without the readers under test: positions as text in the DICOM files, pixels by
 Pillow's JPEG 2000.
@@ -78,8 +79,9 @@ def part(whole):
 
 @pytest.fixture(scope="module")
 def bone(part):
-    """Surface of the bone in the window [mm], from the truth by marching cubes and the affine
-    written out.
+    """Return the surface of the bone in the window [mm], from the truth.
+
+    It is made by marching cubes, with the affine written out.
     """
     return surface(part.values, part.spacing, part.origin)
 
@@ -117,7 +119,7 @@ def save(folder, kind, values, axes, origin):
 
 
 def stored(ct, turn):
-    """The same physical values as an array along other axes."""
+    """Return the same physical values as an array along other axes."""
     order, signs = turn
     values = np.transpose(ct.values, order)[tuple(slice(None, None, sign) for sign in signs)]
     axes, origin = np.zeros((3, 3)), ct.origin.copy()
@@ -136,8 +138,9 @@ def test_jpeg_2000_dicom_is_read_where_it_lies(anatomy, whole):
 
 
 def test_labels_of_the_ct_lie_on_it(anatomy, whole):
-    """The label file, stored along other axes than the DICOM series, marks its vertebrae (32,
-    33) on bone.
+    """Labels of the CT lie on its bone.
+
+    The label file, stored along other axes than the DICOM series, marks its vertebrae (32, 33).
     """
     labels = read_image(anatomy / "ct" / "example_seg_dicom.nii.gz", labels=True)
     assert labels.values.shape == whole.values.shape and labels.origin_mm == pytest.approx(
@@ -166,8 +169,9 @@ def test_other_headers_leave_the_bone_where_it_is(tmp_path, part, kind):
 
 
 def inside(part, points):
-    """Points 3 mm or more inside the window: at its faces bone is cut off, and ends as each
-    program likes.
+    """Return the points 3 mm or more inside the window.
+
+    At its faces bone is cut off, and each program ends it differently.
     """
     last = part.origin + part.spacing * (np.array(part.values.shape) - 1)
     return ((points > part.origin + 3.0) & (points < last - 3.0)).all(axis=1)
@@ -179,8 +183,9 @@ def away(points, vertices, faces):
 
 
 def near_thick(part, points, mask):
-    """Whether the voxel of a kind that is nearest to each point [mm] lies in a block of 2 x 2 x
-    2 of its kind.
+    """Return True for each point [mm] whose nearest voxel of a kind lies in a solid block.
+
+    A solid block is 2 x 2 x 2 voxels of that kind.
     """
     voxels = np.argwhere(mask)
     _, nearest = cKDTree(voxels * part.spacing + part.origin).query(points)
@@ -204,12 +209,12 @@ def test_bone_surface_is_that_of_the_truth(tmp_path, part, bone):
 @pytest.mark.parametrize("kind", ["dicom", ".nii.gz", ".nrrd", ".mhd"])
 @pytest.mark.parametrize("order", ["as it is", "permuted and mirrored"])
 def test_oblique_ct_gives_the_same_bone_within_half_a_voxel(tmp_path, part, bone, kind, order):
-    """The patient lies turned by 17 and 9 degrees: the same voxels, other directions, so the truth
-    is turned bone.
+    """An oblique CT gives the same bone within half a voxel.
 
-    Where the bone and what lies beside it are two voxels thick every point of the surface is found
-    within half a voxel, of 2 mm along z. Farther off are points of thinner bone alone, which falls
-    between the new voxels: 24 of 14,568.
+    The patient is turned by 17 and 9 degrees: the voxels are equal, the directions are not, so the
+    truth is turned bone. Where the bone and the matter next to it are two voxels thick, every point
+    of the surface is found within half a voxel, which is 2 mm along z. Farther off are only points
+    of thinner bone, which falls between the new voxels: 24 of 14,568.
     """
     a, b = np.radians(17.0), np.radians(9.0)
     about_z = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])

@@ -158,8 +158,9 @@ def test_finer_voxels_interpolate_grey_and_make_cubes():
 
 @pytest.mark.parametrize("resample_mm", [None, 0.05, 0.3])
 def test_placement_leads_back_to_the_image(resample_mm):
-    """A ball of bone lies where its image has it, resampled or not, and the block's top at z =
-    0.
+    """Placement leads back to the image.
+
+    A ball of bone lies where its image has it, resampled or not, and the block's top at z = 0.
     """
     x, y, z = np.meshgrid(*[np.arange(n) for n in (30, 34, 38)], indexing="ij")
     centre, first = np.array([12.0, 17.0, 21.0]), np.array([-40.0, 7.0, 90.0])

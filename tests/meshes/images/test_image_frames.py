@@ -1,5 +1,4 @@
-"""Where images lie: every format, order and direction of axes gives the same values at the same
-place in LPS [mm].
+"""Values of images in every format, order and direction of axes, at the same place in LPS [mm].
 
 The files are written byte by byte by `image_writers`, and what they must hold is plain arithmetic
 here.
@@ -18,8 +17,9 @@ from meshes.images.reading import read_image
 SHAPE, SPACING, ORIGIN = (5, 4, 3), np.array([0.5, 0.75, 2.0]), np.array([-30.0, 12.0, 101.0])
 VALUES = np.arange(60, dtype=np.int16).reshape(SHAPE) + 100
 TURNS = list(product(permutations(range(3)), product((1, -1), repeat=3)))
-"""The 48 orientations of an image stored along LPS: which axis of LPS each axis of the array is,
-and its direction.
+"""The 48 orientations of an image stored along LPS.
+
+Each gives the LPS axis of every array axis, and its direction.
 """
 FORMATS = (".nii", ".nii.gz", ".nrrd", "ras.nrrd", "gzip.nrrd", ".mhd", ".mha", "dicom")
 VTK = pytest.param(".vti", marks=pytest.mark.slow)  # a process is started for each
@@ -96,8 +96,10 @@ def test_cells_of_a_vtk_image_lie_between_its_points(tmp_path):
 
 
 def test_nifti_counts_right_and_front(tmp_path):
-    """By hand: 10 mm right, 20 mm front and 30 mm up in RAS is (-10, -20, 30) in LPS; a step of
-    +x is to the right.
+    """NIfTI counts right and front as positive.
+
+    By hand: 10 mm right, 20 mm front and 30 mm up in RAS is (-10, -20, 30) in LPS; a step of +x is
+    to the right.
     """
     data = image_writers.nifti_bytes(
         VALUES,
@@ -112,8 +114,9 @@ def test_nifti_counts_right_and_front(tmp_path):
 
 
 def phantom(axes, origin, shape):
-    """An L of two blocks in LPS [mm], on a grid: x 0 to 6, y 0 to 3, z 0 to 2, and x 0 to 2, y 3
-    to 8, z 0 to 2.
+    """Return an L of two blocks in LPS [mm] on a grid.
+
+    Its blocks are x 0 to 6, y 0 to 3, z 0 to 2, and x 0 to 2, y 3 to 8, z 0 to 2.
     """
     index = np.stack(np.meshgrid(*[np.arange(n) for n in shape], indexing="ij"), axis=-1)
     x, y, z = np.moveaxis(index @ axes.T + origin, -1, 0)
@@ -124,8 +127,10 @@ def phantom(axes, origin, shape):
 
 @pytest.mark.parametrize("kind", [*FORMATS, VTK])
 def test_corners_of_an_l_lie_where_they_were_put(tmp_path, kind):
-    """A voxel's centre lies inside or not, so the surface at half the height lies half a voxel
-    outside the last.
+    """Corners of an L lie at their true places.
+
+    A voxel's centre lies inside or not, so the surface at half the height lies half a voxel outside
+    the last.
     """
     # up, right, front: a coronal-like stack
     axes = np.array([[0.0, -0.5, 0.0], [0.0, 0.0, -0.5], [0.5, 0.0, 0.0]])
@@ -144,12 +149,14 @@ def test_corners_of_an_l_lie_where_they_were_put(tmp_path, kind):
 
 
 ROUNDED = 0.5 * 1.55**3
-"""Values are stored in whole numbers; cubic splines raise an error by at most 1.55 along each
-axis (de Boor).
+"""Error of splines over values stored in whole numbers.
+
+Cubic splines raise an error by at most 1.55 along each axis (de Boor).
 """
 FACES = 3.0
-"""Voxels from a face at which what the face does to splines, 0.27 of it a voxel farther in, is
-below the rounding.
+"""Voxels from a face at which its effect on splines is below the rounding.
+
+The effect falls by a factor of 0.27 for each voxel farther in.
 """
 TURN = np.linalg.qr(np.array([[0.9, 0.3, -0.2], [-0.25, 0.92, 0.3], [0.28, -0.2, 0.93]]))[0]
 TURN = TURN * np.sign(np.diag(TURN))  # columns near x, y, z
@@ -157,8 +164,10 @@ TURN = TURN * np.sign(np.diag(TURN))  # columns near x, y, z
 
 @pytest.mark.parametrize("kind", [*FORMATS, VTK])
 def test_oblique_images_are_resampled_where_they_lie(tmp_path, kind):
-    """Splines are exact on a linear field away from its faces, where they go on as in a mirror;
-    see `ROUNDED`.
+    """Oblique images are resampled at their true place.
+
+    Splines are exact on a linear field away from its faces, where they continue as in a mirror; see
+    `ROUNDED`.
     """
     axes, origin, shape = TURN * (0.8, 0.6, 1.5), np.array([5.0, -7.0, 40.0]), (24, 22, 12)
     index = np.stack(np.meshgrid(*[np.arange(n) for n in shape], indexing="ij"), axis=-1)
@@ -185,7 +194,10 @@ def test_oblique_images_are_resampled_where_they_lie(tmp_path, kind):
 
 
 def test_interpolation_stays_within_the_voxels_around(tmp_path):
-    """Metal of 3,000 in air of -1,000: splines alone would overshoot beside it."""
+    """Interpolation stays within the range of the surrounding voxels.
+
+    The case is metal of 3,000 in air of -1,000: splines alone would overshoot next to it.
+    """
     values = np.full((16, 16, 16), -1000, dtype=np.int16)
     values[5:11, 5:11, 5:11] = 3000
     image_writers.write_nrrd(tmp_path / "metal.nrrd", values, TURN * 0.7, np.zeros(3))
@@ -247,7 +259,9 @@ def test_a_tilted_gantry_is_undone(tmp_path):
     ],
 )
 def test_nifti_by_its_quaternion(tmp_path, quaternion, factor, columns):
-    """Steps and offset in RAS, from the standard's formula by hand; LPS turns the signs of x and
+    """NIfTI is placed by its quaternion.
+
+    Steps and offset are in RAS, from the standard's formula by hand; LPS turns the signs of x and
     y.
     """
     data = bytearray(

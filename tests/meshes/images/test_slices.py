@@ -1,6 +1,4 @@
-"""Slices in folders: their order, what does not belong to them, colours, and inverted grey
-values.
-"""
+"""Slices in folders: their order, foreign files, colours, and inverted grey values."""
 
 import numpy as np
 import pytest
@@ -15,8 +13,9 @@ BONE, AIR_HU, BONE_HU = 1500, -1000, 700
 
 
 def steps(count=COUNT):
-    """Planes, shape (count, rows, columns), plane k with k + 1 voxels of bone: the order can be
-    read off.
+    """Return planes, shape (count, rows, columns), plane k with k + 1 voxels of bone.
+
+    The order of the planes can be read from the counts.
     """
     planes = np.zeros((count, SIDE, SIDE), dtype=np.uint16)
     for k in range(count):

@@ -33,11 +33,13 @@ def ball_ml(radius_mm):
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("spacing", SPACINGS)
 def test_the_surface_has_no_steps_and_is_not_shrunk(spacing, seed):
-    """Steps of the voxels are half a voxel; the volume is that of the voxels, whose own scatter is
+    """The surface has no steps and is not shrunk.
+
+    Steps of the voxels are half a voxel; the volume is the one of the voxels, whose own scatter is
     the rest.
 
-    Of the longest side: 0.1 rms, and 99 % of the vertices within 0.4; 0.2 and a half of slices of 5
-    mm, 9 in all.
+    Bounds are in shares of the longest side: 0.1 rms, and 99 % of the vertices within 0.4. For
+    slices of 5 mm, 9 in all, they are 0.2 and a half.
     """
     labels, turn = organ_labels(spacing, seed)
     vertices, triangles = label_triangles(
@@ -135,8 +137,9 @@ def test_what_is_loose_hollow_or_cut_off_is_reported():
 
 
 def test_labels_that_end_before_the_image_does_are_reported():
-    """As of a segmentation of fewer slices than the image; slices of 5 mm end an ellipsoid
-    round.
+    """Labels that end before the image does are reported.
+
+    Such a segmentation has fewer slices than the image; slices of 5 mm end an ellipsoid round.
     """
     for spacing in SPACINGS:
         labels, _ = organ_labels(spacing)

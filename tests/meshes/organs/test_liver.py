@@ -99,8 +99,10 @@ def test_a_slab_is_a_block_finer_at_the_top() -> None:
     ("radius", "spacing"), [(0.005, 4.2e-3), (0.006, 4.2e-3), (0.008, 4.2e-3), (0.009, 8e-3)]
 )
 def test_a_slab_takes_a_nodule(radius: float, spacing: float) -> None:
-    """The volume of the nodule and the height of its top, by which it is felt, however long the
-    bricks are.
+    """A slab takes a nodule.
+
+    The volume of the nodule and the height of its top, by which it is felt, are right for bricks of
+    any length.
     """
     mesh = slab(spacing_m=spacing, nodule=Nodule(radius, (0.01, 0.0, -0.018)))
     assert mesh.volumes_m3[mesh.part == 1].sum() == pytest.approx(

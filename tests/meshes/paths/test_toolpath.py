@@ -1,5 +1,6 @@
-"""Toolpaths: the same from CSV, markups and G-code in either frame, timed, and as deep as a
-sphere and a box state.
+"""Toolpaths from CSV, markups and G-code.
+
+They are equal in either frame, timed, and as deep as a sphere and a box require.
 """
 
 import json

@@ -1,6 +1,4 @@
-"""Laws of signed distances: the Lipschitz bound, set algebra, unit slope, frames, dtypes and
-refusals.
-"""
+"""Laws of signed distances: Lipschitz bound, set algebra, unit slope, frames, dtypes, refusals."""
 
 import math
 

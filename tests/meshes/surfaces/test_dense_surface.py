@@ -1,5 +1,6 @@
-"""A surface of many triangles gives the bone that a plain computation over all of its triangles
-gives.
+"""Bone from a surface of many triangles.
+
+It equals the bone from a plain computation over all of its triangles.
 """
 
 import numpy as np

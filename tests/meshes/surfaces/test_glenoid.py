@@ -1,6 +1,4 @@
-"""The procedural glenoid against its own parameters and published ranges, measured on the
-voxels.
-"""
+"""Procedural glenoid against its own parameters and published ranges, measured on the voxels."""
 
 import math
 

@@ -1,5 +1,6 @@
-"""Markups of 3D Slicer: the same points from LPS and RAS, planes with their normals, bad files
-refused.
+"""Markups of 3D Slicer.
+
+Points from LPS and RAS are equal, planes have their normals, and bad files are refused.
 """
 
 import json

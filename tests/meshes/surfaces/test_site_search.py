@@ -1,5 +1,6 @@
-"""Sites searched for: the same on a moved, turned, mirrored, coarser bone; refused where there
-is none.
+"""Search for sites.
+
+The site is equal on a moved, turned, mirrored or coarser bone, and refused where there is none.
 """
 
 from dataclasses import replace
@@ -172,8 +173,10 @@ def test_the_other_pedicle_is_the_second_best_place(spine):
 @pytest.mark.slow
 @pytest.mark.parametrize(("label", "whole"), [(30, False), (31, True), (32, True)])
 def test_vertebrae_of_a_ct(label, whole):
-    """Labels of TotalSegmentator in voxels of 3 mm, LPS: +x is the left, +z up; the edge of the
-    image cuts one off.
+    """The sites of vertebrae are found in a CT.
+
+    Labels of TotalSegmentator are in voxels of 3 mm in LPS: +x is the left, +z up; the edge of the
+    image cuts one vertebra off.
     """
     path = ANATOMY / "ct" / "example_seg.nii.gz"
     if not path.is_file():
@@ -211,8 +214,10 @@ def test_an_unknown_site_lists_the_known_ones():
 
 @pytest.mark.parametrize("name", FEMURS)
 def test_heads_of_real_femurs(name):
-    """The origin of the OpenSim femur is the centre of its head; necks lean 120 to 140 degrees
-    from the shaft.
+    """The heads of real femurs are found.
+
+    The origin of the OpenSim femur is the centre of its head; necks lean 120 to 140 degrees from
+    the shaft.
     """
     path = ANATOMY / "bone" / name
     if not path.is_file():

@@ -30,8 +30,10 @@ def longest_over_height(mesh: TetMesh) -> float:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_shaken_box_refined_about_a_point(seed):
-    """Volume and surface area stay to rounding, every face is shared by two cells or lies
-    outside, edges obey.
+    """A shaken box refined about a point stays valid.
+
+    Volume and surface area stay to rounding, every face is shared by two cells or lies outside, and
+    edges obey their length.
     """
     random = np.random.default_rng(seed)
     coarse = box((1.0, 1.0, 0.5), (4, 4, 2))
@@ -97,8 +99,10 @@ def test_bad_sizes(monkeypatch):
     "edges", [(0.4, 0.2), pytest.param((0.4, 0.2, 0.1), marks=pytest.mark.slow)]
 )
 def test_surface_nodes_go_onto_the_surface_that_the_mesh_stands_for(edges):
-    """A ball of flat triangles: divided, it keeps its missing volume; onto its sphere, that
-    falls with the square of edges.
+    """Surface nodes move onto the surface that the mesh stands for.
+
+    A divided ball of flat triangles keeps its missing volume; moved onto its sphere, it misses a
+    volume that falls with the square of edges.
     """
 
     def onto(points):

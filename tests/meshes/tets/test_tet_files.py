@@ -1,5 +1,6 @@
-"""Tetrahedral meshes from files: the real livers, other formats, parts, units, and files that
-cannot be used.
+"""Tetrahedral meshes from files.
+
+The tests cover the real livers, other formats, parts, units, and files that cannot be used.
 """
 
 from pathlib import Path

@@ -214,7 +214,7 @@ def _middle(nodes: np.ndarray, cells: np.ndarray) -> np.ndarray:
 
 
 def _crosses(triangle: np.ndarray, edge: np.ndarray) -> bool:
-    """Whether a segment passes through a triangle, by solving for where (Cramer's rule)."""
+    """Return True if a segment crosses a triangle, by Cramer's rule for the crossing point."""
     a, b, c = triangle
     matrix = np.column_stack([b - a, c - a, edge[0] - edge[1]])
     if abs(np.linalg.det(matrix)) < 1e-18:

@@ -1,4 +1,4 @@
-"""Where a body is held: planes, directions, parts, and regions that touch nothing."""
+"""Regions in which a body is held: planes, directions, parts, and regions without contact."""
 
 import numpy as np
 import pytest

@@ -17,8 +17,10 @@ def area(mesh: TetMesh) -> float:
 
 
 def closed_and_conforming(mesh: TetMesh) -> None:
-    """Every face has one cell or two on opposite sides; the surface encloses the volume and has
-    no odd edge.
+    """Check that a mesh is closed and conforming.
+
+    Every face has one cell, or two on opposite sides; the surface encloses the volume and has no
+    odd edge.
     """
     _, _, shared = cell_faces(mesh.cells)
     assert shared.max() == 2

@@ -1,6 +1,4 @@
-"""Surfaces filled with tetrahedra: a ball, the real liver, the cache, and the reports on bad
-surfaces.
-"""
+"""Surfaces filled with tetrahedra: a ball, the real liver, the cache, reports on bad surfaces."""
 
 from pathlib import Path
 

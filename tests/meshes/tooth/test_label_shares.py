@@ -1,6 +1,4 @@
-"""The surface and layers between labels: where a plane's and a ball's lie, and that no grid
-moves them.
-"""
+"""Surface and layers between labels: the places for a plane and a ball, which no grid moves."""
 
 import numpy as np
 import pytest
@@ -18,8 +16,9 @@ BOX = np.array([[-0.4e-3] * 3, [0.4e-3] * 3])
 
 
 def layer_of(points):
-    """Enamel over dentin with a ball of decay in it, in a tooth that ends at a slanted plane and
-    at a ball beside it.
+    """Return the layer at points: enamel over dentin with a ball of decay in it.
+
+    The tooth ends at a slanted plane and at a ball next to it.
     """
     layer = np.where(points[:, 0] - 0.3 * points[:, 1] > 0.0, ENAMEL, DENTIN).astype(np.uint8)
     layer[np.linalg.norm(points - DECAY, axis=1) < 1.7e-4] = CARIES
@@ -54,8 +53,10 @@ def centres(volume):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_distances_are_those_of_the_surface_that_was_labelled(seed):
-    """At most 0.1 label voxels rms off and 0.03 on average, at engine voxels of twice, once and
-    half the labels'.
+    """Distances agree with the surface that was labelled.
+
+    The error is at most 0.1 label voxels rms and 0.03 on average, at engine voxels of twice, once
+    and half the labels'.
     """
     labelled = tooth(shift=np.random.default_rng(seed).uniform(-0.5, 0.5, 3))
     for ratio in (2.0, 1.0, 0.5):
@@ -74,8 +75,9 @@ def test_distances_are_those_of_the_surface_that_was_labelled(seed):
 
 
 def test_the_surface_does_not_depend_on_the_voxels():
-    """Volumes of the layers with voxels of a third of the labels' and of 1.5 labels agree to 0.2
-    %.
+    """The surface does not depend on the voxels.
+
+    Volumes of the layers agree to 0.2 % for voxels of a third of the labels' and of 1.5 labels.
     """
     coarse, fine = (
         tooth().volume(resample_mm=1e3 * r * VOXEL_M, region_m=tuple(BOX)) for r in (1.5, 1.0 / 3.0)
@@ -103,7 +105,9 @@ def test_a_voxel_does_not_depend_on_the_region():
 
 
 def test_layers_change_where_they_were_labelled():
-    """Points nearer than a twentieth of a voxel to a change apart, 98 % of points have the layer
+    """Layers change at the labelled places.
+
+    Apart from points nearer than a twentieth of a voxel to a change, 98 % of points have the layer
     that was labelled.
     """
     placed = tooth().placed

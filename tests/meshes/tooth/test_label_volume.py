@@ -1,6 +1,4 @@
-"""A tooth from a label image: volumes, place, islands, cavity, refusals, and the real carious
-teeth.
-"""
+"""Tooth from a label image: volumes, place, islands, cavity, refusals, real carious teeth."""
 
 import math
 
@@ -16,11 +14,10 @@ SPACING_MM = 0.1
 
 
 def tooth_labels():
-    """A tooth 12 mm long that lies along the first axis, crown at its low end: 1 decay, 2 enamel, 3
-    dentin.
+    """Return labels of a tooth 12 mm long that lies along the first axis, crown at its low end.
 
-    Dentin 5 x 4 mm across with a cavity of 1 x 1 x 4 mm, 3 mm of enamel over it, a cube of decay of
-    1 mm between them.
+    The labels are 1 decay, 2 enamel, 3 dentin. The dentin is 5 x 4 mm across with a cavity of 1 x 1
+    x 4 mm. It has 3 mm of enamel over it, and a cube of decay of 1 mm between them.
     """
     values = np.zeros((140, 70, 60), dtype=np.int16)
     values[10:40, 10:60, 10:50] = 2
@@ -40,8 +37,10 @@ EXACT_MM3 = {"enamel": 60.0 - 0.5, "dentin": 180.0 - 0.5, "caries": 1.0}
 
 @pytest.mark.parametrize(("resample_mm", "rel"), [(0.1, 0.1), (0.2, 0.35)])
 def test_layers_keep_their_volumes(resample_mm, rel):
-    """0.5 % of the whole and of the large layers; of a lesion five voxels wide, whether its
-    faces are half voxels.
+    """Layers keep their volumes.
+
+    The bound is 0.5 % for the whole and the large layers; for a lesion five voxels wide it depends
+    on whether its faces are half voxels.
     """
     values = tooth_labels()
     values[60:100, 30:40, 25:35] = 3
@@ -182,8 +181,9 @@ def test_refusals(make, options, message):
     ],
 )
 def test_real_carious_teeth(anatomy, number, islands, counts):
-    """Voxel counts and islands are those of the data's README; the islands hold less than 0.2
-    mm3.
+    """Real carious teeth have the voxel counts and islands of the data's README.
+
+    The islands hold less than 0.2 mm3.
     """
     remarks = []
     path = anatomy / "tooth" / f"caries_tooth_{number}.nii.gz"

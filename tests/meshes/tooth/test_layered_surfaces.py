@@ -1,5 +1,6 @@
-"""A tooth from surfaces: exact volumes of nested bodies, overlaps and gaps, its place, and the
-real molar.
+"""Tooth from surfaces.
+
+The tests cover exact volumes of nested bodies, overlaps and gaps, its place, and the real molar.
 """
 
 import math
@@ -60,8 +61,9 @@ def lens_mm3(one, other, apart):
 
 
 def blocks(gap=0.0, lift=0.0):
-    """Dentin 8 x 6 x 12 mm, hollow for a pulp of 2 x 2 x 6, under an enamel of 8 x 6 x 3 that
-    stands off by `gap`.
+    """Return dentin 8 x 6 x 12 mm, hollow for a pulp of 2 x 2 x 6, under an enamel of 8 x 6 x 3.
+
+    The enamel stands off by `gap`.
     """
     return {
         "enamel": surface(block((8, 6, 3), 12 + gap + lift)),
@@ -163,8 +165,10 @@ def test_inside_of_scattered_points():
 
 
 def test_scattered_points_are_sorted_as_those_of_a_lattice():
-    """The lattice's lines and the columns of single points cross the same triangles, lines on
-    edges and corners too.
+    """Scattered points are sorted like the points of a lattice.
+
+    The lattice's lines and the columns of single points cross the same triangles, lines on edges
+    and corners too.
     """
     sphere = surface(ball(5.0))
     axis = 1e-3 * np.linspace(-5.5, 5.5, 23)  # lines through vertices of the ball among them

@@ -41,8 +41,9 @@ def extent(volume, flags, axis):
 
 
 def along(volume, x, y):
-    """Layers met on the path down at (x, y) [m], and the height of each one's top and bottom
-    [m].
+    """Return the layers on the path down at (x, y) [m], with their tops and bottoms.
+
+    Heights are in m.
     """
     i, j = (int((value - volume.origin_m[k]) / volume.spacing_m) for k, value in enumerate((x, y)))
     column = labels(volume)[i, j]
@@ -56,7 +57,7 @@ def along(volume, x, y):
 
 
 def within(whole, part):
-    """Where the voxels of a part lie among those of the whole."""
+    """Return the slices of the whole volume that contain the voxels of a part."""
     first = np.rint((part.origin_m - whole.origin_m) / SPACING).astype(int)
     return tuple(slice(a, a + n) for a, n in zip(first, part.shape, strict=True))
 
@@ -90,13 +91,15 @@ def test_size_is_the_size_asked_for(width, length, height, root, cusp):
 
 
 def test_origin_lies_on_the_enamel(tooth):
-    """A thin bur down the long axis meets the enamel at z = 0."""
+    """A thin bur moved down the long axis touches the enamel at z = 0."""
     assert molar().shape.distance(np.zeros((1, 3)))[0] == pytest.approx(0.0, abs=1e-9)
     assert along(tooth, 1e-6, 1e-6)[0][:2] == ["enamel", pytest.approx(0.0, abs=SPACING)]
 
 
 def test_layers_down_through_the_fossa(tooth):
-    """Enamel 1 to 2 mm in the fossa, 3 to 5 mm of dentin over the pulp (M, see
+    """The layers below the fossa have published thicknesses.
+
+    Enamel is 1 to 2 mm in the fossa, over 3 to 5 mm of dentin above the pulp (M, see
     `meshes.tooth.molar`).
     """
     met = along(tooth, 1e-6, 1e-6)
@@ -158,8 +161,10 @@ def test_ligament_has_its_thickness():
 
 
 def test_pulp_lies_within_the_dentin(tooth):
-    """The canals end in the apices; up to 14 mm below the fossa, 0.7 mm of dentin or more cover
-    the pulp.
+    """The pulp lies within the dentin.
+
+    The canals end in the apices; up to 14 mm below the fossa, 0.7 mm of dentin or more cover the
+    pulp.
     """
     layer = labels(tooth)
     away = ndimage.distance_transform_edt(layer != PULP) * SPACING / MM
@@ -181,8 +186,10 @@ def test_layers_make_the_whole(tooth):
 
 
 def test_volumes_converge(tooth):
-    """The whole to 0.05 %; each layer to 3 % at 0.2 mm, as wide as the ligament, judged by
-    voxels of 0.1 mm.
+    """Volumes converge.
+
+    The whole agrees to 0.05 %, each layer to 3 % at 0.2 mm, which is as wide as the ligament,
+    against voxels of 0.1 mm.
     """
     coarse, fine = (voxelise(molar(), spacing_m=s) for s in (4e-4, 2e-4))
     finest = tooth

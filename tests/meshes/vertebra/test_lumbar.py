@@ -1,6 +1,4 @@
-"""The procedural lumbar vertebra: its dimensions are those that it was asked for, its canal is
-free.
-"""
+"""Procedural lumbar vertebra. Its dimensions are the requested ones, and its canal is free."""
 
 from itertools import pairwise
 
@@ -16,8 +14,9 @@ AXIS = np.deg2rad(17.7)
 
 
 def run_inside(shape, start, direction, *, reach_m=60e-3):
-    """Length [m] of the stretch inside a shape through a point, along a direction and against
-    it.
+    """Return the length [m] of the stretch inside a shape through a point.
+
+    It is measured along a direction and against it.
     """
     direction = np.asarray(direction) / np.linalg.norm(direction)
     at = np.linspace(-reach_m, reach_m, 24001)
@@ -63,7 +62,10 @@ def test_the_canal_is_the_ellipse_that_was_asked_for():
 
 
 def test_pedicle_has_its_width_and_height():
-    """At its isthmus, which lies beside the canal, 15 mm before the entry's plane or so."""
+    """The pedicle has its width and height at its isthmus.
+
+    The isthmus lies next to the canal, about 15 mm before the entry's plane.
+    """
     whole = lumbar_vertebra(pedicle_width_mm=10.0, pedicle_height_mm=14.0).shape
     widths = [
         run_inside(whole, (0.0, 0.0, -depth), (1, 0, 0)) for depth in np.arange(8e-3, 24e-3, 1e-3)

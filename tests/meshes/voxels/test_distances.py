@@ -75,10 +75,13 @@ def test_planes_come_back_from_their_fractions():
 
 @pytest.mark.parametrize("radius", [4.0, 8.0])
 def test_the_interpolated_surface_of_a_ball_lies_closer_than_exact_distances_put_it(radius):
-    """At points on a ball, trilinear between stored distances, against exact distances so
-    interpolated.
+    """The interpolated surface of a ball is closer than exact distances give.
 
-    Of those the mean is a twelfth of the principal curvatures' sum: a quarter of that is left.
+    At points on a ball, trilinear interpolation between stored distances is compared with exact
+    distances so interpolated.
+
+    For exact distances the mean error is a twelfth of the principal curvatures' sum. A quarter of
+    it remains.
     """
     random, off, exact = np.random.default_rng(7), [], []
     for _ in range(4):
@@ -198,8 +201,9 @@ def test_a_volume_without_distances_has_them_from_fractions_and_layers():
 
 
 def test_what_is_taken_out_has_its_surface():
-    """A ball out of a block: the signed distance is the larger of both, and layers stay as they
-    were.
+    """A removed solid has its surface.
+
+    For a ball out of a block, the signed distance is the larger of both, and layers stay unchanged.
     """
     anatomy, normal = slanted()
     hole = sphere(4e-4, (0.0, 0.0, -5e-4))

@@ -21,8 +21,10 @@ def directions(count, seed=0):
 
 @pytest.mark.parametrize("kind", ["plane", "ball"])
 def test_a_change_of_layer_is_found_to_a_thirtieth_of_a_voxel(kind):
-    """Of those within a voxel of it 90 %; the rest look in a direction that voxels give to ten
-    degrees.
+    """A change of layer is found to a thirtieth of a voxel.
+
+    This holds for 90 % of the points within a voxel of it; the rest look in a direction that voxels
+    give to ten degrees.
     """
     random, off = np.random.default_rng(2), []
     for normal in directions(12, seed=3):
@@ -55,8 +57,9 @@ def test_a_change_of_layer_is_found_to_a_thirtieth_of_a_voxel(kind):
 
 
 def test_a_change_of_layer_from_layers_alone_is_unbiased():
-    """Mean over random offsets of what is off, each side of it; at an angle as along the
-    lattice.
+    """A change of layer from layers alone is unbiased.
+
+    The mean error over random offsets shows no shift, at an angle as along the lattice.
     """
     random = np.random.default_rng(4)
     for normal in directions(6, seed=5):
@@ -77,15 +80,17 @@ def test_a_change_of_layer_from_layers_alone_is_unbiased():
 
 
 def corners_of_mixed_cells(layer):
-    """Whether any of the eight cells around a voxel holds voxels of two layers."""
+    """Return True for each voxel with a surrounding cell that holds two layers."""
     cells = np.lib.stride_tricks.sliding_window_view(np.pad(layer, 1, mode="edge"), (2, 2, 2))
     mixed = cells.min(axis=(3, 4, 5)) != cells.max(axis=(3, 4, 5))
     return np.lib.stride_tricks.sliding_window_view(mixed, (2, 2, 2)).any(axis=(3, 4, 5))
 
 
 def test_voxels_that_no_cell_asks_are_far():
-    """A point between eight centres of one layer asks for no distance: voxels of such cells
-    alone are not searched.
+    """Voxels that no cell asks for are far.
+
+    A point between eight centres of one layer asks for no distance: voxels of such cells alone are
+    not searched.
     """
     asked = []
     for normal in directions(5, seed=8):
@@ -107,9 +112,7 @@ def test_voxels_that_no_cell_asks_are_far():
 
 
 def crossings(stored, layer):
-    """Places [voxel] on the grid's edges where two layers' stored distances change over, shape
-    (n, 3).
-    """
+    """Return places [voxel] on the grid's edges where two layers' distances cross, shape (n, 3)."""
     distance, found = np.where(layer == 1, 1.0, -1.0) * stored, []
     for axis in range(3):
         a, b = (np.moveaxis(distance, axis, 0)[part] for part in (slice(0, -1), slice(1, None)))
@@ -142,10 +145,11 @@ def distance_to_block(points, turn, shift):
     ],
 )
 def test_a_boundary_from_layers_alone_lies_where_it_is(distance, root_mean_square, mean):
-    """Over eight rotations and places: steps of the labels leave 0.05 of a voxel, a block's edges
-    are rounded.
+    """A boundary from layers alone lies at its true place.
 
-    A voxel's share of a cube taken as a plane's is 0.24 off on this ball, all of it inward.
+    The error is taken over eight rotations and places: steps of the labels leave 0.05 of a voxel, a
+    block's edges are rounded. If a voxel's share of a cube were taken as a plane's, the boundary
+    would be 0.24 off on this ball, all of it inward.
     """
     off = []
     for seed in range(8):
@@ -167,11 +171,11 @@ def test_a_boundary_from_layers_alone_lies_where_it_is(distance, root_mean_squar
 @pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.3, 0.2, 1.0), (1.0, 1.0, 1.0)])
 @pytest.mark.parametrize("thickness", [1.0, 2.0])
 def test_a_thin_layer_keeps_its_place(normal, thickness):
-    """A sheet a voxel or two thick is at least 0.4 of that on a line across it, and at most two
-    voxels more.
+    """A thin layer keeps its place.
 
-    No boundary leaves the edge between two centres of different layers, so that each side moves by
-    half a voxel at most.
+    A sheet a voxel or two thick measures at least 0.4 of its thickness on a line across it, and at
+    most two voxels more. No boundary leaves the edge between two centres of different layers, so
+    that each side moves by half a voxel at most.
     """
     normal = np.array(normal) / np.linalg.norm(normal)
     layer = (np.abs(CENTRES @ normal - 0.5 * normal[2]) <= 0.5 * thickness).astype(np.uint8)
@@ -189,7 +193,8 @@ def test_a_thin_layer_keeps_its_place(normal, thickness):
 
 
 def cells(values):
-    """The eight values around each cell, shape (nx - 1, ny - 1, nz - 1, 2, 2, 2), away from the
-    array's faces.
+    """Return the eight values around each cell, away from the array's faces.
+
+    The shape is (nx - 1, ny - 1, nz - 1, 2, 2, 2).
     """
     return np.lib.stride_tricks.sliding_window_view(values, (2, 2, 2))

@@ -1,5 +1,7 @@
-"""Voxelising shapes: order of convergence, agreement with brute force, independence of the
-region, refusals.
+"""Voxelised shapes.
+
+The tests cover order of convergence, agreement with brute force, independence of the region, and
+refusals.
 """
 
 import math

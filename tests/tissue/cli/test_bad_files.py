@@ -80,8 +80,9 @@ MESHES = {
     "tiny": (CUBE * 1e-9, CUBE_FACES, ("anatomy.scale_mm", "3e-05 µm", "4.7e+09")),
     "huge": (CUBE * 1e6, CUBE_FACES, ("anatomy.scale_mm", "30 km", "4.7e-06")),
 }
-"""Corners [file unit] and faces of surfaces that enclose no usable solid, and what their
-messages name.
+"""Surfaces that enclose no usable solid, and the words of their messages.
+
+Corners are in file units.
 """
 
 

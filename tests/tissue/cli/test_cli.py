@@ -1,5 +1,6 @@
-"""The `tissue` command: what it prints, and one sentence and exit code 2 for a command line that
-it cannot use.
+"""The `tissue` command: its output, and unusable command lines.
+
+Each of these gives one sentence and exit code 2.
 """
 
 import json

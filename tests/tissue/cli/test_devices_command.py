@@ -1,5 +1,6 @@
-"""``tissue devices``: what it lists without any device, and the test of one that is a client of
-the network protocol.
+"""``tissue devices``: its list without any device, and its test of a device.
+
+The tested device is a client of the network protocol.
 """
 
 import socket

@@ -1,5 +1,6 @@
-"""Where `tissue run` writes: what is there is kept, and a folder or disk that takes nothing is
-refused.
+"""Output folder of `tissue run`.
+
+Existing files are kept, and a folder or disk that cannot be written is refused.
 """
 
 import errno

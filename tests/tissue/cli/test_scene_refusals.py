@@ -1,4 +1,4 @@
-"""What `tissue run` refuses of a scene, in one sentence with exit code 2."""
+"""Scenes that `tissue run` refuses, with one sentence and exit code 2."""
 
 from types import SimpleNamespace
 

@@ -33,13 +33,14 @@ def part_of(entry, table, defs):
 
 
 def is_free(entry):
-    """Whether a table takes names of a person's own."""
+    """Return True if a table takes names that a user chooses."""
     return "patternProperties" in entry or isinstance(entry.get("additionalProperties"), dict)
 
 
 def stated(table, entry, defs, where):
-    """Check that all entries of a table are in its part of the schema, described, and no others
-    may.
+    """Check that all entries of a table are described in its part of the schema.
+
+    No other entries may be there.
     """
     part = part_of(entry, table, defs)
     assert part["additionalProperties"] is False and part["description"], where

@@ -27,8 +27,9 @@ COARSE = {
 
 
 def axes_of(image, order=(0, 1, 2), flips=()):
-    """Values, axes and origin of an image with its array stored along other axes in other
-    directions.
+    """Return values, axes and origin of an image stored along other axes.
+
+    The axes may point in other directions.
     """
     values = np.transpose(image.values, order)
     axes = np.diag(image.spacing_mm)[:, order]

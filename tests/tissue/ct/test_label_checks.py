@@ -1,5 +1,7 @@
-"""Labels against the image under them, names that are shared, laws without Hounsfield units, and
-volumes that are kept.
+"""Checks of labels.
+
+They cover the image under the labels, shared names, laws without Hounsfield units, and volumes that
+are kept.
 """
 
 import re

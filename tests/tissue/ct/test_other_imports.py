@@ -17,8 +17,9 @@ BONE = {"density": "line:1.0,500.0", "site": TOP, "pictures": False}
 
 @pytest.fixture(scope="module")
 def ct(tmp_path_factory):
-    """A CT of a ball of bone and its labels: the bone, and a canal beside where the tool goes,
-    of two pieces.
+    """Return a CT of a ball of bone and its labels.
+
+    They are the bone, and a canal of two pieces next to the tool's path.
     """
     folder, image = tmp_path_factory.mktemp("ct"), ball()
     write_nrrd(folder / "ct.nrrd", image.values, np.diag(image.spacing_mm), image.origin_mm)

@@ -19,8 +19,9 @@ from tissue.materials.constants import constants
 ROOT = Path(__file__).resolve().parents[3]
 NAMES = ["tissue/Drilling-v0", "tissue/Milling-v0", "tissue/Palpation-v0"]
 LEAST = {"tissue/Drilling-v0": 0.85, "tissue/Milling-v0": 0.9, "tissue/Palpation-v0": 0.7}
-"""What an expert scores at least: the mean of ten seeds, less what single seeds fall short of
-it.
+"""Lower bounds of an expert's score.
+
+Each is the mean of ten seeds, less the shortfall of single seeds.
 """
 
 
@@ -177,8 +178,10 @@ def test_a_bur_that_comes_back_into_its_cut_meets_nothing():
 
 
 def test_a_pushed_bur_balances_thrust_inertia_damping_and_the_force_of_the_same_tick():
-    """0.1 kg, 3 N and a damping that lets 3 N move it at 10 mm/s: m (v - v_before) / dt + 300 v
-    + F = 3 N going down.
+    """A pushed bur balances thrust, inertia, damping and the force of the same tick.
+
+    With 0.1 kg, 3 N and a damping that lets 3 N move it at 10 mm/s, m (v - v_before) / dt + 300 v +
+    F = 3 N on its path down.
     """
     env = gymnasium.make("tissue/Drilling-v0").unwrapped
     env.reset(seed=3)

@@ -16,14 +16,17 @@ from tissue.simulation.trace import Table, TraceLayout, TraceWriter
 COLUMNS = TraceLayout.of(()).columns
 TICK_S = 1e-3
 GRID_MM = 0.02
-"""Paths of 2 s are aligned over 800 samples, 2.5 ticks apart; 20 mm/s passes 0.05 mm in that
-time, the refinement less.
+"""Tolerance of the alignment [mm].
+
+Paths of 2 s are aligned over 800 samples, 2.5 ticks apart. At 20 mm/s that time covers 0.05 mm; the
+refinement is finer.
 """
 
 
 def reach(duration_s, *, pause_s=0.0, deeper_mm=0.0, aside_mm=0.0):
-    """Down 10 mm, along 20 mm, up again; the tool's axis is z and it meets the tissue below
-    zero.
+    """Return a path 10 mm down, 20 mm along, and up again.
+
+    The tool's axis is z and the tissue begins below zero.
     """
     count = round(duration_s / TICK_S)
     s = np.linspace(0.0, 4.0, count)
@@ -79,8 +82,9 @@ def test_a_slower_run_with_a_pause_is_no_deviation(tmp_path):
 
 
 def test_a_run_that_ends_early_deviates_nowhere(tmp_path):
-    """Its path lies on that of the reference as far as it goes; that it is not complete is a
-    note.
+    """A run that ends early deviates nowhere.
+
+    Its path lies on the reference's as far as it exists; a note reports that it is not complete.
     """
     whole = reach(2.0)
     rows = aligned_rows(whole[:400], whole)
@@ -224,8 +228,9 @@ def of_scene(run, **changes):
     ],
 )
 def test_runs_of_two_tasks_are_not_assessed(tmp_path, change):
-    """With another tool, tissue or material another force is right, so that no breach means
-    anything.
+    """Runs of two tasks are not assessed.
+
+    With another tool, tissue or material another force is right, so that no breach means anything.
     """
     if "materials" in change:
         constants = (

@@ -36,7 +36,9 @@ def people(count, **given):
 
 @pytest.mark.parametrize("group", GROUPS)
 def test_identical_stimuli_are_never_discriminated_better(group):
-    """Half of the answers count, with and without calibration; four standard errors of 10,000
+    """Identical stimuli are never discriminated better.
+
+    Half of the answers are right, with and without calibration; four standard errors of 10,000
     answers.
     """
     rng = np.random.default_rng(0)
@@ -48,10 +50,10 @@ def test_identical_stimuli_are_never_discriminated_better(group):
 
 
 def test_no_false_gain_on_null_data():
-    """Of 100 groups with identical stimuli, two to three in a hundred intervals lie above zero, and
-    as many below.
+    """Null data give no false gain.
 
-    More than 9 of 100 on either side have a probability below 1e-3 at 2.5 %.
+    Of 100 groups with identical stimuli, two to three in a hundred intervals lie above zero, and as
+    many below. More than 9 of 100 on either side have a probability below 1e-3 at 2.5 %.
     """
     rng, above, below = np.random.default_rng(1), 0, 0
     crowd = draw_observers("novice", 20, rng)
@@ -65,8 +67,10 @@ def test_no_false_gain_on_null_data():
 
 
 def test_an_observer_like_the_reference_gains_nothing():
-    """Known exactly, not one answer changes; calibrated by numbers, the interval of the change
-    holds zero.
+    """An observer like the reference gains nothing.
+
+    If it is known exactly, not one answer changes; calibrated by numbers, the interval of the
+    change holds zero.
     """
     rng, crowd = np.random.default_rng(2), people(100)
     stimuli = Stimulus(1.0, 0.05), Stimulus(1.1, 0.05)
@@ -82,7 +86,9 @@ def test_an_observer_like_the_reference_gains_nothing():
 
 
 def test_shares_follow_from_the_distance():
-    """Without scatter Phi(d'/sqrt 2); with scatter e before the mapping the same at d' / sqrt(1
+    """Shares follow from the distance.
+
+    Without scatter they are Phi(d'/sqrt 2); with scatter e before the mapping they use d' / sqrt(1
     + e^2); 40,000 answers.
     """
     crowd, threshold = people(400), 0.07 * 1.2
@@ -98,8 +104,10 @@ def test_shares_follow_from_the_distance():
 
 
 def test_a_mapping_cannot_help_against_scatter():
-    """Where scatter of the force decides, no exponent changes the answers; where the person's
-    noise does, all do.
+    """A mapping cannot help against scatter of the force.
+
+    Where the scatter decides, no exponent changes the answers. Where the person's noise decides,
+    every exponent does.
     """
     rng = np.random.default_rng(3)
     for beta, sign in ((1.1, 1.0), (2.3, -1.0)):

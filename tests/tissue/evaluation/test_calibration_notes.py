@@ -1,6 +1,4 @@
-"""What a calibration reports of a session: its posterior, and notes on answers and priors that
-do not fit.
-"""
+"""Reports of a calibration session: posterior, and notes on answers and priors that do not fit."""
 
 import os
 

@@ -94,8 +94,9 @@ def test_an_interrupted_interval_leaves_no_force():
 
 
 def test_a_person_at_the_keyboard_may_stop_and_go_on(command, here, monkeypatch):
-    """Answers from standard input; the end of it stops the session, and the same command goes
-    on.
+    """A person at the keyboard may stop and continue.
+
+    Answers come from standard input; its end stops the session, and the same command continues.
     """
     monkeypatch.setitem(play.__kwdefaults__, "length_s", 0.01)
     monkeypatch.setattr("tissue.evaluation.calibration.answers.PAUSE_S", 0.0)

@@ -1,6 +1,4 @@
-"""A population from many sessions: the hierarchy, the check of its convergence, and what is
-refused.
-"""
+"""Population from many sessions: the hierarchy, its convergence check, and refusals."""
 
 import sys
 
@@ -110,8 +108,9 @@ def test_a_folder_that_holds_no_population_is_refused(tmp_path, held):
 
 @pytest.mark.slow
 def test_a_population_is_recovered(tmp_path):
-    """Eight people of 60 comparisons and 12 numbers: the truth lies in the 99.8 % intervals of
-    the population's means.
+    """A population is recovered from eight people of 60 comparisons and 12 numbers.
+
+    The truth lies in the 99.8 % intervals of the population's means.
     """
     pytest.importorskip("numpyro", reason="the extra perception is not installed")
     rng, count = np.random.default_rng(0), 8

@@ -1,4 +1,4 @@
-"""What measurements are kept by."""
+"""Keys under which measurements are kept."""
 
 from tissue.evaluation.charts import keys
 from tissue.evaluation.charts.keys import setting_key

@@ -1,5 +1,7 @@
-"""What charts hold forces to: the exact geometry, or the finest of three grids with its
-grid-convergence index.
+"""Reference forces of charts.
+
+They come from the exact geometry, or from the finest of three grids with its grid-convergence
+index.
 """
 
 import numpy as np
@@ -64,7 +66,9 @@ def test_the_grids_of_an_index_change_every_length_alike(quick):
 
 @pytest.mark.slow
 def test_where_no_geometry_is_exact_the_reference_is_known_by_the_index(tmp_path, monkeypatch):
-    """A slab of tetrahedra: the finest grid's index is that of the three forces, and each is
+    """The reference comes from the index if no geometry is exact.
+
+    For a slab of tetrahedra the finest grid's index belongs to the three forces, and each is
     computed once.
     """
     monkeypatch.setenv("TISSUE_CACHE", str(tmp_path))

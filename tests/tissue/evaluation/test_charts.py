@@ -125,12 +125,12 @@ def test_a_row_without_settings_is_in_the_table_and_is_never_chosen(tmp_path):
 
 
 def test_the_error_of_the_linear_law_in_a_column_that_cannot_widen():
-    """A column between smooth walls, pressed by a ball so flat that its strain e is even: with s =
-    1 - e both laws are closed, (lambda + 2 mu) e and mu (1/s - s) - lambda ln(s)/s a unit of area;
-    they part in proportion to e where e is small.
+    """The error of the linear law is exact in a column that cannot widen.
 
-    The ball's rim comes 10 um later than its middle, of 0.5 mm and more: forces to 2 %, their ratio
-    to 0.5 %.
+    The column lies between smooth walls and is pressed by a ball so flat that its strain e is even.
+    With s = 1 - e both laws are closed, (lambda + 2 mu) e and mu (1/s - s) - lambda ln(s)/s per
+    unit of area. Their difference is proportional to e where e is small. The ball's rim comes 10 um
+    later than its middle, of 0.5 mm and more: forces agree to 2 %, their ratio to 0.5 %.
     """
     side, height, first_Pa, shear_Pa = 2e-3, 10e-3, *lame(5e3, 0.45)
     space = Space(box((side, side, height), (2, 2, 4)), 2)

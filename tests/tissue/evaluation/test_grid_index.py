@@ -43,7 +43,9 @@ def test_a_manufactured_error_gives_its_order_and_an_index_that_bounds_it(order)
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("order", [1.0, 2.0])
 def test_errors_that_fall_but_share_no_shape_are_bounded_too(order, seed):
-    """Where a tool lies on each grid is an accident: errors are independent, their sizes C h^p.
+    """Independent errors that fall with the grid spacing are bounded too.
+
+    The position of a tool on each grid is random, so the errors are independent, with sizes C h^p.
 
     Of 12,000 values a norm scatters by 0.7 %, so that of two the order does by 0.02.
     """
@@ -75,8 +77,10 @@ def test_differences_that_grow_have_a_negative_order():
 
 
 def test_an_order_that_is_too_good_is_not_used():
-    """Order 4 of a method of order 2 is an accident: the index is that of order 2 with the
-    larger safety factor.
+    """An order that is too good is not used.
+
+    Order 4 of a method of order 2 is an accident: the index is that of order 2 with the larger
+    safety factor.
     """
     exact, shape = truth(), error_shape()
     forces = [exact + shape * h**4 for h in SPACINGS]
@@ -104,7 +108,7 @@ def test_equal_forces_have_no_error_and_the_finer_two_equal_leave_the_coarse_one
 
 
 def test_an_error_that_all_grids_share_is_not_seen():
-    """What the index does not bound: a bias that no grid mends."""
+    """The index does not bound a bias that every grid has."""
     exact, shape = truth(), error_shape()
     found = grid_index([1.1 * exact + shape * h**2 for h in SPACINGS], SPACINGS)
     assert found.over_ticks.index[2] < 0.01

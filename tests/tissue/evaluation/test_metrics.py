@@ -111,8 +111,9 @@ def test_the_printed_smoothness_is_jerk_times_tick():
 
 
 def test_the_printed_smoothness_is_lower_for_the_smoother():
-    """E13: a trembling hand scores higher by the formula, while the published table has higher
-    for better.
+    """The printed smoothness is lower for the smoother motion (E13).
+
+    A trembling hand scores higher by the formula, while the published table has higher for better.
     """
     smooth = reach(1.0)
     time = np.arange(len(smooth)) * TICK_S
@@ -130,8 +131,10 @@ def test_the_printed_smoothness_is_lower_for_the_smoother():
 
 
 def test_spectral_arc_length_of_a_bell():
-    """The spectrum of a Gaussian bell is a Gaussian: its arc by quadrature, over frequency as a
-    share of the range.
+    """The spectral arc length of a bell is exact.
+
+    The spectrum of a Gaussian bell is a Gaussian: its arc is found by quadrature, with frequency as
+    a share of the range.
     """
     width = 0.1
     time = np.arange(-2.0, 2.0, TICK_S)

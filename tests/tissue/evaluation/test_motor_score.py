@@ -1,5 +1,6 @@
-"""Predictors scored at the motor on a recorded run: a perfect one, one that holds, and the same
-run in closed loop.
+"""Predictors scored at the motor on a recorded run.
+
+They are a perfect one, a zero-order hold, and the same run in closed loop.
 """
 
 import numpy as np
@@ -52,7 +53,9 @@ def test_who_holds_the_force_is_late_by_the_path(wall):
 
 
 def test_it_is_the_score_of_the_loop_that_made_the_run(wall):
-    """Nothing was predicted while it was recorded, which is holding; low-pass and latency were
+    """The score equals that of the loop that made the run.
+
+    Nothing was predicted during the recording, which is a zero-order hold; low-pass and latency are
     the loop's own.
     """
     scene, run, ideal = wall

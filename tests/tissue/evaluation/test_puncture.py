@@ -1,5 +1,6 @@
-"""Excess travel after a puncture: the metric, a release in closed form, and the same push by its
-equations alone.
+"""Excess travel after a puncture.
+
+The tests cover the metric, a release in closed form, and the same push by its equations alone.
 """
 
 from dataclasses import replace
@@ -57,8 +58,10 @@ DRY = replace(
 
 @pytest.fixture(scope="module", autouse=True)
 def parts():
-    """A device without friction, steps and lag; hands without noise, with a reflex and without;
-    a needle in a spring.
+    """Return a device, hands and a needle in a spring.
+
+    The device has no friction, steps and lag; the hands have no noise, one has a reflex and one has
+    none.
     """
     added = (
         (DEVICES, "exact", DeviceEntry(EXACT)),
@@ -131,8 +134,10 @@ def test_the_metric_knows_a_perfect_stop_from_a_wrong_one():
 
 
 def test_a_release_without_friction_is_that_of_a_mass_on_a_spring():
-    """M s'' + (b + c) s' + k s = k a(t) + b a', a linear in t, from the state at the puncture;
-    the tip loses its stretch.
+    """A release without friction follows a mass on a spring.
+
+    M s'' + (b + c) s' + k s = k a(t) + b a', a linear in t, from the state at the puncture; the tip
+    loses its stretch.
     """
     found = run("sight", tool__kind="free", hand="stiff")
     at, device = round(found.puncture_s / 1e-3), -found.run.trace["device_z_mm"]
@@ -164,7 +169,9 @@ def test_a_release_without_friction_is_that_of_a_mass_on_a_spring():
 @pytest.mark.parametrize(("needle", "viscous"), [("dry", 0.0), ("needle", 212.0)])
 @pytest.mark.parametrize("notice", ["at once", "force"])
 def test_a_push_through_a_liver_is_that_of_its_equations(notice, needle, viscous):
-    """Times to some ticks; the excess to 2 %: the tip's balance is found a tick late, and its
+    """A push through a liver follows its equations.
+
+    Times agree to some ticks, the excess to 2 %: the tip's balance is found a tick late, and its
     drag from a mean speed.
     """
     found = run(notice, tool__kind=needle)
@@ -206,8 +213,10 @@ def test_the_same_seed_gives_the_same_push_and_another_one_another():
 
 
 def test_a_step_is_noticed_when_its_mean_has_passed_the_threshold():
-    """The mean of the last 100 ticks falls by dF n / 100; noticed at the first n beyond 2 kappa
-    (F + F0).
+    """A step is noticed when its mean has passed the threshold.
+
+    The mean of the last 100 ticks falls by dF n / 100; the step is noticed at the first n beyond 2
+    kappa (F + F0).
     """
     for step, when in ((0.7, 51), (0.4, 88), (0.35, None)):
         felt = FeltDrop(0.07, 0.2, 0.1)

@@ -1,5 +1,6 @@
-"""The reference of the cutting force against closed forms: caps, slots, layers, old cuts, turned
-frames.
+"""Reference of the cutting force, against closed forms.
+
+They are caps, slots, layers, old cuts and turned frames.
 """
 
 from itertools import pairwise
@@ -83,8 +84,9 @@ def bone():
 
 
 def cap_force(cutter, first, last):
-    """Thrust [N] and axial torque [N m] of a plunging ball between two angles from its tip,
-    integrated by hand.
+    """Return thrust [N] and axial torque [N m] of a plunging ball between two angles from its tip.
+
+    They are integrated by hand.
     """
     ktc, krc, kte, kre = bone()
     chip, n = FEED * cutter.chip_per_speed_s, cutter.flute_count
@@ -96,8 +98,9 @@ def cap_force(cutter, first, last):
 
 
 def slot_force(cutter, depth, feed=FEED):
-    """Force [N] on a ball that goes along x in solid bone under a face, cut to a depth,
-    integrated by hand.
+    """Return the force [N] on a ball that moves along x in solid bone under a face.
+
+    The face is cut to a depth, and the force is integrated by hand.
     """
     ktc, krc, kte, kre = bone()
     a, chip = acos(1 - depth / R), feed * cutter.chip_per_speed_s
@@ -171,8 +174,10 @@ def test_a_second_pass_over_an_old_cut_meets_nothing(profile):
 
 @pytest.mark.slow
 def test_a_deeper_pass_meets_what_the_old_one_left():
-    """Against a plain sum over four million points: the old slot is a cylinder along x, 0.1 mm
-    higher.
+    """A deeper pass cuts the bone that the old one left.
+
+    It is compared with a plain sum over four million points: the old slot is a cylinder along x,
+    0.1 mm higher.
     """
     old, new = -0.3, -0.4
     route = path([-4, 0, old], [3, 0, old], [3, 0, 0.4], [-4, 0, 0.4], [-4, 0, new], [1, 0, new])
@@ -204,8 +209,10 @@ def test_the_end_of_a_cylinder_cuts_and_its_side_does_not():
 
 
 def test_a_turning_ball_cuts_as_its_centre_moves():
-    """Turned about its centre it moves no surface along a normal; about its tip it is a ball
-    that goes along x.
+    """A turning ball cuts as its centre moves.
+
+    Turned about its centre it moves no surface along a normal; turned about its tip it is a ball
+    that moves along x.
     """
     cutter, count, rate = burr(), 11, 4.0
     tilt = Rotation.from_rotvec(np.outer(np.linspace(-0.02, 0.02, count), [0.0, 1.0, 0.0]))
@@ -281,8 +288,9 @@ def test_legs_end_where_a_path_turns_and_not_before():
 
 
 def test_a_feed_that_changes_smoothly_is_interpolated():
-    """As under a given thrust: no two ticks have the same velocity, and few need to be
-    evaluated.
+    """A feed that changes smoothly is interpolated.
+
+    Under a given thrust, no two ticks have the same velocity, and few need to be evaluated.
     """
     time = np.arange(401) * 1e-3
     depth = FEED * (time + np.sin(8 * time) / 16)

@@ -1,5 +1,7 @@
-"""The reference over a run: its error measure, its interpolation over ticks, its cache, and the
-engine against it.
+"""Reference over a run.
+
+The tests cover its error measure, its interpolation over ticks, its cache, and the engine against
+it.
 """
 
 import numpy as np
@@ -87,8 +89,9 @@ def test_a_reference_is_computed_once(run, reference, monkeypatch):
 
 
 def test_the_engine_is_near_the_reference(run, reference):
-    """Within 0.5 % over 50 ms in coarse voxels, what is left being that of the cutter's
-    elements.
+    """The engine is near the reference, within 0.5 % over 50 ms in coarse voxels.
+
+    The rest is the error of the cutter's elements.
     """
     error = error_of_force(run.trace.vectors("model_force", "N"), reference)
     assert 0.0 < error.over_50_ms <= error.over_ticks < 0.01

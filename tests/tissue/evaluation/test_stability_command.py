@@ -1,6 +1,4 @@
-"""`tissue stability`: the verdict on a scene's loop, its map as picture and data, and what it
-refuses.
-"""
+"""`tissue stability`: the verdict on a scene's loop, its map as picture and data, and refusals."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,6 @@
-"""A study: its plan, its folder, and runs that are stopped, resumed and broken, with trials that
-cost nothing.
+"""Study: its plan, its folder, and runs that are stopped, resumed and broken.
+
+The trials cost nothing.
 """
 
 import json
@@ -70,7 +71,10 @@ def table(out):
 
 
 def test_a_plan_counts_its_trials():
-    """3 tasks x 3 groups x 100 are the paper's 900; case studies and variants come beside them."""
+    """A plan counts its trials.
+
+    3 tasks x 3 groups x 100 are the paper's 900; case studies and variants are added to them.
+    """
     keys = list(Plan().all_trials())
     assert sum(not TASKS[key.task].case and not key.variant for key in keys) == 900
     assert sum(key.task == "reaming" for key in keys) == 51
@@ -120,8 +124,9 @@ def test_a_trial_has_a_name(name):
 
 
 def test_a_study_that_is_stopped_goes_on(tmp_path, pool):
-    """Stopped after every trial in turn, it runs each once and gives the table of an unbroken
-    study.
+    """A study that is stopped continues.
+
+    Stopped after every trial in turn, it runs each once and gives the table of an unbroken study.
     """
     run_study(SMALL, tmp_path / "whole", workers=2)
     whole = len(pool.calls)

@@ -1,5 +1,6 @@
-"""Discrimination at the skin and ratios of intensity: perfect and wrong answers, null and
-planted changes, their rates.
+"""Discrimination at the skin and ratios of intensity.
+
+The cases are perfect and wrong answers, null and planted changes, and their rates.
 """
 
 import numpy as np
@@ -28,8 +29,10 @@ PAIRS = [
 
 @pytest.mark.parametrize("pair", PAIRS)
 def test_the_chance_is_the_share_of_answers_that_people_give(pair):
-    """A simulation of 300 answers each; the threshold's own scatter with the force is what the
-    closed form leaves out.
+    """The chance agrees with the share of people's right answers.
+
+    It is simulated with 300 answers each; the closed form leaves out the threshold's own scatter
+    with the force.
     """
     people = draw_observers("novice", 300, np.random.default_rng(0))
     answered = share_right(people, *pair, seed=1, trials=300, limits=WIDE)
@@ -79,8 +82,10 @@ def doubled(pair):
 
 
 def test_the_same_forces_change_nothing_and_a_planted_gain_is_found():
-    """Everything doubled behind the person's noise: by hand, d' grows by 2 (F + o) / (2 F + o)
-    without scatter.
+    """Equal forces change nothing and a planted gain is found.
+
+    If everything is doubled before the person's noise, d' grows by 2 (F + o) / (2 F + o) without
+    scatter, by hand.
     """
     rng = np.random.default_rng(0)
     people = draw_observers("novice", 100, rng)
@@ -106,8 +111,10 @@ def test_a_gain_helps_less_where_the_scatter_grows_with_it():
 
 
 def test_who_goes_by_force_is_wrong_where_the_stiffer_one_is_felt_as_weaker():
-    """Two that change places have the opposite d' and the other answers; one that does is no
-    gain.
+    """A person who judges by force is wrong where the stiffer specimen is felt as weaker.
+
+    Two specimens in exchanged order have the opposite d' and the other answers; a single exchange
+    is no gain.
     """
     rng = np.random.default_rng(3)
     people = draw_observers("expert", 60, rng)
@@ -123,8 +130,9 @@ def test_who_goes_by_force_is_wrong_where_the_stiffer_one_is_felt_as_weaker():
 def trials(
     per_person, *, scatter=0.02, nested=False, people=10, seed=0, difference=0.1, differ=0.0
 ):
-    """Trials of people whose forces differ by up to three times, on three specimens in turn, in
-    steps that differ.
+    """Return trials of people whose forces differ by up to a factor of three.
+
+    Each has three specimens in turn, in steps that differ.
     """
     rng, rows = np.random.default_rng(seed), []
     for user in range(people):
@@ -204,8 +212,10 @@ def test_people_who_met_one_specimen_alone_are_left_out():
 
 @pytest.mark.slow
 def test_null_changes_are_called_at_their_nominal_rate():
-    """Two methods with scatters of their own and nothing between them: 5 % of intervals leave
-    out zero, here 3 to 8.
+    """Null changes are called at their nominal rate.
+
+    Two methods have scatters of their own and no difference: 5 % of intervals exclude zero, here 3
+    to 8.
     """
     called, studies = 0, 600
     for seed in range(studies):
@@ -266,8 +276,9 @@ def test_errors_of_ratios_stand_between_a_perfect_force_and_one_that_never_chang
 
 
 def test_windows_that_are_half_in_contact_take_no_part_in_ratios():
-    """A force at the skin that is wrong in free motion alone, as friction is, has perfect
-    ratios.
+    """Windows that are half in contact take no part in ratios.
+
+    A force at the skin that is wrong in free motion alone, like friction, has perfect ratios.
     """
     ideal = forces()
     ideal[:1050] = ideal[2950:] = 0.0

@@ -1,5 +1,6 @@
-"""Measures of a trial on arrays: a perfect force scores perfect, and none depends on where the
-axes lie.
+"""Measures of a trial on arrays.
+
+A perfect force scores perfect, and no measure depends on the axes.
 """
 
 from types import SimpleNamespace

@@ -1,5 +1,6 @@
-"""Travel after a puncture of people of whom some never notice it: nobody is left out for having
-missed it.
+"""Travel after a puncture of people of whom some never notice it.
+
+Nobody is left out for missing it.
 """
 
 from math import inf
@@ -32,8 +33,9 @@ def row(user, trial, method, travel_mm, *, noticed=True, **other):
 
 
 def study(unnoticed=0, people=9):
-    """Nine people with two trials each; under penalty some never notice, under Koopman all do, 1
-    mm earlier.
+    """Return a study of nine people with two trials each.
+
+    Under penalty some never notice, under Koopman all do, 1 mm earlier.
     """
     return TrialTable.from_rows(
         row(
@@ -62,8 +64,10 @@ def test_people_who_notice_nothing_count_as_the_longest():
 
 
 def test_a_method_is_not_better_for_losing_those_who_miss_it():
-    """Means of those who notice fall as people are lost, here below the other method's: medians
-    of all do not.
+    """A method does not improve by losing people who miss the puncture.
+
+    Means of people who notice fall as people are lost, here below the other method's: medians of
+    all do not.
     """
     table = TrialTable.from_rows(
         row(user, 0, method, 40.0 if missed else 5.0 + user, noticed=not missed)
@@ -85,7 +89,10 @@ def test_a_method_is_not_better_for_losing_those_who_miss_it():
 
 @pytest.mark.parametrize("people", [6, 9, 17, 30])
 def test_the_interval_of_a_median_holds_it_at_its_rate(people):
-    """By drawing: it holds the median in 95 % at least, and one rank further in in less."""
+    """The interval of a median holds it at its rate.
+
+    By drawing, it holds the median in 95 % or more, and in less if it is narrower by one rank.
+    """
     values = np.random.default_rng(people).standard_exponential((4000, people))
     bounds = np.array([median_interval(each)[1:] for each in values])
     inside = (bounds[:, 0] <= np.log(2.0)) & (np.log(2.0) <= bounds[:, 1])
@@ -101,8 +108,10 @@ def test_few_people_have_no_interval():
 
 
 def test_methods_are_compared_on_the_same_trials():
-    """A trial that failed under one method is left out under all, so that rows of two methods
-    belong together.
+    """Methods are compared on equal trials.
+
+    A trial that failed under one method is left out under all, so that rows of two methods belong
+    together.
     """
     rows = [row(user, 0, method, 5.0 + user) for user in range(4) for method in METHODS]
     rows[2] = {

@@ -1,5 +1,6 @@
-"""A registered plan: its power against simulation, its hash, and what a report finds that
-differs from it.
+"""Registered plan.
+
+The tests cover its power against simulation, its hash, and the differences that a report finds.
 """
 
 import json
@@ -78,7 +79,9 @@ def differences(folder, tests=None):
 
 
 def test_power_is_that_of_simulated_populations():
-    """20,000 populations of three groups of six people under four methods, to three standard
+    """Power agrees with simulated populations.
+
+    20,000 populations of three groups of six people under four methods agree to three standard
     errors of a share.
     """
     rng, people, groups, methods, count = np.random.default_rng(0), 6, 3, 4, 20_000
@@ -179,8 +182,10 @@ def test_a_plan_that_grows_is_registered_anew(study):
 
 
 def test_doctored_trials_are_found(study):
-    """A figure, then the seed, the plan's hash and the code's, each with a hash of the content
-    that fits again.
+    """Doctored trials are found.
+
+    Changed are a figure, then the seed, the plan's hash and the code's, each with a hash of the
+    content that fits again.
     """
     path = study.path / "trials" / "T1-novice-0001.json"
     held = json.loads(path.read_text("utf-8"))

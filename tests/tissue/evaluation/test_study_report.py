@@ -1,6 +1,4 @@
-"""The report of a study: tables beside the paper's, sentences that follow from the data,
-whatever is missing.
-"""
+"""Report of a study: tables next to the paper's, sentences from the data, missing parts."""
 
 import csv
 from dataclasses import replace
@@ -23,7 +21,7 @@ from tissue.evaluation.study.trial import Trial, _from_path, failures_of
 
 PLAN = Plan(trials=4, tasks=("T1", "T2", "needle", "reaming", "drilling"))
 LEFT = {"penalty": 1.0, "energy": 1.0} | dict.fromkeys(list(METHODS)[2:], 0.4)
-"""What each method leaves of the force error."""
+"""Fraction of the force error that each method leaves."""
 
 
 def planted(key, rng):
@@ -121,8 +119,10 @@ def test_the_report_finds_what_was_planted(study):
 
 @pytest.mark.slow
 def test_discrimination_is_reported_where_people_met_both_specimens_twice(tmp_path):
-    """A gain of two between specimens under one method, the same forces under the others;
-    drilling and needle beside.
+    """Discrimination is reported for people who had both specimens twice.
+
+    One method has a gain of two between specimens, the other methods have equal forces; drilling
+    and needle are included.
     """
     folder = StudyFolder(tmp_path / "study")
     plan = Plan(
@@ -230,7 +230,10 @@ def test_a_study_that_has_hardly_begun_is_reported(tmp_path):
 
 
 def test_distances_from_a_path():
-    """Points beside, beyond and on a path of two legs at a right angle."""
+    """Distances from a path are exact for points next to, beyond and on it.
+
+    The path has two legs at a right angle.
+    """
     path = np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0]])
     tips = np.array([[5.0, 3, 0], [13, 0, 4], [10, 4, 0], [-3, 0, 4]])
     assert _from_path(tips, path) == pytest.approx([3.0, 5.0, 0.0, 5.0])

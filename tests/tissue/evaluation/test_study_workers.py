@@ -64,8 +64,10 @@ def test_the_table_does_not_depend_on_the_workers(tmp_path, alone, workers):
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGKILL"])
 def test_a_killed_study_goes_on(tmp_path, alone, name):
-    """Killed at its third trial: its workers go with it, what it had is kept, and nothing is
-    done twice.
+    """A killed study continues.
+
+    Killed at its third trial, its workers end with it, its results are kept, and nothing is done
+    twice.
     """
     out, blow = tmp_path / "study", getattr(signal, name)
     with subprocess.Popen(
@@ -104,7 +106,9 @@ def test_a_killed_worker_is_replaced(tmp_path, alone):
 
 
 def test_dask_gives_the_same_table(tmp_path, alone):
-    """One of three workers is killed in mid-study, then the scheduler, which comes back with new
+    """Dask gives the same table.
+
+    One of three workers is killed in mid-study, then the scheduler, which comes back with new
     workers.
     """
     pytest.importorskip(

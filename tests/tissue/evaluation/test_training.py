@@ -24,8 +24,10 @@ SCENES = ("caries", "glenoid", "liver-press", "milling", "molar", "needle", "pal
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_a_shipped_predictor_is_sound(scene):
-    """It is stable, small, was better than holding on runs held out, and falls back on what it
-    knows.
+    """A shipped predictor is sound.
+
+    It is stable and small, was better than zero-order hold on held-out runs, and falls back on its
+    baseline.
     """
     path = shipped_file(scene)
     trained = Trained.read(path, scene=scene)
@@ -66,8 +68,9 @@ def test_a_trial_has_the_scale_of_forces_that_its_scene_has_on_a_device(name):
 
 
 def motor_error(prediction, **changes):
-    """||F - F_ideal|| / ||F_ideal|| at the motor of a run on the wall with 4 ms of latency, the
-    least one, its trace.
+    """Return the error at the motor, its noise floor and the trace of a run on the wall.
+
+    The latency is 4 ms, the error ||F - F_ideal|| / ||F_ideal||.
     """
     entries = {
         "hand": "novice",

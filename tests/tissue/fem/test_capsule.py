@@ -20,8 +20,10 @@ def turned_cube(order):
 
 
 def plane_stress_J(space, faces, thickness_m, gradient):
-    """Sum over faces of A h E / (2 (1 - nu^2)) ((1 - nu) e : e + nu (tr e)^2), e the strain
-    within the face.
+    """Return the membrane energy of plane stress [J].
+
+    It is the sum over faces of A h E / (2 (1 - nu^2)) ((1 - nu) e : e + nu (tr e)^2), with e the
+    strain within the face.
     """
     total = 0.0
     for nodes, thickness in zip(faces, thickness_m, strict=True):

@@ -1,6 +1,4 @@
-"""The compliance of touchable nodes: whole, column by column on demand, and cut to a basis of
-modes.
-"""
+"""Compliance of touchable nodes: whole, column by column on demand, and cut to a basis of modes."""
 
 import threading
 import time
@@ -39,8 +37,10 @@ def test_the_compliance_is_found_once_symmetric_and_positive(monkeypatch):
 
 
 def test_the_compliance_read_off_a_factor_is_that_of_back_substitutions(monkeypatch, tmp_path):
-    """Held nodes among the touchable ones give nothing; rounding of two factors in different
-    orders.
+    """The compliance read off a factor equals that of back substitutions.
+
+    Held nodes among the touchable ones give zero; the difference is rounding of two factors in
+    different orders.
     """
     body = body_of()
     shares = []
@@ -95,13 +95,14 @@ def lazy(nodes, **options):
 
 
 def ready(there, nodes):
-    """Whether the columns of all these nodes are in the buffer."""
+    """Return True if the columns of all these nodes are in the buffer."""
     return bool((there._slot[nodes] >= 0).all())
 
 
 def test_a_node_asked_for_again_while_it_is_found_is_kept_once():
-    """The thread has taken it off the list and is at work when the next tick asks for the same
-    nodes.
+    """A node that is asked for again during its solve is kept once.
+
+    The thread has taken it off the list and is at work when the next tick asks for the node again.
     """
     there = lazy(SURFACE)
     there.want(np.arange(len(SURFACE)))

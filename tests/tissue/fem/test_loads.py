@@ -48,8 +48,10 @@ def test_loads_do_the_work_of_a_linear_field(order):
 
 
 def test_quadratic_loads_do_the_work_of_a_quadratic_field():
-    """Traction (0, 0, 1) on the top of the unit cube times u_z = x^2, and weight times the same:
-    1/3 each.
+    """Quadratic loads do the work of a quadratic field.
+
+    Traction (0, 0, 1) on the top of the unit cube times u_z = x^2, and weight times the same field,
+    are 1/3 each.
     """
     space = Space(distorted(3), 2)
     moved = np.column_stack([0 * space.nodes_m[:, 0]] * 2 + [space.nodes_m[:, 0] ** 2])
@@ -104,8 +106,9 @@ def test_what_cannot_be_used_is_refused(message):
 
 
 def test_a_body_far_from_the_origin_has_the_same_matrix():
-    """Gradients come from differences of positions: 1 m away from a body of 1 m costs rounding
-    alone.
+    """A body far from the origin has the same matrix.
+
+    Gradients come from differences of positions: 1 m away from a body of 1 m costs rounding alone.
     """
     mesh = distorted(3)
     near, far = (

@@ -1,5 +1,6 @@
-"""Equilibria under nodal forces that change, against uniaxial closed forms and against forces
-that are balanced.
+"""Equilibria under nodal forces that change.
+
+They are compared with uniaxial closed forms and with balanced forces.
 """
 
 import numpy as np
@@ -44,7 +45,7 @@ def cube(order: int) -> tuple[Space, HeldBody, QuasiNewton]:
 
 
 def pulled(space: Space, force_N: float) -> np.ndarray:
-    """A force along x, spread evenly over the face at the greatest x."""
+    """Return a force along x, spread evenly over the face at the largest x."""
     face = np.isclose(space.nodes_m[space.faces], SIDE_M, atol=1e-12)[:, :, 0].all(axis=1)
     load = np.zeros((space.node_count, 3))
     share = (
@@ -58,8 +59,9 @@ def pulled(space: Space, force_N: float) -> np.ndarray:
 
 
 SOFTENING = Hyperelastic.yeoh(0.5 * LAME[1], -0.04 * LAME[1], 0.0, bulk_Pa=LAW.bulk_Pa)
-"""Its force along a bar is greatest at a stretch of 2.0 and falls from there: no load alone
-holds it beyond.
+"""Law whose force along a bar is largest at a stretch of 2.0 and falls beyond it.
+
+No load alone holds the bar beyond.
 """
 
 
@@ -89,8 +91,9 @@ def softening_N(along: float) -> tuple[float, np.ndarray]:
 
 
 def stretched(force_N: float) -> tuple[float, float]:
-    """Stretch along and across a bar under a nominal stress along it, by the law's own
-    derivatives.
+    """Return the stretch along and across a bar under a nominal stress along it.
+
+    The law's own derivatives are used.
     """
 
     def across(along):
@@ -130,7 +133,9 @@ def test_taken_off_the_load_leaves_nothing():
 
 
 def test_springs_hold_a_bar_beyond_the_load_that_it_can_bear():
-    """Force and shape on the falling branch are those of the closed form, though the tangent is
+    """Springs hold a bar beyond its largest load.
+
+    Force and shape on the falling branch agree with the closed form, though the tangent is
     indefinite there.
     """
     space, held, follower, body = softening_bar()
@@ -170,8 +175,10 @@ def test_springs_hold_a_bar_beyond_the_load_that_it_can_bear():
 
 
 def test_a_load_that_nothing_balances_leaves_the_last_equilibrium():
-    """A softening bar has no equilibrium under three times its greatest force; the follower goes
-    on from where it was.
+    """A load without equilibrium leaves the last equilibrium.
+
+    A softening bar has none under three times its largest force; the follower continues from its
+    last state.
     """
     space, _, follower, _ = softening_bar()
     for along, factor in ((1.5, 1.0), (1.5, 4.0), (1.6, 1.0)):

@@ -1,5 +1,6 @@
-"""Shape functions of simplices against polynomials that are written out here and integrated by a
-fine rule.
+"""Shape functions of simplices, against polynomials that are written out here.
+
+They are integrated by a fine rule.
 """
 
 import numpy as np
@@ -18,8 +19,9 @@ NODES = {(3, 1): 3, (3, 2): 6, (4, 1): 4, (4, 2): 10}
 
 
 def rule(corners, parts=24):
-    """Barycentric midpoints of a fine division of a simplex by collapsed cubes, with weights
-    that add up to 1.
+    """Return barycentric midpoints of a fine division of a simplex by collapsed cubes.
+
+    Their weights add up to 1.
     """
     line = (np.arange(parts) + 0.5) / parts
     axes = np.stack(np.meshgrid(*[line] * (corners - 1), indexing="ij"), axis=-1).reshape(
@@ -58,8 +60,10 @@ def test_means_of_shape_functions(corners, order):
 
 @pytest.mark.parametrize(("corners", "order"), NODES)
 def test_slopes_and_products_of_gradients(corners, order):
-    """d N_A / d l_c by central differences, exact for quadratics; their products' means by the
-    rule.
+    """Slopes and products of gradients agree with differences.
+
+    d N_A / d l_c comes from central differences, exact for quadratics; their products' means come
+    from the rule.
     """
     places, weights = rule(corners)
     slopes = gradient_slopes(corners, order)

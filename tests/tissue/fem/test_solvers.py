@@ -67,8 +67,9 @@ def test_the_answer_is_lapacks_to_the_stated_tolerance(path, held):
 
 
 def test_a_solve_is_linear_reciprocal_and_stores_energy(path):
-    """Betti (1872): the work of one load along another's displacement is the same in either
-    order.
+    """A solve is linear, reciprocal and stores energy.
+
+    Betti (1872): the work of one load along another's displacement is equal in either order.
     """
     body = body_of()
     solver = path(body)
@@ -231,8 +232,10 @@ def test_a_stiffness_that_is_not_finite_or_of_another_size_is_refused():
 
 @pytest.mark.parametrize("solver", [DirectSolver, MultigridSolver])
 def test_an_indefinite_stiffness_is_reported(solver):
-    """Shifted by more than its lowest eigenvalue, K keeps a positive diagonal and has one
-    direction of negative energy.
+    """An indefinite stiffness is reported.
+
+    Shifted by more than its lowest eigenvalue, K keeps a positive diagonal and has one direction of
+    negative energy.
     """
     body = body_of()
     free = body.free
@@ -286,8 +289,10 @@ def test_multigrid_refuses_a_tolerance_below_rounding():
 
 
 def test_dissection_orders_every_node_once_and_parts_what_it_separates():
-    """With the last nodes taken out, a box falls apart into halves; elimination in that order
-    fills less than plainly.
+    """Dissection orders every node once and separates the parts.
+
+    Without the last nodes, a box falls apart into halves; elimination in that order has less fill
+    than the plain order.
     """
     mesh = box((1.0, 0.5, 0.5), (16, 6, 6))
     body = body_of(mesh)

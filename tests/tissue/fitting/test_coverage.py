@@ -1,5 +1,6 @@
-"""Intervals of fits to milled logs hold what was planted, with axial coefficients at their cited
-value of 0.
+"""Coverage of fits to milled logs.
+
+Intervals hold the planted values, with axial coefficients at their cited value of 0.
 """
 
 import sys
@@ -16,8 +17,10 @@ FITS = 20
 
 @pytest.mark.slow
 def test_intervals_hold_coefficients_where_axial_ones_are_zero():
-    """`bench_fit_cutting.py block --truth ends` counts 400 logs; a half-normal prior holds fewer
-    than three quarters.
+    """Intervals hold coefficients where axial ones are zero.
+
+    `bench_fit_cutting.py block --truth ends` counts 400 logs; a half-normal prior holds fewer than
+    three quarters.
     """
     held = [each for seed in range(FITS) for each in one(("block", seed, "ends", False))[0]]
     two_sided = [inside for name, inside in held if name.startswith("constant cutting")]

@@ -140,7 +140,9 @@ def test_chip_and_edge_of_one_feed_are_in_one_ratio():
 
 @pytest.mark.slow
 def test_candidate_slots_of_a_cylinder_against_closed_forms():
-    """Half of its side a deep meets bone, N a / (2 pi) dphi of edge: N a / pi of edge and N a /
+    """Candidate slots of a cylinder follow closed forms.
+
+    Half of its side a deep touches bone, with N a / (2 pi) dphi of edge: N a / pi of edge and N a /
     4 h of chip.
     """
     forward = forward_along([[0, 0, 0.2], [0, 0, -0.8]], [0.0, 0.1], free=("cutting",))

@@ -1,5 +1,6 @@
-"""Values and clocks that contradict their priors are stated everywhere, and nothing found with
-them is determined.
+"""Values and clocks that contradict their priors.
+
+They are reported everywhere, and no result based on them is marked as determined.
 """
 
 import json
@@ -25,8 +26,9 @@ def coarse_slot():
 
 
 def fitted(folder, *, forward=None, factor=1.0, offset_s=0.0):
-    """A fit to a log of median constants, its loads scaled as by a wrong unit, with clocks that
-    differ.
+    """Return a fit to a log of median constants.
+
+    Its loads are scaled as by a wrong unit, and its clocks differ.
     """
     forward = forward or coarse_slot()
     log, _ = planted(

@@ -1,5 +1,6 @@
-"""`tissue fit` from a run's own trace with other coefficients: what was planted comes back, into
-a file for scenes.
+"""`tissue fit` from a run's own trace with other coefficients.
+
+The planted values are recovered, into a file for scenes.
 """
 
 import json

@@ -1,5 +1,6 @@
-"""`tissue fit` of an organ: modulus and friction of a slab come back from a run with noise, bias
-and delay.
+"""`tissue fit` of an organ.
+
+Modulus and friction of a slab are recovered from a run with noise, bias and delay.
 """
 
 import numpy as np
@@ -97,8 +98,9 @@ def write_log(path, times, tips, forces):
 
 
 def pressed(path, changes, corners_mm, times_s, planted, *, noise_N, seed):
-    """The scene of a slab with changes, and the log of a ball along a path in it with planted
-    constants.
+    """Return a slab scene with changes, and the log of a ball along a path with planted constants.
+
+    The log has noise.
     """
     scene = tissue.load_scene("palpation", SCENE | changes)
     upright = np.tile([0.0, 0.0, 0.0, 1.0], (len(times_s), 1))
@@ -146,7 +148,9 @@ def test_a_prony_series_comes_back_from_a_held_press(tmp_path):
 
 @pytest.mark.slow
 def test_a_log_too_short_for_relaxation_leaves_its_constants_at_their_range(tmp_path):
-    """A slow press without a hold: the force grows, and what relaxes meanwhile looks like a
+    """A log too short for relaxation leaves its constants at their range.
+
+    In a slow press without a hold the force grows, and the relaxation in that time looks like a
     softer organ.
     """
     corners = [[0, 0, 0.2], [0, 0, -0.5]]

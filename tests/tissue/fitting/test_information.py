@@ -1,5 +1,6 @@
-"""Information of a log and of one that is not measured yet, against the noise's covariance as
-one dense matrix.
+"""Information of a log and of a planned log.
+
+They are compared with the noise's covariance as one dense matrix.
 """
 
 import numpy as np
@@ -25,9 +26,7 @@ PHI = 0.7
 
 
 def cut(frequency):
-    """Two constants, one of them an oscillating load that begins and ends smoothly, the other
-    its square.
-    """
+    """Return two constants: an oscillating load that begins and ends smoothly, and its square."""
     envelope = np.sin(np.pi * TIMES_S / TIMES_S[-1]) ** 2
     wave = envelope * np.sin(2.0 * np.pi * frequency * TIMES_S)
     parameters = tuple(Parameter(f"cutting.bone.k{at}_N", prior) for at, prior in enumerate(PRIORS))
@@ -91,8 +90,9 @@ def test_expected_information_of_a_candidate(posterior):
 
 
 def test_a_combination_that_is_known_for_certain_gains_nothing(posterior):
-    """As of a log without noise, with a variance that rounding makes negative: what is left is
-    one number.
+    """A combination that is known for certain gains nothing.
+
+    In a log without noise, with a variance that rounding makes negative, one number remains.
     """
     known = np.array([3.0, -4.0]) / 5.0
     free = np.array([4.0, 3.0]) / 5.0
@@ -107,8 +107,9 @@ def test_a_combination_that_is_known_for_certain_gains_nothing(posterior):
 
 
 def test_information_of_the_log(posterior):
-    """With offset and bias free; the slope of the load by the offset from differences, 1e-3 of
-    it.
+    """The information of the log is exact with offset and bias free.
+
+    The slope of the load by the offset comes from differences, 1e-3 of it.
     """
     expected = np.linalg.eigvalsh(
         left(dense(posterior, by_z(posterior, posterior.target.forward)))

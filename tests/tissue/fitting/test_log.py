@@ -113,8 +113,10 @@ def test_matlab_7_3_has_structs(table, tmp_path):
 
 
 def test_a_saturated_sensor_is_noted_and_its_samples_left_out(tmp_path):
-    """Clipped at 5 N; a peak in steps that is as flat for a moment is not, nor a smooth load
-    that rests.
+    """A saturated sensor is noted and its samples are left out.
+
+    The clipping is at 5 N. A peak in steps that is as flat for a moment is not clipped, nor is a
+    smooth load at rest.
     """
     times_s = np.arange(0.0, 2.0, 1e-3)
     rng = np.random.default_rng(0)

@@ -1,5 +1,6 @@
-"""The law of one constant against the density summed over a grid, where a normal law of its
-number is far off.
+"""Law of one constant, against the density summed over a grid.
+
+A normal law of its number is far off there.
 """
 
 import numpy as np
@@ -39,8 +40,9 @@ def posterior(request):
 
 @pytest.fixture(scope="module")
 def summed(posterior):
-    """Quantiles and spread of the number, offset and bias summed over by Gauss-Hermite points as
-    well.
+    """Return quantiles and spread of the number.
+
+    Offset and bias are summed over by Gauss-Hermite points as well.
     """
     target = posterior.target
     u = posterior.maximum
@@ -70,7 +72,7 @@ def test_quantiles_and_spread(posterior, summed):
 
 
 def test_a_normal_law_would_call_a_hidden_constant_known(posterior, summed):
-    """Where the load is in the noise, the normal law about the maximum is too narrow."""
+    """The normal law about the maximum is too narrow where the load lies in the noise."""
     laplace = posterior.covariance[0, 0] ** 0.5
     spread = summed[1]
     if posterior.maximum[0] < 1.5:
@@ -81,8 +83,9 @@ def test_a_normal_law_would_call_a_hidden_constant_known(posterior, summed):
 
 
 def test_constants_known_only_by_their_sum():
-    """What is left of two ranges that span decades is the product of their laws along the line
-    of the sum.
+    """Two constants that are known only by their sum have the right law.
+
+    If the two ranges span decades, it is the product of their laws along the line of the sum.
     """
     priors = (Prior(0.01, 0.0, 0.1), Prior(0.03, 0.005, 0.2))
     total = 0.06
@@ -109,7 +112,10 @@ def test_constants_known_only_by_their_sum():
 
 @pytest.mark.slow
 def test_the_density_of_a_constant_of_a_cut_does_not_depend_on_the_start():
-    """Where others follow a constant along a curve, straight ahead is far from it."""
+    """The density does not depend on the start where constants depend on each other along a curve.
+
+    The straight direction is far from that curve.
+    """
     forward = forward_along(
         [[-1, 0, 0.2], [-1, 0, -0.3], [1, 0, -0.8], [1, 1, -0.8]], [0.0, 0.1, 0.4, 0.5]
     )
@@ -142,7 +148,9 @@ def test_the_density_of_a_constant_of_a_cut_does_not_depend_on_the_start():
 
 
 def test_an_offset_that_leaves_a_jump_between_two_samples_is_not_known_within_them():
-    """Poses at 1 kHz, loads read each 20 ms: a load that jumps 8 ms after a sample jumps
+    """An offset with a jump between two samples is not known within them.
+
+    Poses are at 1 kHz and loads are read each 20 ms: a load that jumps 8 ms after a sample may jump
     anywhere in those 20 ms.
     """
     times = 1e-3 * np.arange(2000)

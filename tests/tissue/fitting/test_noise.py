@@ -1,5 +1,6 @@
-"""The law of residuals against SciPy's densities, its gradient against differences, and gaps
-that restart the chain.
+"""Law of residuals against SciPy's densities.
+
+Its gradient is compared with differences, and gaps restart the chain.
 """
 
 import numpy as np

@@ -1,5 +1,6 @@
-"""Constants whose cited value is an end of their range, against integrals over the prior that is
-cut off there.
+"""Constants whose cited value is an end of their range.
+
+They are compared with integrals over the prior that is cut off there.
 """
 
 import numpy as np
@@ -37,8 +38,9 @@ def test_a_value_at_the_upper_end_is_mirrored_on_the_scale_of_its_prior():
 
 @pytest.mark.parametrize("mean", [[0.4], [-2.0], [0.5, -0.7], [1.2, 0.1]])
 def test_the_factor_is_the_integral_over_the_cut_off_prior(mean):
-    """By the trapezoid over each number below and above 0: its likelihood below 0 is the one at
-    0.
+    """The factor is the integral over the cut-off prior.
+
+    The trapezoid rule covers each number below and above 0: its likelihood below 0 is the one at 0.
     """
     k = len(mean)
     covariance = np.array([[0.5, -0.3], [-0.3, 0.4]])[:k, :k]
@@ -58,8 +60,9 @@ TIMES_S = np.arange(0.0, 1.2, 0.01)
 
 
 def confounded(planted, seed):
-    """A radial constant and an axial one with nearly the same loads, and a log of them on two
-    channels.
+    """Return a radial and an axial constant with nearly equal loads, and their log.
+
+    The log has two channels.
     """
     wave = np.sin(2.0 * np.pi * TIMES_S / 0.6)
     basis = np.zeros((len(TIMES_S), 2, 2))
@@ -76,8 +79,9 @@ def confounded(planted, seed):
 
 
 def student(residuals, noise):
-    """Log density of residuals, shape (..., m, c), for the noise that a fit found, written out
-    anew.
+    """Return the log density of residuals, shape (..., m, c), for the noise of a fit.
+
+    It is written out independently.
     """
     nu = noise.freedom
     scale = noise.scale

@@ -1,5 +1,6 @@
-"""Loads of an organ by its constants: proportional to all moduli together, against closed forms
-and runs.
+"""Loads of an organ by its constants, against closed forms and runs.
+
+They are proportional to all moduli together.
 """
 
 import numpy as np
@@ -31,8 +32,9 @@ POSES = Poses(
 
 
 def closed(x):
-    """Loads of springs in parallel with friction, which multiplies them, and the logarithm of a
-    time, also together.
+    """Return loads of springs in parallel.
+
+    Friction multiplies them, and so does the logarithm of a time, also together.
     """
     base = np.arange(1.0, 7.0).reshape(3, 2)
     friction = x[2]

@@ -15,8 +15,10 @@ from tissue.materials.prior import Prior
 
 @pytest.mark.parametrize("restricted", [False, True])
 def test_gradient_by_differences(restricted):
-    """That of the restricted likelihood by the noise alone, its sensitivities being those of one
-    place.
+    """The gradient equals the one from finite differences.
+
+    For the restricted likelihood it is taken by the noise alone, because its sensitivities belong
+    to one place.
     """
     rng = np.random.default_rng(1)
     log, _ = plant(slot(), rng)
@@ -63,8 +65,11 @@ def test_planted_constants_bias_and_offset_come_back():
 
 
 def test_normal_law_of_a_linear_problem_is_exact():
-    """With linear priors and known noise the covariance is that of ridge regression: (J' W J +
-    I)^-1, within the share that the estimation of noise, bias and offset adds."""
+    """The normal law of a linear problem is exact.
+
+    With linear priors and known noise the covariance is that of ridge regression: (J' W J + I)^-1,
+    within the share that the estimation of noise, bias and offset adds.
+    """
     rng = np.random.default_rng(3)
     log, _ = plant(slot(), rng, scale=0.05)
     found = maximum_posterior(slot(), log)
@@ -110,8 +115,10 @@ def test_one_feed_gives_combinations_and_no_single_constant():
 
 
 def test_density_and_coefficient_are_one_number():
-    """A factor on the density, to the power of 1.5, and a coefficient: their product is known,
-    neither of them is.
+    """Density and coefficient act as one number.
+
+    A factor on the density, to the power of 1.5, multiplies a coefficient: their product is known,
+    neither factor is.
     """
     forward = slot()
 

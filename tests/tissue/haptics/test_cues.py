@@ -74,8 +74,10 @@ def test_it_waits_for_a_force_and_ends_without_samples():
 
 @pytest.mark.parametrize(("name", "count"), [("needle", 4), ("wall", 1)])
 def test_a_run_plays_one_for_each_event(name, count):
-    """The needle touches, goes through the capsule, meets the vessel wall and goes through it;
-    the wall is touched.
+    """A run plays one cue for each event.
+
+    The needle touches, passes the capsule, touches the vessel wall and passes it; the wall is
+    touched.
     """
     trace = simulate(load_scene(name, {"device": "touch", "output.cue_N": 0.3})).trace
     cue = trace.vectors("cue", "N")

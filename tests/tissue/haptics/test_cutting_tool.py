@@ -1,5 +1,6 @@
-"""The balance of a tool that cuts, along its feed and across it: closed forms, energy, stability
-over decades.
+"""Balance of a tool that cuts, along its feed and across it.
+
+The tests cover closed forms, energy, and stability over decades.
 """
 
 from itertools import product
@@ -15,7 +16,7 @@ DOWN = np.array([0.0, 0.0, -1.0])
 
 
 def ramp(velocity_m_s, seconds=1.0):
-    """A device that goes on at a velocity [m/s]."""
+    """Return a device that moves on at a velocity [m/s]."""
     return STEP_S * np.arange(round(seconds / STEP_S))[:, None] * np.asarray(velocity_m_s)
 
 
@@ -46,8 +47,10 @@ def against(edge_N, drag_N_s_m):
 @pytest.mark.parametrize("drag_N_s_m", [0.0, 30.0, 3e3, 1e5])
 @pytest.mark.parametrize("velocity_m_s", [(3e-3, 0, -4e-3), (1e-3, -2e-3, 2e-3)])
 def test_a_tool_trails_its_device_by_edge_and_resistance_as_vectors(drag_N_s_m, velocity_m_s):
-    """Constant E and C, a device at V in any direction: it goes at V and k (x_device - x) = E +
-    C |V| in the end.
+    """A tool trails its device by edge force and resistance as vectors.
+
+    E and C are constant and a device moves at V in any direction: the tool reaches V and k
+    (x_device - x) = E + C |V|.
     """
     speed = np.linalg.norm(velocity_m_s)
     direction = np.asarray(velocity_m_s) / speed
@@ -62,8 +65,10 @@ def test_a_tool_trails_its_device_by_edge_and_resistance_as_vectors(drag_N_s_m, 
 
 @pytest.mark.parametrize("drag_N_s_m", [0.0, 3e3, 1e5])
 def test_an_oblique_pull_turns_the_tool_into_its_direction(drag_N_s_m):
-    """Resistance alike in all directions, E + C v along the motion: the device turns by 60
-    degrees, and so does it.
+    """An oblique pull turns the tool into its direction.
+
+    The resistance is equal in all directions, E + C v along the motion: the device turns by 60
+    degrees, and so does the tool.
     """
     there = ramp((5e-3, 0.0, 0.0), 6.0)
     back = there[-1] + ramp((2.5e-3, 4.33e-3, 0.0), 8.0)
@@ -80,8 +85,10 @@ def test_an_oblique_pull_turns_the_tool_into_its_direction(drag_N_s_m):
 
 @pytest.mark.parametrize("damping_N_s_m", [0.0, 100.0])
 def test_a_damper_to_the_device_adds_no_force_at_its_pace(damping_N_s_m):
-    """Edge force across the motion, as of a burr that spins: k (x_device - x) = E + C |V| with
-    the damper or without.
+    """A damper to the device adds no force at its pace.
+
+    The edge force acts across the motion, like that of a spinning burr: k (x_device - x) = E + C
+    |V| with the damper or without.
     """
     edge, drag = np.array([1.0, -3.0, -4.0]), np.array([50.0, 0.0, -20.0])
     tool = CuttingTool(1e4, np.zeros(3), damping_N_s_m=damping_N_s_m)
@@ -97,8 +104,10 @@ def test_a_damper_to_the_device_adds_no_force_at_its_pace(damping_N_s_m):
 def test_it_is_stable_over_decades_of_spring_edge_resistance_and_step(
     stiffness_N_m, step_s, drag_N_s_m, edge_N
 ):
-    """A device that stops: every step shortens the spring, and the tool comes to rest within the
-    edge force.
+    """The balance is stable over decades of spring, edge, resistance and step.
+
+    The device stops: every step shortens the spring, and the tool comes to rest within the edge
+    force.
     """
     rng = np.random.default_rng(0)
     tool, device = CuttingTool(stiffness_N_m, np.zeros(3)), np.array([2e-3, -1e-3, 1.5e-3])
@@ -112,11 +121,11 @@ def test_it_is_stable_over_decades_of_spring_edge_resistance_and_step(
 
 
 def test_the_spring_never_takes_energy_from_a_tool_that_cuts():
-    """Over a closed motion of the device, whatever the cutter's spin would push: work of the device
-    >= 0 at its end.
+    """The spring never takes energy from a tool that cuts.
 
-    k (x_device - x') . (x' - x) >= 0 in every tick, so that what the spring holds falls by at least
-    k |x' - x|^2 / 2.
+    Over a closed motion of the device, for any push of the cutter's spin, the work of the device is
+    >= 0 at its end. k (x_device - x') . (x' - x) >= 0 in every tick, so that the spring's energy
+    falls by k |x' - x|^2 / 2 or more.
     """
     turn = np.linspace(0.0, 4.0 * np.pi, 3000)
     round_and_back = 1e-3 * np.column_stack(
@@ -135,8 +144,10 @@ def test_the_spring_never_takes_energy_from_a_tool_that_cuts():
 
 
 def test_a_ball_that_slides_lies_as_deep_as_its_spring_presses():
-    """The spring's force in steady sliding is the law's for that depth and heading, also across
-    the path.
+    """A ball that slides lies as deep as its spring presses.
+
+    The spring's force in steady sliding is the law's force for that depth and direction, also
+    across the path.
     """
     law, tool = BallOnBlock(spin=0.0), CuttingTool(1e4, np.zeros(3))
     down = ramp((0.0, 0.0, -4e-3), 0.3)
@@ -153,8 +164,10 @@ def test_a_ball_that_slides_lies_as_deep_as_its_spring_presses():
 
 
 def test_a_spinning_ball_is_held_across_its_path_without_chatter():
-    """Tangential forces push it aside by more than what it takes to feed it, and encoder steps
-    of 55 um do not shake it.
+    """A spinning ball is held across its path without chatter.
+
+    Tangential forces push it aside by more than its feed force, and encoder steps of 55 um do not
+    shake it.
     """
     law, tool, step = BallOnBlock(), CuttingTool(1e4, np.zeros(3)), 55e-6
     down = ramp((0.0, 0.0, -4e-3), 0.3)
@@ -193,8 +206,10 @@ def test_along_the_heading_spring_edge_and_resistance_balance_in_every_step():
 
 
 def test_a_damper_is_part_of_the_balance_in_every_step():
-    """k (d - s) + b (V - s / T) = E + C s / T in closed form; of the first step the smoothed
-    velocity V has 1 in 200.
+    """A damper is part of the balance in every step.
+
+    k (d - s) + b (V - s / T) = E + C s / T in closed form; the smoothed velocity V contains 1 in
+    200 of the first step.
     """
     stiffness, drag, edge, damping = 1e4, 5e3, 8.0, 100.0
     tool, response = CuttingTool(stiffness, np.zeros(3), damping_N_s_m=damping), Response.empty(1)

@@ -21,8 +21,9 @@ SLEW_N_MS = 0.2
 
 
 class Sampled:
-    """A device on a given path z(t) [m]: `dated` by its own clock, or repeated with the time of
-    the tick.
+    """Device on a given path z(t) [m].
+
+    It is `dated` by its own clock, or repeated with the time of the tick.
     """
 
     in_process = True
@@ -75,8 +76,10 @@ class Watched:
 @pytest.mark.parametrize("dated", [True, False])
 @pytest.mark.parametrize("rate_Hz", [*RATES_HZ, 700])
 def test_the_velocity_of_a_ramp_is_its_slope(at_rate, rate_Hz, dated):
-    """The law gets the velocities of device and tool in every tick, and the tool moves at that
-    speed in the mean.
+    """The velocity of a ramp is its slope.
+
+    The law gets the velocities of device and tool in every tick, and the tool moves at that speed
+    on average.
     """
     slope = -0.08
     motion = held(**at_rate(rate_Hz))
@@ -96,8 +99,9 @@ def test_the_velocity_of_a_ramp_is_its_slope(at_rate, rate_Hz, dated):
 
 @pytest.mark.parametrize("rate_Hz", RATES_HZ)
 def test_the_force_rises_by_no_more_than_the_stated_newtons_a_second(at_rate, rate_Hz):
-    """A device that stands 20 mm in the wall from the first contact on wants its whole force at
-    once.
+    """The force rises by no more than the stated newtons a second.
+
+    A device that stands 20 mm in the wall from the first contact asks for its whole force at once.
     """
     motion = held(**at_rate(rate_Hz, output__low_pass_ms=0.0))
     device = Sampled(
@@ -116,8 +120,10 @@ def test_the_force_rises_by_no_more_than_the_stated_newtons_a_second(at_rate, ra
 
 @pytest.mark.parametrize("rate_Hz", RATES_HZ)
 def test_the_low_pass_has_its_time_constant_in_seconds(at_rate, rate_Hz):
-    """The raw force is held while the device rests in the wall, and 1 - exp(-t / tau) of it has
-    come after t.
+    """The low-pass has its time constant in seconds.
+
+    The raw force is held while the device rests in the wall, and 1 - exp(-t / tau) of it is reached
+    after t.
     """
     tau_s = 0.02
     motion = held(**at_rate(rate_Hz, output__low_pass_ms=1e3 * tau_s))

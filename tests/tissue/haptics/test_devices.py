@@ -1,5 +1,7 @@
-"""Devices and their plant: closed forms, friction, encoders, delay, limits; and the laws that
-every device keeps.
+"""Devices and their plant.
+
+The tests cover closed forms, friction, encoders, delay, limits, and the laws that every device
+keeps.
 """
 
 from math import exp, inf, pi, sqrt

@@ -1,5 +1,6 @@
-"""Prediction in the judge of stability: eigenvalues with a linearised predictor beside runs with
-the predictor itself.
+"""Prediction in the judge of stability.
+
+Eigenvalues with a linearised predictor are compared with runs with the predictor itself.
 """
 
 from copy import deepcopy
@@ -27,8 +28,7 @@ from tissue.simulation.builders.prediction import maker_of
 TICK = 1e-3
 PULL = np.hstack([-40.0 * np.eye(3), -0.2 * np.eye(3)])
 CONTROL = LinearControl(SimpleNamespace(A=0.9 * np.eye(3), B=PULL, offset=np.zeros(3), step_s=TICK))
-"""A force that forgets a tenth of itself every tick and follows a spring of 400 N/m with some
-damping.
+"""Force that loses a tenth of itself every tick and follows a spring of 400 N/m with some damping.
 """
 
 
@@ -39,8 +39,9 @@ def bare(kind):
 
 
 def loop_with(kind="none", *, delay_ticks=3, model_ticks=1, gain=1.0, lead=None, stiffness=400.0):
-    """A Touch in an expert's hand with latency and low-pass, its forecast, and the predictor
-    that it came from.
+    """Return a Touch in an expert's hand with latency and low-pass, its forecast and predictor.
+
+    The forecast is made from the predictor.
     """
     device = device_parameters("touch")
     loop = in_hands(
@@ -59,8 +60,9 @@ def loop_with(kind="none", *, delay_ticks=3, model_ticks=1, gain=1.0, lead=None,
 
 
 def grows(loop, stiffness, predictor, lead, *, ticks=2500):
-    """Whether the contact grows with the predictor in the loop as it is: sampled, shown, asked,
-    filtered, held back.
+    """Return True if the contact grows with the predictor in the unchanged loop.
+
+    The loop samples, shows, asks, filters and holds back.
     """
     predictor = deepcopy(predictor)
     whole = int(loop.delay_s / TICK + 1e-9)

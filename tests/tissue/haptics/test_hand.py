@@ -1,5 +1,6 @@
-"""Hands: minimum jerk, corrections, tremor, noise, reflex, groups; deterministic by their
-generator.
+"""Hands: minimum jerk, corrections, tremor, noise, reflex and groups.
+
+They are deterministic by their generator.
 """
 
 from dataclasses import replace
@@ -54,7 +55,9 @@ def test_one_reach_is_one_minimum_jerk_after_the_reaction_time():
 
 
 def test_errors_are_corrected_a_reaction_time_later():
-    """With scatter the first end misses; what is left shrinks by the scatter with every
+    """Errors are corrected one reaction time later.
+
+    With scatter the first end misses; the remaining error shrinks by the scatter with every
     correction.
     """
     ends = []
@@ -96,8 +99,10 @@ def held(hand, seconds, *, device=None):
 
 
 def test_a_push_meets_grip_and_reflex():
-    """At rest the deviation is the push over stiffness and reflex together; before the reflex,
-    over stiffness alone.
+    """Grip and reflex resist a push.
+
+    At rest the deviation is the push over stiffness and reflex together; before the reflex, over
+    stiffness alone.
     """
     push = np.array([1.0, -0.5, 0.0])
     given = parameters()

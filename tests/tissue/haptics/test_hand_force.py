@@ -1,5 +1,6 @@
-"""The force that a hand feels of a device: by the device's own balance, at rest, behind
-friction, and in a run.
+"""Force that a hand feels of a device.
+
+It follows the device's own balance, at rest, behind friction, and in a run.
 """
 
 import numpy as np
@@ -26,8 +27,9 @@ class Moving:
 
 
 def felt(device, force_N, ticks, first=1):
-    """Force at the hand in each tick under a constant command [N], shape (ticks, 3), and
-    velocity after it.
+    """Return force [N] at the hand and velocity after each tick under a constant command.
+
+    The shape is (ticks, 3).
     """
     forces, velocities = [], []
     device.command(np.array(force_N), np.zeros(3))

@@ -32,11 +32,11 @@ def test_in_free_space_the_tool_is_where_the_device_is_and_nothing_is_played(nam
 
 @pytest.mark.parametrize(("share", "settles"), [(0.95, True), (1.05, False)])
 def test_the_whole_loop_is_stable_up_to_the_stiffness_that_is_judged(share, settles):
-    """Device, tool on the wall, renderer, low-pass, delay: 5 % on either side of the eigenvalues'
-    critical stiffness.
+    """The whole loop is stable up to the stiffness that is judged.
 
-    Without what the judge leaves out: friction, encoders, noise and reflex. Coupling and wall are
-    springs in series.
+    The loop has device, tool on the wall, renderer, low-pass and delay, 5 % on either side of the
+    eigenvalues' critical stiffness. It leaves out friction, encoders, noise and reflex, as the
+    judge does. Coupling and wall are springs in series.
     """
     wall = 2e4
     critical = judge(LIMITS.loop(1.0, filter_s=1e-3), [PERSON.grip[:3]]).critical_N_m
@@ -86,7 +86,9 @@ def test_a_wall_is_for_a_ball_outside_it():
 @pytest.mark.parametrize("speed_m_s", [0.1, 0.2, 0.5])
 @pytest.mark.parametrize("wall_N_m", [1e3, 1e4, 4e4])
 def test_the_first_contact_is_answered_in_its_tick_and_without_a_spike(speed_m_s, wall_N_m):
-    """Spring and wall in series from the first tick on: F = depth of the device / (1 / k_c + 1 /
+    """The first contact gives a force in its tick and without a spike.
+
+    Spring and wall act in series from the first tick on: F = depth of the device / (1 / k_c + 1 /
     k_w).
     """
     motion = held(motion__feed_mm_s=1e3 * speed_m_s)
@@ -104,8 +106,10 @@ def test_the_first_contact_is_answered_in_its_tick_and_without_a_spike(speed_m_s
 
 @pytest.mark.parametrize("speed_m_s", [0.05, 0.2])
 def test_a_cutter_that_meets_bone_is_slowed_in_the_same_tick(speed_m_s):
-    """A cut that would take v c at the device's speed takes what the spring pulls, and no more,
-    from its first tick.
+    """A cutter that touches bone is slowed in that tick.
+
+    A cut that would need v c at the device's speed has the pull of the spring, and no more, from
+    its first tick.
     """
     drag, edge, stiffness = 2e4, 5.0, 400.0 / 0.03
 
@@ -134,7 +138,9 @@ def test_a_cutter_that_meets_bone_is_slowed_in_the_same_tick(speed_m_s):
 
 
 def test_torque_turns_the_tool_until_the_spring_balances_it_and_is_played():
-    """A ball rolled aside of its tip on the wall: arm x F of the wall = k_r theta, at the device
+    """Torque turns the tool until the spring balances it, and is played.
+
+    A ball rolled aside of its tip on the wall has arm x F of the wall = k_r theta, at the device
     scaled by f / m.
     """
     tilt, scale, motion_factor = 0.3, 0.5, 2.0

@@ -1,6 +1,4 @@
-"""Runs of scenes by a hand on a device: balances in closed form, and the force within its
-bounds.
-"""
+"""Runs of scenes by a hand on a device: balances in closed form, and bounded forces."""
 
 import numpy as np
 import pytest
@@ -145,7 +143,9 @@ def test_a_recorded_motion_by_a_hand_turns_with_it(tmp_path):
 
 
 def test_paths_and_forces_are_scaled_by_a_stated_law():
-    """The hand goes 1 / m of the path; a tool of K is felt as m f K; the energy is that at the
+    """Paths and forces are scaled by a stated law.
+
+    The hand moves 1 / m of the path; a tool of K is felt as m f K; the energy is that at the
     device.
     """
     run = run_of("wall", coupling__motion_scale=2.5, coupling__force_scale=0.4)
@@ -201,8 +201,10 @@ def test_a_tool_that_does_not_turn_feels_the_bone_and_cuts_nothing(device):
 
 @pytest.mark.slow
 def test_what_a_controller_adds_is_not_extrapolated():
-    """Its one-tick pulses passed through a predictor were spikes of 0.9 N; what is left is a
-    force that is let go of.
+    """The addition of a controller is not extrapolated.
+
+    Its one-tick pulses passed through a predictor were spikes of 0.9 N; now only a released force
+    remains.
     """
     late = {"coupling__delay_ms": 4, "prediction": "koopman"}
     supervised, bare = (
@@ -218,10 +220,10 @@ def test_what_a_controller_adds_is_not_extrapolated():
 
 
 def test_the_wall_s_hand_comes_as_deep_as_its_springs_let_it(on_the_wall):
-    """Grip (250 N/m and a fifth by reflex) against coupling and wall in series: 5 mm x 300 / (300 +
-    385) = 2.2 mm.
+    """The hand on the wall comes as deep as its springs allow.
 
-    Friction of 0.26 N stops it up to 0.4 mm before or behind that.
+    Grip (250 N/m and a fifth by reflex) acts against coupling and wall in series: 5 mm x 300 / (300
+    + 385) = 2.2 mm. Friction of 0.26 N stops it up to 0.4 mm before or behind that.
     """
     trace, person = on_the_wall.trace, hand_parameters("expert")
     grip, coupled = (
@@ -249,8 +251,10 @@ def test_the_wall_s_hand_comes_as_deep_as_its_springs_let_it(on_the_wall):
     ],
 )
 def test_a_device_that_plays_torque_is_given_that_of_its_spring(name, changes):
-    """The spring of rotation balances the tissue's torque, which is played by the scene's scale:
-    within 10 % late on.
+    """A device that plays torque gets the torque of its spring.
+
+    The spring of rotation balances the tissue's torque, which is played by the scene's scale:
+    within 10 % late in the run.
     """
     run = run_of(name, device="six-dof", **{"duration_s": 1.2, **changes})
     trace, scale = run.trace, chosen_scale(run.scene)[0]
@@ -269,8 +273,10 @@ def test_a_device_that_plays_torque_is_given_that_of_its_spring(name, changes):
 
 @pytest.mark.slow
 def test_a_device_on_rails_that_tracks_the_path_feels_the_scripted_force():
-    """The device goes where the path and the spring's stretch under the scripted force are: 2 to
-    7 mm along a slot.
+    """A device on rails that tracks the path feels the scripted force.
+
+    It moves along the path plus the spring's stretch under the scripted force: 2 to 7 mm along a
+    slot.
     """
     changes = {"duration_s": 1.6, "voxels.spacing_mm": 0.1}
     scripted = simulate(load_scene("milling", changes)).trace

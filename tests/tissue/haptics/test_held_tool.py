@@ -16,8 +16,10 @@ UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 @pytest.mark.parametrize("tissue_N_m", [50.0, 400.0, 4e3, 4e4])
 def test_a_pressing_tool_finds_the_balance_of_a_spring_it_does_not_know(tissue_N_m):
-    """Device at rest in an elastic half-space: x = k_c x_d / (k_c + k_t), also a hundred times
-    stiffer than it is.
+    """A pressing tool finds the balance of an unknown spring.
+
+    With the device at rest in an elastic half-space, x = k_c x_d / (k_c + k_t), also if the tissue
+    is a hundred times stiffer than the coupling.
     """
     tool, response = PressingTool(400.0, np.zeros(3)), Response.empty(1)
     for _ in range(200):
@@ -27,8 +29,9 @@ def test_a_pressing_tool_finds_the_balance_of_a_spring_it_does_not_know(tissue_N
 
 
 def test_a_known_stiffness_gives_the_balance_in_one_step():
-    """F = F0 - K (x - x0) with a K that differs by direction: k (x_d - x) + F(x) = 0, solved by
-    NumPy.
+    """A known stiffness gives the balance in one step.
+
+    F = F0 - K (x - x0) with a K that differs by direction: k (x_d - x) + F(x) = 0, solved by NumPy.
     """
     start, device, spring = np.array([1e-3, 0.0, -1e-3]), np.array([1.5e-3, 2e-4, -2e-3]), 400.0
     stiffness, force = np.diag([200.0, 900.0, 3000.0]) + 40.0, np.array([0.05, -0.02, 0.8])
@@ -42,8 +45,10 @@ def test_a_known_stiffness_gives_the_balance_in_one_step():
 
 
 def test_a_balance_in_which_the_tissue_would_pull_is_none():
-    """The force of 0.1 N is gone 0.25 mm out; a device 1 mm out leaves the tissue and takes its
-    tool along.
+    """A balance in which the tissue would pull is rejected.
+
+    The force of 0.1 N vanishes 0.25 mm out; a device 1 mm out leaves the tissue and takes its tool
+    along.
     """
     tool, response = PressingTool(400.0, np.zeros(3)), Response.empty(1)
     response.wrench[2], response.stiffness_N_m = 0.1, 400.0 * np.eye(3)

@@ -1,6 +1,4 @@
-"""A tool that hangs on a device by a spring of rotation, and one that feels rigid bone with its
-surface.
-"""
+"""Tool on a rotational spring, and one that feels rigid bone with its surface."""
 
 from math import inf
 
@@ -31,7 +29,9 @@ def apart(tool, device):
 
 @pytest.mark.parametrize("tissue_Nm_rad", [0.0, 0.02, 0.3, 3.0, 30.0])
 def test_spring_and_tissue_balance_also_a_hundred_times_stiffer(tissue_Nm_rad):
-    """Tissue T = T0 - k_t phi on the tool turned by phi in the world: theta = (T0 - k_t phi_d) /
+    """Spring and tissue balance, also for a hundred times stiffer tissue.
+
+    For tissue T = T0 - k_t phi on the tool turned by phi in the world, theta = (T0 - k_t phi_d) /
     (k + k_t).
     """
     spring, device = 0.3, exponential((0.2, -0.1, 0.05))
@@ -130,8 +130,10 @@ def test_a_stopped_burr_on_bone_pushes_with_stiffness_times_stretch(depth_m):
 
 
 def test_a_stopped_tool_sticks_inside_the_cone_and_slides_beyond_it():
-    """The device goes aside by s at depth d: the contact holds while s < mu d, then pulls with
-    mu times the normal.
+    """A stopped tool sticks inside the cone and slides beyond it.
+
+    The device moves aside by s at depth d: the contact holds while s < mu d, then pulls with mu
+    times the normal.
     """
     held, bone, motion = probe(ball_burr(diameter_m=6e-3), start=(0, 0, 1e-3))
     press(held, bone, motion, down((0, 0, 1e-3), (0, 0, -2e-3)))
@@ -150,8 +152,10 @@ def test_a_stopped_tool_sticks_inside_the_cone_and_slides_beyond_it():
     ids=["flat", "on its rim"],
 )
 def test_a_flat_tool_that_is_tilted_on_bone_is_turned_back_by_its_spring(spring_Nm_rad, turned_rad):
-    """8 N on the rim of a cylinder 6 mm wide turn it by F r / k_r, until it lies flat, by the
-    whole tilt of 0.1.
+    """A flat tool that is tilted on bone is turned back by its spring.
+
+    8 N on the rim of a cylinder 6 mm wide turn it by F r / k_r, until it lies flat, by the whole
+    tilt of 0.1.
     """
     held, bone, motion = probe(
         cylinder(diameter_m=6e-3, length_m=4e-3),

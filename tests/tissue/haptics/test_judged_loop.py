@@ -1,5 +1,6 @@
-"""The loop by which a scene's coupling is judged: what counts, what is refused, and the nearest
-that is not.
+"""Loop by which a scene's coupling is judged.
+
+The tests cover its inputs, refused couplings, and the nearest accepted one.
 """
 
 from dataclasses import replace
@@ -98,11 +99,11 @@ def test_an_unstable_spring_of_rotation_is_refused_with_the_nearest_stable_one()
 
 @pytest.mark.parametrize(("share", "settles"), [(0.95, True), (1.05, False)])
 def test_the_turning_loop_is_stable_up_to_the_stiffness_that_is_judged(share, settles):
-    """A six-dof device whose tool a tissue holds fast in rotation, 5 % on either side of the
-    critical value.
+    """The turning loop is stable up to the stiffness that is judged.
 
-    A tool that is held fast is where it was, so that the spring answers the tick's own turn; a soft
-    tissue answers a tick later, which is what a scene's judge counts with.
+    A tissue holds the tool of a six-dof device fast in rotation, 5 % on either side of the critical
+    value. A tool that is held fast does not move, so the spring answers the tick's own turn. A soft
+    tissue answers a tick later, which the judge of a scene includes.
     """
     limits = replace(
         device_parameters("six-dof"), friction_Nm=0.0, encoder_step_rad=0.0, torque_limit_Nm=1e3
@@ -150,10 +151,11 @@ def test_without_a_hand_a_tool_that_does_not_turn_is_refused():
 
 @pytest.mark.slow
 def test_prediction_is_part_of_what_is_judged():
-    """4 ms of latency: simple predictions bear what none bears; an operator more, and less where it
-    is played twice over.
+    """Prediction is part of the judged loop.
 
-    Measured margins at 200 N/m: 0.72 of holding, 0.79 of the operators, 0.66 of twice their step.
+    At 4 ms of latency, simple predictions bear the stiffness of no prediction. An operator bears
+    more, and less where it is played twice over. Measured margins at 200 N/m: 0.72 for zero-order
+    hold, 0.79 for the operators, 0.66 for twice their step.
     """
     late = {"coupling__delay_ms": 4, "duration_s": 0.01}
     for kind in ("none", "hold", "linear", "kalman"):

@@ -1,5 +1,6 @@
-"""The path from a rendered force to the motor: its delay in closed form, and its force against a
-simulated device.
+"""Path from a rendered force to the motor.
+
+Its delay is compared with the closed form, its force with a simulated device.
 """
 
 from dataclasses import replace
@@ -54,8 +55,10 @@ def test_a_ramp_comes_later_by_the_stated_delay(loop):
 
 
 def test_four_milliseconds_of_latency_are_six_of_a_touch():
-    """e^-1 / (1 - e^-1) = 0.582 of the low-pass, 4 of latency, 0.5 of transport, 0.5 of the
-    hold, 1000 / (600 pi).
+    """Four milliseconds of latency are six of a Touch.
+
+    They are e^-1 / (1 - e^-1) = 0.582 of the low-pass, 4 of latency, 0.5 of transport, 0.5 of the
+    hold, and 1000 / (600 pi).
     """
     loop = TOUCH.loop(1.0, filter_s=1e-3)
     late = replace(loop, delay_s=loop.delay_s + 4e-3)
@@ -64,7 +67,9 @@ def test_four_milliseconds_of_latency_are_six_of_a_touch():
 
 @pytest.mark.parametrize("loop", PATHS)
 def test_the_force_is_that_of_a_plant_stepped_through_it(loop):
-    """Low-pass, whole ticks and the rest of the delay as the loop makes them; the amplifier in
+    """The force equals that of a plant stepped through it.
+
+    Low-pass, whole ticks and the rest of the delay are computed as in the loop; the amplifier in
     200 parts of a tick.
     """
     force, parts = wander(3, 120), 200

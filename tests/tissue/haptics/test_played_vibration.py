@@ -1,6 +1,4 @@
-"""The vibration that a device plays: where it lies, how great it is, and what it does to the
-loop.
-"""
+"""Vibration that a device plays: its place, its size, and its effect on the loop."""
 
 from dataclasses import replace
 from itertools import product
@@ -57,8 +55,10 @@ def test_it_leaves_the_sum_within_the_device_s_limit_and_begins_anew_after_a_pau
 
 
 def test_only_the_device_s_force_holds_it():
-    """A wall, the device held at a depth: the played force less the vibration's columns is the
-    force without it.
+    """Only the device's force holds the vibration.
+
+    On a wall with the device held at a depth, the played force less the vibration's columns is the
+    force without vibration.
     """
     runs = []
     for share in (0.0, SHARE):
@@ -132,8 +132,10 @@ def test_a_run_with_it_fades_below_the_judged_stiffness_and_grows_above(name, fr
 
 
 def test_where_the_loop_rings_at_half_of_its_frequency_it_takes_stiffness():
-    """Parametric resonance: held, the loop rings at 19 Hz at its critical stiffness; far from 38
-    Hz little changes.
+    """Vibration takes stiffness where the loop rings at half of its frequency.
+
+    This is parametric resonance: held, the loop rings at 19 Hz at its critical stiffness; far from
+    38 Hz little changes.
     """
     critical = critical_stiffness_N_m(HELD)
     with_it = {
@@ -196,9 +198,11 @@ def test_it_is_judged_with_a_scene_that_plays_it_in_either_sense_of_spin():
 
 
 def test_at_its_greatest_it_does_not_destabilise_a_loop_at_95_per_cent_of_the_critical_stiffness():
-    """A small gain of the change that comes back: share / sqrt(1 + (2 pi f tau)^2) at 250 Hz, where
-    the hand's mass yields a thousandth of what it does at its ringing; the ripple below 100 Hz
-    settles as it does without.
+    """The largest vibration does not destabilise a loop at 95 % of the critical stiffness.
+
+    The returned change has a small gain: share / sqrt(1 + (2 pi f tau)^2) at 250 Hz, where the
+    hand's mass yields a thousandth of its motion at the ringing frequency. The ripple below 100 Hz
+    settles as it does without vibration.
     """
     critical = judge(LIMITS.loop(1.0, filter_s=1e-3), [PERSON.grip[:3]]).critical_N_m
     stiffness = 1.0 / (1.0 / (0.95 * critical) - 1.0 / 2e4)

@@ -1,5 +1,6 @@
-"""Laws of the proxy over random scenes of solids, and its refusals: three and six degrees of
-freedom.
+"""Laws of the proxy over random scenes of solids, and its refusals.
+
+It has three and six degrees of freedom.
 """
 
 import numpy as np
@@ -14,8 +15,9 @@ from tissue.haptics.proxy.voxmap import Ball, Box, ContactField, HalfSpace
 from tissue.motion.quaternion import turn_between
 
 SOLID_TOLERANCE_M = 2.5e-5
-"""How deep a step beside solids may end before it is taken back: a tenth of 0.25 mm; a settled
-proxy keeps 1e-9.
+"""Depth [m] at which a step next to solids is taken back: a tenth of 0.25 mm.
+
+A settled proxy keeps 1e-9.
 """
 
 
@@ -130,7 +132,10 @@ def test_work_of_a_tick_is_bounded_and_goes_on_in_the_next():
 
 
 def test_a_wild_device_ends_in_a_finite_pose():
-    """1e9 m away, and a turn of half a circle, beside a wall."""
+    """A wild device ends in a finite pose.
+
+    It is 1e9 m away, turned by half a circle, next to a wall.
+    """
     proxy = Proxy(BURR, ContactField(HalfSpace((0, 0, 0), (0, 0, 1))), lever_m=0.01)
     proxy.place(np.array([0.0, 0.0, 1e-3]))
     for device in (np.array([0.0, 0.0, -1e9]), np.array([1e9, 1e9, -1e9])):

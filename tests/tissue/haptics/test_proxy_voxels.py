@@ -15,12 +15,12 @@ from tissue.haptics.proxy.voxmap import ContactField
 from tissue.models.bone.bricks import BrickStore
 
 VOXEL_TOLERANCE_M = 0.05 * SPACING
-"""How deep a step beside voxels may end before it is taken back: a tenth of half a voxel."""
+"""Depth [m] at which a step next to voxels is taken back: a tenth of half a voxel."""
 
 
 @cache
 def slab_store(normal, offset, thickness=1.0):
-    """A wall of so many voxels across the middle of a cube of 64 voxels."""
+    """Return a wall of `thickness` voxels across the middle of a cube of 64 voxels."""
     count = 64
     centres = np.stack(np.meshgrid(*[np.arange(count) + 0.5] * 3, indexing="ij"), axis=-1).reshape(
         -1, 3
@@ -58,8 +58,11 @@ def test_never_inside_voxels_and_pushed_out_of_them(seed, lever):
 
 
 def push_through(normal, offset, shell, speed_m_s, random):
-    """Send the device 5 mm through a wall one voxel thick: the shell's lowest height over the
-    wall's middle [m], and whether the proxy ends against the wall, or has gone around its rim."""
+    """Send the device 5 mm through a wall one voxel thick.
+
+    Returns the shell's lowest height over the wall's middle [m], and whether the proxy ends against
+    the wall, or has passed around its rim.
+    """
     centre, normal = np.full(3, 32 * SPACING), normal / np.linalg.norm(normal)
     proxy = Proxy(shell, ContactField(store=slab_store(tuple(normal), offset)))
     device = centre + (1.2e-3 + shell.reach_m) * normal
@@ -78,8 +81,10 @@ def push_through(normal, offset, shell, speed_m_s, random):
 
 @pytest.mark.parametrize("speed_m_s", [0.05, 0.5, 2.0])
 def test_no_path_through_a_wall_one_voxel_thick(speed_m_s):
-    """Random walls, the worst place between voxels among them, and random paths; a point and a
-    burr.
+    """No path leads through a wall one voxel thick.
+
+    Walls are random, the worst place between voxels among them, and paths are random; the tools are
+    a point and a burr.
     """
     random = np.random.default_rng(7)
     for number, normal in enumerate(
@@ -94,7 +99,7 @@ def test_no_path_through_a_wall_one_voxel_thick(speed_m_s):
 
 @pytest.mark.slow
 def test_no_path_through_many_walls():
-    """The same for forty walls at 2 m/s."""
+    """The proxy passes none of forty walls at 2 m/s."""
     random = np.random.default_rng(8)
     for normal in random.normal(size=(40, 3)):
         for shell in (ToolShell.ball(), BURR):
@@ -104,8 +109,10 @@ def test_no_path_through_many_walls():
 
 @pytest.mark.slow
 def test_burr_rests_on_a_plane_of_voxels_within_half_a_voxel():
-    """Planes at random angles; case 23 asks for sqrt(3)/2 voxel, the level's own error is -0.02
-    to 0.27.
+    """A burr rests on a plane of voxels within half a voxel.
+
+    Planes are at random angles; case 23 asks for sqrt(3)/2 voxel, the level's own error is -0.02 to
+    0.27.
     """
     random = np.random.default_rng(9)
     radius, errors = 1e-3, []
@@ -125,8 +132,10 @@ def test_burr_rests_on_a_plane_of_voxels_within_half_a_voxel():
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_pushing_in_and_out_slowly_gains_no_energy(friction):
-    """Work on the device along closed paths in a bumpy block; the trapezoid rule leaves 1e-3 of
-    the work put in.
+    """Pushing in and out slowly gains no energy.
+
+    Work on the device along closed paths in a bumpy block is not negative; the trapezoid rule
+    leaves 1e-3 of the work put in.
     """
     for seed in range(4):
         proxy = Proxy(BURR, ContactField(store=bumpy_store(seed)), friction=friction)

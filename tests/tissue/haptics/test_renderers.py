@@ -69,8 +69,10 @@ def test_penalty_never_pulls_into_the_surface_and_the_supervised_one_may_brake()
 
 
 def test_a_turn_is_rendered_on_the_group():
-    """The torque follows the shortest rotation vector, across half a turn's sign and whatever
-    the quaternion's.
+    """A turn is rendered on the group.
+
+    The torque follows the shortest rotation vector, across half a turn's sign and for either sign
+    of the quaternion.
     """
     law = TurningRenderer(PenaltyRenderer(0.3))
     gap = np.array([0.3, -0.5, 0.2])
@@ -97,8 +99,10 @@ class Turning:
 
 @pytest.mark.parametrize("supervised", [False, True])
 def test_a_stop_for_a_rotation_creates_energy_unless_it_is_supervised(supervised):
-    """A stop at angle 0 about z of 1.5 N m/rad, three times what the vendor allows for, in a
-    hand with little damping.
+    """A stop for a rotation creates energy unless it is supervised.
+
+    The stop at angle 0 about z has 1.5 N m/rad, three times the vendor's limit, in a hand with
+    little damping.
     """
     device = SimulatedDevice(device_parameters("six-dof"), Turning())
     inner = PenaltyRenderer(1.5)

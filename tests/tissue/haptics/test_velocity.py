@@ -1,6 +1,4 @@
-"""Velocity from encoder steps: the filter in closed form, and its delay in the judge of
-stability.
-"""
+"""Velocity from encoder steps: filter in closed form, and its delay in the judge of stability."""
 
 from dataclasses import replace
 
@@ -28,7 +26,9 @@ FORECAST = Forecast(taps=0.5 ** np.arange(6.0)[None, :, None] * [[[-60.0, -0.3, 
 
 @pytest.mark.parametrize("memory", [0.0, 0.5, 0.85, 0.95])
 def test_its_poles_are_its_memory(memory):
-    """(z - m)^3 = z^3 - 3 m z^2 + 3 m^2 z - m^3; the polynomial, since a triple eigenvalue
+    """The poles of the filter are its memory.
+
+    (z - m)^3 = z^3 - 3 m z^2 + 3 m^2 z - m^3; the polynomial is compared, since a triple eigenvalue
     rounds to 1e-5.
     """
     onward, _ = constant_acceleration_map(memory)
@@ -38,8 +38,9 @@ def test_its_poles_are_its_memory(memory):
 
 
 def test_it_is_the_parabola_through_all_samples_by_least_squares():
-    """Weights 0.85 to the power of the age, over 400 samples of noise: the older ones weigh
-    1e-28.
+    """The filter is the parabola through all samples by weighted least squares.
+
+    Weights are 0.85 to the power of the age, over 400 samples of noise: the oldest weigh 1e-28.
     """
     places = np.random.default_rng(0).standard_normal((400, 2))
     estimate = ConstantAcceleration(0.85, step_s=TICK)
@@ -72,8 +73,9 @@ def test_a_constant_acceleration_has_no_delay_and_a_pause_forgets():
 def test_the_judge_s_eigenvalues_are_where_the_loop_with_the_filter_starts_to_grow(
     forecast, model_ticks
 ):
-    """Bisection of running loops to 0.05 %, of which a slow growth over 4000 ticks takes up to 1
-    %.
+    """The loop with the filter starts to grow at the judge's eigenvalues.
+
+    Running loops are bisected to 0.05 %, of which a slow growth over 4000 ticks takes up to 1 %.
     """
     if forecast is not None:
         forecast = replace(forecast, taps=np.repeat(forecast.taps, model_ticks, axis=0))
@@ -90,8 +92,10 @@ def test_the_judge_s_eigenvalues_are_where_the_loop_with_the_filter_starts_to_gr
 
 @pytest.mark.parametrize(("share", "settles"), [(0.95, True), (1.05, False)])
 def test_the_whole_loop_with_a_damper_is_stable_up_to_the_stiffness_that_is_judged(share, settles):
-    """As in test_hand_motion, with a damper on the filtered velocity; the wall is 1 / 250 as
-    compliant as the spring.
+    """The whole loop with a damper is stable up to the stiffness that is judged.
+
+    As in test_hand_motion, with a damper on the filtered velocity; the wall is 1 / 250 as compliant
+    as the spring.
     """
     free = replace(
         LIMITS.loop(1.0, filter_s=1e-3, wall_damping_N_s_m=0.6), velocity_memory=VELOCITY_MEMORY
@@ -120,11 +124,11 @@ def test_the_loop_s_filter_is_that_of_one_device_for_several_places_at_once():
 
 @pytest.mark.parametrize("filtered", [False, True])
 def test_a_forecast_is_the_sum_of_its_taps_over_what_was_seen(filtered):
-    """F + C (sum of taps (x, v, F) at each age - F), with answers to place and speed scaled by the
-    coupling's stiffness.
+    """A forecast is the sum of its taps over the observed samples.
 
-    Two loops side by side, a model every second tick: a tick without a force of the model adds
-    none.
+    It is F + C (sum of taps (x, v, F) at each age - F), with the gains for place and speed scaled
+    by the coupling's stiffness. Two loops run side by side, with a model every second tick: a tick
+    without a force of the model adds none.
     """
     rng = np.random.default_rng(2)
     taps = rng.normal(size=(2, 3, 3))

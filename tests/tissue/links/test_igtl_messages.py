@@ -1,6 +1,4 @@
-"""OpenIGTLink messages against the published vectors, byte for byte, and what is refused of
-others' bytes.
-"""
+"""OpenIGTLink messages against the published vectors, byte for byte. Foreign bytes are refused."""
 
 import json
 from pathlib import Path

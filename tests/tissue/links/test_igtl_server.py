@@ -1,6 +1,4 @@
-"""The server of OpenIGTLink: several clients, one that leaves, one that takes nothing, and bytes
-that are no messages.
-"""
+"""OpenIGTLink server: several clients, one that leaves, one that reads nothing, invalid bytes."""
 
 import json
 import socket
@@ -45,7 +43,7 @@ def connect(server, count=1):
 
 
 def read(client, size):
-    """So many bytes of a client's connection."""
+    """Read `size` bytes of a client's connection."""
     client.settimeout(60.0)
     came = b""
     while len(came) < size:
@@ -116,7 +114,7 @@ def test_a_client_that_sends_garbage_is_disconnected_and_no_other(server, garbag
 
 
 def read_end(client):
-    """Whether the other end has closed a connection."""
+    """Return True if the other end has closed a connection."""
     client.settimeout(60.0)
     try:
         return client.recv(1) == b""

@@ -1,5 +1,6 @@
-"""A live run on topics of ROS 2, whose packages are a stand-in on the path of both processes:
-nothing else knows of it.
+"""Live run on topics of ROS 2.
+
+The packages of ROS 2 are a stand-in on the path of both processes: nothing else depends on it.
 """
 
 import json
@@ -27,8 +28,9 @@ def no_display(monkeypatch):
 
 
 def install(tmp_path, monkeypatch, **options):
-    """Put the stand-in on the path here and of processes that are started; the file that takes
-    what is published.
+    """Put the stand-in on the path here and in started processes.
+
+    Returns the file that takes the published messages.
     """
     folder = write_packages(tmp_path / "packages", **options)
     monkeypatch.syspath_prepend(folder)
@@ -57,7 +59,7 @@ def published(log):
 
 
 def values(entry):
-    """Numbers of a message but those of its header, in their order."""
+    """Return the numbers of a message without its header, in their order."""
     return [
         x
         for name, part in entry.items()

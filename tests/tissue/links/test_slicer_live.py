@@ -1,5 +1,6 @@
-"""Live runs that are published for 3D Slicer: by two clients, one of them pyigtl, and a pose
-that drives the tool.
+"""Live runs that are published for 3D Slicer.
+
+Two clients read them, one of them pyigtl, and a pose drives the tool.
 """
 
 import socket
@@ -311,8 +312,9 @@ TURN[:3, 3] = 30.0, 60.0, -20.0
 
 
 def sent(path, motion):
-    """Mill a block that is stored moved by a matrix [mm], at the same site; pose, force and
-    anatomy's image in RAS.
+    """Mill a stored block that is moved by a matrix [mm], at its original site.
+
+    Returns pose, force and the anatomy's image in RAS.
     """
     block = trimesh.creation.box((20.0, 16.0, 8.0))
     block.apply_transform(motion)
@@ -348,8 +350,10 @@ def sent(path, motion):
 
 
 def test_what_is_sent_moves_with_the_file_of_the_anatomy(tmp_path):
-    """A block that is stored elsewhere: its pose, force and torque in RAS are the same ones,
-    moved like the file.
+    """Published data move with the file of the anatomy.
+
+    For a block that is stored elsewhere, pose, force and torque in RAS are the original ones, moved
+    like the file.
     """
     pose, load, placed, row, columns, placement = sent(tmp_path / "block.stl", np.eye(4))
     pose_moved, load_moved, placed_moved, *_ = sent(tmp_path / "moved.stl", TURN)

@@ -1,5 +1,6 @@
-"""What a publisher sends to whom and when: by a client that takes messages apart apart from the
-package's code.
+"""Messages that a publisher sends, their receivers and times.
+
+The test client decodes messages without the package's code.
 """
 
 import json

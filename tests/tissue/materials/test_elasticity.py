@@ -107,8 +107,9 @@ def test_turned_material_has_the_energy_of_the_strain_turned_back(seed):
 
 
 def fibrous_compliance(poisson, ratio):
-    """Compliance of tissue of 1 Pa across fibres along z, normal strains alone, shape (3, 3),
-    written out by hand.
+    """Return the compliance of tissue of 1 Pa across fibres along z, shape (3, 3).
+
+    It covers normal strains alone and is written out by hand.
     """
     across = volume_preserving_ratio(poisson_ratio=poisson, modulus_ratio=ratio)
     along = -poisson / ratio
@@ -117,8 +118,9 @@ def fibrous_compliance(poisson, ratio):
 
 @pytest.mark.parametrize("poisson", [-0.5, 0.0, 0.3, 0.45, 0.49, 0.499])
 def test_fibres_leave_the_bulk_modulus_as_it_is(poisson):
-    """Over the whole range the volume under a pressure is that of the isotropic tissue, in any
-    frame.
+    """Fibres leave the bulk modulus unchanged.
+
+    Over the whole range the volume under a pressure is that of the isotropic tissue, in any frame.
     """
     low, high = fibre_ratio_range(poisson)
     isotropic_bulk = 1.0 / (3.0 * (1.0 - 2.0 * poisson))

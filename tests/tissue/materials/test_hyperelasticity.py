@@ -1,5 +1,6 @@
-"""Hyperelastic laws against closed forms, differences, rotations, work along a path and the
-linear law.
+"""Hyperelastic laws.
+
+They are compared with closed forms, differences, rotations, work along a path and the linear law.
 """
 
 import numpy as np
@@ -44,8 +45,10 @@ def random_gradients(seed: int, count: int = 20) -> np.ndarray:
 @LAW
 @pytest.mark.parametrize("a", STRETCHES)
 def test_uniaxial_and_equibiaxial_tension_are_the_closed_forms(name, a):
-    """The difference of two Cauchy stresses at constant volume has no pressure in it (Ogden
-    1984, chapter 7).
+    """Uniaxial and equibiaxial tension follow the closed forms.
+
+    The difference of two Cauchy stresses at constant volume has no pressure in it (Ogden 1984,
+    chapter 7).
     """
     for first, third in ((a, a**-0.5), (a, a**-2.0)):
         stretch = (first, third, third) if third == a**-0.5 else (first, first, third)

@@ -1,5 +1,6 @@
-"""Priors of cited constants: quantiles, inverse and slope against what defines them, over every
-constant there is.
+"""Priors of cited constants: quantiles, inverse and slope against their definitions.
+
+All constants are tested.
 """
 
 import numpy as np

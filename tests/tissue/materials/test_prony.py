@@ -1,5 +1,6 @@
-"""Prony series against closed forms, and the exponential step against the integral it stands
-for.
+"""Prony series against closed forms.
+
+The exponential step is compared with the integral that it stands for.
 """
 
 import numpy as np
@@ -52,8 +53,10 @@ def test_dynamic_moduli_from_the_stepped_integral():
 
 
 def test_second_order_in_time():
-    """A smooth strain against quadrature of the hereditary integral: slope 2, small at the
-    finest.
+    """The step is of second order in time.
+
+    A smooth strain is compared with quadrature of the hereditary integral: slope 2, small at the
+    finest step.
     """
     end = 1.0
     rate = lambda t: 2.0 * np.pi * np.cos(2.0 * np.pi * t)  # noqa: E731
@@ -72,8 +75,10 @@ def test_second_order_in_time():
 
 @pytest.mark.parametrize("seed", range(8))
 def test_creep_is_the_inverse_of_relaxation(seed):
-    """Random series over six decades: amplitudes, interlaced times, and the product of the
-    transforms.
+    """Creep is the inverse of relaxation.
+
+    For random series over six decades the amplitudes, the interlaced times, and the product of the
+    transforms are checked.
     """
     random = np.random.default_rng(seed)
     count = int(random.integers(1, 6))

@@ -1,5 +1,6 @@
-"""Constants of soft tissue and of needles: every entry complete, and the published relations
-between them.
+"""Constants of soft tissue and of needles.
+
+Every entry is complete, and the published relations between them hold.
 """
 
 import tomllib

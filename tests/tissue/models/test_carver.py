@@ -1,5 +1,7 @@
-"""A moving tool's carving: volumes that a ball sweeps in closed form, and how far the carving
-lags the tool.
+"""Carving of a moving tool.
+
+The tests cover volumes that a ball sweeps in closed form, and the lag of the carving behind the
+tool.
 """
 
 import numpy as np
@@ -39,8 +41,9 @@ def removed_m3(bone):
 
 
 def turn_about_tip(bone, tip_m, angles_rad):
-    """Turn the tool about the x axis through its tip; return the volume removed at every angle
-    after the first.
+    """Turn the tool about the x axis through its tip.
+
+    Returns the volume removed at every angle after the first.
     """
     motion = ToolMotion(speed_m_s=1e-3)
     motion.tip_m[:] = tip_m
@@ -72,8 +75,10 @@ def slide(bone, start_m, along, travels_m):
 
 
 def test_a_slow_tool_is_carved_a_tenth_of_a_voxel_late_on_average():
-    """A brick waits for 0 to 20 um of travel, so a ball's front lags by half of that: pi R^2
-    times 10 um are missing.
+    """A slow tool is carved a tenth of a voxel late on average.
+
+    A brick waits for 0 to 20 um of travel, so a ball's front lags by half of that: pi R^2 times 10
+    um are missing.
     """
     radius = 1e-3
     along = np.array([0.8, 0.0, -0.6])
@@ -90,8 +95,10 @@ def test_a_slow_tool_is_carved_a_tenth_of_a_voxel_late_on_average():
 
 
 def test_a_tool_that_only_turns_is_carved_as_far_as_its_far_end_moves():
-    """Pappus: a ball turned about its tip by a sweeps pi R^2 times R a; its far end, 2 R away,
-    sets the lag.
+    """A tool that only turns is carved as far as its far end moves.
+
+    By Pappus, a ball turned about its tip by a sweeps pi R^2 times R a; its far end, 2 R away, sets
+    the lag.
     """
     radius = 1e-3
     step = 2.5e-4
@@ -106,8 +113,9 @@ def test_a_tool_that_only_turns_is_carved_as_far_as_its_far_end_moves():
 
 
 def test_a_tool_that_turns_far_in_one_tick_leaves_no_gap():
-    """0.5 rad moves the far end by 10 voxels; steps of half a voxel leave scallops of 0.1 % at
-    most.
+    """A tool that turns far in one tick leaves no gap.
+
+    0.5 rad moves the far end by 10 voxels; steps of half a voxel leave scallops of 0.1 % at most.
     """
     radius = 1e-3
     bone = solid_bone(radius, 2.4e-3)
@@ -169,8 +177,10 @@ def test_every_visit_of_the_bone_is_counted():
 
 
 def test_a_long_step_is_carved_in_parts_of_half_a_voxel_at_most():
-    """The move of a tick from 0.3 to 10 voxels: once for every half voxel that it begins, a
-    short one by its debt.
+    """A long step is carved in parts of half a voxel at most.
+
+    The move of a tick, 0.3 to 10 voxels, is carved once for every half voxel that it begins. A
+    short move is carved by its debt.
     """
     for travel, parts in ((0.55, 2), (1.2, 3), (9.9, 20)):
         bone = solid_bone(3e-4, 1.6e-3)
@@ -187,8 +197,10 @@ def test_a_long_step_is_carved_in_parts_of_half_a_voxel_at_most():
     ("degrees", "turns"), [(5.0, False), (20.0, False), (30.0, True), (90.0, True)]
 )
 def test_a_tool_that_turns_first_completes_its_cut_and_keeps_it_as_an_older_one(degrees, turns):
-    """It turns where its direction keeps less than 0.9, that is from 26 degrees on; 10 um before
-    that are owed.
+    """A tool that turns first completes its cut and keeps it as an older one.
+
+    It turns where its direction keeps less than 0.9, which is from 26 degrees on; 10 um before that
+    are owed.
     """
     radius = 1e-3
     bone = solid_bone(radius, 2.4e-3)

@@ -1,5 +1,6 @@
-"""Distance between tool and structure, held to closed forms in turned and moved frames, and to a
-sampled brute force.
+"""Distance between tool and structure.
+
+It is compared with closed forms in turned and moved frames, and with a sampled brute force.
 """
 
 import itertools
@@ -18,7 +19,7 @@ from tissue.models.tissue_model import ToolMotion
 SECTIONS = 128
 ABOVE_MM = 1e-6
 BELOW_MM = 0.01
-"""How far a distance may lie above the true one, and below it."""
+"""Tolerance of a distance above the true value and below it [mm]."""
 BALL = profile.ball_burr(diameter_m=3e-3)
 MILL = profile.cylinder(diameter_m=3e-3, length_m=8e-3)
 REAMER = profile.hemispherical_reamer(diameter_m=12e-3, peg_diameter_m=3e-3, peg_length_m=4e-3)
@@ -27,8 +28,9 @@ DRILL = profile.twist_drill(diameter_m=2e-3, length_m=20e-3, point_angle_rad=2.0
 
 
 def nerve(diameter_m):
-    """A cylinder along z whose facets touch the round one from outside, so that they lie nowhere
-    inside it.
+    """Return a cylinder along z whose facets touch the round one from outside.
+
+    No facet lies inside the round cylinder.
     """
     radius = 0.5 * diameter_m / np.cos(np.pi / SECTIONS)
     made = trimesh.creation.cylinder(radius=1e3 * radius, height=40.0, sections=SECTIONS)
@@ -63,8 +65,10 @@ def require_safe(found_mm, exact_m):
 
 @pytest.mark.parametrize("diameter_mm", [1.0, 0.6, 0.3])
 def test_ball_and_cylinder(diameter_mm):
-    """Distance of the ball's centre from the axis, less both radii, apart and in each other up
-    to the very axis.
+    """The distance of ball and cylinder is exact.
+
+    It is the distance of the ball's centre from the axis, less both radii, apart and in each other
+    up to the very axis.
     """
     frame = Frame(3, nerve(1e-3 * diameter_mm), BALL)
     rng = np.random.default_rng(1)
@@ -93,8 +97,9 @@ def test_end_mill_and_cylinder(diameter_mm):
 
 
 def test_edge_of_an_end_mill_in_a_flat_wall():
-    """A rim that dips into a wall breaches it by as much as it dips, though the wall's face lies
-    less deep in the tool.
+    """The edge of an end mill in a flat wall breaches it by its depth.
+
+    The wall's face lies less deep in the tool than that.
     """
     wall = trimesh.creation.box((30e-3, 30e-3, 10e-3))
     wall.apply_translation([0.0, 0.0, -5e-3])
@@ -109,8 +114,10 @@ def test_edge_of_an_end_mill_in_a_flat_wall():
     "shape", [REAMER, FLAT, DRILL, MILL, profile.pear_bur(diameter_m=2e-3, length_m=4e-3)]
 )
 def test_any_tool_and_a_small_ball(shape):
-    """Distance of the ball's centre from the half section, less the ball's radius; the section's
-    own search finds it.
+    """The distance of any tool and a small ball is exact.
+
+    It is the distance of the ball's centre from the half section, less the ball's radius; the
+    section's own search finds it.
     """
     radius = 0.15e-3
     rng = np.random.default_rng(2)
@@ -131,7 +138,10 @@ def test_any_tool_and_a_small_ball(shape):
 
 
 def test_a_tool_that_lies_wholly_in_a_structure():
-    """The depth goes on growing after the surfaces part again."""
+    """The depth of a tool that lies wholly in a structure keeps growing.
+
+    It grows after the surfaces separate again.
+    """
     frame = Frame(13, trimesh.creation.icosphere(subdivisions=5, radius=8e-3), BALL)
     for aside in (0.0, 2e-3, 5e-3):
         # facets 0.02 mm inside
@@ -152,8 +162,10 @@ def test_a_shape_of_the_anatomy_is_meshed_finely_enough():
 
 
 def test_a_shape_whose_distance_is_a_lower_bound_is_meshed_where_it_is_nearest():
-    """The formula of a flat ellipsoid gives a tenth of the distance in its plane; its true
-    nearest point is known there.
+    """A shape whose distance is a lower bound is meshed where it is nearest.
+
+    The formula of a flat ellipsoid gives a tenth of the distance in its plane; its true nearest
+    point is known there.
     """
     shape = ellipsoid((0.5e-3, 5e-3, 5e-3))
     vertices, faces, slack = shape_triangles(
@@ -165,8 +177,9 @@ def test_a_shape_whose_distance_is_a_lower_bound_is_meshed_where_it_is_nearest()
 
 
 def section_distance(corners, boxes):
-    """Signed distance [mm] from a body of revolution: its outline's corners, and (radius, low,
-    high) of its discs.
+    """Return the signed distance [mm] from a body of revolution.
+
+    The body is given by its outline's corners, and by (radius, low, high) of its discs.
     """
     ends = np.array(corners, dtype=float)
 
@@ -202,8 +215,9 @@ def cylinder_distance(points, radius, length):
 
 
 def smallest_sum(total, points, rng):
-    """Smallest value over space: the best of dense points, each moved at random as long as the
-    value falls.
+    """Return the smallest value over space.
+
+    The best of dense points are each moved at random as long as the value falls.
     """
     values = total(points)
     best = np.argsort(values)[:60]
@@ -241,8 +255,10 @@ FLAT_SECTION = section_distance(
     ],
 )
 def test_depth_is_the_smallest_sum_of_both_signed_distances(shape, section, diameter_mm):
-    """Dense points of the tool, closed forms of both distances; the cylinder's end and rim are
-    among the poses.
+    """The depth is the smallest sum of both signed distances.
+
+    It is checked with dense points of the tool and closed forms of both distances; the cylinder's
+    end and rim are among the poses.
     """
     made = nerve(1e-3 * diameter_mm)
     frame = Frame(17, made, shape)
@@ -275,7 +291,9 @@ def test_depth_is_the_smallest_sum_of_both_signed_distances(shape, section, diam
 
 
 def test_the_rim_of_an_end_mill_in_a_thin_cylinder():
-    """Poses at which the rim, between the axis and the outline's corners, was 0.026 and 0.004 mm
+    """The rim of an end mill in a thin cylinder is found.
+
+    At these poses the rim, between the axis and the outline's corners, was 0.026 and 0.004 mm
     deeper than reported.
     """
     frame = Frame(19, nerve(1e-3), SMALL_MILL)
@@ -289,8 +307,9 @@ def test_the_rim_of_an_end_mill_in_a_thin_cylinder():
 
 
 def test_a_face_that_lies_flat_in_a_flat_wall():
-    """Every point of the tool's bevel is as deep as every other; a search that cannot separate
-    them has to end.
+    """The search ends for a face that lies flat in a flat wall.
+
+    Every point of the tool's bevel is as deep as every other, and the search cannot separate them.
     """
     wall = trimesh.creation.box((20e-3, 20e-3, 8e-3))
     frame = Frame(23, wall, SMALL_MILL)

@@ -11,11 +11,10 @@ from tissue.models.organ.probe import SphereProbe
 
 
 def full_solve(slab, radius, path, friction):
-    """Sphere on nodes, with the whole stiffness: a saddle system in all displacements and contact
-    forces.
+    """Return the contact of a sphere on nodes, solved with the whole stiffness.
 
-    Newton on the equations of Alart and Curnier (1991), normals brought up to date between solves
-    until they rest.
+    It is a saddle system in all displacements and contact forces. Newton solves the equations of
+    Alart and Curnier (1991), and normals are updated between solves until they rest.
     """
     count = slab.stiffness.shape[0]
     m = len(slab.top)

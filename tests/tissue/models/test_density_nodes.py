@@ -41,7 +41,9 @@ def test_the_range_of_a_layer_leaves_out_others_and_voxels_without_density():
 
 
 def test_densities_beyond_the_table_count_as_its_ends():
-    """The strength table ends at 20000 kg/m3 and starts at 1: a single number beyond is one node
+    """Densities beyond the table count as its ends.
+
+    The strength table ends at 20000 kg/m3 and starts at 1: a single number beyond is one node
     there.
     """
     assert DensityNodes.of(25000, 30000).densities_kg_m3.tolist() == [20000.0]

@@ -7,8 +7,9 @@ from tissue.models.tooth.field import FirstGuess
 
 
 def system(count=12, seed=0):
-    """A random symmetric positive definite matrix, loads of three components a node, and their
-    solutions.
+    """Return a random symmetric positive definite matrix, loads and their solutions.
+
+    The loads have three components a node.
     """
     random = np.random.default_rng(seed)
     half = random.normal(size=(3 * count, 3 * count))
@@ -19,8 +20,10 @@ def system(count=12, seed=0):
 
 
 def test_a_load_within_the_known_ones_is_solved():
-    """Rounding of sums over a few dozen terms, times the condition of ten random solutions'
-    energies.
+    """A load within the known ones is solved.
+
+    The tolerance is rounding of sums over a few dozen terms, times the condition of ten random
+    solutions' energies.
     """
     _, loads, solutions = system()
     guess = FirstGuess(list(zip(solutions[:2], loads[:2], strict=True)), recent=3)
@@ -34,8 +37,10 @@ def test_a_load_within_the_known_ones_is_solved():
 
 
 def test_any_other_load_is_projected_in_energy():
-    """The remaining error is orthogonal, in energy, to all that is known; the oldest recent
-    solution is forgotten.
+    """Any other load is projected in energy.
+
+    The remaining error is orthogonal, in energy, to all known solutions; the oldest recent solution
+    is forgotten.
     """
     matrix, loads, solutions = system(seed=1)
     guess = FirstGuess([(solutions[0], loads[0])], recent=3)

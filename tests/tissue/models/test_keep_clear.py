@@ -31,8 +31,9 @@ SCENE = {
 
 
 def canal(scale=1.0):
-    """The canal's surface in the frame of the site, with a far piece of a hundred times its
-    area.
+    """Return the canal's surface in the frame of the site.
+
+    It has a far piece of a hundred times its area.
     """
     made = trimesh.creation.cylinder(radius=RADIUS_MM, height=40.0, sections=256)
     made.apply_transform(trimesh.transformations.rotation_matrix(0.5 * np.pi, [0, 1, 0]))

@@ -211,9 +211,7 @@ def test_the_response_is_one_object_whose_arrays_are_used_again(model):
 
 
 def test_a_tick_leaves_no_memory_behind(model):
-    """What a tick allocates for itself it gives back: 800 further ticks hold less than a
-    kilobyte more.
-    """
+    """A tick frees the memory that it allocates: 800 further ticks add less than a kilobyte."""
     motions = list(cuts(4))
 
     def run():

@@ -1,6 +1,4 @@
-"""The block that a needle drags along: what it is moved by, what carries it, and that the force
-does not come from it.
-"""
+"""Block that a needle drags along: its motion, its supports, and no effect on the force."""
 
 import numpy as np
 import pytest
@@ -19,7 +17,7 @@ SCENE = {
 }
 YOUNG_PA = 5400.0
 POISSON_RATIO = 0.45
-"""Cited modulus of liver and the least cited Poisson's ratio."""
+"""Modulus of liver as cited, and the smallest cited Poisson's ratio."""
 SINGLE = 2e-6
 """Relative rounding of what a frame keeps in single precision, over a few sums."""
 
@@ -55,9 +53,7 @@ def shallow():
 
 @pytest.fixture(scope="module", params=[0.0, 50.0], ids=["upright", "oblique"])
 def driven(request):
-    """A needle with fields that went in and out, its twin without, and what the organ did at
-    every frame.
-    """
+    """Return a needle with fields, its twin without them, and the organ's motion by frame."""
     where = track(tilt_deg=request.param, entry_mm=(4.0, -7.0, 0.0), deepest_mm=25.0)
     fields = fields_of(where)
     models = [
@@ -87,8 +83,9 @@ def driven(request):
 
 
 def test_the_track_moves_with_the_organ_and_no_farther(driven):
-    """Down to the tip every node is deflected as in the needle's model, the next one already by
-    less.
+    """The track moves with the organ and no farther.
+
+    Down to the tip every node is deflected as in the needle's model, the next one already by less.
     """
     fields, _, states = driven
     frames = fields.series.frames
@@ -114,8 +111,9 @@ def test_the_force_on_the_needle_does_not_come_from_the_fields(driven):
 
 
 def test_the_bottom_carries_what_moves_the_track(driven):
-    """Reactions lie on the bottom alone, and their sum is the opposite of the forces along the
-    needle.
+    """The bottom carries the load that moves the track.
+
+    Reactions lie on the bottom alone, and their sum is the opposite of the forces along the needle.
     """
     fields, _, states = driven
     series = fields.series
@@ -146,8 +144,10 @@ def test_nothing_moves_before_the_needle_touches_nor_after_it_left(pierced):
 
 
 def test_a_scene_shows_its_needle_where_it_goes_in(pierced, tmp_path):
-    """Names as of every soft organ; the block's middle line is the needle's; the note compares
-    the forces.
+    """A scene shows its needle at its entry.
+
+    Names match every soft organ; the block's middle line is the needle's; the note compares the
+    forces.
     """
     series = pierced.parts.tissue.fields
     trace = pierced.trace
@@ -197,12 +197,12 @@ def test_a_second_track_elsewhere_is_not_shown(shallow):
 
 
 def test_the_surface_sinks_around_the_entry_as_boussinesq_predicts(monkeypatch):
-    """w = F (1 - nu2) / (pi E r) on a half-space (Boussinesq 1885), as the difference of two radii
-    inside the block.
+    """The surface sinks around the entry as Boussinesq predicts.
 
-    The difference leaves out how the block sinks as a whole. Two edges lie between the radii; with
-    edges that grow half as fast the error is less, 9 %, of which the block's free sides and its
-    bottom keep a part.
+    w = F (1 - nu2) / (pi E r) on a half-space (Boussinesq 1885), as the difference of two radii
+    inside the block. The difference leaves out the sinking of the whole block. Two edges lie
+    between the radii. With edges that grow half as fast the error is less, 9 %, of which the
+    block's free sides and its bottom keep a part.
     """
     errors = []
     for growth in (GROWTH, 0.5 * GROWTH):

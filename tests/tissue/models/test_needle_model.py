@@ -1,6 +1,4 @@
-"""The needle as a tissue model: the contract's laws, where it meets the organ, what it reports,
-which poses it refuses.
-"""
+"""Needle as a tissue model: the contract's laws, contact with the organ, reports, refused poses."""
 
 import gc
 import tracemalloc
@@ -75,8 +73,9 @@ def test_a_needle_removes_nothing():
 
 @pytest.mark.parametrize("seed", range(5))
 def test_force_grows_with_speed_as_its_two_parts_predict(seed):
-    """wrench = resistance x speed + edge, for whatever speed, at one pose; and friction always
-    resists.
+    """Force grows with speed as its two parts predict.
+
+    wrench = resistance x speed + edge, for any speed, at one pose; and friction always resists.
     """
     model = needle()
     _, motion = go(model, wander(seed))
@@ -163,11 +162,11 @@ def test_events_are_emitted_once_in_their_order():
 
 
 def test_an_organ_that_clings_to_the_needle_above_its_surface_keeps_its_track():
-    """Drawn up to 2 mm above the surface the organ still holds 6 mm of the shaft; moved aside and
-    down, it still does.
+    """An organ that clings to the needle above its surface keeps its track.
 
-    Straight down again the shaft sticks, so the held length stays and the organ is drawn up that
-    much less.
+    Drawn up to 2 mm above the surface, the organ still holds 6 mm of the shaft; moved aside and
+    down, it still does. Straight down again the shaft sticks, so the held length stays and the
+    organ is drawn up that much less.
     """
     model = needle(LIVER)
     go(model, [-1.0, 30.0])
@@ -181,8 +180,10 @@ def test_an_organ_that_clings_to_the_needle_above_its_surface_keeps_its_track():
 
 
 def test_measures_are_the_insertion_in_millimetres_and_newtons():
-    """Length, deflection, and the elastic, cutting and friction parts; the viscous drag is part
-    of the friction.
+    """Measures are the insertion in millimetres and newtons.
+
+    They are length, deflection, and the elastic, cutting and friction parts; the viscous drag is
+    part of the friction.
     """
     model = needle(LIVER)
     response, motion = go(model, [-1.0, 30.0])
@@ -216,8 +217,10 @@ def test_a_needle_that_goes_in_elsewhere_punctures_again():
 
 @pytest.mark.parametrize("seed", range(6))
 def test_the_place_on_the_surface_does_not_matter(seed):
-    """A needle turned about the normal and moved along the surface has the turned force; depth
-    counts along a tilted needle.
+    """The place on the surface does not matter.
+
+    A needle turned about the normal and moved along the surface has the turned force; depth counts
+    along a tilted needle.
     """
     random = np.random.default_rng(seed)
     turned = Rotation.from_euler("z", random.uniform(-3.0, 3.0)).as_matrix()
@@ -238,8 +241,9 @@ def test_the_place_on_the_surface_does_not_matter(seed):
 
 
 def pushed(thrust_N, ticks=8000, step_s=STEP_S):
-    """A needle pushed by a thrust at no more than 5 mm/s; depth [mm], force [N] and speed [m/s]
-    of every tick.
+    """Return depth [mm], force [N] and speed [m/s] of every tick under a thrust.
+
+    A needle is pushed by the thrust at no more than 5 mm/s.
     """
     model = needle(LIVER)
     motion = ToolMotion()
@@ -264,8 +268,10 @@ def pushed(thrust_N, ticks=8000, step_s=STEP_S):
 
 
 def test_a_thrust_below_the_puncture_comes_to_rest_on_the_capsule():
-    """It rests where the organ pushes back as much; the moving mass carries it v sqrt(m / k) =
-    0.08 mm farther at most.
+    """A thrust below the puncture comes to rest on the capsule.
+
+    It rests where the organ pushes back as much; the moving mass carries it v sqrt(m / k) = 0.08 mm
+    farther at most.
     """
     mm, force, speed = pushed(2.0)
     assert speed[-1] == 0.0

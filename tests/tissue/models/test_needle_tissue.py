@@ -1,6 +1,4 @@
-"""What a needle meets in tissue: numbers that are refused, and an insertion into one that is
-made up.
-"""
+"""Tissue of a needle: numbers that are refused, and an insertion into a made-up tissue."""
 
 from dataclasses import replace
 
@@ -99,8 +97,10 @@ def test_numbers_that_cannot_be_meant_are_refused(make, message):
 
 
 def test_an_insertion_can_be_built_without_the_cited_numbers():
-    """A linear organ with nothing in it but friction: force C L, deflection C L / (a1 + C) of
-    the travel.
+    """An insertion can be built without the cited numbers.
+
+    A linear organ with only friction has the force C L and the deflection C L / (a1 + C) of the
+    travel.
     """
     friction = ShaftFriction(
         sliding_in_N_m=10.0,

@@ -1,5 +1,6 @@
-"""The compliance of the nodes that a tool may touch, by each of its paths, against NumPy's dense
-inverse.
+"""Compliance of the nodes that a tool may touch, by each of its paths.
+
+The reference is NumPy's dense inverse.
 """
 
 import numpy as np

@@ -106,8 +106,9 @@ def test_a_tool_smaller_than_a_triangle_is_felt_between_nodes(slab):
 
 
 def test_a_shell_of_points_feels_what_its_shape_feels(slab):
-    """A ball by its closed form and by 5,000 points: both touch the same nodes up to the shell's
-    spacing.
+    """A shell of points has the force of its shape.
+
+    A ball by its closed form and by 5,000 points touch equal nodes up to the shell's spacing.
     """
 
     ball = trimesh.creation.icosphere(4, 0.012)
@@ -143,8 +144,10 @@ def test_a_shell_that_jumps_is_felt_by_all_its_points(slab):
 
 
 def test_where_a_shell_s_frame_lies_does_not_matter(slab):
-    """The same ball of points in a frame of its tip, and in one that is upside down 3 cm above
-    it.
+    """The frame of a shell does not change its forces.
+
+    The test compares a ball of points in a frame at its tip with the same ball in an upside-down
+    frame 3 cm above it.
     """
     ball = trimesh.creation.icosphere(3, 0.012)
     ball.apply_translation([0.0, 0.0, 0.012])
@@ -235,8 +238,10 @@ def test_a_scaled_compliance_and_shifted_nodes_are_those_of_another_organ(slab):
 
 @pytest.mark.parametrize("shifts", [1, 3])
 def test_nodes_that_are_shifted_to_a_tool_that_waits_touch_it(slab, shifts):
-    """A tool 2 cm above, four triangles away, feels a surface that rises by 2.1 cm as an organ
-    that lies so high.
+    """Nodes that are shifted to a waiting tool touch it.
+
+    A tool 2 cm above, four triangles away, feels a surface that rises by 2.1 cm like an organ at
+    that height.
     """
     tip = np.array([0.001, 0.0, 0.02])
     offset = np.array([0.0, 0.0, 0.021])
@@ -256,8 +261,9 @@ def test_nodes_that_are_shifted_to_a_tool_that_waits_touch_it(slab, shifts):
 
 
 def test_another_compliance_with_the_surface_where_it_was_leaves_the_force(slab):
-    """Half as stiff, and shifted by what that would move: nothing changes until the tool goes
-    on.
+    """Another compliance with an unmoved surface leaves the force.
+
+    It is half as stiff, and shifted by its displacement: nothing changes until the tool moves on.
     """
     options = {"spacing_m": 1.0, "friction": 0.4} | TIGHT
     path = away([0.002, 0.0, -0.003])

@@ -12,8 +12,10 @@ DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1)[:, None]
 
 
 def test_body_reaches_as_far_as_its_profile():
-    """Support of the points in every direction against that of a ball, of a cone on a cylinder,
-    and of a peg.
+    """A body reaches as far as its profile.
+
+    Support of the points in every direction is compared with a ball, a cone on a cylinder, and a
+    peg.
     """
     ball = body_points(ball_burr(diameter_m=4e-3), spacing_m=2e-4)
     assert np.abs((ball @ DIRECTIONS.T).max(axis=0) - 2e-3 * DIRECTIONS[:, 2] - 2e-3).max() < 1e-5
@@ -30,7 +32,7 @@ def test_body_reaches_as_far_as_its_profile():
 
 @pytest.mark.slow
 def test_pulp_of_a_molar():
-    """What is left over the pulp is the distance from it, as long as the bur goes deeper."""
+    """The dentin left over the pulp is the distance to the pulp while the bur goes deeper."""
     change = {
         "keep_clear.names": ["pulp"],
         "duration_s": 2.4,
@@ -46,8 +48,9 @@ def test_pulp_of_a_molar():
 
 @pytest.mark.slow
 def test_a_pedicle_is_drilled_beside_the_canal_and_into_it():
-    """On its axis the drill stays as far off as the shapes give; led across, it breaches the
-    canal.
+    """A pedicle is drilled next to the canal and into it.
+
+    On its axis the drill stays as far off as the shapes give; moved across, it breaches the canal.
     """
     held = tissue.simulate(tissue.load_scene("pedicle", {"voxels.spacing_mm": 0.2}))
     assert not [what for _, what in held.events if "canal" in what]

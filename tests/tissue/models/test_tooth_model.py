@@ -1,5 +1,7 @@
-"""A tooth in a scene: stress beside the ticks leaves the trace alone, and is reported for the
-state that it belongs to.
+"""Tooth in a scene.
+
+The separate stress solver does not change the trace, and reports stress for the state that it
+belongs to.
 """
 
 import numpy as np
@@ -32,8 +34,9 @@ def drill(**changes):
 
 @pytest.fixture(scope="module")
 def seen():
-    """What each solve was given: time, steps of 1/65535 that the voxels had lost by then, force
-    and point.
+    """Return the records of all solves: time, lost volume, force and point.
+
+    The lost volume counts the steps of 1/65535 that the voxels had lost by then.
     """
     return []
 
@@ -75,7 +78,10 @@ def test_an_interval_is_counted_in_whole_ticks():
 
 
 def test_a_solve_is_given_the_state_of_its_time(run, seen):
-    """Force, removed volume and the bur's face toward the force are those of the trace's row."""
+    """A solve gets the state of its time.
+
+    Force, removed volume and the bur's face toward the force equal the trace's row.
+    """
     force = run.trace.vectors("model_force", "N")
     tip = run.trace.vectors("tool", "mm")
     voxel_mm3 = run.parts.volume.voxel_volume_m3 * 1e9
@@ -95,8 +101,9 @@ def test_a_solve_is_given_the_state_of_its_time(run, seen):
 
 
 def test_a_frame_balances_the_force_of_its_time(run):
-    """The bed's springs carry what the bur pushes with at the frame's time, to what the solve
-    leaves.
+    """A frame balances the force of its time.
+
+    The bed's springs carry the push of the bur at the frame's time, to the residual of the solve.
     """
     field = run.parts.tissue.stress.field
     force = run.trace.vectors("model_force", "N")
@@ -141,8 +148,9 @@ def bits(run):
 
 @pytest.mark.slow
 def test_a_separate_process_gives_the_same_bits(run):
-    """However long its solves take: the run above solved in this process, when the result was
-    due.
+    """A separate process gives the same bits for solves of any duration.
+
+    The run above was solved in this process, when the result was due.
     """
     assert bits(drill()) == bits(run)
 
@@ -170,8 +178,9 @@ def test_the_end_of_the_other_process_is_reported_and_only_the_stress_is_lost(ru
 
 
 def test_stress_leaves_the_force_alone(run):
-    """A scene without it builds none, has no columns of it, and gives the same trace in all
-    others.
+    """Stress leaves the force unchanged.
+
+    A scene without it builds none, has no columns of it, and gives the same trace in all others.
     """
 
     def never(*_, **__):
@@ -199,7 +208,7 @@ def test_the_tooths_own_columns(run):
 
 @pytest.mark.slow
 def test_a_pulp_out_of_reach_is_not_measured():
-    """Where the voxels hold none there is no column, rather than a number that means nothing."""
+    """A pulp outside the voxels has no column in the trace, rather than a meaningless number."""
     run = drill(
         voxels__margin_mm=0.5,
         **{"motion__points_mm": [[0, 0, 0.2], [0, 0, -0.4]], "duration_s": 0.2},

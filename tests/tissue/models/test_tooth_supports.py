@@ -1,5 +1,6 @@
-"""Springs of a tooth to the ground: their forces, and their stiffness against a rigid motion,
-written out.
+"""Springs of a tooth to the ground: their forces and their stiffness.
+
+They are compared with a rigid motion, written out.
 """
 
 import numpy as np
@@ -19,8 +20,10 @@ def springs(count=7):
 
 
 def test_the_restraint_is_the_energy_of_rigid_motions():
-    """u = t + w x (x - c) at each spring: twice the energy is sum u S u; rotations are in units
-    of 1 / length.
+    """The restraint is the energy of rigid motions.
+
+    u = t + w x (x - c) at each spring: twice the energy is sum u S u; rotations are in units of 1 /
+    length.
     """
     given = springs()
     centre = np.array([2e-3, -1e-3, 4e-3])
@@ -49,8 +52,10 @@ def test_forces_are_those_of_the_displacement_at_the_springs():
 
 
 def test_blocks_by_cell_add_up_to_the_same_forces():
-    """The springs of a cell act on its eight nodes: sum over b of N_a N_b S u_b, upper blocks
-    and their transposes.
+    """Blocks by cell add up to equal forces.
+
+    The springs of a cell act on its eight nodes: sum over b of N_a N_b S u_b, upper blocks and
+    their transposes.
     """
     _, grid = block((3, 3, 3), 1e-3)
     given = springs(40)

@@ -1,6 +1,4 @@
-"""Recordings of volumetric_drilling, made here as its recorder makes them, and what cannot be
-one.
-"""
+"""Recordings of volumetric_drilling, made like its recorder's files, and invalid recordings."""
 
 import numpy as np
 import pytest
@@ -29,8 +27,9 @@ TIMES_S = RATE_S * np.arange(2001)
 def recorded(
     path, *, poses=POSES, events=EVENTS, drill="mastoidectomy_drill_pose", burr=(4,), camera=True
 ):
-    """A drill that goes down 10 mm/s for a second under a growing force, each pose heard twice,
-    two of them swapped.
+    """Write a drill that moves down 10 mm/s for a second under a growing force.
+
+    Each pose is recorded twice, two of them swapped.
     """
     centre = np.column_stack([np.full(2001, 0.1), np.full(2001, -0.2), 0.3 - 0.01 * TIMES_S])
     pose = np.repeat(np.hstack([centre, np.tile(SHAFT.as_quat(), (2001, 1))]), 2, axis=0)
@@ -64,7 +63,9 @@ def recorded(
 
 
 def test_a_file_of_the_recorder_gives_tip_axis_and_force_in_the_world(tmp_path):
-    """Tip 2 mm below the centre of a burr of 4 mm, axis up; a force along the camera's x lies
+    """A file of the recorder gives tip, axis and force in the world frame.
+
+    The tip is 2 mm below the centre of a burr of 4 mm, axis up; a force along the camera's x lies
     along the world's y.
     """
     held = read_drilling(recorded(tmp_path / "log.hdf5"), what="motion.file")

@@ -1,4 +1,4 @@
-"""What moves the tool, against closed forms."""
+"""Motion of the tool, against closed forms."""
 
 import numpy as np
 import pytest
@@ -111,8 +111,9 @@ def test_a_viscous_tissue_sets_the_feed_that_balances_the_thrust():
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_push_never_moves_backward(seed):
-    """Whatever the tissue answers, steps past the stability limit of an explicit step among
-    them.
+    """A push never moves backward for any response of the tissue.
+
+    Steps past the stability limit of an explicit step are among them.
     """
     random = np.random.default_rng(seed)
     motion, response, tool = (
@@ -139,8 +140,10 @@ def test_an_edge_force_above_the_thrust_holds_the_tool():
 
 
 def test_a_table_of_constant_rotation_turns_at_that_rate():
-    """Slerp between poses 50 ms apart follows a constant rate exactly, up to rounding of its
-    tick differences.
+    """A table of constant rotation turns at that rate.
+
+    Slerp between poses 50 ms apart follows a constant rate exactly, up to rounding of its tick
+    differences.
     """
     rate, axis = 3.0, np.array([1.0, 2.0, 2.0]) / 3.0
     times = np.arange(0.0, 1.01, 0.05)
@@ -247,7 +250,7 @@ EXTREME = [
 
 
 def same_rotation(found, wanted):
-    """Whether two unit quaternions are one rotation: equal, or each other's negatives."""
+    """Return True if two unit quaternions are one rotation: equal, or of opposite sign."""
     sign = 1.0 if np.dot(found, wanted) > 0.0 else -1.0
     return sign * np.array(found) == pytest.approx(np.array(wanted), abs=1e-12)
 

@@ -1,5 +1,6 @@
-"""Tables of parts as they were before a test; a short run of a block and one of a wall,
-simulated and read back.
+"""Tables of parts as before a test, and two short runs.
+
+One run is of a block and one of a wall, both simulated and read back.
 """
 
 import pytest
@@ -34,7 +35,7 @@ def run(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def back(run):
-    """The same, read back."""
+    """Return the run as read back from disk."""
     return tissue.open_run(run.path)
 
 

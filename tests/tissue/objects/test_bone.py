@@ -1,6 +1,4 @@
-"""Bone that one holds: the same forces as a scene's, closed forms, and bricks only where a tool
-has been.
-"""
+"""Bone object: equal forces to a scene, closed forms, and bricks only along the tool's path."""
 
 import numpy as np
 import pytest
@@ -29,8 +27,9 @@ def block():
 
 
 def test_a_cut_gives_what_a_scene_gives(block):
-    """One engine, two doors: another origin of the voxels moves float32 by some parts in a
-    million.
+    """A cut gives the result of a scene.
+
+    Both use one engine: another origin of the voxels changes float32 by some parts in a million.
     """
     scene = tissue.load_scene(
         "milling",
@@ -60,8 +59,9 @@ def test_a_cut_gives_what_a_scene_gives(block):
 
 
 def test_a_file_of_constants_gives_what_its_values_give(tmp_path):
-    """As a scene's key `materials` does; a file that does nothing here is refused, one that does
-    not hold is, too.
+    """A file of constants has the effect of its values, like a scene's key `materials`.
+
+    A file without effect here is refused, and so is an invalid one.
     """
     names = {"radial_chip_N_mm2": 20.0, "radial_edge_N_mm": 3.0}
     fitted, liver, missing = (
@@ -108,8 +108,10 @@ def test_a_file_of_constants_gives_what_its_values_give(tmp_path):
 
 
 def test_a_slot_has_the_volume_of_a_swept_ball():
-    """A ball of radius r moved by L at depth d < r: L times its circular segment, and two halves
-    of its cap.
+    """A slot has the volume of a swept ball.
+
+    A ball of radius r moved by L at depth d < r removes L times its circular segment, and two
+    halves of its cap.
     """
     bone, r, d, length = tissue.Bone.block((12, 8, 5), spacing_mm=0.1), 1.5, 0.8, 6.0
     slot(bone, [[-3, 0, -d], [3, 0, -d]])
@@ -121,8 +123,10 @@ def test_a_slot_has_the_volume_of_a_swept_ball():
 
 
 def test_an_array_and_a_block_are_the_same_bone(block):
-    """The array's surface is taken from its fractions, the block's from its formula; only at
-    edges they differ.
+    """An array and a block are equal bone.
+
+    The array's surface comes from its fractions, the block's from its formula; only at edges they
+    differ.
     """
     bone = tissue.Bone.from_array(
         np.full((60, 40, 25), 1800.0), spacing_mm=0.2, origin_mm=(-6, -4, -5)
@@ -189,8 +193,9 @@ def test_a_cut_in_two_calls_is_the_same_as_in_one(block):
 
 
 def test_a_second_pass_on_the_same_path_meets_nothing():
-    """But where it stops at the very surface that the first has left: there a voxel's rounding
-    counts for a tick.
+    """A second pass on an equal path removes nothing.
+
+    Where it stops at the surface of the first pass, a voxel's rounding counts for a tick.
     """
     bone = tissue.Bone.block((12, 8, 5), spacing_mm=0.2)
     first, second = (slot(bone, [[-3, 0, -0.8], [3, 0, -0.8]]) for _ in range(2))
@@ -330,10 +335,11 @@ def test_what_cannot_be_is_refused_in_a_sentence(call, words):
 
 
 def test_a_cut_bone_is_shaded_by_its_shape_not_by_its_voxels(tmp_path):
-    """Around a slot in a ball normals point away from its middle; of voxels alone 1 % are off by 16
-    degrees or more.
+    """A cut bone is shaded by its shape, not by its voxels.
 
-    Two degrees are half an edge of the ball's triangles, over which the flat ones are as far off.
+    Around a slot in a ball normals point away from its middle; of voxels alone 1 % are off by 16
+    degrees or more. Two degrees are half an edge of the ball's triangles, over which the flat ones
+    are as far off.
     """
     trimesh.creation.icosphere(subdivisions=4, radius=6.0).export(tmp_path / "ball.stl")
     bone = tissue.Bone.from_file(tmp_path / "ball.stl", spacing_mm=0.3, cortical_thickness_mm=1.0)
@@ -354,8 +360,10 @@ def test_a_cut_bone_is_shaded_by_its_shape_not_by_its_voxels(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("offset_mm", [(0.0, 0.0, 0.0), (9000.0, -500.0, 200.0)])
 def test_a_surface_is_watertight_and_has_the_volume_that_is_left(tmp_path, offset_mm):
-    """Start less removed volume, which is booked in integers; also 9 m away, before a cut and of
-    what was removed.
+    """A surface is watertight and has the volume that is left.
+
+    It is the start less the removed volume, which is booked in integers; also 9 m away, before a
+    cut and for removed bone.
     """
     whole = trimesh.creation.icosphere(subdivisions=4, radius=6.0)
     whole.apply_transform(trimesh.transformations.scale_matrix(1.5, direction=[0, 0, 1]))

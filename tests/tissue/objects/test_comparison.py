@@ -1,6 +1,4 @@
-"""Runs beside each other: figures, what differs in their scenes, and their forces in one
-picture.
-"""
+"""Comparison of runs: figures, differences of their scenes, and their forces in one picture."""
 
 import csv
 
@@ -16,7 +14,7 @@ from tissue.simulation.trace import Table, TraceLayout
 
 @pytest.fixture(scope="module")
 def other(run, tmp_path_factory):
-    """The same block, cut faster in other voxels."""
+    """Return a run of the same block, cut faster and in other voxels."""
     scene = tissue.load_scene(
         "milling", {"voxels.spacing_mm": 0.5, "duration_s": 0.3, "motion.feed_mm_s": 9.0}
     )
@@ -99,7 +97,7 @@ def test_runs_of_other_kinds_stopped_or_elsewhere_are_named(run, wall, monkeypat
 
 
 def pressing(force_N, *, speed_mm_s):
-    """A trace of a tool that goes down and meets a force that depends on its depth alone."""
+    """Return a trace of a tool that moves down against a force that depends on its depth alone."""
     layout = TraceLayout.of(("bone",))
     time = np.arange(0.0, 0.4, 1e-3)
     rows = np.zeros((len(time), len(layout.columns)))
@@ -112,8 +110,9 @@ def pressing(force_N, *, speed_mm_s):
 
 
 def test_over_depth_the_pace_does_not_count():
-    """A force in proportion to depth, gone through at two paces, and one that is 1.5 times as
-    great.
+    """Over depth the pace does not count.
+
+    A force proportional to depth is run at two paces, and a third one is 1.5 times as large.
     """
     slow, fast, hard = (
         pressing(3.0, speed_mm_s=4.0),

@@ -1,5 +1,6 @@
-"""What a cut measures and refuses: structures to keep clear of, elements fine enough, limits of
-the cutting law.
+"""Measures and refusals of a cut.
+
+They concern structures to keep clear of, element size, and limits of the cutting law.
 """
 
 import inspect
@@ -52,8 +53,10 @@ def test_a_cut_measures_its_distance_from_structures(tmp_path):
 
 
 def test_a_turned_and_moved_cut_measures_the_same():
-    """In a frame 9 m away, at poses 20 ms apart of times of their own, of a surface that pyvista
-    holds.
+    """A turned and moved cut has equal measures.
+
+    Its frame is 9 m away, and its poses are 20 ms apart with times of their own, for a surface from
+    pyvista.
     """
     turn, shift = Rotation.random(random_state=4), np.array([9000.0, -300.0, 40.0])
     vertices = turn.apply(np.asarray(nerve().vertices)) + shift
@@ -130,8 +133,10 @@ def slot(spin_rpm, feed_mm_s, **options):
 
 
 def test_chips_beyond_the_law_are_warned_of_and_absurd_ones_refused():
-    """Feed per tooth by hand: 20 mm/s over 6 x 1000 / 60 teeth a second is 0.2 mm, at 10 rpm 5
-    mm/s is 5 mm.
+    """Chips beyond the law cause a warning and absurd ones a refusal.
+
+    Feed per tooth by hand: 20 mm/s over 6 x 1000 / 60 teeth a second is 0.2 mm, at 10 rpm 5 mm/s is
+    5 mm.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("error")

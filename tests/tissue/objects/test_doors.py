@@ -1,5 +1,6 @@
-"""Assessment, stability, simulated people and studies as Python has them: the command's own code
-and figures.
+"""Assessment, stability, simulated people and studies in Python.
+
+They use the command's own code and figures.
 """
 
 from dataclasses import replace

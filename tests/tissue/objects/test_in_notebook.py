@@ -31,7 +31,10 @@ def outputs():
 
 
 def of(outputs, cell):
-    """What a cell shows, by kind; lines on standard error are the graphics library's."""
+    """Return the outputs of a cell by kind.
+
+    Lines on standard error come from the graphics library and are left out.
+    """
     shown = [each for each in outputs[cell] if each["output_type"] != "stream"]
     return {kind: each["data"][kind] for each in shown for kind in each["data"]}
 

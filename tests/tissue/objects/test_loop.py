@@ -1,6 +1,4 @@
-"""A device of one's own in the loop: the same figures as a scene's, held safely, bone made where
-it goes.
-"""
+"""A user's device in the loop: figures equal to a scene's, safe hold, bone made along its path."""
 
 import numpy as np
 import pytest
@@ -34,7 +32,7 @@ class Moves:
 
 
 class Line:
-    """A predictor with two methods: the force goes on along its line."""
+    """Predictor with two methods that continues the force along its line."""
 
     def __init__(self):
         self.now = self.before = np.zeros(3)
@@ -136,7 +134,10 @@ def test_a_predictor_of_ones_own_predicts():
 
 
 def test_bone_is_made_where_the_tool_goes():
-    """The tool leaves the 2 mm that were made, and cuts what it meets farther on."""
+    """Bone is made along the tool's path.
+
+    The tool leaves the first 2 mm, and cuts the bone farther on.
+    """
     long_block = tissue.Bone.block((60, 8, 5), spacing_mm=0.25)
     path = lambda time_s: (0.05 * time_s, 0.0, -3e-3)  # noqa: E731
     loop = tissue.Loop(
@@ -159,7 +160,9 @@ def test_bone_is_made_where_the_tool_goes():
 
 
 def test_an_organ_pushes_back_as_when_it_is_pressed():
-    """A slow device that ends 2 mm deep: the balance of spring and organ lies on the curve of a
+    """An organ pushes back as in a press.
+
+    For a slow device that ends 2 mm deep, the balance of spring and organ lies on the curve of a
     press.
     """
     organ = tissue.Organ.block((40, 40, 20), modulus_kPa=8, poisson_ratio=0.45, edge_mm=4)

@@ -131,8 +131,9 @@ def off_middle(
     permuted=False,
     mesh=None,
 ):
-    """Force of a slanted press on the block at a place off its middle, in the block's frame, and
-    the press.
+    """Return the force of a slanted press on the block at a place off its middle, and the press.
+
+    The force is in the block's frame.
     """
     points, cells = cube() if mesh is None else mesh
     bottom = np.flatnonzero(points[:, 2] < -23.9)
@@ -167,8 +168,9 @@ def straight():
     ids=[*TURNS, "moved", "metres", "permuted"],
 )
 def test_a_press_does_not_know_how_its_mesh_lies(straight, changes):
-    """1e-3 is the contact's tolerance: with nodes in another order the sweeps take another
-    order, too.
+    """A press does not depend on the layout of its mesh.
+
+    1e-3 is the contact's tolerance: with nodes in another order the sweeps take another order, too.
     """
     force, press = off_middle(**changes)
     np.testing.assert_allclose(force, straight, atol=2e-3 * np.linalg.norm(straight))
@@ -443,7 +445,10 @@ def test_meshes_that_cannot_be_are_refused_in_one_sentence(tmp_path):
 
 
 def test_a_hole_that_the_tool_does_not_fit_is_refused():
-    """The place is at the bottom of a slot narrower than the ball, which meets the walls first."""
+    """A hole that the tool does not fit is refused.
+
+    The place is at the bottom of a slot narrower than the ball, which touches the walls first.
+    """
     points, cells = cube((12, 3, 6), (48.0, 12.0, 24.0))
     middle = points[cells].mean(axis=1)
     slot = (np.abs(middle[:, 0]) < 4.0) & (middle[:, 2] > -12.0)
@@ -499,7 +504,9 @@ def test_tables_of_a_notebook_show_the_figures(organ, press):
 
 
 def test_a_press_whose_force_falls_with_depth_is_refused():
-    """Deeper than it is wide the ball passes through what the linear law moves: no figure is
+    """A press whose force falls with depth is refused.
+
+    Deeper than it is wide the ball passes through the part that the linear law moves: no figure is
     better than a wrong one.
     """
     organ = tissue.Organ.block((40, 40, 20), modulus_kPa=8, poisson_ratio=0.45, edge_mm=4, order=1)

@@ -1,5 +1,6 @@
-"""Installed packages offer parts by entry points: found when asked for, refused one by one, and
-all else goes on without them.
+"""Parts that installed packages offer by entry points.
+
+They are found on request and refused one by one; everything else works without them.
 """
 
 import json

@@ -1,5 +1,6 @@
-"""`tissue.register`: parts of a user's own are named by scenes, listed, judged and charted, or
-refused in a sentence.
+"""`tissue.register`: a user's own parts.
+
+Scenes name them; they are listed, judged and charted, or refused in a sentence.
 """
 
 import json
@@ -38,7 +39,7 @@ def run_of(**changes):
 
 
 class Drift:
-    """Goes on along the last change of the force."""
+    """Predictor that continues along the last change of the force."""
 
     def __init__(self):
         self.force_N, self.change_N = np.zeros((2, 3))

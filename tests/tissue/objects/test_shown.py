@@ -1,6 +1,4 @@
-"""What runs, traces, scenes and materials show of themselves in a notebook, and the pictures
-they draw.
-"""
+"""Views of runs, traces, scenes and materials in a notebook, and the pictures they draw."""
 
 import io
 import re

@@ -167,7 +167,9 @@ def test_runs_of_other_scenes_are_not_replaced(pressed, out):
 
 
 def test_a_path_that_a_run_does_not_finish_is_noted(command, out):
-    """A path of 10 mm at 10 mm/s lasts 1 s; the run of 0.05 s does not finish it, that of 1.5 s
+    """A path that a run does not finish is noted.
+
+    A path of 10 mm at 10 mm/s lasts 1 s; the run of 0.05 s does not finish it, the run of 1.5 s
     does.
     """
     path = {
@@ -275,8 +277,9 @@ CALL = 'tissue.register.device("sprung", LIGHT)'
 
 @pytest.mark.slow
 def test_processes_know_the_parts_that_a_script_registers_at_its_top(tmp_path):
-    """They import it; what it registers below its last lines is refused in a sentence, and
-    nothing is run.
+    """Processes know the parts that a script registers at its top, because they import it.
+
+    Parts registered below its last lines are refused in a sentence, and nothing is run.
     """
     ended = []
     for name, calls in (

@@ -28,8 +28,10 @@ def test_moments_of_ln_sigma_are_those_of_an_inverse_gamma_variance():
 
 
 def test_the_posterior_is_prior_times_likelihood():
-    """Ratios of the posterior's density at several laws against those of prior times likelihood,
-    written out.
+    """The posterior is prior times likelihood.
+
+    Ratios of the posterior's density at several laws equal those of prior times likelihood, written
+    out.
     """
     posterior = fit_magnitudes(FORCES_N, NUMBERS)
     rng, logs = np.random.default_rng(0), []

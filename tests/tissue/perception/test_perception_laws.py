@@ -103,8 +103,10 @@ def test_stronger_forces_are_never_weaker_commands(choice):
 
 
 def test_what_the_device_plays_uncompressed_is_what_was_commanded(choice):
-    """Forces up to the knee of the device's range are commanded at or below it, so that ratios
-    of intensity survive.
+    """The uncompressed force of the device equals the command.
+
+    Forces up to the knee of the device's range are commanded at or below it, so that ratios of
+    intensity survive.
     """
     person, device = built(choice), ForceRange(limit_N=LIMIT_N)
     for size in (0.3, 1.0, 0.7 * LIMIT_N):

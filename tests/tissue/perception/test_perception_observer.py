@@ -173,8 +173,10 @@ def test_a_deadband_plays_the_wanted_vector_itself_and_nothing_of_noise():
 
 
 def test_a_turn_of_a_force_is_a_change():
-    """Turned by an angle a, |F| moves by 2 F sin(a / 2): at 2 N the threshold is reached after
-    4.4 degrees.
+    """A turn of a force is a change.
+
+    Turned by an angle a, |F| moves by 2 F sin(a / 2): at 2 N the threshold is reached after 4.4
+    degrees.
     """
     law = Weber(kappa=0.07, offset=0.2)
     angles = np.radians(np.linspace(0.0, 30.0, 3001))

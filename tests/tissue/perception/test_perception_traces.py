@@ -1,6 +1,4 @@
-"""Perception in whole runs: what the deadband leaves of recorded forces, and what the trace
-holds.
-"""
+"""Perception in whole runs: effect of the deadband on recorded forces, and columns of the trace."""
 
 import numpy as np
 import pytest
@@ -30,8 +28,10 @@ def by_hand(scene, **changes):
     ],
 )
 def test_one_sample_in_ten_is_enough(scene, changes, least_saved):
-    """Error below the threshold at every tick, no bias, and this share of the samples in contact
-    not needed.
+    """One sample in ten is enough.
+
+    The error is below the threshold at every tick, there is no bias, and this share of the samples
+    in contact is not needed.
     """
     law, forces = weber("force"), by_hand(scene, **changes).vectors("filtered_force", "N")
     played, changed = held_back(forces, law)
@@ -62,7 +62,9 @@ def test_a_trace_holds_what_was_estimated_perceived_and_changed():
 
 
 def test_an_observer_from_a_file_feels_in_a_run_what_the_reference_would(tmp_path):
-    """At ticks where a force was just rendered, the perceived intensity is the reference's of
+    """An observer from a file feels in a run the reference's intensity.
+
+    At ticks with a newly rendered force, the perceived intensity is the reference's intensity of
     the force, by the gain.
     """
     someone = Observer.known(

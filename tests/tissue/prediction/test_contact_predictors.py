@@ -1,5 +1,6 @@
-"""Predictors on a path that is given: the spring, the tissue's law and the surface, written out;
-lines of forces.
+"""Predictors on a given path, against written-out spring, tissue law and surface.
+
+Lines through forces are tested, too.
 """
 
 import numpy as np
@@ -16,7 +17,7 @@ STEP_M = 1e-4
 
 
 class GivenPath:
-    """A device that goes on by so much a tick, with a stretch that is given."""
+    """Device that moves on by a given step a tick, with a given stretch."""
 
     trusted = True
 
@@ -40,8 +41,9 @@ class GivenPath:
 
 
 def touched_and_left(share=0.5):
-    """A predictor after a press of 2 mm on a tissue at z = 0 that takes so much of the spring's
-    stiffness.
+    """Return a predictor after a press of 2 mm on a tissue at z = 0.
+
+    The tissue takes `share` of the spring's stiffness.
     """
     koopman = Koopman(GivenPath((0.0, 0.0, -STEP_M)))
     koopman.meet(Contact(SPRING, np.zeros(3), np.zeros(3)))
@@ -100,8 +102,10 @@ def test_a_tissue_that_lets_go_deeper_than_it_was_met_has_been_cut():
 
 
 def test_between_answers_the_contact_is_that_share_of_the_spring():
-    """Pressed to 2 mm with half the spring's stiffness, a further 0.1 mm without an answer adds
-    k / 2 times that.
+    """Between answers the contact is that share of the spring.
+
+    Pressed to 2 mm with half the spring's stiffness, a further 0.1 mm without an answer adds k / 2
+    times that.
     """
     koopman = Koopman(GivenPath(stretch_m=(0.0, 0.0, 1e-3)))
     koopman.meet(Contact(SPRING, np.zeros(3), np.zeros(3)))
@@ -123,7 +127,9 @@ def law_of(rng):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_contact_is_balanced_at_the_end_of_the_path(seed):
-    """k (x - p) + f - K (p - p0) = 0 solved by NumPy for the tip p; the device then feels k (p -
+    """A contact is balanced at the end of the path.
+
+    k (x - p) + f - K (p - p0) = 0 is solved by NumPy for the tip p; the device then feels k (p -
     x).
     """
     rng = np.random.default_rng(seed)
@@ -157,8 +163,10 @@ def test_a_tissue_that_would_pull_has_let_go():
 
 @pytest.mark.parametrize("known", [True, False])
 def test_a_free_tool_comes_to_the_surface_by_its_gap(known):
-    """A gap of 0.25 mm, 0.1 mm a tick: stiff as the last contact in series with the spring, or
-    as good as rigid.
+    """A free tool reaches the surface after its gap.
+
+    The gap is 0.25 mm at 0.1 mm a tick. The surface is as stiff as the last contact in series with
+    the spring, or nearly rigid.
     """
     predictor = LookAhead(GivenPath((0.0, 0.0, -1e-4)))
     ratio = RIGID
@@ -195,8 +203,10 @@ def test_a_tool_that_cuts_is_stretched_as_its_path_foresees():
 
 @pytest.mark.parametrize(("window", "every"), [(4, 10), (30, 10), (4, 1)])
 def test_a_line_through_forces_that_come_every_few_ticks(window, every):
-    """2 mN a tick, whether the window holds several forces or is shorter than the time between
-    two.
+    """A line passes through forces that come every few ticks.
+
+    It rises by 2 mN a tick, whether the window holds several forces or is shorter than the time
+    between two.
     """
     line, zero = Linear(window), np.zeros(3)
     for tick in range(201):

@@ -6,9 +6,7 @@ import pytest
 from tissue.prediction.look_ahead import ContactSlope
 
 NOISE, DRIFT, UNKNOWN = 1e-6, 50.0, 1.0
-"""As documented: noise [m], variance for each metre, variance of a slope of which nothing is
-known.
-"""
+"""Documented noise [m], variance for each metre, and variance of an unknown slope."""
 
 
 @pytest.mark.parametrize("step_m", [1e-7, 1e-6, 1e-5])
@@ -25,8 +23,10 @@ def test_the_first_step_counts_by_its_length_over_the_noise(step_m):
 
 
 def test_steps_along_a_line_are_the_scalar_filter():
-    """Along one direction a scalar is filtered: variance P, gain, and 50 more for each metre,
-    bounded in all.
+    """Steps along a line are the scalar filter.
+
+    Along one direction a scalar is filtered: variance P, gain, and 50 more for each metre, bounded
+    in all.
     """
     rng, along = np.random.default_rng(0), np.array([2.0, -1.0, 2.0]) / 3.0
     slope = ContactSlope()

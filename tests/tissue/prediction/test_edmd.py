@@ -130,8 +130,10 @@ def test_the_fit_is_least_squares_whatever_the_blocks(name, ridge):
 @pytest.mark.parametrize("offset", [True, False])
 @pytest.mark.parametrize("ridge", [0.0, 1e-3])
 def test_delayed_states_are_fitted_as_any_other_target(offset, ridge):
-    """Against least squares of all windows at once, the targets written out; the delayed ones
-    are known exactly.
+    """Delayed states are fitted like any other target.
+
+    The reference is least squares of all windows at once, with the targets written out; the delayed
+    ones are known exactly.
     """
     rng, dictionary, known = np.random.default_rng(11), Delays(2, Polynomials(2, columns=(0, 1))), 6
     episodes = [
@@ -195,8 +197,9 @@ def test_truncated_singular_values_are_the_pseudoinverse():
 
 @pytest.mark.parametrize("shift", [0.0, 1e3])
 def test_units_and_offsets_do_not_matter(shift):
-    """The same system in millimetres and about another zero has the same eigenvalues and
-    predictions.
+    """Units and offsets do not change eigenvalues and predictions.
+
+    The same system is used in millimetres and about another zero.
     """
     episodes = swings(np.random.default_rng(5))
     scales = np.array([1e3, 1e-2])
@@ -248,8 +251,10 @@ def test_the_training_box_holds_the_training_states():
 
 
 def test_one_step_with_inputs_is_the_matrices_written_out():
-    """phi' = A phi + B u + c, for one state and for rows of them, and without inputs as with
-    inputs of zero.
+    """One step with inputs equals the matrices written out.
+
+    phi' = A phi + B u + c, for one state and for rows of them, and without inputs as with inputs of
+    zero.
     """
     rng = np.random.default_rng(11)
     operator = Edmd(Polynomials(2), offset=True).fit(swings(rng))

@@ -1,5 +1,6 @@
-"""Learning on: recursive least squares against the fit of all data, change, rest, and wild
-samples.
+"""Online learning: recursive least squares against the fit of all data.
+
+The tests cover change, rest, and wild samples.
 """
 
 import numpy as np
@@ -62,8 +63,9 @@ def test_a_changed_system_is_learnt_within_some_memories():
 
 
 def gain_bound(online):
-    """Largest gain that any next sample could have now: half the root of the covariance's
-    largest eigenvalue.
+    """Return the largest gain that any next sample could have now.
+
+    It is half the root of the covariance's largest eigenvalue.
     """
     return 0.5 * float(np.sqrt(np.linalg.eigvalsh(online._covariance)[-1] / online._forgetting))
 
@@ -71,8 +73,10 @@ def gain_bound(online):
 @pytest.mark.parametrize("forgetting", [0.9, 0.99, 0.999])
 @pytest.mark.parametrize("limit", [0.1, 1.0, 10.0])
 def test_the_gain_stays_bounded_at_rest(forgetting, limit):
-    """At rest nothing is excited: plain forgetting would multiply the covariance by 1 /
-    forgetting every sample.
+    """The gain stays bounded at rest.
+
+    Nothing is excited there: plain forgetting would multiply the covariance by 1 / forgetting every
+    sample.
     """
     rng = np.random.default_rng(2)
     operator = Edmd(Polynomials(2)).fit(swings(rng))
@@ -136,11 +140,11 @@ def test_bad_options_are_refused():
 
 @pytest.mark.parametrize("forgetting", [0.9, 0.98])
 def test_what_was_known_weighs_as_one_memory_of_samples(forgetting):
-    """Weighted least squares, written out: the fit's own samples count as 1 / (1 - forgetting) of
-    their kind.
+    """Earlier knowledge has the weight of one memory of samples.
 
-    A new sample k steps ago has the weight forgetting^k. In units of the fit's means and
-    deviations, where a gain is not bounded.
+    The reference is weighted least squares, written out: the fit's own samples count as 1 / (1 -
+    forgetting) samples of their kind. A new sample k steps ago has the weight forgetting^k. The
+    units are the fit's means and deviations, and the gain is not bounded.
     """
     rng = np.random.default_rng(5)
     known = swings(rng, 6)

@@ -71,8 +71,9 @@ class Ramp(Fake):
 
 @pytest.mark.parametrize("model_ticks", [1, 5])
 def test_a_prediction_for_a_time_between_ticks_is_judged_by_the_force_between(model_ticks):
-    """Half a tick early or late would be an error of 0.05 N, more than 1.5 times the other's
-    0.02 N.
+    """A prediction for a time between ticks is judged by the force between.
+
+    Half a tick early or late would be an error of 0.05 N, more than 1.5 times the other's 0.02 N.
     """
     guarded = Guarded(Ramp(0.0), Ramp(0.02), reach_N=10.0)
     primary = []
@@ -87,8 +88,10 @@ def test_a_prediction_for_a_time_between_ticks_is_judged_by_the_force_between(mo
 
 
 class Ahead(Fake):
-    """Predicts the force that comes, plus a constant times how it changes until then, or where
-    nothing is touched.
+    """Predictor of the coming force with a constant error.
+
+    The error is the constant times the change of the force until then, or applies where nothing is
+    touched.
     """
 
     clock, waited = 0, 400
@@ -109,7 +112,7 @@ class Ahead(Fake):
 
 
 def primary_of(inner, *, ticks=2000):
-    """In which ticks a predictor is asked that is guarded by holding the force."""
+    """Return True for ticks in which a predictor is used that zero-order hold guards."""
     guarded, primary = Guarded(inner, Hold(), reach_N=10.0), []
     for tick in range(ticks):
         guarded.observe(np.zeros(3), np.zeros(3), inner.force(tick + 1))
@@ -171,8 +174,10 @@ class Off(Fake):
 )
 @pytest.mark.parametrize("wrong_N", [-1.0, 1.0])
 def test_errors_count_alike_in_every_direction(direction, wrong_N):
-    """Of errors of 0.014 N and 0.01 N the larger one passes, being below 1.5 times the other;
-    0.016 N does not.
+    """Errors count alike in every direction.
+
+    Of errors of 0.014 N and 0.01 N the larger one passes, being below 1.5 times the other; 0.016 N
+    does not.
     """
     for inner, stays in ((0.014, True), (0.016, False)):
         guarded = Guarded(

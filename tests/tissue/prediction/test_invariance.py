@@ -1,5 +1,6 @@
-"""Laws of the predictors that know the coupling: what is moved, turned or scaled is predicted
-moved, turned and scaled.
+"""Laws of the predictors that know the coupling.
+
+Moved, turned or scaled input gives a moved, turned or scaled prediction.
 """
 
 import numpy as np
@@ -22,8 +23,9 @@ def trained():
 
 @pytest.fixture(scope="module", params=["known stiffness", "learnt stiffness"])
 def motion(request):
-    """Positions, forces and contacts of a device that swings in and out of a soft face that
-    drags along.
+    """Return positions, forces and contacts of a device that swings in and out of a soft face.
+
+    The face drags along.
     """
     time = 1e-3 * np.arange(TICKS)
     device = 1e-3 * np.column_stack(
@@ -109,8 +111,10 @@ def test_a_contact_comes_back_from_its_row(motion):
 
 @pytest.mark.parametrize("kind", ["look-ahead", "koopman-look-ahead"])
 def test_a_tool_that_cuts_is_foreseen_by_its_path(kind, trained, motion):
-    """Without a law that pushes back: the last force, or what the operator gives, as `koopman`
-    does.
+    """A tool that cuts is predicted by its path.
+
+    No law pushes back: the prediction is the last force, or the result of the operator, like
+    `koopman`.
     """
     device, force, contact = motion
     cutting = contact.copy()
@@ -126,8 +130,10 @@ def test_a_tool_that_cuts_is_foreseen_by_its_path(kind, trained, motion):
 
 
 def test_the_law_at_a_foreseen_place_is_exact(trained):
-    """A device that moves steadily into a face of 900 N/m on a coupling of 400: the force of
-    both springs in series.
+    """The law at a predicted place is exact.
+
+    A device moves steadily into a face of 900 N/m on a coupling of 400: the force is that of both
+    springs in series.
     """
     predictor = trained_predictor("look-ahead", trained, force_limit_N=3.3).inner
     series, stiffness = 900.0 * 400.0 / 1300.0, np.diag([0.0, 0.0, 900.0])

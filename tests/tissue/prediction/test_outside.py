@@ -21,8 +21,9 @@ class Line:
 
 
 def test_the_residual_is_what_it_missed_a_tick_ahead():
-    """It expects (2, 0.1, 0): of (2, 0.1, 0) it misses nothing, of (-1, 4.1, 0) it misses (3,
-    -4, 0).
+    """The residual is the error of a prediction one tick ahead.
+
+    It expects (2, 0.1, 0): of (2, 0.1, 0) it misses nothing, of (-1, 4.1, 0) it misses (3, -4, 0).
     """
     outside, zero = Outside(Line(), "line"), np.zeros(3)
     outside.observe(zero, zero, np.array([9.0, 9.0, 9.0]))

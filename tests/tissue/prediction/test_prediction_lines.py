@@ -1,4 +1,4 @@
-"""What `tissue chart prediction` prints of its figures."""
+"""Lines of figures that `tissue chart prediction` prints."""
 
 import numpy as np
 import pytest
@@ -14,8 +14,9 @@ from tissue.scene.registry import PREDICTORS
 
 
 def line_of(differences):
-    """The sentence on runs of very different errors, in which ours are these much greater than
-    all others'.
+    """Return the sentence on runs of very different errors.
+
+    Our errors are larger by `differences` than all others.
     """
     runs = np.geomspace(0.01, 0.5, len(differences))
     errors = {kind: np.tile(runs[:, None], len(HORIZONS)) for kind in PREDICTORS}
@@ -41,7 +42,9 @@ def test_one_predictor_is_better_only_where_pairs_of_runs_show_it(differences, v
 
 
 def test_the_interval_of_pairs_is_that_of_student():
-    """Mean -1 %, standard deviation 0.1 %, three runs: 4.3027 is the 97.5 % quantile of t at two
+    """The interval of pairs is Student's.
+
+    Mean -1 %, standard deviation 0.1 %, three runs: 4.3027 is the 97.5 % quantile of t at two
     degrees of freedom.
     """
     half = 4.3027 * 0.1 / np.sqrt(3.0)

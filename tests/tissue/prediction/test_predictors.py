@@ -25,8 +25,9 @@ LIMIT_N = 3.3
 
 
 def spring_run(seed, ticks=1200, stiffness=STIFFNESS_N_M):
-    """A device that swings through the face z = 0 of a spring, read by an encoder: F = k max(0,
-    -z).
+    """Return a device that swings through the face z = 0 of a spring, read by an encoder.
+
+    The force is F = k max(0, -z).
     """
     rng = np.random.default_rng(seed)
     time = 1e-3 * np.arange(ticks)
@@ -159,8 +160,9 @@ def test_kalman_gains_are_those_that_the_recursion_settles_to():
 
 
 def test_a_linear_model_with_control_is_exact_on_a_linear_model():
-    """F+ = A F + B (x, v) with a device at constant speed: fitted on noise, predicted to
-    rounding.
+    """A linear model with control is exact on a linear model.
+
+    F+ = A F + B (x, v) with a device at constant speed: fitted on noise, predicted to rounding.
     """
     rng = np.random.default_rng(3)
     A, B = np.diag([0.9, 0.8, 0.7]), rng.standard_normal((3, 6)) * np.array([3.0] * 3 + [0.1] * 3)
@@ -181,8 +183,10 @@ def test_a_linear_model_with_control_is_exact_on_a_linear_model():
 
 @pytest.mark.parametrize("kind", PREDICTORS.names[1:])
 def test_predictions_are_finite_whatever_comes(kind, trained):
-    """NaN, infinity, jumps of metres and of 1e200; hold alone is not guarded: it repeats what it
-    was given.
+    """Predictions are finite for any input.
+
+    The inputs are NaN, infinity, jumps of metres and of 1e200. Only zero-order hold is not guarded:
+    it repeats its input.
     """
     rng = np.random.default_rng(4)
     predictor = made(kind, trained)
@@ -229,8 +233,9 @@ def test_the_loop_predicts_as_the_operator_does(trained):
 
 
 def test_contact_is_foreseen_where_lines_cannot(trained):
-    """On an unseen swing into the spring the lifted predictor beats every baseline at 4 and 8
-    ms.
+    """Contact is predicted where lines cannot predict it.
+
+    On an unseen swing into the spring the lifted predictor beats every baseline at 4 and 8 ms.
     """
     runs = [spring_run(seed) for seed in range(80, 84)]
     errors = {
@@ -246,10 +251,11 @@ def test_contact_is_foreseen_where_lines_cannot(trained):
 
 @pytest.mark.parametrize("model_ticks", [2, 4, 10])
 def test_a_slow_model_is_bridged(model_ticks, trained):
-    """The force is seen in some ticks, the device in every one: 0.08 to 0.13 of what holding
-    misses, without a guard.
+    """A slow model is bridged.
 
-    Look-ahead is shown the law of the last answer, which on a rigid face is exact.
+    The force is observed in some ticks, the device in every one: the error is 0.08 to 0.13 of the
+    error of zero-order hold, without a guard. Look-ahead gets the law of the last answer, which on
+    a rigid face is exact.
     """
     runs = [spring_run(seed) for seed in (90, 91, 92, 93)]
     error = {
@@ -270,8 +276,10 @@ def test_a_slow_model_is_bridged(model_ticks, trained):
 @pytest.mark.parametrize("kind", ["koopman", "koopman-look-ahead"])
 @pytest.mark.parametrize("why", ["growth", "short", "alone"])
 def test_each_reason_ends_trust(why, kind, trained):
-    """A motion as quick as none in training, a window that is not full, and no contact ever
-    shown.
+    """Each reason ends trust.
+
+    The reasons are a motion faster than any in training, a window that is not full, and no contact
+    so far.
     """
     run, loop = spring_run(61), made(kind, trained).inner
     for row in range(200):

@@ -30,7 +30,7 @@ COARSE = {
     "needle": "tool.diameter_mm=1.0",
     "wall": "tool.diameter_mm=8.0",
 }
-"""What makes a scene quick to run."""
+"""Changes that make a scene quick to run."""
 
 
 @pytest.mark.parametrize("name", scene_names())

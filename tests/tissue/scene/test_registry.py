@@ -1,5 +1,6 @@
-"""Tables of parts take devices, hands, renderers, predictors and perceptual maps from outside
-the package.
+"""Tables of parts that accept parts from outside the package.
+
+These are devices, hands, renderers, predictors and perceptual maps.
 """
 
 from pathlib import Path
@@ -70,8 +71,10 @@ def test_a_table_loads_lists_and_refuses():
 
 
 def test_a_device_from_outside_is_held(added):
-    """One of 0.2 N and a third of the mass; it plays no torque, so that a stiffness of turns has
-    no effect.
+    """A device from outside is held.
+
+    It has 0.2 N and a third of the mass. It plays no torque, so that a stiffness of turns has no
+    effect.
     """
     added(
         DEVICES,

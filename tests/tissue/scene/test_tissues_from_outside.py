@@ -1,5 +1,6 @@
-"""Tables of parts take tools, motions and tissues from outside the package: a scene names one
-and runs with it.
+"""Tables of parts that accept tools, motions and tissues from outside.
+
+A scene names one and runs with it.
 """
 
 from dataclasses import replace
@@ -36,7 +37,9 @@ from tissue.system.offscreen import draw_apart
 
 
 def test_a_cutter_from_outside_cuts(added):
-    """A cylinder by another name, half as wide: it removes less than its namesake and reads a
+    """A cutter from outside cuts.
+
+    It is a cylinder by another name, half as wide: it removes less than its namesake and reads a
     length.
     """
     half = lambda diameter_m, length_m: cylinder(diameter_m=0.5 * diameter_m, length_m=length_m)  # noqa: E731

@@ -1,5 +1,6 @@
-"""The constants on which a scene rests are all that it reads, and those that it lists count: by
-changing them.
+"""Constants of a scene: all that it reads, and effects of the listed ones.
+
+The effect is tested by changing them.
 """
 
 import numpy as np
@@ -36,8 +37,9 @@ LIMITS = (
     "turning_",
     "inertia_kg_m2",
 )
-"""Constants that count only where a run comes to a limit, to rest, or turns its tool by hand:
-none of these does.
+"""Constants that count only in cases that none of these runs reaches.
+
+The cases are a limit, rest, and a tool turned by hand.
 """
 
 
@@ -98,8 +100,9 @@ LARGER = {
     "pedicle": {"voxels.spacing_mm": 0.5, "duration_s": 0.6},
     "liver-press": {"anatomy.edge_mm": 25, "anatomy.touch_edge_mm": 8, "duration_s": 0.5},
 }
-"""Scenes that take long with each constant changed in turn, without stress, which is solved
-beside the run.
+"""Scenes that take long with each constant changed in turn, without stress.
+
+The stress is solved in a separate process.
 """
 
 

@@ -74,8 +74,10 @@ def test_a_thrust_without_a_brake_plunges_to_its_stop():
 
 
 def test_pecking_breaks_through_once_a_hole():
-    """Three passes through one hole, the last the deepest, then a hole of its own 3 mm away:
-    two, each with its plunge.
+    """Pecking breaks through once a hole.
+
+    Three passes go through one hole, the last the deepest, then a hole of its own 3 mm away: two
+    events, each with its plunge.
     """
     first = [[0, 0, 1], [0, 0, -4.5], [0, 0, -2], [0, 0, -5], [0, 0, 0.5], [0, 0, -6]]
     second = [[0, 0, 1], [3, 0, 1], [3, 0, -5.5]]

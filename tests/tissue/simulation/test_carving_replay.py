@@ -1,4 +1,4 @@
-"""The bone at a tick, carved again from the poses of a run, beside runs that stopped there."""
+"""Bone at a tick, carved again from the poses of a run, against runs that stopped there."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The carving over time as files: what they hold, beside the bone itself."""
+"""Carving over time as files: their content, compared with the bone itself."""
 
 import numpy as np
 import pytest

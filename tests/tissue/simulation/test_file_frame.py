@@ -1,5 +1,6 @@
-"""Bone from a file: where its outputs lie, and that a run does not depend on where and how the
-file was stored.
+"""Bone from a file: the place of its outputs.
+
+A run does not depend on the position and the layout of the stored file.
 """
 
 import contextlib
@@ -40,8 +41,9 @@ def lump():
 
 
 def milled(path, mesh, *, motion=None, unit_mm=1.0, mirrored=False):
-    """Write a mesh [mm] moved by a matrix into a file, mill it at the same site, and return the
-    run.
+    """Mill a mesh [mm] that is moved by a matrix into a file, and return the run.
+
+    The site is moved with the mesh.
     """
     moved, motion = mesh.copy(), np.eye(4) if motion is None else motion
     moved.apply_transform(motion)
@@ -82,8 +84,11 @@ def figures(run):
 
 
 STORED = 2e-3
-"""Part by which figures may differ: STL holds single precision, 2e-5 mm at 400 mm, 1e-4 of the
-depth cut; a voxel's share is kept in 1/255."""
+"""Relative tolerance of figures.
+
+STL holds single precision, 2e-5 mm at 400 mm, 1e-4 of the depth cut; a voxel's share is kept in
+1/255.
+"""
 
 
 def test_the_reference_cuts_bone(reference):

@@ -1,5 +1,6 @@
-"""Runs against the wall clock: without a display, with a window that is closed, fails or hangs,
-and by the mouse.
+"""Runs against the wall clock.
+
+They have no display, a window that is closed, fails or hangs, or are driven by the mouse.
 """
 
 import os

@@ -18,8 +18,9 @@ from tissue.simulation.load_record import record_loads, why_not_linear
 from tissue.simulation.simulate import simulate
 
 EQUAL = 1e-6
-"""Of the run's greatest force or torque: the force kernel adds in single precision, 1e-7 a chunk
-of elements.
+"""Tolerance relative to the run's largest force or torque.
+
+The force kernel adds in single precision, 1e-7 a chunk of elements.
 """
 OTHERS = {
     "cutting.tangential_chip_N_mm2": 97.3,
@@ -47,7 +48,7 @@ def wrenches(trace):
 
 
 def greatest_difference(got, want):
-    """Of force and of torque, relative to the greatest of the run."""
+    """Return the largest difference of force and torque, relative to the run's largest value."""
     size = [np.linalg.norm(want[:, part], axis=1).max() for part in (slice(3), slice(3, 6))]
     off = [np.linalg.norm((got - want)[:, part], axis=1).max() for part in (slice(3), slice(3, 6))]
     return max(np.array(off) / size)
@@ -84,8 +85,10 @@ def test_reweighing_equals_rerunning(tables, kind, exponent):
 
 
 def test_a_density_factor_is_another_reference_density(tables):
-    """Bone s times as dense is cut as bone whose coefficients were measured at a density 1 / s
-    times as high.
+    """A density factor is another reference density.
+
+    Bone s times as dense is cut as bone whose coefficients were measured at a density 1 / s times
+    as high.
     """
     scene = Scene(**tables["bone, density"])
     record = record_loads(scene, cores=1)

@@ -1,5 +1,6 @@
-"""A tissue that returns a new response from each call gives the trace of one that fills the same
-response anew.
+"""Tissue that returns a new response from each call.
+
+Its trace equals that of a tissue that fills one response anew.
 """
 
 from dataclasses import fields, replace
@@ -32,8 +33,9 @@ class NewResponses(WallModel):
 
 
 def parts_with(wall, **changes):
-    """The test wall's scene with that wall: a device taps it ten times a second, at up to 0.25
-    m/s.
+    """Return the parts of the test wall's scene with that wall.
+
+    A device taps it ten times a second, at up to 0.25 m/s.
     """
     changes = {"device": "touch", "prediction": "none", "duration_s": 1e-3 * TICKS} | changes
     scene = load_scene("wall", changes)

@@ -45,8 +45,10 @@ def test_the_thread_of_the_ticks_has_its_priority_raised_while_they_run():
 
 
 def test_ticks_that_leave_nothing_to_others_lose_their_priority(monkeypatch):
-    """Ticks of any length are over a share of nothing; at 90 % those of a wall, a twentieth of a
-    millisecond, are not.
+    """Ticks that leave nothing to others lose their priority.
+
+    Ticks of any length exceed a share of zero; at 90 % the ticks of a wall, a twentieth of a
+    millisecond, do not.
     """
     priority = FakePriority()
     run, _ = live_by(priority)

@@ -1,5 +1,6 @@
-"""The loop of which nothing is played gives the raw force of a whole run bit for bit, and what
-is kept changes nothing.
+"""Loop that plays nothing.
+
+It gives the raw force of a whole run bit for bit, and cached values change nothing.
 """
 
 import numpy as np
@@ -28,7 +29,7 @@ KEPT = (
     (soft_organ, "_patches"),
     (forecast, "_forecasts"),
 )
-"""What runs of a process share."""
+"""Caches that the runs of a process share."""
 SECONDS = {"T2": 1.5, "T1": 0.6, "T3": 0.6, "needle": 1.0, "drilling": 1.0, "reaming": 1.5}
 
 
@@ -78,8 +79,10 @@ def test_the_raw_force_is_that_of_a_whole_run(monkeypatch, task, device):
 @pytest.mark.slow
 @pytest.mark.parametrize("task", ["T1", "T3", "drilling"])
 def test_what_runs_share_changes_no_bit(monkeypatch, task):
-    """The second run of a process, which is given what the first has made, against one that
-    makes all anew.
+    """Data shared by runs change no bit.
+
+    The second run of a process, which gets the data of the first, is compared with one that makes
+    all anew.
     """
     scene = by_hand(task)
     simulate(scene, cores=1, allow_unstable=True)
@@ -91,8 +94,10 @@ def test_what_runs_share_changes_no_bit(monkeypatch, task):
 
 @pytest.mark.slow
 def test_a_tool_that_rests_meets_what_it_met(monkeypatch):
-    """The force of a tick whose pose, heading and bone are those of the last is not computed
-    again: the same bits.
+    """A tool that rests keeps its force.
+
+    The force of a tick whose pose, direction and bone equal the last tick's is not computed again:
+    the bits are equal.
     """
     scene, before = by_hand("drilling"), BoneModel.respond
     asked, run = [], simulate(by_hand("drilling"), cores=1, allow_unstable=True).trace.rows

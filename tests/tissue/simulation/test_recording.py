@@ -1,5 +1,6 @@
-"""Runs as recordings in volumetric_drilling's layout: what they hold, and the same path and
-force when replayed.
+"""Runs as recordings in volumetric_drilling's layout.
+
+The tests cover their content, and equal path and force in a replay.
 """
 
 import numpy as np
@@ -85,8 +86,10 @@ def test_voxels_are_those_that_fell_below_half_in_the_order_of_time(run, written
 
 
 def test_voxels_fall_when_the_bone_at_that_tick_has_lost_them(run):
-    """The bone at a tick is completed, the removals are booked up to 20 um of path later: here
-    within 2 ticks.
+    """Voxels fall when the bone at that tick has lost them.
+
+    The bone at a tick is completed, the removals are booked up to 20 um of path later: here within
+    2 ticks.
     """
     replay = run.replay()
     places, ticks = replay.removals()
@@ -100,8 +103,10 @@ def test_voxels_fall_when_the_bone_at_that_tick_has_lost_them(run):
 
 
 def test_a_run_replayed_from_its_recording_takes_the_same_path_under_the_same_force(run, written):
-    """Poses lie on the ticks, so that nothing is resampled: what differs are roundings of the
-    turn and of the centre.
+    """A run replayed from its recording takes the same path under the same force.
+
+    Poses lie on the ticks, so that nothing is resampled: only roundings of the turn and of the
+    centre differ.
     """
     again = simulate(
         load_scene("milling", FAST | {"motion": {"kind": "replay", "file": str(written)}})
@@ -122,11 +127,11 @@ def test_a_run_replayed_from_its_recording_takes_the_same_path_under_the_same_fo
 
 
 def test_poses_between_ticks_are_resampled_within_a_tick_of_path(run, written, tmp_path):
-    """At 60 mm/s a clock that is a third of a tick off moves the tool by 20 um, and the corner by
-    as much.
+    """Poses between ticks are resampled within a tick of path.
 
-    A force lies between those of the neighbouring ticks, but where the path turns or stops within
-    one.
+    At 60 mm/s a clock that is a third of a tick off moves the tool by 20 um, and the corner by as
+    much. A force lies between the forces of the neighbouring ticks, except where the path turns or
+    stops within one.
     """
     with h5py.File(written) as held, h5py.File(tmp_path / "late.hdf5", "w") as file:
         held.copy("physics_data", file)

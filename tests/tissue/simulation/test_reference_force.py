@@ -1,5 +1,7 @@
-"""The score of a run at the motor: the ideal force in closed form, a perfect predictor, and
-wrong ones of known error.
+"""Score of a run at the motor.
+
+The tests cover the ideal force in closed form, a perfect predictor, and wrong predictors of known
+error.
 """
 
 import numpy as np
@@ -109,7 +111,9 @@ def test_wrong_ones_have_their_known_errors_and_latencies(held, monkeypatch):
 
 @pytest.mark.parametrize("early", [-1.5, 1.5])
 def test_another_lead_is_seen_in_the_score(held, monkeypatch, early):
-    """Asked 1.5 ticks too far ahead the force comes 1.5 ms early, and is further off than at the
+    """Another lead is seen in the score.
+
+    Asked 1.5 ticks too far ahead, the force comes 1.5 ms early, and has a larger error than at the
     path's own lead.
     """
     run, ideal = held
@@ -122,8 +126,9 @@ def test_another_lead_is_seen_in_the_score(held, monkeypatch, early):
 
 
 def test_a_scale_of_motion_changes_the_stretch_by_itself(monkeypatch):
-    """The wall is felt as so much stiffer; the force is still the stretch of the device's
-    spring.
+    """A scale of motion changes the stretch by itself.
+
+    The wall feels stiffer by the scale; the force is still the stretch of the device's spring.
     """
     run = run_with(monkeypatch, Hold(), **{"coupling.motion_scale": 2.5})
     np.testing.assert_allclose(stretch_force_N(run), run.trace.vectors("raw_force", "N"), atol=1e-9)

@@ -1,5 +1,6 @@
-"""What a run leaves on disk: its files, that it can be made again from them, and what a killed
-run leaves.
+"""Files that a run leaves on disk.
+
+A run can be made again from them, and the files after a kill are checked.
 """
 
 import json
@@ -74,7 +75,9 @@ def test_the_folder_holds_every_file(made):
 
 @pytest.mark.parametrize("cores", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_a_run_is_made_again_bit_for_bit_on_any_number_of_cores(made, tmp_path, cores):
-    """Threads are made to share every launch: of the coarse scene's, few are long enough by
+    """A run is made again bit for bit on any number of cores.
+
+    Threads are forced to share every launch: few launches of the coarse scene are long enough by
     themselves.
     """
     split = (
@@ -197,8 +200,9 @@ def test_a_runs_own_trace_replays_it(tmp_path):
 
 @pytest.fixture(scope="module")
 def start():
-    """Start a run in a process of its own, which does not outlive the test; it heeds SIGINT
-    wherever this one runs.
+    """Start a run in a process of its own, which ends with the test.
+
+    It obeys SIGINT wherever this process runs.
     """
     started = []
     heeding = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
@@ -217,7 +221,7 @@ def start():
 
 
 def wait_for_rows(path, process, least):
-    """Wait until the trace has grown past its ``least`` rows."""
+    """Wait until the trace has more than ``least`` rows."""
     until = time.monotonic() + 60.0
     while time.monotonic() < until:
         if path.is_file() and path.read_bytes().count(b"\n") > least:
@@ -229,10 +233,10 @@ def wait_for_rows(path, process, least):
 
 @pytest.fixture(scope="module")
 def killed(tmp_path_factory, start):
-    """Folder of a milling run killed in its middle, and the wall time from its last growth to its
-    end [s].
+    """Return the folder of a milling run killed in its middle, and the time to its end [s].
 
-    Up to three are killed: a machine busy with other work holds a process up between its ticks.
+    The wall time runs from the last growth of the folder to the end. Up to three runs are killed: a
+    machine busy with other work holds a process up between its ticks.
     """
     for attempt in range(3):
         out = tmp_path_factory.mktemp("killed") / f"milling-{attempt}"

@@ -1,6 +1,4 @@
-"""What was chosen for a run, and how late the machine was, in its summary and in the table a
-person reads.
-"""
+"""Choices for a run and lateness of the machine, in the summary and in the printed table."""
 
 import io
 from pathlib import Path
@@ -18,7 +16,7 @@ from tissue.system.machine_gaps import MachineGaps
 
 
 class Background(FreeSpace):
-    """A tissue that works beside the ticks."""
+    """Tissue that works in the background, next to the ticks."""
 
     scheduling = "stress: idle priority"
 
@@ -30,8 +28,9 @@ def run():
 
 @pytest.fixture
 def chosen(monkeypatch):
-    """Choices of a run with 40 large launches, 30 of them split, on a machine with five gaps in
-    half a second.
+    """Return the choices of a run with 40 large launches, 30 of them split.
+
+    The machine has five gaps in half a second.
     """
     counts = iter([LaunchCounts(7, 5), LaunchCounts(47, 35)])
     monkeypatch.setattr(scheduling, "launch_counts", lambda: next(counts))

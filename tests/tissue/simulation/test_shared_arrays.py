@@ -1,5 +1,6 @@
-"""Arrays that a live run shares with its window: whole, whoever writes, and brought up to date
-in turns.
+"""Arrays that a live run shares with its window.
+
+They are whole for any writer, and updated in turns.
 """
 
 import os
@@ -17,8 +18,9 @@ ROOT = Path(__file__).parents[3]
 
 
 def test_an_unfinished_write_is_never_read(tmp_path):
-    """Another process writes rows of one number each; whoever reads a mixed one has read a torn
-    one.
+    """An unfinished write is never read.
+
+    Another process writes rows of one number each; a row of mixed numbers would be a torn read.
     """
     layout = {"row": ("float64", (2000,)), "row_turn": ("int64", (1,)), "end": ("int64", (1,))}
     ours = SharedArrays(tmp_path, layout)

@@ -54,7 +54,9 @@ class Push(FreeSpace):
 @pytest.mark.slow
 @pytest.mark.parametrize("low_pass_ms", [0.3, 1.0, 20.0])
 def test_a_step_of_force_is_answered_by_the_continuous_filters_own_values(monkeypatch, low_pass_ms):
-    """A step at t = 0 gives 1 - exp(-t/a) at the end of every tick, without an error of
+    """A step of force gives the continuous filter's own values.
+
+    A step at t = 0 gives 1 - exp(-t/a) at the end of every tick, without an error of
     discretisation.
     """
     path = FollowPath(np.array([[0, 0, 0], [0, 0, 0.01]]), feed_m_s=0.1, axis=(0.0, 0.0, 1.0))

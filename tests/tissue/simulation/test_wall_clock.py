@@ -9,7 +9,7 @@ STEP_S = 1e-3
 
 
 class FakeTime:
-    """A clock that goes on by a microsecond a look, and a sleep that ends late."""
+    """Clock that advances by a microsecond per reading, and a sleep that ends late."""
 
     def __init__(self, oversleeps_s=6e-5):
         self.s, self._over = 100.0, oversleeps_s

@@ -1,5 +1,6 @@
-"""A process beside the ticks steps back, hurries when it is awaited, and does not fail where it
-cannot.
+"""Process that runs next to the ticks.
+
+It lowers its priority, raises it when its result is awaited, and does not fail where it cannot.
 """
 
 import os
@@ -76,8 +77,9 @@ def test_on_one_core_it_stays_there(child, monkeypatch):
 def test_what_the_system_refuses_for_a_process_that_has_ended_is_left_out(
     child, monkeypatch, returns, asked
 ):
-    """Every call is made and refused, the later ones in spite of the earlier; none of the
-    refusals is raised.
+    """Refusals of the system for a process that has ended are ignored.
+
+    Every call is made and refused, the later ones in spite of the earlier; no refusal is raised.
     """
     child.kill()
     child.wait()

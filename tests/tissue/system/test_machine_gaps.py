@@ -10,7 +10,7 @@ LOOK_S = 1e-5
 
 
 def clock(*steps):
-    """A clock that goes on by those steps [s], and by small ones after them."""
+    """Return a clock that advances by those steps [s], and by small ones after them."""
     return accumulate(chain([0.0], steps, repeat(LOOK_S))).__next__
 
 

@@ -1,5 +1,6 @@
-"""Addresses of Dask schedulers: as Dask prints them, with TLS by the certificates of its own
-configuration.
+"""Addresses of Dask schedulers, as Dask prints them.
+
+TLS uses the certificates of its own configuration.
 """
 
 import re

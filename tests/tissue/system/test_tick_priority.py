@@ -1,5 +1,6 @@
-"""The priority of ticks against the wall clock: what is asked of each system, what is granted,
-and that it is put back.
+"""Priority of ticks against the wall clock.
+
+The tests cover the request to each system, the granted priority, and its restoration.
 """
 
 import ctypes
@@ -19,7 +20,7 @@ linux = pytest.mark.skipif(
 
 
 class FakeScheduler:
-    """Calls of Linux that keep what they were given, and that grant as much as a test wants."""
+    """Calls of Linux that record their arguments, and that grant what a test wants."""
 
     def __init__(self, monkeypatch, *, realtime, nice, clear=True):
         self.policy, self.niceness, self.calls, self._clear = (0, 0), 0, [], clear

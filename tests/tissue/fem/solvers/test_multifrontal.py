@@ -1,5 +1,6 @@
-"""Multifrontal factor against scipy's spsolve and dense inverses, over meshes, orders, blocks
-and right sides.
+"""Multifrontal factor against scipy's spsolve and dense inverses.
+
+It is tested over meshes, orders, blocks and right sides.
 """
 
 import numpy as np
@@ -39,8 +40,9 @@ def spd(matrix):
 
 
 def random_mesh(seed, count=300):
-    """A random symmetric positive definite matrix on neighbours in a cloud, in an order of its
-    own, and its blocks.
+    """Return a random symmetric positive definite matrix, its order and its blocks.
+
+    The matrix couples neighbours in a cloud.
     """
     rng = np.random.default_rng(seed)
     points = rng.uniform(size=(count, 3)) * rng.uniform(0.2, 1.0, 3)
@@ -201,8 +203,10 @@ def test_an_indefinite_stiffness_is_left_to_superlu():
 
 
 def test_the_compliance_between_nodes_is_that_of_the_inverse():
-    """Of a definite and an indefinite stiffness, for nodes that were eliminated last and for
-    others.
+    """The compliance between nodes equals the inverse's.
+
+    It is tested for a definite and an indefinite stiffness, for nodes that were eliminated last and
+    for others.
     """
     body = body_of()
     count = 3 * len(body.nodes_m)

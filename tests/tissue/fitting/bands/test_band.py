@@ -36,8 +36,10 @@ def block(tables):
 
 
 def test_of_a_force_linear_in_one_coefficient_the_band_is_that_of_the_coefficient(block):
-    """All others are 0 or fixed by the scene, so that each figure is the coefficient times a
-    geometry.
+    """The band of a force that is linear in one coefficient is the coefficient's band.
+
+    All other coefficients are 0 or fixed by the scene, so that each figure is the coefficient times
+    a geometry.
     """
     fixed = dict.fromkeys(
         (f"cutting.{name}" for name in NAMES if "chip" in name or "edge" in name), 0.0
@@ -61,8 +63,10 @@ def test_of_a_force_linear_in_one_coefficient_the_band_is_that_of_the_coefficien
 
 
 def test_in_bone_of_the_reference_density_the_exponent_counts_where_that_density_varies(block):
-    """The strength is the ratio of the densities to the exponent: 1 for both cited values, not
-    for both of a sample.
+    """In bone of the reference density the exponent counts where that density varies.
+
+    The strength is the ratio of the densities to the exponent: 1 for both cited values, not for
+    both of a sample.
     """
     reweighed = Reweighed(record_loads(block, cores=1))
     names = reweighed.ranges.names

@@ -1,5 +1,6 @@
-"""Bands whose samples are runs of their own: their figures, those that fail, and those that end
-early.
+"""Bands whose samples are runs of their own.
+
+The tests cover their figures, failing runs, and runs that end early.
 """
 
 import os
@@ -39,8 +40,9 @@ def test_an_event_that_not_all_samples_have_counts_its_share():
 
 
 def test_beyond_the_end_of_a_sample_a_band_is_that_of_the_others():
-    """Twenty loads of constant size 0 to 19; the two greatest end after 5 ticks, the third after
-    8.
+    """Beyond the end of a sample the band belongs to the other samples.
+
+    Twenty loads have constant sizes 0 to 19; the two largest end after 5 ticks, the third after 8.
     """
     lengths = np.array([10] * 17 + [8, 5, 5])
     loads = [np.full((count, 8), float(size)) for size, count in enumerate(lengths)]
@@ -67,8 +69,10 @@ def test_events_differ_by_their_thresholds_and_not_by_what_was_measured():
 
 @pytest.mark.slow
 def test_runs_of_each_sample_give_temperature_and_stress_a_band():
-    """Both follow the force, so that they are wider apart than the pulp's rise and the stress of
-    one sample.
+    """Runs of each sample give temperature and stress a band.
+
+    Both follow the force, so their bands are wider than the pulp's rise and the stress of one
+    sample.
     """
     changes = {"voxels.spacing_mm": 0.15, "stress.cell_mm": 0.6, "duration_s": 0.7, "heat": True}
     scene = load_scene("caries", changes)

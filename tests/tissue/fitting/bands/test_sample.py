@@ -39,7 +39,9 @@ def test_correlated_constants_are_drawn_together_and_make_one_group():
 
 
 def test_samples_converge_faster_than_at_random():
-    """Mean of a smooth function of 8 numbers, exact exp(0.5): root mean square error over 10
+    """Samples converge faster than at random.
+
+    The mean of a smooth function of 8 numbers, exact exp(0.5), has a root mean square error over 10
     seeds.
     """
     weights = np.full(8, np.sqrt(1.0 / 8.0))

@@ -76,8 +76,10 @@ def test_a_surrogate_of_few_runs_has_the_indices_of_a_polynomial_in_closed_form(
 
 
 def test_a_surrogate_that_explains_too_little_gives_no_indices():
-    """Of noise, and of few runs over many constants, which a fit of as many terms follows
-    through every point.
+    """A surrogate that explains too little gives no indices.
+
+    The cases are noise, and few runs over many constants, where a fit with as many terms as runs
+    passes through every point.
     """
     noise = np.random.default_rng(1).standard_normal((16, 1))
     columns = tuple((at,) for at in range(40))

@@ -189,8 +189,10 @@ def test_what_is_no_address_is_refused(address):
 
 
 def test_no_text_of_a_service_raises():
-    """Frames with characters, entries and whole branches exchanged: merged or ignored, and a
-    sample or none.
+    """No text of a service raises.
+
+    Frames have exchanged characters, entries and whole branches: they are merged or ignored, and
+    give a sample or none.
     """
     rng, whole = np.random.default_rng(1), json.dumps(FIRST)
     values = [None, True, 7, -1e308, "x", [], {}, [[]], {"x": {"x": {}}}, [{"device_id": "049D"}]]

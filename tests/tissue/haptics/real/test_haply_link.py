@@ -1,6 +1,4 @@
-"""The exchange with a service: what is sent and when, against a stand-in that speaks the
-documented frames.
-"""
+"""Exchange with a service: content and times of frames. The stand-in uses the documented frames."""
 
 import time
 
@@ -16,7 +14,7 @@ from tissue.haptics.real.haply_frames import force_frame
 from tissue.scene.hardware import Hardware
 
 PATIENCE_S = 20.0
-"""How long a test waits for what has to come; nothing depends on how soon it does."""
+"""Longest time to wait for an expected event [s]; no result depends on it."""
 
 
 @pytest.fixture
@@ -176,8 +174,10 @@ def test_a_service_that_stays_away_ends_the_run_with_one_sentence(service):
 
 @pytest.mark.parametrize("fault", [{"late_s": 0.06}, {"dropped": 1.0}, {"broken": "{"}], ids=str)
 def test_late_dropped_and_broken_answers_take_the_force_off(service, fault):
-    """Late and dropped ones by the exchange itself; of broken ones there is no sample, so that
-    the watchdog does it.
+    """Late, dropped and broken answers take the force off.
+
+    The exchange itself handles late and dropped ones; broken ones give no sample, so that the
+    watchdog acts.
     """
     with adapter_of(service) as adapter:
         wait_for(
@@ -200,8 +200,9 @@ def test_late_dropped_and_broken_answers_take_the_force_off(service, fault):
 
 
 def test_late_answers_are_never_taken_for_new_samples(service):
-    """Each answer comes 60 ms late: whatever is polled was measured before the answers became
-    late.
+    """Late answers are never taken for new samples.
+
+    Each answer comes 60 ms late: every polled sample was measured before the answers became late.
     """
     with adapter_of(service) as adapter:
         wait_for(len, adapter, (0.0, 0.0, 0.0))

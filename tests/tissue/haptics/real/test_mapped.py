@@ -1,5 +1,6 @@
-"""A real device in the scene: turns, places, powers, the clutch, the ramp, the cap and the
-watchdog by closed forms.
+"""Real device in the scene, against closed forms.
+
+The tests cover turns, places, powers, the clutch, the ramp, the cap and the watchdog.
 """
 
 from math import cos, radians, sin

@@ -1,5 +1,6 @@
-"""The network device over sockets: UDP and WebSocket, the client of the guide's page, a run, and
-every exit at zero.
+"""Network device over sockets.
+
+The tests cover UDP and WebSocket, the client of the guide's page, a run, and every exit at zero.
 """
 
 import math
@@ -32,7 +33,7 @@ FORCE, TORQUE, ZERO = np.array([1.0, -2.0, 3.0]), np.array([0.01, 0.02, -0.03]),
 
 
 def polled(adapter, wanted=lambda sample: sample is not None):
-    """The first sample that is wanted; a test that waits for ever is ended by pytest."""
+    """Return the first sample that is wanted; pytest ends a test that waits too long."""
     while not wanted(sample := adapter.poll()):
         time.sleep(1e-3)
     return sample
@@ -304,7 +305,10 @@ def test_a_websocket_that_ends_makes_a_place_for_another():
 
 
 def test_wrenches_that_a_websocket_does_not_take_do_not_pile_up():
-    """The loop goes on at once, and what waits is bounded, whatever the other side reads."""
+    """Wrenches that a WebSocket does not read do not pile up.
+
+    The loop continues at once, and the queue is bounded, whatever the other side reads.
+    """
     with NetworkAdapter(ANY_PORT["ws"]) as adapter, opened(adapter, close_timeout=0.1) as line:
         line.send(packet(HELLO, 1))
         assert received(line)[0] == HELLO
@@ -357,8 +361,9 @@ def test_without_websockets_udp_is_named(monkeypatch):
 
 
 class Feeder:
-    """A device in a thread: it asks, sends a pose each millisecond, and keeps each wrench with
-    its time.
+    """Device in a thread that sends a pose each millisecond after its request.
+
+    It keeps each wrench with its time.
     """
 
     def __init__(self, address, *, until=None, spoil=lambda number, data: data):
@@ -508,8 +513,9 @@ def test_the_client_of_the_page_moves_the_device_and_feels_a_force(tmp_path):
 
 @pytest.mark.slow
 def test_the_client_of_the_page_holds_the_tool_of_a_run(tmp_path):
-    """A whole run by the client: the wall is met, the force reaches it, and the run ends the
-    connection.
+    """The client of the page holds the tool of a whole run.
+
+    It touches the wall, the force reaches it, and the run ends the connection.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))

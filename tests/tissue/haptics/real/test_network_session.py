@@ -1,5 +1,6 @@
-"""Packets byte for byte, and every fault of a line to a device: what is dropped, counted,
-refused and forgotten.
+"""Packets byte for byte, and every fault of a line to a device.
+
+The faults are dropped, counted, refused and forgotten packets.
 """
 
 import math

@@ -74,8 +74,10 @@ def test_a_record_needs_its_file(tmp_path):
 
 
 def test_a_run_by_a_record_meets_the_wall_where_the_record_goes(tmp_path):
-    """From 12 mm above the wall 17 mm down: the pose is the record's, wherever the scene's
-    motion starts (at 20 mm).
+    """A run by a record touches the wall where the record does.
+
+    It moves from 12 mm above the wall 17 mm down: the pose is the record's, independent of the
+    start of the scene's motion (at 20 mm).
     """
     times = np.linspace(0.0, 1.0, 11)
     hardware = table(tmp_path / "poses.csv", times, 12.0 - 17.0 * np.minimum(times / 0.5, 1.0))

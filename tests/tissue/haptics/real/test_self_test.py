@@ -1,5 +1,6 @@
-"""The self-test of a device by a clock of its own, the push that can be felt, and the file that
-the judge takes.
+"""Self-test of a device by its own clock.
+
+The tests cover the push that can be felt, and the file that the judge reads.
 """
 
 import math
@@ -22,8 +23,9 @@ from tissue.simulation.builders.loop_settings import loop_settings
 
 
 class Clocked:
-    """A device and its clock: a sample every so often, and calls that take time; it moves where
-    it is pushed.
+    """Device and its clock.
+
+    It gives samples at intervals, its calls take time, and it moves under the push.
     """
 
     limits = device_parameters("network")
@@ -195,8 +197,10 @@ def test_what_was_measured_is_brought_within_what_a_device_may_have(tmp_path, ch
 
 
 def test_the_judge_takes_the_measured_rate_and_latency(tmp_path):
-    """A device of 200 Hz and 6 ms bears less stiffness than one of 1000 Hz and 2 ms, and the
-    note names the file.
+    """The judge reads the measured rate and latency.
+
+    A device of 200 Hz and 6 ms bears less stiffness than one of 1000 Hz and 2 ms, and the note
+    names the file.
     """
     path = tmp_path / "measured.toml"
     write_measured(path, "network", SLOW)

@@ -62,8 +62,10 @@ def test_a_blow_whose_velocity_lags_is_right():
 
 
 def test_a_wrong_order_is_recognised_as_soon_at_a_lower_rate():
-    """Every third state of 1 kHz alone, neighbours exchanged: after 17 ms by the closed form, in
-    states of 3 ms.
+    """A wrong order is recognised as soon at a lower rate.
+
+    Every third state of 1 kHz is used, with neighbours exchanged: it takes 17 ms by the closed
+    form, in states of 3 ms.
     """
     samples = circle(0.7)[::3]
     mixed = [each for start in range(0, 120, 2) for each in samples[start : start + 2][::-1]]

@@ -1,5 +1,6 @@
-"""Adapters of Force Dimension and OpenHaptics, on stand-ins that have the functions of their
-packages.
+"""Adapters of Force Dimension and OpenHaptics.
+
+The stand-ins have the functions of their packages.
 """
 
 import ast
@@ -221,8 +222,9 @@ def test_a_touch_is_read_and_pushed_in_the_vendors_thread_alone(monkeypatch, cap
 
 
 def test_closing_one_of_two_touches_leaves_the_other_running(monkeypatch):
-    """Each device plays its own force in its own frame, and the last one that is closed stops
-    the scheduler.
+    """Closing one of two Touches leaves the other running.
+
+    Each device plays its own force in its own frame, and closing the last one stops the scheduler.
     """
     device = OpenHaptics().install(monkeypatch)
     turning = threading.Event()
@@ -382,8 +384,9 @@ def test_a_vendors_library_that_is_missing_is_named(
 
 
 def test_the_vendors_thread_and_the_loop_share_whole_samples(monkeypatch):
-    """Samples of a device that moves along one line while both threads run: none mixes two of
-    them.
+    """The vendor's thread and the loop share whole samples.
+
+    A device moves along one line while both threads run: no sample mixes two of them.
     """
     device = OpenHaptics().install(monkeypatch)
     with OpenHapticsAdapter() as adapter:

@@ -1,5 +1,6 @@
-"""The vendors' own Python packages, where they are installed, on libraries that are compiled
-here in place of theirs.
+"""Vendors' own Python packages, where they are installed.
+
+Their libraries are compiled here as replacements.
 """
 
 import json
@@ -58,7 +59,7 @@ def compiled(tmp_path, source, name):
 
 
 def package(name):
-    """Where an installed package lies; a test without it is skipped."""
+    """Return the folder of an installed package; skip the test without the package."""
     spec = find_spec(name)
     if spec is None:
         pytest.skip(f"{name} is not installed")
@@ -66,8 +67,9 @@ def package(name):
 
 
 def outcome_of(code, library, **environment):
-    """Where, what, which sample and what else was found, by a process of its own that has the
-    library's path.
+    """Run code in a process of its own with the library's path.
+
+    Returns the address and the detail of the device, its sample, and the value found by the code.
     """
     paths = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     ended = subprocess.run(

@@ -12,8 +12,9 @@ EDGE = 0.5e-3
 
 
 def halves():
-    """A block of two layers side by side, and values linear in place with a jump from one layer
-    to the other.
+    """Return a block of two layers side by side, and values that are linear within each.
+
+    The values jump from one layer to the other.
     """
     _, grid = block((6, 4, 4), EDGE)
     layer = (grid.cell_place[:, 0] >= 3).astype(np.uint8)
@@ -40,8 +41,10 @@ def test_a_linear_field_is_exact_between_the_centres_of_each_layer():
 
 
 def test_no_layer_takes_from_the_other_and_cells_that_are_gone_do_not_count():
-    """On both sides of the border between the layers, up to the nearest centres, each keeps to
-    its layer's values.
+    """No layer takes values from the other, and removed cells do not count.
+
+    On both sides of the border between the layers, up to the nearest centres, each keeps to its
+    layer's values.
     """
     series, values = halves()
     across = EDGE * np.array([[x, 2.0, 2.0] for x in (2.6, 2.9, 3.1, 3.4)])

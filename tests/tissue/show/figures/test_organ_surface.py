@@ -1,6 +1,4 @@
-"""An organ as it is drawn: without facets, edges kept, a section with values, and the moment
-that is shown.
-"""
+"""Drawn organ: no facets, kept edges, a section with values, and the displayed moment."""
 
 from dataclasses import replace
 

@@ -1,5 +1,6 @@
-"""Rules that pictures keep: no stripes of what flickers, a camera that sees the cavity, words
-and vectors in SVG.
+"""Rules of pictures.
+
+Flickering values make no stripes, the camera sees the cavity, and SVG files have words and vectors.
 """
 
 from types import SimpleNamespace

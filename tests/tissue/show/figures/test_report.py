@@ -28,15 +28,16 @@ def run():
 
 @pytest.fixture(scope="module")
 def folder(run, tmp_path_factory):
-    """Where its bone was written."""
+    """Return a folder in which the bone of the run is written."""
     out = tmp_path_factory.mktemp("run")
     write_bone(run, out)
     return out
 
 
 def _ball(radius: float, spacing: float) -> VoxelVolume:
-    """A ball in a box that it does not touch, with its exact share of every voxel up to second
-    order.
+    """Return a ball in a box that it does not touch.
+
+    Every voxel has its exact share up to second order.
     """
     n = 2 * int(np.ceil(1.5 * radius / spacing))
     at = spacing * (np.arange(n) + 0.5 - 0.5 * n)

@@ -1,6 +1,4 @@
-"""The sense of a tool's spin: clockwise as seen from the shank, as common burs, drills and
-reamers turn.
-"""
+"""Sense of a tool's spin: clockwise seen from the shank, like common burs, drills and reamers."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,6 @@
-"""A report is one file that asks no host, holds what the run holds, and takes no text for
-markup.
+"""Report of a run as one file.
+
+It contacts no host, holds the content of the run, and never reads text as markup.
 """
 
 import json
@@ -126,8 +127,10 @@ def described(run_folder, tmp_path, description, **summary):
 
 
 def test_a_description_that_looks_like_a_folder_removes_no_markup(run_folder, tmp_path):
-    """An absolute path in a scene is taken out of texts; it must never be taken out of the
-    page's own markup.
+    """A description that looks like a folder removes no markup.
+
+    An absolute path in a scene is removed from texts; it must never be removed from the page's own
+    markup.
     """
     plain = report(run_folder("wall"), tmp_path / "plain.html").read_text("utf-8")
     start = plain.index('/json" id="report-data">')

@@ -1,5 +1,6 @@
-"""A report in headless Chromium without a network: it shows something, turns, plays, zooms, and
-complains of nothing.
+"""Report in headless Chromium without a network.
+
+It shows a picture, turns, plays, zooms, and reports no error.
 """
 
 import io
@@ -29,7 +30,7 @@ ARGUMENTS = [
     "--enable-unsafe-swiftshader",
 ]
 START_MS = 120_000
-"""How long a page may take to start where software draws it and other work goes on."""
+"""Longest start of a page [ms], with software rendering and other work on the machine."""
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium"),
@@ -108,8 +109,9 @@ def seek(page, share):
 
 
 def wait_for_slider(page, least):
-    """Wait until the slider has moved; the page's policy lets no test evaluate code in it again
-    and again.
+    """Wait until the slider has moved.
+
+    The page's policy lets no test evaluate code in it again and again.
     """
     for _ in range(START_MS // 50):
         if int(page.locator("#time").input_value()) > least:
@@ -156,8 +158,9 @@ HOSTILE = (
 
 
 def test_hostile_texts_run_no_script(browser, run_folder, tmp_path):
-    """Texts of a run appear as text; a script that gets into the body all the same is refused by
-    the policy.
+    """Hostile texts run no script.
+
+    Texts of a run appear as text; a script that still reaches the body is refused by the policy.
     """
     folder = tmp_path / "run"
     shutil.copytree(run_folder("milling"), folder)

@@ -18,8 +18,9 @@ FIXTURES = Path(__file__).parents[3] / "fixtures"
 
 @pytest.fixture(scope="module")
 def drive(display):
-    """Drive a window by a script of the fixtures in a process of its own; what the script prints
-    last.
+    """Drive a window by a script of the fixtures in a process of its own.
+
+    Returns the last output of the script.
     """
 
     def run(script, *arguments):
@@ -53,7 +54,7 @@ def whole(tmp_path_factory):
 
 @pytest.fixture
 def stopped(whole, tmp_path):
-    """The same run as a kill would have left it: 150 rows and a half, no bone."""
+    """Return a copy of the run as a kill would have left it: 150 and a half rows, no bone."""
     folder = tmp_path / "stopped"
     folder.mkdir()
     shutil.copy(whole / "scene.toml", folder)

@@ -43,7 +43,7 @@ def test_a_layer_taken_away_lays_bare_what_lies_under_it(layered):
 
 
 def surface_of(bone, tick):
-    """What is drawn of all layers at a tick."""
+    """Return the surface that is drawn for all layers at a tick."""
     bone.at(tick)
     return (
         bone.cut(bone.layers)

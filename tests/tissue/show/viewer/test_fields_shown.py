@@ -1,5 +1,6 @@
-"""Fields of a saved run on tetrahedra: names, scales over time, the mesh between two frames,
-values at a point.
+"""Fields of a saved run on tetrahedra.
+
+The tests cover names, scales over time, the mesh between two frames, and values at a point.
 """
 
 import numpy as np
@@ -94,8 +95,9 @@ def test_where_cells_have_gone_the_earlier_frame_is_kept(tmp_path):
 
 
 def _affine(tmp_path, gradient):
-    """Fields of a box that is deformed alike everywhere, over one frame at rest and one
-    deformed.
+    """Return fields of a box that is deformed alike everywhere.
+
+    One frame is at rest and one deformed.
     """
     series = pressed_series((4, 4, 2), frames=2)
     still, last = series.frames

@@ -1,4 +1,4 @@
-"""What a page's messages do to a live run: the shared pointer, pause, reset and end."""
+"""Effects of a page's messages on a live run: the shared pointer, pause, reset and end."""
 
 from types import SimpleNamespace
 
@@ -39,7 +39,7 @@ READ = Readings(
 
 
 class Scene:
-    """What a page shows, without OpenGL: a camera 100 mm in front of the origin."""
+    """Scene of a page without OpenGL: a camera 100 mm in front of the origin."""
 
     def __init__(self, folder, **look):
         from vtkmodules.vtkRenderingCore import vtkCamera

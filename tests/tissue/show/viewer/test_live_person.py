@@ -59,7 +59,7 @@ def started(display, tmp_path):
 
 
 def last_row(out, process, *, least=1):
-    """The trace's last whole row by column, once there are so many."""
+    """Return the trace's last whole row by column, once it has `least` rows."""
     limit = time.monotonic() + 100.0
     while time.monotonic() < limit:
         if process.poll() is not None:

@@ -26,7 +26,7 @@ FLAGS = (
     "--disable-sync",
 )
 SLOW_MS = 60_000.0
-"""How long anything on a page is waited for; a busy machine is slow."""
+"""Longest time to wait for anything on a page [ms], with a margin for a busy machine."""
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 
@@ -85,7 +85,7 @@ class Person:
         )
 
     def picture(self):
-        """What is seen of the scene, shape (height, width, 3)."""
+        """Return a picture of the scene as drawn, shape (height, width, 3)."""
         from PIL import Image
 
         with Image.open(BytesIO(self.tab.locator("#picture").screenshot())) as image:
@@ -137,7 +137,7 @@ def live(opened, out, *arguments):
 
 
 def is_drawn(picture):
-    """Whether there is more on a picture than its white ground."""
+    """Return True if a picture shows more than its white background."""
     return 0.02 < (picture.min(axis=2) < 240).mean() < 0.98 and picture.std() > 10.0
 
 
@@ -203,7 +203,7 @@ def test_a_person_presses_the_wall_pauses_and_begins_again(opened, tmp_path):
 
 
 def still(person, name):
-    """Whether a number stays for half a second."""
+    """Return True if a number does not change for half a second."""
     before = person.number(name)
     person.tab.wait_for_timeout(500)
     return person.number(name) == before

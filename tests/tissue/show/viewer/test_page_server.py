@@ -265,8 +265,9 @@ def test_hostile_messages_close_the_socket_with_a_reason_and_the_next_page_is_se
 
 
 def test_a_flood_of_messages_is_read_at_a_bounded_rate_while_frames_go_on():
-    """20,000 messages at once: in half a second 200 and 400 a second of them, while figures
-    still come.
+    """A flood of messages is read at a bounded rate while frames continue.
+
+    Of 20,000 messages at once, half a second reads 200 and 400 a second, while figures still come.
     """
 
     async def ask():

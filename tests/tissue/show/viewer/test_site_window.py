@@ -1,5 +1,6 @@
-"""`tissue view` of an imported bone: a click puts the site, Return saves it, and nothing else in
-the scene changes.
+"""`tissue view` of an imported bone.
+
+A click places the site, Return saves it, and nothing else in the scene changes.
 """
 
 import tomllib
@@ -15,7 +16,7 @@ from tissue.show.viewer.view import view
 
 @pytest.fixture(scope="module")
 def driven(drive, tmp_path_factory):
-    """What came of driving the window, the folder of the bone and that of its pictures."""
+    """Return the results of the window, the folder of the bone and the folder of the pictures."""
     folder, out = (
         imported_bone(tmp_path_factory.mktemp("bones") / "mine"),
         tmp_path_factory.mktemp("window"),

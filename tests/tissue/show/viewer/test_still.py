@@ -1,5 +1,6 @@
-"""Still pictures of a window: clean for a page, or with a scale bar; bone without the steps of
-its voxels.
+"""Still pictures of a window: clean for a page, or with a scale bar.
+
+Bone has no steps of its voxels.
 """
 
 import numpy as np

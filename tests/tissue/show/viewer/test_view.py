@@ -18,7 +18,7 @@ from tissue.system.offscreen import display_problem, draw_apart
 
 
 def _screenshot(folder, picture, **options) -> str:
-    """What `view` prints; skips the test where no OpenGL works."""
+    """Return the output of `view`; skip the test where OpenGL does not work."""
     try:
         return view(folder, screenshot=picture, **options)
     except InputError as problem:

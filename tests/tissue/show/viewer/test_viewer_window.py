@@ -1,5 +1,6 @@
-"""`tissue view` of a soft organ: the window under a virtual display, driven as by a hand, and
-pictures without one.
+"""`tissue view` of a soft organ.
+
+The window runs under a virtual display, driven as by a hand; pictures are made without one.
 """
 
 from itertools import pairwise
@@ -29,7 +30,7 @@ def pressed(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def driven(pressed, drive, tmp_path_factory):
-    """What came of driving the window, and the folder of its pictures."""
+    """Return the results of the window and the folder of its pictures."""
     out = tmp_path_factory.mktemp("window")
     return drive("window_driver.py", pressed, out), out
 
@@ -113,7 +114,7 @@ def test_the_window_shows_it(driven):
 
 
 def _drawn(folder, **options):
-    """What `view` prints; skips the test where no OpenGL works."""
+    """Return the output of `view`; skip the test where OpenGL does not work."""
     try:
         return view(folder, **options)
     except InputError as problem:
@@ -123,11 +124,10 @@ def _drawn(folder, **options):
 
 
 def _read_by_the_scale(file):
-    """Place on a displacement's scale, 0 to 1, of every pixel of a clean picture, its error
-    [degree] and its shade.
+    """Return place, error [degree] and shade of every pixel of a clean picture.
 
-    The place is that of the nearest hue and saturation, whatever the light: the direction in red,
-    green and blue.
+    The place lies on a displacement's scale, 0 to 1. It is the place of the nearest hue and
+    saturation, in any light: the direction in red, green and blue.
     """
     import matplotlib
     from PIL import Image

@@ -108,8 +108,9 @@ def test_what_only_a_tooth_has_is_refused_elsewhere(refused, here, part):
 
 
 def blocks(*labels):
-    """Voxels of 0.5 mm with a block of 6 x 4 x 9 of dentin in air, and others of a layer where
-    they are named.
+    """Return voxels of 0.5 mm with a block of 6 x 4 x 9 of dentin in air.
+
+    Named layers are added as blocks.
     """
     layers, names = np.zeros((16, 14, 30), np.uint8), ("dentin", "bone")
     fraction = np.zeros(layers.shape, np.uint8)

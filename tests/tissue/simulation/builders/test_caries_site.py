@@ -1,5 +1,6 @@
-"""A tooth from files is entered over its lesion, and a run beside the lesion reports how to come
-there.
+"""Entry into a tooth from files over its lesion.
+
+A run that misses the lesion reports how to reach it.
 """
 
 import pytest
@@ -20,8 +21,9 @@ STRAIGHT_IN = {
 
 @pytest.fixture
 def layers(tmp_path):
-    """Enamel on hollow dentin with a pulp in it, and decay 0.4 mm under the dentin's side at x =
-    4 [mm].
+    """Write enamel on hollow dentin with a pulp in it, and decay.
+
+    The decay lies 0.4 mm under the dentin's side at x = 4 [mm].
     """
 
     def block(size, x, bottom):

@@ -1,5 +1,6 @@
-"""The scale of forces at a device: from what the script meets, the device's friction and its
-limit, whatever the frame.
+"""Scale of forces at a device.
+
+It follows from the forces of the script, the device's friction and its limit, in any frame.
 """
 
 import numpy as np
@@ -24,8 +25,10 @@ LIBRARY = {
 @pytest.mark.parametrize("device", ["touch", "omni", "six-dof"])
 @pytest.mark.parametrize("name", LIBRARY)
 def test_a_script_s_force_fits_its_device(name, device):
-    """At most half of what is played without compression; over friction where that allows it; 1
-    where 1 fits.
+    """The force of a script fits its device.
+
+    It is at most half of the uncompressed range, above friction where that allows it, and 1 where 1
+    fits.
     """
     scene, limits = load_scene(name, {"device": device}), device_parameters(device)
     scale, why = chosen_scale(scene)
@@ -68,7 +71,9 @@ def test_a_number_fixes_it_and_what_is_not_known_passes_as_it_is():
     ],
 )
 def test_the_estimate_is_the_force_of_the_run(name, changes):
-    """Within a fifth of the finely stepped run; of an organ, whose shape Hertz leaves out,
+    """The estimate is the force of the run.
+
+    It is within a fifth of the finely stepped run; for an organ, whose shape Hertz leaves out,
     within a factor of two.
     """
     scene = load_scene(name, changes)

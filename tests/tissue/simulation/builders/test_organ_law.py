@@ -1,6 +1,4 @@
-"""Hyperelastic laws of a scene: what they are made of, what they are refused with, and runs of
-them.
-"""
+"""Hyperelastic laws of a scene: their constants, their refusals, and runs of them."""
 
 import numpy as np
 import pytest

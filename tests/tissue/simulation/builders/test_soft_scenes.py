@@ -126,8 +126,10 @@ def test_force_scales_with_the_modulus():
 
 
 def test_a_viscous_slab_relaxes_to_its_long_term_share():
-    """Held at depth, the force falls from about the elastic one towards g_inf of it (0.432 by
-    the cited series).
+    """A viscous slab relaxes to its long-term share.
+
+    Held at depth, the force falls from about the elastic one towards g_inf of it (0.432 by the
+    cited series).
     """
     elastic, viscous = (
         slab(),
@@ -168,8 +170,9 @@ def test_capsule_and_gravity_run():
 
 @pytest.mark.parametrize("direction", [[1, 0, 0], [0, 0, 1]])
 def test_the_force_rises_with_the_ratio_of_fibres(direction):
-    """Across the press and along it, by fibres that are softer than the tissue around them and
-    stiffer.
+    """The force rises with the ratio of fibres.
+
+    Fibres lie across the press and along it, softer than the tissue around them and stiffer.
     """
     fibres = {"organ.interval_ms": 0.0, "organ.fibre_direction": direction}
     runs = [
@@ -181,8 +184,10 @@ def test_the_force_rises_with_the_ratio_of_fibres(direction):
 
 
 def test_fibres_are_the_same_in_a_turned_organ():
-    """Stiffness of a mesh that is turned together with its fibres, against the stiffness turned
-    by hand.
+    """Fibres are the same in a turned organ.
+
+    The stiffness of a mesh that is turned together with its fibres is compared with the stiffness
+    turned by hand.
     """
     scene = load_scene("palpation", SLAB)
     mesh, turn = (

@@ -1,5 +1,7 @@
-"""A recorded motion whose quaternions have w first is named; the volumes inside the bone are
-those that it loses.
+"""Start pose of a recorded motion.
+
+A recording whose quaternions have w first is named, and the volumes inside the bone equal the
+bone's loss.
 """
 
 import numpy as np
@@ -37,7 +39,7 @@ def poses(path, tip_mm, rotation, *, w_first=False):
 
 
 def recording(path, tip_m, rotation, *, w_first=False):
-    """The same in the layout of volumetric_drilling, whose drill has its shaft along x."""
+    """Write the recording in the layout of volumetric_drilling (drill shaft along x)."""
     h5py = pytest.importorskip("h5py")
     x, y, z, w = (rotation * Rotation.from_quat([0.5, 0.5, 0.5, 0.5]).inv()).as_quat()
     times = np.linspace(0.0, 0.2, 21)
