@@ -1,6 +1,4 @@
-"""An organ filled with tetrahedra here: of a surface and what lies in it, or of the labels of an
-image.
-"""
+"""Organ filled with tetrahedra, from a surface with inclusions or from an image's labels."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,8 +15,9 @@ from tissue.simulation.builders.organ_made import MadeOrgan, made_of, material_o
 __all__ = ["of_labels", "of_surface"]
 
 ENVELOPE = 0.1
-"""How far inclusions may reach beyond what they lie in, over the edge: as far as the mesher
-moves a surface.
+"""Largest overlap of inclusions beyond their surroundings, over the edge length.
+
+The mesher moves a surface by up to this distance.
 """
 
 
@@ -31,7 +30,9 @@ def of_surface(
     scale_mm: float | None,
     report: Progress,
 ) -> MadeOrgan:
-    """An organ inside a closed surface, what lies in the inclusions being parts.
+    """Return an organ inside a closed surface, with its inclusions as parts. s an inclusion sticks
+    out, meets another or has no modulus. => or an inclusion sticks out, overlaps another one or has
+    no modulus.
 
     Raises
     ------
@@ -76,7 +77,9 @@ def of_labels(
     edge_mm: float | None,
     report: Progress,
 ) -> MadeOrgan:
-    """An organ of a label image, its parts those that have a modulus.
+    """Return an organ of a label image; its parts are the labels that have a modulus. s If there is
+    no such label, a part lies elsewhere, or a value is out of its range. => If there is no such
+    label, a part does not lie at the organ, or a value is out of its range.
 
     Raises
     ------
@@ -102,9 +105,7 @@ def of_labels(
 
 
 def _require_apart(outer: Surface, inclusions: Mapping[str, Surface], off_m: float) -> None:
-    """Refuse inclusions that stick out of the organ, or into each other, by more than a distance
-    [m].
-    """
+    """Refuse inclusions that overlap each other or stick out of the organ by over `off_m` [m]."""
     for name, each in inclusions.items():
         key = f"inclusions[{name!r}]"
         out = triangle_distance(outer.vertices_m, outer.faces, each.vertices_m)
