@@ -192,8 +192,9 @@ def _between(tips_m: Array, axes: Array, *, most_m: float) -> tuple[Array, Array
 def tool_boxes(
     cutter: Cutter, tips_m: Array, axes: Array, *, spacing_m: float, around_m: float = 0.0
 ) -> Boxes:
-    """Return boxes that a cutter reads and carves: corners [m], shape (n, 3) both. They cover the
-    poses and the straight lines between them.
+    """Return boxes that a cutter reads and carves: corners [m], shape (n, 3) both.
+
+    They cover the poses and the straight lines between them.
 
     Parameters
     ----------

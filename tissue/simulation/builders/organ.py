@@ -177,8 +177,9 @@ def elasticity_of(
 
 
 def _fibrous(poisson_ratio: float, along: float) -> NDArray[np.float64]:
-    """Return the stiffness of tissue with fibres along axis 3 [Pa], shape (6, 6). Young's modulus
-    across the fibres is 1 kPa.
+    """Return the stiffness of tissue with fibres along axis 3 [Pa], shape (6, 6).
+
+    Young's modulus across the fibres is 1 kPa.
 
     Raises
     ------

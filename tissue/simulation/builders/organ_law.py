@@ -39,8 +39,9 @@ def hindrance(organ: Organ) -> str | None:
 
 
 def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
-    """The law of the first cell, and what its moduli are multiplied by in each, shape (m,); None
-    for the linear one.
+    """Return the law of the first cell, and factors of its moduli in each cell, shape (m,).
+
+    None is returned for the linear law.
 
     Parameters
     ----------

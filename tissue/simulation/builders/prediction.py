@@ -37,8 +37,9 @@ Training chooses the fallback of a lifted predictor among them.
 def maker_of(
     kind: str, *, scene_name: str, file: str, force_limit_N: float
 ) -> Callable[[], Predictor]:
-    """Return a function that makes new predictors for a scene's device. A trained predictor is read
-    from its file once, by the first call.
+    """Return a function that makes new predictors for a scene's device.
+
+    A trained predictor is read from its file once, by the first call.
 
     Parameters
     ----------

@@ -21,8 +21,9 @@ MUCH_MORE = 2.0
 
 
 def w_first_notice(volume: VoxelVolume, cutter: Cutter, motion: Motion, file: str) -> str | None:
-    """Return a sentence if the start pose suggests that w is the first column; else None. The tool
-    then starts inside the bone, and would hardly do so with the other order.
+    """Return a sentence if the start pose suggests that w is the first column; else None.
+
+    The tool then starts inside the bone, and would hardly do so with the other order.
 
     A quaternion has unit length in either order, so only the position of the tool shows the order.
 
