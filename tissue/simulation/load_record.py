@@ -128,7 +128,10 @@ class LoadRecord:
     def weights(
         self, coefficients: tuple[CuttingCoefficients, ...], density_factors: Array | None = None
     ) -> dict[int, Array]:
-        """Return factors of each layer's unit loads, shape (nodes * 6,); arguments as for `loads`."""
+        """Return factors of each layer's unit loads, shape (nodes * 6,).
+
+        Arguments are as for `loads`.
+        """
         found = {}
         for at, layer in self.layers.items():
             factor = 1.0 if density_factors is None else float(density_factors[at])

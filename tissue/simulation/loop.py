@@ -55,7 +55,7 @@ class PoseLog:
 
     @property
     def poses(self) -> NDArray[np.float64]:
-        """Poses so far, shape (n, 13): tick, tip [m], axis, directions of motion of tip and pose."""
+        """Poses so far, shape (n, 13): tick, tip [m], axis, headings of tip and pose."""
         return self._rows[: self._count]
 
 
@@ -298,7 +298,8 @@ class Loop:
 
     Attributes
     ----------
-    parts As given.
+    parts
+        As given.
     trace, timing
         One row a tick; rows of future ticks are 0.
     events
