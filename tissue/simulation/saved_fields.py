@@ -236,7 +236,7 @@ class SavedFields:
         return mesh, float(time_s)
 
     def moved_mm(self, mesh: "pyvista.DataSet") -> NDArray[np.float32]:
-        """Return the displacement of a mesh's nodes [mm], shape (nodes, 3); zero without the field."""
+        """Return the displacement of the nodes [mm], shape (nodes, 3); zero without the field."""
         if self.displacement is None or self.displacement not in mesh.point_data:
             return np.zeros((mesh.n_points, 3), dtype=np.float32)
         moved: NDArray[np.float32] = np.float32(self.unit_mm) * np.asarray(
