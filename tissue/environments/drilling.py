@@ -141,7 +141,10 @@ class Drilling(ContactEnvironment):
         motion.pressed = 0.0
 
     def _heights(self, place_m: Array) -> tuple[float, float]:
-        """Return heights of the surface and of the enamel's end at a position [m], in whole voxels."""
+        """Return heights of the surface and the enamel's end at a position [m].
+
+        They are in whole voxels.
+        """
         volume = self.volume
         i, j = np.floor((place_m - volume.origin_m[:2]) / volume.spacing_m).astype(int)
         held = volume.fraction[i, j] > 127

@@ -159,8 +159,9 @@ class Milling(ContactEnvironment):
             motion.heading[0] = moved / length
 
     def _shares(self) -> tuple[float, float]:
-        """Return volumes removed from the target and beyond the tolerance, over the target's
-        volume.
+        """Return shares removed from the target and beyond the tolerance.
+
+        Both are relative to the target's volume.
         """
         removed = self.bone.model.removed_m3
         return 1e9 * float(removed[0]) / self._target_mm3, 1e9 * float(

@@ -56,10 +56,10 @@ class Palpation(ContactEnvironment):
 
         P = max(0, 1 - d / 10 mm)
 
-    of the lateral distance d between tip and nodule. It is 0 at the start, and ``progress`` in
-    ``reward_terms``. No policy scores above 1; doing nothing scores -0.1. An episode ends when the
-    tip has touched and is 3 mm above the surface, and is truncated after 6 s. The position of the
-    tip at the end is the guess. Force above 0.4 N reduces the reward.
+    Here d is the lateral distance between tip and nodule. The potential is 0 at the start, and
+    ``progress`` in ``reward_terms``. No policy scores above 1; doing nothing scores -0.1. An
+    episode ends when the tip has touched and is 3 mm above the surface, and is truncated after 6 s.
+    The position of the tip at the end is the guess. Force above 0.4 N reduces the reward.
 
     Parameters
     ----------

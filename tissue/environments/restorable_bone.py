@@ -89,7 +89,7 @@ class RestorableBone:
         return np.flatnonzero(chosen), store.grid.origin_m + store.grid.spacing_m * (places + 0.5)
 
     def left(self, at: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Return a mask of voxels that are at least half full, by their indices in the flat array."""
+        """Return whether voxels are at least half full, by their indices in the flat array."""
         stored = self.model.store.remaining.numpy().reshape(-1)
         return np.asarray(stored[at] > np.iinfo(np.uint16).max // 2)
 
