@@ -8,7 +8,7 @@ __all__ = ["scenes"]
 
 
 def scenes(name: str | None = None, /) -> None:
-    """List the scenes that have a name, or print one as TOML, ready to copy and edit.
+    """List the named scenes, or print one as TOML, ready to copy and edit.
 
     Parameters
     ----------
