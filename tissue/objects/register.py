@@ -328,7 +328,7 @@ def _added(
     entry: Callable[[Any], Any] = _same,
     methods: tuple[str, ...] = (),
 ) -> Any:
-    """Check a part and add its entry to a table; without a part, return a decorator that does so."""
+    """Check a part and add its entry to a table; without a part, return a decorator."""
 
     def add(each: Any) -> Any:
         check.name(kind, name, argument=kind == "perception")

@@ -19,9 +19,9 @@ from tissue.system.offscreen import display_problem
 __all__ = ["Picture", "in_notebook", "is_interactive", "show_folder", "with_empty_hidden"]
 
 BACKENDS = ("trame_pyvista", "pyvista.trame.jupyter")
-"""Modules for interactive views in a notebook: the extra ``notebook``.
+"""Modules of pyvista for interactive views in a notebook: the extra ``notebook``.
 
-The second name is for pyvista 0.49 and older.
+The first is used by pyvista 0.49, the second by older versions.
 """
 
 

@@ -145,7 +145,10 @@ def unit_of(column: str) -> str:
 
 
 def label_of(column: str) -> str:
-    """Return a column's name in words, without its unit: ``model force z`` for ``model_force_z_N``."""
+    """Return a column's name in words, without its unit.
+
+    For ``model_force_z_N`` it is ``model force z``.
+    """
     unit = next((unit for unit in UNITS if column.endswith(f"_{unit}")), "")
     return column.removesuffix(f"_{unit}" if unit else "").replace("_", " ")
 
