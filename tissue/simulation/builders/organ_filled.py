@@ -30,15 +30,13 @@ def of_surface(
     scale_mm: float | None,
     report: Progress,
 ) -> MadeOrgan:
-    """Return an organ inside a closed surface, with its inclusions as parts. s an inclusion sticks
-    out, meets another or has no modulus. => or an inclusion sticks out, overlaps another one or has
-    no modulus.
+    """Return an organ inside a closed surface, with its inclusions as parts.
 
     Raises
     ------
     InputError
-        If a surface is not closed or not in millimetres, an inclusion sticks out, meets another or
-        has no modulus.
+        If a surface is not closed or not in millimetres, or an inclusion sticks out, overlaps
+        another one or has no modulus.
     """
     from meshes.tets.tetrahedralise import FILL_EDGES, tetrahedralise
 
@@ -77,14 +75,12 @@ def of_labels(
     edge_mm: float | None,
     report: Progress,
 ) -> MadeOrgan:
-    """Return an organ of a label image; its parts are the labels that have a modulus. s If there is
-    no such label, a part lies elsewhere, or a value is out of its range. => If there is no such
-    label, a part does not lie at the organ, or a value is out of its range.
+    """Return an organ of a label image; its parts are the labels that have a modulus.
 
     Raises
     ------
     InputError
-        If there is no such label, a part lies elsewhere, or a value is out of its range.
+        If there is no such label, a part does not lie at the organ, or a value is out of its range.
     """
     from meshes.ct.labels import Labels, read_labels
     from meshes.organs.from_labels import labelled_organ

@@ -138,13 +138,11 @@ class SoftMaterial:
 
 def surface_of(name: str, given: object, scale_mm: float | None) -> Surface:
     """Return a closed surface from a file, a pyvista or trimesh surface, or vertices and triangles.
-    s If it is none, of another unit by its size, or encloses no solid. => If it is no surface, its
-    size points to another unit, or it encloses no solid.
 
     Raises
     ------
     InputError
-        If it is none, of another unit by its size, or encloses no solid.
+        If it is no surface, its size points to another unit, or it encloses no solid.
     """
     source = name
     if isinstance(given, str | Path):

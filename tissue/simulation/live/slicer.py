@@ -51,16 +51,13 @@ class SlicerLink:
 
 
 def require_link(link: SlicerLink, scene: Scene, *, web: bool) -> None:
-    """Refuse an unusable port, or a second mover of the tool, before anything is built. s If the
-    port is none or another program has it, or a page or a real device moves the tool that this is
-    to move. => If the port does not exist or another program uses it, or a page or a real device
-    moves the tool that the link is to move.
+    """Refuse an unusable port, or a second mover of the tool, before anything is built.
 
     Raises
     ------
     InputError
-        If the port is none or another program has it, or a page or a real device moves the tool
-        that this is to move.
+        If the port does not exist or another program uses it, or a page or a real device moves the
+        tool that the link is to move.
     """
     mover = "--web" if web else scene.held.kind if opens_device(scene) else None
     if link.drives and mover is not None:
@@ -85,15 +82,14 @@ def require_link(link: SlicerLink, scene: Scene, *, web: bool) -> None:
 class SlicerProcess(PublishingProcess):
     """Process that publishes a run and receives the requested pose of the tool.
 
-    The ticks send rows and events to it. s As of a `WindowProcess`. => As for `WindowProcess`. s
-    How it is linked. => Settings of the link.
+    The ticks send rows and events to it.
 
     Parameters
     ----------
     scene, parts, columns, low_m, high_m
-        As of a `WindowProcess`.
+        As for `WindowProcess`.
     link
-        How it is linked.
+        Settings of the link.
     """
 
     module = "tissue.links.slicer_process"
