@@ -124,7 +124,7 @@ def _session(
         problems.print(f"going on at trial {log.session.trial + 1} of {log.path}")
     _ask_all(log, answer, live=live)
     session = log.session
-    # Both take their places together: where either of them lies, the session is over.
+    # Both files are put in place together: if either exists, the session is complete.
     with whole_file(target.with_suffix(".png")) as drawn:
         draw_session(session, drawn)
         write_observer(session.observer(name), target, overwrite=overwrite)

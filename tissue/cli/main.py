@@ -67,7 +67,7 @@ def has_working_folder() -> bool:
 def leave_pipe() -> NoReturn:
     """End a command whose output has no reader any more."""
     nothing = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nothing, 1)  # what is still buffered goes nowhere
+    os.dup2(nothing, 1)  # discards buffered output
     sys.exit(PIPE_CLOSED)
 
 
@@ -162,7 +162,7 @@ def _plain_warnings() -> Iterator[None]:
         others = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-            # whose modules help does without
+            # compared by name, since help does not import their modules
             if category.__name__ not in ("PluginWarning", "OldSceneWarning"):
                 return others(message, category, *where, **more)
             from rich.markup import escape

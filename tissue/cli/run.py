@@ -263,7 +263,7 @@ def run(
     by_hand = live.web or live.slicer_drives
     loaded = _load(scene, overrides, live=live.live, by_hand=by_hand)
     seed = scene_options.seed
-    # else it seeds the band alone
+    # otherwise the seed is used for the band only
     if seed is not None and (band.band is None or loaded.device is not None):
         loaded = _load(scene, overrides | {"seed": seed}, live=live.live, by_hand=by_hand)
     _refuse_unused(loaded, engine, live=live.live)
@@ -272,7 +272,7 @@ def run(
     RunFolder.check(folder, overwrite=engine.overwrite)
     started = perf_counter()
     with _naming_stop(folder):
-        # A bar of a live run would take the interpreter from the ticks.
+        # In a live run a progress bar would take the interpreter from the ticks.
         with nullcontext(silent) if live.live else progress() as report:
             report("starting Warp", 0.0)
             from tissue.objects.simulate import simulate

@@ -55,8 +55,9 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
     consists of the numbers of `entries`, each divided by its scale and clipped to [-1, 1]. Loads
     are means over the step. The reward of a step is::
 
-        P(after) - P(before) - 1.0 / M * sum over its ticks of max(0, F / limit - 1) - 0.1 * ticks /
-        M
+        P(after) - P(before)
+            - 1.0 / M * sum over its ticks of max(0, F / limit - 1)
+            - 0.1 * ticks / M
 
     with the potential P of the task, the size F of the contact force and the M ticks of a whole
     episode. ``info`` holds its parts in ``reward_terms``, the episode's random draws in ``drawn``,

@@ -61,8 +61,8 @@ class Milling(ContactEnvironment):
 
     **Reward**, see `ContactEnvironment`, with the potential::
 
-        P = (volume removed of the target - volume removed beyond the tolerance) / volume of the
-        target
+        P = (volume removed of the target - volume removed beyond the tolerance)
+            / volume of the target
 
     in ``reward_terms`` as ``progress`` and ``overcut``. No policy scores above 1; doing nothing
     scores -0.1. An episode ends when 99 % of the target are removed, and is truncated after 12 s.

@@ -54,8 +54,8 @@ class RestorableBone:
         layers = volume.layer_names
         used = used_of_cutting(given, layers, bone="bone", stated={}, has_reference_density=False)
         given_note(given, used, layers=layers, by="environment")
-        # A material is named for layers that have none of their own; one core, as environments run
-        # beside each other.
+        # The material applies to layers without their own coefficients. Environments run in
+        # parallel, so each uses one core.
         bone = VoxelBone(volume, given.coefficients(layers, {}, bone="bone"))
         self.model = bone.model(cutter, shell_spacing_m=shell_spacing_m, cores=1)
         self._uncut = self.model.carver.state()

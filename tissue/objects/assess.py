@@ -88,6 +88,6 @@ class _Held:
 def _held(run: Run | str | Path) -> _Held:
     run = run if isinstance(run, Run) else open_run(run)
     scene = None
-    with suppress(InputError):  # a run whose scene.toml is gone can be assessed all the same
+    with suppress(InputError):  # a run without scene.toml can be assessed too
         scene = run.scene
     return _Held(run.path, run.summary, run.trace, run.status == "complete", scene)

@@ -1,4 +1,4 @@
-"""Cutting coefficients of a bone: cited ones, a caller's own, and those of a file."""
+"""Cutting coefficients of a bone: cited ones, a caller's own, and ones from a file."""
 
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches

@@ -134,7 +134,7 @@ def removed_surface(bone: VoxelBone) -> "pyvista.PolyData":
 
 
 def plot_surface(surface: "pyvista.PolyData", layer_names: tuple[str, ...], **options: Any) -> Any:
-    """Show a surface coloured by layer; `options` are those of pyvista's ``surface.plot``.
+    """Show a surface coloured by layer; `options` are passed to pyvista's ``surface.plot``.
 
     Raises
     ------

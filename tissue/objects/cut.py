@@ -66,7 +66,7 @@ class Cut:
         places = [loop.trace.columns.index(name) for name in names]
         rows = loop.trace.rows.copy()
         rows[:, layout.time] = times_s
-        # a slow cut is spread over ticks
+        # The removal of a slow cut is spread over ticks.
         rows[-1, layout.removed_by_layer] = 1e9 * loop.parts.tissue.removed_m3
         rows[:, layout.removed_by_layer] -= 1e9 * removed_before_m3
         rows[:, layout.removed] = rows[:, layout.removed_by_layer].sum(axis=1)
@@ -133,8 +133,9 @@ class Cut:
         return np.asarray(self.trace["layer"])
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """Return all columns as a table, one row per pose; see
-        `tissue.objects.trace.Trace.to_pandas`.
+        """Return all columns as a table, one row per pose.
+
+        See `tissue.objects.trace.Trace.to_pandas`.
         """
         return self.trace.to_pandas()
 

@@ -231,7 +231,7 @@ def settings_of(device: Device, options: LoopOptions) -> LoopSettings:
             f"{predictor!r}",
             "name one, or drop it",
         )
-    RENDERERS[options.renderer]  # refused here, by the argument's own name
+    RENDERERS[options.renderer]  # refuse an unknown renderer under the argument's name
 
     limit_N = numbers.force_limit_N
     made: Callable[[], Predictor | None] = no_predictor

@@ -1,6 +1,6 @@
 """Constructors of a soft organ: tetrahedra, a surface, labels, a block or the liver.
 
-The labels are those of a segmentation; the liver is built in.
+The labels come from a segmentation; the liver is built in.
 """
 
 from __future__ import annotations

@@ -131,8 +131,9 @@ class Press:
         return plot_press(self, **options)
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return a table with a row per step: depth, force and contact area, with units in the
-        names.
+        """Return a table with a row per step: depth, force and contact area.
+
+        Units are in the names.
 
         Raises
         ------

@@ -204,7 +204,7 @@ class register:
     def hand(name: str, numbers: Mapping[str, float], *, like: str = "expert") -> None:
         """Register a hand by values of `HandParameters` in SI.
 
-        The other values are those of a known hand.
+        The other values are taken from a known hand.
         """
         from tissue.haptics.hand.hand import HandParameters
 

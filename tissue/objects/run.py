@@ -308,7 +308,7 @@ class Run(engine.Run):
 
     def _repr_html_(self) -> str:
         size = np.zeros(0)
-        with suppress(InputError):  # of a run that was stopped early there may be no trace
+        with suppress(InputError):  # a run that was stopped early may have no trace
             size = np.linalg.norm(self.trace.vectors("model_force", "N"), axis=1)
         return run_html(self.summary, self.events, size)
 

@@ -131,7 +131,7 @@ def show_folder(
         )
     with TemporaryDirectory(prefix="tissue-") as place:
         file = screenshot or Path(place) / "shown.png"
-        # It draws in a process of its own, and therefore also checks whether this machine can draw.
+        # `view` draws in a separate process, which also checks whether this machine can draw.
         view(folder, screenshot=file, overwrite=True, **chosen)
         still = Picture(file.read_bytes())
     return _turned(folder, chosen) if interactive else still

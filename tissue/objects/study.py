@@ -75,7 +75,7 @@ def run(
 
 
 def trial(plan: Plan, name: str) -> Trial:
-    """Run one trial of a plan; its figures equal those of the study to the last bit.
+    """Run one trial of a plan; its figures equal the study's to the last bit.
 
     Parameters
     ----------

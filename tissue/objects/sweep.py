@@ -192,7 +192,7 @@ def parse_values(texts: Sequence[str]) -> dict[str, list[object]]:
 
 
 def _listed(key: str, values: Iterable[object]) -> list[object]:
-    """Return the values of a key as plain Python values, also those of NumPy arrays."""
+    """Return the values of a key as plain Python values, also from NumPy arrays."""
     found: list[object] = []
     if isinstance(values, Iterable) and not isinstance(values, str | Mapping):
         found = list(islice(values, MOST_RUNS + 1))

@@ -72,7 +72,7 @@ class Trace(dict[str, NDArray[Any]], Table):
         dict.__init__(self, {name: table[name] for name in table.columns})
 
     def __missing__(self, name: str) -> NDArray[Any]:
-        return Table.__getitem__(self, name)  # raises, and lists the known ones
+        return Table.__getitem__(self, name)  # raises an error that lists the known columns
 
     def to_pandas(self) -> "pandas.DataFrame":
         """Return a table with one row a tick, layers as categories, and units in the names.

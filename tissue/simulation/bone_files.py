@@ -46,7 +46,7 @@ def voxel_image(volume: VoxelVolume, remaining: NDArray[np.uint8]) -> "pyvista.I
     volume
         The bone before the first cut.
     remaining
-        What is left in every voxel, 255 = full, shape of the volume.
+        Bone left in every voxel, 255 = full, shape of the volume.
     """
     import pyvista
 
@@ -74,7 +74,7 @@ def read_voxels(
     Raises
     ------
     InputError
-        If the file is not one that a run wrote.
+        If the file was not written by a run.
     """
     import pyvista
 

@@ -111,8 +111,8 @@ def with_depth(
     from scipy.ndimage import map_coordinates
 
     at = _voxels(surface.points, volume).T
-    # On an uncut surface nothing is missing; on a cut one half a voxel is, where the surface runs
-    # through it.
+    # On an uncut surface nothing is missing. On a cut surface, which runs through half-full voxels,
+    # half a voxel is missing.
     missing = map_coordinates(
         volume.fraction - remaining, at, order=1, mode="nearest", output=np.float32
     )

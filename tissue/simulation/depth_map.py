@@ -82,8 +82,8 @@ def depth_map(run: CarvedRun) -> DepthMap:
     removed = (volume.fraction - remaining).sum(axis=axis, dtype=np.int64)
     bone, _, before = _face(volume.fraction, volume.layer, axis, outward)
     left, at, after = _face(remaining, volume.layer, axis, outward)
-    # Single columns at the edge of a hole change their layer as their last voxel goes; they are no
-    # exposed bone.
+    # Single columns at the edge of a hole change their layer when their last voxel is removed. They
+    # are not exposed bone.
     exposed = [
         (name, binary_opening(left & (after == index) & (before != index), np.ones((3, 3))))
         for index, name in enumerate(volume.layer_names)

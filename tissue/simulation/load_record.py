@@ -6,11 +6,10 @@ The force on a cutter is linear in the coefficients of each layer. On a given pa
 engaged bone does not depend on the coefficients. So one run finds the loads of a unit of each
 coefficient at every tick, and::
 
-    loads = sum over layers and nodes of density of strength (K_tc, K_rc, K_ac, K_te, K_re, K_ae) .
-    unit loads
+    loads = sum over layers and density nodes of
+            strength * (K_tc, K_rc, K_ac, K_te, K_re, K_ae) . unit loads
 
-is what a run with those coefficients would have recorded as ``model_force`` and ``model_torque``,
-within 1e-6.
+equals ``model_force`` and ``model_torque`` of a run with those coefficients, within 1e-6.
 """
 
 from dataclasses import dataclass, replace
@@ -47,7 +46,7 @@ SENSITIVITIES = (
     "density_exponent",
     "density_factor",
 )
-"""Parameters of each layer by which `LoadRecord.jacobian` differentiates."""
+"""Variables of each layer for the derivatives of `LoadRecord.jacobian`."""
 MOST_BYTES = 1_000_000_000
 """Largest size of a record [bytes].
 

@@ -170,7 +170,7 @@ class RunFolder:
         try:
             yield
         except BaseException as error:
-            # such as a full disk: the run is then reported as one whose process is gone
+            # On an error such as a full disk the run is reported as one without a process.
             with suppress(OSError):
                 self.close_tables()
                 self._stopped(error)

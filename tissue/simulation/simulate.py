@@ -191,7 +191,7 @@ def _run_ticks(
     """Run all ticks of a loop with their observer; report progress about ten times a second."""
     trace = loop.trace
     timing = loop.timing
-    # many rows at once would delay a tick that follows the wall clock
+    # flushing many rows at once would delay a tick in real time
     each_row = observer is not None
     observer = observer or RunObserver()
     motion = loop.parts.motion

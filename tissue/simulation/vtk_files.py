@@ -103,7 +103,7 @@ def write_vtk(writer: "vtkXMLWriter | vtkSTLWriter", data: "pyvista.DataSet", pa
         failures: list[int] = []
         writer.AddObserver(vtkCommand.ErrorEvent, lambda *_: failures.append(writer.GetErrorCode()))
         shown = vtkObject.GetGlobalWarningDisplay()
-        # VTK would print its own account of what is raised below
+        # otherwise VTK would also print the error that is raised below
         vtkObject.SetGlobalWarningDisplay(0)
         try:
             written = writer.Write()
@@ -113,8 +113,8 @@ def write_vtk(writer: "vtkXMLWriter | vtkSTLWriter", data: "pyvista.DataSet", pa
             import errno
             import os
 
-            # VTK reports a full disk as an error of its own; it is the only one left once the file
-            # could be opened.
+            # VTK reports a full disk by its own error code. Once the file was opened, a full disk is
+            # the only cause left.
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
 

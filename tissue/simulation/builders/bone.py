@@ -236,7 +236,7 @@ def element_spacing_m(cutter: Cutter, *, depth_m: float, tolerance: float) -> fl
         If the cutter would have more than `MOST_ELEMENTS` elements.
     """
     wanted = (SCATTER / tolerance) ** (4.0 / 3.0)
-    # half of a ball's cap
+    # a ball's cap engages with half of its area
     engaged_m2 = np.pi * cutter.profile.radius_m * min(depth_m, cutter.profile.radius_m)
     spacing_m = float(np.sqrt(engaged_m2 / wanted))
     count = cutter.cutting_area_m2 / spacing_m**2

@@ -324,7 +324,7 @@ def _tooth(
             contact_m=milling.cutter.profile.radius_m,
             constants=scene.constants,
             device=compute,
-            cores=1,  # the ticks want a core of their own
+            cores=1,  # the ticks need their own core
         )
     heat = None
     if scene.heat:

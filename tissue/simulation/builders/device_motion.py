@@ -88,10 +88,10 @@ def device_motion(
     chosen = settings.coupling
     scale = settings.coupling.motion_scale
     judged, turning = judged_loops(settings, step_s=step_s, allow_unstable=allow_unstable)
-    # As energy is booked: from a sample to the force that answers it, without a balance that is
-    # found late.
+    # For the energy balance: from a sample to the force that answers it, without the delay of a
+    # balance that is found a tick later.
     loop = replace(judged.loop, delay_s=limits.transport_delay_s + 1e-3 * chosen.delay_ms)
-    # for what runs in every tick, however seldom the device is sampled
+    # for parts that run in every tick, whatever the device's sample rate
     in_ticks = replace(loop, tick_s=TICK_S)
     spring = judged.loop.stiffness_N_m / (scale * force_scale)
     turn = HeldTurn(turning.loop.stiffness_N_m * scale / force_scale if turning else inf)

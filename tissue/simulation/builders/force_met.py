@@ -32,12 +32,12 @@ Up to 32 voxels the largest force of the built-in scenes changes by less than 4 
 ELEMENTS = 1500
 """Number of elements of a cutter."""
 MOST = 0.35
-"""Upper bound of the script's largest force, as a ratio to the device's force limit.
+"""Upper bound of the script's largest scaled force, as a ratio to the device's force limit.
 
 It is half of the share that is played without compression, so a hand may press twice as hard.
 """
 LEAST = 4.0
-"""Lower bound of the script's largest force, as a ratio to the device's friction; assumed.
+"""Lower bound of the script's largest scaled force, over the device's friction; assumed.
 
 It applies where the device's limit allows it.
 """

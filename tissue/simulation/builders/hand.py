@@ -139,7 +139,7 @@ def _aims(
         *_timed(scripted, recorded=isinstance(scene.motion, ReplayMotion), step_s=step_s)
     )
     if isinstance(scene.anatomy, WallAnatomy) or isinstance(tool, ProbingTool):
-        return path, None  # no force brings a tool to where a wall or a bone is
+        return path, None  # no force moves a tool into a wall or a bone
     return CompensatedPath(
         path, tool, person.submovement_s - 0.5 * person.correction_s, furthest
     ), None

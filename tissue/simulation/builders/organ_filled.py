@@ -45,7 +45,7 @@ def of_surface(
         raise InputError(
             "parts", "give a modulus of every inclusion", f"none of {without[0]}", "add it in kPa"
         )
-    # what cannot be is refused before minutes of meshing
+    # refuse invalid materials before meshing, which takes minutes
     material_of(stated, ("body", *inclusions))
     outer = surface_of("surface", surface, scale_mm)
     usual = max(outer.report.size_mm) / FILL_EDGES

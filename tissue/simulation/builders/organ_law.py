@@ -85,7 +85,7 @@ def coarser_mesh(
     anatomy = scene.anatomy
     assert isinstance(anatomy, SoftAnatomy)
     edge_mm = anatomy.edge_mm * (1.0 if anatomy.nodule_mm else ratio)
-    # Not as if it had been set: tetrahedra from a file have edges of their own.
+    # The key must not count as set: tetrahedra from a file have their own edges.
     given = anatomy.model_fields_set - {"edge_mm"}
     coarse = type(anatomy).model_construct(given, **(dict(anatomy) | {"edge_mm": edge_mm}))
     return held_mesh(coarse, path_m=path_m, touch_edge_m=ratio * touch_edge_m, report=report)

@@ -161,7 +161,7 @@ class BoneShared(SharedTissue):
     """
 
     def __init__(self, milling: "BoneModel", volume: VoxelVolume) -> None:
-        from kernels.bricks import BRICK  # with Warp, which a process that only reads does without
+        from kernels.bricks import BRICK  # imports Warp, which a reading process does not need
 
         store = milling.store
         self._remaining = store.remaining

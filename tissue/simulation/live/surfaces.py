@@ -113,7 +113,7 @@ class OrganSurface:
         ids = np.asarray(self.surface.point_data["vtkOriginalPointIds"])
         place = np.full(len(nodes), -1)
         place[start["touchable"]] = np.arange(len(start["touchable"]))
-        self._row = place[ids]  # of each shown point among the touchable nodes, -1 for none
+        self._row = place[ids]  # index of each shown point among the touchable nodes, -1 for others
         self._rest = np.array(self.surface.points, dtype=np.float64)
         self.surface.clear_data()
         self._known: NDArray[np.bool_] | None = None

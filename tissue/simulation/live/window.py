@@ -129,7 +129,7 @@ class WindowProcess:
         self._reset = 0
         (self._folder / "scene.json").write_text(
             scene.model_dump_json(exclude_unset=True), "utf-8"
-        )  # as it is, changed for the mouse
+        )  # the scene with the changes for the mouse
         (self._folder / "columns.json").write_text(json.dumps([*columns, *CLOCK]), "utf-8")
         turn = parts.motion.rotations()[0]
         box = {
@@ -164,7 +164,7 @@ class WindowProcess:
             self._child.kill()
             self.end()
             raise InputError(f"--live {self.place}, but {last[:200]}: {self.remedy}")
-        # both sides have it open: nothing is left behind by a kill
+        # Both sides have the files open, so a kill leaves no files behind.
         shutil.rmtree(self._folder, ignore_errors=True)
 
     @property
