@@ -113,8 +113,8 @@ def write_vtk(writer: "vtkXMLWriter | vtkSTLWriter", data: "pyvista.DataSet", pa
             import errno
             import os
 
-            # VTK reports a full disk by its own error code. Once the file was opened, a full disk is
-            # the only cause left.
+            # VTK reports a full disk by its own error code. Once the file was opened, a full disk
+            # is the only cause left.
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
 

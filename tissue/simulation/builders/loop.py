@@ -36,7 +36,7 @@ SHARE = 0.5
 """Ratio of the chosen stiffness to the critical stiffness in the scene's hand.
 
 It is used where no stiffness is given. Half of the critical stiffness without a hand would be a
-seventh to a ninth of it. At either stiffness a device that is let go on a wall leaves the wall
+seventh to a ninth of it. At either stiffness a device that is released on a wall leaves it
 within some hundredths of a second, see tests/stability/test_wall_laws.py.
 """
 
