@@ -35,7 +35,7 @@ def devices(
     address
         Address, as in a scene's hardware.address; default the usual one.
     seconds
-        Duration of the measurement; default 2.
+        Duration of the measurement, in seconds; default 2.
     yes
         Push without asking.
     out

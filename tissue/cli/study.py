@@ -172,7 +172,9 @@ def _planned(
 
 @study.command
 def report(folder: Path, /) -> None:
-    """Write tables, figures and their interpretation, next to the paper's, into a study's folder.
+    """Write tables, figures and their interpretation into a study's folder.
+
+    The paper's figures are shown for comparison.
 
     Parameters
     ----------
